@@ -1,0 +1,32 @@
+"""Everything that `aleator` raises or warns of on purpose.
+
+Each message is one clear sentence (or two) that names the thing, what was expected, what was received and what to do.
+"""
+
+
+class AleatorError(Exception):
+    """Base of every error that `aleator` raises on purpose."""
+
+
+class ProblemError(AleatorError, ValueError):
+    """The declared problem makes no sense: found before anything is compiled or simulated."""
+
+
+class SimulationError(AleatorError, ArithmeticError):
+    """A simulation produced numbers that are not finite; the message names the realisation and the time."""
+
+
+class SolveError(AleatorError, RuntimeError):
+    """The nonlinear program was not solved. The unfinished solution is kept in `solution`."""
+
+    def __init__(self, message: str, solution: object = None):
+        super().__init__(message)
+        self.solution = solution
+
+
+class MissingExtraError(AleatorError, ImportError):
+    """An optional library is not installed; the message names the command that installs it."""
+
+
+class ExpansionWarning(UserWarning):
+    """The expansion does not resolve an output well enough for its statistics to be trusted."""

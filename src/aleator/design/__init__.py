@@ -1,0 +1,29 @@
+"""The declared problem: functionals of outputs, statistics of them, bounds, cost curves. And its answer."""
+
+from aleator.design._constraint import Constraint as Constraint
+from aleator.design._cost import cost_curve as cost_curve
+from aleator.design._cost import exponential as exponential
+from aleator.design._cost import reciprocal as reciprocal
+from aleator.design._cost import reciprocal_power as reciprocal_power
+from aleator.design._cost import reciprocal_squared as reciprocal_squared
+from aleator.design._expression import AbstractScope as AbstractScope
+from aleator.design._expression import Expression as Expression
+from aleator.design._expression import Statistic as Statistic
+from aleator.design._expression import as_expression as as_expression
+from aleator.design._expression import functionals_of as functionals_of
+from aleator.design._expression import value as value
+from aleator.design._functional import Functional as Functional
+from aleator.design._functional import integral as integral
+from aleator.design._functional import path as path
+from aleator.design._functional import peak as peak
+from aleator.design._functional import rms as rms
+from aleator.design._functional import terminal as terminal
+from aleator.design._problem import Problem as Problem
+from aleator.design._problem import deterministic as deterministic
+from aleator.design._problem import uncertain as uncertain
+from aleator.design._response import history as history
+from aleator.design._response import responses as responses
+from aleator.design._solution import ConstraintResult as ConstraintResult
+from aleator.design._solution import ExpansionQuality as ExpansionQuality
+from aleator.design._solution import Solution as Solution
+from aleator.design._solution import Times as Times

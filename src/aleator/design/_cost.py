@@ -1,0 +1,71 @@
+"""Cost-uncertainty curves: what it costs to make a spread small (equation 125 and the curves listed in [107])."""
+
+from collections.abc import Callable
+from typing import final
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from aleator._core.arrays import Scalar
+from aleator.design._expression import AbstractAtom, AbstractScope, Expression
+
+Curve = Callable[..., Float[Array, ""]]
+
+
+@final
+class CostCurve(AbstractAtom):
+    """`curve(spread, *coefficients)` of the number called `name`."""
+
+    name: str = eqx.field(static=True)
+    curve: Curve = eqx.field(static=True)
+    shown: str = eqx.field(static=True)
+    coefficients: tuple[Scalar, ...] = ()
+
+    def evaluate(self, scope: AbstractScope) -> Array:
+        """See `AbstractAtom.evaluate`."""
+        return self.curve(scope.value(self.name), *self.coefficients)
+
+    def text(self) -> str:
+        """See `AbstractAtom.text`."""
+        numbers = (f"{float(number):g}" for number in self.coefficients)
+        return self.shown.format(*numbers, spread=self.name)
+
+
+def _reciprocal_power(spread: Array, bias: Array, scale: Array, power: Array) -> Array:
+    return bias + scale / spread**power
+
+
+def _exponential(spread: Array, bias: Array, scale: Array, rate: Array) -> Array:
+    return bias + scale * jnp.exp(-rate * spread)
+
+
+def _expression(name: str, curve: Curve, shown: str, *coefficients: float) -> Expression:
+    return Expression(
+        (1.0,), (CostCurve(name, curve, shown, tuple(float(number) for number in coefficients)),)
+    )
+
+
+def reciprocal_power(name: str, *, bias: float, scale: float, power: float) -> Expression:
+    """Cost `bias + scale / spread**power` of the number called `name`, such as `"k_s.half_width"` (equation 125)."""
+    return _expression(name, _reciprocal_power, "({0} + {1}/{spread}^{2})", bias, scale, power)
+
+
+def reciprocal(name: str, *, bias: float, scale: float) -> Expression:
+    """Cost `bias + scale / spread`."""
+    return reciprocal_power(name, bias=bias, scale=scale, power=1.0)
+
+
+def reciprocal_squared(name: str, *, bias: float, scale: float) -> Expression:
+    """Cost `bias + scale / spread**2`."""
+    return reciprocal_power(name, bias=bias, scale=scale, power=2.0)
+
+
+def exponential(name: str, *, bias: float, scale: float, rate: float) -> Expression:
+    """Cost `bias + scale * exp(-rate * spread)`."""
+    return _expression(name, _exponential, "({0} + {1} exp(−{2} {spread}))", bias, scale, rate)
+
+
+def cost_curve(name: str, curve: Curve) -> Expression:
+    """Cost `curve(spread)` by a function of your own, written with `jax.numpy` so that it can be differentiated."""
+    return _expression(name, curve, f"{getattr(curve, '__name__', 'curve')}({{spread}})")

@@ -1,0 +1,167 @@
+"""`Problem`: a declared design problem. Data only; how it is solved is decided elsewhere."""
+
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any, NamedTuple, Self, final
+
+import equinox as eqx
+import numpy as np
+
+from aleator._core.errors import ProblemError
+from aleator.collocation import Expansion
+from aleator.design._constraint import Constraint
+from aleator.design._expression import Expression, as_expression
+from aleator.dynamics import AbstractIntegrator, AbstractSignal, Grid, RungeKutta4, System
+from aleator.uncertainty import Survey, at_means, survey, uncertain_again
+
+
+class Model(NamedTuple):
+    """Everything that may hold distributions and decisions: the system and its inputs."""
+
+    system: System
+    inputs: dict[str, AbstractSignal]
+
+
+@final
+class Problem(eqx.Module):
+    """An optimal design problem: what to choose is said by the decisions in `system`, what is uncertain by its distributions.
+
+    - `system`: the physics; `grid`: the instants; `inputs`: a signal for each input of the system, by name;
+    - `minimize`: an expression of statistics; `subject_to`: constraints;
+    - `expansion`: how outputs are expanded; `integrator`: how states are carried forward.
+
+    `print(problem)` shows it as mathematics. Raises `ProblemError`, before anything is compiled, for anything that does
+    not fit together: a missing input or output, a wrong shape, an unknown name, a mass that can reach zero.
+    """
+
+    system: System
+    grid: Grid
+    inputs: dict[str, AbstractSignal]
+    objective: Expression
+    constraints: tuple[Constraint, ...]
+    expansion: Expansion
+    integrator: AbstractIntegrator
+
+    def __init__(
+        self,
+        system: System,
+        *,
+        grid: Grid,
+        minimize: Expression,
+        subject_to: Iterable[Constraint | tuple[Constraint, ...]] = (),
+        inputs: Mapping[str, AbstractSignal] | None = None,
+        expansion: Expansion | None = None,
+        integrator: AbstractIntegrator | None = None,
+    ):
+        from aleator.design._check import check  # it needs the class to be defined
+
+        self.system = system
+        self.grid = grid
+        self.inputs = dict(inputs or {})
+        self.objective = as_expression(minimize)
+        self.constraints = tuple(_flatten(subject_to))
+        self.expansion = expansion or Expansion()
+        self.integrator = integrator or RungeKutta4()
+        check(self)
+
+    @property
+    def model(self) -> Model:
+        """The part of the problem that realisation acts on."""
+        return Model(self.system, self.inputs)
+
+    @property
+    def survey(self) -> Survey:
+        """Its distributions and decisions."""
+        return survey(self.model)
+
+    @property
+    def expressions(self) -> tuple[Expression, ...]:
+        """The objective, then the constraints' expressions."""
+        return (self.objective, *(constraint.expression for constraint in self.constraints))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of the constraints, each once."""
+        return tuple(dict.fromkeys(constraint.name for constraint in self.constraints))
+
+    def named(self, name: str) -> tuple[Constraint, ...]:
+        """The constraints of one name. Raises `ProblemError` if there are none."""
+        found = tuple(constraint for constraint in self.constraints if constraint.name == name)
+        if not found:
+            raise ProblemError(f"There is no constraint '{name}'; expected one of {list(self.names)}.")
+        return found
+
+    def with_bound(self, name: str, bound: float | tuple[float, float]) -> Self:
+        """The same problem with the bound of the constraints called `name` at `bound`.
+
+        One number moves an upper or a lower bound, or both of a symmetric pair (to `-bound` and `bound`); other pairs
+        take `(lower, upper)`.
+        """
+        lower, upper = _new_bounds(self.named(name), name, bound)
+        return self._with(
+            name, lambda one: one.with_bounds(*(_moved(one.lower, lower), _moved(one.upper, upper)))
+        )
+
+    def with_sigmas(self, name: str, sigmas: float) -> Self:
+        """The same problem with the multiple of the standard deviation in the constraints called `name` at `sigmas`."""
+        if not (np.isfinite(sigmas) and sigmas > 0):
+            raise ProblemError(f"Constraint '{name}': sigmas must be positive and finite; received {sigmas}.")
+        self.named(name)
+        return self._with(
+            name,
+            lambda one: eqx.tree_at(lambda tree: tree.expression, one, one.expression.with_sigmas(sigmas)),
+        )
+
+    def _with(self, name: str, change: Any) -> Self:
+        constraints = tuple(change(one) if one.name == name else one for one in self.constraints)
+        return eqx.tree_at(lambda tree: tree.constraints, self, constraints)
+
+    def __str__(self) -> str:
+        from aleator.design._text import problem_text
+
+        return problem_text(self)
+
+
+def _flatten(constraints: Any) -> Iterator[Constraint]:
+    """Constraints out of any nesting of sequences: `within` gives a pair."""
+    if isinstance(constraints, Constraint):
+        yield constraints
+        return
+    if not isinstance(constraints, Iterable):
+        raise ProblemError(
+            f"subject_to: expected constraints, such as y.mean <= 1.0; received {type(constraints).__name__} '{constraints}'."
+        )
+    for constraint in constraints:
+        yield from _flatten(constraint)
+
+
+def _moved(old: Any, new: float) -> float:
+    return new if np.isfinite(old) else float(old)
+
+
+def _new_bounds(
+    constraints: tuple[Constraint, ...], name: str, bound: float | tuple[float, float]
+) -> tuple[float, float]:
+    if isinstance(bound, tuple):
+        return bound
+    lower = {float(one.lower) for one in constraints if np.isfinite(one.lower)}
+    upper = {float(one.upper) for one in constraints if np.isfinite(one.upper)}
+    if lower and upper and lower != {-value for value in upper}:
+        raise ProblemError(
+            f"Constraint '{name}' has bounds {sorted(lower)} and {sorted(upper)}, which are not symmetric: "
+            "give the new bounds as (lower, upper)."
+        )
+    return (-float(bound) if upper else float(bound)), float(bound)
+
+
+def deterministic(problem: Problem) -> Problem:
+    """The same problem with every distribution at its mean and no spread (dOpt, equations 93 and 113)."""
+    return _with_model(problem, at_means(problem.model))
+
+
+def uncertain(problem: Problem) -> Problem:
+    """The problem with its distributions again: the inverse of `deterministic`."""
+    return _with_model(problem, uncertain_again(problem.model))
+
+
+def _with_model(problem: Problem, model: Model) -> Problem:
+    return eqx.tree_at(lambda tree: (tree.system, tree.inputs), problem, (model.system, model.inputs))

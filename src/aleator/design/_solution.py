@@ -1,0 +1,183 @@
+"""`Solution`: the answer to a problem, with what certifies it."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, final
+
+import numpy as np
+from jaxtyping import Float
+
+from aleator.design._problem import Problem
+from aleator.nlp import Status
+
+
+@final
+@dataclass(frozen=True)
+class ConstraintResult:
+    """One constraint at a solution, in user units.
+
+    - `values`: its expression, a number or one number an instant; `times`: the instants (s), None for a number;
+    - `multipliers`: the price of the bound, `-d objective / d bound`, in the shape of `values`: positive where the upper
+      bound is active, negative where the lower one is;
+    - `active`: where it is active, in the shape of `values`.
+    """
+
+    name: str
+    text: str
+    lower: float
+    upper: float
+    values: Float[np.ndarray, "*shape"]
+    times: Float[np.ndarray, " instants"] | None
+    multipliers: Float[np.ndarray, "*shape"]
+    active: np.ndarray
+
+    @property
+    def excess(self) -> Float[np.ndarray, "*shape"]:
+        """By how much the nearer bound is exceeded; negative inside."""
+        return np.maximum(self.values - self.upper, self.lower - self.values)
+
+    @property
+    def violation(self) -> float:
+        """Largest excess over a bound, zero if it holds everywhere."""
+        return max(0.0, float(np.max(self.excess)))
+
+    @property
+    def worst_time(self) -> float | None:
+        """The instant (s) at which the constraint is closest to, or furthest beyond, its bound."""
+        return None if self.times is None else float(self.times[np.argmax(_by_instant(self.excess))])
+
+    @property
+    def price(self) -> float:
+        """How much the objective falls for each unit by which the bound is relaxed, summed over its active instants."""
+        return float(np.sum(np.abs(self.multipliers)))
+
+    def sentence(self) -> str:
+        """What is violated, when and by how much."""
+        when = "" if self.worst_time is None else f" at t = {self.worst_time:.4g} s"
+        worst = float(self.values.flat[int(np.argmax(self.excess))])
+        bound, relation = (self.upper, "≤") if worst > self.upper else (self.lower, "≥")
+        return f"'{self.name}' is violated by {self.violation:.4g}{when}: {worst:.6g} where {relation} {bound:.6g} is asked"
+
+
+def _by_instant(values: np.ndarray) -> np.ndarray:
+    return values.reshape(len(values), -1).max(axis=1)
+
+
+@final
+@dataclass(frozen=True)
+class Times:
+    """Wall times in seconds. `compile_` is zero if a problem of the same structure was compiled before."""
+
+    import_: float
+    compile_: float
+    solve: float
+
+
+@final
+@dataclass(frozen=True)
+class ExpansionQuality:
+    """How far the expansion can be trusted at the solution.
+
+    `leave_one_out` holds, for each functional, the squared error of predicting a collocation point from all others,
+    relative to the variance; `condition_number` is that of the collocation matrix.
+    """
+
+    order: int
+    terms: int
+    points: int
+    condition_number: float
+    leave_one_out: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def worst(self) -> float:
+        """The largest leave-one-out error."""
+        return max(self.leave_one_out.values(), default=0.0)
+
+
+@final
+@dataclass(frozen=True)
+class Solution:
+    """An optimal design and its certificate. `print(solution)` shows both.
+
+    - `decisions`: by name, in user units; `vector`: the same as one vector, in the order of `problem.survey`;
+    - `objective`: its value in user units;
+    - `constraints`: values, activity and multipliers, in the order of `problem.constraints`;
+    - `bound_multipliers`: of the decisions' own bounds, by name;
+    - `violation`, `stationarity`, `complementarity`: residuals of the optimality conditions, scaled, computed from the
+      point and its multipliers and not taken from the solver;
+    - `multipliers`: all constraint multipliers in one vector, for warm starts;
+    - `evaluations`: points at which the problem was simulated.
+    """
+
+    problem: Problem
+    status: Status
+    decisions: Mapping[str, Any]
+    vector: Float[np.ndarray, " n"]
+    objective: float
+    constraints: tuple[ConstraintResult, ...]
+    bound_multipliers: Mapping[str, Any]
+    multipliers: Float[np.ndarray, " m"]
+    violation: float
+    stationarity: float
+    complementarity: float
+    iterations: int
+    evaluations: int
+    times: Times
+    solver: str
+    message: str
+    expansion: ExpansionQuality
+
+    @property
+    def ok(self) -> bool:
+        """Whether the problem was solved to tolerance."""
+        return self.status is Status.SOLVED
+
+    @property
+    def active(self) -> tuple[str, ...]:
+        """Names of the active constraints, then of the decisions that stand at a bound."""
+        names = [one.name for one in self.constraints if np.any(one.active)]
+        return tuple(dict.fromkeys([*names, *self.at_bounds]))
+
+    @property
+    def at_bounds(self) -> tuple[str, ...]:
+        """Names of the decisions that stand at one of their own bounds."""
+        places = self.problem.survey
+        lower, upper, size = (
+            places.vector("lower"),
+            places.vector("upper"),
+            np.maximum(1e-12, np.abs(self.vector)),
+        )
+        near = np.minimum(self.vector - lower, upper - self.vector) <= 1e-6 * size
+        return tuple(name for name, at in zip(places.entry_names(), near, strict=True) if at)
+
+    @property
+    def violated(self) -> tuple[ConstraintResult, ...]:
+        """The constraints that do not hold, worst first."""
+        broken = [one for one in self.constraints if one.violation > _tolerance(one)]
+        return tuple(sorted(broken, key=lambda one: -one.violation / _size(one)))
+
+    def multiplier(self, name: str) -> float:
+        """The price of the bound called `name`: see `ConstraintResult.price`."""
+        return sum(one.price for one in self.constraints if one.name == name)
+
+    def why(self) -> str:
+        """Why it is not solved: the constraints that do not hold, where and by how much."""
+        if self.ok:
+            return "The problem is solved."
+        broken = "; ".join(one.sentence() for one in self.violated)
+        return f"{self.solver}: {self.status.value}. {broken or self.message}."
+
+    def __str__(self) -> str:
+        from aleator.design._solution_text import solution_text
+
+        return solution_text(self)
+
+
+def _size(one: ConstraintResult) -> float:
+    finite = [abs(bound) for bound in (one.lower, one.upper) if math.isfinite(bound)]
+    return max([*finite, 1e-12])
+
+
+def _tolerance(one: ConstraintResult) -> float:
+    return 1e-6 * _size(one)

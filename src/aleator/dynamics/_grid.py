@@ -1,0 +1,47 @@
+"""`Grid`: the instants at which a simulation is recorded."""
+
+from typing import final
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from aleator._core.arrays import Scalar
+from aleator._core.errors import ProblemError
+
+
+@final
+class Grid(eqx.Module):
+    """Uniform instants from `t_start` to `t_final`, `steps` steps apart: `steps + 1` instants, in seconds."""
+
+    t_final: Scalar
+    steps: int = eqx.field(static=True)
+    t_start: Scalar
+
+    def __init__(self, t_final: float, steps: int, t_start: float = 0.0):
+        if isinstance(steps, bool) or not isinstance(steps, int | np.integer) or steps < 1:
+            raise ProblemError(f"Grid: steps is a whole number of at least 1; received {steps!r}.")
+        if not np.isfinite([t_start, t_final]).all() or not t_final > t_start:
+            raise ProblemError(
+                f"Grid: t_final must be finite and after t_start={t_start}; received t_final={t_final}."
+            )
+        self.t_final = float(t_final)
+        self.steps = int(steps)
+        self.t_start = float(t_start)
+
+    @property
+    def step(self) -> Scalar:
+        """Length of one step."""
+        return (self.t_final - self.t_start) / self.steps
+
+    @property
+    def times(self) -> Float[Array, " instants"]:
+        """All instants."""
+        return self.t_start + self.step * jnp.arange(self.steps + 1)
+
+    @property
+    def weights(self) -> Float[Array, " instants"]:
+        """Weights of the trapezoidal rule on the instants."""
+        ends = jnp.ones(self.steps + 1).at[jnp.array([0, -1])].set(0.5)
+        return self.step * ends

@@ -1,0 +1,91 @@
+"""`System`: ordinary differential equations with named states, inputs and outputs."""
+
+import abc
+import inspect
+from collections import namedtuple
+from collections.abc import Mapping
+from functools import cache
+from typing import Any, ClassVar
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from aleator._core.arrays import Scalar
+from aleator._core.errors import ProblemError
+
+
+class System(eqx.Module):
+    """A dynamical system `dz/dt = rhs(t, z, inputs)` with outputs: ordinary physics, written once.
+
+    Subclass it with the parameters as fields and the states' names in `states`; any number in a field may then be
+    replaced by a distribution or a decision. In `rhs` and `outputs` the state is a named tuple (`z.z_s`, or unpacked),
+    and each further argument is an input of that name: `def rhs(self, t, z, road)`.
+
+    `units` may give the units of outputs, for reports.
+    """
+
+    states: ClassVar[tuple[str, ...]]
+    units: ClassVar[Mapping[str, str]] = {}
+
+    @abc.abstractmethod
+    def rhs(self, t: Float[Array, ""], z: Any, **inputs: Float[Array, "..."]) -> Any:
+        """Time derivatives of the states, as a sequence in the order of `states`."""
+
+    @abc.abstractmethod
+    def outputs(self, t: Float[Array, ""], z: Any, **inputs: Float[Array, "..."]) -> dict[str, Array]:
+        """Quantities of interest by name: accelerations, distances, forces."""
+
+    def initial(self) -> Mapping[str, Scalar]:
+        """Initial values by state; states left out start at zero."""
+        return {}
+
+
+@cache
+def state_type(names: tuple[str, ...]) -> Any:
+    """The named tuple that carries a state."""
+    return namedtuple("State", names)  # type: ignore[misc]
+
+
+def initial_state(system: System) -> Any:
+    """The initial state as a named tuple of arrays."""
+    given = dict(system.initial())
+    unknown = set(given) - set(system.states)
+    if unknown:
+        raise ProblemError(
+            f"{type(system).__name__}.initial names {sorted(unknown)}, which are no states; expected some of {system.states}."
+        )
+    return state_type(system.states)(
+        *(jnp.asarray(given.get(name, 0.0), dtype=float) for name in system.states)
+    )
+
+
+def derivative(system: System, t: Array, z: Any, inputs: dict[str, Array]) -> Any:
+    """`system.rhs` as a named tuple, checked (at trace time) to match the states one by one."""
+    rates = system.rhs(t, z, **inputs)
+    name = type(system).__name__
+    if not isinstance(rates, tuple | list):
+        raise ProblemError(
+            f"{name}.rhs returns one rate for each of {system.states} as a tuple; received {rates!r}."
+        )
+    if len(rates) != len(system.states):
+        raise ProblemError(
+            f"{name}.rhs: expected {len(system.states)} rates, for {system.states}; received {len(rates)}."
+        )
+    for state, rate in zip(system.states, rates, strict=True):
+        expected = jnp.shape(getattr(z, state))
+        if jnp.shape(rate) != expected:
+            raise ProblemError(
+                f"{name}.rhs: expected a rate of shape {expected} for '{state}'; received {jnp.shape(rate)}."
+            )
+    return state_type(system.states)(*(jnp.asarray(rate, dtype=float) for rate in rates))
+
+
+def input_names(system: System) -> tuple[str, ...]:
+    """The inputs that a system's `rhs` and `outputs` take: their arguments after time and state."""
+    names: dict[str, None] = {}
+    for method in (system.rhs, system.outputs):
+        for parameter in list(inspect.signature(method).parameters.values())[2:]:
+            if parameter.kind is not inspect.Parameter.VAR_KEYWORD:
+                names[parameter.name] = None
+    return tuple(names)

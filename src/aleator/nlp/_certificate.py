@@ -1,0 +1,178 @@
+"""What a point and its multipliers prove, computed the same way for every solver, in scaled quantities."""
+
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+
+from ._program import Evaluation
+from ._scaling import ScaledProgram
+
+# Rows this close to a bound count as active when multipliers are fitted or infeasibility is examined.
+_ACTIVE = 1e-5
+# A violation is stationary if one typical magnitude of every decision would lower it by less than this
+# fraction.
+_STATIONARY_FRACTION = 1e-3
+
+
+@final
+@dataclass(frozen=True)
+class Certificate:
+    """Residuals of the Karush-Kuhn-Tucker conditions, dimensionless.
+
+    Attributes:
+        violation: largest `(c - upper) / scale` or `(lower - c) / scale` of a row or decision, at least 0.
+        stationarity: `max |∇f + Jᵀλ + μ|`, over the largest multiplier where that is above 1.
+        complementarity: largest product of a multiplier and the slack of the bound it pushes against (a
+            slack above 1, or a bound that does not exist, counts as 1), over the largest multiplier where
+            that is above 1.
+
+    """
+
+    violation: float
+    stationarity: float
+    complementarity: float
+
+    def within(self, violation: float, optimality: float) -> bool:
+        """Whether the violation and both optimality residuals are within these tolerances."""
+        return self.violation <= violation and max(self.stationarity, self.complementarity) <= optimality
+
+
+@final
+@dataclass(frozen=True)
+class Multipliers:
+    """Scaled multipliers: of the rows, shape (m_useful,), and of the free decisions' bounds, shape
+    (n_free,).
+    """
+
+    rows: np.ndarray
+    bounds: np.ndarray
+
+
+def certify(
+    scaled: ScaledProgram, z: np.ndarray, evaluation: Evaluation, multipliers: Multipliers
+) -> Certificate:
+    """Compute the residuals at `z`, shape (n_free,), with its scaled evaluation (Nocedal and Wright 2006,
+    eq. 12.34).
+    """
+    values = np.concatenate([evaluation.constraints, z])
+    lower = np.concatenate([scaled.constraint_lower, scaled.lower])
+    upper = np.concatenate([scaled.constraint_upper, scaled.upper])
+    weights = np.concatenate([multipliers.rows, multipliers.bounds])
+
+    largest = max(1.0, float(np.abs(weights).max(initial=0.0)))
+    gradient = evaluation.gradient + multipliers.rows @ evaluation.jacobian + multipliers.bounds
+    slack = np.where(weights > 0, upper - values, values - lower)
+    return Certificate(
+        violation=float(np.maximum(values - upper, lower - values).max(initial=0.0)),
+        stationarity=float(np.abs(gradient).max(initial=0.0)) / largest,
+        complementarity=float((np.abs(weights) * np.minimum(np.abs(slack), 1.0)).max(initial=0.0)) / largest,
+    )
+
+
+def fit_multipliers(scaled: ScaledProgram, z: np.ndarray, evaluation: Evaluation) -> Multipliers:
+    """Find the multipliers of the active rows and bounds that leave the least gradient of the Lagrangian.
+
+    A non-negative least-squares problem (Lawson and Hanson 1974), for solvers that give no multipliers or
+    stale ones.
+    """
+    rows, row_signs = _active(evaluation.constraints, scaled.constraint_lower, scaled.constraint_upper)
+    bounds, bound_signs = _active(z, scaled.lower, scaled.upper)
+    columns = np.concatenate(
+        [evaluation.jacobian[rows].T * row_signs, np.eye(z.size)[:, bounds] * bound_signs], axis=1
+    )
+    row_multipliers, bound_multipliers = np.zeros(scaled.rows), np.zeros(scaled.size)
+    if columns.size:
+        weights = _nonnegative_fit(columns, -evaluation.gradient)
+        # An equality appears twice, once with each sign.
+        np.add.at(row_multipliers, rows, row_signs * weights[: rows.size])
+        np.add.at(bound_multipliers, bounds, bound_signs * weights[rows.size :])
+    return Multipliers(row_multipliers, bound_multipliers)
+
+
+def is_least_violated(scaled: ScaledProgram, z: np.ndarray, evaluation: Evaluation) -> bool:
+    """Whether no small step lowers the violation: its sum over the rows, or its maximum.
+
+    Either proves that the linearised constraints have no solution near `z`: a step that meets them all would
+    lower both measures.
+    """
+    outside = scaled.violation(evaluation.constraints)
+    if outside.max(initial=0.0) <= 0:
+        return False
+    return _sum_is_stationary(scaled, z, evaluation, outside) or _maximum_is_stationary(
+        scaled, z, evaluation, outside
+    )
+
+
+def _sum_is_stationary(
+    scaled: ScaledProgram, z: np.ndarray, evaluation: Evaluation, outside: np.ndarray
+) -> bool:
+    """Zero is in the subdifferential of `Σ max(violation, 0)`: a row at its kink counts with any weight in
+    [0, 1].
+    """
+    from scipy.optimize import lsq_linear
+
+    violated = outside > _ACTIVE
+    sides = _sides(scaled, evaluation, violated)
+    steepest = (sides[:, None] * evaluation.jacobian[violated]).sum(axis=0)
+    rows, row_signs = _active(evaluation.constraints, scaled.constraint_lower, scaled.constraint_upper)
+    kinks = evaluation.jacobian[rows].T * row_signs
+    cone = _bound_cone(scaled, z)
+    columns = np.concatenate([kinks, cone], axis=1)
+    remainder = steepest
+    if columns.size:
+        ceiling = np.concatenate([np.ones(rows.size), np.full(cone.shape[1], np.inf)])
+        fit = lsq_linear(columns, -steepest, (np.zeros(ceiling.size), ceiling), method="bvls")
+        remainder = steepest + columns @ fit.x
+    return float(np.linalg.norm(remainder)) <= _STATIONARY_FRACTION * float(outside[violated].sum())
+
+
+def _maximum_is_stationary(
+    scaled: ScaledProgram, z: np.ndarray, evaluation: Evaluation, outside: np.ndarray
+) -> bool:
+    """Zero is in the subdifferential of `max violation`: a convex combination of the worst rows'
+    gradients.
+    """
+    worst = outside >= outside.max() * (1 - _STATIONARY_FRACTION) - _ACTIVE
+    gradients = _sides(scaled, evaluation, worst) * evaluation.jacobian[worst].T
+    cone = _bound_cone(scaled, z)
+    # The last equation makes the weights of the worst rows sum to one.
+    sums = np.concatenate([np.ones(gradients.shape[1]), np.zeros(cone.shape[1])])
+    system = np.vstack([np.concatenate([gradients, cone], axis=1), sums])
+    target = np.append(np.zeros(z.size), 1.0)
+    residual = np.linalg.norm(system @ _nonnegative_fit(system, target) - target)
+    return float(residual) <= _STATIONARY_FRACTION * float(outside.max())
+
+
+def _nonnegative_fit(columns: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """Find the weights `w >= 0` that minimise `|columns @ w - target|`; zeros, which prove nothing, if not
+    found.
+    """
+    from scipy.optimize import nnls
+
+    try:
+        return nnls(columns, target)[0]
+    except RuntimeError:
+        # SciPy's way of saying that its iterations are used up.
+        return np.zeros(columns.shape[1])
+
+
+def _sides(scaled: ScaledProgram, evaluation: Evaluation, rows: np.ndarray) -> np.ndarray:
+    """+1 for rows above their range and -1 for rows below it."""
+    middle_excess = evaluation.constraints - scaled.constraint_upper
+    return np.where(middle_excess >= scaled.constraint_lower - evaluation.constraints, 1.0, -1.0)[rows]
+
+
+def _bound_cone(scaled: ScaledProgram, z: np.ndarray) -> np.ndarray:
+    """Outward unit normals of the active bounds of the decisions, as columns."""
+    bounds, signs = _active(z, scaled.lower, scaled.upper)
+    return np.eye(z.size)[:, bounds] * signs
+
+
+def _active(values: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Find the values at a bound, with the sign of its multiplier; an equality is at both."""
+    at_upper = np.flatnonzero(np.abs(upper - values) <= _ACTIVE)
+    at_lower = np.flatnonzero(np.abs(values - lower) <= _ACTIVE)
+    return np.concatenate([at_upper, at_lower]), np.concatenate(
+        [np.ones(at_upper.size), -np.ones(at_lower.size)]
+    )

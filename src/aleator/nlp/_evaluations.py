@@ -1,0 +1,149 @@
+"""One call of the model per point, whatever a solver asks for and however it goes wrong."""
+
+import contextlib
+import signal
+import threading
+from collections import OrderedDict
+from collections.abc import Callable, Iterator
+from typing import final
+
+import numpy as np
+
+from aleator._core.errors import ProblemError
+
+from ._program import Evaluation
+
+
+@final
+class NotFiniteError(ArithmeticError):
+    """The model cannot be evaluated at this point; the solver should step back."""
+
+
+@final
+class HaltedError(RuntimeError):
+    """The solve is to end: `Evaluations.halt` holds the reason."""
+
+
+@final
+class NowhereFiniteError(ArithmeticError):
+    """So many points in a row could not be evaluated that stepping back further is hopeless."""
+
+
+# A step halved this often is smaller than the rounding of what it started as.
+_MOST_FAILURES = 60
+
+
+@final
+class Evaluations:
+    """Evaluates points, remembering the last few, and keeps the exception that ended the solve.
+
+    Solvers in C++ swallow exceptions of their callbacks, so the first one is kept in `halt` and every later
+    call
+    refuses: the solver then ends quickly, and the caller of `solve` gets the exception itself.
+
+    Arguments:
+        evaluate: the user's function of `x`, shape (n,).
+        decisions, constraints: n and m, checked at every call.
+        remembered: number of finite and of failed points kept.
+
+    Attributes:
+        count: of calls of `evaluate`.
+        halt: the exception that ends the solve, None while all is well.
+        last: the latest evaluation asked for; not-a-number before the first.
+
+    """
+
+    def __init__(
+        self,
+        evaluate: Callable[[np.ndarray], Evaluation],
+        decisions: int,
+        constraints: int,
+        remembered: int = 8,
+    ):
+        self._evaluate = evaluate
+        self._shapes = ((decisions,), (constraints,), (constraints, decisions))
+        self._remembered = remembered
+        self._points: OrderedDict[bytes, Evaluation] = OrderedDict()
+        self._failed_points: OrderedDict[bytes, Evaluation] = OrderedDict()
+        self._failures = 0
+        self.count = 0
+        self.halt: BaseException | None = None
+        self.last = Evaluation(
+            np.nan,
+            np.full(decisions, np.nan),
+            np.full(constraints, np.nan),
+            np.full((constraints, decisions), np.nan),
+        )
+
+    def at(self, x: np.ndarray) -> Evaluation:
+        """Evaluate `x`, whether the result is finite or not.
+
+        Raises:
+            HaltedError: an exception ended the solve, now or before.
+
+        """
+        if self.halt is not None:
+            raise HaltedError from self.halt
+        key = x.tobytes()
+        if key not in self._points and key not in self._failed_points:
+            try:
+                self.count += 1
+                self._remember(key, self._checked(self._evaluate(x.copy())))
+            except BaseException as error:
+                self.halt = error
+                raise HaltedError from error
+        self.last = self._points[key] if key in self._points else self._failed_points[key]
+        return self.last
+
+    def finite_at(self, x: np.ndarray) -> Evaluation:
+        """Evaluate `x` where the model is finite.
+
+        Raises:
+            NotFiniteError: some of its numbers are not finite.
+            HaltedError: an exception ended the solve, now or before.
+
+        """
+        evaluation = self.at(x)
+        if not evaluation.is_finite:
+            raise NotFiniteError
+        return evaluation
+
+    @contextlib.contextmanager
+    def noting_interrupts(self) -> Iterator[None]:
+        """Keep a Ctrl-C that arrives inside a solver's own code, where the exception itself would be
+        swallowed.
+        """
+        previous = signal.getsignal(signal.SIGINT)
+        if threading.current_thread() is not threading.main_thread() or not callable(previous):
+            yield
+            return
+
+        def note(number: int, frame: object) -> None:
+            self.halt = self.halt or KeyboardInterrupt()
+            previous(number, frame)  # type: ignore[arg-type]
+
+        signal.signal(signal.SIGINT, note)
+        try:
+            yield
+        finally:
+            signal.signal(signal.SIGINT, previous)
+
+    def _remember(self, key: bytes, evaluation: Evaluation) -> None:
+        # Failures must not push out finite points, to which a solver that steps back returns.
+        points = self._points if evaluation.is_finite else self._failed_points
+        points[key] = evaluation
+        if len(points) > self._remembered:
+            points.popitem(last=False)
+        self._failures = 0 if evaluation.is_finite else self._failures + 1
+        if self._failures >= _MOST_FAILURES:
+            raise NowhereFiniteError
+
+    def _checked(self, evaluation: Evaluation) -> Evaluation:
+        # Copies, because a model may use its arrays again.
+        arrays = [np.array(part, dtype=float) for part in evaluation[1:]]
+        shapes = tuple(array.shape for array in arrays)
+        if shapes != self._shapes:
+            raise ProblemError(
+                f"Expected gradient, constraints and jacobian of shapes {self._shapes}. Received {shapes}."
+            )
+        return Evaluation(float(evaluation[0]), *arrays)

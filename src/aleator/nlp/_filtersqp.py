@@ -1,0 +1,132 @@
+"""Uno's filterSQP: few decisions, many dense rows, costly values."""
+
+from dataclasses import dataclass
+from typing import Any, final
+
+import numpy as np
+
+from aleator._core.errors import MissingExtraError
+
+from ._certificate import Multipliers
+from ._ipopt import Ipopt
+from ._outcome import Status
+from ._scaling import ScaledProgram
+from ._solver import AbstractSolver
+from ._verdict import Answer
+
+# Beyond this many pairs, the limited memory costs more than the curvature it remembers is worth.
+_LARGEST_MEMORY = 20
+_CLAIMS = {
+    "FEASIBLE_KKT_POINT": Status.SOLVED,
+    "INFEASIBLE_STATIONARY_POINT": Status.INFEASIBLE,
+    "ITERATION_LIMIT": Status.ITERATION_LIMIT,
+    # Uno replaces Python's handler of Ctrl-C while it runs.
+    "USER_INTERRUPTION": Status.INTERRUPTED,
+}
+
+
+@final
+@dataclass(frozen=True)
+class FilterSQP(AbstractSolver):
+    """Sequential quadratic programming with a filter and a trust region, L-BFGS Hessian and BQPD subproblems.
+
+    Fletcher and Leyffer 2002, "Nonlinear programming without a penalty function", in the implementation of
+    Vanaret and Leyffer 2026 (Uno, https://github.com/cvanaret/Uno). Points that cannot be evaluated shrink
+    the trust region.
+
+    Attributes:
+        radius: initial trust region, in typical magnitudes of the decisions.
+
+    """
+
+    radius: float = 10.0
+
+    def _require(self) -> None:
+        _import()
+
+    def _name(self) -> str:
+        return f"filterSQP (Uno {_import().current_uno_version()})"
+
+    def _minimise(self, scaled: ScaledProgram, multipliers: np.ndarray | None) -> Answer:
+        unopy = _import()
+        model = _model(unopy, scaled, multipliers)
+        solver = unopy.UnoSolver()
+        solver.set_preset("filtersqp")
+        for option, value in self._options(scaled).items():
+            solver.set_option(option, value)
+        solver.set_termination_callback(lambda *_: scaled.evaluations.halt is not None)
+        return _answer(solver.optimize(model))
+
+    def _options(self, scaled: ScaledProgram) -> dict[str, Any]:
+        return {
+            "QP_solver": "BQPD",
+            "hessian_model": "LBFGS",
+            "quasi_newton_memory_size": int(np.clip(2 * scaled.size, 6, _LARGEST_MEMORY)),
+            "primal_tolerance": self.tolerance,
+            "dual_tolerance": self.tolerance,
+            # The preset's L2 norm would demand more of a row, the more rows a grid has.
+            "residual_norm": "INF",
+            "TR_radius": float(self.radius),
+            "max_iterations": self.max_iterations,
+            "logger": "SILENT",
+        }
+
+
+def default_solver() -> AbstractSolver:
+    """`FilterSQP()` where unopy is installed, `Ipopt()` otherwise."""
+    try:
+        _import()
+    except MissingExtraError:
+        return Ipopt()
+    return FilterSQP()
+
+
+def _import() -> Any:
+    try:
+        import unopy
+    except ImportError as error:
+        raise MissingExtraError(
+            "`FilterSQP` needs the library unopy: install it with `pip install unopy`, or use "
+            "`Ipopt()` instead."
+        ) from error
+    return unopy
+
+
+def _model(unopy: Any, scaled: ScaledProgram, multipliers: np.ndarray | None) -> Any:
+    def gradient(z: np.ndarray, out: np.ndarray) -> None:
+        out[:] = scaled.evaluate(z).gradient
+
+    def constraints(z: np.ndarray, out: np.ndarray) -> None:
+        out[:] = scaled.evaluate(z).constraints
+
+    def jacobian(z: np.ndarray, out: np.ndarray) -> None:
+        out[:] = scaled.evaluate(z).jacobian.ravel(order="F")
+
+    n, m = scaled.size, scaled.rows
+    model = unopy.Model(
+        unopy.PROBLEM_NONLINEAR, n, scaled.lower.tolist(), scaled.upper.tolist(), unopy.ZERO_BASED_INDEXING
+    )
+    model.set_objective(unopy.MINIMIZE, lambda z: scaled.evaluate(z).objective, gradient)
+    model.set_lagrangian_sign_convention(unopy.MULTIPLIER_POSITIVE)
+    if m:
+        columns, rows = (index.ravel().tolist() for index in np.indices((n, m)))
+        lower, upper = scaled.constraint_lower.tolist(), scaled.constraint_upper.tolist()
+        model.set_constraints(m, constraints, lower, upper, n * m, rows, columns, jacobian)
+    model.set_initial_primal_iterate(scaled.start.tolist())
+    if m and multipliers is not None:
+        model.set_initial_dual_iterate(multipliers.tolist())
+    return model
+
+
+def _answer(result: Any) -> Answer:
+    # unopy's constants are plain integers, which its results never equal; only the names can be compared.
+    ended, solution = result.optimization_status.name, result.solution_status.name
+    claim = _CLAIMS.get(solution if ended == "SUCCESS" else ended, Status.FAILED)
+    bounds = np.array(result.lower_bound_dual_solution) + np.array(result.upper_bound_dual_solution)
+    return Answer(
+        claim=claim,
+        point=np.array(result.primal_solution),
+        multipliers=Multipliers(np.array(result.constraint_dual_solution), bounds),
+        iterations=int(result.number_iterations),
+        message=f"{ended}, {solution}".lower().replace("_", " "),
+    )

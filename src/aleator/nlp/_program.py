@@ -1,0 +1,110 @@
+"""The nonlinear program: what is minimised, subject to what, and how large its numbers typically are."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple, final
+
+import numpy as np
+
+from aleator._core.errors import ProblemError
+
+
+class Evaluation(NamedTuple):
+    """Objective, constraints and their first derivatives at one point, from one call of the model.
+
+    Attributes:
+        objective: `f(x)`, a number.
+        gradient: `∂f/∂x`, shape (n,).
+        constraints: `c(x)`, shape (m,).
+        jacobian: `∂c/∂x`, dense, shape (m, n).
+
+    """
+
+    objective: float
+    gradient: np.ndarray
+    constraints: np.ndarray
+    jacobian: np.ndarray
+
+    @property
+    def is_finite(self) -> bool:
+        """Whether every number is finite: a solver can use nothing less."""
+        return bool(np.isfinite(self.objective) and all(np.isfinite(part).all() for part in self[1:]))
+
+
+@final
+@dataclass(frozen=True)
+class NonlinearProgram:
+    """Minimise `f(x)` subject to `constraint_lower <= c(x) <= constraint_upper` and `lower <= x <= upper`.
+
+    Everything is in the user's units; the solvers scale inside.
+
+    Attributes:
+        evaluate: gives the `Evaluation` at `x` of shape (n,). Non-finite numbers in it mean "cannot be
+            evaluated here", and solvers step back; an exception ends the solve and reaches its caller.
+        start: initial decisions, shape (n,).
+        lower, upper: bounds of the decisions, shape (n,), infinite where there is none, equal to fix a
+            decision.
+        constraint_lower, constraint_upper: bounds of the constraints, shape (m,), infinite where there is
+            none, equal for an equality.
+        constraint_scale: typical magnitudes of the constraints, shape (m,), positive.
+        decision_scale: typical magnitudes of the decisions, shape (n,), positive.
+
+    Raises:
+        ProblemError: shapes that differ, bounds that cross, scales that are not positive, a start that is
+            not finite.
+
+    """
+
+    evaluate: Callable[[np.ndarray], Evaluation]
+    start: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+    constraint_lower: np.ndarray
+    constraint_upper: np.ndarray
+    constraint_scale: np.ndarray
+    decision_scale: np.ndarray
+
+    def __post_init__(self) -> None:
+        for name, length in _expected_lengths(self).items():
+            array = np.array(getattr(self, name), dtype=float)
+            if array.shape != (length,):
+                raise ProblemError(f"Expected `{name}` of shape ({length},). Received shape {array.shape}.")
+            object.__setattr__(self, name, array)
+        _check_bounds("lower", "upper", self.lower, self.upper)
+        _check_bounds("constraint_lower", "constraint_upper", self.constraint_lower, self.constraint_upper)
+        _check_positive("decision_scale", self.decision_scale)
+        _check_positive("constraint_scale", self.constraint_scale)
+        if not np.isfinite(self.start).all():
+            raise ProblemError(f"Expected a finite `start`. Received {self.start}.")
+
+
+def _expected_lengths(program: NonlinearProgram) -> dict[str, int]:
+    decisions, constraints = np.size(program.start), np.size(program.constraint_lower)
+    return {
+        "start": decisions,
+        "lower": decisions,
+        "upper": decisions,
+        "decision_scale": decisions,
+        "constraint_lower": constraints,
+        "constraint_upper": constraints,
+        "constraint_scale": constraints,
+    }
+
+
+def _check_bounds(lower_name: str, upper_name: str, lower: np.ndarray, upper: np.ndarray) -> None:
+    possible = (lower <= upper) & (lower < np.inf) & (upper > -np.inf)
+    if not possible.all():
+        first = int(np.flatnonzero(~possible)[0])
+        raise ProblemError(
+            f"Expected `{lower_name}` <= `{upper_name}`. "
+            f"Received {lower[first]} and {upper[first]} at index {first}."
+        )
+
+
+def _check_positive(name: str, scale: np.ndarray) -> None:
+    valid = np.isfinite(scale) & (scale > 0)
+    if not valid.all():
+        first = int(np.flatnonzero(~valid)[0])
+        raise ProblemError(
+            f"Expected `{name}` positive and finite. Received {scale[first]} at index {first}."
+        )

@@ -1,0 +1,142 @@
+"""The program as solvers see it: dimensionless, without fixed decisions and without rows that bind
+nothing.
+"""
+
+from typing import final
+
+import numpy as np
+
+from ._evaluations import Evaluations
+from ._program import Evaluation, NonlinearProgram
+
+# IPOPT's rule of gradient-based scaling (Wächter and Biegler 2006, section 3.8) keeps gradients below 100.
+_LARGEST_GRADIENT = 100.0
+# Below this, a row counts as met when points are ranked, so that the objective decides.
+_NEGLIGIBLE_VIOLATION = 1e-7
+
+
+@final
+class ScaledProgram:
+    """`x / decision_scale`, `f / objective_scale` and `c / constraint_scale`, over free decisions and useful
+    rows.
+
+    Points `z` have shape (n_free,), constraints shape (m_useful,). The model is never asked outside the
+    bounds.
+
+    Attributes:
+        size, rows: n_free and m_useful.
+        start: scaled start, clipped to the bounds, shape (n_free,).
+        lower, upper: scaled bounds, shape (n_free,).
+        constraint_lower, constraint_upper: scaled bounds, shape (m_useful,).
+        objective_scale: `|f(start)|`, or more where the gradient would be very large otherwise.
+        best: the best point seen, with its evaluation in user units: feasible with the least objective, else
+            the least violated one. None before `begin`.
+        evaluations: the model behind.
+
+    """
+
+    def __init__(self, program: NonlinearProgram, start: np.ndarray):
+        self._program = program
+        self._free = program.lower < program.upper
+        self._useful = np.isfinite(program.constraint_lower) | np.isfinite(program.constraint_upper)
+        self._decision_scale = program.decision_scale[self._free]
+        self._constraint_scale = program.constraint_scale[self._useful]
+        self._fixed_decisions = np.clip(start, program.lower, program.upper)
+        self._last: tuple[bytes, Evaluation] | None = None
+        self._best_rank = (np.inf, np.inf)
+
+        self.evaluations = Evaluations(program.evaluate, start.size, program.constraint_lower.size)
+        self.size, self.rows = int(self._free.sum()), int(self._useful.sum())
+        self.lower = program.lower[self._free] / self._decision_scale
+        self.upper = program.upper[self._free] / self._decision_scale
+        self.constraint_lower = program.constraint_lower[self._useful] / self._constraint_scale
+        self.constraint_upper = program.constraint_upper[self._useful] / self._constraint_scale
+        self.start = np.clip(self._fixed_decisions[self._free] / self._decision_scale, self.lower, self.upper)
+        self.best: tuple[np.ndarray, Evaluation] | None = None
+        self.objective_scale = 1.0
+
+    def begin(self) -> None:
+        """Evaluate the start and set `objective_scale` from it.
+
+        Raises:
+            NotFiniteError: the model cannot be evaluated at the start.
+            HaltedError: the model raised an exception.
+
+        """
+        first = self.evaluations.finite_at(self.decisions(self.start))
+        gradient = first.gradient[self._free] * self._decision_scale
+        steepest = float(np.abs(gradient).max(initial=0.0))
+        self.objective_scale = max(abs(first.objective), steepest / _LARGEST_GRADIENT) or 1.0
+        self.evaluate(self.start)
+
+    def decisions(self, z: np.ndarray) -> np.ndarray:
+        """All decisions in user units, shape (n,), within their bounds."""
+        x = self._fixed_decisions.copy()
+        # The quotient's rounding must not carry a decision past its bound.
+        x[self._free] = z * self._decision_scale
+        return np.clip(x, self._program.lower, self._program.upper)
+
+    def evaluate(self, z: np.ndarray) -> Evaluation:
+        """Evaluate `z`, scaled.
+
+        Raises:
+            NotFiniteError: the model cannot be evaluated here.
+            HaltedError: the solve is to end.
+
+        """
+        x = self.decisions(np.asarray(z, dtype=float))
+        user = self.evaluations.finite_at(x)
+        key = x.tobytes()
+        if self._last is None or self._last[0] != key:
+            self._last = (key, self.scale(user))
+            self._rank(np.array(z, dtype=float), user, self._last[1])
+        return self._last[1]
+
+    def scale(self, user: Evaluation) -> Evaluation:
+        """Scale an evaluation in user units: free decisions and useful rows only."""
+        jacobian = user.jacobian[np.ix_(self._useful, self._free)]
+        return Evaluation(
+            user.objective / self.objective_scale,
+            user.gradient[self._free] * self._decision_scale / self.objective_scale,
+            user.constraints[self._useful] / self._constraint_scale,
+            jacobian * self._decision_scale / self._constraint_scale[:, None],
+        )
+
+    def is_finite(self, z: np.ndarray) -> bool:
+        """Whether the model can be evaluated at `z`."""
+        return self.evaluations.at(self.decisions(z)).is_finite
+
+    def violation(self, constraints: np.ndarray) -> np.ndarray:
+        """How far each scaled constraint is outside its bounds, signed: negative inside; shape
+        (m_useful,).
+        """
+        return np.maximum(constraints - self.constraint_upper, self.constraint_lower - constraints)
+
+    def multipliers_to_user(self, multipliers: np.ndarray) -> np.ndarray:
+        """Multipliers of all rows in user units, shape (m,), from scaled ones of the useful rows."""
+        user = np.zeros(self._useful.size)
+        user[self._useful] = multipliers * self.objective_scale / self._constraint_scale
+        return user
+
+    def multipliers_to_scaled(self, multipliers: np.ndarray) -> np.ndarray:
+        """Invert `multipliers_to_user`, shape (m_useful,)."""
+        return multipliers[self._useful] * self._constraint_scale / self.objective_scale
+
+    def bound_multipliers_to_user(
+        self, bound_multipliers: np.ndarray, multipliers: np.ndarray, user: Evaluation
+    ) -> np.ndarray:
+        """Multipliers of all bounds, shape (n,), from scaled ones of the free decisions.
+
+        A fixed decision's one makes the Lagrangian stationary, given the `multipliers` of all rows in user
+        units.
+        """
+        complete = -(user.gradient + multipliers @ user.jacobian)
+        complete[self._free] = bound_multipliers * self.objective_scale / self._decision_scale
+        return complete
+
+    def _rank(self, z: np.ndarray, user: Evaluation, scaled: Evaluation) -> None:
+        violation = float(self.violation(scaled.constraints).max(initial=0.0))
+        rank = (violation if violation > _NEGLIGIBLE_VIOLATION else 0.0, scaled.objective)
+        if rank < self._best_rank:
+            self._best_rank = rank
+            self.best = (z, user)

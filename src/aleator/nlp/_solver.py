@@ -1,0 +1,152 @@
+"""The life of a solve, the same for every solver: scale, run, judge, report."""
+
+import abc
+import time
+from dataclasses import dataclass
+
+import numpy as np
+
+from aleator._core.errors import ProblemError
+
+from ._evaluations import HaltedError, NotFiniteError, NowhereFiniteError
+from ._outcome import Outcome, Status
+from ._program import NonlinearProgram
+from ._scaling import ScaledProgram
+from ._verdict import Answer, Verdict, judge
+
+
+@dataclass(frozen=True)
+class AbstractSolver(abc.ABC):
+    """Solves nonlinear programs. Implementations only run their library on the scaled program.
+
+    Attributes:
+        tolerance: on the scaled violation and Karush-Kuhn-Tucker residuals.
+        max_iterations: after which the solver stops.
+
+    """
+
+    tolerance: float = 1e-8
+    max_iterations: int = 200
+
+    def __post_init__(self) -> None:
+        if not 0 < self.tolerance < 1:
+            raise ProblemError(f"Expected `tolerance` between 0 and 1. Received {self.tolerance}.")
+        if self.max_iterations < 1:
+            raise ProblemError(f"Expected `max_iterations` of at least 1. Received {self.max_iterations}.")
+
+    def solve(
+        self,
+        program: NonlinearProgram,
+        *,
+        multipliers: np.ndarray | None = None,
+        start: np.ndarray | None = None,
+    ) -> Outcome:
+        """Solves `program`.
+
+        Arguments:
+            program: in user units.
+            multipliers: of the constraints, shape (m,), from an earlier `Outcome`, to begin near its
+                solution.
+            start: replaces `program.start`, shape (n,); clipped to the bounds.
+
+        Returns:
+            The outcome, whatever its status: a failed solve is data, not an exception.
+
+        Raises:
+            ProblemError: `start` or `multipliers` of the wrong shape or not finite.
+            MissingExtraError: the solver's library is not installed.
+            BaseException: whatever `program.evaluate` raises, but for `KeyboardInterrupt`, which ends the
+                solve with `Status.INTERRUPTED`.
+
+        """
+        began = time.perf_counter()
+        self._require()
+        start = program.start if start is None else _checked("start", start, program.start.shape)
+        if multipliers is not None:
+            multipliers = _checked("multipliers", multipliers, program.constraint_lower.shape)
+        scaled = ScaledProgram(program, start)
+        with scaled.evaluations.noting_interrupts():
+            answer = self._answer(scaled, multipliers)
+            verdict = judge(scaled, answer)
+        return _outcome(scaled, answer, verdict, self._name(), time.perf_counter() - began)
+
+    @abc.abstractmethod
+    def _minimise(self, scaled: ScaledProgram, multipliers: np.ndarray | None) -> Answer:
+        """Run the library from `scaled.start`; `multipliers` are scaled, shape (m_useful,), or None for a
+        cold start.
+
+        May raise `HaltedError` and `KeyboardInterrupt`.
+        """
+
+    @abc.abstractmethod
+    def _name(self) -> str:
+        """Name and version."""
+
+    def _require(self) -> None:  # noqa: B027 -- most solvers need nothing beyond the package's own dependencies
+        """Raise `MissingExtraError` if the library is not installed."""
+
+    def _answer(self, scaled: ScaledProgram, multipliers: np.ndarray | None) -> Answer:
+        """Run, and turn whatever ended the run into an answer or into the exception of the model."""
+        try:
+            answer = self._run(scaled, multipliers)
+        except HaltedError:
+            answer = Answer(Status.FAILED, scaled.start, None, 0, "stopped by the model")
+        except KeyboardInterrupt as interrupt:
+            scaled.evaluations.halt = interrupt
+            answer = Answer(Status.FAILED, scaled.start, None, 0, "stopped by the user")
+        halt = scaled.evaluations.halt
+        if isinstance(halt, KeyboardInterrupt):
+            return answer._replace(
+                claim=Status.INTERRUPTED, multipliers=None, message="interrupted by the user"
+            )
+        if isinstance(halt, NowhereFiniteError):
+            return answer._replace(claim=Status.EVALUATION_FAILED, point=scaled.start, multipliers=None)
+        if halt is not None:
+            raise halt
+        return answer
+
+    def _run(self, scaled: ScaledProgram, multipliers: np.ndarray | None) -> Answer:
+        try:
+            scaled.begin()
+        except NotFiniteError:
+            return Answer(
+                Status.EVALUATION_FAILED, scaled.start, None, 0, "the model is not finite at the start"
+            )
+        if scaled.size == 0:
+            return Answer(Status.SOLVED, scaled.start, None, 0, "every decision is fixed")
+        warm = None if multipliers is None else scaled.multipliers_to_scaled(multipliers)
+        answer = self._minimise(scaled, warm)
+        if answer.claim is Status.FAILED and not scaled.evaluations.last.is_finite:
+            answer = answer._replace(claim=Status.EVALUATION_FAILED)
+        # The verdict needs the model at the answer, which may have left the memory.
+        scaled.evaluations.at(scaled.decisions(answer.point))
+        return answer
+
+
+def _outcome(scaled: ScaledProgram, answer: Answer, verdict: Verdict, solver: str, seconds: float) -> Outcome:
+    multipliers = scaled.multipliers_to_user(verdict.multipliers.rows)
+    bounds = scaled.bound_multipliers_to_user(verdict.multipliers.bounds, multipliers, verdict.user)
+    return Outcome(
+        status=verdict.status,
+        decisions=scaled.decisions(verdict.point),
+        evaluation=verdict.user,
+        multipliers=multipliers,
+        bound_multipliers=bounds,
+        violation=verdict.certificate.violation,
+        stationarity=verdict.certificate.stationarity,
+        complementarity=verdict.certificate.complementarity,
+        iterations=answer.iterations,
+        evaluations=scaled.evaluations.count,
+        seconds=seconds,
+        solver=solver,
+        message=verdict.message,
+    )
+
+
+def _checked(name: str, value: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    array = np.array(value, dtype=float)
+    if array.shape != shape or not np.isfinite(array).all():
+        raise ProblemError(
+            f"Expected finite `{name}` of shape {shape}. Received shape {array.shape}: {array}."
+        )
+    return array

@@ -1,0 +1,63 @@
+"""Statistics of a problem's functionals by least-squares collocation: the scope in which its expressions are evaluated."""
+
+from collections.abc import Mapping
+from typing import final
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from aleator import statistics
+from aleator.collocation import Collocation, collocate, leave_one_out
+from aleator.design import AbstractScope, Functional, Problem, functionals_of, responses
+from aleator.uncertainty import named_numbers
+
+STATISTICS = {"mean": statistics.mean, "std": statistics.std, "variance": statistics.variance}
+
+
+@final
+class ExpansionScope(AbstractScope):
+    """Simulates the problem at all collocation points once, and takes every statistic from the coefficients."""
+
+    def __init__(
+        self,
+        problem: Problem,
+        functionals: tuple[Functional, ...],
+        collocation: Collocation,
+        decisions: Float[Array, " n"],
+    ):
+        samples = responses(problem, functionals, collocation.points, decisions)
+        self.samples: Mapping[Functional, Array] = dict(zip(functionals, samples, strict=True))
+        self.coefficients = {one: collocation.coefficients(values) for one, values in self.samples.items()}
+        self._collocation = collocation
+        self._numbers = named_numbers(problem.model, decisions)
+
+    def statistic(self, functional: Functional, kind: str) -> Float[Array, "..."]:
+        """See `AbstractScope.statistic`."""
+        return STATISTICS[kind](self.coefficients[functional])
+
+    def value(self, name: str) -> Float[Array, ""]:
+        """See `AbstractScope.value`."""
+        return self._numbers[name]
+
+    def leave_one_out(self) -> dict[Functional, Float[Array, ""]]:
+        """The relative leave-one-out error of each functional's expansion."""
+        return {
+            one: leave_one_out(self._collocation, values, self.coefficients[one])
+            for one, values in self.samples.items()
+        }
+
+
+def collocation_of(problem: Problem) -> Collocation:
+    """Points and factorised collocation matrix of a problem: once per problem, whatever its decisions."""
+    germs = tuple(law.germ() for law in problem.survey.distributions.values())
+    return collocate(germs, problem.expansion)
+
+
+def scope_of(problem: Problem, collocation: Collocation, decisions: Float[Array, " n"]) -> ExpansionScope:
+    """The scope of all expressions of a problem at given decisions."""
+    return ExpansionScope(problem, functionals_of(problem.expressions), collocation, decisions)
+
+
+def stacked(problem: Problem, scope: AbstractScope) -> Float[Array, " rows"]:
+    """The objective and all constraints in one vector."""
+    return jnp.concatenate([jnp.ravel(expression.evaluate(scope)) for expression in problem.expressions])

@@ -1,0 +1,149 @@
+"""Sequential transcription: simulate inside, optimise outside (SeqNLP, equations 93, 95 and 122).
+
+The decisions are the only variables of the nonlinear program; the dynamics are solved exactly at every evaluation. The
+values and the Jacobian of the objective and of all constraints come from one compiled function.
+"""
+
+from dataclasses import dataclass
+from typing import final
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from aleator._core.arrays import numbers_to_arrays
+from aleator._core.compilation import Compiled
+from aleator._core.errors import ProblemError
+from aleator.collocation import Collocation
+from aleator.design import Constraint, Problem, history
+from aleator.nlp import Evaluation, NonlinearProgram
+from aleator.transcription._scope import collocation_of, scope_of, stacked
+from aleator.uncertainty import Survey
+
+
+def _values_and_jacobian(
+    problem: Problem, collocation: Collocation, decisions: Float[Array, " n"]
+) -> tuple[Float[Array, " rows"], Float[Array, "rows n"]]:
+    """Objective and constraints with their exact derivatives, forward: few decisions, thousands of rows."""
+
+    def values(x: Array) -> tuple[Array, Array]:
+        rows = stacked(problem, scope_of(problem, collocation, x))
+        return rows, rows
+
+    jacobian, rows = jax.jacfwd(values, has_aux=True)(decisions)
+    return rows, jacobian
+
+
+def _leave_one_out(
+    problem: Problem, collocation: Collocation, decisions: Float[Array, " n"]
+) -> tuple[Array, ...]:
+    return tuple(scope_of(problem, collocation, decisions).leave_one_out().values())
+
+
+def _outputs_at_points(
+    problem: Problem, collocation: Collocation, decisions: Float[Array, " n"]
+) -> dict[str, Array]:
+    return jax.vmap(lambda germ: history(problem, germ, decisions))(collocation.points)
+
+
+EVALUATE = Compiled(_values_and_jacobian)
+LEAVE_ONE_OUT = Compiled(_leave_one_out)
+OUTPUTS_AT_POINTS = Compiled(_outputs_at_points)
+
+
+@final
+@dataclass(frozen=True)
+class Sequential:
+    """A problem transcribed: its nonlinear program, and what leads back from the program's rows to the problem."""
+
+    problem: Problem
+    traced: Problem
+    places: Survey
+    collocation: Collocation
+    program: NonlinearProgram
+    rows: tuple[slice, ...]
+
+    def outputs(self, decisions: Float[np.ndarray, " n"]) -> dict[str, Array]:
+        """Histories of all outputs at all collocation points."""
+        return OUTPUTS_AT_POINTS(self.traced, self.collocation, jnp.asarray(decisions))
+
+    def leave_one_out(self, decisions: Float[np.ndarray, " n"]) -> tuple[float, ...]:
+        """The relative leave-one-out error of each functional."""
+        return tuple(
+            float(error) for error in LEAVE_ONE_OUT(self.traced, self.collocation, jnp.asarray(decisions))
+        )
+
+
+def transcribe(problem: Problem) -> Sequential:
+    """Turn a declared problem into a nonlinear program, compiling it if no problem of its structure has been before.
+
+    Raises `ProblemError` if the problem has no decisions.
+    """
+    places = problem.survey
+    if places.size == 0:
+        raise ProblemError(
+            "The problem has no decisions. Put al.Decision(initial, lower, upper) in the place of a number of the model."
+        )
+    collocation = collocation_of(problem)
+    traced = numbers_to_arrays(problem)
+
+    def evaluate(decisions: Float[np.ndarray, " n"]) -> Evaluation:
+        values, jacobian = (
+            np.asarray(part) for part in EVALUATE(traced, collocation, jnp.asarray(decisions))
+        )
+        return Evaluation(float(values[0]), jacobian[0], values[1:], jacobian[1:])
+
+    start = places.vector("initial")
+    at_start = evaluate(start)
+    rows = _rows(problem, collocation, traced)
+    program = NonlinearProgram(
+        evaluate=evaluate,
+        start=start,
+        lower=places.vector("lower"),
+        upper=places.vector("upper"),
+        constraint_lower=_spread(rows, [float(one.lower) for one in problem.constraints]),
+        constraint_upper=_spread(rows, [float(one.upper) for one in problem.constraints]),
+        constraint_scale=_spread(
+            rows,
+            [
+                _constraint_scale(one, at_start.constraints[row])
+                for one, row in zip(problem.constraints, rows, strict=True)
+            ],
+        ),
+        decision_scale=_decision_scale(start, places.vector("lower"), places.vector("upper")),
+    )
+    return Sequential(problem, traced, places, collocation, program, rows)
+
+
+def _rows(problem: Problem, collocation: Collocation, traced: Problem) -> tuple[slice, ...]:
+    """The rows of each constraint in the program's constraint vector."""
+
+    def sizes(x: Array) -> list[Array]:
+        scope = scope_of(traced, collocation, x)
+        return [jnp.ravel(one.expression.evaluate(scope)) for one in traced.constraints]
+
+    shapes = jax.eval_shape(sizes, jax.ShapeDtypeStruct((problem.survey.size,), float))
+    ends = np.cumsum([0, *(shape.size for shape in shapes)])
+    return tuple(slice(int(a), int(b)) for a, b in zip(ends[:-1], ends[1:], strict=True))
+
+
+def _spread(rows: tuple[slice, ...], numbers: list[float]) -> Float[np.ndarray, " m"]:
+    """One number for each constraint, repeated over its rows."""
+    return np.concatenate(
+        [np.zeros(0), *(np.full(row.stop - row.start, x) for row, x in zip(rows, numbers, strict=True))]
+    )
+
+
+def _constraint_scale(constraint: Constraint, values: Float[np.ndarray, " rows"]) -> float:
+    """A typical magnitude of a constraint: its bound, or where that is zero its largest value at the start."""
+    bounds = [abs(float(bound)) for bound in (constraint.lower, constraint.upper) if np.isfinite(bound)]
+    largest = float(np.max(np.abs(values), initial=0.0))
+    return max(bounds, default=0.0) or (largest if np.isfinite(largest) else 0.0) or 1.0
+
+
+def _decision_scale(start: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> Float[np.ndarray, " n"]:
+    """A typical magnitude of each decision: its start, or a tenth of its range if that is larger."""
+    span = upper - lower
+    scale = np.maximum(np.abs(start), np.where(np.isfinite(span), 0.1 * span, 0.0))
+    return np.where(scale > 0, scale, 1.0)

@@ -1,0 +1,216 @@
+"""The families of distributions (dissertation, table 4.1): Uniform, Normal, Beta and Gamma."""
+
+from typing import Any, ClassVar, Self, final
+
+import jax.numpy as jnp
+import numpy as np
+from jax.scipy import special
+from jaxtyping import Array, Float
+
+from aleator._core.arrays import Scalar
+from aleator._core.errors import ProblemError
+from aleator.uncertainty._distribution import AbstractDistribution, Canonical, Form
+from aleator.uncertainty._polynomials import AbstractGerm, HermiteGerm, JacobiGerm, LaguerreGerm, LegendreGerm
+from aleator.uncertainty._transport import beta_quantile, gamma_quantile
+
+
+@final
+class Uniform(AbstractDistribution):
+    """Uniform distribution: `Uniform(376.0, half_width=47.0)`, `Uniform(376.0, std=27.1)` or `Uniform.bounds(329, 423)`.
+
+    Its germ is uniform on [-1, 1] with Legendre polynomials; the half-width is the coefficient `theta^1` of
+    equation (114). The standard deviation is the half-width over the root of 3.
+    """
+
+    FORMS: ClassVar[dict[tuple[str, ...], Form]] = {
+        ("mean", "half_width"): Form(lambda mean, half_width: Canonical(mean, half_width)),
+        ("mean", "std"): Form(lambda mean, std: Canonical(mean, std * np.sqrt(3.0))),
+        ("lower", "upper"): Form(lambda lower, upper: Canonical((lower + upper) / 2, (upper - lower) / 2)),
+    }
+
+    def __init__(
+        self,
+        mean: Any = None,
+        *,
+        half_width: Any = None,
+        std: Any = None,
+        lower: Any = None,
+        upper: Any = None,
+        shared_name: str | None = None,
+    ):
+        given = {"mean": mean, "half_width": half_width, "std": std, "lower": lower, "upper": upper}
+        self._take(given, shared_name)
+
+    @classmethod
+    def bounds(cls, lower: Any, upper: Any) -> Self:
+        """Uniform between two bounds."""
+        return cls(lower=lower, upper=upper)
+
+    def germ(self) -> AbstractGerm:
+        """See `AbstractDistribution.germ`."""
+        return LegendreGerm()
+
+    def mean(self) -> Scalar:
+        """See `AbstractDistribution.mean`."""
+        return self.canonical().location
+
+    def std(self) -> Scalar:
+        """See `AbstractDistribution.std`."""
+        return self.canonical().scale / np.sqrt(3.0)
+
+    def support(self) -> tuple[Scalar, Scalar]:
+        """See `AbstractDistribution.support`."""
+        location, scale, _ = self.canonical()
+        return location - scale, location + scale
+
+
+@final
+class Normal(AbstractDistribution):
+    """Normal distribution with `mean` and standard deviation `std`: standard normal germ, Hermite polynomials."""
+
+    FORMS: ClassVar[dict[tuple[str, ...], Form]] = {
+        ("mean", "std"): Form(lambda mean, std: Canonical(mean, std))
+    }
+
+    def __init__(self, mean: Any = None, std: Any = None, *, shared_name: str | None = None):
+        self._take({"mean": mean, "std": std}, shared_name)
+
+    def germ(self) -> AbstractGerm:
+        """See `AbstractDistribution.germ`."""
+        return HermiteGerm()
+
+    def mean(self) -> Scalar:
+        """See `AbstractDistribution.mean`."""
+        return self.canonical().location
+
+    def std(self) -> Scalar:
+        """See `AbstractDistribution.std`."""
+        return self.canonical().scale
+
+    def support(self) -> tuple[Scalar, Scalar]:
+        """See `AbstractDistribution.support`."""
+        return -np.inf, np.inf
+
+
+def _beta_from_shape(alpha: Scalar, beta: Scalar, lower: Scalar, upper: Scalar) -> Canonical:
+    return Canonical((lower + upper) / 2, (upper - lower) / 2, (alpha, beta))
+
+
+def _beta_from_moments(mean: Scalar, std: Scalar, lower: Scalar, upper: Scalar) -> Canonical:
+    centre = (mean - lower) / (upper - lower)
+    total = centre * (1 - centre) * ((upper - lower) / std) ** 2 - 1
+    return _beta_from_shape(centre * total, (1 - centre) * total, lower, upper)
+
+
+@final
+class Beta(AbstractDistribution):
+    """Beta distribution on [lower, upper], default [0, 1].
+
+    `Beta(alpha=2.0, beta=5.0)` or, by its moments, `Beta(mean=0.3, std=0.1)`; Jacobi polynomials.
+    """
+
+    FORMS: ClassVar[dict[tuple[str, ...], Form]] = {
+        ("alpha", "beta", "lower", "upper"): Form(_beta_from_shape, frozenset({"alpha", "beta"})),
+        ("mean", "std", "lower", "upper"): Form(
+            _beta_from_moments, frozenset({"mean", "std", "lower", "upper"})
+        ),
+    }
+
+    def __init__(
+        self,
+        *,
+        alpha: Any = None,
+        beta: Any = None,
+        mean: Any = None,
+        std: Any = None,
+        lower: Any = 0.0,
+        upper: Any = 1.0,
+        shared_name: str | None = None,
+    ):
+        given = {"alpha": alpha, "beta": beta, "mean": mean, "std": std, "lower": lower, "upper": upper}
+        self._take(given, shared_name)
+
+    def _check(self) -> None:
+        lower, upper = (float(value) for value in self.initial().support())
+        if not lower < upper:
+            raise ProblemError(f"Beta needs lower < upper; received {self}.")
+        super()._check()
+
+    def germ(self) -> AbstractGerm:
+        """See `AbstractDistribution.germ`."""
+        alpha, beta = self.initial().canonical().shape
+        return JacobiGerm(float(alpha), float(beta))
+
+    def transport(self, germ: Float[Array, ""], source: tuple, target: tuple) -> Float[Array, ""]:
+        """See `AbstractDistribution.transport`."""
+        level = special.betainc(*source, (1 + germ) / 2)
+        return 2 * beta_quantile(level, *target) - 1
+
+    def mean(self) -> Scalar:
+        """See `AbstractDistribution.mean`."""
+        location, scale, (alpha, beta) = self.canonical()
+        return location + scale * (alpha - beta) / (alpha + beta)
+
+    def std(self) -> Scalar:
+        """See `AbstractDistribution.std`."""
+        _, scale, (alpha, beta) = self.canonical()
+        return 2 * scale * jnp.sqrt(alpha * beta / (alpha + beta + 1)) / (alpha + beta)
+
+    def support(self) -> tuple[Scalar, Scalar]:
+        """See `AbstractDistribution.support`."""
+        location, scale, _ = self.canonical()
+        return location - scale, location + scale
+
+
+def _gamma_from_moments(mean: Scalar, std: Scalar, lower: Scalar) -> Canonical:
+    return Canonical(lower, std**2 / (mean - lower), (((mean - lower) / std) ** 2,))
+
+
+@final
+class Gamma(AbstractDistribution):
+    """Gamma distribution above `lower`, default 0.
+
+    `Gamma(shape=4.0, scale=0.5)` or, by its moments, `Gamma(mean=2.0, std=1.0)`; Laguerre polynomials.
+    """
+
+    FORMS: ClassVar[dict[tuple[str, ...], Form]] = {
+        ("shape", "scale", "lower"): Form(
+            lambda shape, scale, lower: Canonical(lower, scale, (shape,)), frozenset({"shape"})
+        ),
+        ("mean", "std", "lower"): Form(_gamma_from_moments, frozenset({"mean", "std", "lower"})),
+    }
+
+    def __init__(
+        self,
+        *,
+        shape: Any = None,
+        scale: Any = None,
+        mean: Any = None,
+        std: Any = None,
+        lower: Any = 0.0,
+        shared_name: str | None = None,
+    ):
+        self._take({"shape": shape, "scale": scale, "mean": mean, "std": std, "lower": lower}, shared_name)
+
+    def germ(self) -> AbstractGerm:
+        """See `AbstractDistribution.germ`."""
+        (shape,) = self.initial().canonical().shape
+        return LaguerreGerm(float(shape))
+
+    def transport(self, germ: Float[Array, ""], source: tuple, target: tuple) -> Float[Array, ""]:
+        """See `AbstractDistribution.transport`."""
+        return gamma_quantile(special.gammainc(*source, germ), *target)
+
+    def mean(self) -> Scalar:
+        """See `AbstractDistribution.mean`."""
+        lower, scale, (shape,) = self.canonical()
+        return lower + scale * shape
+
+    def std(self) -> Scalar:
+        """See `AbstractDistribution.std`."""
+        _, scale, (shape,) = self.canonical()
+        return scale * jnp.sqrt(shape)
+
+    def support(self) -> tuple[Scalar, Scalar]:
+        """See `AbstractDistribution.support`."""
+        return self.canonical().location, np.inf

@@ -1,0 +1,118 @@
+"""Germ laws: standard random variables with their orthonormal polynomials (dissertation, table 4.1 and equation 12).
+
+A *germ* is the standard random variable xi behind an uncertain number. Each law knows its quantile function and the
+three-term recurrence `b[n+1] p[n+1] = (xi - a[n]) p[n] - b[n] p[n-1]` of the polynomials that are orthonormal under it,
+so that `<p_i, p_j> = 1` for `i = j`, else 0. Source of the coefficients: Gautschi, Orthogonal Polynomials (2004).
+"""
+
+import abc
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+from jaxtyping import Float
+from scipy import special
+
+
+class AbstractGerm(abc.ABC):
+    """The law of one germ variable and its orthonormal polynomials."""
+
+    @abc.abstractmethod
+    def recurrence(self, order: int) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+        """Coefficients `a[0..order]` and `b[0..order]` of the recurrence; `b[0]` is not used and is 0."""
+
+    @abc.abstractmethod
+    def quantile(self, level: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
+        """Germ values at probability levels in (0, 1)."""
+
+    def polynomials(self, order: int, germ: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n terms"]:
+        """Values `p_0 .. p_order` of the orthonormal polynomials at the points `germ`: shape (n, order + 1)."""
+        a, b = self.recurrence(order)
+        values = np.ones((germ.size, order + 1))
+        previous = np.zeros(germ.size)
+        for n in range(order):
+            values[:, n + 1] = ((germ - a[n]) * values[:, n] - b[n] * previous) / b[n + 1]
+            previous = values[:, n]
+        return values
+
+    def gauss(self, count: int) -> tuple[Float[np.ndarray, " count"], Float[np.ndarray, " count"]]:
+        """Gauss nodes and probability weights, exact to degree `2 count - 1` (Golub and Welsch, 1969)."""
+        a, b = self.recurrence(count - 1)
+        nodes, vectors = np.linalg.eigh(np.diag(a) + np.diag(b[1:], 1) + np.diag(b[1:], -1))
+        return nodes, vectors[0] ** 2
+
+
+@final
+@dataclass(frozen=True)
+class LegendreGerm(AbstractGerm):
+    """Uniform on [-1, 1]: Legendre polynomials."""
+
+    def recurrence(self, order: int) -> tuple[np.ndarray, np.ndarray]:
+        """See `AbstractGerm.recurrence`."""
+        n = np.arange(order + 1.0)
+        return np.zeros(order + 1), n / np.sqrt(np.abs(4 * n**2 - 1))
+
+    def quantile(self, level: np.ndarray) -> np.ndarray:
+        """See `AbstractGerm.quantile`."""
+        return 2 * level - 1
+
+
+@final
+@dataclass(frozen=True)
+class HermiteGerm(AbstractGerm):
+    """Standard normal: probabilists' Hermite polynomials."""
+
+    def recurrence(self, order: int) -> tuple[np.ndarray, np.ndarray]:
+        """See `AbstractGerm.recurrence`."""
+        return np.zeros(order + 1), np.sqrt(np.arange(order + 1.0))
+
+    def quantile(self, level: np.ndarray) -> np.ndarray:
+        """See `AbstractGerm.quantile`."""
+        return special.ndtri(level)
+
+
+@final
+@dataclass(frozen=True)
+class JacobiGerm(AbstractGerm):
+    """Beta on [-1, 1], density proportional to `(1 + xi)^(alpha - 1) (1 - xi)^(beta - 1)`: Jacobi polynomials."""
+
+    alpha: float
+    beta: float
+
+    def recurrence(self, order: int) -> tuple[np.ndarray, np.ndarray]:
+        """See `AbstractGerm.recurrence`."""
+        left, right = self.alpha - 1, self.beta - 1
+        total = left + right
+        n = np.arange(1.0, order + 1)
+        pole = 2 * n + total
+        a = np.empty(order + 1)
+        a[0] = (left - right) / (total + 2)
+        a[1:] = (left**2 - right**2) / (pole * (pole + 2))
+        b = np.zeros(order + 1)
+        if order >= 1:
+            # Written out: for n = 1 the general formula is 0/0 when alpha + beta = 1.
+            b[1] = 2 * np.sqrt((left + 1) * (right + 1) / ((total + 2) ** 2 * (total + 3)))
+        n, pole = n[1:], pole[1:]
+        b[2:] = 2 * np.sqrt(n * (n + left) * (n + right) * (n + total) / (pole**2 * (pole**2 - 1)))
+        return a, b
+
+    def quantile(self, level: np.ndarray) -> np.ndarray:
+        """See `AbstractGerm.quantile`."""
+        return 2 * special.betaincinv(self.alpha, self.beta, level) - 1
+
+
+@final
+@dataclass(frozen=True)
+class LaguerreGerm(AbstractGerm):
+    """Gamma on [0, inf) with unit scale, density proportional to `xi^(shape - 1) exp(-xi)`: Laguerre polynomials."""
+
+    shape: float
+
+    def recurrence(self, order: int) -> tuple[np.ndarray, np.ndarray]:
+        """See `AbstractGerm.recurrence`."""
+        n = np.arange(order + 1.0)
+        return 2 * n + self.shape, np.sqrt(n * (n + self.shape - 1))
+
+    def quantile(self, level: np.ndarray) -> np.ndarray:
+        """See `AbstractGerm.quantile`."""
+        return special.gammaincinv(self.shape, level)

@@ -1,0 +1,222 @@
+"""From a model's leaves to its germ variables and decisions, and back: survey and realisation.
+
+A model is any pytree. `survey` finds the distributions and decisions among its leaves and names them by their place;
+`realise` puts numbers in their places, so that the physics runs unchanged.
+"""
+
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple, final
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from aleator._core.arrays import Pytree, is_number
+from aleator._core.errors import ProblemError
+from aleator.uncertainty._decision import Decision
+from aleator.uncertainty._distribution import AbstractDistribution
+
+
+@final
+class AtMean(eqx.Module):
+    """A distribution held at its mean: what `deterministic` puts in the place of each distribution."""
+
+    distribution: AbstractDistribution
+
+
+class Place(NamedTuple):
+    """One decision of a model: its name, the decision itself, and its slice of the decision vector."""
+
+    name: str
+    decision: Decision
+    where: slice
+
+
+class Survey(NamedTuple):
+    """The uncertain numbers and the decisions of a model, in the order of the germ and of the decision vector."""
+
+    distributions: dict[str, AbstractDistribution]
+    decisions: dict[str, Place]
+
+    @property
+    def size(self) -> int:
+        """Length of the decision vector."""
+        return sum(np.size(place.decision.initial) for place in self.decisions.values())
+
+    def vector(self, attribute: str) -> Float[np.ndarray, " n"]:
+        """One attribute of all decisions, `initial`, `lower` or `upper`, as a vector of length `size`."""
+        parts = [np.ravel(getattr(place.decision, attribute)) for place in self.decisions.values()]
+        return np.concatenate([np.zeros(0), *parts])
+
+    def named(self, vector: Float[np.ndarray, " n"]) -> dict[str, Any]:
+        """A decision vector as numbers (or arrays) by name."""
+        return {
+            name: vector[place.where].reshape(np.shape(place.decision.initial))[()]
+            for name, place in self.decisions.items()
+        }
+
+    def entry_names(self) -> tuple[str, ...]:
+        """One name for each entry of the decision vector: `k` or, in an array, `k[2]`."""
+        return tuple(
+            name if np.ndim(place.decision.initial) == 0 else f"{name}[{i}]"
+            for name, place in self.decisions.items()
+            for i in range(np.size(place.decision.initial))
+        )
+
+
+def is_special(node: Any) -> bool:
+    """Whether `node` is a leaf of a model that realisation replaces."""
+    return isinstance(node, AbstractDistribution | Decision | AtMean)
+
+
+def _places(model: Pytree) -> Iterator[tuple[str, Any]]:
+    """Every leaf of a model with its name: its path, or the name under which it is shared."""
+    leaves, _ = jax.tree_util.tree_flatten_with_path(model, is_leaf=is_special)
+    for path, leaf in leaves:
+        yield _name(path, leaf), leaf
+
+
+def _name(path: Any, leaf: Any) -> str:
+    """A leaf's name. A problem's model is the pair of its `system` and `inputs`: only the latter shows in names."""
+    shared = leaf.distribution if isinstance(leaf, AtMean) else leaf
+    place = jax.tree_util.keystr(path, simple=True, separator=".").removeprefix("system.")
+    return getattr(shared, "shared_name", None) or place
+
+
+def _decisions_in(name: str, leaf: Any) -> Iterator[tuple[str, Decision]]:
+    """The decisions in one leaf, each with its own name: `k_s`, or `k_s.half_width` inside a distribution."""
+    if isinstance(leaf, Decision):
+        yield name, leaf
+        return
+    for parameter, decision in _distribution_of(leaf).decisions.items():
+        yield decision.shared_name or f"{name}.{parameter}", decision
+
+
+def _distribution_of(leaf: AbstractDistribution | AtMean) -> AbstractDistribution:
+    return leaf.distribution if isinstance(leaf, AtMean) else leaf
+
+
+def survey(model: Pytree) -> Survey:
+    """Find the distributions and decisions of a model.
+
+    Raises `ProblemError` if one shared name stands for two different laws or decisions.
+    """
+    distributions: dict[str, AbstractDistribution] = {}
+    decisions: dict[str, Place] = {}
+    size = 0
+    for name, leaf in _places(model):
+        if not is_special(leaf):
+            continue
+        if isinstance(leaf, AbstractDistribution):
+            _refuse_conflict(name, distributions.get(name), leaf)
+            distributions[name] = leaf
+        for key, decision in _decisions_in(name, leaf):
+            if key in decisions:
+                _refuse_conflict(key, decisions[key].decision, decision)
+                continue
+            length = np.size(decision.initial)
+            decisions[key] = Place(key, decision, slice(size, size + length))
+            size += length
+    return Survey(distributions, decisions)
+
+
+def _refuse_conflict(name: str, first: Any, second: Any) -> None:
+    if first is None or _is_traced(first) or eqx.tree_equal(first, second):
+        return
+    raise ProblemError(
+        f"'{name}' is shared by two placements that differ: {first} and {second}. "
+        "Give the same distribution or decision in both places, or two names."
+    )
+
+
+def _is_traced(tree: Pytree) -> bool:
+    return any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(tree))
+
+
+def realise(model: Pytree, germ: Float[Array, " variables"], decisions: Float[Array, " n"]) -> Pytree:
+    """The model with a plain number in the place of each distribution and decision (dissertation, equation 26).
+
+    `germ` has one entry for each distribution and `decisions` one for each decided number, in the order of `survey`.
+    Differentiable with respect to both; the parameters of distributions are realised first.
+    """
+    places = survey(model)
+    uncertain = uncertain_numbers(places, germ, decisions)
+
+    def substitute(path: Any, leaf: Any) -> Any:
+        if not is_special(leaf):
+            return leaf
+        name = _name(path, leaf)
+        if isinstance(leaf, Decision):
+            return _chosen(places, decisions, name)
+        if isinstance(leaf, AtMean):
+            return _decided(leaf.distribution, name, places, decisions).mean()
+        return uncertain[name]
+
+    return jax.tree_util.tree_map_with_path(substitute, model, is_leaf=is_special)
+
+
+def uncertain_numbers(
+    places: Survey, germ: Float[Array, " variables"], decisions: Float[Array, " n"]
+) -> dict[str, Float[Array, ""]]:
+    """The values of a model's distributions at one germ point, by name."""
+    values = {}
+    for (name, law), xi in zip(places.distributions.items(), germ, strict=True):
+        reference = law.initial().canonical().shape if law.shape_is_decided else None
+        values[name] = _decided(law, name, places, decisions).value(xi, reference)
+    return values
+
+
+def _chosen(places: Survey, decisions: Float[Array, " n"], name: str) -> Float[Array, "..."]:
+    place = places.decisions[name]
+    return decisions[place.where].reshape(np.shape(place.decision.initial))
+
+
+def _decided(
+    law: AbstractDistribution, name: str, places: Survey, decisions: Float[Array, " n"]
+) -> AbstractDistribution:
+    """The distribution called `name` with its decisions at their current values."""
+    return law.decided(
+        lambda parameter, decision: _chosen(places, decisions, decision.shared_name or f"{name}.{parameter}")
+    )
+
+
+def named_numbers(model: Pytree, decisions: Float[Array, " n"]) -> dict[str, Any]:
+    """Every number of a model by name, at given decisions.
+
+    A plain number or decision stands under its place (`m_u`), a distribution's parameters below it
+    (`k_s.half_width`), as do its `mean` and `std`, whatever its parameters are.
+    """
+    places = survey(model)
+    numbers: dict[str, Any] = {}
+    for name, leaf in _places(model):
+        if isinstance(leaf, Decision):
+            numbers[name] = _chosen(places, decisions, name)
+        elif is_special(leaf):
+            law = _decided(_distribution_of(leaf), name, places, decisions)
+            moments = {"mean": law.mean(), "std": law.std()}
+            numbers |= {
+                f"{name}.{key}": jnp.asarray(value) for key, value in (moments | law.parameters).items()
+            }
+        elif is_number(leaf) or isinstance(leaf, jax.Array):
+            numbers[name] = jnp.asarray(leaf)
+    return numbers
+
+
+def at_means(model: Pytree) -> Pytree:
+    """The model with every distribution held at its mean: no germ is left."""
+    return _replace(model, AbstractDistribution, AtMean)
+
+
+def uncertain_again(model: Pytree) -> Pytree:
+    """The inverse of `at_means`."""
+    return _replace(model, AtMean, lambda leaf: leaf.distribution)
+
+
+def _replace(model: Pytree, kind: type, change: Callable[[Any], Any]) -> Pytree:
+    return jax.tree.map(
+        lambda leaf: change(leaf) if isinstance(leaf, kind) else leaf,
+        model,
+        is_leaf=lambda leaf: is_special(leaf),
+    )

@@ -1,0 +1,272 @@
+import builtins
+import signal
+
+import nlp_problems as problems
+import numpy as np
+import pytest
+from nlp_problems import INF, evaluation, program
+
+from aleator._core.errors import MissingExtraError, ProblemError
+from aleator.nlp import FilterSQP, Ipopt, Slsqp, Status, default_solver
+
+
+def test_badly_scaled_decisions_and_rows_are_solved(solver):
+    # HS35 in other units: decisions of 1e5, 1 and 1e-3, a row of 1e4, an objective of 1e6.
+    inner, size = problems.hs35().evaluate, np.array([1e5, 1.0, 1e-3])
+
+    def evaluate(x):
+        found = inner(x / size)
+        return evaluation(
+            1e6 * found.objective,
+            1e6 * found.gradient / size,
+            1e4 * found.constraints,
+            1e4 * found.jacobian / size,
+        )
+
+    outcome = solver.solve(
+        program(
+            evaluate, 0.5 * size, np.zeros(3), rows=[(-INF, 3e4)], decision_scale=size, constraint_scale=[1e4]
+        )
+    )
+    assert outcome.ok
+    assert outcome.evaluation.objective == pytest.approx(1e6 / 9, rel=1e-6)
+    assert outcome.decisions / size == pytest.approx(np.array([4 / 3, 7 / 9, 4 / 9]), rel=1e-4)
+    # HS35's multiplier is 2/9.
+    assert outcome.multipliers == pytest.approx(np.array([1e6 / 1e4 * 2 / 9]), rel=1e-4)
+
+
+def test_a_program_without_solution_is_infeasible_at_the_least_violated_point(solver):
+    # The row x² + y² + 1 <= 0 is violated by at least 1, at the origin.
+    outcome = solver.solve(
+        program(
+            lambda x: evaluation(x[0] - x[1], [1, -1], [x @ x + 1], [2 * x]), [2.0, -1.0], rows=[(-INF, 0)]
+        )
+    )
+    assert outcome.status is Status.INFEASIBLE
+    assert not outcome.ok
+    assert outcome.violation == pytest.approx(1.0, abs=1e-4)
+
+
+def test_contradicting_rows_are_infeasible(solver):
+    # x <= 0 and x >= 1: one of them is violated by at least a half.
+    outcome = solver.solve(
+        program(
+            lambda x: evaluation(x[0] ** 2, 2 * x, [x[0], x[0]], [[1], [1]]),
+            [3.0],
+            rows=[(-INF, 0), (1, INF)],
+        )
+    )
+    assert outcome.status is Status.INFEASIBLE
+    assert 0.5 - 1e-6 <= outcome.violation <= 1 + 1e-6
+
+
+def test_bounds_of_decisions_that_exclude_a_row_are_infeasible(solver):
+    outcome = solver.solve(
+        program(
+            lambda x: evaluation(x @ x, 2 * x, [x.sum()], [[1, 1]]), [0.5, 0.5], [0, 0], [1, 1], [(3, INF)]
+        )
+    )
+    assert outcome.status is Status.INFEASIBLE
+    assert outcome.violation == pytest.approx(1.0, abs=1e-5)
+    assert outcome.decisions == pytest.approx(np.ones(2), abs=1e-5)
+
+
+def test_a_region_that_cannot_be_evaluated_is_backed_off_from(solver):
+    # Steps from 0.1 overshoot far into x < 0, where the logarithm is not a number; the optimum is x = 1/2.
+    def evaluate(x):
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return evaluation(2 * x[0] - np.log(x[0]), 2 - 1 / x, [x[0]], [[1]])
+
+    outcome = solver.solve(program(evaluate, [5.0], rows=[(-INF, 50)]))
+    assert outcome.ok
+    assert outcome.decisions == pytest.approx(np.array([0.5]), abs=1e-4)
+
+
+def test_a_start_that_cannot_be_evaluated_is_reported(solver):
+    outcome = solver.solve(program(lambda x: evaluation(np.nan, [1.0], [x[0]], [[1]]), [2.0], rows=[(0, 1)]))
+    assert outcome.status is Status.EVALUATION_FAILED
+    assert outcome.decisions == pytest.approx(np.array([2.0]))
+    assert outcome.evaluations == 1
+    assert np.isnan(outcome.evaluation.objective)
+    assert np.isnan(outcome.violation)
+
+
+def test_a_model_that_works_only_at_the_start_is_reported_soon(solver):
+    outcome = solver.solve(program(lambda x: evaluation(x[0] if x[0] == 3 else np.nan, [1.0]), [3.0]))
+    assert outcome.status is Status.EVALUATION_FAILED
+    assert outcome.decisions == pytest.approx(np.array([3.0]))
+    assert outcome.evaluation.objective == 3.0
+    assert outcome.evaluations <= 61
+
+
+def test_an_objective_without_minimum_is_not_called_solved(solver):
+    outcome = solver.solve(program(lambda x: evaluation(x[0], [1.0]), [0.0]))
+    assert outcome.status in (Status.ITERATION_LIMIT, Status.FAILED)
+
+
+def test_more_equalities_than_decisions_are_no_obstacle_where_they_agree(solver, capfd):
+    outcome = solver.solve(
+        program(lambda x: evaluation(x[0], [1.0], [x[0], 2 * x[0]], [[1], [2]]), [3.0], rows=[(1, 1), (2, 2)])
+    )
+    assert outcome.ok
+    assert outcome.decisions == pytest.approx(np.array([1.0]), abs=1e-6)
+    assert capfd.readouterr() == ("", "")
+
+
+def after(calls, action, make=problems.hs71):
+    """The program, with `action` instead of the value once `calls` points have been evaluated."""
+    made, count = make(), 0
+    inner = made.evaluate
+
+    def evaluate(x):
+        nonlocal count
+        count += 1
+        if count > calls:
+            action()
+        return inner(x)
+
+    object.__setattr__(made, "evaluate", evaluate)
+    return made
+
+
+def interrupt():
+    raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize("calls", [0, 1, 3])
+@pytest.mark.parametrize(
+    "action", [interrupt, lambda: signal.raise_signal(signal.SIGINT)], ids=["raised", "signal"]
+)
+def test_an_interrupt_ends_the_solve_with_the_best_point_so_far(solver, calls, action):
+    outcome = solver.solve(after(calls, action))
+    assert outcome.status is Status.INTERRUPTED
+    assert outcome.evaluations == calls + 1
+    assert np.isfinite(outcome.decisions).all()
+    assert np.isfinite(outcome.violation) == (calls > 0)
+
+
+@pytest.mark.parametrize("calls", [0, 1, 3])
+def test_an_exception_of_the_model_reaches_the_caller_unchanged(solver, calls):
+    error = LookupError("no such material")
+
+    def fail():
+        raise error
+
+    with pytest.raises(LookupError) as caught:
+        solver.solve(after(calls, fail))
+    assert caught.value is error
+
+
+def test_the_interrupt_handler_is_put_back(solver):
+    before = signal.getsignal(signal.SIGINT)
+    solver.solve(problems.hs15())
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_a_fixed_decision_stays_and_its_multiplier_is_its_sensitivity(solver):
+    # min (x-2)² + (y-1)² + x y with x = 1/2: y = 3/4; d f*/d x = 2(x-2) + y = -9/4.
+    def evaluate(x):
+        return evaluation(
+            (x[0] - 2) ** 2 + (x[1] - 1) ** 2 + x[0] * x[1], [2 * (x[0] - 2) + x[1], 2 * (x[1] - 1) + x[0]]
+        )
+
+    outcome = solver.solve(program(evaluate, [3.0, 0.0], lower=[0.5, -INF], upper=[0.5, INF]))
+    assert outcome.ok
+    assert outcome.decisions == pytest.approx(np.array([0.5, 0.75]), abs=1e-6)
+    assert outcome.bound_multipliers == pytest.approx(np.array([2.25, 0]), abs=1e-5)
+
+
+def test_a_program_with_every_decision_fixed_is_only_checked(solver):
+    def made(limit):
+        return program(
+            lambda x: evaluation(x[0], [1.0], [2 * x[0]], [[2.0]]), [0.0], [1.0], [1.0], [(-INF, limit)]
+        )
+
+    assert solver.solve(made(3)).ok
+    outcome = solver.solve(made(1.5))
+    assert outcome.status is Status.INFEASIBLE
+    assert outcome.violation == pytest.approx(0.5)
+
+
+def test_rows_without_bounds_do_not_matter(solver):
+    # The useless first row is not even differentiable to a solver: its slope is enormous.
+    def evaluate(x):
+        return evaluation((x[0] - 3) ** 2, 2 * (x - 3), [1e30 * x[0], x[0]], [[1e30], [1.0]])
+
+    outcome = solver.solve(program(evaluate, [0.0], rows=[(-INF, INF), (-INF, 1)]))
+    assert outcome.ok
+    assert outcome.multipliers == pytest.approx(np.array([0, 4.0]), rel=1e-5)
+
+
+def test_a_start_outside_the_bounds_is_moved_to_them_and_no_point_leaves_them(solver):
+    seen = []
+
+    def evaluate(x):
+        seen.append(x[0])
+        return evaluation(np.sqrt(x[0]) + x[0], [0.5 / np.sqrt(x[0]) + 1])
+
+    outcome = solver.solve(program(evaluate, [9.0], [0.25], [4.0]))
+    assert outcome.ok
+    assert outcome.decisions == pytest.approx(np.array([0.25]), abs=1e-6)
+    assert min(seen) >= 0.25
+    assert max(seen) <= 4.0
+
+
+@pytest.mark.parametrize("make", [FilterSQP, Ipopt, Slsqp])
+def test_too_few_iterations_are_reported_as_such(make):
+    outcome = make(max_iterations=2).solve(problems.rosenbrock())
+    assert outcome.status is Status.ITERATION_LIMIT
+    assert outcome.stationarity > 1e-5
+
+
+def test_nothing_is_printed(solver, capfd):
+    solver.solve(problems.hs71())
+    assert capfd.readouterr() == ("", "")
+
+
+def test_without_unopy_filter_sqp_names_the_remedy_and_ipopt_is_the_default(monkeypatch):
+    real = builtins.__import__
+
+    def refuse(name, *arguments, **keywords):
+        if name == "unopy":
+            raise ImportError(name)
+        return real(name, *arguments, **keywords)
+
+    monkeypatch.setattr(builtins, "__import__", refuse)
+    with pytest.raises(MissingExtraError, match=r"pip install unopy.*Ipopt\(\)"):
+        FilterSQP().solve(problems.hs15())
+    assert default_solver() == Ipopt()
+
+
+def test_with_unopy_filter_sqp_is_the_default():
+    pytest.importorskip("unopy")
+    assert default_solver() == FilterSQP()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"lower": [1.0]}, r"Expected `lower` of shape \(2,\)"),
+        (
+            {"lower": [1.0, 0.0], "upper": [0.0, 1.0]},
+            "Expected `lower` <= `upper`. Received 1.0 and 0.0 at index 0",
+        ),
+        ({"decision_scale": [1.0, 0.0]}, "Expected `decision_scale` positive"),
+        ({"start": [np.nan, 0.0]}, "Expected a finite `start`"),
+    ],
+)
+def test_a_program_that_makes_no_sense_is_refused(change, message):
+    arguments = {"evaluate": problems.rosenbrock().evaluate, "start": [0.0, 0.0]} | change
+    with pytest.raises(ProblemError, match=message):
+        program(**arguments)
+
+
+def test_derivatives_of_the_wrong_shape_are_refused(solver):
+    with pytest.raises(ProblemError, match="Expected gradient, constraints and jacobian of shapes"):
+        solver.solve(program(lambda x: evaluation(0.0, [0.0, 0.0, 0.0]), [0.0, 0.0]))
+
+
+@pytest.mark.parametrize("arguments", [{"tolerance": 0.0}, {"max_iterations": 0}])
+def test_solver_settings_that_make_no_sense_are_refused(arguments):
+    with pytest.raises(ProblemError, match="Expected"):
+        Ipopt(**arguments)

@@ -1,0 +1,98 @@
+import nlp_problems as problems
+import numpy as np
+import pytest
+
+PUBLISHED = {
+    "rosenbrock": (problems.rosenbrock, 0.0, [1, 1]),
+    "hs6": (problems.hs6, 0.0, [1, 1]),
+    "hs15": (problems.hs15, 306.5, [0.5, 2]),
+    "hs28": (problems.hs28, 0.0, [0.5, -0.5, 0.5]),
+    "hs35": (problems.hs35, 1 / 9, [4 / 3, 7 / 9, 4 / 9]),
+    "hs71": (problems.hs71, 17.0140173, [1, 4.7429994, 3.8211503, 1.3794082]),
+    "disc": (problems.disc, 2 * (2 - np.sqrt(0.5)) ** 2, [np.sqrt(0.5)] * 2),
+    "coope_watson": (problems.coope_watson, -3 / 16 + (3 - np.sqrt(5)) / 2, [-0.75, (1 - np.sqrt(5)) / 2]),
+}
+
+
+@pytest.mark.parametrize("name", PUBLISHED)
+def test_every_solver_finds_the_published_optimum(solver, name):
+    make, objective, decisions = PUBLISHED[name]
+    outcome = solver.solve(make())
+    assert outcome.ok, outcome
+    assert outcome.evaluation.objective == pytest.approx(objective, rel=1e-6, abs=1e-6)
+    assert outcome.decisions == pytest.approx(np.array(decisions), rel=1e-4, abs=1e-4)
+    assert outcome.violation <= 1e-7
+    assert max(outcome.stationarity, outcome.complementarity) <= 1e-5
+
+
+@pytest.mark.parametrize("name", PUBLISHED)
+def test_the_lagrangian_is_stationary_in_user_units_and_multipliers_have_the_signs_of_their_bounds(
+    solver, name
+):
+    program = PUBLISHED[name][0]()
+    outcome = solver.solve(program)
+    found = outcome.evaluation
+    gradient = found.gradient + outcome.multipliers @ found.jacobian + outcome.bound_multipliers
+    # The stationarity of the certificate is relative to the scale of the objective and the largest
+    # multiplier.
+    size = max(
+        1, np.abs(outcome.multipliers).max(initial=0), np.abs(program.evaluate(program.start).objective)
+    )
+    assert np.abs(gradient).max() <= 2e-5 * size
+    assert (outcome.multipliers[np.isinf(program.constraint_upper)] <= 1e-5 * size).all()
+    assert (outcome.multipliers[np.isinf(program.constraint_lower)] >= -1e-5 * size).all()
+
+
+@pytest.mark.parametrize("changed", ["product_at_least", "squares"])
+def test_a_multiplier_is_the_sensitivity_of_the_optimum_to_its_bound(solver, changed):
+    shift = 1e-3
+    bound = {"product_at_least": 25.0, "squares": 40.0}[changed]
+    index = {"product_at_least": 0, "squares": 1}[changed]
+    multiplier = solver.solve(problems.hs71()).multipliers[index]
+    ends = [
+        solver.solve(problems.hs71(**{changed: bound + sign * shift})).evaluation.objective
+        for sign in (1, -1)
+    ]
+    assert (ends[0] - ends[1]) / (2 * shift) == pytest.approx(-multiplier, rel=2e-3)
+
+
+def test_a_bound_multiplier_is_the_sensitivity_to_the_decision_bound(solver):
+    def optimum(bound):
+        program = problems.hs15()
+        program.upper[0] = bound
+        return solver.solve(program)
+
+    shift = 1e-5
+    slope = (optimum(0.5 + shift).evaluation.objective - optimum(0.5 - shift).evaluation.objective) / (
+        2 * shift
+    )
+    assert slope == pytest.approx(-optimum(0.5).bound_multipliers[0], rel=1e-3)
+
+
+def test_a_warm_start_costs_fewer_points_than_a_cold_one(solver):
+    cold = solver.solve(problems.coope_watson())
+    warm = solver.solve(problems.coope_watson(), start=cold.decisions, multipliers=cold.multipliers)
+    assert warm.ok
+    assert warm.evaluations < cold.evaluations
+    assert warm.decisions == pytest.approx(cold.decisions, abs=1e-5)
+
+
+def test_every_point_is_evaluated_once(solver):
+    seen = []
+    program = problems.hs71()
+    inner = program.evaluate
+
+    def evaluate(x):
+        seen.append(x.tobytes())
+        return inner(x)
+
+    object.__setattr__(program, "evaluate", evaluate)
+    outcome = solver.solve(program)
+    assert outcome.evaluations == len(seen) == len(set(seen))
+
+
+def test_filter_sqp_needs_few_points_where_thousands_of_rows_are_nearly_active():
+    pytest.importorskip("unopy")
+    from aleator.nlp import FilterSQP
+
+    assert FilterSQP().solve(problems.disc()).evaluations <= 8
