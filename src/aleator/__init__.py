@@ -44,12 +44,18 @@ from aleator.nlp import Ipopt as Ipopt  # noqa: E402
 from aleator.nlp import Slsqp as Slsqp  # noqa: E402
 from aleator.nlp import Status as Status  # noqa: E402
 from aleator.solve import solve as solve  # noqa: E402
+from aleator.sweep import Calibration as Calibration  # noqa: E402
+from aleator.sweep import Front as Front  # noqa: E402
+from aleator.sweep import calibrate as calibrate  # noqa: E402
+from aleator.sweep import pareto as pareto  # noqa: E402
 from aleator.uncertainty import Beta as Beta  # noqa: E402
 from aleator.uncertainty import Decision as Decision  # noqa: E402
 from aleator.uncertainty import Gamma as Gamma  # noqa: E402
 from aleator.uncertainty import Normal as Normal  # noqa: E402
 from aleator.uncertainty import Uniform as Uniform  # noqa: E402
 from aleator.uncertainty import parameter as parameter  # noqa: E402
+from aleator.validation import Evidence as Evidence  # noqa: E402
+from aleator.validation import validate as validate  # noqa: E402
 
 __version__ = "0.1.0"
 _clock.import_seconds = _time.perf_counter() - _started

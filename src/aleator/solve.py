@@ -1,15 +1,16 @@
 """`solve`: the stages of a solution, in order."""
 
 import warnings
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 from aleator._core import clock
 from aleator._core.errors import ExpansionWarning, SimulationError, SolveError
-from aleator.design import ConstraintResult, ExpansionQuality, Problem, Solution, Times, functionals_of
+from aleator.design import ConstraintResult, ExpansionQuality, Moments, Problem, Solution, Times, functionals_of
 from aleator.nlp import AbstractSolver, Outcome, Status, default_solver
-from aleator.transcription import EVALUATE, Sequential, diagnose, transcribe
+from aleator.transcription import EVALUATE, Resolved, Sequential, diagnose, transcribe
 
 # Above this relative squared error an expansion predicts a new sample to worse than a fifth of its spread.
 UNRESOLVED = 0.05
@@ -54,6 +55,10 @@ def _optimise(transcription: Sequential, solver: AbstractSolver, warm_start: Sol
 
 def _report(transcription: Sequential, outcome: Outcome, compile_seconds: float) -> Solution:
     problem, places = transcription.problem, transcription.places
+    functionals = functionals_of(problem.expressions)
+    resolved = {
+        one.text(): result for one, result in zip(functionals, transcription.resolve(outcome.decisions), strict=True)
+    }
     return Solution(
         problem=problem,
         status=outcome.status,
@@ -61,6 +66,7 @@ def _report(transcription: Sequential, outcome: Outcome, compile_seconds: float)
         vector=outcome.decisions,
         objective=outcome.evaluation.objective,
         constraints=_constraint_results(transcription, outcome),
+        moments={text: Moments(np.asarray(one.mean), np.asarray(one.std)) for text, one in resolved.items()},
         bound_multipliers=_plain(places.named(outcome.bound_multipliers)),
         multipliers=outcome.multipliers,
         violation=outcome.violation,
@@ -71,7 +77,7 @@ def _report(transcription: Sequential, outcome: Outcome, compile_seconds: float)
         times=Times(clock.import_seconds, compile_seconds, outcome.seconds),
         solver=outcome.solver,
         message=outcome.message,
-        expansion=_quality(transcription, outcome.decisions),
+        expansion=_quality(transcription, resolved),
     )
 
 
@@ -113,17 +119,15 @@ def _constraint_results(transcription: Sequential, outcome: Outcome) -> tuple[Co
     return tuple(results)
 
 
-def _quality(transcription: Sequential, decisions: np.ndarray) -> ExpansionQuality:
+def _quality(transcription: Sequential, resolved: Mapping[str, Resolved]) -> ExpansionQuality:
     variables = len(transcription.places.distributions)
     expansion = transcription.problem.expansion
-    functionals = functionals_of(transcription.problem.expressions)
-    errors = transcription.leave_one_out(decisions) if variables else (0.0,) * len(functionals)
     return ExpansionQuality(
         order=expansion.order,
         terms=expansion.terms(variables),
         points=expansion.point_count(variables),
         condition_number=float(transcription.collocation.condition_number),
-        leave_one_out={one.text(): error for one, error in zip(functionals, errors, strict=True)},
+        leave_one_out={text: float(one.leave_one_out) for text, one in resolved.items()},
     )
 
 

@@ -25,9 +25,7 @@ def program(evaluate, start, lower=None, upper=None, rows=(), decision_scale=Non
 
 def evaluation(objective, gradient, constraints=(), jacobian=()):
     gradient, constraints = np.array(gradient, dtype=float), np.array(constraints, dtype=float)
-    return Evaluation(
-        objective, gradient, constraints, np.array(jacobian, dtype=float).reshape(-1, gradient.size)
-    )
+    return Evaluation(objective, gradient, constraints, np.array(jacobian, dtype=float).reshape(-1, gradient.size))
 
 
 def _rosenbrock(x):
@@ -65,9 +63,7 @@ def hs71(product_at_least=25.0, squares=40.0):
         product = np.prod(x)
         return evaluation(x[0] * x[3] * total + x[2], gradient, [product, x @ x], [product / x, 2 * x])
 
-    return program(
-        evaluate, [1.0, 5, 5, 1], np.ones(4), np.full(4, 5.0), [(product_at_least, INF), (squares, squares)]
-    )
+    return program(evaluate, [1.0, 5, 5, 1], np.ones(4), np.full(4, 5.0), [(product_at_least, INF), (squares, squares)])
 
 
 def hs28():
@@ -86,9 +82,7 @@ def hs6():
     """Equality: minimise (1-x1)² subject to 10 (x2 - x1²) = 0; optimum 0 at (1, 1)."""
 
     def evaluate(x):
-        return evaluation(
-            (1 - x[0]) ** 2, [-2 * (1 - x[0]), 0], [10 * (x[1] - x[0] ** 2)], [[-20 * x[0], 10]]
-        )
+        return evaluation((1 - x[0]) ** 2, [-2 * (1 - x[0]), 0], [10 * (x[1] - x[0] ** 2)], [[-20 * x[0], 10]])
 
     return program(evaluate, [-1.2, 1.0], rows=[(0, 0)])
 
@@ -115,8 +109,6 @@ def coope_watson(points=3000):
         bracket = 1 - x[0] ** 2 * t**2
         rows = bracket**2 - x[0] * t**2 - x[1] ** 2 + x[1]
         jacobian = np.stack([-4 * x[0] * t**2 * bracket - t**2, np.full(points, 1 - 2 * x[1])], axis=1)
-        return evaluation(
-            x[0] ** 2 / 3 + x[1] ** 2 + x[0] / 2, [2 * x[0] / 3 + 0.5, 2 * x[1]], rows, jacobian
-        )
+        return evaluation(x[0] ** 2 / 3 + x[1] ** 2 + x[0] / 2, [2 * x[0] / 3 + 0.5, 2 * x[1]], rows, jacobian)
 
     return program(evaluate, [-0.2, -1.0], rows=[(-INF, 0)] * points)

@@ -24,9 +24,7 @@ def test_badly_scaled_decisions_and_rows_are_solved(solver):
         )
 
     outcome = solver.solve(
-        program(
-            evaluate, 0.5 * size, np.zeros(3), rows=[(-INF, 3e4)], decision_scale=size, constraint_scale=[1e4]
-        )
+        program(evaluate, 0.5 * size, np.zeros(3), rows=[(-INF, 3e4)], decision_scale=size, constraint_scale=[1e4])
     )
     assert outcome.ok
     assert outcome.evaluation.objective == pytest.approx(1e6 / 9, rel=1e-6)
@@ -38,9 +36,7 @@ def test_badly_scaled_decisions_and_rows_are_solved(solver):
 def test_a_program_without_solution_is_infeasible_at_the_least_violated_point(solver):
     # The row x² + y² + 1 <= 0 is violated by at least 1, at the origin.
     outcome = solver.solve(
-        program(
-            lambda x: evaluation(x[0] - x[1], [1, -1], [x @ x + 1], [2 * x]), [2.0, -1.0], rows=[(-INF, 0)]
-        )
+        program(lambda x: evaluation(x[0] - x[1], [1, -1], [x @ x + 1], [2 * x]), [2.0, -1.0], rows=[(-INF, 0)])
     )
     assert outcome.status is Status.INFEASIBLE
     assert not outcome.ok
@@ -62,9 +58,7 @@ def test_contradicting_rows_are_infeasible(solver):
 
 def test_bounds_of_decisions_that_exclude_a_row_are_infeasible(solver):
     outcome = solver.solve(
-        program(
-            lambda x: evaluation(x @ x, 2 * x, [x.sum()], [[1, 1]]), [0.5, 0.5], [0, 0], [1, 1], [(3, INF)]
-        )
+        program(lambda x: evaluation(x @ x, 2 * x, [x.sum()], [[1, 1]]), [0.5, 0.5], [0, 0], [1, 1], [(3, INF)])
     )
     assert outcome.status is Status.INFEASIBLE
     assert outcome.violation == pytest.approx(1.0, abs=1e-5)
@@ -134,9 +128,7 @@ def interrupt():
 
 
 @pytest.mark.parametrize("calls", [0, 1, 3])
-@pytest.mark.parametrize(
-    "action", [interrupt, lambda: signal.raise_signal(signal.SIGINT)], ids=["raised", "signal"]
-)
+@pytest.mark.parametrize("action", [interrupt, lambda: signal.raise_signal(signal.SIGINT)], ids=["raised", "signal"])
 def test_an_interrupt_ends_the_solve_with_the_best_point_so_far(solver, calls, action):
     outcome = solver.solve(after(calls, action))
     assert outcome.status is Status.INTERRUPTED
@@ -178,9 +170,7 @@ def test_a_fixed_decision_stays_and_its_multiplier_is_its_sensitivity(solver):
 
 def test_a_program_with_every_decision_fixed_is_only_checked(solver):
     def made(limit):
-        return program(
-            lambda x: evaluation(x[0], [1.0], [2 * x[0]], [[2.0]]), [0.0], [1.0], [1.0], [(-INF, limit)]
-        )
+        return program(lambda x: evaluation(x[0], [1.0], [2 * x[0]], [[2.0]]), [0.0], [1.0], [1.0], [(-INF, limit)])
 
     assert solver.solve(made(3)).ok
     outcome = solver.solve(made(1.5))

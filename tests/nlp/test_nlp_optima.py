@@ -26,18 +26,14 @@ def test_every_solver_finds_the_published_optimum(solver, name):
 
 
 @pytest.mark.parametrize("name", PUBLISHED)
-def test_the_lagrangian_is_stationary_in_user_units_and_multipliers_have_the_signs_of_their_bounds(
-    solver, name
-):
+def test_the_lagrangian_is_stationary_in_user_units_and_multipliers_have_the_signs_of_their_bounds(solver, name):
     program = PUBLISHED[name][0]()
     outcome = solver.solve(program)
     found = outcome.evaluation
     gradient = found.gradient + outcome.multipliers @ found.jacobian + outcome.bound_multipliers
     # The stationarity of the certificate is relative to the scale of the objective and the largest
     # multiplier.
-    size = max(
-        1, np.abs(outcome.multipliers).max(initial=0), np.abs(program.evaluate(program.start).objective)
-    )
+    size = max(1, np.abs(outcome.multipliers).max(initial=0), np.abs(program.evaluate(program.start).objective))
     assert np.abs(gradient).max() <= 2e-5 * size
     assert (outcome.multipliers[np.isinf(program.constraint_upper)] <= 1e-5 * size).all()
     assert (outcome.multipliers[np.isinf(program.constraint_lower)] >= -1e-5 * size).all()
@@ -49,10 +45,7 @@ def test_a_multiplier_is_the_sensitivity_of_the_optimum_to_its_bound(solver, cha
     bound = {"product_at_least": 25.0, "squares": 40.0}[changed]
     index = {"product_at_least": 0, "squares": 1}[changed]
     multiplier = solver.solve(problems.hs71()).multipliers[index]
-    ends = [
-        solver.solve(problems.hs71(**{changed: bound + sign * shift})).evaluation.objective
-        for sign in (1, -1)
-    ]
+    ends = [solver.solve(problems.hs71(**{changed: bound + sign * shift})).evaluation.objective for sign in (1, -1)]
     assert (ends[0] - ends[1]) / (2 * shift) == pytest.approx(-multiplier, rel=2e-3)
 
 
@@ -63,9 +56,7 @@ def test_a_bound_multiplier_is_the_sensitivity_to_the_decision_bound(solver):
         return solver.solve(program)
 
     shift = 1e-5
-    slope = (optimum(0.5 + shift).evaluation.objective - optimum(0.5 - shift).evaluation.objective) / (
-        2 * shift
-    )
+    slope = (optimum(0.5 + shift).evaluation.objective - optimum(0.5 - shift).evaluation.objective) / (2 * shift)
     assert slope == pytest.approx(-optimum(0.5).bound_multipliers[0], rel=1e-3)
 
 

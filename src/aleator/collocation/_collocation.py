@@ -20,6 +20,12 @@ from aleator.uncertainty import AbstractGerm
 # Beyond this, least squares loses more than half of the digits of double precision.
 _WORST_CONDITION = 1e8
 
+# What is left of one minus the leverage by rounding, where it is zero in exact arithmetic.
+_LEAST_REMAINDER = 1e-8
+
+# Outputs that vary by less than this part of their size are constant, but for rounding.
+_ROUNDING = 1e-12
+
 
 @final
 class Expansion(eqx.Module):
@@ -107,9 +113,7 @@ def collocate(germs: tuple[AbstractGerm, ...], expansion: Expansion) -> Collocat
     )
 
 
-def _map_to_germ(
-    germs: tuple[AbstractGerm, ...], levels: np.ndarray
-) -> Float[np.ndarray, "points variables"]:
+def _map_to_germ(germs: tuple[AbstractGerm, ...], levels: np.ndarray) -> Float[np.ndarray, "points variables"]:
     columns = [germ.quantile(levels[:, i]) for i, germ in enumerate(germs)]
     return np.stack(columns, axis=1) if columns else levels
 
@@ -134,11 +138,15 @@ def leave_one_out(
     """Relative leave-one-out error of an expansion: squared prediction error over variance, both summed over entries.
 
     Each sample is predicted from all others at no further cost, by the leverage (Blatman and Sudret, 2010). 0 is
-    perfect; 1 is no better than the mean. Zero where the output does not vary at all.
+    perfect; 1 is no better than the mean. Zero where the output does not vary beyond rounding. Infinite where a sample
+    cannot be predicted, its leverage being one: as many points as terms, for instance, only interpolate.
     """
     flat, terms = samples.reshape(len(samples), -1), coefficients.reshape(len(coefficients), -1)
     residual = flat - collocation.matrix @ terms
-    # A leverage of one (interpolation) leaves nothing to predict from; the error is then reported as infinite.
-    error = jnp.mean((residual / (1 - collocation.leverage)[:, None]) ** 2, axis=0).sum()
+    remainder = 1 - collocation.leverage
+    predictable = remainder > _LEAST_REMAINDER
+    error = jnp.mean((residual / jnp.where(predictable, remainder, 1.0)[:, None]) ** 2, axis=0).sum()
+    error = jnp.where(predictable.all(), error, jnp.inf)
     variance = flat.var(axis=0).sum()
-    return jnp.where(variance > 0, error / jnp.where(variance > 0, variance, 1.0), 0.0)
+    varies = variance > _ROUNDING**2 * jnp.mean(flat**2, axis=0).sum()
+    return jnp.where(varies, error / jnp.where(varies, variance, 1.0), 0.0)

@@ -25,5 +25,6 @@ from aleator.design._response import history as history
 from aleator.design._response import responses as responses
 from aleator.design._solution import ConstraintResult as ConstraintResult
 from aleator.design._solution import ExpansionQuality as ExpansionQuality
+from aleator.design._solution import Moments as Moments
 from aleator.design._solution import Solution as Solution
 from aleator.design._solution import Times as Times

@@ -89,9 +89,7 @@ def _output_shapes(problem: Problem) -> dict[str, jax.ShapeDtypeStruct]:
 def _check_shapes(problem: Problem, outputs: dict[str, jax.ShapeDtypeStruct]) -> None:
     for functional in functionals_of(problem.expressions):
         if functional.output not in outputs:
-            raise ProblemError(
-                _unknown(f"output of {type(problem.system).__name__}", functional.output, list(outputs))
-            )
+            raise ProblemError(_unknown(f"output of {type(problem.system).__name__}", functional.output, list(outputs)))
     shape = _shape(problem.objective, problem, outputs)
     if shape != ():
         raise ProblemError(
@@ -117,14 +115,8 @@ class _ShapeScope(AbstractScope):
         return jnp.ones(())
 
 
-def _shape(
-    expression: Expression, problem: Problem, outputs: dict[str, jax.ShapeDtypeStruct]
-) -> tuple[int, ...]:
+def _shape(expression: Expression, problem: Problem, outputs: dict[str, jax.ShapeDtypeStruct]) -> tuple[int, ...]:
     try:
-        return jax.eval_shape(
-            lambda y: jnp.asarray(expression.evaluate(_ShapeScope(problem, y))), outputs
-        ).shape
+        return jax.eval_shape(lambda y: jnp.asarray(expression.evaluate(_ShapeScope(problem, y))), outputs).shape
     except (TypeError, ValueError) as error:
-        raise ProblemError(
-            f"The terms of '{expression}' have shapes that do not go together: {error}"
-        ) from error
+        raise ProblemError(f"The terms of '{expression}' have shapes that do not go together: {error}") from error

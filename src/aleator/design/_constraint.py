@@ -50,10 +50,7 @@ class Constraint(eqx.Module):
         """Whether it holds at every instant."""
         from aleator.design._functional import Path
 
-        return any(
-            isinstance(atom, Statistic) and isinstance(atom.functional, Path)
-            for atom in self.expression.atoms
-        )
+        return any(isinstance(atom, Statistic) and isinstance(atom.functional, Path) for atom in self.expression.atoms)
 
     def __str__(self) -> str:
         lower, upper = float(self.lower), float(self.upper)

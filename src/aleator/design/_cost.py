@@ -41,9 +41,7 @@ def _exponential(spread: Array, bias: Array, scale: Array, rate: Array) -> Array
 
 
 def _expression(name: str, curve: Curve, shown: str, *coefficients: float) -> Expression:
-    return Expression(
-        (1.0,), (CostCurve(name, curve, shown, tuple(float(number) for number in coefficients)),)
-    )
+    return Expression((1.0,), (CostCurve(name, curve, shown, tuple(float(number) for number in coefficients)),))
 
 
 def reciprocal_power(name: str, *, bias: float, scale: float, power: float) -> Expression:

@@ -91,17 +91,13 @@ class Expression(eqx.Module):
 
     def __add__(self, other: Any) -> "Expression":
         other = as_expression(other)
-        return Expression(
-            self.factors + other.factors, self.atoms + other.atoms, self.constant + other.constant
-        )
+        return Expression(self.factors + other.factors, self.atoms + other.atoms, self.constant + other.constant)
 
     __radd__ = __add__
 
     def __mul__(self, number: Any) -> "Expression":
         number = _number(number, "multiply an expression by")
-        return Expression(
-            tuple(number * factor for factor in self.factors), self.atoms, number * self.constant
-        )
+        return Expression(tuple(number * factor for factor in self.factors), self.atoms, number * self.constant)
 
     __rmul__ = __mul__
 
@@ -157,12 +153,8 @@ class Expression(eqx.Module):
         parts = [(float(factor), atom.text()) for factor, atom in self._terms() if float(factor) != 0]
         if float(self.constant) != 0 or not parts:
             parts.append((float(self.constant), ""))
-        text = " ".join(
-            f"{'−' if factor < 0 else '+'} {_product(abs(factor), atom)}" for factor, atom in parts
-        )
-        return (
-            text.removeprefix("+ ").replace("− ", "−", 1) if text.startswith("−") else text.removeprefix("+ ")
-        )
+        text = " ".join(f"{'−' if factor < 0 else '+'} {_product(abs(factor), atom)}" for factor, atom in parts)
+        return text.removeprefix("+ ").replace("− ", "−", 1) if text.startswith("−") else text.removeprefix("+ ")
 
 
 def _is_std(atom: AbstractAtom) -> bool:

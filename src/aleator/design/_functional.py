@@ -84,9 +84,7 @@ class Rms(Functional):
 
     def evaluate(self, history: History, grid: Grid) -> Array:
         """See `Functional.evaluate`."""
-        square = jnp.tensordot(grid.weights, history[self.output] ** 2, axes=1) / (
-            grid.t_final - grid.t_start
-        )
+        square = jnp.tensordot(grid.weights, history[self.output] ** 2, axes=1) / (grid.t_final - grid.t_start)
         positive = square > 0
         # An output that is zero throughout has rms zero, with derivative zero (its smallest subgradient).
         return jnp.where(positive, jnp.sqrt(jnp.where(positive, square, 1.0)), 0.0)

@@ -97,9 +97,7 @@ class Problem(eqx.Module):
         take `(lower, upper)`.
         """
         lower, upper = _new_bounds(self.named(name), name, bound)
-        return self._with(
-            name, lambda one: one.with_bounds(*(_moved(one.lower, lower), _moved(one.upper, upper)))
-        )
+        return self._with(name, lambda one: one.with_bounds(*(_moved(one.lower, lower), _moved(one.upper, upper))))
 
     def with_sigmas(self, name: str, sigmas: float) -> Self:
         """The same problem with the multiple of the standard deviation in the constraints called `name` at `sigmas`."""

@@ -97,12 +97,22 @@ class ExpansionQuality:
 
 @final
 @dataclass(frozen=True)
+class Moments:
+    """Mean and standard deviation of one functional by the expansion: numbers, or one number an instant."""
+
+    mean: Float[np.ndarray, "*shape"]
+    std: Float[np.ndarray, "*shape"]
+
+
+@final
+@dataclass(frozen=True)
 class Solution:
     """An optimal design and its certificate. `print(solution)` shows both.
 
     - `decisions`: by name, in user units; `vector`: the same as one vector, in the order of `problem.survey`;
     - `objective`: its value in user units;
     - `constraints`: values, activity and multipliers, in the order of `problem.constraints`;
+    - `moments`: mean and standard deviation of each functional in the problem, by its text (`"∫comfort dt"`);
     - `bound_multipliers`: of the decisions' own bounds, by name;
     - `violation`, `stationarity`, `complementarity`: residuals of the optimality conditions, scaled, computed from the
       point and its multipliers and not taken from the solver;
@@ -116,6 +126,7 @@ class Solution:
     vector: Float[np.ndarray, " n"]
     objective: float
     constraints: tuple[ConstraintResult, ...]
+    moments: Mapping[str, Moments]
     bound_multipliers: Mapping[str, Any]
     multipliers: Float[np.ndarray, " m"]
     violation: float

@@ -14,9 +14,7 @@ def problem_text(problem: "Problem") -> str:
     """Objective, decisions, constraints, uncertainty, dynamics and expansion, a line each."""
     places = problem.survey
     rows = [("minimise", str(problem.objective))]
-    rows += _labelled(
-        "over", [_decision_text(name, place.decision) for name, place in places.decisions.items()]
-    )
+    rows += _labelled("over", [_decision_text(name, place.decision) for name, place in places.decisions.items()])
     rows += _labelled("subject to", [f"{one.name}: {one}" for one in problem.constraints])
     rows += _labelled("where", [f"{name} ~ {law}" for name, law in places.distributions.items()])
     rows += [
@@ -50,9 +48,7 @@ def _dynamics_text(problem: "Problem") -> str:
 
 def _expansion_text(problem: "Problem", variables: int) -> str:
     if variables == 0:
-        return (
-            "none: nothing is uncertain, every σ is 0" if _has_std(problem) else "none: nothing is uncertain"
-        )
+        return "none: nothing is uncertain, every σ is 0" if _has_std(problem) else "none: nothing is uncertain"
     expansion = problem.expansion
     return (
         f"order {expansion.order} in {variables} variables: {expansion.terms(variables)} terms, "

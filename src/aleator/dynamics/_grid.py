@@ -23,9 +23,7 @@ class Grid(eqx.Module):
         if isinstance(steps, bool) or not isinstance(steps, int | np.integer) or steps < 1:
             raise ProblemError(f"Grid: steps is a whole number of at least 1; received {steps!r}.")
         if not np.isfinite([t_start, t_final]).all() or not t_final > t_start:
-            raise ProblemError(
-                f"Grid: t_final must be finite and after t_start={t_start}; received t_final={t_final}."
-            )
+            raise ProblemError(f"Grid: t_final must be finite and after t_start={t_start}; received t_final={t_final}.")
         self.t_final = float(t_final)
         self.steps = int(steps)
         self.t_start = float(t_start)

@@ -48,9 +48,7 @@ class Tabulated(AbstractSignal):
             raise ProblemError("Tabulated: every time and value must be finite.")
         if not np.all(np.diff(self.times) > 0):
             at = int(np.argmin(np.diff(self.times) > 0)) + 1
-            raise ProblemError(
-                f"Tabulated: times must increase, but sample {at} is not after the one before it."
-            )
+            raise ProblemError(f"Tabulated: times must increase, but sample {at} is not after the one before it.")
 
     @classmethod
     def from_csv(cls, path: str | Path, time: str, value: str) -> Self:

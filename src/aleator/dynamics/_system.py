@@ -55,9 +55,7 @@ def initial_state(system: System) -> Any:
         raise ProblemError(
             f"{type(system).__name__}.initial names {sorted(unknown)}, which are no states; expected some of {system.states}."
         )
-    return state_type(system.states)(
-        *(jnp.asarray(given.get(name, 0.0), dtype=float) for name in system.states)
-    )
+    return state_type(system.states)(*(jnp.asarray(given.get(name, 0.0), dtype=float) for name in system.states))
 
 
 def derivative(system: System, t: Array, z: Any, inputs: dict[str, Array]) -> Any:
@@ -65,9 +63,7 @@ def derivative(system: System, t: Array, z: Any, inputs: dict[str, Array]) -> An
     rates = system.rhs(t, z, **inputs)
     name = type(system).__name__
     if not isinstance(rates, tuple | list):
-        raise ProblemError(
-            f"{name}.rhs returns one rate for each of {system.states} as a tuple; received {rates!r}."
-        )
+        raise ProblemError(f"{name}.rhs returns one rate for each of {system.states} as a tuple; received {rates!r}.")
     if len(rates) != len(system.states):
         raise ProblemError(
             f"{name}.rhs: expected {len(system.states)} rates, for {system.states}; received {len(rates)}."

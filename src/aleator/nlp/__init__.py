@@ -1,11 +1,11 @@
 """The nonlinear program and its solvers. Knows no physics."""
 
-from ._filtersqp import FilterSQP as FilterSQP
-from ._filtersqp import default_solver as default_solver
-from ._ipopt import Ipopt as Ipopt
-from ._outcome import Outcome as Outcome
-from ._outcome import Status as Status
-from ._program import Evaluation as Evaluation
-from ._program import NonlinearProgram as NonlinearProgram
-from ._slsqp import Slsqp as Slsqp
-from ._solver import AbstractSolver as AbstractSolver
+from aleator.nlp._filtersqp import FilterSQP as FilterSQP
+from aleator.nlp._filtersqp import default_solver as default_solver
+from aleator.nlp._ipopt import Ipopt as Ipopt
+from aleator.nlp._outcome import Outcome as Outcome
+from aleator.nlp._outcome import Status as Status
+from aleator.nlp._program import Evaluation as Evaluation
+from aleator.nlp._program import NonlinearProgram as NonlinearProgram
+from aleator.nlp._slsqp import Slsqp as Slsqp
+from aleator.nlp._solver import AbstractSolver as AbstractSolver

@@ -5,8 +5,8 @@ from typing import final
 
 import numpy as np
 
-from ._program import Evaluation
-from ._scaling import ScaledProgram
+from aleator.nlp._program import Evaluation
+from aleator.nlp._scaling import ScaledProgram
 
 # Rows this close to a bound count as active when multipliers are fitted or infeasibility is examined.
 _ACTIVE = 1e-5
@@ -49,9 +49,7 @@ class Multipliers:
     bounds: np.ndarray
 
 
-def certify(
-    scaled: ScaledProgram, z: np.ndarray, evaluation: Evaluation, multipliers: Multipliers
-) -> Certificate:
+def certify(scaled: ScaledProgram, z: np.ndarray, evaluation: Evaluation, multipliers: Multipliers) -> Certificate:
     """Compute the residuals at `z`, shape (n_free,), with its scaled evaluation (Nocedal and Wright 2006,
     eq. 12.34).
     """
@@ -78,9 +76,7 @@ def fit_multipliers(scaled: ScaledProgram, z: np.ndarray, evaluation: Evaluation
     """
     rows, row_signs = _active(evaluation.constraints, scaled.constraint_lower, scaled.constraint_upper)
     bounds, bound_signs = _active(z, scaled.lower, scaled.upper)
-    columns = np.concatenate(
-        [evaluation.jacobian[rows].T * row_signs, np.eye(z.size)[:, bounds] * bound_signs], axis=1
-    )
+    columns = np.concatenate([evaluation.jacobian[rows].T * row_signs, np.eye(z.size)[:, bounds] * bound_signs], axis=1)
     row_multipliers, bound_multipliers = np.zeros(scaled.rows), np.zeros(scaled.size)
     if columns.size:
         weights = _nonnegative_fit(columns, -evaluation.gradient)
@@ -99,14 +95,10 @@ def is_least_violated(scaled: ScaledProgram, z: np.ndarray, evaluation: Evaluati
     outside = scaled.violation(evaluation.constraints)
     if outside.max(initial=0.0) <= 0:
         return False
-    return _sum_is_stationary(scaled, z, evaluation, outside) or _maximum_is_stationary(
-        scaled, z, evaluation, outside
-    )
+    return _sum_is_stationary(scaled, z, evaluation, outside) or _maximum_is_stationary(scaled, z, evaluation, outside)
 
 
-def _sum_is_stationary(
-    scaled: ScaledProgram, z: np.ndarray, evaluation: Evaluation, outside: np.ndarray
-) -> bool:
+def _sum_is_stationary(scaled: ScaledProgram, z: np.ndarray, evaluation: Evaluation, outside: np.ndarray) -> bool:
     """Zero is in the subdifferential of `Σ max(violation, 0)`: a row at its kink counts with any weight in
     [0, 1].
     """
@@ -127,9 +119,7 @@ def _sum_is_stationary(
     return float(np.linalg.norm(remainder)) <= _STATIONARY_FRACTION * float(outside[violated].sum())
 
 
-def _maximum_is_stationary(
-    scaled: ScaledProgram, z: np.ndarray, evaluation: Evaluation, outside: np.ndarray
-) -> bool:
+def _maximum_is_stationary(scaled: ScaledProgram, z: np.ndarray, evaluation: Evaluation, outside: np.ndarray) -> bool:
     """Zero is in the subdifferential of `max violation`: a convex combination of the worst rows'
     gradients.
     """
@@ -173,6 +163,4 @@ def _active(values: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> tuple[n
     """Find the values at a bound, with the sign of its multiplier; an equality is at both."""
     at_upper = np.flatnonzero(np.abs(upper - values) <= _ACTIVE)
     at_lower = np.flatnonzero(np.abs(values - lower) <= _ACTIVE)
-    return np.concatenate([at_upper, at_lower]), np.concatenate(
-        [np.ones(at_upper.size), -np.ones(at_lower.size)]
-    )
+    return np.concatenate([at_upper, at_lower]), np.concatenate([np.ones(at_upper.size), -np.ones(at_lower.size)])

@@ -10,8 +10,7 @@ from typing import final
 import numpy as np
 
 from aleator._core.errors import ProblemError
-
-from ._program import Evaluation
+from aleator.nlp._program import Evaluation
 
 
 @final

@@ -6,13 +6,12 @@ from typing import Any, final
 import numpy as np
 
 from aleator._core.errors import MissingExtraError
-
-from ._certificate import Multipliers
-from ._ipopt import Ipopt
-from ._outcome import Status
-from ._scaling import ScaledProgram
-from ._solver import AbstractSolver
-from ._verdict import Answer
+from aleator.nlp._certificate import Multipliers
+from aleator.nlp._ipopt import Ipopt
+from aleator.nlp._outcome import Status
+from aleator.nlp._scaling import ScaledProgram
+from aleator.nlp._solver import AbstractSolver
+from aleator.nlp._verdict import Answer
 
 # Beyond this many pairs, the limited memory costs more than the curvature it remembers is worth.
 _LARGEST_MEMORY = 20
@@ -86,8 +85,7 @@ def _import() -> Any:
         import unopy
     except ImportError as error:
         raise MissingExtraError(
-            "`FilterSQP` needs the library unopy: install it with `pip install unopy`, or use "
-            "`Ipopt()` instead."
+            "`FilterSQP` needs the library unopy: install it with `pip install unopy`, or use `Ipopt()` instead."
         ) from error
     return unopy
 

@@ -5,12 +5,12 @@ from typing import Any, final
 
 import numpy as np
 
-from ._certificate import Multipliers
-from ._evaluations import HaltedError, NotFiniteError
-from ._outcome import Status
-from ._scaling import ScaledProgram
-from ._solver import AbstractSolver
-from ._verdict import Answer
+from aleator.nlp._certificate import Multipliers
+from aleator.nlp._evaluations import HaltedError, NotFiniteError
+from aleator.nlp._outcome import Status
+from aleator.nlp._scaling import ScaledProgram
+from aleator.nlp._solver import AbstractSolver
+from aleator.nlp._verdict import Answer
 
 _CLAIMS = {
     "Solve_Succeeded": Status.SOLVED,

@@ -6,7 +6,7 @@ from typing import final
 
 import numpy as np
 
-from ._program import Evaluation
+from aleator.nlp._program import Evaluation
 
 
 @final

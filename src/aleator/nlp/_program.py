@@ -96,8 +96,7 @@ def _check_bounds(lower_name: str, upper_name: str, lower: np.ndarray, upper: np
     if not possible.all():
         first = int(np.flatnonzero(~possible)[0])
         raise ProblemError(
-            f"Expected `{lower_name}` <= `{upper_name}`. "
-            f"Received {lower[first]} and {upper[first]} at index {first}."
+            f"Expected `{lower_name}` <= `{upper_name}`. Received {lower[first]} and {upper[first]} at index {first}."
         )
 
 
@@ -105,6 +104,4 @@ def _check_positive(name: str, scale: np.ndarray) -> None:
     valid = np.isfinite(scale) & (scale > 0)
     if not valid.all():
         first = int(np.flatnonzero(~valid)[0])
-        raise ProblemError(
-            f"Expected `{name}` positive and finite. Received {scale[first]} at index {first}."
-        )
+        raise ProblemError(f"Expected `{name}` positive and finite. Received {scale[first]} at index {first}.")

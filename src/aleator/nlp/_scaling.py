@@ -6,8 +6,8 @@ from typing import final
 
 import numpy as np
 
-from ._evaluations import Evaluations
-from ._program import Evaluation, NonlinearProgram
+from aleator.nlp._evaluations import Evaluations
+from aleator.nlp._program import Evaluation, NonlinearProgram
 
 # IPOPT's rule of gradient-based scaling (Wächter and Biegler 2006, section 3.8) keeps gradients below 100.
 _LARGEST_GRADIENT = 100.0

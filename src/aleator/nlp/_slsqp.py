@@ -7,12 +7,12 @@ from typing import Any, NamedTuple, final
 
 import numpy as np
 
-from ._evaluations import NotFiniteError
-from ._outcome import Status
-from ._program import Evaluation
-from ._scaling import ScaledProgram
-from ._solver import AbstractSolver
-from ._verdict import Answer
+from aleator.nlp._evaluations import NotFiniteError
+from aleator.nlp._outcome import Status
+from aleator.nlp._program import Evaluation
+from aleator.nlp._scaling import ScaledProgram
+from aleator.nlp._solver import AbstractSolver
+from aleator.nlp._verdict import Answer
 
 # SLSQP's exit modes (Kraft 1988).
 _CONVERGED, _INCOMPATIBLE, _ITERATION_LIMIT = 0, 4, 9
@@ -66,9 +66,7 @@ class Slsqp(AbstractSolver):
         for _ in range(self.max_rounds):
             rows = np.union1d(rows, _worst_rows(scaled, point))
             before = point
-            point, mode, spent, message = search(
-                scaled, point, rows, self.tolerance, self.max_iterations - iterations
-            )
+            point, mode, spent, message = search(scaled, point, rows, self.tolerance, self.max_iterations - iterations)
             iterations += spent
             if not scaled.is_finite(point):
                 return Answer(Status.EVALUATION_FAILED, before, None, iterations, message)
@@ -85,9 +83,7 @@ class Slsqp(AbstractSolver):
                 return Answer(claim, point, None, iterations, message)
             elif mode == _INCOMPATIBLE or settled:
                 search, restarts = _least_violation, restarts + 1
-        return Answer(
-            Status.ITERATION_LIMIT, point, None, iterations, "the exchange of rows reached its limit"
-        )
+        return Answer(Status.ITERATION_LIMIT, point, None, iterations, "the exchange of rows reached its limit")
 
     def _met(self, scaled: ScaledProgram, point: np.ndarray, rows: np.ndarray) -> bool:
         """Whether no row outside `rows` is violated more than those inside: another round would change
@@ -208,9 +204,7 @@ def _walled(scaled: ScaledProgram, point: np.ndarray) -> Callable[[np.ndarray], 
         try:
             latest = scaled.evaluate(z)
         except NotFiniteError:
-            return latest._replace(
-                objective=latest.objective + _WALL, constraints=latest.constraints + outward
-            )
+            return latest._replace(objective=latest.objective + _WALL, constraints=latest.constraints + outward)
         return latest
 
     return at

@@ -7,12 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from aleator._core.errors import ProblemError
-
-from ._evaluations import HaltedError, NotFiniteError, NowhereFiniteError
-from ._outcome import Outcome, Status
-from ._program import NonlinearProgram
-from ._scaling import ScaledProgram
-from ._verdict import Answer, Verdict, judge
+from aleator.nlp._evaluations import HaltedError, NotFiniteError, NowhereFiniteError
+from aleator.nlp._outcome import Outcome, Status
+from aleator.nlp._program import NonlinearProgram
+from aleator.nlp._scaling import ScaledProgram
+from aleator.nlp._verdict import Answer, Verdict, judge
 
 
 @dataclass(frozen=True)
@@ -96,9 +95,7 @@ class AbstractSolver(abc.ABC):
             answer = Answer(Status.FAILED, scaled.start, None, 0, "stopped by the user")
         halt = scaled.evaluations.halt
         if isinstance(halt, KeyboardInterrupt):
-            return answer._replace(
-                claim=Status.INTERRUPTED, multipliers=None, message="interrupted by the user"
-            )
+            return answer._replace(claim=Status.INTERRUPTED, multipliers=None, message="interrupted by the user")
         if isinstance(halt, NowhereFiniteError):
             return answer._replace(claim=Status.EVALUATION_FAILED, point=scaled.start, multipliers=None)
         if halt is not None:
@@ -109,9 +106,7 @@ class AbstractSolver(abc.ABC):
         try:
             scaled.begin()
         except NotFiniteError:
-            return Answer(
-                Status.EVALUATION_FAILED, scaled.start, None, 0, "the model is not finite at the start"
-            )
+            return Answer(Status.EVALUATION_FAILED, scaled.start, None, 0, "the model is not finite at the start")
         if scaled.size == 0:
             return Answer(Status.SOLVED, scaled.start, None, 0, "every decision is fixed")
         warm = None if multipliers is None else scaled.multipliers_to_scaled(multipliers)
@@ -146,7 +141,5 @@ def _outcome(scaled: ScaledProgram, answer: Answer, verdict: Verdict, solver: st
 def _checked(name: str, value: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
     array = np.array(value, dtype=float)
     if array.shape != shape or not np.isfinite(array).all():
-        raise ProblemError(
-            f"Expected finite `{name}` of shape {shape}. Received shape {array.shape}: {array}."
-        )
+        raise ProblemError(f"Expected finite `{name}` of shape {shape}. Received shape {array.shape}: {array}.")
     return array

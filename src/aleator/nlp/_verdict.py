@@ -4,11 +4,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ._certificate import Certificate, Multipliers, certify, fit_multipliers, is_least_violated
-from ._evaluations import NotFiniteError
-from ._outcome import Status
-from ._program import Evaluation
-from ._scaling import ScaledProgram
+from aleator.nlp._certificate import Certificate, Multipliers, certify, fit_multipliers, is_least_violated
+from aleator.nlp._evaluations import NotFiniteError
+from aleator.nlp._outcome import Status
+from aleator.nlp._program import Evaluation
+from aleator.nlp._scaling import ScaledProgram
 
 # A solver's word that it converged is believed up to these residuals.
 _BELIEVED_VIOLATION = 1e-6
@@ -64,17 +64,13 @@ def judge(scaled: ScaledProgram, answer: Answer) -> Verdict:
     verdict = _at(scaled, (answer.point, user), answer)
     status = _status(scaled, answer, evaluation, verdict.certificate)
     if status is not answer.claim:
-        verdict = verdict._replace(
-            status=status, message=f"{answer.message}; judged: {_reason(verdict.certificate)}"
-        )
+        verdict = verdict._replace(status=status, message=f"{answer.message}; judged: {_reason(verdict.certificate)}")
     if status is Status.INFEASIBLE:
         return _at(scaled, scaled.best, Answer(status, answer.point, None, 0, verdict.message))
     return verdict
 
 
-def _status(
-    scaled: ScaledProgram, answer: Answer, evaluation: Evaluation, certificate: Certificate
-) -> Status:
+def _status(scaled: ScaledProgram, answer: Answer, evaluation: Evaluation, certificate: Certificate) -> Status:
     claim = answer.claim
     if certificate.within(_PROVEN_VIOLATION, _PROVEN_OPTIMALITY):
         return Status.SOLVED
@@ -96,9 +92,7 @@ def _at(scaled: ScaledProgram, point: tuple[np.ndarray, Evaluation], answer: Ans
     if not candidates or not candidates[0][0].within(np.inf, _PROVEN_OPTIMALITY):
         fitted = fit_multipliers(scaled, z, evaluation)
         candidates.append((certify(scaled, z, evaluation, fitted), fitted))
-    certificate, multipliers = min(
-        candidates, key=lambda pair: max(pair[0].stationarity, pair[0].complementarity)
-    )
+    certificate, multipliers = min(candidates, key=lambda pair: max(pair[0].stationarity, pair[0].complementarity))
     return Verdict(answer.claim, z, user, multipliers, certificate, answer.message)
 
 

@@ -24,9 +24,7 @@ def diagnose(transcription: Sequential, decisions: Float[np.ndarray, " n"]) -> s
         f"{key}={value:.6g}" for key, value in _realisation(transcription, decisions, point).items()
     )
     count = len(outputs[name])
-    remedy = (
-        "Shorten the time step, tighten the decisions' bounds or use an implicit integrator (al.Kvaerno5)."
-    )
+    remedy = "Shorten the time step, tighten the decisions' bounds or use an implicit integrator (al.Kvaerno5)."
     who = (
         f"the simulation of collocation point {point + 1} of {count} ({realisation})"
         if realisation

@@ -26,25 +26,23 @@ class ExpansionScope(AbstractScope):
         decisions: Float[Array, " n"],
     ):
         samples = responses(problem, functionals, collocation.points, decisions)
-        self.samples: Mapping[Functional, Array] = dict(zip(functionals, samples, strict=True))
-        self.coefficients = {one: collocation.coefficients(values) for one, values in self.samples.items()}
+        self.functionals = functionals
+        self._samples: Mapping[Functional, Array] = dict(zip(functionals, samples, strict=True))
+        self._coefficients = {one: collocation.coefficients(values) for one, values in self._samples.items()}
         self._collocation = collocation
         self._numbers = named_numbers(problem.model, decisions)
 
     def statistic(self, functional: Functional, kind: str) -> Float[Array, "..."]:
         """See `AbstractScope.statistic`."""
-        return STATISTICS[kind](self.coefficients[functional])
+        return STATISTICS[kind](self._coefficients[functional])
 
     def value(self, name: str) -> Float[Array, ""]:
         """See `AbstractScope.value`."""
         return self._numbers[name]
 
-    def leave_one_out(self) -> dict[Functional, Float[Array, ""]]:
-        """The relative leave-one-out error of each functional's expansion."""
-        return {
-            one: leave_one_out(self._collocation, values, self.coefficients[one])
-            for one, values in self.samples.items()
-        }
+    def leave_one_out(self, functional: Functional) -> Float[Array, ""]:
+        """The relative leave-one-out error of a functional's expansion."""
+        return leave_one_out(self._collocation, self._samples[functional], self._coefficients[functional])
 
 
 def collocation_of(problem: Problem) -> Collocation:

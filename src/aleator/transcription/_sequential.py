@@ -5,7 +5,7 @@ values and the Jacobian of the objective and of all constraints come from one co
 """
 
 from dataclasses import dataclass
-from typing import final
+from typing import NamedTuple, final
 
 import jax
 import jax.numpy as jnp
@@ -35,20 +35,29 @@ def _values_and_jacobian(
     return rows, jacobian
 
 
-def _leave_one_out(
-    problem: Problem, collocation: Collocation, decisions: Float[Array, " n"]
-) -> tuple[Array, ...]:
-    return tuple(scope_of(problem, collocation, decisions).leave_one_out().values())
+class Resolved(NamedTuple):
+    """One functional at given decisions: its moments, and how well its expansion predicts a new sample."""
+
+    mean: Float[Array, "*shape"]
+    std: Float[Array, "*shape"]
+    leave_one_out: Float[Array, ""]
 
 
-def _outputs_at_points(
-    problem: Problem, collocation: Collocation, decisions: Float[Array, " n"]
-) -> dict[str, Array]:
+def _resolve(problem: Problem, collocation: Collocation, decisions: Float[Array, " n"]) -> tuple[Resolved, ...]:
+    """The moments and leave-one-out error of each functional."""
+    scope = scope_of(problem, collocation, decisions)
+    return tuple(
+        Resolved(scope.statistic(one, "mean"), scope.statistic(one, "std"), scope.leave_one_out(one))
+        for one in scope.functionals
+    )
+
+
+def _outputs_at_points(problem: Problem, collocation: Collocation, decisions: Float[Array, " n"]) -> dict[str, Array]:
     return jax.vmap(lambda germ: history(problem, germ, decisions))(collocation.points)
 
 
 EVALUATE = Compiled(_values_and_jacobian)
-LEAVE_ONE_OUT = Compiled(_leave_one_out)
+RESOLVE = Compiled(_resolve)
 OUTPUTS_AT_POINTS = Compiled(_outputs_at_points)
 
 
@@ -68,11 +77,9 @@ class Sequential:
         """Histories of all outputs at all collocation points."""
         return OUTPUTS_AT_POINTS(self.traced, self.collocation, jnp.asarray(decisions))
 
-    def leave_one_out(self, decisions: Float[np.ndarray, " n"]) -> tuple[float, ...]:
-        """The relative leave-one-out error of each functional."""
-        return tuple(
-            float(error) for error in LEAVE_ONE_OUT(self.traced, self.collocation, jnp.asarray(decisions))
-        )
+    def resolve(self, decisions: Float[np.ndarray, " n"]) -> tuple[Resolved, ...]:
+        """The moments and leave-one-out error of each functional, in the order of `functionals_of`."""
+        return RESOLVE(self.traced, self.collocation, jnp.asarray(decisions))
 
 
 def transcribe(problem: Problem) -> Sequential:
@@ -89,9 +96,7 @@ def transcribe(problem: Problem) -> Sequential:
     traced = numbers_to_arrays(problem)
 
     def evaluate(decisions: Float[np.ndarray, " n"]) -> Evaluation:
-        values, jacobian = (
-            np.asarray(part) for part in EVALUATE(traced, collocation, jnp.asarray(decisions))
-        )
+        values, jacobian = (np.asarray(part) for part in EVALUATE(traced, collocation, jnp.asarray(decisions)))
         return Evaluation(float(values[0]), jacobian[0], values[1:], jacobian[1:])
 
     start = places.vector("initial")

@@ -1,6 +1,6 @@
 """`Decision`: a number of a model that the optimiser chooses."""
 
-from typing import final
+from typing import Any, final
 
 import equinox as eqx
 import numpy as np
@@ -34,8 +34,7 @@ class Decision(eqx.Module):
         *,
         shared_name: str | None = None,
     ):
-        start = np.asarray(initial, dtype=float)
-        bounds = [np.asarray(bound, dtype=float) for bound in (lower, upper)]
+        start, *bounds = (_real(value) for value in (initial, lower, upper))
         _check(start, *bounds)
         self.initial, self.lower, self.upper = (
             float(value) if start.ndim == 0 else np.broadcast_to(value, start.shape).copy()
@@ -46,6 +45,13 @@ class Decision(eqx.Module):
     def shared(self, name: str) -> "Decision":
         """The same decision wherever it is placed: all placements shared under one name are one decision."""
         return Decision(self.initial, self.lower, self.upper, shared_name=name)
+
+
+def _real(value: Any) -> np.ndarray:
+    try:
+        return np.asarray(value, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise ProblemError(f"A Decision takes numbers or arrays of numbers; received {value!r}.") from error
 
 
 def _check(start: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> None:

@@ -48,9 +48,7 @@ class AbstractDistribution(eqx.Module):
 
     def _take(self, given: dict[str, Any], shared_name: str | None) -> None:
         """Store the parameters that were given, after checking that they make a law."""
-        parameters = {
-            name: _plain(name, value, type(self)) for name, value in given.items() if value is not None
-        }
+        parameters = {name: _plain(name, value, type(self)) for name, value in given.items() if value is not None}
         self.parameters = parameters
         self.shared_name = shared_name
         self._names()
@@ -76,9 +74,12 @@ class AbstractDistribution(eqx.Module):
 
     def _check(self) -> None:
         """Refuse parameters that make no law, at the initial values of its decisions."""
-        location, scale, shape = self.initial().canonical()
-        numbers = [float(value) for value in (location, scale, *shape)]
-        if not np.all(np.isfinite(numbers)) or numbers[1] <= 0 or any(value <= 0 for value in numbers[2:]):
+        given = {name: np.float64(value) for name, value in self.initial().parameters.items()}
+        with np.errstate(all="ignore"):  # a division by zero leaves an infinity or a nan, refused below
+            location, scale, shape = self.form.canonical(**given)
+        # A given standard deviation is squared on its way to some canonical forms, which hides its sign.
+        positive = [scale, *shape, given.get("std", 1.0)]
+        if not np.all(np.isfinite([location, *positive])) or min(positive) <= 0:
             raise ProblemError(
                 f"{type(self).__name__} needs finite parameters, a positive spread and positive shape parameters; "
                 f"received {self}."
@@ -98,9 +99,7 @@ class AbstractDistribution(eqx.Module):
             name: choose(name, value) if isinstance(value, Decision) else value
             for name, value in self.parameters.items()
         }
-        return eqx.tree_at(
-            lambda law: law.parameters, self, chosen, is_leaf=lambda leaf: isinstance(leaf, dict)
-        )
+        return eqx.tree_at(lambda law: law.parameters, self, chosen, is_leaf=lambda leaf: isinstance(leaf, dict))
 
     @property
     def decisions(self) -> dict[str, Decision]:
@@ -154,11 +153,15 @@ def _plain(name: str, value: Any, family: type) -> Any:
         received = f"a Decision of shape {np.shape(value.initial)}"
     elif isinstance(value, jax.Array) and value.ndim == 0:
         return value
-    elif isinstance(value, int | float | np.number) or (isinstance(value, np.ndarray) and value.ndim == 0):
+    elif isinstance(value, int | float | np.number | np.ndarray) and _is_one_real(np.asarray(value)):
         return float(value)
     else:
         received = f"{type(value).__name__} {value!r}"
     raise ProblemError(f"{family.__name__}: '{name}' takes one number or one Decision; received {received}.")
+
+
+def _is_one_real(value: np.ndarray) -> bool:
+    return value.ndim == 0 and value.dtype.kind in "iuf"
 
 
 def _brief(value: Any) -> str:

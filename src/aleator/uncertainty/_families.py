@@ -68,9 +68,7 @@ class Uniform(AbstractDistribution):
 class Normal(AbstractDistribution):
     """Normal distribution with `mean` and standard deviation `std`: standard normal germ, Hermite polynomials."""
 
-    FORMS: ClassVar[dict[tuple[str, ...], Form]] = {
-        ("mean", "std"): Form(lambda mean, std: Canonical(mean, std))
-    }
+    FORMS: ClassVar[dict[tuple[str, ...], Form]] = {("mean", "std"): Form(lambda mean, std: Canonical(mean, std))}
 
     def __init__(self, mean: Any = None, std: Any = None, *, shared_name: str | None = None):
         self._take({"mean": mean, "std": std}, shared_name)
@@ -111,9 +109,7 @@ class Beta(AbstractDistribution):
 
     FORMS: ClassVar[dict[tuple[str, ...], Form]] = {
         ("alpha", "beta", "lower", "upper"): Form(_beta_from_shape, frozenset({"alpha", "beta"})),
-        ("mean", "std", "lower", "upper"): Form(
-            _beta_from_moments, frozenset({"mean", "std", "lower", "upper"})
-        ),
+        ("mean", "std", "lower", "upper"): Form(_beta_from_moments, frozenset({"mean", "std", "lower", "upper"})),
     }
 
     def __init__(
@@ -131,7 +127,7 @@ class Beta(AbstractDistribution):
         self._take(given, shared_name)
 
     def _check(self) -> None:
-        lower, upper = (float(value) for value in self.initial().support())
+        lower, upper = (float(bound) for bound in self.initial().support())
         if not lower < upper:
             raise ProblemError(f"Beta needs lower < upper; received {self}.")
         super()._check()
@@ -158,8 +154,7 @@ class Beta(AbstractDistribution):
 
     def support(self) -> tuple[Scalar, Scalar]:
         """See `AbstractDistribution.support`."""
-        location, scale, _ = self.canonical()
-        return location - scale, location + scale
+        return self.parameters["lower"], self.parameters["upper"]
 
 
 def _gamma_from_moments(mean: Scalar, std: Scalar, lower: Scalar) -> Canonical:
@@ -213,4 +208,4 @@ class Gamma(AbstractDistribution):
 
     def support(self) -> tuple[Scalar, Scalar]:
         """See `AbstractDistribution.support`."""
-        return self.canonical().location, np.inf
+        return self.parameters["lower"], np.inf

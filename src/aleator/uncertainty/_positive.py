@@ -9,7 +9,7 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from aleator._core.arrays import Pytree, is_number
+from aleator._core.arrays import Pytree
 from aleator._core.errors import ProblemError
 from aleator.uncertainty._decision import Decision
 from aleator.uncertainty._distribution import AbstractDistribution
@@ -25,13 +25,20 @@ def parameter(unit: str = "", *, positive: bool = False, **options: Any) -> Any:
 
 
 def fields_of(model: Pytree, path: str = "") -> Iterator[tuple[str, dataclasses.Field, Any]]:
-    """The fields of a model and of the modules inside it: name, field, value."""
-    if not isinstance(model, eqx.Module) or is_special(model):
-        return
-    for field in dataclasses.fields(model):
-        value = getattr(model, field.name, None)
-        yield path + field.name, field, value
-        yield from fields_of(value, f"{path}{field.name}.")
+    """The fields of a model and of the modules anywhere inside it: name, field, value."""
+    for where, module in jax.tree_util.tree_leaves_with_path(model, is_leaf=_is_module):
+        if not _is_module(module) or is_special(module):
+            continue
+        place = path + "".join(f"{jax.tree_util.keystr((key,), simple=True)}." for key in where)
+        for field in dataclasses.fields(module):
+            value = getattr(module, field.name, None)
+            yield place + field.name, field, value
+            if not field.metadata.get("static", False):
+                yield from fields_of(value, f"{place}{field.name}.")
+
+
+def _is_module(node: Any) -> bool:
+    return isinstance(node, eqx.Module)
 
 
 def refuse_nonpositive(model: Pytree) -> None:
@@ -50,10 +57,13 @@ def _lowest(leaf: Any) -> float | None:
     if isinstance(leaf, AtMean):
         leaf = leaf.distribution
     if isinstance(leaf, AbstractDistribution):
-        return min(float(law.support()[0]) for law in _corners(leaf))
+        # Both ends, because a spread that may become negative swaps them.
+        return float(np.min([law.support() for law in _corners(leaf)]))
     if isinstance(leaf, Decision):
-        return float(np.min(leaf.lower))
-    return float(np.min(np.asarray(leaf))) if is_number(leaf) or isinstance(leaf, int) else None
+        return float(np.min(leaf.lower, initial=np.inf))
+    if isinstance(leaf, int | float | np.ndarray | jax.Array) and np.asarray(leaf).dtype.kind in "biuf":
+        return float(np.min(np.asarray(leaf), initial=np.inf))
+    return None
 
 
 def _corners(law: AbstractDistribution) -> Iterator[AbstractDistribution]:

@@ -80,9 +80,12 @@ def _places(model: Pytree) -> Iterator[tuple[str, Any]]:
 
 def _name(path: Any, leaf: Any) -> str:
     """A leaf's name. A problem's model is the pair of its `system` and `inputs`: only the latter shows in names."""
-    shared = leaf.distribution if isinstance(leaf, AtMean) else leaf
     place = jax.tree_util.keystr(path, simple=True, separator=".").removeprefix("system.")
-    return getattr(shared, "shared_name", None) or place
+    return _shared_name(leaf) or place
+
+
+def _shared_name(leaf: Any) -> str | None:
+    return getattr(leaf.distribution if isinstance(leaf, AtMean) else leaf, "shared_name", None)
 
 
 def _decisions_in(name: str, leaf: Any) -> Iterator[tuple[str, Decision]]:
@@ -101,16 +104,20 @@ def _distribution_of(leaf: AbstractDistribution | AtMean) -> AbstractDistributio
 def survey(model: Pytree) -> Survey:
     """Find the distributions and decisions of a model.
 
-    Raises `ProblemError` if one shared name stands for two different laws or decisions.
+    Raises `ProblemError` if one name stands for two laws or decisions that were not made one by `shared`.
     """
+    found: dict[str, Any] = {}
     distributions: dict[str, AbstractDistribution] = {}
     decisions: dict[str, Place] = {}
     size = 0
     for name, leaf in _places(model):
         if not is_special(leaf):
             continue
+        if name in found:
+            _refuse_conflict(name, found[name], leaf)
+            continue
+        found[name] = leaf
         if isinstance(leaf, AbstractDistribution):
-            _refuse_conflict(name, distributions.get(name), leaf)
             distributions[name] = leaf
         for key, decision in _decisions_in(name, leaf):
             if key in decisions:
@@ -123,12 +130,16 @@ def survey(model: Pytree) -> Survey:
 
 
 def _refuse_conflict(name: str, first: Any, second: Any) -> None:
-    if first is None or _is_traced(first) or eqx.tree_equal(first, second):
-        return
-    raise ProblemError(
-        f"'{name}' is shared by two placements that differ: {first} and {second}. "
-        "Give the same distribution or decision in both places, or two names."
-    )
+    if _shared_name(first) is None or _shared_name(second) is None:
+        raise ProblemError(
+            f"'{name}' names two placements: {first} and {second}. "
+            "Rename one of them, or give the same `shared` name to both if they are one."
+        )
+    if not (_is_traced(first) or eqx.tree_equal(first, second)):
+        raise ProblemError(
+            f"'{name}' is shared by two placements that differ: {first} and {second}. "
+            "Give the same distribution or decision in both places, or two names."
+        )
 
 
 def _is_traced(tree: Pytree) -> bool:
@@ -196,9 +207,7 @@ def named_numbers(model: Pytree, decisions: Float[Array, " n"]) -> dict[str, Any
         elif is_special(leaf):
             law = _decided(_distribution_of(leaf), name, places, decisions)
             moments = {"mean": law.mean(), "std": law.std()}
-            numbers |= {
-                f"{name}.{key}": jnp.asarray(value) for key, value in (moments | law.parameters).items()
-            }
+            numbers |= {f"{name}.{key}": jnp.asarray(value) for key, value in (moments | law.parameters).items()}
         elif is_number(leaf) or isinstance(leaf, jax.Array):
             numbers[name] = jnp.asarray(leaf)
     return numbers

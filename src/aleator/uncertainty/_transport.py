@@ -16,9 +16,13 @@ from jaxtyping import Array, Float
 _BISECTIONS = 70
 
 
-def _tanh_sinh(nodes: int = 81, reach: float = 3.4) -> tuple[np.ndarray, np.ndarray]:
-    """Nodes and weights on (0, 1) that stand singular end points (Takahasi and Mori, 1974)."""
-    t = np.linspace(-reach, reach, nodes)
+def _tanh_sinh(nodes: int = 111, first: float = -6.0, last: float = 3.4) -> tuple[np.ndarray, np.ndarray]:
+    """Nodes and weights on (0, 1) that stand singular end points (Takahasi and Mori, 1974).
+
+    They start at 1e-275, so that nothing is cut off where a small shape parameter makes the density nearly
+    not integrable at 0, and end one rounding error before 1, where the integrands are smooth.
+    """
+    t = np.linspace(first, last, nodes)
     u = np.pi * np.sinh(t)
     return 1 / (1 + np.exp(-u)), (t[1] - t[0]) * np.pi * np.cosh(t) / (4 * np.cosh(u / 2) ** 2)
 
@@ -40,9 +44,7 @@ def _bisect(cumulative: Callable[[Array], Array], level: Array) -> Array:
 
 
 @jax.custom_jvp
-def beta_quantile(
-    level: Float[Array, ""], alpha: Float[Array, ""], beta: Float[Array, ""]
-) -> Float[Array, ""]:
+def beta_quantile(level: Float[Array, ""], alpha: Float[Array, ""], beta: Float[Array, ""]) -> Float[Array, ""]:
     """Quantile on (0, 1) of the Beta law, differentiable in all three arguments."""
     return _bisect(lambda x: special.betainc(alpha, beta, x), level)
 
@@ -73,9 +75,7 @@ def _beta_cumulative_derivatives(x: Array, alpha: Array, beta: Array) -> tuple[A
         jnp.where(left, length * _NODES, 1 - length * _NODES),
         jnp.where(left, 1 - length * _NODES, length * _NODES),
     )
-    mass = (
-        jnp.exp(_beta_log_density(t, complement, alpha, beta)) * _WEIGHTS * jnp.where(left, length, -length)
-    )
+    mass = jnp.exp(_beta_log_density(t, complement, alpha, beta)) * _WEIGHTS * jnp.where(left, length, -length)
     both = special.digamma(alpha + beta)
     by_alpha = jnp.sum((jnp.log(t) - special.digamma(alpha) + both) * mass)
     by_beta = jnp.sum((jnp.log(complement) - special.digamma(beta) + both) * mass)

@@ -1,0 +1,8 @@
+"""Monte Carlo re-simulation of a design, independent of the expansion it checks."""
+
+from aleator.validation._evidence import PERCENTILES as PERCENTILES
+from aleator.validation._evidence import Evidence as Evidence
+from aleator.validation._evidence import Sampled as Sampled
+from aleator.validation._evidence import Trajectories as Trajectories
+from aleator.validation._proportion import Proportion as Proportion
+from aleator.validation._validate import validate as validate

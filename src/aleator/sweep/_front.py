@@ -1,0 +1,109 @@
+"""`pareto`: one problem for many values of a bound (the constraint form of multi-objective design, section 3.5.1)."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+from jaxtyping import Float
+
+from aleator._core.errors import ProblemError
+from aleator._core.progress import Progress, silent
+from aleator.design import Problem, Solution
+from aleator.nlp import AbstractSolver
+from aleator.solve import solve
+
+
+@final
+@dataclass(frozen=True)
+class Front:
+    """Optimal designs along a bound. `print(front)` shows them.
+
+    - `bound`: the name of the constraint; `values`: its bounds, shape (points,);
+    - `solutions`: one a point, also where the problem is infeasible: see `Solution.status` and `Solution.why()`;
+    - `interrupted`: whether the sweep was stopped early; the points finished by then are all here.
+    """
+
+    bound: str
+    values: Float[np.ndarray, " points"]
+    solutions: tuple[Solution, ...]
+    interrupted: bool = False
+
+    @property
+    def solved(self) -> np.ndarray:
+        """Which points have a certified optimum."""
+        return np.array([solution.ok for solution in self.solutions], dtype=bool)
+
+    @property
+    def objectives(self) -> Float[np.ndarray, " points"]:
+        """The optimum at each point, not a number where there is none."""
+        return np.array([solution.objective if solution.ok else np.nan for solution in self.solutions])
+
+    @property
+    def prices(self) -> Float[np.ndarray, " points"]:
+        """How much the optimum falls for each unit by which the bound is relaxed; not a number where there is none."""
+        return np.array([one.multiplier(self.bound) if one.ok else np.nan for one in self.solutions])
+
+    @property
+    def violations(self) -> Float[np.ndarray, " points"]:
+        """The scaled violation at each point: the least one found where the problem is infeasible."""
+        return np.array([solution.violation for solution in self.solutions])
+
+    def __str__(self) -> str:
+        rows = zip(self.values, self.solutions, strict=True)
+        return "\n".join(
+            [f"{self.bound:>10} {'objective':>12} {'price':>10}  active"] + [_row(self, *row) for row in rows]
+        )
+
+
+def _row(front: Front, value: float, solution: Solution) -> str:
+    if not solution.ok:
+        return f"{value:10.5g} {solution.status.name.lower().replace('_', ' '):>12}  {solution.why()}"
+    price = solution.multiplier(front.bound)
+    return f"{value:10.5g} {solution.objective:12.6g} {price:10.4g}  {', '.join(solution.active)}"
+
+
+def pareto(
+    problem: Problem,
+    bound: str,
+    values: Iterable[float],
+    *,
+    solver: AbstractSolver | None = None,
+    progress: Progress = silent,
+) -> Front:
+    """Solve a problem for each value of the bound called `bound`, each from the nearest solution found so far.
+
+    The problem is compiled once: bounds are data. A point that fails is tried again from the problem's own start, and then
+    kept with its status and least violation. Ctrl-C ends the sweep and returns the points finished by then.
+
+    Raises `ProblemError` if there is no such constraint or no value.
+    """
+    bounds = [float(value) for value in values]
+    if not bounds:
+        raise ProblemError("pareto: expected at least one value of the bound; received none.")
+    problems = [problem.with_bound(bound, value) for value in bounds]
+    solutions: list[Solution] = []
+    try:
+        for one, value in zip(problems, bounds, strict=True):
+            progress(f"front over {bound}", len(solutions), len(bounds))
+            solutions.append(_point(one, _nearest(solutions, bounds, value), solver))
+    except KeyboardInterrupt:
+        pass
+    else:
+        progress(f"front over {bound}", len(bounds), len(bounds))
+    return Front(bound, np.array(bounds[: len(solutions)]), tuple(solutions), len(solutions) < len(bounds))
+
+
+def _nearest(solutions: list[Solution], bounds: list[float], value: float) -> Solution | None:
+    """The solved point whose bound is nearest."""
+    solved = [(abs(bounds[i] - value), i) for i, solution in enumerate(solutions) if solution.ok]
+    return solutions[min(solved)[1]] if solved else None
+
+
+def _point(problem: Problem, neighbour: Solution | None, solver: AbstractSolver | None) -> Solution:
+    """The solution at one point; where it fails from the neighbour and from the start, the less violated of the two."""
+    first = solve(problem, solver, warm_start=neighbour, throw=False)
+    if first.ok or neighbour is None:
+        return first
+    second = solve(problem, solver, throw=False)
+    return second if second.ok or second.violation < first.violation else first

@@ -1,0 +1,82 @@
+"""`Evidence`: what fresh Monte Carlo says of a design."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+from jaxtyping import Float
+
+from aleator.design import Solution
+from aleator.validation._proportion import Proportion
+
+PERCENTILES = (1.0, 5.0, 25.0, 50.0, 75.0, 95.0, 99.0)
+
+
+@final
+@dataclass(frozen=True)
+class Sampled:
+    """One functional over the samples, beside what the expansion said of it.
+
+    - `mean`, `std`: of the samples, a number or one number an instant; `standard_error`: of that mean;
+    - `percentiles`: at `PERCENTILES`, of functionals that are numbers; None for a path;
+    - `expanded_mean`, `expanded_std`: by the expansion at the solution (for a deterministic design, its nominal value).
+    """
+
+    text: str
+    mean: Float[np.ndarray, "*shape"]
+    std: Float[np.ndarray, "*shape"]
+    standard_error: Float[np.ndarray, "*shape"]
+    percentiles: Float[np.ndarray, " levels"] | None
+    expanded_mean: Float[np.ndarray, "*shape"]
+    expanded_std: Float[np.ndarray, "*shape"]
+
+
+@final
+@dataclass(frozen=True)
+class Trajectories:
+    """The value of one path constraint's expression on some sampled systems.
+
+    - `values`: shape (kept, instants); `violating`: shape (kept,), whether the system breaks any constraint of this name.
+    """
+
+    name: str
+    lower: float
+    upper: float
+    values: Float[np.ndarray, "kept instants"]
+    violating: np.ndarray
+
+
+@final
+@dataclass(frozen=True)
+class Evidence:
+    """A design re-simulated on fresh random systems, without any expansion. `print(evidence)` shows it.
+
+    - `violations`: by constraint name, how often a system violates any constraint of that name at any instant; constraints
+      on moments alone (a bound on a `std`, say) say nothing of one system and are left out;
+    - `joint`: how often a system violates at least one of them;
+    - `functionals`: sampled statistics beside the expansion's; `trajectories`: some systems, for drawing.
+    """
+
+    solution: Solution
+    samples: int
+    seed: int
+    violations: Mapping[str, Proportion]
+    joint: Proportion
+    functionals: Mapping[str, Sampled]
+    trajectories: tuple[Trajectories, ...]
+    seconds: float
+
+    def __str__(self) -> str:
+        rows = [f"{self.samples} fresh samples, seed {self.seed}, {self.seconds:.1f} s"]
+        rows += [f"  violates {name}: {share}" for name, share in self.violations.items()]
+        rows.append(f"  violates any: {self.joint} (95 % confidence)")
+        rows += [_row(one) for one in self.functionals.values() if np.ndim(one.mean) == 0]
+        return "\n".join(rows)
+
+
+def _row(one: Sampled) -> str:
+    return (
+        f"  {one.text}: mean {float(one.mean):.6g} ± {float(one.standard_error):.2g} (expansion {float(one.expanded_mean):.6g}), "
+        f"std {float(one.std):.6g} (expansion {float(one.expanded_std):.6g})"
+    )

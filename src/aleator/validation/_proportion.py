@@ -1,0 +1,45 @@
+"""`Proportion`: a probability estimated by counting, with its exact confidence interval."""
+
+from dataclasses import dataclass
+from typing import final
+
+from scipy import special
+
+
+@final
+@dataclass(frozen=True)
+class Proportion:
+    """How often something was counted in independent samples, as a probability.
+
+    `lower` and `upper` enclose the true probability with at least the given confidence (Clopper and Pearson, 1934),
+    also where nothing or everything was counted.
+    """
+
+    count: int
+    samples: int
+    confidence: float = 0.95
+
+    @property
+    def estimate(self) -> float:
+        """The observed frequency."""
+        return self.count / self.samples
+
+    @property
+    def lower(self) -> float:
+        """Lower end of the confidence interval."""
+        tail = (1 - self.confidence) / 2
+        return float(special.betaincinv(self.count, self.samples - self.count + 1, tail)) if self.count else 0.0
+
+    @property
+    def upper(self) -> float:
+        """Upper end of the confidence interval."""
+        tail, missed = (1 - self.confidence) / 2, self.samples - self.count
+        return float(special.betaincinv(self.count + 1, missed, 1 - tail)) if missed else 1.0
+
+    def __str__(self) -> str:
+        return f"{_percent(self.estimate)} ({_percent(self.lower)} to {_percent(self.upper)})"
+
+
+def _percent(probability: float) -> str:
+    """Three significant digits: 11.4 %, 0.0369 %."""
+    return f"{100 * probability:.3g} %"

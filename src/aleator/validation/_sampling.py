@@ -1,0 +1,99 @@
+"""One batch of Monte Carlo: simulate fresh systems and reduce them to what evidence needs."""
+
+from collections.abc import Mapping
+from typing import NamedTuple, final
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from aleator._core.compilation import Compiled
+from aleator.design import AbstractScope, Constraint, Functional, Problem, Statistic, functionals_of, responses
+from aleator.uncertainty import AbstractGerm, named_numbers
+
+
+class Batch(NamedTuple):
+    """What one batch of systems yields.
+
+    - `scalars`: by functional (those that are numbers), shape (systems,);
+    - `path_mean`, `path_square`: by functional (those that are paths), mean and sum of squared deviations, (instants,);
+    - `excess`: by constraint, how far it is beyond its bound at worst, shape (constraints, systems);
+    - `values`: by path constraint, its expression, shape (systems, instants).
+    """
+
+    scalars: dict[int, Float[Array, " systems"]]
+    path_mean: dict[int, Float[Array, "..."]]
+    path_square: dict[int, Float[Array, "..."]]
+    excess: Float[Array, "constraints systems"]
+    values: dict[int, Float[Array, "systems ..."]]
+
+
+@final
+class _OneSystem(AbstractScope):
+    """A single system: its mean is its value and nothing spreads."""
+
+    def __init__(self, values: Mapping[Functional, Array], numbers: Mapping[str, Array]):
+        self._values, self._numbers = values, numbers
+
+    def statistic(self, functional: Functional, kind: str) -> Array:
+        """See `AbstractScope.statistic`."""
+        value = self._values[functional]
+        return value if kind == "mean" else jnp.zeros_like(value)
+
+    def value(self, name: str) -> Array:
+        """See `AbstractScope.value`."""
+        return self._numbers[name]
+
+
+def speaks_of_one_system(constraint: Constraint) -> bool:
+    """Whether a constraint has a meaning for a single system: whether a mean stands in it."""
+    return any(isinstance(atom, Statistic) and atom.kind == "mean" for atom in constraint.expression.atoms)
+
+
+def _simulate_batch(problem: Problem, germ: Float[Array, "systems variables"], decisions: Float[Array, " n"]) -> Batch:
+    functionals = functionals_of(problem.expressions)
+    samples = responses(problem, functionals, germ, decisions)
+    numbers = named_numbers(problem.model, decisions)
+
+    def judge(values: tuple[Array, ...]) -> tuple[list[Array], dict[int, Array]]:
+        scope = _OneSystem(dict(zip(functionals, values, strict=True)), numbers)
+        judged = [_judge(constraint, scope) for constraint in problem.constraints]
+        paths = {i: value for i, (_, value) in enumerate(judged) if problem.constraints[i].is_path}
+        return [excess for excess, _ in judged], paths
+
+    excess, values = jax.vmap(judge)(samples)
+    shape = samples[0].shape[:1] if samples else germ.shape[:1]
+    scalars = {i: one for i, one in enumerate(samples) if one.ndim == 1}
+    paths = {i: one for i, one in enumerate(samples) if one.ndim > 1}
+    means = {i: one.mean(axis=0) for i, one in paths.items()}
+    return Batch(
+        scalars=scalars,
+        path_mean=means,
+        path_square={i: jnp.sum((one - means[i]) ** 2, axis=0) for i, one in paths.items()},
+        excess=jnp.stack(excess) if excess else jnp.zeros((0, *shape)),
+        values=values,
+    )
+
+
+def _judge(constraint: Constraint, scope: AbstractScope) -> tuple[Array, Array]:
+    """How far one system is beyond a constraint's bounds at worst, and the constraint's expression."""
+    value = jnp.asarray(constraint.expression.evaluate(scope))
+    excess = jnp.max(jnp.maximum(value - constraint.upper, constraint.lower - value))
+    return (excess if speaks_of_one_system(constraint) else jnp.full((), -jnp.inf)), value
+
+
+SIMULATE_BATCH = Compiled(_simulate_batch)
+
+
+def draw(germs: tuple[AbstractGerm, ...], count: int, generator: np.random.Generator) -> Float[np.ndarray, "count n"]:
+    """Independent germ points, by the quantile functions."""
+    # 1 - u lies in (0, 1], u in [0, 1): the middle of the two never hits an end, where unbounded laws are infinite.
+    levels = generator.uniform(np.finfo(float).tiny, 1.0, (count, len(germs)))
+    return np.stack([germ.quantile(levels[:, i]) for i, germ in enumerate(germs)], axis=1)
+
+
+def finite(batch: Batch) -> Bool[np.ndarray, " systems"]:
+    """Which systems gave finite numbers throughout."""
+    rows = [np.asarray(one)[None] for one in batch.scalars.values()] + [np.asarray(batch.excess)]
+    return ~np.isnan(np.concatenate(rows)).any(axis=0)

@@ -1,0 +1,161 @@
+"""`validate`: a design on fresh random systems, batch by batch, independent of the expansion that found it."""
+
+import time
+from typing import final
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from aleator._core.arrays import numbers_to_arrays
+from aleator._core.errors import ProblemError, SimulationError
+from aleator._core.progress import Progress, silent
+from aleator.design import Functional, Problem, Solution, functionals_of, uncertain
+from aleator.uncertainty import uncertain_numbers
+from aleator.validation._evidence import PERCENTILES, Evidence, Sampled, Trajectories
+from aleator.validation._proportion import Proportion
+from aleator.validation._sampling import SIMULATE_BATCH, Batch, draw, finite, speaks_of_one_system
+
+
+def validate(
+    solution: Solution,
+    samples: int = 100_000,
+    *,
+    seed: int = 0,
+    batch: int = 500,
+    keep: int = 200,
+    progress: Progress = silent,
+) -> Evidence:
+    """Simulate `samples` fresh random systems at a solution's decisions, with the distributions the problem declared.
+
+    A deterministic design is validated on the uncertain systems it stands for. Systems are simulated `batch` at a time,
+    so that memory does not grow with their number; `keep` of them are kept whole, for drawing. `seed` makes it repeatable.
+
+    Raises `ProblemError` if nothing is uncertain and `SimulationError` if a system gives numbers that are not finite,
+    naming its parameter values.
+    """
+    if samples < 2 or batch < 1:
+        raise ProblemError(
+            f"validate: expected at least 2 samples and a positive batch; received {samples} and {batch}."
+        )
+    started = time.perf_counter()
+    problem = uncertain(solution.problem)
+    germs = tuple(law.germ() for law in problem.survey.distributions.values())
+    if not germs:
+        raise ProblemError("validate: nothing in this problem is uncertain, so there is nothing to sample.")
+    generator = np.random.default_rng(seed)
+    tally = _Tally(problem, samples, min(keep, samples))
+    traced, decisions = numbers_to_arrays(problem), jnp.asarray(solution.vector)
+    batch = min(batch, samples)
+    for done in range(0, samples, batch):
+        progress("Monte Carlo", done, samples)
+        # The last batch is drawn in full too, so that one compiled size serves all; what is left over is dropped.
+        germ = draw(germs, batch, generator)
+        result = SIMULATE_BATCH(traced, jnp.asarray(germ), decisions)
+        _refuse_broken(problem, result, germ, solution.vector)
+        tally.add(result, done)
+    progress("Monte Carlo", samples, samples)
+    return tally.evidence(solution, seed, time.perf_counter() - started)
+
+
+def _refuse_broken(problem: Problem, batch: Batch, germ: np.ndarray, decisions: np.ndarray) -> None:
+    good = finite(batch)
+    if good.all():
+        return
+    numbers = uncertain_numbers(problem.survey, jnp.asarray(germ[np.argmin(good)]), jnp.asarray(decisions))
+    where = ", ".join(f"{name}={float(number):.6g}" for name, number in numbers.items())
+    raise SimulationError(
+        f"Monte Carlo: the simulation of the system with {where} is not finite. "
+        "Shorten the time step, use an implicit integrator (al.Kvaerno5), or bound the distributions."
+    )
+
+
+@final
+class _Tally:
+    """What has been sampled so far. Moments of paths are merged batch by batch (Chan, Golub and LeVeque, 1983)."""
+
+    def __init__(self, problem: Problem, samples: int, keep: int):
+        self._problem = problem
+        self._functionals = functionals_of(problem.expressions)
+        self._samples, self._keep = samples, keep
+        self._seen = 0
+        self._scalars: dict[int, Float[np.ndarray, " samples"]] = {}
+        self._mean: dict[int, np.ndarray] = {}
+        self._square: dict[int, np.ndarray] = {}
+        self._excess = np.empty((len(problem.constraints), samples))
+        self._kept: dict[int, list[np.ndarray]] = {}
+
+    def add(self, batch: Batch, start: int) -> None:
+        """Add a batch whose first system has the number `start`; systems beyond the total are dropped."""
+        size = batch.excess.shape[1]
+        count = min(size, self._samples - start)
+        rows = slice(start, start + count)
+        self._excess[:, rows] = np.asarray(batch.excess)[:, :count]
+        for i, values in batch.scalars.items():
+            self._scalars.setdefault(i, np.empty(self._samples))[rows] = np.asarray(values)[:count]
+        for i, values in batch.values.items():
+            wanted = min(count, self._keep - start)
+            if wanted > 0:
+                self._kept.setdefault(i, []).append(np.asarray(values[:wanted]))
+        self._merge(batch, size)
+
+    def _merge(self, batch: Batch, size: int) -> None:
+        total = self._seen + size
+        for i, mean in batch.path_mean.items():
+            old_mean, old_square = self._mean.get(i, 0.0), self._square.get(i, 0.0)
+            shift = np.asarray(mean) - old_mean
+            self._mean[i] = old_mean + shift * size / total
+            self._square[i] = old_square + np.asarray(batch.path_square[i]) + shift**2 * self._seen * size / total
+        self._seen = total
+
+    def evidence(self, solution: Solution, seed: int, seconds: float) -> Evidence:
+        """Everything sampled, as evidence."""
+        broken = {name: self._breaks(name) for name in self._sampled_names()}
+        joint = np.any([np.zeros(self._samples, bool), *broken.values()], axis=0)
+        return Evidence(
+            solution=solution,
+            samples=self._samples,
+            seed=seed,
+            violations={name: Proportion(int(mask.sum()), self._samples) for name, mask in broken.items()},
+            joint=Proportion(int(joint.sum()), self._samples),
+            functionals={one.text(): self._sampled(i, one, solution) for i, one in enumerate(self._functionals)},
+            trajectories=tuple(self._trajectories(i, broken) for i in self._kept),
+            seconds=seconds,
+        )
+
+    def _sampled_names(self) -> tuple[str, ...]:
+        return tuple(dict.fromkeys(one.name for one in self._problem.constraints if speaks_of_one_system(one)))
+
+    def _breaks(self, name: str) -> np.ndarray:
+        rows = [i for i, one in enumerate(self._problem.constraints) if one.name == name]
+        return np.any(self._excess[rows] > 0, axis=0)
+
+    def _sampled(self, i: int, functional: Functional, solution: Solution) -> Sampled:
+        moments = solution.moments[functional.text()]
+        if i in self._scalars:
+            values, count = self._scalars[i], self._samples
+            mean, std = values.mean(), values.std(ddof=1)
+            percentiles = np.percentile(values, PERCENTILES)
+        else:
+            count, percentiles = self._seen, None
+            mean, std = self._mean[i], np.sqrt(self._square[i] / (count - 1))
+        return Sampled(
+            text=functional.text(),
+            mean=np.asarray(mean),
+            std=np.asarray(std),
+            standard_error=np.asarray(std / np.sqrt(count)),
+            percentiles=percentiles,
+            expanded_mean=moments.mean,
+            expanded_std=moments.std,
+        )
+
+    def _trajectories(self, i: int, broken: dict[str, np.ndarray]) -> Trajectories:
+        constraint = self._problem.constraints[i]
+        values = np.concatenate(self._kept[i])
+        return Trajectories(
+            name=constraint.name,
+            lower=float(constraint.lower),
+            upper=float(constraint.upper),
+            values=values,
+            violating=broken.get(constraint.name, np.zeros(self._samples, bool))[: len(values)],
+        )
