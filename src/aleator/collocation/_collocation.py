@@ -41,7 +41,7 @@ class Expansion(eqx.Module):
     def __init__(self, order: int = 3, *, points: int | None = None):
         if isinstance(order, bool) or not isinstance(order, int) or order < 1:
             raise ProblemError(f"Expansion: the order is a whole number of at least 1; received {order!r}.")
-        if points is not None and (not isinstance(points, int) or points < 1):
+        if points is not None and (isinstance(points, bool) or not isinstance(points, int) or points < 1):
             raise ProblemError(f"Expansion: points is a positive whole number; received {points!r}.")
         self.order = order
         self.points = points

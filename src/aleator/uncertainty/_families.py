@@ -127,7 +127,7 @@ class Beta(AbstractDistribution):
         self._take(given, shared_name)
 
     def _check(self) -> None:
-        lower, upper = (float(bound) for bound in self.initial().support())
+        lower, upper = (float(value) for value in self.initial().support())
         if not lower < upper:
             raise ProblemError(f"Beta needs lower < upper; received {self}.")
         super()._check()

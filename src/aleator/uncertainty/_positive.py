@@ -49,7 +49,7 @@ def refuse_nonpositive(model: Pytree) -> None:
         for leaf in jax.tree.leaves(value, is_leaf=is_special):
             lowest = _lowest(leaf)
             if lowest is not None and not lowest > 0:
-                raise ProblemError(_message(name, leaf, lowest))
+                raise ProblemError(_message(name.removeprefix("system."), leaf, lowest))
 
 
 def _lowest(leaf: Any) -> float | None:

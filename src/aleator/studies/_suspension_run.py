@@ -1,0 +1,132 @@
+"""The suspension study, run: all designs, their evidence and their fronts, in order of usefulness."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import final
+
+import numpy as np
+
+import aleator as al
+from aleator._core.progress import Progress, silent
+from aleator.studies.suspension import apportionment_problem, deterministic_problem, robust_problem
+
+TRAVEL, HOLDING, RIDE = 0.203, 0.034, 220.0
+NARROW_TRAVEL = 0.152
+HOLDING_BOXES = (0.0305, 0.032, 0.0335, 0.035)
+TARGET = 0.01
+
+
+@final
+@dataclass(frozen=True)
+class Effort:
+    """How much is computed: points on each front and Monte Carlo samples for each design."""
+
+    front_points: int = 15
+    samples: int = 100_000
+    calibration_samples: int = 20_000
+
+
+QUICK = Effort(front_points=5, samples=5_000, calibration_samples=2_000)
+
+
+@final
+@dataclass
+class SuspensionResults:
+    """Everything the study has finished so far; what has not been reached is empty.
+
+    - `designs`, `evidence`: dOpt, uOpt and aOpt at travel 0.203 m, holding 0.034 m, ride 220 m²/s³;
+    - `narrow`, `narrow_evidence`: dOpt, and uOpt with margins of 1 and 1.25 sigma, at travel 0.152 m (figures 6.9, 6.10);
+    - `travel_fronts`: dOpt, uOpt and aOpt over the travel bound; `holding_fronts`: dOpt and uOpt over the holding bound;
+    - `boxes`: dOpt and uOpt at the holding bounds of figure 6.7;
+    - `calibration`: the margin at which 1 % of systems leave the narrow travel.
+    """
+
+    effort: Effort
+    designs: dict[str, al.Solution] = field(default_factory=dict)
+    evidence: dict[str, al.Evidence] = field(default_factory=dict)
+    narrow: dict[str, al.Solution] = field(default_factory=dict)
+    narrow_evidence: dict[str, al.Evidence] = field(default_factory=dict)
+    travel_fronts: dict[str, al.Front] = field(default_factory=dict)
+    holding_fronts: dict[str, al.Front] = field(default_factory=dict)
+    boxes: dict[str, al.Front] = field(default_factory=dict)
+    calibration: al.Calibration | None = None
+    seconds: dict[str, float] = field(default_factory=dict)
+
+
+Stage = Callable[[SuspensionResults, Progress], None]
+
+
+def solve_designs(results: SuspensionResults, progress: Progress) -> None:
+    """The three designs side by side."""
+    problems = {
+        "dOpt": deterministic_problem(TRAVEL, HOLDING),
+        "uOpt": robust_problem(TRAVEL, HOLDING),
+        "aOpt": apportionment_problem(TRAVEL, HOLDING, RIDE),
+    }
+    for i, (name, problem) in enumerate(problems.items()):
+        progress(f"design {name}", i, len(problems))
+        results.designs[name] = al.solve(problem)
+
+
+def solve_narrow(results: SuspensionResults, progress: Progress) -> None:
+    """The designs of figures 6.9 and 6.10."""
+    problems = {
+        "dOpt": deterministic_problem(NARROW_TRAVEL, HOLDING),
+        "uOpt, 1 σ": robust_problem(NARROW_TRAVEL, HOLDING, sigmas=1.0),
+        "uOpt, 1.25 σ": robust_problem(NARROW_TRAVEL, HOLDING, sigmas=1.25),
+    }
+    for i, (name, problem) in enumerate(problems.items()):
+        progress(f"narrow travel, {name}", i, len(problems))
+        results.narrow[name] = al.solve(problem)
+
+
+def sample_designs(results: SuspensionResults, progress: Progress) -> None:
+    """Evidence for every design found."""
+    for solutions, evidence in ((results.designs, results.evidence), (results.narrow, results.narrow_evidence)):
+        for name, solution in solutions.items():
+            evidence[name] = al.validate(solution, results.effort.samples, seed=1, progress=progress)
+
+
+def calibrate_margin(results: SuspensionResults, progress: Progress) -> None:
+    """The loop that sections 5.6 and 6.5 describe by hand."""
+    problem = robust_problem(NARROW_TRAVEL, HOLDING)
+    samples = results.effort.calibration_samples
+    results.calibration = al.calibrate(problem, "travel", TARGET, samples=samples, progress=progress)
+
+
+def sweep_travel(results: SuspensionResults, progress: Progress) -> None:
+    """Figures 6.4, 7.3, 7.4 and 7.5, from the widest travel down."""
+    values = np.linspace(0.25, 0.145, results.effort.front_points)
+    problems = {"dOpt": deterministic_problem(), "uOpt": robust_problem(), "aOpt": apportionment_problem(ride=RIDE)}
+    for name, problem in problems.items():
+        results.travel_fronts[name] = _finished(al.pareto(problem, "travel", values, progress=progress))
+
+
+def sweep_holding(results: SuspensionResults, progress: Progress) -> None:
+    """Figures 6.5, 6.7 and 6.8, from the loosest holding down."""
+    values = np.linspace(0.0365, 0.0280, results.effort.front_points)
+    for name, problem in {"dOpt": deterministic_problem(), "uOpt": robust_problem()}.items():
+        results.holding_fronts[name] = _finished(al.pareto(problem, "holding", values, progress=progress))
+        results.boxes[name] = _finished(al.pareto(problem, "holding", HOLDING_BOXES, progress=progress))
+
+
+def _finished(front: al.Front) -> al.Front:
+    """A front that Ctrl-C cut short ends the study, too."""
+    if front.interrupted:
+        raise KeyboardInterrupt
+    return front
+
+
+STAGES: dict[str, Stage] = {
+    "designs": solve_designs,
+    "narrow travel": solve_narrow,
+    "evidence": sample_designs,
+    "calibration": calibrate_margin,
+    "fronts over travel": sweep_travel,
+    "fronts over holding": sweep_holding,
+}
+
+
+def run_stage(name: str, results: SuspensionResults, progress: Progress = silent) -> None:
+    """Run one stage into `results`."""
+    STAGES[name](results, progress)

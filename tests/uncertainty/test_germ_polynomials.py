@@ -1,0 +1,136 @@
+"""The germ laws and their orthonormal polynomials against scipy's weights, scipy.stats and chaospy."""
+
+import chaospy
+import numpy as np
+import pytest
+from scipy import special, stats
+
+from aleator.uncertainty import HermiteGerm, JacobiGerm, LaguerreGerm, LegendreGerm
+
+EPS = np.finfo(float).eps
+SHAPES = [(2.0, 5.0), (1.0, 1.0), (0.5, 0.5), (0.3, 0.7), (0.25, 0.75), (3.5, 0.6), (7.0, 7.0), (0.2, 0.2)]
+
+
+def jacobi_rule(alpha, beta, count):
+    # scipy's weight is (1 - x)^a (1 + x)^b, ours (1 + x)^(alpha - 1) (1 - x)^(beta - 1)
+    nodes, weights = special.roots_jacobi(count, beta - 1, alpha - 1)
+    return nodes, weights / weights.sum()
+
+
+def probability(rule):
+    nodes, weights = rule
+    return nodes, weights / weights.sum()
+
+
+CASES = {
+    "legendre": (
+        LegendreGerm(),
+        stats.uniform(-1, 2),
+        chaospy.Uniform(-1, 1),
+        lambda n: probability(special.roots_legendre(n)),
+    ),
+    "hermite": (
+        HermiteGerm(),
+        stats.norm(),
+        chaospy.Normal(0, 1),
+        lambda n: probability(special.roots_hermitenorm(n)),
+    ),
+}
+CASES |= {
+    f"jacobi-{a}-{b}": (
+        JacobiGerm(a, b),
+        stats.beta(a, b, -1, 2),
+        chaospy.Beta(a, b, -1, 1),
+        lambda n, a=a, b=b: jacobi_rule(a, b, n),
+    )
+    for a, b in SHAPES
+}
+CASES |= {
+    f"laguerre-{s}": (
+        LaguerreGerm(s),
+        stats.gamma(s),
+        chaospy.Gamma(s),
+        lambda n, s=s: probability(special.roots_genlaguerre(n, s - 1)),
+    )
+    for s in (0.4, 1.0, 2.5, 9.0)
+}
+
+
+@pytest.fixture(params=CASES.values(), ids=CASES.keys())
+def case(request):
+    return request.param
+
+
+def test_polynomials_are_orthonormal_under_their_own_law(case):
+    germ, _, _, rule = case
+    nodes, weights = rule(24)
+    values = germ.polynomials(10, nodes)
+    assert values.T @ (weights[:, None] * values) == pytest.approx(np.eye(11), abs=1e-10)
+
+
+def test_polynomials_agree_with_those_of_chaospy(case):
+    germ, law, oracle, _ = case
+    points = law.ppf(np.linspace(0.02, 0.98, 13))
+    basis = chaospy.expansion.stieltjes(5, oracle, normed=True)
+    ours, theirs = germ.polynomials(5, points), np.array(basis(points)).T
+    assert ours == pytest.approx(theirs * np.sign(theirs[-1] * ours[-1]), rel=1e-7, abs=1e-7)
+
+
+def test_polynomials_have_a_positive_leading_coefficient(case):
+    germ, law, _, _ = case
+    beyond_all_roots = np.array([law.ppf(1 - 1e-3) + 100.0])
+    assert np.all(germ.polynomials(8, beyond_all_roots) > 0)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 5, 8])
+def test_the_gauss_rule_is_exact_to_degree_two_n_minus_one(case, count):
+    germ, law, _, _ = case
+    nodes, weights = germ.gauss(count)
+    assert weights.sum() == pytest.approx(1.0, rel=100 * EPS)
+    for degree in range(2 * count):
+        size = weights @ np.abs(nodes) ** degree
+        assert weights @ nodes**degree == pytest.approx(law.moment(degree), rel=1e-10, abs=1e-12 * max(size, 1))
+
+
+def test_the_gauss_rule_is_not_exact_to_degree_two_n(case):
+    germ, law, _, _ = case
+    nodes, weights = germ.gauss(3)
+    assert abs(weights @ nodes**6 - law.moment(6)) > 1e-4 * law.moment(6)
+
+
+def test_the_gauss_rule_agrees_with_scipys_nodes_and_weights(case):
+    germ, _, _, rule = case
+    nodes, weights = rule(7)
+    assert germ.gauss(7)[0] == pytest.approx(nodes, rel=1e-10, abs=1e-12)
+    assert germ.gauss(7)[1] == pytest.approx(weights, rel=1e-8)
+
+
+def test_quantiles_agree_with_scipy_stats(case):
+    germ, law, _, _ = case
+    levels = np.linspace(0.001, 0.999, 41).reshape(1, 41)
+    assert germ.quantile(levels) == pytest.approx(law.ppf(levels), rel=1e-11, abs=1e-11)
+
+
+def test_the_polynomial_of_order_zero_is_one(case):
+    germ, law, _, _ = case
+    assert germ.polynomials(0, law.ppf([0.1, 0.9])).tolist() == [[1.0], [1.0]]
+
+
+def test_jacobi_with_unit_shapes_is_legendre():
+    points = np.linspace(-1, 1, 9)
+    legendre = LegendreGerm().polynomials(7, points)
+    assert JacobiGerm(1.0, 1.0).polynomials(7, points) == pytest.approx(legendre, rel=1e-12, abs=1e-12)
+
+
+def test_legendre_polynomials_are_scipys_times_the_root_of_two_n_plus_one():
+    points = np.linspace(-1, 1, 9)
+    closed = np.stack([np.sqrt(2 * n + 1) * special.eval_legendre(n, points) for n in range(9)], axis=1)
+    assert LegendreGerm().polynomials(8, points) == pytest.approx(closed, rel=1e-12, abs=1e-12)
+
+
+def test_hermite_polynomials_are_scipys_over_the_root_of_n_factorial():
+    points = np.linspace(-4, 4, 9)
+    closed = np.stack(
+        [special.eval_hermitenorm(n, points) / np.sqrt(special.factorial(n)) for n in range(9)], axis=1
+    )
+    assert HermiteGerm().polynomials(8, points) == pytest.approx(closed, rel=1e-12, abs=1e-12)

@@ -1,0 +1,134 @@
+"""Numbers declared positive: everything that can reach zero is refused, everything that cannot is let through."""
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from aleator._core.errors import ProblemError
+from aleator.uncertainty import (
+    Beta,
+    Decision,
+    Gamma,
+    Normal,
+    Uniform,
+    at_means,
+    fields_of,
+    parameter,
+    refuse_nonpositive,
+)
+
+
+class Mass(eqx.Module):
+    m: Any = parameter("kg", positive=True)
+    offset: Any = parameter("m", default=0.0)
+
+
+class Holder(eqx.Module):
+    inside: Any
+    count: int = eqx.field(static=True, default=0)
+
+
+class Whole(NamedTuple):
+    system: Any
+    inputs: Any
+
+
+REACH_ZERO = {
+    "zero": 0.0,
+    "whole zero": 0,
+    "negative": -1.0,
+    "nan": float("nan"),
+    "array": np.array([1.0, 0.0]),
+    "integer array": np.array([1, 0]),
+    "jax array": jnp.array([1.0, -2.0]),
+    "normal": Normal(10.0, 0.001),
+    "uniform that touches zero": Uniform(1.0, half_width=1.0),
+    "uniform below zero": Uniform(1.0, std=0.6),
+    "uniform by bounds": Uniform.bounds(0.0, 1.0),
+    "beta from zero": Beta(alpha=2.0, beta=2.0),
+    "gamma from zero": Gamma(shape=2.0, scale=2.0),
+    "decision": Decision(1.0, 0.0, 2.0),
+    "unbounded decision": Decision(1.0),
+    "decision array": Decision(np.ones(2), lower=np.array([0.5, 0.0])),
+    "decided mean": Uniform(Decision(3.0, 1.0, 5.0), half_width=1.0),
+    "decided half-width": Uniform(3.0, half_width=Decision(1.0, 0.5, 3.0)),
+    "decided both": Uniform(Decision(3.0, 2.0, 5.0), half_width=Decision(1.0, 0.5, 2.0)),
+    "decided bound": Uniform.bounds(Decision(1.0, 0.0, 2.0), 3.0),
+    "spread that may become negative": Uniform(3.0, half_width=Decision(1.0, -4.0, 2.0)),
+    "unbounded spread": Uniform(3.0, half_width=Decision(1.0)),
+    "unbounded mean and spread": Uniform(Decision(3.0), half_width=Decision(1.0)),
+    "beta with decided lower end": Beta(mean=1.5, std=0.1, lower=Decision(1.0, 0.0, 1.2), upper=2.0),
+    "inside a list": [1.0, 0.0],
+}
+STAY_POSITIVE = {
+    "number": 1.0,
+    "whole number": 2,
+    "array": np.array([1.0, 0.1]),
+    "uniform": Uniform(1.0, half_width=0.999),
+    "beta": Beta(alpha=2.0, beta=2.0, lower=0.1, upper=2.0),
+    "beta whose decided spread may vanish": Beta(
+        mean=0.5, std=Decision(0.1, 0.0, 0.2), lower=Decision(0.1, 0.1, 0.2), upper=1.0
+    ),
+    "gamma": Gamma(shape=2.0, scale=2.0, lower=0.1),
+    "gamma whose decided spread may vanish": Gamma(mean=2.0, std=Decision(0.1, 0.0, 0.2), lower=0.1),
+    "decision": Decision(1.0, 0.1, 2.0),
+    "decided uniform": Uniform(Decision(3.0, 2.0, 5.0), half_width=Decision(1.0, 0.5, 1.999)),
+    "no numbers": np.zeros(0),
+    "nothing": None,
+    "a function": abs,
+}
+
+
+@pytest.mark.parametrize("value", REACH_ZERO.values(), ids=REACH_ZERO.keys())
+def test_what_can_reach_zero_is_refused_by_name(value):
+    with pytest.raises(ProblemError, match="'m' must stay positive"):
+        refuse_nonpositive(Mass(value))
+
+
+@pytest.mark.parametrize("value", STAY_POSITIVE.values(), ids=STAY_POSITIVE.keys())
+def test_what_stays_positive_is_let_through(value):
+    refuse_nonpositive(Mass(value))
+
+
+def test_the_refusal_names_the_law_and_its_lowest_value():
+    with pytest.raises(ProblemError, match=r"Uniform\(mean=1, half_width=1.5\) can reach -0.5"):
+        refuse_nonpositive(Mass(Uniform(1.0, half_width=1.5)))
+
+
+def test_a_normal_law_is_refused_because_it_reaches_minus_infinity():
+    with pytest.raises(ProblemError, match="can reach -inf"):
+        refuse_nonpositive(Mass(Normal(1e6, 1.0)))
+
+
+def test_a_distribution_held_at_its_mean_is_checked_as_if_it_were_free():
+    with pytest.raises(ProblemError, match="'m' must stay positive"):
+        refuse_nonpositive(at_means(Mass(Uniform(1.0, half_width=2.0))))
+
+
+def test_fields_not_declared_positive_may_be_anything():
+    refuse_nonpositive(Mass(1.0, offset=Normal(-5.0, 3.0)))
+
+
+@pytest.mark.parametrize(
+    ("model", "name"),
+    [
+        (Holder(Mass(0.0)), "inside.m"),
+        (Holder([Mass(1.0), Mass(0.0)]), "inside.1.m"),
+        (Holder({"a": (Mass(0.0),)}), "inside.a.0.m"),
+        (Whole(Mass(0.0), {}), "m"),
+        (Whole(1.0, {"u": Mass(0.0)}), "inputs.u.m"),
+        ([Mass(0.0)], "0.m"),
+    ],
+    ids=["module", "list", "dict and tuple", "system", "inputs", "list at the top"],
+)
+def test_positive_fields_are_found_anywhere_in_a_model(model, name):
+    with pytest.raises(ProblemError, match=f"^'{name}' must stay positive"):
+        refuse_nonpositive(model)
+
+
+def test_units_are_found_with_the_fields():
+    units = {name: field.metadata.get("unit") for name, field, _ in fields_of(Holder(Mass(1.0)))}
+    assert units == {"inside": None, "count": None, "inside.m": "kg", "inside.offset": "m"}

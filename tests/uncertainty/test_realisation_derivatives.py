@@ -1,0 +1,176 @@
+"""Realisation with decided parameters against scipy's quantiles, and its derivatives against finite differences."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import stats
+
+from aleator.collocation import Expansion, collocate
+from aleator.uncertainty import Beta, Decision, Gamma, Normal, Uniform, realise, survey
+
+LEVELS = [0.01, 0.2, 0.5, 0.83, 0.99]
+
+
+def beta_by_moments(mean, std, lower=0.0, upper=1.0):
+    m, v = (mean - lower) / (upper - lower), (std / (upper - lower)) ** 2
+    alpha = m**2 * (1 - m) / v - m
+    return stats.beta(alpha, alpha * (1 - m) / m, lower, upper - lower)
+
+
+def gamma_by_moments(mean, std, lower=0.0):
+    return stats.gamma(((mean - lower) / std) ** 2, lower, std**2 / (mean - lower))
+
+
+# model, scipy's law at given decisions, decisions away from the start
+CASES = {
+    "uniform by half-width": (
+        Uniform(Decision(5.0), half_width=Decision(1.0)),
+        lambda m, h: stats.uniform(m - h, 2 * h),
+        [5.5, 1.7],
+    ),
+    "uniform by std": (
+        Uniform(Decision(5.0), std=Decision(1.0)),
+        lambda m, s: stats.uniform(m - s * 3**0.5, 2 * s * 3**0.5),
+        [4.0, 0.3],
+    ),
+    "uniform by bounds": (
+        Uniform.bounds(Decision(1.0), Decision(2.0)),
+        lambda a, b: stats.uniform(a, b - a),
+        [1.4, 2.2],
+    ),
+    "normal": (Normal(Decision(1.0), Decision(0.5)), lambda m, s: stats.norm(m, s), [1.2, 0.8]),
+    "beta by shape": (
+        Beta(alpha=Decision(2.0), beta=Decision(5.0)),
+        lambda a, b: stats.beta(a, b),
+        [3.1, 4.0],
+    ),
+    "beta by shape with everything decided": (
+        Beta(alpha=Decision(2.0), beta=Decision(5.0), lower=Decision(-1.0), upper=Decision(3.0)),
+        lambda a, b, low, up: stats.beta(a, b, low, up - low),
+        [1.4, 6.0, -0.5, 3.5],
+    ),
+    "beta with small shapes": (
+        Beta(alpha=Decision(0.4), beta=Decision(0.5)),
+        lambda a, b: stats.beta(a, b),
+        [0.3, 0.6],
+    ),
+    "beta with large shapes": (
+        Beta(alpha=Decision(80.0), beta=Decision(150.0)),
+        lambda a, b: stats.beta(a, b),
+        [90.0, 140.0],
+    ),
+    "beta with decided bounds alone": (
+        Beta(alpha=2.0, beta=5.0, lower=Decision(-1.0), upper=Decision(3.0)),
+        lambda low, up: stats.beta(2.0, 5.0, low, up - low),
+        [-0.3, 2.0],
+    ),
+    "beta by moments": (Beta(mean=Decision(0.3), std=Decision(0.1)), beta_by_moments, [0.4, 0.12]),
+    "beta by moments with everything decided": (
+        Beta(mean=Decision(3.0), std=Decision(0.7), lower=Decision(1.0), upper=Decision(6.0)),
+        beta_by_moments,
+        [3.2, 0.6, 0.8, 6.5],
+    ),
+    "gamma by shape": (
+        Gamma(shape=Decision(4.0), scale=Decision(0.5)),
+        lambda k, s: stats.gamma(k, scale=s),
+        [3.0, 0.6],
+    ),
+    "gamma with a small shape": (Gamma(shape=Decision(0.6), scale=1.0), lambda k: stats.gamma(k), [0.4]),
+    "gamma with a large shape": (Gamma(shape=Decision(200.0), scale=1.0), lambda k: stats.gamma(k), [230.0]),
+    "gamma with decided scale and bound": (
+        Gamma(shape=2.0, scale=Decision(0.5), lower=Decision(1.0)),
+        lambda s, low: stats.gamma(2.0, low, s),
+        [0.7, -1.0],
+    ),
+    "gamma by moments with everything decided": (
+        Gamma(mean=Decision(2.0), std=Decision(1.0), lower=Decision(0.5)),
+        gamma_by_moments,
+        [2.4, 0.8, 0.3],
+    ),
+}
+
+
+@pytest.fixture(params=CASES.values(), ids=CASES.keys())
+def case(request):
+    return request.param
+
+
+def central_difference(function, x):
+    """Fourth-order central differences: their error, about 1e-11, is far below the tolerance of 1e-6."""
+    x, gradient = np.asarray(x, dtype=float), np.empty(len(x))
+    for i in range(len(x)):
+        step = np.zeros(len(x))
+        step[i] = h = 1e-3 * abs(x[i])
+        near, far = (function(x + k * step) - function(x - k * step) for k in (1, 2))
+        gradient[i] = (8 * near - far) / (12 * h)
+    return gradient
+
+
+@pytest.mark.parametrize("level", LEVELS)
+def test_realisation_is_the_quantile_of_the_current_law_at_the_level_of_the_germ(case, level):
+    law, oracle, decided = case
+    xi = jnp.asarray(law.germ().quantile(np.array([level])))
+    for x in (survey(law).vector("initial"), np.array(decided)):
+        assert float(realise(law, xi, jnp.asarray(x))) == pytest.approx(oracle(*x).ppf(level), rel=1e-9)
+
+
+@pytest.mark.parametrize("level", LEVELS)
+def test_derivatives_by_decisions_are_those_of_scipys_quantile_at_fixed_probability(case, level):
+    law, oracle, decided = case
+    xi = jnp.asarray(law.germ().quantile(np.array([level])))
+    expected = central_difference(lambda x: oracle(*x).ppf(level), decided)
+    for derivative in (jax.jacfwd, jax.jacrev):
+        exact = derivative(lambda x: realise(law, xi, x))(jnp.array(decided))
+        assert exact == pytest.approx(expected, rel=1e-6, abs=1e-6 * np.max(np.abs(expected)) * 1e-3)
+
+
+def test_derivatives_are_the_same_under_compilation_and_mapping(case):
+    law, _, decided = case
+    germs = jnp.asarray(law.germ().quantile(np.array(LEVELS)))[:, None]
+    derivative = jax.jacfwd(lambda x, xi: realise(law, xi, x))
+    mapped = jax.jit(jax.vmap(derivative, in_axes=(None, 0)))(jnp.array(decided), germs)
+    single = np.stack([derivative(jnp.array(decided), xi) for xi in germs])
+    assert mapped == pytest.approx(single, rel=1e-9, abs=1e-12)
+
+
+def test_derivatives_with_respect_to_the_germ_are_those_of_scipys_quantile(case):
+    law, oracle, decided = case
+    germ = law.germ()
+    level, h = 0.4, 1e-3
+    dx = (8 * (oracle(*decided).ppf(level + h) - oracle(*decided).ppf(level - h))) - (
+        oracle(*decided).ppf(level + 2 * h) - oracle(*decided).ppf(level - 2 * h)
+    )
+    q = [germ.quantile(np.array(level + k * h)) for k in (-2, -1, 1, 2)]
+    dxi = 8 * (q[2] - q[1]) - (q[3] - q[0])
+    exact = jax.grad(lambda xi: realise(law, xi[None], jnp.array(decided)))(jnp.asarray(germ.quantile(np.array(level))))
+    assert float(exact) == pytest.approx(dx / dxi, rel=1e-6)
+
+
+def test_transport_at_the_initial_shape_changes_nothing(case):
+    law, _, _ = case
+    xi = jnp.asarray(law.germ().quantile(np.array(LEVELS)))
+    start = jnp.asarray(survey(law).vector("initial"))
+    moved = jnp.stack([realise(law, x[None], start) for x in xi])
+    unmoved = jnp.stack([law.initial().value(x) for x in xi])
+    assert moved == pytest.approx(np.asarray(unmoved), rel=1e-11, abs=1e-12)
+
+
+def test_moments_after_a_change_of_shape_are_those_of_the_new_law_by_quadrature():
+    law = Gamma(mean=Decision(2.0), std=Decision(1.0))
+    nodes, weights = law.germ().gauss(40)
+    values = jax.vmap(lambda xi: realise(law, xi[None], jnp.array([2.5, 0.9])))(jnp.asarray(nodes))
+    assert float(weights @ values) == pytest.approx(2.5, rel=1e-5)
+    assert float(weights @ (values - 2.5) ** 2) == pytest.approx(0.81, rel=1e-4)
+
+
+def test_the_germ_and_the_collocation_matrix_do_not_depend_on_the_decisions_values():
+    law = Beta(mean=Decision(0.3, 0.1, 0.9), std=Decision(0.1, 0.01, 0.2))
+    fixed = Beta(mean=0.3, std=0.1)
+    assert law.germ() == fixed.germ()
+    decided, constant = (collocate((one.germ(),), Expansion(4)) for one in (law, fixed))
+    assert np.array_equal(decided.matrix, constant.matrix)
+    # what moves with the decisions is the sample, exactly by scipy's quantile of the new law at the same points
+    levels = stats.beta(fixed.germ().alpha, fixed.germ().beta, -1, 2).cdf(np.asarray(decided.points[:, 0]))
+    moved = jax.vmap(lambda xi: realise(law, xi, jnp.array([0.5, 0.05])))(decided.points)
+    assert moved == pytest.approx(beta_by_moments(0.5, 0.05).ppf(levels), rel=1e-9)

@@ -1,0 +1,285 @@
+"""Survey and realisation: what is found, how it is named and ordered, and what is one or two."""
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from aleator._core.arrays import numbers_to_arrays
+from aleator._core.errors import ProblemError
+from aleator.uncertainty import (
+    AbstractDistribution,
+    Beta,
+    Decision,
+    Gamma,
+    Normal,
+    Uniform,
+    at_means,
+    named_numbers,
+    realise,
+    survey,
+    uncertain_again,
+)
+
+
+class Spring(eqx.Module):
+    stiffness: Any
+    damping: Any = 0.1
+
+
+class Pair(NamedTuple):
+    front: Any
+    rear: Any
+
+
+class Car(eqx.Module):
+    mass: Any
+    springs: Any
+    settings: Any
+    label: str = eqx.field(static=True, default="car")
+
+
+def car():
+    return Car(
+        mass=Normal(1000.0, std=Decision(10.0, 1.0, 20.0)),
+        springs=(
+            Spring(Uniform(Decision(5.0, 1, 9), half_width=Decision(0.5, 0.1, 1.0)), Decision(0.3, 0, 1)),
+            [Spring(Gamma(shape=2.0, scale=3.0)), 4.0],
+        ),
+        settings={
+            "z": Beta(alpha=Decision(2.0, 1.0, 3.0), beta=5.0),
+            "a": Pair(Uniform.bounds(Decision(1.0, 0.5, 1.5), 2.0), Decision(np.array([1.0, 2.0]))),
+            "count": 3,
+        },
+    )
+
+
+def rebuilt(model):
+    leaves, structure = jax.tree.flatten(model)
+    return jax.tree.unflatten(structure, leaves)
+
+
+def test_distributions_are_found_anywhere_and_named_by_their_place():
+    assert tuple(survey(car()).distributions) == (
+        "mass",
+        "springs.0.stiffness",
+        "springs.1.0.stiffness",
+        "settings.a.front",
+        "settings.z",
+    )
+
+
+def test_decisions_are_found_anywhere_also_inside_distributions():
+    assert tuple(survey(car()).decisions) == (
+        "mass.std",
+        "springs.0.stiffness.mean",
+        "springs.0.stiffness.half_width",
+        "springs.0.damping",
+        "settings.a.front.lower",
+        "settings.a.rear",
+        "settings.z.alpha",
+    )
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        rebuilt,
+        lambda model: rebuilt(rebuilt(model)),
+        numbers_to_arrays,
+        lambda model: uncertain_again(at_means(model)),
+        lambda model: jax.tree.map(lambda leaf: leaf, model),
+    ],
+)
+def test_names_order_and_numbers_survive_flattening(change):
+    before, after = survey(car()), survey(change(car()))
+    assert tuple(after.distributions) == tuple(before.distributions)
+    assert tuple(after.decisions) == tuple(before.decisions)
+    for attribute in ("initial", "lower", "upper"):
+        assert after.vector(attribute).tolist() == before.vector(attribute).tolist()
+    assert [place.where for place in after.decisions.values()] == [place.where for place in before.decisions.values()]
+
+
+def test_parameters_keep_their_declared_order_when_their_names_sort_otherwise():
+    law = Uniform(Decision(5.0), half_width=Decision(1.0))
+    assert tuple(rebuilt(law).decisions) == ("mean", "half_width")
+    assert str(rebuilt(law)) == str(law)
+
+
+def test_slices_of_the_decision_vector_are_contiguous_and_complete():
+    places = survey(car())
+    entries = [i for place in places.decisions.values() for i in range(place.where.start, place.where.stop)]
+    assert entries == list(range(places.size))
+
+
+def test_realisation_puts_numbers_everywhere_and_leaves_the_rest_alone():
+    model, places = car(), survey(car())
+    germ = jnp.array([1.0, -1.0, 6.0, 0.5, 0.0])
+    real = realise(model, germ, jnp.asarray(places.vector("initial")))
+    assert not any(isinstance(leaf, AbstractDistribution | Decision) for leaf in jax.tree.leaves(real))
+    assert (real.label, real.settings["count"], real.springs[1][1]) == ("car", 3, 4.0)
+    assert float(real.mass) == 1000.0 + 10.0
+    assert float(real.springs[0].stiffness) == 5.0 - 0.5
+    assert float(real.springs[0].damping) == 0.3
+    assert float(real.springs[1][0].stiffness) == 6.0 * 3.0
+    assert float(real.settings["a"].front) == 1.5 + 0.5 * 0.5
+    assert real.settings["a"].rear.tolist() == [1.0, 2.0]
+    assert float(real.settings["z"]) == pytest.approx(0.5, rel=1e-14)
+
+
+def test_realisation_uses_the_decisions_it_is_given_rather_than_the_start():
+    germ = jnp.array([2.0, 1.0, 1.0, -1.0, 0.3])
+    real = realise(car(), germ, jnp.array([7.0, 6.0, 0.25, 0.9, 1.25, 8.0, 9.0, 2.0]))
+    assert float(real.mass) == 1014.0
+    assert float(real.springs[0].stiffness) == 6.25
+    assert float(real.springs[0].damping) == 0.9
+    assert float(real.settings["a"].front) == 1.25
+    assert real.settings["a"].rear.tolist() == [8.0, 9.0]
+
+
+def test_realisation_under_compilation_and_mapping_agrees_with_one_by_one():
+    model = numbers_to_arrays(car())
+    x = jnp.asarray(survey(car()).vector("initial")) * 1.1
+    germs = jnp.array([[1.0, -1.0, 6.0, 0.5, 0.0], [-1.0, 0.2, 0.1, -0.5, 0.9]])
+    mapped = jax.jit(jax.vmap(realise, in_axes=(None, 0, None)))(eqx.filter(model, eqx.is_array), germs, x)
+    for i, germ in enumerate(germs):
+        single = realise(car(), germ, x)
+        assert mapped.mass[i] == pytest.approx(float(single.mass), rel=1e-14)
+        assert mapped.settings["z"][i] == pytest.approx(float(single.settings["z"]), rel=1e-12)
+
+
+def test_a_germ_of_the_wrong_length_is_refused():
+    with pytest.raises(ValueError, match="zip"):
+        realise({"a": Normal(0.0, 1.0)}, jnp.zeros(2), jnp.zeros(0))
+
+
+def test_a_shared_distribution_is_one_variable_wherever_it_is_placed():
+    tilt = Normal(Decision(1.0, 0, 2), 2.0).shared("tilt")
+    model = {"left": tilt, "right": [tilt, Normal(0.0, 1.0)]}
+    places = survey(model)
+    assert tuple(places.distributions) == ("tilt", "right.1")
+    assert tuple(places.decisions) == ("tilt.mean",)
+    real = realise(model, jnp.array([0.5, -1.0]), jnp.array([1.5]))
+    assert (float(real["left"]), float(real["right"][0]), float(real["right"][1])) == (2.5, 2.5, -1.0)
+
+
+def test_a_shared_decision_is_one_decision_wherever_it_is_placed():
+    radius = Decision(np.array([1.0, 2.0]), 0.0, 3.0).shared("radius")
+    model = {"c": radius, "d": radius, "e": Decision(5.0)}
+    places = survey(model)
+    assert tuple(places.decisions) == ("radius", "e")
+    assert places.size == 3
+    real = realise(model, jnp.zeros(0), jnp.array([8.0, 9.0, 7.0]))
+    assert real["c"].tolist() == real["d"].tolist() == [8.0, 9.0]
+    assert float(real["e"]) == 7.0
+
+
+def test_a_shared_decision_may_sit_in_a_distribution_and_beside_it():
+    k = Decision(3.0, 1.0, 5.0).shared("k")
+    model = {"a": Uniform(k, half_width=1.0), "b": k, "c": Normal(0.0, k)}
+    places = survey(model)
+    assert tuple(places.decisions) == ("k",)
+    real = realise(model, jnp.array([1.0, 2.0]), jnp.array([4.0]))
+    assert (float(real["a"]), float(real["b"]), float(real["c"])) == (5.0, 4.0, 8.0)
+
+
+def test_the_same_unshared_object_in_two_places_is_two_variables_and_two_decisions():
+    law, number = Normal(0.0, 1.0), Decision(1.0)
+    model = {"a": law, "b": law, "c": number, "d": number}
+    places = survey(model)
+    assert tuple(places.distributions) == ("a", "b")
+    assert tuple(places.decisions) == ("c", "d")
+    real = realise(model, jnp.array([1.0, 2.0]), jnp.array([3.0, 4.0]))
+    assert {name: float(value) for name, value in real.items()} == {"a": 1.0, "b": 2.0, "c": 3.0, "d": 4.0}
+
+
+def test_sharing_survives_flattening_and_the_conversion_of_numbers():
+    tilt = Uniform(Decision(1.0), half_width=Decision(0.2).shared("w")).shared("tilt")
+    model = {"left": tilt, "right": tilt, "other": Normal(0.0, Decision(0.2).shared("w"))}
+    for changed in (model, rebuilt(model), numbers_to_arrays(model), at_means(model)):
+        assert tuple(survey(changed).decisions) == ("tilt.mean", "w") or tuple(survey(changed).decisions) == (
+            "w",
+            "tilt.mean",
+        )
+    assert tuple(survey(numbers_to_arrays(model)).distributions) == tuple(survey(model).distributions)
+
+
+@pytest.mark.parametrize(
+    ("first", "second"),
+    [
+        (Normal(0.0, 1.0).shared("x"), Normal(0.0, 2.0).shared("x")),
+        (Normal(0.0, 1.0).shared("x"), Uniform(0.0, std=1.0).shared("x")),
+        (Decision(1.0).shared("x"), Decision(2.0).shared("x")),
+        (Decision(1.0).shared("x"), Decision(1.0, lower=0.0).shared("x")),
+        (Decision(1.0).shared("x"), Decision(np.ones(2)).shared("x")),
+        (Normal(Decision(1.0).shared("x"), 1.0), Decision(2.0).shared("x")),
+        (Normal(Decision(1.0), 1.0).shared("x"), Normal(Decision(1.0, upper=9.0), 1.0).shared("x")),
+        (Normal(0.0, 1.0).shared("x"), Decision(1.0).shared("x")),
+    ],
+    ids=lambda value: str(value)[:40],
+)
+def test_one_shared_name_for_two_things_is_refused(first, second):
+    with pytest.raises(ProblemError, match="'x' is shared by two placements that differ"):
+        survey({"a": first, "b": second})
+
+
+@pytest.mark.parametrize(
+    "model",
+    [
+        {"a": Normal(0.0, 1.0).shared("b"), "b": Normal(0.0, 1.0)},
+        {"a.b": Normal(0.0, 1.0), "a": {"b": Normal(0.0, 1.0)}},
+        {"a": Decision(1.0).shared("b"), "b": Decision(1.0)},
+        {"a": Normal(Decision(1.0), 2.0), "b": Decision(1.0).shared("a.mean")},
+    ],
+    ids=["shared with a place", "dotted key", "decision", "inside a distribution"],
+)
+def test_two_independent_placements_that_happen_to_have_one_name_are_refused(model):
+    with pytest.raises(ProblemError, match="names two placements"):
+        survey(model)
+
+
+def test_at_means_leaves_no_germ_but_keeps_all_decisions():
+    held = survey(at_means(car()))
+    assert held.distributions == {}
+    assert tuple(held.decisions) == tuple(survey(car()).decisions)
+
+
+def test_at_means_realises_the_means_at_the_current_decisions():
+    model = at_means({"a": Uniform.bounds(Decision(1.0), 3.0), "b": Gamma(shape=2.0, scale=Decision(3.0)), "c": 5.0})
+    real = realise(model, jnp.zeros(0), jnp.array([2.0, 4.0]))
+    assert (float(real["a"]), float(real["b"]), real["c"]) == (2.5, 8.0, 5.0)
+
+
+def test_at_means_twice_is_at_means_once_and_uncertain_again_undoes_it():
+    once = at_means(car())
+    assert eqx.tree_equal(at_means(once), once)
+    assert eqx.tree_equal(uncertain_again(once), car())
+    assert eqx.tree_equal(uncertain_again(car()), car())
+
+
+def test_named_numbers_hold_places_parameters_and_moments_at_the_current_decisions():
+    model = {"k": Uniform(Decision(5.0), half_width=3.0), "m": 2.0, "v": np.array([1.0, 2.0]), "d": Decision(1.0)}
+    numbers = named_numbers(model, jnp.array([9.0, 6.0]))
+    assert {name: np.asarray(value).tolist() for name, value in numbers.items()} == {
+        "d": 9.0,
+        "k.mean": 6.0,
+        "k.std": pytest.approx(np.sqrt(3.0), rel=1e-14),
+        "k.half_width": 3.0,
+        "m": 2.0,
+        "v": [1.0, 2.0],
+    }
+
+
+def test_named_numbers_are_the_same_with_the_distributions_held_at_their_means():
+    x = jnp.asarray(survey(car()).vector("initial"))
+    free, held = named_numbers(car(), x), named_numbers(at_means(car()), x)
+    assert {k: np.asarray(v).tolist() for k, v in free.items()} == {k: np.asarray(v).tolist() for k, v in held.items()}
+
+
+def test_named_numbers_of_a_shared_law_stand_under_its_shared_name():
+    law = Normal(Decision(1.0).shared("centre"), 2.0).shared("tilt")
+    numbers = named_numbers({"a": law, "b": law}, jnp.array([4.0]))
+    assert {name: float(value) for name, value in numbers.items()} == {"tilt.mean": 4.0, "tilt.std": 2.0}
