@@ -132,8 +132,9 @@ def test_a_location_that_is_not_finite_is_refused(make, bad):
         (lambda: Gamma(mean=-2.0, std=1.0), "Gamma.*mean=-2"),
         (lambda: Gamma(mean=2.0, std=1.0, lower=3.0), "Gamma.*mean=2.*lower=3"),
         (lambda: Gamma(mean=1e200, std=1e-3), "Gamma.*mean=1e.200"),
-        (lambda: Normal(1.0, Decision(0.0)), r"Normal.*std=Decision\(0 in \[-inf, inf\]\)"),
-        (lambda: Gamma(mean=1.0, std=Decision(-1.0)), r"Gamma.*std=Decision\(-1 "),
+        (lambda: Normal(1.0, Decision(0.0, 0.0)), r"Normal.*std=Decision\(0 in \[0, inf\]\)"),
+        (lambda: Normal(1.0, Decision(0.1)), r"'std' needs a lower bound of at least 0; received.*\[-inf, inf\]"),
+        (lambda: Gamma(mean=1.0, std=Decision(1.0, -1.0)), r"'std' needs a lower bound of at least 0"),
     ],
 )
 def test_parameters_that_make_no_law_are_refused_with_the_family_and_what_was_received(make, received):

@@ -57,9 +57,8 @@ REACH_ZERO = {
     "decided half-width": Uniform(3.0, half_width=Decision(1.0, 0.5, 3.0)),
     "decided both": Uniform(Decision(3.0, 2.0, 5.0), half_width=Decision(1.0, 0.5, 2.0)),
     "decided bound": Uniform.bounds(Decision(1.0, 0.0, 2.0), 3.0),
-    "spread that may become negative": Uniform(3.0, half_width=Decision(1.0, -4.0, 2.0)),
-    "unbounded spread": Uniform(3.0, half_width=Decision(1.0)),
-    "unbounded mean and spread": Uniform(Decision(3.0), half_width=Decision(1.0)),
+    "unbounded spread": Uniform(3.0, half_width=Decision(1.0, 0.0)),
+    "unbounded mean and spread": Uniform(Decision(3.0), half_width=Decision(1.0, 0.0)),
     "beta with decided lower end": Beta(mean=1.5, std=0.1, lower=Decision(1.0, 0.0, 1.2), upper=2.0),
     "inside a list": [1.0, 0.0],
 }

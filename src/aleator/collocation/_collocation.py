@@ -100,8 +100,8 @@ def collocate(germs: tuple[AbstractGerm, ...], expansion: Expansion) -> Collocat
     condition = float(np.linalg.cond(triangular))
     if not condition < _WORST_CONDITION:
         raise ProblemError(
-            f"The collocation matrix of {count} points and {terms} terms has condition number {condition:.1e}, too large "
-            f"for least squares (limit {_WORST_CONDITION:.0e}). Use more points or a lower order."
+            f"The collocation matrix of {count} points and {terms} terms has condition number {condition:.1e}, too "
+            f"large for least squares (limit {_WORST_CONDITION:.0e}). Use more points or a lower order."
         )
     return Collocation(
         points=jnp.asarray(points),
@@ -148,5 +148,6 @@ def leave_one_out(
     error = jnp.mean((residual / jnp.where(predictable, remainder, 1.0)[:, None]) ** 2, axis=0).sum()
     error = jnp.where(predictable.all(), error, jnp.inf)
     variance = flat.var(axis=0).sum()
-    varies = variance > _ROUNDING**2 * jnp.mean(flat**2, axis=0).sum()
-    return jnp.where(varies, error / jnp.where(varies, variance, 1.0), 0.0)
+    # Asked this way round, samples that are not finite leave a nan and do not pass for constant.
+    constant = variance <= _ROUNDING**2 * jnp.mean(flat**2, axis=0).sum()
+    return jnp.where(constant, 0.0, error / jnp.where(constant, 1.0, variance))

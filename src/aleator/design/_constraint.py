@@ -35,7 +35,7 @@ class Constraint(eqx.Module):
     ):
         self.expression = as_expression(expression)
         self.name = name or _default_name(self.expression)
-        self.lower, self.upper = _ordered(self.name, lower, upper)
+        self.lower, self.upper = ordered(self.name, lower, upper)
 
     def named(self, name: str) -> "Constraint":
         """The same constraint under a name of your own."""
@@ -43,7 +43,7 @@ class Constraint(eqx.Module):
 
     def with_bounds(self, lower: float, upper: float) -> Self:
         """The same constraint between other bounds. Open sides stay open and closed ones closed."""
-        return eqx.tree_at(lambda tree: (tree.lower, tree.upper), self, _ordered(self.name, lower, upper))
+        return eqx.tree_at(lambda tree: (tree.lower, tree.upper), self, ordered(self.name, lower, upper))
 
     @property
     def is_path(self) -> bool:
@@ -51,6 +51,12 @@ class Constraint(eqx.Module):
         from aleator.design._functional import Path
 
         return any(isinstance(atom, Statistic) and isinstance(atom.functional, Path) for atom in self.expression.atoms)
+
+    def __bool__(self) -> bool:
+        raise ProblemError(
+            "A constraint has no truth value: a chain such as 'lower <= y <= upper' does not work in Python and would "
+            "lose its first half. Write two comparisons, or use .within(lower, upper)."
+        )
 
     def __str__(self) -> str:
         lower, upper = float(self.lower), float(self.upper)
@@ -63,7 +69,8 @@ class Constraint(eqx.Module):
         return f"{relation} for all t" if self.is_path else relation
 
 
-def _ordered(name: str, lower: float, upper: float) -> tuple[float, float]:
+def ordered(name: str, lower: float, upper: float) -> tuple[float, float]:
+    """The bounds as floats. Raises `ProblemError` if they are in the wrong order or not a number."""
     lower, upper = float(lower), float(upper)
     if np.isnan(lower) or np.isnan(upper) or lower > upper:
         raise ProblemError(

@@ -55,7 +55,13 @@ class Functional(eqx.Module):
         return ((self.mean - sigmas * self.std) >= lower).named(self.output)
 
     def within(self, lower: float, upper: float, *, sigmas: float = 0.0) -> "tuple[Constraint, Constraint]":
-        """Both `mean + sigmas * std <= upper` and `mean - sigmas * std >= lower`, under one name."""
+        """Both `mean + sigmas * std <= upper` and `mean - sigmas * std >= lower`, under one name.
+
+        Raises `ProblemError` for bounds in the wrong order.
+        """
+        from aleator.design._constraint import ordered  # the two classes refer to each other
+
+        lower, upper = ordered(self.output, lower, upper)
         return self.at_most(upper, sigmas=sigmas), self.at_least(lower, sigmas=sigmas)
 
 

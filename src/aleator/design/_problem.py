@@ -8,7 +8,7 @@ import numpy as np
 
 from aleator._core.errors import ProblemError
 from aleator.collocation import Expansion
-from aleator.design._constraint import Constraint
+from aleator.design._constraint import Constraint, ordered
 from aleator.design._expression import Expression, as_expression
 from aleator.dynamics import AbstractIntegrator, AbstractSignal, Grid, RungeKutta4, System
 from aleator.uncertainty import Survey, at_means, survey, uncertain_again
@@ -93,8 +93,8 @@ class Problem(eqx.Module):
     def with_bound(self, name: str, bound: float | tuple[float, float]) -> Self:
         """The same problem with the bound of the constraints called `name` at `bound`.
 
-        One number moves an upper or a lower bound, or both of a symmetric pair (to `-bound` and `bound`); other pairs
-        take `(lower, upper)`.
+        One number moves an upper or a lower bound, the number that an expression equals, or both of a symmetric pair (to
+        `-bound` and `bound`); other pairs take `(lower, upper)`. Raises `ProblemError` for a pair in the wrong order.
         """
         lower, upper = _new_bounds(self.named(name), name, bound)
         return self._with(name, lambda one: one.with_bounds(*(_moved(one.lower, lower), _moved(one.upper, upper))))
@@ -140,7 +140,9 @@ def _new_bounds(
     constraints: tuple[Constraint, ...], name: str, bound: float | tuple[float, float]
 ) -> tuple[float, float]:
     if isinstance(bound, tuple):
-        return bound
+        return ordered(name, *bound)
+    if all(float(one.lower) == float(one.upper) for one in constraints):
+        return float(bound), float(bound)
     lower = {float(one.lower) for one in constraints if np.isfinite(one.lower)}
     upper = {float(one.upper) for one in constraints if np.isfinite(one.upper)}
     if lower and upper and lower != {-value for value in upper}:
@@ -148,7 +150,9 @@ def _new_bounds(
             f"Constraint '{name}' has bounds {sorted(lower)} and {sorted(upper)}, which are not symmetric: "
             "give the new bounds as (lower, upper)."
         )
-    return (-float(bound) if upper else float(bound)), float(bound)
+    if lower and upper:
+        return ordered(name, -bound, bound)
+    return float(bound), float(bound)
 
 
 def deterministic(problem: Problem) -> Problem:

@@ -38,6 +38,12 @@ class ConstraintResult:
         return np.maximum(self.values - self.upper, self.lower - self.values)
 
     @property
+    def size(self) -> float:
+        """A typical magnitude: its bound, or where that is zero its largest value."""
+        bounds = [abs(bound) for bound in (self.lower, self.upper) if math.isfinite(bound)]
+        return max(bounds, default=0.0) or float(np.max(np.abs(self.values), initial=0.0)) or 1.0
+
+    @property
     def violation(self) -> float:
         """Largest excess over a bound, zero if it holds everywhere."""
         return max(0.0, float(np.max(self.excess)))
@@ -165,8 +171,8 @@ class Solution:
     @property
     def violated(self) -> tuple[ConstraintResult, ...]:
         """The constraints that do not hold, worst first."""
-        broken = [one for one in self.constraints if one.violation > _tolerance(one)]
-        return tuple(sorted(broken, key=lambda one: -one.violation / _size(one)))
+        broken = [one for one in self.constraints if one.violation > 1e-6 * one.size]
+        return tuple(sorted(broken, key=lambda one: -one.violation / one.size))
 
     def multiplier(self, name: str) -> float:
         """The price of the bound called `name`: see `ConstraintResult.price`."""
@@ -183,12 +189,3 @@ class Solution:
         from aleator.design._solution_text import solution_text
 
         return solution_text(self)
-
-
-def _size(one: ConstraintResult) -> float:
-    finite = [abs(bound) for bound in (one.lower, one.upper) if math.isfinite(bound)]
-    return max([*finite, 1e-12])
-
-
-def _tolerance(one: ConstraintResult) -> float:
-    return 1e-6 * _size(one)

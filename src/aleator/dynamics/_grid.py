@@ -22,8 +22,10 @@ class Grid(eqx.Module):
     def __init__(self, t_final: float, steps: int, t_start: float = 0.0):
         if isinstance(steps, bool) or not isinstance(steps, int | np.integer) or steps < 1:
             raise ProblemError(f"Grid: steps is a whole number of at least 1; received {steps!r}.")
-        if not np.isfinite([t_start, t_final]).all() or not t_final > t_start:
-            raise ProblemError(f"Grid: t_final must be finite and after t_start={t_start}; received t_final={t_final}.")
+        if not (_is_finite(t_start) and _is_finite(t_final) and t_final > t_start):
+            raise ProblemError(
+                f"Grid: t_final must be a finite number after t_start={t_start!r}; received t_final={t_final!r}."
+            )
         self.t_final = float(t_final)
         self.steps = int(steps)
         self.t_start = float(t_start)
@@ -36,10 +38,15 @@ class Grid(eqx.Module):
     @property
     def times(self) -> Float[Array, " instants"]:
         """All instants."""
-        return self.t_start + self.step * jnp.arange(self.steps + 1)
+        # linspace ends at t_final to the last bit; beyond it a signal or an adaptive integrator knows nothing.
+        return jnp.linspace(self.t_start, self.t_final, self.steps + 1)
 
     @property
     def weights(self) -> Float[Array, " instants"]:
         """Weights of the trapezoidal rule on the instants."""
         ends = jnp.ones(self.steps + 1).at[jnp.array([0, -1])].set(0.5)
         return self.step * ends
+
+
+def _is_finite(number: object) -> bool:
+    return isinstance(number, int | float | np.number) and bool(np.isfinite(number))

@@ -12,7 +12,7 @@ from aleator._core.arrays import Pytree
 from aleator._core.errors import ProblemError
 from aleator.dynamics._grid import Grid
 from aleator.dynamics._signal import AbstractSignal
-from aleator.dynamics._system import System, derivative, initial_state
+from aleator.dynamics._system import System, derivative, initial_state, observation
 
 Inputs = dict[str, AbstractSignal]
 History = dict[str, Float[Array, "instants ..."]]
@@ -22,8 +22,8 @@ class AbstractIntegrator(eqx.Module):
     """How a system's states are carried from one instant of a grid to the next."""
 
     @abc.abstractmethod
-    def states(self, system: System, grid: Grid, inputs: Inputs) -> Pytree:
-        """The state at every instant: a named tuple of arrays of shape (instants, ...)."""
+    def outputs(self, system: System, grid: Grid, inputs: Inputs) -> History:
+        """The system's outputs at every instant, by name: shape (instants, ...)."""
 
 
 @final
@@ -34,8 +34,8 @@ class RungeKutta4(AbstractIntegrator):
     inside optimisation.
     """
 
-    def states(self, system: System, grid: Grid, inputs: Inputs) -> Pytree:
-        """See `AbstractIntegrator.states`."""
+    def outputs(self, system: System, grid: Grid, inputs: Inputs) -> History:
+        """See `AbstractIntegrator.outputs`."""
         times = grid.times
         nodes = {name: jax.vmap(signal)(times) for name, signal in inputs.items()}
         middles = {name: jax.vmap(signal)(times[:-1] + grid.step / 2) for name, signal in inputs.items()}
@@ -52,11 +52,13 @@ class RungeKutta4(AbstractIntegrator):
             k3 = rate(t + h / 2, _along(z, h / 2, k2), u_middle)
             k4 = rate(t + h, _along(z, h, k3), u_end)
             end = jax.tree.map(lambda x, a, b, c, d: x + h / 6 * (a + 2 * b + 2 * c + d), z, k1, k2, k3, k4)
-            return end, end
+            # Outputs are taken inside the loop, while the state is at hand: states need not be stored.
+            return end, observation(system, t + h, end, u_end)
 
         spans = (times[:-1], _rows(nodes, slice(None, -1)), middles, _rows(nodes, slice(1, None)))
-        _, ends = jax.lax.scan(advance, start, spans)
-        return jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), start, ends)
+        _, rest = jax.lax.scan(advance, start, spans)
+        first = observation(system, times[0], start, {name: values[0] for name, values in nodes.items()})
+        return {name: jnp.concatenate([first[name][None], rest[name]]) for name in first}
 
 
 def _along(z: Pytree, length: Any, rates: Pytree) -> Pytree:
@@ -70,7 +72,7 @@ def _rows(signals: dict[str, Array], rows: slice) -> dict[str, Array]:
 class AbstractAdaptive(AbstractIntegrator):
     """Adaptive integration by diffrax, to relative and absolute tolerances.
 
-    Where the solver gives up (more than `max_steps` steps between start and end) the states are not a number, which
+    Where the solver gives up (more than `max_steps` steps between start and end) the outputs are not a number, which
     the caller reports with the realisation at fault. Loose tolerances give wrong derivatives.
     """
 
@@ -90,21 +92,21 @@ class AbstractAdaptive(AbstractIntegrator):
     def solver(self) -> Any:
         """The method of diffrax."""
 
-    def states(self, system: System, grid: Grid, inputs: Inputs) -> Pytree:
-        """See `AbstractIntegrator.states`."""
+    def outputs(self, system: System, grid: Grid, inputs: Inputs) -> History:
+        """See `AbstractIntegrator.outputs`."""
         import diffrax  # late: it takes as long to import as all the rest
 
-        def field(t: Array, z: Pytree, _: None) -> Pytree:
-            return derivative(system, t, z, {name: signal(t) for name, signal in inputs.items()})
+        def now(t: Array) -> dict[str, Array]:
+            return {name: signal(t) for name, signal in inputs.items()}
 
         solution = diffrax.diffeqsolve(
-            diffrax.ODETerm(field),
+            diffrax.ODETerm(lambda t, z, _: derivative(system, t, z, now(t))),
             self.solver(),
             t0=grid.t_start,
             t1=grid.t_final,
             dt0=None,
             y0=initial_state(system),
-            saveat=diffrax.SaveAt(ts=grid.times),
+            saveat=diffrax.SaveAt(ts=grid.times, fn=lambda t, z, _: observation(system, t, z, now(t))),
             stepsize_controller=diffrax.PIDController(rtol=self.rtol, atol=self.atol),
             # Forward sensitivities: few decisions, many outputs.
             adjoint=diffrax.ForwardMode(),
@@ -112,7 +114,7 @@ class AbstractAdaptive(AbstractIntegrator):
             throw=False,
         )
         arrived = solution.result == diffrax.RESULTS.successful
-        return jax.tree.map(lambda x: jnp.where(arrived, x, jnp.nan), solution.ys)
+        return {name: jnp.where(arrived, values, jnp.nan) for name, values in solution.ys.items()}
 
 
 @final
@@ -144,15 +146,4 @@ def simulate(
 
     The default integrator is `RungeKutta4`.
     """
-    inputs = inputs or {}
-    states = (integrator or RungeKutta4()).states(system, grid, inputs)
-
-    def outputs(t: Array, z: Pytree) -> dict[str, Array]:
-        values = system.outputs(t, z, **{name: signal(t) for name, signal in inputs.items()})
-        if not isinstance(values, dict):
-            raise ProblemError(
-                f"{type(system).__name__}.outputs returns a dict of arrays by name; received {type(values).__name__}."
-            )
-        return {name: jnp.asarray(value, dtype=float) for name, value in values.items()}
-
-    return jax.vmap(outputs)(grid.times, states)
+    return (integrator or RungeKutta4()).outputs(system, grid, inputs or {})

@@ -53,14 +53,14 @@ class Tabulated(AbstractSignal):
     @classmethod
     def from_csv(cls, path: str | Path, time: str, value: str) -> Self:
         """Read the columns `time` and `value` of a CSV file; lines that start with `#` are comments."""
-        with Path(path).open(encoding="utf-8", newline="") as file:
+        with Path(path).open(encoding="utf-8-sig", newline="") as file:
             rows = list(csv.DictReader(line for line in file if not line.startswith("#")))
         names = list(rows[0]) if rows else []
         for name in (time, value):
             if name not in names:
                 raise ProblemError(f"{path}: expected a column '{name}'; received {names}.")
         try:
-            return cls(*(np.array([float(row[name]) for row in rows]) for name in (time, value)))
+            return cls(*(np.array([float(row[name] or "nan") for row in rows]) for name in (time, value)))
         except ValueError as error:
             raise ProblemError(f"{path}: {error}") from error
 

@@ -77,6 +77,16 @@ def derivative(system: System, t: Array, z: Any, inputs: dict[str, Array]) -> An
     return state_type(system.states)(*(jnp.asarray(rate, dtype=float) for rate in rates))
 
 
+def observation(system: System, t: Array, z: Any, inputs: dict[str, Array]) -> dict[str, Array]:
+    """`system.outputs` as arrays by name, checked (at trace time) to be a dict."""
+    values = system.outputs(t, z, **inputs)
+    if not isinstance(values, dict):
+        raise ProblemError(
+            f"{type(system).__name__}.outputs returns a dict of arrays by name; received {type(values).__name__}."
+        )
+    return {name: jnp.asarray(value, dtype=float) for name, value in values.items()}
+
+
 def input_names(system: System) -> tuple[str, ...]:
     """The inputs that a system's `rhs` and `outputs` take: their arguments after time and state."""
     names: dict[str, None] = {}

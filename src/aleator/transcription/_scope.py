@@ -1,9 +1,8 @@
-"""Statistics of a problem's functionals by least-squares collocation: the scope in which its expressions are evaluated."""
+"""Statistics of a problem's functionals by least-squares collocation: where its expressions take their numbers."""
 
 from collections.abc import Mapping
 from typing import final
 
-import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from aleator import statistics
@@ -54,8 +53,3 @@ def collocation_of(problem: Problem) -> Collocation:
 def scope_of(problem: Problem, collocation: Collocation, decisions: Float[Array, " n"]) -> ExpansionScope:
     """The scope of all expressions of a problem at given decisions."""
     return ExpansionScope(problem, functionals_of(problem.expressions), collocation, decisions)
-
-
-def stacked(problem: Problem, scope: AbstractScope) -> Float[Array, " rows"]:
-    """The objective and all constraints in one vector."""
-    return jnp.concatenate([jnp.ravel(expression.evaluate(scope)) for expression in problem.expressions])

@@ -4,6 +4,8 @@ The decisions are the only variables of the nonlinear program; the dynamics are 
 values and the Jacobian of the objective and of all constraints come from one compiled function.
 """
 
+import itertools
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple, final
 
@@ -18,21 +20,27 @@ from aleator._core.errors import ProblemError
 from aleator.collocation import Collocation
 from aleator.design import Constraint, Problem, history
 from aleator.nlp import Evaluation, NonlinearProgram
-from aleator.transcription._scope import collocation_of, scope_of, stacked
+from aleator.transcription._scope import collocation_of, scope_of
 from aleator.uncertainty import Survey
 
 
-def _values_and_jacobian(
-    problem: Problem, collocation: Collocation, decisions: Float[Array, " n"]
-) -> tuple[Float[Array, " rows"], Float[Array, "rows n"]]:
+class Blocks(NamedTuple):
+    """The objective and each constraint, flattened, with their derivatives by the decisions: (rows,) and (rows, n)."""
+
+    values: tuple[Float[Array, " rows"], ...]
+    derivatives: tuple[Float[Array, "rows n"], ...]
+
+
+def _evaluate(problem: Problem, collocation: Collocation, decisions: Float[Array, " n"]) -> Blocks:
     """Objective and constraints with their exact derivatives, forward: few decisions, thousands of rows."""
 
-    def values(x: Array) -> tuple[Array, Array]:
-        rows = stacked(problem, scope_of(problem, collocation, x))
-        return rows, rows
+    def values(x: Array) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
+        scope = scope_of(problem, collocation, x)
+        blocks = tuple(jnp.ravel(jnp.asarray(one.evaluate(scope))) for one in problem.expressions)
+        return blocks, blocks
 
-    jacobian, rows = jax.jacfwd(values, has_aux=True)(decisions)
-    return rows, jacobian
+    derivatives, blocks = jax.jacfwd(values, has_aux=True)(decisions)
+    return Blocks(blocks, derivatives)
 
 
 class Resolved(NamedTuple):
@@ -56,7 +64,7 @@ def _outputs_at_points(problem: Problem, collocation: Collocation, decisions: Fl
     return jax.vmap(lambda germ: history(problem, germ, decisions))(collocation.points)
 
 
-EVALUATE = Compiled(_values_and_jacobian)
+EVALUATE = Compiled(_evaluate)
 RESOLVE = Compiled(_resolve)
 OUTPUTS_AT_POINTS = Compiled(_outputs_at_points)
 
@@ -90,47 +98,54 @@ def transcribe(problem: Problem) -> Sequential:
     places = problem.survey
     if places.size == 0:
         raise ProblemError(
-            "The problem has no decisions. Put al.Decision(initial, lower, upper) in the place of a number of the model."
+            "The problem has no decisions: put al.Decision(initial, lower, upper) in the place of a number of it."
         )
     collocation = collocation_of(problem)
     traced = numbers_to_arrays(problem)
 
-    def evaluate(decisions: Float[np.ndarray, " n"]) -> Evaluation:
-        values, jacobian = (np.asarray(part) for part in EVALUATE(traced, collocation, jnp.asarray(decisions)))
-        return Evaluation(float(values[0]), jacobian[0], values[1:], jacobian[1:])
+    def evaluate(decisions: Float[np.ndarray, " n"]) -> Blocks:
+        blocks = EVALUATE(traced, collocation, jnp.asarray(decisions))
+        return Blocks(*(tuple(np.asarray(block) for block in part) for part in blocks))
 
     start = places.vector("initial")
     at_start = evaluate(start)
-    rows = _rows(problem, collocation, traced)
+    scales = [_scale(one, block) for one, block in zip(problem.constraints, at_start.values[1:], strict=True)]
+    rows = _rows(at_start)
     program = NonlinearProgram(
-        evaluate=evaluate,
+        evaluate=_remember(start, at_start, evaluate),
         start=start,
         lower=places.vector("lower"),
         upper=places.vector("upper"),
         constraint_lower=_spread(rows, [float(one.lower) for one in problem.constraints]),
         constraint_upper=_spread(rows, [float(one.upper) for one in problem.constraints]),
-        constraint_scale=_spread(
-            rows,
-            [
-                _constraint_scale(one, at_start.constraints[row])
-                for one, row in zip(problem.constraints, rows, strict=True)
-            ],
-        ),
+        constraint_scale=_spread(rows, scales),
         decision_scale=_decision_scale(start, places.vector("lower"), places.vector("upper")),
     )
     return Sequential(problem, traced, places, collocation, program, rows)
 
 
-def _rows(problem: Problem, collocation: Collocation, traced: Problem) -> tuple[slice, ...]:
+def _remember(
+    start: Float[np.ndarray, " n"], at_start: Blocks, evaluate: Callable[[np.ndarray], Blocks]
+) -> Callable[[np.ndarray], Evaluation]:
+    """`evaluate` in the solver's terms. The start was needed to find the scales and is not computed twice."""
+
+    def evaluation(decisions: Float[np.ndarray, " n"]) -> Evaluation:
+        values, derivatives = at_start if np.array_equal(decisions, start) else evaluate(decisions)
+        n = len(decisions)
+        return Evaluation(
+            objective=float(values[0][0]),
+            gradient=derivatives[0][0],
+            constraints=np.concatenate([np.zeros(0), *values[1:]]),
+            jacobian=np.concatenate([np.zeros((0, n)), *derivatives[1:]]),
+        )
+
+    return evaluation
+
+
+def _rows(blocks: Blocks) -> tuple[slice, ...]:
     """The rows of each constraint in the program's constraint vector."""
-
-    def sizes(x: Array) -> list[Array]:
-        scope = scope_of(traced, collocation, x)
-        return [jnp.ravel(one.expression.evaluate(scope)) for one in traced.constraints]
-
-    shapes = jax.eval_shape(sizes, jax.ShapeDtypeStruct((problem.survey.size,), float))
-    ends = np.cumsum([0, *(shape.size for shape in shapes)])
-    return tuple(slice(int(a), int(b)) for a, b in zip(ends[:-1], ends[1:], strict=True))
+    ends = np.cumsum([0, *(block.size for block in blocks.values[1:])]).tolist()
+    return tuple(slice(first, last) for first, last in itertools.pairwise(ends))
 
 
 def _spread(rows: tuple[slice, ...], numbers: list[float]) -> Float[np.ndarray, " m"]:
@@ -140,7 +155,7 @@ def _spread(rows: tuple[slice, ...], numbers: list[float]) -> Float[np.ndarray, 
     )
 
 
-def _constraint_scale(constraint: Constraint, values: Float[np.ndarray, " rows"]) -> float:
+def _scale(constraint: Constraint, values: Float[np.ndarray, " rows"]) -> float:
     """A typical magnitude of a constraint: its bound, or where that is zero its largest value at the start."""
     bounds = [abs(float(bound)) for bound in (constraint.lower, constraint.upper) if np.isfinite(bound)]
     largest = float(np.max(np.abs(values), initial=0.0))

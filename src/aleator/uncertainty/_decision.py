@@ -17,8 +17,8 @@ class Decision(eqx.Module):
     one bound for all or one each. Two placements are two decisions, even of the same object, unless both were made with
     `shared("name")`: then they are one.
 
-    Raises `ProblemError` if a number is not finite (bounds may be infinite), if the bounds are in the wrong order, or if
-    the start lies outside them.
+    Raises `ProblemError` if a number is not finite (bounds may be infinite), if the bounds are in the wrong order, or
+    if the start lies outside them.
     """
 
     initial: Scalar | np.ndarray
@@ -28,9 +28,9 @@ class Decision(eqx.Module):
 
     def __init__(
         self,
-        initial: float | np.ndarray,
-        lower: float | np.ndarray = -np.inf,
-        upper: float | np.ndarray = np.inf,
+        initial: Any,
+        lower: Any = -np.inf,
+        upper: Any = np.inf,
         *,
         shared_name: str | None = None,
     ):

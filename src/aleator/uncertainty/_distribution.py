@@ -6,13 +6,19 @@ from typing import Any, ClassVar, NamedTuple, Self
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from aleator._core.arrays import Scalar
 from aleator._core.errors import ProblemError
 from aleator.uncertainty._decision import Decision
 from aleator.uncertainty._polynomials import AbstractGerm
+
+
+# Parameters that a law only has for positive values, whatever its family.
+_NONNEGATIVE = frozenset({"half_width", "std", "scale", "alpha", "beta", "shape"})
 
 
 class Canonical(NamedTuple):
@@ -52,7 +58,7 @@ class AbstractDistribution(eqx.Module):
         self.parameters = parameters
         self.shared_name = shared_name
         self._names()
-        if not any(isinstance(value, jax.core.Tracer) for value in jax.tree.leaves(parameters)):
+        if not any(isinstance(value, Tracer) for value in jax.tree.leaves(parameters)):
             self._check()
 
     def shared(self, name: str) -> Self:
@@ -73,13 +79,18 @@ class AbstractDistribution(eqx.Module):
         return self.FORMS[self._names()]
 
     def _check(self) -> None:
-        """Refuse parameters that make no law, at the initial values of its decisions."""
+        """Refuse parameters that make no law at the initial values of its decisions, and spreads that may turn negative."""
+        for name, decision in self.decisions.items():
+            if name in _NONNEGATIVE and float(decision.lower) < 0:
+                raise ProblemError(
+                    f"{type(self).__name__}: the Decision for '{name}' needs a lower bound of at least 0; received {self}."
+                )
         given = {name: np.float64(value) for name, value in self.initial().parameters.items()}
         with np.errstate(all="ignore"):  # a division by zero leaves an infinity or a nan, refused below
             location, scale, shape = self.form.canonical(**given)
         # A given standard deviation is squared on its way to some canonical forms, which hides its sign.
-        positive = [scale, *shape, given.get("std", 1.0)]
-        if not np.all(np.isfinite([location, *positive])) or min(positive) <= 0:
+        positive = [float(value) for value in (scale, *shape, given.get("std", 1.0))]
+        if not np.all(np.isfinite([float(location), *positive])) or min(positive) <= 0:
             raise ProblemError(
                 f"{type(self).__name__} needs finite parameters, a positive spread and positive shape parameters; "
                 f"received {self}."
@@ -117,7 +128,7 @@ class AbstractDistribution(eqx.Module):
         location, scale, shape = self.canonical()
         if reference is not None:
             germ = self.transport(germ, reference, shape)
-        return location + scale * germ
+        return jnp.asarray(location + scale * germ)
 
     def transport(self, germ: Float[Array, ""], source: tuple, target: tuple) -> Float[Array, ""]:
         """Move a germ value between two shapes at equal probability. Families without shape have nothing to move."""
@@ -167,4 +178,4 @@ def _is_one_real(value: np.ndarray) -> bool:
 def _brief(value: Any) -> str:
     if isinstance(value, Decision):
         return f"Decision({float(value.initial):g} in [{float(value.lower):g}, {float(value.upper):g}])"
-    return f"{float(value):g}" if not isinstance(value, jax.core.Tracer) else "traced"
+    return f"{float(value):g}" if not isinstance(value, Tracer) else "traced"

@@ -16,7 +16,7 @@ from aleator.uncertainty._transport import beta_quantile, gamma_quantile
 
 @final
 class Uniform(AbstractDistribution):
-    """Uniform distribution: `Uniform(376.0, half_width=47.0)`, `Uniform(376.0, std=27.1)` or `Uniform.bounds(329, 423)`.
+    """Uniform distribution: `Uniform(376.0, half_width=47.0)`, `Uniform(376.0, std=27.1)`, `Uniform.bounds(329, 423)`.
 
     Its germ is uniform on [-1, 1] with Legendre polynomials; the half-width is the coefficient `theta^1` of
     equation (114). The standard deviation is the half-width over the root of 3.
@@ -139,7 +139,7 @@ class Beta(AbstractDistribution):
 
     def transport(self, germ: Float[Array, ""], source: tuple, target: tuple) -> Float[Array, ""]:
         """See `AbstractDistribution.transport`."""
-        level = special.betainc(*source, (1 + germ) / 2)
+        level = special.betainc(source[0], source[1], (1 + germ) / 2)
         return 2 * beta_quantile(level, *target) - 1
 
     def mean(self) -> Scalar:
@@ -194,7 +194,7 @@ class Gamma(AbstractDistribution):
 
     def transport(self, germ: Float[Array, ""], source: tuple, target: tuple) -> Float[Array, ""]:
         """See `AbstractDistribution.transport`."""
-        return gamma_quantile(special.gammainc(*source, germ), *target)
+        return gamma_quantile(special.gammainc(source[0], germ), *target)
 
     def mean(self) -> Scalar:
         """See `AbstractDistribution.mean`."""

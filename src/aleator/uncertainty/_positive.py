@@ -58,11 +58,11 @@ def _lowest(leaf: Any) -> float | None:
         leaf = leaf.distribution
     if isinstance(leaf, AbstractDistribution):
         # Both ends, because a spread that may become negative swaps them.
-        return float(np.min([law.support() for law in _corners(leaf)]))
+        return float(np.min([float(end) for law in _corners(leaf) for end in law.support()]))
     if isinstance(leaf, Decision):
         return float(np.min(leaf.lower, initial=np.inf))
     if isinstance(leaf, int | float | np.ndarray | jax.Array) and np.asarray(leaf).dtype.kind in "biuf":
-        return float(np.min(np.asarray(leaf), initial=np.inf))
+        return float(np.min(np.asarray(leaf, dtype=float), initial=np.inf))
     return None
 
 

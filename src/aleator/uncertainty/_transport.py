@@ -11,7 +11,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.scipy import special
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
+
+from aleator._core.arrays import Scalar
 
 _BISECTIONS = 70
 
@@ -33,7 +35,7 @@ _NODES, _WEIGHTS = _tanh_sinh()
 def _bisect(cumulative: Callable[[Array], Array], level: Array) -> Array:
     """Root of `cumulative(x) = level` on (0, 1)."""
 
-    def halve(_: int, bracket: tuple[Array, Array]) -> tuple[Array, Array]:
+    def halve(_: Int[Array, ""], bracket: tuple[Array, Array]) -> tuple[Array, Array]:
         low, high = bracket
         middle = (low + high) / 2
         below = cumulative(middle) < level
@@ -44,7 +46,7 @@ def _bisect(cumulative: Callable[[Array], Array], level: Array) -> Array:
 
 
 @jax.custom_jvp
-def beta_quantile(level: Float[Array, ""], alpha: Float[Array, ""], beta: Float[Array, ""]) -> Float[Array, ""]:
+def beta_quantile(level: Float[Array, ""], alpha: Scalar, beta: Scalar) -> Float[Array, ""]:
     """Quantile on (0, 1) of the Beta law, differentiable in all three arguments."""
     return _bisect(lambda x: special.betainc(alpha, beta, x), level)
 
@@ -59,11 +61,11 @@ def _beta_quantile_jvp(primals: tuple, tangents: tuple) -> tuple[Array, Array]:
     return x, (level_dot - by_alpha * alpha_dot - by_beta * beta_dot) / density
 
 
-def _beta_log_density(x: Array, complement: Array, alpha: Array, beta: Array) -> Array:
-    return (alpha - 1) * jnp.log(x) + (beta - 1) * jnp.log(complement) - special.betaln(alpha, beta)
+def _beta_log_density(x: Array, complement: Array, alpha: Scalar, beta: Scalar) -> Array:
+    return jnp.asarray((alpha - 1) * jnp.log(x) + (beta - 1) * jnp.log(complement) - special.betaln(alpha, beta))
 
 
-def _beta_cumulative_derivatives(x: Array, alpha: Array, beta: Array) -> tuple[Array, Array]:
+def _beta_cumulative_derivatives(x: Array, alpha: Scalar, beta: Scalar) -> tuple[Array, Array]:
     """Derivatives of the incomplete beta function in its shapes, by quadrature on the side of `x` with less mass.
 
     `dF/d alpha = integral over (0, x) of (ln t - digamma(alpha) + digamma(alpha + beta)) f(t)`, and the same integral
@@ -83,7 +85,7 @@ def _beta_cumulative_derivatives(x: Array, alpha: Array, beta: Array) -> tuple[A
 
 
 @jax.custom_jvp
-def gamma_quantile(level: Float[Array, ""], shape: Float[Array, ""]) -> Float[Array, ""]:
+def gamma_quantile(level: Float[Array, ""], shape: Scalar) -> Float[Array, ""]:
     """Quantile of the Gamma law with unit scale, differentiable in both arguments."""
     # x / (1 + x) brings the half line to (0, 1).
     fraction = _bisect(lambda y: special.gammainc(shape, y / (1 - y)), level)

@@ -6,7 +6,7 @@ from typing import NamedTuple, final
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from aleator._core.compilation import Compiled
 from aleator.design import AbstractScope, Constraint, Functional, Problem, Statistic, functionals_of, responses
@@ -19,7 +19,8 @@ class Batch(NamedTuple):
     - `scalars`: by functional (those that are numbers), shape (systems,);
     - `path_mean`, `path_square`: by functional (those that are paths), mean and sum of squared deviations, (instants,);
     - `excess`: by constraint, how far it is beyond its bound at worst, shape (constraints, systems);
-    - `values`: by path constraint, its expression, shape (systems, instants).
+    - `values`: by path constraint, its expression, shape (systems, instants);
+    - `finite`: whether every functional of a system is finite, shape (systems,).
     """
 
     scalars: dict[int, Float[Array, " systems"]]
@@ -27,6 +28,7 @@ class Batch(NamedTuple):
     path_square: dict[int, Float[Array, "..."]]
     excess: Float[Array, "constraints systems"]
     values: dict[int, Float[Array, "systems ..."]]
+    finite: Bool[Array, " systems"]
 
 
 @final
@@ -51,7 +53,10 @@ def speaks_of_one_system(constraint: Constraint) -> bool:
     return any(isinstance(atom, Statistic) and atom.kind == "mean" for atom in constraint.expression.atoms)
 
 
-def _simulate_batch(problem: Problem, germ: Float[Array, "systems variables"], decisions: Float[Array, " n"]) -> Batch:
+def _simulate_batch(
+    problem: Problem, germ: Float[Array, "systems variables"], decisions: Float[Array, " n"], count: Int[Array, ""]
+) -> Batch:
+    """Simulate as many systems as germ points. Those after the first `count` fill up the batch: no moment counts them."""
     functionals = functionals_of(problem.expressions)
     samples = responses(problem, functionals, germ, decisions)
     numbers = named_numbers(problem.model, decisions)
@@ -63,16 +68,22 @@ def _simulate_batch(problem: Problem, germ: Float[Array, "systems variables"], d
         return [excess for excess, _ in judged], paths
 
     excess, values = jax.vmap(judge)(samples)
-    shape = samples[0].shape[:1] if samples else germ.shape[:1]
-    scalars = {i: one for i, one in enumerate(samples) if one.ndim == 1}
+    systems = len(germ)
+    wanted = jnp.arange(systems) < count
+
+    def total(one: Array) -> Array:
+        return jnp.sum(jnp.where(wanted.reshape(systems, *(1,) * (one.ndim - 1)), one, 0.0), axis=0)
+
     paths = {i: one for i, one in enumerate(samples) if one.ndim > 1}
-    means = {i: one.mean(axis=0) for i, one in paths.items()}
+    means = {i: total(one) / count for i, one in paths.items()}
+    finite = [jnp.isfinite(one).reshape(systems, -1).all(axis=1) for one in samples]
     return Batch(
-        scalars=scalars,
+        scalars={i: one for i, one in enumerate(samples) if one.ndim == 1},
         path_mean=means,
-        path_square={i: jnp.sum((one - means[i]) ** 2, axis=0) for i, one in paths.items()},
-        excess=jnp.stack(excess) if excess else jnp.zeros((0, *shape)),
+        path_square={i: total((one - means[i][None]) ** 2) for i, one in paths.items()},
+        excess=jnp.stack(excess) if excess else jnp.zeros((0, systems)),
         values=values,
+        finite=jnp.stack([jnp.ones(systems, bool), *finite]).all(axis=0),
     )
 
 
@@ -91,9 +102,3 @@ def draw(germs: tuple[AbstractGerm, ...], count: int, generator: np.random.Gener
     # 1 - u lies in (0, 1], u in [0, 1): the middle of the two never hits an end, where unbounded laws are infinite.
     levels = generator.uniform(np.finfo(float).tiny, 1.0, (count, len(germs)))
     return np.stack([germ.quantile(levels[:, i]) for i, germ in enumerate(germs)], axis=1)
-
-
-def finite(batch: Batch) -> Bool[np.ndarray, " systems"]:
-    """Which systems gave finite numbers throughout."""
-    rows = [np.asarray(one)[None] for one in batch.scalars.values()] + [np.asarray(batch.excess)]
-    return ~np.isnan(np.concatenate(rows)).any(axis=0)

@@ -14,7 +14,7 @@ from aleator.design import Functional, Problem, Solution, functionals_of, uncert
 from aleator.uncertainty import uncertain_numbers
 from aleator.validation._evidence import PERCENTILES, Evidence, Sampled, Trajectories
 from aleator.validation._proportion import Proportion
-from aleator.validation._sampling import SIMULATE_BATCH, Batch, draw, finite, speaks_of_one_system
+from aleator.validation._sampling import SIMULATE_BATCH, Batch, draw, speaks_of_one_system
 
 
 def validate(
@@ -50,16 +50,16 @@ def validate(
     for done in range(0, samples, batch):
         progress("Monte Carlo", done, samples)
         # The last batch is drawn in full too, so that one compiled size serves all; what is left over is dropped.
-        germ = draw(germs, batch, generator)
-        result = SIMULATE_BATCH(traced, jnp.asarray(germ), decisions)
-        _refuse_broken(problem, result, germ, solution.vector)
-        tally.add(result, done)
+        germ, count = draw(germs, batch, generator), min(batch, samples - done)
+        result = SIMULATE_BATCH(traced, jnp.asarray(germ), decisions, jnp.asarray(count))
+        _refuse_broken(problem, result, germ[:count], solution.vector)
+        tally.add(result, done, count)
     progress("Monte Carlo", samples, samples)
     return tally.evidence(solution, seed, time.perf_counter() - started)
 
 
 def _refuse_broken(problem: Problem, batch: Batch, germ: np.ndarray, decisions: np.ndarray) -> None:
-    good = finite(batch)
+    good = np.asarray(batch.finite)[: len(germ)]
     if good.all():
         return
     numbers = uncertain_numbers(problem.survey, jnp.asarray(germ[np.argmin(good)]), jnp.asarray(decisions))
@@ -85,10 +85,8 @@ class _Tally:
         self._excess = np.empty((len(problem.constraints), samples))
         self._kept: dict[int, list[np.ndarray]] = {}
 
-    def add(self, batch: Batch, start: int) -> None:
-        """Add a batch whose first system has the number `start`; systems beyond the total are dropped."""
-        size = batch.excess.shape[1]
-        count = min(size, self._samples - start)
+    def add(self, batch: Batch, start: int, count: int) -> None:
+        """Add the first `count` systems of a batch, numbered from `start`."""
         rows = slice(start, start + count)
         self._excess[:, rows] = np.asarray(batch.excess)[:, :count]
         for i, values in batch.scalars.items():
@@ -97,15 +95,15 @@ class _Tally:
             wanted = min(count, self._keep - start)
             if wanted > 0:
                 self._kept.setdefault(i, []).append(np.asarray(values[:wanted]))
-        self._merge(batch, size)
+        self._merge(batch, count)
 
-    def _merge(self, batch: Batch, size: int) -> None:
-        total = self._seen + size
+    def _merge(self, batch: Batch, count: int) -> None:
+        total = self._seen + count
         for i, mean in batch.path_mean.items():
             old_mean, old_square = self._mean.get(i, 0.0), self._square.get(i, 0.0)
             shift = np.asarray(mean) - old_mean
-            self._mean[i] = old_mean + shift * size / total
-            self._square[i] = old_square + np.asarray(batch.path_square[i]) + shift**2 * self._seen * size / total
+            self._mean[i] = old_mean + shift * count / total
+            self._square[i] = old_square + np.asarray(batch.path_square[i]) + shift**2 * self._seen * count / total
         self._seen = total
 
     def evidence(self, solution: Solution, seed: int, seconds: float) -> Evidence:
@@ -133,17 +131,17 @@ class _Tally:
     def _sampled(self, i: int, functional: Functional, solution: Solution) -> Sampled:
         moments = solution.moments[functional.text()]
         if i in self._scalars:
-            values, count = self._scalars[i], self._samples
+            values = self._scalars[i]
             mean, std = values.mean(), values.std(ddof=1)
             percentiles = np.percentile(values, PERCENTILES)
         else:
-            count, percentiles = self._seen, None
-            mean, std = self._mean[i], np.sqrt(self._square[i] / (count - 1))
+            percentiles = None
+            mean, std = self._mean[i], np.sqrt(self._square[i] / (self._samples - 1))
         return Sampled(
             text=functional.text(),
             mean=np.asarray(mean),
             std=np.asarray(std),
-            standard_error=np.asarray(std / np.sqrt(count)),
+            standard_error=np.asarray(std / np.sqrt(self._samples)),
             percentiles=percentiles,
             expanded_mean=moments.mean,
             expanded_std=moments.std,

@@ -1,0 +1,96 @@
+"""Numbers, probabilities and units as an engineer reads them."""
+
+import math
+import re
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from aleator.validation import Proportion
+
+_THIN = "\u202f"  # narrow space that does not break a line
+_SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+def number(value: float, digits: int = 4, unit: str = "") -> str:
+    """A number to `digits` significant digits, whole where it is large, with its unit: `23 339 N/m`, `−0.0322 m`."""
+    value = float(value)
+    if math.isnan(value):
+        return "–"
+    text = "∞" if math.isinf(value) else _magnitude(abs(value), digits)
+    signed = f"−{text}" if value < 0 and text != "0" else text
+    return f"{signed}{_THIN}{unit}" if unit not in ("", "-") else signed
+
+
+def _magnitude(value: float, digits: int) -> str:
+    if value == 0:
+        return "0"
+    if value >= 1e7 or value < 1e-4:
+        mantissa, exponent = f"{value:.{max(0, digits - 2)}e}".split("e")
+        return f"{mantissa}·10{str(int(exponent)).translate(_SUPERSCRIPT)}"
+    decimals = max(0, digits - 1 - math.floor(math.log10(value)))
+    return f"{value:,.{decimals}f}".replace(",", _THIN)
+
+
+def given(value: float, unit: str = "") -> str:
+    """A number as someone chose it, without digits that say nothing: `0.034 m`, `220`."""
+    text = f"{float(value):.6g}".replace("-", "−")
+    return f"{text}{_THIN}{unit}" if unit not in ("", "-") else text
+
+
+def count(value: int) -> str:
+    """A whole number: `20 000`."""
+    return f"{int(value):,}".replace(",", _THIN)
+
+
+def residual(value: float) -> str:
+    """A residual, of which only the order of magnitude matters: `8·10⁻¹³`."""
+    return "0" if value == 0 else _magnitude(abs(float(value)), 2 if 1e-4 <= abs(value) < 1e7 else 3)
+
+
+def seconds(value: float) -> str:
+    """A wall time: `0.64 s`, `3.2 min`."""
+    return number(value, 2, "s") if value < 120 else number(value / 60, 2, "min")
+
+
+def percent(probability: float) -> str:
+    """A probability to three significant digits: `35.0 %`."""
+    value = 100 * float(probability)
+    if value == 0 or value == 100:
+        return f"{value:.0f}{_THIN}%"
+    return f"{value:#.3g}".rstrip(".") + f"{_THIN}%"
+
+
+def interval(share: "Proportion") -> str:
+    """The confidence interval of a share: `34.3 to 35.6 %`."""
+    ends = [percent(end).removesuffix(f"{_THIN}%") for end in (share.lower, share.upper)]
+    return f"{ends[0]} to {ends[1]}{_THIN}%"
+
+
+def share_text(share: "Proportion | None") -> str:
+    """A share with its confidence interval: `35.0 % [34.3 to 35.6 %]`; a dash where nothing was counted."""
+    return "–" if share is None else f"{percent(share.estimate)} [{interval(share)}]"
+
+
+def values_text(values: object, digits: int = 5, unit: str = "") -> str:
+    """A number, or the numbers of a short array, with a unit."""
+    entries = [number(one, digits) for one in np.ravel(np.asarray(values, dtype=float))]
+    text = entries[0] if np.ndim(values) == 0 else f"[{', '.join(entries)}]"
+    return f"{text}{_THIN}{unit}" if unit not in ("", "-") else text
+
+
+def words(names: list[str] | tuple[str, ...], nothing: str = "none") -> str:
+    """Names in a sentence: `a, b and c`."""
+    if len(names) < 2:
+        return names[0] if names else nothing
+    return f"{', '.join(names[:-1])} and {names[-1]}"
+
+
+def times_second(unit: str) -> str:
+    """The unit of a time integral: `m²/s⁴` becomes `m²/s³`."""
+    powers = {"s⁴": "s³", "s³": "s²", "s²": "s"}
+    if match := re.fullmatch(r"(.+)/(s[²³⁴]?)", unit):
+        base, second = match.groups()
+        return base if second == "s" else f"{base}/{powers[second]}"
+    return f"{unit} s".strip() if unit != "-" else "s"

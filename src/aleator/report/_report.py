@@ -1,0 +1,232 @@
+"""`report`: the results of any problem as one page, verdict first."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeVar, cast
+
+import numpy as np
+
+from aleator._core.errors import ProblemError
+from aleator.design import Solution
+from aleator.report import _units
+from aleator.report._files import check_writable
+from aleator.report._fronts import front_figure, price_figure
+from aleator.report._numbers import count, interval, number, percent, words
+from aleator.report._page import Block, Card, Code, Drawing, Page, Section, Text, Verdict, write_page
+from aleator.report._samples import percentile_figure, trajectory_figure
+from aleator.report._tables import (
+    certificate_table,
+    designs_table,
+    evidence_table,
+    unresolved,
+)
+from aleator.sweep import Front
+from aleator.validation import Evidence
+
+if TYPE_CHECKING:
+    from plotly.graph_objects import Figure
+
+Result = TypeVar("Result", Solution, Evidence, Front)
+
+HOW_TO_READ = (
+    "The decisions are the numbers the optimiser chose. μ and σ are mean and standard deviation over the declared "
+    "uncertainty, found by a polynomial chaos expansion.",
+    "A limit on mean ± a·σ is a margin, not a promise: how often single systems break the limit is counted on fresh random "
+    "systems, without the expansion, and given with its 95 % confidence interval.",
+    "An active limit is one that holds the design where it is. Its price says how much the objective would fall for each "
+    "unit by which the limit is relaxed; a limit that is not active has price zero.",
+    "In the figures, hover over a point for its numbers. Drag to zoom, double-click to return.",
+)
+
+
+def report(
+    solutions: Solution | Mapping[str, Solution],
+    evidence: Evidence | Mapping[str, Evidence] | None = None,
+    fronts: Front | Mapping[str, Front] | None = None,
+    *,
+    path: str | Path,
+    title: str = "Design under uncertainty",
+) -> Path:
+    """Write the results of any problem as one HTML page that works offline, and return its path.
+
+    One solution, its evidence and its front may be given as they are; several by name, evidence and fronts under the
+    names of their designs. What is missing is left out; a design that was not solved is reported as such, first.
+
+    Raises `ProblemError` if there is no solution or the file cannot be written.
+    """
+    designs = _named(solutions, Solution)
+    if not designs:
+        raise ProblemError("report: expected at least one solution; received none.")
+    first = next(iter(designs))
+    sampled, swept = _named(evidence, Evidence, first), _named(fronts, Front, first)
+    check_writable(Path(path).parent)
+    return write_page(_page(designs, sampled, swept, title), path)
+
+
+def _named(given: Result | Mapping[str, Result] | None, kind: type[Result], name: str = "design") -> dict[str, Result]:
+    """One or several results by name; anything else is refused."""
+    if given is None:
+        return {}
+    if isinstance(given, kind):
+        return {name: given}
+    if not isinstance(given, Mapping):
+        raise ProblemError(f"report: expected a {kind.__name__} or several by name; received {type(given).__name__}.")
+    for key, one in given.items():
+        if not isinstance(one, kind):
+            raise ProblemError(f"report: expected a {kind.__name__} as '{key}'; received {type(one).__name__}.")
+    return cast("dict[str, Result]", {str(key): one for key, one in given.items()})
+
+
+def _page(designs: dict[str, Solution], evidence: dict[str, Evidence], fronts: dict[str, Front], title: str) -> Page:
+    sections = [
+        Section("Designs", _design_blocks(designs, evidence)),
+        Section("Trajectories", _trajectory_blocks(evidence)),
+        Section("Trade-offs", _front_blocks(fronts)),
+        Section("Evidence", _evidence_blocks(evidence)),
+        Section("Certificate", [certificate_table(designs)]),
+        Section("The problem as mathematics", [Code(name, str(one.problem), True) for name, one in designs.items()]),
+        Section("How to read this", [Text(HOW_TO_READ)]),
+    ]
+    return Page(
+        title=title,
+        subtitle=f"{words([str(name) for name in designs])}: result and evidence",
+        verdict=verdict(designs, evidence),
+        sections=[one for one in sections if one.blocks],
+        footer=footer(),
+    )
+
+
+def footer() -> str:
+    """Which program wrote the page, and when."""
+    import datetime
+
+    import aleator
+
+    now = datetime.datetime.now().astimezone()
+    return f"Written by aleator {aleator.__version__} on {now:%Y-%m-%d at %H:%M}. This page is one file and needs no network."
+
+
+def verdict(designs: Mapping[str, Solution], evidence: Mapping[str, Evidence]) -> Verdict:
+    """What the results allow to say: whether all is solved, how often limits are violated, whether to trust the moments."""
+    failed = {name: one for name, one in designs.items() if not one.ok}
+    coarse = unresolved(designs)
+    sentences = [f"{name}: {one.why()}" for name, one in failed.items()]
+    sentences += [_violation_sentence(name, one) for name, one in evidence.items()]
+    sentences += [
+        f"The expansion of {name} leaves {percent(error)} of the variance of {text} unexplained: "
+        "raise its order before trusting its means and spreads."
+        for name, (text, error) in coarse.items()
+    ]
+    if not evidence:
+        sentences.append("No Monte Carlo evidence is given: how often single systems violate the limits is not known.")
+    cards = [*_solution_cards(designs), *_violation_cards(evidence)][:4]
+    if failed:
+        headline = f"{words(list(failed))} {'is' if len(failed) == 1 else 'are'} not solved: do not use as a design."
+        return Verdict("bad", "Not solved", headline, sentences, cards)
+    solved = "The design is solved" if len(designs) == 1 else f"All {len(designs)} designs are solved"
+    if coarse:
+        return Verdict("bad", "Not resolved", f"{solved}, but the expansion is too coarse to trust.", sentences, cards)
+    if not evidence:
+        return Verdict(
+            "caution", "Solved, not checked", f"{solved} to tolerance; no Monte Carlo evidence is given.", sentences, cards
+        )
+    worst = max(evidence.values(), key=lambda one: one.joint.estimate).joint
+    return Verdict(
+        "good",
+        "Solved and checked",
+        f"{solved} to tolerance; at most {percent(worst.estimate)} of systems violate a limit [{interval(worst)}].",
+        sentences,
+        cards,
+    )
+
+
+def _violation_sentence(name: str, evidence: Evidence) -> str:
+    if not evidence.violations:
+        return f"{name}: no limit speaks of single systems, so there is nothing to count."
+    parts = [f"{limit} {percent(share.estimate)}" for limit, share in evidence.violations.items()]
+    return (
+        f"{name}: of {count(evidence.samples)} random systems {percent(evidence.joint.estimate)} [{interval(evidence.joint)}] "
+        f"violate at least one limit ({words(parts)})."
+    )
+
+
+def _solution_cards(designs: Mapping[str, Solution]) -> list[Card]:
+    cards = []
+    for name, one in list(designs.items())[:2]:
+        unit = _units.of_expression(one.problem.objective, one.problem)
+        note = f"held by {words(one.active, 'nothing')}" if one.ok else "not solved"
+        cards.append(Card(f"Objective of {name}", number(one.objective, 4, unit), note))
+    return cards
+
+
+def _violation_cards(evidence: Mapping[str, Evidence]) -> list[Card]:
+    return [
+        Card(
+            f"Systems of {name} that violate a limit",
+            percent(one.joint.estimate),
+            f"95 % confidence: {interval(one.joint)}",
+        )
+        for name, one in list(evidence.items())[:2]
+    ]
+
+
+def _design_blocks(designs: Mapping[str, Solution], evidence: Mapping[str, Evidence]) -> list[Block]:
+    failed = [Text([one.why()], lead=f"{name} is not solved.") for name, one in designs.items() if not one.ok]
+    return [*failed, designs_table(designs, evidence)]
+
+
+def _trajectory_blocks(evidence: Mapping[str, Evidence]) -> list[Block]:
+    """One drawing for each design and path constraint."""
+    blocks: list[Block] = []
+    for name, one in evidence.items():
+        problem = one.solution.problem
+        for limit in dict.fromkeys(kept.name for kept in one.trajectories):
+            unit = _units.of_expression(problem.named(limit)[0].expression, problem)
+            figure = trajectory_figure(one, limit, unit=unit)
+            blocks.append(
+                Drawing(
+                    [figure], f"{limit} of {name}", "Sampled systems over time; those that leave the limits stand out."
+                )
+            )
+    return blocks
+
+
+def _front_blocks(fronts: Mapping[str, Front]) -> list[Block]:
+    """For each bound that was swept: the optimum along it, and the price of the bound."""
+    blocks: list[Block] = []
+    for bound in dict.fromkeys(one.bound for one in fronts.values()):
+        group = {name: one for name, one in fronts.items() if one.bound == bound}
+        problem = next(iter(group.values())).solutions[0].problem
+        x_unit = _units.of_expression(problem.named(bound)[0].expression, problem)
+        y_unit = _units.of_expression(problem.objective, problem)
+        axes = {"x": f"Limit of {bound}", "x_unit": x_unit}
+        per = f"{y_unit or '1'} per {x_unit}" if x_unit else ""
+        caption = (
+            f"Filled markers: {bound} is active; open markers: something else holds the design. "
+            "Crosses on the axis: no design meets all limits there; hover to see what is missed."
+        )
+        figures: list[Figure] = [front_figure(group, y="Objective", y_unit=y_unit, **axes)]
+        blocks.append(Drawing(figures, f"Optimum against the limit of {bound}", caption))
+        price = price_figure(group, y="Price of the bound", y_unit=per, **axes)
+        blocks.append(Drawing([price], f"What relaxing {bound} is worth", "Zero where the limit is not active."))
+    return blocks
+
+
+def _evidence_blocks(evidence: Mapping[str, Evidence]) -> list[Block]:
+    if not evidence:
+        return []
+    blocks: list[Block] = [evidence_table(evidence)]
+    for text in dict.fromkeys(text for one in evidence.values() for text in one.functionals):
+        group = {name: one.functionals[text] for name, one in evidence.items() if text in one.functionals}
+        if any(np.ndim(one.mean) or one.percentiles is None for one in group.values()):
+            continue
+        unit = _units.of_moments(next(iter(evidence.values())).solution.problem).get(text, "")
+        figure = percentile_figure(group, x=text, unit=unit)
+        blocks.append(
+            Drawing(
+                [figure],
+                f"Spread of {text} over random systems",
+                "Bars: 1 to 99 %, 5 to 95 % and 25 to 75 % of the systems.",
+            )
+        )
+    return blocks

@@ -1,0 +1,116 @@
+"""The leave-one-out error against refits without each point, and OpenTURNS."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import openturns as ot
+import pytest
+
+from aleator.collocation import Expansion, collocate, leave_one_out
+from aleator.uncertainty import HermiteGerm, LaguerreGerm, LegendreGerm
+
+GERMS = (LegendreGerm(), HermiteGerm())
+
+
+def error_of(collocation, samples):
+    return float(leave_one_out(collocation, samples, collocation.coefficients(samples)))
+
+
+def errors_by_refitting(matrix, samples):
+    """Predict each sample from a fit to all others."""
+    errors = []
+    for k in range(len(samples)):
+        others = np.arange(len(samples)) != k
+        coefficients = np.linalg.lstsq(matrix[others], samples[others], rcond=None)[0]
+        errors.append(samples[k] - matrix[k] @ coefficients)
+    return np.array(errors)
+
+
+def scalar(points):
+    return jnp.exp(0.4 * points[:, 0]) * jnp.sin(points[:, 1]) + points[:, 0] ** 5
+
+
+def histories(points):
+    times = jnp.linspace(0.0, 3.0, 7)[None, :]
+    return jnp.exp(-times * (1 + 0.5 * points[:, :1])) * (2 + points[:, 1:2])
+
+
+@pytest.mark.parametrize(("order", "points"), [(1, None), (3, None), (4, 40), (3, 11)])
+@pytest.mark.parametrize("output", [scalar, histories])
+def test_the_error_is_that_of_refitting_without_each_point(order, points, output):
+    collocation = collocate(GERMS, Expansion(order, points=points))
+    samples = output(collocation.points)
+    refitted = errors_by_refitting(np.asarray(collocation.matrix), np.asarray(samples))
+    expected = np.mean(refitted**2, axis=0).sum() / np.var(np.asarray(samples), axis=0).sum()
+    assert error_of(collocation, samples) == pytest.approx(expected, rel=1e-8)
+
+
+def test_the_error_is_that_of_openturns():
+    collocation = collocate(GERMS, Expansion(3))
+    samples = np.asarray(scalar(collocation.points))
+    inputs, outputs = ot.Sample(np.asarray(collocation.points).tolist()), ot.Sample(samples[:, None].tolist())
+    law = ot.JointDistribution([ot.Uniform(-1.0, 1.0), ot.Normal()])
+    basis = ot.OrthogonalProductPolynomialFactory([ot.LegendreFactory(), ot.HermiteFactory()])
+    algorithm = ot.LeastSquaresExpansion(inputs, outputs, law, basis, 10)
+    algorithm.run()
+    splitter = ot.LeaveOneOutSplitter(len(samples))
+    squared = ot.FunctionalChaosValidation(algorithm.getResult(), splitter).computeMeanSquaredError()[0]
+    assert error_of(collocation, jnp.asarray(samples)) == pytest.approx(squared / samples.var(), rel=1e-8)
+
+
+def test_the_error_of_a_polynomial_in_the_span_is_zero_but_for_rounding():
+    collocation = collocate(GERMS, Expansion(3))
+    samples = 1 + collocation.points[:, 0] * collocation.points[:, 1] ** 2
+    assert error_of(collocation, samples) < 1e-24
+
+
+def test_the_error_falls_with_the_order_for_a_smooth_output():
+    errors = [
+        error_of(c, jnp.exp(c.points[:, 0]))
+        for c in (collocate((LegendreGerm(),), Expansion(order)) for order in range(1, 8))
+    ]
+    assert np.polyfit(range(1, 8), np.log10(errors), 1)[0] < -1
+
+
+def test_an_output_unrelated_to_the_germ_has_an_error_of_about_one_or_more():
+    collocation = collocate(GERMS, Expansion(3))
+    noise = jnp.asarray(np.random.default_rng(1).normal(size=len(collocation.points)))
+    assert error_of(collocation, noise) > 0.8
+
+
+@pytest.mark.parametrize("constant", [0.0, 0.1, 1 / 3, np.pi, -1e9, 1e-300])
+@pytest.mark.parametrize("points", [10, 12, 30, 90])
+def test_the_error_of_a_constant_output_is_zero_in_spite_of_rounding(constant, points):
+    collocation = collocate(GERMS, Expansion(3, points=points))
+    assert error_of(collocation, jnp.full(points, constant)) == 0.0
+
+
+def test_constant_entries_of_a_history_do_not_disturb_the_error_of_the_others():
+    collocation = collocate(GERMS, Expansion(3))
+    varying = scalar(collocation.points)
+    beside = jnp.stack([varying, jnp.full(len(varying), 0.1)], axis=1)
+    assert error_of(collocation, beside) == pytest.approx(error_of(collocation, varying), rel=1e-9)
+
+
+def test_a_small_variation_on_a_large_mean_still_counts():
+    collocation = collocate(GERMS, Expansion(3))
+    varying = scalar(collocation.points)
+    assert error_of(collocation, 1e4 + 1e-2 * varying) == pytest.approx(error_of(collocation, varying), rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("germs", "order", "points"),
+    [((LegendreGerm(),), 1, 2), ((LegendreGerm(),), 3, 4), (GERMS, 2, 6), (GERMS, 3, 10), ((LaguerreGerm(2.0),), 2, 3)],
+)
+def test_interpolation_leaves_nothing_to_check_by_so_the_error_is_infinite(germs, order, points):
+    collocation = collocate(germs, Expansion(order, points=points))
+    samples = jnp.exp(0.5 * collocation.points[:, 0])
+    assert error_of(collocation, samples) == np.inf
+    assert float(jax.jit(leave_one_out)(collocation, samples, collocation.coefficients(samples))) == np.inf
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_samples_that_are_not_finite_do_not_pass_for_a_good_fit(bad):
+    collocation = collocate(GERMS, Expansion(2))
+    samples = scalar(collocation.points).at[3].set(bad)
+    assert not error_of(collocation, samples) <= 0.5

@@ -1,0 +1,108 @@
+import numpy as np
+import pytest
+from tiny_models import LOSS, ONE_STEP, RESPONSE, Gain, gain_problem
+
+import aleator as al
+
+Y, PATH = al.rms("y"), al.path("y")
+
+
+@pytest.mark.parametrize(
+    ("constraint", "bounds", "name", "text"),
+    [
+        (Y.mean <= 2, (-np.inf, 2.0), "y", "μ[rms(y)] ≤ 2"),
+        (2 >= Y.mean, (-np.inf, 2.0), "y", "μ[rms(y)] ≤ 2"),
+        (Y.mean + 3 <= 2, (-np.inf, -1.0), "y", "μ[rms(y)] ≤ -1"),
+        (Y.mean >= 2, (2.0, np.inf), "y", "μ[rms(y)] ≥ 2"),
+        (Y.mean <= al.value("k.std"), (-np.inf, 0.0), "y, k.std", "μ[rms(y)] − k.std ≤ 0"),
+        (Y.mean.equals(4), (4.0, 4.0), "y", "μ[rms(y)] = 4"),
+        (Y.at_most(2), (-np.inf, 2.0), "y", "μ[rms(y)] ≤ 2"),
+        (Y.at_most(2, sigmas=3), (-np.inf, 2.0), "y", "μ[rms(y)] + 3 σ[rms(y)] ≤ 2"),
+        (Y.at_least(-2, sigmas=1), (-2.0, np.inf), "y", "μ[rms(y)] − σ[rms(y)] ≥ -2"),
+        (PATH.at_most(1, sigmas=1.5), (-np.inf, 1.0), "y", "μ[y(t)] + 1.5 σ[y(t)] ≤ 1 for all t"),
+        (PATH.within(-1, 2, sigmas=1)[0], (-np.inf, 2.0), "y", "μ[y(t)] + σ[y(t)] ≤ 2 for all t"),
+        (PATH.within(-1, 2, sigmas=1)[1], (-1.0, np.inf), "y", "μ[y(t)] − σ[y(t)] ≥ -1 for all t"),
+        (al.Constraint(Y.mean, lower=0, upper=1, name="both"), (0.0, 1.0), "both", "0 ≤ μ[rms(y)] ≤ 1"),
+        ((Y.mean <= 2).named("noise"), (-np.inf, 2.0), "noise", "μ[rms(y)] ≤ 2"),
+    ],
+)
+def test_constraints_say_what_they_bound(constraint, bounds, name, text):
+    assert (constraint.lower, constraint.upper) == bounds
+    assert constraint.name == name
+    assert str(constraint) == text
+    assert constraint.is_path is ("for all t" in text)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        lambda: al.Constraint(Y.mean, lower=2.0, upper=1.0),
+        lambda: al.Constraint(Y.mean, upper=np.nan),
+        lambda: Y.within(2.0, 1.0),
+        lambda: Y.within(2.0, 1.0, sigmas=2.0),
+        lambda: problem_with(Y.within(-1.0, 1.0)).with_bound("response", (2.0, 1.0)),
+        lambda: problem_with(Y.within(-1.0, 1.0)).with_bound("response", -2.0),
+        lambda: problem_with(Y.within(-1.0, 1.0)).with_bound("response", np.nan),
+    ],
+)
+def test_bounds_in_the_wrong_order_are_refused(wrong):
+    with pytest.raises(al.ProblemError, match=r"expected lower <= upper; received lower=.*upper="):
+        wrong()
+
+
+def problem_with(*constraints):
+    """A problem with these constraints, moved to an output that it has."""
+    here = [one for group in constraints for one in (group if isinstance(group, tuple) else (group,))]
+    moved = [
+        al.Constraint(RESPONSE.mean + 2.0 * RESPONSE.std, lower=one.lower, upper=one.upper, name="response")
+        for one in here
+    ]
+    system = Gain(gain=al.Decision(0.5, 0.0, 10.0), theta=al.Uniform(1.0, half_width=0.3))
+    return al.Problem(system, grid=ONE_STEP, minimize=LOSS.mean, subject_to=moved)
+
+
+@pytest.mark.parametrize(
+    ("constraints", "bound", "expected"),
+    [
+        ([Y.mean <= 1], 3.0, [(-np.inf, 3.0)]),
+        ([Y.mean <= 1], -3.0, [(-np.inf, -3.0)]),
+        ([Y.mean >= 1], 3.0, [(3.0, np.inf)]),
+        ([Y.within(-1, 1)], 3.0, [(-np.inf, 3.0), (-3.0, np.inf)]),
+        ([al.Constraint(Y.mean, lower=-1, upper=1)], 3.0, [(-3.0, 3.0)]),
+        ([Y.within(0, 1)], (2.0, 5.0), [(-np.inf, 5.0), (2.0, np.inf)]),
+        ([Y.mean.equals(1)], 3.0, [(3.0, 3.0)]),
+        ([Y.mean.equals(0)], 3.0, [(3.0, 3.0)]),
+    ],
+)
+def test_a_bound_moves_the_side_that_is_closed(constraints, bound, expected):
+    moved = problem_with(*constraints).with_bound("response", bound)
+    assert [(one.lower, one.upper) for one in moved.constraints] == expected
+
+
+def test_a_pair_that_is_not_symmetric_asks_for_both_bounds():
+    with pytest.raises(al.ProblemError, match=r"bounds \[0.0\] and \[1.0\], which are not symmetric.*\(lower, upper\)"):
+        problem_with(Y.within(0, 1)).with_bound("response", 2.0)
+
+
+def test_an_unknown_constraint_is_refused_with_those_that_exist():
+    with pytest.raises(al.ProblemError, match=r"no constraint 'travel'; expected one of \['response'\]"):
+        gain_problem().with_bound("travel", 1.0)
+
+
+def test_sigmas_of_a_problem_are_changed_by_name():
+    other = gain_problem(sigmas=1.0).with_sigmas("response", 2.5)
+    assert str(other.constraints[0]) == "μ[response(t_f)] + 2.5 σ[response(t_f)] ≤ 2"
+
+
+@pytest.mark.parametrize("sigmas", [0.0, -1.0, np.inf, np.nan])
+def test_sigmas_that_make_no_sense_are_refused(sigmas):
+    with pytest.raises(al.ProblemError, match="sigmas must be positive and finite"):
+        gain_problem().with_sigmas("response", sigmas)
+
+
+def test_sigmas_of_a_constraint_without_spread_are_refused():
+    with pytest.raises(al.ProblemError, match="no standard deviation to scale"):
+        problem = al.Problem(
+            Gain(gain=al.Decision(0.5), theta=1.0), grid=ONE_STEP, minimize=LOSS.mean, subject_to=[RESPONSE.mean <= 2]
+        )
+        problem.with_sigmas("response", 2.0)

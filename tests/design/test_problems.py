@@ -1,0 +1,121 @@
+import equinox as eqx
+import numpy as np
+import pytest
+from tiny_models import LOSS, ONE_STEP, RESPONSE, Gain, Oscillator, gain_problem, oscillator_problem, sine
+
+import aleator as al
+
+
+def test_a_problem_prints_as_mathematics():
+    assert str(oscillator_problem()) == "\n".join(
+        [
+            "minimise    μ[rms(x)] + 0.5 μ[rms(v)]",
+            "over        c ∈ [0.05, 8], from 0.5",
+            "subject to  x: μ[x(t)] + 2 σ[x(t)] ≤ 0.4 for all t",
+            "            x: μ[x(t)] − 2 σ[x(t)] ≥ -0.4 for all t",
+            "where       k ~ Uniform(mean=10, half_width=2)",
+            "dynamics    Oscillator(x, v), 80 steps of 0.05 s, RungeKutta4",
+            "expansion   order 3 in 1 variables: 4 terms, 12 collocation points",
+        ]
+    )
+
+
+def test_a_deterministic_problem_prints_that_nothing_spreads():
+    text = str(al.deterministic(gain_problem(sigmas=1.0)))
+    assert text.endswith("expansion   none: nothing is uncertain, every σ is 0")
+    assert "~" not in text
+
+
+def test_deterministic_and_uncertain_are_inverse():
+    problem = gain_problem()
+    nominal = al.deterministic(problem)
+    assert not nominal.survey.distributions
+    assert list(nominal.survey.decisions) == ["gain"]
+    assert eqx.tree_equal(al.uncertain(nominal), problem)
+    assert eqx.tree_equal(al.deterministic(nominal), nominal)
+
+
+def declare(system=None, **changes):
+    system = system or Oscillator(m=1.0, c=al.Decision(0.5, 0.05, 8.0), k=al.Uniform(10.0, half_width=2.0))
+    options = {"grid": al.Grid(4.0, 80), "inputs": {"force": sine()}, "minimize": al.rms("x").mean}
+    return al.Problem(system, **(options | changes))
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"minimize": al.rms("xx").mean}, r"no output of Oscillator 'xx'; expected one of \[.*\]. Did you mean 'x'\?"),
+        ({"subject_to": [al.path("sprng").at_most(1)]}, "no output of Oscillator 'sprng'.*Did you mean 'spring'"),
+        ({"minimize": al.value("k.spread")}, r"no number of the model 'k\.spread'; expected one of"),
+        ({"subject_to": [al.value("mass") <= 1]}, "no number of the model 'mass'"),
+        ({"inputs": {}}, r"Oscillator takes the inputs \['force'\]; received \[\]"),
+        ({"inputs": {"force": sine(), "wind": sine()}}, r"takes the inputs \['force'\]; received \['force', 'wind'\]"),
+        ({"inputs": {"force": 1.0}}, "Input 'force' must be a signal.*received float"),
+        ({"grid": al.Grid(6.0, 80)}, "Input 'force' is known from 0 to 5 s, but the grid asks for 0 to 6 s"),
+        ({"grid": al.Grid(4.0, 80, t_start=-1.0)}, "but the grid asks for -1 to 4 s"),
+        ({"minimize": al.path("x").mean}, r"objective must be one number, but 'μ\[x\(t\)\]' has shape \(81,\)"),
+        ({"minimize": al.rms("x")}, "differs from one realisation to the next"),
+        ({"minimize": "x"}, "received str 'x'"),
+        ({"subject_to": [True]}, "expected constraints, such as .*received bool 'True'"),
+        ({"subject_to": [al.rms("x").mean]}, "expected constraints.*received Expression"),
+        ({"subject_to": 3}, "expected constraints.*received int '3'"),
+        ({"grid": 4.0}, "'grid' must be a Grid; received float 4.0"),
+        ({"expansion": 3}, "'expansion' must be a Expansion; received int 3"),
+        ({"integrator": "RK4"}, "'integrator' must be a AbstractIntegrator; received str 'RK4'"),
+        ({"system": "car"}, "'system' must be a System; received str 'car'"),
+        (
+            {"system": Oscillator(m=al.Uniform(1.0, half_width=1.0), c=0.1, k=10.0)},
+            r"'m' must stay positive, but Uniform\(mean=1, half_width=1\) can reach 0",
+        ),
+        (
+            {"system": Oscillator(m=1.0, c=0.1, k=al.Uniform(al.Decision(10.0, 1.0, 20.0), half_width=2.0))},
+            "'k' must stay positive.*can reach -1",
+        ),
+        ({"system": Oscillator(m=al.Normal(1.0, 0.1), c=0.1, k=10.0)}, "'m' must stay positive.*can reach -inf"),
+        ({"system": Oscillator(m=0.0, c=0.1, k=10.0)}, "'m' must stay positive"),
+    ],
+)
+def test_a_problem_that_does_not_fit_together_is_refused_in_words(changes, message):
+    with pytest.raises(al.ProblemError, match=message):
+        declare(**changes)
+
+
+def test_terms_whose_shapes_do_not_go_together_are_refused():
+    class Two(al.System):
+        states = ("x",)
+        gain: float = 1.0
+
+        def rhs(self, t, z):
+            return (0.0 * z.x,)
+
+        def outputs(self, t, z):
+            return {"pair": np.ones(2), "triple": np.ones(3)}
+
+    with pytest.raises(al.ProblemError, match="have shapes that do not go together"):
+        declare(
+            Two(),
+            inputs={},
+            minimize=al.value("gain"),
+            subject_to=[al.terminal("pair").mean + al.terminal("triple").mean <= 1],
+        )
+    with pytest.raises(al.ProblemError, match=r"objective must be one number, .* has shape \(2,\)"):
+        declare(Two(), inputs={}, minimize=al.terminal("pair").mean)
+
+
+def test_a_system_without_states_is_refused():
+    class Nothing(al.System):
+        def rhs(self, t, z):
+            return ()
+
+        def outputs(self, t, z):
+            return {}
+
+    with pytest.raises(al.ProblemError, match="Nothing names no states"):
+        declare(Nothing(), inputs={}, minimize=al.terminal("x").mean)
+
+
+def test_constraints_may_come_in_any_nesting():
+    constraints = [RESPONSE.within(-1, 1), [[RESPONSE.mean <= 2]], LOSS.mean <= 3]
+    problem = al.Problem(Gain(1.0, 1.0), grid=ONE_STEP, minimize=LOSS.mean, subject_to=constraints)
+    assert [one.upper for one in problem.constraints] == [1.0, np.inf, 2.0, 3.0]
+    assert problem.names == ("response", "loss")

@@ -1,0 +1,213 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from tiny_models import Decay, Oscillator, central_differences, derivative_error, sine
+
+import aleator as al
+
+TIMES = np.linspace(0.0, 5.0, 41)
+PUSH = np.cos(1.7 * TIMES) + 0.3 * np.sin(5.0 * TIMES)
+
+
+class Pendulum(al.System):
+    """A driven, damped pendulum: nonlinear, with an input."""
+
+    states = ("angle", "speed")
+    damping: float = 0.3
+    start: float = 0.8
+
+    def rhs(self, t, z, push):
+        return z.speed, push - self.damping * z.speed * z.angle**2 - 4.0 * jnp.sin(z.angle)
+
+    def outputs(self, t, z, push):
+        return {
+            "angle": z.angle,
+            "speed": z.speed,
+            "energy": 0.5 * z.speed**2 + 4.0 * (1 - jnp.cos(z.angle)),
+            "u": push,
+        }
+
+    def initial(self):
+        return {"angle": self.start}
+
+
+def scipy_pendulum(times, damping=0.3, start=0.8):
+    def rhs(t, z):
+        return [z[1], np.interp(t, TIMES, PUSH) - damping * z[1] * z[0] ** 2 - 4.0 * np.sin(z[0])]
+
+    # The input has kinks: restart at each of them, so that the reference is as good as its tolerance.
+    knots = np.union1d(TIMES, times)
+    state, states = np.array([start, 0.0]), [[start, 0.0]]
+    for a, b in zip(knots[:-1], knots[1:], strict=True):
+        state = solve_ivp(rhs, (a, b), state, method="DOP853", rtol=1e-12, atol=1e-13).y[:, -1]
+        states.append(state)
+    return np.array(states)[np.searchsorted(knots, times)].T
+
+
+def test_runge_kutta_converges_with_order_four():
+    # Damped oscillator from rest at 1, no force: closed form.
+    m, c, k, end = 1.0, 0.4, 9.0, 2.0
+    system = Oscillator(m=m, c=c, k=k, x0=1.0)
+    silence = al.Tabulated(np.array([0.0, end]), np.zeros(2))
+    times, damping = np.linspace(0.0, end, 11), c / (2 * m)
+    frequency = np.sqrt(k / m - damping**2)
+    exact = np.exp(-damping * times) * (np.cos(frequency * times) + damping / frequency * np.sin(frequency * times))
+    steps = np.array([40, 80, 160, 320, 640])
+    errors = [
+        np.abs(al.simulate(system, al.Grid(end, int(n)), {"force": silence})["x"][:: n // 10] - exact).max()
+        for n in steps
+    ]
+    slope = np.polyfit(np.log(steps), np.log(errors), 1)[0]
+    assert slope == pytest.approx(-4.0, abs=0.1)
+
+
+def test_runge_kutta_agrees_with_scipy_on_a_nonlinear_system_with_a_tabulated_input():
+    grid = al.Grid(5.0, 4000)
+    outputs = al.simulate(Pendulum(), grid, {"push": al.Tabulated(TIMES, PUSH)})
+    at = np.arange(0, 4001, 400)
+    angle, speed = scipy_pendulum(np.asarray(grid.times)[at])
+    np.testing.assert_allclose(outputs["angle"][at], angle, atol=1e-10)
+    np.testing.assert_allclose(outputs["speed"][at], speed, atol=1e-10)
+    np.testing.assert_allclose(outputs["energy"][at], 0.5 * speed**2 + 4 * (1 - np.cos(angle)), atol=1e-9)
+    np.testing.assert_allclose(outputs["u"], np.interp(grid.times, TIMES, PUSH), atol=1e-14)
+
+
+@pytest.mark.parametrize("integrator", [al.Tsit5(1e-9, 1e-11), al.Kvaerno5(1e-9, 1e-11)], ids=["Tsit5", "Kvaerno5"])
+def test_adaptive_integrators_agree_with_scipy_behind_the_same_call(integrator):
+    grid = al.Grid(5.0, 10)
+    outputs = al.simulate(Pendulum(), grid, {"push": al.Tabulated(TIMES, PUSH)}, integrator)
+    angle, speed = scipy_pendulum(np.asarray(grid.times))
+    np.testing.assert_allclose(outputs["angle"], angle, atol=1e-6)
+    np.testing.assert_allclose(outputs["speed"], speed, atol=1e-6)
+
+
+class Robertson(al.System):
+    """Chemical kinetics with rates from 0.04 to 3e7: stiff (Robertson, 1966)."""
+
+    states = ("a", "b", "c")
+
+    def rhs(self, t, z):
+        slow, fast, quadratic = 0.04 * z.a, 1e4 * z.b * z.c, 3e7 * z.b**2
+        return -slow + fast, slow - fast - quadratic, quadratic
+
+    def outputs(self, t, z):
+        return {"a": z.a, "b": z.b, "c": z.c}
+
+    def initial(self):
+        return {"a": 1.0}
+
+
+def test_kvaerno_solves_a_stiff_problem():
+    def rhs(t, z):
+        slow, fast, quadratic = 0.04 * z[0], 1e4 * z[1] * z[2], 3e7 * z[1] ** 2
+        return [-slow + fast, slow - fast - quadratic, quadratic]
+
+    grid = al.Grid(40.0, 8)
+    outputs = al.simulate(Robertson(), grid, integrator=al.Kvaerno5())
+    reference = solve_ivp(rhs, (0, 40), [1, 0, 0], "Radau", np.asarray(grid.times), rtol=1e-11, atol=1e-14).y
+    for name, values in zip("abc", reference, strict=True):
+        np.testing.assert_allclose(outputs[name], values, rtol=1e-6, atol=1e-12)
+
+
+class Chain(al.System):
+    """Masses in a row as two array-valued states, after a scalar one."""
+
+    states = ("clock", "positions", "speeds")
+
+    def rhs(self, t, z):
+        padded = jnp.pad(z.positions, 1)
+        return 1.0, z.speeds, padded[2:] - 2 * z.positions + padded[:-2]
+
+    def outputs(self, t, z):
+        return {"clock": z.clock, "positions": z.positions, "matrix": jnp.outer(z.positions, z.positions)}
+
+    def initial(self):
+        return {"positions": np.array([1.0, 0.0, -0.5]), "speeds": np.zeros(3)}
+
+
+@pytest.mark.parametrize("integrator", [al.RungeKutta4(), al.Tsit5()], ids=["RungeKutta4", "Tsit5"])
+def test_states_may_be_arrays(integrator):
+    grid = al.Grid(2.0, 200)
+    outputs = al.simulate(Chain(), grid, integrator=integrator)
+    stiffness = 2 * np.eye(3) - np.eye(3, k=1) - np.eye(3, k=-1)
+    squares, modes = np.linalg.eigh(stiffness)
+    amplitudes = modes.T @ [1.0, 0.0, -0.5]
+    exact = np.cos(np.outer(grid.times, np.sqrt(squares))) * amplitudes @ modes.T
+    assert outputs["positions"].shape == (201, 3)
+    np.testing.assert_allclose(outputs["positions"], exact, atol=1e-7)
+    np.testing.assert_allclose(outputs["matrix"], exact[:, :, None] * exact[:, None, :], atol=1e-7)
+    np.testing.assert_allclose(outputs["clock"], grid.times, atol=1e-12)
+
+
+def test_states_that_are_not_named_start_at_zero_and_a_grid_may_start_late():
+    grid = al.Grid(3.0, 100, t_start=1.0)
+    outputs = al.simulate(Oscillator(m=1.0, c=0.0, k=4.0, x0=0.7), grid, {"force": sine(0.0)})
+    assert float(outputs["v"][0]) == 0.0
+    np.testing.assert_allclose(outputs["x"], 0.7 * np.cos(2.0 * (np.asarray(grid.times) - 1.0)), atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "integrator",
+    [al.RungeKutta4(), al.Tsit5(1e-12, 1e-13), al.Kvaerno5(1e-12, 1e-13)],
+    ids=["RungeKutta4", "Tsit5", "Kvaerno5"],
+)
+def test_derivatives_through_every_integrator_agree_with_finite_differences(integrator):
+    # A smooth input: an adaptive step that crosses a kink makes noise in the differences, not in the derivative.
+    grid, inputs = al.Grid(3.0, 60), {"push": al.Tabulated(np.array([0.0, 3.0]), np.array([-1.0, 1.0]))}
+
+    @jax.jit
+    def angles(numbers):
+        return al.simulate(Pendulum(damping=numbers[0], start=numbers[1]), grid, inputs, integrator)["angle"]
+
+    point = np.array([0.3, 0.8])
+    jacobian = jax.jit(jax.jacfwd(angles))(point)
+    assert derivative_error(lambda x: np.asarray(angles(x)), jacobian, point) < 1e-6
+
+
+def test_derivatives_of_a_decay_are_those_of_the_exponential():
+    jacobian = jax.jacfwd(lambda x: al.simulate(Decay(x[0], x[1]), al.Grid(1.0, 100))["x"][-1])(jnp.array([0.7, 2.0]))
+    np.testing.assert_allclose(jacobian, [-2.0 * np.exp(-0.7), np.exp(-0.7)], rtol=1e-8)
+    differences = central_differences(lambda x: x[1] * np.exp(-x[0]), np.array([0.7, 2.0]), 1e-5)
+    np.testing.assert_allclose(jacobian, differences, rtol=1e-8)
+
+
+class Explosion(al.System):
+    """`x' = x²` from 1: infinite at t = 1."""
+
+    states = ("x",)
+
+    def rhs(self, t, z):
+        return (z.x**2,)
+
+    def outputs(self, t, z):
+        return {"x": z.x}
+
+    def initial(self):
+        return {"x": 1.0}
+
+
+@pytest.mark.parametrize("integrator", [al.Tsit5(max_steps=300), al.Kvaerno5(max_steps=300)], ids=["Tsit5", "Kvaerno5"])
+def test_adaptive_integration_that_fails_gives_no_number(integrator):
+    outputs = al.simulate(Explosion(), al.Grid(2.0, 4), integrator=integrator)
+    assert np.isnan(outputs["x"]).all()
+
+
+def test_too_few_steps_of_an_adaptive_integrator_give_no_number():
+    outputs = al.simulate(Decay(1.0), al.Grid(50.0, 4), integrator=al.Tsit5(max_steps=3))
+    assert np.isnan(outputs["x"]).all()
+
+
+@pytest.mark.parametrize(("t_final", "steps"), [(15.8, 49), (1.1, 7), (0.7, 49), (2.8, 2800)])
+def test_adaptive_integrators_take_any_grid_whatever_its_rounding(t_final, steps):
+    grid = al.Grid(t_final, steps)
+    assert float(grid.times[-1]) == t_final
+    outputs = al.simulate(Decay(1.0), grid, integrator=al.Tsit5())
+    np.testing.assert_allclose(outputs["x"], np.exp(-np.linspace(0.0, t_final, steps + 1)), atol=1e-7)
+
+
+@pytest.mark.parametrize("options", [{"rtol": 0.0}, {"atol": -1.0}, {"max_steps": 0}])
+def test_tolerances_that_make_no_sense_are_refused(options):
+    with pytest.raises(al.ProblemError, match="Tsit5: tolerances and max_steps are positive"):
+        al.Tsit5(**options)

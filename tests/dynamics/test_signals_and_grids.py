@@ -1,0 +1,88 @@
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import aleator as al
+
+
+@pytest.fixture
+def table(tmp_path):
+    def write(text, name="road.csv", encoding="utf-8"):
+        path = tmp_path / name
+        path.write_text(text, encoding=encoding)
+        return path
+
+    return write
+
+
+def test_a_table_is_linear_between_its_samples():
+    signal = al.Tabulated(np.array([0.0, 1.0, 3.0]), np.array([2.0, 4.0, -2.0]))
+    assert float(signal(jnp.asarray(0.25))) == pytest.approx(2.5)
+    assert float(signal(jnp.asarray(2.5))) == pytest.approx(-0.5)
+    assert signal.span() == (0.0, 3.0)
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig"])
+def test_a_table_is_read_from_named_columns_of_a_file_with_comments(table, encoding):
+    path = table("height,t_s,other\n# a comment\n0.5,0.0,a\n0.75,0.1,b\n# another\n-1.0,0.4,c\n", encoding=encoding)
+    signal = al.Tabulated.from_csv(path, time="t_s", value="height")
+    np.testing.assert_array_equal(signal.times, [0.0, 0.1, 0.4])
+    np.testing.assert_array_equal(signal.values, [0.5, 0.75, -1.0])
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("t,height\n0,1\n1,2\n", r"road\.csv: expected a column 'z'; received \['t', 'height'\]"),
+        ("", r"expected a column 't'; received \[\]"),
+        ("t,z\n", r"expected a column 't'; received \[\]"),
+        ("t,z\n0,1\n2,1\n1,1\n", r"road\.csv.*times must increase, but sample 2 is not after"),
+        ("t,z\n0,1\n0,1\n", r"times must increase, but sample 1"),
+        ("t,z\n0,1\n1,nan\n", r"road\.csv.*every time and value must be finite"),
+        ("t,z\n0,1\n1,inf\n", "every time and value must be finite"),
+        ("t,z\n0,1\n1,\n", "every time and value must be finite"),
+        ("t,z\n0,1\n1\n", "every time and value must be finite"),
+        ("t,z\n0,1\n1,high\n", r"road\.csv.*'high'"),
+        ("t,z\n0,1\n", "of at least 2"),
+    ],
+)
+def test_a_file_that_is_no_table_is_refused_by_name(table, text, message):
+    with pytest.raises(al.ProblemError, match=message):
+        al.Tabulated.from_csv(table(text), time="t", value="z")
+
+
+@pytest.mark.parametrize(
+    ("times", "values", "message"),
+    [
+        ([0.0, 1.0], [1.0, 2.0, 3.0], r"times \(2,\) and values \(3,\)"),
+        ([[0.0, 1.0]], [[1.0, 2.0]], "two vectors"),
+        ([0.0], [1.0], "at least 2"),
+        ([0.0, np.inf], [1.0, 2.0], "finite"),
+        ([1.0, 0.5], [1.0, 2.0], "sample 1 is not after"),
+    ],
+)
+def test_a_table_that_makes_no_sense_is_refused(times, values, message):
+    with pytest.raises(al.ProblemError, match=message):
+        al.Tabulated(np.array(times), np.array(values))
+
+
+def test_a_grid_knows_its_instants_and_the_trapezoidal_rule():
+    grid = al.Grid(3.0, 8, t_start=1.0)
+    np.testing.assert_allclose(grid.times, np.linspace(1.0, 3.0, 9), rtol=1e-15)
+    assert grid.step == 0.25
+    values = np.sin(np.asarray(grid.times))
+    assert float(grid.weights @ values) == pytest.approx(np.trapezoid(values, dx=0.25), rel=1e-14)
+
+
+@pytest.mark.parametrize("steps", [0, -3, 2.0, True, "ten", None])
+def test_a_grid_without_a_whole_number_of_steps_is_refused(steps):
+    with pytest.raises(al.ProblemError, match="steps is a whole number of at least 1; received"):
+        al.Grid(1.0, steps)
+
+
+@pytest.mark.parametrize(
+    ("t_final", "t_start"), [(0.0, 0.0), (1.0, 2.0), (np.inf, 0.0), (np.nan, 0.0), (1.0, -np.inf), ("late", 0.0)]
+)
+def test_a_grid_that_does_not_end_after_its_start_is_refused(t_final, t_start):
+    with pytest.raises(al.ProblemError, match=r"t_final must be a finite number after t_start=.*; received t_final="):
+        al.Grid(t_final, 10, t_start)

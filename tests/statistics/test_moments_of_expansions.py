@@ -1,0 +1,197 @@
+"""Mean, standard deviation and variance: exact values, convergence, derivatives."""
+
+import chaospy
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import integrate, stats
+
+from aleator.collocation import Expansion, collocate
+from aleator.statistics import mean, std, variance
+from aleator.uncertainty import Beta, Decision, Gamma, Normal, Uniform, realise, survey
+
+
+def coefficients_of(model, output, order, decisions=(), points=None):
+    germs = tuple(law.germ() for law in survey(model).distributions.values())
+    collocation = collocate(germs, Expansion(order, points=points))
+    x = jnp.asarray(decisions, dtype=float)
+    return collocation.coefficients(jax.vmap(lambda xi: output(realise(model, xi, x)))(collocation.points))
+
+
+LAWS = {
+    "uniform": (Uniform(2.0, half_width=0.5), stats.uniform(1.5, 1)),
+    "normal": (Normal(1.5, 0.2), stats.norm(1.5, 0.2)),
+    "beta": (Beta(alpha=2.0, beta=5.0, lower=-1, upper=2), stats.beta(2, 5, -1, 3)),
+    "beta by moments": (Beta(mean=0.3, std=0.1), stats.beta(6.0, 14.0)),
+    "gamma": (Gamma(shape=3.0, scale=0.5), stats.gamma(3, scale=0.5)),
+}
+
+
+def moment_of(law, power):
+    """By quadrature: scipy's `moment` keeps only eight digits of a law that is shifted."""
+    return integrate.quad(lambda x: x**power * law.pdf(x), *law.support(), epsabs=0, epsrel=1e-12)[0]
+
+
+@pytest.mark.parametrize("power", [1, 2, 3])
+@pytest.mark.parametrize("law", LAWS)
+def test_moments_of_powers_are_exact_in_an_expansion_of_their_degree(law, power):
+    ours, oracle = LAWS[law]
+    coefficients = coefficients_of({"x": ours}, lambda m: m["x"] ** power, order=power)
+    first, second = moment_of(oracle, power), moment_of(oracle, 2 * power)
+    assert float(mean(coefficients)) == pytest.approx(first, rel=1e-10)
+    assert float(variance(coefficients)) == pytest.approx(second - first**2, rel=1e-9)
+    assert float(std(coefficients)) == pytest.approx(np.sqrt(second - first**2), rel=1e-9)
+
+
+def test_moments_of_a_product_of_independent_numbers_are_exact():
+    model = {name: law for name, (law, _) in LAWS.items()}
+    coefficients = coefficients_of(model, lambda m: jnp.prod(jnp.stack(list(m.values()))), order=5)
+    first = np.prod([oracle.mean() for _, oracle in LAWS.values()])
+    second = np.prod([oracle.moment(2) for _, oracle in LAWS.values()])
+    assert float(mean(coefficients)) == pytest.approx(first, rel=1e-9)
+    assert float(variance(coefficients)) == pytest.approx(second - first**2, rel=1e-8)
+
+
+def test_a_shared_number_is_fully_correlated_with_itself_and_unshared_ones_are_independent():
+    law = Uniform(0.0, half_width=1.0)
+    together, apart = (
+        coefficients_of({"a": one, "b": one}, lambda m: m["a"] + m["b"], order=2) for one in (law.shared("x"), law)
+    )
+    assert float(variance(together)) == pytest.approx(4 / 3, rel=1e-12)
+    assert float(variance(apart)) == pytest.approx(2 / 3, rel=1e-12)
+
+
+def test_moments_of_histories_are_taken_entry_by_entry():
+    times = jnp.linspace(0.0, 2.0, 5)
+    coefficients = coefficients_of({"v": Normal(3.0, 0.5)}, lambda m: jnp.stack([m["v"] * times] * 2), order=2)
+    assert mean(coefficients) == pytest.approx(np.tile(3.0 * times, (2, 1)), rel=1e-12)
+    assert std(coefficients) == pytest.approx(np.tile(0.5 * times, (2, 1)), rel=1e-12, abs=1e-12)
+
+
+def test_moments_agree_with_chaospys_of_its_own_regression():
+    model = {"a": Uniform(0.0, half_width=1.0), "b": Normal(0.0, 1.0)}
+    collocation = collocate(tuple(law.germ() for law in model.values()), Expansion(4))
+    joint = chaospy.J(chaospy.Uniform(-1, 1), chaospy.Normal(0, 1))
+    samples = np.exp(0.5 * np.asarray(collocation.points).sum(axis=1))
+    fitted = chaospy.fit_regression(
+        chaospy.generate_expansion(4, joint, normed=True), np.asarray(collocation.points).T, samples
+    )
+    coefficients = collocation.coefficients(jnp.asarray(samples))
+    assert float(mean(coefficients)) == pytest.approx(float(chaospy.E(fitted, joint)), rel=1e-10)
+    assert float(variance(coefficients)) == pytest.approx(float(chaospy.Var(fitted, joint)), rel=1e-9)
+
+
+DECAY = {"b": Uniform.bounds(0.1, 0.2), "u": Normal(1.5, 0.2)}
+
+
+def decay(model):
+    return model["u"] * jnp.exp(-10.0 * model["b"])
+
+
+def decays_moment(power):
+    """E[u^k] E[exp(-k b t)], the second factor by quadrature."""
+    over_b = integrate.quad(lambda b: np.exp(-10.0 * power * b) / 0.1, 0.1, 0.2, epsabs=0, epsrel=1e-13)[0]
+    return stats.norm(1.5, 0.2).moment(power) * over_b
+
+
+MEAN, VARIANCE = decays_moment(1), decays_moment(2) - decays_moment(1) ** 2
+
+
+def test_the_reference_for_the_uncertain_decay_is_the_published_one():
+    assert pytest.approx(0.348816236902, abs=1e-12) == MEAN
+    assert pytest.approx(0.012314725652, abs=1e-12) == VARIANCE
+
+
+@pytest.mark.parametrize(("moment", "exact"), [(mean, MEAN), (variance, VARIANCE)])
+def test_moments_of_the_uncertain_decay_converge_exponentially_with_the_order(moment, exact):
+    orders = np.arange(1, 8)
+    errors = [abs(float(moment(coefficients_of(DECAY, decay, int(order)))) / exact - 1) for order in orders]
+    digits_per_order = -np.polyfit(orders, np.log10(errors), 1)[0]
+    assert digits_per_order > 1
+    assert errors[-1] < 1e-7
+
+
+def test_the_standard_deviation_is_the_root_of_the_variance():
+    coefficients = jnp.asarray(np.random.default_rng(0).normal(size=(6, 3)))
+    assert std(coefficients) == pytest.approx(np.sqrt((np.asarray(coefficients)[1:] ** 2).sum(axis=0)), rel=1e-14)
+
+
+def test_a_certain_output_has_no_spread_and_finite_derivatives():
+    certain = jnp.zeros((6, 2)).at[0].set(3.0)
+    assert std(certain).tolist() == [0.0, 0.0]
+    for derivative in (jax.jacrev(std), jax.jit(jax.jacfwd(std))):
+        assert np.all(np.asarray(derivative(certain)) == 0.0)
+
+
+def test_one_certain_entry_does_not_disturb_the_derivatives_of_the_others():
+    coefficients = jnp.zeros((3, 2)).at[1, 1].set(3.0).at[2, 1].set(4.0)
+    gradient = jax.grad(lambda c: std(c).sum())(coefficients)
+    assert np.asarray(gradient) == pytest.approx(np.array([[0, 0], [0, 3 / 5], [0, 4 / 5]]), rel=1e-14)
+
+
+MODEL = {
+    "b": Uniform(Decision(0.15), half_width=Decision(0.05, 0.0)),
+    "c": Gamma(mean=2.0, std=Decision(0.4, 0.0)),
+    "g": Beta(alpha=Decision(2.0, 0.0), beta=5.0),
+    "u": Normal(Decision(1.5), Decision(0.2)),
+}
+
+
+def response(model):
+    return model["u"] * jnp.exp(-4.0 * model["b"]) + model["c"] ** 2 * model["g"]
+
+
+def exact_moments(x):
+    """Independence and one-dimensional quadrature give the moments of the response."""
+    centre, width, spread, alpha, mu, sigma = x
+    k = (2.0 / spread) ** 2
+    laws = stats.uniform(centre - width, 2 * width), stats.gamma(k, scale=2.0 / k), stats.beta(alpha, 5.0)
+    nodes, weights = np.polynomial.legendre.leggauss(30)
+    decays = [weights @ np.exp(-4.0 * power * (centre + width * nodes)) / 2 for power in (1, 2)]
+    u = stats.norm(mu, sigma)
+    first = [u.mean() * decays[0], laws[1].moment(2) * laws[2].mean()]
+    second = [u.moment(2) * decays[1], laws[1].moment(4) * laws[2].moment(2)]
+    return sum(first), sum(s - f**2 for s, f in zip(second, first, strict=True))
+
+
+# the order of the survey: b.mean, b.half_width, c.std, g.alpha, u.mean, u.std
+POINTS = {"at the start": [0.15, 0.05, 0.4, 2.0, 1.5, 0.2], "elsewhere": [0.2, 0.04, 0.45, 2.2, 1.3, 0.25]}
+
+
+def central_difference(function, x):
+    x, gradient = np.asarray(x), np.empty(len(x))
+    for i, step in enumerate(np.diag(1e-4 * x)):
+        gradient[i] = (function(x + step) - function(x - step)) / (2 * step[i])
+    return gradient
+
+
+@pytest.fixture(scope="module")
+def moments():
+    """Mean and standard deviation of the response as functions of the decisions, with their Jacobian."""
+
+    def both(x):
+        coefficients = coefficients_of(MODEL, response, order=4, decisions=x)
+        return jnp.stack([mean(coefficients), std(coefficients)])
+
+    return jax.jit(both), jax.jit(jax.jacfwd(both)), jax.jit(jax.grad(lambda x: both(x).sum()))
+
+
+@pytest.mark.parametrize("x", POINTS.values(), ids=POINTS.keys())
+def test_derivatives_of_mean_and_std_through_the_decisions_are_those_of_finite_differences(moments, x):
+    values, jacobian, gradient = moments
+    exact = np.asarray(jacobian(jnp.array(x)))
+    for i in range(2):
+        expected = central_difference(lambda y, i=i: float(values(jnp.asarray(y))[i]), x)
+        assert exact[i] == pytest.approx(expected, rel=1e-6, abs=1e-8)
+    assert gradient(jnp.array(x)) == pytest.approx(exact.sum(axis=0), rel=1e-10)
+
+
+def test_derivatives_of_the_mean_and_std_are_those_of_the_exact_moments(moments):
+    x = POINTS["at the start"]
+    values, jacobian, _ = moments
+    exact_mean, exact_variance = exact_moments(x)
+    assert values(jnp.array(x)) == pytest.approx([exact_mean, np.sqrt(exact_variance)], rel=1e-4)
+    expected = [central_difference(lambda y: exact_moments(y)[0], x)]
+    expected.append(central_difference(lambda y: np.sqrt(exact_moments(y)[1]), x))
+    assert np.asarray(jacobian(jnp.array(x))) == pytest.approx(np.array(expected), rel=2e-3, abs=1e-4)
