@@ -2,7 +2,8 @@
 
     python benchmarks/suspension.py [--without-peer]
 
-Everything runs in this one process, after the other, on the machine's own cores. The peer is what a careful engineer would
+Everything runs in this one process, after the other, on the machine's own cores. The peer is what a careful engineer
+would
 write without this library: Runge-Kutta vectorised over the 168 collocation points, finite differences, SciPy's SLSQP.
 """
 

@@ -43,6 +43,7 @@ from aleator.nlp import FilterSQP as FilterSQP  # noqa: E402
 from aleator.nlp import Ipopt as Ipopt  # noqa: E402
 from aleator.nlp import Slsqp as Slsqp  # noqa: E402
 from aleator.nlp import Status as Status  # noqa: E402
+from aleator.report import report as report  # noqa: E402
 from aleator.solve import solve as solve  # noqa: E402
 from aleator.sweep import Calibration as Calibration  # noqa: E402
 from aleator.sweep import Front as Front  # noqa: E402

@@ -29,8 +29,9 @@ def solve(
     - `warm_start`: a solution of a problem with the same decisions and constraints, to start from;
     - `throw`: if False, a solution that failed is returned with its status instead of raised.
 
-    Raises `SolveError` (which carries the unfinished solution), `SimulationError` if the model gives numbers that are not
-    finite, `ProblemError` if there is nothing to decide. Warns with `ExpansionWarning` if an expansion is not resolved.
+    Raises `SolveError` (which carries the unfinished solution), `SimulationError` if the model gives numbers that are
+    not finite, `ProblemError` if there is nothing to decide. Warns with `ExpansionWarning` if an expansion is not
+    resolved.
     """
     compiled_before = EVALUATE.seconds
     transcription = transcribe(problem)
@@ -136,8 +137,8 @@ def _warn_if_unresolved(solution: Solution) -> None:
     if bad:
         listed = ", ".join(f"{text} ({error:.2g})" for text, error in bad.items())
         warnings.warn(
-            f"The expansion of order {solution.expansion.order} does not resolve {listed}: its relative leave-one-out error "
-            f"exceeds {UNRESOLVED}, so that means and spreads cannot be trusted. Raise the order, and compare with "
+            f"The expansion of order {solution.expansion.order} does not resolve {listed}: its relative leave-one-out "
+            f"error exceeds {UNRESOLVED}, so means and spreads cannot be trusted. Raise the order, and compare with "
             "al.validate.",
             ExpansionWarning,
             stacklevel=3,

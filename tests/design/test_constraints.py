@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
-from tiny_models import LOSS, ONE_STEP, RESPONSE, Gain, gain_problem
 
 import aleator as al
+from tiny_models import LOSS, ONE_STEP, RESPONSE, Gain, gain_problem
 
 Y, PATH = al.rms("y"), al.path("y")
 
@@ -11,7 +11,7 @@ Y, PATH = al.rms("y"), al.path("y")
     ("constraint", "bounds", "name", "text"),
     [
         (Y.mean <= 2, (-np.inf, 2.0), "y", "μ[rms(y)] ≤ 2"),
-        (2 >= Y.mean, (-np.inf, 2.0), "y", "μ[rms(y)] ≤ 2"),
+        (-Y.mean <= 3, (-np.inf, 3.0), "y", "−μ[rms(y)] ≤ 3"),
         (Y.mean + 3 <= 2, (-np.inf, -1.0), "y", "μ[rms(y)] ≤ -1"),
         (Y.mean >= 2, (2.0, np.inf), "y", "μ[rms(y)] ≥ 2"),
         (Y.mean <= al.value("k.std"), (-np.inf, 0.0), "y, k.std", "μ[rms(y)] − k.std ≤ 0"),
@@ -101,8 +101,8 @@ def test_sigmas_that_make_no_sense_are_refused(sigmas):
 
 
 def test_sigmas_of_a_constraint_without_spread_are_refused():
+    problem = al.Problem(
+        Gain(gain=al.Decision(0.5), theta=1.0), grid=ONE_STEP, minimize=LOSS.mean, subject_to=[RESPONSE.mean <= 2]
+    )
     with pytest.raises(al.ProblemError, match="no standard deviation to scale"):
-        problem = al.Problem(
-            Gain(gain=al.Decision(0.5), theta=1.0), grid=ONE_STEP, minimize=LOSS.mean, subject_to=[RESPONSE.mean <= 2]
-        )
         problem.with_sigmas("response", 2.0)

@@ -2,10 +2,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from tiny_models import LOSS, ONE_STEP, Gain
 
 import aleator as al
 from aleator.design import AbstractScope
+from tiny_models import LOSS, ONE_STEP, Gain
 
 
 class Spread(AbstractScope):
@@ -36,13 +36,13 @@ CURVES = {
         al.reciprocal(NAME, bias=0.5, scale=3.0),
         lambda s: 0.5 + 3.0 / s,
         lambda s: -3.0 / s**2,
-        "(0.5 + 3/theta.half_width^1)",
+        "(0.5 + 3/theta.half_width)",
     ),
     "reciprocal squared": (
         al.reciprocal_squared(NAME, bias=0.5, scale=3.0),
         lambda s: 0.5 + 3.0 / s**2,
         lambda s: -6.0 / s**3,
-        "(0.5 + 3/theta.half_width^2)",
+        "(0.5 + 3/theta.half_width²)",
     ),
     "exponential": (
         al.exponential(NAME, bias=0.5, scale=3.0, rate=2.0),

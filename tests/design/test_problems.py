@@ -1,18 +1,18 @@
 import equinox as eqx
 import numpy as np
 import pytest
-from tiny_models import LOSS, ONE_STEP, RESPONSE, Gain, Oscillator, gain_problem, oscillator_problem, sine
 
 import aleator as al
+from tiny_models import LOSS, ONE_STEP, RESPONSE, Gain, Oscillator, gain_problem, oscillator_problem, sine
 
 
 def test_a_problem_prints_as_mathematics():
     assert str(oscillator_problem()) == "\n".join(
         [
-            "minimise    μ[rms(x)] + 0.5 μ[rms(v)]",
+            "minimise    0.1 c + μ[rms(v)]",
             "over        c ∈ [0.05, 8], from 0.5",
-            "subject to  x: μ[x(t)] + 2 σ[x(t)] ≤ 0.4 for all t",
-            "            x: μ[x(t)] − 2 σ[x(t)] ≥ -0.4 for all t",
+            "subject to  x: μ[x(t)] + 2 σ[x(t)] ≤ 0.14 for all t",
+            "            x: μ[x(t)] − 2 σ[x(t)] ≥ -0.14 for all t",
             "where       k ~ Uniform(mean=10, half_width=2)",
             "dynamics    Oscillator(x, v), 80 steps of 0.05 s, RungeKutta4",
             "expansion   order 3 in 1 variables: 4 terms, 12 collocation points",

@@ -1,11 +1,13 @@
+import itertools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from tiny_models import Decay, Oscillator, central_differences, derivative_error, sine
 
 import aleator as al
+from tiny_models import Decay, Oscillator, central_differences, derivative_error, sine
 
 TIMES = np.linspace(0.0, 5.0, 41)
 PUSH = np.cos(1.7 * TIMES) + 0.3 * np.sin(5.0 * TIMES)
@@ -40,7 +42,7 @@ def scipy_pendulum(times, damping=0.3, start=0.8):
     # The input has kinks: restart at each of them, so that the reference is as good as its tolerance.
     knots = np.union1d(TIMES, times)
     state, states = np.array([start, 0.0]), [[start, 0.0]]
-    for a, b in zip(knots[:-1], knots[1:], strict=True):
+    for a, b in itertools.pairwise(knots):
         state = solve_ivp(rhs, (a, b), state, method="DOP853", rtol=1e-12, atol=1e-13).y[:, -1]
         states.append(state)
     return np.array(states)[np.searchsorted(knots, times)].T

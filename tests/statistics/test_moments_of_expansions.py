@@ -134,7 +134,7 @@ MODEL = {
     "b": Uniform(Decision(0.15), half_width=Decision(0.05, 0.0)),
     "c": Gamma(mean=2.0, std=Decision(0.4, 0.0)),
     "g": Beta(alpha=Decision(2.0, 0.0), beta=5.0),
-    "u": Normal(Decision(1.5), Decision(0.2)),
+    "u": Normal(Decision(1.5), Decision(0.2, 0.0)),
 }
 
 

@@ -104,7 +104,7 @@ def test_names_order_and_numbers_survive_flattening(change):
 
 
 def test_parameters_keep_their_declared_order_when_their_names_sort_otherwise():
-    law = Uniform(Decision(5.0), half_width=Decision(1.0))
+    law = Uniform(Decision(5.0), half_width=Decision(1.0, 0.0))
     assert tuple(rebuilt(law).decisions) == ("mean", "half_width")
     assert str(rebuilt(law)) == str(law)
 
@@ -197,8 +197,8 @@ def test_the_same_unshared_object_in_two_places_is_two_variables_and_two_decisio
 
 
 def test_sharing_survives_flattening_and_the_conversion_of_numbers():
-    tilt = Uniform(Decision(1.0), half_width=Decision(0.2).shared("w")).shared("tilt")
-    model = {"left": tilt, "right": tilt, "other": Normal(0.0, Decision(0.2).shared("w"))}
+    tilt = Uniform(Decision(1.0), half_width=Decision(0.2, 0.0).shared("w")).shared("tilt")
+    model = {"left": tilt, "right": tilt, "other": Normal(0.0, Decision(0.2, 0.0).shared("w"))}
     for changed in (model, rebuilt(model), numbers_to_arrays(model), at_means(model)):
         assert tuple(survey(changed).decisions) == ("tilt.mean", "w") or tuple(survey(changed).decisions) == (
             "w",
@@ -248,7 +248,9 @@ def test_at_means_leaves_no_germ_but_keeps_all_decisions():
 
 
 def test_at_means_realises_the_means_at_the_current_decisions():
-    model = at_means({"a": Uniform.bounds(Decision(1.0), 3.0), "b": Gamma(shape=2.0, scale=Decision(3.0)), "c": 5.0})
+    model = at_means(
+        {"a": Uniform.bounds(Decision(1.0), 3.0), "b": Gamma(shape=2.0, scale=Decision(3.0, 0.0)), "c": 5.0}
+    )
     real = realise(model, jnp.zeros(0), jnp.array([2.0, 4.0]))
     assert (float(real["a"]), float(real["b"]), real["c"]) == (2.5, 8.0, 5.0)
 

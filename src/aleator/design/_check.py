@@ -55,7 +55,8 @@ def _check_inputs(problem: Problem) -> None:
     for name, signal in problem.inputs.items():
         if not isinstance(signal, AbstractSignal):
             raise ProblemError(
-                f"Input '{name}' must be a signal, such as al.Tabulated(times, values); received {type(signal).__name__}."
+                f"Input '{name}' must be a signal, such as al.Tabulated(times, values); "
+                f"received {type(signal).__name__}."
             )
         first, last = signal.span()
         if start < first or end > last:

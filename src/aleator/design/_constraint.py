@@ -14,8 +14,8 @@ from aleator.design._expression import Expression, Statistic, as_expression
 class Constraint(eqx.Module):
     """`lower <= expression <= upper`, at every instant if a `path` stands in the expression.
 
-    Constraints of one `name` belong together: a sweep moves their bounds together, evidence counts a system that violates
-    any of them once. The bounds are data: changing them compiles nothing anew.
+    Constraints of one `name` belong together: a sweep moves their bounds together, evidence counts a system that
+    violates any of them once. The bounds are data: changing them compiles nothing anew.
 
     Raises `ProblemError` for bounds in the wrong order or not a number.
     """
@@ -29,8 +29,8 @@ class Constraint(eqx.Module):
         self,
         expression: Expression,
         *,
-        lower: float = -np.inf,
-        upper: float = np.inf,
+        lower: Scalar = -np.inf,
+        upper: Scalar = np.inf,
         name: str | None = None,
     ):
         self.expression = as_expression(expression)
@@ -69,7 +69,7 @@ class Constraint(eqx.Module):
         return f"{relation} for all t" if self.is_path else relation
 
 
-def ordered(name: str, lower: float, upper: float) -> tuple[float, float]:
+def ordered(name: str, lower: Scalar, upper: Scalar) -> tuple[float, float]:
     """The bounds as floats. Raises `ProblemError` if they are in the wrong order or not a number."""
     lower, upper = float(lower), float(upper)
     if np.isnan(lower) or np.isnan(upper) or lower > upper:

@@ -51,12 +51,12 @@ def reciprocal_power(name: str, *, bias: float, scale: float, power: float) -> E
 
 def reciprocal(name: str, *, bias: float, scale: float) -> Expression:
     """Cost `bias + scale / spread`."""
-    return reciprocal_power(name, bias=bias, scale=scale, power=1.0)
+    return _expression(name, _reciprocal_power, "({0} + {1}/{spread})", bias, scale, 1.0)
 
 
 def reciprocal_squared(name: str, *, bias: float, scale: float) -> Expression:
     """Cost `bias + scale / spread**2`."""
-    return reciprocal_power(name, bias=bias, scale=scale, power=2.0)
+    return _expression(name, _reciprocal_power, "({0} + {1}/{spread}²)", bias, scale, 2.0)
 
 
 def exponential(name: str, *, bias: float, scale: float, rate: float) -> Expression:

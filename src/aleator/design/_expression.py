@@ -1,7 +1,7 @@
 """Expressions: sums and multiples of statistics, of the model's own numbers and of cost curves.
 
-An expression is data: it can be evaluated on any source of statistics (an expansion, a Monte Carlo sample), differentiated,
-swept and printed as mathematics.
+An expression is data: it can be evaluated on any source of statistics (an expansion, a Monte Carlo sample),
+differentiated, swept and printed as mathematics.
 """
 
 import abc
@@ -138,7 +138,7 @@ class Expression(eqx.Module):
         return max(multiples) if multiples else None
 
     def with_sigmas(self, sigmas: float) -> Self:
-        """The same expression with its largest multiple of a standard deviation at `sigmas`, the others in proportion."""
+        """The same expression, its largest multiple of a standard deviation at `sigmas`, the others in proportion."""
         largest = self.sigmas
         if not largest:
             raise ProblemError(f"There is no standard deviation to scale in '{self}'.")
@@ -200,7 +200,7 @@ def statistic(functional: Functional, kind: str) -> Expression:
 
 
 def value(name: str) -> Expression:
-    """A number of the model itself: a decision or plain number (`"k_s"`), or part of a distribution (`"k_s.half_width"`)."""
+    """A number of the model: a decision or plain number (`"k_s"`), or part of a distribution (`"k_s.half_width"`)."""
     return Expression((1.0,), (Value(name),))
 
 

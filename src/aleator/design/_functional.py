@@ -130,7 +130,7 @@ class Path(Functional):
 
 @final
 class Peak(Functional):
-    """The largest magnitude of an output over time. Where the instant of the peak jumps it is not smooth: prefer `path`."""
+    """The largest magnitude of an output over time. Not smooth where the instant of the peak jumps: prefer `path`."""
 
     def evaluate(self, history: History, grid: Grid) -> Array:
         """See `Functional.evaluate`."""

@@ -23,7 +23,7 @@ class Model(NamedTuple):
 
 @final
 class Problem(eqx.Module):
-    """An optimal design problem: what to choose is said by the decisions in `system`, what is uncertain by its distributions.
+    """An optimal design problem: the decisions in `system` are what to choose, its distributions what is uncertain.
 
     - `system`: the physics; `grid`: the instants; `inputs`: a signal for each input of the system, by name;
     - `minimize`: an expression of statistics; `subject_to`: constraints;
@@ -93,8 +93,9 @@ class Problem(eqx.Module):
     def with_bound(self, name: str, bound: float | tuple[float, float]) -> Self:
         """The same problem with the bound of the constraints called `name` at `bound`.
 
-        One number moves an upper or a lower bound, the number that an expression equals, or both of a symmetric pair (to
-        `-bound` and `bound`); other pairs take `(lower, upper)`. Raises `ProblemError` for a pair in the wrong order.
+        One number moves an upper or a lower bound, the number that an expression equals, or both of a symmetric pair
+        (to `-bound` and `bound`); other pairs take `(lower, upper)`. Raises `ProblemError` for a pair in the wrong
+        order.
         """
         lower, upper = _new_bounds(self.named(name), name, bound)
         return self._with(name, lambda one: one.with_bounds(*(_moved(one.lower, lower), _moved(one.upper, upper))))
@@ -126,7 +127,8 @@ def _flatten(constraints: Any) -> Iterator[Constraint]:
         return
     if not isinstance(constraints, Iterable):
         raise ProblemError(
-            f"subject_to: expected constraints, such as y.mean <= 1.0; received {type(constraints).__name__} '{constraints}'."
+            "subject_to: expected constraints, such as y.mean <= 1.0; "
+            f"received {type(constraints).__name__} '{constraints}'."
         )
     for constraint in constraints:
         yield from _flatten(constraint)

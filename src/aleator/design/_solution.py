@@ -18,8 +18,8 @@ class ConstraintResult:
     """One constraint at a solution, in user units.
 
     - `values`: its expression, a number or one number an instant; `times`: the instants (s), None for a number;
-    - `multipliers`: the price of the bound, `-d objective / d bound`, in the shape of `values`: positive where the upper
-      bound is active, negative where the lower one is;
+    - `multipliers`: the price of the bound, `-d objective / d bound`, in the shape of `values`: positive where the
+      upper bound is active, negative where the lower one is;
     - `active`: where it is active, in the shape of `values`.
     """
 
@@ -49,6 +49,11 @@ class ConstraintResult:
         return max(0.0, float(np.max(self.excess)))
 
     @property
+    def holds(self) -> bool:
+        """Whether it holds everywhere, to tolerance."""
+        return self.violation <= 1e-6 * self.size
+
+    @property
     def worst_time(self) -> float | None:
         """The instant (s) at which the constraint is closest to, or furthest beyond, its bound."""
         return None if self.times is None else float(self.times[np.argmax(_by_instant(self.excess))])
@@ -63,7 +68,8 @@ class ConstraintResult:
         when = "" if self.worst_time is None else f" at t = {self.worst_time:.4g} s"
         worst = float(self.values.flat[int(np.argmax(self.excess))])
         bound, relation = (self.upper, "≤") if worst > self.upper else (self.lower, "≥")
-        return f"'{self.name}' is violated by {self.violation:.4g}{when}: {worst:.6g} where {relation} {bound:.6g} is asked"
+        asked = f"{worst:.6g} where {relation} {bound:.6g} is asked"
+        return f"'{self.name}' is violated by {self.violation:.4g}{when}: {asked}"
 
 
 def _by_instant(values: np.ndarray) -> np.ndarray:
@@ -171,7 +177,7 @@ class Solution:
     @property
     def violated(self) -> tuple[ConstraintResult, ...]:
         """The constraints that do not hold, worst first."""
-        broken = [one for one in self.constraints if one.violation > 1e-6 * one.size]
+        broken = [one for one in self.constraints if not one.holds]
         return tuple(sorted(broken, key=lambda one: -one.violation / one.size))
 
     def multiplier(self, name: str) -> float:

@@ -34,7 +34,7 @@ def _at_bound(solution: "Solution", name: str) -> str:
 
 
 def _constraint_text(one: "ConstraintResult") -> str:
-    if one.violation > 0 and not np.any(one.active):
+    if not one.holds:
         return one.sentence()
     when = "" if one.worst_time is None else f" at t = {one.worst_time:.4g} s"
     state = (

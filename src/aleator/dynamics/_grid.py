@@ -45,7 +45,7 @@ class Grid(eqx.Module):
     def weights(self) -> Float[Array, " instants"]:
         """Weights of the trapezoidal rule on the instants."""
         ends = jnp.ones(self.steps + 1).at[jnp.array([0, -1])].set(0.5)
-        return self.step * ends
+        return jnp.asarray(self.step * ends)
 
 
 def _is_finite(number: object) -> bool:

@@ -96,7 +96,7 @@ class AbstractAdaptive(AbstractIntegrator):
         """See `AbstractIntegrator.outputs`."""
         import diffrax  # late: it takes as long to import as all the rest
 
-        def now(t: Array) -> dict[str, Array]:
+        def now(t: Any) -> dict[str, Array]:
             return {name: signal(t) for name, signal in inputs.items()}
 
         solution = diffrax.diffeqsolve(
@@ -114,7 +114,7 @@ class AbstractAdaptive(AbstractIntegrator):
             throw=False,
         )
         arrived = solution.result == diffrax.RESULTS.successful
-        return {name: jnp.where(arrived, values, jnp.nan) for name, values in solution.ys.items()}
+        return jax.tree.map(lambda values: jnp.where(arrived, values, jnp.nan), solution.ys)
 
 
 @final

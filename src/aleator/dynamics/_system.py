@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
 from aleator._core.arrays import Scalar
 from aleator._core.errors import ProblemError
@@ -22,19 +22,20 @@ class System(eqx.Module):
     replaced by a distribution or a decision. In `rhs` and `outputs` the state is a named tuple (`z.z_s`, or unpacked),
     and each further argument is an input of that name: `def rhs(self, t, z, road)`.
 
-    `units` may give the units of outputs, for reports.
+    The two are declared with open signatures here, so that each system names its own inputs. `units` may give the units
+    of outputs, for reports.
     """
 
     states: ClassVar[tuple[str, ...]]
     units: ClassVar[Mapping[str, str]] = {}
 
     @abc.abstractmethod
-    def rhs(self, t: Float[Array, ""], z: Any, **inputs: Float[Array, "..."]) -> Any:
-        """Time derivatives of the states, as a sequence in the order of `states`."""
+    def rhs(self, *args: Any, **kwargs: Any) -> Any:
+        """`rhs(self, t, z, ...)`: time derivatives of the states, as a sequence in the order of `states`."""
 
     @abc.abstractmethod
-    def outputs(self, t: Float[Array, ""], z: Any, **inputs: Float[Array, "..."]) -> dict[str, Array]:
-        """Quantities of interest by name: accelerations, distances, forces."""
+    def outputs(self, *args: Any, **kwargs: Any) -> dict[str, Any]:
+        """`outputs(self, t, z, ...)`: quantities of interest by name: accelerations, distances, forces."""
 
     def initial(self) -> Mapping[str, Scalar]:
         """Initial values by state; states left out start at zero."""
@@ -53,12 +54,13 @@ def initial_state(system: System) -> Any:
     unknown = set(given) - set(system.states)
     if unknown:
         raise ProblemError(
-            f"{type(system).__name__}.initial names {sorted(unknown)}, which are no states; expected some of {system.states}."
+            f"{type(system).__name__}.initial names {sorted(unknown)}, which are no states; "
+            f"expected some of {system.states}."
         )
     return state_type(system.states)(*(jnp.asarray(given.get(name, 0.0), dtype=float) for name in system.states))
 
 
-def derivative(system: System, t: Array, z: Any, inputs: dict[str, Array]) -> Any:
+def derivative(system: System, t: Any, z: Any, inputs: dict[str, Array]) -> Any:
     """`system.rhs` as a named tuple, checked (at trace time) to match the states one by one."""
     rates = system.rhs(t, z, **inputs)
     name = type(system).__name__
@@ -77,7 +79,7 @@ def derivative(system: System, t: Array, z: Any, inputs: dict[str, Array]) -> An
     return state_type(system.states)(*(jnp.asarray(rate, dtype=float) for rate in rates))
 
 
-def observation(system: System, t: Array, z: Any, inputs: dict[str, Array]) -> dict[str, Array]:
+def observation(system: System, t: Any, z: Any, inputs: dict[str, Array]) -> dict[str, Array]:
     """`system.outputs` as arrays by name, checked (at trace time) to be a dict."""
     values = system.outputs(t, z, **inputs)
     if not isinstance(values, dict):

@@ -4,6 +4,8 @@ from aleator.report._boxes import DASHES as DASHES
 from aleator.report._boxes import Axis as Axis
 from aleator.report._boxes import Box as Box
 from aleator.report._boxes import projection_figure as projection_figure
+from aleator.report._datasets import dataset as dataset
+from aleator.report._datasets import tree as tree
 from aleator.report._files import check_writable as check_writable
 from aleator.report._fronts import decision_path_figure as decision_path_figure
 from aleator.report._fronts import front_figure as front_figure
@@ -34,6 +36,9 @@ from aleator.report._samples import calibration_figure as calibration_figure
 from aleator.report._samples import percentile_figure as percentile_figure
 from aleator.report._samples import signal_figure as signal_figure
 from aleator.report._samples import trajectory_figure as trajectory_figure
+from aleator.report._store import json_text as json_text
+from aleator.report._store import save as save
 from aleator.report._tables import certificate_table as certificate_table
 from aleator.report._tables import designs_table as designs_table
 from aleator.report._tables import evidence_table as evidence_table
+from aleator.report._tables import unresolved as unresolved

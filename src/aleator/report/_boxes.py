@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, final
 
 from aleator.report._numbers import number
-from aleator.report._style import blank, label, limit_line, looks, padded, plain
+from aleator.report._style import Look, blank, label, limit_line, looks, padded, plain
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
@@ -43,24 +43,14 @@ def projection_figure(
     figure = blank(label(axes[across].name, axes[across].unit), label(axes[up].name, axes[up].unit), height=height)
     seen: set[str] = set()
     styles = looks(dict.fromkeys(box.design for box in boxes))
+    # All boxes first, so that none veils a point.
+    for box in boxes:
+        _add_box(figure, box, (across, up), styles[box.design])
     for box in boxes:
         look, name = styles[box.design], plain(box.design)
-        (x, y), (dx, dy) = ([part[key] for key in (across, up)] for part in (box.centre, box.half))
-        if dx > 0 or dy > 0:
-            figure.add_scatter(
-                x=[x - dx, x + dx, x + dx, x - dx, x - dx],
-                y=[y - dy, y - dy, y + dy, y + dy, y - dy],
-                mode="lines",
-                line={"color": look.colour, "width": 1.8, "dash": box.dash},
-                fill="toself",
-                fillcolor=look.fill(0.07),
-                legendgroup=name,
-                showlegend=False,
-                hoverinfo="skip",
-            )
         figure.add_scatter(
-            x=[x],
-            y=[y],
+            x=[box.centre[across]],
+            y=[box.centre[up]],
             mode="markers",
             name=name,
             legendgroup=name,
@@ -77,6 +67,24 @@ def projection_figure(
     figure.update_xaxes(range=_reach(boxes, across, axes))
     figure.update_yaxes(range=_reach(boxes, up, axes))
     return figure
+
+
+def _add_box(figure: "Figure", box: Box, keys: tuple[str, str], look: Look) -> None:
+    """The box of one design, where it has an extent."""
+    (x, y), (dx, dy) = ([part[key] for key in keys] for part in (box.centre, box.half))
+    if dx <= 0 and dy <= 0:
+        return
+    figure.add_scatter(
+        x=[x - dx, x + dx, x + dx, x - dx, x - dx],
+        y=[y - dy, y - dy, y + dy, y + dy, y - dy],
+        mode="lines",
+        line={"color": look.colour, "width": 1.8, "dash": box.dash},
+        fill="toself",
+        fillcolor=look.fill(0.07),
+        legendgroup=plain(box.design),
+        showlegend=False,
+        hoverinfo="skip",
+    )
 
 
 def _reach(boxes: Sequence[Box], key: str, axes: Mapping[str, Axis]) -> list[float]:

@@ -20,7 +20,8 @@ def check_writable(folder: str | Path) -> Path:
             pass
     except OSError as error:
         raise ProblemError(
-            f"The folder '{folder}' cannot be written to ({error.strerror or error}): name another folder for the results."
+            f"The folder '{folder}' cannot be written to ({error.strerror or error}): name another folder for the"
+            " results."
         ) from error
     return folder
 
@@ -40,7 +41,7 @@ def write_whole(path: str | Path, write: Callable[[Path], object]) -> Path:
     try:
         write(temporary)
         temporary.chmod(0o666 & ~_umask())
-        os.replace(temporary, path)
+        temporary.replace(path)
     except OSError as error:
         raise ProblemError(f"'{path}' cannot be written ({error.strerror or error}).") from error
     finally:

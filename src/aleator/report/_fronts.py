@@ -7,7 +7,7 @@ import numpy as np
 
 from aleator.design import Solution
 from aleator.report._numbers import given, number
-from aleator.report._style import LIMIT, MUTED, SIZE, Look, blank, label, legend_entry, limit_line, looks, plain
+from aleator.report._style import LIMIT, MUTED, SIZE, Look, blank, label, legend_entry, limit_line, looks, padded, plain
 from aleator.sweep import Front
 
 if TYPE_CHECKING:
@@ -43,6 +43,8 @@ def front_figure(
         _add_solved(figure, name, front, look, shown, (x_unit, y_unit))
         _add_infeasible(figure, name, front, look, low - step * (row + 1), x_unit)
     rows = 1 + max((i + 1 for i, one in enumerate(fronts.values()) if not one.solved.all()), default=0)
+    # The name of the shaded band stands below the data, too.
+    rows += 1 if infeasible else 0
     figure.update_yaxes(range=[low - step * rows, high + step])
     for text, value in (limits or {}).items():
         limit_line(figure, value, text)
@@ -113,7 +115,9 @@ def _add_infeasible(figure: "Figure", name: str, front: Front, look: Look, heigh
         textposition="middle right" if 2 * front.values[last] < sum(_ends(front)) else "middle left",
         textfont={"size": SIZE - 1, "color": look.colour},
         customdata=[_why(front.solutions[i]) for i in missing],
-        hovertemplate=f"<b>{plain(name)}</b>: not solved at %{{x:.4~g}} {plain(unit)}<br>%{{customdata}}<extra></extra>",
+        hovertemplate=(
+            f"<b>{plain(name)}</b>: not solved at %{{x:.4~g}} {plain(unit)}<br>%{{customdata}}<extra></extra>"
+        ),
         cliponaxis=False,
     )
 
@@ -166,7 +170,9 @@ def price_figure(
             line={"color": look.colour, "width": 2},
             marker={"symbol": look.symbol, "size": 8, "color": look.colour},
             cliponaxis=False,
-            hovertemplate=f"<b>{plain(name)}</b>: %{{y:.4~g}} {plain(y_unit)}<br>limit %{{x:.4~g}} {plain(x_unit)}<extra></extra>",
+            hovertemplate=(
+                f"<b>{plain(name)}</b>: %{{y:.4~g}} {plain(y_unit)}<br>limit %{{x:.4~g}} {plain(x_unit)}<extra></extra>"
+            ),
         )
     figure.update_yaxes(rangemode="tozero")
     return figure
@@ -183,42 +189,41 @@ def decision_path_figure(
     lower: float | None = None,
     lower_text: str = "",
 ) -> "Figure":
-    """Two decisions against each other along each front (figure 6.8); its ends carry the bound's value."""
+    """Two decisions against each other along each front (figure 6.8); the end furthest right carries its bound."""
     figure = blank(plain(x), plain(y))
     for name, front in fronts.items():
         look = looks(fronts)[name]
         points = [i for i, one in enumerate(front.solutions) if one.ok]
+        places = [float(front.solutions[i].decisions[across]) for i in points]
         bounds = [given(float(f"{front.values[i]:.4g}"), bound_unit) for i in points]
         figure.add_scatter(
-            x=[float(front.solutions[i].decisions[across]) for i in points],
+            x=places,
             y=[float(front.solutions[i].decisions[up]) for i in points],
             mode="lines+markers+text",
             name=plain(name),
             line={"color": look.colour, "width": 1.5},
             marker={"symbol": f"{look.symbol}-open", "size": 10, "color": look.colour, "line": {"width": 2}},
-            text=_end_labels(bounds),
-            textposition=_beside(front, across, points),
+            text=_last_label(places, bounds),
+            textposition="middle left",
             textfont={"size": SIZE - 2, "color": look.colour},
             customdata=bounds,
-            hovertemplate=f"<b>{plain(name)}</b>, {plain(front.bound)} limit %{{customdata}}"
-            f"<br>{plain(across)} = %{{x:.5~g}}<br>{plain(up)} = %{{y:.5~g}}<extra></extra>",
+            hovertemplate=(
+                f"<b>{plain(name)}</b>, {plain(front.bound)} limit %{{customdata}}"
+                f"<br>{plain(across)} = %{{x:.5~g}}<br>{plain(up)} = %{{y:.5~g}}<extra></extra>"
+            ),
             cliponaxis=False,
         )
     if lower is not None:
-        limit_line(figure, lower, lower_text, dash="dot")
+        limit_line(figure, lower, lower_text, dash="dot", under=True)
+        reached = [float(one.decisions[up]) for front in fronts.values() for one in front.solutions if one.ok]
+        figure.update_yaxes(range=padded([lower, *reached], 0.12))
     figure.update_yaxes(tickformat=",d")
     return figure
 
 
-def _beside(front: Front, across: str, points: list[int]) -> list[str]:
-    """Where the labels stand: above, and left of the point that lies furthest right, so that they stay inside."""
-    places = [float(front.solutions[i].decisions[across]) for i in points]
-    return ["middle left" if place == max(places) else "top center" for place in places]
-
-
-def _end_labels(bounds: list[str]) -> list[str]:
-    ends = {0, len(bounds) - 1}
-    return [text if i in ends else "" for i, text in enumerate(bounds)]
+def _last_label(places: list[float], texts: list[str]) -> list[str]:
+    """The text of the point furthest right alone: labels at both ends of several fronts would overlap."""
+    return [text if place == max(places) else "" for place, text in zip(places, texts, strict=True)]
 
 
 def relative_figure(
@@ -246,7 +251,9 @@ def relative_figure(
             line={"color": style["colour"], "width": 2, "dash": style["dash"]},
             marker={"symbol": style["symbol"], "size": 9, "color": style["colour"]},
             customdata=[number(float(one.decisions[name])) for one in front.solutions],
-            hovertemplate=f"<b>{plain(names[name])}</b>: %{{customdata}}, %{{y:.4~g}} % of the {reference}<extra></extra>",
+            hovertemplate=(
+                f"<b>{plain(names[name])}</b>: %{{customdata}}, %{{y:.4~g}} % of the {reference}<extra></extra>"
+            ),
         )
     limit_line(figure, 100.0, f"{reference} (100 %)")
     _shade_infeasible(figure, "design", front)

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
     from aleator.validation import Proportion
 
 _THIN = "\u202f"  # narrow space that does not break a line
@@ -73,7 +75,7 @@ def share_text(share: "Proportion | None") -> str:
     return "–" if share is None else f"{percent(share.estimate)} [{interval(share)}]"
 
 
-def values_text(values: object, digits: int = 5, unit: str = "") -> str:
+def values_text(values: "ArrayLike", digits: int = 5, unit: str = "") -> str:
     """A number, or the numbers of a short array, with a unit."""
     entries = [number(one, digits) for one in np.ravel(np.asarray(values, dtype=float))]
     text = entries[0] if np.ndim(values) == 0 else f"[{', '.join(entries)}]"

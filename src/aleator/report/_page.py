@@ -156,7 +156,7 @@ def _panels(drawing: Drawing, place: int) -> list[dict[str, Any]]:
     """What the template needs of each figure of a drawing. Titles become HTML, which wraps on narrow screens."""
     panels = []
     for i, figure in enumerate(drawing.figures):
-        content = json.loads(figure.to_json())
+        content = json.loads(figure.to_json() or "{}")
         title = html.unescape((content["layout"].pop("title", None) or {}).get("text", ""))
         if title:
             content["layout"]["margin"]["t"] = 40

@@ -52,7 +52,7 @@ def trajectory_figure(
     times = np.asarray(evidence.solution.problem.grid.times)[::every]
     distinct = _distinct(kept)
     for one, first in zip(distinct, [True] + [False] * len(distinct), strict=False):
-        rows, broken = one.values[:drawn, ::every], np.asarray(one.violating[:drawn], dtype=bool)
+        rows, broken = _curves(one.values[:drawn, ::every], one.violating[:drawn])
         inside, outside = rows[~broken], rows[broken]
         _add_lines(
             figure, times, inside, f"within the limits ({len(inside)} of {len(rows)} drawn)", "#a9b4bf", 0.8, first
@@ -65,6 +65,15 @@ def trajectory_figure(
         extremes = [edge(one.values[:drawn]) for one in kept for edge in (np.min, np.max)]
         figure.update_yaxes(range=padded([*extremes, *bounds], 0.1))
     return figure
+
+
+def _curves(values: np.ndarray, violating: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """One row a curve, and whether its system violates; a vector over time is one curve for each component."""
+    broken = np.asarray(violating, dtype=bool)
+    if values.ndim == 2:
+        return values, broken
+    flat = values.reshape(*values.shape[:2], -1)
+    return np.moveaxis(flat, 2, 1).reshape(-1, values.shape[1]), np.repeat(broken, flat.shape[2])
 
 
 def _violation_title(share: object, who: str) -> str:
@@ -88,13 +97,16 @@ def _add_lines(
     """Many curves as one trace, separated by gaps."""
     if not len(rows):
         return
+    if legend:
+        # Thick enough to tell the colour by.
+        figure.add_scatter(x=[None], y=[None], mode="lines", name=name, line={"color": colour, "width": 4})
     gap = np.full((len(rows), 1), np.nan)
     figure.add_scatter(
         x=_short(np.hstack([np.tile(times, (len(rows), 1)), gap]).ravel()),
         y=_short(np.hstack([rows.reshape(len(rows), -1), gap]).ravel()),
         mode="lines",
         name=name,
-        showlegend=legend,
+        showlegend=False,
         line={"color": colour, "width": width},
         opacity=0.7,
         hoverinfo="skip",
@@ -125,7 +137,10 @@ def percentile_figure(
                 line={"color": look.colour, "width": width},
                 opacity=0.55,
                 showlegend=False,
-                hovertemplate=f"<b>{plain(name)}</b>, {text}: {number(levels[low])} to {number(levels[high], 4)} {plain(unit)}<extra></extra>",
+                hovertemplate=(
+                    f"<b>{plain(name)}</b>, {text}: {number(levels[low])} to {number(levels[high], 4)}"
+                    f" {plain(unit)}<extra></extra>"
+                ),
             )
         for value, symbol, text in ((levels[3], "line-ns", "median"), (float(one.mean), "circle", "mean")):
             figure.add_scatter(
@@ -147,7 +162,9 @@ def percentile_figure(
         limit_line(figure, limit, f" limit {given(limit, unit)}", axis="x", upright=True)
     ends = [one.percentiles[i] for one in sampled.values() if one.percentiles is not None for i in (0, -1)]
     figure.update_xaxes(range=padded([*ends, *([] if limit is None else [limit])]))
-    figure.update_yaxes(type="category", range=[len(sampled) - (0.2 if limit is not None else 0.5), -0.5], showgrid=False)
+    figure.update_yaxes(
+        type="category", range=[len(sampled) - (0.2 if limit is not None else 0.5), -0.5], showgrid=False
+    )
     return figure
 
 

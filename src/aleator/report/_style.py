@@ -91,6 +91,7 @@ def blank(x: str, y: str, *, title: str = "", height: int = 420) -> "Figure":
         xaxis=axis | {"title": {"text": x, "standoff": 10}},
         yaxis=axis | {"title": {"text": y, "standoff": 8}},
         hovermode="closest",
+        separators=".\u202f",
     )
     return figure
 
@@ -118,11 +119,19 @@ def legend_entry(figure: "Figure", name: str, look: Look, *, line: bool = True) 
 
 
 def limit_line(
-    figure: "Figure", value: float, text: str, *, axis: str = "y", dash: str = "dash", upright: bool = False
+    figure: "Figure",
+    value: float,
+    text: str,
+    *,
+    axis: str = "y",
+    dash: str = "dash",
+    upright: bool = False,
+    under: bool = False,
 ) -> None:
-    """A limit as a line across the whole figure, behind the data, with its name at its end, inside the plot.
+    """A limit as a line across the whole figure, with its name at its end, inside the plot.
 
-    The name of a vertical limit runs along it, or stands `upright` beside its foot.
+    The name of a vertical limit runs along it, or stands `upright` beside its foot; that of a
+    horizontal one stands on it, or `under` it.
     """
     note = {
         "text": plain(text),
@@ -130,11 +139,12 @@ def limit_line(
         "font": {"size": SIZE - 1, "color": LIMIT},
         "bgcolor": "rgba(255,255,255,0.8)",
     }
-    line = {"color": LIMIT, "width": 1.5, "dash": dash}
+    line = {"color": LIMIT, "width": 1.3, "dash": dash}
     if axis == "y":
-        figure.add_shape(type="line", xref="paper", x0=0, x1=1, y0=value, y1=value, line=line, layer="below")
-        figure.add_annotation(xref="paper", x=1, xanchor="right", y=value, yanchor="bottom", **note)
+        figure.add_shape(type="line", xref="paper", x0=0, x1=1, y0=value, y1=value, line=line)
+        anchor = "top" if under else "bottom"
+        figure.add_annotation(xref="paper", x=1, xanchor="right", y=value, yanchor=anchor, **note)
     else:
-        figure.add_shape(type="line", yref="paper", y0=0, y1=1, x0=value, x1=value, line=line, layer="below")
+        figure.add_shape(type="line", yref="paper", y0=0, y1=1, x0=value, x1=value, line=line)
         place = {"xanchor": "left"} if upright else {"xanchor": "right", "textangle": -90}
         figure.add_annotation(yref="paper", y=0, yanchor="bottom", x=value, **place, **note)

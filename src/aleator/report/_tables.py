@@ -39,7 +39,10 @@ def designs_table(solutions: Mapping[str, Solution], evidence: Mapping[str, Evid
     rows.append(["Active", *(words(one.active, "nothing") for one in every)])
     rows += _violation_rows(list(solutions), evidence)
     return Table(
-        "Designs", ["", *solutions], rows, "Prices: how much the objective falls for each unit the bound is relaxed."
+        "Decisions, limits and violations",
+        ["", *solutions],
+        rows,
+        "Prices: how much the objective falls for each unit the bound is relaxed.",
     )
 
 
@@ -88,7 +91,7 @@ def _worst(solution: Solution, name: str) -> str:
     relation, bound = ("≤", one.upper) if upper else ("≥", one.lower)
     when = "" if one.worst_time is None else f" at {number(one.worst_time, 4, 's')}"
     broken = ", violated" if one in solution.violated else ""
-    return f"{number(worst, 5)} {relation} {number(bound, 4, unit)}{when}{broken}"
+    return f"{number(worst, 5)} {relation} {given(bound, unit)}{when}{broken}"
 
 
 def _price(solution: Solution, name: str) -> str:
@@ -115,9 +118,9 @@ def certificate_table(solutions: Mapping[str, Solution]) -> Table:
     for text in _union([list(one.expansion.leave_one_out) for one in every if _expanded(one)]):
         rows.append([f"Leave-one-out error, {text}", *(_leave_one_out(one, text) for one in every)])
     note = (
-        "Residuals are computed from the point and its multipliers, not taken from the solver. The leave-one-out error is the "
-        "squared error of predicting each collocation point from all others, relative to the variance: "
-        f"up to {given(100 * UNRESOLVED)} % it counts as resolved."
+        "Residuals are computed from the point and its multipliers, not taken from the solver. The leave-one-out error"
+        " is the squared error of predicting each collocation point from all others, relative to the variance: up to"
+        f" {given(100 * UNRESOLVED)} % it counts as resolved."
     )
     return Table("Certificate", ["", *solutions], rows, note)
 
@@ -159,7 +162,10 @@ def evidence_table(evidence: Mapping[str, Evidence]) -> Table:
             )
     header = ["", "Mean, sampled", "Mean, expansion", "σ, sampled", "σ, expansion", "5 %", "Median", "95 %"]
     samples = words(sorted({count(one.samples) for one in evidence.values()}))
-    note = f"{samples} fresh random systems for each design, independent of the expansion; ± is one standard error of the mean."
+    note = (
+        f"{samples} fresh random systems for each design, independent of the expansion; ± is one standard error of the"
+        " mean."
+    )
     return Table("Monte Carlo beside the expansion", header, rows, note)
 
 

@@ -1,0 +1,34 @@
+"""The case studies: each a short module that reads like its chapter. The command line finds them here, by name."""
+
+from collections.abc import Callable
+from importlib import import_module
+from typing import NamedTuple
+
+from aleator._core.errors import ProblemError
+from aleator.studies._study import AbstractStudy as AbstractStudy
+
+
+class Entry(NamedTuple):
+    """A study as listed: what it is about, and where it is made. The module is imported only when it is run."""
+
+    about: str
+    module: str
+
+
+STUDIES = {
+    "suspension": Entry(
+        "Quarter car: deterministic, robust and apportioned suspension (sections 6.4 and 7.4)",
+        "aleator.studies._suspension_study",
+    ),
+}
+
+
+def load(name: str, *, quick: bool = False) -> AbstractStudy:
+    """A study ready to run; `quick` makes it small enough to try in a minute.
+
+    Raises `ProblemError` for an unknown name.
+    """
+    if name not in STUDIES:
+        raise ProblemError(f"There is no study '{name}'; expected one of {sorted(STUDIES)}. See `aleator list`.")
+    make: Callable[[bool], AbstractStudy] = import_module(STUDIES[name].module).make
+    return make(quick)

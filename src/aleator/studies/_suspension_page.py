@@ -7,14 +7,44 @@ from typing import Any
 import numpy as np
 
 import aleator as al
-from aleator import report
-from aleator.report import Axis, Block, Code, Drawing, Page, Section, Table, Text
+from aleator.report import (
+    DASHES,
+    HOW_TO_READ,
+    Axis,
+    Block,
+    Code,
+    Drawing,
+    Page,
+    Section,
+    Table,
+    Text,
+    calibration_figure,
+    certificate_table,
+    count,
+    decision_path_figure,
+    evidence_table,
+    footer,
+    front_figure,
+    given,
+    number,
+    percentile_figure,
+    price_figure,
+    projection_figure,
+    relative_figure,
+    signal_figure,
+    trajectory_figure,
+    words,
+)
+from aleator.report import (
+    write_page as write_report_page,
+)
 from aleator.studies._suspension_facts import (
     HOLDING_TEXT,
     RIDE_TEXT,
     RIDE_UNIT,
     ROBUST_NARROW,
     SPREADS,
+    UNITS,
     WIDER_NARROW,
     box,
     cost,
@@ -52,7 +82,7 @@ def write_page(results: SuspensionResults, path: str | Path) -> Path:
 
     Raises `ProblemError` if the file cannot be written.
     """
-    return report.write_page(suspension_page(results), path)
+    return write_report_page(suspension_page(results), path)
 
 
 def suspension_page(results: SuspensionResults) -> Page:
@@ -66,15 +96,17 @@ def suspension_page(results: SuspensionResults) -> Page:
         Section("Evidence", list(_evidence(results))),
         Section("Certificate", _certificate(results)),
         Section("The problems as mathematics", [Code(name, str(one.problem)) for name, one in results.designs.items()]),
-        Section("How to read this", [Text(report.HOW_TO_READ), Table("Glossary", ["Term", "Meaning"], GLOSSARY)]),
+        Section("How to read this", [Text(HOW_TO_READ), Table("Glossary", ["Term", "Meaning"], GLOSSARY)]),
     ]
     return Page(
         title="Suspension of a quarter car: robust design and apportioned spreads",
-        subtitle=f"Travel within ±{TRAVEL:g} m, holding at most {HOLDING:g} m, ride at most {RIDE:g} m²/s³ (aOpt); "
-        "five uncertain parameters; dissertation, sections 6.4 and 7.4",
+        subtitle=(
+            f"Travel within ±{TRAVEL:g} m, holding at most {HOLDING:g} m, ride at most {RIDE:g} m²/s³ (aOpt); "
+            "five uncertain parameters; dissertation, sections 6.4 and 7.4"
+        ),
         verdict=verdict(results),
         sections=[one for one in sections if one.blocks],
-        footer=report.footer(),
+        footer=footer(),
     )
 
 
@@ -88,16 +120,16 @@ def _unfinished(results: SuspensionResults) -> list[Block]:
         "fronts over holding": len(results.holding_fronts) == 2 and len(results.boxes) == 2,
     }
     missing = [name for name in STAGES if not done[name]]
-    return [Text([f"Not reached: {report.words(missing)}."], lead="The study was stopped early.")] if missing else []
+    return [Text([f"Not reached: {words(missing)}."], lead="The study was stopped early.")] if missing else []
 
 
 def _designs(results: SuspensionResults) -> list[Block]:
     blocks: list[Block] = [designs_table(results)] if results.designs else []
     if len(results.designs) > 1:
         caption = (
-            "Points are means, boxes reach one σ to each side. dOpt has no box: it knows of no spread, and stands on the holding limit. "
-            "The box of uOpt ends at the travel limit, so its mean had to move inward. aOpt has the largest box: its spreads grow "
-            "until they meet the ride and travel limits."
+            "Points are means, boxes reach one σ to each side. dOpt has no box: it knows of no spread, and stands on"
+            " the holding limit. The box of uOpt ends at the travel limit, so its mean had to move inward. aOpt has the"
+            " largest box: its spreads grow until they meet the ride and travel limits."
         )
         blocks.append(
             _projections(results, list(results.designs), "Where the designs stand among their limits", "7.2", caption)
@@ -113,23 +145,23 @@ def _axes(ride_limit: bool) -> dict[str, Axis]:
     }
 
 
-def _projections(results: SuspensionResults, names: list[str], heading: str, number: str, caption: str) -> Drawing:
+def _projections(results: SuspensionResults, names: list[str], heading: str, place: str, caption: str) -> Drawing:
     boxes = [box(results.designs[name], name) for name in names]
     planes = (("holding", "travel"), ("holding", "ride"), ("travel", "ride"))
     axes = _axes("aOpt" in names)
-    return Drawing([report.projection_figure(boxes, *plane, axes) for plane in planes], heading, caption, number)
+    return Drawing([projection_figure(boxes, *plane, axes) for plane in planes], heading, caption, place)
 
 
 def _robust(results: SuspensionResults) -> Iterator[Block]:
-    signal = report.signal_figure(np.asarray(GRID.times), np.asarray(road().values), name="Road height", unit="m")
+    signal = signal_figure(np.asarray(GRID.times), np.asarray(road().values), name="Road height", unit="m")
     yield Drawing([signal], "The road", "Four bumps of 0.15 m at 1, 5, 10 and 15 Hz, with noise on top.", "6.2")
     pair = {name: one for name, one in results.travel_fronts.items() if name != "aOpt"}
     if pair:
         yield Drawing(
             [_ride_front(pair, TRAVEL_NAME)],
             f"Ride against the travel limit, H = {HOLDING:g} m",
-            f"{HOW_TO_SEE} {_transition(pair, 'travel', 'm')} Accounting for uncertainty shifts the whole trade-off up; "
-            "where the curves are flat, holding is active and more travel buys nothing.",
+            f"{HOW_TO_SEE} {_transition(pair, 'travel', 'm')} Accounting for uncertainty shifts the whole trade-off up;"
+            " where the curves are flat, holding is active and more travel buys nothing.",
             "6.4",
         )
         yield _price(pair, TRAVEL_NAME, "travel", "What a centimetre of travel is worth", 0.01, "cm")
@@ -137,8 +169,9 @@ def _robust(results: SuspensionResults) -> Iterator[Block]:
         yield Drawing(
             [_ride_front(results.holding_fronts, HOLDING_NAME)],
             f"Ride against the holding limit, R = {TRAVEL:g} m",
-            f"{HOW_TO_SEE} {_transition(results.holding_fronts, 'holding', 'm')} The uncertain design changes over first, "
-            "because its box meets the travel limit earlier (figure 6.7). Crosses: no design meets all limits.",
+            f"{HOW_TO_SEE} {_transition(results.holding_fronts, 'holding', 'm')} The uncertain design changes over"
+            " first, because its box meets the travel limit earlier (figure 6.7). Crosses: no design meets all"
+            " limits.",
             "6.5",
         )
         yield _price(
@@ -151,8 +184,8 @@ def _robust(results: SuspensionResults) -> Iterator[Block]:
             both,
             "Why uncertainty changes the active limit",
             "6.6",
-            "The same limits, different ones active: dOpt stands on the holding limit; uOpt's box touches the travel limit, "
-            "which keeps its mean away from both.",
+            "The same limits, different ones active: dOpt stands on the holding limit; uOpt's box touches the travel"
+            " limit, which keeps its mean away from both.",
         )
     if results.boxes:
         yield _holding_boxes(results)
@@ -161,17 +194,18 @@ def _robust(results: SuspensionResults) -> Iterator[Block]:
 
 
 def _ride_front(fronts: dict[str, al.Front], x: str) -> Any:
-    return report.front_figure(fronts, x=x, x_unit="m", y=RIDE_NAME, y_unit=RIDE_UNIT)
+    return front_figure(fronts, x=x, x_unit="m", y=RIDE_NAME, y_unit=RIDE_UNIT)
 
 
 def _price(fronts: dict[str, al.Front], x: str, bound: str, heading: str, scale: float, unit: str) -> Drawing:
-    figure = report.price_figure(
+    figure = price_figure(
         fronts, x=x, x_unit="m", y="Price of the limit", y_unit=f"{RIDE_UNIT} per {unit}", scale=scale
     )
     return Drawing(
         [figure],
         heading,
-        f"The multiplier of the {bound} limit: how much ride improves if it is relaxed by 1 {unit}. Zero: relaxing it buys nothing.",
+        f"The multiplier of the {bound} limit: how much ride improves if it is relaxed by 1 {unit}. Zero: relaxing it"
+        " buys nothing.",
     )
 
 
@@ -185,30 +219,30 @@ def _transition(fronts: dict[str, al.Front], bound: str, unit: str) -> str:
             if one.ok and one.multiplier(bound) > 0
         ]
         if held:
-            parts.append(f"{name} up to {report.number(max(held), 3, unit)}")
-    return f"The {bound} limit is active for {report.words(parts)}." if parts else ""
+            parts.append(f"{name} up to {number(max(held), 3, unit)}")
+    return f"The {bound} limit is active for {words(parts)}." if parts else ""
 
 
 def _holding_boxes(results: SuspensionResults) -> Drawing:
     boxes, limits = [], {}
     for name, front in results.boxes.items():
-        for value, one, dash in zip(front.values, front.solutions, report.DASHES, strict=False):
+        for value, one, dash in zip(front.values, front.solutions, DASHES, strict=False):
             limits[f"H = {value:g}"] = float(value)
             if one.ok:
                 boxes.append(box(one, name, dash, f"H = {value:g} m"))
     axes = {"holding": Axis("Holding", "m", limits), "travel": Axis("Travel", "m", {"limit R": TRAVEL})}
     return Drawing(
-        [report.projection_figure(boxes, "holding", "travel", axes, height=520)],
+        [projection_figure(boxes, "holding", "travel", axes, height=520)],
         "From an active holding limit to an active travel limit",
-        "Each box is drawn like the holding limit it belongs to. As H grows, uOpt's box climbs until it meets the travel limit, and stays "
-        "there: its last boxes coincide. dOpt, a point, still follows H.",
+        "Each box is drawn like the holding limit it belongs to. As H grows, uOpt's box climbs until it meets the"
+        " travel limit, and stays there: its last boxes coincide. dOpt, a point, still follows H.",
         "6.7",
     )
 
 
 def _decision_path(results: SuspensionResults) -> Drawing:
     lowest = float(next(iter(results.designs.values())).problem.survey.decisions["k_s.mean"].decision.lower)
-    figure = report.decision_path_figure(
+    figure = decision_path_figure(
         results.holding_fronts,
         "b_s.mean",
         "k_s.mean",
@@ -216,9 +250,12 @@ def _decision_path(results: SuspensionResults) -> Drawing:
         y="Spring, mean kₛ (N/m)",
         bound_unit="m",
         lower=lowest,
-        lower_text=f"lower bound of kₛ, {report.number(lowest)} N/m",
+        lower_text=f"lower bound of kₛ, {number(lowest)} N/m",
     )
-    caption = "Along figure 6.5: the damper does the work; the spring leaves its lower bound only at the tightest holding limits. Labels: the ends of each front."
+    caption = (
+        "Along figure 6.5: the damper does the work; the spring leaves its lower bound only at the tightest holding"
+        " limits. Labels: the tightest limit that each design reaches."
+    )
     return Drawing([figure], f"Spring and damper along the front, R = {TRAVEL:g} m", caption, "6.8")
 
 
@@ -226,22 +263,22 @@ def _violations(results: SuspensionResults) -> Iterator[Block]:
     captions = {
         "dOpt": (
             "6.9",
-            "The deterministic design on random cars: best for the nominal car, outside the limits for about every other one.",
+            "The deterministic design on random cars: best for the nominal car, no reserve for the others.",
         ),
         ROBUST_NARROW: ("6.10 a", "The robust design with a margin of 1 σ: an orderly bundle, few cars outside."),
         WIDER_NARROW: ("6.10 b", "A little more margin, a = 1.25, and violations become rare."),
     }
-    for name, (number, caption) in captions.items():
+    for name, (label, caption) in captions.items():
         if one := results.narrow_evidence.get(name):
-            figure = report.trajectory_figure(one, "travel", y="Travel", unit="m", who="cars")
-            samples = f" Counted on {report.count(one.samples)} cars."
-            yield Drawing([figure], f"{name}, travel within ±{NARROW_TRAVEL:g} m", caption + samples, number)
+            figure = trajectory_figure(one, "travel", y="Travel", unit="m", who="cars")
+            samples = f" Counted on {count(one.samples)} cars."
+            yield Drawing([figure], f"{name}, travel within ±{NARROW_TRAVEL:g} m", caption + samples, label)
     if results.calibration is not None:
         yield Drawing(
-            [report.calibration_figure(results.calibration, who="cars")],
+            [calibration_figure(results.calibration, who="cars")],
             "The margin that makes violations as rare as asked",
-            f"Each trial is a full design, counted on the same random cars. The chosen margin a = {report.number(results.calibration.sigmas, 4)} "
-            "is then confirmed on fresh ones. Bars: 95 % intervals.",
+            "Each trial is a full design, counted on the same random cars. The chosen margin a ="
+            f" {number(results.calibration.sigmas, 4)} is then confirmed on fresh ones. Bars: 95 % intervals.",
         )
 
 
@@ -252,7 +289,7 @@ def _apportionment(results: SuspensionResults) -> Iterator[Block]:
         start = results.designs.get("uOpt") or results.designs.get("dOpt")
         yield Drawing(
             [
-                report.front_figure(
+                front_figure(
                     {"aOpt": front},
                     x=TRAVEL_NAME,
                     x_unit="m",
@@ -262,13 +299,14 @@ def _apportionment(results: SuspensionResults) -> Iterator[Block]:
                 )
             ],
             f"Cost to build against the travel limit (ride ≤ {RIDE:g}, H = {HOLDING:g} m)",
-            f"{HOW_TO_SEE} Above the line, spreads must be tighter than they are today; at the crosses no choice of spreads meets all limits.",
+            f"{HOW_TO_SEE} Above the line, spreads must be tighter than they are today; at the crosses no choice of"
+            " spreads meets all limits.",
             "7.3",
         )
     if rides:
         yield Drawing(
             [
-                report.front_figure(
+                front_figure(
                     rides,
                     x=TRAVEL_NAME,
                     x_unit="m",
@@ -279,43 +317,43 @@ def _apportionment(results: SuspensionResults) -> Iterator[Block]:
                 )
             ],
             "Why narrow travel has no apportioned design",
-            "Where uOpt lies above the ride limit, aOpt must tighten spreads to come below it. In the grey band even that is not enough: "
-            "the load mₛ and the tyre kᵤ keep their spread.",
+            "Where uOpt lies above the ride limit, aOpt must tighten spreads to come below it. In the grey band even"
+            " that is not enough: the load mₛ and the tyre kᵤ keep their spread.",
             "7.4",
         )
     if front is not None and front.solved.any():
         names = {name: f"{text} (initially ±{_initial(name)})" for name, text in SPREADS.items()}
-        figure = report.relative_figure(
-            front, names, x=TRAVEL_NAME, x_unit="m", y="Half-width (% of its initial value)"
+        figure = relative_figure(front, names, x=TRAVEL_NAME, x_unit="m", y="Half-width (% of its initial value)")
+        caption = (
+            "The share of today's spread that each travel limit allows: above 100 % is cheaper than today, below is"
+            " dearer. Limits of the search: 5 % and 400 %."
         )
-        caption = "The share of today's spread that each travel limit allows: above 100 % is cheaper than today, below is dearer. Limits of the search: 5 % and 400 %."
         yield Drawing([figure], "Apportioned spreads against the travel limit", caption, "7.5")
 
 
 def _initial(name: str) -> str:
-    return report.number(float(apportionment_problem().survey.decisions[name].decision.initial), 4)
+    start = float(apportionment_problem().survey.decisions[name].decision.initial)
+    return given(start, UNITS[name.split(".")[0]])
 
 
 def _evidence(results: SuspensionResults) -> Iterator[Block]:
     if results.evidence:
-        yield report.evidence_table(results.evidence)
+        yield evidence_table(results.evidence)
         for text, label, unit, limit in ((RIDE_TEXT, "Ride", RIDE_UNIT, RIDE), (HOLDING_TEXT, "Holding", "m", HOLDING)):
             sampled = {name: one.functionals[text] for name, one in results.evidence.items()}
-            figure = report.percentile_figure(sampled, x=label, unit=unit, limit=limit)
+            figure = percentile_figure(sampled, x=label, unit=unit, limit=limit)
             caption = "Bars: 1 to 99 %, 5 to 95 % and 25 to 75 % of the cars."
             if label == "Ride":
                 caption += " The ride limit binds aOpt only."
             yield Drawing([figure], f"{label} over random cars", caption)
     if results.narrow_evidence:
-        yield report.evidence_table(
-            {f"{name} (±{NARROW_TRAVEL:g} m)": one for name, one in results.narrow_evidence.items()}
-        )
+        yield evidence_table({f"{name} (±{NARROW_TRAVEL:g} m)": one for name, one in results.narrow_evidence.items()})
 
 
 def _certificate(results: SuspensionResults) -> list[Block]:
-    blocks: list[Block] = [report.certificate_table(results.designs)] if results.designs else []
+    blocks: list[Block] = [certificate_table(results.designs)] if results.designs else []
     if results.narrow:
         blocks.append(
-            report.certificate_table({f"{name} (±{NARROW_TRAVEL:g} m)": one for name, one in results.narrow.items()})
+            certificate_table({f"{name} (±{NARROW_TRAVEL:g} m)": one for name, one in results.narrow.items()})
         )
     return blocks

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import final
+from typing import NamedTuple, final
 
 import numpy as np
 
@@ -35,8 +35,9 @@ class SuspensionResults:
     """Everything the study has finished so far; what has not been reached is empty.
 
     - `designs`, `evidence`: dOpt, uOpt and aOpt at travel 0.203 m, holding 0.034 m, ride 220 m²/s³;
-    - `narrow`, `narrow_evidence`: dOpt, and uOpt with margins of 1 and 1.25 sigma, at travel 0.152 m (figures 6.9, 6.10);
-    - `travel_fronts`: dOpt, uOpt and aOpt over the travel bound; `holding_fronts`: dOpt and uOpt over the holding bound;
+    - `narrow`, `narrow_evidence`: dOpt, and uOpt with margins of 1 and 1.25 sigma, at travel 0.152 m (6.9, 6.10);
+    - `travel_fronts`: dOpt, uOpt and aOpt over the travel bound;
+    - `holding_fronts`: dOpt and uOpt over the holding bound;
     - `boxes`: dOpt and uOpt at the holding bounds of figure 6.7;
     - `calibration`: the margin at which 1 % of systems leave the narrow travel.
     """
@@ -50,10 +51,13 @@ class SuspensionResults:
     holding_fronts: dict[str, al.Front] = field(default_factory=dict)
     boxes: dict[str, al.Front] = field(default_factory=dict)
     calibration: al.Calibration | None = None
-    seconds: dict[str, float] = field(default_factory=dict)
 
 
-Stage = Callable[[SuspensionResults, Progress], None]
+class Stage(NamedTuple):
+    """A part of the study, and roughly which share of the whole time it takes."""
+
+    work: Callable[[SuspensionResults, Progress], None]
+    share: float
 
 
 def solve_designs(results: SuspensionResults, progress: Progress) -> None:
@@ -118,15 +122,15 @@ def _finished(front: al.Front) -> al.Front:
 
 
 STAGES: dict[str, Stage] = {
-    "designs": solve_designs,
-    "narrow travel": solve_narrow,
-    "evidence": sample_designs,
-    "calibration": calibrate_margin,
-    "fronts over travel": sweep_travel,
-    "fronts over holding": sweep_holding,
+    "designs": Stage(solve_designs, 0.06),
+    "narrow travel": Stage(solve_narrow, 0.01),
+    "evidence": Stage(sample_designs, 0.40),
+    "calibration": Stage(calibrate_margin, 0.11),
+    "fronts over travel": Stage(sweep_travel, 0.29),
+    "fronts over holding": Stage(sweep_holding, 0.13),
 }
 
 
 def run_stage(name: str, results: SuspensionResults, progress: Progress = silent) -> None:
     """Run one stage into `results`."""
-    STAGES[name](results, progress)
+    STAGES[name].work(results, progress)

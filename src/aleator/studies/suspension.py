@@ -1,7 +1,7 @@
 """Suspension of a quarter car: robust design and optimal apportionment (dissertation, sections 6.4 and 7.4).
 
-A passive suspension carries a car over four bumps. A soft, weakly damped one rides well but needs travel; road holding asks
-for damping. Five parameters are uncertain. Three designs answer, each the same problem with decisions in other places:
+A passive suspension carries a car over four bumps. A soft, weakly damped one rides well but needs travel; road holding
+asks for damping. Five parameters are uncertain. Three designs answer, one problem with decisions in other places:
 
 - dOpt chooses the nominal spring and damper for the nominal car (equation 113);
 - uOpt chooses them for all cars that the uncertainty allows (equations 116-120);
@@ -9,7 +9,7 @@ for damping. Five parameters are uncertain. Three designs answer, each the same 
 """
 
 from importlib import resources
-from typing import Any
+from typing import Any, ClassVar
 
 import jax.numpy as jnp
 
@@ -20,7 +20,7 @@ class QuarterCar(al.System):
     """A quarter car with a damper that is stiffer in compression than in extension (equations 102 and 103)."""
 
     states = ("z_s", "v_s", "z_u", "v_u")
-    units = {"z_s": "m", "z_u": "m", "travel": "m", "comfort": "m²/s⁴", "grip": "m"}
+    units: ClassVar = {"z_s": "m", "z_u": "m", "travel": "m", "comfort": "m²/s⁴", "grip": "m"}
 
     m_s: Any = al.parameter("kg", positive=True)
     m_u: Any = al.parameter("kg", positive=True)
@@ -125,7 +125,7 @@ def deterministic_problem(travel: float = 0.203, holding: float = 0.034) -> al.P
 def apportionment_problem(
     travel: float = 0.203, holding: float = 0.034, ride: float = 220.0, sigmas: float = 1.0
 ) -> al.Problem:
-    """aOpt: the cheapest spreads, chosen together with the nominal design, that keep ride (m²/s³) and limits (126-128)."""
+    """aOpt: the cheapest spreads, chosen with the nominal design, that keep ride (m²/s³) and limits (126-128)."""
     return al.Problem(
         apportioned(),
         grid=GRID,

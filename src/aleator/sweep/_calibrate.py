@@ -92,14 +92,19 @@ def calibrate(
             f"received {samples}."
         )
     search = _Search(problem, name, target, precision, samples, seed, solver)
-    while not search.done and len(search.trials) < max_trials:
-        progress(f"calibration of {name}", len(search.trials), max_trials)
+    for attempt in range(max_trials):
+        if search.done:
+            break
+        progress(f"calibration of {name}", attempt, max_trials)
         search.step()
     calibrated = [one for one in search.trials if one.violation.estimate <= target]
     if not calibrated:
+        last = max(search.trials, key=lambda one: one.sigmas)
+        beyond = f", and from {search.ceiling:.3g} on there is no design" if np.isfinite(search.ceiling) else ""
         raise SolveError(
-            f"calibrate: no multiple of the standard deviation up to {search.trials[-1].sigmas:.3g} brought the violation "
-            f"of '{name}' down to {target:g}; the last one gave {search.trials[-1].violation}."
+            f"calibrate: no multiple of the standard deviation up to {last.sigmas:.3g} brought the violation of "
+            f"'{name}' down to {target:g}: that one gave {last.violation}{beyond}.",
+            last.solution,
         )
     best = min(calibrated, key=lambda one: one.sigmas)
     evidence = validate(best.solution, samples, seed=seed + 1)
@@ -124,6 +129,7 @@ class _Search:
         self._problem, self._name, self._target, self._precision = problem, name, target, precision
         self._samples, self._seed, self._solver = samples, seed, solver
         self.trials: list[Trial] = []
+        self.ceiling = np.inf
         multiples = [one.expression.sigmas for one in problem.named(name)]
         self._next = max((multiple for multiple in multiples if multiple), default=0.0)
         if self._next == 0.0:
@@ -131,18 +137,33 @@ class _Search:
 
     @property
     def done(self) -> bool:
-        """Whether some trial is close below the target, or the smallest multiple already is below it."""
-        return any(
-            (1 - self._precision) * self._target <= one.violation.estimate <= self._target
-            or (one.sigmas <= _SMALLEST and one.violation.estimate <= self._target)
-            for one in self.trials
+        """Whether a trial is close below the target, or below it with a margin that no smaller one would change.
+
+        Or whether there is nothing left to try: the margin is at its largest, or as large as there are designs.
+        """
+        widest = max((one.sigmas for one in self.trials), default=0.0)
+        return widest >= min(_LARGEST, 0.999 * self.ceiling) or any(
+            self._settles(one) for one in self.trials if one.violation.estimate <= self._target
         )
 
+    def _settles(self, trial: Trial) -> bool:
+        # Where the constraints are not active, the margin does not shape the design.
+        idle = self._name not in trial.solution.active
+        close = trial.violation.estimate >= (1 - self._precision) * self._target
+        return close or idle or trial.sigmas <= _SMALLEST
+
     def step(self) -> None:
-        """Try one more multiple."""
+        """Try one more multiple. One that has no design only bounds the search, unless it is the first."""
         sigmas = self._next
         warm = min(self.trials, key=lambda one: abs(one.sigmas - sigmas)).solution if self.trials else None
-        solution = solve(self._problem.with_sigmas(self._name, sigmas), self._solver, warm_start=warm)
+        try:
+            solution = solve(self._problem.with_sigmas(self._name, sigmas), self._solver, warm_start=warm)
+        except SolveError:
+            if warm is None:
+                raise
+            self.ceiling = min(self.ceiling, sigmas)
+            self._next = self._propose()
+            return
         evidence = validate(solution, self._samples, seed=self._seed, keep=0)
         self.trials.append(Trial(sigmas, solution, evidence.violations[self._name]))
         self._next = self._propose()
@@ -153,7 +174,8 @@ class _Search:
         above = [point for point in points if point[1] > 0]
         below = [point for point in points if point[1] <= 0]
         if not below:
-            return min(above[-1][0] * 1.5 + 0.1, _LARGEST)
+            widest = above[-1][0]
+            return min(widest * 1.5 + 0.1, _LARGEST, (widest + self.ceiling) / 2)
         if not above:
             return max(below[0][0] / 2, _SMALLEST)
         (low, high_level), (high, low_level) = above[-1], below[0]

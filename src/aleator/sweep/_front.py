@@ -73,8 +73,8 @@ def pareto(
 ) -> Front:
     """Solve a problem for each value of the bound called `bound`, each from the nearest solution found so far.
 
-    The problem is compiled once: bounds are data. A point that fails is tried again from the problem's own start, and then
-    kept with its status and least violation. Ctrl-C ends the sweep and returns the points finished by then.
+    The problem is compiled once: bounds are data. A point that fails is tried again from the problem's own start, and
+    then kept with its status and least violation. Ctrl-C ends the sweep and returns the points finished by then.
 
     Raises `ProblemError` if there is no such constraint or no value.
     """

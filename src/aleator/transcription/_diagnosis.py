@@ -37,7 +37,7 @@ def _first(values: np.ndarray) -> tuple[int, int]:
     """Point and instant of the earliest value that is not finite, in an array (points, instants, ...)."""
     bad = ~np.isfinite(values.reshape(*values.shape[:2], -1)).all(axis=2)
     instant = int(np.argmax(bad.any(axis=0)))
-    return int(np.argmax(bad[:, instant])), instant
+    return int(np.argmax(bad.take(instant, axis=1))), instant
 
 
 def _flat(transcription: Sequential, decisions: np.ndarray) -> dict[str, float]:

@@ -27,11 +27,13 @@ from aleator.uncertainty import Survey
 class Blocks(NamedTuple):
     """The objective and each constraint, flattened, with their derivatives by the decisions: (rows,) and (rows, n)."""
 
-    values: tuple[Float[Array, " rows"], ...]
-    derivatives: tuple[Float[Array, "rows n"], ...]
+    values: tuple[Float[np.ndarray, " rows"], ...]
+    derivatives: tuple[Float[np.ndarray, "rows n"], ...]
 
 
-def _evaluate(problem: Problem, collocation: Collocation, decisions: Float[Array, " n"]) -> Blocks:
+def _evaluate(
+    problem: Problem, collocation: Collocation, decisions: Float[Array, " n"]
+) -> tuple[tuple[Float[Array, " rows"], ...], tuple[Float[Array, "rows n"], ...]]:
     """Objective and constraints with their exact derivatives, forward: few decisions, thousands of rows."""
 
     def values(x: Array) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
@@ -40,7 +42,7 @@ def _evaluate(problem: Problem, collocation: Collocation, decisions: Float[Array
         return blocks, blocks
 
     derivatives, blocks = jax.jacfwd(values, has_aux=True)(decisions)
-    return Blocks(blocks, derivatives)
+    return blocks, derivatives
 
 
 class Resolved(NamedTuple):
@@ -104,8 +106,8 @@ def transcribe(problem: Problem) -> Sequential:
     traced = numbers_to_arrays(problem)
 
     def evaluate(decisions: Float[np.ndarray, " n"]) -> Blocks:
-        blocks = EVALUATE(traced, collocation, jnp.asarray(decisions))
-        return Blocks(*(tuple(np.asarray(block) for block in part) for part in blocks))
+        values, derivatives = EVALUATE(traced, collocation, jnp.asarray(decisions))
+        return Blocks(tuple(map(np.asarray, values)), tuple(map(np.asarray, derivatives)))
 
     start = places.vector("initial")
     at_start = evaluate(start)

@@ -16,7 +16,6 @@ from aleator._core.errors import ProblemError
 from aleator.uncertainty._decision import Decision
 from aleator.uncertainty._polynomials import AbstractGerm
 
-
 # Parameters that a law only has for positive values, whatever its family.
 _NONNEGATIVE = frozenset({"half_width", "std", "scale", "alpha", "beta", "shape"})
 
@@ -79,11 +78,12 @@ class AbstractDistribution(eqx.Module):
         return self.FORMS[self._names()]
 
     def _check(self) -> None:
-        """Refuse parameters that make no law at the initial values of its decisions, and spreads that may turn negative."""
+        """Refuse parameters that make no law at the start of its decisions, and spreads that may turn negative."""
         for name, decision in self.decisions.items():
             if name in _NONNEGATIVE and float(decision.lower) < 0:
                 raise ProblemError(
-                    f"{type(self).__name__}: the Decision for '{name}' needs a lower bound of at least 0; received {self}."
+                    f"{type(self).__name__}: the Decision for '{name}' needs a lower bound of at least 0; "
+                    f"received {self}."
                 )
         given = {name: np.float64(value) for name, value in self.initial().parameters.items()}
         with np.errstate(all="ignore"):  # a division by zero leaves an infinity or a nan, refused below

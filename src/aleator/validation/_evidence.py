@@ -37,7 +37,8 @@ class Sampled:
 class Trajectories:
     """The value of one path constraint's expression on some sampled systems.
 
-    - `values`: shape (kept, instants); `violating`: shape (kept,), whether the system breaks any constraint of this name.
+    - `values`: shape (kept, instants);
+    - `violating`: shape (kept,), whether the system breaks any constraint of this name.
     """
 
     name: str
@@ -52,8 +53,8 @@ class Trajectories:
 class Evidence:
     """A design re-simulated on fresh random systems, without any expansion. `print(evidence)` shows it.
 
-    - `violations`: by constraint name, how often a system violates any constraint of that name at any instant; constraints
-      on moments alone (a bound on a `std`, say) say nothing of one system and are left out;
+    - `violations`: by constraint name, how often a system violates any constraint of that name at any instant;
+      constraints on moments alone (a bound on a `std`, say) say nothing of one system and are left out;
     - `joint`: how often a system violates at least one of them;
     - `functionals`: sampled statistics beside the expansion's; `trajectories`: some systems, for drawing.
     """
@@ -77,6 +78,7 @@ class Evidence:
 
 def _row(one: Sampled) -> str:
     return (
-        f"  {one.text}: mean {float(one.mean):.6g} ± {float(one.standard_error):.2g} (expansion {float(one.expanded_mean):.6g}), "
+        f"  {one.text}: mean {float(one.mean):.6g} ± {float(one.standard_error):.2g} "
+        f"(expansion {float(one.expanded_mean):.6g}), "
         f"std {float(one.std):.6g} (expansion {float(one.expanded_std):.6g})"
     )

@@ -56,7 +56,7 @@ def speaks_of_one_system(constraint: Constraint) -> bool:
 def _simulate_batch(
     problem: Problem, germ: Float[Array, "systems variables"], decisions: Float[Array, " n"], count: Int[Array, ""]
 ) -> Batch:
-    """Simulate as many systems as germ points. Those after the first `count` fill up the batch: no moment counts them."""
+    """Simulate as many systems as germ points. Those after the first `count` fill up the batch and do not count."""
     functionals = functionals_of(problem.expressions)
     samples = responses(problem, functionals, germ, decisions)
     numbers = named_numbers(problem.model, decisions)

@@ -29,7 +29,8 @@ def validate(
     """Simulate `samples` fresh random systems at a solution's decisions, with the distributions the problem declared.
 
     A deterministic design is validated on the uncertain systems it stands for. Systems are simulated `batch` at a time,
-    so that memory does not grow with their number; `keep` of them are kept whole, for drawing. `seed` makes it repeatable.
+    so that memory does not grow with their number; `keep` of them are kept whole, for drawing. `seed` makes it
+    repeatable.
 
     Raises `ProblemError` if nothing is uncertain and `SimulationError` if a system gives numbers that are not finite,
     naming its parameter values.

@@ -1,0 +1,156 @@
+"""Results on disk: labelled arrays as netCDF for programs, designs as JSON for people."""
+
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from aleator.design import ConstraintResult, Solution
+from aleator.report import _units
+from aleator.report._datasets import tree
+from aleator.report._files import check_writable, write_text, write_whole
+from aleator.sweep import Calibration, Front
+from aleator.validation import Evidence, Proportion
+
+Result = Solution | Evidence | Front | Calibration
+
+
+def save(folder: str | Path, **results: Result | Mapping[str, Any] | None) -> tuple[Path, ...]:
+    """Write results into a folder and return the paths: `results.nc`, and `designs.json` if there is a solution.
+
+    Each keyword is a result or a mapping of results by name, nested as needed: a group of the netCDF file.
+    Solutions become entries of the JSON file, with the violations of the evidence that speaks of them. Every file
+    is whole or not there: what an earlier run left stays until the new one is complete.
+
+    Raises `ProblemError` if the folder cannot be written.
+    """
+    folder = check_writable(folder)
+    nodes = tree(results)
+    written = [write_whole(folder / "results.nc", lambda file: nodes.to_netcdf(file, engine="h5netcdf"))]
+    document = designs_document(results)
+    if document:
+        written.append(write_text(folder / "designs.json", json_text(document)))
+    return tuple(written)
+
+
+def json_text(document: Any) -> str:
+    """Strict JSON, readable: numbers that are not finite become null."""
+    return json.dumps(strict(document), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def strict(value: Any) -> Any:
+    """A value in JSON's own types."""
+    if isinstance(value, Mapping):
+        return {str(key): strict(one) for key, one in value.items()}
+    if isinstance(value, np.ndarray):
+        return strict(value.tolist())
+    if isinstance(value, list | tuple):
+        return [strict(one) for one in value]
+    if isinstance(value, np.generic):
+        return strict(value.item())
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    if value is None or isinstance(value, bool | int | float | str):
+        return value
+    return strict(np.asarray(value))
+
+
+def designs_document(results: Mapping[str, Any]) -> dict[str, Any]:
+    """Every solution among the results by its place, in a form to be read by people."""
+    found = dict(_leaves("", results))
+    judged = {id(one.solution): one for one in found.values() if isinstance(one, Evidence)}
+    return {
+        place: solution_document(one, judged.get(id(one))) for place, one in found.items() if isinstance(one, Solution)
+    }
+
+
+def _leaves(place: str, results: Mapping[str, Any]) -> "list[tuple[str, Any]]":
+    leaves = []
+    for name, one in results.items():
+        here = f"{place}/{name}".lstrip("/")
+        leaves += _leaves(here, one) if isinstance(one, Mapping) else [(here, one)]
+    return leaves
+
+
+def solution_document(solution: Solution, evidence: Evidence | None = None) -> dict[str, Any]:
+    """One design: decisions, objective, constraints, certificate and, where it was sampled, violations."""
+    problem, quality = solution.problem, solution.expansion
+    document: dict[str, Any] = {
+        "status": solution.status.value,
+        "decisions": {
+            name: {
+                "value": value,
+                "unit": _units.of_decision(name, problem),
+                "multiplier": solution.bound_multipliers.get(name),
+                "at_bound": any(entry.split("[")[0] == name for entry in solution.at_bounds),
+            }
+            for name, value in solution.decisions.items()
+        },
+        "objective": {
+            "value": solution.objective,
+            "unit": _units.of_expression(problem.objective, problem),
+            "expression": str(problem.objective),
+        },
+        "active": solution.active,
+        "constraints": [
+            _constraint(one, _units.of_expression(declared.expression, problem))
+            for one, declared in zip(solution.constraints, problem.constraints, strict=True)
+        ],
+        "certificate": {
+            "violation": solution.violation,
+            "stationarity": solution.stationarity,
+            "complementarity": solution.complementarity,
+            "iterations": solution.iterations,
+            "evaluations": solution.evaluations,
+            "solver": solution.solver,
+            "message": solution.message,
+        },
+        "expansion": {
+            "order": quality.order,
+            "terms": quality.terms,
+            "points": quality.points,
+            "condition_number": quality.condition_number,
+            "leave_one_out": quality.leave_one_out,
+        },
+        "seconds": {"compile": solution.times.compile_, "solve": solution.times.solve},
+        "problem": str(problem).splitlines(),
+    }
+    if not solution.ok:
+        document["why"] = solution.why()
+    if evidence is not None:
+        shares = {name: _share(one) for name, one in evidence.violations.items()}
+        document["evidence"] = {
+            "samples": evidence.samples,
+            "seed": evidence.seed,
+            "violations": {**shares, "any": _share(evidence.joint)},
+        }
+    return document
+
+
+def _constraint(one: ConstraintResult, unit: str) -> dict[str, Any]:
+    """A constraint by its worst instant: histories are in the netCDF file."""
+    return {
+        "name": one.name,
+        "text": one.text,
+        "unit": unit,
+        "lower": one.lower,
+        "upper": one.upper,
+        "worst_value": float(one.values.flat[int(np.argmax(one.excess))]),
+        "worst_time_s": one.worst_time,
+        "violation": one.violation,
+        "active": bool(np.any(one.active)),
+        "price": one.price,
+    }
+
+
+def _share(share: Proportion) -> dict[str, float]:
+    return {
+        "estimate": share.estimate,
+        "lower": share.lower,
+        "upper": share.upper,
+        "confidence": share.confidence,
+        "count": share.count,
+    }

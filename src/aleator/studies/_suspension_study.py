@@ -1,0 +1,62 @@
+"""The suspension study as the command line runs it."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import final
+
+from aleator._core.progress import Progress
+from aleator.report import Table, save
+from aleator.studies._study import AbstractStudy
+from aleator.studies._suspension_facts import designs_table, published_table, verdict
+from aleator.studies._suspension_page import write_page
+from aleator.studies._suspension_run import QUICK, STAGES, Effort, SuspensionResults, run_stage
+
+
+@final
+class SuspensionStudy(AbstractStudy):
+    """Three designs, their evidence, calibration and fronts."""
+
+    def __init__(self, effort: Effort):
+        self._results = SuspensionResults(effort)
+
+    @property
+    def stages(self) -> Mapping[str, float]:
+        """See `AbstractStudy.stages`."""
+        return {name: stage.share for name, stage in STAGES.items()}
+
+    def run(self, stage: str, progress: Progress) -> None:
+        """See `AbstractStudy.run`."""
+        run_stage(stage, self._results, progress)
+
+    def save(self, folder: Path) -> list[Path]:
+        """See `AbstractStudy.save`."""
+        done = self._results
+        paths = save(
+            folder,
+            designs=done.designs,
+            evidence=done.evidence,
+            narrow=done.narrow,
+            narrow_evidence=done.narrow_evidence,
+            calibration=done.calibration,
+            travel_fronts=done.travel_fronts,
+            holding_fronts=done.holding_fronts,
+        )
+        return list(paths)
+
+    def write_page(self, folder: Path) -> Path:
+        """See `AbstractStudy.write_page`."""
+        return write_page(self._results, folder / "report.html")
+
+    def tables(self) -> list[Table]:
+        """See `AbstractStudy.tables`."""
+        return [designs_table(self._results), published_table(self._results)] if self._results.designs else []
+
+    def headline(self) -> str:
+        """See `AbstractStudy.headline`."""
+        said = verdict(self._results)
+        return f"{said.word}: {said.headline}"
+
+
+def make(quick: bool) -> SuspensionStudy:
+    """The study, at full or at quick effort."""
+    return SuspensionStudy(QUICK if quick else Effort())

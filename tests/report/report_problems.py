@@ -1,0 +1,69 @@
+"""A tiny problem of its own: a mass on a spring with two uncertain numbers, 50 steps, order 2."""
+
+from functools import cache
+from typing import Any, ClassVar
+
+import aleator as al
+from aleator.studies._suspension_run import QUICK, SuspensionResults
+
+
+class Oscillator(al.System):
+    """A mass released from rest on a damped spring."""
+
+    states = ("x", "v")
+    units: ClassVar = {"back": "m", "effort": "m²/s⁴"}
+
+    k: Any = al.parameter("N/m", positive=True)
+    c: Any = al.parameter("N s/m")
+
+    def rhs(self, t: Any, z: Any) -> tuple[Any, ...]:
+        return z.v, -self.k * z.x - self.c * z.v
+
+    def outputs(self, t: Any, z: Any) -> dict[str, Any]:
+        return {"back": -z.x, "effort": self.c**2 + z.v**2}
+
+    def initial(self) -> dict[str, float]:
+        return {"x": 1.0}
+
+
+def problem(reach: float = 0.45) -> al.Problem:
+    """The least damped oscillator whose swing to the other side stays within `reach`."""
+    return al.Problem(
+        Oscillator(k=al.Uniform(4.0, half_width=0.4), c=al.Uniform(al.Decision(1.0, 0.2, 3.0), half_width=0.1)),
+        grid=al.Grid(t_final=4.0, steps=50),
+        minimize=al.integral("effort").mean,
+        subject_to=[al.path("back").at_most(reach, sigmas=1.0).named("reach <b>&")],
+        expansion=al.Expansion(order=2),
+    )
+
+
+NAME = "reach <b>&"
+
+
+@cache
+def solution() -> al.Solution:
+    return al.solve(problem(0.2))
+
+
+@cache
+def infeasible() -> al.Solution:
+    return al.solve(problem(-0.5), throw=False)
+
+
+@cache
+def evidence() -> al.Evidence:
+    return al.validate(solution(), 400, seed=3, keep=20)
+
+
+@cache
+def front() -> al.Front:
+    return al.pareto(problem(), NAME, [0.9, 0.3, 0.2, -0.5])
+
+
+@cache
+def calibration() -> al.Calibration:
+    return al.calibrate(problem(0.2), NAME, 0.1, samples=400, precision=0.5)
+
+
+def empty_study() -> SuspensionResults:
+    return SuspensionResults(QUICK)

@@ -1,0 +1,44 @@
+"""Whatever a document or example shows must run, as it stands, from a bare install."""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+
+
+def code_of(document: str) -> str:
+    """All Python shown in a document, as one program."""
+    text = (ROOT / document).read_text(encoding="utf-8")
+    return "\n".join(re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL))
+
+
+def run(program: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
+    environment = os.environ | {"PYTHONWARNINGS": "error"}
+    return subprocess.run(
+        [sys.executable, *program], cwd=folder, env=environment, capture_output=True, text=True, check=False
+    )
+
+
+@pytest.mark.parametrize("document", ["README.md", "docs/guide.md"])
+def test_code_shown_in_documents_runs(document: str, tmp_path: Path):
+    (tmp_path / "shown.py").write_text(code_of(document), encoding="utf-8")
+    finished = run(["shown.py"], tmp_path)
+    assert finished.returncode == 0, finished.stderr
+
+
+@pytest.mark.parametrize("example", sorted(path.name for path in (ROOT / "examples").glob("*.py")))
+def test_examples_run(example: str, tmp_path: Path):
+    finished = run([str(ROOT / "examples" / example)], tmp_path)
+    assert finished.returncode == 0, finished.stderr
+    assert "solved" in finished.stdout
+
+
+def test_documents_link_to_files_that_exist():
+    for document in ROOT.glob("*.md"):
+        for target in re.findall(r"\]\((?!http)([^)#]+)\)", document.read_text(encoding="utf-8")):
+            assert (ROOT / target).exists(), f"{document.name} links to {target}"
