@@ -170,3 +170,19 @@ def test_a_margin_that_does_not_matter_is_not_searched_for(solver):
     found = al.calibrate(normal_problem(upper=100.0), "response", 0.1, samples=500, solver=solver)
     assert len(found.trials) == 1
     assert found.solution.decisions["gain"] == pytest.approx(3.0, rel=1e-5)
+
+
+def test_a_point_whose_simulation_fails_is_kept_as_a_sentence_and_the_others_go_on(monkeypatch):
+    real = front_module.solve
+
+    def solve(problem, *arguments, **options):
+        if problem.constraints[0].upper == 2.0:
+            raise al.SimulationError("output 'response' is not finite at t = 0.5 s")
+        return real(problem, *arguments, **options)
+
+    monkeypatch.setattr(front_module, "solve", solve)
+    front = al.pareto(gain_problem(), "response", [3.0, 2.0, 1.0])
+    assert front.values.tolist() == [3.0, 1.0]
+    assert front.failures == {2.0: "output 'response' is not finite at t = 0.5 s"}
+    assert not front.interrupted
+    assert "not finite" in str(front)

@@ -1,13 +1,13 @@
 """`pareto`: one problem for many values of a bound (the constraint form of multi-objective design, section 3.5.1)."""
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
 from typing import final
 
 import numpy as np
 from jaxtyping import Float
 
-from aleator._core.errors import ProblemError
+from aleator._core.errors import ProblemError, SimulationError
 from aleator._core.progress import Progress, silent
 from aleator.design import Problem, Solution
 from aleator.nlp import AbstractSolver
@@ -21,12 +21,14 @@ class Front:
 
     - `bound`: the name of the constraint; `values`: its bounds, shape (points,);
     - `solutions`: one a point, also where the problem is infeasible: see `Solution.status` and `Solution.why()`;
+    - `failures`: why a bound has no point, by bound: its simulation was not finite, whatever the design;
     - `interrupted`: whether the sweep was stopped early; the points finished by then are all here.
     """
 
     bound: str
     values: Float[np.ndarray, " points"]
     solutions: tuple[Solution, ...]
+    failures: Mapping[float, str] = field(default_factory=dict)
     interrupted: bool = False
 
     @property
@@ -50,10 +52,10 @@ class Front:
         return np.array([solution.violation for solution in self.solutions])
 
     def __str__(self) -> str:
-        rows = zip(self.values, self.solutions, strict=True)
-        return "\n".join(
-            [f"{self.bound:>10} {'objective':>12} {'price':>10}  active"] + [_row(self, *row) for row in rows]
-        )
+        rows = [f"{self.bound:>10} {'objective':>12} {'price':>10}  active"]
+        rows += [_row(self, *point) for point in zip(self.values, self.solutions, strict=True)]
+        rows += [f"{value:10.5g} {'failed':>12}  {why}" for value, why in self.failures.items()]
+        return "\n".join(rows)
 
 
 def _row(front: Front, value: float, solution: Solution) -> str:
@@ -74,7 +76,8 @@ def pareto(
     """Solve a problem for each value of the bound called `bound`, each from the nearest solution found so far.
 
     The problem is compiled once: bounds are data. A point that fails is tried again from the problem's own start, and
-    then kept with its status and least violation. Ctrl-C ends the sweep and returns the points finished by then.
+    then kept with its status and least violation; one whose simulation is not finite is kept as a sentence. Ctrl-C ends
+    the sweep and returns the points finished by then.
 
     Raises `ProblemError` if there is no such constraint or no value.
     """
@@ -82,22 +85,27 @@ def pareto(
     if not bounds:
         raise ProblemError("pareto: expected at least one value of the bound; received none.")
     problems = [problem.with_bound(bound, value) for value in bounds]
-    solutions: list[Solution] = []
+    solutions: dict[float, Solution] = {}
+    failures: dict[float, str] = {}
+    interrupted = True
     try:
-        for one, value in zip(problems, bounds, strict=True):
-            progress(f"front over {bound}", len(solutions), len(bounds))
-            solutions.append(_point(one, _nearest(solutions, bounds, value), solver))
+        for done, (one, value) in enumerate(zip(problems, bounds, strict=True)):
+            progress(f"front over {bound}", done, len(bounds))
+            try:
+                solutions[value] = _point(one, _nearest(solutions, value), solver)
+            except SimulationError as error:
+                failures[value] = str(error)
+        interrupted = False
+        progress(f"front over {bound}", len(bounds), len(bounds))
     except KeyboardInterrupt:
         pass
-    else:
-        progress(f"front over {bound}", len(bounds), len(bounds))
-    return Front(bound, np.array(bounds[: len(solutions)]), tuple(solutions), len(solutions) < len(bounds))
+    return Front(bound, np.array(list(solutions)), tuple(solutions.values()), failures, interrupted)
 
 
-def _nearest(solutions: list[Solution], bounds: list[float], value: float) -> Solution | None:
+def _nearest(solutions: Mapping[float, Solution], value: float) -> Solution | None:
     """The solved point whose bound is nearest."""
-    solved = [(abs(bounds[i] - value), i) for i, solution in enumerate(solutions) if solution.ok]
-    return solutions[min(solved)[1]] if solved else None
+    solved = {bound: solution for bound, solution in solutions.items() if solution.ok}
+    return solved[min(solved, key=lambda bound: abs(bound - value))] if solved else None
 
 
 def _point(problem: Problem, neighbour: Solution | None, solver: AbstractSolver | None) -> Solution:

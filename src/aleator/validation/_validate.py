@@ -10,7 +10,7 @@ from jaxtyping import Float
 from aleator._core.arrays import numbers_to_arrays
 from aleator._core.errors import ProblemError, SimulationError
 from aleator._core.progress import Progress, silent
-from aleator.design import Functional, Problem, Solution, functionals_of, uncertain
+from aleator.design import Constraint, Functional, Problem, Solution, functionals_of, uncertain
 from aleator.uncertainty import uncertain_numbers
 from aleator.validation._evidence import PERCENTILES, Evidence, Sampled, Trajectories
 from aleator.validation._proportion import Proportion
@@ -44,6 +44,8 @@ def validate(
     germs = tuple(law.germ() for law in problem.survey.distributions.values())
     if not germs:
         raise ProblemError("validate: nothing in this problem is uncertain, so there is nothing to sample.")
+    if not functionals_of(problem.expressions):
+        raise ProblemError("validate: no functional of an output stands in this problem: there is nothing to sample.")
     generator = np.random.default_rng(seed)
     tally = _Tally(problem, samples, min(keep, samples))
     traced, decisions = numbers_to_arrays(problem), jnp.asarray(solution.vector)
@@ -69,6 +71,11 @@ def _refuse_broken(problem: Problem, batch: Batch, germ: np.ndarray, decisions: 
         f"Monte Carlo: the simulation of the system with {where} is not finite. "
         "Shorten the time step, use an implicit integrator (al.Kvaerno5), or bound the distributions."
     )
+
+
+def _is_counted(constraint: Constraint) -> bool:
+    """Whether systems can be counted against a constraint: it speaks of one system, and is no equality of moments."""
+    return speaks_of_one_system(constraint) and float(constraint.lower) < float(constraint.upper)
 
 
 @final
@@ -123,10 +130,10 @@ class _Tally:
         )
 
     def _sampled_names(self) -> tuple[str, ...]:
-        return tuple(dict.fromkeys(one.name for one in self._problem.constraints if speaks_of_one_system(one)))
+        return tuple(dict.fromkeys(one.name for one in self._problem.constraints if _is_counted(one)))
 
     def _breaks(self, name: str) -> np.ndarray:
-        rows = [i for i, one in enumerate(self._problem.constraints) if one.name == name]
+        rows = [i for i, one in enumerate(self._problem.constraints) if one.name == name and _is_counted(one)]
         return np.any(self._excess[rows] > 0, axis=0)
 
     def _sampled(self, i: int, functional: Functional, solution: Solution) -> Sampled:
