@@ -13,7 +13,9 @@ from aleator.validation import PERCENTILES, Evidence, Proportion
 if TYPE_CHECKING:
     import xarray
 
-Variable = tuple[Any, Any, dict[str, str]]
+Variable = tuple[Any, Any, dict[str, str], dict[str, Any]]
+# Time histories shrink to about half; stronger compression takes longer and saves little more.
+_PACKED = {"zlib": True, "complevel": 1, "shuffle": True}
 
 
 def solution_dataset(solution: Solution) -> "xarray.Dataset":
@@ -106,7 +108,9 @@ def front_dataset(front: Front) -> "xarray.Dataset":
         axes = ("bound", *_entries(name, value))
         data[f"decision {_key(name)}"] = _variable(axes, values, name, _units.of_decision(name, first.problem))
     bound = _variable("bound", front.values, f"limit of {front.bound}", bound_unit)
-    return xarray.Dataset(data, coords={"bound": bound}, attrs={"interrupted": int(front.interrupted)})
+    failures = [f"{value:g}: {why}" for value, why in front.failures.items()]
+    attributes = {"interrupted": int(front.interrupted), "failures": "; ".join(failures)}
+    return xarray.Dataset(data, coords={"bound": bound}, attrs=attributes)
 
 
 def calibration_dataset(calibration: Calibration) -> "xarray.Dataset":
@@ -140,7 +144,8 @@ def dataset(result: Solution | Evidence | Front | Calibration) -> "xarray.Datase
 
 
 def _variable(axes: Any, values: Any, long_name: str, unit: str, **more: str) -> Variable:
-    return axes, np.asarray(values), {"long_name": long_name, "units": unit or "1", **more}
+    array = np.asarray(values)
+    return axes, array, {"long_name": long_name, "units": unit or "1", **more}, _PACKED if array.size > 1000 else {}
 
 
 def _objective_unit(solution: Solution) -> str:

@@ -14,6 +14,7 @@ TRAVEL, HOLDING, RIDE = 0.203, 0.034, 220.0
 NARROW_TRAVEL = 0.152
 HOLDING_BOXES = (0.0305, 0.032, 0.0335, 0.035)
 TARGET = 0.01
+DRAWN = 60
 
 
 @final
@@ -88,7 +89,7 @@ def sample_designs(results: SuspensionResults, progress: Progress) -> None:
     """Evidence for every design found."""
     for solutions, evidence in ((results.designs, results.evidence), (results.narrow, results.narrow_evidence)):
         for name, solution in solutions.items():
-            evidence[name] = al.validate(solution, results.effort.samples, seed=1, progress=progress)
+            evidence[name] = al.validate(solution, results.effort.samples, seed=1, keep=DRAWN, progress=progress)
 
 
 def calibrate_margin(results: SuspensionResults, progress: Progress) -> None:
