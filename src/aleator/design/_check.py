@@ -10,15 +10,15 @@ from aleator._core.arrays import numbers_to_arrays
 from aleator._core.errors import ProblemError
 from aleator.collocation import Expansion
 from aleator.design._cost import CostCurve
-from aleator.design._expression import AbstractScope, Expression, Value, functionals_of
-from aleator.design._functional import Functional
-from aleator.design._problem import Problem
+from aleator.design._declaration import AbstractProblem
+from aleator.design._language import AbstractFunctional, Expression, functionals_of
 from aleator.design._response import history
+from aleator.design._scope import AbstractScope, Value
 from aleator.dynamics import AbstractIntegrator, AbstractSignal, Grid, System, input_names
 from aleator.uncertainty import named_numbers, refuse_nonpositive
 
 
-def check(problem: Problem) -> None:
+def check(problem: AbstractProblem) -> None:
     """Raise `ProblemError` for the first thing found wrong, from the outside inwards."""
     _check_types(problem)
     _check_inputs(problem)
@@ -27,7 +27,7 @@ def check(problem: Problem) -> None:
     _check_shapes(problem, _output_shapes(problem))
 
 
-def _check_types(problem: Problem) -> None:
+def _check_types(problem: AbstractProblem) -> None:
     expected: tuple[tuple[str, Any, type], ...] = (
         ("system", problem.system, System),
         ("grid", problem.grid, Grid),
@@ -45,7 +45,7 @@ def _check_types(problem: Problem) -> None:
         )
 
 
-def _check_inputs(problem: Problem) -> None:
+def _check_inputs(problem: AbstractProblem) -> None:
     needed, given = set(input_names(problem.system)), set(problem.inputs)
     if needed != given:
         raise ProblemError(
@@ -65,7 +65,7 @@ def _check_inputs(problem: Problem) -> None:
             )
 
 
-def _check_values(problem: Problem) -> None:
+def _check_values(problem: AbstractProblem) -> None:
     numbers = named_numbers(problem.model, jnp.asarray(problem.survey.vector("initial")))
     for expression in problem.expressions:
         for atom in expression.atoms:
@@ -79,7 +79,7 @@ def _unknown(kind: str, name: str, known: list[str]) -> str:
     return f"There is no {kind} '{name}'; expected one of {known}.{hint}"
 
 
-def _output_shapes(problem: Problem) -> dict[str, jax.ShapeDtypeStruct]:
+def _output_shapes(problem: AbstractProblem) -> dict[str, jax.ShapeDtypeStruct]:
     """Shapes of the outputs' histories, by tracing the physics once without computing anything."""
     places = problem.survey
     germ = jax.ShapeDtypeStruct((len(places.distributions),), float)
@@ -87,7 +87,7 @@ def _output_shapes(problem: Problem) -> dict[str, jax.ShapeDtypeStruct]:
     return jax.eval_shape(lambda xi, x: history(numbers_to_arrays(problem), xi, x), germ, decisions)
 
 
-def _check_shapes(problem: Problem, outputs: dict[str, jax.ShapeDtypeStruct]) -> None:
+def _check_shapes(problem: AbstractProblem, outputs: dict[str, jax.ShapeDtypeStruct]) -> None:
     for functional in functionals_of(problem.expressions):
         if functional.output not in outputs:
             raise ProblemError(_unknown(f"output of {type(problem.system).__name__}", functional.output, list(outputs)))
@@ -104,10 +104,10 @@ def _check_shapes(problem: Problem, outputs: dict[str, jax.ShapeDtypeStruct]) ->
 class _ShapeScope(AbstractScope):
     """Statistics of the right shapes and no particular value."""
 
-    def __init__(self, problem: Problem, outputs: dict[str, jax.Array]):
+    def __init__(self, problem: AbstractProblem, outputs: dict[str, jax.Array]):
         self._problem, self._outputs = problem, outputs
 
-    def statistic(self, functional: Functional, kind: str) -> jax.Array:
+    def statistic(self, functional: AbstractFunctional, kind: str) -> jax.Array:
         del kind
         return functional.evaluate(self._outputs, self._problem.grid)
 
@@ -116,7 +116,9 @@ class _ShapeScope(AbstractScope):
         return jnp.ones(())
 
 
-def _shape(expression: Expression, problem: Problem, outputs: dict[str, jax.ShapeDtypeStruct]) -> tuple[int, ...]:
+def _shape(
+    expression: Expression, problem: AbstractProblem, outputs: dict[str, jax.ShapeDtypeStruct]
+) -> tuple[int, ...]:
     try:
         return jax.eval_shape(lambda y: jnp.asarray(expression.evaluate(_ShapeScope(problem, y))), outputs).shape
     except (TypeError, ValueError) as error:

@@ -8,7 +8,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from aleator._core.arrays import Scalar
-from aleator.design._expression import AbstractAtom, AbstractScope, Expression
+from aleator.design._language import Expression
+from aleator.design._scope import AbstractAtom, AbstractScope
 
 Curve = Callable[..., Float[Array, ""]]
 

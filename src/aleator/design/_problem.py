@@ -1,28 +1,23 @@
 """`Problem`: a declared design problem. Data only; how it is solved is decided elsewhere."""
 
 from collections.abc import Iterable, Iterator, Mapping
-from typing import Any, NamedTuple, Self, final
+from typing import Any, Self, final
 
 import equinox as eqx
 import numpy as np
 
 from aleator._core.errors import ProblemError
 from aleator.collocation import Expansion
-from aleator.design._constraint import Constraint, ordered
-from aleator.design._expression import Expression, as_expression
+from aleator.design._check import check
+from aleator.design._declaration import AbstractProblem, Model
+from aleator.design._language import Constraint, Expression, as_expression, ordered
+from aleator.design._text import problem_text
 from aleator.dynamics import AbstractIntegrator, AbstractSignal, Grid, RungeKutta4, System
-from aleator.uncertainty import Survey, at_means, survey, uncertain_again
-
-
-class Model(NamedTuple):
-    """Everything that may hold distributions and decisions: the system and its inputs."""
-
-    system: System
-    inputs: dict[str, AbstractSignal]
+from aleator.uncertainty import at_means, uncertain_again
 
 
 @final
-class Problem(eqx.Module):
+class Problem(AbstractProblem):
     """An optimal design problem: the decisions in `system` are what to choose, its distributions what is uncertain.
 
     - `system`: the physics; `grid`: the instants; `inputs`: a signal for each input of the system, by name;
@@ -32,14 +27,6 @@ class Problem(eqx.Module):
     `print(problem)` shows it as mathematics. Raises `ProblemError`, before anything is compiled, for anything that does
     not fit together: a missing input or output, a wrong shape, an unknown name, a mass that can reach zero.
     """
-
-    system: System
-    grid: Grid
-    inputs: dict[str, AbstractSignal]
-    objective: Expression
-    constraints: tuple[Constraint, ...]
-    expansion: Expansion
-    integrator: AbstractIntegrator
 
     def __init__(
         self,
@@ -52,8 +39,6 @@ class Problem(eqx.Module):
         expansion: Expansion | None = None,
         integrator: AbstractIntegrator | None = None,
     ):
-        from aleator.design._check import check  # it needs the class to be defined
-
         self.system = system
         self.grid = grid
         self.inputs = dict(inputs or {})
@@ -62,33 +47,6 @@ class Problem(eqx.Module):
         self.expansion = expansion or Expansion()
         self.integrator = integrator or RungeKutta4()
         check(self)
-
-    @property
-    def model(self) -> Model:
-        """The part of the problem that realisation acts on."""
-        return Model(self.system, self.inputs)
-
-    @property
-    def survey(self) -> Survey:
-        """Its distributions and decisions."""
-        return survey(self.model)
-
-    @property
-    def expressions(self) -> tuple[Expression, ...]:
-        """The objective, then the constraints' expressions."""
-        return (self.objective, *(constraint.expression for constraint in self.constraints))
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """The names of the constraints, each once."""
-        return tuple(dict.fromkeys(constraint.name for constraint in self.constraints))
-
-    def named(self, name: str) -> tuple[Constraint, ...]:
-        """The constraints of one name. Raises `ProblemError` if there are none."""
-        found = tuple(constraint for constraint in self.constraints if constraint.name == name)
-        if not found:
-            raise ProblemError(f"There is no constraint '{name}'; expected one of {list(self.names)}.")
-        return found
 
     def with_bound(self, name: str, bound: float | tuple[float, float]) -> Self:
         """The same problem with the bound of the constraints called `name` at `bound`.
@@ -115,8 +73,6 @@ class Problem(eqx.Module):
         return eqx.tree_at(lambda tree: tree.constraints, self, constraints)
 
     def __str__(self) -> str:
-        from aleator.design._text import problem_text
-
         return problem_text(self)
 
 

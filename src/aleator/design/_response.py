@@ -3,21 +3,21 @@
 import jax
 from jaxtyping import Array, Float
 
-from aleator.design._functional import Functional
-from aleator.design._problem import Problem
+from aleator.design._declaration import AbstractProblem
+from aleator.design._language import AbstractFunctional
 from aleator.dynamics import History, simulate
 from aleator.uncertainty import realise
 
 
-def history(problem: Problem, germ: Float[Array, " variables"], decisions: Float[Array, " n"]) -> History:
+def history(problem: AbstractProblem, germ: Float[Array, " variables"], decisions: Float[Array, " n"]) -> History:
     """Time histories of all outputs of one realisation."""
     system, inputs = realise(problem.model, germ, decisions)
     return simulate(system, problem.grid, inputs, problem.integrator)
 
 
 def responses(
-    problem: Problem,
-    functionals: tuple[Functional, ...],
+    problem: AbstractProblem,
+    functionals: tuple[AbstractFunctional, ...],
     germ: Float[Array, "points variables"],
     decisions: Float[Array, " n"],
 ) -> tuple[Float[Array, "points ..."], ...]:

@@ -1,16 +1,12 @@
 """A problem as readable mathematics."""
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-from aleator.design._expression import Statistic
-
-if TYPE_CHECKING:
-    from aleator.design._problem import Problem
+from aleator.design._declaration import AbstractProblem
+from aleator.design._language import Statistic
 
 
-def problem_text(problem: "Problem") -> str:
+def problem_text(problem: AbstractProblem) -> str:
     """Objective, decisions, constraints, uncertainty, dynamics and expansion, a line each."""
     places = problem.survey
     rows = [("minimise", str(problem.objective))]
@@ -38,7 +34,7 @@ def _range(values: object) -> str:
     return f"{low:g}" if low == high else f"{low:g}…{high:g}"
 
 
-def _dynamics_text(problem: "Problem") -> str:
+def _dynamics_text(problem: AbstractProblem) -> str:
     grid, system = problem.grid, problem.system
     return (
         f"{type(system).__name__}({', '.join(system.states)}), {grid.steps} steps of {float(grid.step):g} s, "
@@ -46,7 +42,7 @@ def _dynamics_text(problem: "Problem") -> str:
     )
 
 
-def _expansion_text(problem: "Problem", variables: int) -> str:
+def _expansion_text(problem: AbstractProblem, variables: int) -> str:
     if variables == 0:
         return "none: nothing is uncertain, every σ is 0" if _has_std(problem) else "none: nothing is uncertain"
     expansion = problem.expansion
@@ -56,7 +52,7 @@ def _expansion_text(problem: "Problem", variables: int) -> str:
     )
 
 
-def _has_std(problem: "Problem") -> bool:
+def _has_std(problem: AbstractProblem) -> bool:
     return any(
         isinstance(atom, Statistic) and atom.kind != "mean"
         for expression in problem.expressions

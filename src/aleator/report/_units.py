@@ -1,11 +1,11 @@
 """Units of decisions, functionals and expressions, as far as a system declares them."""
 
-from aleator.design import Expression, Functional, Problem, Statistic
+from aleator.design import AbstractFunctional, Expression, Problem, Statistic
 from aleator.report._numbers import times_second
 from aleator.uncertainty import fields_of
 
 
-def of_functional(functional: Functional, problem: Problem) -> str:
+def of_functional(functional: AbstractFunctional, problem: Problem) -> str:
     """The unit of a functional; empty where the system does not say."""
     unit = problem.system.units.get(functional.output, "")
     return times_second(unit) if unit and functional.text().startswith("∫") else unit

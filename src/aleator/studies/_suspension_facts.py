@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 import aleator as al
-from aleator.design import AbstractScope, Functional
+from aleator.design import AbstractFunctional, AbstractScope
 from aleator.report import Box, Card, Table, Verdict, given, number, percent, share_text, unresolved, words
 from aleator.report import interval as interval_text
 from aleator.studies._suspension_run import HOLDING, NARROW_TRAVEL, RIDE, TARGET, TRAVEL, SuspensionResults
@@ -36,7 +36,7 @@ class _Numbers(AbstractScope):
     def __init__(self, solution: al.Solution):
         self._numbers = named_numbers(solution.problem.model, jnp.asarray(solution.vector))
 
-    def statistic(self, functional: Functional, kind: str) -> Float[Array, "..."]:
+    def statistic(self, functional: AbstractFunctional, kind: str) -> Float[Array, "..."]:
         """See `AbstractScope.statistic`."""
         raise al.ProblemError(f"A cost is made of the model's own numbers; received the {kind} of {functional.text()}.")
 

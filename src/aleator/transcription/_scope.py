@@ -7,7 +7,7 @@ from jaxtyping import Array, Float
 
 from aleator import statistics
 from aleator.collocation import Collocation, collocate, leave_one_out
-from aleator.design import AbstractScope, Functional, Problem, functionals_of, responses
+from aleator.design import AbstractFunctional, AbstractScope, Problem, functionals_of, responses
 from aleator.uncertainty import named_numbers
 
 STATISTICS = {"mean": statistics.mean, "std": statistics.std, "variance": statistics.variance}
@@ -20,18 +20,18 @@ class ExpansionScope(AbstractScope):
     def __init__(
         self,
         problem: Problem,
-        functionals: tuple[Functional, ...],
+        functionals: tuple[AbstractFunctional, ...],
         collocation: Collocation,
         decisions: Float[Array, " n"],
     ):
         samples = responses(problem, functionals, collocation.points, decisions)
         self.functionals = functionals
-        self._samples: Mapping[Functional, Array] = dict(zip(functionals, samples, strict=True))
+        self._samples: Mapping[AbstractFunctional, Array] = dict(zip(functionals, samples, strict=True))
         self._coefficients = {one: collocation.coefficients(values) for one, values in self._samples.items()}
         self._collocation = collocation
         self._numbers = named_numbers(problem.model, decisions)
 
-    def statistic(self, functional: Functional, kind: str) -> Float[Array, "..."]:
+    def statistic(self, functional: AbstractFunctional, kind: str) -> Float[Array, "..."]:
         """See `AbstractScope.statistic`."""
         return STATISTICS[kind](self._coefficients[functional])
 
@@ -39,7 +39,7 @@ class ExpansionScope(AbstractScope):
         """See `AbstractScope.value`."""
         return self._numbers[name]
 
-    def leave_one_out(self, functional: Functional) -> Float[Array, ""]:
+    def leave_one_out(self, functional: AbstractFunctional) -> Float[Array, ""]:
         """The relative leave-one-out error of a functional's expansion."""
         return leave_one_out(self._collocation, self._samples[functional], self._coefficients[functional])
 

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from aleator._core.compilation import Compiled
-from aleator.design import AbstractScope, Constraint, Functional, Problem, Statistic, functionals_of, responses
+from aleator.design import AbstractFunctional, AbstractScope, Constraint, Problem, Statistic, functionals_of, responses
 from aleator.uncertainty import AbstractGerm, named_numbers
 
 
@@ -35,10 +35,10 @@ class Batch(NamedTuple):
 class _OneSystem(AbstractScope):
     """A single system: its mean is its value and nothing spreads."""
 
-    def __init__(self, values: Mapping[Functional, Array], numbers: Mapping[str, Array]):
+    def __init__(self, values: Mapping[AbstractFunctional, Array], numbers: Mapping[str, Array]):
         self._values, self._numbers = values, numbers
 
-    def statistic(self, functional: Functional, kind: str) -> Array:
+    def statistic(self, functional: AbstractFunctional, kind: str) -> Array:
         """See `AbstractScope.statistic`."""
         value = self._values[functional]
         return value if kind == "mean" else jnp.zeros_like(value)

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from aleator._core.arrays import numbers_to_arrays
 from aleator._core.errors import ProblemError, SimulationError
 from aleator._core.progress import Progress, silent
-from aleator.design import Constraint, Functional, Problem, Solution, functionals_of, uncertain
+from aleator.design import AbstractFunctional, Constraint, Problem, Solution, functionals_of, uncertain
 from aleator.uncertainty import uncertain_numbers
 from aleator.validation._evidence import PERCENTILES, Evidence, Sampled, Trajectories
 from aleator.validation._proportion import Proportion
@@ -136,7 +136,7 @@ class _Tally:
         rows = [i for i, one in enumerate(self._problem.constraints) if one.name == name and _is_counted(one)]
         return np.any(self._excess[rows] > 0, axis=0)
 
-    def _sampled(self, i: int, functional: Functional, solution: Solution) -> Sampled:
+    def _sampled(self, i: int, functional: AbstractFunctional, solution: Solution) -> Sampled:
         moments = solution.moments[functional.text()]
         if i in self._scalars:
             values = self._scalars[i]

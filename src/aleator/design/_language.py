@@ -1,55 +1,84 @@
-"""Expressions: sums and multiples of statistics, of the model's own numbers and of cost curves.
+"""The problem language: functionals have statistics, these make expressions, and comparing them makes constraints.
 
-An expression is data: it can be evaluated on any source of statistics (an expansion, a Monte Carlo sample),
-differentiated, swept and printed as mathematics.
+All of it is data: an expression can be evaluated on any source of statistics (an expansion, a Monte Carlo sample),
+differentiated, swept and printed as mathematics. The three refer to each other and therefore live together.
 """
 
 import abc
-from typing import TYPE_CHECKING, Any, Self, final
+from typing import Any, Self, final
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from aleator._core.arrays import Scalar
 from aleator._core.errors import ProblemError
-from aleator.design._functional import Functional
-
-if TYPE_CHECKING:
-    from aleator.design._constraint import Constraint
+from aleator.design._scope import AbstractAtom, AbstractScope, Value
+from aleator.dynamics import Grid, History
 
 SYMBOLS = {"mean": "μ", "std": "σ", "variance": "Var"}
 
 
-class AbstractScope(abc.ABC):
-    """Where an expression takes its numbers from."""
+class AbstractFunctional(eqx.Module):
+    """A quantity of one output, taken on each realisation of the system. Made by `integral`, `rms`, `terminal`, ...
+
+    `mean`, `std` and `variance` are its statistics over the uncertainty, to be added, multiplied by numbers and
+    compared with bounds; `at_most`, `at_least` and `within` bound `mean +- sigmas * std`.
+    """
+
+    output: str = eqx.field(static=True)
 
     @abc.abstractmethod
-    def statistic(self, functional: Functional, kind: str) -> Float[Array, "..."]:
-        """A statistic (`mean`, `std` or `variance`) of a functional."""
-
-    @abc.abstractmethod
-    def value(self, name: str) -> Float[Array, ""]:
-        """A number of the model itself, by name."""
-
-
-class AbstractAtom(eqx.Module):
-    """A term of an expression that is no sum or multiple of others."""
-
-    @abc.abstractmethod
-    def evaluate(self, scope: AbstractScope) -> Float[Array, "..."]:
-        """The term's value."""
+    def evaluate(self, history: History, grid: Grid) -> Float[Array, "..."]:
+        """The quantity on one realisation's history: a number, or for `path` one number an instant."""
 
     @abc.abstractmethod
     def text(self) -> str:
-        """The term as mathematics."""
+        """The quantity as mathematics."""
+
+    @property
+    def is_path(self) -> bool:
+        """Whether it is one number an instant instead of one number."""
+        return False
+
+    @property
+    def mean(self) -> "Expression":
+        """The expected value, equation (98)."""
+        return statistic(self, "mean")
+
+    @property
+    def std(self) -> "Expression":
+        """The standard deviation, equation (99)."""
+        return statistic(self, "std")
+
+    @property
+    def variance(self) -> "Expression":
+        """The variance, equation (97)."""
+        return statistic(self, "variance")
+
+    def at_most(self, upper: float, *, sigmas: float = 0.0) -> "Constraint":
+        """`mean + sigmas * std <= upper`."""
+        return ((self.mean + sigmas * self.std) <= upper).named(self.output)
+
+    def at_least(self, lower: float, *, sigmas: float = 0.0) -> "Constraint":
+        """`mean - sigmas * std >= lower`."""
+        return ((self.mean - sigmas * self.std) >= lower).named(self.output)
+
+    def within(self, lower: float, upper: float, *, sigmas: float = 0.0) -> "tuple[Constraint, Constraint]":
+        """Both `mean + sigmas * std <= upper` and `mean - sigmas * std >= lower`, under one name.
+
+        Raises `ProblemError` for bounds in the wrong order.
+        """
+        lower, upper = ordered(self.output, lower, upper)
+        return self.at_most(upper, sigmas=sigmas), self.at_least(lower, sigmas=sigmas)
 
 
 @final
 class Statistic(AbstractAtom):
     """A statistic of a functional."""
 
-    functional: Functional
+    functional: AbstractFunctional
     kind: str = eqx.field(static=True)
 
     def evaluate(self, scope: AbstractScope) -> Array:
@@ -59,21 +88,6 @@ class Statistic(AbstractAtom):
     def text(self) -> str:
         """See `AbstractAtom.text`."""
         return f"{SYMBOLS[self.kind]}[{self.functional.text()}]"
-
-
-@final
-class Value(AbstractAtom):
-    """A number of the model itself: a decision, a plain number, or a parameter of a distribution."""
-
-    name: str = eqx.field(static=True)
-
-    def evaluate(self, scope: AbstractScope) -> Array:
-        """See `AbstractAtom.evaluate`."""
-        return scope.value(self.name)
-
-    def text(self) -> str:
-        """See `AbstractAtom.text`."""
-        return self.name
 
 
 @final
@@ -87,7 +101,7 @@ class Expression(eqx.Module):
     def evaluate(self, scope: AbstractScope) -> Float[Array, "..."]:
         """The value in a scope: a number, or one number an instant if a `path` stands in it."""
         terms = (factor * atom.evaluate(scope) for factor, atom in zip(self.factors, self.atoms, strict=True))
-        return sum(terms, self.constant)  # type: ignore[return-value]
+        return jnp.asarray(sum(terms, start=self.constant))
 
     def __add__(self, other: Any) -> "Expression":
         other = as_expression(other)
@@ -121,8 +135,6 @@ class Expression(eqx.Module):
 
     def equals(self, number: float) -> "Constraint":
         """The constraint that the expression equals a number."""
-        from aleator.design._constraint import Constraint  # the two classes refer to each other
-
         return Constraint(self, lower=number, upper=number)
 
     def __bool__(self) -> bool:
@@ -157,6 +169,82 @@ class Expression(eqx.Module):
         return text.removeprefix("+ ").replace("− ", "−", 1) if text.startswith("−") else text.removeprefix("+ ")
 
 
+@final
+class Constraint(eqx.Module):
+    """`lower <= expression <= upper`, at every instant if a `path` stands in the expression.
+
+    Constraints of one `name` belong together: a sweep moves their bounds together, evidence counts a system that
+    violates any of them once. The bounds are data: changing them compiles nothing anew.
+
+    Raises `ProblemError` for bounds in the wrong order or not a number.
+    """
+
+    expression: Expression
+    lower: Scalar
+    upper: Scalar
+    name: str = eqx.field(static=True)
+
+    def __init__(
+        self,
+        expression: Expression,
+        *,
+        lower: Scalar = -np.inf,
+        upper: Scalar = np.inf,
+        name: str | None = None,
+    ):
+        self.expression = as_expression(expression)
+        self.name = name or _default_name(self.expression)
+        self.lower, self.upper = ordered(self.name, lower, upper)
+
+    def named(self, name: str) -> "Constraint":
+        """The same constraint under a name of your own."""
+        return Constraint(self.expression, lower=self.lower, upper=self.upper, name=name)
+
+    def with_bounds(self, lower: float, upper: float) -> Self:
+        """The same constraint between other bounds. Open sides stay open and closed ones closed."""
+        return eqx.tree_at(lambda tree: (tree.lower, tree.upper), self, ordered(self.name, lower, upper))
+
+    @property
+    def is_path(self) -> bool:
+        """Whether it holds at every instant."""
+        return any(isinstance(atom, Statistic) and atom.functional.is_path for atom in self.expression.atoms)
+
+    def __bool__(self) -> bool:
+        raise ProblemError(
+            "A constraint has no truth value: a chain such as 'lower <= y <= upper' does not work in Python and would "
+            "lose its first half. Write two comparisons, or use .within(lower, upper)."
+        )
+
+    def __str__(self) -> str:
+        lower, upper = float(self.lower), float(self.upper)
+        if lower == upper:
+            relation = f"{self.expression} = {upper:g}"
+        else:
+            below = f"{lower:g} ≤ " if np.isfinite(lower) and np.isfinite(upper) else ""
+            above = f" ≤ {upper:g}" if np.isfinite(upper) else f" ≥ {lower:g}"
+            relation = f"{below}{self.expression}{above}"
+        return f"{relation} for all t" if self.is_path else relation
+
+
+def ordered(name: str, lower: Scalar, upper: Scalar) -> tuple[float, float]:
+    """The bounds as floats. Raises `ProblemError` if they are in the wrong order or not a number."""
+    lower, upper = float(lower), float(upper)
+    if np.isnan(lower) or np.isnan(upper) or lower > upper:
+        raise ProblemError(
+            f"Constraint '{name}': expected lower <= upper; received lower={lower:g}, upper={upper:g}. Swap them."
+        )
+    return lower, upper
+
+
+def _default_name(expression: Expression) -> str:
+    """The outputs (or numbers) that a constraint speaks of."""
+    names = (
+        atom.functional.output if isinstance(atom, Statistic) else getattr(atom, "name", "")
+        for atom in expression.atoms
+    )
+    return ", ".join(dict.fromkeys(names)) or "constant"
+
+
 def _is_std(atom: AbstractAtom) -> bool:
     return isinstance(atom, Statistic) and atom.kind == "std"
 
@@ -177,7 +265,7 @@ def as_expression(value: Any) -> Expression:
     """An expression as it is, a number as a constant. Raises `ProblemError` for anything else."""
     if isinstance(value, Expression):
         return value
-    if isinstance(value, Functional):
+    if isinstance(value, AbstractFunctional):
         raise ProblemError(
             f"'{value.text()}' differs from one realisation to the next: name a statistic of it, "
             ".mean, .std or .variance, or use .at_most(...)."
@@ -187,14 +275,12 @@ def as_expression(value: Any) -> Expression:
 
 def _compare(difference: Expression, *, upper: bool) -> "Constraint":
     """`difference <= 0` (or `>= 0`), with its constant brought to the right as the bound."""
-    from aleator.design._constraint import Constraint  # the two classes refer to each other
-
     bound = -difference.constant + 0.0
     left = Expression(difference.factors, difference.atoms)
     return Constraint(left, upper=bound) if upper else Constraint(left, lower=bound)
 
 
-def statistic(functional: Functional, kind: str) -> Expression:
+def statistic(functional: AbstractFunctional, kind: str) -> Expression:
     """A statistic of a functional as an expression."""
     return Expression((1.0,), (Statistic(functional, kind),))
 
@@ -204,7 +290,7 @@ def value(name: str) -> Expression:
     return Expression((1.0,), (Value(name),))
 
 
-def functionals_of(expressions: tuple[Expression, ...]) -> tuple[Functional, ...]:
+def functionals_of(expressions: tuple[Expression, ...]) -> tuple[AbstractFunctional, ...]:
     """All functionals that stand in some expressions, each once, in order of appearance."""
     atoms = (atom for expression in expressions for atom in expression.atoms)
     return tuple(dict.fromkeys(atom.functional for atom in atoms if isinstance(atom, Statistic)))

@@ -1,0 +1,57 @@
+"""What a problem is made of, for all that reads problems: checks, responses, texts."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+
+from aleator._core.errors import ProblemError
+from aleator.collocation import Expansion
+from aleator.design._language import Constraint, Expression
+from aleator.dynamics import AbstractIntegrator, AbstractSignal, Grid, System
+from aleator.uncertainty import Survey, survey
+
+
+class Model(NamedTuple):
+    """Everything that may hold distributions and decisions: the system and its inputs."""
+
+    system: System
+    inputs: dict[str, AbstractSignal]
+
+
+class AbstractProblem(eqx.Module):
+    """The parts of a problem, and what follows from them. See `Problem`, its only implementation."""
+
+    system: System
+    grid: Grid
+    inputs: dict[str, AbstractSignal]
+    objective: Expression
+    constraints: tuple[Constraint, ...]
+    expansion: Expansion
+    integrator: AbstractIntegrator
+
+    @property
+    def model(self) -> Model:
+        """The part of the problem that realisation acts on."""
+        return Model(self.system, self.inputs)
+
+    @property
+    def survey(self) -> Survey:
+        """Its distributions and decisions."""
+        return survey(self.model)
+
+    @property
+    def expressions(self) -> tuple[Expression, ...]:
+        """The objective, then the constraints' expressions."""
+        return (self.objective, *(constraint.expression for constraint in self.constraints))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of the constraints, each once."""
+        return tuple(dict.fromkeys(constraint.name for constraint in self.constraints))
+
+    def named(self, name: str) -> tuple[Constraint, ...]:
+        """The constraints of one name. Raises `ProblemError` if there are none."""
+        found = tuple(constraint for constraint in self.constraints if constraint.name == name)
+        if not found:
+            raise ProblemError(f"There is no constraint '{name}'; expected one of {list(self.names)}.")
+        return found

@@ -1,0 +1,110 @@
+"""The functionals: integral, rms, terminal, path and peak of an output."""
+
+from typing import final
+
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from aleator.design._language import AbstractFunctional
+from aleator.dynamics import Grid, History
+
+
+@final
+class Integral(AbstractFunctional):
+    """The time integral of an output, by the trapezoidal rule on the grid."""
+
+    def evaluate(self, history: History, grid: Grid) -> Array:
+        """See `AbstractFunctional.evaluate`."""
+        return jnp.tensordot(grid.weights, history[self.output], axes=1)
+
+    def text(self) -> str:
+        """See `AbstractFunctional.text`."""
+        return f"∫{self.output} dt"
+
+
+@final
+class Rms(AbstractFunctional):
+    """The root of an output's mean square over time, equations (109) and (110)."""
+
+    def evaluate(self, history: History, grid: Grid) -> Array:
+        """See `AbstractFunctional.evaluate`."""
+        square = jnp.tensordot(grid.weights, history[self.output] ** 2, axes=1) / (grid.t_final - grid.t_start)
+        positive = square > 0
+        # An output that is zero throughout has rms zero, with derivative zero (its smallest subgradient).
+        return jnp.where(positive, jnp.sqrt(jnp.where(positive, square, 1.0)), 0.0)
+
+    def text(self) -> str:
+        """See `AbstractFunctional.text`."""
+        return f"rms({self.output})"
+
+
+@final
+class Terminal(AbstractFunctional):
+    """An output at the final time."""
+
+    def evaluate(self, history: History, grid: Grid) -> Array:
+        """See `AbstractFunctional.evaluate`."""
+        del grid
+        return history[self.output][-1]
+
+    def text(self) -> str:
+        """See `AbstractFunctional.text`."""
+        return f"{self.output}(t_f)"
+
+
+@final
+class Path(AbstractFunctional):
+    """An output at every instant of the grid."""
+
+    @property
+    def is_path(self) -> bool:
+        """See `AbstractFunctional.is_path`."""
+        return True
+
+    def evaluate(self, history: History, grid: Grid) -> Array:
+        """See `AbstractFunctional.evaluate`."""
+        del grid
+        return history[self.output]
+
+    def text(self) -> str:
+        """See `AbstractFunctional.text`."""
+        return f"{self.output}(t)"
+
+
+@final
+class Peak(AbstractFunctional):
+    """The largest magnitude of an output over time. Not smooth where the instant of the peak jumps: prefer `path`."""
+
+    def evaluate(self, history: History, grid: Grid) -> Array:
+        """See `AbstractFunctional.evaluate`."""
+        del grid
+        return jnp.max(jnp.abs(history[self.output]), axis=0)
+
+    def text(self) -> str:
+        """See `AbstractFunctional.text`."""
+        return f"max|{self.output}(t)|"
+
+
+def integral(output: str) -> Integral:
+    """The time integral of an output over the grid: `∫ y dt`."""
+    return Integral(output)
+
+
+def rms(output: str) -> Rms:
+    """The root mean square of an output over the grid."""
+    return Rms(output)
+
+
+def terminal(output: str) -> Terminal:
+    """An output at the final time."""
+    return Terminal(output)
+
+
+def path(output: str) -> Path:
+    """An output at every instant: its bounds hold at each of them."""
+    return Path(output)
+
+
+def peak(output: str) -> Peak:
+    """The largest magnitude of an output over time."""
+    return Peak(output)

@@ -1,0 +1,51 @@
+"""The suspension study from end to end, as a user runs it. Slow."""
+
+import json
+import os
+import resource
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import xarray
+
+import aleator as al
+from aleator.studies.suspension import robust_problem
+
+pytestmark = pytest.mark.slow
+
+
+def test_the_quick_run_writes_a_report_and_results_that_agree_with_the_library(tmp_path: Path):
+    command = [sys.executable, "-c", "from aleator.cli import main; main()"]
+    environment = os.environ | {"COLUMNS": "200"}
+    finished = subprocess.run(
+        [*command, "run", "suspension", "--quick", "--out", str(tmp_path)],
+        capture_output=True,
+        text=True,
+        check=False,
+        env=environment,
+    )
+    assert finished.returncode == 0, finished.stderr
+    assert "wrote" in finished.stdout
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    for number in ("6.2", "6.4", "6.5", "6.6", "6.7", "6.8", "6.9", "6.10", "7.2", "7.3", "7.5"):
+        assert f"Figure {number}" in page
+    designs = json.loads((tmp_path / "designs.json").read_text(encoding="utf-8"))
+    assert {"designs/dOpt", "designs/uOpt", "designs/aOpt"} <= set(designs)
+    stored = xarray.open_datatree(tmp_path / "results.nc", engine="h5netcdf")
+    assert float(stored["designs/uOpt"]["objective"]) == pytest.approx(al.solve(robust_problem()).objective, rel=1e-8)
+    stored.close()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="resource limits are read on Unix only")
+def test_memory_does_not_grow_with_the_number_of_samples():
+    solution = al.solve(robust_problem())
+    al.validate(solution, 2_000)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    evidence = al.validate(solution, 100_000)
+    grown = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) * (1 if sys.platform == "darwin" else 1024)
+    # Kept for percentiles and counts: two functionals and three constraints, 8 bytes each; whole histories of all
+    # systems would take 11 GB.
+    assert grown < 100e6
+    assert evidence.samples == 100_000
