@@ -13,10 +13,10 @@ import numpy as np
 
 import aleator as al
 from aleator._core.arrays import numbers_to_arrays
-from aleator.design import AbstractScope, responses
+from aleator.design import responses, value_at
 from aleator.studies.suspension import COST, RIDE, apportionment_problem, deterministic_problem, robust_problem
 from aleator.transcription import transcribe
-from aleator.uncertainty import LegendreGerm, named_numbers
+from aleator.uncertainty import LegendreGerm
 
 SOLVERS = (al.FilterSQP(), al.Ipopt(), al.Slsqp())
 PROBLEMS: dict[str, Callable[..., al.Problem]] = {
@@ -24,21 +24,6 @@ PROBLEMS: dict[str, Callable[..., al.Problem]] = {
     "uOpt": robust_problem,
     "aOpt": apportionment_problem,
 }
-
-
-class ModelNumbers(AbstractScope):
-    """A problem's own numbers at its start."""
-
-    def __init__(self, problem: al.Problem):
-        self._numbers = named_numbers(problem.model, jnp.asarray(problem.survey.vector("initial")))
-
-    def statistic(self, functional, kind):
-        """Costs hold no statistics."""
-        raise LookupError(f"{kind} of {functional.text()}")
-
-    def value(self, name):
-        """A number by its name."""
-        return self._numbers[name]
 
 
 def compare_solvers() -> None:
@@ -57,7 +42,8 @@ def compare_solvers() -> None:
 
 def apportion() -> None:
     """Cost before and after."""
-    initial = float(COST.evaluate(ModelNumbers(apportionment_problem())))
+    problem = apportionment_problem()
+    initial = value_at(COST, problem, problem.survey.vector("initial"))
     print(f"Cost of the initial spreads ${initial:.2f}; target: $17.71")
     for travel in (0.203, 0.215, 0.25):
         best = al.solve(apportionment_problem(travel=travel)).objective

@@ -1,4 +1,5 @@
 import warnings
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -292,3 +293,87 @@ def test_a_solution_prints_its_certificate():
         assert line in text
     assert "price" in text
     assert "worst leave-one-out error" in text
+
+
+class Square(al.System):
+    """One number `a` and outputs of it, constant in time."""
+
+    states = ("x",)
+    a: Any
+    spread: Any = 0.0
+
+    def rhs(self, t, z):
+        return (0.0 * z.x,)
+
+    def outputs(self, t, z):
+        return {"a": self.a + self.spread, "q": (self.a - 3.0) ** 2, "e": jnp.exp(self.a), "g": (self.a - TARGET) ** 2}
+
+
+TARGET = 3.0
+
+
+def square_problem(*subject_to, minimize=None, start=1.0):
+    return al.Problem(
+        Square(al.Decision(start, 0.0, 10.0)),
+        grid=al.Grid(1.0, 2),
+        minimize=al.terminal("q").mean if minimize is None else minimize,
+        subject_to=subject_to,
+    )
+
+
+@pytest.mark.parametrize("solver", [al.FilterSQP(), al.Ipopt(), al.Slsqp()], ids=lambda one: type(one).__name__)
+@pytest.mark.parametrize("offset", [0.0, 1e5, 1e8])
+def test_an_offset_of_the_objective_does_not_move_the_optimum(solver, offset):
+    solution = al.solve(square_problem(minimize=al.terminal("q").mean + offset), solver)
+    assert solution.decisions["a"] == pytest.approx(3.0, abs=1e-3)
+
+
+@pytest.mark.parametrize("remote", [-1e3, -1e9, -1e12])
+def test_a_remote_second_bound_does_not_loosen_the_first(remote):
+    expression = al.terminal("e").mean
+    both = al.Problem(
+        Square(al.Decision(0.5, 0.0, 10.0)),
+        grid=al.Grid(1.0, 2),
+        minimize=al.terminal("q").mean,
+        subject_to=[al.Constraint(expression, lower=remote, upper=2.0)],
+    )
+    solution = al.solve(both)
+    assert solution.decisions["a"] == pytest.approx(np.log(2.0), rel=1e-6)
+
+
+def test_a_bound_of_zero_that_holds_to_rounding_is_not_called_violated():
+    solution = al.solve(square_problem((al.terminal("e").mean - 2.0 <= 0.0).named("limit"), start=0.5))
+    assert solution.ok
+    assert solution.violated == ()
+    assert "violated" not in str(solution)
+
+
+@pytest.mark.parametrize("number", [2.0, 4.0])
+def test_the_price_of_an_equality_has_the_sign_of_the_fall_when_its_number_is_raised(number):
+    solution = al.solve(square_problem(al.terminal("a").mean.equals(number)))
+    slope = 2 * (number - 3.0)  # d (a - 3)² / d a
+    assert solution.multiplier("a") == pytest.approx(-slope, rel=1e-6)
+
+
+def test_code_that_reads_a_global_is_compiled_anew_when_the_global_has_changed(monkeypatch):
+    problem = square_problem(minimize=al.terminal("g").mean)
+    assert al.solve(problem).decisions["a"] == pytest.approx(3.0, abs=1e-6)
+    monkeypatch.setitem(globals(), "TARGET", 7.0)
+    changed = square_problem(minimize=al.terminal("g").mean)
+    assert al.solve(changed).decisions["a"] == pytest.approx(7.0, abs=1e-6)
+
+
+def test_wrong_arguments_are_refused_in_words():
+    problem = square_problem()
+    with pytest.raises(al.ProblemError, match=r"expected a solver, such as al.Ipopt\(\)"):
+        al.solve(problem, "ipopt")
+    with pytest.raises(al.ProblemError, match="expected a Problem"):
+        al.solve(problem.system)
+    with pytest.raises(al.ProblemError, match="expected a Solution"):
+        al.validate(problem)
+
+
+def test_a_decision_at_its_bound_is_named_whatever_the_solver():
+    for solver in (al.FilterSQP(), al.Ipopt(), al.Slsqp()):
+        solution = al.solve(square_problem(minimize=al.terminal("a").mean), solver)
+        assert solution.active == ("a",)

@@ -49,9 +49,7 @@ def run(
         raise typer.Exit(USAGE) from None
     code = _run_stages(job, folder, console, errors)
     _print_results(job, console)
-    for path in [*job.save(folder), job.write_page(folder)]:
-        console.print(f"wrote {path}", highlight=False, soft_wrap=True)
-    raise typer.Exit(code)
+    raise typer.Exit(_write_results(job, folder, console, errors) or code)
 
 
 def _run_stages(job: AbstractStudy, folder: Path, console: Console, errors: Console) -> int:
@@ -71,6 +69,17 @@ def _run_stages(job: AbstractStudy, folder: Path, console: Console, errors: Cons
                 errors.print(f"[bold red]error[/] during '{stage}': {error}", highlight=False)
                 return FAILED
             bars.advance(overall, share)
+    return 0
+
+
+def _write_results(job: AbstractStudy, folder: Path, console: Console, errors: Console) -> int:
+    """Write files and report; returns the exit code."""
+    try:
+        for path in [*job.save(folder), job.write_page(folder)]:
+            console.print(f"wrote {path}", highlight=False, soft_wrap=True)
+    except AleatorError as error:
+        errors.print(f"[bold red]error:[/] {error}", highlight=False)
+        return FAILED
     return 0
 
 

@@ -2,12 +2,13 @@
 
 import warnings
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from aleator._core import clock
-from aleator._core.errors import ExpansionWarning, SimulationError, SolveError
+from aleator._core.errors import ExpansionWarning, ProblemError, SimulationError, SolveError
 from aleator.design import ConstraintResult, ExpansionQuality, Moments, Problem, Solution, Times, functionals_of
 from aleator.nlp import AbstractSolver, Outcome, Status, default_solver
 from aleator.transcription import EVALUATE, Resolved, Sequential, diagnose, transcribe
@@ -33,19 +34,38 @@ def solve(
     not finite, `ProblemError` if there is nothing to decide. Warns with `ExpansionWarning` if an expansion is not
     resolved.
     """
+    solver = solver or default_solver()
+    _check_arguments(problem, solver, warm_start)
     compiled_before = EVALUATE.seconds
     transcription = transcribe(problem)
     compile_seconds = EVALUATE.seconds - compiled_before
-    outcome = _optimise(transcription, solver or default_solver(), warm_start)
-    if outcome.status is Status.EVALUATION_FAILED:
-        raise SimulationError(diagnose(transcription, outcome.decisions))
-    solution = _report(transcription, outcome, compile_seconds)
+    outcome = _optimise(transcription, solver, warm_start)
     if outcome.status is Status.INTERRUPTED:
         raise KeyboardInterrupt
+    if outcome.failed_at is not None:
+        outcome = replace(outcome, message=diagnose(transcription, outcome.failed_at))
+    solution = _report(transcription, outcome, compile_seconds)
+    if throw and outcome.status is Status.EVALUATION_FAILED:
+        raise SimulationError(outcome.message)
     if throw and not solution.ok:
         raise SolveError(solution.why(), solution)
     _warn_if_unresolved(solution)
     return solution
+
+
+def _check_arguments(problem: Problem, solver: AbstractSolver, warm_start: Solution | None) -> None:
+    if not isinstance(problem, Problem):
+        raise ProblemError(f"solve: expected a Problem; received {type(problem).__name__}.")
+    if not isinstance(solver, AbstractSolver):
+        raise ProblemError(f"solve: expected a solver, such as al.Ipopt(); received {solver!r}.")
+    if warm_start is None:
+        return
+    names = problem.survey.entry_names()
+    if warm_start.problem.survey.entry_names() != names or warm_start.problem.names != problem.names:
+        raise ProblemError(
+            "solve: a warm start is a solution of a problem with the same decisions and constraints; expected "
+            f"decisions {list(names)} and constraints {list(problem.names)}."
+        )
 
 
 def _optimise(transcription: Sequential, solver: AbstractSolver, warm_start: Solution | None) -> Outcome:
@@ -68,6 +88,7 @@ def _report(transcription: Sequential, outcome: Outcome, compile_seconds: float)
         objective=outcome.evaluation.objective,
         constraints=_constraint_results(transcription, outcome),
         moments={text: Moments(np.asarray(one.mean), np.asarray(one.std)) for text, one in resolved.items()},
+        at_bounds=tuple(np.array(places.entry_names())[outcome.active_bounds].tolist()),
         bound_multipliers=_plain(places.named(outcome.bound_multipliers)),
         multipliers=outcome.multipliers,
         violation=outcome.violation,
@@ -88,36 +109,34 @@ def _plain(named: dict[str, Any]) -> dict[str, Any]:
 
 def _constraint_results(transcription: Sequential, outcome: Outcome) -> tuple[ConstraintResult, ...]:
     times = np.asarray(transcription.traced.grid.times)
-    scale = transcription.program.constraint_scale
     results = []
-    for constraint, rows in zip(transcription.problem.constraints, transcription.rows, strict=True):
-        shape = (len(times), -1) if constraint.is_path else ()
-        values, multipliers, size = (
-            part[rows] for part in (outcome.evaluation.constraints, outcome.multipliers, scale)
-        )
-        lower, upper = float(constraint.lower), float(constraint.upper)
-        gap = np.minimum(np.abs(values - lower), np.abs(upper - values))
-        # A multiplier says that the bound matters; a bound that is met without one (degenerate) counts as well.
-        active = (gap <= 1e-6 * size) | (
-            np.abs(multipliers) * size > 1e-6 * max(1.0, abs(outcome.evaluation.objective))
-        )
+    for constraint, rows, scale in zip(
+        transcription.problem.constraints, transcription.rows, transcription.scales, strict=True
+    ):
+        instants = times if constraint.is_path else None
         values, multipliers, active = (
-            part.reshape(shape).squeeze() if constraint.is_path else part.reshape(-1)
-            for part in (values, multipliers, active)
+            _shaped(part[rows], instants)
+            for part in (outcome.evaluation.constraints, outcome.multipliers, outcome.active)
         )
         results.append(
             ConstraintResult(
-                constraint.name,
-                str(constraint),
-                lower,
-                upper,
-                values,
-                times if constraint.is_path else None,
-                multipliers,
-                active,
+                name=constraint.name,
+                text=str(constraint),
+                lower=float(constraint.lower),
+                upper=float(constraint.upper),
+                values=values,
+                times=instants,
+                multipliers=multipliers,
+                active=active,
+                scale=scale,
             )
         )
     return tuple(results)
+
+
+def _shaped(rows: np.ndarray, times: np.ndarray | None) -> np.ndarray:
+    """A constraint's rows by instant, where it has several at each."""
+    return rows if times is None or len(rows) == len(times) else rows.reshape(len(times), -1)
 
 
 def _quality(transcription: Sequential, resolved: Mapping[str, Resolved]) -> ExpansionQuality:

@@ -46,7 +46,7 @@ def test_constraints_say_what_they_bound(constraint, bounds, name, text):
     ],
 )
 def test_bounds_in_the_wrong_order_are_refused(wrong):
-    with pytest.raises(al.ProblemError, match=r"expected lower <= upper; received lower=.*upper="):
+    with pytest.raises(al.ProblemError, match=r"expected (lower <= upper|numbers as bounds); received lower=.*upper="):
         wrong()
 
 
@@ -106,3 +106,61 @@ def test_sigmas_of_a_constraint_without_spread_are_refused():
     )
     with pytest.raises(al.ProblemError, match="no standard deviation to scale"):
         problem.with_sigmas("response", 2.0)
+
+
+def test_constraints_on_one_output_that_measure_different_things_are_told_apart():
+    told = al.Problem(
+        gain_problem().system,
+        grid=ONE_STEP,
+        minimize=LOSS.mean,
+        subject_to=[al.path("response").at_most(20.0), al.terminal("response").at_most(5.0, sigmas=3.0)],
+    )
+    assert told.names == ("response(t)", "response(t_f)")
+    moved = told.with_bound("response(t_f)", 4.0)
+    assert [float(one.upper) for one in moved.constraints] == [20.0, 4.0]
+
+
+def test_the_two_sides_of_one_limit_keep_one_name():
+    pair = al.path("x").within(-1.0, 1.0, sigmas=2.0)
+    assert {one.name for one in pair} == {"x"}
+
+
+@pytest.mark.parametrize("sigmas", [-1.0, np.nan, np.inf])
+def test_a_margin_that_is_negative_or_not_finite_is_refused(sigmas):
+    with pytest.raises(al.ProblemError, match="sigmas must be finite and not negative"):
+        al.path("x").at_most(1.0, sigmas=sigmas)
+
+
+def test_a_constraint_without_a_finite_bound_is_refused():
+    with pytest.raises(al.ProblemError, match="bounds nothing"):
+        al.path("x").at_most(np.inf)
+
+
+@pytest.mark.parametrize(
+    "mistake",
+    [
+        lambda y: y <= 5.0,
+        lambda y: y >= 5.0,
+        lambda y: 2 * y,
+        lambda y: y + y,
+        lambda y: 1.0 - y,
+        lambda y: -y,
+        lambda y: y.mean + y,
+    ],
+)
+def test_arithmetic_on_a_functional_without_a_statistic_is_refused_in_words(mistake):
+    with pytest.raises(al.ProblemError, match=r"differs from one realisation to the next: name a statistic of it"):
+        mistake(al.rms("x"))
+
+
+def test_strict_comparisons_and_powers_are_refused_in_words():
+    with pytest.raises(al.ProblemError, match="write <= or >="):
+        al.rms("x").mean < 1.0  # noqa: B015
+    with pytest.raises(al.ProblemError, match="no power"):
+        al.rms("x").mean ** 2
+
+
+def test_an_equality_sign_in_the_place_of_equals_is_refused_with_a_hint():
+    problem = gain_problem()
+    with pytest.raises(al.ProblemError, match=r"For an equality write expression\.equals"):
+        al.Problem(problem.system, grid=problem.grid, minimize=problem.objective, subject_to=[al.rms("x").mean == 5.0])

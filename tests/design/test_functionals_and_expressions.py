@@ -87,19 +87,6 @@ def test_functionals_are_shown_as_mathematics():
 
 
 @pytest.mark.parametrize(
-    "wrong",
-    [
-        lambda: Y + 1,
-        lambda: 1 + Y,
-        lambda: Y <= 1,
-    ],
-)
-def test_python_refuses_arithmetic_with_a_bare_functional(wrong):
-    with pytest.raises(TypeError):
-        wrong()
-
-
-@pytest.mark.parametrize(
     ("wrong", "message"),
     [
         (lambda: Y.mean + Y, r"'rms\(y\)' differs from one realisation to the next: name a statistic"),

@@ -132,8 +132,8 @@ def test_one_certain_entry_does_not_disturb_the_derivatives_of_the_others():
 
 MODEL = {
     "b": Uniform(Decision(0.15), half_width=Decision(0.05, 0.0)),
-    "c": Gamma(mean=2.0, std=Decision(0.4, 0.0)),
-    "g": Beta(alpha=Decision(2.0, 0.0), beta=5.0),
+    "c": Gamma(mean=2.0, std=Decision(0.4, 0.01, 1.0)),
+    "g": Beta(alpha=Decision(2.0, 0.5, 9.0), beta=5.0),
     "u": Normal(Decision(1.5), Decision(0.2, 0.0)),
 }
 

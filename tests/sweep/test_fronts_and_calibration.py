@@ -54,7 +54,7 @@ def test_infeasible_points_are_kept_with_their_least_violation():
     assert excess == pytest.approx([SPREAD, SPREAD + 0.5], rel=1e-6)
     assert np.isnan(front.objectives[1:3]).all()
     assert np.isnan(front.prices[1:3]).all()
-    assert (front.violations[1:3] > 0.1).all()
+    assert (front.violations[1:3] > 0.01).all()
     assert front.violations[[0, 3]] == pytest.approx([0, 0], abs=1e-8)
     assert "infeasible" in str(front)
     assert "'response' is violated by" in str(front)
@@ -81,7 +81,7 @@ def test_ctrl_c_ends_a_front_with_the_points_that_are_finished(monkeypatch):
     [
         ("response", [], "at least one value"),
         ("travel", [1.0], "There is no constraint 'travel'"),
-        ("response", [1.0, np.nan], "expected lower <= upper"),
+        ("response", [1.0, np.nan], "expected numbers as bounds"),
     ],
 )
 def test_fronts_that_make_no_sense_are_refused(name, values, message):
@@ -108,7 +108,10 @@ def test_calibration_finds_the_margin_of_a_normal_response(target, first):
     # Fresh samples agree with the probability that this margin has in closed form.
     fresh = found.evidence.violations["response"]
     assert abs(fresh.estimate - stats.norm.sf(found.sigmas)) < 4 * np.sqrt(target / samples)
-    assert found.evidence.seed != 0
+    # The trials were counted on other samples than those that a user draws with the same seed.
+    again = al.validate(found.solution, found.evidence.samples, seed=0)
+    assert again.violations == found.evidence.violations
+    assert found.chosen.violation.samples == again.samples
     assert f"{found.sigmas:.4f}" in str(found)
 
 
@@ -170,19 +173,3 @@ def test_a_margin_that_does_not_matter_is_not_searched_for(solver):
     found = al.calibrate(normal_problem(upper=100.0), "response", 0.1, samples=500, solver=solver)
     assert len(found.trials) == 1
     assert found.solution.decisions["gain"] == pytest.approx(3.0, rel=1e-5)
-
-
-def test_a_point_whose_simulation_fails_is_kept_as_a_sentence_and_the_others_go_on(monkeypatch):
-    real = front_module.solve
-
-    def solve(problem, *arguments, **options):
-        if problem.constraints[0].upper == 2.0:
-            raise al.SimulationError("output 'response' is not finite at t = 0.5 s")
-        return real(problem, *arguments, **options)
-
-    monkeypatch.setattr(front_module, "solve", solve)
-    front = al.pareto(gain_problem(), "response", [3.0, 2.0, 1.0])
-    assert front.values.tolist() == [3.0, 1.0]
-    assert front.failures == {2.0: "output 'response' is not finite at t = 0.5 s"}
-    assert not front.interrupted
-    assert "not finite" in str(front)

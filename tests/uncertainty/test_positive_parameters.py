@@ -68,11 +68,13 @@ STAY_POSITIVE = {
     "array": np.array([1.0, 0.1]),
     "uniform": Uniform(1.0, half_width=0.999),
     "beta": Beta(alpha=2.0, beta=2.0, lower=0.1, upper=2.0),
-    "beta whose decided spread may vanish": Beta(
-        mean=0.5, std=Decision(0.1, 0.0, 0.2), lower=Decision(0.1, 0.1, 0.2), upper=1.0
+    "beta whose decided spread may nearly vanish": Beta(
+        mean=0.5, std=Decision(0.1, 1e-6, 0.2), lower=Decision(0.1, 0.1, 0.2), upper=1.0
     ),
     "gamma": Gamma(shape=2.0, scale=2.0, lower=0.1),
-    "gamma whose decided spread may vanish": Gamma(mean=2.0, std=Decision(0.1, 0.0, 0.2), lower=0.1),
+    "gamma whose decided spread may nearly vanish": Gamma(mean=2.0, std=Decision(0.1, 1e-6, 0.2), lower=0.1),
+    "uniform whose decided spread may vanish": Uniform(2.0, std=Decision(0.1, 0.0, 0.2)),
+    "uniform whose upper end is unbounded": Uniform.bounds(Decision(1.0, 0.5, 1.5), Decision(2.0, 1.5)),
     "decision": Decision(1.0, 0.1, 2.0),
     "decided uniform": Uniform(Decision(3.0, 2.0, 5.0), half_width=Decision(1.0, 0.5, 1.999)),
     "no numbers": np.zeros(0),
@@ -97,9 +99,35 @@ def test_the_refusal_names_the_law_and_its_lowest_value():
         refuse_nonpositive(Mass(Uniform(1.0, half_width=1.5)))
 
 
-def test_a_normal_law_is_refused_because_it_reaches_minus_infinity():
-    with pytest.raises(ProblemError, match="can reach -inf"):
-        refuse_nonpositive(Mass(Normal(1e6, 1.0)))
+@pytest.mark.parametrize(
+    "value",
+    [
+        Normal(1e6, 1.0),
+        Decision(1.0),
+        Uniform(3.0, half_width=Decision(1.0, 0.0)),
+        Uniform(Decision(3.0), half_width=Decision(1.0, 0.0)),
+        Uniform(Decision(3.0, 1.0), std=Decision(1.0, 0.0)),
+    ],
+    ids=str,
+)
+def test_a_number_without_a_lowest_value_is_said_to_be_unbounded_below(value):
+    with pytest.raises(ProblemError, match=r"but .* is unbounded below\. Reduce its spread"):
+        refuse_nonpositive(Mass(value))
+
+
+@pytest.mark.parametrize(
+    ("value", "received"),
+    [
+        ("heavy", "str 'heavy'"),
+        (["1.0", "2.0"], "str '1.0'"),
+        (1j, "complex 1j"),
+        (np.array(["a"]), "ndarray"),
+    ],
+    ids=repr,
+)
+def test_a_positive_field_that_holds_no_number_is_refused_with_what_it_holds(value, received):
+    with pytest.raises(ProblemError, match="'m' must stay positive: expected a number.*received " + received):
+        refuse_nonpositive(Mass(value))
 
 
 def test_a_distribution_held_at_its_mean_is_checked_as_if_it_were_free():

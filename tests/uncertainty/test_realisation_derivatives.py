@@ -35,56 +35,70 @@ CASES = {
         [4.0, 0.3],
     ),
     "uniform by bounds": (
-        Uniform.bounds(Decision(1.0), Decision(2.0)),
+        Uniform.bounds(Decision(1.0, -5.0, 1.6), Decision(2.0, 1.6)),
         lambda a, b: stats.uniform(a, b - a),
         [1.4, 2.2],
     ),
     "normal": (Normal(Decision(1.0), Decision(0.5, 0.0)), lambda m, s: stats.norm(m, s), [1.2, 0.8]),
     "beta by shape": (
-        Beta(alpha=Decision(2.0, 0.0), beta=Decision(5.0, 0.0)),
+        Beta(alpha=Decision(2.0, 0.5, 9.0), beta=Decision(5.0, 0.5, 9.0)),
         lambda a, b: stats.beta(a, b),
         [3.1, 4.0],
     ),
     "beta by shape with everything decided": (
-        Beta(alpha=Decision(2.0, 0.0), beta=Decision(5.0, 0.0), lower=Decision(-1.0), upper=Decision(3.0)),
+        Beta(
+            alpha=Decision(2.0, 0.5, 9.0),
+            beta=Decision(5.0, 0.5, 9.0),
+            lower=Decision(-1.0, -2.0, 1.0),
+            upper=Decision(3.0, 1.0, 4.0),
+        ),
         lambda a, b, low, up: stats.beta(a, b, low, up - low),
         [1.4, 6.0, -0.5, 3.5],
     ),
     "beta with small shapes": (
-        Beta(alpha=Decision(0.4, 0.0), beta=Decision(0.5, 0.0)),
+        Beta(alpha=Decision(0.4, 0.1, 1.0), beta=Decision(0.5, 0.1, 1.0)),
         lambda a, b: stats.beta(a, b),
         [0.3, 0.6],
     ),
     "beta with large shapes": (
-        Beta(alpha=Decision(80.0, 0.0), beta=Decision(150.0, 0.0)),
+        Beta(alpha=Decision(80.0, 10.0, 200.0), beta=Decision(150.0, 10.0, 200.0)),
         lambda a, b: stats.beta(a, b),
         [90.0, 140.0],
     ),
     "beta with decided bounds alone": (
-        Beta(alpha=2.0, beta=5.0, lower=Decision(-1.0), upper=Decision(3.0)),
+        Beta(alpha=2.0, beta=5.0, lower=Decision(-1.0, upper=1.0), upper=Decision(3.0, 1.0)),
         lambda low, up: stats.beta(2.0, 5.0, low, up - low),
         [-0.3, 2.0],
     ),
-    "beta by moments": (Beta(mean=Decision(0.3), std=Decision(0.1, 0.0)), beta_by_moments, [0.4, 0.12]),
+    "beta by moments": (Beta(mean=Decision(0.3, 0.1, 0.9), std=Decision(0.1, 0.01, 0.2)), beta_by_moments, [0.4, 0.12]),
     "beta by moments with everything decided": (
-        Beta(mean=Decision(3.0), std=Decision(0.7, 0.0), lower=Decision(1.0), upper=Decision(6.0)),
+        Beta(
+            mean=Decision(3.0, 2.5, 4.0),
+            std=Decision(0.7, 0.1, 1.0),
+            lower=Decision(1.0, 0.5, 1.2),
+            upper=Decision(6.0, 5.5, 7.0),
+        ),
         beta_by_moments,
         [3.2, 0.6, 0.8, 6.5],
     ),
     "gamma by shape": (
-        Gamma(shape=Decision(4.0, 0.0), scale=Decision(0.5, 0.0)),
+        Gamma(shape=Decision(4.0, 0.5, 9.0), scale=Decision(0.5, 0.0)),
         lambda k, s: stats.gamma(k, scale=s),
         [3.0, 0.6],
     ),
-    "gamma with a small shape": (Gamma(shape=Decision(0.6, 0.0), scale=1.0), lambda k: stats.gamma(k), [0.4]),
-    "gamma with a large shape": (Gamma(shape=Decision(200.0, 0.0), scale=1.0), lambda k: stats.gamma(k), [230.0]),
+    "gamma with a small shape": (Gamma(shape=Decision(0.6, 0.1, 1.0), scale=1.0), lambda k: stats.gamma(k), [0.4]),
+    "gamma with a large shape": (
+        Gamma(shape=Decision(200.0, 50.0, 500.0), scale=1.0),
+        lambda k: stats.gamma(k),
+        [230.0],
+    ),
     "gamma with decided scale and bound": (
         Gamma(shape=2.0, scale=Decision(0.5, 0.0), lower=Decision(1.0)),
         lambda s, low: stats.gamma(2.0, low, s),
         [0.7, -1.0],
     ),
     "gamma by moments with everything decided": (
-        Gamma(mean=Decision(2.0), std=Decision(1.0, 0.0), lower=Decision(0.5)),
+        Gamma(mean=Decision(2.0, 1.0, 4.0), std=Decision(1.0, 0.1, 2.0), lower=Decision(0.5, -1.0, 0.9)),
         gamma_by_moments,
         [2.4, 0.8, 0.3],
     ),
@@ -150,7 +164,7 @@ def test_derivatives_by_the_germ_are_those_of_scipys_quantile(name):
 
 
 def test_moments_after_a_change_of_shape_are_those_of_the_new_law_by_quadrature():
-    law = Gamma(mean=Decision(2.0), std=Decision(1.0, 0.0))
+    law = Gamma(mean=Decision(2.0, 1.0, 4.0), std=Decision(1.0, 0.1, 2.0))
     nodes, weights = law.germ().gauss(40)
     values = jax.vmap(lambda xi: realise(law, xi[None], jnp.array([2.5, 0.9])))(jnp.asarray(nodes))
     assert float(weights @ values) == pytest.approx(2.5, rel=1e-5)

@@ -218,6 +218,8 @@ def test_sharing_survives_flattening_and_the_conversion_of_numbers():
         (Normal(Decision(1.0).shared("x"), 1.0), Decision(2.0).shared("x")),
         (Normal(Decision(1.0), 1.0).shared("x"), Normal(Decision(1.0, upper=9.0), 1.0).shared("x")),
         (Normal(0.0, 1.0).shared("x"), Decision(1.0).shared("x")),
+        (Normal(0.0, 1.0).shared("x"), Normal(Decision(1.0).shared("x"), 1.0)),
+        (Normal(Decision(1.0).shared("x"), 1.0), Normal(0.0, 1.0).shared("x")),
     ],
     ids=lambda value: str(value)[:40],
 )
@@ -233,8 +235,33 @@ def test_one_shared_name_for_two_things_is_refused(first, second):
         {"a.b": Normal(0.0, 1.0), "a": {"b": Normal(0.0, 1.0)}},
         {"a": Decision(1.0).shared("b"), "b": Decision(1.0)},
         {"a": Normal(Decision(1.0), 2.0), "b": Decision(1.0).shared("a.mean")},
+        {"a": Decision(1.0, 0.0, 10.0).shared("c"), "c": 50.0},
+        {"c": 50.0, "d": Decision(1.0, 0.0, 10.0).shared("c")},
+        {"a": Decision(1.0).shared("c"), "c": 50},
+        {"a": Normal(0.0, 1.0).shared("c"), "c": np.ones(2)},
+        {"a": Normal(Decision(1.0).shared("c"), 1.0), "c": 50.0},
+        {"a": Normal(Decision(1.0).shared("c"), 1.0), "c": Normal(0.0, 1.0)},
+        {"a": Decision(1.0).shared("c.0"), "c": [50.0]},
+        {"a": Decision(1.0).shared("c.std"), "c": Normal(0.0, 1.0)},
+        {"a": Decision(1.0).shared("c.std"), "c": Uniform.bounds(0.0, 1.0)},
+        {"a": Normal(0.0, 1.0), "a.mean": 3.0},
     ],
-    ids=["shared with a place", "dotted key", "decision", "inside a distribution"],
+    ids=[
+        "shared with a place",
+        "dotted key",
+        "decision",
+        "inside a distribution",
+        "number after",
+        "number before",
+        "whole number",
+        "array",
+        "decision of a distribution",
+        "decision of a distribution and a place",
+        "number in a list",
+        "parameter",
+        "moment",
+        "dotted key of a number",
+    ],
 )
 def test_two_independent_placements_that_happen_to_have_one_name_are_refused(model):
     with pytest.raises(ProblemError, match="names two placements"):
@@ -249,7 +276,7 @@ def test_at_means_leaves_no_germ_but_keeps_all_decisions():
 
 def test_at_means_realises_the_means_at_the_current_decisions():
     model = at_means(
-        {"a": Uniform.bounds(Decision(1.0), 3.0), "b": Gamma(shape=2.0, scale=Decision(3.0, 0.0)), "c": 5.0}
+        {"a": Uniform.bounds(Decision(1.0, upper=2.5), 3.0), "b": Gamma(shape=2.0, scale=Decision(3.0, 0.0)), "c": 5.0}
     )
     real = realise(model, jnp.zeros(0), jnp.array([2.0, 4.0]))
     assert (float(real["a"]), float(real["b"]), real["c"]) == (2.5, 8.0, 5.0)
@@ -273,6 +300,21 @@ def test_named_numbers_hold_places_parameters_and_moments_at_the_current_decisio
         "m": 2.0,
         "v": [1.0, 2.0],
     }
+
+
+def test_whole_numbers_are_named_and_truth_values_are_not():
+    model = {"b": 94, "n": np.int64(3), "v": jnp.array([1, 2]), "yes": True, "flags": np.array([True]), "s": "name"}
+    numbers = named_numbers(model, jnp.zeros(0))
+    assert {name: np.asarray(value).tolist() for name, value in numbers.items()} == {"b": 94, "n": 3, "v": [1, 2]}
+    assert all(value.dtype == float for value in numbers.values())
+    assert type(realise(model, jnp.zeros(0), jnp.zeros(0))["b"]) is int
+
+
+def test_a_shared_name_may_be_the_place_of_the_thing_that_is_shared():
+    radius, tilt = Decision(1.0).shared("c"), Normal(Decision(2.0).shared("a.mean"), 1.0)
+    model = {"a": tilt, "b": radius, "c": radius}
+    for changed in (model, at_means(model), rebuilt(model), numbers_to_arrays(model)):
+        assert tuple(survey(changed).decisions) == ("a.mean", "c")
 
 
 def test_named_numbers_are_the_same_with_the_distributions_held_at_their_means():

@@ -1,11 +1,15 @@
 """Ahead-of-time compilation, once per structure of the arguments, with its time on record."""
 
 import time
+from collections import OrderedDict
 from collections.abc import Callable
 from typing import Any, final
 
 import equinox as eqx
 import jax
+
+# Enough for a session's problems; beyond, the one unused for longest is dropped, with the classes it holds.
+_KEPT = 32
 
 
 @final
@@ -18,7 +22,7 @@ class Compiled:
 
     def __init__(self, function: Callable[..., Any]):
         self._function = function
-        self._executables: dict[Any, Callable[..., Any]] = {}
+        self._executables: OrderedDict[Any, Callable[..., Any]] = OrderedDict()
         self.compilations = 0
         self.seconds = 0.0
 
@@ -27,9 +31,13 @@ class Compiled:
         leaves, structure = jax.tree.flatten(dynamic)
         static_leaves, static_structure = jax.tree.flatten(static)
         shapes = tuple((leaf.shape, leaf.dtype) for leaf in leaves)
-        key = (structure, static_structure, tuple(static_leaves), shapes)
+        kinds = tuple(type(leaf) for leaf in static_leaves)  # 1 and True are equal, but not the same structure
+        key = (structure, static_structure, tuple(static_leaves), kinds, shapes)
         if key not in self._executables:
             self._executables[key] = self._compile(leaves, structure, static)
+        self._executables.move_to_end(key)
+        while len(self._executables) > _KEPT:
+            self._executables.popitem(last=False)
         return self._executables[key](*leaves)
 
     def _compile(self, leaves: list[jax.Array], structure: Any, static: Any) -> Callable[..., Any]:

@@ -22,6 +22,7 @@ from aleator.design._problem import deterministic as deterministic
 from aleator.design._problem import uncertain as uncertain
 from aleator.design._response import history as history
 from aleator.design._response import responses as responses
+from aleator.design._response import value_at as value_at
 from aleator.design._scope import AbstractScope as AbstractScope
 from aleator.design._solution import ConstraintResult as ConstraintResult
 from aleator.design._solution import ExpansionQuality as ExpansionQuality

@@ -1,30 +1,41 @@
 """Refuse a problem that does not fit together, before anything is compiled: what was expected, what was received."""
 
 import difflib
+import hashlib
+from collections.abc import Callable
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from aleator._core.arrays import numbers_to_arrays
 from aleator._core.errors import ProblemError
 from aleator.collocation import Expansion
 from aleator.design._cost import CostCurve
 from aleator.design._declaration import AbstractProblem
-from aleator.design._language import AbstractFunctional, Expression, functionals_of
+from aleator.design._language import AbstractFunctional, functionals_of
 from aleator.design._response import history
 from aleator.design._scope import AbstractScope, Value
 from aleator.dynamics import AbstractIntegrator, AbstractSignal, Grid, System, input_names
-from aleator.uncertainty import named_numbers, refuse_nonpositive
+from aleator.uncertainty import Survey, named_numbers, refuse_nonpositive
 
 
-def check(problem: AbstractProblem) -> None:
-    """Raise `ProblemError` for the first thing found wrong, from the outside inwards."""
+def check(problem: AbstractProblem) -> str:
+    """Raise `ProblemError` for the first thing found wrong, from the outside inwards. Returns `physics`.
+
+    That is a digest of the traced equations, expressions included: two problems that differ in it are compiled apart,
+    also where the difference lies in what their code reads and not in their fields.
+    """
     _check_types(problem)
     _check_inputs(problem)
     refuse_nonpositive(problem.model)
     _check_values(problem)
-    _check_shapes(problem, _output_shapes(problem))
+    physics, outputs = _trace(problem, _outputs_of, problem.survey)
+    _check_outputs(problem, outputs)
+    expressions = [_check_shape(problem, i, outputs) for i in range(len(problem.expressions))]
+    return hashlib.sha256("\n".join([physics, *expressions]).encode()).hexdigest()
 
 
 def _check_types(problem: AbstractProblem) -> None:
@@ -79,26 +90,49 @@ def _unknown(kind: str, name: str, known: list[str]) -> str:
     return f"There is no {kind} '{name}'; expected one of {known}.{hint}"
 
 
-def _output_shapes(problem: AbstractProblem) -> dict[str, jax.ShapeDtypeStruct]:
-    """Shapes of the outputs' histories, by tracing the physics once without computing anything."""
-    places = problem.survey
-    germ = jax.ShapeDtypeStruct((len(places.distributions),), float)
-    decisions = jax.ShapeDtypeStruct((places.size,), float)
-    return jax.eval_shape(lambda xi, x: history(numbers_to_arrays(problem), xi, x), germ, decisions)
+def _trace(problem: AbstractProblem, function: Callable[..., Any], *arguments: Any) -> tuple[str, Any]:
+    """Trace `function(problem, *arguments)` without computing: its equations as text, and the shapes of its results.
+
+    The problem's numbers are variables of the equations, so that the text does not depend on them; constants are what
+    the code itself holds.
+    """
+    dynamic, static = eqx.partition(numbers_to_arrays(problem), eqx.is_array)
+    closed, shapes = jax.make_jaxpr(
+        lambda numbers: function(eqx.combine(numbers, static), *arguments), return_shape=True
+    )(dynamic)
+    constants = [np.asarray(constant) for constant in closed.consts]
+    held = [f"{one.shape}{one.dtype}{hashlib.sha256(one.tobytes()).hexdigest()}" for one in constants]
+    return "\n".join([str(closed), *held]), shapes
 
 
-def _check_shapes(problem: AbstractProblem, outputs: dict[str, jax.ShapeDtypeStruct]) -> None:
+def _outputs_of(problem: AbstractProblem, places: Survey) -> dict[str, jax.Array]:
+    return history(problem, jnp.zeros(len(places.distributions)), jnp.zeros(places.size))
+
+
+def _check_outputs(problem: AbstractProblem, outputs: dict[str, jax.ShapeDtypeStruct]) -> None:
     for functional in functionals_of(problem.expressions):
         if functional.output not in outputs:
             raise ProblemError(_unknown(f"output of {type(problem.system).__name__}", functional.output, list(outputs)))
-    shape = _shape(problem.objective, problem, outputs)
-    if shape != ():
+
+
+def _check_shape(problem: AbstractProblem, which: int, outputs: dict[str, jax.ShapeDtypeStruct]) -> str:
+    """Check that an expression's terms go together, and that the objective is one number; its equations as text."""
+    expression = problem.expressions[which]
+    zeros = {name: jnp.zeros(one.shape) for name, one in outputs.items()}
+
+    def value(traced: AbstractProblem) -> jax.Array:
+        return jnp.asarray(traced.expressions[which].evaluate(_ShapeScope(traced, zeros)))
+
+    try:
+        text, shaped = _trace(problem, value)
+    except (TypeError, ValueError) as error:
+        raise ProblemError(f"The terms of '{expression}' have shapes that do not go together: {error}") from error
+    if which == 0 and shaped.shape != ():
         raise ProblemError(
-            f"The objective must be one number, but '{problem.objective}' has shape {shape}: "
+            f"The objective must be one number, but '{expression}' has shape {shaped.shape}: "
             "use integral, rms, peak or terminal in the place of path."
         )
-    for constraint in problem.constraints:
-        _shape(constraint.expression, problem, outputs)
+    return text
 
 
 class _ShapeScope(AbstractScope):
@@ -114,12 +148,3 @@ class _ShapeScope(AbstractScope):
     def value(self, name: str) -> jax.Array:
         del name
         return jnp.ones(())
-
-
-def _shape(
-    expression: Expression, problem: AbstractProblem, outputs: dict[str, jax.ShapeDtypeStruct]
-) -> tuple[int, ...]:
-    try:
-        return jax.eval_shape(lambda y: jnp.asarray(expression.evaluate(_ShapeScope(problem, y))), outputs).shape
-    except (TypeError, ValueError) as error:
-        raise ProblemError(f"The terms of '{expression}' have shapes that do not go together: {error}") from error

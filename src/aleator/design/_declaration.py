@@ -19,7 +19,11 @@ class Model(NamedTuple):
 
 
 class AbstractProblem(eqx.Module):
-    """The parts of a problem, and what follows from them. See `Problem`, its only implementation."""
+    """The parts of a problem, and what follows from them. See `Problem`, its only implementation.
+
+    `physics` stands for the traced equations, so that two problems whose code reads other globals, class attributes or
+    closures are told apart where their fields are alike.
+    """
 
     system: System
     grid: Grid
@@ -28,6 +32,7 @@ class AbstractProblem(eqx.Module):
     constraints: tuple[Constraint, ...]
     expansion: Expansion
     integrator: AbstractIntegrator
+    physics: str = eqx.field(static=True)
 
     @property
     def model(self) -> Model:

@@ -59,11 +59,11 @@ class AbstractFunctional(eqx.Module):
 
     def at_most(self, upper: float, *, sigmas: float = 0.0) -> "Constraint":
         """`mean + sigmas * std <= upper`."""
-        return ((self.mean + sigmas * self.std) <= upper).named(self.output)
+        return (self.mean + _margin(self, sigmas) * self.std) <= upper
 
     def at_least(self, lower: float, *, sigmas: float = 0.0) -> "Constraint":
         """`mean - sigmas * std >= lower`."""
-        return ((self.mean - sigmas * self.std) >= lower).named(self.output)
+        return (self.mean - _margin(self, sigmas) * self.std) >= lower
 
     def within(self, lower: float, upper: float, *, sigmas: float = 0.0) -> "tuple[Constraint, Constraint]":
         """Both `mean + sigmas * std <= upper` and `mean - sigmas * std >= lower`, under one name.
@@ -72,6 +72,17 @@ class AbstractFunctional(eqx.Module):
         """
         lower, upper = ordered(self.output, lower, upper)
         return self.at_most(upper, sigmas=sigmas), self.at_least(lower, sigmas=sigmas)
+
+    def _refuse(self, other: Any = None) -> Any:
+        """What a functional answers to arithmetic and comparisons: it differs from one realisation to the next."""
+        del other
+        raise ProblemError(
+            f"'{self.text()}' differs from one realisation to the next: name a statistic of it, "
+            ".mean, .std or .variance, or use .at_most(...)."
+        )
+
+    __add__ = __radd__ = __sub__ = __rsub__ = __mul__ = __rmul__ = __truediv__ = __neg__ = _refuse
+    __lt__ = __le__ = __gt__ = __ge__ = _refuse
 
 
 @final
@@ -133,6 +144,16 @@ class Expression(eqx.Module):
     def __ge__(self, other: Any) -> "Constraint":
         return _compare(self - other, upper=False)
 
+    def __lt__(self, other: Any) -> "Constraint":
+        raise ProblemError(f"A bound holds up to and including its value: write <= or >= with '{self}', not < or >.")
+
+    __gt__ = __lt__
+
+    def __pow__(self, other: Any) -> "Expression":
+        raise ProblemError(
+            f"Expressions are sums and multiples; '{self}' has no power. Make it an output or a cost curve."
+        )
+
     def equals(self, number: float) -> "Constraint":
         """The constraint that the expression equals a number."""
         return Constraint(self, lower=number, upper=number)
@@ -183,6 +204,7 @@ class Constraint(eqx.Module):
     lower: Scalar
     upper: Scalar
     name: str = eqx.field(static=True)
+    has_own_name: bool = eqx.field(static=True)
 
     def __init__(
         self,
@@ -193,15 +215,31 @@ class Constraint(eqx.Module):
         name: str | None = None,
     ):
         self.expression = as_expression(expression)
-        self.name = name or _default_name(self.expression)
+        self.name = name or self.subject
+        self.has_own_name = name is not None
         self.lower, self.upper = ordered(self.name, lower, upper)
+        if np.isinf(self.lower) and np.isinf(self.upper):
+            raise ProblemError(f"Constraint '{self.name}' bounds nothing; expected a finite bound.")
+
+    @property
+    def subject(self) -> str:
+        """The outputs (or numbers) that it speaks of: its name, unless it was given one."""
+        return ", ".join(dict.fromkeys(_subjects(self.expression))) or "constant"
+
+    @property
+    def measure(self) -> str:
+        """The functionals that it speaks of: tells constraints on one output apart."""
+        atoms = self.expression.atoms
+        return ", ".join(dict.fromkeys(one.functional.text() for one in atoms if isinstance(one, Statistic)))
 
     def named(self, name: str) -> "Constraint":
         """The same constraint under a name of your own."""
+        if not isinstance(name, str) or not name:
+            raise ProblemError(f"A constraint's name is a text; received {name!r}.")
         return Constraint(self.expression, lower=self.lower, upper=self.upper, name=name)
 
     def with_bounds(self, lower: float, upper: float) -> Self:
-        """The same constraint between other bounds. Open sides stay open and closed ones closed."""
+        """The same constraint between other bounds. Raises `ProblemError` if they are in the wrong order."""
         return eqx.tree_at(lambda tree: (tree.lower, tree.upper), self, ordered(self.name, lower, upper))
 
     @property
@@ -229,20 +267,18 @@ class Constraint(eqx.Module):
 def ordered(name: str, lower: Scalar, upper: Scalar) -> tuple[float, float]:
     """The bounds as floats. Raises `ProblemError` if they are in the wrong order or not a number."""
     lower, upper = float(lower), float(upper)
-    if np.isnan(lower) or np.isnan(upper) or lower > upper:
+    if np.isnan(lower) or np.isnan(upper):
+        raise ProblemError(f"Constraint '{name}': expected numbers as bounds; received lower={lower}, upper={upper}.")
+    if lower > upper:
         raise ProblemError(
             f"Constraint '{name}': expected lower <= upper; received lower={lower:g}, upper={upper:g}. Swap them."
         )
     return lower, upper
 
 
-def _default_name(expression: Expression) -> str:
-    """The outputs (or numbers) that a constraint speaks of."""
-    names = (
-        atom.functional.output if isinstance(atom, Statistic) else getattr(atom, "name", "")
-        for atom in expression.atoms
-    )
-    return ", ".join(dict.fromkeys(names)) or "constant"
+def _subjects(expression: "Expression") -> list[str]:
+    atoms = expression.atoms
+    return [one.functional.output if isinstance(one, Statistic) else getattr(one, "name", "") for one in atoms]
 
 
 def _is_std(atom: AbstractAtom) -> bool:
@@ -266,11 +302,8 @@ def as_expression(value: Any) -> Expression:
     if isinstance(value, Expression):
         return value
     if isinstance(value, AbstractFunctional):
-        raise ProblemError(
-            f"'{value.text()}' differs from one realisation to the next: name a statistic of it, "
-            ".mean, .std or .variance, or use .at_most(...)."
-        )
-    return Expression((), (), _number(value, "be added to or compared with an expression:"))
+        return value + 0  # refused, in the functional's own words
+    return Expression((), (), _number(value, "be added to or compared with an expression"))
 
 
 def _compare(difference: Expression, *, upper: bool) -> "Constraint":
@@ -278,6 +311,13 @@ def _compare(difference: Expression, *, upper: bool) -> "Constraint":
     bound = -difference.constant + 0.0
     left = Expression(difference.factors, difference.atoms)
     return Constraint(left, upper=bound) if upper else Constraint(left, lower=bound)
+
+
+def _margin(functional: AbstractFunctional, sigmas: Any) -> float:
+    number = _number(sigmas, "multiply a standard deviation")
+    if not (np.isfinite(number) and number >= 0):
+        raise ProblemError(f"'{functional.text()}': sigmas must be finite and not negative; received {sigmas}.")
+    return number
 
 
 def statistic(functional: AbstractFunctional, kind: str) -> Expression:

@@ -41,12 +41,15 @@ class Problem(AbstractProblem):
     ):
         self.system = system
         self.grid = grid
+        if inputs is not None and not isinstance(inputs, Mapping):
+            raise ProblemError(f"inputs: expected signals by name, such as {{'road': ...}}; received {type(inputs)}.")
         self.inputs = dict(inputs or {})
         self.objective = as_expression(minimize)
-        self.constraints = tuple(_flatten(subject_to))
+        self.constraints = _told_apart(tuple(_flatten(subject_to)))
         self.expansion = expansion or Expansion()
         self.integrator = integrator or RungeKutta4()
-        check(self)
+        self.physics = ""
+        self.physics = check(self)
 
     def with_bound(self, name: str, bound: float | tuple[float, float]) -> Self:
         """The same problem with the bound of the constraints called `name` at `bound`.
@@ -81,13 +84,27 @@ def _flatten(constraints: Any) -> Iterator[Constraint]:
     if isinstance(constraints, Constraint):
         yield constraints
         return
-    if not isinstance(constraints, Iterable):
+    if not isinstance(constraints, Iterable) or isinstance(constraints, str):
         raise ProblemError(
             "subject_to: expected constraints, such as y.mean <= 1.0; "
-            f"received {type(constraints).__name__} '{constraints}'."
+            f"received {type(constraints).__name__} '{constraints}'. For an equality write expression.equals(number)."
         )
     for constraint in constraints:
         yield from _flatten(constraint)
+
+
+def _told_apart(constraints: tuple[Constraint, ...]) -> tuple[Constraint, ...]:
+    """Constraints that were given no name and speak of one output in different ways are called by their measure.
+
+    So `path("x")` and `terminal("x")` are called `x(t)` and `x(t_f)`, and a sweep moves one of them.
+    """
+    measures: dict[str, set[str]] = {}
+    for one in constraints:
+        measures.setdefault(one.name, set()).add("" if one.has_own_name else one.measure)
+    return tuple(
+        one if one.has_own_name or len(measures[one.name]) == 1 else one.named(one.measure or one.subject)
+        for one in constraints
+    )
 
 
 def _moved(old: Any, new: float) -> float:

@@ -1,12 +1,17 @@
-"""The response of a problem's system: its functionals, realisation by realisation."""
+"""The response of a problem's system, realisation by realisation, and the numbers of its model."""
+
+from typing import Any, final
 
 import jax
+import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from aleator._core.errors import ProblemError
 from aleator.design._declaration import AbstractProblem
-from aleator.design._language import AbstractFunctional
+from aleator.design._language import AbstractFunctional, Expression
+from aleator.design._scope import AbstractScope
 from aleator.dynamics import History, simulate
-from aleator.uncertainty import realise
+from aleator.uncertainty import named_numbers, realise
 
 
 def history(problem: AbstractProblem, germ: Float[Array, " variables"], decisions: Float[Array, " n"]) -> History:
@@ -28,3 +33,22 @@ def responses(
         return tuple(functional.evaluate(outputs, problem.grid) for functional in functionals)
 
     return jax.vmap(one)(germ)
+
+
+@final
+class _Numbers(AbstractScope):
+    """The model's own numbers, and no statistics."""
+
+    def __init__(self, problem: AbstractProblem, decisions: Any):
+        self._numbers = named_numbers(problem.model, jnp.asarray(decisions))
+
+    def statistic(self, functional: Any, kind: str) -> Array:
+        raise ProblemError(f"Only the model's own numbers are known here; received the {kind} of {functional.text()}.")
+
+    def value(self, name: str) -> Array:
+        return self._numbers[name]
+
+
+def value_at(expression: Expression, problem: AbstractProblem, decisions: Any) -> float:
+    """An expression of the model's own numbers alone, such as a cost, at given decisions."""
+    return float(expression.evaluate(_Numbers(problem, decisions)))

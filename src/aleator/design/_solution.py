@@ -1,6 +1,5 @@
 """`Solution`: the answer to a problem, with what certifies it."""
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, final
@@ -20,7 +19,8 @@ class ConstraintResult:
     - `values`: its expression, a number or one number an instant; `times`: the instants (s), None for a number;
     - `multipliers`: the price of the bound, `-d objective / d bound`, in the shape of `values`: positive where the
       upper bound is active, negative where the lower one is;
-    - `active`: where it is active, in the shape of `values`.
+    - `active`: where it is active, in the shape of `values`;
+    - `scale`: a typical magnitude, to which tolerances are relative.
     """
 
     name: str
@@ -31,17 +31,12 @@ class ConstraintResult:
     times: Float[np.ndarray, " instants"] | None
     multipliers: Float[np.ndarray, "*shape"]
     active: np.ndarray
+    scale: float
 
     @property
     def excess(self) -> Float[np.ndarray, "*shape"]:
         """By how much the nearer bound is exceeded; negative inside."""
         return np.maximum(self.values - self.upper, self.lower - self.values)
-
-    @property
-    def size(self) -> float:
-        """A typical magnitude: its bound, or where that is zero its largest value."""
-        bounds = [abs(bound) for bound in (self.lower, self.upper) if math.isfinite(bound)]
-        return max(bounds, default=0.0) or float(np.max(np.abs(self.values), initial=0.0)) or 1.0
 
     @property
     def violation(self) -> float:
@@ -51,7 +46,7 @@ class ConstraintResult:
     @property
     def holds(self) -> bool:
         """Whether it holds everywhere, to tolerance."""
-        return self.violation <= 1e-6 * self.size
+        return self.violation <= 1e-6 * self.scale
 
     @property
     def worst_time(self) -> float | None:
@@ -60,7 +55,13 @@ class ConstraintResult:
 
     @property
     def price(self) -> float:
-        """How much the objective falls for each unit by which the bound is relaxed, summed over its active instants."""
+        """How much the objective falls for each unit by which the bound is relaxed, summed over its active instants.
+
+        An equality is not relaxed but moved: there it is how much the objective falls for each unit by which the number
+        is raised, which may be negative.
+        """
+        if self.lower == self.upper:
+            return float(np.sum(self.multipliers))
         return float(np.sum(np.abs(self.multipliers)))
 
     def sentence(self) -> str:
@@ -125,6 +126,7 @@ class Solution:
     - `objective`: its value in user units;
     - `constraints`: values, activity and multipliers, in the order of `problem.constraints`;
     - `moments`: mean and standard deviation of each functional in the problem, by its text (`"∫comfort dt"`);
+    - `at_bounds`: names of the decisions that stand at one of their own bounds;
     - `bound_multipliers`: of the decisions' own bounds, by name;
     - `violation`, `stationarity`, `complementarity`: residuals of the optimality conditions, scaled, computed from the
       point and its multipliers and not taken from the solver;
@@ -139,6 +141,7 @@ class Solution:
     objective: float
     constraints: tuple[ConstraintResult, ...]
     moments: Mapping[str, Moments]
+    at_bounds: tuple[str, ...]
     bound_multipliers: Mapping[str, Any]
     multipliers: Float[np.ndarray, " m"]
     violation: float
@@ -163,22 +166,10 @@ class Solution:
         return tuple(dict.fromkeys([*names, *self.at_bounds]))
 
     @property
-    def at_bounds(self) -> tuple[str, ...]:
-        """Names of the decisions that stand at one of their own bounds."""
-        places = self.problem.survey
-        lower, upper, size = (
-            places.vector("lower"),
-            places.vector("upper"),
-            np.maximum(1e-12, np.abs(self.vector)),
-        )
-        near = np.minimum(self.vector - lower, upper - self.vector) <= 1e-6 * size
-        return tuple(name for name, at in zip(places.entry_names(), near, strict=True) if at)
-
-    @property
     def violated(self) -> tuple[ConstraintResult, ...]:
         """The constraints that do not hold, worst first."""
         broken = [one for one in self.constraints if not one.holds]
-        return tuple(sorted(broken, key=lambda one: -one.violation / one.size))
+        return tuple(sorted(broken, key=lambda one: -one.violation / one.scale))
 
     def multiplier(self, name: str) -> float:
         """The price of the bound called `name`: see `ConstraintResult.price`."""

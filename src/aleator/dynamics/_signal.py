@@ -3,9 +3,10 @@
 import abc
 import csv
 from pathlib import Path
-from typing import Self, final
+from typing import Any, Self, final
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -29,22 +30,28 @@ class AbstractSignal(eqx.Module):
 class Tabulated(AbstractSignal):
     """A table of times (s) and values, linear between its samples.
 
+    Times are plain numbers. The values may be one array-valued `Decision`, or a list in which any value is a
+    distribution or a `Decision`: `Tabulated([0.0, 1.0], [Uniform(2.0, half_width=0.1), 3.0])`. A caller's arrays are
+    copied.
+
     Raises `ProblemError` if the two differ in length, if there are fewer than two samples, if a number is not finite or
     if the times do not increase.
     """
 
-    times: Float[np.ndarray | Array, " samples"]
-    values: Float[np.ndarray | Array, " samples"]
+    times: Float[np.ndarray, " samples"]
+    values: Any
 
-    def __init__(self, times: np.ndarray, values: np.ndarray):
-        self.times = np.asarray(times, dtype=float)
-        self.values = np.asarray(values, dtype=float)
-        if self.times.ndim != 1 or self.times.shape != self.values.shape or self.times.size < 2:
+    def __init__(self, times: Any, values: Any):
+        self.times = _numbers("times", times)
+        self.values = values if _is_leaf(values) else _samples(values)
+        length = _shape(self.values)
+        if self.times.ndim != 1 or self.times.shape != length or self.times.size < 2:
             raise ProblemError(
                 "Tabulated: expected two vectors of the same length, of at least 2; "
-                f"received times {self.times.shape} and values {self.values.shape}."
+                f"received times {self.times.shape} and values {length}."
             )
-        if not (np.isfinite(self.times).all() and np.isfinite(self.values).all()):
+        plain = [value for value in jax.tree.leaves(self.values, is_leaf=_is_leaf) if not _is_leaf(value)]
+        if not all(np.isfinite(numbers).all() for numbers in [self.times, *plain]):
             raise ProblemError("Tabulated: every time and value must be finite.")
         if not np.all(np.diff(self.times) > 0):
             at = int(np.argmin(np.diff(self.times) > 0)) + 1
@@ -66,8 +73,45 @@ class Tabulated(AbstractSignal):
 
     def __call__(self, t: Float[Array, ""]) -> Float[Array, ""]:
         """See `AbstractSignal.__call__`."""
-        return jnp.interp(t, self.times, self.values)
+        values = jnp.stack(self.values) if isinstance(self.values, tuple) else self.values
+        return jnp.interp(t, self.times, values)
 
     def span(self) -> tuple[float, float]:
         """See `AbstractSignal.span`."""
         return float(self.times[0]), float(self.times[-1])
+
+
+def _is_leaf(value: Any) -> bool:
+    """Whether realisation will put numbers in the place of `value`: distributions and decisions are modules."""
+    return isinstance(value, eqx.Module)
+
+
+def _samples(values: Any) -> np.ndarray | tuple[Any, ...]:
+    """An array of numbers or, where some are uncertain or decided, a tuple of single values."""
+    listed = isinstance(values, list | tuple) or getattr(values, "dtype", None) == object
+    if not (listed and any(_is_leaf(value) for value in values)):
+        return _numbers("values", values)
+    samples = tuple(value if _is_leaf(value) else _numbers("values", value) for value in values)
+    for place, sample in enumerate(samples):
+        if _shape(sample) != ():
+            raise ProblemError(
+                f"Tabulated: expected one number in each sample; received shape {_shape(sample)} in sample {place}."
+            )
+    return samples
+
+
+def _numbers(name: str, values: Any) -> np.ndarray:
+    try:
+        return np.array(values, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise ProblemError(f"Tabulated: {name} must be plain numbers; received {values!r}.") from error
+
+
+def _shape(values: Any) -> tuple[int, ...]:
+    """The shape of numbers, or of what realisation puts in the place of a distribution (a number) or decision."""
+    if isinstance(values, tuple):
+        return (len(values),)
+    if _is_leaf(values):
+        # A decision's `initial` is its start; a distribution's is a method, of shape ().
+        return np.shape(getattr(values, "initial", 0.0))
+    return np.shape(values)

@@ -3,11 +3,12 @@
 import abc
 import inspect
 from collections import namedtuple
-from collections.abc import Mapping
+from collections.abc import Callable, Collection, Mapping
 from functools import cache
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
@@ -20,7 +21,8 @@ class System(eqx.Module):
 
     Subclass it with the parameters as fields and the states' names in `states`; any number in a field may then be
     replaced by a distribution or a decision. In `rhs` and `outputs` the state is a named tuple (`z.z_s`, or unpacked),
-    and each further argument is an input of that name: `def rhs(self, t, z, road)`.
+    and each further argument is an input of that name: `def rhs(self, t, z, road)`. Each of the two is given only the inputs
+    that it names (all of them, if it ends in `**inputs`).
 
     The two are declared with open signatures here, so that each system names its own inputs. `units` may give the units
     of outputs, for reports.
@@ -50,7 +52,12 @@ def state_type(names: tuple[str, ...]) -> Any:
 
 def initial_state(system: System) -> Any:
     """The initial state as a named tuple of arrays."""
-    given = dict(system.initial())
+    given = system.initial()
+    if not isinstance(given, Mapping):
+        raise ProblemError(
+            f"{type(system).__name__}.initial returns a dict of initial values by state; "
+            f"received {type(given).__name__} {given!r}."
+        )
     unknown = set(given) - set(system.states)
     if unknown:
         raise ProblemError(
@@ -62,7 +69,7 @@ def initial_state(system: System) -> Any:
 
 def derivative(system: System, t: Any, z: Any, inputs: dict[str, Array]) -> Any:
     """`system.rhs` as a named tuple, checked (at trace time) to match the states one by one."""
-    rates = system.rhs(t, z, **inputs)
+    rates = _evaluated(system, system.rhs, t, z, inputs)
     name = type(system).__name__
     if not isinstance(rates, tuple | list):
         raise ProblemError(f"{name}.rhs returns one rate for each of {system.states} as a tuple; received {rates!r}.")
@@ -73,15 +80,16 @@ def derivative(system: System, t: Any, z: Any, inputs: dict[str, Array]) -> Any:
     for state, rate in zip(system.states, rates, strict=True):
         expected = jnp.shape(getattr(z, state))
         if jnp.shape(rate) != expected:
+            remedy = "" if expected else f" If '{state}' is an array, give its initial value in initial()."
             raise ProblemError(
-                f"{name}.rhs: expected a rate of shape {expected} for '{state}'; received {jnp.shape(rate)}."
+                f"{name}.rhs: expected a rate of shape {expected} for '{state}'; received {jnp.shape(rate)}.{remedy}"
             )
     return state_type(system.states)(*(jnp.asarray(rate, dtype=float) for rate in rates))
 
 
 def observation(system: System, t: Any, z: Any, inputs: dict[str, Array]) -> dict[str, Array]:
     """`system.outputs` as arrays by name, checked (at trace time) to be a dict."""
-    values = system.outputs(t, z, **inputs)
+    values = _evaluated(system, system.outputs, t, z, inputs)
     if not isinstance(values, dict):
         raise ProblemError(
             f"{type(system).__name__}.outputs returns a dict of arrays by name; received {type(values).__name__}."
@@ -89,11 +97,47 @@ def observation(system: System, t: Any, z: Any, inputs: dict[str, Array]) -> dic
     return {name: jnp.asarray(value, dtype=float) for name, value in values.items()}
 
 
+def _evaluated(system: System, method: Callable[..., Any], t: Any, z: Any, inputs: dict[str, Array]) -> Any:
+    """`method(t, z, ...)` with the inputs that it names."""
+    named, _, takes_all = _inputs_of(method)
+    try:
+        return method(t, z, **{name: signal for name, signal in inputs.items() if takes_all or name in named})
+    except jax.errors.TracerBoolConversionError as error:
+        raise ProblemError(
+            f"{type(system).__name__}.{method.__name__} branches on a number that is only known at run time: "
+            "use jnp.where(condition, a, b) in the place of `if`, and jnp.minimum or jnp.maximum in that of min or max."
+        ) from error
+
+
+class _Inputs(NamedTuple):
+    """The inputs that a method names, those of them without default, and whether it takes all others as well."""
+
+    named: tuple[str, ...]
+    needed: tuple[str, ...]
+    takes_all: bool
+
+
+def _inputs_of(method: Callable[..., Any]) -> _Inputs:
+    parameters = list(inspect.signature(method).parameters.values())
+    further = [one for one in parameters[2:] if one.kind is not inspect.Parameter.VAR_KEYWORD]
+    return _Inputs(
+        tuple(one.name for one in further),
+        tuple(one.name for one in further if one.default is inspect.Parameter.empty),
+        any(one.kind is inspect.Parameter.VAR_KEYWORD for one in parameters),
+    )
+
+
 def input_names(system: System) -> tuple[str, ...]:
     """The inputs that a system's `rhs` and `outputs` take: their arguments after time and state."""
-    names: dict[str, None] = {}
-    for method in (system.rhs, system.outputs):
-        for parameter in list(inspect.signature(method).parameters.values())[2:]:
-            if parameter.kind is not inspect.Parameter.VAR_KEYWORD:
-                names[parameter.name] = None
-    return tuple(names)
+    return tuple(dict.fromkeys(_inputs_of(system.rhs).named + _inputs_of(system.outputs).named))
+
+
+def check_inputs(system: System, given: Collection[str]) -> None:
+    """Refuse inputs that a system does not take, and systems that lack an input."""
+    methods = [_inputs_of(system.rhs), _inputs_of(system.outputs)]
+    missing = sorted({name for method in methods for name in method.needed} - set(given))
+    unknown = sorted(set(given) - set(input_names(system))) if not any(one.takes_all for one in methods) else []
+    if missing or unknown:
+        raise ProblemError(
+            f"{type(system).__name__} takes the inputs {sorted(input_names(system))}; received {sorted(given)}."
+        )

@@ -56,16 +56,51 @@ def certify(scaled: ScaledProgram, z: np.ndarray, evaluation: Evaluation, multip
     values = np.concatenate([evaluation.constraints, z])
     lower = np.concatenate([scaled.constraint_lower, scaled.lower])
     upper = np.concatenate([scaled.constraint_upper, scaled.upper])
-    weights = np.concatenate([multipliers.rows, multipliers.bounds])
 
-    largest = max(1.0, float(np.abs(weights).max(initial=0.0)))
-    gradient = evaluation.gradient + multipliers.rows @ evaluation.jacobian + multipliers.bounds
-    slack = np.where(weights > 0, upper - values, values - lower)
+    largest = max(1.0, _largest(multipliers.rows), _largest(multipliers.bounds))
+    gradient = lagrangian_gradient(evaluation, multipliers)
     return Certificate(
         violation=float(np.maximum(values - upper, lower - values).max(initial=0.0)),
         stationarity=float(np.abs(gradient).max(initial=0.0)) / largest,
-        complementarity=float((np.abs(weights) * np.minimum(np.abs(slack), 1.0)).max(initial=0.0)) / largest,
+        complementarity=max(_largest(part) for part in _products(scaled, z, evaluation, multipliers)) / largest,
     )
+
+
+def complementary(
+    scaled: ScaledProgram, z: np.ndarray, evaluation: Evaluation, multipliers: Multipliers, fraction: float
+) -> Multipliers:
+    """Drop the multipliers whose product with their slack exceeds this fraction of the largest multiplier.
+
+    An interior point leaves such residues far from any bound, where they explain the gradient without meaning.
+    """
+    ceiling = fraction * max(_largest(multipliers.rows), _largest(multipliers.bounds))
+    rows, bounds = _products(scaled, z, evaluation, multipliers)
+    return Multipliers(
+        np.where(rows <= ceiling, multipliers.rows, 0.0), np.where(bounds <= ceiling, multipliers.bounds, 0.0)
+    )
+
+
+def _products(
+    scaled: ScaledProgram, z: np.ndarray, evaluation: Evaluation, multipliers: Multipliers
+) -> tuple[np.ndarray, np.ndarray]:
+    """Size of each multiplier times the slack, at most 1, of the bound that it pushes against."""
+    rows, bounds = (
+        np.abs(weights) * np.minimum(np.abs(np.where(weights > 0, upper - values, values - lower)), 1.0)
+        for weights, values, lower, upper in (
+            (multipliers.rows, evaluation.constraints, scaled.constraint_lower, scaled.constraint_upper),
+            (multipliers.bounds, z, scaled.lower, scaled.upper),
+        )
+    )
+    return rows, bounds
+
+
+def _largest(weights: np.ndarray) -> float:
+    return float(np.abs(weights).max(initial=0.0))
+
+
+def lagrangian_gradient(evaluation: Evaluation, multipliers: Multipliers) -> np.ndarray:
+    """`∇f + Jᵀλ + μ` in scaled quantities, shape (n_free,)."""
+    return evaluation.gradient + multipliers.rows @ evaluation.jacobian + multipliers.bounds
 
 
 def fit_multipliers(scaled: ScaledProgram, z: np.ndarray, evaluation: Evaluation) -> Multipliers:

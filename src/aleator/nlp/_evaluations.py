@@ -3,7 +3,7 @@
 import contextlib
 import signal
 import threading
-from collections import OrderedDict
+from collections import OrderedDict, deque
 from collections.abc import Callable, Iterator
 from typing import final
 
@@ -30,6 +30,8 @@ class NowhereFiniteError(ArithmeticError):
 
 # A step halved this often is smaller than the rounding of what it started as.
 _MOST_FAILURES = 60
+# A solver that gives up within this many points of a failed one gave up because of it.
+_RECENT = 20
 
 
 @final
@@ -57,7 +59,7 @@ class Evaluations:
         evaluate: Callable[[np.ndarray], Evaluation],
         decisions: int,
         constraints: int,
-        remembered: int = 8,
+        remembered: int = 16,
     ):
         self._evaluate = evaluate
         self._shapes = ((decisions,), (constraints,), (constraints, decisions))
@@ -65,8 +67,10 @@ class Evaluations:
         self._points: OrderedDict[bytes, Evaluation] = OrderedDict()
         self._failed_points: OrderedDict[bytes, Evaluation] = OrderedDict()
         self._failures = 0
+        self._recent: deque[bool] = deque(maxlen=_RECENT)
         self.count = 0
         self.halt: BaseException | None = None
+        self.failed_at: np.ndarray | None = None
         self.last = Evaluation(
             np.nan,
             np.full(decisions, np.nan),
@@ -89,10 +93,19 @@ class Evaluations:
                 self.count += 1
                 self._remember(key, self._checked(self._evaluate(x.copy())))
             except BaseException as error:
+                if isinstance(error, NowhereFiniteError):
+                    self.failed_at = x.copy()
                 self.halt = error
                 raise HaltedError from error
         self.last = self._points[key] if key in self._points else self._failed_points[key]
+        if key in self._failed_points:
+            self.failed_at = x.copy()
         return self.last
+
+    @property
+    def failed_recently(self) -> bool:
+        """Whether one of the latest points could not be evaluated."""
+        return not all(self._recent)
 
     def finite_at(self, x: np.ndarray) -> Evaluation:
         """Evaluate `x` where the model is finite.
@@ -134,6 +147,7 @@ class Evaluations:
         if len(points) > self._remembered:
             points.popitem(last=False)
         self._failures = 0 if evaluation.is_finite else self._failures + 1
+        self._recent.append(evaluation.is_finite)
         if self._failures >= _MOST_FAILURES:
             raise NowhereFiniteError
 

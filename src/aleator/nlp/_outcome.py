@@ -63,6 +63,9 @@ class Outcome:
     seconds: float
     solver: str
     message: str
+    active: np.ndarray
+    active_bounds: np.ndarray
+    failed_at: np.ndarray | None = None
 
     @property
     def ok(self) -> bool:

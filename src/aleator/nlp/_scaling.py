@@ -9,10 +9,12 @@ import numpy as np
 from aleator.nlp._evaluations import Evaluations
 from aleator.nlp._program import Evaluation, NonlinearProgram
 
-# IPOPT's rule of gradient-based scaling (Wächter and Biegler 2006, section 3.8) keeps gradients below 100.
-_LARGEST_GRADIENT = 100.0
+# A gradient smaller than this fraction of the objective is little more than rounding, and scales nothing.
+_ROUNDING = 1e-10
 # Below this, a row counts as met when points are ranked, so that the objective decides.
 _NEGLIGIBLE_VIOLATION = 1e-7
+# Slacks up to this are none, and multipliers up to this are residues of the solver.
+_REACHED = 1e-6
 
 
 @final
@@ -54,6 +56,7 @@ class ScaledProgram:
         self.start = np.clip(self._fixed_decisions[self._free] / self._decision_scale, self.lower, self.upper)
         self.best: tuple[np.ndarray, Evaluation] | None = None
         self.objective_scale = 1.0
+        self._objective_origin = 0.0
 
     def begin(self) -> None:
         """Evaluate the start and set `objective_scale` from it.
@@ -66,8 +69,18 @@ class ScaledProgram:
         first = self.evaluations.finite_at(self.decisions(self.start))
         gradient = first.gradient[self._free] * self._decision_scale
         steepest = float(np.abs(gradient).max(initial=0.0))
-        self.objective_scale = max(abs(first.objective), steepest / _LARGEST_GRADIENT) or 1.0
+        self._objective_origin = first.objective
+        self.objective_scale = max(steepest, _ROUNDING * abs(first.objective)) or 1.0
         self.evaluate(self.start)
+
+    def rescale(self, z: np.ndarray, objective_scale: float) -> None:
+        """Go on from `z`, shape (n_free,), with another scale of the objective.
+
+        Multipliers scale with the inverse of `objective_scale`; those at hand are the caller's to convert.
+        """
+        self.start = np.clip(z, self.lower, self.upper)
+        self.objective_scale = objective_scale
+        self._last = None
 
     def decisions(self, z: np.ndarray) -> np.ndarray:
         """All decisions in user units, shape (n,), within their bounds."""
@@ -96,7 +109,7 @@ class ScaledProgram:
         """Scale an evaluation in user units: free decisions and useful rows only."""
         jacobian = user.jacobian[np.ix_(self._useful, self._free)]
         return Evaluation(
-            user.objective / self.objective_scale,
+            (user.objective - self._objective_origin) / self.objective_scale,
             user.gradient[self._free] * self._decision_scale / self.objective_scale,
             user.constraints[self._useful] / self._constraint_scale,
             jacobian * self._decision_scale / self._constraint_scale[:, None],
@@ -105,6 +118,19 @@ class ScaledProgram:
     def is_finite(self, z: np.ndarray) -> bool:
         """Whether the model can be evaluated at `z`."""
         return self.evaluations.at(self.decisions(z)).is_finite
+
+    def active(
+        self, z: np.ndarray, user: Evaluation, rows: np.ndarray, bounds: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Which of all constraints, shape (m,), and of all decisions' bounds, shape (n,), hold the point where it is.
+
+        `rows` and `bounds` are the scaled multipliers at `z`.
+        """
+        constraints = user.constraints[self._useful] / self._constraint_scale
+        all_rows, all_bounds = np.zeros(self._useful.size, dtype=bool), np.ones(self._free.size, dtype=bool)
+        all_rows[self._useful] = _holding(constraints, self.constraint_lower, self.constraint_upper, rows)
+        all_bounds[self._free] = _holding(z, self.lower, self.upper, bounds)
+        return all_rows, all_bounds
 
     def violation(self, constraints: np.ndarray) -> np.ndarray:
         """How far each scaled constraint is outside its bounds, signed: negative inside; shape
@@ -130,13 +156,23 @@ class ScaledProgram:
         A fixed decision's one makes the Lagrangian stationary, given the `multipliers` of all rows in user
         units.
         """
-        complete = -(user.gradient + multipliers @ user.jacobian)
+        with np.errstate(invalid="ignore", over="ignore"):
+            # A model that is not finite leaves no multipliers to speak of, and nothing to warn about.
+            complete = -(user.gradient + multipliers @ user.jacobian)
         complete[self._free] = bound_multipliers * self.objective_scale / self._decision_scale
         return complete
 
     def _rank(self, z: np.ndarray, user: Evaluation, scaled: Evaluation) -> None:
         violation = float(self.violation(scaled.constraints).max(initial=0.0))
-        rank = (violation if violation > _NEGLIGIBLE_VIOLATION else 0.0, scaled.objective)
+        rank = (violation if violation > _NEGLIGIBLE_VIOLATION else 0.0, user.objective)
         if rank < self._best_rank:
             self._best_rank = rank
             self.best = (z, user)
+
+
+def _holding(values: np.ndarray, lower: np.ndarray, upper: np.ndarray, multipliers: np.ndarray) -> np.ndarray:
+    """A bound holds a value that has reached it, or that an interior point keeps off it by less than it pushes."""
+    with np.errstate(invalid="ignore"):
+        reached = np.minimum(values - lower, upper - values) <= _REACHED
+        slack = np.abs(np.where(multipliers > 0, upper - values, values - lower))
+        return reached | (lower == upper) | ((np.abs(multipliers) > _REACHED) & (np.abs(multipliers) > slack))

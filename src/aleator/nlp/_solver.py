@@ -1,6 +1,7 @@
 """The life of a solve, the same for every solver: scale, run, judge, report."""
 
 import abc
+import dataclasses
 import time
 from dataclasses import dataclass
 
@@ -11,7 +12,10 @@ from aleator.nlp._evaluations import HaltedError, NotFiniteError, NowhereFiniteE
 from aleator.nlp._outcome import Outcome, Status
 from aleator.nlp._program import NonlinearProgram
 from aleator.nlp._scaling import ScaledProgram
-from aleator.nlp._verdict import Answer, Verdict, judge
+from aleator.nlp._verdict import Answer, Verdict, judge, settle
+
+# Each round of a steep start makes the objective flatter by many orders of magnitude.
+_MOST_ROUNDS = 4
 
 
 @dataclass(frozen=True)
@@ -110,17 +114,38 @@ class AbstractSolver(abc.ABC):
         if scaled.size == 0:
             return Answer(Status.SOLVED, scaled.start, None, 0, "every decision is fixed")
         warm = None if multipliers is None else scaled.multipliers_to_scaled(multipliers)
-        answer = self._minimise(scaled, warm)
+        answer = self._rounds(scaled, warm)
         if answer.claim is Status.FAILED and not scaled.evaluations.last.is_finite:
             answer = answer._replace(claim=Status.EVALUATION_FAILED)
         # The verdict needs the model at the answer, which may have left the memory.
         scaled.evaluations.at(scaled.decisions(answer.point))
         return answer
 
+    def _rounds(self, scaled: ScaledProgram, multipliers: np.ndarray | None) -> Answer:
+        """Minimise, and again from the answer with a new scale of the objective, until the answer stands in it."""
+        answer, stands = self._settled(scaled, self._minimise(scaled, multipliers))
+        for _ in range(_MOST_ROUNDS - 1):
+            left = self.max_iterations - answer.iterations
+            if stands or left < 1:
+                break
+            warm = None if answer.multipliers is None else answer.multipliers.rows
+            again = dataclasses.replace(self, max_iterations=left)._minimise(scaled, warm)
+            again = again._replace(iterations=answer.iterations + again.iterations)
+            answer, stands = self._settled(scaled, again)
+        return answer
+
+    def _settled(self, scaled: ScaledProgram, answer: Answer) -> tuple[Answer, bool]:
+        if scaled.evaluations.halt is not None or not scaled.is_finite(answer.point):
+            return answer, True
+        return settle(scaled, answer)
+
 
 def _outcome(scaled: ScaledProgram, answer: Answer, verdict: Verdict, solver: str, seconds: float) -> Outcome:
     multipliers = scaled.multipliers_to_user(verdict.multipliers.rows)
     bounds = scaled.bound_multipliers_to_user(verdict.multipliers.bounds, multipliers, verdict.user)
+    active, active_bounds = scaled.active(
+        verdict.point, verdict.user, verdict.multipliers.rows, verdict.multipliers.bounds
+    )
     return Outcome(
         status=verdict.status,
         decisions=scaled.decisions(verdict.point),
@@ -135,6 +160,9 @@ def _outcome(scaled: ScaledProgram, answer: Answer, verdict: Verdict, solver: st
         seconds=seconds,
         solver=solver,
         message=verdict.message,
+        active=active,
+        active_bounds=active_bounds,
+        failed_at=scaled.evaluations.failed_at if verdict.status is Status.EVALUATION_FAILED else None,
     )
 
 

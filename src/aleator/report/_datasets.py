@@ -108,9 +108,7 @@ def front_dataset(front: Front) -> "xarray.Dataset":
         axes = ("bound", *_entries(name, value))
         data[f"decision {_key(name)}"] = _variable(axes, values, name, _units.of_decision(name, first.problem))
     bound = _variable("bound", front.values, f"limit of {front.bound}", bound_unit)
-    failures = [f"{value:g}: {why}" for value, why in front.failures.items()]
-    attributes = {"interrupted": int(front.interrupted), "failures": "; ".join(failures)}
-    return xarray.Dataset(data, coords={"bound": bound}, attrs=attributes)
+    return xarray.Dataset(data, coords={"bound": bound}, attrs={"interrupted": int(front.interrupted)})
 
 
 def calibration_dataset(calibration: Calibration) -> "xarray.Dataset":

@@ -2,17 +2,14 @@
 
 from collections.abc import Iterator, Mapping
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
 import aleator as al
-from aleator.design import AbstractFunctional, AbstractScope
+from aleator.design import value_at
 from aleator.report import Box, Card, Table, Verdict, given, number, percent, share_text, unresolved, words
 from aleator.report import interval as interval_text
 from aleator.studies._suspension_run import HOLDING, NARROW_TRAVEL, RIDE, TARGET, TRAVEL, SuspensionResults
 from aleator.studies.suspension import COST
-from aleator.uncertainty import named_numbers
 
 RIDE_TEXT, HOLDING_TEXT = "∫comfort dt", "rms(grip)"
 RIDE_UNIT = "m²/s³"
@@ -30,29 +27,14 @@ PUBLISHED_CHANGE = {
 UNITS = {"k_s": "N/m", "b_s": "N s/m", "eta": ""}
 
 
-class _Numbers(AbstractScope):
-    """A design's own numbers: enough to evaluate a cost."""
-
-    def __init__(self, solution: al.Solution):
-        self._numbers = named_numbers(solution.problem.model, jnp.asarray(solution.vector))
-
-    def statistic(self, functional: AbstractFunctional, kind: str) -> Float[Array, "..."]:
-        """See `AbstractScope.statistic`."""
-        raise al.ProblemError(f"A cost is made of the model's own numbers; received the {kind} of {functional.text()}.")
-
-    def value(self, name: str) -> Float[Array, ""]:
-        """See `AbstractScope.value`."""
-        return self._numbers[name]
-
-
 def cost(solution: al.Solution) -> float:
     """What a design's spreads cost to make, $: equation (125), for dOpt and uOpt with the initial spreads."""
-    return float(COST.evaluate(_Numbers(solution)))
+    return value_at(COST, solution.problem, solution.vector)
 
 
 def figure_of(solution: al.Solution, name: str) -> float:
     """A number of a design's model, such as `k_s.half_width`, decided or not."""
-    return float(_Numbers(solution).value(name))
+    return value_at(al.value(name), solution.problem, solution.vector)
 
 
 def box(solution: al.Solution, design: str, dash: str = "solid", note: str = "") -> Box:

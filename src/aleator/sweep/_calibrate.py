@@ -107,7 +107,7 @@ def calibrate(
             last.solution,
         )
     best = min(calibrated, key=lambda one: one.sigmas)
-    evidence = validate(best.solution, samples, seed=seed + 1)
+    evidence = validate(best.solution, samples, seed=seed)
     progress(f"calibration of {name}", max_trials, max_trials)
     return Calibration(name, target, tuple(search.trials), evidence)
 
@@ -127,7 +127,9 @@ class _Search:
         solver: AbstractSolver | None,
     ):
         self._problem, self._name, self._target, self._precision = problem, name, target, precision
-        self._samples, self._seed, self._solver = samples, seed, solver
+        # A stream of its own: evidence that a user gathers with the same seed is fresh all the same.
+        self._seed = int(np.random.SeedSequence([seed, 1]).generate_state(1)[0])
+        self._samples, self._solver = samples, solver
         self.trials: list[Trial] = []
         self.ceiling = np.inf
         multiples = [one.expression.sigmas for one in problem.named(name)]
@@ -165,6 +167,8 @@ class _Search:
             self._next = self._propose()
             return
         evidence = validate(solution, self._samples, seed=self._seed, keep=0)
+        if self._name not in evidence.violations:
+            raise ProblemError(f"calibrate: '{self._name}' bounds moments alone: no single system can break it.")
         self.trials.append(Trial(sigmas, solution, evidence.violations[self._name]))
         self._next = self._propose()
 

@@ -1,13 +1,13 @@
 """`pareto`: one problem for many values of a bound (the constraint form of multi-objective design, section 3.5.1)."""
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import final
 
 import numpy as np
 from jaxtyping import Float
 
-from aleator._core.errors import ProblemError, SimulationError
+from aleator._core.errors import ProblemError
 from aleator._core.progress import Progress, silent
 from aleator.design import Problem, Solution
 from aleator.nlp import AbstractSolver
@@ -21,14 +21,12 @@ class Front:
 
     - `bound`: the name of the constraint; `values`: its bounds, shape (points,);
     - `solutions`: one a point, also where the problem is infeasible: see `Solution.status` and `Solution.why()`;
-    - `failures`: why a bound has no point, by bound: its simulation was not finite, whatever the design;
     - `interrupted`: whether the sweep was stopped early; the points finished by then are all here.
     """
 
     bound: str
     values: Float[np.ndarray, " points"]
     solutions: tuple[Solution, ...]
-    failures: Mapping[float, str] = field(default_factory=dict)
     interrupted: bool = False
 
     @property
@@ -54,7 +52,6 @@ class Front:
     def __str__(self) -> str:
         rows = [f"{self.bound:>10} {'objective':>12} {'price':>10}  active"]
         rows += [_row(self, *point) for point in zip(self.values, self.solutions, strict=True)]
-        rows += [f"{value:10.5g} {'failed':>12}  {why}" for value, why in self.failures.items()]
         return "\n".join(rows)
 
 
@@ -68,7 +65,7 @@ def _row(front: Front, value: float, solution: Solution) -> str:
 def pareto(
     problem: Problem,
     bound: str,
-    values: Iterable[float],
+    values: Sequence[float] | Float[np.ndarray, " points"],
     *,
     solver: AbstractSolver | None = None,
     progress: Progress = silent,
@@ -76,30 +73,26 @@ def pareto(
     """Solve a problem for each value of the bound called `bound`, each from the nearest solution found so far.
 
     The problem is compiled once: bounds are data. A point that fails is tried again from the problem's own start, and
-    then kept with its status and least violation; one whose simulation is not finite is kept as a sentence. Ctrl-C ends
-    the sweep and returns the points finished by then.
+    then kept with its status, its least violation and the reason. Ctrl-C ends the sweep and returns the points that are
+    finished.
 
-    Raises `ProblemError` if there is no such constraint or no value.
+    A value given twice is solved once. Raises `ProblemError` if there is no such constraint or no value.
     """
-    bounds = [float(value) for value in values]
+    bounds = list(dict.fromkeys(float(value) for value in np.ravel(np.asarray(values, dtype=float))))
     if not bounds:
         raise ProblemError("pareto: expected at least one value of the bound; received none.")
     problems = [problem.with_bound(bound, value) for value in bounds]
     solutions: dict[float, Solution] = {}
-    failures: dict[float, str] = {}
     interrupted = True
     try:
         for done, (one, value) in enumerate(zip(problems, bounds, strict=True)):
             progress(f"front over {bound}", done, len(bounds))
-            try:
-                solutions[value] = _point(one, _nearest(solutions, value), solver)
-            except SimulationError as error:
-                failures[value] = str(error)
+            solutions[value] = _point(one, _nearest(solutions, value), solver)
         interrupted = False
         progress(f"front over {bound}", len(bounds), len(bounds))
     except KeyboardInterrupt:
         pass
-    return Front(bound, np.array(list(solutions)), tuple(solutions.values()), failures, interrupted)
+    return Front(bound, np.array(list(solutions)), tuple(solutions.values()), interrupted)
 
 
 def _nearest(solutions: Mapping[float, Solution], value: float) -> Solution | None:

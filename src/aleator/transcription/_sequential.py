@@ -18,7 +18,7 @@ from aleator._core.arrays import numbers_to_arrays
 from aleator._core.compilation import Compiled
 from aleator._core.errors import ProblemError
 from aleator.collocation import Collocation
-from aleator.design import Constraint, Problem, history
+from aleator.design import Problem, history
 from aleator.nlp import Evaluation, NonlinearProgram
 from aleator.transcription._scope import collocation_of, scope_of
 from aleator.uncertainty import Survey
@@ -74,7 +74,10 @@ OUTPUTS_AT_POINTS = Compiled(_outputs_at_points)
 @final
 @dataclass(frozen=True)
 class Sequential:
-    """A problem transcribed: its nonlinear program, and what leads back from the program's rows to the problem."""
+    """A problem transcribed: its nonlinear program, and what leads back from the program's rows to the problem.
+
+    `rows` and `scales` are those of each constraint.
+    """
 
     problem: Problem
     traced: Problem
@@ -82,6 +85,7 @@ class Sequential:
     collocation: Collocation
     program: NonlinearProgram
     rows: tuple[slice, ...]
+    scales: tuple[float, ...]
 
     def outputs(self, decisions: Float[np.ndarray, " n"]) -> dict[str, Array]:
         """Histories of all outputs at all collocation points."""
@@ -111,7 +115,8 @@ def transcribe(problem: Problem) -> Sequential:
 
     start = places.vector("initial")
     at_start = evaluate(start)
-    scales = [_scale(one, block) for one, block in zip(problem.constraints, at_start.values[1:], strict=True)]
+    decision_scale = _decision_scale(start, places.vector("lower"), places.vector("upper"))
+    scales = _scales(problem, at_start, decision_scale)
     rows = _rows(at_start)
     program = NonlinearProgram(
         evaluate=_remember(start, at_start, evaluate),
@@ -121,9 +126,9 @@ def transcribe(problem: Problem) -> Sequential:
         constraint_lower=_spread(rows, [float(one.lower) for one in problem.constraints]),
         constraint_upper=_spread(rows, [float(one.upper) for one in problem.constraints]),
         constraint_scale=_spread(rows, scales),
-        decision_scale=_decision_scale(start, places.vector("lower"), places.vector("upper")),
+        decision_scale=decision_scale,
     )
-    return Sequential(problem, traced, places, collocation, program, rows)
+    return Sequential(problem, traced, places, collocation, program, rows, tuple(scales))
 
 
 def _remember(
@@ -157,11 +162,19 @@ def _spread(rows: tuple[slice, ...], numbers: list[float]) -> Float[np.ndarray, 
     )
 
 
-def _scale(constraint: Constraint, values: Float[np.ndarray, " rows"]) -> float:
-    """A typical magnitude of a constraint: its bound, or where that is zero its largest value at the start."""
-    bounds = [abs(float(bound)) for bound in (constraint.lower, constraint.upper) if np.isfinite(bound)]
-    largest = float(np.max(np.abs(values), initial=0.0))
-    return max(bounds, default=0.0) or (largest if np.isfinite(largest) else 0.0) or 1.0
+def _scales(problem: Problem, at_start: Blocks, decision_scale: Float[np.ndarray, " n"]) -> list[float]:
+    """A typical magnitude of each constraint: its smaller bound, or its change over a typical change of the decisions.
+
+    The larger of the two counts. A remote second bound says nothing of the size, nor does a bound of zero.
+    """
+    scales = []
+    for one, slopes, values in zip(problem.constraints, at_start.derivatives[1:], at_start.values[1:], strict=True):
+        bounds = [abs(float(bound)) for bound in (one.lower, one.upper) if np.isfinite(bound) and bound != 0]
+        change = float(np.max(np.abs(slopes) @ decision_scale, initial=0.0))
+        known = [size for size in (min(bounds, default=0.0), change) if np.isfinite(size)]
+        fallback = float(np.max(np.abs(values), initial=0.0))
+        scales.append(max(known) or (fallback if np.isfinite(fallback) else 0.0) or 1.0)
+    return scales
 
 
 def _decision_scale(start: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> Float[np.ndarray, " n"]:

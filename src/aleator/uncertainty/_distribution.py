@@ -1,7 +1,8 @@
 """`AbstractDistribution`: an uncertain number of a model, and what every family of distributions shares."""
 
 import abc
-from collections.abc import Callable
+import itertools
+from collections.abc import Callable, Iterator
 from typing import Any, ClassVar, NamedTuple, Self
 
 import equinox as eqx
@@ -15,9 +16,6 @@ from aleator._core.arrays import Scalar
 from aleator._core.errors import ProblemError
 from aleator.uncertainty._decision import Decision
 from aleator.uncertainty._polynomials import AbstractGerm
-
-# Parameters that a law only has for positive values, whatever its family.
-_NONNEGATIVE = frozenset({"half_width", "std", "scale", "alpha", "beta", "shape"})
 
 
 class Canonical(NamedTuple):
@@ -78,23 +76,57 @@ class AbstractDistribution(eqx.Module):
         return self.FORMS[self._names()]
 
     def _check(self) -> None:
-        """Refuse parameters that make no law at the start of its decisions, and spreads that may turn negative."""
-        for name, decision in self.decisions.items():
-            if name in _NONNEGATIVE and float(decision.lower) < 0:
-                raise ProblemError(
-                    f"{type(self).__name__}: the Decision for '{name}' needs a lower bound of at least 0; "
-                    f"received {self}."
-                )
-        given = {name: np.float64(value) for name, value in self.initial().parameters.items()}
-        with np.errstate(all="ignore"):  # a division by zero leaves an infinity or a nan, refused below
-            location, scale, shape = self.form.canonical(**given)
-        # A given standard deviation is squared on its way to some canonical forms, which hides its sign.
-        positive = [float(value) for value in (scale, *shape, given.get("std", 1.0))]
-        if not np.all(np.isfinite([float(location), *positive])) or min(positive) <= 0:
+        """Refuse parameters that make no law, at the start of the decisions or anywhere between their bounds."""
+        start = {name: float(value) for name, value in self.initial().parameters.items()}
+        if "upper" in start and not start["lower"] < start["upper"]:
+            raise ProblemError(f"{type(self).__name__} needs lower < upper; received {self}.")
+        location, spread, shape = self._numbers(start)
+        positive = [spread, *shape]
+        if not np.all(np.isfinite([location, *positive])) or min(positive) <= 0:
             raise ProblemError(
                 f"{type(self).__name__} needs finite parameters, a positive spread and positive shape parameters; "
                 f"received {self}."
             )
+        for corner in self.corners():
+            self._check_corner(corner, *self._numbers(start | corner))
+
+    def _numbers(self, parameters: dict[str, float]) -> tuple[float, float, tuple[float, ...]]:
+        """Location, spread and shape of a law that need not exist: they may be negative, infinite or not a number."""
+        with np.errstate(all="ignore"):
+            location, scale, shape = self.form.canonical(**{name: np.float64(v) for name, v in parameters.items()})
+        # A given standard deviation is squared on its way to some canonical forms, which hides its sign.
+        spread = np.min([scale, parameters.get("std", scale)])
+        return float(location), float(spread), tuple(float(number) for number in shape)
+
+    def _check_corner(self, corner: dict[str, float], location: float, spread: float, shape: tuple[float, ...]) -> None:
+        """Refuse decisions that reach no law at one corner of their bounds, where only the spread may vanish.
+
+        A location or a spread without bound is an allowed decision; a shape parameter without bound is no law.
+        """
+        bounded = bool(np.all(np.isfinite(list(corner.values()))))
+        finite = np.all(np.isfinite([location, spread])) or not bounded
+        if finite and spread >= 0 and all(0 < number < np.inf for number in shape):
+            return
+        where = ", ".join(f"{name}={value:g}" for name, value in corner.items())
+        received = ", ".join([f"spread {spread:g}", *(f"shape {number:g}" for number in shape)])
+        remedy = "Narrow the bounds of its decisions." if bounded else "Give the decision finite bounds."
+        raise ProblemError(
+            f"{type(self).__name__}: its decisions reach {where}, where it is no distribution: expected a spread of "
+            f"at least 0 and shape parameters that are positive and finite; received {received} from {self}. {remedy}"
+        )
+
+    def corners(self) -> Iterator[dict[str, float]]:
+        """Every combination of the bounds of the decisions, by parameter name.
+
+        They decide whether all decisions make a law, and how far it reaches: location, scale and the ends of the
+        support are monotone in each parameter, and a Beta's variance is below its limit everywhere if it is there.
+        """
+        # Decisions shared under one name move together.
+        key = {name: (decision.shared_name, decision.shared_name or name) for name, decision in self.decisions.items()}
+        keys = list(dict.fromkeys(key.values()))
+        for ends in itertools.product(("lower", "upper"), repeat=len(keys)):
+            end = dict(zip(keys, ends, strict=True))
+            yield {name: float(getattr(decision, end[key[name]])) for name, decision in self.decisions.items()}
 
     def canonical(self) -> Canonical:
         """Location, scale and shape, once the parameters are plain numbers."""

@@ -31,6 +31,7 @@ class Uniform(AbstractDistribution):
     def __init__(
         self,
         mean: Any = None,
+        unnamed: Any = None,
         *,
         half_width: Any = None,
         std: Any = None,
@@ -38,6 +39,12 @@ class Uniform(AbstractDistribution):
         upper: Any = None,
         shared_name: str | None = None,
     ):
+        if unnamed is not None:
+            raise ProblemError(
+                "Uniform takes one number without a name, its mean: expected Uniform(mean, half_width=...), "
+                "Uniform(mean, std=...) or Uniform.bounds(lower, upper); "
+                f"received a second number without a name, {unnamed!r}."
+            )
         given = {"mean": mean, "half_width": half_width, "std": std, "lower": lower, "upper": upper}
         self._take(given, shared_name)
 
@@ -125,12 +132,6 @@ class Beta(AbstractDistribution):
     ):
         given = {"alpha": alpha, "beta": beta, "mean": mean, "std": std, "lower": lower, "upper": upper}
         self._take(given, shared_name)
-
-    def _check(self) -> None:
-        lower, upper = (float(value) for value in self.initial().support())
-        if not lower < upper:
-            raise ProblemError(f"Beta needs lower < upper; received {self}.")
-        super()._check()
 
     def germ(self) -> AbstractGerm:
         """See `AbstractDistribution.germ`."""

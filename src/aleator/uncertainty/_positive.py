@@ -1,7 +1,6 @@
 """Numbers that physics requires to be positive (masses, stiffnesses): declared in the model, checked before use."""
 
 import dataclasses
-import itertools
 from collections.abc import Iterator
 from typing import Any
 
@@ -13,7 +12,7 @@ from aleator._core.arrays import Pytree
 from aleator._core.errors import ProblemError
 from aleator.uncertainty._decision import Decision
 from aleator.uncertainty._distribution import AbstractDistribution
-from aleator.uncertainty._survey import AtMean, is_special
+from aleator.uncertainty._survey import free, is_special
 
 
 def parameter(unit: str = "", *, positive: bool = False, **options: Any) -> Any:
@@ -42,41 +41,49 @@ def _is_module(node: Any) -> bool:
 
 
 def refuse_nonpositive(model: Pytree) -> None:
-    """Raise `ProblemError` if a number declared positive can reach zero, for some germ or some decision."""
+    """Raise `ProblemError` if a number declared positive can reach zero, for some germ or some decision.
+
+    What is no number is refused as well, except nothing (`None`) and functions.
+    """
     for name, field, value in fields_of(model):
         if not field.metadata.get("positive", False):
             continue
         for leaf in jax.tree.leaves(value, is_leaf=is_special):
+            if callable(leaf) and not is_special(leaf):
+                continue
             lowest = _lowest(leaf)
-            if lowest is not None and not lowest > 0:
-                raise ProblemError(_message(name.removeprefix("system."), leaf, lowest))
+            if lowest is None or not lowest > 0:
+                raise ProblemError(_message(name.removeprefix("system."), free(leaf), lowest))
 
 
 def _lowest(leaf: Any) -> float | None:
-    """The smallest value that a leaf can take."""
-    if isinstance(leaf, AtMean):
-        leaf = leaf.distribution
+    """The smallest value that a leaf can take; nothing for a leaf that is no number."""
+    leaf = free(leaf)
     if isinstance(leaf, AbstractDistribution):
-        # Both ends, because a spread that may become negative swaps them.
-        return float(np.min([float(end) for law in _corners(leaf) for end in law.support()]))
+        return _lowest_of(leaf)
     if isinstance(leaf, Decision):
         return float(np.min(leaf.lower, initial=np.inf))
-    if isinstance(leaf, int | float | np.ndarray | jax.Array) and np.asarray(leaf).dtype.kind in "biuf":
+    if isinstance(leaf, int | float | np.generic | np.ndarray | jax.Array) and np.asarray(leaf).dtype.kind in "biuf":
         return float(np.min(np.asarray(leaf, dtype=float), initial=np.inf))
     return None
 
 
-def _corners(law: AbstractDistribution) -> Iterator[AbstractDistribution]:
-    """The law at every combination of the bounds of its decisions: its support is monotone in each of them."""
-    names = list(law.decisions)
-    for ends in itertools.product(("lower", "upper"), repeat=len(names)):
-        end = dict(zip(names, ends, strict=True))
-        yield law.decided(lambda name, decision, end=end: getattr(decision, end[name]))
+def _lowest_of(law: AbstractDistribution) -> float:
+    """The lower end of a law's support, at the corner of its decisions where it is lowest."""
+    with np.errstate(invalid="ignore"):
+        ends = [law.decided(lambda name, _, at=corner: at[name]).support()[0] for corner in law.corners()]
+    # An upper end at infinity leaves "infinity less infinity" at its corner; another corner knows the lower end.
+    return float(np.nanmin([float(end) for end in ends]))
 
 
-def _message(name: str, leaf: Any, lowest: float) -> str:
-    shown = leaf.distribution if isinstance(leaf, AtMean) else leaf
+def _message(name: str, leaf: Any, lowest: float | None) -> str:
+    if lowest is None:
+        return (
+            f"'{name}' must stay positive: expected a number, a distribution or a Decision; "
+            f"received {type(leaf).__name__} {leaf!r}. Give a number."
+        )
+    reach = "is unbounded below" if lowest == -np.inf else f"can reach {lowest:g}"
     return (
-        f"'{name}' must stay positive, but {shown} can reach {lowest:g}. "
+        f"'{name}' must stay positive, but {leaf} {reach}. "
         "Reduce its spread, choose a bounded distribution, or raise the lower bound of its decisions."
     )

@@ -85,8 +85,13 @@ def _name(path: Any, leaf: Any) -> str:
     return _shared_name(leaf) or place
 
 
+def free(leaf: Any) -> Any:
+    """The distribution behind a leaf that holds it at its mean; any other leaf as it is."""
+    return leaf.distribution if isinstance(leaf, AtMean) else leaf
+
+
 def _shared_name(leaf: Any) -> str | None:
-    return getattr(leaf.distribution if isinstance(leaf, AtMean) else leaf, "shared_name", None)
+    return getattr(free(leaf), "shared_name", None) if is_special(leaf) else None
 
 
 def _decisions_in(name: str, leaf: Any) -> Iterator[tuple[str, Decision]]:
@@ -94,35 +99,43 @@ def _decisions_in(name: str, leaf: Any) -> Iterator[tuple[str, Decision]]:
     if isinstance(leaf, Decision):
         yield name, leaf
         return
-    for parameter, decision in _distribution_of(leaf).decisions.items():
+    for parameter, decision in free(leaf).decisions.items():
         yield decision.shared_name or f"{name}.{parameter}", decision
 
 
-def _distribution_of(leaf: AbstractDistribution | AtMean) -> AbstractDistribution:
-    return leaf.distribution if isinstance(leaf, AtMean) else leaf
+def _named_by(name: str, leaf: Any) -> Iterator[tuple[str, Any]]:
+    """Everything that one leaf gives a name: itself and, of a distribution, its parameters, moments and decisions."""
+    yield name, leaf
+    law = free(leaf)
+    if isinstance(law, AbstractDistribution):
+        parts = {"mean": law, "std": law} | law.parameters
+        yield from ((f"{name}.{part}", owner) for part, owner in parts.items())
+        yield from _decisions_in(name, law)
 
 
 def survey(model: Pytree) -> Survey:
     """Find the distributions and decisions of a model.
 
-    Raises `ProblemError` if one name stands for two laws or decisions that were not made one by `shared`.
+    Raises `ProblemError` if one name stands for two laws, decisions or plain numbers that were not made one by
+    `shared`.
     """
-    found: dict[str, Any] = {}
+    named: dict[str, Any] = {}
     distributions: dict[str, AbstractDistribution] = {}
     decisions: dict[str, Place] = {}
     size = 0
     for name, leaf in _places(model):
+        if name in named:
+            _refuse_conflict(name, named[name], leaf)
+            continue
+        for key, owner in _named_by(name, leaf):
+            if owner is not named.setdefault(key, owner):
+                _refuse_conflict(key, named[key], owner)
         if not is_special(leaf):
             continue
-        if name in found:
-            _refuse_conflict(name, found[name], leaf)
-            continue
-        found[name] = leaf
         if isinstance(leaf, AbstractDistribution):
             distributions[name] = leaf
         for key, decision in _decisions_in(name, leaf):
             if key in decisions:
-                _refuse_conflict(key, decisions[key].decision, decision)
                 continue
             length = np.size(decision.initial)
             decisions[key] = Place(key, decision, slice(size, size + length))
@@ -197,7 +210,7 @@ def _decided(
 def named_numbers(model: Pytree, decisions: Float[Array, " n"]) -> dict[str, Any]:
     """Every number of a model by name, at given decisions.
 
-    A plain number or decision stands under its place (`m_u`), a distribution's parameters below it
+    A plain number (whole or not) or decision stands under its place (`m_u`), a distribution's parameters below it
     (`k_s.half_width`), as do its `mean` and `std`, whatever its parameters are.
     """
     places = survey(model)
@@ -206,12 +219,19 @@ def named_numbers(model: Pytree, decisions: Float[Array, " n"]) -> dict[str, Any
         if isinstance(leaf, Decision):
             numbers[name] = _chosen(places, decisions, name)
         elif is_special(leaf):
-            law = _decided(_distribution_of(leaf), name, places, decisions)
+            law = _decided(free(leaf), name, places, decisions)
             moments = {"mean": law.mean(), "std": law.std()}
             numbers |= {f"{name}.{key}": jnp.asarray(value) for key, value in (moments | law.parameters).items()}
-        elif is_number(leaf) or isinstance(leaf, jax.Array):
-            numbers[name] = jnp.asarray(leaf)
+        elif is_number(leaf) or _is_whole(leaf):
+            numbers[name] = jnp.asarray(leaf, dtype=float)
     return numbers
+
+
+def _is_whole(leaf: Any) -> bool:
+    """Whether `leaf` is a whole number or an array of them. A truth value is none, though Python counts it as one."""
+    if isinstance(leaf, bool):
+        return False
+    return isinstance(leaf, int) or jnp.issubdtype(getattr(leaf, "dtype", None) or bool, jnp.integer)
 
 
 def at_means(model: Pytree) -> Pytree:

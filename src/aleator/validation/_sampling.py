@@ -99,6 +99,6 @@ SIMULATE_BATCH = Compiled(_simulate_batch)
 
 def draw(germs: tuple[AbstractGerm, ...], count: int, generator: np.random.Generator) -> Float[np.ndarray, "count n"]:
     """Independent germ points, by the quantile functions."""
-    # 1 - u lies in (0, 1], u in [0, 1): the middle of the two never hits an end, where unbounded laws are infinite.
+    # Never 0, where unbounded laws are infinite; 1 is left out by the generator.
     levels = generator.uniform(np.finfo(float).tiny, 1.0, (count, len(germs)))
     return np.stack([germ.quantile(levels[:, i]) for i, germ in enumerate(germs)], axis=1)

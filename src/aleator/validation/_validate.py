@@ -35,7 +35,11 @@ def validate(
     Raises `ProblemError` if nothing is uncertain and `SimulationError` if a system gives numbers that are not finite,
     naming its parameter values.
     """
-    if samples < 2 or batch < 1:
+    if not isinstance(solution, Solution):
+        raise ProblemError(f"validate: expected a Solution, from al.solve; received {type(solution).__name__}.")
+    if not all(isinstance(number, int | np.integer) for number in (samples, seed, batch, keep)):
+        raise ProblemError("validate: samples, seed, batch and keep are whole numbers.")
+    if samples < 2 or batch < 1 or seed < 0 or keep < 0:
         raise ProblemError(
             f"validate: expected at least 2 samples and a positive batch; received {samples} and {batch}."
         )
