@@ -4,8 +4,6 @@ A drawer closes against a damper. Its mass varies with what is inside, its start
 it, and the damper with its manufacture: how exactly must the damper be made, if exactness costs?
 """
 
-from typing import Any
-
 import aleator as al
 
 
@@ -13,9 +11,9 @@ class Drawer(al.System):
     """A mass that a damper slows down: x is the distance closed in m, v the speed."""
 
     states = ("x", "v")
-    mass: Any = al.parameter("kg", positive=True)
-    damping: Any = al.parameter("N s/m", positive=True)
-    push: Any = al.parameter("m/s")
+    mass: al.Number = al.parameter("kg", positive=True)
+    damping: al.Number = al.parameter("N s/m", positive=True)
+    push: al.Number = al.parameter("m/s")
 
     def initial(self):
         """The push of the hand."""

@@ -9,6 +9,7 @@ import time as _time
 _started = _time.perf_counter()
 
 from aleator._core import clock as _clock  # noqa: E402
+from aleator._core.arrays import Number as Number  # noqa: E402
 from aleator._core.errors import AleatorError as AleatorError  # noqa: E402
 from aleator._core.errors import ExpansionWarning as ExpansionWarning  # noqa: E402
 from aleator._core.errors import MissingExtraError as MissingExtraError  # noqa: E402
@@ -32,6 +33,7 @@ from aleator.design import rms as rms  # noqa: E402
 from aleator.design import terminal as terminal  # noqa: E402
 from aleator.design import uncertain as uncertain  # noqa: E402
 from aleator.design import value as value  # noqa: E402
+from aleator.dynamics import AbstractSignal as AbstractSignal  # noqa: E402
 from aleator.dynamics import Grid as Grid  # noqa: E402
 from aleator.dynamics import Kvaerno5 as Kvaerno5  # noqa: E402
 from aleator.dynamics import RungeKutta4 as RungeKutta4  # noqa: E402

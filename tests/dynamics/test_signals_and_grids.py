@@ -1,8 +1,11 @@
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import aleator as al
+from aleator._core.arrays import numbers_to_arrays
+from aleator.uncertainty import at_means, named_numbers, realise, survey
 
 
 @pytest.fixture
@@ -64,6 +67,79 @@ def test_a_file_that_is_no_table_is_refused_by_name(table, text, message):
 def test_a_table_that_makes_no_sense_is_refused(times, values, message):
     with pytest.raises(al.ProblemError, match=message):
         al.Tabulated(np.array(times), np.array(values))
+
+
+@pytest.mark.parametrize(
+    ("times", "values", "message"),
+    [
+        ([0.0, 1.0], al.Decision(np.zeros(3), -1, 1), r"times \(2,\) and values \(3,\)"),
+        ([0.0, 1.0], al.Decision(0.0, -1, 1), r"times \(2,\) and values \(\)"),
+        ([0.0, 1.0], al.Uniform(0.0, std=1.0), r"times \(2,\) and values \(\)"),
+        ([0.0, 1.0], [al.Uniform(0.0, std=1.0)] * 3, r"times \(2,\) and values \(3,\)"),
+        ([0.0, 1.0], [al.Uniform(0.0, std=1.0), np.nan], "finite"),
+        ([0.0, 1.0], [al.Decision(np.zeros(2), -1, 1), 1.0], r"one number in each sample; received shape \(2,\)"),
+        ([0.0, 1.0], [al.Decision(0.0, -1, 1), "high"], "values must be plain numbers; received 'high'"),
+        ([0.0, 1.0], ["low", "high"], "values must be plain numbers"),
+        ([0.0, al.Decision(1.0)], [0.0, 1.0], "times must be plain numbers"),
+        (al.Decision(np.array([0.0, 1.0])), [0.0, 1.0], "times must be plain numbers"),
+    ],
+    ids=lambda value: str(value)[:40],
+)
+def test_a_table_whose_uncertain_or_decided_values_do_not_fit_is_refused(times, values, message):
+    with pytest.raises(al.ProblemError, match=message):
+        al.Tabulated(times, values)
+
+
+def test_a_table_keeps_its_numbers_when_the_arrays_it_was_made_from_change():
+    times, values = np.array([0.0, 1.0]), np.array([2.0, 3.0])
+    signal = al.Tabulated(times, values)
+    times[:], values[:] = 9.0, 9.0
+    assert (signal.times.tolist(), signal.values.tolist()) == ([0.0, 1.0], [2.0, 3.0])
+
+
+def test_a_tables_values_may_be_one_array_of_decisions():
+    signal = al.Tabulated(np.array([0.0, 1.0, 3.0]), al.Decision(np.zeros(3), -1, 1))
+    model = {"u": signal}
+    assert survey(model).entry_names() == ("u.values[0]", "u.values[1]", "u.values[2]")
+    at = jax.jit(lambda x: realise(model, jnp.zeros(0), x)["u"](jnp.asarray(2.0)))
+    assert float(at(jnp.array([0.5, 0.25, 0.75]))) == 0.5
+    assert jax.grad(at)(jnp.zeros(3)).tolist() == [0.0, 0.5, 0.5]
+
+
+@pytest.mark.parametrize("change", [lambda model: model, numbers_to_arrays])
+def test_a_tables_values_may_mix_numbers_distributions_and_decisions(change):
+    values = [al.Uniform(1.0, half_width=0.5), 2, al.Decision(4.0, 0, 9)]
+    model = change({"u": al.Tabulated([0.0, 1.0, 3.0], values)})
+    assert tuple(survey(model).distributions) == ("u.values.0",)
+    assert tuple(survey(model).decisions) == ("u.values.2",)
+    assert float(named_numbers(model, jnp.array([4.0]))["u.values.1"]) == 2.0
+    signal = realise(model, jnp.array([1.0]), jnp.array([6.0]))["u"]
+    assert [float(signal(jnp.asarray(t))) for t in (0.0, 0.5, 2.0)] == [1.5, 1.75, 4.0]
+    held = realise(at_means(model), jnp.zeros(0), jnp.array([6.0]))["u"]
+    assert float(held(jnp.asarray(0.0))) == 1.0
+
+
+class Driven(al.System):
+    states = ("x",)
+
+    def rhs(self, t, z, u):
+        return (u,)
+
+    def outputs(self, t, z):
+        return {"x": z.x}
+
+
+def test_the_values_of_an_input_are_decided_and_uncertain_in_a_problem():
+    problem = al.Problem(
+        Driven(),
+        grid=al.Grid(1.0, 4),
+        inputs={"u": al.Tabulated([0.0, 1.0], [al.Uniform(1.0, half_width=0.5), al.Decision(0.5, -2.0, 2.0)])},
+        minimize=al.integral("x").std,
+        subject_to=[al.terminal("x").mean.equals(0.25)],
+    )
+    solution = al.solve(problem)
+    # x(1) is the mean of the two ends, so that they cancel at 2 * 0.25 - 1
+    assert solution.decisions["inputs.u.values.1"] == pytest.approx(-0.5, abs=1e-6)
 
 
 def test_a_grid_knows_its_instants_and_the_trapezoidal_rule():

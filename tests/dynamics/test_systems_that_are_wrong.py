@@ -1,4 +1,5 @@
 import jax.numpy as jnp
+import numpy as np
 import pytest
 
 import aleator as al
@@ -17,7 +18,7 @@ def system(rhs=lambda z: (z.v, -z.x), outputs=lambda z: {"x": z.x}, initial=None
             return outputs(z)
 
         def initial(self):
-            return initial or {}
+            return {} if initial is None else initial
 
     return Model()
 
@@ -32,6 +33,16 @@ def system(rhs=lambda z: (z.v, -z.x), outputs=lambda z: {"x": z.x}, initial=None
         ({"rhs": lambda z: None}, "as a tuple; received None"),
         ({"rhs": lambda z: (z.v * jnp.ones(3), z.x)}, r"expected a rate of shape \(\) for 'x'; received \(3,\)"),
         ({"initial": {"y": 1.0}}, r"initial names \['y'\], which are no states; expected some of \('x', 'v'\)"),
+        ({"initial": [1.0, 2.0]}, r"Model\.initial returns a dict of initial values by state; received list \[1.0"),
+        (
+            {"rhs": lambda z: (jnp.ones(3), z.x)},
+            r"expected a rate of shape \(\) for 'x'; received \(3,\)\. If 'x' is an array, give its initial value in",
+        ),
+        (
+            {"rhs": lambda z: (z.v if z.x > 0 else 0.0, z.x)},
+            r"Model\.rhs branches on a number that is only known at run time: use jnp\.where\(condition, a, b\)",
+        ),
+        ({"outputs": lambda z: {"x": max(z.x, 0.0)}}, r"Model\.outputs branches on a number"),
         ({"outputs": lambda z: z.x}, "outputs returns a dict of arrays by name; received"),
         ({"outputs": lambda z: [z.x]}, "received list"),
     ],
@@ -50,3 +61,53 @@ def test_rates_and_outputs_may_be_whole_numbers():
     outputs = al.simulate(system(rhs=lambda z: (1, 0), outputs=lambda z: {"x": z.x, "one": 1}), GRID)
     assert outputs["x"].tolist() == [0.0, 0.5, 1.0]
     assert outputs["one"].tolist() == [1.0, 1.0, 1.0]
+
+
+class Named(al.System):
+    states = ("x",)
+
+    def rhs(self, t, z, road, **others):
+        return (road + others.get("wind", 0.0),)
+
+    def outputs(self, t, z):
+        return {"x": z.x}
+
+
+class Observed(al.System):
+    states = ("x",)
+
+    def rhs(self, t, z):
+        return (1.0,)
+
+    def outputs(self, t, z, *, road=0.0):
+        return {"x": z.x + road}
+
+
+ONE = al.Tabulated(np.array([0.0, 1.0]), np.ones(2))
+
+
+@pytest.mark.parametrize("integrator", [al.RungeKutta4(), al.Tsit5()], ids=["RungeKutta4", "Tsit5"])
+@pytest.mark.parametrize(
+    ("model", "inputs", "end"),
+    [
+        (Named(), {"road": ONE}, 1.0),
+        (Named(), {"road": ONE, "wind": ONE}, 2.0),
+        (Observed(), {"road": ONE}, 2.0),
+        (Observed(), {}, 1.0),
+    ],
+)
+def test_each_method_is_given_the_inputs_that_it_names_and_no_others(model, inputs, end, integrator):
+    assert float(al.simulate(model, GRID, inputs, integrator)["x"][-1]) == pytest.approx(end, rel=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("model", "inputs", "message"),
+    [
+        (Named(), {}, r"Named takes the inputs \['road'\]; received \[\]"),
+        (Named(), {"wind": ONE}, r"Named takes the inputs \['road'\]; received \['wind'\]"),
+        (Observed(), {"raod": ONE}, r"Observed takes the inputs \['road'\]; received \['raod'\]"),
+    ],
+)
+def test_an_input_that_is_missing_or_misspelt_is_refused(model, inputs, message):
+    with pytest.raises(al.ProblemError, match=message):
+        al.simulate(model, GRID, inputs)

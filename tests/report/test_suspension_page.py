@@ -6,8 +6,9 @@ import report_problems as given
 
 import aleator as al
 from aleator.studies import suspension
-from aleator.studies._suspension_facts import box, cost, published_table, verdict
+from aleator.studies._suspension_facts import box, cost, published_table
 from aleator.studies._suspension_page import suspension_page, write_page
+from aleator.studies._suspension_verdict import verdict
 
 
 @pytest.fixture(scope="module")

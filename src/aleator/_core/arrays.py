@@ -10,6 +10,9 @@ from jaxtyping import Array, Float
 Scalar: TypeAlias = float | Float[np.ndarray, ""] | Float[Array, ""]
 Pytree: TypeAlias = Any
 
+Number: TypeAlias = Any
+"""A number of a model: plain, uncertain or decided. (A type checker cannot follow how it is realised.)"""
+
 
 def numbers_to_arrays(tree: Pytree) -> Pytree:
     """Turn every float and NumPy array of `tree` into a 64-bit JAX array, so that changing it recompiles nothing.

@@ -73,7 +73,9 @@ class Tabulated(AbstractSignal):
 
     def __call__(self, t: Float[Array, ""]) -> Float[Array, ""]:
         """See `AbstractSignal.__call__`."""
-        values = jnp.stack(self.values) if isinstance(self.values, tuple) else self.values
+        values = (
+            jnp.stack([jnp.asarray(value) for value in self.values]) if isinstance(self.values, tuple) else self.values
+        )
         return jnp.interp(t, self.times, values)
 
     def span(self) -> tuple[float, float]:
@@ -88,8 +90,7 @@ def _is_leaf(value: Any) -> bool:
 
 def _samples(values: Any) -> np.ndarray | tuple[Any, ...]:
     """An array of numbers or, where some are uncertain or decided, a tuple of single values."""
-    listed = isinstance(values, list | tuple) or getattr(values, "dtype", None) == object
-    if not (listed and any(_is_leaf(value) for value in values)):
+    if not (isinstance(values, list | tuple) and any(_is_leaf(value) for value in values)):
         return _numbers("values", values)
     samples = tuple(value if _is_leaf(value) else _numbers("values", value) for value in values)
     for place, sample in enumerate(samples):

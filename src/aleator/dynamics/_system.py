@@ -21,8 +21,8 @@ class System(eqx.Module):
 
     Subclass it with the parameters as fields and the states' names in `states`; any number in a field may then be
     replaced by a distribution or a decision. In `rhs` and `outputs` the state is a named tuple (`z.z_s`, or unpacked),
-    and each further argument is an input of that name: `def rhs(self, t, z, road)`. Each of the two is given only the inputs
-    that it names (all of them, if it ends in `**inputs`).
+    and each further argument is an input of that name: `def rhs(self, t, z, road)`. Each of the two is given only the
+    inputs that it names (all of them, if it ends in `**inputs`).
 
     The two are declared with open signatures here, so that each system names its own inputs. `units` may give the units
     of outputs, for reports.
@@ -119,7 +119,8 @@ class _Inputs(NamedTuple):
 
 def _inputs_of(method: Callable[..., Any]) -> _Inputs:
     parameters = list(inspect.signature(method).parameters.values())
-    further = [one for one in parameters[2:] if one.kind is not inspect.Parameter.VAR_KEYWORD]
+    open_ended = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
+    further = [one for one in parameters[2:] if one.kind not in open_ended]
     return _Inputs(
         tuple(one.name for one in further),
         tuple(one.name for one in further if one.default is inspect.Parameter.empty),

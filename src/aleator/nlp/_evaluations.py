@@ -149,7 +149,7 @@ class Evaluations:
         self._failures = 0 if evaluation.is_finite else self._failures + 1
         self._recent.append(evaluation.is_finite)
         if self._failures >= _MOST_FAILURES:
-            raise NowhereFiniteError
+            raise NowhereFiniteError(f"not finite at {_MOST_FAILURES} points in a row")
 
     def _checked(self, evaluation: Evaluation) -> Evaluation:
         # Copies, because a model may use its arrays again.

@@ -9,6 +9,9 @@ import numpy as np
 from aleator.nlp._evaluations import Evaluations
 from aleator.nlp._program import Evaluation, NonlinearProgram
 
+# The steepest scaled slope at the start. Solvers begin without curvature, so it is also the length of their first
+# step, in typical magnitudes of the decisions.
+_FIRST_STEP = 2.0
 # A gradient smaller than this fraction of the objective is little more than rounding, and scales nothing.
 _ROUNDING = 1e-10
 # Below this, a row counts as met when points are ranked, so that the objective decides.
@@ -70,7 +73,7 @@ class ScaledProgram:
         gradient = first.gradient[self._free] * self._decision_scale
         steepest = float(np.abs(gradient).max(initial=0.0))
         self._objective_origin = first.objective
-        self.objective_scale = max(steepest, _ROUNDING * abs(first.objective)) or 1.0
+        self.objective_scale = max(steepest / _FIRST_STEP, _ROUNDING * abs(first.objective)) or 1.0
         self.evaluate(self.start)
 
     def rescale(self, z: np.ndarray, objective_scale: float) -> None:

@@ -16,6 +16,8 @@ from aleator.nlp._verdict import Answer, Verdict, judge, settle
 
 # Each round of a steep start makes the objective flatter by many orders of magnitude.
 _MOST_ROUNDS = 4
+# Fewer iterations than this are not shared out among rounds.
+_WORTH_SHARING = 50
 
 
 @dataclass(frozen=True)
@@ -101,7 +103,9 @@ class AbstractSolver(abc.ABC):
         if isinstance(halt, KeyboardInterrupt):
             return answer._replace(claim=Status.INTERRUPTED, multipliers=None, message="interrupted by the user")
         if isinstance(halt, NowhereFiniteError):
-            return answer._replace(claim=Status.EVALUATION_FAILED, point=scaled.start, multipliers=None)
+            return Answer(
+                Status.EVALUATION_FAILED, scaled.start, None, answer.iterations, f"the model is {halt}, {answer.message}"
+            )
         if halt is not None:
             raise halt
         return answer
@@ -123,15 +127,17 @@ class AbstractSolver(abc.ABC):
 
     def _rounds(self, scaled: ScaledProgram, multipliers: np.ndarray | None) -> Answer:
         """Minimise, and again from the answer with a new scale of the objective, until the answer stands in it."""
-        answer, stands = self._settled(scaled, self._minimise(scaled, multipliers))
-        for _ in range(_MOST_ROUNDS - 1):
-            left = self.max_iterations - answer.iterations
-            if stands or left < 1:
+        spent = 0
+        for last in (*[False] * (_MOST_ROUNDS - 1), True):
+            left = self.max_iterations - spent
+            # Curvature met on a steep start can make a solver creep, so no round but the last uses all iterations.
+            share = left if last or left < _WORTH_SHARING else left // 2
+            answer = dataclasses.replace(self, max_iterations=share)._minimise(scaled, multipliers)
+            spent += answer.iterations
+            answer, stands = self._settled(scaled, answer._replace(iterations=spent))
+            if last or stands or spent >= self.max_iterations:
                 break
-            warm = None if answer.multipliers is None else answer.multipliers.rows
-            again = dataclasses.replace(self, max_iterations=left)._minimise(scaled, warm)
-            again = again._replace(iterations=answer.iterations + again.iterations)
-            answer, stands = self._settled(scaled, again)
+            multipliers = None if answer.multipliers is None else answer.multipliers.rows
         return answer
 
     def _settled(self, scaled: ScaledProgram, answer: Answer) -> tuple[Answer, bool]:

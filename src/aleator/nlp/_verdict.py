@@ -97,7 +97,7 @@ def _status(scaled: ScaledProgram, answer: Answer, evaluation: Evaluation, certi
         return Status.SOLVED
     if certificate.violation > _BELIEVED_VIOLATION and is_least_violated(scaled, answer.point, evaluation):
         return Status.INFEASIBLE
-    if claim is Status.ITERATION_LIMIT:
+    if claim in (Status.ITERATION_LIMIT, Status.EVALUATION_FAILED):
         return claim
     # A solver that gives up beside points that cannot be evaluated gave up because of them.
     return Status.EVALUATION_FAILED if scaled.evaluations.failed_recently else Status.FAILED
@@ -131,8 +131,8 @@ def settle(scaled: ScaledProgram, answer: Answer) -> tuple[Answer, bool]:
     optimum inside all bounds they vanish), by the change of that gradient over a typical magnitude of the decisions,
     for which the model is evaluated once more, close by. Neither depends on the start or on an offset.
 
-    The answer counts as standing where nothing is to be gained by another scale: infeasible, out of iterations,
-    not finite.
+    The answer also stands where nothing is to be gained by another scale: infeasible, not finite, or scaled much the
+    same already. One that is still under way stands only if it has arrived.
     """
     if answer.claim not in (Status.SOLVED, Status.FAILED, Status.ITERATION_LIMIT):
         return answer, True
@@ -142,8 +142,9 @@ def settle(scaled: ScaledProgram, answer: Answer) -> tuple[Answer, bool]:
         scaled, answer.point, evaluation, _at(scaled, (answer.point, user), answer).multipliers, _PROVEN_OPTIMALITY
     )
     remainder = lagrangian_gradient(evaluation, multipliers)
+    under_way = answer.claim is Status.ITERATION_LIMIT
     if scaled.violation(evaluation.constraints).max(initial=0.0) > _BELIEVED_VIOLATION or not remainder.any():
-        return answer, True
+        return answer, not under_way
     largest = float(np.abs(remainder).max())
     pushes = remainder - evaluation.gradient
     size = float(np.minimum(np.abs(evaluation.gradient), np.abs(pushes)).max())
@@ -152,9 +153,9 @@ def settle(scaled: ScaledProgram, answer: Answer) -> tuple[Answer, bool]:
     before, after = scaled.objective_scale, scaled.objective_scale * size
     scaled.rescale(answer.point, after)
     answer = answer._replace(multipliers=converted(answer.multipliers, before / after))
-    proven = largest <= _PROVEN_OPTIMALITY * size
-    worthwhile = not 1 / _SAME_SCALE <= size <= _SAME_SCALE
-    return answer, proven or not worthwhile or answer.claim is Status.ITERATION_LIMIT
+    if under_way:
+        return answer, largest <= _UNCLAIMED_OPTIMALITY * size
+    return answer, largest <= _PROVEN_OPTIMALITY * size or 1 / _SAME_SCALE <= size <= _SAME_SCALE
 
 
 def _change_of_gradient(scaled: ScaledProgram, z: np.ndarray, multipliers: Multipliers, remainder: np.ndarray) -> float:

@@ -1,14 +1,13 @@
-"""What the suspension's page says: costs, boxes, verdict and tables, all computed from the results."""
+"""What the suspension's page says of its designs: costs, boxes and tables, all computed from the results."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 
 import numpy as np
 
 import aleator as al
 from aleator.design import value_at
-from aleator.report import Box, Card, Table, Verdict, given, number, percent, share_text, unresolved, words
-from aleator.report import interval as interval_text
-from aleator.studies._suspension_run import HOLDING, NARROW_TRAVEL, RIDE, TARGET, TRAVEL, SuspensionResults
+from aleator.report import Box, Table, given, number, percent, share_text, words
+from aleator.studies._suspension_run import HOLDING, NARROW_TRAVEL, RIDE, TRAVEL, SuspensionResults
 from aleator.studies.suspension import COST
 
 RIDE_TEXT, HOLDING_TEXT = "∫comfort dt", "rms(grip)"
@@ -76,139 +75,6 @@ def constraints_active(solution: al.Solution) -> tuple[str, ...]:
 def dollars(value: float) -> str:
     """A cost: `$5.40`."""
     return f"${value:.2f}"
-
-
-def verdict(results: SuspensionResults) -> Verdict:
-    """Which design to build and why, as far as the study has come."""
-    sentences, cards = list(_sentences(results)), _cards(results)
-    failed = [name for name, one in results.designs.items() if not one.ok]
-    if failed:
-        why = [f"{name}: {results.designs[name].why()}" for name in failed]
-        return Verdict(
-            "bad", "Not solved", f"{words(failed)} could not be solved: no recommendation.", [*why, *sentences], cards
-        )
-    if not {"dOpt", "uOpt", "aOpt"} <= set(results.evidence):
-        return Verdict(
-            "caution",
-            "Incomplete",
-            "The study was stopped before its evidence: no recommendation yet.",
-            sentences,
-            cards,
-        )
-    if coarse := unresolved(results.designs):
-        return Verdict(
-            "bad", "Not resolved", f"The expansion of {words(list(coarse))} is too coarse to trust.", sentences, cards
-        )
-    if results.evidence["aOpt"].joint.upper <= TARGET:
-        return Verdict("good", "Build", _headline(results), sentences, cards)
-    return Verdict("caution", "Build, with a wider margin", _headline(results) + _reserve(results), sentences, cards)
-
-
-def _headline(results: SuspensionResults) -> str:
-    initial, apportioned = cost(results.designs["uOpt"]), cost(results.designs["aOpt"])
-    return (
-        f"Build the apportioned design aOpt: it keeps the 1 σ margins for {dollars(apportioned)} instead of"
-        f" {dollars(initial)} (−{percent(1 - apportioned / initial)})."
-    )
-
-
-def _reserve(results: SuspensionResults) -> str:
-    share = results.evidence["aOpt"].joint.estimate
-    return f" Widen the margins first: at 1 σ, {percent(share)} of its cars still break a limit."
-
-
-def _cards(results: SuspensionResults) -> list[Card]:
-    kinds = {"dOpt": "deterministic", "uOpt": "robust", "aOpt": "apportioned"}
-    cards = []
-    for name, kind in kinds.items():
-        if one := results.evidence.get(name):
-            note = f"95 % interval {interval_text(one.joint)}. Limits: {words(list(one.violations))}."
-            cards.append(Card(f"{name}, {kind}: cars beyond a limit", percent(one.joint.estimate), note))
-    if (apportioned := solved(results, "aOpt")) and (part := saving(results)) is not None:
-        initial = cost(solved(results, "uOpt") or results.designs["dOpt"])
-        cards.append(
-            Card(
-                "Cost of the spreads, aOpt",
-                dollars(cost(apportioned)),
-                f"−{percent(part)} from {dollars(initial)} for dOpt and uOpt",
-            )
-        )
-    return cards
-
-
-def _sentences(results: SuspensionResults) -> Iterator[str]:
-    if (one := results.evidence.get("dOpt")) and "uOpt" in results.evidence:
-        robust = results.evidence["uOpt"]
-        yield (
-            f"Do not build dOpt: it is the best ride of the nominal car, and {percent(one.joint.estimate)}"
-            f" [{interval_text(one.joint)}] of all cars leave ±{given(TRAVEL, 'm')} of travel or {given(HOLDING, 'm')}"
-            f" of holding. uOpt {_damper(results)} and brings that to {percent(robust.joint.estimate)}"
-            f" [{interval_text(robust.joint)}]."
-        )
-    if apportioned := solved(results, "aOpt"):
-        ride = apportioned.moments[RIDE_TEXT]
-        wider = [f"{text} ×{number(factor, 2)}" for text, factor in _factors(apportioned).items()]
-        yield (
-            f"aOpt saves by allowing wider spreads ({words(wider)}), and pays in ride: its mean + σ is "
-            f"{number(float(ride.mean + ride.std), 4, RIDE_UNIT)}, at the limit of {given(RIDE)}." + _beside(results)
-        )
-    if narrow := results.narrow_evidence.get(ROBUST_NARROW):
-        share = narrow.violations["travel"]
-        text = (
-            f"What a margin of 1 σ is worth: designed for ±{given(NARROW_TRAVEL, 'm')} at mean + 1 σ,"
-            f" {percent(share.estimate)} [{interval_text(share)}] of the cars still exceed it."
-        )
-        yield text + _calibrated(results)
-
-
-def _damper(results: SuspensionResults) -> str:
-    """What the robust design does to the damper."""
-    before, after = (figure_of(results.designs[name], "b_s.mean") for name in ("dOpt", "uOpt"))
-    return (
-        f"takes a {'stiffer' if after > before else 'softer'} damper ({number(after, 4)} for"
-        f" {number(before, 4, UNITS['b_s'])})"
-    )
-
-
-def _factors(apportioned: al.Solution) -> dict[str, float]:
-    places = apportioned.problem.survey.decisions
-    return {
-        text: float(apportioned.decisions[name]) / float(places[name].decision.initial)
-        for name, text in SPREADS.items()
-    }
-
-
-def _beside(results: SuspensionResults) -> str:
-    """The apportioned design beside the robust one, limit by limit."""
-    ours, robust = results.evidence.get("aOpt"), results.evidence.get("uOpt")
-    if ours is None or robust is None:
-        return ""
-    pairs = [
-        f"{name} in {percent(ours.violations[name].estimate)} (uOpt {percent(share.estimate)})"
-        for name, share in robust.violations.items()
-    ]
-    pairs += [
-        f"{name}, asked of aOpt only, in {percent(share.estimate)}"
-        for name, share in ours.violations.items()
-        if name not in robust.violations
-    ]
-    return f" Its cars break {words(pairs)}."
-
-
-def _calibrated(results: SuspensionResults) -> str:
-    if results.calibration is None:
-        return ""
-    one, confirmed = results.calibration, results.calibration.evidence.violations["travel"]
-    trial = results.narrow.get(ROBUST_NARROW)
-    price = (
-        ""
-        if trial is None
-        else f"; ride rises from {number(trial.objective, 4)} to {number(one.solution.objective, 4, RIDE_UNIT)}"
-    )
-    return (
-        f" A margin of a = {number(one.sigmas, 3)} brings that to the target of {given(100 * one.target)} %: on fresh"
-        f" cars {percent(confirmed.estimate)} [{interval_text(confirmed)}]{price}."
-    )
 
 
 def designs_table(results: SuspensionResults) -> Table:

@@ -7,9 +7,10 @@ from typing import final
 from aleator._core.progress import Progress
 from aleator.report import Table, save
 from aleator.studies._study import AbstractStudy
-from aleator.studies._suspension_facts import designs_table, published_table, verdict
+from aleator.studies._suspension_facts import designs_table, published_table
 from aleator.studies._suspension_page import write_page
 from aleator.studies._suspension_run import QUICK, STAGES, Effort, SuspensionResults, run_stage
+from aleator.studies._suspension_verdict import verdict
 
 
 @final

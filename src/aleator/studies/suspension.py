@@ -22,12 +22,12 @@ class QuarterCar(al.System):
     states = ("z_s", "v_s", "z_u", "v_u")
     units: ClassVar = {"z_s": "m", "z_u": "m", "travel": "m", "comfort": "m²/s⁴", "grip": "m"}
 
-    m_s: Any = al.parameter("kg", positive=True)
-    m_u: Any = al.parameter("kg", positive=True)
-    k_s: Any = al.parameter("N/m", positive=True)
-    b_s: Any = al.parameter("N s/m")
-    eta: Any = al.parameter("-", positive=True)
-    k_u: Any = al.parameter("N/m", positive=True)
+    m_s: al.Number = al.parameter("kg", positive=True)
+    m_u: al.Number = al.parameter("kg", positive=True)
+    k_s: al.Number = al.parameter("N/m", positive=True)
+    b_s: al.Number = al.parameter("N s/m")
+    eta: al.Number = al.parameter("-", positive=True)
+    k_u: al.Number = al.parameter("N/m", positive=True)
 
     def accelerations(self, z: Any, road: Any) -> tuple[Any, Any]:
         """Of the sprung and the unsprung mass, m/s²; positions are measured from equilibrium."""

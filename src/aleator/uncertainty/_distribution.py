@@ -95,7 +95,7 @@ class AbstractDistribution(eqx.Module):
         with np.errstate(all="ignore"):
             location, scale, shape = self.form.canonical(**{name: np.float64(v) for name, v in parameters.items()})
         # A given standard deviation is squared on its way to some canonical forms, which hides its sign.
-        spread = np.min([scale, parameters.get("std", scale)])
+        spread = np.min([float(scale), parameters.get("std", float(scale))])
         return float(location), float(spread), tuple(float(number) for number in shape)
 
     def _check_corner(self, corner: dict[str, float], location: float, spread: float, shape: tuple[float, ...]) -> None:

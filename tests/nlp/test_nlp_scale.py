@@ -1,0 +1,150 @@
+"""What is called solved depends neither on the units of the objective nor on how steep it is at the start."""
+
+import nlp_problems as problems
+import numpy as np
+import pytest
+from nlp_problems import INF, evaluation, program
+
+from aleator.nlp import FilterSQP, Ipopt, Slsqp, Status
+
+
+def parabola(offset=0.0, factor=1.0, start=1.0):
+    return program(
+        lambda x: evaluation(factor * (x[0] - 3) ** 2 + offset, 2 * factor * (x - 3)), [start], [0.0], [10.0]
+    )
+
+
+@pytest.mark.parametrize("offset", [0.0, 1e5, 1e6, 1e8, -1e8])
+def test_an_offset_of_the_objective_moves_no_optimum(solver, offset):
+    outcome = solver.solve(parabola(offset=offset))
+    assert outcome.ok
+    assert outcome.decisions == pytest.approx(np.array([3.0]), abs=1e-5)
+    assert outcome.evaluations <= 10 or abs(offset) > 1e6
+
+
+@pytest.mark.parametrize("factor", [1e-6, 1e6])
+def test_a_factor_of_the_objective_moves_no_optimum(solver, factor):
+    outcome = solver.solve(parabola(factor=factor))
+    assert outcome.ok
+    assert outcome.decisions == pytest.approx(np.array([3.0]), abs=1e-5)
+
+
+@pytest.mark.parametrize("offset", [1e5, 1e8])
+def test_an_offset_moves_no_constrained_optimum_and_no_multiplier(solver, offset):
+    inner = problems.hs35()
+    plain = solver.solve(inner)
+
+    def evaluate(x):
+        found = inner.evaluate(x)
+        return found._replace(objective=found.objective + offset)
+
+    shifted = solver.solve(program(evaluate, inner.start, inner.lower, inner.upper, [(-INF, 3)]))
+    assert shifted.ok
+    assert shifted.decisions == pytest.approx(plain.decisions, abs=1e-3)
+    assert shifted.multipliers == pytest.approx(plain.multipliers, abs=1e-3)
+
+
+def test_a_gentle_slope_on_a_large_offset_is_followed_to_the_bound(solver):
+    outcome = solver.solve(program(lambda x: evaluation(0.1 * x[0] + 100, [0.1]), [1.0], [0.0], [10.0]))
+    assert outcome.ok
+    assert outcome.decisions == pytest.approx(np.zeros(1), abs=1e-6)
+
+
+@pytest.mark.parametrize("start", [3.0, 3.0 + 1e-6])
+def test_a_start_at_the_optimum_stays_there(solver, start):
+    outcome = solver.solve(parabola(start=start))
+    assert outcome.ok
+    assert outcome.decisions == pytest.approx(np.array([3.0]), abs=1e-5)
+
+
+def test_rounding_of_the_gradient_is_no_obstacle(solver):
+    # The remainder at the optimum is 1e-10 of the slope at the start and changes from point to point.
+    def evaluate(x):
+        noise = 1e-10 * np.sin(1e9 * x[0])
+        return evaluation((x[0] - 3) ** 2 + 1e3, [2 * (x[0] - 3) + noise])
+
+    outcome = solver.solve(program(evaluate, [3.0 + 1e-3], [0.0], [10.0]))
+    assert outcome.ok
+    assert outcome.decisions == pytest.approx(np.array([3.0]), abs=1e-5)
+
+
+def steep(start, typical):
+    """1/a² + a falls from up to 1e10 to its minimum 2^(1/3) + 2^(-2/3) at a = 2^(1/3)."""
+    return program(
+        lambda x: evaluation(x[0] ** -2 + x[0], 1 - 2 * x**-3), [start], [1e-6], [10.0], decision_scale=[typical]
+    )
+
+
+@pytest.mark.parametrize("start", [1e-1, 1e-2, 1e-3, 1e-4, 1e-5])
+@pytest.mark.parametrize("from_typical_start", [False, True])
+def test_a_steep_start_is_left_behind_or_the_solver_says_that_it_gave_up(solver, start, from_typical_start):
+    outcome = solver.solve(steep(start, start if from_typical_start else 1.0))
+    assert outcome.status in (Status.SOLVED, Status.ITERATION_LIMIT, Status.FAILED)
+    if outcome.ok or (isinstance(solver, FilterSQP) and start >= 1e-3):
+        assert outcome.evaluation.objective == pytest.approx(1.8898815748, rel=1e-7)
+
+
+def test_an_objective_that_flattens_towards_infinity_has_no_optimum(solver):
+    outcome = solver.solve(program(lambda x: evaluation(np.exp(-x[0]), -np.exp(-x)), [0.0]))
+    assert not outcome.ok
+
+
+@pytest.mark.parametrize("make", [FilterSQP, Ipopt, Slsqp])
+@pytest.mark.parametrize("iterations", [1, 3, 6])
+def test_iterations_are_counted_over_all_restarts_and_their_limit_is_no_solution(make, iterations):
+    outcome = make(max_iterations=iterations).solve(steep(1e-2, 1e-2))
+    assert outcome.status is Status.ITERATION_LIMIT
+    assert outcome.iterations <= iterations + 1
+
+
+def walled(x):
+    return evaluation(x[0] if x[0] >= 1 else np.nan, [1.0], [x[0]], [[1.0]])
+
+
+@pytest.mark.parametrize("lower", [0.0, -INF])
+def test_a_region_that_cannot_be_evaluated_and_hides_the_optimum_is_named(solver, lower):
+    outcome = solver.solve(program(walled, [2.0], [lower], [10.0], rows=[(-INF, 20)]))
+    assert outcome.status is Status.EVALUATION_FAILED
+    assert outcome.decisions[0] >= 1
+    assert np.isfinite(outcome.evaluation.objective)
+    assert outcome.failed_at is not None
+    assert outcome.failed_at[0] < 1
+    assert "not finite" in outcome.message
+
+
+def test_the_start_is_the_failed_point_where_it_cannot_be_evaluated(solver):
+    outcome = solver.solve(program(walled, [0.5], [0.0], [10.0], rows=[(-INF, 20)]))
+    assert outcome.status is Status.EVALUATION_FAILED
+    assert outcome.failed_at == pytest.approx(np.array([0.5]))
+
+
+def test_a_solved_program_has_no_failed_point(solver):
+    assert solver.solve(parabola()).failed_at is None
+
+
+def test_bounds_and_rows_that_hold_the_optimum_are_active(solver):
+    # min a + (b - 2)² + c² with a >= 0, b <= 1 by a row, c free and d fixed.
+    def evaluate(x):
+        return evaluation(
+            x[0] + (x[1] - 2) ** 2 + x[2] ** 2 + x[3],
+            [1, 2 * (x[1] - 2), 2 * x[2], 1],
+            [x[1], x[2], x[2] - x[3]],
+            [[0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 1, -1]],
+        )
+
+    outcome = solver.solve(
+        program(
+            evaluate,
+            [2.0, 0.0, 1.0, 1.0],
+            [0, -5, -5, 1],
+            [9, 5, 5, 1],
+            rows=[(-INF, 1), (-4, 4), (-INF, INF)],
+        )
+    )
+    assert outcome.ok
+    assert outcome.active.tolist() == [True, False, False]
+    assert outcome.active_bounds.tolist() == [True, False, False, True]
+
+
+def test_an_equality_is_active(solver):
+    assert solver.solve(problems.hs28()).active.tolist() == [True]
