@@ -10,8 +10,7 @@ from aleator.nlp._scaling import ScaledProgram
 
 # Rows this close to a bound count as active when multipliers are fitted or infeasibility is examined.
 _ACTIVE = 1e-5
-# A violation is stationary if one typical magnitude of every decision would lower it by less than this
-# fraction.
+# A violation is stationary if one typical magnitude of every decision would lower it by less than this fraction.
 _STATIONARY_FRACTION = 1e-3
 
 
@@ -20,13 +19,10 @@ _STATIONARY_FRACTION = 1e-3
 class Certificate:
     """Residuals of the Karush-Kuhn-Tucker conditions, dimensionless.
 
-    Attributes:
-        violation: largest `(c - upper) / scale` or `(lower - c) / scale` of a row or decision, at least 0.
-        stationarity: `max |∇f + Jᵀλ + μ|`, over the largest multiplier where that is above 1.
-        complementarity: largest product of a multiplier and the slack of the bound it pushes against (a
-            slack above 1, or a bound that does not exist, counts as 1), over the largest multiplier where
-            that is above 1.
-
+    - `violation`: largest `(c - upper) / scale` or `(lower - c) / scale` of a row or decision, at least 0;
+    - `stationarity`: `max |∇f + Jᵀλ + μ|`, over the largest multiplier where that is above 1;
+    - `complementarity`: largest product of a multiplier and the slack of the bound it pushes against (a slack above
+      1, or a bound that does not exist, counts as 1), over the largest multiplier where that is above 1.
     """
 
     violation: float
@@ -41,17 +37,16 @@ class Certificate:
 @final
 @dataclass(frozen=True)
 class Multipliers:
-    """Scaled multipliers: of the rows, shape (m_useful,), and of the free decisions' bounds, shape
-    (n_free,).
-    """
+    """Scaled multipliers: of the rows, shape (m_useful,), and of the free decisions' bounds, shape (n_free,)."""
 
     rows: np.ndarray
     bounds: np.ndarray
 
 
 def certify(scaled: ScaledProgram, z: np.ndarray, evaluation: Evaluation, multipliers: Multipliers) -> Certificate:
-    """Compute the residuals at `z`, shape (n_free,), with its scaled evaluation (Nocedal and Wright 2006,
-    eq. 12.34).
+    """Compute the residuals at `z`, shape (n_free,), with its scaled evaluation.
+
+    Source: Nocedal and Wright 2006, eq. 12.34.
     """
     values = np.concatenate([evaluation.constraints, z])
     lower = np.concatenate([scaled.constraint_lower, scaled.lower])
@@ -134,8 +129,9 @@ def is_least_violated(scaled: ScaledProgram, z: np.ndarray, evaluation: Evaluati
 
 
 def _sum_is_stationary(scaled: ScaledProgram, z: np.ndarray, evaluation: Evaluation, outside: np.ndarray) -> bool:
-    """Zero is in the subdifferential of `Σ max(violation, 0)`: a row at its kink counts with any weight in
-    [0, 1].
+    """Whether zero is in the subdifferential of `Σ max(violation, 0)`.
+
+    A row at its kink counts with any weight in [0, 1].
     """
     from scipy.optimize import lsq_linear
 
@@ -155,9 +151,7 @@ def _sum_is_stationary(scaled: ScaledProgram, z: np.ndarray, evaluation: Evaluat
 
 
 def _maximum_is_stationary(scaled: ScaledProgram, z: np.ndarray, evaluation: Evaluation, outside: np.ndarray) -> bool:
-    """Zero is in the subdifferential of `max violation`: a convex combination of the worst rows'
-    gradients.
-    """
+    """Whether zero is in the subdifferential of `max violation`, the convex hull of the worst rows' gradients."""
     worst = outside >= outside.max() * (1 - _STATIONARY_FRACTION) - _ACTIVE
     gradients = _sides(scaled, evaluation, worst) * evaluation.jacobian[worst].T
     cone = _bound_cone(scaled, z)
@@ -170,9 +164,7 @@ def _maximum_is_stationary(scaled: ScaledProgram, z: np.ndarray, evaluation: Eva
 
 
 def _nonnegative_fit(columns: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """Find the weights `w >= 0` that minimise `|columns @ w - target|`; zeros, which prove nothing, if not
-    found.
-    """
+    """Find the weights `w >= 0` that minimise `|columns @ w - target|`; zeros, which prove nothing, if not found."""
     from scipy.optimize import nnls
 
     try:

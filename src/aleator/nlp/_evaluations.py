@@ -39,19 +39,20 @@ class Evaluations:
     """Evaluates points, remembering the last few, and keeps the exception that ended the solve.
 
     Solvers in C++ swallow exceptions of their callbacks, so the first one is kept in `halt` and every later
-    call
-    refuses: the solver then ends quickly, and the caller of `solve` gets the exception itself.
+    call refuses: the solver then ends quickly, and the caller of `solve` gets the exception itself.
 
-    Arguments:
-        evaluate: the user's function of `x`, shape (n,).
-        decisions, constraints: n and m, checked at every call.
-        remembered: number of finite and of failed points kept.
+    It is made from
 
-    Attributes:
-        count: of calls of `evaluate`.
-        halt: the exception that ends the solve, None while all is well.
-        last: the latest evaluation asked for; not-a-number before the first.
+    - `evaluate`: the user's function of `x`, shape (n,);
+    - `decisions`, `constraints`: n and m, checked at every call;
+    - `remembered`: number of finite and of failed points kept;
 
+    and tells
+
+    - `count`: of calls of `evaluate`;
+    - `halt`: the exception that ends the solve, None while all is well;
+    - `last`: the latest evaluation asked for; not-a-number before the first;
+    - `failed_at`: the latest point asked for that could not be evaluated, shape (n,); None before the first.
     """
 
     def __init__(
@@ -81,9 +82,7 @@ class Evaluations:
     def at(self, x: np.ndarray) -> Evaluation:
         """Evaluate `x`, whether the result is finite or not.
 
-        Raises:
-            HaltedError: an exception ended the solve, now or before.
-
+        Raises `HaltedError` if an exception ended the solve, now or before.
         """
         if self.halt is not None:
             raise HaltedError from self.halt
@@ -110,10 +109,8 @@ class Evaluations:
     def finite_at(self, x: np.ndarray) -> Evaluation:
         """Evaluate `x` where the model is finite.
 
-        Raises:
-            NotFiniteError: some of its numbers are not finite.
-            HaltedError: an exception ended the solve, now or before.
-
+        Raises `NotFiniteError` if some of its numbers are not finite, `HaltedError` if an exception ended the solve,
+        now or before.
         """
         evaluation = self.at(x)
         if not evaluation.is_finite:
@@ -122,9 +119,7 @@ class Evaluations:
 
     @contextlib.contextmanager
     def noting_interrupts(self) -> Iterator[None]:
-        """Keep a Ctrl-C that arrives inside a solver's own code, where the exception itself would be
-        swallowed.
-        """
+        """Keep a Ctrl-C that arrives inside a solver's own code, where the exception itself would be swallowed."""
         previous = signal.getsignal(signal.SIGINT)
         if threading.current_thread() is not threading.main_thread() or not callable(previous):
             yield

@@ -33,9 +33,7 @@ class FilterSQP(AbstractSolver):
     Vanaret and Leyffer 2026 (Uno, https://github.com/cvanaret/Uno). Points that cannot be evaluated shrink
     the trust region.
 
-    Attributes:
-        radius: initial trust region, in typical magnitudes of the decisions.
-
+    - `radius`: initial trust region, in typical magnitudes of the decisions.
     """
 
     radius: float = 10.0

@@ -109,14 +109,10 @@ def _vector(matrix: Any) -> np.ndarray:
 
 
 def _callbacks(casadi: Any, scaled: ScaledProgram) -> dict[str, Any]:
-    """Make the functions that IPOPT asks for, each writing parts of the one cached evaluation into CasADi's
-    buffers.
-    """
+    """Make the functions that IPOPT asks for; each writes parts of the cached evaluation into CasADi's buffers."""
 
     class Values(casadi.Callback):
-        """CasADi asks subclasses for their shapes while it constructs them, so these are set before
-        `construct`.
-        """
+        """CasADi asks for the shapes of a subclass while it constructs it, so they are set before `construct`."""
 
         def __init__(self, name: str, inputs: list[tuple[int, int]], outputs: dict[str, tuple[int, int]]):
             super().__init__()

@@ -30,24 +30,26 @@ class Outcome:
     upper bound is active and <= 0 where the lower one is, so the optimal objective changes by `-multiplier`
     per unit of the active bound.
 
-    Attributes:
-        status: how it ended, judged from the certificate and not only from the solver's word.
-        decisions: `x`, shape (n,). The least violated point seen where the status is INFEASIBLE; the best
-            where it is INTERRUPTED.
-        evaluation: the model's values and derivatives at `decisions`.
-        multipliers: of the constraints, shape (m,), units of objective per constraint.
-        bound_multipliers: of the decisions' bounds, shape (n,), units of objective per decision.
-        violation: largest violation of a constraint or bound over its scale, dimensionless.
-        stationarity: largest scaled component of the Lagrangian's gradient, over the largest multiplier if
-            above 1.
-        complementarity: largest scaled product of a multiplier and its slack, over the largest multiplier if
-            above 1.
-        iterations: the solver's count of iterations.
-        evaluations: number of points at which `evaluate` was called.
-        seconds: wall-clock time.
-        solver: its name and version.
-        message: what the solver itself said, followed by our objection where the status differs.
-
+    - `status`: how it ended, judged from the certificate and not only from the solver's word;
+    - `decisions`: `x`, shape (n,). The least violated point seen where the status is INFEASIBLE; the best where it is
+      INTERRUPTED or EVALUATION_FAILED;
+    - `evaluation`: the model's values and derivatives at `decisions`;
+    - `multipliers`: of the constraints, shape (m,), units of objective per constraint;
+    - `bound_multipliers`: of the decisions' bounds, shape (n,), units of objective per decision;
+    - `violation`: largest violation of a constraint or bound over its scale, dimensionless;
+    - `stationarity`: largest component of the scaled Lagrangian's gradient, over the size of what cancels in it or of
+      its change over a typical magnitude, whichever is larger, and over the largest multiplier if above 1;
+    - `complementarity`: largest product of a scaled multiplier and its slack, over the same sizes;
+    - `iterations`: the solver's count, over all restarts;
+    - `evaluations`: number of points at which `evaluate` was called;
+    - `seconds`: wall-clock time;
+    - `solver`: its name and version;
+    - `message`: what the solver itself said, with our objection where the status differs;
+    - `active`: whether a constraint is at its bound, shape (m,): its scaled slack is at most 1e-6, or smaller than a
+      scaled multiplier above 1e-6; equalities always are;
+    - `active_bounds`: the same of the decisions, shape (n,); fixed ones always are;
+    - `failed_at`: the last point at which the model was not finite, shape (n,), where the status is EVALUATION_FAILED;
+      None otherwise.
     """
 
     status: Status

@@ -12,12 +12,10 @@ from aleator._core.errors import ProblemError
 class Evaluation(NamedTuple):
     """Objective, constraints and their first derivatives at one point, from one call of the model.
 
-    Attributes:
-        objective: `f(x)`, a number.
-        gradient: `∂f/∂x`, shape (n,).
-        constraints: `c(x)`, shape (m,).
-        jacobian: `∂c/∂x`, dense, shape (m, n).
-
+    - `objective`: `f(x)`, a number;
+    - `gradient`: `∂f/∂x`, shape (n,);
+    - `constraints`: `c(x)`, shape (m,);
+    - `jacobian`: `∂c/∂x`, dense, shape (m, n).
     """
 
     objective: float
@@ -38,21 +36,16 @@ class NonlinearProgram:
 
     Everything is in the user's units; the solvers scale inside.
 
-    Attributes:
-        evaluate: gives the `Evaluation` at `x` of shape (n,). Non-finite numbers in it mean "cannot be
-            evaluated here", and solvers step back; an exception ends the solve and reaches its caller.
-        start: initial decisions, shape (n,).
-        lower, upper: bounds of the decisions, shape (n,), infinite where there is none, equal to fix a
-            decision.
-        constraint_lower, constraint_upper: bounds of the constraints, shape (m,), infinite where there is
-            none, equal for an equality.
-        constraint_scale: typical magnitudes of the constraints, shape (m,), positive.
-        decision_scale: typical magnitudes of the decisions, shape (n,), positive.
+    - `evaluate`: gives the `Evaluation` at `x` of shape (n,). Non-finite numbers in it mean "cannot be evaluated
+      here", and solvers step back; an exception ends the solve and reaches its caller;
+    - `start`: initial decisions, shape (n,);
+    - `lower`, `upper`: bounds of the decisions, shape (n,), infinite where there is none, equal to fix a decision;
+    - `constraint_lower`, `constraint_upper`: bounds of the constraints, shape (m,), infinite where there is none,
+      equal for an equality;
+    - `constraint_scale`: typical magnitudes of the constraints, shape (m,), positive;
+    - `decision_scale`: typical magnitudes of the decisions, shape (n,), positive.
 
-    Raises:
-        ProblemError: shapes that differ, bounds that cross, scales that are not positive, a start that is
-            not finite.
-
+    Raises `ProblemError` if shapes differ, bounds cross, scales are not positive or the start is not finite.
     """
 
     evaluate: Callable[[np.ndarray], Evaluation]

@@ -1,6 +1,4 @@
-"""The program as solvers see it: dimensionless, without fixed decisions and without rows that bind
-nothing.
-"""
+"""The program as solvers see it: dimensionless, without fixed decisions and without rows that bind nothing."""
 
 from typing import final
 
@@ -22,22 +20,20 @@ _REACHED = 1e-6
 
 @final
 class ScaledProgram:
-    """`x / decision_scale`, `f / objective_scale` and `c / constraint_scale`, over free decisions and useful
-    rows.
+    """The program in `x / decision_scale`, `(f - f(start)) / objective_scale` and `c / constraint_scale`.
 
-    Points `z` have shape (n_free,), constraints shape (m_useful,). The model is never asked outside the
-    bounds.
+    Only free decisions and useful rows are seen: points `z` have shape (n_free,), constraints shape (m_useful,). The
+    model is never asked outside the bounds.
 
-    Attributes:
-        size, rows: n_free and m_useful.
-        start: scaled start, clipped to the bounds, shape (n_free,).
-        lower, upper: scaled bounds, shape (n_free,).
-        constraint_lower, constraint_upper: scaled bounds, shape (m_useful,).
-        objective_scale: `|f(start)|`, or more where the gradient would be very large otherwise.
-        best: the best point seen, with its evaluation in user units: feasible with the least objective, else
-            the least violated one. None before `begin`.
-        evaluations: the model behind.
-
+    - `size`, `rows`: n_free and m_useful;
+    - `start`: scaled start, clipped to the bounds, shape (n_free,);
+    - `lower`, `upper`: scaled bounds, shape (n_free,);
+    - `constraint_lower`, `constraint_upper`: scaled bounds, shape (m_useful,);
+    - `objective_scale`: from the gradient at the start, so that neither an offset nor a factor of the objective
+      matters; from `|f(start)|` where there is no gradient to speak of;
+    - `best`: the best point seen, with its evaluation in user units: feasible with the least objective, else the
+      least violated one. None before `begin`;
+    - `evaluations`: the model behind.
     """
 
     def __init__(self, program: NonlinearProgram, start: np.ndarray):
@@ -64,10 +60,7 @@ class ScaledProgram:
     def begin(self) -> None:
         """Evaluate the start and set `objective_scale` from it.
 
-        Raises:
-            NotFiniteError: the model cannot be evaluated at the start.
-            HaltedError: the model raised an exception.
-
+        Raises `NotFiniteError` if the model cannot be evaluated at the start, `HaltedError` if it raised an exception.
         """
         first = self.evaluations.finite_at(self.decisions(self.start))
         gradient = first.gradient[self._free] * self._decision_scale
@@ -95,10 +88,7 @@ class ScaledProgram:
     def evaluate(self, z: np.ndarray) -> Evaluation:
         """Evaluate `z`, scaled.
 
-        Raises:
-            NotFiniteError: the model cannot be evaluated here.
-            HaltedError: the solve is to end.
-
+        Raises `NotFiniteError` if the model cannot be evaluated here, `HaltedError` if the solve is to end.
         """
         x = self.decisions(np.asarray(z, dtype=float))
         user = self.evaluations.finite_at(x)
@@ -136,9 +126,7 @@ class ScaledProgram:
         return all_rows, all_bounds
 
     def violation(self, constraints: np.ndarray) -> np.ndarray:
-        """How far each scaled constraint is outside its bounds, signed: negative inside; shape
-        (m_useful,).
-        """
+        """How far each scaled constraint is outside its bounds, negative inside; shape (m_useful,)."""
         return np.maximum(constraints - self.constraint_upper, self.constraint_lower - constraints)
 
     def multipliers_to_user(self, multipliers: np.ndarray) -> np.ndarray:
@@ -156,8 +144,7 @@ class ScaledProgram:
     ) -> np.ndarray:
         """Multipliers of all bounds, shape (n,), from scaled ones of the free decisions.
 
-        A fixed decision's one makes the Lagrangian stationary, given the `multipliers` of all rows in user
-        units.
+        Those of fixed decisions make the Lagrangian stationary, given the `multipliers` of all rows in user units.
         """
         with np.errstate(invalid="ignore", over="ignore"):
             # A model that is not finite leaves no multipliers to speak of, and nothing to warn about.

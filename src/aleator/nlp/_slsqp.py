@@ -18,8 +18,7 @@ from aleator.nlp._verdict import Answer
 _CONVERGED, _INCOMPATIBLE, _ITERATION_LIMIT = 0, 4, 9
 # Added to the objective where the model cannot be evaluated, so that the line search steps back.
 _WALL = 1e6
-# Decisions move at most this many typical magnitudes a round: rows that are left out cannot let them run
-# away.
+# Decisions move at most this many typical magnitudes a round, lest rows that are left out let them run away.
 _REACH = 10.0
 # SLSQP stops on changes of the objective, which are second order in the distance to the solution.
 _CHANGE_PER_TOLERANCE = 1e-4
@@ -45,10 +44,8 @@ class Slsqp(AbstractSolver):
     contradict each other, minimising the largest violation finds a feasible point to go on from, or a point
     of least violation.
 
-    Attributes:
-        max_iterations: over all rounds.
-        max_rounds: of the exchange.
-
+    - `max_iterations`: over all rounds;
+    - `max_rounds`: of the exchange.
     """
 
     max_iterations: int = 1000
@@ -71,7 +68,8 @@ class Slsqp(AbstractSolver):
             if not scaled.is_finite(point):
                 return Answer(Status.EVALUATION_FAILED, before, None, iterations, message)
             if mode == _ITERATION_LIMIT or iterations >= self.max_iterations:
-                return Answer(Status.ITERATION_LIMIT, point, None, iterations, message)
+                used_up = message if mode == _ITERATION_LIMIT else "iteration limit reached over all rounds"
+                return Answer(Status.ITERATION_LIMIT, point, None, iterations, used_up)
             settled = bool(np.abs(point - before).max() < 0.99 * _REACH) and self._met(scaled, point, rows)
             feasible = _largest_violation(scaled, point) <= 10 * self.tolerance
             if search is _least_violation:
@@ -86,9 +84,7 @@ class Slsqp(AbstractSolver):
         return Answer(Status.ITERATION_LIMIT, point, None, iterations, "the exchange of rows reached its limit")
 
     def _met(self, scaled: ScaledProgram, point: np.ndarray, rows: np.ndarray) -> bool:
-        """Whether no row outside `rows` is violated more than those inside: another round would change
-        nothing.
-        """
+        """Whether no row outside `rows` is violated more than those inside: another round would change nothing."""
         outside = scaled.violation(scaled.evaluate(point).constraints)
         inside = float(outside[rows].max(initial=0.0))
         return float(outside.max(initial=0.0)) <= max(inside, self.tolerance)
@@ -99,9 +95,7 @@ def _largest_violation(scaled: ScaledProgram, point: np.ndarray) -> float:
 
 
 def _worst_rows(scaled: ScaledProgram, point: np.ndarray) -> np.ndarray:
-    """Find the rows that are worst among their neighbours, the worst first and no more than a few per
-    decision.
-    """
+    """Find the rows that are worst among their neighbours, the worst first and no more than a few per decision."""
     outside = scaled.violation(scaled.evaluate(point).constraints)
     padded = np.concatenate([[-np.inf], outside, [-np.inf]])
     # Of rows that are equally bad the first counts, so that a plateau does not crowd out the other extrema.

@@ -24,10 +24,8 @@ _WORTH_SHARING = 50
 class AbstractSolver(abc.ABC):
     """Solves nonlinear programs. Implementations only run their library on the scaled program.
 
-    Attributes:
-        tolerance: on the scaled violation and Karush-Kuhn-Tucker residuals.
-        max_iterations: after which the solver stops.
-
+    - `tolerance`: on the scaled violation and Karush-Kuhn-Tucker residuals;
+    - `max_iterations`: after which the solver stops, restarts included.
     """
 
     tolerance: float = 1e-8
@@ -46,23 +44,14 @@ class AbstractSolver(abc.ABC):
         multipliers: np.ndarray | None = None,
         start: np.ndarray | None = None,
     ) -> Outcome:
-        """Solves `program`.
+        """Solve `program`, given in user units; a failed solve is data with its status, not an exception.
 
-        Arguments:
-            program: in user units.
-            multipliers: of the constraints, shape (m,), from an earlier `Outcome`, to begin near its
-                solution.
-            start: replaces `program.start`, shape (n,); clipped to the bounds.
+        - `multipliers`: of the constraints, shape (m,), from an earlier `Outcome`, to begin near its solution;
+        - `start`: replaces `program.start`, shape (n,); clipped to the bounds.
 
-        Returns:
-            The outcome, whatever its status: a failed solve is data, not an exception.
-
-        Raises:
-            ProblemError: `start` or `multipliers` of the wrong shape or not finite.
-            MissingExtraError: the solver's library is not installed.
-            BaseException: whatever `program.evaluate` raises, but for `KeyboardInterrupt`, which ends the
-                solve with `Status.INTERRUPTED`.
-
+        Raises `ProblemError` if `start` or `multipliers` have the wrong shape or are not finite, `MissingExtraError`
+        if the solver's library is not installed, and whatever `program.evaluate` raises, but for `KeyboardInterrupt`,
+        which ends the solve with `Status.INTERRUPTED`.
         """
         began = time.perf_counter()
         self._require()
@@ -77,10 +66,10 @@ class AbstractSolver(abc.ABC):
 
     @abc.abstractmethod
     def _minimise(self, scaled: ScaledProgram, multipliers: np.ndarray | None) -> Answer:
-        """Run the library from `scaled.start`; `multipliers` are scaled, shape (m_useful,), or None for a
-        cold start.
+        """Run the library from `scaled.start`.
 
-        May raise `HaltedError` and `KeyboardInterrupt`.
+        `multipliers` are scaled, shape (m_useful,), or None for a cold start. May raise
+        `HaltedError` and `KeyboardInterrupt`.
         """
 
     @abc.abstractmethod
@@ -104,7 +93,11 @@ class AbstractSolver(abc.ABC):
             return answer._replace(claim=Status.INTERRUPTED, multipliers=None, message="interrupted by the user")
         if isinstance(halt, NowhereFiniteError):
             return Answer(
-                Status.EVALUATION_FAILED, scaled.start, None, answer.iterations, f"the model is {halt}, {answer.message}"
+                Status.EVALUATION_FAILED,
+                scaled.start,
+                None,
+                answer.iterations,
+                f"the model is {halt}, {answer.message}",
             )
         if halt is not None:
             raise halt
@@ -127,18 +120,18 @@ class AbstractSolver(abc.ABC):
 
     def _rounds(self, scaled: ScaledProgram, multipliers: np.ndarray | None) -> Answer:
         """Minimise, and again from the answer with a new scale of the objective, until the answer stands in it."""
-        spent = 0
-        for last in (*[False] * (_MOST_ROUNDS - 1), True):
-            left = self.max_iterations - spent
+        spent, rounds = 0, 0
+        while True:
+            rounds += 1
+            last, left = rounds == _MOST_ROUNDS, self.max_iterations - spent
             # Curvature met on a steep start can make a solver creep, so no round but the last uses all iterations.
             share = left if last or left < _WORTH_SHARING else left // 2
             answer = dataclasses.replace(self, max_iterations=share)._minimise(scaled, multipliers)
             spent += answer.iterations
             answer, stands = self._settled(scaled, answer._replace(iterations=spent))
             if last or stands or spent >= self.max_iterations:
-                break
+                return answer
             multipliers = None if answer.multipliers is None else answer.multipliers.rows
-        return answer
 
     def _settled(self, scaled: ScaledProgram, answer: Answer) -> tuple[Answer, bool]:
         if scaled.evaluations.halt is not None or not scaled.is_finite(answer.point):

@@ -35,13 +35,11 @@ _SAME_SCALE = 10.0
 class Answer(NamedTuple):
     """What a solver claims, in scaled quantities.
 
-    Attributes:
-        claim: the solver's own word.
-        point: shape (n_free,).
-        multipliers: None where the solver gives none.
-        iterations: its count.
-        message: what it said.
-
+    - `claim`: the solver's own word;
+    - `point`: shape (n_free,);
+    - `multipliers`: None where the solver gives none;
+    - `iterations`: its count;
+    - `message`: what it said.
     """
 
     claim: Status
@@ -52,9 +50,7 @@ class Answer(NamedTuple):
 
 
 class Verdict(NamedTuple):
-    """What is reported: a point with its evaluation in user units, scaled multipliers and their
-    certificate.
-    """
+    """What is reported: a point with its evaluation in user units, scaled multipliers and their certificate."""
 
     status: Status
     point: np.ndarray
