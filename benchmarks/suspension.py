@@ -21,7 +21,7 @@ from scipy.optimize import minimize
 
 import aleator as al
 from aleator.studies.suspension import road, robust_problem
-from aleator.transcription import EVALUATE, transcribe
+from aleator.transcription import transcribe
 
 STEPS, STEP, TRAVEL, HOLDING = 2800, 1e-3, 0.203, 0.034
 HALF_WIDTHS = np.array([47.0, 3750.0, 250.0, 0.17375, 25e3])
@@ -128,8 +128,9 @@ def main() -> None:
     arguments = options.parse_args()
     print(f"{os.cpu_count()} cores, Python {sys.version.split()[0]}")
     first, solution = timed(lambda: al.solve(robust_problem()))
+    assert isinstance(solution, al.Solution)
     row("robust design, first call", f"{first:.2f} s")
-    row("  of which compilation", f"{EVALUATE.seconds:.2f} s", "target: under 2 s")
+    row("  of which compilation", f"{solution.times.compile_:.2f} s", "target: under 2 s")
     warm, solution = timed(lambda: al.solve(robust_problem()), repeats=9)
     assert isinstance(solution, al.Solution)
     row("robust design, warm process (median of 9)", f"{warm:.3f} s", "target: under 0.6 s")

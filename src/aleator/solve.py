@@ -11,7 +11,7 @@ from aleator._core import clock
 from aleator._core.errors import ExpansionWarning, ProblemError, SimulationError, SolveError
 from aleator.design import ConstraintResult, ExpansionQuality, Moments, Problem, Solution, Times, functionals_of
 from aleator.nlp import AbstractSolver, Outcome, Status, default_solver
-from aleator.transcription import EVALUATE, Resolved, Sequential, diagnose, transcribe
+from aleator.transcription import Resolved, Sequential, compile_seconds, diagnose, transcribe
 
 # Above this relative squared error an expansion predicts a new sample to worse than a fifth of its spread.
 UNRESOLVED = 0.05
@@ -36,15 +36,14 @@ def solve(
     """
     solver = solver or default_solver()
     _check_arguments(problem, solver, warm_start)
-    compiled_before = EVALUATE.seconds
+    compiled_before = compile_seconds()
     transcription = transcribe(problem)
-    compile_seconds = EVALUATE.seconds - compiled_before
     outcome = _optimise(transcription, solver, warm_start)
     if outcome.status is Status.INTERRUPTED:
         raise KeyboardInterrupt
     if outcome.failed_at is not None:
         outcome = replace(outcome, message=diagnose(transcription, outcome.failed_at))
-    solution = _report(transcription, outcome, compile_seconds)
+    solution = _report(transcription, outcome, compiled_before)
     if throw and outcome.status is Status.EVALUATION_FAILED:
         raise SimulationError(outcome.message)
     if throw and not solution.ok:
@@ -74,7 +73,7 @@ def _optimise(transcription: Sequential, solver: AbstractSolver, warm_start: Sol
     return solver.solve(transcription.program, start=warm_start.vector, multipliers=warm_start.multipliers)
 
 
-def _report(transcription: Sequential, outcome: Outcome, compile_seconds: float) -> Solution:
+def _report(transcription: Sequential, outcome: Outcome, compiled_before: float) -> Solution:
     problem, places = transcription.problem, transcription.places
     functionals = functionals_of(problem.expressions)
     resolved = {
@@ -96,7 +95,7 @@ def _report(transcription: Sequential, outcome: Outcome, compile_seconds: float)
         complementarity=outcome.complementarity,
         iterations=outcome.iterations,
         evaluations=outcome.evaluations,
-        times=Times(clock.import_seconds, compile_seconds, outcome.seconds),
+        times=Times(clock.import_seconds, compile_seconds() - compiled_before, outcome.seconds),
         solver=outcome.solver,
         message=outcome.message,
         expansion=_quality(transcription, resolved),

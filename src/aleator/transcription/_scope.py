@@ -1,12 +1,11 @@
 """Statistics of a problem's functionals by least-squares collocation: where its expressions take their numbers."""
 
-from collections.abc import Mapping
 from typing import final
 
 from jaxtyping import Array, Float
 
 from aleator import statistics
-from aleator.collocation import Collocation, collocate, leave_one_out
+from aleator.collocation import Collocation, collocate
 from aleator.design import AbstractFunctional, AbstractScope, Problem, functionals_of, responses
 from aleator.uncertainty import named_numbers
 
@@ -24,11 +23,10 @@ class ExpansionScope(AbstractScope):
         collocation: Collocation,
         decisions: Float[Array, " n"],
     ):
-        samples = responses(problem, functionals, collocation.points, decisions)
-        self.functionals = functionals
-        self._samples: Mapping[AbstractFunctional, Array] = dict(zip(functionals, samples, strict=True))
-        self._coefficients = {one: collocation.coefficients(values) for one, values in self._samples.items()}
-        self._collocation = collocation
+        self.samples = responses(problem, functionals, collocation.points, decisions)
+        self._coefficients = {
+            one: collocation.coefficients(values) for one, values in zip(functionals, self.samples, strict=True)
+        }
         self._numbers = named_numbers(problem.model, decisions)
 
     def statistic(self, functional: AbstractFunctional, kind: str) -> Float[Array, "..."]:
@@ -39,15 +37,10 @@ class ExpansionScope(AbstractScope):
         """See `AbstractScope.value`."""
         return self._numbers[name]
 
-    def leave_one_out(self, functional: AbstractFunctional) -> Float[Array, ""]:
-        """The relative leave-one-out error of a functional's expansion."""
-        return leave_one_out(self._collocation, self._samples[functional], self._coefficients[functional])
-
 
 def collocation_of(problem: Problem) -> Collocation:
     """Points and factorised collocation matrix of a problem: once per problem, whatever its decisions."""
-    germs = tuple(law.germ() for law in problem.survey.distributions.values())
-    return collocate(germs, problem.expansion)
+    return collocate(problem.survey.germs, problem.expansion)
 
 
 def scope_of(problem: Problem, collocation: Collocation, decisions: Float[Array, " n"]) -> ExpansionScope:

@@ -5,7 +5,6 @@ values and the Jacobian of the objective and of all constraints come from one co
 """
 
 import itertools
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple, final
 
@@ -14,10 +13,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from aleator import statistics
 from aleator._core.arrays import numbers_to_arrays
 from aleator._core.compilation import Compiled
 from aleator._core.errors import ProblemError
-from aleator.collocation import Collocation
+from aleator.collocation import Collocation, leave_one_out
 from aleator.design import Problem, history
 from aleator.nlp import Evaluation, NonlinearProgram
 from aleator.transcription._scope import collocation_of, scope_of
@@ -25,24 +25,30 @@ from aleator.uncertainty import Survey
 
 
 class Blocks(NamedTuple):
-    """The objective and each constraint, flattened, with their derivatives by the decisions: (rows,) and (rows, n)."""
+    """A problem at one point.
+
+    - `values`, `derivatives`: the objective and each constraint, flattened, and their derivatives by the decisions:
+      shapes (rows,) and (rows, n);
+    - `samples`: each functional at the collocation points.
+    """
 
     values: tuple[Float[np.ndarray, " rows"], ...]
     derivatives: tuple[Float[np.ndarray, "rows n"], ...]
+    samples: tuple[Float[Array, "points ..."], ...]
 
 
 def _evaluate(
     problem: Problem, collocation: Collocation, decisions: Float[Array, " n"]
-) -> tuple[tuple[Float[Array, " rows"], ...], tuple[Float[Array, "rows n"], ...]]:
-    """Objective and constraints with their exact derivatives, forward: few decisions, thousands of rows."""
+) -> tuple[tuple[Array, ...], ...]:
+    """The parts of `Blocks`, with exact derivatives, forward: few decisions, thousands of rows."""
 
-    def values(x: Array) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
+    def values(x: Array) -> tuple[tuple[Array, ...], tuple[tuple[Array, ...], tuple[Array, ...]]]:
         scope = scope_of(problem, collocation, x)
         blocks = tuple(jnp.ravel(jnp.asarray(one.evaluate(scope))) for one in problem.expressions)
-        return blocks, blocks
+        return blocks, (blocks, scope.samples)
 
-    derivatives, blocks = jax.jacfwd(values, has_aux=True)(decisions)
-    return blocks, derivatives
+    derivatives, (blocks, samples) = jax.jacfwd(values, has_aux=True)(decisions)
+    return blocks, derivatives, samples
 
 
 class Resolved(NamedTuple):
@@ -53,12 +59,12 @@ class Resolved(NamedTuple):
     leave_one_out: Float[Array, ""]
 
 
-def _resolve(problem: Problem, collocation: Collocation, decisions: Float[Array, " n"]) -> tuple[Resolved, ...]:
-    """The moments and leave-one-out error of each functional."""
-    scope = scope_of(problem, collocation, decisions)
+def _resolve(collocation: Collocation, samples: tuple[Float[Array, "points ..."], ...]) -> tuple[Resolved, ...]:
+    """The moments and leave-one-out error of each functional, from its samples at the collocation points."""
+    expanded = [(one, collocation.coefficients(one)) for one in samples]
     return tuple(
-        Resolved(scope.statistic(one, "mean"), scope.statistic(one, "std"), scope.leave_one_out(one))
-        for one in scope.functionals
+        Resolved(statistics.mean(terms), statistics.std(terms), leave_one_out(collocation, one, terms))
+        for one, terms in expanded
     )
 
 
@@ -69,6 +75,32 @@ def _outputs_at_points(problem: Problem, collocation: Collocation, decisions: Fl
 EVALUATE = Compiled(_evaluate)
 RESOLVE = Compiled(_resolve)
 OUTPUTS_AT_POINTS = Compiled(_outputs_at_points)
+
+
+def compile_seconds() -> float:
+    """How long all compilations for solutions have taken so far, s."""
+    return EVALUATE.seconds + RESOLVE.seconds
+
+
+@final
+class _Evaluator:
+    """A compiled problem that remembers its two latest points.
+
+    So the start, needed to find scales, and the solution, needed for its moments, are not computed twice.
+    """
+
+    def __init__(self, traced: Problem, collocation: Collocation):
+        self._traced, self._collocation = traced, collocation
+        self._memory: dict[bytes, Blocks] = {}
+
+    def __call__(self, decisions: Float[np.ndarray, " n"]) -> Blocks:
+        key = decisions.tobytes()
+        if key not in self._memory:
+            values, derivatives, samples = EVALUATE(self._traced, self._collocation, jnp.asarray(decisions))
+            while len(self._memory) > 1:
+                del self._memory[next(iter(self._memory))]
+            self._memory[key] = Blocks(tuple(map(np.asarray, values)), tuple(map(np.asarray, derivatives)), samples)
+        return self._memory[key]
 
 
 @final
@@ -86,6 +118,7 @@ class Sequential:
     program: NonlinearProgram
     rows: tuple[slice, ...]
     scales: tuple[float, ...]
+    evaluator: _Evaluator
 
     def outputs(self, decisions: Float[np.ndarray, " n"]) -> dict[str, Array]:
         """Histories of all outputs at all collocation points."""
@@ -93,7 +126,7 @@ class Sequential:
 
     def resolve(self, decisions: Float[np.ndarray, " n"]) -> tuple[Resolved, ...]:
         """The moments and leave-one-out error of each functional, in the order of `functionals_of`."""
-        return RESOLVE(self.traced, self.collocation, jnp.asarray(decisions))
+        return RESOLVE(self.collocation, self.evaluator(decisions).samples)
 
 
 def transcribe(problem: Problem) -> Sequential:
@@ -109,17 +142,14 @@ def transcribe(problem: Problem) -> Sequential:
     collocation = collocation_of(problem)
     traced = numbers_to_arrays(problem)
 
-    def evaluate(decisions: Float[np.ndarray, " n"]) -> Blocks:
-        values, derivatives = EVALUATE(traced, collocation, jnp.asarray(decisions))
-        return Blocks(tuple(map(np.asarray, values)), tuple(map(np.asarray, derivatives)))
-
+    evaluator = _Evaluator(traced, collocation)
     start = places.vector("initial")
-    at_start = evaluate(start)
+    at_start = evaluator(start)
     decision_scale = _decision_scale(start, places.vector("lower"), places.vector("upper"))
     scales = _scales(problem, at_start, decision_scale)
     rows = _rows(at_start)
     program = NonlinearProgram(
-        evaluate=_remember(start, at_start, evaluate),
+        evaluate=lambda decisions: _evaluation(evaluator(decisions)),
         start=start,
         lower=places.vector("lower"),
         upper=places.vector("upper"),
@@ -128,25 +158,18 @@ def transcribe(problem: Problem) -> Sequential:
         constraint_scale=_spread(rows, scales),
         decision_scale=decision_scale,
     )
-    return Sequential(problem, traced, places, collocation, program, rows, tuple(scales))
+    return Sequential(problem, traced, places, collocation, program, rows, tuple(scales), evaluator)
 
 
-def _remember(
-    start: Float[np.ndarray, " n"], at_start: Blocks, evaluate: Callable[[np.ndarray], Blocks]
-) -> Callable[[np.ndarray], Evaluation]:
-    """`evaluate` in the solver's terms. The start was needed to find the scales and is not computed twice."""
-
-    def evaluation(decisions: Float[np.ndarray, " n"]) -> Evaluation:
-        values, derivatives = at_start if np.array_equal(decisions, start) else evaluate(decisions)
-        n = len(decisions)
-        return Evaluation(
-            objective=float(values[0][0]),
-            gradient=derivatives[0][0],
-            constraints=np.concatenate([np.zeros(0), *values[1:]]),
-            jacobian=np.concatenate([np.zeros((0, n)), *derivatives[1:]]),
-        )
-
-    return evaluation
+def _evaluation(blocks: Blocks) -> Evaluation:
+    """A point in the solver's terms."""
+    n = blocks.derivatives[0].shape[1]
+    return Evaluation(
+        objective=float(blocks.values[0][0]),
+        gradient=blocks.derivatives[0][0],
+        constraints=np.concatenate([np.zeros(0), *blocks.values[1:]]),
+        jacobian=np.concatenate([np.zeros((0, n)), *blocks.derivatives[1:]]),
+    )
 
 
 def _rows(blocks: Blocks) -> tuple[slice, ...]:

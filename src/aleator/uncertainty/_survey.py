@@ -18,6 +18,7 @@ from aleator._core.arrays import Pytree, is_number
 from aleator._core.errors import ProblemError
 from aleator.uncertainty._decision import Decision
 from aleator.uncertainty._distribution import AbstractDistribution
+from aleator.uncertainty._polynomials import AbstractGerm
 
 
 @final
@@ -40,6 +41,11 @@ class Survey(NamedTuple):
 
     distributions: dict[str, AbstractDistribution]
     decisions: dict[str, Place]
+
+    @property
+    def germs(self) -> tuple[AbstractGerm, ...]:
+        """The law of each germ variable."""
+        return tuple(law.germ() for law in self.distributions.values())
 
     @property
     def size(self) -> int:

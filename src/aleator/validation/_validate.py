@@ -45,7 +45,7 @@ def validate(
         )
     started = time.perf_counter()
     problem = uncertain(solution.problem)
-    germs = tuple(law.germ() for law in problem.survey.distributions.values())
+    germs = problem.survey.germs
     if not germs:
         raise ProblemError("validate: nothing in this problem is uncertain, so there is nothing to sample.")
     if not functionals_of(problem.expressions):
