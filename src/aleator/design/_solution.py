@@ -64,10 +64,15 @@ class ConstraintResult:
             return float(np.sum(self.multipliers))
         return float(np.sum(np.abs(self.multipliers)))
 
+    @property
+    def worst(self) -> float:
+        """The value that is closest to, or furthest beyond, its bound."""
+        return float(self.values.flat[int(np.argmax(self.excess))])
+
     def sentence(self) -> str:
         """What is violated, when and by how much."""
         when = "" if self.worst_time is None else f" at t = {self.worst_time:.4g} s"
-        worst = float(self.values.flat[int(np.argmax(self.excess))])
+        worst = self.worst
         bound, relation = (self.upper, "≤") if worst > self.upper else (self.lower, "≥")
         asked = f"{worst:.6g} where {relation} {bound:.6g} is asked"
         return f"'{self.name}' is violated by {self.violation:.4g}{when}: {asked}"
@@ -165,6 +170,10 @@ class Solution:
         names = [one.name for one in self.constraints if np.any(one.active)]
         return tuple(dict.fromkeys([*names, *self.at_bounds]))
 
+    def is_at_bound(self, name: str) -> bool:
+        """Whether a decision, or an entry of one that is an array, stands at one of its own bounds."""
+        return any(entry.split("[")[0] == name for entry in self.at_bounds)
+
     @property
     def violated(self) -> tuple[ConstraintResult, ...]:
         """The constraints that do not hold, worst first."""
@@ -208,7 +217,7 @@ def _shown(value: Any) -> str:
 
 
 def _at_bound(solution: Solution, name: str) -> str:
-    return " (at its bound)" if any(entry.split("[")[0] == name for entry in solution.at_bounds) else ""
+    return " (at its bound)" if solution.is_at_bound(name) else ""
 
 
 def _constraint_text(one: ConstraintResult) -> str:

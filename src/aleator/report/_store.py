@@ -85,7 +85,7 @@ def solution_document(solution: Solution, evidence: Evidence | None = None) -> d
                 "value": value,
                 "unit": _units.of_decision(name, problem),
                 "multiplier": solution.bound_multipliers.get(name),
-                "at_bound": any(entry.split("[")[0] == name for entry in solution.at_bounds),
+                "at_bound": solution.is_at_bound(name),
             }
             for name, value in solution.decisions.items()
         },
@@ -138,7 +138,7 @@ def _constraint(one: ConstraintResult, unit: str) -> dict[str, Any]:
         "unit": unit,
         "lower": one.lower,
         "upper": one.upper,
-        "worst_value": float(one.values.flat[int(np.argmax(one.excess))]),
+        "worst_value": one.worst,
         "worst_time_s": one.worst_time,
         "violation": one.violation,
         "active": bool(np.any(one.active)),

@@ -61,9 +61,8 @@ def _violation_rows(names: Sequence[str], evidence: Mapping[str, Evidence]) -> l
 def _decision(solution: Solution, name: str) -> str:
     if name not in solution.decisions:
         return "–"
-    at_bound = any(entry.split("[")[0] == name for entry in solution.at_bounds)
     text = values_text(solution.decisions[name], 5, _units.of_decision(name, solution.problem))
-    return f"{text} (at its bound)" if at_bound else text
+    return f"{text} (at its bound)" if solution.is_at_bound(name) else text
 
 
 def _objective(solution: Solution) -> str:
@@ -86,7 +85,7 @@ def _worst(solution: Solution, name: str) -> str:
     if not parts:
         return "–"
     one, unit = max(parts, key=lambda part: float(np.max(part[0].excess)))
-    worst = float(one.values.flat[int(np.argmax(one.excess))])
+    worst = one.worst
     upper = worst - one.upper >= one.lower - worst
     relation, bound = ("≤", one.upper) if upper else ("≥", one.lower)
     when = "" if one.worst_time is None else f" at {number(one.worst_time, 4, 's')}"

@@ -1,6 +1,6 @@
 """Units of decisions, functionals and expressions, as far as a system declares them."""
 
-from aleator.design import AbstractFunctional, Expression, Problem, Statistic
+from aleator.design import AbstractFunctional, Expression, Problem, Statistic, functionals_of
 from aleator.report._numbers import times_second
 from aleator.uncertainty import fields_of
 
@@ -33,6 +33,4 @@ def of_decision(name: str, problem: Problem) -> str:
 
 def of_moments(problem: Problem) -> dict[str, str]:
     """The unit of each functional in a problem, by its text."""
-    from aleator.design import functionals_of
-
     return {one.text(): of_functional(one, problem) for one in functionals_of(problem.expressions)}

@@ -32,9 +32,10 @@ from aleator.studies._suspension_facts import (
     WIDER_NARROW,
     box,
     cost,
+    start_of,
 )
 from aleator.studies._suspension_run import HOLDING, NARROW_TRAVEL, RIDE, TRAVEL, SuspensionResults
-from aleator.studies.suspension import GRID, apportionment_problem, road
+from aleator.studies.suspension import GRID, road
 
 RIDE_NAME, TRAVEL_NAME, HOLDING_NAME = "Ride ∫ z̈ₛ² dt, μ + σ", "Travel limit R", "Holding limit H"
 HOW_TO_SEE = "Filled markers: the swept limit holds the design; open markers: another limit does."
@@ -225,7 +226,7 @@ def apportionment(results: SuspensionResults) -> Iterator[Block]:
             "7.4",
         )
     if front is not None and front.solved.any():
-        names = {name: f"{text} (initially ±{_initial(name)})" for name, text in SPREADS.items()}
+        names = {name: f"{text} (initially ±{_initial(front, name)})" for name, text in SPREADS.items()}
         figure = relative_figure(front, names, x=TRAVEL_NAME, x_unit="m", y="Half-width (% of its initial value)")
         caption = (
             "The share of today's spread that each travel limit allows: above 100 % is cheaper than today, below is"
@@ -234,6 +235,5 @@ def apportionment(results: SuspensionResults) -> Iterator[Block]:
         yield Drawing([figure], "Apportioned spreads against the travel limit", caption, "7.5")
 
 
-def _initial(name: str) -> str:
-    start = float(apportionment_problem().survey.decisions[name].decision.initial)
-    return given(start, UNITS[name.split(".")[0]])
+def _initial(front: al.Front, name: str) -> str:
+    return given(start_of(front.solutions[0], name), UNITS[name.split(".")[0]])

@@ -36,6 +36,11 @@ def figure_of(solution: al.Solution, name: str) -> float:
     return value_at(al.value(name), solution.problem, solution.vector)
 
 
+def start_of(solution: al.Solution, name: str) -> float:
+    """Where the search for a decision started."""
+    return float(solution.problem.survey.decisions[name].decision.initial)
+
+
 def box(solution: al.Solution, design: str, dash: str = "solid", note: str = "") -> Box:
     """A design among its requirements: centre and half-widths of ride, holding and travel.
 
@@ -174,7 +179,7 @@ def _change(results: SuspensionResults, name: str) -> str:
     one = solved(results, "aOpt")
     if one is None:
         return "–"
-    start = float(one.problem.survey.decisions[name].decision.initial)
+    start = start_of(one, name)
     change = float(one.decisions[name]) - start
     return f"{number(change, 4, UNITS[name.split('.')[0]])} ({percent(change / start)})"
 

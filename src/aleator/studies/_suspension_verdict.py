@@ -16,6 +16,7 @@ from aleator.studies._suspension_facts import (
     figure_of,
     saving,
     solved,
+    start_of,
 )
 from aleator.studies._suspension_run import HOLDING, NARROW_TRAVEL, RIDE, TARGET, TRAVEL, SuspensionResults
 
@@ -113,11 +114,7 @@ def _damper(results: SuspensionResults) -> str:
 
 
 def _factors(apportioned: al.Solution) -> dict[str, float]:
-    places = apportioned.problem.survey.decisions
-    return {
-        text: float(apportioned.decisions[name]) / float(places[name].decision.initial)
-        for name, text in SPREADS.items()
-    }
+    return {text: float(apportioned.decisions[name]) / start_of(apportioned, name) for name, text in SPREADS.items()}
 
 
 def _beside(results: SuspensionResults) -> str:
