@@ -7,7 +7,7 @@ import pytest
 from scipy import optimize
 
 import aleator as al
-from aleator.collocation import hammersley
+from aleator.collocation import HammersleyPoints
 from tiny_models import LOSS, ONE_STEP, RESPONSE, SPREAD, Gain, gain_problem, oscillator_problem
 
 SOLVERS = pytest.mark.parametrize(
@@ -181,7 +181,7 @@ class Escape(al.System):
 @pytest.mark.parametrize("integrator", [al.RungeKutta4(), al.Tsit5(max_steps=400)], ids=["RungeKutta4", "Tsit5"])
 def test_a_simulation_that_blows_up_at_one_point_only_is_named(integrator):
     # Points in germ space are 2 u - 1 of the Hammersley set: with six points the largest rate is the last one's.
-    points = 2 * hammersley(6, 1)[:, 0] - 1
+    points = 2 * HammersleyPoints().levels(6, 1)[:, 0] - 1
     rates = 0.6 + 0.35 * points
     end = 1.2
     broken = np.flatnonzero(rates * end > 1)

@@ -9,12 +9,10 @@ import numpy as np
 
 from aleator._core import clock
 from aleator._core.errors import ExpansionWarning, ProblemError, SimulationError, SolveError
-from aleator.design import ConstraintResult, ExpansionQuality, Moments, Problem, Solution, Times, functionals_of
+from aleator.collocation import UNRESOLVED
+from aleator.design import ConstraintResult, ExpansionQuality, Moments, Problem, Solution, Times
 from aleator.nlp import AbstractSolver, Outcome, Status, default_solver
 from aleator.transcription import Resolved, Sequential, compile_seconds, diagnose, transcribe
-
-# Above this relative squared error an expansion predicts a new sample to worse than a fifth of its spread.
-UNRESOLVED = 0.05
 
 
 def solve(
@@ -75,10 +73,7 @@ def _optimise(transcription: Sequential, solver: AbstractSolver, warm_start: Sol
 
 def _report(transcription: Sequential, outcome: Outcome, compiled_before: float) -> Solution:
     problem, places = transcription.problem, transcription.places
-    functionals = functionals_of(problem.expressions)
-    resolved = {
-        one.text(): result for one, result in zip(functionals, transcription.resolve(outcome.decisions), strict=True)
-    }
+    resolved = transcription.resolve(outcome.decisions)
     return Solution(
         problem=problem,
         status=outcome.status,
@@ -87,6 +82,7 @@ def _report(transcription: Sequential, outcome: Outcome, compiled_before: float)
         objective=outcome.evaluation.objective,
         constraints=_constraint_results(transcription, outcome),
         moments={text: Moments(np.asarray(one.mean), np.asarray(one.std)) for text, one in resolved.items()},
+        statistics=transcription.statistics(outcome.decisions),
         at_bounds=tuple(np.array(places.entry_names())[outcome.active_bounds].tolist()),
         bound_multipliers=_plain(places.named(outcome.bound_multipliers)),
         multipliers=outcome.multipliers,
@@ -139,25 +135,31 @@ def _shaped(rows: np.ndarray, times: np.ndarray | None) -> np.ndarray:
 
 
 def _quality(transcription: Sequential, resolved: Mapping[str, Resolved]) -> ExpansionQuality:
-    variables = len(transcription.places.distributions)
-    expansion = transcription.problem.expansion
+    times = np.asarray(transcription.traced.grid.times)
+    followed = {text: int(one.instants) for text, one in resolved.items() if one.instants is not None}
     return ExpansionQuality(
-        order=expansion.order,
-        terms=expansion.terms(variables),
-        points=expansion.point_count(variables),
+        order=transcription.basis.order,
+        terms=transcription.basis.terms,
+        points=len(transcription.collocation.points),
         condition_number=float(transcription.collocation.condition_number),
         leave_one_out={text: float(one.leave_one_out) for text, one in resolved.items()},
+        unresolved_from={text: float(times[count]) for text, count in followed.items() if count < len(times)},
     )
 
 
 def _warn_if_unresolved(solution: Solution) -> None:
-    bad = {text: error for text, error in solution.expansion.leave_one_out.items() if not error <= UNRESOLVED}
-    if bad:
-        listed = ", ".join(f"{text} ({error:.2g})" for text, error in bad.items())
-        warnings.warn(
-            f"The expansion of order {solution.expansion.order} does not resolve {listed}: its relative leave-one-out "
-            f"error exceeds {UNRESOLVED}, so means and spreads cannot be trusted. Raise the order, and compare with "
-            "al.validate.",
-            ExpansionWarning,
-            stacklevel=3,
+    quality = solution.expansion
+    if not quality.unresolved:
+        return
+    if not quality.can_be_checked:
+        problem = (
+            f"{quality.points} points for {quality.terms} terms leave nothing to check the expansion of order "
+            f"{quality.order} by, so whether means and spreads can be trusted is not known. Use more points"
         )
+    else:
+        bad = [f"{text} ({quality.leave_one_out[text]:.2g}){quality.since(text)}" for text in quality.unresolved]
+        problem = (
+            f"The expansion of order {quality.order} does not resolve {', '.join(bad)}: its relative leave-one-out "
+            f"error exceeds {UNRESOLVED}, so means and spreads cannot be trusted. Raise the order"
+        )
+    warnings.warn(f"{problem}, and compare with al.validate.", ExpansionWarning, stacklevel=3)

@@ -8,10 +8,10 @@ from scipy import stats
 from scipy.stats import qmc
 
 from aleator._core.errors import ProblemError
-from aleator.collocation import Expansion, collocate, collocation_matrix, total_degree
+from aleator.collocation import Basis, Expansion, HammersleyPoints, LeastSquares, Nodes, TotalDegree, collocate
 from aleator.uncertainty import HermiteGerm, JacobiGerm, LaguerreGerm, LegendreGerm
 
-GERMS = (LegendreGerm(), HermiteGerm(), JacobiGerm(2.0, 5.0), LaguerreGerm(3.0))
+GERMS = {"a": LegendreGerm(), "b": HermiteGerm(), "c": JacobiGerm(2.0, 5.0), "d": LaguerreGerm(3.0)}
 LAWS = (stats.uniform(-1, 2), stats.norm(), stats.beta(2, 5, -1, 2), stats.gamma(3))
 CHAOSPY = (chaospy.Uniform(-1, 1), chaospy.Normal(0, 1), chaospy.Beta(2, 5, -1, 1), chaospy.Gamma(3))
 EXPANSION = Expansion(3)
@@ -19,7 +19,7 @@ EXPANSION = Expansion(3)
 
 @pytest.fixture(scope="module")
 def collocation():
-    return collocate(GERMS, EXPANSION)
+    return collocate(GERMS, EXPANSION).collocation
 
 
 @pytest.fixture(scope="module")
@@ -30,7 +30,7 @@ def chaospy_basis():
     moved = [one(q[i]) for i, one in enumerate(univariate)]
     return [
         np.prod([1, *(moved[i][degree] for i, degree in enumerate(row) if degree)])
-        for row in total_degree(len(GERMS), EXPANSION.order).tolist()
+        for row in TotalDegree().indices(tuple(GERMS), EXPANSION.order).tolist()
     ]
 
 
@@ -41,7 +41,7 @@ def nonlinear(points):
 
 def test_there_are_three_points_for_each_term_unless_told(collocation):
     assert collocation.matrix.shape == (3 * 35, 35)
-    assert collocate(GERMS, Expansion(2, points=40)).matrix.shape == (40, 15)
+    assert collocate(GERMS, Expansion(2, points=40)).collocation.matrix.shape == (40, 15)
 
 
 def test_points_are_the_germs_quantiles_of_the_hammersley_set(collocation):
@@ -59,11 +59,11 @@ def test_the_matrix_holds_chaospys_orthonormal_polynomials_at_the_points(colloca
 
 
 def test_the_basis_is_orthonormal_under_the_joint_law_by_a_product_rule():
-    indices = total_degree(4, 3)
-    rules = [germ.gauss(4) for germ in GERMS]
+    basis = Basis(GERMS, TotalDegree().indices(tuple(GERMS), 3))
+    rules = [germ.gauss(4) for germ in GERMS.values()]
     nodes = np.stack([axis.ravel() for axis in np.meshgrid(*(x for x, _ in rules), indexing="ij")], axis=1)
     weights = np.prod(np.meshgrid(*(w for _, w in rules), indexing="ij"), axis=0).ravel()
-    matrix = collocation_matrix(GERMS, indices, nodes)
+    matrix = basis.matrix(nodes)
     assert matrix.T @ (weights[:, None] * matrix) == pytest.approx(np.eye(35), abs=1e-11)
 
 
@@ -110,10 +110,10 @@ def test_polynomials_in_the_span_are_recovered_exactly(collocation):
 
 
 def test_the_identity_has_the_coefficients_of_equations_13_and_14():
-    collocation = collocate((LegendreGerm(), HermiteGerm()), Expansion(2))
+    basis, collocation = collocate({"u": LegendreGerm(), "n": HermiteGerm()}, Expansion(2))
     uniform, normal = 5 + 2 * collocation.points[:, 0], 1 + 3 * collocation.points[:, 1]
     coefficients = np.asarray(collocation.coefficients(jnp.stack([uniform, normal], axis=1)))
-    names = {tuple(row): k for k, row in enumerate(np.asarray(collocation.indices).tolist())}
+    names = {tuple(row): k for k, row in enumerate(basis.indices.tolist())}
     assert coefficients[names[0, 0]] == pytest.approx([5, 1])
     # the orthonormal Legendre polynomial is sqrt(3) xi
     assert coefficients[names[1, 0]] == pytest.approx([2 / 3**0.5, 0], abs=1e-12)
@@ -122,27 +122,29 @@ def test_the_identity_has_the_coefficients_of_equations_13_and_14():
 
 
 def test_as_many_points_as_terms_interpolate():
-    collocation = collocate((LegendreGerm(),), Expansion(4, points=5))
+    _, collocation = collocate({"u": LegendreGerm()}, Expansion(4, points=5))
     samples = jnp.exp(collocation.points[:, 0])
     again = collocation.matrix @ collocation.coefficients(samples)
     assert again == pytest.approx(np.asarray(samples), rel=1e-13)
 
 
 def test_nothing_uncertain_takes_one_point_and_one_term():
-    collocation = collocate((), Expansion(5))
+    basis, collocation = collocate({}, Expansion(5, points=70))
+    assert basis.indices.shape == (1, 0)
     assert collocation.points.shape == (1, 0)
     assert collocation.coefficients(jnp.array([[2.0, 3.0]])).tolist() == [[2.0, 3.0]]
-    assert Expansion(5, points=70).point_count(0) == 1
 
 
 def test_too_few_points_are_refused_with_the_number_to_take():
-    with pytest.raises(ProblemError, match=r"has 10 terms .* received 9\. Use 3 \* 10 = 30 points or a lower order"):
-        collocate((LegendreGerm(), HermiteGerm()), Expansion(3, points=9))
+    with pytest.raises(
+        ProblemError, match=r"10 terms in 2 variables .* received 9\. Use 3 \* 10 = 30 points or a lower order"
+    ):
+        collocate({"u": LegendreGerm(), "n": HermiteGerm()}, Expansion(3, points=9))
 
 
 def test_a_singular_collocation_matrix_is_refused_with_a_remedy():
     with pytest.raises(ProblemError, match=r"condition number .*Use more points or a lower order"):
-        collocate((HermiteGerm(),), Expansion(40, points=41))
+        collocate({"n": HermiteGerm()}, Expansion(40, points=41))
 
 
 @pytest.mark.parametrize("order", [0, -1, True])
@@ -163,3 +165,48 @@ def test_an_expansion_counts_in_whole_numbers_only(wrong):
     for make in (lambda: Expansion(wrong), lambda: Expansion(2, points=wrong)):
         with pytest.raises((ProblemError, TypeError)):
             make()
+
+
+def test_the_default_points_fit_and_terms_are_those_of_the_dissertation_to_the_last_bit(collocation):
+    # written out: QR of the matrix at three Hammersley points for each term, no weight in sight
+    matrix = Basis(GERMS, TotalDegree().indices(tuple(GERMS), 3)).matrix(np.asarray(collocation.points))
+    orthogonal, triangular = np.linalg.qr(matrix)
+    assert np.array_equal(collocation.matrix, matrix)
+    assert np.array_equal(collocation.pseudo_inverse, np.linalg.solve(triangular, orthogonal.T))
+
+
+@pytest.fixture(scope="module")
+def weighted():
+    basis = Basis(GERMS, TotalDegree().indices(tuple(GERMS), 2))
+    weights = np.random.default_rng(7).uniform(0.1, 3.0, 45)
+    points = HammersleyPoints(45).nodes(basis, 0).points
+    return LeastSquares().collocation(basis, Nodes(points, weights / weights.sum()))
+
+
+def test_weights_weigh_the_squares(weighted):
+    matrix, roots = np.asarray(weighted.matrix), np.sqrt(np.asarray(weighted.weights))
+    samples = nonlinear(weighted.points)
+    expected = np.linalg.lstsq(matrix * roots[:, None], samples * roots, rcond=None)[0]
+    assert weighted.coefficients(jnp.asarray(samples)) == pytest.approx(expected, rel=1e-8, abs=1e-10)
+
+
+def test_with_weights_the_leverage_is_still_the_diagonal_of_the_map_to_fitted_values(weighted):
+    fitted = np.asarray(weighted.matrix) @ np.asarray(weighted.pseudo_inverse)
+    assert weighted.leverage == pytest.approx(np.diag(fitted), rel=1e-9)
+
+
+def test_weights_that_are_not_positive_are_refused_with_a_remedy():
+    basis = Basis(GERMS, TotalDegree().indices(tuple(GERMS), 1))
+    points = HammersleyPoints(10).nodes(basis, 0).points
+    with pytest.raises(ProblemError, match=r"weights that are not positive.*al\.Projection"):
+        LeastSquares().collocation(basis, Nodes(points, np.array([-1.0, *[2 / 9] * 9])))
+
+
+def test_a_discretisation_says_what_it_holds():
+    ready = collocate({"u": LegendreGerm(), "n": HermiteGerm()}, Expansion(2))
+    assert ready.order == 2
+    assert str(ready).startswith("order 2, 6 terms, 18 points, condition number ")
+
+
+def test_an_expansion_says_what_is_wished():
+    assert Expansion(4).text(2) == "order 4 in 2 variables, TotalDegree index set, HammersleyPoints, LeastSquares fit"

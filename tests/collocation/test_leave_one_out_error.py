@@ -6,14 +6,34 @@ import numpy as np
 import openturns as ot
 import pytest
 
-from aleator.collocation import Expansion, collocate, leave_one_out
+from aleator.collocation import (
+    ChristoffelPoints,
+    Expansion,
+    GaussPoints,
+    LeastSquares,
+    Projection,
+    SmolyakPoints,
+    leave_one_out,
+    leave_one_out_by_entry,
+)
+from aleator.collocation import collocate as discretise
 from aleator.uncertainty import HermiteGerm, LaguerreGerm, LegendreGerm
 
-GERMS = (LegendreGerm(), HermiteGerm())
+GERMS = {"u": LegendreGerm(), "n": HermiteGerm()}
+ONE = {"u": LegendreGerm()}
+
+
+def collocate(germs, expansion):
+    return discretise(germs, expansion).collocation
+
+
+@jax.jit
+def compiled(collocation, samples):
+    return leave_one_out(collocation, samples, collocation.coefficients(samples))
 
 
 def error_of(collocation, samples):
-    return float(leave_one_out(collocation, samples, collocation.coefficients(samples)))
+    return float(compiled(collocation, samples))
 
 
 def errors_by_refitting(matrix, samples):
@@ -65,10 +85,7 @@ def test_the_error_of_a_polynomial_in_the_span_is_zero_but_for_rounding():
 
 
 def test_the_error_falls_with_the_order_for_a_smooth_output():
-    errors = [
-        error_of(c, jnp.exp(c.points[:, 0]))
-        for c in (collocate((LegendreGerm(),), Expansion(order)) for order in range(1, 8))
-    ]
+    errors = [error_of(c, jnp.exp(c.points[:, 0])) for c in (collocate(ONE, Expansion(order)) for order in range(1, 8))]
     assert np.polyfit(range(1, 8), np.log10(errors), 1)[0] < -1
 
 
@@ -100,13 +117,13 @@ def test_a_small_variation_on_a_large_mean_still_counts():
 
 @pytest.mark.parametrize(
     ("germs", "order", "points"),
-    [((LegendreGerm(),), 1, 2), ((LegendreGerm(),), 3, 4), (GERMS, 2, 6), (GERMS, 3, 10), ((LaguerreGerm(2.0),), 2, 3)],
+    [(ONE, 1, 2), (ONE, 3, 4), (GERMS, 2, 6), (GERMS, 3, 10), ({"g": LaguerreGerm(2.0)}, 2, 3)],
 )
 def test_interpolation_leaves_nothing_to_check_by_so_the_error_is_infinite(germs, order, points):
     collocation = collocate(germs, Expansion(order, points=points))
     samples = jnp.exp(0.5 * collocation.points[:, 0])
     assert error_of(collocation, samples) == np.inf
-    assert float(jax.jit(leave_one_out)(collocation, samples, collocation.coefficients(samples))) == np.inf
+    assert float(leave_one_out(collocation, samples, collocation.coefficients(samples))) == np.inf
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
@@ -114,3 +131,59 @@ def test_samples_that_are_not_finite_do_not_pass_for_a_good_fit(bad):
     collocation = collocate(GERMS, Expansion(2))
     samples = scalar(collocation.points).at[3].set(bad)
     assert not error_of(collocation, samples) <= 0.5
+
+
+@pytest.mark.parametrize("points", [ChristoffelPoints(30), GaussPoints(6)])
+def test_with_weights_the_error_is_that_of_weighted_refits(points):
+    collocation = collocate(GERMS, Expansion(3, points=points))
+    matrix, weights = np.asarray(collocation.matrix), np.asarray(collocation.weights)
+    samples = np.asarray(histories(collocation.points))
+    roots = np.sqrt(weights)
+    squares = np.zeros(samples.shape)
+    for k in range(len(samples)):
+        others = np.arange(len(samples)) != k
+        scaled = matrix[others] * roots[others, None], samples[others] * roots[others, None]
+        squares[k] = (samples[k] - matrix[k] @ np.linalg.lstsq(*scaled, rcond=None)[0]) ** 2
+    variance = weights @ (samples - weights @ samples) ** 2
+    expected = (weights @ squares).sum() / variance.sum()
+    assert error_of(collocation, jnp.asarray(samples)) == pytest.approx(expected, rel=1e-7)
+
+
+def test_a_projection_with_positive_weights_has_the_error_of_weighted_least_squares():
+    points = GaussPoints()
+    projected, fitted = (
+        collocate(GERMS, Expansion(4, points=points, fit=fit)) for fit in (Projection(), LeastSquares())
+    )
+    samples = scalar(fitted.points)
+    assert error_of(projected, samples) == pytest.approx(error_of(fitted, samples), rel=1e-8)
+
+
+def test_of_a_projection_by_a_sparse_grid_nothing_is_known_so_the_error_is_infinite():
+    collocation = collocate(GERMS, Expansion(4, points=SmolyakPoints(), fit=Projection()))
+    assert error_of(collocation, scalar(collocation.points)) == np.inf
+
+
+@pytest.mark.parametrize("expansion", [Expansion(3), Expansion(3, points=ChristoffelPoints(30))])
+def test_the_error_of_each_entry_is_that_of_the_entry_alone(expansion):
+    collocation = collocate(GERMS, expansion)
+    samples = jnp.stack([histories(collocation.points), 3 + histories(collocation.points) ** 2], axis=2)
+    each = leave_one_out_by_entry(collocation, samples, collocation.coefficients(samples))
+    assert each.shape == (7, 2)
+    alone = [[error_of(collocation, samples[:, i, j]) for j in range(2)] for i in range(7)]
+    assert each == pytest.approx(np.array(alone), rel=1e-8)
+
+
+def test_the_error_is_the_mean_of_those_of_the_entries_weighted_by_variance():
+    collocation = collocate(GERMS, Expansion(3))
+    samples = histories(collocation.points)
+    each = leave_one_out_by_entry(collocation, samples, collocation.coefficients(samples))
+    variance = np.var(np.asarray(samples), axis=0)
+    assert error_of(collocation, samples) == pytest.approx(np.average(each, weights=variance), rel=1e-9)
+
+
+def test_an_entry_that_does_not_vary_has_no_error_of_its_own():
+    collocation = collocate(GERMS, Expansion(2))
+    samples = jnp.stack([jnp.full(len(collocation.points), 0.3), scalar(collocation.points)], axis=1)
+    each = leave_one_out_by_entry(collocation, samples, collocation.coefficients(samples))
+    assert float(each[0]) == 0
+    assert float(each[1]) > 0

@@ -46,8 +46,8 @@ class Numbers(AbstractScope):
     def __init__(self, **numbers):
         self.numbers = numbers
 
-    def statistic(self, functional, kind):
-        return jnp.asarray(self.numbers[f"{kind}_{functional.output}"])
+    def statistic(self, functionals, kind):
+        return jnp.asarray(self.numbers["_".join([type(kind).__name__.lower(), *(one.output for one in functionals)])])
 
     def value(self, name):
         return jnp.asarray(self.numbers[name.replace(".", "_")])

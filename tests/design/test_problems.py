@@ -15,7 +15,7 @@ def test_a_problem_prints_as_mathematics():
             "            x: μ[x(t)] − 2 σ[x(t)] ≥ -0.14 for all t",
             "where       k ~ Uniform(mean=10, half_width=2)",
             "dynamics    Oscillator(x, v), 80 steps of 0.05 s, RungeKutta4",
-            "expansion   order 3 in 1 variables: 4 terms, 12 collocation points",
+            "expansion   order 3 in 1 variables, TotalDegree index set, HammersleyPoints, LeastSquares fit",
         ]
     )
 
@@ -62,7 +62,7 @@ def declare(system=None, **changes):
         ({"grid": 4.0}, "'grid' must be a Grid; received float 4.0"),
         ({"expansion": 3}, "'expansion' must be a Expansion; received int 3"),
         ({"integrator": "RK4"}, "'integrator' must be a AbstractIntegrator; received str 'RK4'"),
-        ({"system": "car"}, "'system' must be a System; received str 'car'"),
+        ({"system": "car"}, "'system' must be a System or AlgebraicSystem; received str 'car'"),
         (
             {"system": Oscillator(m=al.Uniform(1.0, half_width=1.0), c=0.1, k=10.0)},
             r"'m' must stay positive, but Uniform\(mean=1, half_width=1\) can reach 0",

@@ -16,7 +16,7 @@ def study():
     """The real three designs on a coarse grid, with little evidence: seconds instead of minutes."""
     grid = al.Grid(t_final=2.8, steps=280)
     results = given.empty_study()
-    expansion = al.Expansion(order=2)
+    expansion = al.Expansion(order=3)
     problems = {
         "dOpt": suspension.deterministic_problem(),
         "uOpt": suspension.robust_problem(),

@@ -8,13 +8,24 @@ import pytest
 from scipy import integrate, stats
 
 from aleator.collocation import Expansion, collocate
-from aleator.statistics import mean, std, variance
+from aleator.statistics import Mean, Std, Variance
 from aleator.uncertainty import Beta, Decision, Gamma, Normal, Uniform, realise, survey
 
 
+def mean(coefficients):
+    return Mean().of(coefficients, ())
+
+
+def variance(coefficients):
+    return Variance().of(coefficients, ())
+
+
+def std(coefficients):
+    return Std().of(coefficients, ())
+
+
 def coefficients_of(model, output, order, decisions=(), points=None):
-    germs = tuple(law.germ() for law in survey(model).distributions.values())
-    collocation = collocate(germs, Expansion(order, points=points))
+    collocation = collocate(survey(model).germs, Expansion(order, points=points)).collocation
     x = jnp.asarray(decisions, dtype=float)
     return collocation.coefficients(jax.vmap(lambda xi: output(realise(model, xi, x)))(collocation.points))
 
@@ -71,7 +82,7 @@ def test_moments_of_histories_are_taken_entry_by_entry():
 
 def test_moments_agree_with_chaospys_of_its_own_regression():
     model = {"a": Uniform(0.0, half_width=1.0), "b": Normal(0.0, 1.0)}
-    collocation = collocate(tuple(law.germ() for law in model.values()), Expansion(4))
+    collocation = collocate(survey(model).germs, Expansion(4)).collocation
     joint = chaospy.J(chaospy.Uniform(-1, 1), chaospy.Normal(0, 1))
     samples = np.exp(0.5 * np.asarray(collocation.points).sum(axis=1))
     fitted = chaospy.fit_regression(

@@ -24,16 +24,14 @@ def test_derivatives_agree_with_central_differences(declare):
     assert derivative_error(values, jacobian, point) < 1e-6
 
 
-def test_moments_of_a_linear_response_are_exact():
-    (response,) = (
-        one
-        for one, functional in zip(
-            transcribe(gain_problem()).resolve(np.array([1.7])), ["loss", "response"], strict=True
-        )
-        if functional == "response"
-    )
+def test_moments_and_statistics_of_a_linear_response_are_exact():
+    transcription, point = transcribe(gain_problem()), np.array([1.7])
+    response = transcription.resolve(point)["response(t_f)"]
     assert float(response.mean) == pytest.approx(1.7, rel=1e-12)
     assert float(response.std) == pytest.approx(1.7 * SPREAD, rel=1e-12)
+    loss = (1.7 - 3.0) ** 2 + 1.0
+    expected = {"μ[loss(t_f)]": loss, "μ[response(t_f)]": 1.7, "σ[response(t_f)]": 1.7 * SPREAD}
+    assert transcription.statistics(point) == pytest.approx(expected, rel=1e-12)
 
 
 def test_a_deterministic_problem_has_no_spread_and_no_broken_derivative():
@@ -41,7 +39,8 @@ def test_a_deterministic_problem_has_no_spread_and_no_broken_derivative():
     evaluation = transcription.program.evaluate(np.array([1.5]))
     assert evaluation.constraints.tolist() == [1.5]
     assert evaluation.jacobian.tolist() == [[1.0]]
-    assert all(float(one.std) == 0.0 and float(one.leave_one_out) == 0.0 for one in transcription.resolve(np.ones(1)))
+    resolved = transcription.resolve(np.ones(1)).values()
+    assert all(float(one.std) == 0.0 and float(one.leave_one_out) == 0.0 for one in resolved)
 
 
 def test_a_problem_is_compiled_once_for_all_bounds_sigmas_and_numbers():

@@ -1,9 +1,35 @@
-"""From samples at germ points to the coefficients of an expansion: index sets, points, the collocation matrix."""
+"""From samples at germ points to the coefficients of an expansion: index sets, points, fits."""
 
+from aleator.collocation._adaptive import Adaptive as Adaptive
+from aleator.collocation._basis import Basis as Basis
 from aleator.collocation._collocation import Collocation as Collocation
-from aleator.collocation._collocation import Expansion as Expansion
-from aleator.collocation._collocation import collocate as collocate
-from aleator.collocation._collocation import collocation_matrix as collocation_matrix
 from aleator.collocation._collocation import leave_one_out as leave_one_out
-from aleator.collocation._index_set import total_degree as total_degree
-from aleator.collocation._points import hammersley as hammersley
+from aleator.collocation._collocation import leave_one_out_by_entry as leave_one_out_by_entry
+from aleator.collocation._expansion import Discretisation as Discretisation
+from aleator.collocation._expansion import Expansion as Expansion
+from aleator.collocation._expansion import collocate as collocate
+from aleator.collocation._fit import AbstractFit as AbstractFit
+from aleator.collocation._fit import Interpolation as Interpolation
+from aleator.collocation._fit import LeastSquares as LeastSquares
+from aleator.collocation._fit import Projection as Projection
+from aleator.collocation._index_set import AbstractIndexSet as AbstractIndexSet
+from aleator.collocation._index_set import Anisotropic as Anisotropic
+from aleator.collocation._index_set import HyperbolicCross as HyperbolicCross
+from aleator.collocation._index_set import TensorProduct as TensorProduct
+from aleator.collocation._index_set import TotalDegree as TotalDegree
+from aleator.collocation._optimal_points import ChristoffelPoints as ChristoffelPoints
+from aleator.collocation._optimal_points import OptimalPoints as OptimalPoints
+from aleator.collocation._points import AbstractPoints as AbstractPoints
+from aleator.collocation._points import HaltonPoints as HaltonPoints
+from aleator.collocation._points import HammersleyPoints as HammersleyPoints
+from aleator.collocation._points import LatinHypercubePoints as LatinHypercubePoints
+from aleator.collocation._points import Nodes as Nodes
+from aleator.collocation._points import RandomPoints as RandomPoints
+from aleator.collocation._points import SobolPoints as SobolPoints
+from aleator.collocation._quadrature import GaussPoints as GaussPoints
+from aleator.collocation._quadrature import SmolyakPoints as SmolyakPoints
+from aleator.collocation._resolution import UNRESOLVED as UNRESOLVED
+from aleator.collocation._resolution import leave_one_out_history as leave_one_out_history
+from aleator.collocation._resolution import resolved_instants as resolved_instants
+from aleator.collocation._respond import Respond as Respond
+from aleator.collocation._sparse import Sparse as Sparse

@@ -1,20 +1,132 @@
 """Index sets: which products of univariate polynomials make the multivariate basis (equation 16)."""
 
-import itertools
-from math import comb
+import abc
+from collections.abc import Mapping, Sequence
+from typing import final
 
+import equinox as eqx
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Float, Int
+
+from aleator._core.errors import ProblemError
+
+# Room for rounding in sums of powers, so that indices on the edge of a set belong to it.
+_ROUNDING = 1e-9
+
+# A basis beyond this takes gigabytes of memory in its collocation matrix alone.
+_MOST_TERMS = 200_000
 
 
-def total_degree(variables: int, order: int) -> Int[np.ndarray, "terms variables"]:
-    """All multi-indices of total degree at most `order`, by degree; the first is the constant.
+class AbstractIndexSet(eqx.Module):
+    """Which multi-indices an expansion of a given order keeps.
 
-    There are `(variables + order)! / (variables! order!)` of them.
+    Sets are downward closed: with a product, all its divisors are in. Terms are sorted by total degree, then by the
+    degrees of the variables, the first variable's before the others', higher ones first; the first is the constant.
     """
-    rows = [
-        np.bincount(np.array(chosen, dtype=int), minlength=variables)[:variables]
-        for degree in range(order + 1)
-        for chosen in itertools.combinations_with_replacement(range(variables), degree)
-    ]
-    return np.array(rows, dtype=int).reshape(comb(variables + order, order) if variables else 1, variables)
+
+    @abc.abstractmethod
+    def indices(self, names: tuple[str, ...], order: int) -> Int[np.ndarray, "terms variables"]:
+        """The degree of each variable in each term, for germ variables of these names."""
+
+
+@final
+class TotalDegree(AbstractIndexSet):
+    """All multi-indices whose sum is at most the order: `(n_p + order)! / (n_p! order!)` terms."""
+
+    def indices(self, names: tuple[str, ...], order: int) -> Int[np.ndarray, "terms variables"]:
+        """See `AbstractIndexSet.indices`."""
+        return _within(np.tile(np.arange(order + 1.0), (len(names), 1)), order)
+
+
+@final
+class TensorProduct(AbstractIndexSet):
+    """All multi-indices whose every degree is at most the order: `(order + 1)^n_p` terms, for few variables."""
+
+    def indices(self, names: tuple[str, ...], order: int) -> Int[np.ndarray, "terms variables"]:
+        """See `AbstractIndexSet.indices`."""
+        return _within(np.zeros((len(names), order + 1)), 0.0)
+
+
+@final
+class HyperbolicCross(AbstractIndexSet):
+    """All multi-indices whose q-norm `(sum of i^q)^(1/q)` is at most the order, with 0 < q <= 1.
+
+    Powers of one variable are all kept, products of many are not: the smaller q, the fewer; q = 1 is the total degree.
+    Source: Blatman and Sudret (2011), Adaptive sparse polynomial chaos expansion based on least angle regression.
+    """
+
+    q: float = eqx.field(static=True)
+
+    def __init__(self, q: float = 0.5):
+        if not (isinstance(q, int | float) and 0 < q <= 1):
+            raise ProblemError(f"HyperbolicCross: q lies in (0, 1]; received {q!r}. q = 1 keeps the total degree.")
+        self.q = float(q)
+
+    def indices(self, names: tuple[str, ...], order: int) -> Int[np.ndarray, "terms variables"]:
+        """See `AbstractIndexSet.indices`."""
+        return _within(np.tile(np.arange(order + 1.0) ** self.q, (len(names), 1)), order**self.q)
+
+
+@final
+class Anisotropic(AbstractIndexSet):
+    """All multi-indices whose weighted sum `sum of w_i i_i` is at most the order.
+
+    `weights` are positive: one for each germ variable in a sequence, or by name, 1 for those not named. A variable of
+    weight 2 goes up to half the order, one of weight 1 up to all of it.
+    """
+
+    weights: tuple[float, ...] = eqx.field(static=True)
+    names: tuple[str, ...] | None = eqx.field(static=True)
+
+    def __init__(self, weights: Sequence[float] | Mapping[str, float]):
+        named = isinstance(weights, Mapping)
+        numbers = tuple(weights.values() if named else weights)
+        if not numbers or not all(isinstance(one, int | float) and 0 < one < np.inf for one in numbers):
+            raise ProblemError(f"Anisotropic: weights are positive finite numbers; received {weights!r}.")
+        self.weights, self.names = numbers, tuple(weights) if named else None
+
+    def indices(self, names: tuple[str, ...], order: int) -> Int[np.ndarray, "terms variables"]:
+        """See `AbstractIndexSet.indices`. Raises `ProblemError` if the weights are not those of the variables."""
+        weights = self._of(names)
+        return _within(weights[:, None] * np.arange(int(order / min(weights) + _ROUNDING) + 1), order)
+
+    def _of(self, names: tuple[str, ...]) -> Float[np.ndarray, " variables"]:
+        known = ", ".join(map(repr, names))
+        if self.names is None:
+            if len(self.weights) != len(names):
+                raise ProblemError(
+                    f"Anisotropic: expected one weight for each of the {len(names)} germ variables ({known}); received "
+                    f"{len(self.weights)}."
+                )
+            return np.array(self.weights, dtype=float)
+        unknown = ", ".join(repr(name) for name in self.names if name not in names)
+        if unknown:
+            raise ProblemError(f"Anisotropic: no germ variable is called {unknown}; there are {known}.")
+        named = dict(zip(self.names, self.weights, strict=True))
+        return np.array([named.get(name, 1.0) for name in names], dtype=float)
+
+
+def sorted_terms(indices: Int[np.ndarray, "terms variables"]) -> Int[np.ndarray, "terms variables"]:
+    """Terms in the order that `AbstractIndexSet` promises."""
+    return indices[np.lexsort((*(-indices.T)[::-1], indices.sum(axis=1)))]
+
+
+def _within(costs: Float[np.ndarray, "variables degrees"], budget: float) -> Int[np.ndarray, "terms variables"]:
+    """All multi-indices whose costs, `costs[i, degree]` for variable i, add up to at most the budget.
+
+    Variable by variable, so that every partial row is one of the set itself: nothing is enumerated in vain. Costs rise
+    with the degree and are zero for degree zero.
+    """
+    allowed = budget + _ROUNDING * max(budget, 1.0)
+    rows, left = np.zeros((1, 0), dtype=int), np.array([allowed])
+    for cost in costs:
+        choices = np.searchsorted(cost, left, side="right")
+        if choices.sum() > _MOST_TERMS:
+            raise ProblemError(
+                f"Expansion: more than {_MOST_TERMS} terms in {len(costs)} variables. Lower the order, or take a "
+                "smaller index set, al.HyperbolicCross(q) or al.Anisotropic(weights)."
+            )
+        parent = np.repeat(np.arange(len(rows)), choices)
+        degree = np.arange(len(parent)) - np.repeat(np.cumsum(choices) - choices, choices)
+        rows, left = np.column_stack([rows[parent], degree]), left[parent] - cost[degree]
+    return sorted_terms(rows)

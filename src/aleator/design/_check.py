@@ -8,17 +8,18 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from aleator._core.arrays import numbers_to_arrays
+from aleator._core.equations import array_digest, equations_text
 from aleator._core.errors import ProblemError
 from aleator.collocation import Expansion
 from aleator.design._cost import CostCurve
 from aleator.design._declaration import AbstractProblem
-from aleator.design._language import AbstractFunctional, functionals_of
 from aleator.design._response import history
 from aleator.design._scope import AbstractScope, Value
-from aleator.dynamics import AbstractIntegrator, AbstractSignal, Grid, System, input_names
+from aleator.design._statistic import AbstractFunctional, functionals_of, joined, statistics_in
+from aleator.dynamics import AbstractIntegrator, AbstractSignal, AlgebraicSystem, Grid, Instant, System, input_names
+from aleator.statistics import AbstractStatistic, Sobol, TotalSobol
 from aleator.uncertainty import Survey, named_numbers, refuse_nonpositive
 
 
@@ -30,8 +31,10 @@ def check(problem: AbstractProblem) -> str:
     """
     _check_types(problem)
     _check_inputs(problem)
+    _check_time(problem)
     refuse_nonpositive(problem.model)
     _check_values(problem)
+    _check_germs(problem)
     physics, outputs = _trace(problem, _outputs_of, problem.survey)
     _check_outputs(problem, outputs)
     expressions = [_check_shape(problem, i, outputs) for i in range(len(problem.expressions))]
@@ -39,24 +42,35 @@ def check(problem: AbstractProblem) -> str:
 
 
 def _check_types(problem: AbstractProblem) -> None:
-    expected: tuple[tuple[str, Any, type], ...] = (
-        ("system", problem.system, System),
-        ("grid", problem.grid, Grid),
-        ("expansion", problem.expansion, Expansion),
-        ("integrator", problem.integrator, AbstractIntegrator),
+    is_algebraic = isinstance(problem.system, AlgebraicSystem)
+    expected: tuple[tuple[str, Any, tuple[type, ...]], ...] = (
+        ("system", problem.system, (System, AlgebraicSystem)),
+        ("grid", problem.grid, (Instant,) if is_algebraic else (Grid,)),
+        ("expansion", problem.expansion, (Expansion,)),
+        ("integrator", problem.integrator, (AbstractIntegrator,)),
     )
-    for name, value, kind in expected:
-        if not isinstance(value, kind):
+    for name, value, kinds in expected:
+        if not isinstance(value, kinds):
+            remedy = " An algebraic system knows no time: leave the grid out." if kinds == (Instant,) else ""
             raise ProblemError(
-                f"Problem: '{name}' must be a {kind.__name__}; received {type(value).__name__} {value!r}."
+                f"Problem: '{name}' must be a {' or '.join(kind.__name__ for kind in kinds)}; "
+                f"received {type(value).__name__} {value!r}.{remedy}"
             )
-    if not getattr(problem.system, "states", ()):
+    part = "unknowns" if is_algebraic else "states"
+    names = getattr(problem.system, part, None)
+    # Outputs without any unknown are explicit equations; a system without states does not move.
+    if names is None or not (names or is_algebraic):
         raise ProblemError(
-            f'{type(problem.system).__name__} names no states: expected `states = ("x", ...)` in the class.'
+            f'{type(problem.system).__name__} names no {part}: expected `{part} = ("x", ...)` in the class.'
         )
 
 
 def _check_inputs(problem: AbstractProblem) -> None:
+    if not (isinstance(problem.system, System) and isinstance(problem.grid, Grid)):
+        if problem.inputs:
+            name = type(problem.system).__name__
+            raise ProblemError(f"{name} is algebraic and takes no inputs; received {sorted(problem.inputs)}.")
+        return
     needed, given = set(input_names(problem.system)), set(problem.inputs)
     if needed != given:
         raise ProblemError(
@@ -76,12 +90,39 @@ def _check_inputs(problem: AbstractProblem) -> None:
             )
 
 
+def _check_time(problem: AbstractProblem) -> None:
+    """Refuse what is taken over time of a system that has none, and the other way round."""
+    has_time, name = isinstance(problem.grid, Grid), type(problem.system).__name__
+    for functional in functionals_of(problem.expressions):
+        if functional.needs_time and not has_time:
+            raise ProblemError(
+                f"'{functional.text()}' is taken over time, but {name} is algebraic and knows none: "
+                f"use al.output('{functional.output}')."
+            )
+        if has_time and not functional.needs_time:
+            raise ProblemError(
+                f"al.output is for systems without time, but {name} moves in time: say what is meant, such as "
+                f"al.terminal('{functional.output}'), al.path('{functional.output}') or al.rms('{functional.output}')."
+            )
+
+
 def _check_values(problem: AbstractProblem) -> None:
     numbers = named_numbers(problem.model, jnp.asarray(problem.survey.vector("initial")))
     for expression in problem.expressions:
         for atom in expression.atoms:
             if isinstance(atom, Value | CostCurve) and atom.name not in numbers:
                 raise ProblemError(_unknown("number of the model", atom.name, list(numbers)))
+
+
+def _check_germs(problem: AbstractProblem) -> None:
+    """Refuse Sobol indices of what is no germ variable."""
+    known = list(problem.survey.germ_names)
+    for one in statistics_in(problem.expressions):
+        kind = one.kind
+        named = kind.variables if isinstance(kind, Sobol) else (kind.variable,) if isinstance(kind, TotalSobol) else ()
+        for name in named:
+            if name not in known:
+                raise ProblemError(_unknown("germ variable", name, known))
 
 
 def _unknown(kind: str, name: str, known: list[str]) -> str:
@@ -100,13 +141,11 @@ def _trace(problem: AbstractProblem, function: Callable[..., Any], *arguments: A
     closed, shapes = jax.make_jaxpr(
         lambda numbers: function(eqx.combine(numbers, static), *arguments), return_shape=True
     )(dynamic)
-    constants = [np.asarray(constant) for constant in closed.consts]
-    held = [f"{one.shape}{one.dtype}{hashlib.sha256(one.tobytes()).hexdigest()}" for one in constants]
-    return "\n".join([str(closed), *held]), shapes
+    return "\n".join([str(equations_text(closed)), *map(array_digest, closed.consts)]), shapes
 
 
 def _outputs_of(problem: AbstractProblem, places: Survey) -> dict[str, jax.Array]:
-    return history(problem, jnp.zeros(len(places.distributions)), jnp.zeros(places.size))
+    return history(problem, jnp.zeros(len(places.germ_names)), jnp.zeros(places.size))
 
 
 def _check_outputs(problem: AbstractProblem, outputs: dict[str, jax.ShapeDtypeStruct]) -> None:
@@ -141,9 +180,11 @@ class _ShapeScope(AbstractScope):
     def __init__(self, problem: AbstractProblem, outputs: dict[str, jax.Array]):
         self._problem, self._outputs = problem, outputs
 
-    def statistic(self, functional: AbstractFunctional, kind: str) -> jax.Array:
+    def statistic(self, functionals: tuple[AbstractFunctional, ...], kind: AbstractStatistic) -> jax.Array:
+        # Every statistic has the shape of what it is taken of, without the axis of those taken jointly.
         del kind
-        return functional.evaluate(self._outputs, self._problem.grid)
+        values = joined([one.evaluate(self._outputs, self._problem.grid) for one in functionals])
+        return values if len(functionals) == 1 else values[..., 0]
 
     def value(self, name: str) -> jax.Array:
         del name

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from aleator._core.arrays import Scalar
-from aleator.design._language import Expression
+from aleator.design._expression import Expression
 from aleator.design._scope import AbstractAtom, AbstractScope
 
 Curve = Callable[..., Float[Array, ""]]
@@ -31,6 +31,11 @@ class CostCurve(AbstractAtom):
         """See `AbstractAtom.text`."""
         numbers = (f"{float(number):g}" for number in self.coefficients)
         return self.shown.format(*numbers, spread=self.name)
+
+    @property
+    def subjects(self) -> tuple[str, ...]:
+        """See `AbstractAtom.subjects`."""
+        return (self.name,)
 
 
 def _reciprocal_power(spread: Array, bias: Array, scale: Array, power: Array) -> Array:

@@ -6,15 +6,15 @@ import equinox as eqx
 
 from aleator._core.errors import ProblemError
 from aleator.collocation import Expansion
-from aleator.design._language import Constraint, Expression
-from aleator.dynamics import AbstractIntegrator, AbstractSignal, Grid, System
+from aleator.design._expression import Constraint, Expression
+from aleator.dynamics import AbstractGrid, AbstractIntegrator, AbstractSignal, AlgebraicSystem, System
 from aleator.uncertainty import Survey, survey
 
 
 class Model(NamedTuple):
     """Everything that may hold distributions and decisions: the system and its inputs."""
 
-    system: System
+    system: System | AlgebraicSystem
     inputs: dict[str, AbstractSignal]
 
 
@@ -25,8 +25,8 @@ class AbstractProblem(eqx.Module):
     closures are told apart where their fields are alike.
     """
 
-    system: System
-    grid: Grid
+    system: System | AlgebraicSystem
+    grid: AbstractGrid
     inputs: dict[str, AbstractSignal]
     objective: Expression
     constraints: tuple[Constraint, ...]

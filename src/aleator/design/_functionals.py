@@ -1,19 +1,19 @@
-"""The functionals: integral, rms, terminal, path and peak of an output."""
+"""The functionals: integral, rms, terminal, path and peak of an output; an output without time."""
 
 from typing import final
 
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from aleator.design._language import AbstractFunctional
-from aleator.dynamics import Grid, History
+from aleator.design._statistic import AbstractFunctional
+from aleator.dynamics import AbstractGrid, History
 
 
 @final
 class Integral(AbstractFunctional):
     """The time integral of an output, by the trapezoidal rule on the grid."""
 
-    def evaluate(self, history: History, grid: Grid) -> Array:
+    def evaluate(self, history: History, grid: AbstractGrid) -> Array:
         """See `AbstractFunctional.evaluate`."""
         return jnp.tensordot(grid.weights, history[self.output], axes=1)
 
@@ -26,9 +26,9 @@ class Integral(AbstractFunctional):
 class Rms(AbstractFunctional):
     """The root of an output's mean square over time, equations (109) and (110)."""
 
-    def evaluate(self, history: History, grid: Grid) -> Array:
+    def evaluate(self, history: History, grid: AbstractGrid) -> Array:
         """See `AbstractFunctional.evaluate`."""
-        square = jnp.tensordot(grid.weights, history[self.output] ** 2, axes=1) / (grid.t_final - grid.t_start)
+        square = jnp.tensordot(grid.weights, history[self.output] ** 2, axes=1) / jnp.sum(grid.weights)
         positive = square > 0
         # An output that is zero throughout has rms zero, with derivative zero (its smallest subgradient).
         return jnp.where(positive, jnp.sqrt(jnp.where(positive, square, 1.0)), 0.0)
@@ -42,7 +42,7 @@ class Rms(AbstractFunctional):
 class Terminal(AbstractFunctional):
     """An output at the final time."""
 
-    def evaluate(self, history: History, grid: Grid) -> Array:
+    def evaluate(self, history: History, grid: AbstractGrid) -> Array:
         """See `AbstractFunctional.evaluate`."""
         del grid
         return history[self.output][-1]
@@ -61,7 +61,7 @@ class Path(AbstractFunctional):
         """See `AbstractFunctional.is_path`."""
         return True
 
-    def evaluate(self, history: History, grid: Grid) -> Array:
+    def evaluate(self, history: History, grid: AbstractGrid) -> Array:
         """See `AbstractFunctional.evaluate`."""
         del grid
         return history[self.output]
@@ -75,7 +75,7 @@ class Path(AbstractFunctional):
 class Peak(AbstractFunctional):
     """The largest magnitude of an output over time. Not smooth where the instant of the peak jumps: prefer `path`."""
 
-    def evaluate(self, history: History, grid: Grid) -> Array:
+    def evaluate(self, history: History, grid: AbstractGrid) -> Array:
         """See `AbstractFunctional.evaluate`."""
         del grid
         return jnp.max(jnp.abs(history[self.output]), axis=0)
@@ -83,6 +83,25 @@ class Peak(AbstractFunctional):
     def text(self) -> str:
         """See `AbstractFunctional.text`."""
         return f"max|{self.output}(t)|"
+
+
+@final
+class Output(AbstractFunctional):
+    """An output of an algebraic system."""
+
+    @property
+    def needs_time(self) -> bool:
+        """See `AbstractFunctional.needs_time`."""
+        return False
+
+    def evaluate(self, history: History, grid: AbstractGrid) -> Array:
+        """See `AbstractFunctional.evaluate`."""
+        del grid
+        return history[self.output][0]
+
+    def text(self) -> str:
+        """See `AbstractFunctional.text`."""
+        return self.output
 
 
 def integral(output: str) -> Integral:
@@ -108,3 +127,8 @@ def path(output: str) -> Path:
 def peak(output: str) -> Peak:
     """The largest magnitude of an output over time."""
     return Peak(output)
+
+
+def output(name: str) -> Output:
+    """An output of an algebraic system, which has no time."""
+    return Output(name)

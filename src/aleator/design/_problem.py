@@ -10,9 +10,17 @@ from aleator._core.errors import ProblemError
 from aleator.collocation import Expansion
 from aleator.design._check import check
 from aleator.design._declaration import AbstractProblem, Model
-from aleator.design._language import Constraint, Expression, as_expression, ordered
+from aleator.design._expression import Constraint, Expression, as_expression, ordered
 from aleator.design._text import problem_text
-from aleator.dynamics import AbstractIntegrator, AbstractSignal, Grid, RungeKutta4, System
+from aleator.dynamics import (
+    AbstractIntegrator,
+    AbstractSignal,
+    AlgebraicSystem,
+    Grid,
+    Instant,
+    RungeKutta4,
+    System,
+)
 from aleator.uncertainty import at_means, uncertain_again
 
 
@@ -20,7 +28,8 @@ from aleator.uncertainty import at_means, uncertain_again
 class Problem(AbstractProblem):
     """An optimal design problem: the decisions in `system` are what to choose, its distributions what is uncertain.
 
-    - `system`: the physics; `grid`: the instants; `inputs`: a signal for each input of the system, by name;
+    - `system`: the physics, a `System` that moves in time or an `AlgebraicSystem`, which has no time, grid and inputs;
+    - `grid`: the instants; `inputs`: a signal for each input of the system, by name;
     - `minimize`: an expression of statistics; `subject_to`: constraints;
     - `expansion`: how outputs are expanded; `integrator`: how states are carried forward.
 
@@ -30,17 +39,17 @@ class Problem(AbstractProblem):
 
     def __init__(
         self,
-        system: System,
+        system: System | AlgebraicSystem,
         *,
-        grid: Grid,
         minimize: Expression,
         subject_to: Iterable[Constraint | tuple[Constraint, ...]] = (),
+        grid: Grid | None = None,
         inputs: Mapping[str, AbstractSignal] | None = None,
         expansion: Expansion | None = None,
         integrator: AbstractIntegrator | None = None,
     ):
         self.system = system
-        self.grid = grid
+        self.grid: Any = Instant() if grid is None and isinstance(system, AlgebraicSystem) else grid
         if inputs is not None and not isinstance(inputs, Mapping):
             raise ProblemError(f"inputs: expected signals by name, such as {{'road': ...}}; received {type(inputs)}.")
         self.inputs = dict(inputs or {})

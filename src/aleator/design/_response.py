@@ -8,9 +8,11 @@ from jaxtyping import Array, Float
 
 from aleator._core.errors import ProblemError
 from aleator.design._declaration import AbstractProblem
-from aleator.design._language import AbstractFunctional, Expression
+from aleator.design._expression import Expression
 from aleator.design._scope import AbstractScope
-from aleator.dynamics import History, simulate
+from aleator.design._statistic import AbstractFunctional, Statistic
+from aleator.dynamics import AlgebraicSystem, History, explain_failure, simulate
+from aleator.statistics import AbstractStatistic
 from aleator.uncertainty import named_numbers, realise
 
 
@@ -35,6 +37,12 @@ def responses(
     return jax.vmap(one)(germ)
 
 
+def unsolved(problem: AbstractProblem, germ: Float[Array, " variables"], decisions: Float[Array, " n"]) -> str:
+    """Why the equations of one realisation of an algebraic system have no solution; empty if they have one."""
+    system, _ = realise(problem.model, germ, decisions)
+    return explain_failure(system) if isinstance(system, AlgebraicSystem) else ""
+
+
 @final
 class _Numbers(AbstractScope):
     """The model's own numbers, and no statistics."""
@@ -42,8 +50,9 @@ class _Numbers(AbstractScope):
     def __init__(self, problem: AbstractProblem, decisions: Any):
         self._numbers = named_numbers(problem.model, jnp.asarray(decisions))
 
-    def statistic(self, functional: Any, kind: str) -> Array:
-        raise ProblemError(f"Only the model's own numbers are known here; received the {kind} of {functional.text()}.")
+    def statistic(self, functionals: tuple[Any, ...], kind: AbstractStatistic) -> Array:
+        received = Statistic(functionals, kind).text()
+        raise ProblemError(f"Only the model's own numbers are known here; received {received}.")
 
     def value(self, name: str) -> Array:
         return self._numbers[name]

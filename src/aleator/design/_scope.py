@@ -6,13 +6,16 @@ from typing import Any, final
 import equinox as eqx
 from jaxtyping import Array, Float
 
+from aleator._core.errors import ProblemError
+from aleator.statistics import AbstractStatistic
+
 
 class AbstractScope(abc.ABC):
     """Where an expression takes its numbers from."""
 
     @abc.abstractmethod
-    def statistic(self, functional: Any, kind: str) -> Float[Array, "..."]:
-        """A statistic (`mean`, `std` or `variance`) of a functional."""
+    def statistic(self, functionals: tuple[Any, ...], kind: AbstractStatistic) -> Float[Array, "..."]:
+        """A statistic of a functional, or of several jointly (a covariance)."""
 
     @abc.abstractmethod
     def value(self, name: str) -> Float[Array, ""]:
@@ -30,6 +33,26 @@ class AbstractAtom(eqx.Module):
     def text(self) -> str:
         """The term as mathematics."""
 
+    @property
+    @abc.abstractmethod
+    def subjects(self) -> tuple[str, ...]:
+        """The outputs or numbers of the model that it speaks of, by name."""
+
+    @property
+    def measures(self) -> tuple[str, ...]:
+        """The functionals that it speaks of, as mathematics."""
+        return ()
+
+    @property
+    def is_path(self) -> bool:
+        """Whether it is one number an instant instead of one number."""
+        return False
+
+    @property
+    def is_spread(self) -> bool:
+        """Whether it is a standard deviation, whose multiples are margins."""
+        return False
+
 
 @final
 class Value(AbstractAtom):
@@ -44,3 +67,27 @@ class Value(AbstractAtom):
     def text(self) -> str:
         """See `AbstractAtom.text`."""
         return self.name
+
+    @property
+    def subjects(self) -> tuple[str, ...]:
+        """See `AbstractAtom.subjects`."""
+        return (self.name,)
+
+
+class AbstractRandom(eqx.Module):
+    """What differs from one realisation to the next: only its statistics can be added, compared and bounded."""
+
+    @abc.abstractmethod
+    def text(self) -> str:
+        """It as mathematics."""
+
+    def refuse(self, other: Any = None) -> Any:
+        """What it answers to arithmetic and comparisons. Raises `ProblemError`."""
+        del other
+        raise ProblemError(
+            f"'{self.text()}' differs from one realisation to the next: name a statistic of it, "
+            "such as .mean, .std or .quantile(0.99), or use .at_most(...)."
+        )
+
+    __add__ = __radd__ = __sub__ = __rsub__ = __mul__ = __rmul__ = __truediv__ = __neg__ = refuse
+    __lt__ = __le__ = __gt__ = __ge__ = refuse

@@ -7,6 +7,7 @@ from typing import Any, final
 import numpy as np
 from jaxtyping import Float
 
+from aleator.collocation import UNRESOLVED
 from aleator.design._problem import Problem
 from aleator.nlp import Status
 
@@ -97,8 +98,12 @@ class Times:
 class ExpansionQuality:
     """How far the expansion can be trusted at the solution.
 
-    `leave_one_out` holds, for each functional, the squared error of predicting a collocation point from all others,
-    relative to the variance; `condition_number` is that of the collocation matrix.
+    - `order`, `terms`, `points`: those of the expansion, as far as they were reached where it adapts to the problem;
+    - `condition_number`: that of the collocation matrix;
+    - `leave_one_out`: for each functional, the squared error of predicting a collocation point from all others,
+      relative to the variance;
+    - `unresolved_from`: for each path that is followed only so far, the instant (s) from which on that error is too
+      large: polynomials of one order do not follow a long simulation for ever.
     """
 
     order: int
@@ -106,11 +111,27 @@ class ExpansionQuality:
     points: int
     condition_number: float
     leave_one_out: Mapping[str, float] = field(default_factory=dict)
+    unresolved_from: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def worst(self) -> float:
         """The largest leave-one-out error."""
         return max(self.leave_one_out.values(), default=0.0)
+
+    @property
+    def unresolved(self) -> tuple[str, ...]:
+        """The functionals whose statistics cannot be trusted, because their error is too large, at least at the end."""
+        errors = self.leave_one_out.items()
+        return tuple(text for text, error in errors if not error <= UNRESOLVED or text in self.unresolved_from)
+
+    @property
+    def can_be_checked(self) -> bool:
+        """Whether points are left to check it by: interpolation and sparse quadrature have none."""
+        return not any(np.isposinf(error) for error in self.leave_one_out.values())
+
+    def since(self, text: str) -> str:
+        """From when on a path is not resolved, in words; nothing for other functionals."""
+        return f" from t = {self.unresolved_from[text]:.4g} s on" if text in self.unresolved_from else ""
 
 
 @final
@@ -131,6 +152,7 @@ class Solution:
     - `objective`: its value in user units;
     - `constraints`: values, activity and multipliers, in the order of `problem.constraints`;
     - `moments`: mean and standard deviation of each functional in the problem, by its text (`"∫comfort dt"`);
+    - `statistics`: every statistic that stands in the problem, by its text (`"Q0.99[rms(x)]"`);
     - `at_bounds`: names of the decisions that stand at one of their own bounds;
     - `bound_multipliers`: of the decisions' own bounds, by name;
     - `violation`, `stationarity`, `complementarity`: residuals of the optimality conditions, scaled, computed from the
@@ -146,6 +168,7 @@ class Solution:
     objective: float
     constraints: tuple[ConstraintResult, ...]
     moments: Mapping[str, Moments]
+    statistics: Mapping[str, Float[np.ndarray, "..."]]
     at_bounds: tuple[str, ...]
     bound_multipliers: Mapping[str, Any]
     multipliers: Float[np.ndarray, " m"]

@@ -3,7 +3,9 @@
 import numpy as np
 
 from aleator.design._declaration import AbstractProblem
-from aleator.design._language import Statistic
+from aleator.design._statistic import statistics_in
+from aleator.dynamics import AlgebraicSystem, Grid
+from aleator.statistics import Mean
 
 
 def problem_text(problem: AbstractProblem) -> str:
@@ -14,8 +16,8 @@ def problem_text(problem: AbstractProblem) -> str:
     rows += _labelled("subject to", [f"{one.name}: {one}" for one in problem.constraints])
     rows += _labelled("where", [f"{name} ~ {law}" for name, law in places.distributions.items()])
     rows += [
-        ("dynamics", _dynamics_text(problem)),
-        ("expansion", _expansion_text(problem, len(places.distributions))),
+        _physics_row(problem),
+        ("expansion", _expansion_text(problem, places.germ_names)),
     ]
     return "\n".join(f"{label:<11} {text}" for label, text in rows)
 
@@ -34,27 +36,22 @@ def _range(values: object) -> str:
     return f"{low:g}" if low == high else f"{low:g}…{high:g}"
 
 
-def _dynamics_text(problem: AbstractProblem) -> str:
+def _physics_row(problem: AbstractProblem) -> tuple[str, str]:
     grid, system = problem.grid, problem.system
-    return (
-        f"{type(system).__name__}({', '.join(system.states)}), {grid.steps} steps of {float(grid.step):g} s, "
+    name = type(system).__name__
+    if isinstance(system, AlgebraicSystem) or not isinstance(grid, Grid):
+        return "equations", f"{name}({', '.join(getattr(system, 'unknowns', ()))}), solved by Newton's method"
+    return "dynamics", (
+        f"{name}({', '.join(system.states)}), {grid.steps} steps of {float(grid.step):g} s, "
         f"{type(problem.integrator).__name__}"
     )
 
 
-def _expansion_text(problem: AbstractProblem, variables: int) -> str:
-    if variables == 0:
+def _expansion_text(problem: AbstractProblem, variables: tuple[str, ...]) -> str:
+    if not variables:
         return "none: nothing is uncertain, every σ is 0" if _has_std(problem) else "none: nothing is uncertain"
-    expansion = problem.expansion
-    return (
-        f"order {expansion.order} in {variables} variables: {expansion.terms(variables)} terms, "
-        f"{expansion.point_count(variables)} collocation points"
-    )
+    return problem.expansion.text(len(variables))
 
 
 def _has_std(problem: AbstractProblem) -> bool:
-    return any(
-        isinstance(atom, Statistic) and atom.kind != "mean"
-        for expression in problem.expressions
-        for atom in expression.atoms
-    )
+    return any(not isinstance(atom.kind, Mean) for atom in statistics_in(problem.expressions))

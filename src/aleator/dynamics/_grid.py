@@ -1,5 +1,6 @@
-"""`Grid`: the instants at which a simulation is recorded."""
+"""The instants at which a simulation is recorded: a `Grid` of them or, without time, one `Instant`."""
 
+import abc
 from typing import final
 
 import equinox as eqx
@@ -11,8 +12,22 @@ from aleator._core.arrays import Scalar
 from aleator._core.errors import ProblemError
 
 
+class AbstractGrid(eqx.Module):
+    """The instants at which outputs are known: the leading axis of every history."""
+
+    @property
+    @abc.abstractmethod
+    def times(self) -> Float[Array, " instants"]:
+        """All instants, in seconds."""
+
+    @property
+    @abc.abstractmethod
+    def weights(self) -> Float[Array, " instants"]:
+        """Weights of the quadrature rule on the instants."""
+
+
 @final
-class Grid(eqx.Module):
+class Grid(AbstractGrid):
     """Uniform instants from `t_start` to `t_final`, `steps` steps apart: `steps + 1` instants, in seconds."""
 
     t_final: Scalar
@@ -46,6 +61,21 @@ class Grid(eqx.Module):
         """Weights of the trapezoidal rule on the instants."""
         ends = jnp.ones(self.steps + 1).at[jnp.array([0, -1])].set(0.5)
         return jnp.asarray(self.step * ends)
+
+
+@final
+class Instant(AbstractGrid):
+    """No time: the one instant, `t = 0`, of a system of algebraic equations. A sum over it is the value itself."""
+
+    @property
+    def times(self) -> Float[Array, " instants"]:
+        """The one instant."""
+        return jnp.zeros(1)
+
+    @property
+    def weights(self) -> Float[Array, " instants"]:
+        """The weight of the one instant."""
+        return jnp.ones(1)
 
 
 def _is_finite(number: object) -> bool:

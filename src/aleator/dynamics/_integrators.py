@@ -12,7 +12,7 @@ from aleator._core.arrays import Pytree
 from aleator._core.errors import ProblemError
 from aleator.dynamics._grid import Grid
 from aleator.dynamics._signal import AbstractSignal
-from aleator.dynamics._system import System, check_inputs, derivative, initial_state, observation
+from aleator.dynamics._system import System, derivative, initial_state, observation
 
 Inputs = dict[str, AbstractSignal]
 History = dict[str, Float[Array, "instants ..."]]
@@ -137,14 +137,3 @@ class Kvaerno5(AbstractAdaptive):
         import diffrax
 
         return diffrax.Kvaerno5()
-
-
-def simulate(
-    system: System, grid: Grid, inputs: Inputs | None = None, integrator: AbstractIntegrator | None = None
-) -> History:
-    """Outputs of one realised system (plain numbers in its fields) at every instant, by name: shape (instants, ...).
-
-    The default integrator is `RungeKutta4`.
-    """
-    check_inputs(system, inputs or {})
-    return (integrator or RungeKutta4()).outputs(system, grid, inputs or {})

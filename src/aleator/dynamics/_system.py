@@ -89,7 +89,11 @@ def derivative(system: System, t: Any, z: Any, inputs: dict[str, Array]) -> Any:
 
 def observation(system: System, t: Any, z: Any, inputs: dict[str, Array]) -> dict[str, Array]:
     """`system.outputs` as arrays by name, checked (at trace time) to be a dict."""
-    values = _evaluated(system, system.outputs, t, z, inputs)
+    return as_outputs(system, _evaluated(system, system.outputs, t, z, inputs))
+
+
+def as_outputs(system: eqx.Module, values: Any) -> dict[str, Array]:
+    """What `system.outputs` returned, as arrays by name."""
     if not isinstance(values, dict):
         raise ProblemError(
             f"{type(system).__name__}.outputs returns a dict of arrays by name; received {type(values).__name__}."
@@ -100,8 +104,14 @@ def observation(system: System, t: Any, z: Any, inputs: dict[str, Array]) -> dic
 def _evaluated(system: System, method: Callable[..., Any], t: Any, z: Any, inputs: dict[str, Array]) -> Any:
     """`method(t, z, ...)` with the inputs that it names."""
     named, _, takes_all = _inputs_of(method)
+    taken = {name: signal for name, signal in inputs.items() if takes_all or name in named}
+    return called(system, method, t, z, **taken)
+
+
+def called(system: eqx.Module, method: Callable[..., Any], *arguments: Any, **named: Any) -> Any:
+    """`method` of `system`, called. Raises `ProblemError` if it branches on a number known only at run time."""
     try:
-        return method(t, z, **{name: signal for name, signal in inputs.items() if takes_all or name in named})
+        return method(*arguments, **named)
     except jax.errors.TracerBoolConversionError as error:
         raise ProblemError(
             f"{type(system).__name__}.{method.__name__} branches on a number that is only known at run time: "

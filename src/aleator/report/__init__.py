@@ -11,6 +11,10 @@ from aleator.report._fronts import decision_path_figure as decision_path_figure
 from aleator.report._fronts import front_figure as front_figure
 from aleator.report._fronts import price_figure as price_figure
 from aleator.report._fronts import relative_figure as relative_figure
+from aleator.report._methods import Trial as Trial
+from aleator.report._methods import bars_figure as bars_figure
+from aleator.report._methods import density_figure as density_figure
+from aleator.report._methods import effort_figure as effort_figure
 from aleator.report._numbers import count as count
 from aleator.report._numbers import given as given
 from aleator.report._numbers import interval as interval

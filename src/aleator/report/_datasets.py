@@ -5,8 +5,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from aleator.design import Solution
+from aleator.design import Solution, statistics_in
 from aleator.report import _units
+from aleator.statistics import Mean, Std
 from aleator.sweep import Calibration, Front
 from aleator.validation import PERCENTILES, Evidence, Proportion
 
@@ -47,6 +48,11 @@ def solution_dataset(solution: Solution) -> "xarray.Dataset":
         data[f"std {_key(text)}"] = _variable(
             axes, one.std, f"standard deviation of {text} by the expansion", units.get(text, "")
         )
+    for one in statistics_in(problem.expressions):
+        if not isinstance(one.kind, Mean | Std):
+            values = solution.statistics[one.text()]
+            axes, unit = _axes(values, one.is_path), _units.of_statistic(one, problem)
+            data[f"statistic {_key(one.text())}"] = _variable(axes, values, f"{one.text()} by the expansion", unit)
     attributes = {
         "status": solution.status.value,
         "solver": solution.solver,
@@ -75,6 +81,10 @@ def evidence_dataset(evidence: Evidence) -> "xarray.Dataset":
             data[f"percentiles {_key(text)}"] = _variable(
                 "percent", one.percentiles, f"percentiles of {text}", units.get(text, "")
             )
+    for text, one in evidence.statistics.items():
+        unit = _units.of_statistic(one.statistic, problem)
+        data[f"sampled {_key(text)}"] = _variable((), one.estimate, f"{text} of the samples", unit)
+        data[f"standard error {_key(text)}"] = _variable((), one.standard_error, f"standard error of {text}", unit)
     for i, one in enumerate(evidence.trajectories):
         unit = _units.of_expression(problem.named(one.name)[0].expression, problem)
         bounds = {"lower": f"{one.lower:g}", "upper": f"{one.upper:g}"}

@@ -18,6 +18,7 @@ from aleator.report._tables import (
     certificate_table,
     designs_table,
     evidence_table,
+    statistics_table,
     unresolved,
 )
 from aleator.sweep import Front
@@ -226,7 +227,7 @@ def _front_blocks(fronts: Mapping[str, Front]) -> list[Block]:
 def _evidence_blocks(evidence: Mapping[str, Evidence]) -> list[Block]:
     if not evidence:
         return []
-    blocks: list[Block] = [evidence_table(evidence)]
+    blocks: list[Block] = [one for one in (evidence_table(evidence), statistics_table(evidence)) if one is not None]
     for text in dict.fromkeys(text for one in evidence.values() for text in one.functionals):
         group = {name: one.functionals[text] for name, one in evidence.items() if text in one.functionals}
         if any(np.ndim(one.mean) or one.percentiles is None for one in group.values()):

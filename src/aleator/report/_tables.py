@@ -4,13 +4,14 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from aleator.collocation import UNRESOLVED
 from aleator.design import ConstraintResult, Solution
 from aleator.nlp import Status
 from aleator.report import _units
 from aleator.report._numbers import count, given, number, residual, seconds, share_text, values_text, words
 from aleator.report._page import Table
-from aleator.solve import UNRESOLVED
-from aleator.validation import Evidence
+from aleator.statistics import Mean, Std
+from aleator.validation import Checked, Evidence
 
 STATUS_WORDS = {
     Status.SOLVED: "solved",
@@ -168,10 +169,36 @@ def evidence_table(evidence: Mapping[str, Evidence]) -> Table:
     return Table("Monte Carlo beside the expansion", header, rows, note)
 
 
+def statistics_table(evidence: Mapping[str, Evidence]) -> Table | None:
+    """The other statistics in the problems, sampled, beside what the expansion said of them; None without any."""
+    rows = []
+    for name, one in evidence.items():
+        for text, checked in one.statistics.items():
+            if isinstance(checked.statistic.kind, Mean | Std):
+                continue
+            unit = _units.of_statistic(checked.statistic, one.solution.problem)
+            rows.append(
+                [
+                    f"{name}, {text}" + (f" ({unit})" if unit else ""),
+                    _estimated(checked),
+                    number(checked.expanded, 5),
+                ]
+            )
+    note = "± is one standard error of the sampled number."
+    return Table("Other statistics", ["", "Sampled", "Expansion"], rows, note) if rows else None
+
+
+def _estimated(one: Checked) -> str:
+    error = "" if np.isnan(one.standard_error) else f" ± {number(one.standard_error, 2)}"
+    return f"{number(one.estimate, 5)}{error}"
+
+
 def unresolved(solutions: Mapping[str, Solution]) -> dict[str, tuple[str, float]]:
-    """The designs whose expansion misses too much of a functional's variance: which, and how much."""
+    """The designs whose expansion misses too much of a functional's variance: which, from when on, and how much."""
     found = {}
     for name, one in solutions.items():
-        if _expanded(one) and not one.expansion.worst <= UNRESOLVED:
-            found[name] = max(one.expansion.leave_one_out.items(), key=lambda item: item[1])
+        if _expanded(one) and one.expansion.unresolved:
+            errors = one.expansion.leave_one_out
+            worst = max(one.expansion.unresolved, key=lambda text: errors[text])
+            found[name] = (f"{worst}{one.expansion.since(worst)}", errors[worst])
     return found

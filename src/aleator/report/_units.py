@@ -1,8 +1,13 @@
 """Units of decisions, functionals and expressions, as far as a system declares them."""
 
-from aleator.design import AbstractFunctional, Expression, Problem, Statistic, functionals_of
+from aleator.design import AbstractFunctional, Expression, Problem, Statistic, functionals_of, statistics_in
 from aleator.report._numbers import times_second
+from aleator.statistics import Correlation, Covariance, Kurtosis, Probability, Skewness, Sobol, TotalSobol, Variance
 from aleator.uncertainty import fields_of
+
+# Ratios and probabilities; squares.
+_PURE = (Skewness, Kurtosis, Correlation, Sobol, TotalSobol, Probability)
+_SQUARED = (Variance, Covariance)
 
 
 def of_functional(functional: AbstractFunctional, problem: Problem) -> str:
@@ -11,13 +16,21 @@ def of_functional(functional: AbstractFunctional, problem: Problem) -> str:
     return times_second(unit) if unit and functional.text().startswith("∫") else unit
 
 
+def of_statistic(statistic: Statistic, problem: Problem) -> str:
+    """The unit of a statistic: that of its functional, squared for a variance, none for a ratio or a probability."""
+    units = [of_functional(one, problem) for one in statistic.functionals]
+    if isinstance(statistic.kind, _PURE):
+        return ""
+    if isinstance(statistic.kind, _SQUARED):
+        first, last = units[0], units[-1]
+        squared = f"({first})²" if first == last else f"({first or '1'})·({last or '1'})"
+        return squared if first or last else ""
+    return units[0]
+
+
 def of_expression(expression: Expression, problem: Problem) -> str:
-    """The unit of an expression: that of the first statistic in it; empty where it has none or a variance."""
-    for atom in expression.atoms:
-        if isinstance(atom, Statistic):
-            unit = of_functional(atom.functional, problem)
-            return f"({unit})²" if atom.kind == "variance" and unit else unit
-    return ""
+    """The unit of an expression: that of the first statistic in it; empty where it has none."""
+    return next((of_statistic(one, problem) for one in statistics_in((expression,))), "")
 
 
 def of_decision(name: str, problem: Problem) -> str:

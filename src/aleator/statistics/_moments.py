@@ -1,25 +1,71 @@
 """Moments of an expansion in an orthonormal basis, from its coefficients alone (equations 30-33, 98, 99)."""
 
+from typing import ClassVar, final
+
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from aleator._core.arrays import Pytree
+from aleator.statistics._statistic import AbstractStatistic
 
-def mean(coefficients: Float[Array, "terms *shape"]) -> Float[Array, "*shape"]:
+
+@final
+class Mean(AbstractStatistic):
     """The expected value, equation (32): the first coefficient."""
-    return coefficients[0]
+
+    symbol: ClassVar[str] = "μ"
+
+    def of(self, coefficients: Float[Array, "terms *shape"], constants: Pytree) -> Float[Array, "*shape"]:
+        """See `AbstractStatistic.of`."""
+        del constants
+        return coefficients[0]
+
+    def of_sample(self, values: Float[Array, "samples *shape"]) -> Float[Array, "*shape"]:
+        """See `AbstractStatistic.of_sample`."""
+        return jnp.mean(values, axis=0)
+
+    @property
+    def speaks_of_one_system(self) -> bool:
+        """See `AbstractStatistic.speaks_of_one_system`."""
+        return True
 
 
-def variance(coefficients: Float[Array, "terms *shape"]) -> Float[Array, "*shape"]:
+@final
+class Variance(AbstractStatistic):
     """The variance, equation (33), summed from the second coefficient on (the mean is no part of it)."""
-    return jnp.sum(coefficients[1:] ** 2, axis=0)
+
+    symbol: ClassVar[str] = "Var"
+
+    def of(self, coefficients: Float[Array, "terms *shape"], constants: Pytree) -> Float[Array, "*shape"]:
+        """See `AbstractStatistic.of`."""
+        del constants
+        return jnp.sum(coefficients[1:] ** 2, axis=0)
+
+    def of_sample(self, values: Float[Array, "samples *shape"]) -> Float[Array, "*shape"]:
+        """See `AbstractStatistic.of_sample`."""
+        return jnp.var(values, axis=0, ddof=1)
 
 
-def std(coefficients: Float[Array, "terms *shape"]) -> Float[Array, "*shape"]:
+@final
+class Std(AbstractStatistic):
     """The standard deviation, equation (33).
 
     Where the variance is exactly zero (an initial condition that is certain) the value is zero and so is the
     derivative: the root has no finite one there, and zero is its smallest subgradient.
     """
-    spread = variance(coefficients)
-    positive = spread > 0
-    return jnp.where(positive, jnp.sqrt(jnp.where(positive, spread, 1.0)), 0.0)
+
+    symbol: ClassVar[str] = "σ"
+
+    def of(self, coefficients: Float[Array, "terms *shape"], constants: Pytree) -> Float[Array, "*shape"]:
+        """See `AbstractStatistic.of`."""
+        return root(Variance().of(coefficients, constants))
+
+    def of_sample(self, values: Float[Array, "samples *shape"]) -> Float[Array, "*shape"]:
+        """See `AbstractStatistic.of_sample`."""
+        return root(Variance().of_sample(values))
+
+
+def root(square: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
+    """The square root, with derivative zero at zero."""
+    positive = square > 0
+    return jnp.where(positive, jnp.sqrt(jnp.where(positive, square, 1.0)), 0.0)

@@ -20,6 +20,10 @@ STUDIES = {
         "Quarter car: deterministic, robust and apportioned suspension (sections 6.4 and 7.4)",
         "aleator.studies._suspension_study",
     ),
+    "clutch": Entry(
+        "One-way clutch: tolerance analysis by every method, and the cheapest tolerances (section 7.2)",
+        "aleator.studies._clutch_study",
+    ),
 }
 
 

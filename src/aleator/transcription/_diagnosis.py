@@ -4,6 +4,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from aleator.design import unsolved
+from aleator.dynamics import Grid
 from aleator.transcription._sequential import Sequential
 from aleator.uncertainty import uncertain_numbers
 
@@ -23,14 +25,15 @@ def diagnose(transcription: Sequential, decisions: Float[np.ndarray, " n"]) -> s
     realisation = ", ".join(
         f"{key}={value:.6g}" for key, value in _realisation(transcription, decisions, point).items()
     )
-    count = len(outputs[name])
+    who = f"collocation point {point + 1} of {len(outputs[name])} ({realisation})" if realisation else ""
+    germ = transcription.collocation.points[point]
+    if reason := unsolved(transcription.problem, germ, jnp.asarray(decisions)):
+        return f"At {where}{who and ', ' + who}: {reason}"
+    what = f"the simulation{who and ' of ' + who} is not finite: output '{name}'"
+    if not isinstance(transcription.problem.grid, Grid):
+        return f"At {where}, {what}. Look for a root or logarithm of zero, or a division by zero."
     remedy = "Shorten the time step, tighten the decisions' bounds or use an implicit integrator (al.Kvaerno5)."
-    who = (
-        f"the simulation of collocation point {point + 1} of {count} ({realisation})"
-        if realisation
-        else "the simulation"
-    )
-    return f"At {where}, {who} is not finite: output '{name}' from t = {times[instant]:.4g} s on. {remedy}"
+    return f"At {where}, {what} from t = {times[instant]:.4g} s on. {remedy}"
 
 
 def _first(values: np.ndarray) -> tuple[int, int]:

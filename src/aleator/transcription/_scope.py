@@ -1,48 +1,54 @@
-"""Statistics of a problem's functionals by least-squares collocation: where its expressions take their numbers."""
+"""Statistics of a problem's functionals by an expansion: where its expressions take their numbers."""
 
-from typing import final
+from collections.abc import Mapping
+from typing import Any, final
 
 from jaxtyping import Array, Float
 
-from aleator import statistics
-from aleator.collocation import Collocation, collocate
-from aleator.design import AbstractFunctional, AbstractScope, Problem, functionals_of, responses
+from aleator.collocation import Collocation
+from aleator.design import AbstractFunctional, AbstractScope, Problem, functionals_of, joined, responses
+from aleator.statistics import AbstractStatistic, Constants
 from aleator.uncertainty import named_numbers
-
-STATISTICS = {"mean": statistics.mean, "std": statistics.std, "variance": statistics.variance}
 
 
 @final
 class ExpansionScope(AbstractScope):
-    """Simulates the problem at all collocation points once, and takes every statistic from the coefficients."""
+    """Takes every statistic from the coefficients of expansions, fitted to samples at the collocation points.
+
+    - `samples`: each functional at the collocation points; `coefficients`: of its expansion;
+    - `numbers`: those of the model, by name;
+    - `taken`: the statistics that it has been asked for, in that order.
+    """
 
     def __init__(
         self,
-        problem: Problem,
-        functionals: tuple[AbstractFunctional, ...],
+        samples: Mapping[AbstractFunctional, Float[Array, "points ..."]],
         collocation: Collocation,
-        decisions: Float[Array, " n"],
+        constants: Constants,
+        numbers: Mapping[str, Any],
     ):
-        self.samples = responses(problem, functionals, collocation.points, decisions)
-        self._coefficients = {
-            one: collocation.coefficients(values) for one, values in zip(functionals, self.samples, strict=True)
-        }
-        self._numbers = named_numbers(problem.model, decisions)
+        self.samples = samples
+        self.coefficients = {one: collocation.coefficients(values) for one, values in samples.items()}
+        self.taken: list[Float[Array, "..."]] = []
+        self._constants = constants
+        self._numbers = numbers
 
-    def statistic(self, functional: AbstractFunctional, kind: str) -> Float[Array, "..."]:
+    def statistic(self, functionals: tuple[AbstractFunctional, ...], kind: AbstractStatistic) -> Float[Array, "..."]:
         """See `AbstractScope.statistic`."""
-        return STATISTICS[kind](self._coefficients[functional])
+        found = kind.of(joined([self.coefficients[one] for one in functionals]), self._constants.of(kind))
+        self.taken.append(found)
+        return found
 
     def value(self, name: str) -> Float[Array, ""]:
         """See `AbstractScope.value`."""
         return self._numbers[name]
 
 
-def collocation_of(problem: Problem) -> Collocation:
-    """Points and factorised collocation matrix of a problem: once per problem, whatever its decisions."""
-    return collocate(problem.survey.germs, problem.expansion)
-
-
-def scope_of(problem: Problem, collocation: Collocation, decisions: Float[Array, " n"]) -> ExpansionScope:
-    """The scope of all expressions of a problem at given decisions."""
-    return ExpansionScope(problem, functionals_of(problem.expressions), collocation, decisions)
+def scope_of(
+    problem: Problem, collocation: Collocation, constants: Constants, decisions: Float[Array, " n"]
+) -> ExpansionScope:
+    """The scope of all expressions of a problem at given decisions: simulates it at all collocation points once."""
+    functionals = functionals_of(problem.expressions)
+    samples = responses(problem, functionals, collocation.points, decisions)
+    numbers = named_numbers(problem.model, decisions)
+    return ExpansionScope(dict(zip(functionals, samples, strict=True)), collocation, constants, numbers)

@@ -13,14 +13,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from aleator import statistics
 from aleator._core.arrays import numbers_to_arrays
 from aleator._core.compilation import Compiled
 from aleator._core.errors import ProblemError
-from aleator.collocation import Collocation, leave_one_out
-from aleator.design import Problem, history
+from aleator.collocation import Basis, Collocation
+from aleator.design import Problem, functionals_of, history, statistics_in
 from aleator.nlp import Evaluation, NonlinearProgram
-from aleator.transcription._scope import collocation_of, scope_of
+from aleator.statistics import Constants
+from aleator.transcription._discretisation import RESPOND, discretised
+from aleator.transcription._resolution import RESOLVE, Resolved
+from aleator.transcription._scope import scope_of
 from aleator.uncertainty import Survey
 
 
@@ -29,43 +31,28 @@ class Blocks(NamedTuple):
 
     - `values`, `derivatives`: the objective and each constraint, flattened, and their derivatives by the decisions:
       shapes (rows,) and (rows, n);
-    - `samples`: each functional at the collocation points.
+    - `samples`: each functional at the collocation points;
+    - `statistics`: each that stands in the expressions, in the order of `statistics_in`.
     """
 
     values: tuple[Float[np.ndarray, " rows"], ...]
     derivatives: tuple[Float[np.ndarray, "rows n"], ...]
     samples: tuple[Float[Array, "points ..."], ...]
+    statistics: tuple[Float[np.ndarray, "..."], ...]
 
 
 def _evaluate(
-    problem: Problem, collocation: Collocation, decisions: Float[Array, " n"]
+    problem: Problem, collocation: Collocation, constants: Constants, decisions: Float[Array, " n"]
 ) -> tuple[tuple[Array, ...], ...]:
     """The parts of `Blocks`, with exact derivatives, forward: few decisions, thousands of rows."""
 
-    def values(x: Array) -> tuple[tuple[Array, ...], tuple[tuple[Array, ...], tuple[Array, ...]]]:
-        scope = scope_of(problem, collocation, x)
+    def values(x: Array) -> tuple[tuple[Array, ...], tuple[tuple[Array, ...], ...]]:
+        scope = scope_of(problem, collocation, constants, x)
         blocks = tuple(jnp.ravel(jnp.asarray(one.evaluate(scope))) for one in problem.expressions)
-        return blocks, (blocks, scope.samples)
+        return blocks, (blocks, tuple(scope.samples.values()), tuple(scope.taken))
 
-    derivatives, (blocks, samples) = jax.jacfwd(values, has_aux=True)(decisions)
-    return blocks, derivatives, samples
-
-
-class Resolved(NamedTuple):
-    """One functional at given decisions: its moments, and how well its expansion predicts a new sample."""
-
-    mean: Float[Array, "*shape"]
-    std: Float[Array, "*shape"]
-    leave_one_out: Float[Array, ""]
-
-
-def _resolve(collocation: Collocation, samples: tuple[Float[Array, "points ..."], ...]) -> tuple[Resolved, ...]:
-    """The moments and leave-one-out error of each functional, from its samples at the collocation points."""
-    expanded = [(one, collocation.coefficients(one)) for one in samples]
-    return tuple(
-        Resolved(statistics.mean(terms), statistics.std(terms), leave_one_out(collocation, one, terms))
-        for one, terms in expanded
-    )
+    derivatives, (blocks, samples, statistics) = jax.jacfwd(values, has_aux=True)(decisions)
+    return blocks, derivatives, samples, statistics
 
 
 def _outputs_at_points(problem: Problem, collocation: Collocation, decisions: Float[Array, " n"]) -> dict[str, Array]:
@@ -73,13 +60,12 @@ def _outputs_at_points(problem: Problem, collocation: Collocation, decisions: Fl
 
 
 EVALUATE = Compiled(_evaluate)
-RESOLVE = Compiled(_resolve)
 OUTPUTS_AT_POINTS = Compiled(_outputs_at_points)
 
 
 def compile_seconds() -> float:
     """How long all compilations for solutions have taken so far, s."""
-    return EVALUATE.seconds + RESOLVE.seconds
+    return EVALUATE.seconds + RESOLVE.seconds + RESPOND.seconds
 
 
 @final
@@ -89,17 +75,20 @@ class _Evaluator:
     So the start, needed to find scales, and the solution, needed for its moments, are not computed twice.
     """
 
-    def __init__(self, traced: Problem, collocation: Collocation):
-        self._traced, self._collocation = traced, collocation
+    def __init__(self, traced: Problem, collocation: Collocation, constants: Constants):
+        self._arguments = (traced, collocation, constants)
         self._memory: dict[bytes, Blocks] = {}
 
     def __call__(self, decisions: Float[np.ndarray, " n"]) -> Blocks:
         key = decisions.tobytes()
         if key not in self._memory:
-            values, derivatives, samples = EVALUATE(self._traced, self._collocation, jnp.asarray(decisions))
+            values, derivatives, samples, statistics = EVALUATE(*self._arguments, jnp.asarray(decisions))
             while len(self._memory) > 1:
                 del self._memory[next(iter(self._memory))]
-            self._memory[key] = Blocks(tuple(map(np.asarray, values)), tuple(map(np.asarray, derivatives)), samples)
+            values, derivatives, statistics = (
+                tuple(map(np.asarray, part)) for part in (values, derivatives, statistics)
+            )
+            self._memory[key] = Blocks(values, derivatives, samples, statistics)
         return self._memory[key]
 
 
@@ -114,6 +103,7 @@ class Sequential:
     problem: Problem
     traced: Problem
     places: Survey
+    basis: Basis
     collocation: Collocation
     program: NonlinearProgram
     rows: tuple[slice, ...]
@@ -124,9 +114,16 @@ class Sequential:
         """Histories of all outputs at all collocation points."""
         return OUTPUTS_AT_POINTS(self.traced, self.collocation, jnp.asarray(decisions))
 
-    def resolve(self, decisions: Float[np.ndarray, " n"]) -> tuple[Resolved, ...]:
-        """The moments and leave-one-out error of each functional, in the order of `functionals_of`."""
-        return RESOLVE(self.collocation, self.evaluator(decisions).samples)
+    def statistics(self, decisions: Float[np.ndarray, " n"]) -> dict[str, Float[np.ndarray, "..."]]:
+        """Every statistic that stands in the problem, by its text."""
+        texts = (one.text() for one in statistics_in(self.problem.expressions))
+        return dict(zip(texts, self.evaluator(decisions).statistics, strict=True))
+
+    def resolve(self, decisions: Float[np.ndarray, " n"]) -> dict[str, Resolved]:
+        """The moments and the quality of each functional's expansion, by its text."""
+        functionals = functionals_of(self.problem.expressions)
+        found = RESOLVE(functionals, self.collocation, self.evaluator(decisions).samples)
+        return dict(zip((one.text() for one in functionals), found, strict=True))
 
 
 def transcribe(problem: Problem) -> Sequential:
@@ -139,10 +136,9 @@ def transcribe(problem: Problem) -> Sequential:
         raise ProblemError(
             "The problem has no decisions: put al.Decision(initial, lower, upper) in the place of a number of it."
         )
-    collocation = collocation_of(problem)
+    basis, collocation, constants = discretised(problem)
     traced = numbers_to_arrays(problem)
-
-    evaluator = _Evaluator(traced, collocation)
+    evaluator = _Evaluator(traced, collocation, constants)
     start = places.vector("initial")
     at_start = evaluator(start)
     decision_scale = _decision_scale(start, places.vector("lower"), places.vector("upper"))
@@ -158,7 +154,7 @@ def transcribe(problem: Problem) -> Sequential:
         constraint_scale=_spread(rows, scales),
         decision_scale=decision_scale,
     )
-    return Sequential(problem, traced, places, collocation, program, rows, tuple(scales), evaluator)
+    return Sequential(problem, traced, places, basis, collocation, program, rows, tuple(scales), evaluator)
 
 
 def _evaluation(blocks: Blocks) -> Evaluation:

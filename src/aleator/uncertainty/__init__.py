@@ -1,6 +1,17 @@
 """From a model's leaves to the germ: distributions, their orthonormal polynomials, decisions, realisation."""
 
+from aleator.uncertainty._bounded_families import Triangular as Triangular
+from aleator.uncertainty._bounded_families import TruncatedNormal as TruncatedNormal
+from aleator.uncertainty._copula import correlated as correlated
+from aleator.uncertainty._data_families import Density as Density
+from aleator.uncertainty._data_families import Sample as Sample
 from aleator.uncertainty._decision import Decision as Decision
+from aleator.uncertainty._density_germs import DensityGerm as DensityGerm
+from aleator.uncertainty._density_germs import GumbelGerm as GumbelGerm
+from aleator.uncertainty._density_germs import SampleGerm as SampleGerm
+from aleator.uncertainty._density_germs import TriangularGerm as TriangularGerm
+from aleator.uncertainty._density_germs import TruncatedNormalGerm as TruncatedNormalGerm
+from aleator.uncertainty._density_germs import WeibullGerm as WeibullGerm
 from aleator.uncertainty._distribution import AbstractDistribution as AbstractDistribution
 from aleator.uncertainty._families import Beta as Beta
 from aleator.uncertainty._families import Gamma as Gamma
@@ -21,3 +32,10 @@ from aleator.uncertainty._survey import realise as realise
 from aleator.uncertainty._survey import survey as survey
 from aleator.uncertainty._survey import uncertain_again as uncertain_again
 from aleator.uncertainty._survey import uncertain_numbers as uncertain_numbers
+from aleator.uncertainty._survey import with_laws as with_laws
+from aleator.uncertainty._tailed_families import Exponential as Exponential
+from aleator.uncertainty._tailed_families import Gumbel as Gumbel
+from aleator.uncertainty._tailed_families import LogNormal as LogNormal
+from aleator.uncertainty._tailed_families import Weibull as Weibull
+from aleator.uncertainty._toleranced import Toleranced as Toleranced
+from aleator.uncertainty._toleranced import toleranced as toleranced

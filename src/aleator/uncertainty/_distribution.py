@@ -1,6 +1,7 @@
 """`AbstractDistribution`: an uncertain number of a model, and what every family of distributions shares."""
 
 import abc
+import dataclasses
 import itertools
 from collections.abc import Callable, Iterator
 from typing import Any, ClassVar, NamedTuple, Self
@@ -15,7 +16,8 @@ from jaxtyping import Array, Float
 from aleator._core.arrays import Scalar
 from aleator._core.errors import ProblemError
 from aleator.uncertainty._decision import Decision
-from aleator.uncertainty._polynomials import AbstractGerm
+from aleator.uncertainty._dependence import Dependence
+from aleator.uncertainty._polynomials import AbstractGerm, HermiteGerm
 
 
 class Canonical(NamedTuple):
@@ -45,22 +47,35 @@ class AbstractDistribution(eqx.Module):
     """
 
     parameters: dict[str, Any]
+    dependence: Dependence | None
     shared_name: str | None = eqx.field(static=True)
 
     FORMS: ClassVar[dict[tuple[str, ...], Form]]
+    REQUIRES: ClassVar[str] = "finite parameters, a positive spread and positive shape parameters"
+    REACHES_ENDS: ClassVar[bool] = True
+    """Whether values come so close to a finite end of the support that physics must stand the end itself."""
 
     def _take(self, given: dict[str, Any], shared_name: str | None) -> None:
         """Store the parameters that were given, after checking that they make a law."""
         parameters = {name: _plain(name, value, type(self)) for name, value in given.items() if value is not None}
         self.parameters = parameters
+        self.dependence = None
         self.shared_name = shared_name
         self._names()
-        if not any(isinstance(value, Tracer) for value in jax.tree.leaves(parameters)):
+        # Under jax.grad the numbers are known and checked; under jax.jit they are not.
+        if not is_traced(constant(parameters)):
             self._check()
 
     def shared(self, name: str) -> Self:
         """The same realisation wherever it is placed: all placements shared under one name are one random variable."""
-        return type(self)(**self.parameters, shared_name=name)
+        return self._with(shared_name=name)
+
+    def _with(self, **changes: Any) -> Self:
+        """A copy with other values in the named fields."""
+        copy = object.__new__(type(self))
+        for field in dataclasses.fields(self):
+            object.__setattr__(copy, field.name, changes.get(field.name, getattr(self, field.name)))
+        return copy
 
     def _names(self) -> tuple[str, ...]:
         """The parameters' names in their declared order, which a dict does not keep when JAX takes it apart."""
@@ -77,42 +92,44 @@ class AbstractDistribution(eqx.Module):
 
     def _check(self) -> None:
         """Refuse parameters that make no law, at the start of the decisions or anywhere between their bounds."""
-        start = {name: float(value) for name, value in self.initial().parameters.items()}
+        start = {name: float(value) for name, value in constant(self.initial().parameters).items()}
         if "upper" in start and not start["lower"] < start["upper"]:
             raise ProblemError(f"{type(self).__name__} needs lower < upper; received {self}.")
         location, spread, shape = self._numbers(start)
-        positive = [spread, *shape]
-        if not np.all(np.isfinite([location, *positive])) or min(positive) <= 0:
-            raise ProblemError(
-                f"{type(self).__name__} needs finite parameters, a positive spread and positive shape parameters; "
-                f"received {self}."
-            )
+        if not (np.all(np.isfinite([location, spread])) and spread > 0 and self._is_possible(start, shape)):
+            raise ProblemError(f"{type(self).__name__} needs {self.REQUIRES}; received {self}.")
         for corner in self.corners():
-            self._check_corner(corner, *self._numbers(start | corner))
+            self._check_corner(start | corner, corner)
+
+    def _is_possible(self, parameters: dict[str, float], shape: tuple[float, ...]) -> bool:
+        """Whether a law of these parameters and this shape exists, whatever its location and spread."""
+        del parameters
+        return all(0 < number < np.inf for number in shape)
 
     def _numbers(self, parameters: dict[str, float]) -> tuple[float, float, tuple[float, ...]]:
         """Location, spread and shape of a law that need not exist: they may be negative, infinite or not a number."""
-        with np.errstate(all="ignore"):
+        with np.errstate(all="ignore"), jax.ensure_compile_time_eval():
             location, scale, shape = self.form.canonical(**{name: np.float64(v) for name, v in parameters.items()})
         # A given standard deviation is squared on its way to some canonical forms, which hides its sign.
         spread = np.min([float(scale), parameters.get("std", float(scale))])
         return float(location), float(spread), tuple(float(number) for number in shape)
 
-    def _check_corner(self, corner: dict[str, float], location: float, spread: float, shape: tuple[float, ...]) -> None:
+    def _check_corner(self, parameters: dict[str, float], corner: dict[str, float]) -> None:
         """Refuse decisions that reach no law at one corner of their bounds, where only the spread may vanish.
 
         A location or a spread without bound is an allowed decision; a shape parameter without bound is no law.
         """
+        location, spread, shape = self._numbers(parameters)
         bounded = bool(np.all(np.isfinite(list(corner.values()))))
         finite = np.all(np.isfinite([location, spread])) or not bounded
-        if finite and spread >= 0 and all(0 < number < np.inf for number in shape):
+        if finite and spread >= 0 and self._is_possible(parameters, shape):
             return
         where = ", ".join(f"{name}={value:g}" for name, value in corner.items())
         received = ", ".join([f"spread {spread:g}", *(f"shape {number:g}" for number in shape)])
         remedy = "Narrow the bounds of its decisions." if bounded else "Give the decision finite bounds."
         raise ProblemError(
-            f"{type(self).__name__}: its decisions reach {where}, where it is no distribution: expected a spread of "
-            f"at least 0 and shape parameters that are positive and finite; received {received} from {self}. {remedy}"
+            f"{type(self).__name__}: its decisions reach {where}, where it is no distribution: expected "
+            f"{self.REQUIRES} (only a spread may vanish); received {received} from {self}. {remedy}"
         )
 
     def corners(self) -> Iterator[dict[str, float]]:
@@ -142,7 +159,7 @@ class AbstractDistribution(eqx.Module):
             name: choose(name, value) if isinstance(value, Decision) else value
             for name, value in self.parameters.items()
         }
-        return eqx.tree_at(lambda law: law.parameters, self, chosen, is_leaf=lambda leaf: isinstance(leaf, dict))
+        return self._with(parameters=chosen)
 
     @property
     def decisions(self) -> dict[str, Decision]:
@@ -160,12 +177,77 @@ class AbstractDistribution(eqx.Module):
         location, scale, shape = self.canonical()
         if reference is not None:
             germ = self.transport(germ, reference, shape)
+        elif is_traced(shape):
+            germ = self.anchor(germ, shape)
         return jnp.asarray(location + scale * germ)
+
+    def value_at_normal(self, normal: Float[Array, ""]) -> Float[Array, ""]:
+        """The number that has the probability level of the standard normal value `normal`."""
+        location, scale, shape = self.canonical()
+        return jnp.asarray(location + scale * self.from_normal(normal, shape))
 
     def transport(self, germ: Float[Array, ""], source: tuple, target: tuple) -> Float[Array, ""]:
         """Move a germ value between two shapes at equal probability. Families without shape have nothing to move."""
         del source, target
         return germ
+
+    def anchor(self, germ: Float[Array, ""], shape: tuple) -> Float[Array, ""]:
+        """The germ value as it is, with its derivative by the shape at equal probability.
+
+        This is what a law needs whose shape is differentiated from outside, as by `jax.grad`, rather than decided.
+        """
+        return self.transport(germ, jax.lax.stop_gradient(shape), shape)
+
+    @abc.abstractmethod
+    def from_normal(self, normal: Float[Array, ""], shape: tuple) -> Float[Array, ""]:
+        """The germ value of the given shape that has the probability level of the standard normal value `normal`."""
+
+    def reference(self) -> tuple[Scalar, ...] | None:
+        """The shape to which the germ's values belong, where a decision moves the law away from it; else nothing."""
+        return self._constant_shape() if self.shape_is_decided else None
+
+    def concrete_shape(self) -> tuple[float, ...]:
+        """The shape of the germ's law as plain numbers, also while it is differentiated.
+
+        Raises `ProblemError` where no number is known, as under `jax.jit` or `jax.vmap`.
+        """
+        shape = self._constant_shape()
+        if is_traced(shape):
+            raise ProblemError(
+                f"{type(self).__name__}: the polynomials of its germ need a shape that is a known number; received "
+                "one that jax.jit or jax.vmap traces. Build the expansion outside of them (jax.grad is possible)."
+            )
+        return tuple(float(number) for number in shape)
+
+    def _constant_shape(self) -> tuple[Scalar, ...]:
+        with jax.ensure_compile_time_eval():
+            return self.form.canonical(**constant(self.initial().parameters)).shape
+
+    def correlated(self, dependence: Dependence) -> Self:
+        """The same law as a member of a group of correlated laws: see the function `correlated`."""
+        return self._with(dependence=dependence)
+
+    def germ_names(self, place: str) -> tuple[str, ...]:
+        """The germ variables that it depends on, where it stands at `place`.
+
+        One, named after the place; for a correlated law one of its own and those of the members before it.
+        """
+        return (place,) if self.dependence is None else self.dependence.germ_names
+
+    def germs(self, place: str) -> dict[str, AbstractGerm]:
+        """The law of each germ variable that it depends on, by name, in the order of `germ_names`."""
+        if self.dependence is None:
+            return {place: self.germ()}
+        return {name: HermiteGerm() for name in self.dependence.germ_names}
+
+    def realised(
+        self, germs: tuple[Float[Array, ""], ...], reference: tuple[Scalar, ...] | None = None
+    ) -> Float[Array, ""]:
+        """The number at the values of its germ variables, in the order of `germ_names`; see `value`."""
+        if self.dependence is None:
+            (germ,) = germs
+            return self.value(germ, reference)
+        return self.value_at_normal(self.dependence.normal(germs))
 
     @abc.abstractmethod
     def germ(self) -> AbstractGerm:
@@ -186,6 +268,17 @@ class AbstractDistribution(eqx.Module):
     def __str__(self) -> str:
         inside = ", ".join(f"{name}={_brief(self.parameters[name])}" for name in self._names())
         return f"{type(self).__name__}({inside})"
+
+
+def constant(tree: Any) -> Any:
+    """The same numbers without their derivatives: plain ones under `jax.grad`, but traced ones under `jax.jit`."""
+    with jax.ensure_compile_time_eval():
+        return jax.lax.stop_gradient(tree)
+
+
+def is_traced(tree: Any) -> bool:
+    """Whether any number in `tree` is traced by JAX."""
+    return any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(tree))
 
 
 def _plain(name: str, value: Any, family: type) -> Any:

@@ -11,7 +11,7 @@ from aleator._core.arrays import Scalar
 from aleator._core.errors import ProblemError
 from aleator.uncertainty._distribution import AbstractDistribution, Canonical, Form
 from aleator.uncertainty._polynomials import AbstractGerm, HermiteGerm, JacobiGerm, LaguerreGerm, LegendreGerm
-from aleator.uncertainty._transport import beta_quantile, gamma_quantile
+from aleator.uncertainty._transport import beta_anchor, beta_quantile, gamma_anchor, gamma_quantile
 
 
 @final
@@ -57,6 +57,11 @@ class Uniform(AbstractDistribution):
         """See `AbstractDistribution.germ`."""
         return LegendreGerm()
 
+    def from_normal(self, normal: Float[Array, ""], shape: tuple) -> Float[Array, ""]:
+        """See `AbstractDistribution.from_normal`."""
+        del shape
+        return special.erf(normal / np.sqrt(2.0))
+
     def mean(self) -> Scalar:
         """See `AbstractDistribution.mean`."""
         return self.canonical().location
@@ -83,6 +88,11 @@ class Normal(AbstractDistribution):
     def germ(self) -> AbstractGerm:
         """See `AbstractDistribution.germ`."""
         return HermiteGerm()
+
+    def from_normal(self, normal: Float[Array, ""], shape: tuple) -> Float[Array, ""]:
+        """See `AbstractDistribution.from_normal`."""
+        del shape
+        return normal
 
     def mean(self) -> Scalar:
         """See `AbstractDistribution.mean`."""
@@ -135,13 +145,21 @@ class Beta(AbstractDistribution):
 
     def germ(self) -> AbstractGerm:
         """See `AbstractDistribution.germ`."""
-        alpha, beta = self.initial().canonical().shape
-        return JacobiGerm(float(alpha), float(beta))
+        return JacobiGerm(*self.concrete_shape())
 
     def transport(self, germ: Float[Array, ""], source: tuple, target: tuple) -> Float[Array, ""]:
         """See `AbstractDistribution.transport`."""
-        level = special.betainc(source[0], source[1], (1 + germ) / 2)
-        return 2 * beta_quantile(level, *target) - 1
+        alpha, beta = source
+        below, above = special.betainc(alpha, beta, (1 + germ) / 2), special.betainc(beta, alpha, (1 - germ) / 2)
+        return 2 * beta_quantile(below, above, *target) - 1
+
+    def anchor(self, germ: Float[Array, ""], shape: tuple) -> Float[Array, ""]:
+        """See `AbstractDistribution.anchor`."""
+        return 2 * beta_anchor((1 + germ) / 2, *shape) - 1
+
+    def from_normal(self, normal: Float[Array, ""], shape: tuple) -> Float[Array, ""]:
+        """See `AbstractDistribution.from_normal`."""
+        return 2 * beta_quantile(special.ndtr(normal), special.ndtr(-normal), *shape) - 1
 
     def mean(self) -> Scalar:
         """See `AbstractDistribution.mean`."""
@@ -190,12 +208,19 @@ class Gamma(AbstractDistribution):
 
     def germ(self) -> AbstractGerm:
         """See `AbstractDistribution.germ`."""
-        (shape,) = self.initial().canonical().shape
-        return LaguerreGerm(float(shape))
+        return LaguerreGerm(*self.concrete_shape())
 
     def transport(self, germ: Float[Array, ""], source: tuple, target: tuple) -> Float[Array, ""]:
         """See `AbstractDistribution.transport`."""
-        return gamma_quantile(special.gammainc(source[0], germ), *target)
+        return gamma_quantile(special.gammainc(source[0], germ), special.gammaincc(source[0], germ), *target)
+
+    def anchor(self, germ: Float[Array, ""], shape: tuple) -> Float[Array, ""]:
+        """See `AbstractDistribution.anchor`."""
+        return gamma_anchor(germ, *shape)
+
+    def from_normal(self, normal: Float[Array, ""], shape: tuple) -> Float[Array, ""]:
+        """See `AbstractDistribution.from_normal`."""
+        return gamma_quantile(special.ndtr(normal), special.ndtr(-normal), *shape)
 
     def mean(self) -> Scalar:
         """See `AbstractDistribution.mean`."""

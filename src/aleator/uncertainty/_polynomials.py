@@ -25,6 +25,14 @@ class AbstractGerm(abc.ABC):
     def quantile(self, level: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
         """Germ values at probability levels in (0, 1)."""
 
+    @abc.abstractmethod
+    def cumulative(self, germ: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
+        """Probability levels of germ values: the inverse of `quantile`, 0 below the support and 1 above."""
+
+    @abc.abstractmethod
+    def support(self) -> tuple[float, float]:
+        """Smallest and largest germ value; they may be infinite."""
+
     def polynomials(self, order: int, germ: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n terms"]:
         """Values `p_0 .. p_order` of the orthonormal polynomials at the points `germ`: shape (n, order + 1)."""
         a, b = self.recurrence(order)
@@ -56,6 +64,14 @@ class LegendreGerm(AbstractGerm):
         """See `AbstractGerm.quantile`."""
         return 2 * level - 1
 
+    def cumulative(self, germ: np.ndarray) -> np.ndarray:
+        """See `AbstractGerm.cumulative`."""
+        return np.clip((1 + germ) / 2, 0, 1)
+
+    def support(self) -> tuple[float, float]:
+        """See `AbstractGerm.support`."""
+        return -1.0, 1.0
+
 
 @final
 @dataclass(frozen=True)
@@ -69,6 +85,14 @@ class HermiteGerm(AbstractGerm):
     def quantile(self, level: np.ndarray) -> np.ndarray:
         """See `AbstractGerm.quantile`."""
         return special.ndtri(level)
+
+    def cumulative(self, germ: np.ndarray) -> np.ndarray:
+        """See `AbstractGerm.cumulative`."""
+        return special.ndtr(germ)
+
+    def support(self) -> tuple[float, float]:
+        """See `AbstractGerm.support`."""
+        return -np.inf, np.inf
 
 
 @final
@@ -100,6 +124,14 @@ class JacobiGerm(AbstractGerm):
         """See `AbstractGerm.quantile`."""
         return 2 * special.betaincinv(self.alpha, self.beta, level) - 1
 
+    def cumulative(self, germ: np.ndarray) -> np.ndarray:
+        """See `AbstractGerm.cumulative`."""
+        return special.betainc(self.alpha, self.beta, np.clip((1 + germ) / 2, 0, 1))
+
+    def support(self) -> tuple[float, float]:
+        """See `AbstractGerm.support`."""
+        return -1.0, 1.0
+
 
 @final
 @dataclass(frozen=True)
@@ -116,3 +148,11 @@ class LaguerreGerm(AbstractGerm):
     def quantile(self, level: np.ndarray) -> np.ndarray:
         """See `AbstractGerm.quantile`."""
         return special.gammaincinv(self.shape, level)
+
+    def cumulative(self, germ: np.ndarray) -> np.ndarray:
+        """See `AbstractGerm.cumulative`."""
+        return special.gammainc(self.shape, np.maximum(germ, 0))
+
+    def support(self) -> tuple[float, float]:
+        """See `AbstractGerm.support`."""
+        return 0.0, np.inf

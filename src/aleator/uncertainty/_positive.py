@@ -72,6 +72,8 @@ def _lowest_of(law: AbstractDistribution) -> float:
     """The lower end of a law's support, at the corner of its decisions where it is lowest."""
     with np.errstate(invalid="ignore"):
         ends = [law.decided(lambda name, _, at=corner: at[name]).support()[0] for corner in law.corners()]
+    if not law.REACHES_ENDS:
+        ends = [np.nextafter(float(end), np.inf) for end in ends]
     # An upper end at infinity leaves "infinity less infinity" at its corner; another corner knows the lower end.
     return float(np.nanmin([float(end) for end in ends]))
 

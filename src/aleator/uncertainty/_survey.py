@@ -17,6 +17,7 @@ from jaxtyping import Array, Float
 from aleator._core.arrays import Pytree, is_number
 from aleator._core.errors import ProblemError
 from aleator.uncertainty._decision import Decision
+from aleator.uncertainty._dependence import check_groups
 from aleator.uncertainty._distribution import AbstractDistribution
 from aleator.uncertainty._polynomials import AbstractGerm
 
@@ -43,9 +44,15 @@ class Survey(NamedTuple):
     decisions: dict[str, Place]
 
     @property
-    def germs(self) -> tuple[AbstractGerm, ...]:
-        """The law of each germ variable."""
-        return tuple(law.germ() for law in self.distributions.values())
+    def germ_names(self) -> tuple[str, ...]:
+        """The name of each germ variable, in the order of the germ vector."""
+        names = (name for place, law in self.distributions.items() for name in law.germ_names(place))
+        return tuple(dict.fromkeys(names))
+
+    @property
+    def germs(self) -> dict[str, AbstractGerm]:
+        """The law of each germ variable by name, in the order of the germ vector."""
+        return {name: germ for place, law in self.distributions.items() for name, germ in law.germs(place).items()}
 
     @property
     def size(self) -> int:
@@ -86,8 +93,11 @@ def _places(model: Pytree) -> Iterator[tuple[str, Any]]:
 
 
 def _name(path: Any, leaf: Any) -> str:
-    """A leaf's name. A problem's model is the pair of its `system` and `inputs`: only the latter shows in names."""
-    place = jax.tree_util.keystr(path, simple=True, separator=".").removeprefix("system.")
+    """A leaf's name. A problem's model is the pair of its `system` and `inputs`: only the latter shows in names.
+
+    Nor does the field in which an assembly holds its dimensions.
+    """
+    place = jax.tree_util.keystr(path, simple=True, separator=".").removeprefix("system.").removeprefix("dimensions.")
     return _shared_name(leaf) or place
 
 
@@ -123,7 +133,7 @@ def survey(model: Pytree) -> Survey:
     """Find the distributions and decisions of a model.
 
     Raises `ProblemError` if one name stands for two laws, decisions or plain numbers that were not made one by
-    `shared`.
+    `shared`, or if it is not clear which group a correlated law belongs to.
     """
     named: dict[str, Any] = {}
     distributions: dict[str, AbstractDistribution] = {}
@@ -146,6 +156,7 @@ def survey(model: Pytree) -> Survey:
             length = np.size(decision.initial)
             decisions[key] = Place(key, decision, slice(size, size + length))
             size += length
+    check_groups({name: law.dependence for name, law in distributions.items()})
     return Survey(distributions, decisions)
 
 
@@ -169,7 +180,7 @@ def _is_traced(tree: Pytree) -> bool:
 def realise(model: Pytree, germ: Float[Array, " variables"], decisions: Float[Array, " n"]) -> Pytree:
     """The model with a plain number in the place of each distribution and decision (dissertation, equation 26).
 
-    `germ` has one entry for each distribution and `decisions` one for each decided number, in the order of `survey`.
+    `germ` has one entry for each germ variable and `decisions` one for each decided number, in the order of `survey`.
     Differentiable with respect to both; the parameters of distributions are realised first.
     """
     places = survey(model)
@@ -192,10 +203,11 @@ def uncertain_numbers(
     places: Survey, germ: Float[Array, " variables"], decisions: Float[Array, " n"]
 ) -> dict[str, Float[Array, ""]]:
     """The values of a model's distributions at one germ point, by name."""
+    variables = dict(zip(places.germ_names, germ, strict=True))
     values = {}
-    for (name, law), xi in zip(places.distributions.items(), germ, strict=True):
-        reference = law.initial().canonical().shape if law.shape_is_decided else None
-        values[name] = _decided(law, name, places, decisions).value(xi, reference)
+    for name, law in places.distributions.items():
+        own = tuple(variables[variable] for variable in law.germ_names(name))
+        values[name] = _decided(law, name, places, decisions).realised(own, law.reference())
     return values
 
 
@@ -248,6 +260,18 @@ def at_means(model: Pytree) -> Pytree:
 def uncertain_again(model: Pytree) -> Pytree:
     """The inverse of `at_means`."""
     return _replace(model, AtMean, lambda leaf: leaf.distribution)
+
+
+def with_laws(model: Pytree, choose: Callable[[str, AbstractDistribution], AbstractDistribution]) -> Pytree:
+    """The model with `choose(name, law)` in the place of each of its laws; what was shared stays shared."""
+
+    def change(path: Any, leaf: Any) -> Any:
+        if not isinstance(leaf, AbstractDistribution):
+            return leaf
+        law = choose(_name(path, leaf), leaf)
+        return law.shared(leaf.shared_name) if leaf.shared_name else law
+
+    return jax.tree_util.tree_map_with_path(change, model, is_leaf=is_special)
 
 
 def _replace(model: Pytree, kind: type, change: Callable[[Any], Any]) -> Pytree:

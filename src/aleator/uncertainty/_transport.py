@@ -3,6 +3,9 @@
 Differentiating `F(x; s) = u` at a fixed level `u` gives `dx/ds = -(dF/ds) / f` with the density `f`: exact, and
 independent of how the root was found. Used when a shape parameter is a decision: the germ stays that of the initial
 shape, so that the collocation matrix stays constant, and its values are transported to the law of the current shape.
+The rules are themselves differentiable, so that second derivatives are exact as well.
+
+A level is given twice, as the probability below and the probability above: each tail keeps its own accuracy.
 """
 
 from collections.abc import Callable
@@ -11,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.scipy import special
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Int
 
 from aleator._core.arrays import Scalar
 
@@ -29,43 +32,90 @@ def _tanh_sinh(nodes: int = 111, first: float = -6.0, last: float = 3.4) -> tupl
     return 1 / (1 + np.exp(-u)), (t[1] - t[0]) * np.pi * np.cosh(t) / (4 * np.cosh(u / 2) ** 2)
 
 
+def _exp_exp(nodes: int = 111, first: float = -3.8, last: float = 5.0) -> tuple[np.ndarray, np.ndarray]:
+    """Nodes and weights on (0, inf) for integrands that decay exponentially (Takahasi and Mori, 1974)."""
+    t = np.linspace(first, last, nodes)
+    x = np.exp(t - np.exp(-t))
+    return x, (t[1] - t[0]) * x * (1 + np.exp(-t))
+
+
 _NODES, _WEIGHTS = _tanh_sinh()
+_TAIL_NODES, _TAIL_WEIGHTS = _exp_exp()
 
 
-def _bisect(cumulative: Callable[[Array], Array], level: Array) -> Array:
-    """Root of `cumulative(x) = level` on (0, 1)."""
+def bisect(is_below: Callable[[Array], Bool[Array, ""]], like: Array) -> Array:
+    """The point of (0, 1) where `is_below` changes from true to false."""
 
     def halve(_: Int[Array, ""], bracket: tuple[Array, Array]) -> tuple[Array, Array]:
         low, high = bracket
         middle = (low + high) / 2
-        below = cumulative(middle) < level
+        below = is_below(middle)
         return jnp.where(below, middle, low), jnp.where(below, high, middle)
 
-    low, high = jax.lax.fori_loop(0, _BISECTIONS, halve, (jnp.zeros_like(level), jnp.ones_like(level)))
+    low, high = jax.lax.fori_loop(0, _BISECTIONS, halve, (jnp.zeros_like(like), jnp.ones_like(like)))
     return (low + high) / 2
 
 
-@jax.custom_jvp
-def beta_quantile(level: Float[Array, ""], alpha: Scalar, beta: Scalar) -> Float[Array, ""]:
-    """Quantile on (0, 1) of the Beta law, differentiable in all three arguments."""
-    return _bisect(lambda x: special.betainc(alpha, beta, x), level)
+def _differentiable(
+    solve: Callable[..., Array],
+    density: Callable[..., Array],
+    by_shape: Callable[..., tuple[Array, ...]],
+) -> tuple[Callable[..., Array], Callable[..., Array]]:
+    """The quantile `(below, above, *shape)` and the anchor `(x, *shape)` of a law, with implicit derivatives.
+
+    An anchor is `x` itself, taken at the current shape, and moves at equal probability as the shape varies. It is what
+    a germ value needs whose shape is differentiated but not decided: it costs nothing where no derivative is asked for.
+    """
+
+    @jax.custom_jvp
+    def quantile(below: Array, above: Array, *shape: Array) -> Array:
+        return solve(below, above, *shape)
+
+    @quantile.defjvp
+    def _quantile_jvp(primals: tuple, tangents: tuple) -> tuple[Array, Array]:
+        below, above, *shape = primals
+        below_dot, above_dot, *shape_dot = tangents
+        x = quantile(below, above, *shape)
+        level_dot = jnp.where(below < above, below_dot, -above_dot)
+        return x, (level_dot - _along(x, shape, shape_dot)) / density(x, *shape)
+
+    @jax.custom_jvp
+    def anchor(x: Array, *shape: Array) -> Array:
+        del shape
+        return jnp.asarray(x)
+
+    @anchor.defjvp
+    def _anchor_jvp(primals: tuple, tangents: tuple) -> tuple[Array, Array]:
+        source, *shape = primals
+        source_dot, *shape_dot = tangents
+        x = anchor(source, *shape)
+        level_dot = density(source, *jax.lax.stop_gradient(shape)) * source_dot
+        return x, (level_dot - _along(x, shape, shape_dot)) / density(x, *shape)
+
+    def _along(x: Array, shape: list, shape_dot: list) -> Array:
+        return sum((by * dot for by, dot in zip(by_shape(x, *shape), shape_dot, strict=True)), jnp.zeros_like(x))
+
+    return quantile, anchor
 
 
-@beta_quantile.defjvp
-def _beta_quantile_jvp(primals: tuple, tangents: tuple) -> tuple[Array, Array]:
-    level, alpha, beta = primals
-    level_dot, alpha_dot, beta_dot = tangents
-    x = beta_quantile(level, alpha, beta)
-    by_alpha, by_beta = _beta_cumulative_derivatives(x, alpha, beta)
-    density = jnp.exp(_beta_log_density(x, 1 - x, alpha, beta))
-    return x, (level_dot - by_alpha * alpha_dot - by_beta * beta_dot) / density
+@jax.jit  # compiled once, also where it is called outside of compilation
+def _beta_root(below: Array, above: Array, alpha: Scalar, beta: Scalar) -> Array:
+    left = below < above
+    level = jnp.where(left, below, above)
+    first, second = jnp.where(left, alpha, beta), jnp.where(left, beta, alpha)
+    distance = bisect(lambda x: special.betainc(first, second, x) < level, level)
+    return jnp.where(left, distance, 1 - distance)
 
 
 def _beta_log_density(x: Array, complement: Array, alpha: Scalar, beta: Scalar) -> Array:
     return jnp.asarray((alpha - 1) * jnp.log(x) + (beta - 1) * jnp.log(complement) - special.betaln(alpha, beta))
 
 
-def _beta_cumulative_derivatives(x: Array, alpha: Scalar, beta: Scalar) -> tuple[Array, Array]:
+def _beta_density(x: Array, alpha: Scalar, beta: Scalar) -> Array:
+    return jnp.exp(_beta_log_density(x, 1 - x, alpha, beta))
+
+
+def _beta_by_shape(x: Array, alpha: Scalar, beta: Scalar) -> tuple[Array, Array]:
     """Derivatives of the incomplete beta function in its shapes, by quadrature on the side of `x` with less mass.
 
     `dF/d alpha = integral over (0, x) of (ln t - digamma(alpha) + digamma(alpha + beta)) f(t)`, and the same integral
@@ -84,19 +134,57 @@ def _beta_cumulative_derivatives(x: Array, alpha: Scalar, beta: Scalar) -> tuple
     return by_alpha, by_beta
 
 
-@jax.custom_jvp
-def gamma_quantile(level: Float[Array, ""], shape: Scalar) -> Float[Array, ""]:
-    """Quantile of the Gamma law with unit scale, differentiable in both arguments."""
-    # x / (1 + x) brings the half line to (0, 1).
-    fraction = _bisect(lambda y: special.gammainc(shape, y / (1 - y)), level)
+@jax.jit
+def _gamma_root(below: Array, above: Array, shape: Scalar) -> Array:
+    left = below < above
+
+    def is_below(y: Array) -> Bool[Array, ""]:
+        x = y / (1 - y)  # brings the half line to (0, 1)
+        return jnp.where(left, special.gammainc(shape, x) < below, special.gammaincc(shape, x) > above)
+
+    fraction = bisect(is_below, below)
     return fraction / (1 - fraction)
 
 
-@gamma_quantile.defjvp
-def _gamma_quantile_jvp(primals: tuple, tangents: tuple) -> tuple[Array, Array]:
-    level, shape = primals
-    level_dot, shape_dot = tangents
-    x = gamma_quantile(level, shape)
-    by_shape = jax.grad(special.gammainc)(shape, x)
-    density = jnp.exp((shape - 1) * jnp.log(x) - x - special.gammaln(shape))
-    return x, (level_dot - by_shape * shape_dot) / density
+def _gamma_density(x: Array, shape: Scalar) -> Array:
+    return jnp.exp((shape - 1) * jnp.log(x) - x - special.gammaln(shape))
+
+
+def _gamma_by_shape(x: Array, shape: Scalar) -> tuple[Array]:
+    """Derivative of the incomplete gamma function in its shape, by quadrature on the side of `x` with less mass.
+
+    `dF/d shape = integral over (0, x) of (ln t - digamma(shape)) f(t)`; the integral over (x, inf) is its negative.
+    """
+    left = x < shape
+    width = 1 + jnp.sqrt(shape)  # of the density's bulk, beyond which nothing is left on the lower side of x
+    length = jnp.minimum(x, 12 * width)
+    t = jnp.where(left, x - length + length * _NODES, x + width * _TAIL_NODES)
+    weights = jnp.where(left, length * _WEIGHTS, -width * _TAIL_WEIGHTS)
+    return (jnp.sum((jnp.log(t) - special.digamma(shape)) * _gamma_density(t, shape) * weights),)
+
+
+def _weibull_dispersion(inverse: Array) -> Array:
+    """`ln(1 + (std / mean)^2)` of the Weibull law, by the inverse of its shape."""
+    return special.gammaln(1 + 2 * inverse) - 2 * special.gammaln(1 + inverse)
+
+
+@jax.jit
+def _weibull_root(dispersion: Array) -> Array:
+    fraction = bisect(lambda y: _weibull_dispersion(y / (1 - y)) < dispersion, dispersion)
+    return jnp.where(dispersion > 0, fraction / (1 - fraction), 0.0)
+
+
+@jax.custom_jvp
+def weibull_inverse_shape(dispersion: Array) -> Array:
+    """The inverse of the shape of the Weibull law with the dispersion `ln(1 + (std / mean)^2)`."""
+    return _weibull_root(dispersion)
+
+
+@weibull_inverse_shape.defjvp
+def _weibull_inverse_shape_jvp(primals: tuple, tangents: tuple) -> tuple[Array, Array]:
+    inverse = weibull_inverse_shape(*primals)
+    return inverse, tangents[0] / (2 * special.digamma(1 + 2 * inverse) - 2 * special.digamma(1 + inverse))
+
+
+beta_quantile, beta_anchor = _differentiable(_beta_root, _beta_density, _beta_by_shape)
+gamma_quantile, gamma_anchor = _differentiable(_gamma_root, _gamma_density, _gamma_by_shape)

@@ -7,7 +7,9 @@ from typing import final
 import numpy as np
 from jaxtyping import Float
 
-from aleator.design import Solution
+from aleator.design import Solution, Statistic
+from aleator.references import pair
+from aleator.statistics import Mean, Std
 from aleator.validation._proportion import Proportion
 
 PERCENTILES = (1.0, 5.0, 25.0, 50.0, 75.0, 95.0, 99.0)
@@ -34,6 +36,22 @@ class Sampled:
 
 @final
 @dataclass(frozen=True)
+class Checked:
+    """One statistic that stands in the problem, as the expansion gives it and as the samples do.
+
+    - `expanded`: by the expansion at the solution (for a deterministic design, its nominal value);
+    - `estimate`: of the samples; `standard_error`: of that estimate, by the delete-a-group jackknife. Not a number for
+      a supremum or infimum: that of a sample is always inside, how far is not known.
+    """
+
+    statistic: Statistic
+    expanded: float
+    estimate: float
+    standard_error: float
+
+
+@final
+@dataclass(frozen=True)
 class Trajectories:
     """The value of one path constraint's expression on some sampled systems.
 
@@ -54,9 +72,12 @@ class Evidence:
     """A design re-simulated on fresh random systems, without any expansion. `print(evidence)` shows it.
 
     - `violations`: by constraint name, how often a system violates any constraint of that name at any instant;
-      constraints on moments alone (a bound on a `std`, say) say nothing of one system and are left out;
+      constraints that say nothing of one system (a bound on a `std`, say) are left out;
     - `joint`: how often a system violates at least one of them;
-    - `functionals`: sampled statistics beside the expansion's; `trajectories`: some systems, for drawing.
+    - `functionals`: mean and standard deviation of each, sampled, beside the expansion's;
+    - `statistics`: each statistic in the problem by its text (`"Q0.99[rms(x)]"`), sampled, beside the expansion's;
+      those of paths, and those that a sample cannot tell (Sobol indices: see `al.sobol_indices`), are left out;
+    - `trajectories`: some systems, for drawing.
     """
 
     solution: Solution
@@ -65,6 +86,7 @@ class Evidence:
     violations: Mapping[str, Proportion]
     joint: Proportion
     functionals: Mapping[str, Sampled]
+    statistics: Mapping[str, Checked]
     trajectories: tuple[Trajectories, ...]
     seconds: float
 
@@ -73,6 +95,11 @@ class Evidence:
         rows += [f"  violates {name}: {share}" for name, share in self.violations.items()]
         rows.append(f"  violates any: {self.joint} (95 % confidence)")
         rows += [_row(one) for one in self.functionals.values() if np.ndim(one.mean) == 0]
+        rows += [
+            f"  {text}: {_estimated(one)} (expansion {one.expanded:.6g})"
+            for text, one in self.statistics.items()
+            if not isinstance(one.statistic.kind, Mean | Std)
+        ]
         return "\n".join(rows)
 
 
@@ -82,3 +109,7 @@ def _row(one: Sampled) -> str:
         f"(expansion {float(one.expanded_mean):.6g}), "
         f"std {float(one.std):.6g} (expansion {float(one.expanded_std):.6g})"
     )
+
+
+def _estimated(one: Checked) -> str:
+    return f"{one.estimate:.6g}" if np.isnan(one.standard_error) else pair(one.estimate, one.standard_error)

@@ -9,7 +9,8 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from aleator._core.compilation import Compiled
-from aleator.design import AbstractFunctional, AbstractScope, Constraint, Problem, Statistic, functionals_of, responses
+from aleator.design import AbstractFunctional, AbstractScope, Constraint, Problem, functionals_of, responses
+from aleator.statistics import AbstractStatistic
 from aleator.uncertainty import AbstractGerm, named_numbers
 
 
@@ -33,24 +34,19 @@ class Batch(NamedTuple):
 
 @final
 class _OneSystem(AbstractScope):
-    """A single system: its mean is its value and nothing spreads."""
+    """A single system: its mean, its quantiles and its extremes are its value, and nothing spreads."""
 
     def __init__(self, values: Mapping[AbstractFunctional, Array], numbers: Mapping[str, Array]):
         self._values, self._numbers = values, numbers
 
-    def statistic(self, functional: AbstractFunctional, kind: str) -> Array:
+    def statistic(self, functionals: tuple[AbstractFunctional, ...], kind: AbstractStatistic) -> Array:
         """See `AbstractScope.statistic`."""
-        value = self._values[functional]
-        return value if kind == "mean" else jnp.zeros_like(value)
+        value = self._values[functionals[0]]
+        return value if kind.speaks_of_one_system else jnp.zeros_like(value)
 
     def value(self, name: str) -> Array:
         """See `AbstractScope.value`."""
         return self._numbers[name]
-
-
-def speaks_of_one_system(constraint: Constraint) -> bool:
-    """Whether a constraint has a meaning for a single system: whether a mean stands in it."""
-    return any(isinstance(atom, Statistic) and atom.kind == "mean" for atom in constraint.expression.atoms)
 
 
 def _simulate_batch(
@@ -91,7 +87,7 @@ def _judge(constraint: Constraint, scope: AbstractScope) -> tuple[Array, Array]:
     """How far one system is beyond a constraint's bounds at worst, and the constraint's expression."""
     value = jnp.asarray(constraint.expression.evaluate(scope))
     excess = jnp.max(jnp.maximum(value - constraint.upper, constraint.lower - value))
-    return (excess if speaks_of_one_system(constraint) else jnp.full((), -jnp.inf)), value
+    return excess, value
 
 
 SIMULATE_BATCH = Compiled(_simulate_batch)

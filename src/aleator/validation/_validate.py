@@ -10,11 +10,25 @@ from jaxtyping import Float
 from aleator._core.arrays import numbers_to_arrays
 from aleator._core.errors import ProblemError, SimulationError
 from aleator._core.progress import Progress, silent
-from aleator.design import AbstractFunctional, Constraint, Problem, Solution, functionals_of, uncertain
+from aleator.design import (
+    AbstractFunctional,
+    Constraint,
+    Expression,
+    Problem,
+    Solution,
+    Statistic,
+    functionals_of,
+    joined,
+    statistics_in,
+    uncertain,
+    unsolved,
+)
+from aleator.references import estimate, group_count
+from aleator.statistics import Infimum, Sobol, Supremum, TotalSobol
 from aleator.uncertainty import uncertain_numbers
-from aleator.validation._evidence import PERCENTILES, Evidence, Sampled, Trajectories
+from aleator.validation._evidence import PERCENTILES, Checked, Evidence, Sampled, Trajectories
 from aleator.validation._proportion import Proportion
-from aleator.validation._sampling import SIMULATE_BATCH, Batch, draw, speaks_of_one_system
+from aleator.validation._sampling import SIMULATE_BATCH, Batch, draw
 
 
 def validate(
@@ -45,7 +59,7 @@ def validate(
         )
     started = time.perf_counter()
     problem = uncertain(solution.problem)
-    germs = problem.survey.germs
+    germs = tuple(problem.survey.germs.values())
     if not germs:
         raise ProblemError("validate: nothing in this problem is uncertain, so there is nothing to sample.")
     if not functionals_of(problem.expressions):
@@ -69,17 +83,28 @@ def _refuse_broken(problem: Problem, batch: Batch, germ: np.ndarray, decisions: 
     good = np.asarray(batch.finite)[: len(germ)]
     if good.all():
         return
-    numbers = uncertain_numbers(problem.survey, jnp.asarray(germ[np.argmin(good)]), jnp.asarray(decisions))
+    point = jnp.asarray(germ[np.argmin(good)])
+    numbers = uncertain_numbers(problem.survey, point, jnp.asarray(decisions))
     where = ", ".join(f"{name}={float(number):.6g}" for name, number in numbers.items())
+    remedy = "Shorten the time step, use an implicit integrator (al.Kvaerno5), or bound the distributions."
     raise SimulationError(
         f"Monte Carlo: the simulation of the system with {where} is not finite. "
-        "Shorten the time step, use an implicit integrator (al.Kvaerno5), or bound the distributions."
+        f"{unsolved(problem, point, jnp.asarray(decisions)) or remedy}"
     )
 
 
 def _is_counted(constraint: Constraint) -> bool:
-    """Whether systems can be counted against a constraint: it speaks of one system, and is no equality of moments."""
-    return speaks_of_one_system(constraint) and float(constraint.lower) < float(constraint.upper)
+    """Whether systems can be counted against a constraint: it speaks of one system, and is no equality."""
+    return _speaks_of_one_system(constraint.expression) and float(constraint.lower) < float(constraint.upper)
+
+
+def _speaks_of_one_system(expression: Expression) -> bool:
+    """Whether the value of a single system is part of it: not so of a spread, nor of the gap between two quantiles."""
+    factors: dict[tuple[AbstractFunctional, ...], float] = {}
+    for factor, atom in zip(expression.factors, expression.atoms, strict=True):
+        if isinstance(atom, Statistic) and atom.kind.speaks_of_one_system:
+            factors[atom.functionals] = factors.get(atom.functionals, 0.0) + float(factor)
+    return any(factor != 0 for factor in factors.values())
 
 
 @final
@@ -129,9 +154,28 @@ class _Tally:
             violations={name: Proportion(int(mask.sum()), self._samples) for name, mask in broken.items()},
             joint=Proportion(int(joint.sum()), self._samples),
             functionals={one.text(): self._sampled(i, one, solution) for i, one in enumerate(self._functionals)},
+            statistics={one.text(): self._checked(one, solution) for one in self._countable_statistics()},
             trajectories=tuple(self._trajectories(i, broken) for i in self._kept),
             seconds=seconds,
         )
+
+    def _countable_statistics(self) -> tuple[Statistic, ...]:
+        """The statistics in the problem that the samples of its functionals, kept where they are numbers, can tell."""
+        known = [self._functionals[i] for i in self._scalars]
+        return tuple(
+            atom
+            for atom in statistics_in(self._problem.expressions)
+            if all(one in known for one in atom.functionals) and not isinstance(atom.kind, Sobol | TotalSobol)
+        )
+
+    def _checked(self, statistic: Statistic, solution: Solution) -> Checked:
+        values = joined([jnp.asarray(self._scalars[self._functionals.index(one)]) for one in statistic.functionals])
+        expanded = float(solution.statistics[statistic.text()])
+        if isinstance(statistic.kind, Supremum | Infimum):
+            # How far the extremes of a sample are from those of the law, the sample does not tell.
+            return Checked(statistic, expanded, float(statistic.kind.of_sample(values)), np.nan)
+        found = estimate(statistic.kind.of_sample, np.asarray(values), group_count(self._samples))
+        return Checked(statistic, expanded, float(found.value), float(found.standard_error))
 
     def _sampled_names(self) -> tuple[str, ...]:
         return tuple(dict.fromkeys(one.name for one in self._problem.constraints if _is_counted(one)))

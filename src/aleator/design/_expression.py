@@ -1,10 +1,9 @@
-"""The problem language: functionals have statistics, these make expressions, and comparing them makes constraints.
+"""Expressions of statistics and numbers, and the constraints that comparing them makes.
 
 All of it is data: an expression can be evaluated on any source of statistics (an expansion, a Monte Carlo sample),
-differentiated, swept and printed as mathematics. The three refer to each other and therefore live together.
+differentiated, swept and printed as mathematics. The two refer to each other and therefore live together.
 """
 
-import abc
 from typing import Any, Self, final
 
 import equinox as eqx
@@ -14,91 +13,7 @@ from jaxtyping import Array, Float
 
 from aleator._core.arrays import Scalar
 from aleator._core.errors import ProblemError
-from aleator.design._scope import AbstractAtom, AbstractScope, Value
-from aleator.dynamics import Grid, History
-
-SYMBOLS = {"mean": "μ", "std": "σ", "variance": "Var"}
-
-
-class AbstractFunctional(eqx.Module):
-    """A quantity of one output, taken on each realisation of the system. Made by `integral`, `rms`, `terminal`, ...
-
-    `mean`, `std` and `variance` are its statistics over the uncertainty, to be added, multiplied by numbers and
-    compared with bounds; `at_most`, `at_least` and `within` bound `mean +- sigmas * std`.
-    """
-
-    output: str = eqx.field(static=True)
-
-    @abc.abstractmethod
-    def evaluate(self, history: History, grid: Grid) -> Float[Array, "..."]:
-        """The quantity on one realisation's history: a number, or for `path` one number an instant."""
-
-    @abc.abstractmethod
-    def text(self) -> str:
-        """The quantity as mathematics."""
-
-    @property
-    def is_path(self) -> bool:
-        """Whether it is one number an instant instead of one number."""
-        return False
-
-    @property
-    def mean(self) -> "Expression":
-        """The expected value, equation (98)."""
-        return statistic(self, "mean")
-
-    @property
-    def std(self) -> "Expression":
-        """The standard deviation, equation (99)."""
-        return statistic(self, "std")
-
-    @property
-    def variance(self) -> "Expression":
-        """The variance, equation (97)."""
-        return statistic(self, "variance")
-
-    def at_most(self, upper: float, *, sigmas: float = 0.0) -> "Constraint":
-        """`mean + sigmas * std <= upper`."""
-        return (self.mean + _margin(self, sigmas) * self.std) <= upper
-
-    def at_least(self, lower: float, *, sigmas: float = 0.0) -> "Constraint":
-        """`mean - sigmas * std >= lower`."""
-        return (self.mean - _margin(self, sigmas) * self.std) >= lower
-
-    def within(self, lower: float, upper: float, *, sigmas: float = 0.0) -> "tuple[Constraint, Constraint]":
-        """Both `mean + sigmas * std <= upper` and `mean - sigmas * std >= lower`, under one name.
-
-        Raises `ProblemError` for bounds in the wrong order.
-        """
-        lower, upper = ordered(self.output, lower, upper)
-        return self.at_most(upper, sigmas=sigmas), self.at_least(lower, sigmas=sigmas)
-
-    def _refuse(self, other: Any = None) -> Any:
-        """What a functional answers to arithmetic and comparisons: it differs from one realisation to the next."""
-        del other
-        raise ProblemError(
-            f"'{self.text()}' differs from one realisation to the next: name a statistic of it, "
-            ".mean, .std or .variance, or use .at_most(...)."
-        )
-
-    __add__ = __radd__ = __sub__ = __rsub__ = __mul__ = __rmul__ = __truediv__ = __neg__ = _refuse
-    __lt__ = __le__ = __gt__ = __ge__ = _refuse
-
-
-@final
-class Statistic(AbstractAtom):
-    """A statistic of a functional."""
-
-    functional: AbstractFunctional
-    kind: str = eqx.field(static=True)
-
-    def evaluate(self, scope: AbstractScope) -> Array:
-        """See `AbstractAtom.evaluate`."""
-        return scope.statistic(self.functional, self.kind)
-
-    def text(self) -> str:
-        """See `AbstractAtom.text`."""
-        return f"{SYMBOLS[self.kind]}[{self.functional.text()}]"
+from aleator.design._scope import AbstractAtom, AbstractRandom, AbstractScope, Value
 
 
 @final
@@ -121,13 +36,13 @@ class Expression(eqx.Module):
     __radd__ = __add__
 
     def __mul__(self, number: Any) -> "Expression":
-        number = _number(number, "multiply an expression by")
+        number = number_given(number, "multiply an expression by")
         return Expression(tuple(number * factor for factor in self.factors), self.atoms, number * self.constant)
 
     __rmul__ = __mul__
 
     def __truediv__(self, number: Any) -> "Expression":
-        return self * (1 / _number(number, "divide an expression by"))
+        return self * (1 / number_given(number, "divide an expression by"))
 
     def __neg__(self) -> "Expression":
         return self * -1.0
@@ -167,7 +82,7 @@ class Expression(eqx.Module):
     @property
     def sigmas(self) -> float | None:
         """The largest multiple of a standard deviation in it; None if there is none."""
-        multiples = [abs(float(factor)) for factor, atom in self._terms() if _is_std(atom)]
+        multiples = [abs(float(factor)) for factor, atom in self._terms() if atom.is_spread]
         return max(multiples) if multiples else None
 
     def with_sigmas(self, sigmas: float) -> Self:
@@ -176,7 +91,7 @@ class Expression(eqx.Module):
         if not largest:
             raise ProblemError(f"There is no standard deviation to scale in '{self}'.")
         ratio = sigmas / largest
-        factors = tuple(factor * ratio if _is_std(atom) else factor for factor, atom in self._terms())
+        factors = tuple(factor * ratio if atom.is_spread else factor for factor, atom in self._terms())
         return eqx.tree_at(lambda tree: tree.factors, self, factors)
 
     def _terms(self) -> zip:
@@ -224,13 +139,12 @@ class Constraint(eqx.Module):
     @property
     def subject(self) -> str:
         """The outputs (or numbers) that it speaks of: its name, unless it was given one."""
-        return ", ".join(dict.fromkeys(_subjects(self.expression))) or "constant"
+        return ", ".join(dict.fromkeys(name for one in self.expression.atoms for name in one.subjects)) or "constant"
 
     @property
     def measure(self) -> str:
         """The functionals that it speaks of: tells constraints on one output apart."""
-        atoms = self.expression.atoms
-        return ", ".join(dict.fromkeys(one.functional.text() for one in atoms if isinstance(one, Statistic)))
+        return ", ".join(dict.fromkeys(text for one in self.expression.atoms for text in one.measures))
 
     def named(self, name: str) -> "Constraint":
         """The same constraint under a name of your own."""
@@ -245,7 +159,7 @@ class Constraint(eqx.Module):
     @property
     def is_path(self) -> bool:
         """Whether it holds at every instant."""
-        return any(isinstance(atom, Statistic) and atom.functional.is_path for atom in self.expression.atoms)
+        return any(atom.is_path for atom in self.expression.atoms)
 
     def __bool__(self) -> bool:
         raise ProblemError(
@@ -276,22 +190,14 @@ def ordered(name: str, lower: Scalar, upper: Scalar) -> tuple[float, float]:
     return lower, upper
 
 
-def _subjects(expression: "Expression") -> list[str]:
-    atoms = expression.atoms
-    return [one.functional.output if isinstance(one, Statistic) else getattr(one, "name", "") for one in atoms]
-
-
-def _is_std(atom: AbstractAtom) -> bool:
-    return isinstance(atom, Statistic) and atom.kind == "std"
-
-
 def _product(factor: float, atom: str) -> str:
     if not atom:
         return f"{factor:g}"
     return atom if factor == 1 else f"{factor:g} {atom}"
 
 
-def _number(value: Any, action: str) -> float:
+def number_given(value: Any, action: str) -> float:
+    """A number as a float. Raises `ProblemError` for anything else, saying what only numbers can do."""
     if isinstance(value, int | float | np.number) and not isinstance(value, bool):
         return float(value)
     raise ProblemError(f"Only numbers can {action}; received {type(value).__name__} '{value}'.")
@@ -301,9 +207,9 @@ def as_expression(value: Any) -> Expression:
     """An expression as it is, a number as a constant. Raises `ProblemError` for anything else."""
     if isinstance(value, Expression):
         return value
-    if isinstance(value, AbstractFunctional):
-        return value + 0  # refused, in the functional's own words
-    return Expression((), (), _number(value, "be added to or compared with an expression"))
+    if isinstance(value, AbstractRandom):
+        return value.refuse()
+    return Expression((), (), number_given(value, "be added to or compared with an expression"))
 
 
 def _compare(difference: Expression, *, upper: bool) -> "Constraint":
@@ -313,24 +219,6 @@ def _compare(difference: Expression, *, upper: bool) -> "Constraint":
     return Constraint(left, upper=bound) if upper else Constraint(left, lower=bound)
 
 
-def _margin(functional: AbstractFunctional, sigmas: Any) -> float:
-    number = _number(sigmas, "multiply a standard deviation")
-    if not (np.isfinite(number) and number >= 0):
-        raise ProblemError(f"'{functional.text()}': sigmas must be finite and not negative; received {sigmas}.")
-    return number
-
-
-def statistic(functional: AbstractFunctional, kind: str) -> Expression:
-    """A statistic of a functional as an expression."""
-    return Expression((1.0,), (Statistic(functional, kind),))
-
-
 def value(name: str) -> Expression:
     """A number of the model: a decision or plain number (`"k_s"`), or part of a distribution (`"k_s.half_width"`)."""
     return Expression((1.0,), (Value(name),))
-
-
-def functionals_of(expressions: tuple[Expression, ...]) -> tuple[AbstractFunctional, ...]:
-    """All functionals that stand in some expressions, each once, in order of appearance."""
-    atoms = (atom for expression in expressions for atom in expression.atoms)
-    return tuple(dict.fromkeys(atom.functional for atom in atoms if isinstance(atom, Statistic)))

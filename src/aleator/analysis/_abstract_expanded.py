@@ -1,0 +1,190 @@
+"""`AbstractExpanded`: what can be asked of a function of uncertain inputs once it is expanded."""
+
+import abc
+from collections.abc import Callable, Mapping
+from typing import Any
+from weakref import WeakKeyDictionary
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from aleator._core.arrays import Pytree, Scalar
+from aleator._core.errors import ProblemError
+from aleator.analysis._inputs import germ_of
+from aleator.collocation import Basis
+from aleator.statistics import (
+    AbstractStatistic,
+    ConditionalValueAtRisk,
+    CornishFisher,
+    Correlation,
+    Covariance,
+    Infimum,
+    Kurtosis,
+    Mean,
+    Probability,
+    Quantile,
+    Skewness,
+    Std,
+    Supremum,
+    Variance,
+)
+from aleator.uncertainty import AbstractDistribution, AbstractGerm
+
+_PREPARED: "WeakKeyDictionary[Basis, dict[Any, Pytree]]" = WeakKeyDictionary()
+
+
+def prepared(preparation: Callable[[Basis], Pytree] | None, basis: Basis) -> Pytree:
+    """What a statistic needs of a basis: prepared when first asked for, and kept as long as the basis."""
+    if preparation is None:
+        return ()
+    known = _PREPARED.setdefault(basis, {})
+    if preparation not in known:
+        # What is kept must not belong to a function that is just being traced.
+        with jax.ensure_compile_time_eval():
+            known[preparation] = preparation(basis)
+    return known[preparation]
+
+
+class AbstractExpanded(eqx.Module):
+    """An uncertain output, or a dict of them, in polynomials of the uncertain inputs.
+
+    Every statistic has the structure of the outputs: of an array it is an array, entry by entry; of a dict it is a
+    dict; `expanded["y"]` is one output of a dict. All are JAX functions of the laws' parameters: `jax.grad` of a
+    function that builds the laws, expands and takes a statistic is its derivative.
+    """
+
+    laws: eqx.AbstractVar[dict[str, AbstractDistribution]]
+
+    @property
+    @abc.abstractmethod
+    def germs(self) -> Mapping[str, AbstractGerm]:
+        """The law of each germ variable by name, in the order of a germ vector."""
+
+    @abc.abstractmethod
+    def statistic(self, kind: AbstractStatistic) -> Pytree:
+        """Any statistic of each output."""
+
+    @abc.abstractmethod
+    def __getitem__(self, name: str) -> "AbstractExpanded":
+        """One output by name, where the outputs are a dict."""
+
+    @abc.abstractmethod
+    def at_germ(self, points: Float[np.ndarray, "n variables"]) -> Pytree:
+        """The expansion at germ points, which are plain numbers: shape (n, *shape) of each output."""
+
+    def sample(self, count: int, seed: int) -> Pytree:
+        """The expansion at `count` random germ points: shape (count, *shape) of each output."""
+        generator = np.random.default_rng(seed)
+        # Never 0, where unbounded laws are infinite; 1 is left out by the generator.
+        columns = [germ.quantile(generator.uniform(np.finfo(float).tiny, 1.0, count)) for germ in self.germs.values()]
+        return self.at_germ(np.stack(columns, axis=1))
+
+    def __call__(self, inputs: Mapping[str, Any]) -> Pytree:
+        """The expansion in the place of the function: the outputs at one plain value of each uncertain input, by name.
+
+        Raises `ProblemError` for a value outside its law, and where laws depend on each other: use `at_germ` there.
+        """
+        point = germ_of(self.laws, inputs)
+        return jax.tree.map(lambda values: values[0], self.at_germ(np.array([[point[name] for name in self.germs]])))
+
+    @property
+    def mean(self) -> Pytree:
+        """The expected value."""
+        return self.statistic(Mean())
+
+    @property
+    def variance(self) -> Pytree:
+        """The variance."""
+        return self.statistic(Variance())
+
+    @property
+    def std(self) -> Pytree:
+        """The standard deviation."""
+        return self.statistic(Std())
+
+    @property
+    def skewness(self) -> Pytree:
+        """The skewness: zero for a normal law."""
+        return self.statistic(Skewness())
+
+    @property
+    def kurtosis(self) -> Pytree:
+        """The kurtosis: 3 for a normal law."""
+        return self.statistic(Kurtosis())
+
+    def quantile(self, level: Scalar) -> Pytree:
+        """The value that the output stays below with the probability `level`."""
+        return self.statistic(Quantile(level))
+
+    def conditional_value_at_risk(self, level: Scalar, *, lower: bool = False) -> Pytree:
+        """The mean of the cases beyond the quantile at `level`; with `lower`, of those below it."""
+        return self.statistic(ConditionalValueAtRisk(level, lower=lower))
+
+    def probability(self, *, above: Scalar | None = None, below: Scalar | None = None) -> Pytree:
+        """The probability of more than `above`, of less than `below`, or of both at once."""
+        return self.statistic(Probability(above=above, below=below))
+
+    @property
+    def supremum(self) -> Pytree:
+        """The largest value over the support of bounded laws. Raises `ProblemError` for unbounded ones."""
+        return self.statistic(Supremum())
+
+    @property
+    def infimum(self) -> Pytree:
+        """The smallest value over the support of bounded laws. Raises `ProblemError` for unbounded ones."""
+        return self.statistic(Infimum())
+
+    @abc.abstractmethod
+    def cdf(self, values: Float[Array, " n"]) -> Pytree:
+        """The distribution function: the probability of less than each value, shape (n, *shape) of each output."""
+
+    @abc.abstractmethod
+    def pdf(self, values: Float[Array, " n"]) -> Pytree:
+        """The probability density at each value, per unit of the output: shape (n, *shape) of each output."""
+
+    def cornish_fisher(self, level: Scalar) -> Pytree:
+        """An approximate quantile from the first four moments, good if the law is not far from normal."""
+        return self.statistic(CornishFisher(level))
+
+    def covariance(self, first: str, second: str) -> Array:
+        """The covariance of two outputs of one shape, entry by entry."""
+        return self._both(first, second).statistic(Covariance())
+
+    def correlation(self, first: str, second: str) -> Array:
+        """The correlation coefficient of two outputs of one shape, entry by entry: between -1 and 1."""
+        return self._both(first, second).statistic(Correlation())
+
+    @abc.abstractmethod
+    def _both(self, first: str, second: str) -> "AbstractExpanded":
+        """Two outputs as one, along a new last axis."""
+
+
+def paired(outputs: Pytree, first: str, second: str) -> Array:
+    """Two outputs of a dict, stacked along a new last axis."""
+    one, other = part(outputs, first), part(outputs, second)
+    shapes = [jax.tree.map(lambda values: values.shape[1:], output) for output in (one, other)]
+    if shapes[0] != shapes[1]:
+        raise ProblemError(f"'{first}' and '{second}' have different shapes: {shapes[0]} and {shapes[1]}.")
+    return jnp.stack([one, other], axis=-1)
+
+
+def part(outputs: Pytree, name: str) -> Pytree:
+    """One output of a dict."""
+    if not isinstance(outputs, dict):
+        raise ProblemError(f"There is one output, without a name; received '{name}'. Leave ['{name}'] away.")
+    if name not in outputs:
+        raise ProblemError(f"There is no output '{name}'; expected one of {list(outputs)}.")
+    return outputs[name]
+
+
+def checked_points(points: Any, germs: Mapping[str, AbstractGerm]) -> Float[np.ndarray, "n variables"]:
+    """Germ points as an array of the right shape."""
+    array = np.asarray(points, dtype=float)
+    if array.ndim != 2 or array.shape[1] != len(germs):
+        raise ProblemError(
+            f"at_germ: expected germ points of shape (n, {len(germs)}), for {list(germs)}; received {array.shape}."
+        )
+    return array

@@ -1,0 +1,193 @@
+"""`ElementExpanded`: a piecewise expansion, with everything that follows from it."""
+
+from collections import Counter
+from collections.abc import Callable, Mapping
+from typing import final
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from aleator._core.arrays import Pytree
+from aleator._core.errors import ProblemError
+from aleator.analysis import _sampled_law as sampled_law
+from aleator.analysis._abstract_expanded import AbstractExpanded, checked_points, paired, part, prepared
+from aleator.analysis._expanded_text import as_lines, law_rows, nothing, output_rows
+from aleator.analysis._inputs import inputs_at
+from aleator.analysis._partition import Partition
+from aleator.analysis._tracing import evaluate
+from aleator.statistics import (
+    AbstractStatistic,
+    Covariance,
+    Infimum,
+    Kurtosis,
+    Mean,
+    Probability,
+    Quantile,
+    Skewness,
+    Sobol,
+    Std,
+    Supremum,
+    TotalSobol,
+    Variance,
+)
+from aleator.statistics._moments import root
+from aleator.uncertainty import AbstractDistribution, AbstractGerm
+
+
+@final
+class ElementExpanded(AbstractExpanded):
+    """Outputs as polynomials of the germ in each element of its domain; `print(expanded)` says what was done.
+
+    - `laws`: the law of each uncertain input, by name; `partition`: the elements, with the polynomials in each;
+    - `coefficients`: of each output, shape (elements, terms, *shape);
+    - `splits`: the variable of each split, in order; `calls`: how often the function was called;
+    - `error`: estimated relative root mean square error of the piecewise expansion, at worst over the outputs.
+
+    Moments are sums over the elements, extremes the most extreme of theirs. All other statistics are those of a
+    low-discrepancy sample of the piecewise expansion, of 16 384 points; derivatives of probabilities and quantiles are
+    kernel estimates, good to about a percent. There are no Sobol indices.
+    """
+
+    laws: dict[str, AbstractDistribution]
+    partition: Partition = eqx.field(static=True)
+    coefficients: Pytree
+    splits: tuple[str, ...] = eqx.field(static=True)
+    calls: int = eqx.field(static=True)
+    error: float = eqx.field(static=True)
+
+    def __getitem__(self, name: str) -> "ElementExpanded":
+        """See `AbstractExpanded.__getitem__`."""
+        one = part(self.coefficients, name)
+        return ElementExpanded(self.laws, self.partition, one, self.splits, self.calls, self.error)
+
+    def _both(self, first: str, second: str) -> "ElementExpanded":
+        both = paired(self.coefficients, first, second)
+        return ElementExpanded(self.laws, self.partition, both, self.splits, self.calls, self.error)
+
+    def statistic(self, kind: AbstractStatistic) -> Pytree:
+        """See `AbstractExpanded.statistic`."""
+        return jax.tree.map(self._rule(kind), self.coefficients)
+
+    def _rule(self, kind: AbstractStatistic) -> Callable[[Array], Array]:
+        """How a statistic follows from the coefficients in all elements."""
+        if isinstance(kind, Mean):
+            return self._mean
+        if isinstance(kind, Variance):
+            return self._variance
+        if isinstance(kind, Std):
+            return self._std
+        if isinstance(kind, Skewness):
+            return lambda coefficients: self._standard_moment(coefficients, 3)
+        if isinstance(kind, Kurtosis):
+            return lambda coefficients: self._standard_moment(coefficients, 4)
+        if isinstance(kind, Covariance):
+            return self._covariance
+        if isinstance(kind, Sobol | TotalSobol):
+            raise ProblemError(
+                "There are no Sobol indices of an expansion in elements: take them from a single expansion, or by the "
+                "pick-and-freeze estimate of al.references."
+            )
+        if isinstance(kind, Supremum):
+            return lambda coefficients: jnp.max(self._in_each(kind, coefficients), axis=0)
+        if isinstance(kind, Infimum):
+            return lambda coefficients: jnp.min(self._in_each(kind, coefficients), axis=0)
+        if isinstance(kind, Probability):
+            return lambda coefficients: sampled_law.probability(kind, self._sample(coefficients))
+        if isinstance(kind, Quantile):
+            return lambda coefficients: sampled_law.quantile(kind, self._sample(coefficients))
+        return lambda coefficients: kind.of_sample(self._sample(coefficients))
+
+    def cdf(self, values: Float[Array, " n"]) -> Pytree:
+        """See `AbstractExpanded.cdf`."""
+        return self._at_each(sampled_law.cdf, values)
+
+    def pdf(self, values: Float[Array, " n"]) -> Pytree:
+        """See `AbstractExpanded.pdf`: by a kernel estimate."""
+        return self._at_each(sampled_law.pdf, values)
+
+    def _at_each(self, function: Callable[[Array, Array], Array], values: Float[Array, " n"]) -> Pytree:
+        def of(coefficients: Array) -> Array:
+            return evaluate(each, self._sample(coefficients), jnp.asarray(values, dtype=float))
+
+        def each(sample: Array, values: Array) -> Array:
+            return jax.lax.map(lambda value: function(sample, value), values)
+
+        return jax.tree.map(of, self.coefficients)
+
+    def _in_each(
+        self, kind: AbstractStatistic, coefficients: Float[Array, "elements terms *shape"]
+    ) -> Float[Array, "elements *shape"]:
+        """A statistic of the expansion in each element."""
+        values = [
+            evaluate(kind.of, terms, prepared(kind.preparation, basis))
+            for terms, basis in zip(coefficients, self.partition.bases, strict=True)
+        ]
+        return jnp.stack(values)
+
+    def _sample(self, coefficients: Float[Array, "elements terms *shape"]) -> Float[Array, "samples *shape"]:
+        """A low-discrepancy sample of the piecewise expansion."""
+        return self.partition.cloud.evaluate(coefficients)
+
+    def _mean(self, coefficients: Float[Array, "elements terms *shape"]) -> Float[Array, "*shape"]:
+        return jnp.tensordot(self.partition.probability, coefficients[:, 0], axes=1)
+
+    def _variance(self, coefficients: Float[Array, "elements terms *shape"]) -> Float[Array, "*shape"]:
+        away = coefficients[:, 0] - self._mean(coefficients)[None]
+        within = jnp.sum(coefficients[:, 1:] ** 2, axis=1)
+        return jnp.tensordot(self.partition.probability, within + away**2, axes=1)
+
+    def _std(self, coefficients: Float[Array, "elements terms *shape"]) -> Float[Array, "*shape"]:
+        return root(self._variance(coefficients))
+
+    def _covariance(self, coefficients: Float[Array, "elements terms *shape 2"]) -> Float[Array, "*shape"]:
+        away = coefficients[:, 0] - self._mean(coefficients)[None]
+        within = jnp.sum(jnp.prod(coefficients[:, 1:], axis=-1), axis=1)
+        return jnp.tensordot(self.partition.probability, within + jnp.prod(away, axis=-1), axes=1)
+
+    def _standard_moment(
+        self, coefficients: Float[Array, "elements terms *shape"], power: int
+    ) -> Float[Array, "*shape"]:
+        """The mean of a power of the standardised output, by quadrature in each element; zero if nothing varies."""
+        mean, std = self._mean(coefficients)[None], self._std(coefficients)[None]
+        scale = jnp.where(std > 0, std, 1.0)
+        moments = [
+            jnp.tensordot(weights, ((jnp.tensordot(matrix, terms, axes=1) - mean) / scale) ** power, axes=1)
+            for terms, (matrix, weights) in zip(coefficients, self.partition.quadrature, strict=True)
+        ]
+        return jnp.tensordot(self.partition.probability, jnp.stack(moments), axes=1)
+
+    def at_germ(self, points: Float[np.ndarray, "n variables"]) -> Pytree:
+        """See `AbstractExpanded.at_germ`."""
+        scattered = self.partition.scatter(checked_points(points, self.germs))
+        return jax.tree.map(scattered.evaluate, self.coefficients)
+
+    @property
+    def germs(self) -> Mapping[str, AbstractGerm]:
+        """See `AbstractExpanded.germs`."""
+        return self.partition.germs
+
+    def __str__(self) -> str:
+        count, basis = len(self.partition.boxes), self.partition.bases[0]
+        how = f"{count} element{'s' * (count != 1)} of order {basis.order}, {self.calls} calls"
+        rows = [
+            ("expansion", how),
+            ("split", self._split_text()),
+            ("error", f"{self.error:.1e} of the standard deviation, estimated by leaving one sample out"),
+        ]
+        remarks = jax.tree.map(lambda _: nothing, self.coefficients)
+        return as_lines([*rows, *law_rows(self.laws), *output_rows(self.mean, self.std, remarks)])
+
+    def _split_text(self) -> str:
+        """How often each variable was split, and where the smallest element lies."""
+        if not self.splits:
+            return "nothing: one element is enough"
+        times = ", ".join(f"{name} {count} times" for name, count in Counter(self.splits).most_common())
+        smallest = min(range(len(self.partition.boxes)), key=lambda k: self.partition.boxes[k].probability)
+        box, germs = self.partition.boxes[smallest], self.partition.bases[smallest].germs
+        ends = np.array([germ.support() for germ in germs.values()]).T
+        low, high = (inputs_at(self.laws, end) for end in ends)
+        where = ", ".join(f"{name} from {low[name]:.6g} to {high[name]:.6g}" for name in self.laws)
+        return f"{times}; the smallest element: {where}, probability {box.probability:.2g}"

@@ -1,0 +1,163 @@
+"""`expand`: any function of uncertain inputs as polynomials of them, without a design around it."""
+
+import warnings
+from functools import lru_cache
+from typing import Any, overload
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from aleator._core.arrays import Pytree
+from aleator._core.errors import ExpansionWarning, ProblemError
+from aleator.analysis._element_expanded import ElementExpanded
+from aleator.analysis._expanded import Expanded
+from aleator.analysis._inputs import concrete
+from aleator.analysis._multi_element import MultiElement
+from aleator.analysis._partition import Partition
+from aleator.analysis._refinement import Refinement
+from aleator.analysis._sampling import AbstractSampler, CalledSampler, Function, TracedSampler
+from aleator.collocation import (
+    UNRESOLVED,
+    Adaptive,
+    Discretisation,
+    Expansion,
+    Sparse,
+    collocate,
+    resolved_instants,
+)
+from aleator.uncertainty import AbstractGerm
+
+
+@overload
+def expand(
+    function: Function, model: Pytree, expansion: Expansion | None = None, *, times: Any = None, traced: bool = True
+) -> Expanded: ...
+
+
+@overload
+def expand(
+    function: Function, model: Pytree, expansion: MultiElement, *, times: Any = None, traced: bool = True
+) -> ElementExpanded: ...
+
+
+def expand(
+    function: Function,
+    model: Pytree,
+    expansion: Expansion | MultiElement | None = None,
+    *,
+    times: Any = None,
+    traced: bool = True,
+) -> Expanded | ElementExpanded:
+    """Expand a function of uncertain inputs: `al.expand(f, {"w": al.Normal(1.0, 0.1)}, al.Expansion(order=10))`.
+
+    - `function`: takes the model with plain numbers in the place of its distributions; gives an array or a dict of
+      arrays (any pytree of them);
+    - `model`: a dict of laws or any other pytree with distributions in it, such as a `System`. Decisions in it stand at
+      their initial values;
+    - `expansion`: order, index set, points and fit, default `Expansion()`; or `MultiElement()` for responses with jumps
+      and kinks and for long times, which gives an `ElementExpanded`;
+    - `times`: instants of the outputs' leading axis, so that a warning can say from when on the order is too low;
+    - `traced`: False calls the function with plain numbers, point by point, where JAX cannot trace it.
+
+    Differentiable by JAX with respect to everything that the model is made of, as far as the function is continuous:
+    where it jumps, its derivatives at fixed points know nothing of the jump that moves between them. By the shape
+    parameter of a law, outputs vary with a weak singularity at the ends of it; `al.GaussPoints` integrates that best.
+
+    Raises `ProblemError` if there is nothing uncertain or the function cannot be traced, `SimulationError` where an
+    output is not finite. Warns with `ExpansionWarning` if an output is not resolved.
+    """
+    sampler = sampler_of(function, model, traced)
+    if isinstance(expansion, MultiElement):
+        return _in_elements(sampler, expansion)
+    if not isinstance(expansion, Expansion | None):
+        raise ProblemError(f"expand: expected an Expansion or a MultiElement; received {expansion!r}.")
+    basis, collocation = _discretised(sampler, expansion or Expansion())
+    samples = sampler.samples(collocation.points)
+    coefficients = jax.tree.map(collocation.coefficients, samples)
+    expanded = Expanded(sampler.laws, basis, coefficients, collocation, samples)
+    _warn_if_unresolved(expanded, times)
+    return expanded
+
+
+def _in_elements(sampler: AbstractSampler, wish: MultiElement) -> ElementExpanded:
+    refinement = Refinement(sampler, wish)
+    refinement.run()
+    elements, calls, error = refinement.elements, refinement.calls, refinement.error
+    boxes, bases = tuple(one.box for one in elements), tuple(one.basis for one in elements)
+    coefficients = jax.tree.map(lambda *terms: jnp.stack(terms), *(one.coefficients for one in elements))
+    partition = Partition(refinement.germs, boxes, bases)
+    if not error <= wish.error:
+        warnings.warn(
+            f"MultiElement: {len(boxes)} elements leave an estimated error of {error:.1e} of the standard deviation, "
+            f"where {wish.error:.1e} is asked, after {calls} of {wish.budget} calls. Raise the budget or the error.",
+            ExpansionWarning,
+            stacklevel=3,
+        )
+    return ElementExpanded(sampler.laws, partition, coefficients, tuple(refinement.splits), calls, error)
+
+
+def sampler_of(function: Function, model: Pytree, traced: bool) -> AbstractSampler:
+    """The function ready to be sampled. Raises `ProblemError` if nothing in its model is uncertain."""
+    if not callable(function):
+        raise ProblemError(f"expand: expected a function of the model; received {function!r}.")
+    sampler = (TracedSampler if traced else CalledSampler)(function, model)
+    if not sampler.places.distributions:
+        raise ProblemError(
+            "expand: nothing in the model is uncertain; put a distribution, such as al.Uniform.bounds(0.9, 1.1), in "
+            "the place of a number."
+        )
+    return sampler
+
+
+def _discretised(sampler: AbstractSampler, expansion: Expansion) -> Discretisation:
+    """Basis and collocation: built once for all functions of one germ, unless the outputs choose the terms."""
+    germs = tuple(sampler.places.germs.items())
+    if isinstance(expansion.index_set, Adaptive) or isinstance(expansion.fit, Sparse):
+        return collocate(dict(germs), expansion, sampler.known)
+    try:
+        return _kept(germs, expansion)
+    except TypeError:  # an index set that holds arrays has no hash
+        return _kept.__wrapped__(germs, expansion)
+
+
+@lru_cache(maxsize=64)
+def _kept(germs: tuple[tuple[str, AbstractGerm], ...], expansion: Expansion) -> Discretisation:
+    # What is kept must not belong to a function that is just being traced.
+    with jax.ensure_compile_time_eval():
+        return collocate(dict(germs), expansion)
+
+
+def _warn_if_unresolved(expanded: Expanded, times: Any) -> None:
+    """Say which outputs the order does not resolve and, where the instants are known, from when on."""
+    errors = jax.tree_util.tree_leaves_with_path(expanded.error)
+    until = [None] * len(errors) if times is None else _resolved_until(expanded, np.asarray(times))
+    bad = []
+    for (path, error), last in zip(errors, until, strict=True):
+        known = concrete(error)
+        if known is None or (known <= UNRESOLVED and last is None):
+            continue
+        name = jax.tree_util.keystr(path, simple=True, separator=".") or "the output"
+        since = "" if last is None else f", resolved until t = {last:.4g} only"
+        bad.append(f"{name} (error {float(known):.2g}{since})")
+    if bad:
+        warnings.warn(
+            f"The expansion of order {expanded.basis.order} does not resolve {', '.join(bad)}: errors above "
+            f"{UNRESOLVED} make means and spreads unreliable. Raise the order, shorten the time, or expand by "
+            "al.MultiElement().",
+            ExpansionWarning,
+            stacklevel=3,
+        )
+
+
+def _resolved_until(expanded: Expanded, times: np.ndarray) -> list[float | None]:
+    """The last instant that is resolved, of each output that is not resolved throughout; None of the others."""
+    for leaf in jax.tree.leaves(expanded.samples):
+        if leaf.ndim < 2 or leaf.shape[1] != len(times):
+            raise ProblemError(
+                f"expand: times has {len(times)} instants, so each output needs a leading axis of {len(times)}; "
+                f"received shape {leaf.shape[1:]}."
+            )
+    counts = [concrete(count) for count in jax.tree.leaves(expanded.checked(resolved_instants))]
+    known = [len(times) if count is None else int(count) for count in counts]
+    return [None if count == len(times) else float(times[max(count - 1, 0)]) for count in known]

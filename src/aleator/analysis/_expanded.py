@@ -1,0 +1,140 @@
+"""`Expanded`: one expansion of a function of uncertain inputs, with everything that follows from it."""
+
+from collections.abc import Callable, Mapping
+from typing import Any, final
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from aleator._core.arrays import Pytree, numbers_to_arrays
+from aleator.analysis._abstract_expanded import AbstractExpanded, checked_points, paired, part, prepared
+from aleator.analysis._expanded_text import as_lines, contributors, law_rows, nothing, output_rows, trust
+from aleator.analysis._inputs import concrete
+from aleator.analysis._tracing import evaluate
+from aleator.collocation import Basis, Collocation, leave_one_out
+from aleator.statistics import AbstractStatistic, Sobol, TotalSobol, cdf, lines_through, pdf
+from aleator.uncertainty import AbstractDistribution, AbstractGerm
+
+# Outputs that vary by less than this part of their size are constant, but for rounding.
+_ROUNDING = 1e-12
+
+
+@final
+class Expanded(AbstractExpanded):
+    """Outputs as polynomials of the germ; `print(expanded)` shows moments, main contributors and how far to trust them.
+
+    - `laws`: the law of each uncertain input, by name; `basis`: the orthonormal polynomials;
+    - `coefficients`: of each output, shape (terms, *shape);
+    - `collocation`, `samples`: the points, and the outputs there, shape (points, *shape); a Galerkin solution has
+      neither (None).
+    """
+
+    laws: dict[str, AbstractDistribution]
+    basis: Basis = eqx.field(static=True)
+    coefficients: Pytree
+    collocation: Collocation | None
+    samples: Pytree | None
+
+    def __getitem__(self, name: str) -> "Expanded":
+        """See `AbstractExpanded.__getitem__`."""
+        samples = None if self.samples is None else part(self.samples, name)
+        return Expanded(self.laws, self.basis, part(self.coefficients, name), self.collocation, samples)
+
+    def _both(self, first: str, second: str) -> "Expanded":
+        return Expanded(self.laws, self.basis, paired(self.coefficients, first, second), None, None)
+
+    def statistic(self, kind: AbstractStatistic) -> Pytree:
+        """See `AbstractExpanded.statistic`."""
+        numbers, rest = eqx.partition(numbers_to_arrays(kind), eqx.is_array)
+
+        def of(numbers: Pytree, constants: Pytree, terms: Array) -> Array:
+            return eqx.combine(numbers, rest).of(terms, constants)
+
+        constants = prepared(kind.preparation, self.basis)
+        return jax.tree.map(lambda terms: evaluate(of, numbers, constants, terms), self.coefficients)
+
+    def cdf(self, values: Float[Array, " n"]) -> Pytree:
+        """See `AbstractExpanded.cdf`."""
+        lines = prepared(lines_through, self.basis)
+        return jax.tree.map(lambda terms: evaluate(cdf, jnp.asarray(values), terms, lines), self.coefficients)
+
+    def pdf(self, values: Float[Array, " n"]) -> Pytree:
+        """See `AbstractExpanded.pdf`."""
+        lines = prepared(lines_through, self.basis)
+        return jax.tree.map(lambda terms: evaluate(pdf, jnp.asarray(values), terms, lines), self.coefficients)
+
+    def sobol(self, *variables: str) -> Pytree:
+        """The share of the variance that is due to exactly these inputs acting together, from 0 to 1 (Sobol index)."""
+        return self.statistic(Sobol(variables))
+
+    def total_sobol(self, variable: str) -> Pytree:
+        """The share of the variance to which an input contributes, alone or together with others, from 0 to 1."""
+        return self.statistic(TotalSobol(variable))
+
+    @property
+    def leave_one_out(self) -> Pytree:
+        """The relative leave-one-out error of each output: 0 is perfect, 1 is no better than the mean.
+
+        Not a number for a Galerkin solution, which has no samples to predict.
+        """
+        return self.checked(leave_one_out)
+
+    @property
+    def error(self) -> Pytree:
+        """How far each output is from resolved: its leave-one-out error or, where nothing can be left out, the part of
+        its variance in the highest degrees. Sparse grids, interpolation and Galerkin projection leave nothing to check.
+        """
+        pairs = self.leave_one_out, self.highest_degree_share
+        return jax.tree.map(lambda error, share: jnp.where(jnp.isfinite(error), error, share), *pairs)
+
+    def checked(self, check: Callable[..., Any]) -> Pytree:
+        """`check(collocation, samples, coefficients)` of each output; not a number where there are no samples."""
+        if self.samples is None:
+            return jax.tree.map(lambda _: jnp.asarray(jnp.nan), self.coefficients)
+        return jax.tree.map(lambda *both: check(self.collocation, *both), self.samples, self.coefficients)
+
+    @property
+    def highest_degree_share(self) -> Pytree:
+        """The part of each output's variance in the terms of the highest degrees, summed over entries and relative.
+
+        Of the last two from order 3 on, since an even response has no odd terms; a large part says that more would
+        follow.
+        """
+        order = self.basis.order
+        highest = self.basis.indices.sum(axis=1) > order - (2 if order > 2 else 1)
+        return jax.tree.map(lambda terms: _share(terms, highest), self.coefficients)
+
+    @property
+    def germs(self) -> Mapping[str, AbstractGerm]:
+        """See `AbstractExpanded.germs`."""
+        return self.basis.germs
+
+    def at_germ(self, points: Float[np.ndarray, "n variables"]) -> Pytree:
+        """See `AbstractExpanded.at_germ`."""
+        matrix = self.basis.matrix(checked_points(points, self.germs))
+        return jax.tree.map(lambda terms: jnp.tensordot(matrix, terms, axes=1), self.coefficients)
+
+    def __str__(self) -> str:
+        remarks = jax.tree.map(self._remark, self.coefficients, self.leave_one_out, self.highest_degree_share)
+        return as_lines([("expansion", self._how()), *law_rows(self.laws), *output_rows(self.mean, self.std, remarks)])
+
+    def _how(self) -> str:
+        variables = self.basis.variables
+        how = f"order {self.basis.order} in {variables} variable{'s' * (variables != 1)}, {self.basis.terms} terms"
+        return f"{how}, Galerkin" if self.collocation is None else f"{how}, {len(self.collocation.points)} points"
+
+    def _remark(self, terms: Array, error: Array, share: Array) -> Callable[[tuple], str]:
+        """What is said of one entry of an output beside its moments: where its spread comes from, and trust."""
+        known, *trusted = map(concrete, (terms, error, share))
+        if known is None:
+            return nothing
+        return lambda entry: f"; {contributors(self.basis, known[(slice(None), *entry)])}; {trust(*trusted)}"
+
+
+def _share(terms: Float[Array, "terms *shape"], highest: np.ndarray) -> Float[Array, ""]:
+    total = jnp.sum(terms[1:] ** 2)
+    varies = total > _ROUNDING**2 * jnp.sum(terms**2)
+    return jnp.where(varies, jnp.sum(terms[highest] ** 2) / jnp.where(varies, total, 1.0), 0.0)

@@ -1,0 +1,81 @@
+"""An expansion as a few lines: what was uncertain, how each output is distributed and why, how far to trust it."""
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import jax
+import numpy as np
+from jaxtyping import Float
+
+from aleator._core.arrays import Pytree
+from aleator.analysis._inputs import concrete
+from aleator.collocation import UNRESOLVED, Basis
+from aleator.uncertainty import AbstractDistribution
+
+_CONTRIBUTORS = 4
+_LEAST_SHARE = 0.001
+
+
+def as_lines(rows: list[tuple[str, str]]) -> str:
+    """Labelled lines."""
+    width = max([11, *(len(label) for label, _ in rows)])
+    return "\n".join(f"{label:<{width}} {text}" for label, text in rows)
+
+
+def law_rows(laws: Mapping[str, AbstractDistribution]) -> list[tuple[str, str]]:
+    """The law of each uncertain input."""
+    return [(name, f"~ {law}") for name, law in laws.items()]
+
+
+def output_rows(means: Pytree, stds: Pytree, remarks: Pytree) -> list[tuple[str, str]]:
+    """Mean and standard deviation of each output; of an array where it spreads most. What `remarks` say follows."""
+    rows = []
+    for name, mean, std, remark in _aligned(means, stds, remarks):
+        known_mean, known_std = concrete(mean), concrete(std)
+        if known_mean is None or known_std is None:
+            rows.append((name, "is being compiled: its numbers are not known yet"))
+            continue
+        entry = np.unravel_index(int(np.argmax(known_std)), known_std.shape)
+        moments = f"mean {known_mean[entry]:.6g}, std {known_std[entry]:.4g}"
+        rows.append((name, f"{_where(known_std.shape, entry)}{moments}{remark(entry)}"))
+    return rows
+
+
+def nothing(entry: tuple) -> str:
+    """No remark on an entry."""
+    del entry
+    return ""
+
+
+def _aligned(*trees: Pytree) -> Iterator[tuple[Any, ...]]:
+    paths = [path for path, _ in jax.tree_util.tree_leaves_with_path(trees[0])]
+    names = [jax.tree_util.keystr(path, simple=True, separator=".") or "output" for path in paths]
+    yield from zip(names, *map(jax.tree.leaves, trees), strict=True)
+
+
+def _where(shape: tuple[int, ...], entry: tuple) -> str:
+    if not shape:
+        return ""
+    place = ", ".join(str(int(index)) for index in entry)
+    return f"{'×'.join(map(str, shape))} numbers, of the largest spread [{place}]: "
+
+
+def contributors(basis: Basis, terms: Float[np.ndarray, " terms"]) -> str:
+    """The largest shares of the variance by the inputs that they come from, alone or together (Sobol indices)."""
+    variance = np.sum(terms[1:] ** 2)
+    if not variance > 0:
+        return "it does not vary"
+    shares: dict[str, float] = {}
+    for degrees, coefficient in zip(basis.indices[1:], terms[1:], strict=True):
+        name = "·".join(name for name, degree in zip(basis.names, degrees, strict=True) if degree)
+        shares[name] = shares.get(name, 0.0) + float(coefficient**2 / variance)
+    largest = sorted(shares.items(), key=lambda item: -item[1])[:_CONTRIBUTORS]
+    return ", ".join(f"{name} {100 * share:.3g} %" for name, share in largest if share > _LEAST_SHARE)
+
+
+def trust(leave_one_out: Any, highest_degree_share: Any) -> str:
+    """How well the expansion is known to hold: by its leave-one-out error or, without samples, by its last terms."""
+    checked = bool(np.isfinite(leave_one_out))
+    error = float(leave_one_out if checked else highest_degree_share)
+    verdict = "resolved" if error <= UNRESOLVED else "NOT RESOLVED, raise the order"
+    return f"{'leave-one-out error' if checked else 'share of the highest degrees'} {error:.1e} ({verdict})"

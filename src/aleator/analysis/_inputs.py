@@ -1,0 +1,77 @@
+"""Uncertain inputs and germ values: from one to the other and back, in plain numbers."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jaxtyping import Float
+from scipy import optimize
+
+from aleator._core.arrays import Pytree
+from aleator._core.errors import ProblemError
+from aleator.uncertainty import AbstractDistribution, AbstractGerm, Survey, uncertain_numbers
+
+# Germ values of unbounded laws are sought between these probability levels.
+_FURTHEST_LEVELS = (1e-300, 1 - 1e-16)
+
+
+def concrete(array: Any) -> np.ndarray | None:
+    """An array's values as they are now, beneath any differentiation; None while it is being compiled."""
+    below = jax.lax.stop_gradient(array)
+    return None if isinstance(below, Tracer) else np.asarray(below)
+
+
+def plain(outputs: Pytree) -> Pytree:
+    """Outputs as plain numbers, for decisions that depend on them. Raises `ProblemError` while they are compiled."""
+    values = [concrete(leaf) for leaf in jax.tree.leaves(outputs)]
+    if any(one is None for one in values):
+        raise ProblemError(
+            "How a function is expanded by elements or adaptively depends on its values, which are not known inside "
+            "jax.jit: expand outside of it (jax.grad alone is no obstacle), or by a fixed expansion."
+        )
+    return jax.tree.unflatten(jax.tree.structure(outputs), values)
+
+
+def inputs_at(laws: Mapping[str, AbstractDistribution], point: Float[Any, " variables"]) -> dict[str, float]:
+    """The uncertain inputs at one germ point, by name."""
+    numbers = uncertain_numbers(Survey(dict(laws), {}), jnp.asarray(point), jnp.zeros(0))
+    return {name: float(jax.lax.stop_gradient(number)) for name, number in numbers.items()}
+
+
+def germ_of(laws: Mapping[str, AbstractDistribution], inputs: Mapping[str, Any]) -> dict[str, float]:
+    """The germ values at which the uncertain inputs have given values.
+
+    Raises `ProblemError` if an input is missing or unknown, if a value lies outside its law, or where laws depend on
+    several germ variables.
+    """
+    if set(inputs) != set(laws):
+        raise ProblemError(f"Expected a value for each of {list(laws)}; received {list(inputs)}.")
+    point = {}
+    for name, law in laws.items():
+        germs = law.germs(name)
+        if len(germs) != 1:
+            raise ProblemError(f"'{name}' depends on the germ variables {list(germs)}: use at_germ(points).")
+        ((variable, germ),) = germs.items()
+        point[variable] = _inverted(name, law, germ, float(inputs[name]))
+    return point
+
+
+def _inverted(name: str, law: AbstractDistribution, germ: AbstractGerm, value: float) -> float:
+    """The germ value at which one law has one value: laws increase with their germ."""
+
+    def excess(point: float) -> float:
+        return float(jax.lax.stop_gradient(law.realised((jnp.asarray(point),)))) - value
+
+    low, high = (
+        end if np.isfinite(end) else float(germ.quantile(np.array(level)))
+        for end, level in zip(germ.support(), _FURTHEST_LEVELS, strict=True)
+    )
+    rounding = 1e-12 * (1 + abs(value))
+    if excess(low) > rounding or excess(high) < -rounding:
+        raise ProblemError(f"'{name}' = {value:g} lies outside its law {law}.")
+    if excess(low) >= 0 or excess(high) <= 0:
+        return low if excess(low) >= 0 else high
+    return float(optimize.brentq(excess, low, high, xtol=1e-14))  # type: ignore[arg-type]

@@ -1,0 +1,36 @@
+"""`MultiElement`: the wish for expansions in elements of the germ's domain."""
+
+from typing import final
+
+import equinox as eqx
+
+from aleator._core.errors import ProblemError
+from aleator.collocation import Expansion
+
+
+@final
+class MultiElement(eqx.Module):
+    """How outputs that no single polynomial follows are expanded: jumps, kinks, long times.
+
+    The domain of the germ is split in two, again and again, where the outputs are predicted worst.
+
+    - `order`: the total degree in each element;
+    - `error`: the relative root mean square error of the piecewise expansion at which splitting stops, estimated by
+      leaving one sample out and at fresh points;
+    - `budget`: the largest number of calls of the function.
+
+    Sources: Wan and Karniadakis (2005), An adaptive multi-element generalized polynomial chaos method for stochastic
+    differential equations; by collocation: Foo, Wan and Karniadakis (2008), The multi-element probabilistic collocation
+    method.
+    """
+
+    order: int = eqx.field(static=True)
+    error: float = eqx.field(static=True)
+    budget: int = eqx.field(static=True)
+
+    def __init__(self, order: int = 4, *, error: float = 1e-3, budget: int = 10_000):
+        if not (isinstance(error, float) and 0 < error < 1):
+            raise ProblemError(f"MultiElement: error is a number between 0 and 1; received {error!r}.")
+        if isinstance(budget, bool) or not isinstance(budget, int) or budget < 1:
+            raise ProblemError(f"MultiElement: budget is a positive whole number of calls; received {budget!r}.")
+        self.order, self.error, self.budget = Expansion(order).order, error, budget

@@ -1,0 +1,75 @@
+"""`Partition`: the elements of a germ's domain, and where points of it fall."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple, final
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from aleator.analysis._box import Box
+from aleator.collocation import Basis, GaussPoints, HammersleyPoints
+from aleator.uncertainty import AbstractGerm
+
+# Points of the piecewise expansion behind a statistic that no sum over elements gives.
+POINTS = 2**14
+
+
+class Scattered(NamedTuple):
+    """Points of the germ sorted by the element that they fall into.
+
+    - `matrices`: of each element, its polynomials at its points;
+    - `back`: where each of the points given stands among those sorted.
+    """
+
+    matrices: list[Float[np.ndarray, "n terms"]]
+    back: Int[np.ndarray, " points"]
+
+    def evaluate(self, coefficients: Float[Array, "elements terms *shape"]) -> Float[Array, "points *shape"]:
+        """A piecewise expansion at the points, in the order given."""
+        pieces = [
+            jnp.tensordot(matrix, coefficients[k], axes=1) for k, matrix in enumerate(self.matrices) if len(matrix)
+        ]
+        return jnp.concatenate(pieces)[self.back]
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Partition:
+    """Boxes that fill a germ's probability space, with the orthonormal polynomials in each."""
+
+    germs: Mapping[str, AbstractGerm]
+    boxes: tuple[Box, ...]
+    bases: tuple[Basis, ...]
+
+    @property
+    def probability(self) -> Float[np.ndarray, " elements"]:
+        """How probable each element is."""
+        return np.array([box.probability for box in self.boxes])
+
+    def scatter(self, points: Float[np.ndarray, "points variables"]) -> Scattered:
+        """Germ points by element."""
+        levels = [germ.cumulative(points[:, i]) for i, germ in enumerate(self.germs.values())]
+        owner = np.zeros(len(points), dtype=int)
+        for k, box in enumerate(self.boxes):
+            owner[box.holds(np.stack(levels, axis=1))] = k
+        matrices = [basis.matrix(points[owner == k]) for k, basis in enumerate(self.bases)]
+        return Scattered(matrices, np.argsort(np.argsort(owner, kind="stable"), kind="stable"))
+
+    @cached_property
+    def cloud(self) -> Scattered:
+        """A low-discrepancy sample of the whole domain."""
+        whole = Basis(self.germs, self.bases[0].indices)
+        return self.scatter(whole.map_to_germ(HammersleyPoints(POINTS).levels(POINTS, whole.variables)))
+
+    @cached_property
+    def quadrature(self) -> list[tuple[Float[np.ndarray, "nodes terms"], Float[np.ndarray, " nodes"]]]:
+        """Of each element, its polynomials at Gauss nodes, with weights: exact for fourth powers of an expansion."""
+        return [_gauss(basis) for basis in self.bases]
+
+
+def _gauss(basis: Basis) -> tuple[np.ndarray, np.ndarray]:
+    nodes = GaussPoints(2 * max(basis.degrees) + 1).nodes(basis, 0)
+    return basis.matrix(nodes.points), nodes.weights

@@ -1,0 +1,114 @@
+"""Adaptive refinement: which element to split, across which variable, and when to stop."""
+
+from dataclasses import replace
+from typing import final
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from aleator.analysis._box import Box
+from aleator.analysis._element import Element, element, flat
+from aleator.analysis._multi_element import MultiElement
+from aleator.analysis._sampling import AbstractSampler
+from aleator.collocation import Basis, Expansion
+
+# Fresh points at which elements that look good are tried: a jump between the samples of an element is invisible to it.
+_FRESH_POINTS = 128
+
+# Outputs that vary by less than this part of their size are constant, but for rounding.
+_ROUNDING = 1e-12
+
+
+@final
+class Refinement:
+    """Elements on their way from one to as many as the responses need.
+
+    - `elements`: at present; `splits`: the variable of each split, in order; `calls`: of the function;
+    - `error`: the estimated relative root mean square error of the piecewise expansion.
+    """
+
+    def __init__(self, sampler: AbstractSampler, wish: MultiElement):
+        self._sampler, self._wish, self._expansion = sampler, wish, Expansion(wish.order)
+        self.germs = sampler.places.germs
+        self.elements: list[Element] = []
+        self.splits: list[str] = []
+        self.calls = 0
+        self._generator = np.random.default_rng(0)
+        self._fresh_variance: Float[np.ndarray, " outputs"] = np.zeros(1)
+        self._add(Box((0.0,) * len(self.germs), (1.0,) * len(self.germs)))
+
+    def run(self) -> None:
+        """Split until the error holds at fresh points too, or the budget is spent."""
+        per_split = 2 * self.elements[0].points
+        while True:
+            if self.error <= self._wish.error:
+                if not self._affords(_FRESH_POINTS):
+                    return
+                self._try_fresh_points()
+                if self.error <= self._wish.error:
+                    return
+            if not self._affords(per_split):
+                return
+            self._split(self.elements.pop(int(np.argmax(self._shares().max(axis=1)))))
+
+    @property
+    def error(self) -> float:
+        """The estimated relative root mean square error, at worst over the outputs."""
+        return float(np.sqrt(self._shares().sum(axis=0).max()))
+
+    def _affords(self, calls: int) -> bool:
+        return self.calls + calls <= self._wish.budget
+
+    def _add(self, box: Box) -> None:
+        self.elements.append(element(box, self.germs, self._expansion, self._sampler))
+        self.calls += self.elements[-1].points
+
+    def _split(self, worst: Element) -> None:
+        across = _direction(worst)
+        for half in worst.box.halves(across):
+            self._add(half)
+        self.splits.append(worst.basis.names[across])
+
+    def _shares(self) -> Float[np.ndarray, "elements outputs"]:
+        """Each element's part in the squared error of each output, relative to its variance."""
+        probability = np.array([one.box.probability for one in self.elements])
+        errors = probability[:, None] * np.array([one.squared_errors for one in self.elements])
+        outputs = zip(*(one.known for one in self.elements), strict=True)
+        scale = np.maximum([_variance(probability, terms) for terms in outputs], self._fresh_variance)
+        return errors / np.where(scale > 0, scale, 1.0)[None]
+
+    def _try_fresh_points(self) -> None:
+        """Raise the errors of elements to what they are at points that no fit has seen."""
+        levels = self._generator.uniform(np.finfo(float).tiny, 1.0, (_FRESH_POINTS, len(self.germs)))
+        points = Basis(self.germs, self.elements[0].basis.indices).map_to_germ(levels)
+        values = flat(self._sampler.samples(jnp.asarray(points)))
+        self.calls += _FRESH_POINTS
+        self._fresh_variance = np.array([one.var(axis=0).sum() for one in values])
+        for k, one in enumerate(self.elements):
+            inside = one.box.holds(levels)
+            misses = zip(one.prediction(points[inside]), values, strict=True)
+            squares = np.array([((predicted - true[inside]) ** 2).sum() for predicted, true in misses])
+            fresh = squares / (_FRESH_POINTS * one.box.probability)
+            self.elements[k] = replace(one, squared_errors=np.maximum(one.squared_errors, fresh))
+
+
+def _variance(probability: Float[np.ndarray, " elements"], terms: tuple[np.ndarray, ...]) -> float:
+    """The variance of one output over all elements, summed over its entries; at least what rounding makes of it."""
+    means = np.stack([one[0] for one in terms])
+    within = np.array([(one[1:] ** 2).sum() for one in terms])
+    away = ((means - (probability @ means)[None]) ** 2).sum(axis=1)
+    return float(probability @ (within + away + _ROUNDING**2 * (means**2).sum(axis=1)))
+
+
+def _direction(worst: Element) -> int:
+    """The variable to split: the one with most part in the terms of the two highest degrees.
+
+    Two, since a response that is odd about the element's middle, such as a jump there, has no even ones. Where nothing
+    varies in what the element has seen, it is the variable in which it is widest.
+    """
+    degrees = worst.basis.indices
+    highest = degrees.sum(axis=1) >= degrees.sum(axis=1).max() - 1
+    squares = sum(np.sum(terms**2, axis=1) / (np.sum(terms[1:] ** 2) or 1.0) for terms in worst.known)
+    parts = (squares * highest) @ degrees
+    return int(np.argmax(parts if parts.max() > 0 else np.subtract(worst.box.high, worst.box.low)))

@@ -1,0 +1,70 @@
+"""A germ variable inside one element: its law given that it lies in an interval."""
+
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+from jaxtyping import Float
+
+from aleator.uncertainty import AbstractGerm, LegendreGerm
+from aleator.uncertainty._stieltjes import recurrence_of
+
+
+def restricted(germ: AbstractGerm, low: float, high: float) -> AbstractGerm:
+    """The law of `germ` given that its probability level lies between `low` and `high`."""
+    return germ if (low, high) == (0.0, 1.0) else RestrictedGerm(germ, low, high)
+
+
+@final
+@dataclass(frozen=True)
+class RestrictedGerm(AbstractGerm):
+    """The law of `germ` given that its probability level lies between `low` and `high`, in the values of `germ` itself.
+
+    A restricted uniform law is uniform. The polynomials of any other are found by Stieltjes' procedure from quadrature
+    over the levels (Wan and Karniadakis, 2006, Multi-element generalized polynomial chaos for arbitrary probability
+    measures).
+    """
+
+    germ: AbstractGerm
+    low: float
+    high: float
+
+    def recurrence(self, order: int) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+        """See `AbstractGerm.recurrence`."""
+        if isinstance(self.germ, LegendreGerm):
+            a, b = self.germ.recurrence(order)
+            return a + (self.low + self.high - 1), b * (self.high - self.low)
+        a, b, _ = recurrence_of(*self._quadrature(), order)
+        return a, b
+
+    def quantile(self, level: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
+        """See `AbstractGerm.quantile`."""
+        return self.germ.quantile(self.low + level * (self.high - self.low))
+
+    def cumulative(self, germ: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
+        """See `AbstractGerm.cumulative`."""
+        return np.clip((self.germ.cumulative(germ) - self.low) / (self.high - self.low), 0.0, 1.0)
+
+    def support(self) -> tuple[float, float]:
+        """See `AbstractGerm.support`."""
+        first, last = self.germ.support()
+        low = first if self.low == 0 else float(self.germ.quantile(np.array(self.low)))
+        high = last if self.high == 1 else float(self.germ.quantile(np.array(self.high)))
+        return low, high
+
+    def _quadrature(self) -> tuple[np.ndarray, np.ndarray]:
+        """Germ values and probability weights. At an end of an unbounded law the nodes crowd towards it."""
+        levels = self.low + _LEVELS * (self.high - self.low)
+        inside = (levels > 0) & (levels < 1)
+        return self.germ.quantile(levels[inside]), _WEIGHTS[inside] / _WEIGHTS[inside].sum()
+
+
+def _double_exponential(nodes: int = 240, reach: float = 4.0) -> tuple[np.ndarray, np.ndarray]:
+    """Nodes and weights on (0, 1) that stand singular end points (Takahasi and Mori, 1974)."""
+    t = np.linspace(-reach, reach, nodes)
+    u = np.pi * np.sinh(t)
+    weights = np.cosh(t) / np.cosh(u / 2) ** 2
+    return 1 / (1 + np.exp(-u)), weights / weights.sum()
+
+
+_LEVELS, _WEIGHTS = _double_exponential()

@@ -1,0 +1,214 @@
+"""Tolerance analysis: how the tolerances of parts add up in an assembly, and how many assemblies are rejects."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from itertools import product
+from typing import Any, final
+
+import jax
+import numpy as np
+
+from aleator._core.arrays import Pytree
+from aleator._core.errors import ProblemError
+from aleator.analysis._expand import expand, sampler_of
+from aleator.analysis._expanded import Expanded
+from aleator.analysis._zones import Zone, in_zones, zones_of
+from aleator.collocation import Expansion
+from aleator.dynamics import AlgebraicSystem, simulate
+from aleator.references import Linearised, linearise
+from aleator.statistics import Infimum, Kurtosis, Mean, Probability, Skewness, Std, Supremum, TotalSobol
+from aleator.uncertainty import survey
+
+PARTS_PER_MILLION = 1e6
+
+# In so many dimensions all corners of the zones are tried: 4096.
+_MOST_CORNERS = 12
+
+
+@final
+@dataclass(frozen=True)
+class Contribution:
+    """What one dimension adds to the spread of the assembly.
+
+    - `zone`: where the dimension may lie;
+    - `sensitivity`: derivative of the output with respect to it, at the means;
+    - `linear`: its share of the variance by the direct linearisation method, percent;
+    - `total`: its share alone and together with others, by the expansion (total Sobol index), percent.
+    """
+
+    zone: Zone
+    sensitivity: float
+    linear: float
+    total: float
+
+
+@final
+@dataclass(frozen=True)
+class ToleranceAnalysis:
+    """One output of an assembly under the tolerances of its parts. `print(analysis)` shows it as a table.
+
+    - `nominal`: the output with every dimension at its mean; `mean`, `std`, `skewness`, `kurtosis` (3 if normal);
+    - `lower`, `upper`: the limits asked of it;
+    - `rejects_low`, `rejects_high`: assemblies beyond them in parts per million, by the distribution of the expansion;
+    - `worst_case`: the range of the output over all dimensions within their zones, as enclosed by the expansion and
+      reached at the corners of the zones;
+    - `rss`: half-width by root sum square; `linear_std`: standard deviation by direct linearisation;
+    - `contributions`: by dimension.
+    """
+
+    output: str
+    nominal: float
+    mean: float
+    std: float
+    skewness: float
+    kurtosis: float
+    lower: float
+    upper: float
+    rejects_low: float
+    rejects_high: float
+    worst_case: tuple[float, float]
+    rss: float
+    linear_std: float
+    contributions: Mapping[str, Contribution]
+    expanded: Expanded
+
+    @property
+    def rejects(self) -> float:
+        """Assemblies beyond either limit, parts per million."""
+        return self.rejects_low + self.rejects_high
+
+    @property
+    def cp(self) -> float:
+        """Process capability: the width of the limits over six standard deviations. Infinite with one limit only."""
+        return (self.upper - self.lower) / (6 * self.std)
+
+    @property
+    def cpk(self) -> float:
+        """Capability of the nearer limit: its distance from the mean over three standard deviations."""
+        return min(self.upper - self.mean, self.mean - self.lower) / (3 * self.std)
+
+    def __str__(self) -> str:
+        return _text(self)
+
+
+def tolerance_analysis(
+    model: Pytree,
+    output: str | Callable[[Any], Any],
+    *,
+    lower: float = -np.inf,
+    upper: float = np.inf,
+    tolerances: Mapping[str, float | tuple[float, float]] | None = None,
+    expansion: Expansion | None = None,
+) -> ToleranceAnalysis:
+    """Analyse an output of an assembly: spread, contributions, capability, rejects, worst case (section 7.2).
+
+    - `model`: an `AlgebraicSystem` (an `Assembly`), or any model if `output` is a function of it;
+    - `output`: the name of an output of the system, or a function that takes the realised model and gives one number;
+    - `lower`, `upper`: the limits of the output, in its unit;
+    - `tolerances`: the zone of each dimension for the worst case, half-widths or (minus, plus), by name. By default the
+      zone of a `Toleranced` law, the support of a bounded law, and three standard deviations of others;
+    - `expansion`: default order 3.
+
+    Raises `ProblemError` for limits in the wrong order, an unknown output, a tolerance of an unknown dimension.
+    """
+    if not lower < upper or (np.isinf(lower) and np.isinf(upper)):
+        raise ProblemError(
+            f"tolerance_analysis: expected limits lower < upper, one of them finite; received {lower} and {upper}."
+        )
+    function, name = _function(model, output)
+    zones = zones_of(survey(model), tolerances or {})
+    expanded = expand(function, model, expansion)
+    if not isinstance(expanded.mean, jax.Array) or expanded.mean.ndim:
+        raise ProblemError("tolerance_analysis: expected an output that is one number; received an array or a dict.")
+    linear = linearise(function, model)
+    return ToleranceAnalysis(
+        output=name,
+        nominal=float(linear.mean),
+        mean=_number(expanded, Mean()),
+        std=_number(expanded, Std()),
+        skewness=_number(expanded, Skewness()),
+        kurtosis=_number(expanded, Kurtosis()),
+        lower=float(lower),
+        upper=float(upper),
+        rejects_low=_rejects(expanded, below=lower),
+        rejects_high=_rejects(expanded, above=upper),
+        worst_case=_worst_case(function, in_zones(model, zones), expansion),
+        rss=float(linear.rss({name: zone.half_width for name, zone in zones.items()})),
+        linear_std=float(linear.std),
+        contributions=_contributions(expanded, linear, zones),
+        expanded=expanded,
+    )
+
+
+def _function(model: Pytree, output: str | Callable[[Any], Any]) -> tuple[Callable[[Any], Any], str]:
+    """The output as a function of the realised model, and what to call it."""
+    if callable(output):
+        return output, getattr(output, "__name__", "output")
+    if not isinstance(model, AlgebraicSystem):
+        raise ProblemError(
+            "tolerance_analysis: an output by name needs an AlgebraicSystem, such as al.Assembly; received "
+            f"{type(model).__name__}. Give a function of the model in the place of '{output}'."
+        )
+
+    def value(realised: AlgebraicSystem) -> jax.Array:
+        outputs = simulate(realised)
+        if output not in outputs:
+            raise ProblemError(f"There is no output '{output}'; expected one of {list(outputs)}.")
+        return outputs[output][0]
+
+    return value, output
+
+
+def _number(expanded: Expanded, statistic: Any) -> float:
+    return float(expanded.statistic(statistic))
+
+
+def _worst_case(function: Callable[[Any], Any], model: Pytree, expansion: Expansion | None) -> tuple[float, float]:
+    """The range over the zones: enclosed by the expansion, and widened to what the assembly itself has at the corners.
+
+    Most outputs have their extremes at corners, where an expansion is at its worst.
+    """
+    over_zones = expand(function, model, expansion)
+    low, high = _number(over_zones, Infimum()), _number(over_zones, Supremum())
+    if over_zones.basis.variables > _MOST_CORNERS:
+        return low, high
+    corners = np.array(list(product((-1.0, 1.0), repeat=over_zones.basis.variables)))
+    values = np.asarray(sampler_of(function, model, traced=True).samples(corners))
+    return min(low, float(values.min())), max(high, float(values.max()))
+
+
+def _rejects(expanded: Expanded, **limit: float) -> float:
+    """Share beyond a limit, parts per million."""
+    (value,) = limit.values()
+    return 0.0 if np.isinf(value) else PARTS_PER_MILLION * _number(expanded, Probability(**limit))
+
+
+def _contributions(expanded: Expanded, linear: Linearised, zones: Mapping[str, Zone]) -> dict[str, Contribution]:
+    return {
+        name: Contribution(
+            zone=zone,
+            sensitivity=float(linear.sensitivities[name]),
+            linear=float(linear.contributions[name]),
+            total=100 * _number(expanded, TotalSobol(name)) if name in expanded.basis.names else np.nan,
+        )
+        for name, zone in zones.items()
+    }
+
+
+def _text(one: ToleranceAnalysis) -> str:
+    """The analysis as lines: output, limits, rejects, worst case, then the contributions, largest first."""
+    low, high = one.worst_case
+    rows = [
+        (one.output, f"nominal {one.nominal:.6g}, mean {one.mean:.6g}, 3σ {3 * one.std:.5g}"),
+        ("shape", f"skewness {one.skewness:.3g}, kurtosis {one.kurtosis:.4g} (0 and 3 if normal)"),
+        ("limits", f"{one.lower:g} to {one.upper:g}: Cp {one.cp:.3g}, Cpk {one.cpk:.3g}"),
+        ("rejects", f"{one.rejects_low:.3g} ppm low, {one.rejects_high:.3g} ppm high"),
+        ("worst case", f"{low:.6g} to {high:.6g}; root sum square ± {one.rss:.5g}"),
+    ]
+    largest = sorted(one.contributions.items(), key=lambda item: -item[1].linear)
+    rows += [
+        (name, f"{part.linear:.3g} % of the variance, zone {part.zone}, sensitivity {part.sensitivity:.4g}")
+        for name, part in largest
+    ]
+    width = max(len(label) for label, _ in rows)
+    return "\n".join(f"{label:<{width}}  {text}" for label, text in rows)

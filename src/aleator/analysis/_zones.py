@@ -1,0 +1,66 @@
+"""Tolerance zones: where each dimension of an assembly may lie."""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from aleator._core.arrays import Pytree
+from aleator._core.errors import ProblemError
+from aleator.uncertainty import AbstractDistribution, Survey, Toleranced, Uniform, with_laws
+
+SIGMAS = 3.0
+
+
+class Zone(NamedTuple):
+    """An interval of a dimension, in its unit."""
+
+    lower: float
+    upper: float
+
+    @property
+    def half_width(self) -> float:
+        """Half of its width."""
+        return (self.upper - self.lower) / 2
+
+    def __str__(self) -> str:
+        return f"{(self.lower + self.upper) / 2:.6g} ± {self.half_width:.4g}"
+
+
+def zones_of(places: Survey, tolerances: Mapping[str, Any]) -> dict[str, Zone]:
+    """The zone of each dimension: as given, or as its law says. See `tolerance_analysis`."""
+    unknown = sorted(set(tolerances) - set(places.distributions))
+    if unknown:
+        raise ProblemError(
+            f"tolerance_analysis: there is no uncertain dimension {unknown}; expected some of "
+            f"{list(places.distributions)}."
+        )
+    return {
+        name: _given(law, tolerances[name]) if name in tolerances else zone_of(law)
+        for name, law in places.distributions.items()
+    }
+
+
+def zone_of(law: AbstractDistribution) -> Zone:
+    """The zone that a law itself implies, at the initial values of its decisions."""
+    law = law.initial()
+    if isinstance(law, Toleranced):
+        return Zone(*map(float, law.limits()))
+    lower, upper = map(float, law.support())
+    if np.isfinite([lower, upper]).all():
+        return Zone(lower, upper)
+    middle, reach = float(law.mean()), SIGMAS * float(law.std())
+    return Zone(middle - reach, middle + reach)
+
+
+def _given(law: AbstractDistribution, tolerance: Any) -> Zone:
+    minus, plus = tolerance if isinstance(tolerance, tuple) else (tolerance, tolerance)
+    if not (np.isfinite([minus, plus]).all() and minus >= 0 and plus >= 0 and minus + plus > 0):
+        raise ProblemError(f"tolerance_analysis: a tolerance is positive and finite; received {tolerance!r}.")
+    middle = float(law.initial().mean())
+    return Zone(middle - minus, middle + plus)
+
+
+def in_zones(model: Pytree, zones: Mapping[str, Zone]) -> Pytree:
+    """The model with each dimension free in its zone: uniform laws, for the worst case."""
+    return with_laws(model, lambda name, _: Uniform.bounds(*zones[name]))

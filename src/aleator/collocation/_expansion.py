@@ -1,0 +1,116 @@
+"""`Expansion`: how outputs are to be expanded, and `collocate`, which does what it says for a germ."""
+
+from collections.abc import Mapping
+from typing import NamedTuple, final
+
+import equinox as eqx
+import numpy as np
+
+from aleator._core.errors import ProblemError
+from aleator.collocation._adaptive import Adaptive, grow
+from aleator.collocation._basis import Basis
+from aleator.collocation._collocation import Collocation
+from aleator.collocation._fit import AbstractFit, LeastSquares
+from aleator.collocation._index_set import AbstractIndexSet, TotalDegree
+from aleator.collocation._points import AbstractPoints, HammersleyPoints, Nodes, SobolPoints
+from aleator.collocation._respond import Respond
+from aleator.uncertainty import AbstractGerm
+
+# The default order: of fixed index sets, and as the limit of those that grow.
+_ORDER, _HIGHEST_ORDER = 3, 20
+
+
+@final
+class Expansion(eqx.Module):
+    """How outputs are expanded: in products of orthonormal polynomials up to an `order`.
+
+    - `order`: by default 3; the limit of an `Adaptive` index set, there by default 20;
+    - `index_set`: which products, by default all up to that total degree; `Adaptive(error, budget)` finds them;
+    - `points`: where the model is solved: a number of Hammersley points, by default three for each term, as the
+      dissertation advises after equation (29), or another point set; `Adaptive` takes Sobol points;
+    - `fit`: how the coefficients are found, by default by least squares.
+
+    Raises `ProblemError` if the order is not positive, or if an adaptive index set is to be fitted otherwise than by
+    least squares.
+    """
+
+    order: int = eqx.field(static=True)
+    index_set: AbstractIndexSet | Adaptive
+    points: AbstractPoints
+    fit: AbstractFit
+
+    def __init__(
+        self,
+        order: int | None = None,
+        *,
+        index_set: AbstractIndexSet | Adaptive | None = None,
+        points: int | AbstractPoints | None = None,
+        fit: AbstractFit | None = None,
+    ):
+        adaptive = isinstance(index_set, Adaptive)
+        if order is None:
+            order = _HIGHEST_ORDER if adaptive else _ORDER
+        if isinstance(order, bool) or not isinstance(order, int) or order < 1:
+            raise ProblemError(f"Expansion: the order is a whole number of at least 1; received {order!r}.")
+        self.order = order
+        self.index_set = index_set or TotalDegree()
+        if not isinstance(points, AbstractPoints):
+            points = SobolPoints(points) if adaptive else HammersleyPoints(points)
+        self.points = points
+        self.fit = fit or LeastSquares()
+        if adaptive and not isinstance(self.fit, LeastSquares):
+            raise ProblemError(
+                f"Expansion: an Adaptive index set is fitted by least squares; received {type(fit).__name__}. Leave "
+                "the fit out, or take a fixed index set."
+            )
+
+    def text(self, variables: int) -> str:
+        """What is wished for, in words, for a number of germ variables."""
+        order = f"order up to {self.order}" if isinstance(self.index_set, Adaptive) else f"order {self.order}"
+        return (
+            f"{order} in {variables} variables, {type(self.index_set).__name__} index set, "
+            f"{type(self.points).__name__}, {type(self.fit).__name__} fit"
+        )
+
+
+class Discretisation(NamedTuple):
+    """An expansion made ready for a germ: its polynomials, and its points with the map from samples to coefficients."""
+
+    basis: Basis
+    collocation: Collocation
+
+    @property
+    def order(self) -> int:
+        """The highest total degree of a term: what was asked for, or what was reached by growth or choice."""
+        return self.basis.order
+
+    def __str__(self) -> str:
+        return (
+            f"order {self.order}, {self.basis.terms} terms, {len(self.collocation.points)} points, condition number "
+            f"{float(self.collocation.condition_number):.3g}"
+        )
+
+
+def collocate(
+    germs: Mapping[str, AbstractGerm], expansion: Expansion, respond: Respond | None = None
+) -> Discretisation:
+    """Choose basis and points for a germ and factorise the collocation matrix.
+
+    `respond` gives a model's outputs at germ points of shape (n, variables): an array with a leading axis for the
+    points, or a pytree of such arrays. Needed where they choose the terms (`Adaptive`, `Sparse`), else never called.
+    The result is a fixed basis all the same, linear in the samples.
+
+    Raises `ProblemError` if points, index set and fit do not go together, if there are fewer points than terms or if
+    the matrix is singular to working precision; `SimulationError` if an output that chooses terms is not finite. Warns
+    with `ExpansionWarning` where an adaptive index set does not reach its error.
+    """
+    if not germs:
+        nothing = Basis(germs, np.zeros((1, 0), dtype=int))
+        return Discretisation(nothing, LeastSquares().collocation(nothing, Nodes(np.zeros((1, 0)), np.ones(1))))
+    if isinstance(expansion.index_set, Adaptive):
+        basis, nodes = grow(germs, expansion.order, expansion.index_set, expansion.points, respond)
+    else:
+        candidates = Basis(germs, expansion.index_set.indices(tuple(germs), expansion.order))
+        nodes = expansion.points.nodes(candidates, expansion.fit.points_per_term * candidates.terms)
+        basis = expansion.fit.select(candidates, nodes, respond)
+    return Discretisation(basis, expansion.fit.collocation(basis, nodes))

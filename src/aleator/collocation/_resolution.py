@@ -1,0 +1,42 @@
+"""When an expansion stops resolving a trajectory: polynomials of a fixed order do not follow it for ever.
+
+A phase that drifts apart with time bends the response over the germ more and more (Wan and Karniadakis, 2006, Long-term
+behavior of polynomial chaos in stochastic flow simulations), so an order that is ample at first fails later.
+"""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from aleator.collocation._collocation import Collocation, mean_squares, relative_error
+
+# Above this relative squared error an expansion predicts a new sample to worse than a fifth of its spread.
+UNRESOLVED = 0.05
+
+
+def leave_one_out_history(
+    collocation: Collocation,
+    samples: Float[Array, "points instants *shape"],
+    coefficients: Float[Array, "terms instants *shape"],
+) -> Float[Array, " instants"]:
+    """The leave-one-out error at each instant, relative to the largest variance up to that instant.
+
+    Relative to the variance at the instant itself it would rise wherever all trajectories meet, as those of an
+    oscillator do near its turning points.
+    """
+    parts = mean_squares(collocation, samples, coefficients)
+    error, variance, square = (part.reshape(samples.shape[1], -1).sum(axis=1) for part in parts)
+    return relative_error(error, jax.lax.cummax(variance), square)
+
+
+def resolved_instants(
+    collocation: Collocation,
+    samples: Float[Array, "points instants *shape"],
+    coefficients: Float[Array, "terms instants *shape"],
+) -> Int[Array, ""]:
+    """How many instants of a history, from the first on, an expansion resolves: the index of the first it does not.
+
+    An instant is not resolved if its `leave_one_out_history` exceeds `UNRESOLVED` or is not a number.
+    """
+    unresolved = ~(leave_one_out_history(collocation, samples, coefficients) <= UNRESOLVED)
+    return jnp.where(unresolved.any(), jnp.argmax(unresolved), len(unresolved))

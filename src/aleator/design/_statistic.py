@@ -1,0 +1,254 @@
+"""Functionals have statistics: `AbstractFunctional`, what each of its kinds shares, and `Statistic`, an atom."""
+
+import abc
+from collections.abc import Sequence
+from typing import Any, final
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from aleator._core.errors import ProblemError
+from aleator.design._expression import Constraint, Expression, number_given, ordered
+from aleator.design._scope import AbstractAtom, AbstractRandom, AbstractScope
+from aleator.dynamics import AbstractGrid, History
+from aleator.statistics import (
+    AbstractStatistic,
+    ConditionalValueAtRisk,
+    CornishFisher,
+    Correlation,
+    Covariance,
+    Infimum,
+    Kurtosis,
+    Mean,
+    Probability,
+    Quantile,
+    Skewness,
+    Sobol,
+    Std,
+    Supremum,
+    TotalSobol,
+    Variance,
+)
+
+
+class AbstractFunctional(AbstractRandom):
+    """A quantity of one output, taken on each realisation of the system. Made by `integral`, `rms`, `terminal`, ...
+
+    Its statistics over the uncertainty (`mean`, `std`, `quantile(0.99)`, `supremum`, ...) are to be added, multiplied
+    by numbers and compared with bounds; `at_most`, `at_least` and `within` bound one end of its distribution.
+    """
+
+    output: str = eqx.field(static=True)
+
+    @abc.abstractmethod
+    def evaluate(self, history: History, grid: AbstractGrid) -> Float[Array, "..."]:
+        """The quantity on one realisation's history: a number, or for `path` one number an instant."""
+
+    @property
+    def is_path(self) -> bool:
+        """Whether it is one number an instant instead of one number."""
+        return False
+
+    @property
+    def needs_time(self) -> bool:
+        """Whether it is taken over time, of which algebraic systems have none."""
+        return True
+
+    @property
+    def mean(self) -> Expression:
+        """The expected value, equation (98)."""
+        return statistic(Mean(), self)
+
+    @property
+    def std(self) -> Expression:
+        """The standard deviation, equation (99)."""
+        return statistic(Std(), self)
+
+    @property
+    def variance(self) -> Expression:
+        """The variance, equation (97)."""
+        return statistic(Variance(), self)
+
+    @property
+    def skewness(self) -> Expression:
+        """The third central moment over `std**3`: positive where the upper tail is the longer one."""
+        return statistic(Skewness(), self)
+
+    @property
+    def kurtosis(self) -> Expression:
+        """The fourth central moment over `std**4`: 3 for a normal law."""
+        return statistic(Kurtosis(), self)
+
+    @property
+    def supremum(self) -> Expression:
+        """The largest value that the uncertainty can bring about, for bounded laws (equation 88)."""
+        return statistic(Supremum(), self)
+
+    @property
+    def infimum(self) -> Expression:
+        """The smallest value that the uncertainty can bring about, for bounded laws (equation 88)."""
+        return statistic(Infimum(), self)
+
+    def quantile(self, level: float) -> Expression:
+        """The value that is not exceeded with probability `level`, between 0 and 1."""
+        return statistic(Quantile(level), self)
+
+    def cornish_fisher(self, level: float) -> Expression:
+        """The quantile at `level` from the first four moments: smooth, and good close to a normal law."""
+        return statistic(CornishFisher(level), self)
+
+    def probability(self, *, above: float | None = None, below: float | None = None) -> Expression:
+        """The probability that it lies above a threshold, below one, or between the two."""
+        return statistic(Probability(above=above, below=below), self)
+
+    def conditional_value_at_risk(self, level: float, *, lower: bool = False) -> Expression:
+        """The mean of what lies above the quantile at `level`, or with `lower` below it."""
+        return statistic(ConditionalValueAtRisk(level, lower=lower), self)
+
+    def sobol(self, *variables: str) -> Expression:
+        """The share of the variance that a germ variable explains, or that several explain by acting together."""
+        return statistic(Sobol(variables), self)
+
+    def total_sobol(self, variable: str) -> Expression:
+        """The share of the variance that a germ variable takes part in, alone or with others."""
+        return statistic(TotalSobol(variable), self)
+
+    def at_most(
+        self, upper: float, *, sigmas: float = 0.0, probability: float | None = None, surely: bool = False
+    ) -> Constraint:
+        """`mean + sigmas * std <= upper`, or in its place one of two limits that need no normal law.
+
+        - `probability`: at most `upper` with this probability (`quantile(probability) <= upper`);
+        - `surely`: at most `upper` whatever happens (`supremum <= upper`), for bounded laws.
+
+        Raises `ProblemError` if more than one of the three is given.
+        """
+        return self._end(1, sigmas, probability, surely) <= upper
+
+    def at_least(
+        self, lower: float, *, sigmas: float = 0.0, probability: float | None = None, surely: bool = False
+    ) -> Constraint:
+        """`mean - sigmas * std >= lower`, or in its place one of two limits that need no normal law.
+
+        - `probability`: at least `lower` with this probability (`quantile(1 - probability) >= lower`);
+        - `surely`: at least `lower` whatever happens (`infimum >= lower`), for bounded laws.
+
+        Raises `ProblemError` if more than one of the three is given.
+        """
+        return self._end(-1, sigmas, probability, surely) >= lower
+
+    def within(
+        self,
+        lower: float,
+        upper: float,
+        *,
+        sigmas: float = 0.0,
+        probability: float | None = None,
+        surely: bool = False,
+    ) -> tuple[Constraint, Constraint]:
+        """Both `at_most(upper)` and `at_least(lower)`, under one name; `probability` is that of each side alone.
+
+        Raises `ProblemError` for bounds in the wrong order.
+        """
+        lower, upper = ordered(self.output, lower, upper)
+        margin: dict[str, Any] = {"sigmas": sigmas, "probability": probability, "surely": surely}
+        return self.at_most(upper, **margin), self.at_least(lower, **margin)
+
+    def _end(self, side: int, sigmas: float, probability: float | None, surely: bool) -> Expression:
+        """The upper (`side = 1`) or lower (`side = -1`) end of its distribution."""
+        multiple = _multiple(self, sigmas)
+        asked = {"sigmas": multiple > 0, "probability": probability is not None, "surely": surely}
+        if sum(asked.values()) > 1:
+            names = [name for name, is_asked in asked.items() if is_asked]
+            raise ProblemError(f"'{self.text()}': expected one of sigmas, probability and surely; received {names}.")
+        if surely:
+            return self.supremum if side > 0 else self.infimum
+        if probability is not None:
+            return self.quantile(probability if side > 0 else 1 - probability)
+        return self.mean + side * multiple * self.std
+
+
+@final
+class Statistic(AbstractAtom):
+    """A statistic of a functional, or of several jointly: those of a covariance."""
+
+    functionals: tuple[AbstractFunctional, ...]
+    kind: AbstractStatistic
+
+    def evaluate(self, scope: AbstractScope) -> Array:
+        """See `AbstractAtom.evaluate`."""
+        return scope.statistic(self.functionals, self.kind)
+
+    def text(self) -> str:
+        """See `AbstractAtom.text`."""
+        return self.kind.text(", ".join(self.measures))
+
+    @property
+    def subjects(self) -> tuple[str, ...]:
+        """See `AbstractAtom.subjects`."""
+        return tuple(one.output for one in self.functionals)
+
+    @property
+    def measures(self) -> tuple[str, ...]:
+        """See `AbstractAtom.measures`."""
+        return tuple(one.text() for one in self.functionals)
+
+    @property
+    def is_path(self) -> bool:
+        """See `AbstractAtom.is_path`."""
+        return any(one.is_path for one in self.functionals)
+
+    @property
+    def is_spread(self) -> bool:
+        """See `AbstractAtom.is_spread`."""
+        return isinstance(self.kind, Std)
+
+
+def statistic(kind: AbstractStatistic, *functionals: AbstractFunctional) -> Expression:
+    """A statistic of a functional (or of several jointly) as an expression."""
+    return Expression((1.0,), (Statistic(functionals, kind),))
+
+
+def covariance(first: AbstractFunctional, second: AbstractFunctional) -> Expression:
+    """The covariance of two functionals, at every instant where both are paths."""
+    return _joint(Covariance(), first, second)
+
+
+def correlation(first: AbstractFunctional, second: AbstractFunctional) -> Expression:
+    """The correlation of two functionals, between -1 and 1."""
+    return _joint(Correlation(), first, second)
+
+
+def _joint(kind: AbstractStatistic, *functionals: Any) -> Expression:
+    for one in functionals:
+        if not isinstance(one, AbstractFunctional):
+            raise ProblemError(
+                f"A {type(kind).__name__.lower()} is that of two functionals, such as al.rms('x'); "
+                f"received {type(one).__name__} '{one}'."
+            )
+    return statistic(kind, *functionals)
+
+
+def joined(values: Sequence[Float[Array, "..."]]) -> Float[Array, "..."]:
+    """What a statistic is taken of: the values of one functional, or those of several along a new last axis."""
+    return values[0] if len(values) == 1 else jnp.stack(values, axis=-1)
+
+
+def functionals_of(expressions: tuple[Expression, ...]) -> tuple[AbstractFunctional, ...]:
+    """All functionals that stand in some expressions, each once, in order of appearance."""
+    return tuple(dict.fromkeys(one for atom in statistics_in(expressions) for one in atom.functionals))
+
+
+def statistics_in(expressions: tuple[Expression, ...]) -> tuple[Statistic, ...]:
+    """All statistics that stand in some expressions, in order of appearance."""
+    return tuple(atom for one in expressions for atom in one.atoms if isinstance(atom, Statistic))
+
+
+def _multiple(functional: AbstractFunctional, sigmas: Any) -> float:
+    """A multiple of a standard deviation as a float. Raises `ProblemError` unless it makes a margin."""
+    number = number_given(sigmas, "multiply a standard deviation")
+    if not (np.isfinite(number) and number >= 0):
+        raise ProblemError(f"'{functional.text()}': sigmas must be finite and not negative; received {sigmas}.")
+    return number

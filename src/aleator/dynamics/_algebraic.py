@@ -1,0 +1,162 @@
+"""`AlgebraicSystem`: implicit equations between named unknowns, and their solution."""
+
+import abc
+from collections.abc import Callable, Mapping
+from typing import Any, ClassVar, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, Bool, Float, Int
+
+from aleator._core.arrays import is_number
+from aleator._core.errors import ProblemError
+from aleator.dynamics._newton import Root, newton
+from aleator.dynamics._system import as_outputs, called, state_type
+
+
+class AlgebraicSystem(eqx.Module):
+    """A system of implicit equations `residual(rho) = 0` with outputs: statics, equilibria, kinematic assemblies.
+
+    Dissertation, equations (17) and (24). Subclass it with the parameters as fields and the unknowns' names in
+    `unknowns`; any number in a field may then be replaced by a distribution or a decision. In `residual` and `outputs`
+    the unknowns are a named tuple (`rho.chi`, or unpacked). `units` may give the units of outputs, for reports.
+
+    The equations are solved by Newton's method from `guess`, and derivatives follow from the implicit function theorem.
+    Of several solutions it is the one that Newton reaches from the guess. To stay on one branch over a wide range of
+    parameters, let the guess depend on them.
+    """
+
+    unknowns: ClassVar[tuple[str, ...]]
+    units: ClassVar[Mapping[str, str]] = {}
+
+    @abc.abstractmethod
+    def guess(self) -> Mapping[str, Any]:
+        """A number (or an array, for an unknown that is one) near the solution for each unknown, by name."""
+
+    @abc.abstractmethod
+    def residual(self, rho: Any) -> Any:
+        """The equations, as a sequence of numbers or arrays that vanish at the solution: as many as unknowns."""
+
+    def outputs(self, rho: Any) -> dict[str, Any]:
+        """Quantities of interest by name: the unknowns themselves, unless a subclass says otherwise."""
+        return dict(zip(self.unknowns, rho, strict=True))
+
+
+class Solved(NamedTuple):
+    """The solution of an algebraic system.
+
+    - `unknowns`: as a named tuple; not a number where Newton failed, or found a solution that is not one by itself;
+    - `residual_norm`: the largest residual, each relative to how much it changes as the unknowns change by their own
+      scale;
+    - `iterations`: how many Newton steps were taken.
+    """
+
+    unknowns: Any
+    converged: Bool[Array, ""]
+    residual_norm: Float[Array, ""]
+    iterations: Int[Array, ""]
+
+
+def solve_algebraic(system: AlgebraicSystem) -> Solved:
+    """Solve one realised system (plain numbers in its fields). May be vectorised and differentiated repeatedly.
+
+    Raises `ProblemError` if guess and equations do not fit the unknowns. Where Newton fails, the unknowns are not a
+    number: see `explain_failure`.
+    """
+    guess = _guess(system)
+    if not system.unknowns:
+        return Solved(guess, jnp.asarray(True), jnp.zeros(()), jnp.zeros((), int))
+    root, named = _root(system, guess)
+    return Solved(
+        named(jnp.where(root.converged, root.point, jnp.nan)),
+        root.converged,
+        jnp.abs(root.relative).max(),
+        root.steps.astype(int),
+    )
+
+
+def algebraic_outputs(system: AlgebraicSystem) -> dict[str, Float[Array, "..."]]:
+    """The outputs at the solution; not a number where there is none."""
+    solved = solve_algebraic(system)
+    values = as_outputs(system, called(system, system.outputs, solved.unknowns))
+    return {name: jnp.where(solved.converged, value, jnp.nan) for name, value in values.items()}
+
+
+def explain_failure(system: AlgebraicSystem) -> str:
+    """Why Newton fails for one realised system: the system's numbers, where it stopped, the residual and a remedy.
+
+    Empty if it does not fail. Runs on the host: call it for the realisation at fault.
+    """
+    guess = _guess(system)
+    if not system.unknowns:
+        return ""
+    root, named = _root(system, guess)
+    if root.converged:
+        return ""
+    worst = int(np.argmax(np.nan_to_num(np.abs(root.relative), nan=np.inf)))
+    return (
+        f"{type(system).__name__}: Newton found no solution at {_listed(_numbers(system)) or 'any numbers'}. From the "
+        f"guess {_listed(guess._asdict())} it came in {int(root.steps)} steps to "
+        f"{_listed(named(root.point)._asdict())}, where equation {worst + 1} of {root.relative.size} is left with a "
+        f"residual of {float(root.residuals[worst]):.3g}{_remark(root)}. Look whether a solution exists there, and "
+        "guess closer to it."
+    )
+
+
+def _numbers(system: AlgebraicSystem) -> dict[str, Any]:
+    """The numbers in the fields of a realised system, by name."""
+    leaves, _ = jax.tree_util.tree_flatten_with_path(system)
+    names = (jax.tree_util.keystr(path, simple=True, separator=".") for path, _ in leaves)
+    return {
+        name.removeprefix("dimensions."): leaf
+        for name, (_, leaf) in zip(names, leaves, strict=True)
+        if is_number(leaf) or isinstance(leaf, int)
+    }
+
+
+def _remark(root: Root) -> str:
+    if not np.isfinite(root.residuals).all():
+        return ", which is not a finite number"
+    if not root.regular:
+        return "; the Jacobian is singular there: the equations do not determine the unknowns, or two solutions meet"
+    return ""
+
+
+def _listed(numbers: Mapping[str, Any]) -> str:
+    style: Any = {"float_kind": "{:.6g}".format}
+    return ", ".join(f"{name}={np.array2string(np.asarray(value), formatter=style)}" for name, value in numbers.items())
+
+
+def _root(system: AlgebraicSystem, guess: Any) -> tuple[Root, Callable[[Array], Any]]:
+    """The root over all unknowns as one vector, and what makes a named tuple of such a vector."""
+    start, named = ravel_pytree(guess)
+    return newton(lambda vector: _equations(system, named(vector), start.size), start), named
+
+
+def _guess(system: AlgebraicSystem) -> Any:
+    """The guess as a named tuple of arrays."""
+    given = system.guess()
+    if not isinstance(given, Mapping) or set(given) != set(system.unknowns):
+        raise ProblemError(
+            f"{type(system).__name__}.guess returns a dict with a number for each of the unknowns {system.unknowns}; "
+            f"received {given!r}."
+        )
+    return state_type(system.unknowns)(*(jnp.asarray(given[name], dtype=float) for name in system.unknowns))
+
+
+def _equations(system: AlgebraicSystem, rho: Any, expected: int) -> Float[Array, " n"]:
+    """`system.residual` as one vector, checked (at trace time) to have as many entries as there are unknowns."""
+    values = called(system, system.residual, rho)
+    name = type(system).__name__
+    if not isinstance(values, tuple | list):
+        raise ProblemError(f"{name}.residual returns the equations as a tuple; received {values!r}.")
+    vector = jnp.concatenate([jnp.zeros(0), *(jnp.ravel(jnp.asarray(value, dtype=float)) for value in values)])
+    if vector.size != expected:
+        raise ProblemError(
+            f"{name}.residual: expected as many equations as numbers in the unknowns {system.unknowns}, "
+            f"which are {expected}; received {vector.size}."
+        )
+    return vector

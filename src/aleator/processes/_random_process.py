@@ -1,0 +1,141 @@
+"""`RandomProcess`: a random process as a signal, through its Karhunen-Loève expansion."""
+
+from typing import Any, final
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from aleator._core.errors import ProblemError
+from aleator.dynamics import AbstractSignal
+from aleator.processes._checks import number_or_law, plain_number
+from aleator.processes._covariance import AbstractCovariance
+from aleator.processes._karhunen_loeve import karhunen_loeve, legendre
+from aleator.processes._total import common_span
+from aleator.uncertainty import Decision, Normal
+
+# Share of the variance that is kept where the user does not say.
+_ENERGY = 0.99
+
+
+@final
+class RandomProcess(AbstractSignal):
+    """A Gaussian process `mean(t) + std Σ_k sqrt(λ_k) φ_k(t) ξ_k` from `t_start` to `t_final`, in seconds.
+
+    Sensor noise, actuator noise or forcing of known covariance `std² correlation(|t - s|)`: an uncertainty that is a
+    function of time, expanded as in equations (11) and (19) of the dissertation. `λ_k`, `φ_k` are the eigenpairs of the
+    correlation on the interval (Karhunen-Loève), and each mode adds one standard normal variable `ξ_k` to the germ:
+    `inputs.wind.xi.0`, ... The cost of an expansion grows with their number, which `print` shows; a response that is
+    linear in the noise needs order 1 only.
+
+    - `covariance`: `ExponentialCovariance`, `SquaredExponentialCovariance`, `BandLimitedCovariance` or your own class;
+    - `std`: the standard deviation, a number, distribution or `Decision`, in the unit of the signal;
+    - `mean`: a number, distribution, `Decision` or another signal;
+    - how many modes: as many as carry the share `energy` of the variance (default 0.99), or `modes` of them. With
+      `modes`, another correlation time seldom compiles anything anew.
+
+    What the truncation leaves out is known: `share` is the part of the variance kept on average over time, and
+    `deficit` what is missing at each instant. Evidence of `validate` samples the truncated process.
+
+    Raises `ProblemError` for impossible numbers, and for modes that the covariance does not have or that are too fast
+    to be resolved.
+    """
+
+    covariance: AbstractCovariance
+    xi: tuple[Any, ...]
+    std: Any
+    mean: Any
+    eigenvalues: Float[np.ndarray, " modes"]
+    functions: Float[np.ndarray, "polynomials modes"]
+    t_start: float
+    t_final: float
+
+    def __init__(
+        self,
+        covariance: AbstractCovariance,
+        *,
+        t_final: float,
+        std: Any,
+        mean: Any = 0.0,
+        t_start: float = 0.0,
+        energy: float | None = None,
+        modes: int | None = None,
+    ):
+        if not isinstance(covariance, AbstractCovariance):
+            raise ProblemError(
+                "RandomProcess: expected a covariance, such as al.ExponentialCovariance(0.5); "
+                f"received {type(covariance).__name__} {covariance!r}."
+            )
+        self.covariance = covariance
+        self.t_start, self.t_final = _interval(t_start, t_final)
+        self.std = _spread(std)
+        self.mean = mean if isinstance(mean, AbstractSignal) else number_or_law("RandomProcess", "mean", mean)
+        _check_size(energy, modes)
+        duration = self.t_final - self.t_start
+        found = karhunen_loeve(covariance, duration, _ENERGY if energy is None else float(energy), modes)
+        self.xi = (Normal(0.0, 1.0),) * len(found.shares)
+        self.eigenvalues = found.shares * duration
+        self.functions = found.functions
+        self.span()
+
+    def __call__(self, t: Float[Array, ""]) -> Float[Array, ""]:
+        """See `AbstractSignal.__call__`."""
+        coefficients = jnp.asarray(self.functions) @ jnp.stack([jnp.asarray(one, dtype=float) for one in self.xi])
+        mean = self.mean(t) if isinstance(self.mean, AbstractSignal) else self.mean
+        return mean + self.std * (self._polynomials(t) @ coefficients)
+
+    def _polynomials(self, t: Float[Array, ""]) -> Float[Array, " polynomials"]:
+        x = (2 * t - self.t_start - self.t_final) / (self.t_final - self.t_start)
+        return legendre(x, len(self.functions))
+
+    def span(self) -> tuple[float, float]:
+        """See `AbstractSignal.span`."""
+        own = (float(self.t_start), float(self.t_final))
+        return common_span([own, self.mean.span()]) if isinstance(self.mean, AbstractSignal) else own
+
+    @property
+    def share(self) -> float:
+        """The part of the variance that the modes carry, on average over time."""
+        return float(np.sum(self.eigenvalues) / (self.t_final - self.t_start))
+
+    def deficit(self, times: Float[Array, " instants"]) -> Float[Array, " instants"]:
+        """The part of the variance `std²` that the modes leave out at each instant: largest at the ends."""
+        shapes = jax.vmap(self._polynomials)(jnp.asarray(times, dtype=float)) @ jnp.asarray(self.functions)
+        return 1 - jnp.sum(shapes**2, axis=1)
+
+    def __str__(self) -> str:
+        return (
+            f"RandomProcess of {self.covariance} from {float(self.t_start):g} to {float(self.t_final):g} s: "
+            f"{len(self.xi)} modes, which are {len(self.xi)} germ variables, carry {100 * self.share:.4g}% of the "
+            "variance"
+        )
+
+
+def _interval(t_start: float, t_final: float) -> tuple[float, float]:
+    start, end = (plain_number("RandomProcess", name, t) for name, t in (("t_start", t_start), ("t_final", t_final)))
+    if not start < end:
+        raise ProblemError(f"RandomProcess: t_final must be after t_start={start:g}; received t_final={end:g}.")
+    return start, end
+
+
+def _spread(std: Any) -> Any:
+    std = number_or_law("RandomProcess", "std", std)
+    lowest = std if isinstance(std, float) else float(std.lower) if isinstance(std, Decision) else 0.0
+    if lowest < 0:
+        raise ProblemError(f"RandomProcess: 'std' must not be negative; received {lowest:g}.")
+    return std
+
+
+def _check_size(energy: float | None, modes: int | None) -> None:
+    if energy is not None and modes is not None:
+        raise ProblemError(
+            f"RandomProcess: the number of modes follows from energy or is given as modes; received energy={energy} "
+            f"and modes={modes}. Leave one out."
+        )
+    if energy is not None and not 0 < plain_number("RandomProcess", "energy", energy) < 1:
+        raise ProblemError(
+            f"RandomProcess: energy is the share of the variance to keep, between 0 and 1; received {energy:g}."
+        )
+    if modes is not None and (isinstance(modes, bool) or not isinstance(modes, int | np.integer) or modes < 1):
+        raise ProblemError(f"RandomProcess: modes is a whole number of at least 1; received {modes!r}.")

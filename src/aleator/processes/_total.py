@@ -1,0 +1,55 @@
+"""`total`: signals that act together."""
+
+from collections.abc import Iterable
+from typing import final
+
+from jaxtyping import Array, Float
+
+from aleator._core.errors import ProblemError
+from aleator.dynamics import AbstractSignal
+
+
+@final
+class Total(AbstractSignal):
+    """The sum of signals; see `total`. Its numbers are named after their signal's place: `inputs.force.parts.0...`."""
+
+    parts: tuple[AbstractSignal, ...]
+
+    def __init__(self, parts: Iterable[AbstractSignal]):
+        self.parts = tuple(parts)
+        for part in self.parts:
+            if not isinstance(part, AbstractSignal):
+                raise ProblemError(
+                    f"total: expected signals, such as al.total(command, noise); received {type(part).__name__} "
+                    f"{part!r}. A constant or a function of time is one by al.signal."
+                )
+        if not self.parts:
+            raise ProblemError("total: expected at least one signal; received none.")
+        self.span()
+
+    def __call__(self, t: Float[Array, ""]) -> Float[Array, "..."]:
+        """See `AbstractSignal.__call__`."""
+        first, *others = (part(t) for part in self.parts)
+        return sum(others, start=first)
+
+    def span(self) -> tuple[float, float]:
+        """See `AbstractSignal.span`."""
+        return common_span(part.span() for part in self.parts)
+
+
+def total(*signals: AbstractSignal) -> Total:
+    """The sum of signals: a command and the actuator's noise, a mean road and its roughness.
+
+    Raises `ProblemError` for what is no signal, and for signals that are known at no common time.
+    """
+    return Total(signals)
+
+
+def common_span(spans: Iterable[tuple[float, float]]) -> tuple[float, float]:
+    """The times that lie in all spans. Raises `ProblemError` if there are none."""
+    spans = tuple(spans)
+    first, last = max(start for start, _ in spans), min(end for _, end in spans)
+    if not first < last:
+        known = " and ".join(f"from {start:g} to {end:g} s" for start, end in spans)
+        raise ProblemError(f"Signals that are added must be known at the same times; received signals known {known}.")
+    return first, last

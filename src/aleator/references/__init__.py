@@ -1,0 +1,15 @@
+"""References to judge an expansion by: Monte Carlo, quasi-Monte Carlo, linearisation. Never imports `collocation`."""
+
+from aleator.references._estimate import Estimate as Estimate
+from aleator.references._estimate import estimate as estimate
+from aleator.references._estimate import group_count as group_count
+from aleator.references._estimate import pair as pair
+from aleator.references._linearise import Linearised as Linearised
+from aleator.references._linearise import linearise as linearise
+from aleator.references._monte_carlo import monte_carlo as monte_carlo
+from aleator.references._monte_carlo import quasi_monte_carlo as quasi_monte_carlo
+from aleator.references._random_sample import RandomSample as RandomSample
+from aleator.references._second_order import SecondOrder as SecondOrder
+from aleator.references._second_order import second_order as second_order
+from aleator.references._sobol_indices import SobolIndices as SobolIndices
+from aleator.references._sobol_indices import sobol_indices as sobol_indices

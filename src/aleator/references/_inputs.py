@@ -1,0 +1,74 @@
+"""The uncertain inputs of a function in their own units: their numbers, and the outputs at given values of them."""
+
+from collections import Counter
+from typing import final
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jaxtyping import Array, Float
+
+from aleator._core.arrays import Pytree
+from aleator._core.errors import ProblemError, SimulationError
+from aleator.references._evaluation import uncertain_places
+from aleator.references._outputs import UNTRACEABLE, Function, real_array
+from aleator.uncertainty import Normal, Survey, realise, survey, uncertain_numbers, with_laws
+
+
+@final
+class Inputs:
+    """What is uncertain in `function(model)`, with decisions at their initial values.
+
+    - `laws`: by name, decisions decided; `germs`: the law of each germ variable by name;
+    - `owned`: the germ variables that one input alone depends on, and it on nothing else, with that input's name.
+    """
+
+    def __init__(self, verb: str, function: Function, model: Pytree):
+        self._places = uncertain_places(verb, function, model)
+        # A standard normal law is its own germ: what stands in the place of its germ is the number itself.
+        self._verb, self._function, self._in_units = verb, function, with_laws(model, lambda *_: Normal(0.0, 1.0))
+        self.laws = {name: law.initial() for name, law in self._places.distributions.items()}
+        self.germs = self._places.germs
+        needs = {name: law.germ_names(name) for name, law in self.laws.items()}
+        uses = Counter(germ for names in needs.values() for germ in names)
+        self.owned = {germs[0]: name for name, germs in needs.items() if len(germs) == 1 and uses[germs[0]] == 1}
+
+    def numbers(self, germ: Float[Array, " variables"]) -> Float[Array, " inputs"]:
+        """The inputs at a germ point, in the order of `laws`."""
+        return jnp.stack(list(uncertain_numbers(self._places, germ, _initial(self._places)).values()))
+
+    def outputs(self, values: Float[Array, " inputs"]) -> Pytree:
+        """The outputs at given values of the inputs, in their units and in the order of `laws`."""
+        realised = realise(self._in_units, values, _initial(survey(self._in_units)))
+        return jax.tree.map(lambda value: real_array(value, jnp), self._function(realised))
+
+    def refuse_nonfinite(self, expanded: Pytree) -> None:
+        """Raise `SimulationError` if a value or derivative at the means is not finite, as far as it is known."""
+        for leaf in jax.tree.leaves(expanded):
+            known = jax.lax.stop_gradient(leaf)
+            if not isinstance(known, Tracer) and not np.isfinite(known).all():
+                where = ", ".join(f"{name} ~ {law}" for name, law in self.laws.items())
+                raise SimulationError(
+                    f"{self._verb}: the function or its derivative is not finite at the means of {where}. It needs a "
+                    "function that is smooth there: use al.monte_carlo."
+                )
+
+
+def _initial(places: Survey) -> Float[Array, " n"]:
+    """The decisions at their initial values. Those inside of laws are none of a model in units."""
+    return jnp.asarray(places.vector("initial"))
+
+
+def traceable(verb: str, function: Function) -> Function:
+    """The function, with a clear error where JAX cannot differentiate it."""
+
+    def checked(*arguments: Array) -> Pytree:
+        try:
+            return function(*arguments)
+        except UNTRACEABLE as error:
+            raise ProblemError(
+                f"{verb}: JAX cannot differentiate the function ({str(error).splitlines()[0]}) Write it with jax.numpy."
+            ) from error
+
+    return checked

@@ -1,0 +1,98 @@
+"""Monte Carlo and randomised quasi-Monte Carlo: a function of uncertain inputs, without any expansion."""
+
+import numpy as np
+from jaxtyping import Float
+
+from aleator._core.arrays import Pytree
+from aleator._core.errors import ProblemError
+from aleator._core.progress import Progress, silent
+from aleator.references._estimate import group_count
+from aleator.references._evaluation import check_whole, evaluate, uncertain_places
+from aleator.references._outputs import Function
+from aleator.references._random_sample import RandomSample
+
+# Binary digits of a Sobol point. Its coordinates are multiples of 2^-30, 0 among them.
+_DIGITS = 30
+
+
+def monte_carlo(
+    function: Function,
+    model: Pytree,
+    samples: int = 100_000,
+    *,
+    seed: int = 0,
+    traced: bool = True,
+    batch: int = 4096,
+    progress: Progress = silent,
+) -> RandomSample:
+    """A function at independent random inputs: `al.monte_carlo(f, {"w": al.Uniform.bounds(0.9, 1.1)})`.
+
+    - `function`: takes the model with plain numbers in the place of its distributions; gives an array or a dict of
+      arrays (any pytree of them);
+    - `model`: a dict of laws or any other pytree with distributions in it, such as a `System`. Decisions in it stand at
+      their initial values;
+    - `traced`: False calls the function with plain numbers, point by point, where JAX cannot trace it;
+    - `batch`: how many inputs are taken at a time, where the function needs much memory. The sample is the same.
+
+    The whole sample is kept, at most 2 GiB. Standard errors fall as `samples^(-1/2)`. Raises `ProblemError` if nothing
+    is uncertain or the sample is too large, `SimulationError` where an output is not finite, naming the inputs there.
+    """
+    check_whole("monte_carlo", samples=samples, seed=seed, batch=batch)
+    if samples < 4:
+        raise ProblemError(f"monte_carlo: expected at least 4 samples; received {samples}.")
+    places = uncertain_places("monte_carlo", function, model)
+    # Never 0, where unbounded laws are infinite; 1 is left out by the generator.
+    levels = np.random.default_rng(seed).uniform(np.finfo(float).tiny, 1.0, (samples, len(places.germs)))
+    values = evaluate(function, model, levels, traced=traced, batch=batch, progress=progress)
+    return RandomSample(values, group_count(samples), seed)
+
+
+def quasi_monte_carlo(
+    function: Function,
+    model: Pytree,
+    samples: int = 2**14,
+    *,
+    replicates: int = 16,
+    seed: int = 0,
+    traced: bool = True,
+    batch: int = 4096,
+    progress: Progress = silent,
+) -> RandomSample:
+    """A function at scrambled Sobol points (Owen, Scrambled net variance for integrals of smooth functions, 1997).
+
+    `samples` inputs in all, in `replicates` nets that are scrambled independently, so that their spread is an honest
+    standard error. Both are powers of two. For smooth functions standard errors fall nearly as `samples^(-3/2)`, and
+    never much slower than those of plain Monte Carlo. The other arguments, and the errors, are those of `monte_carlo`.
+    """
+    check_whole("quasi_monte_carlo", samples=samples, replicates=replicates, seed=seed, batch=batch)
+    places = uncertain_places("quasi_monte_carlo", function, model)
+    levels = scrambled_nets("quasi_monte_carlo", len(places.germs), samples, replicates, seed)
+    values = evaluate(function, model, levels, traced=traced, batch=batch, progress=progress)
+    return RandomSample(values, replicates, seed)
+
+
+def scrambled_nets(
+    verb: str, variables: int, samples: int, replicates: int, seed: int
+) -> Float[np.ndarray, "samples variables"]:
+    """Independently scrambled Sobol nets, one after the other, as probability levels in (0, 1)."""
+    if replicates < 2 or not _is_power_of_two(replicates):
+        raise ProblemError(
+            f"{verb}: expected replicates in a power of two, such as 16, for a standard error; received {replicates}."
+        )
+    points, rest = divmod(samples, replicates)
+    if rest or points < 2 or not _is_power_of_two(points):
+        raise ProblemError(
+            f"{verb}: expected samples that are replicates times a power of two, such as {replicates} * 1024; received "
+            f"samples={samples} with replicates={replicates}."
+        )
+    # SciPy calls the generator `seed` up to 1.14; its type stubs know the later name alone.
+    settings = {"bits": _DIGITS, "seed": np.random.default_rng(seed)}
+    from scipy.stats import qmc  # late: it takes a second to import
+
+    nets = [qmc.Sobol(variables, **settings).random(points) for _ in range(replicates)]
+    # To the middle of the cells, away from 0, where unbounded laws are infinite.
+    return np.concatenate(nets) + 0.5 ** (_DIGITS + 1)
+
+
+def _is_power_of_two(number: int) -> bool:
+    return number & (number - 1) == 0

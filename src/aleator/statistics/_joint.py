@@ -1,0 +1,68 @@
+"""How two outputs vary together: covariance and correlation, from the coefficients of both."""
+
+from typing import ClassVar, final
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from aleator._core.arrays import Pytree
+from aleator._core.errors import ProblemError
+from aleator.statistics._moments import root
+from aleator.statistics._statistic import AbstractStatistic
+
+
+@final
+class Covariance(AbstractStatistic):
+    """The covariance of two outputs, which lie along the last axis: the inner product of their coefficients.
+
+    The mean is no part of it, as in equation (33).
+    """
+
+    symbol: ClassVar[str] = "Cov"
+
+    def of(self, coefficients: Float[Array, "terms *shape 2"], constants: Pytree) -> Float[Array, "*shape"]:
+        """See `AbstractStatistic.of`."""
+        del constants
+        first, second = _both(coefficients[1:])
+        return jnp.sum(first * second, axis=0)
+
+    def of_sample(self, values: Float[Array, "samples *shape 2"]) -> Float[Array, "*shape"]:
+        """See `AbstractStatistic.of_sample`."""
+        first, second = _both(values - jnp.mean(values, axis=0)[None])
+        return jnp.sum(first * second, axis=0) / (len(values) - 1)
+
+
+@final
+class Correlation(AbstractStatistic):
+    """The correlation coefficient of two outputs, which lie along the last axis: between -1 and 1.
+
+    It is zero, and so is its derivative, where one of them does not vary.
+    """
+
+    symbol: ClassVar[str] = "Corr"
+
+    def of(self, coefficients: Float[Array, "terms *shape 2"], constants: Pytree) -> Float[Array, "*shape"]:
+        """See `AbstractStatistic.of`."""
+        del constants
+        return _cosine(coefficients[1:])
+
+    def of_sample(self, values: Float[Array, "samples *shape 2"]) -> Float[Array, "*shape"]:
+        """See `AbstractStatistic.of_sample`."""
+        return _cosine(values - jnp.mean(values, axis=0)[None])
+
+
+def _cosine(vectors: Float[Array, "n *shape 2"]) -> Float[Array, "*shape"]:
+    first, second = _both(vectors)
+    # One root each: the product of both squares leaves the range of doubles earlier.
+    size = root(jnp.sum(first**2, axis=0)) * root(jnp.sum(second**2, axis=0))
+    varies = size > 0
+    return jnp.where(varies, jnp.sum(first * second, axis=0) / jnp.where(varies, size, 1.0), 0.0)
+
+
+def _both(stacked: Float[Array, "n *shape outputs"]) -> tuple[Float[Array, "n *shape"], Float[Array, "n *shape"]]:
+    if stacked.ndim < 2 or stacked.shape[-1] != 2:
+        raise ProblemError(
+            "Covariance and Correlation are of two outputs, stacked along the last axis: expected the shape "
+            f"(terms, ..., 2); received {stacked.shape}."
+        )
+    return stacked[..., 0], stacked[..., 1]

@@ -1,0 +1,201 @@
+"""Lines through the germ space, along which an expansion is a polynomial of one variable.
+
+Probabilities of an output are integrals of a step function, which points alone resolve poorly. Along a line the
+integral is done exactly, between the crossings of a threshold, and what is left to average over the lines is smooth
+(Griewank, Kuo, Leövey and Sloan, 2018, High dimensional integration of kinks and jumps). Lines run along each variable
+in turn and, through standard normal variables, which may be rotated, along the direction in which the output varies
+most: for an output linear in normal variables every single line then gives the exact result.
+"""
+
+from typing import final
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from aleator.collocation import Basis
+from aleator.statistics._line_law import LineLaw, line_law
+from aleator.statistics._moments import root
+from aleator.uncertainty import HermiteGerm, LegendreGerm
+
+# Of one number; of many at once fewer are used, see `_output_law`.
+_LINES = 2**14
+
+# How much lines through normal variables are preferred to others of the same share: the tails come from them.
+_NORMAL_PREFERENCE = 10.0
+
+# The higher, the less do lines count along which the output hardly varies.
+_SHARPNESS = 3
+
+
+@final
+class Rotation(eqx.Module):
+    """Lines through the standard normal variables along a direction that is chosen by the coefficients.
+
+    The derivatives of an expansion in Hermite polynomials are expansions in the same ones: with their coefficients the
+    Taylor series along a line follows from the values of the polynomials at one point of it.
+
+    - `points`: normal variables of a point on each line; `matrix`: the basis polynomials there;
+    - `raised`, `factors`: the derivative by variable `i` has the coefficients `factors[i] * c[raised[i]]`;
+    - `linear`, `contributing`: one where a term is variable `i` itself, or depends on it.
+    """
+
+    points: Float[Array, "lines normals"]
+    matrix: Float[Array, "lines terms"]
+    raised: Int[Array, "normals terms"]
+    factors: Float[Array, "normals terms"]
+    linear: Float[Array, "normals terms"]
+    contributing: Float[Array, "normals terms"]
+
+    def direction(self, coefficients: Float[Array, " terms"]) -> Float[Array, " normals"]:
+        """The mean gradient; a variable that acts nonlinearly weighs more, so that it counts without a mean slope."""
+        gradient = self.linear @ coefficients
+        variance = self.contributing @ coefficients**2
+        std = root(jnp.sum(coefficients[1:] ** 2))
+        raw = gradient + (variance - gradient**2) / jnp.where(std > 0, std, 1.0)
+        length = root(jnp.sum(raw**2))
+        first = jnp.zeros(len(raw)).at[0].set(1.0)
+        return jnp.where(length > 0, raw / jnp.where(length > 0, length, 1.0), first)
+
+    def powers(self, coefficients: Float[Array, " terms"], degree: int, lines: int) -> Float[Array, "orders lines"]:
+        """The expansion along each line, by powers of the standard normal variable along it."""
+        # Where divisors of the basis are missing in it, the derivatives have more terms than the expansion.
+        coefficients = jnp.pad(coefficients, (0, self.matrix.shape[1] - len(coefficients)))
+        direction = self.direction(coefficients)
+        taylor = [coefficients]
+        for order in range(1, degree + 1):
+            slopes = self.factors * taylor[-1][self.raised]
+            taylor.append(direction @ slopes / order)
+        rows = list(jnp.stack(taylor) @ self.matrix[:lines].T)
+        # From powers of the distance from the point to those of the distance from the foot of the origin.
+        at = self.points[:lines] @ direction
+        for done in range(degree):
+            for order in range(degree - 1, done - 1, -1):
+                rows[order] = rows[order] - at * rows[order + 1]
+        return jnp.stack(rows)
+
+
+@final
+class Lines(eqx.Module):
+    """Lines along some directions: each variable that is not normal, and one through all that are.
+
+    - `others`: the basis polynomials without the factor of the line's own variable, shape (variables, lines, terms);
+    - `degrees`: one where a term has degree `k` in that variable, shape (variables, orders, terms);
+    - `rotation`: the lines through the normal variables, the last direction; None if there are none;
+    - `contributing`: one where a term varies along a direction; `preference`: of each direction;
+    - `law`: of the variable along each direction.
+    """
+
+    others: Float[Array, "variables lines terms"]
+    degrees: Float[Array, "variables orders terms"]
+    rotation: Rotation | None
+    contributing: Float[Array, "directions terms"]
+    preference: Float[Array, " directions"]
+    law: LineLaw
+
+    def weights(self, coefficients: Float[Array, " terms"]) -> Float[Array, " directions"]:
+        """How much each direction counts: they add up to one, and lines along which nothing varies count nothing."""
+        shares = self.contributing @ coefficients**2 * self.preference
+        largest = jnp.max(shares)
+        raw = (shares / jnp.where(largest > 0, largest, 1.0)) ** _SHARPNESS
+        total = jnp.sum(raw)
+        return jnp.where(total > 0, raw / jnp.where(total > 0, total, 1.0), 1 / len(raw))
+
+    def polynomials(self, coefficients: Float[Array, " terms"], lines: int) -> Float[Array, "orders directions lines"]:
+        """The expansion along the first `lines` lines of each direction, in its law's orthonormal polynomials."""
+        orders = self.law.monomials.shape[1]
+        by_degree = self.degrees * coefficients[None, None]
+        along = jnp.einsum("vkt,vnt->kvn", by_degree, self.others[:, :lines])
+        if self.rotation is None:
+            return along
+        powers = self.rotation.powers(coefficients, orders - 1, lines)
+        rotated = jnp.einsum("mk,mn->kn", self.law.from_powers[-1], powers)
+        return jnp.concatenate([along, rotated[:, None]], axis=1)
+
+    @property
+    def count(self) -> int:
+        """How many lines there are along each direction."""
+        return self.others.shape[1] if self.rotation is None else len(self.rotation.points)
+
+
+def lines_through(basis: Basis) -> Lines:
+    """Preparation: lines through the germ of a basis, for the distribution of an output."""
+    active = [i for i, degree in enumerate(basis.degrees) if degree > 0]
+    if not active:
+        return _nowhere()
+    germs = list(basis.germs.values())
+    normal = [i for i in active if isinstance(germs[i], HermiteGerm)]
+    single = [i for i in active if i not in normal]
+    directions = [[i] for i in single] + ([normal] if normal else [])
+    orders = 1 + max(int(basis.indices[:, group].sum(axis=1).max()) for group in directions)
+    # Each direction has its own points: their errors then average out.
+    points = [_points(basis, active, len(directions), seed) for seed in range(len(directions))]
+    without = [_without(basis, i, at) for i, at in zip(single, points, strict=False)]
+    by_degree = [basis.indices[:, i] == np.arange(orders)[:, None] for i in single]
+    terms = basis.terms
+    return Lines(
+        others=jnp.asarray(np.reshape(without, (len(single), len(points[0]), terms))),
+        degrees=jnp.asarray(np.reshape(by_degree, (len(single), orders, terms)), dtype=float),
+        rotation=_rotation(basis, normal, points[-1]) if normal else None,
+        contributing=jnp.asarray([np.any(basis.indices[:, group] > 0, axis=1) for group in directions], dtype=float),
+        preference=jnp.asarray([1.0] * len(single) + [_NORMAL_PREFERENCE] * bool(normal)),
+        law=line_law([germs[group[0]] for group in directions], orders),
+    )
+
+
+def _nowhere() -> Lines:
+    """Where no variable matters: one line along which the output stands still."""
+    one = jnp.ones((1, 1, 1))
+    return Lines(one, one, None, jnp.zeros((1, 1)), jnp.ones(1), line_law([LegendreGerm()], 1))
+
+
+def _points(basis: Basis, active: list[int], directions: int, seed: int) -> Float[np.ndarray, "lines variables"]:
+    """A point on each line: a scrambled Sobol net (Owen, 1995) in the variables that matter, the others in the middle."""
+    levels = np.full((1, basis.variables), 0.5)
+    if len(active) > 1:
+        size = int(np.log2(_LINES / directions))
+        from scipy.stats import qmc  # late: it takes a second to import
+
+        net = qmc.Sobol(len(active), bits=30, rng=np.random.default_rng(seed)).random_base2(size)
+        levels = np.full((len(net), basis.variables), 0.5)
+        # Scrambled points are multiples of 2^-30, 0 among them.
+        levels[:, active] = net + 2.0**-31
+    return basis.map_to_germ(levels)
+
+
+def _without(basis: Basis, variable: int, points: np.ndarray) -> Float[np.ndarray, "lines terms"]:
+    """The basis polynomials without the factor of one variable."""
+    indices = basis.indices.copy()
+    indices[:, variable] = 0
+    return Basis(basis.germs, indices).matrix(points)
+
+
+def _rotation(basis: Basis, normal: list[int], points: np.ndarray) -> Rotation:
+    """The derivatives of each term by the normal variables, `p_n' = sqrt(n) p_{n-1}`, as maps of coefficients."""
+    closed = Basis(basis.germs, _with_divisors(basis.indices, normal))
+    place = {tuple(row): t for t, row in enumerate(closed.indices.tolist())}
+    raised = np.zeros((len(normal), closed.terms), dtype=int)
+    factors = np.zeros((len(normal), closed.terms))
+    for row, variable in enumerate(normal):
+        higher = closed.indices.copy()
+        higher[:, variable] += 1
+        at = np.array([place.get(tuple(one), -1) for one in higher.tolist()])
+        raised[row], factors[row] = np.maximum(at, 0), np.where(at >= 0, np.sqrt(higher[:, variable]), 0.0)
+    varies = closed.indices[:, normal].T > 0
+    linear = varies & (closed.indices.sum(axis=1) == 1)
+    columns = (points[:, normal], closed.matrix(points), raised, factors, linear.astype(float), varies.astype(float))
+    return Rotation(*map(jnp.asarray, columns))
+
+
+def _with_divisors(indices: Int[np.ndarray, "terms variables"], variables: list[int]) -> Int[np.ndarray, "more variables"]:
+    """The terms and after them those that lowering a degree of these variables leads to, if they are missing."""
+    known = dict.fromkeys(map(tuple, indices.tolist()))
+    waiting = list(known)
+    while waiting:
+        term = waiting.pop()
+        lower = [(*term[:i], term[i] - 1, *term[i + 1 :]) for i in variables if term[i] > 0]
+        new = [one for one in lower if one not in known]
+        known.update(dict.fromkeys(new))
+        waiting += new
+    return np.array(list(known), dtype=int).reshape(len(known), indices.shape[1])

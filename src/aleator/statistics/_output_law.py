@@ -1,0 +1,163 @@
+"""The distribution of one output, from its expansion along lines through the germ space (see `_lines`)."""
+
+import math
+from collections.abc import Callable
+from typing import final
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from aleator._core.arrays import Scalar
+from aleator.statistics._crossings import bracketed_roots, extrema, horner, slope
+from aleator.statistics._line_law import LineLaw
+from aleator.statistics._lines import Lines
+from aleator.statistics._moments import root
+from aleator.statistics._statistic import entry_by_entry
+
+# Steps in the search of a quantile: four are the rule.
+_MOST_STEPS = 60
+
+# Where the search ends, in standard deviations; the last step, which also carries the derivative, squares the error.
+_CLOSE = 1e-8
+
+# How many entries times lines are worked on at once, for the memory, and how many in all, for the time.
+_AT_ONCE = 2**14
+_IN_ALL = 2**19
+_FEWEST = 64
+
+
+@final
+class OutputLaw(eqx.Module):
+    """One output along lines.
+
+    - `mean`, `std`: of its expansion;
+    - `series`, `powers`: how it differs from the mean along each line, in orthonormal polynomials and in powers of the
+      line's variable, which goes from -1 to 1;
+    - `edges`: between which it rises or falls along a line;
+    - `weights`: of each line.
+    """
+
+    mean: Float[Array, ""]
+    std: Float[Array, ""]
+    series: Float[Array, "orders directions lines"]
+    powers: Float[Array, "orders directions lines"]
+    edges: Float[Array, "edges directions lines"]
+    weights: Float[Array, " directions"]
+    law: LineLaw
+
+    def below(self, threshold: Scalar) -> Float[Array, ""]:
+        """The probability of less than the mean plus `threshold`."""
+        crossings, rising = self._crossings(threshold)
+        return self._average(self._moments_below(crossings, rising, 1)[..., 0])
+
+    def excess(self, threshold: Scalar) -> Float[Array, ""]:
+        """The expected value of what goes beyond the mean plus `threshold`, taken as zero below it."""
+        below = self._all_below(threshold)
+        orders = jnp.arange(len(below))[:, None, None]
+        above = jnp.where(orders == 0, 1.0, 0.0) - below
+        return self._average(jnp.sum(self.series * above, axis=0) - threshold * above[0])
+
+    def shortfall(self, threshold: Scalar) -> Float[Array, ""]:
+        """The expected value of what is missing to the mean plus `threshold`, taken as zero above it."""
+        below = self._all_below(threshold)
+        return self._average(threshold * below[0] - jnp.sum(self.series * below, axis=0))
+
+    def _all_below(self, threshold: Scalar) -> Float[Array, "orders directions lines"]:
+        # Nothing goes beyond the threshold at the threshold itself: how the crossings move has no part in it.
+        crossings, rising = jax.lax.stop_gradient(self._crossings(threshold))
+        return jnp.moveaxis(self._moments_below(crossings, rising, len(self.series)), -1, 0)
+
+    def quantile(self, level: Scalar) -> Float[Array, ""]:
+        """How far the quantile lies from the mean, by the implicit function theorem."""
+        found = jax.lax.stop_gradient(self)._quantile(jax.lax.stop_gradient(level))
+        probability, density = self._with_density(found)
+        density = jax.lax.stop_gradient(density)
+        regular = density > 0
+        return found - jnp.where(regular, (probability - level) / jnp.where(regular, density, 1.0), 0.0)
+
+    def _quantile(self, level: Scalar) -> Float[Array, ""]:
+        """Newton's method on the normal scale, on which most distribution functions are nearly straight.
+
+        Bisection where a step leaves the bracket; Cantelli's inequality gives the first one.
+        """
+        target = jax.scipy.special.ndtri(level)
+        reach = 1.01 * self.std
+        low, high = -reach * jnp.sqrt((1 - level) / level), reach * jnp.sqrt(level / (1 - level))
+
+        def unfinished(state: tuple) -> Bool[Array, ""]:
+            low, high, _, step, count = state
+            return (jnp.abs(step) > _CLOSE * self.std) & (high > low) & (count < _MOST_STEPS)
+
+        def narrow(state: tuple) -> tuple:
+            low, high, at, _, count = state
+            probability, density = self._with_density(at)
+            low, high = jnp.where(probability < level, at, low), jnp.where(probability < level, high, at)
+            inside = (probability > 0) & (probability < 1)
+            score = jax.scipy.special.ndtri(jnp.where(inside, probability, 0.5))
+            pace = density / jax.scipy.stats.norm.pdf(score)
+            newton = at - (score - target) / jnp.where(pace > 0, pace, 1.0)
+            usable = inside & (pace > 0) & (newton >= low) & (newton <= high)
+            following = jnp.where(usable, newton, (low + high) / 2)
+            return low, high, following, following - at, count + 1
+
+        start = jnp.clip(self.std * target, low, high)
+        return jax.lax.while_loop(unfinished, narrow, (low, high, start, self.std, 0))[2]
+
+    def _with_density(self, threshold: Float[Array, ""]) -> tuple[Float[Array, ""], Float[Array, ""]]:
+        return jax.jvp(self.below, (threshold,), (jnp.ones(()),))
+
+    def density(self, threshold: Float[Array, ""]) -> Float[Array, ""]:
+        """The probability density at the mean plus `threshold`."""
+        return self._with_density(threshold)[1]
+
+    def _crossings(self, threshold: Scalar) -> tuple[Float[Array, "intervals *lines"], Bool[Array, "intervals *lines"]]:
+        """Where each line crosses a threshold between two edges, with derivatives, and whether it rises there."""
+        shifted = self.powers.at[0].add(-threshold)
+        fixed = jax.lax.stop_gradient(shifted)
+        found, rising = bracketed_roots(fixed, self.edges)
+        slopes = slope(fixed, found)
+        regular = (found > self.edges[:-1]) & (found < self.edges[1:]) & (slopes != 0)
+        step = horner(shifted, found) / jnp.where(regular, slopes, 1.0)
+        return jnp.where(regular, found - step, found), rising
+
+    def _moments_below(self, crossings: Array, rising: Array, orders: int) -> Float[Array, "directions lines orders"]:
+        """The partial moments of each line's law over where the output is below the threshold."""
+        at_edges = self.law.partial_moments(self.edges, orders)
+        at_crossings = self.law.partial_moments(crossings, orders)
+        parts = jnp.where(rising[..., None], at_crossings - at_edges[:-1], at_edges[1:] - at_crossings)
+        return jnp.sum(parts, axis=0)
+
+    def _average(self, of_lines: Float[Array, "directions lines"]) -> Float[Array, ""]:
+        return self.weights @ jnp.mean(of_lines, axis=1)
+
+
+def by_lines(
+    of_law: Callable[[OutputLaw], Array], coefficients: Float[Array, "terms *shape"], lines: Lines
+) -> Float[Array, "..."]:
+    """A function of the distribution of each entry.
+
+    A number is taken over all lines that were prepared; of the entries of a path, of which there are many, each over
+    the fewer lines, but at least 64 in each direction.
+    """
+    entries, directions = math.prod(coefficients.shape[1:]), len(lines.preference)
+    share = max(_IN_ALL // (max(entries, 1) * directions), _FEWEST)
+    count = min(lines.count, 2 ** int(math.log2(share)))
+    together = max(1, _AT_ONCE // (count * directions))
+    return entry_by_entry(lambda terms: of_law(output_law(terms, lines, count)), coefficients, together)
+
+
+def output_law(coefficients: Float[Array, " terms"], lines: Lines, count: int) -> OutputLaw:
+    """The distribution of an output, by up to `count` lines in each direction."""
+    series = lines.polynomials(coefficients.at[0].set(0.0), count)
+    powers = jnp.einsum("vkm,kvn->mvn", lines.law.monomials, series)
+    return OutputLaw(
+        mean=coefficients[0],
+        std=root(jnp.sum(coefficients[1:] ** 2)),
+        series=series,
+        powers=powers,
+        edges=extrema(jax.lax.stop_gradient(powers)),
+        weights=lines.weights(coefficients.at[0].set(0.0)),
+        law=lines.law,
+    )

@@ -1,0 +1,133 @@
+"""Sobol indices: how much of a variance comes from which inputs (Sudret, 2008, Global sensitivity analysis using
+polynomial chaos expansions).
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from difflib import get_close_matches
+from typing import NoReturn, final
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from aleator._core.errors import ProblemError
+from aleator.collocation import Basis
+from aleator.statistics._statistic import AbstractStatistic
+
+
+@final
+class Sobol(AbstractStatistic):
+    """The share of the variance that is due to exactly these germ variables acting together, from 0 to 1.
+
+    One name gives the first-order index, two the index of a pair, without the parts of each alone. Zero where the
+    output does not vary. Names are those of the germ, `basis.names`.
+    """
+
+    variables: tuple[str, ...] = eqx.field(static=True)
+
+    def __init__(self, variables: str | tuple[str, ...]):
+        names = (variables,) if isinstance(variables, str) else tuple(variables)
+        if not names or len(set(names)) < len(names) or not all(isinstance(name, str) for name in names):
+            raise ProblemError(f"Sobol: expected one name or several different ones; received {variables!r}.")
+        self.variables = names
+
+    @property
+    def preparation(self) -> Callable[[Basis], Float[Array, " terms"]]:
+        """See `AbstractStatistic.preparation`."""
+        return ExactlyOf(self.variables)
+
+    def of(self, coefficients: Float[Array, "terms *shape"], constants: Float[Array, " terms"]) -> Float[Array, "*shape"]:
+        """See `AbstractStatistic.of`."""
+        return share(coefficients, constants)
+
+    def of_sample(self, values: Float[Array, "samples *shape"]) -> NoReturn:
+        """Not to be had from one sample."""
+        _refuse_sample(values)
+
+    def text(self, inside: str) -> str:
+        """See `AbstractStatistic.text`."""
+        return f"S({', '.join(self.variables)})[{inside}]"
+
+
+@final
+class TotalSobol(AbstractStatistic):
+    """The share of the variance to which a germ variable contributes, alone or together with others, from 0 to 1."""
+
+    variable: str = eqx.field(static=True)
+
+    def __init__(self, variable: str):
+        if not isinstance(variable, str):
+            raise ProblemError(f"TotalSobol: expected the name of one variable; received {variable!r}.")
+        self.variable = variable
+
+    @property
+    def preparation(self) -> Callable[[Basis], Float[Array, " terms"]]:
+        """See `AbstractStatistic.preparation`."""
+        return With(self.variable)
+
+    def of(self, coefficients: Float[Array, "terms *shape"], constants: Float[Array, " terms"]) -> Float[Array, "*shape"]:
+        """See `AbstractStatistic.of`."""
+        return share(coefficients, constants)
+
+    def of_sample(self, values: Float[Array, "samples *shape"]) -> NoReturn:
+        """Not to be had from one sample."""
+        _refuse_sample(values)
+
+    def text(self, inside: str) -> str:
+        """See `AbstractStatistic.text`."""
+        return f"ST({self.variable})[{inside}]"
+
+
+@final
+@dataclass(frozen=True)
+class ExactlyOf:
+    """Preparation: one for each term that depends on all of these variables and no others, else zero."""
+
+    variables: tuple[str, ...]
+
+    def __call__(self, basis: Basis) -> Float[Array, " terms"]:
+        """The selection of a basis. Raises `ProblemError` for a name that it does not have."""
+        if not basis.variables:
+            return jnp.zeros(basis.terms)  # nothing is uncertain: no variable has a share
+        chosen = np.zeros(basis.variables, bool)
+        chosen[[_place(basis, name) for name in self.variables]] = True
+        return jnp.asarray(np.all((basis.indices > 0) == chosen, axis=1), dtype=float)
+
+
+@final
+@dataclass(frozen=True)
+class With:
+    """Preparation: one for each term that depends on this variable, else zero."""
+
+    variable: str
+
+    def __call__(self, basis: Basis) -> Float[Array, " terms"]:
+        """The selection of a basis. Raises `ProblemError` for a name that it does not have."""
+        if not basis.variables:
+            return jnp.zeros(basis.terms)
+        return jnp.asarray(basis.indices[:, _place(basis, self.variable)] > 0, dtype=float)
+
+
+def share(coefficients: Float[Array, "terms *shape"], selected: Float[Array, " terms"]) -> Float[Array, "*shape"]:
+    """The part of the variance in the selected terms; zero, with derivative zero, where there is no variance."""
+    squares = coefficients[1:] ** 2
+    total = jnp.sum(squares, axis=0)
+    varies = total > 0
+    return jnp.where(varies, jnp.tensordot(selected[1:], squares, axes=1) / jnp.where(varies, total, 1.0), 0.0)
+
+
+def _place(basis: Basis, name: str) -> int:
+    if name in basis.names:
+        return basis.names.index(name)
+    close = get_close_matches(name, basis.names)
+    hint = f"Did you mean {' or '.join(map(repr, close))}?" if close else f"Expected one of {list(basis.names)}."
+    raise ProblemError(f"Sobol index: there is no germ variable '{name}'. {hint}")
+
+
+def _refuse_sample(values: Float[Array, "samples *shape"]) -> NoReturn:
+    raise ProblemError(
+        f"A Sobol index cannot be estimated from one sample of an output (here {len(values)} values), which does not "
+        "say where they come from: take it from an expansion, or by the pick-and-freeze estimate of the references."
+    )

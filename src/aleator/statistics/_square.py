@@ -1,0 +1,104 @@
+"""The square of an expansion, exactly: products of two basis polynomials as sums of basis polynomials.
+
+The univariate products `p_i p_j = sum_k t[i, j, k] p_k` end at the degree `k = i + j`, and their coefficients come from
+Gauss quadrature. Those of multivariate products are products of them, of which few are not zero.
+"""
+
+from typing import final
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from aleator._core.errors import ProblemError
+from aleator.collocation import Basis
+from aleator.uncertainty import AbstractGerm
+
+# Beyond this many products the constants take gigabytes and an evaluation more than a second.
+_MOST_PRODUCTS = 20_000_000
+
+# Triple products below this part of the largest are zero but for rounding.
+_ROUNDING = 1e-13
+
+
+@final
+class Square(eqx.Module):
+    """Which pairs of terms contribute how much to which term of the square: `square[k] += value * c[i] * c[j]`.
+
+    - `first`, `second`, `target`: `i <= j` and `k`, sorted by `k`. The terms of the square begin with those of the
+      expansion itself, in their order; `values` of pairs `i < j` hold both orders;
+    - `terms`: the number of terms of the square.
+    """
+
+    first: Int[Array, " products"]
+    second: Int[Array, " products"]
+    target: Int[Array, " products"]
+    values: Float[Array, " products"]
+    terms: int = eqx.field(static=True)
+
+    def of(self, coefficients: Float[Array, " terms"]) -> Float[Array, " square_terms"]:
+        """The coefficients of the square of an expansion."""
+        products = self.values * coefficients[self.first] * coefficients[self.second]
+        return jax.ops.segment_sum(products, self.target, self.terms, indices_are_sorted=True)
+
+
+def square(basis: Basis) -> Square:
+    """Preparation: the square of an expansion in this basis.
+
+    Raises `ProblemError` if it has more products than the memory should hold.
+    """
+    first, second = np.triu_indices(basis.terms)
+    values = np.where(first == second, 1.0, 2.0)
+    # Which term of the square a product belongs to, as far as the variables so far tell it apart.
+    target = np.zeros(first.size, dtype=np.int64)
+    for degrees, degree, germ in zip(basis.indices.T, basis.degrees, basis.germs.values(), strict=True):
+        factors = _triple_products(germ, degree)
+        pair, power = _nonzero(factors, degrees[first], degrees[second])
+        if pair.size > _MOST_PRODUCTS:
+            raise ProblemError(
+                f"Skewness and kurtosis: the square of an expansion of {basis.terms} terms in {basis.variables} "
+                f"variables has more than {_MOST_PRODUCTS} products. Use a lower order or a sparser index set, or take "
+                "quantiles, which need no square."
+            )
+        first, second = first[pair], second[pair]
+        values = values[pair] * factors[degrees[first], degrees[second], power]
+        _, target = np.unique(target[pair] * (2 * degree + 1) + power, return_inverse=True)
+    return _sorted(first, second, target, values)
+
+
+def _triple_products(germ: AbstractGerm, degree: int) -> Float[np.ndarray, "degrees degrees doubled"]:
+    """The expected values of `p_i p_j p_k`, for `i` and `j` up to the degree and `k` up to its double."""
+    nodes, weights = germ.gauss(2 * degree + 1)
+    polynomials = germ.polynomials(2 * degree, nodes)
+    lower = polynomials[:, : degree + 1]
+    triples = np.einsum("n,ni,nj,nk->ijk", weights, lower, lower, polynomials)
+    i, j, k = np.indices(triples.shape)
+    possible = (k <= i + j) & (k >= abs(i - j))
+    return np.where(possible & (np.abs(triples) > _ROUNDING * np.abs(triples).max()), triples, 0.0)
+
+
+def _nonzero(
+    factors: Float[np.ndarray, "degrees degrees doubled"], i: Int[np.ndarray, " n"], j: Int[np.ndarray, " n"]
+) -> tuple[Int[np.ndarray, " m"], Int[np.ndarray, " m"]]:
+    """For pairs of degrees `i[n]`, `j[n]` all powers `k` with a factor: the pair's number `n` and `k` of each."""
+    powers = np.nonzero(factors)[2]
+    counts = np.count_nonzero(factors, axis=2)
+    starts = np.cumsum(counts.ravel()).reshape(counts.shape) - counts
+    count = counts[i, j]
+    pair = np.repeat(np.arange(i.size), count)
+    within = np.arange(pair.size) - np.repeat(np.cumsum(count) - count, count)
+    return pair, powers[starts[i, j][pair] + within]
+
+
+def _sorted(first: np.ndarray, second: np.ndarray, target: np.ndarray, values: np.ndarray) -> Square:
+    """Number the terms of the square: first those of the expansion, which are the products with the constant."""
+    count = int(target.max()) + 1
+    own = target[first == 0][np.argsort(second[first == 0])]
+    number = np.empty(count, dtype=np.int64)
+    number[np.concatenate([own, np.setdiff1d(np.arange(count), own)])] = np.arange(count)
+    target = number[target]
+    order = np.argsort(target, kind="stable")
+    columns = (jnp.asarray(column[order]) for column in (first, second, target, values))
+    return Square(*columns, terms=count)

@@ -1,0 +1,100 @@
+"""`AbstractStatistic`: a number that sums up how an uncertain output is distributed."""
+
+import abc
+from collections.abc import Callable, Iterable
+from typing import Any, ClassVar, TypeAlias, final
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from aleator._core.arrays import Pytree
+from aleator.collocation import Basis
+
+Preparation: TypeAlias = Callable[[Basis], Pytree]
+"""What a statistic needs of a basis: a hashable function from the basis to constant arrays. Equal ones are shared."""
+
+
+class AbstractStatistic(eqx.Module):
+    """A statistic of an output: from an expansion's coefficients, or estimated from a sample.
+
+    `symbol` is how it prints. A statistic that needs more of the basis than orthonormality (a sample of the
+    polynomials, their products) names a `preparation`, which is done once, before anything is compiled.
+    """
+
+    symbol: ClassVar[str]
+
+    @property
+    def preparation(self) -> Preparation | None:
+        """What it needs of the basis; None if nothing."""
+        return None
+
+    @abc.abstractmethod
+    def of(self, coefficients: Float[Array, "terms *shape"], constants: Pytree) -> Float[Array, "*shape"]:
+        """The statistic of an expansion in an orthonormal basis; `constants` are what its preparation gave."""
+
+    @abc.abstractmethod
+    def of_sample(self, values: Float[Array, "samples *shape"]) -> Float[Array, "*shape"]:
+        """The same statistic estimated from independent samples, without an expansion."""
+
+    @property
+    def speaks_of_one_system(self) -> bool:
+        """Whether a bound on it is a bound on each single system, which it then represents by its value.
+
+        A mean or a quantile does; a spread does not, and is zero for a single system.
+        """
+        return False
+
+    def text(self, inside: str) -> str:
+        """As mathematics: `μ[x]`."""
+        return f"{self.symbol}[{inside}]"
+
+
+def entry_by_entry(
+    one: Callable[[Float[Array, " terms"]], Array], coefficients: Float[Array, "terms *shape"], together: int
+) -> Float[Array, "..."]:
+    """A function of one output's coefficients, for each entry of outputs of any shape; `together` as in `in_blocks`."""
+    return in_blocks(jax.vmap(one), coefficients, together)
+
+
+def in_blocks(
+    some: Callable[[Float[Array, "entries terms"]], Array], coefficients: Float[Array, "terms *shape"], together: int
+) -> Float[Array, "..."]:
+    """A function of several outputs' coefficients, shape (entries, terms), for the entries of outputs of any shape.
+
+    It is given `together` entries at a time, for what it needs of memory.
+    """
+    shape = coefficients.shape[1:]
+    entries = jnp.moveaxis(coefficients.reshape(len(coefficients), -1), 1, 0)
+    count = len(entries)
+    if count <= together:
+        values = some(entries)
+    else:
+        blocks = -(-count // together)
+        # The last block is filled up with copies of the last entry.
+        filled = jnp.pad(entries, ((0, blocks * together - count), (0, 0)), mode="edge")
+        values = jax.lax.map(some, filled.reshape(blocks, together, -1))
+        values = values.reshape(-1, *values.shape[2:])[:count]
+    return values.reshape(*shape, *values.shape[1:])
+
+
+@final
+class Constants(eqx.Module):
+    """What some statistics need of a basis: constant arrays, prepared once."""
+
+    preparations: tuple[Any, ...] = eqx.field(static=True)
+    values: tuple[Pytree, ...]
+
+    def of(self, statistic: AbstractStatistic) -> Pytree:
+        """The constants of one statistic."""
+        if statistic.preparation is None:
+            return ()
+        return self.values[self.preparations.index(statistic.preparation)]
+
+
+def prepare(statistics: Iterable[AbstractStatistic], basis: Basis) -> Constants:
+    """The constants of all statistics, each preparation done once."""
+    needed = (statistic.preparation for statistic in statistics)
+    preparations = tuple(dict.fromkeys(one for one in needed if one is not None))
+    return Constants(preparations, tuple(one(basis) for one in preparations))

@@ -1,0 +1,155 @@
+"""The clutch study as one page: the verdict, the methods against the truth, the tolerances, their allocation."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+
+from aleator.report import (
+    HOW_TO_READ,
+    Block,
+    Code,
+    Drawing,
+    Page,
+    Section,
+    Table,
+    Text,
+    Trial,
+    bars_figure,
+    certificate_table,
+    density_figure,
+    effort_figure,
+    footer,
+    front_figure,
+    words,
+)
+from aleator.report import write_page as write_report_page
+from aleator.studies._clutch_facts import (
+    allocation_table,
+    analysis_table,
+    contributions_table,
+    methods_table,
+    tolerances_of,
+)
+from aleator.studies._clutch_run import STAGES, ClutchResults
+from aleator.studies._clutch_verdict import verdict
+from aleator.studies.clutch import DEVIATION, NAMES, TOLERANCES, clutch
+
+GLOSSARY = (
+    ("χ", "Pressure angle between roller and ring, degrees. The clutch holds and releases between 6° and 8°."),
+    ("Tolerance T", "A dimension is normal about its nominal value with standard deviation T/3."),
+    ("DLM", "Direct linearisation: spreads through the sensitivities at the nominal dimensions."),
+    ("gPC", "Generalized polynomial chaos: the angle as a polynomial of the dimensions, by least squares."),
+    ("Cp, Cpk", "Width of the limits over 6σ; distance of mean and nearer limit over 3σ. 1.33 is usually asked."),
+    ("ppm", "Rejects in a million assemblies."),
+    ("Worst case", "All dimensions within their tolerances at once, in the worst combination."),
+    ("Σ 1/T", "Cost of manufacture: halving a tolerance doubles its cost."),
+    ("Price", "How much cheaper the tolerances become for each unit by which the limit on rejects is relaxed."),
+)
+
+
+def write_page(results: ClutchResults, path: str | Path) -> Path:
+    """Write the study's page from whatever it has finished, and return its path.
+
+    Raises `ProblemError` if the file cannot be written.
+    """
+    return write_report_page(clutch_page(results), path)
+
+
+def clutch_page(results: ClutchResults) -> Page:
+    """The page as data; parts that were not reached are left out and named."""
+    sections = [
+        Section("Table 7.2", [*_unfinished(results), *_methods(results)]),
+        Section("The given tolerances", list(_analyses(results))),
+        Section("Allocation", list(_allocation(results))),
+        Section("Certificate", list(_certificate(results))),
+        Section("How to read this", [Text(HOW_TO_READ), Table("Glossary", ["Term", "Meaning"], GLOSSARY)]),
+    ]
+    return Page(
+        title="One-way clutch: tolerance analysis and allocation",
+        subtitle="Pressure angle of a roller clutch from its vector loop; dissertation, section 7.2",
+        verdict=verdict(results),
+        sections=[one for one in sections if one.blocks],
+        footer=footer(),
+    )
+
+
+def _unfinished(results: ClutchResults) -> list[Block]:
+    done = {
+        "methods": any(one.name == "Monte Carlo" for one in results.methods),
+        "tolerances": len(results.analyses) == 2,
+        "allocation": results.evidence is not None,
+        "front": results.front is not None,
+    }
+    missing = [name for name in STAGES if not done[name]]
+    return [Text([f"Not reached: {words(missing)}."], lead="The study was stopped early.")] if missing else []
+
+
+def _methods(results: ClutchResults) -> Iterator[Block]:
+    if not results.methods:
+        return
+    yield methods_table(results)
+    trials = _trials(results)
+    figures = [effort_figure(trials, error="Error of 3σ", unit="°", by=by) for by in ("calls", "seconds")]
+    caption = (
+        "Each order of the expansion gains about a digit; sampling gains one for a hundred times the effort. The error"
+        " of a sampled value is its standard error."
+    )
+    yield Drawing(figures, "Error over effort", caption)
+
+
+def _trials(results: ClutchResults) -> dict[str, list[Trial]]:
+    """The methods by family, and plain Monte Carlo at smaller numbers of samples, by its law of the root."""
+    names = ("gPC", "DLM and second order", "quasi-Monte Carlo", "Monte Carlo")
+    families: dict[str, list[Trial]] = {name: [] for name in names}
+    for one in results.methods:
+        family = "gPC" if one.name.startswith("gPC") else one.name
+        family = family if family in families else "DLM and second order"
+        error = one.standard_error or abs(one.variation - results.exact)
+        families[family].append(Trial(one.name, one.points, one.seconds, error))
+    for one in families["Monte Carlo"][:1]:
+        scaled = [
+            Trial(one.name, one.calls // part, one.seconds / part, one.error * float(np.sqrt(part)))
+            for part in (10_000, 100)
+        ]
+        families["Monte Carlo"] = [*scaled, one]
+    return {name: trials for name, trials in families.items() if trials}
+
+
+def _analyses(results: ClutchResults) -> Iterator[Block]:
+    if not results.analyses:
+        return
+    yield contributions_table(results)
+    yield analysis_table(results)
+    one = results.analyses["deviation"]
+    angles = np.linspace(one.mean - 5 * one.std, one.mean + 5 * one.std, 301)
+    normal = np.exp(-0.5 * ((angles - one.mean) / one.std) ** 2) / (one.std * np.sqrt(2 * np.pi))
+    densities = {"expansion": np.asarray(one.expanded.pdf(jnp.asarray(angles))), "normal of the same μ and σ": normal}
+    caption = "The angle is skewed: its lower tail is longer, so the lower limit rejects more than the upper one."
+    figure = density_figure(angles, densities, x="Pressure angle χ", unit="°", limits=DEVIATION)
+    yield Drawing([figure], "Distribution of the angle", caption)
+    yield Code("The assembly", str(clutch()))
+
+
+def _allocation(results: ClutchResults) -> Iterator[Block]:
+    if results.allocation is None:
+        return
+    yield allocation_table(results)
+    if results.allocation.ok:
+        chosen = tolerances_of(results.allocation)
+        bars = {
+            "given": {NAMES[name]: value for name, value in TOLERANCES.items()},
+            "cheapest": {NAMES[name]: value for name, value in chosen.items()},
+        }
+        yield Drawing([bars_figure(bars, y="Tolerance ±T", unit="mm")], "Tolerances before and after")
+    if results.front is not None:
+        figure = front_figure({"cheapest": results.front}, x="Rejects allowed", y="Cost Σ 1/T", y_unit="1/mm")
+        figure.update_xaxes(type="log", exponentformat="power", title="Rejects allowed (share)")
+        yield Drawing([figure], "What fewer rejects cost", "Each point is an optimum; hover for its tolerances.")
+    yield Code("The problem as mathematics", str(results.allocation.problem))
+
+
+def _certificate(results: ClutchResults) -> Iterator[Block]:
+    if results.allocation is not None:
+        yield certificate_table({"cheapest": results.allocation})

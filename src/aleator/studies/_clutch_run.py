@@ -1,0 +1,178 @@
+"""The clutch study, run: the methods of table 7.2 and more, tolerance analysis, allocation and its front."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from itertools import product
+from typing import Any, NamedTuple, final
+
+import numpy as np
+
+import aleator as al
+from aleator._core.progress import Progress, silent
+from aleator.studies.clutch import (
+    DEVIATION,
+    LIMITS,
+    MEANS,
+    TOLERANCES,
+    allocation_problem,
+    clutch,
+    pressure_angle,
+)
+from aleator.uncertainty import HermiteGerm
+
+TABLE_ORDERS = (2, 3, 5)
+ORDERS = (1, 2, 3, 4, 5, 6, 7)
+EXACT_NODES = 24
+REPEATS = 5
+
+
+@final
+@dataclass(frozen=True)
+class Effort:
+    """How much is computed: Monte Carlo samples of table 7.2, samples of the evidence, and points on the front."""
+
+    samples: int = 2_500_000
+    quasi_samples: int = 2**16
+    evidence_samples: int = 1_000_000
+    front_points: int = 11
+
+
+QUICK = Effort(samples=250_000, quasi_samples=2**13, evidence_samples=100_000, front_points=5)
+
+
+class Method(NamedTuple):
+    """One row of table 7.2.
+
+    - `variation`: three standard deviations of the pressure angle, degrees; `standard_error`: of it, if sampled;
+    - `points`: how often the assembly was solved; `seconds`: wall time on a warm process.
+    """
+
+    name: str
+    variation: float
+    standard_error: float | None
+    points: int
+    seconds: float
+
+
+@final
+@dataclass
+class ClutchResults:
+    """Everything the study has finished so far; what has not been reached is empty.
+
+    - `exact`: three standard deviations by Gauss quadrature of the closed form, degrees;
+    - `methods`: the rows of table 7.2 and of its extension;
+    - `analyses`: the tolerance analysis for each specification, by its name;
+    - `given`: the rejects of the given tolerances under the second specification, a share;
+    - `allocation`, `evidence`: the cheapest tolerances with no more rejects, and a count of these;
+    - `front`: the cost over the rejects allowed.
+    """
+
+    effort: Effort
+    exact: float = np.nan
+    methods: list[Method] = field(default_factory=list)
+    analyses: dict[str, al.ToleranceAnalysis] = field(default_factory=dict)
+    allocation: al.Solution | None = None
+    evidence: al.Evidence | None = None
+    front: al.Front | None = None
+
+    @property
+    def given(self) -> float:
+        """The share of rejects that the given tolerances leave under the second specification."""
+        return self.analyses["deviation"].rejects / 1e6
+
+
+class Stage(NamedTuple):
+    """A part of the study, and roughly which share of the whole time it takes."""
+
+    work: Callable[[ClutchResults, Progress], None]
+    share: float
+
+
+def exact_variation() -> float:
+    """Three standard deviations of the pressure angle, degrees: tensor Gauss quadrature of the closed form.
+
+    It shares nothing with the methods that it judges: neither the vector loop nor Newton's method nor an expansion.
+    """
+    nodes, weights = HermiteGerm().gauss(EXACT_NODES)
+    columns = [MEANS[name] + TOLERANCES[name] / 3 * nodes for name in MEANS]
+    angles = pressure_angle(*np.array(list(product(*columns))).T)
+    weight = np.prod(np.array(list(product(weights, repeat=len(MEANS)))), axis=1)
+    return float(3 * np.sqrt(weight @ (angles - weight @ angles) ** 2))
+
+
+def compare_methods(results: ClutchResults, progress: Progress) -> None:
+    """Table 7.2 and its extension. The expansions are timed warm, as is Monte Carlo: each after a first small run."""
+    results.exact = exact_variation()
+    model, effort = clutch(), results.effort
+    progress("linearisation", 0, 4)
+    linear, seconds = _timed(lambda: al.linearise(_angle, model))
+    results.methods.append(Method("DLM", 3 * float(linear.std), None, 1, seconds))
+    second, seconds = _timed(lambda: al.second_order(_angle, model))
+    results.methods.append(Method("second order", 3 * float(second.std), None, 1, seconds))
+    progress("expansions", 1, 4)
+    for order in ORDERS:
+        expanded, seconds = _timed(lambda order=order: al.expand(_angle, model, al.Expansion(order)))
+        count = len(expanded.collocation.points)
+        results.methods.append(Method(f"gPC, order {order}", 3 * float(expanded.std), None, count, seconds))
+    progress("quasi-Monte Carlo", 2, 4)
+    samples = effort.quasi_samples
+    drawn, seconds = _timed(lambda: al.quasi_monte_carlo(_angle, model, samples), repeats=1)
+    results.methods.append(_sampled("quasi-Monte Carlo", drawn, samples, seconds))
+    progress("Monte Carlo", 3, 4)
+    samples = effort.samples
+    drawn, seconds = _timed(lambda: al.monte_carlo(_angle, model, samples), repeats=1)
+    results.methods.append(_sampled("Monte Carlo", drawn, samples, seconds))
+
+
+def _angle(model: al.AlgebraicSystem) -> Any:
+    return al.simulate(model)["chi"][0]
+
+
+def _sampled(name: str, drawn: al.RandomSample, samples: int, seconds: float) -> Method:
+    std = drawn.std
+    return Method(name, 3 * float(std.value), 3 * float(std.standard_error), samples, seconds)
+
+
+def _timed(work: Callable[[], Any], repeats: int = REPEATS) -> tuple[Any, float]:
+    """What some work gives, and its shortest time, s, after a first run that compiles where that is repeated."""
+    result, times = None, []
+    for _ in range(repeats + (repeats > 1)):
+        start = time.perf_counter()
+        result = work()
+        times.append(time.perf_counter() - start)
+    return result, min(times)
+
+
+def analyse_tolerances(results: ClutchResults, progress: Progress) -> None:
+    """Contributions, capability and rejects under both specifications."""
+    del progress
+    for name, (lower, upper) in {"limits": LIMITS, "deviation": DEVIATION}.items():
+        results.analyses[name] = al.tolerance_analysis(clutch(), "chi", lower=lower, upper=upper)
+
+
+def allocate(results: ClutchResults, progress: Progress) -> None:
+    """The cheapest tolerances that leave no more rejects than the given ones, and a count of their rejects."""
+    results.allocation = al.solve(allocation_problem(results.given))
+    results.evidence = al.validate(results.allocation, results.effort.evidence_samples, seed=1, progress=progress)
+
+
+def sweep_rejects(results: ClutchResults, progress: Progress) -> None:
+    """The least cost over the rejects allowed."""
+    values = np.geomspace(0.05, 1e-6, results.effort.front_points)
+    results.front = al.pareto(allocation_problem(), "rejects", values, progress=progress)
+    if results.front.interrupted:
+        raise KeyboardInterrupt
+
+
+STAGES: dict[str, Stage] = {
+    "methods": Stage(compare_methods, 0.4),
+    "tolerances": Stage(analyse_tolerances, 0.1),
+    "allocation": Stage(allocate, 0.2),
+    "front": Stage(sweep_rejects, 0.3),
+}
+
+
+def run_stage(name: str, results: ClutchResults, progress: Progress = silent) -> None:
+    """Run one stage into `results`."""
+    STAGES[name].work(results, progress)

@@ -1,0 +1,56 @@
+"""The clutch study as the command line runs it."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import final
+
+from aleator._core.progress import Progress
+from aleator.report import Table, save
+from aleator.studies._clutch_facts import allocation_table, analysis_table, contributions_table, methods_table
+from aleator.studies._clutch_page import write_page
+from aleator.studies._clutch_run import QUICK, STAGES, ClutchResults, Effort, run_stage
+from aleator.studies._clutch_verdict import verdict
+from aleator.studies._study import AbstractStudy
+
+
+@final
+class ClutchStudy(AbstractStudy):
+    """Table 7.2, the tolerance analysis and the allocation of the one-way clutch."""
+
+    def __init__(self, effort: Effort):
+        self._results = ClutchResults(effort)
+
+    @property
+    def stages(self) -> Mapping[str, float]:
+        """See `AbstractStudy.stages`."""
+        return {name: stage.share for name, stage in STAGES.items()}
+
+    def run(self, stage: str, progress: Progress) -> None:
+        """See `AbstractStudy.run`."""
+        run_stage(stage, self._results, progress)
+
+    def save(self, folder: Path) -> list[Path]:
+        """See `AbstractStudy.save`."""
+        done = self._results
+        return list(save(folder, allocation=done.allocation, evidence=done.evidence, front=done.front))
+
+    def write_page(self, folder: Path) -> Path:
+        """See `AbstractStudy.write_page`."""
+        return write_page(self._results, folder / "report.html")
+
+    def tables(self) -> list[Table]:
+        """See `AbstractStudy.tables`."""
+        done = self._results
+        shown = [methods_table(done)] if done.methods else []
+        shown += [contributions_table(done), analysis_table(done)] if done.analyses else []
+        return [*shown, allocation_table(done)] if done.allocation is not None else shown
+
+    def headline(self) -> str:
+        """See `AbstractStudy.headline`."""
+        said = verdict(self._results)
+        return f"{said.word}: {said.headline}"
+
+
+def make(quick: bool) -> ClutchStudy:
+    """The study, at full or at quick effort."""
+    return ClutchStudy(QUICK if quick else Effort())

@@ -1,0 +1,78 @@
+"""Which tolerances to put on the drawing, and how far to trust the numbers: the first screen of the clutch's page."""
+
+from collections.abc import Iterator
+
+from aleator.report import Card, Verdict, count, number, percent, words
+from aleator.studies._clutch_facts import (
+    REFERENCE_ORDER,
+    counted,
+    given_cost,
+    method,
+    rejects_of,
+    times_cheaper,
+    tolerances_of,
+)
+from aleator.studies._clutch_run import ClutchResults
+from aleator.studies.clutch import NAMES, TOLERANCES
+
+SURPRISE = 4.0
+"""Standard errors between a count and its prediction that are no accident."""
+
+
+def verdict(results: ClutchResults) -> Verdict:
+    """What to build and why, as far as the study has come."""
+    sentences, cards = list(_sentences(results)), list(_cards(results))
+    solution = results.allocation
+    if solution is None or results.evidence is None:
+        return Verdict("caution", "Incomplete", "The study was stopped before its allocation.", sentences, cards)
+    if not solution.ok:
+        return Verdict("bad", "Not solved", f"No allocation: {solution.why()}", sentences, cards)
+    share, predicted = counted(results.evidence), rejects_of(solution)
+    if abs(share.share - predicted) > SURPRISE * share.standard_error:
+        said = f"Of fresh assemblies {percent(share.share)} are rejects; the expansion says {percent(predicted)}."
+        return Verdict("bad", "Not confirmed", said, sentences, cards)
+    return Verdict("good", "Build", _headline(results), sentences, cards)
+
+
+def _headline(results: ClutchResults) -> str:
+    solution = results.allocation
+    assert solution is not None
+    chosen = tolerances_of(solution)
+    wider = [NAMES[name] for name in chosen if chosen[name] > TOLERANCES[name]]
+    tighter = [NAMES[name] for name in chosen if chosen[name] < TOLERANCES[name]]
+    return (
+        f"Tighten the {words(tighter)}, widen the {words(wider)}: as few rejects as before for"
+        f" {percent(1 - solution.objective / given_cost())} less."
+    )
+
+
+def _sentences(results: ClutchResults) -> Iterator[str]:
+    if results.analyses:
+        one = results.analyses["limits"]
+        yield (
+            f"With the given tolerances the pressure angle is {number(one.mean, 5)}° ± {number(3 * one.std, 4)}° (3σ):"
+            f" within 6° to 8° with Cpk {number(one.cpk, 3)}; within nominal ± 0.6° only for"
+            f" {percent(1 - results.given)} of the assemblies."
+        )
+    if results.allocation is not None and results.allocation.ok and results.evidence is not None:
+        share = counted(results.evidence)
+        yield (
+            f"The cheapest tolerances were checked on {count(results.evidence.samples)} fresh assemblies:"
+            f" {percent(share.share)} are rejects, where {percent(rejects_of(results.allocation))} was predicted."
+        )
+    if method(results, "Monte Carlo") and method(results, REFERENCE_ORDER):
+        yield (
+            f"An expansion of order 3 on 60 assemblies is {number(times_cheaper(results), 2)} times cheaper than plain"
+            " Monte Carlo of the same error (its measured speed and standard error, scaled up)."
+        )
+
+
+def _cards(results: ClutchResults) -> Iterator[Card]:
+    if expanded := method(results, REFERENCE_ORDER):
+        error = abs(expanded.variation - results.exact)
+        yield Card("3σ of the angle, order 3", f"{expanded.variation:.5f}°", f"error {number(error, 2, '°')}")
+    if results.analyses:
+        yield Card("Rejects, given tolerances", percent(results.given), "specification nominal ± 0.6°")
+    if results.allocation is not None and results.allocation.ok:
+        cost = results.allocation.objective
+        yield Card("Cost Σ 1/T", number(cost, 4, "1/mm"), f"instead of {number(given_cost(), 4, '1/mm')}")

@@ -1,0 +1,105 @@
+"""The basis and the collocation of a problem: built once for all problems that they are the same for."""
+
+from collections.abc import Hashable
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import NamedTuple, final
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from aleator._core.arrays import numbers_to_arrays
+from aleator._core.compilation import Compiled
+from aleator.collocation import Adaptive, Basis, Collocation, Discretisation, Expansion, Sparse, collocate
+from aleator.design import Problem, functionals_of, responses, statistics_in
+from aleator.statistics import Constants, Preparation
+from aleator.uncertainty import AbstractGerm
+
+# Enough for the problems of a session; a front or a calibration needs one.
+_KEPT = 16
+
+# Points that a model is solved at together where its outputs choose the terms: one compiled size serves all.
+_TOGETHER = 64
+
+
+class Discretised(NamedTuple):
+    """What a problem is evaluated with.
+
+    - `basis`, `collocation`: see `collocate`; `constants`: what the problem's statistics need of the basis.
+    """
+
+    basis: Basis
+    collocation: Collocation
+    constants: Constants
+
+
+def discretised(problem: Problem) -> Discretised:
+    """Basis, collocation and constants for a problem: those of an earlier one where nothing they depend on differs.
+
+    An expansion that chooses its terms by the model's outputs is asked once, at the initial decisions. Bounds and
+    margins are no part of that, so that it is the same all along a front and a calibration.
+    """
+    germs, expansion = tuple(problem.survey.germs.items()), problem.expansion
+    chooses = isinstance(expansion.index_set, Adaptive) or isinstance(expansion.fit, Sparse)
+    needed = (one.kind.preparation for one in statistics_in(problem.expressions))
+    preparations = tuple(dict.fromkeys(one for one in needed if one is not None))
+    return _discretised(germs, expansion, preparations, _Outputs.of(problem) if chooses and germs else None)
+
+
+Germs = tuple[tuple[str, AbstractGerm], ...]
+
+
+@lru_cache(maxsize=_KEPT)
+def _discretised(
+    germs: Germs, expansion: Expansion, preparations: tuple[Preparation, ...], outputs: "_Outputs | None"
+) -> Discretised:
+    basis, collocation = _collocated(germs, expansion, outputs)
+    return Discretised(basis, collocation, Constants(preparations, tuple(one(basis) for one in preparations)))
+
+
+@lru_cache(maxsize=_KEPT)
+def _collocated(germs: Germs, expansion: Expansion, outputs: "_Outputs | None") -> Discretisation:
+    return collocate(dict(germs), expansion, outputs)
+
+
+@final
+@dataclass(frozen=True)
+class _Outputs:
+    """A problem's functionals at germ points and the initial decisions. Equal where they give the same numbers."""
+
+    key: Hashable
+    problem: Problem = field(compare=False)
+
+    @classmethod
+    def of(cls, problem: Problem) -> "_Outputs":
+        """Those of a problem, told apart by its equations, its numbers and its functionals, not by its bounds."""
+        parts = numbers_to_arrays((problem.model, problem.grid, problem.integrator))
+        numbers, rest = eqx.partition(parts, eqx.is_array)
+        leaves, structure = jax.tree.flatten(numbers)
+        static, static_structure = jax.tree.flatten(rest)
+        data = tuple((one.shape, np.asarray(one).tobytes()) for one in leaves)
+        functionals = functionals_of(problem.expressions)
+        return cls((problem.physics, functionals, structure, static_structure, tuple(static), data), problem)
+
+    def __call__(self, points: Float[np.ndarray, "points variables"]) -> dict[str, Float[np.ndarray, "points ..."]]:
+        """The functionals by their texts, some points at a time."""
+        traced, start = numbers_to_arrays(self.problem), jnp.asarray(self.problem.survey.vector("initial"))
+        parts = []
+        for first in range(0, len(points), _TOGETHER):
+            some = points[first : first + _TOGETHER]
+            filled = np.resize(some, (_TOGETHER, points.shape[1]))
+            parts.append([np.asarray(one)[: len(some)] for one in RESPOND(traced, jnp.asarray(filled), start)])
+        texts = [one.text() for one in functionals_of(self.problem.expressions)]
+        return dict(zip(texts, map(np.concatenate, zip(*parts, strict=True)), strict=True))
+
+
+def _respond(
+    problem: Problem, germ: Float[Array, "points variables"], decisions: Float[Array, " n"]
+) -> tuple[Float[Array, "points ..."], ...]:
+    return responses(problem, functionals_of(problem.expressions), germ, decisions)
+
+
+RESPOND = Compiled(_respond)

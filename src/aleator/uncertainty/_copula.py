@@ -1,0 +1,176 @@
+"""Correlated laws by a Gaussian copula (the Nataf model).
+
+Each law is a function of a normal variable, and these are correlated. Pearson's correlation of two laws follows from
+that of their normals by Mehler's formula, `r = sum over n >= 1 of c_n d_n rho^n / (sigma_1 sigma_2)`, where `c_n` and
+`d_n` are the coefficients of the two laws in orthonormal Hermite polynomials; it is solved for `rho`. Sources: Nataf
+(1962); Der Kiureghian and Liu, Journal of Engineering Mechanics 112 (1986); Lebrun and Dutfoy (2009) on the copula.
+"""
+
+import itertools
+from collections.abc import Mapping
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+from scipy import optimize
+
+from aleator._core.errors import ProblemError
+from aleator.uncertainty._dependence import Dependence
+from aleator.uncertainty._distribution import AbstractDistribution, is_traced
+from aleator.uncertainty._polynomials import HermiteGerm
+
+_TERMS = 100
+_NORMALS = np.linspace(-12, 12, 2001)
+_PROBABILITIES = np.exp(-(_NORMALS**2) / 2) / np.sum(np.exp(-(_NORMALS**2) / 2))  # the trapezoidal rule is exact here
+_SMALLEST_EIGENVALUE = 1e-10
+
+
+def correlated(
+    laws: Mapping[str, AbstractDistribution],
+    correlations: Mapping[tuple[str, str], float] | Float[np.ndarray, "n n"],
+    *,
+    name: str | None = None,
+) -> dict[str, AbstractDistribution]:
+    """The same laws, correlated, by the same names: to be placed anywhere in a model.
+
+    `correlated({"k": Normal(5.0, 0.2), "c": Gamma(mean=2.0, std=0.3)}, {("k", "c"): 0.5})`. The correlations are
+    Pearson's, of the numbers themselves; pairs that are not named are uncorrelated. A whole matrix may be given, with
+    its rows in the order of `laws`. Their joint law is a Gaussian copula, and `name` (default: the members' names,
+    joined) is the group's: a model holds a group of one name once.
+
+    Decisions may stand in the laws. Those that set location and scale leave the correlations as given; where one sets a
+    shape, the correlations are those at its initial value, and the copula stays.
+
+    Raises `ProblemError` if the correlations make no matrix of correlations, or if these laws cannot reach them.
+    """
+    members = tuple(laws)
+    for member, law in laws.items():
+        _check_member(member, law)
+    if len(members) < 2:
+        raise ProblemError(f"Correlated laws are at least two; received {len(members)}. Place one law as it is.")
+    pearson = _matrix(members, correlations)
+    _check_matrix(pearson, members)
+    normal = _nataf(laws, pearson)
+    _refuse_indefinite(normal, "The correlations of the normal variables that these laws need make no such matrix")
+    factor = np.linalg.cholesky(normal)
+    group = name or "~".join(members)
+    return {
+        member: law.correlated(Dependence(group, members, index, factor))
+        for index, (member, law) in enumerate(laws.items())
+    }
+
+
+def _check_member(member: str, law: Any) -> None:
+    if not isinstance(law, AbstractDistribution):
+        raise ProblemError(f"'{member}': only distributions can be correlated; received {type(law).__name__} {law!r}.")
+    if law.dependence is not None:
+        raise ProblemError(f"'{member}' is correlated already, as {law.dependence}. Correlate all laws in one group.")
+    if is_traced(law.initial().canonical().shape):
+        raise ProblemError(
+            f"'{member}': the shape of a correlated law cannot be traced by JAX, since the copula is built from it. "
+            "Make the shape a plain number, or a Decision (the copula is then that of its initial value)."
+        )
+
+
+def _matrix(members: tuple[str, ...], correlations: Any) -> Float[np.ndarray, "n n"]:
+    """The correlations as a matrix, in the order of the members."""
+    count = len(members)
+    if not isinstance(correlations, Mapping):
+        try:
+            matrix = np.asarray(correlations, dtype=float)
+        except (TypeError, ValueError) as error:
+            raise ProblemError(f"Correlations are plain numbers; received {correlations!r}.") from error
+        if matrix.shape != (count, count):
+            raise ProblemError(
+                f"A correlation matrix of {count} laws has shape ({count}, {count}); received {matrix.shape}."
+            )
+        return matrix
+    matrix = np.eye(count)
+    named: set[frozenset[str]] = set()
+    for pair, value in correlations.items():
+        if not (isinstance(pair, tuple) and len(pair) == 2 and pair[0] != pair[1] and set(pair) <= set(members)):
+            raise ProblemError(
+                f"Correlations are named by pairs of two of the laws {', '.join(members)}; received {pair!r}."
+            )
+        if frozenset(pair) in named:
+            raise ProblemError(f"The correlation of '{pair[0]}' and '{pair[1]}' is given twice. Give it once.")
+        named.add(frozenset(pair))
+        i, j = map(members.index, pair)
+        try:
+            matrix[i, j] = matrix[j, i] = float(value)
+        except (TypeError, ValueError) as error:
+            raise ProblemError(f"Correlations are plain numbers; received {value!r} for {pair!r}.") from error
+    return matrix
+
+
+def _check_matrix(matrix: Float[np.ndarray, "n n"], members: tuple[str, ...]) -> None:
+    """Refuse what is no correlation matrix, naming the entry or the eigenvalue."""
+
+    def refuse(what: str, wrong: np.ndarray, remedy: str) -> None:
+        if np.any(wrong):
+            i, j = map(int, np.argwhere(wrong)[0])
+            raise ProblemError(f"{what}: received {matrix[i, j]:g} for '{members[i]}' and '{members[j]}'. {remedy}")
+
+    refuse("Correlations are finite numbers", ~np.isfinite(matrix), "Give a number between -1 and 1.")
+    off_diagonal = ~np.eye(len(members), dtype=bool)
+    refuse(
+        "A correlation matrix has ones on its diagonal",
+        ~off_diagonal & (np.abs(matrix - 1) > 1e-12),
+        "Give correlations, not covariances; the spread belongs to the laws.",
+    )
+    refuse(
+        "A correlation matrix is symmetric",
+        np.abs(matrix - matrix.T) > 1e-12,
+        "Give both entries of the pair the same number.",
+    )
+    refuse(
+        "Correlations lie between -1 and 1, without the ends",
+        off_diagonal & (np.abs(matrix) >= 1),
+        "Reduce it; laws that are one and the same are made so by `shared`.",
+    )
+    _refuse_indefinite(matrix, "These correlations contradict each other, so that no random numbers have them")
+
+
+def _refuse_indefinite(matrix: Float[np.ndarray, "n n"], what: str) -> None:
+    smallest = np.linalg.eigvalsh(matrix)[0]
+    if smallest < _SMALLEST_EIGENVALUE:
+        raise ProblemError(
+            f"{what}: expected a positive definite correlation matrix; received one with the smallest eigenvalue "
+            f"{smallest:.3g}. Bring the correlations closer to 0."
+        )
+
+
+def _nataf(laws: Mapping[str, AbstractDistribution], pearson: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
+    """Correlations of the normals that give the laws the correlations `pearson`."""
+    standard = {member: _standard_values(law) for member, law in laws.items()}
+    normal = np.eye(len(laws))
+    for (i, first), (j, second) in itertools.combinations(enumerate(laws), 2):
+        if pearson[i, j] != 0:
+            pair = standard[first], standard[second]
+            normal[i, j] = normal[j, i] = _normal_correlation(pearson[i, j], *pair, names=(first, second))
+    return normal
+
+
+def _standard_values(law: AbstractDistribution) -> Float[np.ndarray, " n"]:
+    """The law's numbers at `_NORMALS`, less their mean and over their standard deviation."""
+    shape = law.concrete_shape()
+    with jax.ensure_compile_time_eval():
+        values = np.asarray(jax.vmap(lambda normal: law.from_normal(normal, shape))(jnp.asarray(_NORMALS)))
+    values = values - _PROBABILITIES @ values
+    return values / np.sqrt(_PROBABILITIES @ values**2)
+
+
+def _normal_correlation(wanted: float, first: np.ndarray, second: np.ndarray, *, names: tuple[str, str]) -> float:
+    """The normals' correlation at which the standard values `first` and `second` are correlated as `wanted`."""
+    hermite = HermiteGerm().polynomials(_TERMS, _NORMALS)
+    products = ((_PROBABILITIES * first) @ hermite) * ((_PROBABILITIES * second) @ hermite)
+    correlation = np.polynomial.Polynomial(products)
+    lowest, highest = correlation(-1.0), correlation(1.0)
+    if not lowest < wanted < highest:
+        raise ProblemError(
+            f"'{names[0]}' and '{names[1]}' cannot be correlated by {wanted:g}: with these laws a correlation lies "
+            f"between {lowest:.4g} and {highest:.4g}. Choose one in between."
+        )
+    return optimize.root_scalar(lambda rho: correlation(rho) - wanted, bracket=(-1.0, 1.0), xtol=1e-15).root

@@ -1,0 +1,183 @@
+"""Laws given by a density function or by data: Density and Sample."""
+
+import functools
+from collections.abc import Callable
+from typing import Any, ClassVar, final
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jax.scipy import special
+from jaxtyping import Array, Float
+from scipy import interpolate
+from scipy.special import ndtr
+
+from aleator._core.arrays import Scalar
+from aleator._core.errors import ProblemError
+from aleator.uncertainty._density_germs import DensityGerm, SampleGerm
+from aleator.uncertainty._distribution import AbstractDistribution, Canonical, Form
+from aleator.uncertainty._polynomials import AbstractGerm
+
+
+def _linear(location: Scalar, scale: Scalar) -> Canonical:
+    return Canonical(location, scale)
+
+
+@final
+class Density(AbstractDistribution):
+    """Any density: the number is `location + scale * xi`, and `xi` has the density `function` on (lower, upper).
+
+    `function` takes a NumPy array of points and returns a non-negative number for each; it need not be normalised, and
+    may have kinks and jumps. Bounds may be infinite; a density may grow without bound only at an end that is 0, where
+    points are resolved. Its polynomials come from a discretised Stieltjes procedure. `location` and `scale` may be
+    decisions; what changes inside `function` is another distribution.
+
+    Raises `ProblemError` if it is no density, or if it has no mean or standard deviation.
+    """
+
+    xi: DensityGerm = eqx.field(static=True)
+
+    FORMS: ClassVar[dict[tuple[str, ...], Form]] = {("location", "scale"): Form(_linear)}
+    REQUIRES: ClassVar[str] = "a finite location and a finite scale above 0"
+
+    def __init__(
+        self,
+        function: Callable[[np.ndarray], np.ndarray],
+        lower: float,
+        upper: float,
+        *,
+        location: Any = 0.0,
+        scale: Any = 1.0,
+        shared_name: str | None = None,
+    ):
+        if not callable(function):
+            raise ProblemError(f"Density takes a function of an array of points; received {function!r}.")
+        ends = _ends(lower, upper)
+        self.xi = DensityGerm(function, *ends)
+        self.xi.recurrence(1)
+        self._take({"location": location, "scale": scale}, shared_name)
+
+    def germ(self) -> AbstractGerm:
+        """See `AbstractDistribution.germ`."""
+        return self.xi
+
+    def from_normal(self, normal: Float[Array, ""], shape: tuple) -> Float[Array, ""]:
+        """See `AbstractDistribution.from_normal`."""
+        del shape
+        return _cubic(normal, *_quantiles_by_normal(self.xi))
+
+    def mean(self) -> Scalar:
+        """See `AbstractDistribution.mean`."""
+        location, scale, _ = self.canonical()
+        return location + scale * self.xi.recurrence(1)[0][0]
+
+    def std(self) -> Scalar:
+        """See `AbstractDistribution.std`."""
+        return self.canonical().scale * self.xi.recurrence(1)[1][1]
+
+    def support(self) -> tuple[Scalar, Scalar]:
+        """See `AbstractDistribution.support`."""
+        location, scale, _ = self.canonical()
+        return location + scale * self.xi.low, location + scale * self.xi.high
+
+    def __str__(self) -> str:
+        name = getattr(self.xi.function, "__name__", "function")
+        return super().__str__().replace("(", f"({name} on [{self.xi.low:g}, {self.xi.high:g}], ", 1)
+
+
+def _ends(lower: Any, upper: Any) -> tuple[float, float]:
+    try:
+        low, high = float(lower), float(upper)
+    except (TypeError, ValueError) as error:
+        raise ProblemError(
+            f"Density takes plain numbers as bounds of its function; received {lower!r} and {upper!r}. "
+            "Let `location` and `scale` be the decisions."
+        ) from error
+    if not low < high:
+        raise ProblemError(f"Density needs lower < upper; received lower={low:g}, upper={high:g}.")
+    return low, high
+
+
+_NORMALS = np.linspace(-8.2, 8.2, 4101)
+
+
+@functools.lru_cache(maxsize=32)
+def _quantiles_by_normal(germ: DensityGerm) -> tuple[np.ndarray, np.ndarray]:
+    """The germ's quantiles at the probabilities of `_NORMALS`, and their slopes."""
+    quantiles = germ.quantile(ndtr(_NORMALS))
+    return quantiles, interpolate.PchipInterpolator(_NORMALS, quantiles).derivative()(_NORMALS)
+
+
+def _cubic(x: Array, values: np.ndarray, slopes: np.ndarray) -> Array:
+    """Cubic Hermite interpolation on `_NORMALS`."""
+    step = _NORMALS[1] - _NORMALS[0]
+    at = jnp.clip((x - _NORMALS[0]) / step, 0, _NORMALS.size - 1)
+    i = jnp.clip(jnp.floor(jnp.asarray(at)).astype(int), 0, _NORMALS.size - 2)
+    t = at - i
+    left, right, rise, fall = (jnp.asarray(column)[j] for column in (values, slopes) for j in (i, i + 1))
+    return (
+        left * (1 + 2 * t) * (1 - t) ** 2
+        + right * (3 - 2 * t) * t**2
+        + step * (rise * t * (1 - t) ** 2 - fall * t**2 * (1 - t))
+    )
+
+
+@final
+class Sample(AbstractDistribution):
+    """The law of measured data: the number is `location + scale * xi`, and `xi` is distributed as the `data`.
+
+    Polynomials, mean and standard deviation (that of the data themselves: divided by n, not by n - 1) are those of the
+    data (arbitrary polynomial chaos); the order of an expansion must be less than the number of distinct values. Drawn
+    values lie on the piecewise linear quantile through the data: see `SampleGerm`.
+
+    Raises `ProblemError` unless the data are at least two distinct, finite numbers.
+    """
+
+    xi: SampleGerm = eqx.field(static=True)
+
+    FORMS: ClassVar[dict[tuple[str, ...], Form]] = {("location", "scale"): Form(_linear)}
+    REQUIRES: ClassVar[str] = "a finite location and a finite scale above 0"
+
+    def __init__(self, data: Any, *, location: Any = 0.0, scale: Any = 1.0, shared_name: str | None = None):
+        self.xi = SampleGerm(_data(data))
+        self._take({"location": location, "scale": scale}, shared_name)
+
+    def germ(self) -> AbstractGerm:
+        """See `AbstractDistribution.germ`."""
+        return self.xi
+
+    def from_normal(self, normal: Float[Array, ""], shape: tuple) -> Float[Array, ""]:
+        """See `AbstractDistribution.from_normal`."""
+        del shape
+        return jnp.interp(special.ndtr(normal), self.xi.levels, self.xi.values)
+
+    def mean(self) -> Scalar:
+        """See `AbstractDistribution.mean`."""
+        location, scale, _ = self.canonical()
+        return location + scale * self.xi.recurrence(1)[0][0]
+
+    def std(self) -> Scalar:
+        """See `AbstractDistribution.std`."""
+        return self.canonical().scale * self.xi.recurrence(1)[1][1]
+
+    def support(self) -> tuple[Scalar, Scalar]:
+        """See `AbstractDistribution.support`."""
+        location, scale, _ = self.canonical()
+        low, high = self.xi.support()
+        return location + scale * low, location + scale * high
+
+    def __str__(self) -> str:
+        return super().__str__().replace("(", f"({self.xi.values.size} distinct values, ", 1)
+
+
+def _data(data: Any) -> Float[np.ndarray, " n"]:
+    try:
+        values = np.asarray(data, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise ProblemError(f"Sample takes a list or vector of numbers; received {type(data).__name__}.") from error
+    if values.ndim != 1 or not np.all(np.isfinite(values)) or np.unique(values).size < 2:
+        raise ProblemError(
+            "Sample takes a vector of finite numbers of which at least two differ; received "
+            f"an array of shape {values.shape} with {np.sum(~np.isfinite(values))} numbers that are not finite."
+        )
+    return values

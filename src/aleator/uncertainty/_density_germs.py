@@ -1,0 +1,166 @@
+"""Germs outside the Askey scheme: triangular, truncated normal, Weibull, Gumbel, any density, and a data sample."""
+
+import hashlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+from jaxtyping import Float
+
+from aleator._core.errors import ProblemError
+from aleator.uncertainty._polynomials import AbstractGerm
+from aleator.uncertainty._stieltjes import AbstractDensityGerm, recurrence_of
+
+
+@final
+@dataclass(frozen=True)
+class TriangularGerm(AbstractDensityGerm):
+    """Triangular on [-1, 1]; `mode` is where the peak lies on the way from -1 (0) to 1 (1)."""
+
+    mode: float
+
+    def density(self, germ: np.ndarray) -> np.ndarray:
+        """See `AbstractDensityGerm.density`."""
+        rise, fall = self.mode or 1.0, 1 - self.mode or 1.0  # a side of length 0 has no points
+        return np.where(germ < 2 * self.mode - 1, (1 + germ) / rise, (1 - germ) / fall)
+
+    def quantile(self, level: np.ndarray) -> np.ndarray:
+        """See `AbstractGerm.quantile`."""
+        level = np.asarray(level, dtype=float)
+        rising, falling = 2 * np.sqrt(self.mode * level) - 1, 1 - 2 * np.sqrt((1 - self.mode) * (1 - level))
+        return np.where(level < self.mode, rising, falling)
+
+    def support(self) -> tuple[float, float]:
+        """See `AbstractGerm.support`."""
+        return -1.0, 1.0
+
+
+@final
+@dataclass(frozen=True)
+class TruncatedNormalGerm(AbstractDensityGerm):
+    """Standard normal, kept between `low` and `high` only (they may be infinite)."""
+
+    low: float
+    high: float
+
+    def density(self, germ: np.ndarray) -> np.ndarray:
+        """See `AbstractDensityGerm.density`. Equal to 1 at the peak, however far in the tail the interval lies."""
+        peak = np.clip(0.0, self.low, self.high)
+        return np.exp(-(germ - peak) * (germ + peak) / 2)
+
+    def support(self) -> tuple[float, float]:
+        """See `AbstractGerm.support`."""
+        return self.low, self.high
+
+
+@final
+@dataclass(frozen=True)
+class WeibullGerm(AbstractDensityGerm):
+    """Weibull on [0, inf) with unit scale: density proportional to `xi^(shape - 1) exp(-xi^shape)`."""
+
+    shape: float
+
+    def density(self, germ: np.ndarray) -> np.ndarray:
+        """See `AbstractDensityGerm.density`."""
+        return np.exp((self.shape - 1) * np.log(germ) - germ**self.shape)
+
+    def quantile(self, level: np.ndarray) -> np.ndarray:
+        """See `AbstractGerm.quantile`."""
+        return (-np.log1p(-np.asarray(level))) ** (1 / self.shape)
+
+    def cumulative(self, germ: np.ndarray) -> np.ndarray:
+        """See `AbstractGerm.cumulative`."""
+        return -np.expm1(-(np.maximum(germ, 0) ** self.shape))
+
+    def support(self) -> tuple[float, float]:
+        """See `AbstractGerm.support`."""
+        return 0.0, np.inf
+
+
+@final
+@dataclass(frozen=True)
+class GumbelGerm(AbstractDensityGerm):
+    """Standard Gumbel law of maxima: `F(xi) = exp(-exp(-xi))`."""
+
+    def density(self, germ: np.ndarray) -> np.ndarray:
+        """See `AbstractDensityGerm.density`."""
+        return np.exp(-germ - np.exp(-germ))
+
+    def quantile(self, level: np.ndarray) -> np.ndarray:
+        """See `AbstractGerm.quantile`."""
+        return -np.log(-np.log(level))
+
+    def cumulative(self, germ: np.ndarray) -> np.ndarray:
+        """See `AbstractGerm.cumulative`."""
+        with np.errstate(over="ignore"):
+            return np.exp(-np.exp(-np.asarray(germ)))
+
+    def support(self) -> tuple[float, float]:
+        """See `AbstractGerm.support`."""
+        return -np.inf, np.inf
+
+
+@final
+@dataclass(frozen=True)
+class DensityGerm(AbstractDensityGerm):
+    """Any density on (low, high), not necessarily normalised, as a NumPy function of an array of points."""
+
+    function: Callable[[np.ndarray], np.ndarray]
+    low: float
+    high: float
+
+    def density(self, germ: np.ndarray) -> np.ndarray:
+        """See `AbstractDensityGerm.density`."""
+        return self.function(germ)
+
+    def support(self) -> tuple[float, float]:
+        """See `AbstractGerm.support`."""
+        return self.low, self.high
+
+
+@final
+class SampleGerm(AbstractGerm):
+    """The measure of a data sample: polynomials orthonormal under the data (arbitrary polynomial chaos).
+
+    Source: Oladyshkin and Nowak, Reliability Engineering & System Safety 106 (2012). A sample of n distinct values
+    carries polynomials up to order n - 1. Between the values, probability is linear (Hazen's quantile: the value of
+    rank i of n stands at the level (i - 1/2) / n), which keeps the sample's mean exactly.
+    """
+
+    def __init__(self, data: Float[np.ndarray, " n"]):
+        self.values, counts = np.unique(data, return_counts=True)
+        self.weights = counts / counts.sum()
+        self.levels = np.cumsum(self.weights) - self.weights / 2
+        # The data are structure where a model is compiled: two samples are equal if their values are.
+        self._digest = hashlib.sha256(self.values.tobytes() + counts.tobytes()).hexdigest()
+
+    def __eq__(self, other: object) -> bool:
+        """Whether the other germ holds the same data."""
+        return isinstance(other, SampleGerm) and self._digest == other._digest
+
+    def __hash__(self) -> int:
+        """Hash of the data."""
+        return hash(self._digest)
+
+    def recurrence(self, order: int) -> tuple[np.ndarray, np.ndarray]:
+        """See `AbstractGerm.recurrence`. Raises `ProblemError` if the order is too high for the data."""
+        if order >= self.values.size:
+            raise ProblemError(
+                f"A sample of {self.values.size} distinct values carries polynomials up to order "
+                f"{self.values.size - 1}; received order {order}. Lower the order, or give more data."
+            )
+        a, b, _ = recurrence_of(self.values, self.weights, order)
+        return a, b
+
+    def quantile(self, level: np.ndarray) -> np.ndarray:
+        """See `AbstractGerm.quantile`."""
+        return np.interp(level, self.levels, self.values)
+
+    def cumulative(self, germ: np.ndarray) -> np.ndarray:
+        """See `AbstractGerm.cumulative`."""
+        return np.interp(germ, self.values, self.levels, left=0.0, right=1.0)
+
+    def support(self) -> tuple[float, float]:
+        """See `AbstractGerm.support`."""
+        return float(self.values[0]), float(self.values[-1])

@@ -1,0 +1,236 @@
+"""A density as a fine quadrature: its nodes, its probabilities and its quantiles.
+
+The line is mapped to a finite range of `t` by the double exponential maps of Takahasi and Mori (1974), which spread out
+singular ends and decaying tails, and `t` is divided into panels until each is integrated accurately by Gauss's rule.
+Kinks and jumps of the density are found by the division.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple, final
+
+import numpy as np
+from jaxtyping import Float
+
+from aleator._core.errors import ProblemError
+
+_RULE = np.polynomial.legendre.leggauss(20)
+_FIRST_PANELS = 64
+_MOST_PANELS = 20_000
+_TOLERANCE = 1e-11  # of each panel; the nodes kept are those of its halves, which are far more accurate
+_NARROWEST = 2.0**-46
+_NO_MASS = 1e-250  # less is the foot of a peak that lies between the first nodes
+_BISECTIONS = 60
+
+_FINITE_END, _FAR, _NEAR = 6.0, 4.5, 6.7  # t at which a map comes within 1e-275 of an end, or 1e30 far away
+
+
+class _Map(NamedTuple):
+    """A map between `t` in (first, last) and the support of a density."""
+
+    first: float
+    last: float
+    to_x: Callable[[np.ndarray], np.ndarray]
+    slope: Callable[[np.ndarray], np.ndarray]
+    to_t: Callable[[np.ndarray], np.ndarray]
+
+
+def _finite_map(low: float, high: float) -> _Map:
+    """Distances are taken from the nearer end, so that a singularity at 0 is resolved."""
+    width = high - low
+
+    def to_x(t: np.ndarray) -> np.ndarray:
+        distance = width / (1 + np.exp(np.pi * np.sinh(np.abs(t))))
+        return np.where(t < 0, low + distance, high - distance)
+
+    def slope(t: np.ndarray) -> np.ndarray:
+        decay = np.exp(-np.pi * np.sinh(np.abs(t)))
+        return width * np.pi * np.cosh(t) * decay / (1 + decay) ** 2
+
+    def to_t(x: np.ndarray) -> np.ndarray:
+        return np.arcsinh(np.log((x - low) / (high - x)) / np.pi)
+
+    return _Map(-_FINITE_END, _FINITE_END, to_x, slope, to_t)
+
+
+def _half_map(end: float, sign: int) -> _Map:
+    """From `end` to infinity in the direction of `sign`, with `t` increasing with `x`."""
+
+    def distance(t: np.ndarray) -> np.ndarray:
+        return np.exp(np.pi / 2 * np.sinh(sign * t))
+
+    first, last = (-_NEAR, _FAR) if sign > 0 else (-_FAR, _NEAR)
+    return _Map(
+        first,
+        last,
+        lambda t: end + sign * distance(t),
+        lambda t: distance(t) * np.pi / 2 * np.cosh(t),
+        lambda x: sign * np.arcsinh(2 / np.pi * np.log(sign * (x - end))),
+    )
+
+
+def _line_map() -> _Map:
+    return _Map(
+        -_FAR,
+        _FAR,
+        lambda t: np.sinh(np.pi / 2 * np.sinh(t)),
+        lambda t: np.cosh(np.pi / 2 * np.sinh(t)) * np.pi / 2 * np.cosh(t),
+        lambda x: np.arcsinh(2 / np.pi * np.arcsinh(x)),
+    )
+
+
+def _map(low: float, high: float) -> _Map:
+    if np.isfinite(low) and np.isfinite(high):
+        return _finite_map(low, high)
+    if np.isfinite(low):
+        return _half_map(low, 1)
+    return _half_map(high, -1) if np.isfinite(high) else _line_map()
+
+
+@final
+class Measure:
+    """The probability measure of a density on (low, high), which need not be normalised.
+
+    Raises `ProblemError` if the density is negative or not finite, if it cannot be integrated, or if no mass is found.
+    """
+
+    def __init__(self, density: Callable[[np.ndarray], np.ndarray], low: float, high: float):
+        self._density, self._ends = density, (low, high)
+        self._map = _map(low, high)
+        edges = self._divide()
+        _, masses = self._panels(edges[:-1], edges[1:])
+        sums = np.cumsum(masses.sum(axis=1))
+        self._edges, self._total = edges, sums[-1]
+        self._check_mass()
+        self._levels = np.concatenate([[0.0], sums / self._total])
+        self._check_ends()
+
+    def rule(self, halvings: int) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+        """Nodes (increasing) and weights (they add up to 1) that integrate under the measure.
+
+        The panels are those that the density needs, halved so many times for what is to be integrated.
+        """
+        edges = self._edges
+        for _ in range(halvings):
+            edges = np.sort(np.concatenate([edges, (edges[:-1] + edges[1:]) / 2]))
+        nodes, masses = (np.ravel(values) for values in self._panels(edges[:-1], edges[1:]))
+        carrying = masses > 0
+        return nodes[carrying], masses[carrying] / np.sum(masses)
+
+    def cumulative(self, x: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
+        """Probability below each point."""
+        x = np.asarray(x, dtype=float)
+        with np.errstate(all="ignore"):
+            t = self._map.to_t(np.clip(x, *self._ends))
+        t = np.clip(np.nan_to_num(t, nan=0.0), self._edges[0], self._edges[-1])
+        return self._level_at(t, self._panel_of(t, self._edges))
+
+    def quantile(self, level: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
+        """The point below which each probability lies, by bisection inside its panel."""
+        level = np.asarray(level, dtype=float)
+        panel = self._panel_of(level, self._levels)
+        low, high = self._edges[panel], self._edges[panel + 1]
+        for _ in range(_BISECTIONS):
+            middle = (low + high) / 2
+            below = self._level_at(middle, panel) < level
+            low, high = np.where(below, middle, low), np.where(below, high, middle)
+        return self._map.to_x((low + high) / 2)
+
+    def _panel_of(self, values: np.ndarray, edges: np.ndarray) -> np.ndarray:
+        return np.clip(np.searchsorted(edges, values, side="right") - 1, 0, edges.size - 2)
+
+    def _level_at(self, t: np.ndarray, panel: np.ndarray) -> np.ndarray:
+        _, masses = self._panels(self._edges[panel], t)
+        return np.clip(self._levels[panel] + masses.sum(axis=-1) / self._total, 0, 1)
+
+    def _panels(self, starts: np.ndarray, ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Nodes and masses of Gauss's rule on the panels from `starts` to `ends`: shape (*panels, 20)."""
+        nodes, weights = _RULE
+        centre, half = (starts + ends)[..., None] / 2, (ends - starts)[..., None] / 2
+        t = centre + half * nodes
+        x = self._map.to_x(t)
+        return x, self._values(x) * self._map.slope(t) * half * weights
+
+    def _values(self, x: np.ndarray) -> np.ndarray:
+        """The density, checked. Points that rounding has moved on an end carry nothing."""
+        low, high = self._ends
+        inside = (x > low) & (x < high)
+        values = np.zeros(x.shape)
+        with np.errstate(all="ignore"):
+            found = np.asarray(self._density(x[inside]))
+        if found.shape != x[inside].shape:
+            raise ProblemError(
+                "A density takes an array of points and returns one number for each: expected shape "
+                f"{x[inside].shape}; received {found.shape}. Write it with NumPy functions."
+            )
+        bad = ~(np.isfinite(found) & (found >= 0))
+        if np.any(bad):
+            raise ProblemError(
+                f"A density is finite and not negative inside its bounds: received {found[bad][0]:g} at "
+                f"{x[inside][bad][0]:g}. Correct the function, or set `lower` and `upper` to where it is a density."
+            )
+        values[inside] = found
+        return values
+
+    def _divide(self) -> np.ndarray:
+        """Edges of the panels in `t`, halved until Gauss's rule on each agrees with that on its halves."""
+        narrowest = (self._map.last - self._map.first) * _NARROWEST
+        edges = np.linspace(self._map.first, self._map.last, _FIRST_PANELS + 1)
+        starts, ends, accepted = edges[:-1], edges[1:], [edges]
+        count = _FIRST_PANELS
+        while starts.size:
+            middles = (starts + ends) / 2
+            whole, left, right = (
+                self._panels(a, b)[1].sum(axis=1) for a, b in ((starts, ends), (starts, middles), (middles, ends))
+            )
+            fine = left + right
+            accepted.append(middles)
+            tolerance = (_TOLERANCE + self._noise(starts, ends)) * fine + 1e-290
+            rough = (np.abs(whole - fine) > tolerance) & (middles - starts > narrowest)
+            starts, ends = (
+                np.concatenate([starts[rough], middles[rough]]),
+                np.concatenate([middles[rough], ends[rough]]),
+            )
+            count += starts.size
+            if count > _MOST_PANELS:
+                raise ProblemError(
+                    "A density could not be integrated: it has too many jumps, is not smooth between them, or is not "
+                    f"integrable near {float(self._map.to_x(starts[:1])[0]):g}. Check that its integral is finite, or "
+                    "set `lower` and `upper` away from there."
+                )
+            if not np.all(np.isfinite(fine)):
+                raise ProblemError("A density could not be integrated: its integral is not finite. Rescale it.")
+        return np.unique(np.concatenate(accepted))
+
+    def _noise(self, starts: np.ndarray, ends: np.ndarray) -> np.ndarray:
+        """How much of each panel's integral may be rounding: coordinates near a finite end tell its distance poorly."""
+        noise = np.zeros(starts.shape)
+        for end, t in zip(self._ends, (starts, ends), strict=True):
+            if np.isfinite(end):
+                with np.errstate(divide="ignore", invalid="ignore"):
+                    noise += np.nan_to_num(64 * np.finfo(float).eps * abs(end) / np.abs(self._map.to_x(t) - end))
+        return noise
+
+    def _check_mass(self) -> None:
+        if not self._total > _NO_MASS:
+            raise ProblemError(
+                "A density has no mass where it was looked for: expected a positive integral between "
+                f"{self._ends[0]:g} and {self._ends[1]:g}. Set `lower` and `upper` closely around its mass."
+            )
+
+    def _check_ends(self) -> None:
+        """Refuse a density whose mass lies at an end: beyond the last node, or inside the rounding of coordinates."""
+        _, weights = self.rule(0)
+        for end, inwards, last in zip(self._ends, (1, -1), weights[[0, -1]], strict=True):
+            step = 8 * np.finfo(float).eps * abs(end)
+            if 0 < step < np.inf:
+                near, far = self._values(end + inwards * step * np.array([1.0, 64.0]))
+                if near * step > 1e-12 * self._total and near > 2 * far:
+                    raise ProblemError(
+                        f"A density grows without bound towards its end {end:g}, where rounding hides it: expected the "
+                        "singular end at 0. Shift the function so that this end is 0, and give `location`."
+                    )
+            elif last > 1e-12:
+                raise ProblemError(
+                    f"A density could not be integrated: its integral does not converge towards its end {end:g}. "
+                    "Set `lower` and `upper` so that its integral is finite."
+                )

@@ -1,0 +1,238 @@
+"""Families with a tail: Exponential, LogNormal, Weibull and Gumbel."""
+
+from typing import Any, ClassVar, final
+
+import jax.numpy as jnp
+import numpy as np
+from jax.scipy import special
+from jaxtyping import Array, Float
+
+from aleator._core.arrays import Scalar
+from aleator.uncertainty._density_germs import GumbelGerm, WeibullGerm
+from aleator.uncertainty._distribution import AbstractDistribution, Canonical, Form
+from aleator.uncertainty._polynomials import AbstractGerm, HermiteGerm, LaguerreGerm
+from aleator.uncertainty._transport import weibull_inverse_shape
+
+
+@final
+class Exponential(AbstractDistribution):
+    """Exponential distribution above `lower`, default 0: `Exponential(mean=2.0)` or `Exponential(rate=0.5)`.
+
+    `mean` is that of the number itself, `lower` included; the rate is one over the standard deviation. Laguerre
+    polynomials.
+    """
+
+    FORMS: ClassVar[dict[tuple[str, ...], Form]] = {
+        ("mean", "lower"): Form(lambda mean, lower: Canonical(lower, mean - lower)),
+        ("rate", "lower"): Form(lambda rate, lower: Canonical(lower, 1 / rate)),
+    }
+    REQUIRES: ClassVar[str] = "a finite mean above lower, or a finite rate above 0"
+
+    def __init__(self, *, mean: Any = None, rate: Any = None, lower: Any = 0.0, shared_name: str | None = None):
+        self._take({"mean": mean, "rate": rate, "lower": lower}, shared_name)
+
+    def germ(self) -> AbstractGerm:
+        """See `AbstractDistribution.germ`."""
+        return LaguerreGerm(1.0)
+
+    def from_normal(self, normal: Float[Array, ""], shape: tuple) -> Float[Array, ""]:
+        """See `AbstractDistribution.from_normal`."""
+        del shape
+        return -special.log_ndtr(-normal)
+
+    def mean(self) -> Scalar:
+        """See `AbstractDistribution.mean`."""
+        lower, scale, _ = self.canonical()
+        return lower + scale
+
+    def std(self) -> Scalar:
+        """See `AbstractDistribution.std`."""
+        return self.canonical().scale
+
+    def support(self) -> tuple[Scalar, Scalar]:
+        """See `AbstractDistribution.support`."""
+        return self.parameters["lower"], np.inf
+
+
+def _lognormal_from_moments(mean: Scalar, std: Scalar, lower: Scalar) -> Canonical:
+    variance = jnp.log1p((std / (mean - lower)) ** 2)
+    return Canonical(lower, (mean - lower) * jnp.exp(-variance / 2), (jnp.sqrt(variance),))
+
+
+@final
+class LogNormal(AbstractDistribution):
+    """Lognormal distribution above `lower`, default 0: `lower + exp(log_mean + log_std * xi)`, `xi` standard normal.
+
+    `LogNormal(mean=2.0, std=0.5)` by the moments of the number itself, `LogNormal(median=2.0, log_std=0.2)`, where the
+    median is above `lower` by `exp(log_mean)`, or `LogNormal(log_mean=0.7, log_std=0.2)`. The germ is normal with
+    Hermite polynomials, since polynomials in a lognormal number cannot represent every function of it (Ernst, Mugler,
+    Starkloff and Ullmann, 2012).
+    """
+
+    FORMS: ClassVar[dict[tuple[str, ...], Form]] = {
+        ("mean", "std", "lower"): Form(_lognormal_from_moments, frozenset({"mean", "std", "lower"})),
+        ("median", "log_std", "lower"): Form(
+            lambda median, log_std, lower: Canonical(lower, median - lower, (log_std,)), frozenset({"log_std"})
+        ),
+        ("log_mean", "log_std", "lower"): Form(
+            lambda log_mean, log_std, lower: Canonical(lower, jnp.exp(log_mean), (log_std,)), frozenset({"log_std"})
+        ),
+    }
+    REQUIRES: ClassVar[str] = "finite parameters, a mean or median above lower, and a std or log_std above 0"
+    REACHES_ENDS: ClassVar[bool] = False
+
+    def __init__(
+        self,
+        *,
+        mean: Any = None,
+        std: Any = None,
+        median: Any = None,
+        log_mean: Any = None,
+        log_std: Any = None,
+        lower: Any = 0.0,
+        shared_name: str | None = None,
+    ):
+        given = {"mean": mean, "std": std, "median": median, "log_mean": log_mean, "log_std": log_std, "lower": lower}
+        self._take(given, shared_name)
+
+    def value(self, germ: Float[Array, ""], reference: tuple[Scalar, ...] | None = None) -> Float[Array, ""]:
+        """See `AbstractDistribution.value`. Every shape has the same, normal germ."""
+        del reference
+        return self.value_at_normal(germ)
+
+    def germ(self) -> AbstractGerm:
+        """See `AbstractDistribution.germ`."""
+        return HermiteGerm()
+
+    def from_normal(self, normal: Float[Array, ""], shape: tuple) -> Float[Array, ""]:
+        """The number above `lower`, in medians: see `AbstractDistribution.from_normal`."""
+        return jnp.exp(shape[0] * normal)
+
+    def mean(self) -> Scalar:
+        """See `AbstractDistribution.mean`."""
+        lower, median, (log_std,) = self.canonical()
+        return lower + median * jnp.exp(log_std**2 / 2)
+
+    def std(self) -> Scalar:
+        """See `AbstractDistribution.std`."""
+        _, median, (log_std,) = self.canonical()
+        return median * jnp.exp(log_std**2 / 2) * jnp.sqrt(jnp.expm1(log_std**2))
+
+    def support(self) -> tuple[Scalar, Scalar]:
+        """See `AbstractDistribution.support`."""
+        return self.parameters["lower"], np.inf
+
+
+def _weibull_from_moments(mean: Scalar, std: Scalar, lower: Scalar) -> Canonical:
+    inverse = weibull_inverse_shape(jnp.log1p((std / (mean - lower)) ** 2))
+    return Canonical(lower, (mean - lower) / jnp.exp(special.gammaln(1 + inverse)), (1 / inverse,))
+
+
+@final
+class Weibull(AbstractDistribution):
+    """Weibull distribution above `lower`, default 0: `F(x) = 1 - exp(-((x - lower) / scale)^shape)`.
+
+    `Weibull(scale=2.0, shape=1.5)` or, by the moments of the number itself, `Weibull(mean=2.0, std=0.5)`.
+    """
+
+    FORMS: ClassVar[dict[tuple[str, ...], Form]] = {
+        ("scale", "shape", "lower"): Form(
+            lambda scale, shape, lower: Canonical(lower, scale, (shape,)), frozenset({"shape"})
+        ),
+        ("mean", "std", "lower"): Form(_weibull_from_moments, frozenset({"mean", "std", "lower"})),
+    }
+    REQUIRES: ClassVar[str] = (
+        "a finite lower with a finite scale and shape above 0, or a finite mean above lower and a finite std above 0"
+    )
+
+    def __init__(
+        self,
+        scale: Any = None,
+        shape: Any = None,
+        *,
+        mean: Any = None,
+        std: Any = None,
+        lower: Any = 0.0,
+        shared_name: str | None = None,
+    ):
+        self._take({"scale": scale, "shape": shape, "mean": mean, "std": std, "lower": lower}, shared_name)
+
+    def germ(self) -> AbstractGerm:
+        """See `AbstractDistribution.germ`."""
+        return WeibullGerm(*self.concrete_shape())
+
+    def transport(self, germ: Float[Array, ""], source: tuple, target: tuple) -> Float[Array, ""]:
+        """See `AbstractDistribution.transport`."""
+        return germ ** (source[0] / target[0])
+
+    def from_normal(self, normal: Float[Array, ""], shape: tuple) -> Float[Array, ""]:
+        """See `AbstractDistribution.from_normal`."""
+        return (-special.log_ndtr(-normal)) ** (1 / shape[0])
+
+    def mean(self) -> Scalar:
+        """See `AbstractDistribution.mean`."""
+        lower, scale, (shape,) = self.canonical()
+        return lower + scale * jnp.exp(special.gammaln(1 + 1 / shape))
+
+    def std(self) -> Scalar:
+        """See `AbstractDistribution.std`."""
+        _, scale, (shape,) = self.canonical()
+        first, second = special.gammaln(1 + 1 / shape), special.gammaln(1 + 2 / shape)
+        return scale * jnp.exp(first) * jnp.sqrt(jnp.expm1(second - 2 * first))
+
+    def support(self) -> tuple[Scalar, Scalar]:
+        """See `AbstractDistribution.support`."""
+        return self.parameters["lower"], np.inf
+
+
+_GUMBEL_STD = np.pi / np.sqrt(6)
+
+
+@final
+class Gumbel(AbstractDistribution):
+    """Gumbel distribution of maxima: `F(x) = exp(-exp(-(x - location) / scale))`.
+
+    `Gumbel(location=1.0, scale=0.2)`, where `location` is the mode, or `Gumbel(mean=1.1, std=0.25)`. The law of minima
+    is the negative of a number with this law.
+    """
+
+    FORMS: ClassVar[dict[tuple[str, ...], Form]] = {
+        ("location", "scale"): Form(lambda location, scale: Canonical(location, scale)),
+        ("mean", "std"): Form(
+            lambda mean, std: Canonical(mean - np.euler_gamma * std / _GUMBEL_STD, std / _GUMBEL_STD)
+        ),
+    }
+    REQUIRES: ClassVar[str] = "a finite location or mean, and a finite scale or std above 0"
+
+    def __init__(
+        self,
+        location: Any = None,
+        scale: Any = None,
+        *,
+        mean: Any = None,
+        std: Any = None,
+        shared_name: str | None = None,
+    ):
+        self._take({"location": location, "scale": scale, "mean": mean, "std": std}, shared_name)
+
+    def germ(self) -> AbstractGerm:
+        """See `AbstractDistribution.germ`."""
+        return GumbelGerm()
+
+    def from_normal(self, normal: Float[Array, ""], shape: tuple) -> Float[Array, ""]:
+        """See `AbstractDistribution.from_normal`."""
+        del shape
+        return -jnp.log(-special.log_ndtr(normal))
+
+    def mean(self) -> Scalar:
+        """See `AbstractDistribution.mean`."""
+        location, scale, _ = self.canonical()
+        return location + np.euler_gamma * scale
+
+    def std(self) -> Scalar:
+        """See `AbstractDistribution.std`."""
+        return _GUMBEL_STD * self.canonical().scale
+
+    def support(self) -> tuple[Scalar, Scalar]:
+        """See `AbstractDistribution.support`."""
+        return -np.inf, np.inf

@@ -1,0 +1,153 @@
+"""Dimensions as drawings give them: a nominal value, its limits, and the capability of the process that makes it."""
+
+import itertools
+import re
+from typing import Any, ClassVar, Literal, NamedTuple, final
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Array, Float
+
+from aleator._core.arrays import Scalar
+from aleator._core.errors import ProblemError
+from aleator.uncertainty._distribution import AbstractDistribution, Canonical, Form
+from aleator.uncertainty._polynomials import AbstractGerm, HermiteGerm
+
+
+class _Zone(NamedTuple):
+    """A tolerance zone: its nominal value and the deviations of its limits, both outwards."""
+
+    nominal: Scalar
+    plus: Scalar
+    minus: Scalar
+
+    @property
+    def middle(self) -> Scalar:
+        return self.nominal + (self.plus - self.minus) / 2
+
+    @property
+    def half_width(self) -> Scalar:
+        return (self.plus + self.minus) / 2
+
+
+_ZONES = (("nominal", "tolerance"), ("nominal", "plus", "minus"))
+_CAPABILITIES = (("cp",), ("sigmas",), ("cp", "cpk"))
+
+
+def _zone(given: dict[str, Any]) -> _Zone:
+    if "tolerance" in given:
+        return _Zone(given["nominal"], given["tolerance"], given["tolerance"])
+    return _Zone(given["nominal"], given["plus"], given["minus"])
+
+
+def _canonical(**given: Any) -> Canonical:
+    """The normal law of a process whose mean is shifted upwards, if at all."""
+    cp = given["sigmas"] / 3 if "sigmas" in given else given["cp"]
+    zone, shift = _zone(given), 1 - given.get("cpk", cp) / cp
+    return Canonical(zone.middle + shift * zone.half_width, zone.half_width / (3 * cp))
+
+
+@final
+class Toleranced(AbstractDistribution):
+    """A normal law in a tolerance zone: `Toleranced(27.645, plus=0.05, minus=0.02, cp=1.33)`.
+
+    The zone reaches from `nominal - minus` to `nominal + plus`; `tolerance` stands for both where they are equal. Its
+    width is `6 cp` standard deviations, or `2 sigmas` of them (`cp` is 1, thus `sigmas` 3, unless told). The mean lies
+    in the middle of the zone. A process that is not centred is told by `cpk < cp`: its mean is then shifted by
+    `(1 - cpk / cp)` half-widths towards the limit named in `towards`, "upper" unless told.
+
+    Parts outside the zone are not cut off; `limits()` is the zone, which worst-case analysis takes.
+    """
+
+    towards: Literal["upper", "lower"] = eqx.field(static=True)
+
+    FORMS: ClassVar[dict[tuple[str, ...], Form]] = {
+        zone + capability: Form(_canonical) for zone, capability in itertools.product(_ZONES, _CAPABILITIES)
+    }
+    REQUIRES: ClassVar[str] = (
+        "finite numbers, limits in order (plus + minus or tolerance above 0), cp or sigmas above 0, and cpk at most cp"
+    )
+
+    def __init__(
+        self,
+        nominal: Any = None,
+        *,
+        tolerance: Any = None,
+        plus: Any = None,
+        minus: Any = None,
+        cp: Any = None,
+        sigmas: Any = None,
+        cpk: Any = None,
+        towards: Literal["upper", "lower"] = "upper",
+        shared_name: str | None = None,
+    ):
+        if towards not in ("upper", "lower"):
+            raise ProblemError(f'Toleranced: \'towards\' is "upper" or "lower"; received {towards!r}.')
+        self.towards = towards
+        if cp is None and sigmas is None:
+            cp = 1.0
+        zone = {"nominal": nominal, "tolerance": tolerance, "plus": plus, "minus": minus}
+        self._take(zone | {"cp": cp, "sigmas": sigmas, "cpk": cpk}, shared_name)
+
+    def canonical(self) -> Canonical:
+        """See `AbstractDistribution.canonical`."""
+        location, scale, _ = super().canonical()
+        middle = _zone(self.parameters).middle
+        return Canonical(location if self.towards == "upper" else middle - (location - middle), scale)
+
+    def limits(self) -> tuple[Scalar, Scalar]:
+        """Lower and upper limit of the tolerance zone, once the parameters are plain numbers."""
+        nominal, plus, minus = _zone(self.parameters)
+        return nominal - minus, nominal + plus
+
+    def _is_possible(self, parameters: dict[str, float], shape: tuple[float, ...]) -> bool:
+        del shape
+        capability = parameters.get("sigmas", parameters.get("cp", 0.0))
+        is_capable = 0 < capability < np.inf and parameters.get("cpk", -np.inf) <= capability
+        return is_capable and float(_zone(parameters).half_width) >= 0
+
+    def germ(self) -> AbstractGerm:
+        """See `AbstractDistribution.germ`."""
+        return HermiteGerm()
+
+    def from_normal(self, normal: Float[Array, ""], shape: tuple) -> Float[Array, ""]:
+        """See `AbstractDistribution.from_normal`."""
+        del shape
+        return normal
+
+    def mean(self) -> Scalar:
+        """See `AbstractDistribution.mean`."""
+        return self.canonical().location
+
+    def std(self) -> Scalar:
+        """See `AbstractDistribution.std`."""
+        return self.canonical().scale
+
+    def support(self) -> tuple[Scalar, Scalar]:
+        """See `AbstractDistribution.support`."""
+        return -np.inf, np.inf
+
+
+_NUMBER = r"\d+(?:\.\d*)?(?:[eE][+-]?\d+)?|\.\d+(?:[eE][+-]?\d+)?"
+_SYMMETRIC = re.compile(rf"([+-]?(?:{_NUMBER}))(?:±|\+/-|\+-)({_NUMBER})")
+_DEVIATION = rf"(/?[+-](?:{_NUMBER})|/0)"
+_ASYMMETRIC = re.compile(rf"([+-]?(?:{_NUMBER})){_DEVIATION}{_DEVIATION}")
+
+
+def toleranced(text: str, **options: Any) -> Toleranced:
+    """A toleranced dimension as a drawing writes it: `toleranced("27.645 +0.05/-0.02", cp=1.33)`.
+
+    Understood are `27.645 ±0.05`, `11.43 +/- 0.01`, and two deviations from the nominal value, each with its sign, in
+    any order: `27.645 +0.05/-0.02`, `20 -0.007/-0.028`, `8 +0.1 0`. `options` are those of `Toleranced`.
+    """
+    compact = re.sub(r"\s+(?=[^\d.])|(?<=[^\d.])\s+", "", text.strip().replace("\N{MINUS SIGN}", "-"))
+    if match := _SYMMETRIC.fullmatch(compact):
+        nominal, tolerance = map(float, match.groups())
+        return Toleranced(nominal, tolerance=tolerance, **options)
+    if match := _ASYMMETRIC.fullmatch(compact.replace(" ", "/")):
+        nominal, *deviations = (float(number.removeprefix("/")) for number in match.groups())
+        return Toleranced(nominal, plus=max(deviations), minus=-min(deviations), **options)
+    raise ProblemError(
+        f"{text!r} is no toleranced dimension: expected a nominal value with '±0.05', '+/- 0.05' or two signed "
+        "deviations like '+0.05/-0.02', with decimal points and without a unit."
+    )

@@ -1,0 +1,264 @@
+"""`al.expand` against closed forms, quadrature, chaospy and finite differences."""
+
+import chaospy
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import integrate, stats
+
+import aleator as al
+from aleator.analysis import _tracing
+from aleator.collocation import Adaptive, GaussPoints, Projection, SmolyakPoints
+
+DECAY = {"b": al.Uniform.bounds(0.1, 0.2), "u": al.Normal(1.5, 0.2)}
+DECAY_MEAN, DECAY_VARIANCE = 0.348816236902, 0.012314725652
+
+
+def decay(model):
+    return model["u"] * jnp.exp(-10.0 * model["b"])
+
+
+def test_the_uncertain_decay_has_its_published_moments():
+    expanded = al.expand(decay, DECAY, al.Expansion(order=10))
+    assert float(expanded.mean) == pytest.approx(DECAY_MEAN, abs=1e-8)
+    assert float(expanded.variance) == pytest.approx(DECAY_VARIANCE, abs=1e-8)
+
+
+@pytest.mark.filterwarnings("ignore::aleator.ExpansionWarning")
+@pytest.mark.parametrize(("moment", "exact"), [("mean", DECAY_MEAN), ("variance", DECAY_VARIANCE)])
+def test_the_error_falls_by_more_than_a_digit_with_each_order(moment, exact):
+    orders = np.array([1, 3, 5])
+    errors = [abs(float(getattr(al.expand(decay, DECAY, al.Expansion(int(p))), moment)) / exact - 1) for p in orders]
+    assert np.polyfit(orders, np.log10(errors), 1)[0] < -1
+
+
+def test_moments_are_those_of_chaospys_pseudospectral_projection():
+    model = {"a": al.Uniform.bounds(0.5, 1.5), "b": al.Normal(0.0, 0.3), "c": al.Beta(alpha=2.0, beta=3.0)}
+    joint = chaospy.J(chaospy.Uniform(0.5, 1.5), chaospy.Normal(0, 0.3), chaospy.Beta(2.0, 3.0))
+    nodes, weights = chaospy.generate_quadrature(9, joint, rule="gaussian")
+    a, b, c = nodes
+    projected = chaospy.fit_quadrature(
+        chaospy.generate_expansion(7, joint, normed=True), nodes, weights, np.sin(a) * np.exp(b) + np.cos(a * c)
+    )
+    ours = al.expand(
+        lambda m: jnp.sin(m["a"]) * jnp.exp(m["b"]) + jnp.cos(m["a"] * m["c"]), model, al.Expansion(order=7)
+    )
+    assert float(ours.mean) == pytest.approx(float(chaospy.E(projected, joint)), rel=1e-6)
+    assert float(ours.std) == pytest.approx(float(chaospy.Std(projected, joint)), rel=1e-5)
+
+
+def test_the_outputs_keep_their_structure_in_every_statistic():
+    times = jnp.linspace(0.0, 2.0, 5)
+    expanded = al.expand(lambda m: {"x": m["u"] * times, "y": (m["b"], 2 * m["u"])}, DECAY)
+    assert expanded.mean["x"] == pytest.approx(1.5 * np.asarray(times), abs=1e-12)
+    assert [float(one) for one in expanded.std["y"]] == pytest.approx([0.1 / np.sqrt(12), 0.4], rel=1e-10)
+    assert expanded["x"].std == pytest.approx(np.asarray(expanded.std["x"]), abs=0)
+    assert expanded["x"].leave_one_out < 1e-20
+    with pytest.raises(al.ProblemError, match=r"no output 'z'.*'x', 'y'"):
+        expanded["z"]
+    with pytest.raises(al.ProblemError, match="without a name"):
+        expanded["x"]["z"]
+
+
+def test_a_system_among_the_uncertain_inputs_is_simulated_at_every_point():
+    class Cooling(al.System):
+        states = ("x",)
+        rate: float = al.parameter("1/s", positive=True)
+
+        def rhs(self, t, z):
+            return (-self.rate * z.x,)
+
+        def outputs(self, t, z):
+            return {"x": z.x}
+
+        def initial(self):
+            return {"x": 1.0}
+
+    grid = al.Grid(10.0, 400)
+    model = {"system": Cooling(al.Uniform.bounds(0.1, 0.2)), "gain": al.Normal(1.5, 0.2)}
+    expanded = al.expand(
+        lambda m: m["gain"] * al.simulate(m["system"], grid)["x"], model, al.Expansion(8), times=grid.times
+    )
+    assert float(expanded.mean[-1]) == pytest.approx(DECAY_MEAN, abs=1e-8)
+    assert float(expanded.variance[-1]) == pytest.approx(DECAY_VARIANCE, abs=1e-8)
+    assert expanded.basis.names == ("gain", "rate")
+
+
+def test_decisions_stand_at_their_initial_values():
+    expanded = al.expand(lambda m: m["k"] * m["x"], {"k": al.Decision(3.0), "x": al.Normal(al.Decision(2.0), 0.1)})
+    assert (float(expanded.mean), float(expanded.std)) == pytest.approx((6.0, 0.3), rel=1e-12)
+
+
+def test_the_surrogate_takes_inputs_germ_points_and_samples():
+    expanded = al.expand(decay, DECAY, al.Expansion(order=10))
+    assert float(expanded({"u": 1.4, "b": 0.17})) == pytest.approx(1.4 * np.exp(-1.7), rel=1e-10)
+    assert float(expanded({"u": 1.4, "b": 0.2})) == pytest.approx(1.4 * np.exp(-2.0), rel=1e-8)
+    assert float(expanded.at_germ([[0.4, -0.5]])[0]) == pytest.approx(1.4 * np.exp(-1.7), rel=1e-10)
+    values = np.asarray(expanded.sample(20_000, seed=1))
+    assert values.shape == (20_000,)
+    assert values.mean() == pytest.approx(DECAY_MEAN, abs=4 * np.sqrt(DECAY_VARIANCE / 20_000))
+    for wrong, message in [({"u": 1.4}, "each of"), ({"u": 1.0, "b": 0.3}, "outside its law")]:
+        with pytest.raises(al.ProblemError, match=message):
+            expanded(wrong)
+    with pytest.raises(al.ProblemError, match=r"shape \(n, 2\)"):
+        expanded.at_germ([0.0, 0.0])
+
+
+def test_the_text_names_moments_main_contributors_and_trust():
+    text = str(al.expand(lambda m: {"y": 3 * m["u"] + 4 * m["b"] / (0.1 / np.sqrt(12)) * 0.2}, DECAY))
+    (line,) = [line for line in text.splitlines() if line.startswith("y ")]
+    assert "std 1;" in line
+    assert "b 64 %, u 36 %" in line
+    assert "resolved" in line
+    assert "NOT" not in line
+
+
+def call_by_call(model):
+    if model["b"] > 0.15:
+        return {"y": np.array([model["u"], np.sin(model["b"])])}
+    return {"y": np.array([model["u"], float(np.sin(model["b"]))])}
+
+
+def test_a_function_that_jax_cannot_trace_is_called_point_by_point_on_request():
+    with pytest.raises(al.ProblemError, match=r"'call_by_call' cannot be traced by JAX.*traced=False"):
+        al.expand(call_by_call, DECAY)
+    expanded = al.expand(call_by_call, DECAY, al.Expansion(6), traced=False)
+    traced = al.expand(lambda m: {"y": jnp.stack([m["u"], jnp.sin(m["b"])])}, DECAY, al.Expansion(6))
+    assert np.asarray(expanded.mean["y"]) == pytest.approx(np.asarray(traced.mean["y"]), rel=1e-13)
+    assert np.asarray(expanded.std["y"]) == pytest.approx(np.asarray(traced.std["y"]), rel=1e-13)
+    with pytest.raises(al.ProblemError, match="nothing can be differentiated"):
+        jax.grad(lambda s: al.expand(call_by_call, {"u": al.Normal(1.5, s), "b": 0.1}, traced=False).std["y"][0])(0.2)
+
+
+def test_outputs_called_point_by_point_must_keep_their_shape():
+    with pytest.raises(al.ProblemError, match="same shapes"):
+        al.expand(lambda m: np.zeros(1 + int(m["b"] > 0.15)), DECAY, traced=False)
+
+
+@pytest.mark.parametrize("traced", [True, False])
+def test_an_output_that_is_not_finite_names_the_point_and_the_inputs(traced):
+    library = jnp if traced else np
+    with np.errstate(all="ignore"), pytest.raises(al.SimulationError, match=r"not finite at 6 of 12 .*'z'.* \(b=0\.1"):
+        al.expand(lambda m: {"z": library.sqrt(m["b"] - 0.15)}, {"b": DECAY["b"]}, traced=traced)
+
+
+@pytest.mark.parametrize(
+    ("function", "model", "message"),
+    [
+        (decay, {"b": 0.1, "u": 2.0}, "nothing in the model is uncertain"),
+        ("decay", DECAY, "expected a function"),
+        (lambda m: None, DECAY, "returns nothing"),
+        (lambda m: {"a": "text"}, DECAY, "received str"),
+        (lambda m: m["u"] + 1j, DECAY, "complex"),
+    ],
+)
+def test_what_cannot_be_expanded_is_refused_in_words(function, model, message):
+    with pytest.raises(al.ProblemError, match=message):
+        al.expand(function, model)
+
+
+def test_an_expansion_that_does_not_converge_warns_and_names_the_remedy():
+    with pytest.warns(al.ExpansionWarning, match=r"order 3 does not resolve jump .*Raise the order.*MultiElement"):
+        al.expand(lambda m: {"jump": jnp.where(m["b"] > 0.12, 1.0, 0.0), "u": m["u"]}, DECAY)
+
+
+def test_a_repeated_expansion_compiles_nothing_though_its_function_is_new():
+    def expand(width, offset):
+        return al.expand(lambda m: jnp.sin(m["w"]) + offset, {"w": al.Uniform(1.0, half_width=width)}).std
+
+    expand(0.1, 1.0), jax.grad(expand)(0.1, 1.0)
+    before = len(_tracing._EXECUTABLES)
+    expand(0.2, 1.0), jax.grad(expand)(0.3, 1.0)
+    assert len(_tracing._EXECUTABLES) == before
+
+
+GAIN = {"value": 2.0}
+
+
+def test_a_function_that_reads_a_global_that_changes_is_never_answered_from_memory():
+    def response(m):
+        return GAIN["value"] * m["u"]
+
+    assert float(al.expand(response, DECAY).mean) == pytest.approx(3.0)
+    GAIN["value"] = 4.0
+    assert float(al.expand(response, DECAY).mean) == pytest.approx(6.0)
+
+
+def test_arrays_held_by_compiled_helpers_tell_functions_apart():
+    def times(gain):
+        held = jnp.asarray(gain)
+        helper = jax.jit(lambda x: held * x)
+        return lambda m: helper(m["u"])
+
+    means = [float(al.expand(times(gain), DECAY).mean) for gain in (2.0, 3.0)]
+    assert means == pytest.approx([3.0, 4.5])
+
+
+def test_rules_of_differentiation_tell_functions_apart():
+    def with_slope(slope):
+        @jax.custom_jvp
+        def response(x):
+            return 1.0 * x
+
+        response.defjvp(lambda primals, tangents: (response(*primals), slope * tangents[0]))
+        return lambda h: al.expand(lambda m: response(m["u"]), {"u": al.Normal(h, 0.1)}).mean
+
+    assert [float(jax.grad(with_slope(slope))(1.0)) for slope in (2.0, 3.0)] == pytest.approx([2.0, 3.0])
+
+
+def test_the_derivative_of_the_standard_deviation_is_that_of_the_closed_form():
+    def std(h):
+        return al.expand(lambda m: jnp.exp(m["w"]), {"w": al.Uniform(1.0, half_width=h)}, al.Expansion(10)).std
+
+    def exact(h):
+        first = jnp.e * jnp.sinh(h) / h
+        return jnp.sqrt(jnp.e**2 * jnp.sinh(2 * h) / (2 * h) - first**2)
+
+    assert float(std(0.4)) == pytest.approx(float(exact(0.4)), rel=1e-11)
+    assert float(jax.grad(std)(0.4)) == pytest.approx(float(jax.grad(exact)(0.4)), rel=1e-9)
+
+
+def beta_moment(alpha, power):
+    law = stats.beta(alpha, 3.0)
+    return integrate.quad(lambda x: np.exp(power * x) * law.pdf(x), 0, 1, epsabs=0, epsrel=1e-12)[0]
+
+
+def test_the_derivative_by_a_shape_parameter_is_that_of_the_exact_moments():
+    def moments(alpha):
+        expansion = al.Expansion(order=10, points=GaussPoints(40))
+        expanded = al.expand(lambda m: jnp.exp(m["x"]), {"x": al.Beta(alpha=alpha, beta=3.0)}, expansion)
+        return jnp.stack([expanded.mean, expanded.std])
+
+    def exact(alpha):
+        first, second = beta_moment(alpha, 1), beta_moment(alpha, 2)
+        return np.array([first, np.sqrt(second - first**2)])
+
+    assert np.asarray(moments(2.0)) == pytest.approx(exact(2.0), rel=1e-10)
+    h = 1e-3
+    wide, narrow = ((exact(2.0 + s) - exact(2.0 - s)) / (2 * s) for s in (2 * h, h))
+    assert np.asarray(jax.jacrev(moments)(2.0)) == pytest.approx((4 * narrow - wide) / 3, rel=1e-6)
+
+
+def test_an_adaptive_expansion_finds_its_terms_and_calls_each_point_once():
+    calls = []
+
+    def response(m):
+        calls.append((m["a"], m["b"]))
+        return np.exp(m["a"]) + m["b"]
+
+    model = {"a": al.Uniform.bounds(0.0, 1.0), "b": al.Normal(0.0, 1.0)}
+    expanded = al.expand(response, model, al.Expansion(index_set=Adaptive(error=1e-8)), traced=False)
+    assert len(calls) == len(set(calls)) == len(expanded.collocation.points)
+    assert float(expanded.mean) == pytest.approx(np.e - 1, rel=1e-6)
+    assert expanded.basis.indices[:, 0].max() > 2 >= expanded.basis.indices[:, 1].max()
+
+
+def test_a_sparse_grid_that_leaves_nothing_to_check_is_judged_by_its_highest_degrees():
+    sparse = al.Expansion(6, points=SmolyakPoints(), fit=Projection())
+    fine = al.expand(decay, DECAY, sparse)
+    assert float(fine.leave_one_out) == np.inf
+    assert float(fine.error) < 1e-6
+    assert float(fine.variance) == pytest.approx(DECAY_VARIANCE, abs=1e-8)
+    with pytest.warns(al.ExpansionWarning, match="does not resolve"):
+        al.expand(lambda m: jnp.cos(200 * m["b"]) * m["u"], DECAY, sparse)

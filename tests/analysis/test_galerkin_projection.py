@@ -1,0 +1,119 @@
+"""Intrusive Galerkin projection against closed forms and against collocation."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import aleator as al
+from aleator.collocation import Adaptive, SmolyakPoints
+from tiny_models import Decay, Oscillator
+
+GRID = al.Grid(10.0, 800)
+DECAY = Decay(rate=al.Uniform.bounds(0.1, 0.2), start=al.Normal(1.5, 0.2))
+DECAY_MEAN, DECAY_VARIANCE = 0.348816236902, 0.012314725652
+
+
+def collocated(order):
+    return al.expand(lambda m: {"x": m.start * jnp.exp(-m.rate * GRID.times)}, DECAY, al.Expansion(order))
+
+
+@pytest.mark.parametrize("integrator", [None, al.Tsit5(rtol=1e-11, atol=1e-12)])
+def test_the_uncertain_decay_has_its_published_moments(integrator):
+    expanded = al.galerkin(DECAY, GRID, al.Expansion(8), integrator=integrator)
+    assert float(expanded.mean["x"][-1]) == pytest.approx(DECAY_MEAN, abs=1e-8)
+    assert float(expanded.variance["x"][-1]) == pytest.approx(DECAY_VARIANCE, abs=1e-8)
+
+
+def test_galerkin_and_collocation_converge_to_each_other_exponentially():
+    orders = np.array([2, 4, 6])
+    apart = []
+    for order in map(int, orders):
+        intrusive = al.galerkin(DECAY, GRID, al.Expansion(order))
+        other = collocated(order)
+        apart.append(float(abs(intrusive.std["x"] - other.std["x"]).max()))
+    assert np.polyfit(orders, np.log10(apart), 1)[0] < -0.8
+
+
+def test_the_coefficients_of_a_linear_system_are_those_of_the_projected_equations():
+    """`x' = -(m + h xi) x`: with Legendre's recurrence the coefficients obey `c' = -(m I + h J) c`, J of Jacobi."""
+    expanded = al.galerkin(Decay(rate=al.Uniform(0.5, half_width=0.3)), al.Grid(2.0, 400), al.Expansion(4))
+    n = np.arange(1, 5)
+    off = n / np.sqrt(4 * n**2 - 1)
+    values, vectors = np.linalg.eigh(0.5 * np.eye(5) + 0.3 * (np.diag(off, 1) + np.diag(off, -1)))
+    expected = vectors @ (np.exp(-2.0 * values) * vectors[0])
+    assert np.asarray(expanded.coefficients["x"][:, -1]) == pytest.approx(expected, abs=1e-11)
+
+
+class Pendulum(al.System):
+    """Nonlinear, with a number and an array (the integral of the angle, and the speed) as states."""
+
+    states = ("angle", "trail")
+    length: Any
+    start: Any
+
+    def rhs(self, t, z, push):
+        force = push - 9.81 / self.length * jnp.sin(z.angle)
+        return z.trail[1], jnp.stack([z.angle, force])
+
+    def outputs(self, t, z, push):
+        return {"angle": z.angle, "trail": z.trail, "push": push}
+
+    def initial(self):
+        return {"angle": self.start, "trail": np.zeros(2)}
+
+
+def test_a_nonlinear_system_with_array_states_and_uncertain_inputs_agrees_with_collocation():
+    grid = al.Grid(1.0, 200)
+    system = Pendulum(length=al.Uniform(1.0, half_width=0.1), start=al.Normal(0.8, 0.05))
+    push = al.Tabulated([0.0, 1.0], [0.0, al.Uniform(1.0, half_width=0.3)])
+    intrusive = al.galerkin(system, grid, al.Expansion(5), inputs={"push": push})
+    other = al.expand(
+        lambda m: al.simulate(m["system"], grid, {"push": m["push"]}), {"system": system, "push": push}, al.Expansion(5)
+    )
+    assert intrusive.basis.names == ("length", "start", "inputs.push.values.1")
+    for name in ("angle", "trail", "push"):
+        assert np.asarray(intrusive.mean[name]) == pytest.approx(np.asarray(other.mean[name]), abs=1e-6)
+        assert np.asarray(intrusive.std[name]) == pytest.approx(np.asarray(other.std[name]), abs=1e-5)
+    assert intrusive.coefficients["trail"].shape == (intrusive.basis.terms, 201, 2)
+
+
+def test_a_sparse_grid_may_take_the_place_of_the_full_one():
+    full, sparse = (
+        al.galerkin(DECAY, GRID, al.Expansion(6, points=points)).variance["x"][-1]
+        for points in (None, SmolyakPoints(8))
+    )
+    assert float(sparse) == pytest.approx(float(full), rel=1e-9)
+
+
+def test_galerkin_is_differentiable_through_the_laws():
+    def spread(half_width):
+        return al.galerkin(
+            Decay(rate=al.Uniform(0.15, half_width=half_width)), al.Grid(10.0, 100), al.Expansion(6)
+        ).std["x"][-1]
+
+    h = 1e-4
+    expected = float((spread(0.05 + h) - spread(0.05 - h)) / (2 * h))
+    assert float(jax.grad(spread)(0.05)) == pytest.approx(expected, rel=1e-6)
+
+
+def test_too_low_an_order_warns():
+    drifting = Oscillator(m=1.0, c=0.0, k=al.Uniform(1.0, half_width=0.3), x0=1.0)
+    with pytest.warns(al.ExpansionWarning, match="highest degrees carry a large part"):
+        al.galerkin(drifting, al.Grid(40.0, 400), al.Expansion(3), {"force": al.Tabulated([0.0, 40.0], [0.0, 0.0])})
+
+
+def test_what_cannot_be_projected_is_refused_in_words():
+    with pytest.raises(al.ProblemError, match="nothing in the system is uncertain"):
+        al.galerkin(Decay(rate=0.1), GRID)
+    with pytest.raises(al.ProblemError, match="expected a System"):
+        al.galerkin(lambda m: m, GRID)
+    with pytest.raises(al.ProblemError, match=r"takes the inputs \['force'\]"):
+        al.galerkin(Oscillator(m=1.0, c=0.0, k=al.Normal(1.0, 0.1)), GRID)
+    with pytest.raises(al.ProblemError, match="expected a fixed one"):
+        al.galerkin(DECAY, GRID, al.Expansion(index_set=Adaptive()))
+    many = Decay(rate=al.Uniform(1.0, half_width=0.1), start=al.Tabulated([0.0, 1.0], [al.Normal(0.0, 1.0)] * 2).values)
+    with pytest.raises(al.ProblemError, match=r"or use al\.expand"):
+        al.galerkin(many, GRID, al.Expansion(40))

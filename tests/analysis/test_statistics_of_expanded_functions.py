@@ -1,0 +1,191 @@
+"""What an expanded function is asked, against closed forms, chaospy, sampling and finite differences."""
+
+import chaospy
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import stats
+
+import aleator as al
+from aleator.collocation import GaussPoints, Projection
+from aleator.statistics import Sobol
+
+ANGLES = {name: al.Uniform(0.0, half_width=float(np.pi)) for name in ("x1", "x2", "x3")}
+
+
+def ishigami(m):
+    return jnp.sin(m["x1"]) + 7 * jnp.sin(m["x2"]) ** 2 + 0.1 * m["x3"] ** 4 * jnp.sin(m["x1"])
+
+
+def check_ishigami(expanded, variance):
+    assert float(expanded.mean) == pytest.approx(3.5, abs=1e-6)
+    assert float(expanded.variance) == pytest.approx(13.8445879407, abs=variance)
+    assert float(expanded.sobol("x1")) == pytest.approx(0.3139051912, abs=1e-6)
+    assert float(expanded.sobol("x2")) == pytest.approx(0.4424111448, abs=1e-6)
+    assert float(expanded.sobol("x1", "x3")) == pytest.approx(0.2436836641, abs=1e-6)
+    assert float(expanded.total_sobol("x1")) == pytest.approx(0.3139051912 + 0.2436836641, abs=1e-6)
+    assert float(expanded.sobol("x3")) == pytest.approx(0.0, abs=1e-6)
+
+
+def test_ishigamis_moments_and_sobol_indices_by_projection():
+    check_ishigami(al.expand(ishigami, ANGLES, al.Expansion(14, points=GaussPoints(), fit=Projection())), 1e-6)
+
+
+@pytest.mark.slow
+def test_ishigamis_moments_and_sobol_indices_by_least_squares():
+    check_ishigami(al.expand(ishigami, ANGLES, al.Expansion(14)), 1e-5)
+
+
+MODEL = {"a": al.Uniform.bounds(0.0, 1.0), "b": al.Normal(0.0, 0.5)}
+
+
+def response(m):
+    return m["a"] ** 2 + 0.5 * m["b"] + m["a"] * m["b"] ** 2
+
+
+def test_every_moment_and_index_of_a_polynomial_is_that_of_chaospy():
+    joint = chaospy.J(chaospy.Uniform(0, 1), chaospy.Normal(0, 0.5))
+    a, b = chaospy.variable(2)
+    polynomial = a**2 + 0.5 * b + a * b**2
+    ours = al.expand(response, MODEL, al.Expansion(3))
+    expected = {
+        "mean": chaospy.E,
+        "variance": chaospy.Var,
+        "std": chaospy.Std,
+        "skewness": chaospy.Skew,
+        "kurtosis": lambda p, d: chaospy.Kurt(p, d, fisher=False),
+    }
+    for name, oracle in expected.items():
+        assert float(getattr(ours, name)) == pytest.approx(float(oracle(polynomial, joint)), rel=1e-9), name
+    first, total = chaospy.Sens_m(polynomial, joint), chaospy.Sens_t(polynomial, joint)
+    assert [float(ours.sobol(name)) for name in "ab"] == pytest.approx(first, rel=1e-8)
+    assert [float(ours.total_sobol(name)) for name in "ab"] == pytest.approx(total, rel=1e-8)
+
+
+def test_covariance_and_correlation_of_outputs():
+    expanded = al.expand(lambda m: {"x": 2 * m["a"] + m["b"], "y": m["a"] - m["b"], "z": jnp.ones(3)}, MODEL)
+    assert float(expanded.covariance("x", "y")) == pytest.approx(2 / 12 - 0.25, rel=1e-10)
+    correlation = (2 / 12 - 0.25) / np.sqrt((4 / 12 + 0.25) * (1 / 12 + 0.25))
+    assert float(expanded.correlation("x", "y")) == pytest.approx(correlation, rel=1e-10)
+    with pytest.raises(al.ProblemError, match="different shapes"):
+        expanded.covariance("x", "z")
+
+
+def kinked(m):
+    return {"y": jnp.abs(m["a"] - 0.3) + 0.2 * m["b"], "a": m["a"]}
+
+
+@pytest.fixture(scope="module")
+def pieces():
+    return al.expand(kinked, MODEL, al.MultiElement(order=3, error=1e-3))
+
+
+@pytest.fixture(scope="module")
+def sampled():
+    generator = np.random.default_rng(7)
+    model = {"a": generator.uniform(size=2_000_000), "b": generator.normal(0.0, 0.5, 2_000_000)}
+    return {name: np.asarray(values) for name, values in kinked(model).items()}
+
+
+def test_statistics_over_elements_are_those_of_a_large_sample(pieces, sampled):
+    y = sampled["y"]
+    assert float(pieces.skewness["y"]) == pytest.approx(stats.skew(y), abs=1e-2)
+    assert float(pieces.kurtosis["y"]) == pytest.approx(stats.kurtosis(y, fisher=False), abs=1e-2)
+    assert float(pieces.covariance("y", "a")) == pytest.approx(np.cov(y, sampled["a"])[0, 1], abs=1e-3)
+    assert float(pieces.correlation("y", "a")) == pytest.approx(np.corrcoef(y, sampled["a"])[0, 1], abs=1e-3)
+
+
+def test_the_distribution_over_elements_is_that_of_a_large_sample(pieces, sampled):
+    y, one = sampled["y"], pieces["y"]
+    for level in (0.05, 0.5, 0.95):
+        assert float(one.quantile(level)) == pytest.approx(np.quantile(y, level), abs=3e-3)
+    assert float(one.probability(above=0.5)) == pytest.approx(np.mean(y > 0.5), abs=2e-3)
+    assert float(one.probability(above=0.1, below=0.5)) == pytest.approx(np.mean((y > 0.1) & (y < 0.5)), abs=2e-3)
+    assert float(one.conditional_value_at_risk(0.9)) == pytest.approx(y[y > np.quantile(y, 0.9)].mean(), abs=3e-3)
+    at = np.linspace(0.0, 0.8, 9)
+    assert np.asarray(one.cdf(at)) == pytest.approx(np.searchsorted(np.sort(y), at) / len(y), abs=3e-3)
+    density = [np.mean(abs(y - value) < 0.01) / 0.02 for value in at]
+    assert np.asarray(one.pdf(at)) == pytest.approx(density, abs=0.05)
+
+
+def test_derivatives_over_elements_are_those_of_the_closed_form():
+    """`y = h |u - 0.3|` for u uniform on (0, 1): P(y < c) = 0.3 + c/h for 0.3 h < c < 0.7 h, and Q(p) = (p - 0.3) h."""
+
+    def expanded(h):
+        return al.expand(lambda m: jnp.abs(m["v"] - 0.3 * h), {"v": al.Uniform.bounds(0.0, h)}, al.MultiElement())
+
+    assert float(jax.grad(lambda h: expanded(h).probability(below=1.0))(2.0)) == pytest.approx(-0.25, rel=0.02)
+    assert float(jax.grad(lambda h: expanded(h).probability(above=1.0))(2.0)) == pytest.approx(0.25, rel=0.02)
+    assert float(jax.grad(lambda h: expanded(h).quantile(0.8))(2.0)) == pytest.approx(0.5, rel=0.02)
+    assert float(jax.grad(expanded(2.0).quantile)(0.8)) == pytest.approx(2.0, rel=0.02)
+    assert float(expanded(2.0).probability(below=1.0)) == pytest.approx(0.8, abs=1e-3)
+
+
+def test_the_distribution_of_an_expanded_function_is_the_closed_form():
+    """`exp(x)` for normal x is lognormal."""
+    law = stats.lognorm(0.1)
+    expanded = al.expand(lambda m: jnp.exp(m["x"]), {"x": al.Normal(0.0, 0.1)}, al.Expansion(order=6))
+    for level in (0.01, 0.5, 0.99):
+        assert float(expanded.quantile(level)) == pytest.approx(law.ppf(level), rel=1e-6)
+    at = law.ppf([0.05, 0.3, 0.9])
+    assert np.asarray(expanded.cdf(at)) == pytest.approx([0.05, 0.3, 0.9], abs=1e-6)
+    assert np.asarray(expanded.pdf(at)) == pytest.approx(law.pdf(at), rel=1e-4)
+    assert float(expanded.probability(above=1.2)) == pytest.approx(law.sf(1.2), abs=1e-6)
+    tail = law.expect(lambda y: y, lb=law.ppf(0.9)) / 0.1
+    assert float(expanded.conditional_value_at_risk(0.9)) == pytest.approx(tail, rel=1e-5)
+
+
+def test_extremes_of_one_expansion_and_of_elements_are_those_of_the_response():
+    """`|u - 0.3|` and a parabola on (0, 1)."""
+    model = {"u": al.Uniform.bounds(0.0, 1.0)}
+    parabola = al.expand(lambda m: (m["u"] - 0.25) ** 2, model)
+    assert float(parabola.supremum) == pytest.approx(0.5625, abs=1e-4)
+    assert float(parabola.infimum) == pytest.approx(0.0, abs=1e-4)
+    kink = al.expand(lambda m: jnp.abs(m["u"] - 0.25), model, al.MultiElement())
+    assert float(kink.supremum) == pytest.approx(0.75, abs=1e-4)
+    assert float(kink.infimum) == pytest.approx(0.0, abs=1e-4)
+    with pytest.raises(al.ProblemError):
+        _ = al.expand(lambda m: m["u"], {"u": al.Normal(0.0, 1.0)}).supremum
+
+
+def test_elements_have_no_sobol_indices_and_say_so(pieces):
+    with pytest.raises(al.ProblemError, match="no Sobol indices"):
+        pieces.statistic(Sobol("a"))
+
+
+STATISTICS = {
+    "mean": lambda e: e.mean,
+    "variance": lambda e: e.variance,
+    "std": lambda e: e.std,
+    "skewness": lambda e: e.skewness,
+    "kurtosis": lambda e: e.kurtosis,
+    "cornish_fisher": lambda e: e.cornish_fisher(0.95),
+    "quantile": lambda e: e.quantile(0.9),
+    "probability": lambda e: e.probability(above=2.6, below=3.0),
+    "conditional_value_at_risk": lambda e: e.conditional_value_at_risk(0.9),
+    "cdf": lambda e: e.cdf([3.0])[0],
+    "sobol": lambda e: e.sobol("w", "z"),
+    "total_sobol": lambda e: e.total_sobol("z"),
+}
+
+
+def of_half_width(statistic):
+    def value(half_width):
+        model = {"w": al.Uniform(1.0, half_width=half_width), "z": al.Normal(0.2, half_width)}
+        return statistic(al.expand(lambda m: jnp.exp(m["w"] * (1 + 0.2 * m["z"])), model, al.Expansion(order=5)))
+
+    return value
+
+
+HEAVY = {"quantile", "conditional_value_at_risk", "cdf"}
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.slow] * (name in HEAVY)) for name in STATISTICS]
+)
+def test_every_statistic_is_differentiable_through_the_laws(name):
+    value = of_half_width(STATISTICS[name])
+    # A step in which no line through the germ space gains or loses a crossing: there probabilities have kinks.
+    expected = float(value(0.1 + 1e-6) - value(0.1 - 1e-6)) / 2e-6
+    assert float(jax.grad(value)(0.1)) == pytest.approx(expected, rel=1e-6)

@@ -1,0 +1,140 @@
+"""Tolerance analysis: stacks of plates with closed forms, the published clutch, and mistakes refused."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+import aleator as al
+from aleator.studies.clutch import DEVIATION, LIMITS, MEANS, TOLERANCES, clutch, pressure_angle
+
+
+def stack(**laws):
+    """A gap between a housing and two plates: linear, so that everything is known."""
+    return al.Assembly(dimensions=laws, features={"gap": "housing - 2*plate"})
+
+
+@pytest.fixture(scope="module")
+def normal_stack():
+    model = stack(housing=al.Toleranced(10.0, tolerance=0.3), plate=al.Toleranced(4.0, tolerance=0.2))
+    return al.tolerance_analysis(model, "gap", lower=1.6, upper=2.5)
+
+
+STD = np.hypot(0.1, 2 * 0.2 / 3)
+
+
+def test_a_linear_stack_of_normal_parts_is_normal(normal_stack):
+    assert normal_stack.nominal == pytest.approx(2.0, rel=1e-12)
+    assert normal_stack.std == pytest.approx(STD, rel=1e-10)
+    assert normal_stack.linear_std == pytest.approx(STD, rel=1e-12)
+    assert normal_stack.skewness == pytest.approx(0.0, abs=1e-8)
+    assert normal_stack.kurtosis == pytest.approx(3.0, rel=1e-8)
+
+
+def test_capabilities_and_rejects_of_a_normal_gap_are_those_of_the_normal_law(normal_stack):
+    assert normal_stack.cp == pytest.approx(0.9 / (6 * STD), rel=1e-10)
+    assert normal_stack.cpk == pytest.approx(0.4 / (3 * STD), rel=1e-10)
+    assert normal_stack.rejects_low == pytest.approx(1e6 * stats.norm.cdf(-0.4 / STD), rel=1e-5)
+    assert normal_stack.rejects_high == pytest.approx(1e6 * stats.norm.sf(0.5 / STD), rel=1e-5)
+
+
+def test_worst_case_and_root_sum_square_add_the_zones(normal_stack):
+    assert normal_stack.worst_case == pytest.approx((2 - 0.7, 2 + 0.7), rel=1e-9)
+    assert normal_stack.rss == pytest.approx(np.hypot(0.3, 0.4), rel=1e-12)
+
+
+def test_contributions_add_up_to_all_of_the_variance(normal_stack):
+    shares = {name: one.linear for name, one in normal_stack.contributions.items()}
+    totals = {name: one.total for name, one in normal_stack.contributions.items()}
+    assert shares["plate"] == pytest.approx(100 * (0.4 / 3) ** 2 / STD**2, rel=1e-9)
+    assert sum(shares.values()) == pytest.approx(100, rel=1e-12)
+    assert totals == pytest.approx(shares, rel=1e-8)
+    assert normal_stack.contributions["plate"].sensitivity == pytest.approx(-2.0, rel=1e-12)
+
+
+def test_the_printed_analysis_names_every_dimension(normal_stack):
+    text = str(normal_stack)
+    assert all(word in text for word in ("gap", "Cpk", "ppm", "worst case", "housing", "plate"))
+
+
+def test_an_asymmetric_zone_and_a_bounded_law_are_their_own_zones():
+    model = stack(housing=al.Toleranced(10.0, plus=0.05, minus=0.02), plate=al.Uniform.bounds(3.9, 4.2))
+    one = al.tolerance_analysis(model, "gap", lower=0.0)
+    assert tuple(one.contributions["housing"].zone) == pytest.approx((9.98, 10.05))
+    assert tuple(one.contributions["plate"].zone) == pytest.approx((3.9, 4.2))
+    assert one.worst_case == pytest.approx((9.98 - 8.4, 10.05 - 7.8), rel=1e-9)
+    assert one.rejects_high == 0
+
+
+def test_given_tolerances_replace_those_of_the_laws():
+    model = stack(housing=al.Normal(10.0, 0.1), plate=al.Normal(4.0, 0.01))
+    one = al.tolerance_analysis(model, "gap", lower=0.0, tolerances={"housing": 0.5, "plate": (0.1, 0.2)})
+    assert one.worst_case == pytest.approx((9.5 - 8.4, 10.5 - 7.8), rel=1e-9)
+    assert tuple(al.tolerance_analysis(model, "gap", lower=0.0).contributions["plate"].zone) == pytest.approx(
+        (3.97, 4.03)
+    )
+
+
+def test_a_function_of_a_dict_of_laws_is_analysed_as_well():
+    laws = {"x": al.Normal(1.0, 0.1), "y": al.Uniform(2.0, half_width=0.3)}
+    one = al.tolerance_analysis(laws, lambda dimension: dimension["x"] * dimension["y"], lower=1.0, upper=3.0)
+    assert one.mean == pytest.approx(2.0, rel=1e-10)
+    assert one.std**2 == pytest.approx(4 * 0.01 + 0.03 + 0.01 * 0.03, rel=1e-9)
+
+
+@pytest.fixture(scope="module")
+def angle():
+    return al.tolerance_analysis(clutch(), "chi", lower=LIMITS[0], upper=LIMITS[1])
+
+
+def test_the_clutch_has_the_published_spread(angle):
+    assert 3 * angle.linear_std == pytest.approx(0.65788, abs=5e-6)
+    assert 3 * angle.std == pytest.approx(0.65900, abs=1.5e-5)
+
+
+def test_the_worst_case_of_the_clutch_is_at_corners_of_its_zones(angle):
+    signs = np.array([(-1, -1, 1), (1, 1, -1)])
+    corners = np.array(list(MEANS.values())) + signs * np.array(list(TOLERANCES.values()))
+    low, high = sorted(pressure_angle(*corners.T))
+    assert low - 2e-3 < angle.worst_case[0] <= low + 1e-9
+    assert high - 1e-9 <= angle.worst_case[1] < high + 2e-3
+
+
+def test_rejects_of_the_clutch_are_those_of_its_closed_form():
+    one = al.tolerance_analysis(clutch(), "chi", lower=DEVIATION[0], upper=DEVIATION[1])
+    # Given c and e, the angle is below a limit where a is beyond (e - c) cos(limit) - c: a normal probability.
+    nodes, weights = np.polynomial.hermite_e.hermegauss(40)
+    c, e = np.meshgrid(*(MEANS[name] + TOLERANCES[name] / 3 * nodes for name in ("c", "e")))
+    weight = np.outer(weights, weights) / (2 * np.pi)
+    at_limit = [(e - c) * np.cos(np.deg2rad(limit)) - c for limit in DEVIATION]
+    law = stats.norm(MEANS["a"], TOLERANCES["a"] / 3)
+    assert one.rejects_low == pytest.approx(1e6 * np.sum(weight * law.sf(at_limit[0])), rel=2e-3)
+    assert one.rejects_high == pytest.approx(1e6 * np.sum(weight * law.cdf(at_limit[1])), rel=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"lower": 2.0, "upper": 1.0}, "lower < upper"),
+        ({}, "one of them finite"),
+        ({"lower": 0.0, "tolerances": {"plat": 0.1}}, "no uncertain dimension"),
+        ({"lower": 0.0, "tolerances": {"plate": -0.1}}, "positive"),
+    ],
+)
+def test_limits_and_tolerances_that_make_no_sense_are_refused(arguments, message):
+    model = stack(housing=al.Normal(10.0, 0.1), plate=al.Normal(4.0, 0.01))
+    with pytest.raises(al.ProblemError, match=message):
+        al.tolerance_analysis(model, "gap", **arguments)
+
+
+def test_unknown_outputs_and_outputs_of_no_system_are_refused():
+    model = stack(housing=al.Normal(10.0, 0.1), plate=al.Normal(4.0, 0.01))
+    with pytest.raises(al.ProblemError, match="no output 'gab'"):
+        al.tolerance_analysis(model, "gab", lower=0.0)
+    with pytest.raises(al.ProblemError, match="needs an AlgebraicSystem"):
+        al.tolerance_analysis({"x": al.Normal(1.0, 0.1)}, "x", lower=0.0)
+
+
+def test_an_output_that_is_no_number_is_refused():
+    laws = {"x": al.Normal(1.0, 0.1)}
+    with pytest.raises(al.ProblemError, match="one number"):
+        al.tolerance_analysis(laws, lambda dimension: {"y": dimension["x"]}, lower=0.0)

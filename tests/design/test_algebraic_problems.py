@@ -1,0 +1,204 @@
+import re
+
+import numpy as np
+import pytest
+
+import aleator as al
+from algebraic_models import Hardening, X, deflection, tolerance_problem
+from tiny_models import ONE_STEP, Oscillator, gain_problem, sine
+
+# The force that deflects the spring by 1.1.
+FORCE = 1.1 + 1.1**3
+SYSTEM = Hardening(a=al.Uniform(2.0, half_width=al.Decision(0.2, 0.01, 1.5)))
+
+
+def test_an_algebraic_problem_prints_as_mathematics():
+    problem = tolerance_problem(X.at_most(1.1, sigmas=2.0))
+    assert str(problem) == "\n".join(
+        [
+            "minimise    (1 + 0.5/a.half_width)",
+            "over        a.half_width ∈ [0.01, 1.5], from 0.2",
+            "subject to  x: μ[x] + 2 σ[x] ≤ 1.1",
+            "where       a ~ Uniform(mean=2, half_width=Decision(0.2 in [0.01, 1.5]))",
+            "equations   Hardening(x), solved by Newton's method",
+            "expansion   order 3 in 1 variables, TotalDegree index set, HammersleyPoints, LeastSquares fit",
+        ]
+    )
+    assert str(al.deterministic(problem)).endswith("every σ is 0")
+
+
+@pytest.mark.parametrize("functional", [al.integral, al.rms, al.peak, al.path, al.terminal])
+def test_what_is_taken_over_time_is_refused_where_there_is_none(functional):
+    with pytest.raises(al.ProblemError, match=r"is taken over time, but Hardening is algebraic.*use al\.output\('x'\)"):
+        al.Problem(SYSTEM, minimize=functional("x").mean)
+
+
+def test_an_output_without_time_is_refused_where_there_is_time():
+    problem = gain_problem()
+    with pytest.raises(al.ProblemError, match=r"Gain moves in time.*al\.terminal\('loss'\)"):
+        al.Problem(problem.system, grid=ONE_STEP, minimize=al.output("loss").mean)
+
+
+@pytest.mark.parametrize(
+    ("declare", "message"),
+    [
+        (
+            lambda: al.Problem(SYSTEM, minimize=X.mean, grid=al.Grid(1.0, 2)),
+            "'grid' must be a Instant; received Grid .*leave the grid out",
+        ),
+        (lambda: al.Problem(SYSTEM, minimize=X.mean, inputs={"f": sine()}), r"takes no inputs; received \['f'\]"),
+        (lambda: al.Problem(SYSTEM, minimize=al.output("y").mean), "no output of Hardening 'y'"),
+        (
+            lambda: al.Problem(Oscillator(1.0, 1.0, 1.0), minimize=al.rms("x").mean, inputs={"force": sine()}),
+            "'grid' must be a Grid; received NoneType None",
+        ),
+    ],
+)
+def test_an_algebraic_problem_that_does_not_fit_together_is_refused(declare, message):
+    with pytest.raises(al.ProblemError, match=message):
+        declare()
+
+
+def test_a_system_that_names_no_unknowns_is_refused():
+    class Nothing(al.AlgebraicSystem):
+        def guess(self):
+            return {}
+
+        def residual(self, rho):
+            return ()
+
+    with pytest.raises(al.ProblemError, match="Nothing names no unknowns"):
+        al.Problem(Nothing(), minimize=X.mean)
+
+
+def test_a_margin_on_a_deflection_gives_the_tolerance_of_exact_quadrature():
+    solution = al.solve(tolerance_problem(X.at_most(1.1, sigmas=2.0), expansion=al.Expansion(6)))
+    width = solution.decisions["a.half_width"]
+    nodes, weights = np.polynomial.legendre.leggauss(40)
+    values = deflection(2.0 + width * nodes)
+    mean = weights @ values / 2
+    assert mean + 2 * np.sqrt(weights @ (values - mean) ** 2 / 2) == pytest.approx(1.1, rel=1e-6)
+    assert solution.objective == pytest.approx(1.0 + 0.5 / width, rel=1e-9)
+    assert solution.active == ("x",)
+    assert solution.constraints[0].times is None
+    assert solution.statistics["μ[x]"] == pytest.approx(mean, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("limit", "width"),
+    [
+        # The largest force, the one at the level 0.99, and the one exceeded with probability 0.05 deflect by 1.1.
+        (X.at_most(1.1, surely=True), FORCE - 2.0),
+        (X.at_most(1.1, probability=0.99), (FORCE - 2.0) / 0.98),
+        (X.probability(above=1.1) <= 0.05, (FORCE - 2.0) / 0.9),
+    ],
+    ids=str,
+)
+def test_a_tolerance_under_any_kind_of_limit_is_its_closed_form(limit, width):
+    solution = al.solve(tolerance_problem(limit, expansion=al.Expansion(5)))
+    assert solution.decisions["a.half_width"] == pytest.approx(width, rel=1e-4)
+    assert solution.active == ("x",)
+
+
+def test_a_deterministic_algebraic_problem_stands_at_the_mean():
+    problem = al.Problem(
+        Hardening(a=al.Uniform(al.Decision(1.0, 0.1, 9.0), half_width=0.1)),
+        minimize=-al.output("force").mean,
+        subject_to=[X.at_most(1.1, sigmas=3.0)],
+    )
+    solution = al.solve(al.deterministic(problem))
+    assert solution.decisions["a.mean"] == pytest.approx(1.1 + 1.1**3, rel=1e-8)
+
+
+def test_evidence_fronts_and_calibration_know_algebraic_problems():
+    problem = tolerance_problem(X.at_most(1.1, sigmas=1.0))
+    solution = al.solve(problem)
+    evidence = al.validate(solution, 4000, seed=2)
+    width = solution.decisions["a.half_width"]
+    # The deflection exceeds 1.1 where the force exceeds 1.1 + 1.1³.
+    truth = (2.0 + width - (1.1 + 1.1**3)) / (2 * width)
+    assert evidence.violations["x"].lower <= truth <= evidence.violations["x"].upper
+    assert evidence.trajectories == ()
+    front = al.pareto(problem, "x", [1.05, 1.1, 1.15])
+    assert front.solved.all()
+    assert np.all(np.diff(front.objectives) < 0)
+    calibrated = al.calibrate(problem, "x", 0.05, samples=4000)
+    width = calibrated.solution.decisions["a.half_width"]
+    assert (2.0 + width - (1.1 + 1.1**3)) / (2 * width) == pytest.approx(0.05, abs=0.015)
+
+
+def strut_angle(a, c, e):
+    """The angle of the one-way clutch, in degrees."""
+    return np.rad2deg(np.arccos((a + c) / (e - c)))
+
+
+def clutch_problem():
+    """The one-way clutch (dissertation, section 5.6): how wide the tolerance of the hub may be."""
+    clutch = al.Assembly(
+        dimensions={
+            "a": al.Normal(27.645, al.Decision(0.02, 0.001, 0.3)),
+            "c": al.Normal(11.43, 0.0033),
+            "e": al.Normal(50.8, 0.0042),
+        },
+        unknowns={"b": 4.8, "chi": 7.0},
+        loops=[[("a", 90), ("b", 0), ("c", 90), ("c", "90 - chi"), ("-e", "90 - chi")]],
+    )
+    return al.Problem(
+        clutch,
+        minimize=al.reciprocal("a.std", bias=0.1, scale=0.001),
+        subject_to=[al.output("chi").within(6.5, 7.5, sigmas=3.0)],
+    )
+
+
+def test_the_tolerance_of_an_assembly_is_that_of_its_closed_form():
+    solution = al.solve(clutch_problem())
+    std = solution.decisions["a.std"]
+    nodes, weights = np.polynomial.hermite_e.hermegauss(12)
+    a, c, e = np.meshgrid(27.645 + std * nodes, 11.43 + 0.0033 * nodes, 50.8 + 0.0042 * nodes, indexing="ij")
+    weight = np.prod(np.meshgrid(weights, weights, weights, indexing="ij"), axis=0) / (2 * np.pi) ** 1.5
+    angle = strut_angle(a, c, e)
+    mean = np.sum(weight * angle)
+    spread = np.sqrt(np.sum(weight * (angle - mean) ** 2))
+    ends = [(mean + 3 * spread - 7.5) / spread, (6.5 - mean + 3 * spread) / spread]
+    assert max(ends) == pytest.approx(0.0, abs=1e-4)
+    assert solution.active == ("chi",)
+    evidence = al.validate(solution, 5000)
+    assert evidence.violations["chi"].upper < 0.01
+
+
+class Fold(al.AlgebraicSystem):
+    """`x² = b - a`: no solution where the load `a` exceeds `b`."""
+
+    unknowns = ("x",)
+    a: float
+    b: float
+
+    def guess(self):
+        return {"x": 1.0}
+
+    def residual(self, rho):
+        return (rho.x**2 + self.a - self.b,)
+
+
+def test_equations_without_a_solution_are_reported_with_point_and_residual():
+    problem = al.Problem(
+        Fold(al.Uniform(1.0, half_width=0.5), al.Decision(1.3, 1.0, 1.4)), minimize=al.output("x").mean
+    )
+    with pytest.raises(al.SimulationError) as caught:
+        al.solve(problem)
+    message = str(caught.value)
+    assert re.search(
+        r"At b=1\.3, collocation point \d+ of 12 \(a=1\.[345]\d*\): Fold: Newton found no solution", message
+    )
+    assert "residual" in message
+
+
+def test_a_sampled_system_without_a_solution_is_reported_with_its_residual():
+    problem = al.Problem(
+        Fold(al.Normal(1.0, 0.15), al.Decision(1.5, 1.45, 1.55)),
+        minimize=al.output("x").mean,
+        expansion=al.Expansion(1, points=3),
+    )
+    solution = al.solve(problem)
+    with pytest.raises(al.SimulationError, match=r"system with a=1\.\d+ is not finite. Fold: Newton found no solution"):
+        al.validate(solution, 20_000, seed=1)

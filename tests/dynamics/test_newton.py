@@ -1,0 +1,163 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.optimize import root
+
+from aleator.dynamics._newton import newton
+
+
+def solved(function, guess):
+    return newton(lambda x: jnp.stack(function(*x)), jnp.asarray(guess, dtype=float))
+
+
+@pytest.mark.parametrize(
+    ("function", "guess", "exact"),
+    [
+        (lambda x: [x**3 - 2.0], [1.0], [2.0 ** (1 / 3)]),
+        (lambda x: [jnp.exp(x) - 5.0], [30.0], [np.log(5.0)]),
+        # The logarithm is not a number where undamped steps lead, and those of the arctangent grow without bound.
+        (lambda x: [jnp.log(x) - 0.5], [9.0], [np.exp(0.5)]),
+        (lambda x: [jnp.arctan(x - 2.0)], [40.0], [2.0]),
+        (lambda x: [x - 1e-9], [0.0], [1e-9]),
+        (lambda x: [jnp.sin(x)], [0.1], [0.0]),
+        (lambda x, y: [x**2 + y**2 - 25.0, x - y + 1.0], [2.0, 5.0], [3.0, 4.0]),
+        # Rosenbrock's valley, as equations.
+        (lambda x, y: [1.0 - x, 10.0 * (y - x**2)], [-1.2, 1.0], [1.0, 1.0]),
+    ],
+)
+def test_newton_finds_the_root_to_rounding(function, guess, exact):
+    found = solved(function, guess)
+    assert found.converged
+    np.testing.assert_allclose(found.point, exact, rtol=1e-14, atol=1e-15)
+    assert np.abs(found.relative).max() < 1e-14
+
+
+def test_newton_agrees_with_scipy_on_random_quadratic_equations():
+    random = np.random.default_rng(3)
+    matrix, curved, start = random.normal(size=(6, 6)) + 6 * np.eye(6), random.normal(size=(6, 6)), np.ones(6)
+
+    def function(x):
+        return matrix @ x + 0.3 * (curved @ x**2) - np.arange(6.0)
+
+    reference = root(function, start, tol=1e-13)
+    found = newton(function, jnp.asarray(start))
+    assert found.converged
+    assert reference.success
+    np.testing.assert_allclose(found.point, reference.x, rtol=1e-11)
+
+
+def test_steps_do_not_depend_on_the_units_of_equations_and_unknowns():
+    # A crank of 30 mm and a rod of 80 mm at 40°: the slider's position beside the rod's angle, in turn in nanometres
+    # and in kilometres, with equations in other units still.
+    def slider(unit, first, second):
+        def equations(x, angle):
+            height = 30.0 * np.sin(np.deg2rad(40.0)) - 80.0 * jnp.sin(angle)
+            length = 30.0 * np.cos(np.deg2rad(40.0)) + 80.0 * jnp.cos(angle) - x / unit
+            return [first * height, second * length]
+
+        return solved(equations, [120.0 * unit, 0.3])
+
+    plain = slider(1.0, 1.0, 1.0)
+    angle = np.arcsin(30.0 * np.sin(np.deg2rad(40.0)) / 80.0)
+    exact = [30.0 * np.cos(np.deg2rad(40.0)) + 80.0 * np.cos(angle), angle]
+    np.testing.assert_allclose(plain.point, exact, rtol=1e-14)
+    for unit, first, second in [(1e6, 1e9, 1e-8), (1e-6, 1e-12, 1e12)]:
+        other = slider(unit, first, second)
+        assert other.converged
+        assert other.steps == plain.steps
+        np.testing.assert_allclose(other.point / jnp.array([unit, 1.0]), exact, rtol=1e-14)
+
+
+def test_newton_converges_quadratically():
+    # One step more squares the error: from 1e-2 it takes 1e-4, 1e-8, 1e-16.
+    assert solved(lambda x: [x**2 - 1.0], [1.01]).steps <= 5
+
+
+@pytest.mark.parametrize(
+    ("function", "guess"),
+    [
+        (lambda x: [x**2 + 1.0], [1.0]),
+        (lambda x: [jnp.exp(x)], [1.0]),
+        (lambda x, y: [x + y - 1.0, x + y - 2.0], [0.3, 0.4]),
+        (lambda x: [jnp.sqrt(x - 2.0)], [1.0]),
+        (lambda x: [x * jnp.nan], [1.0]),
+    ],
+    ids=["no root", "a root at infinity", "contradictory equations", "not a number at the guess", "never a number"],
+)
+def test_equations_without_solution_end_as_a_failure(function, guess):
+    assert not solved(function, guess).converged
+
+
+@pytest.mark.parametrize(
+    ("function", "guess"),
+    [
+        (lambda x: [x**2], [1.0]),
+        (lambda x: [(x - 1.0) ** 2], [1.0001]),
+        (lambda x: [(x - 1.0) ** 3], [1.5]),
+        (lambda x: [x**2 - 2.0 * x + 1.0], [1.3]),
+        (lambda x: [x**2 - 2.0 * x + 1.0], [1.0000003]),
+        (lambda x: [x**2], [0.0]),
+        (lambda x, y: [x + y - 1.0, 2.0 * x + 2.0 * y - 2.0], [0.5, 0.5]),
+        (lambda x, y: [0.1 * x + 0.3 * y - 1.0, 0.3 * x + 0.9 * y - 3.0], [0.5, 0.7]),
+        (lambda x, y: [x - 1.0, x**2 - 1.0], [1.0, 1.0]),
+        (lambda x, y: [x - 1.0, 0.0 * y], [1.0, 1.0]),
+        (lambda x, y: [x**2 - y, y - x**2], [1.0, 1.0]),
+        # Two circles that touch.
+        (lambda x, y: [x**2 + y**2 - 1.0, (x - 2.0) ** 2 + y**2 - 1.0], [1.0, 0.3]),
+        (lambda x, y: [x**2 + y**2 - 1.0, (x - 2.0) ** 2 + y**2 - 1.0], [0.9, 0.37]),
+        (lambda x, y: [x**2 + y**2 - 1.0, (x - 1.7) ** 2 + y**2 - 0.49], [0.9, 0.37]),
+    ],
+)
+def test_a_singular_solution_ends_as_a_failure_and_not_as_garbage(function, guess):
+    found = solved(function, guess)
+    assert not found.converged
+
+
+def test_a_failing_point_leaves_the_others_of_its_batch_as_they_are():
+    def at(c):
+        found = newton(lambda x: x**2 - c, jnp.ones(1))
+        return found.point[0], found.converged
+
+    levels = jnp.array([2.0, -1.0, 3.0, 0.0, 1e-6])
+    slopes, converged = jax.vmap(jax.grad(at, has_aux=True))(levels)
+    roots, _ = jax.vmap(at)(levels)
+    assert converged.tolist() == [True, False, True, False, True]
+    np.testing.assert_allclose(roots[converged], np.sqrt([2.0, 3.0, 1e-6]), rtol=1e-14)
+    np.testing.assert_allclose(slopes[converged], 0.5 / np.sqrt([2.0, 3.0, 1e-6]), rtol=1e-13)
+
+
+@pytest.mark.parametrize("apart", [1e-2, 1e-3, 1e-4])
+def test_two_solutions_that_nearly_meet_are_told_apart(apart):
+    # Circles of radius 1 that nearly touch: y = ± sqrt(1 - x²).
+    x = np.sqrt(1 - apart**2)
+    for sign in (1.0, -1.0):
+        found = solved(lambda p, q: [p**2 + q**2 - 1.0, (p - 2.0 * x) ** 2 + q**2 - 1.0], [1.0, 0.3 * sign])
+        assert found.converged
+        np.testing.assert_allclose(found.point, [x, sign * apart], rtol=1e-15 / apart**2)
+
+
+@pytest.mark.parametrize(("first", "second"), [(jax.grad, jax.jacfwd), (jax.jacfwd, jax.grad)])
+def test_derivatives_of_every_order_follow_from_the_implicit_function_theorem(first, second):
+    def cube_root(c):
+        return newton(lambda x: x**3 - c, jnp.ones(1)).point[0]
+
+    c = 2.0
+    np.testing.assert_allclose(first(cube_root)(c), c ** (-2 / 3) / 3, rtol=1e-14)
+    np.testing.assert_allclose(second(first(cube_root))(c), -2 * c ** (-5 / 3) / 9, rtol=1e-13)
+    np.testing.assert_allclose(first(second(first(cube_root)))(c), 10 * c ** (-8 / 3) / 27, rtol=1e-12)
+
+
+def test_derivatives_are_exact_whatever_the_scales():
+    # x = p 1e6, y = exp(-q) 1e-6 by equations of 1e9 and 1e-9.
+    def at(parameters):
+        p, q = parameters
+
+        def function(z):
+            return jnp.stack([1e9 * (z[0] - p * 1e6), 1e-9 * (jnp.log(z[1] * 1e6) + q + (z[0] / 1e6 - p))])
+
+        return newton(function, jnp.array([1e6, 1e-6])).point
+
+    jacobian = jax.jit(jax.jacrev(at))(jnp.array([1.5, 0.3]))
+    np.testing.assert_allclose(jacobian[0], [1e6, 0.0], rtol=1e-13)
+    np.testing.assert_allclose(jacobian[1], [0.0, -np.exp(-0.3) * 1e-6], rtol=1e-13, atol=1e-19)

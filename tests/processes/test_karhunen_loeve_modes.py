@@ -1,0 +1,218 @@
+"""Eigenpairs of covariances against closed forms, special functions and another library."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import openturns as ot
+import pytest
+from scipy.integrate import quad
+from scipy.optimize import brentq
+from scipy.special import eval_legendre, pro_rad1
+
+import aleator as al
+from aleator.processes._karhunen_loeve import legendre
+from aleator.uncertainty import realise
+
+T = 2.0
+TIMES = np.array([0.0, 0.13, 0.5, 0.999, 1.37, 1.8, 2.0])
+EXPONENTIAL = al.ExponentialCovariance(0.8)
+SMOOTH = [
+    al.SquaredExponentialCovariance(0.5),
+    al.BandLimitedCovariance(0.5, 2.0),
+    al.BandLimitedCovariance.from_psd([0.0, 0.5, 1.0, 2.0], [1.0, 3.0, 0.5, 0.0]),
+]
+by_name = pytest.mark.parametrize("covariance", [EXPONENTIAL, *SMOOTH], ids=str)
+
+
+def unit(covariance: al.AbstractCovariance, **size: Any) -> al.RandomProcess:
+    return al.RandomProcess(covariance, t_final=T, std=1.0, **size)
+
+
+def at(process: al.RandomProcess, times: Any) -> np.ndarray:
+    """`sqrt(λ_k) φ_k(t)`, shape (times, modes): the signal where one coefficient is one and the others are zero."""
+
+    def path(xi):
+        return jax.vmap(realise({"noise": process}, xi, jnp.zeros(0))["noise"])(jnp.asarray(times))
+
+    return np.asarray(jax.vmap(path)(jnp.eye(len(process.xi)))).T
+
+
+def gauss(count: int) -> tuple[np.ndarray, np.ndarray]:
+    nodes, weights = np.polynomial.legendre.leggauss(count)
+    return T * (nodes + 1) / 2, T * weights / 2
+
+
+def exponential_frequencies(correlation_time: float, count: int) -> np.ndarray:
+    """Frequencies of the modes of `exp(-|t - s| / correlation_time)` on [-T/2, T/2], even and odd in turn.
+
+    Source: Ghanem and Spanos, Stochastic Finite Elements (1991), equations 2.53 to 2.59.
+    """
+    c, a = 1 / correlation_time, T / 2
+
+    def even(w):
+        return c * np.cos(w * a) - w * np.sin(w * a)
+
+    def odd(w):
+        return w * np.cos(w * a) + c * np.sin(w * a)
+
+    # Each quarter wave holds one frequency: even ones where the tangent is positive, odd ones where it is negative.
+    return np.array(
+        [
+            brentq(odd if k % 2 else even, k * np.pi / T + 1e-12, (k + 1) * np.pi / T, xtol=1e-15, rtol=1e-15)
+            for k in range(count)
+        ]
+    )
+
+
+@pytest.mark.parametrize("correlation_time", [0.05, 0.8, 20.0])
+def test_eigenvalues_of_the_exponential_covariance_are_the_analytic_ones(correlation_time):
+    process = unit(al.ExponentialCovariance(correlation_time), modes=12)
+    c = 1 / correlation_time
+    expected = 2 * c / (exponential_frequencies(correlation_time, 12) ** 2 + c**2)
+    np.testing.assert_allclose(process.eigenvalues, expected, rtol=1e-8, atol=1e-11)
+
+
+def test_eigenfunctions_of_the_exponential_covariance_are_the_analytic_ones():
+    process = unit(EXPONENTIAL, modes=12)
+    w = exponential_frequencies(0.8, 12)
+    centred = TIMES[:, None] - T / 2
+    sign = np.where(np.arange(12) % 2, -1.0, 1.0)
+    norm = np.sqrt(T / 2 + sign * np.sin(w * T) / (2 * w))
+    wave = np.where(sign > 0, np.cos(w[None, :] * centred), np.sin(w[None, :] * centred)) / norm[None, :]
+    expected = wave * np.sqrt(2 / 0.8 / (w**2 + 1 / 0.8**2))[None, :]
+    # The sign of an eigenfunction is free.
+    np.testing.assert_allclose(np.abs(at(process, TIMES)), np.abs(expected), atol=1e-9)
+
+
+@pytest.mark.parametrize("bandwidth", [0.5, 2.0])
+def test_eigenvalues_of_a_band_from_zero_are_those_of_the_prolate_spheroidal_functions(bandwidth):
+    # Slepian and Pollak (1961): the share of each mode is that of energy in the interval, (2c/π) R² over 2 B T.
+    c = np.pi * bandwidth * T
+    concentration = [2 * c / np.pi * pro_rad1(0, n, c, 1 + 1e-13)[0] ** 2 for n in range(6)]
+    process = unit(al.BandLimitedCovariance(0.0, bandwidth), modes=6)
+    np.testing.assert_allclose(process.eigenvalues, np.array(concentration) / (2 * bandwidth), atol=1e-9)
+
+
+def test_eigenvalues_of_the_squared_exponential_covariance_agree_with_openturns():
+    interval = ot.Interval(0.0, T)
+    algorithm = ot.KarhunenLoeveQuadratureAlgorithm(interval, interval, ot.SquaredExponential([0.5], [1.0]), 40, 1e-10)
+    algorithm.run()
+    theirs = np.array(algorithm.getResult().getEigenvalues())
+    ours = unit(al.SquaredExponentialCovariance(0.5), modes=8).eigenvalues
+    np.testing.assert_allclose(ours, theirs[:8], rtol=1e-6)
+
+
+@by_name
+def test_modes_solve_the_eigenvalue_problem_of_the_covariance(covariance):
+    process = unit(covariance, modes=6)
+
+    for t in (0.0, 0.37, 1.9):
+        nodes, weights = np.polynomial.legendre.leggauss(40)
+        points = np.concatenate([t * (nodes + 1) / 2, t + (T - t) * (nodes + 1) / 2])
+        kernel = np.concatenate([t / 2 * weights, (T - t) / 2 * weights]) * covariance.correlation(np.abs(t - points))
+        expected = process.eigenvalues * at(process, [t])[0]
+        np.testing.assert_allclose(kernel @ at(process, points), expected, atol=1e-10)
+
+
+@by_name
+def test_modes_are_orthogonal_and_carry_their_eigenvalues(covariance):
+    process = unit(covariance, modes=6)
+    times, weights = gauss(80)
+    values = at(process, times)
+    np.testing.assert_allclose(values.T @ (weights[:, None] * values), np.diag(process.eigenvalues), atol=1e-11)
+
+
+@by_name
+@pytest.mark.parametrize("modes", [2, 6])
+def test_the_truncated_covariance_is_the_kernel_but_for_the_tail(covariance, modes):
+    # Mercer: what is left out is a covariance itself, so that |C(t, s)| <= sqrt(C(t, t) C(s, s)).
+    process = unit(covariance, modes=modes)
+    values = at(process, TIMES)
+    left_out = covariance.correlation(np.abs(TIMES[:, None] - TIMES[None, :])) - values @ values.T
+    deficit = np.asarray(process.deficit(TIMES))
+    np.testing.assert_allclose(np.diag(left_out), deficit, atol=1e-12)
+    assert deficit.min() > -1e-12
+    bound = np.sqrt(np.maximum(deficit[:, None] * deficit[None, :], 0.0))
+    assert np.all(np.abs(left_out) <= bound + 1e-9)
+
+
+@pytest.mark.parametrize("covariance", SMOOTH, ids=str)
+def test_a_smooth_covariance_is_reproduced_at_any_two_times_by_enough_modes(covariance):
+    values = at(unit(covariance, energy=1 - 1e-11), TIMES)
+    kernel = covariance.correlation(np.abs(TIMES[:, None] - TIMES[None, :]))
+    np.testing.assert_allclose(values @ values.T, kernel, atol=1e-8)
+
+
+@by_name
+def test_the_share_kept_and_the_deficit_add_up_to_the_whole_variance(covariance):
+    process = unit(covariance, modes=3)
+    times, weights = gauss(80)
+    assert process.share + weights @ np.asarray(process.deficit(times)) / T == pytest.approx(1.0, abs=1e-12)
+
+
+@by_name
+@pytest.mark.parametrize("energy", [0.6, 0.95])
+def test_the_fewest_modes_that_carry_the_wanted_share_are_kept(covariance, energy):
+    process = unit(covariance, energy=energy)
+    assert process.share >= energy
+    assert process.share - process.eigenvalues[-1] / T < energy
+    assert np.all(np.diff(process.eigenvalues) < 1e-12)
+
+
+def test_a_later_start_shifts_the_process():
+    early, late = unit(EXPONENTIAL, modes=4), al.RandomProcess(EXPONENTIAL, t_start=5.0, t_final=7.0, std=1.0, modes=4)
+    assert late.span() == (5.0, 7.0)
+    np.testing.assert_allclose(at(late, TIMES + 5.0), at(early, TIMES), atol=1e-13)
+
+
+def test_a_covariance_of_ones_own_that_has_a_known_single_mode_is_expanded():
+    class Cosine(al.AbstractCovariance):
+        """One random wave of one period: two modes of half the variance each."""
+
+        def correlation(self, lag):
+            return np.cos(2 * np.pi * lag / T)
+
+    np.testing.assert_allclose(unit(Cosine(), modes=2).eigenvalues, [T / 2, T / 2], rtol=1e-12)
+
+
+def test_the_recurrence_gives_legendre_polynomials_and_their_derivatives():
+    degrees = np.arange(60)
+    for x in (-1.0, -0.7, 0.0, 0.31, 1.0):
+        np.testing.assert_allclose(legendre(jnp.asarray(x), 60), eval_legendre(degrees, x), atol=1e-12)
+    slope = jax.jacfwd(lambda x: legendre(x, 60))(jnp.asarray(1.0))
+    np.testing.assert_allclose(slope, degrees * (degrees + 1) / 2, rtol=1e-12)
+
+
+@pytest.mark.parametrize("lag", [0.0, 1e-9, 0.02, 0.7, 3.1])
+def test_the_covariance_of_a_table_is_the_cosine_transform_of_its_density(lag):
+    frequencies, psd = np.array([0.2, 0.5, 1.0, 2.0]), np.array([1.0, 3.0, 0.5, 0.25])
+    covariance = al.BandLimitedCovariance.from_psd(frequencies, psd)
+    transform, variance = (
+        quad(
+            lambda f, at=at: np.interp(f, frequencies, psd) * np.cos(2 * np.pi * f * at),
+            0.2,
+            2.0,
+            points=frequencies[1:-1],
+            epsabs=1e-13,
+        )[0]
+        for at in (lag, 0.0)
+    )
+    assert covariance.std**2 == pytest.approx(variance, rel=1e-12)
+    assert float(covariance.correlation(np.array(lag))) == pytest.approx(transform / variance, abs=1e-12)
+
+
+def test_the_covariance_of_a_flat_band_is_the_difference_of_two_sincs():
+    lags = np.linspace(0.0, 4.0, 23)
+    expected = (2.0 * np.sinc(4.0 * lags) - 0.5 * np.sinc(lags)) / 1.5
+    covariance = al.BandLimitedCovariance(0.5, 2.0)
+    np.testing.assert_allclose(covariance.correlation(lags), expected, atol=1e-13)
+    assert covariance.std == pytest.approx(1.0, rel=1e-14)
+
+
+def test_a_table_of_density_keeps_its_numbers_when_the_arrays_it_was_made_from_change():
+    frequencies, psd = np.array([0.0, 1.0]), np.array([2.0, 2.0])
+    covariance = al.BandLimitedCovariance.from_psd(frequencies, psd)
+    frequencies[:], psd[:] = 9.0, 9.0
+    assert covariance.std == pytest.approx(np.sqrt(2.0))

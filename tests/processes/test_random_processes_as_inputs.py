@@ -1,0 +1,317 @@
+"""Random processes and parametrised signals in simulations and problems, against closed forms."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import aleator as al
+from aleator._core.arrays import numbers_to_arrays
+from aleator._core.compilation import Compiled
+from aleator.dynamics import simulate
+from aleator.uncertainty import at_means, named_numbers, realise, survey
+from tiny_models import Oscillator
+
+T = 2.0
+SMOOTH = al.SquaredExponentialCovariance(0.4)
+
+
+class Lag(al.System):
+    """`x' = u - rate x` from rest."""
+
+    states = ("x",)
+    rate: Any = 1.5
+
+    def rhs(self, t, z, u):
+        return (u - self.rate * z.x,)
+
+    def outputs(self, t, z, u):
+        return {"x": z.x, "u": u}
+
+
+def process(covariance: al.AbstractCovariance = SMOOTH, **options: Any) -> al.RandomProcess:
+    return al.RandomProcess(covariance, **({"t_final": T, "std": 0.3} | options))
+
+
+def responses(system: al.System, signal: Any, output: str, steps: int = 400, **inputs: Any) -> np.ndarray:
+    """The response at the final time to each coefficient alone, one standard deviation each, by `simulate`."""
+    (name,) = inputs or {"u": None}
+
+    def final(germ):
+        realised = realise({"signal": signal}, germ, jnp.zeros(0))["signal"]
+        return simulate(system, al.Grid(T, steps), {name: realised})[output][-1]
+
+    return np.asarray(jax.vmap(final)(jnp.eye(len(signal.xi))))
+
+
+def lag_variance(rate: float, correlation_time: float) -> float:
+    """`∫∫ exp(-a (x + y)) exp(-|x - y| / correlation_time) dx dy` on [0, T]²."""
+    a, b = rate, 1 / correlation_time
+    return 2 / (b - a) * ((1 - np.exp(-2 * a * T)) / (2 * a) - (1 - np.exp(-(a + b) * T)) / (a + b))
+
+
+@pytest.mark.parametrize("modes", [3, 20])
+def test_the_response_of_a_lag_to_exponential_noise_has_the_variance_of_the_closed_form(modes):
+    covariance = al.ExponentialCovariance(0.5)
+    variance = np.sum(responses(Lag(), process(covariance, modes=modes), "x") ** 2)
+    # The modes left out act through the impulse response h: at most by the next eigenvalue times ∫ h².
+    following = process(covariance, modes=modes + 1).eigenvalues[-1]
+    missing = 0.3**2 * lag_variance(1.5, 0.5) - variance
+    assert -1e-9 < missing < 0.3**2 * following * (1 - np.exp(-3.0 * T)) / 3.0
+
+
+def test_the_response_of_an_oscillator_to_smooth_forcing_has_the_variance_of_the_double_integral():
+    m, c, k = 1.3, 0.8, 20.0
+    force = process(energy=1 - 1e-11)
+    variance = np.sum(responses(Oscillator(m=m, c=c, k=k), force, "x", 1000, force=None) ** 2)
+    nodes, weights = np.polynomial.legendre.leggauss(60)
+    lags, weights = T * (nodes + 1) / 2, T * weights / 2
+    decay, wave = c / (2 * m), np.sqrt(k / m - (c / (2 * m)) ** 2)
+    impulse = weights * np.exp(-decay * lags) * np.sin(wave * lags) / (m * wave)
+    covariance = 0.3**2 * np.exp(-0.5 * ((lags[:, None] - lags[None, :]) / 0.4) ** 2)
+    assert variance == pytest.approx(impulse @ covariance @ impulse, rel=1e-7)
+
+
+def test_the_variance_of_a_response_grows_with_the_square_of_a_decided_std():
+    model = {"system": Lag(), "u": process(std=al.Decision(0.3, 0.0, 1.0), modes=4)}
+
+    def variance(decisions):
+        def final(germ):
+            realised = realise(model, germ, decisions)
+            return simulate(realised["system"], al.Grid(T, 50), {"u": realised["u"]})["x"][-1]
+
+        return jnp.sum(jax.vmap(final)(jnp.eye(4)) ** 2)
+
+    value, slope = jax.jit(jax.value_and_grad(variance))(jnp.array([0.3]))
+    assert float(slope[0]) == pytest.approx(2 * float(value) / 0.3, rel=1e-12)
+
+
+def test_a_process_may_be_built_from_a_traced_std():
+    def value(std):
+        return realise({"u": process(std=std, modes=2)}, jnp.array([1.0, 0.5]), jnp.zeros(0))["u"](jnp.asarray(0.7))
+
+    assert float(jax.grad(value)(0.3)) == pytest.approx(float(value(0.3)) / 0.3, rel=1e-12)
+
+
+def test_the_noise_that_an_output_may_bear_is_found_by_the_optimiser():
+    problem = al.Problem(
+        Lag(),
+        grid=al.Grid(T, 100),
+        inputs={"u": process(std=al.Decision(0.1, 0.01, 5.0), mean=2.0, modes=4)},
+        minimize=-1.0 * al.value("inputs.u.std"),
+        subject_to=[al.terminal("x").std <= 0.06],
+        expansion=al.Expansion(order=1),
+    )
+    assert tuple(problem.survey.distributions) == tuple(f"inputs.u.xi.{i}" for i in range(4))
+    solution = al.solve(problem)
+    per_std = np.sqrt(np.sum(responses(Lag(), process(std=1.0, modes=4), "x", 100) ** 2))
+    assert solution.decisions["inputs.u.std"] == pytest.approx(0.06 / per_std, rel=1e-6)
+
+
+def test_statistics_of_a_process_by_expansion_are_its_mean_and_its_truncated_variance():
+    noise = process(mean=al.signal(lambda t, p: p.slope * t, slope=2.0), modes=3)
+    problem = al.Problem(
+        Lag(rate=al.Decision(1.5, 1.0, 2.0)),
+        grid=al.Grid(T, 20),
+        inputs={"u": noise},
+        minimize=al.terminal("x").std,
+        subject_to=[al.path("u").within(-100.0, 100.0, sigmas=1.0)],
+        expansion=al.Expansion(order=2),
+    )
+    moments = al.solve(problem).moments["u(t)"]
+    times = np.linspace(0.0, T, 21)
+    np.testing.assert_allclose(moments.mean, 2.0 * times, atol=1e-10)
+    np.testing.assert_allclose(moments.std**2, 0.09 * (1 - noise.deficit(times)), atol=1e-10)
+
+
+@pytest.mark.parametrize("change", [lambda model: model, numbers_to_arrays])
+def test_mean_and_std_may_be_uncertain_or_decided(change):
+    model = change({"u": process(mean=al.Uniform(5.0, half_width=1.0), std=al.Decision(0.3, 0.0, 1.0), modes=2)})
+    places = survey(model)
+    assert places.germ_names == ("u.xi.0", "u.xi.1", "u.mean")
+    assert places.entry_names() == ("u.std",)
+    at = jnp.asarray(0.5)
+
+    def value(*germ):
+        return float(realise(model, jnp.array(germ), jnp.ones(1))["u"](at))
+
+    assert value(0.0, 0.0, 0.5) == 5.5
+    variance = (value(1.0, 0.0, 0.0) - 5.0) ** 2 + (value(0.0, 1.0, 0.0) - 5.0) ** 2
+    assert variance == pytest.approx(1 - float(process(modes=2).deficit([0.5])[0]), abs=1e-12)
+    held = realise(at_means(model), jnp.zeros(0), jnp.ones(1))["u"]
+    assert float(held(at)) == 5.0
+
+
+def test_a_process_knows_no_more_times_than_its_mean():
+    mean = al.Tabulated([0.5, 3.0], [0.0, 1.0])
+    assert process(mean=mean, modes=2).span() == (0.5, T)
+    with pytest.raises(al.ProblemError, match=r"known from 0 to 2 s and from 2\.5 to 3 s"):
+        process(mean=al.Tabulated([2.5, 3.0], [0.0, 1.0]), modes=2)
+
+
+def test_other_numbers_of_a_process_compile_nothing_anew():
+    value = Compiled(lambda model, germ: realise(model, germ, jnp.zeros(0))["u"](jnp.asarray(0.7)))
+
+    def at(germ, **options):
+        return float(value(numbers_to_arrays({"u": process(**options, modes=3)}), jnp.asarray(germ)))
+
+    first = at([1.0, 0.0, 0.0])
+    assert at([1.0, 0.0, 0.0], std=0.6) == pytest.approx(2 * first)
+    assert at([1.0, 0.0, 0.0], covariance=al.SquaredExponentialCovariance(0.45)) != pytest.approx(first, rel=1e-3)
+    assert value.compilations == 1
+
+
+def test_a_process_says_how_many_variables_it_adds_and_what_they_carry():
+    noise = process(al.ExponentialCovariance(0.5), modes=4)
+    expected = "4 modes, which are 4 germ variables, carry"
+    assert expected in str(noise)
+    assert f"{100 * noise.share:.4g}% of the variance" in str(noise)
+
+
+def test_parameters_of_a_signal_are_called_by_their_names():
+    wave = al.signal(
+        lambda t, p: p.amplitude * jnp.sin(p.frequency * t) + p.offset,
+        amplitude=al.Normal(2.0, 0.1),
+        frequency=al.Decision(3.0, 1.0, 5.0),
+        offset=1.0,
+    )
+    model = {"inputs": {"force": wave}}
+    assert survey(model).germ_names == ("inputs.force.p.amplitude",)
+    assert survey(model).entry_names() == ("inputs.force.p.frequency",)
+    assert set(named_numbers(model, jnp.array([3.0]))) >= {"inputs.force.p.offset", "inputs.force.p.amplitude.std"}
+    realised = realise(model, jnp.array([1.5]), jnp.array([4.0]))["inputs"]["force"]
+    assert float(realised(jnp.asarray(0.3))) == pytest.approx(2.15 * np.sin(1.2) + 1.0, rel=1e-14)
+    assert wave.span() == (-np.inf, np.inf)
+
+
+def test_the_response_to_a_wave_of_uncertain_amplitude_is_the_closed_form():
+    problem = al.Problem(
+        Lag(rate=al.Decision(1.5, 0.5, 3.0)),
+        grid=al.Grid(T, 200),
+        inputs={"u": al.signal(lambda t, p: p.level * jnp.exp(-t), level=al.Normal(2.0, 0.2))},
+        minimize=al.terminal("x").mean,
+        subject_to=[al.terminal("x").std >= 0.035],
+        expansion=al.Expansion(order=2),
+    )
+    solution = al.solve(problem)
+    rate = float(solution.decisions["rate"])
+    gain = (np.exp(-T) - np.exp(-rate * T)) / (rate - 1)
+    assert 0.2 * gain == pytest.approx(0.035, rel=1e-6)
+    assert solution.moments["x(t_f)"].mean == pytest.approx(2.0 * gain, rel=1e-7)
+    assert solution.moments["x(t_f)"].std == pytest.approx(0.2 * gain, rel=1e-7)
+
+
+def test_a_parameter_may_be_an_array_a_whole_number_or_another_signal():
+    base = al.Tabulated([0.0, 4.0], [0.0, 8.0])
+    series = al.signal(
+        lambda t, p: p.base(t) + sum(p.c[i] * t**i for i in range(p.terms)),
+        base=base,
+        c=np.array([1.0, 0.5, 0.25]),
+        terms=3,
+    )
+    realised = realise(numbers_to_arrays({"u": series}), jnp.zeros(0), jnp.zeros(0))["u"]
+    assert float(realised(jnp.asarray(2.0))) == pytest.approx(4.0 + 1.0 + 1.0 + 1.0)
+
+
+def test_signals_add_up_and_keep_their_uncertain_numbers():
+    command = al.signal(lambda t, p: p.rate * t, rate=al.Normal(2.0, 0.1))
+    both = al.total(command, al.Tabulated([0.5, 3.0], [1.0, 1.0]), process(mean=0.5, modes=2))
+    model = {"u": both}
+    assert survey(model).germ_names == ("u.parts.0.p.rate", "u.parts.2.xi.0", "u.parts.2.xi.1")
+    assert both.span() == (0.5, T)
+    at = realise(model, jnp.array([1.0, 0.0, 0.0]), jnp.zeros(0))["u"]
+    assert float(at(jnp.asarray(1.0))) == pytest.approx(2.1 + 1.0 + 0.5, rel=1e-14)
+
+
+class Falling(al.AbstractCovariance):
+    """No covariance: its spectrum is negative in places."""
+
+    def correlation(self, lag):
+        return 1 - (lag / T) ** 2
+
+
+class Halved(al.AbstractCovariance):
+    """No correlation: it is not 1 at lag 0."""
+
+    def correlation(self, lag):
+        return 0.5 * np.exp(-lag)
+
+
+class Endless(al.AbstractCovariance):
+    """No correlation: it is not finite."""
+
+    def correlation(self, lag):
+        return np.where(lag == 0, 1.0, np.inf)
+
+
+LAW = al.Normal(0.5, 0.1)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: al.ExponentialCovariance(0.0), r"ExponentialCovariance: 'correlation_time' must be positive; rec.* 0"),
+        (lambda: al.ExponentialCovariance(-1), "must be positive; received -1"),
+        (lambda: al.SquaredExponentialCovariance(np.nan), "'correlation_time' is a finite number; received nan"),
+        (lambda: al.SquaredExponentialCovariance("long"), "received 'long'"),
+        (lambda: al.SquaredExponentialCovariance(True), "received True"),
+        (lambda: al.ExponentialCovariance(LAW), r"computed once; expected a plain number; received Normal\("),
+        (lambda: al.ExponentialCovariance(al.Decision(1.0)), "computed once; expected a plain number"),
+        (lambda: al.BandLimitedCovariance(2.0, 2.0), "expected 0 <= f_low < f_high; received f_low=2, f_high=2"),
+        (lambda: al.BandLimitedCovariance(3.0, 2.0), "received f_low=3, f_high=2"),
+        (lambda: al.BandLimitedCovariance(-1.0, 2.0), "received f_low=-1"),
+        (lambda: al.BandLimitedCovariance(0.0, np.inf), "'f_high' is a finite number"),
+        (lambda: al.BandLimitedCovariance.from_psd([0, 1], [1, 2, 3]), r"frequencies \(2,\) and psd \(3,\)"),
+        (lambda: al.BandLimitedCovariance.from_psd([0], [1]), "of at least 2"),
+        (lambda: al.BandLimitedCovariance.from_psd([0, 2, 1], [1, 1, 1]), "increase from 0 Hz"),
+        (lambda: al.BandLimitedCovariance.from_psd([-1, 1], [1, 1]), "increase from 0 Hz"),
+        (lambda: al.BandLimitedCovariance.from_psd([0, 1], [1, np.nan]), "psd must be finite"),
+        (lambda: al.BandLimitedCovariance.from_psd([0, 1], [1, -2]), "received values from -2 to 1"),
+        (lambda: al.BandLimitedCovariance.from_psd([0, 1], [0, 0]), "not zero throughout"),
+        (lambda: al.BandLimitedCovariance.from_psd([0, 1], ["a", "b"]), "plain numbers; received"),
+        (lambda: process(0.5), r"expected a covariance, such as .*; received float 0\.5"),
+        (lambda: process(t_final=0.0), "t_final must be after t_start=0; received t_final=0"),
+        (lambda: process(t_start=3.0), "t_final must be after t_start=3; received t_final=2"),
+        (lambda: process(t_final=np.inf), "'t_final' is a finite number"),
+        (lambda: process(t_final=al.Decision(2.0)), "computed once; expected a plain number"),
+        (lambda: process(std=-0.1), r"'std' must not be negative; received -0\.1"),
+        (lambda: process(std=al.Decision(0.1, -0.2, 1.0)), r"'std' must not be negative; received -0\.2"),
+        (lambda: process(std=al.Decision(np.ones(2), 0.0, 2.0)), "'std' takes one number"),
+        (lambda: process(std=None), "'std' takes one number, one distribution or one Decision; received None"),
+        (lambda: process(mean="high"), "'mean' takes one number"),
+        (lambda: process(mean=np.ones(3)), "'mean' takes one number"),
+        (lambda: process(energy=0.0), "energy is the share of the variance to keep, between 0 and 1; received 0"),
+        (lambda: process(energy=1.0), "between 0 and 1; received 1"),
+        (lambda: process(energy=np.nan), "'energy' is a finite number"),
+        (lambda: process(energy=0.9, modes=3), r"received energy=0\.9 and modes=3\. Leave one out"),
+        (lambda: process(modes=0), "modes is a whole number of at least 1; received 0"),
+        (lambda: process(modes=2.0), r"modes is a whole number of at least 1; received 2\.0"),
+        (lambda: process(modes=True), "modes is a whole number"),
+        (lambda: process(modes=60), r"60 modes were asked for, but only \d+ carry more than 1e-12"),
+        (lambda: process(Falling(), modes=2), "is no covariance: its eigenvalue -.* is negative"),
+        (
+            lambda: process(Halved()),
+            r"must be finite, .* and 1 at lag 0; received shape \(101,\) .* starting with 0\.5",
+        ),
+        (lambda: process(Endless()), "must be finite"),
+        (lambda: al.signal(3.0), r"expected a function of time and parameters, .*; received float 3\.0"),
+        (lambda: al.signal(lambda t, p: p.a, a="high"), "parameter 'a' takes numbers, .*; received str 'high'"),
+        (lambda: al.signal(lambda t, p: p.a, a="1.0"), "received str '1.0'"),
+        (lambda: al.signal(lambda t, p: p.a, a=None), "parameter 'a' takes numbers"),
+        (lambda: al.signal(lambda t, p: p.a, a=[1.0, np.inf]), "parameter 'a' must be finite"),
+        (lambda: al.total(), "expected at least one signal"),
+        (lambda: al.total(al.Tabulated([0, 1], [0, 1]), 3.0), r"expected signals, .*; received float 3\.0"),
+        (lambda: al.total(al.Tabulated([0, 1], [0, 1]), al.Tabulated([2, 3], [0, 1])), "known at the same times"),
+    ],
+)
+def test_input_that_makes_no_process_or_signal_is_refused(make, message):
+    with pytest.raises(al.ProblemError, match=message):
+        make()
+
+
+@pytest.mark.slow
+def test_a_process_that_changes_too_fast_for_its_time_is_refused():
+    with pytest.raises(al.ProblemError, match=r"energy=0\.99.* are not resolved by 512 polynomials"):
+        process(al.ExponentialCovariance(1e-3))

@@ -1,0 +1,312 @@
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import stats
+
+import aleator as al
+
+CLUTCH = {"a": al.Normal(27.645, 0.05 / 3), "c": al.Normal(11.430, 0.01 / 3), "e": al.Normal(50.800, 0.0125 / 3)}
+LIMITS = {"a": 0.05, "c": 0.01, "e": 0.0125}
+
+LAWS = {
+    "u": (al.Uniform.bounds(1.0, 4.0), stats.uniform(1, 3)),
+    "n": (al.Normal(-1.0, 0.3), stats.norm(-1, 0.3)),
+    "b": (al.Beta(alpha=2.0, beta=5.0, upper=3.0), stats.beta(2, 5, 0, 3)),
+    "g": (al.Gamma(shape=3.0, scale=0.5), stats.gamma(3, scale=0.5)),
+}
+MODEL = {name: law for name, (law, _) in LAWS.items()}
+
+
+def pressure_angle(m):
+    return jnp.rad2deg(jnp.arccos((m["a"] + m["c"]) / (m["e"] - m["c"])))
+
+
+def clutch_slopes():
+    """By hand: chi = acos(p / q) with p = a + c and q = e - c, in degrees."""
+    p, q = 27.645 + 11.430, 50.800 - 11.430
+    outer = -1 / math.sqrt(1 - (p / q) ** 2)
+    return {
+        name: math.degrees(outer * inner) for name, inner in {"a": 1 / q, "c": 1 / q + p / q**2, "e": -p / q**2}.items()
+    }
+
+
+def test_the_direct_linearisation_of_the_clutch_is_the_published_one():
+    found = al.linearise(pressure_angle, CLUTCH)
+    assert 3 * float(found.std) == pytest.approx(0.65788, abs=5e-6)  # dissertation, table 7.2
+    # Its printed range, 6.3605 to 7.6763 degrees, has the middle 7.0184.
+    assert float(found.mean) == pytest.approx(7.0184, abs=5e-5)
+    for name, slope in clutch_slopes().items():
+        assert float(found.sensitivities[name]) == pytest.approx(slope, rel=1e-10)
+
+
+def test_tolerances_of_the_clutch_stack_up_as_by_hand():
+    found, slopes = al.linearise(pressure_angle, CLUTCH), clutch_slopes()
+    parts = {name: abs(slope) * LIMITS[name] for name, slope in slopes.items()}
+    assert float(found.worst_case(LIMITS)) == pytest.approx(sum(parts.values()), rel=1e-12)
+    assert float(found.rss(LIMITS)) == pytest.approx(math.hypot(*parts.values()), rel=1e-12)
+    # The laws have a third of the limits as standard deviation.
+    assert float(found.rss(LIMITS)) == pytest.approx(3 * float(found.std), rel=1e-12)
+    total = sum(part**2 for part in parts.values())
+    for name, part in parts.items():
+        assert float(found.contributions[name]) == pytest.approx(100 * part**2 / total, rel=1e-10)
+
+
+@pytest.mark.parametrize("limits", [{"a": 0.05}, {**LIMITS, "d": 0.1}, {}])
+def test_tolerances_must_name_every_input_and_no_other(limits):
+    with pytest.raises(al.ProblemError, match=r"one tolerance for each of \['a', 'c', 'e'\]"):
+        al.linearise(pressure_angle, CLUTCH).worst_case(limits)
+
+
+WEIGHTS = {"u": 2.0, "n": -3.0, "b": 0.5, "g": 1.5}
+
+
+def linear(m):
+    return 4.0 + sum(weight * m[name] for name, weight in WEIGHTS.items())
+
+
+def linear_moments():
+    mean = 4.0 + sum(weight * LAWS[name][1].mean() for name, weight in WEIGHTS.items())
+    variance = sum(weight**2 * LAWS[name][1].var() for name, weight in WEIGHTS.items())
+    third = sum(weight**3 * LAWS[name][1].stats("s") * LAWS[name][1].std() ** 3 for name, weight in WEIGHTS.items())
+    return mean, variance, third / variance**1.5
+
+
+def test_both_expansions_are_exact_for_a_linear_function_of_any_laws():
+    mean, variance, skewness = linear_moments()
+    for found in (al.linearise(linear, MODEL), al.second_order(linear, MODEL)):
+        assert (float(found.mean), float(found.variance)) == pytest.approx((mean, variance), rel=1e-12)
+        assert float(found.std) == pytest.approx(math.sqrt(variance), rel=1e-12)
+    assert float(al.second_order(linear, MODEL).skewness) == pytest.approx(float(skewness), rel=1e-10)
+
+
+def quadratic(m):
+    return (
+        m["u"] ** 2 + 3 * m["u"] * m["n"] - m["n"] * m["b"] + 2 * m["g"] * m["u"] + 0.5 * m["g"] ** 2
+        + 1.5 * m["n"] * m["g"] - 2 * m["b"] ** 2 + m["n"]
+    )  # fmt: skip
+
+
+def tensor_quadrature(function, oracles, nodes=8):
+    """Moments by the tensor product of Gauss rules: exact for polynomials, here with rules made from raw moments."""
+    rules = [gauss_from_moments(law, nodes) for law in oracles.values()]
+    grid = np.meshgrid(*[points for points, _ in rules], indexing="ij")
+    weight = np.prod(np.meshgrid(*[weights for _, weights in rules], indexing="ij"), axis=0)
+    values = function(dict(zip(oracles, grid, strict=True)))
+    mean = np.sum(weight * values)
+    variance = np.sum(weight * (values - mean) ** 2)
+    return mean, variance, np.sum(weight * (values - mean) ** 3) / variance**1.5
+
+
+def gauss_from_moments(law, nodes):
+    """Golub and Welsch's rule from the Cholesky factor of the Hankel matrix of the standardised law's moments."""
+    mean, std = law.mean(), law.std()
+    moments = [law.expect(lambda x, k=k: ((x - mean) / std) ** k, epsabs=1e-13, epsrel=1e-13) for k in range(2 * nodes)]
+    moments.append(law.expect(lambda x: ((x - mean) / std) ** (2 * nodes), epsabs=1e-13, epsrel=1e-13))
+    hankel = np.array([[moments[i + j] for j in range(nodes + 1)] for i in range(nodes + 1)])
+    upper = np.linalg.cholesky(hankel).T
+    ratio = np.array([upper[i, i + 1] / upper[i, i] for i in range(nodes)])
+    middle = np.diff(ratio, prepend=0.0)
+    side = np.array([upper[i + 1, i + 1] / upper[i, i] for i in range(nodes - 1)])
+    points, vectors = np.linalg.eigh(np.diag(middle) + np.diag(side, 1) + np.diag(side, -1))
+    return mean + std * points, vectors[0] ** 2
+
+
+def test_second_order_moments_are_exact_for_a_quadratic_function_of_any_laws():
+    exact = tensor_quadrature(quadratic, {name: law for name, (_, law) in LAWS.items()}, nodes=4)
+    found = al.second_order(quadratic, MODEL)
+    # The oracle's moments come from adaptive quadrature.
+    assert (float(found.mean), float(found.variance), float(found.skewness)) == pytest.approx(exact, rel=1e-7)
+
+
+@pytest.mark.parametrize(("law", "fourth"), [(al.Normal(1.0, 0.4), 3.0), (al.Uniform(1.0, std=0.4), 1.8)])
+def test_the_square_of_one_number_has_its_textbook_moments(law, fourth):
+    found = al.second_order(lambda m: m["x"] ** 2, {"x": law})
+    # E x^2 = m^2 + s^2; Var x^2 = 4 m^2 s^2 + (kurtosis - 1) s^4 for a symmetric law.
+    assert float(found.mean) == pytest.approx(1.16, rel=1e-12)
+    assert float(found.variance) == pytest.approx(4 * 0.16 + (fourth - 1) * 0.16**2, rel=1e-12)
+
+
+def test_a_product_of_two_numbers_has_its_textbook_moments():
+    model = {"x": al.Normal(2.0, 0.3), "y": al.Uniform(3.0, std=0.5)}
+    found = al.second_order(lambda m: m["x"] * m["y"], model)
+    assert float(found.mean) == pytest.approx(6.0, rel=1e-12)
+    assert float(found.variance) == pytest.approx((2 * 0.5) ** 2 + (3 * 0.3) ** 2 + (0.3 * 0.5) ** 2, rel=1e-12)
+
+
+def test_second_order_has_the_shift_and_the_skewness_of_the_clutch_that_linearisation_lacks():
+    reference = al.quasi_monte_carlo(pressure_angle, CLUTCH, 2**17)
+    first, second = al.linearise(pressure_angle, CLUTCH), al.second_order(pressure_angle, CLUTCH)
+    assert abs(float(second.mean) - reference.mean.value) < 0.02 * abs(float(first.mean) - reference.mean.value)
+    # What is left out of the skewness is smaller by the square of the spread, 0.22 in 7 degrees.
+    skewed = reference.estimate(skewness)
+    assert float(second.skewness) == pytest.approx(float(skewed.value), rel=0.02)
+    assert abs(float(second.std) - 0.6590101 / 3) < abs(float(first.std) - 0.6590101 / 3)
+
+
+def skewness(values):
+    return stats.skew(values, axis=0)
+
+
+def test_errors_fall_with_the_spread_by_the_orders_of_the_expansions():
+    def exact(std):
+        # Of exp(x) for a normal number: lognormal.
+        return math.exp(std**2 / 2), math.exp(std**2) * math.expm1(std**2)
+
+    stds, errors = [0.05, 0.1, 0.2], {"first": [], "second": [], "mean": []}
+    for std in stds:
+        model = {"x": al.Normal(0.0, std)}
+        first, second = (method(lambda m: jnp.exp(m["x"]), model) for method in (al.linearise, al.second_order))
+        mean, variance = exact(std)
+        errors["first"].append(abs(float(first.mean) - mean))
+        errors["mean"].append(abs(float(second.mean) - mean))
+        errors["second"].append(abs(float(second.variance) - variance))
+    slopes = {name: np.polyfit(np.log(stds), np.log(values), 1)[0] for name, values in errors.items()}
+    # Means: s^2/2 is left out, then s^4/8. Variance: s^2 + 3/2 s^4 + ..., of which the second order has s^2 + s^4/2.
+    assert slopes == pytest.approx({"first": 2, "mean": 4, "second": 4}, abs=0.15)
+
+
+def test_expansions_have_the_structure_of_the_outputs():
+    def outputs(m):
+        return {"path": jnp.outer(m["u"] * jnp.arange(3.0), jnp.ones(2)), "sum": m["u"] * m["n"]}
+
+    first, second = al.linearise(outputs, MODEL), al.second_order(outputs, MODEL)
+    spread = np.outer(np.arange(3.0), np.ones(2)) * 3 / math.sqrt(12)
+    for found in (first, second):
+        np.testing.assert_allclose(found.std["path"], spread, rtol=1e-12)
+        np.testing.assert_allclose(found["path"].std, spread, rtol=1e-12)
+        with pytest.raises(al.ProblemError, match="no output 'other'"):
+            found["other"]
+    assert first.contributions["u"]["path"].shape == (3, 2)
+    np.testing.assert_allclose(first.contributions["u"]["path"], [[0, 0], [100, 100], [100, 100]], rtol=1e-12)
+    np.testing.assert_allclose(second.skewness["path"], 0.0, atol=1e-12)
+    assert first.sensitivities["n"]["sum"] == pytest.approx(2.5, rel=1e-12)
+    assert first["sum"].worst_case(dict.fromkeys("unbg", 1.0)) == pytest.approx(2.5 + 1.0, rel=1e-12)
+
+
+@pytest.mark.parametrize("law", ["a", "z"])
+def test_decisions_stand_at_their_initial_values_wherever_they_are(law):
+    model = {
+        law: al.Normal(al.Decision(2.0), al.Decision(0.5, lower=0.1, upper=1.0)),
+        "k": al.Decision(np.array([3.0, 7.0])),
+    }
+    for method in (al.linearise, al.second_order):
+        found = method(lambda m: m["k"] * m[law], model)
+        np.testing.assert_allclose(found.mean, [6.0, 14.0], rtol=1e-12)
+        np.testing.assert_allclose(found.std, [1.5, 3.5], rtol=1e-12)
+
+
+def test_what_does_not_vary_has_zero_spread_with_zero_derivative():
+    def moments(level):
+        second = al.second_order(lambda m: level + 0.0 * m["x"], {"x": al.Normal(1.0, 0.5)})
+        first = al.linearise(lambda m: level + 0.0 * m["x"], {"x": al.Normal(1.0, 0.5)})
+        return jnp.stack([second.std, second.skewness, first.std, first.contributions["x"]])
+
+    np.testing.assert_array_equal(moments(2.0), 0.0)
+    np.testing.assert_array_equal(jax.jacrev(moments)(2.0), 0.0)
+
+
+def test_a_shared_input_is_one_input():
+    law = al.Normal(1.0, 0.5).shared("x")
+    found = al.linearise(lambda m: m["p"] + m["q"], {"p": law, "q": law})
+    assert found.names == ("x",)
+    assert float(found.std) == pytest.approx(1.0, rel=1e-12)
+
+
+@pytest.mark.parametrize("traced", [jax.grad, lambda f: jax.jit(jax.grad(f))])
+def test_spreads_are_differentiable_in_the_laws(traced):
+    def model(spread):
+        return {"x": al.Uniform(2.0, half_width=spread)}
+
+    def square(m):
+        return m["x"] ** 2
+
+    w, m = 0.3, 2.0
+    assert float(traced(lambda w: al.linearise(square, model(w)).std)(w)) == pytest.approx(
+        2 * m / math.sqrt(3), rel=1e-12
+    )
+    assert float(traced(lambda w: al.second_order(square, model(w)).mean)(w)) == pytest.approx(2 * w / 3, rel=1e-12)
+    # Var x^2 = 4 m^2 w^2 / 3 + 4 w^4 / 45.
+    slope = 8 * m**2 * w / 3 + 16 * w**3 / 45
+    assert float(traced(lambda w: al.second_order(square, model(w)).variance)(w)) == pytest.approx(slope, rel=1e-12)
+
+
+def test_correlated_normal_inputs_have_their_exact_moments():
+    normals = al.correlated({"x": al.Normal(1.0, 0.3), "y": al.Normal(-2.0, 0.5)}, {("x", "y"): 0.6})
+    model = {**normals, "z": al.Uniform(0.5, std=0.2)}
+    covariance = 0.6 * 0.3 * 0.5
+    summed = al.linearise(lambda m: 2 * m["x"] + m["y"] + m["z"], model)
+    assert float(summed.variance) == pytest.approx(4 * 0.09 + 0.25 + 4 * covariance + 0.04, rel=1e-12)
+    assert sum(map(float, summed.contributions.values())) == pytest.approx(100, rel=1e-12)
+    product = al.second_order(lambda m: m["x"] * m["y"] + m["z"], model)
+    # Bohrnstedt and Goldberger (1969), for normal numbers.
+    variance = 1.0 * 0.25 + 4.0 * 0.09 + 2 * 1.0 * -2.0 * covariance + 0.09 * 0.25 + covariance**2
+    assert float(product.mean) == pytest.approx(-2.0 + covariance + 0.5, rel=1e-12)
+    assert float(product.variance) == pytest.approx(variance + 0.04, rel=1e-12)
+
+
+SKEWED = {"k": al.Normal(5.0, 0.2), "c": al.LogNormal(mean=2.0, std=0.3), "e": al.Exponential(mean=0.4)}
+
+
+def test_correlated_inputs_of_any_law_have_the_correlations_that_were_given():
+    model = al.correlated(SKEWED, {("k", "c"): 0.5, ("c", "e"): -0.3})
+    found = al.linearise(lambda m: m["k"] + m["c"] + m["e"], model)
+    stds = {"k": 0.2, "c": 0.3, "e": 0.4}
+    cross = 2 * (0.5 * 0.2 * 0.3 - 0.3 * 0.3 * 0.4)
+    assert float(found.variance) == pytest.approx(sum(std**2 for std in stds.values()) + cross, rel=1e-9)
+    sampled = al.quasi_monte_carlo(lambda m: m["k"] + m["c"] + m["e"], model).variance
+    assert abs(float(found.variance) - sampled.value) < 4.5 * sampled.standard_error
+
+
+def test_second_order_moments_of_correlated_inputs_that_are_not_normal_are_refused():
+    model = al.correlated(SKEWED, {("k", "c"): 0.5})
+    with pytest.raises(al.ProblemError, match=r"must be normal; received e ~ Exponential"):
+        al.second_order(lambda m: m["k"] * m["c"], model)
+
+
+FAMILIES = {
+    "exponential": (al.Exponential(mean=0.7), stats.expon(scale=0.7)),
+    "lognormal": (al.LogNormal(mean=2.0, std=0.4), None),
+    "triangular": (al.Triangular(1.0, 2.0, 4.0), stats.triang(1 / 3, 1, 3)),
+    "data of few values": (al.Sample([1.0, 2.0, 2.0, 4.0]), stats.rv_discrete(values=([1, 2, 4], [0.25, 0.5, 0.25]))),
+}
+
+
+@pytest.mark.parametrize("name", FAMILIES)
+def test_second_order_takes_the_moments_of_every_family_as_they_are(name):
+    law, oracle = FAMILIES[name]
+    if oracle is None:
+        sigma = math.sqrt(math.log1p((0.4 / 2.0) ** 2))
+        oracle = stats.lognorm(sigma, scale=2.0 / math.exp(sigma**2 / 2))
+    # Of x^2 - x.
+    raw = [1.0, *(float(oracle.moment(k)) for k in range(1, 7))]
+    mean = raw[2] - raw[1]
+    second = raw[4] - 2 * raw[3] + raw[2]
+    third = raw[6] - 3 * raw[5] + 3 * raw[4] - raw[3]
+    variance = second - mean**2
+    found = al.second_order(lambda m: m["x"] ** 2 - m["x"], {"x": law})
+    assert (float(found.mean), float(found.variance)) == pytest.approx((mean, variance), rel=1e-8)
+    assert float(found.skewness) == pytest.approx((third - 3 * mean * second + 2 * mean**3) / variance**1.5, rel=1e-7)
+
+
+def test_moments_are_differentiable_in_the_shape_of_a_law():
+    def mean(shape):
+        return al.second_order(lambda m: m["x"] ** 2, {"x": al.Gamma(shape=shape, scale=0.5)}).mean
+
+    # E x^2 = scale^2 shape (shape + 1); the quantile's derivative is no polynomial, so quadrature is not exact.
+    assert float(jax.grad(mean)(3.0)) == pytest.approx(0.25 * 7.0, rel=1e-3)
+
+
+@pytest.mark.parametrize("method", [al.linearise, al.second_order])
+def test_functions_that_cannot_be_expanded_are_refused(method):
+    model = {"x": al.Normal(0.0, 1.0)}
+    with pytest.raises(al.ProblemError, match="cannot differentiate"):
+        method(lambda m: math.exp(m["x"]), model)
+    with pytest.raises(al.SimulationError, match="not finite at the means"):
+        method(lambda m: jnp.sqrt(m["x"]), model)
+    with pytest.raises(al.ProblemError, match="nothing in the model is uncertain"):
+        method(lambda m: m["x"], {"x": 1.0})
+    with pytest.raises(al.ProblemError, match="real array"):
+        method(lambda m: m["x"] * 1j, model)

@@ -1,0 +1,117 @@
+"""Every statistic's derivative in the coefficients, and in its own number, against central differences."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from small_expansions import basis_of, random_coefficients
+
+from aleator import statistics
+from aleator.statistics import (
+    AbstractStatistic,
+    ConditionalValueAtRisk,
+    CornishFisher,
+    Correlation,
+    Covariance,
+    Infimum,
+    Kurtosis,
+    Mean,
+    Probability,
+    Quantile,
+    Skewness,
+    Sobol,
+    Std,
+    Supremum,
+    TotalSobol,
+    Variance,
+    prepare,
+)
+from aleator.uncertainty import HermiteGerm, JacobiGerm, LaguerreGerm, LegendreGerm
+
+BOUNDED = basis_of([LegendreGerm(), JacobiGerm(2.0, 3.0)], 3)
+MIXED = basis_of([HermiteGerm(), LegendreGerm(), HermiteGerm(), LaguerreGerm(3.0)], 2)
+NORMAL = basis_of([HermiteGerm()] * 3, 3)
+
+STATISTICS = [
+    Mean(),
+    Variance(),
+    Std(),
+    Skewness(),
+    Kurtosis(),
+    Covariance(),
+    Correlation(),
+    Sobol("a"),
+    Sobol(("a", "b")),
+    TotalSobol("b"),
+    Quantile(0.9),
+    CornishFisher(0.99),
+    Probability(above=0.3),
+    Probability(below=0.2),
+    Probability(above=-0.2, below=0.5),
+    ConditionalValueAtRisk(0.9),
+    ConditionalValueAtRisk(0.2, lower=True),
+    Supremum(),
+    Infimum(),
+]
+UNBOUNDED = [one for one in STATISTICS if not isinstance(one, Supremum | Infimum)]
+CASES = [
+    *(pytest.param(one, BOUNDED, id=f"{one.text('y')} bounded") for one in STATISTICS),
+    *(pytest.param(one, MIXED, id=f"{one.text('y')} mixed") for one in UNBOUNDED),
+    *(pytest.param(one, NORMAL, id=f"{one.text('y')} normal") for one in UNBOUNDED),
+]
+
+
+def central_difference(function, x, step):
+    moves = step * jnp.eye(x.size)
+    ahead, behind = (jnp.stack([function((x.ravel() + s * m).reshape(x.shape)) for m in moves]) for s in (1, -1))
+    return jnp.moveaxis((ahead - behind) / (2 * step), 0, -1).reshape(*ahead.shape[1:], *x.shape)
+
+
+def test_no_statistic_is_left_out_of_these_tests():
+    exported = [getattr(statistics, name) for name in dir(statistics)]
+    concrete = {one for one in exported if isinstance(one, type) and issubclass(one, AbstractStatistic)}
+    assert concrete - {AbstractStatistic} == {type(one) for one in STATISTICS}
+
+
+@pytest.mark.parametrize(("statistic", "basis"), CASES)
+def test_forward_and_reverse_derivatives_are_those_of_finite_differences(statistic, basis):
+    shape = (2,) if isinstance(statistic, Covariance | Correlation) else ()
+    coefficients = random_coefficients(basis, seed=4, shape=shape, decay=0.15).at[0].set(0.1)
+    constants = prepare([statistic], basis).of(statistic)
+    function = jax.jit(lambda c: statistic.of(c, constants))
+    expected = np.asarray(central_difference(function, coefficients, 1e-6))
+    largest = np.abs(expected).max()
+    for derivative in (jax.jacfwd, jax.jacrev):
+        exact = np.asarray(jax.jit(derivative(function))(coefficients))
+        assert np.abs(exact - expected).max() < 1e-6 * max(largest, 1.0)
+
+
+NUMBERS = [
+    (Quantile(0.9), lambda one: one.level),
+    (CornishFisher(0.9), lambda one: one.level),
+    (ConditionalValueAtRisk(0.9), lambda one: one.level),
+    (ConditionalValueAtRisk(0.2, lower=True), lambda one: one.level),
+    (Probability(above=0.3), lambda one: one.above),
+    (Probability(below=0.3), lambda one: one.below),
+]
+
+
+@pytest.mark.parametrize(("statistic", "where"), NUMBERS, ids=[one.text("y") for one, _ in NUMBERS])
+def test_derivatives_in_levels_and_thresholds_are_those_of_finite_differences(statistic, where):
+    coefficients = random_coefficients(MIXED, seed=4, decay=0.15)
+    constants = prepare([statistic], MIXED).of(statistic)
+    function = jax.jit(lambda x: eqx.tree_at(where, statistic, x).of(coefficients, constants))
+    at = jnp.asarray(where(statistic))
+    expected = (function(at + 1e-6) - function(at - 1e-6)) / 2e-6
+    assert jax.grad(function)(at) == pytest.approx(float(expected), rel=1e-6)
+
+
+@pytest.mark.parametrize("statistic", STATISTICS, ids=lambda one: one.text("y"))
+def test_statistics_work_under_vmap_with_traced_constants(statistic):
+    shape = (2,) if isinstance(statistic, Covariance | Correlation) else ()
+    several = jnp.stack([random_coefficients(BOUNDED, seed=s, shape=shape) for s in range(3)])
+    constants = prepare([statistic], BOUNDED).of(statistic)
+    together = jax.jit(jax.vmap(statistic.of, in_axes=(0, None)))(several, constants)
+    alone = [statistic.of(one, constants) for one in several]
+    assert np.asarray(together) == pytest.approx(np.asarray(jnp.stack(alone)), rel=1e-8)

@@ -1,0 +1,141 @@
+"""Skewness, kurtosis, Cornish-Fisher quantile, covariance and correlation: closed forms and chaospy."""
+
+import chaospy
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import stats
+from small_expansions import basis_of, coefficients_of_polynomial, random_coefficients
+
+from aleator._core.errors import ProblemError
+from aleator.collocation import Basis
+from aleator.statistics import Correlation, CornishFisher, Covariance, Kurtosis, Skewness, prepare
+from aleator.statistics import _square as square_module
+from aleator.statistics._square import square
+from aleator.uncertainty import HermiteGerm, JacobiGerm, LaguerreGerm, LegendreGerm
+
+
+def value(statistic, coefficients, basis):
+    return np.asarray(statistic.of(coefficients, prepare([statistic], basis).of(statistic)))
+
+
+LAWS = {
+    "normal": (HermiteGerm(), stats.norm()),
+    "uniform": (LegendreGerm(), stats.uniform(-1, 2)),
+    "beta": (JacobiGerm(2.0, 5.0), stats.beta(2, 5, -1, 2)),
+    "gamma": (LaguerreGerm(3.0), stats.gamma(3)),
+}
+
+
+@pytest.mark.parametrize("order", [1, 4, 8])
+@pytest.mark.parametrize("law", LAWS)
+def test_skewness_and_kurtosis_of_a_law_are_those_of_scipy_at_any_order(law, order):
+    germ, oracle = LAWS[law]
+    basis = basis_of([germ], order)
+    coefficients = coefficients_of_polynomial(basis, lambda a: 3.0 * a - 1.0)
+    skewness, excess = oracle.stats("sk")
+    assert value(Skewness(), coefficients, basis) == pytest.approx(float(skewness), rel=1e-9, abs=1e-9)
+    assert value(Kurtosis(), coefficients, basis) == pytest.approx(3 + float(excess), rel=1e-9)
+
+
+@pytest.mark.parametrize("degrees_of_freedom", [1, 2, 4])
+def test_a_sum_of_squared_normals_has_the_skewness_and_kurtosis_of_chi_square(degrees_of_freedom):
+    basis = basis_of([HermiteGerm()] * degrees_of_freedom, 2)
+    coefficients = coefficients_of_polynomial(basis, lambda *x: sum(one**2 for one in x))
+    assert value(Skewness(), coefficients, basis) == pytest.approx(np.sqrt(8 / degrees_of_freedom), rel=1e-10)
+    assert value(Kurtosis(), coefficients, basis) == pytest.approx(3 + 12 / degrees_of_freedom, rel=1e-10)
+
+
+def test_skewness_and_kurtosis_agree_with_chaospys_of_the_same_polynomial():
+    basis = basis_of([LegendreGerm(), HermiteGerm(), LaguerreGerm(2.0)], 2)
+    coefficients = coefficients_of_polynomial(basis, lambda a, b, c: 1 + a + 0.5 * b * c - 0.3 * b**2 + 0.2 * a * b)
+    joint = chaospy.J(chaospy.Uniform(-1, 1), chaospy.Normal(0, 1), chaospy.Gamma(2))
+    a, b, c = chaospy.variable(3)
+    theirs = 1 + a + 0.5 * b * c - 0.3 * b**2 + 0.2 * a * b
+    assert value(Skewness(), coefficients, basis) == pytest.approx(float(chaospy.Skew(theirs, joint)), rel=1e-7)
+    assert value(Kurtosis(), coefficients, basis) == pytest.approx(
+        float(chaospy.Kurt(theirs, joint, fisher=False)), rel=1e-7
+    )
+
+
+def test_the_square_of_an_expansion_is_its_square_at_every_point():
+    basis = basis_of([LegendreGerm(), LaguerreGerm(1.5), HermiteGerm()], 3)
+    coefficients = random_coefficients(basis)
+    doubled = basis_of([LegendreGerm(), LaguerreGerm(1.5), HermiteGerm()], 6)
+    squared = square(basis).of(coefficients)
+    points = basis.map_to_germ(np.random.default_rng(1).uniform(0.05, 0.95, (200, 3)))
+    expected = (basis.matrix(points) @ np.asarray(coefficients)) ** 2
+    fitted = np.linalg.lstsq(doubled.matrix(points), expected, rcond=None)[0]
+    assert np.sort(np.asarray(squared)) == pytest.approx(np.sort(fitted), abs=1e-9)
+    assert np.asarray(squared)[: basis.terms] == pytest.approx(fitted[: basis.terms], abs=1e-9)
+
+
+def test_many_instants_are_the_same_as_each_alone():
+    basis = basis_of([LegendreGerm(), HermiteGerm()], 3)
+    path = random_coefficients(basis, shape=(70, 2))
+    for statistic in (Skewness(), Kurtosis()):
+        together = value(statistic, path, basis)
+        assert together.shape == (70, 2)
+        assert together[69, 1] == pytest.approx(value(statistic, path[:, 69, 1], basis), rel=1e-13)
+
+
+def test_an_output_that_does_not_vary_has_no_shape_and_finite_derivatives():
+    basis = basis_of([LegendreGerm(), HermiteGerm()], 2)
+    certain = jnp.zeros(basis.terms).at[0].set(3.0)
+    for statistic, expected in ((Skewness(), 0.0), (Kurtosis(), 0.0), (CornishFisher(0.99), 3.0)):
+        constants = prepare([statistic], basis).of(statistic)
+        assert float(statistic.of(certain, constants)) == expected
+        assert np.all(np.isfinite(jax.grad(statistic.of)(certain, constants)))
+
+
+def test_the_cornish_fisher_quantile_is_exact_for_a_normal_law_and_close_for_a_skewed_one():
+    basis = basis_of([HermiteGerm()], 3)
+    normal = coefficients_of_polynomial(basis, lambda a: 2 + 3 * a)
+    assert value(CornishFisher(0.999), normal, basis) == pytest.approx(stats.norm(2, 3).ppf(0.999), rel=1e-12)
+    gamma = basis_of([LaguerreGerm(20.0)], 1)
+    skewed = coefficients_of_polynomial(gamma, lambda a: a)
+    assert value(CornishFisher(0.99), skewed, gamma) == pytest.approx(stats.gamma(20).ppf(0.99), rel=1e-3)
+
+
+def test_statistics_of_a_sample_are_those_of_scipy():
+    sample = np.random.default_rng(0).gamma(2.0, size=(500, 3))
+    assert Skewness().of_sample(sample) == pytest.approx(stats.skew(sample), rel=1e-12)
+    assert Kurtosis().of_sample(sample) == pytest.approx(stats.kurtosis(sample, fisher=False), rel=1e-12)
+    both = np.stack([sample[:, 0], sample[:, 1] + sample[:, 0]], axis=-1)
+    assert Covariance().of_sample(both) == pytest.approx(np.cov(both.T)[0, 1], rel=1e-12)
+    assert Correlation().of_sample(both) == pytest.approx(np.corrcoef(both.T)[0, 1], rel=1e-12)
+
+
+def test_a_square_too_large_for_the_memory_is_refused_with_a_remedy(monkeypatch):
+    monkeypatch.setattr(square_module, "_MOST_PRODUCTS", 100)
+    with pytest.raises(ProblemError, match="lower order or a sparser index set"):
+        square(basis_of([HermiteGerm()] * 3, 3))
+
+
+def test_covariance_and_correlation_are_those_of_the_closed_form():
+    # Cov[a + b, a^2 + 2 b] for a uniform on [-1, 1] and b standard normal: E[a a^2] = 0, so that 2 Var[b] is left.
+    basis = basis_of([LegendreGerm(), HermiteGerm()], 2)
+    first = coefficients_of_polynomial(basis, lambda a, b: a + b)
+    second = coefficients_of_polynomial(basis, lambda a, b: a**2 + 2 * b)
+    both = jnp.stack([first, second], axis=-1)
+    assert Covariance().of(both, ()) == pytest.approx(2.0, rel=1e-12)
+    variances = 1 / 3 + 1, 1 / 5 - 1 / 9 + 4
+    assert Correlation().of(both, ()) == pytest.approx(2 / np.sqrt(np.prod(variances)), rel=1e-12)
+    assert Correlation().of(jnp.stack([first, -3 * first], axis=-1), ()) == pytest.approx(-1.0, rel=1e-14)
+
+
+def test_the_correlation_with_a_certain_output_is_zero_with_finite_derivatives():
+    both = jnp.zeros((4, 2)).at[1, 0].set(2.0)
+    assert float(Correlation().of(both, ())) == 0.0
+    assert np.all(np.isfinite(jax.grad(Correlation().of)(both, ())))
+
+
+def test_a_covariance_of_one_output_is_refused():
+    with pytest.raises(ProblemError, match="two outputs"):
+        Covariance().of(jnp.zeros((4, 3)), ())
+
+
+def test_a_basis_without_variables_has_statistics():
+    basis = Basis({}, np.zeros((1, 0), dtype=int))
+    assert value(Kurtosis(), jnp.array([2.0]), basis) == 0.0

@@ -1,0 +1,123 @@
+"""The clutch study: table 7.2, its analysis and its allocation, in small, from stage to page."""
+
+import json
+
+import numpy as np
+import pytest
+
+import aleator as al
+from aleator.studies import STUDIES, load
+from aleator.studies._clutch_facts import counted, method, rejects_of, times_cheaper, tolerances_of
+from aleator.studies._clutch_page import clutch_page
+from aleator.studies._clutch_run import STAGES, ClutchResults, Effort, exact_variation, run_stage
+from aleator.studies._clutch_verdict import verdict
+from aleator.studies.clutch import MEANS, TOLERANCES, allocation_problem, clutch, pressure_angle
+
+SMALL = Effort(samples=20_000, quasi_samples=2**11, evidence_samples=20_000, front_points=3)
+
+
+@pytest.fixture(scope="module")
+def results():
+    found = ClutchResults(SMALL)
+    for stage in STAGES:
+        run_stage(stage, found)
+    return found
+
+
+def test_the_study_is_listed():
+    assert "clutch" in STUDIES
+
+
+def test_the_loop_closes_where_the_closed_form_says():
+    model = clutch()
+    nominal = al.linearise(lambda realised: al.simulate(realised)["chi"][0], model)
+    assert float(nominal.mean) == pytest.approx(float(pressure_angle(*MEANS.values())), rel=1e-12)
+
+
+def test_quadrature_of_the_closed_form_is_the_exact_value():
+    assert exact_variation() == pytest.approx(0.6590101, abs=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "tolerance"),
+    [
+        ("DLM", 0.65788, 5e-6),
+        ("gPC, order 3", 0.65900, 1.5e-5),
+        ("gPC, order 5", 0.65901, 1.5e-5),
+        ("gPC, order 7", 0.6590101, 1e-7),
+    ],
+)
+def test_table_7_2_is_reached(results, name, value, tolerance):
+    assert method(results, name).variation == pytest.approx(value, abs=tolerance)
+
+
+def test_the_points_of_table_7_2_are_the_published_ones(results):
+    assert [method(results, f"gPC, order {order}").points for order in (2, 3, 5)] == [30, 60, 168]
+
+
+def test_sampled_values_agree_with_the_exact_one_within_their_errors(results):
+    for name in ("Monte Carlo", "quasi-Monte Carlo"):
+        one = method(results, name)
+        assert abs(one.variation - results.exact) < 4.5 * one.standard_error
+
+
+def test_monte_carlo_needs_a_thousand_times_the_effort_of_order_three(results):
+    expanded, sampled = method(results, "gPC, order 3"), method(results, "Monte Carlo")
+    error = abs(expanded.variation - results.exact)
+    calls = sampled.points * (sampled.standard_error / error) ** 2
+    assert calls > 1000 * expanded.points
+    assert times_cheaper(results) > 0
+
+
+def test_the_allocation_follows_the_rule_of_the_linearised_problem(results):
+    """Minimising the sum of 1/T at a given variance makes T proportional to |S|^(-2/3)."""
+    assert results.allocation.ok
+    slopes = {name: one.sensitivity for name, one in results.analyses["deviation"].contributions.items()}
+    chosen = tolerances_of(results.allocation)
+    scaled = np.array([chosen[name] * abs(slopes[name]) ** (2 / 3) for name in chosen])
+    # The angle is slightly skewed, so the rule holds to a part in a hundred.
+    np.testing.assert_allclose(scaled, scaled.mean(), rtol=0.01)
+    assert results.allocation.objective < 0.65 * sum(1 / one for one in TOLERANCES.values())
+
+
+def test_fresh_assemblies_confirm_the_predicted_rejects(results):
+    share, error = counted(results.evidence)
+    assert abs(share - rejects_of(results.allocation)) < 4.5 * error
+    assert rejects_of(results.allocation) == pytest.approx(results.given, rel=1e-5)
+
+
+def test_fewer_rejects_cost_more(results):
+    assert results.front.solved.all()
+    assert np.all(np.diff(results.front.objectives) > 0)  # from many rejects to few
+
+
+def test_the_verdict_names_what_to_tighten(results):
+    said = verdict(results)
+    assert said.word == "Build"
+    assert said.headline.startswith("Tighten the hub a, widen the roller c and ring e")
+
+
+def test_the_page_has_every_section_and_says_what_was_not_reached(results):
+    whole = clutch_page(results)
+    assert [one.heading for one in whole.sections][:3] == ["Table 7.2", "The given tolerances", "Allocation"]
+    begun = ClutchResults(SMALL)
+    assert verdict(begun).word == "Incomplete"
+    assert "Not reached: methods" in clutch_page(begun).sections[0].blocks[0].paragraphs[0]
+
+
+def test_the_study_writes_its_files_and_tables(results, tmp_path):
+    study = load("clutch", quick=True)
+    study._results = results
+    written = [*study.save(tmp_path), study.write_page(tmp_path)]
+    assert {one.name for one in written} == {"results.nc", "designs.json", "report.html"}
+    saved = json.loads((tmp_path / "designs.json").read_text(encoding="utf-8"))
+    assert saved["allocation"]["decisions"]["a.tolerance"]["value"] == pytest.approx(
+        tolerances_of(results.allocation)["a"]
+    )
+    assert [table.caption.split(":")[0] for table in study.tables()][0] == "Table 7.2 and more"
+    assert study.headline().startswith("Build")
+
+
+def test_a_limit_on_rejects_that_no_tolerance_meets_is_said_in_words():
+    with pytest.raises(al.SolveError, match="rejects"):
+        al.solve(allocation_problem(-0.1))

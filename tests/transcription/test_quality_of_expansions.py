@@ -1,0 +1,70 @@
+"""What a solution says of its expansion: where it fails, from when on, and when nothing can be said."""
+
+import warnings
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import aleator as al
+from aleator.uncertainty import LegendreGerm
+
+GRID = al.Grid(30.0, 300)
+ORDER = 4
+
+
+class Phase(al.System):
+    """`x = cos(w t)`, no dynamics: the spread of `w` bends `x` over the germ more and more."""
+
+    states = ("nothing",)
+    w: Any
+    gain: Any
+
+    def rhs(self, t, z):
+        return (0.0 * z.nothing,)
+
+    def outputs(self, t, z):
+        return {"x": jnp.cos(self.w * t), "loss": (self.gain - 1.0) ** 2}
+
+
+def phase_problem(grid=GRID, **expansion):
+    return al.Problem(
+        Phase(al.Uniform(2.0, half_width=0.2), al.Decision(0.5, 0.0, 3.0)),
+        grid=grid,
+        minimize=al.terminal("loss").mean,
+        subject_to=[al.path("x").at_most(5.0, sigmas=1.0)],
+        expansion=al.Expansion(**({"order": ORDER} | expansion)),
+    )
+
+
+def lost_variance():
+    """The part of the variance beyond the order at each instant, relative to the largest variance so far, by Gauss."""
+    nodes, weights = LegendreGerm().gauss(60)
+    samples = np.cos(np.outer(2.0 + 0.2 * nodes, np.asarray(GRID.times)))
+    energy = (LegendreGerm().polynomials(40, nodes).T * weights @ samples) ** 2
+    variance = np.maximum.accumulate(energy[1:].sum(axis=0))
+    return energy[ORDER + 1 :].sum(axis=0)[1:] / variance[1:]
+
+
+def test_a_long_simulation_is_followed_until_an_instant_that_the_warning_names():
+    expected = float(np.asarray(GRID.times)[1 + np.argmax(lost_variance() > 0.05)])
+    with pytest.warns(al.ExpansionWarning, match=r"order 4 does not resolve x\(t\) .* from t = 1\d.* s on"):
+        solution = al.solve(phase_problem())
+    # A sample is predicted from the others a little worse than the best approximation.
+    assert 0.75 * expected <= solution.expansion.unresolved_from["x(t)"] <= expected
+    assert solution.expansion.unresolved == ("x(t)",)
+
+
+def test_the_same_simulation_cut_short_is_resolved():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        solution = al.solve(phase_problem(al.Grid(6.0, 60)))
+    assert solution.expansion.unresolved_from == {}
+    assert solution.expansion.unresolved == ()
+
+
+def test_as_many_points_as_terms_leave_nothing_to_check_by():
+    with pytest.warns(al.ExpansionWarning, match="5 points for 5 terms leave nothing to check the expansion"):
+        solution = al.solve(phase_problem(al.Grid(6.0, 60), points=5))
+    assert not solution.expansion.can_be_checked

@@ -1,0 +1,278 @@
+"""Correlated laws: the copula against OpenTURNS, closed forms and quadrature; realisation; refusals."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import openturns as ot
+import pytest
+from scipy import stats
+
+from aleator._core.arrays import numbers_to_arrays
+from aleator._core.errors import ProblemError
+from aleator.uncertainty import (
+    Beta,
+    Decision,
+    Density,
+    Exponential,
+    Gamma,
+    Gumbel,
+    HermiteGerm,
+    LogNormal,
+    Normal,
+    Sample,
+    Toleranced,
+    Triangular,
+    TruncatedNormal,
+    Uniform,
+    Weibull,
+    at_means,
+    correlated,
+    realise,
+    survey,
+)
+
+NONE = jnp.zeros(0)
+DATA = np.random.default_rng(8).gamma(3.0, size=200)
+
+LAWS = {
+    "normal": Normal(1.0, 0.2),
+    "uniform": Uniform(3.0, half_width=1.0),
+    "lognormal": LogNormal(mean=2.0, std=0.8),
+    "exponential": Exponential(mean=2.0),
+    "gumbel": Gumbel(0.0, 1.0),
+    "weibull": Weibull(1.0, 1.5),
+    "triangular": Triangular(0.0, 0.2, 1.0),
+    "beta": Beta(alpha=2.0, beta=5.0),
+    "gamma": Gamma(mean=2.0, std=1.0),
+    "truncated": TruncatedNormal(1.0, 0.5, lower=0.5),
+    "sample": Sample(DATA),
+    "density": Density(lambda x: x * (1 - x), 0.0, 1.0),
+    "toleranced": Toleranced(5.0, plus=0.2, minus=0.1),
+}
+
+
+def pair(first, second, correlation):
+    return correlated({"a": LAWS[first], "b": LAWS[second]}, {("a", "b"): correlation})
+
+
+def moments_by_quadrature(model, count=64):
+    """Means, standard deviations and correlation of a correlated pair, by a product of Gauss-Hermite rules."""
+    nodes, weights = HermiteGerm().gauss(count)
+    germs = jnp.asarray(np.stack(np.meshgrid(nodes, nodes, indexing="ij"), axis=-1).reshape(-1, 2))
+    weights = np.outer(weights, weights).ravel()
+    values = jax.jit(jax.vmap(lambda germ: realise(model, germ, NONE)))(germs)
+    a, b = np.asarray(values["a"]), np.asarray(values["b"])
+    mean = np.array([weights @ a, weights @ b])
+    covariance = np.cov(np.stack([a, b]), aweights=weights, ddof=0)
+    std = np.sqrt(np.diag(covariance))
+    return mean, std, covariance[0, 1] / std.prod()
+
+
+PAIRS = [
+    ("normal", "normal", 0.7, 1e-12),
+    ("normal", "lognormal", -0.6, 1e-10),
+    ("lognormal", "lognormal", 0.5, 1e-10),
+    ("uniform", "gumbel", 0.8, 1e-4),
+    ("exponential", "weibull", -0.4, 1e-5),
+    ("gamma", "toleranced", 0.6, 1e-7),
+    ("triangular", "uniform", 0.3, 1e-4),
+    ("truncated", "gumbel", -0.5, 1e-4),
+    ("sample", "normal", 0.5, 1e-3),
+    ("density", "uniform", 0.5, 1e-4),
+]
+
+
+@pytest.mark.parametrize(("first", "second", "correlation", "accuracy"), PAIRS)
+def test_the_numbers_have_the_given_correlation_and_keep_their_own_moments(first, second, correlation, accuracy):
+    mean, std, found = moments_by_quadrature(pair(first, second, correlation))
+    assert found == pytest.approx(correlation, abs=accuracy)
+    for i, name in enumerate((first, second)):
+        assert mean[i] == pytest.approx(float(LAWS[name].mean()), rel=10 * accuracy)
+        assert std[i] == pytest.approx(float(LAWS[name].std()), rel=30 * accuracy)
+
+
+def test_normals_have_the_correlation_that_was_given_and_lognormals_that_of_the_closed_form():
+    assert pair("normal", "toleranced", 0.3)["b"].dependence.factor[1, 0] == pytest.approx(0.3, rel=1e-13)
+    s, t = np.sqrt(np.log(1 + 0.4**2)), np.sqrt(np.log(1 + 0.3**2))
+    laws = {"a": LogNormal(mean=2.0, std=0.8), "b": LogNormal(mean=1.0, std=0.3, lower=0.0)}
+    for r in (0.9, 0.2, -0.7):
+        rho = correlated(laws, {("a", "b"): r})["b"].dependence.factor[1, 0]
+        assert rho == pytest.approx(np.log(1 + r * 0.4 * 0.3) / (s * t), rel=1e-12)
+
+
+def test_uniforms_have_the_closed_form_of_their_normals_correlation():
+    for r in (-0.9, 0.1, 0.6, 0.95):
+        rho = correlated({"a": LAWS["uniform"], "b": LAWS["uniform"]}, {("a", "b"): r})["b"].dependence.factor[1, 0]
+        assert rho == pytest.approx(2 * np.sin(np.pi * r / 6), rel=1e-7)
+
+
+def test_realisations_are_those_of_openturns_normal_copula():
+    r = np.array([[1.0, 0.4, -0.2], [0.4, 1.0, 0.3], [-0.2, 0.3, 1.0]])
+    laws = {"a": Normal(1.0, 0.2), "b": Gamma(shape=4.0, scale=0.5), "c": Weibull(2.0, 1.5)}
+    model = correlated(laws, r)
+    factor = model["a"].dependence.factor
+    marginals = [ot.Normal(1.0, 0.2), ot.Gamma(4.0, 2.0), ot.WeibullMin(2.0, 1.5)]
+    joint = ot.JointDistribution(marginals, ot.NormalCopula(ot.CorrelationMatrix((factor @ factor.T).tolist())))
+    points = np.random.default_rng(0).normal(size=(7, 3))
+    to_numbers = joint.getInverseIsoProbabilisticTransformation()
+    ours = jax.vmap(lambda germ: realise(model, germ, NONE))(jnp.asarray(points))
+    ours = np.stack([np.asarray(ours[name]) for name in "abc"], axis=1)
+    assert ours == pytest.approx(np.array(to_numbers(ot.Sample(points.tolist()))), rel=1e-8)
+    ot.RandomGenerator.SetSeed(1)
+    sampled = np.array(joint.getSample(400_000).computeLinearCorrelation())
+    assert sampled == pytest.approx(r, abs=4 / np.sqrt(400_000))  # four standard errors
+
+
+def test_a_matrix_and_named_pairs_say_the_same():
+    laws = {name: LAWS[name] for name in ("normal", "gumbel", "weibull")}
+    by_pairs = correlated(laws, {("weibull", "normal"): 0.4, ("normal", "gumbel"): -0.2})
+    by_matrix = correlated(laws, [[1.0, -0.2, 0.4], [-0.2, 1.0, 0.0], [0.4, 0.0, 1.0]])
+    assert eqx.tree_equal(by_pairs, by_matrix)
+
+
+def test_a_group_has_one_normal_germ_variable_for_each_member_wherever_the_members_are_placed():
+    laws = correlated({"k": LAWS["lognormal"], "c": LAWS["gamma"]}, {("k", "c"): 0.5}, name="spring")
+    model = {"rear": {"damper": laws["c"]}, "x": Uniform(0.0, half_width=1.0), "front": laws["k"]}
+    places = survey(model)
+    assert set(places.germs) == {"spring.k", "spring.c", "x"}
+    assert places.germs["spring.c"] == HermiteGerm()
+    only_second = survey({"damper": laws["c"]})
+    assert only_second.germ_names == ("spring.k", "spring.c")
+
+
+def test_every_member_keeps_its_own_law_whatever_its_place_in_the_group():
+    names = ("beta", "gamma", "triangular")
+    model = correlated({name: LAWS[name] for name in names}, {("beta", "gamma"): 0.5, ("gamma", "triangular"): -0.3})
+    factor = model["beta"].dependence.factor
+    germ = np.array([0.7, -1.2, 0.4])
+    real = realise(model, jnp.asarray(germ), NONE)
+    oracles = (stats.beta(2, 5), stats.gamma(4, scale=0.5), stats.triang(0.2))
+    for name, normal, oracle in zip(names, factor @ germ, oracles, strict=True):
+        assert float(real[name]) == pytest.approx(oracle.ppf(stats.norm.cdf(normal)), rel=1e-9)
+
+
+def test_realisation_is_the_same_compiled_and_with_numbers_as_arrays():
+    model = correlated({"a": LAWS["gamma"], "b": LAWS["weibull"]}, {("a", "b"): 0.5})
+    germ = jnp.array([0.3, -0.8])
+    single = realise(model, germ, NONE)
+    arrays = numbers_to_arrays(model)
+    dynamic, static = eqx.partition(arrays, eqx.is_array)
+    compiled = jax.jit(lambda dynamic, germ: realise(eqx.combine(dynamic, static), germ, NONE))(dynamic, germ)
+    assert {k: float(v) for k, v in compiled.items()} == pytest.approx({k: float(v) for k, v in single.items()})
+    assert survey(arrays).germ_names == survey(model).germ_names
+
+
+def test_decisions_inside_correlated_laws_move_them_and_leave_the_copula():
+    laws = {"a": Normal(1.0, Decision(0.2, 0.0, 1.0)), "b": Gamma(mean=Decision(2.0, 1.0, 4.0), std=1.0)}
+    model = correlated(laws, {("a", "b"): 0.5})
+    fixed = correlated({"a": Normal(1.0, 0.2), "b": Gamma(mean=2.0, std=1.0)}, {("a", "b"): 0.5})
+    factor = fixed["a"].dependence.factor
+    assert np.array_equal(model["a"].dependence.factor, factor)
+    assert tuple(survey(model).decisions) == ("a.std", "b.mean")
+    germ, x = np.array([0.4, -0.9]), np.array([0.3, 2.5])
+    real = realise(model, jnp.asarray(germ), jnp.asarray(x))
+    normal = factor @ germ
+
+    def oracle(x):
+        return stats.gamma(x**2, scale=1 / x).ppf(stats.norm.cdf(normal[1]))
+
+    assert float(real["a"]) == pytest.approx(1.0 + 0.3 * normal[0], rel=1e-14)
+    assert float(real["b"]) == pytest.approx(oracle(2.5), rel=1e-9)
+    slope = jax.jit(jax.jacfwd(lambda x: realise(model, jnp.asarray(germ), x)["b"]))(jnp.asarray(x))
+    h = 1e-3
+    near, far = (oracle(2.5 + k * h) - oracle(2.5 - k * h) for k in (1, 2))
+    assert slope == pytest.approx([0.0, (8 * near - far) / (12 * h)], rel=1e-7)
+
+
+def test_a_spread_may_be_differentiated_from_outside_and_a_shape_may_not():
+    germ = jnp.array([0.4, -0.9])
+
+    def number(s, make):
+        return realise(correlated({"a": LAWS["normal"], "b": make(s)}, {("a", "b"): 0.5}), germ, NONE)["b"]
+
+    normal = 0.5 * 0.4 - np.sqrt(0.75) * 0.9
+    assert float(jax.grad(number)(0.3, lambda s: Normal(1.0, s))) == pytest.approx(normal, rel=1e-12)
+    for make in (lambda s: Weibull(1.0, s), lambda s: LogNormal(mean=1.0, std=s)):
+        with pytest.raises(ProblemError, match=r"shape of a correlated law cannot be traced.*plain number"):
+            jax.grad(number)(0.3, make)
+
+
+def test_a_member_held_at_its_mean_leaves_the_law_of_the_others():
+    laws = correlated({"a": LAWS["normal"], "b": LAWS["gamma"]}, {("a", "b"): 0.5})
+    model = {"a": at_means(laws["a"]), "b": laws["b"]}
+    assert survey(model).germ_names == ("a~b.a", "a~b.b")
+    real = realise(model, jnp.array([0.4, -0.9]), NONE)
+    assert float(real["a"]) == 1.0
+    assert float(real["b"]) == float(realise(laws, jnp.array([0.4, -0.9]), NONE)["b"])
+
+
+def test_a_member_may_stand_at_two_places_if_it_is_said_to_be_one():
+    laws = correlated({"a": LAWS["normal"], "b": LAWS["gumbel"]}, {("a", "b"): 0.5})
+    with pytest.raises(ProblemError, match="'a' of the correlated group 'a~b' is placed twice, at 'x' and at 'y'"):
+        survey({"x": laws["a"], "y": laws["a"], "z": laws["b"]})
+    shared = laws["a"].shared("s")
+    real = realise({"x": shared, "y": shared, "z": laws["b"]}, jnp.array([0.5, 0.1]), NONE)
+    assert float(real["x"]) == float(real["y"]) == pytest.approx(1.1, rel=1e-14)
+
+
+def test_two_groups_need_two_names():
+    first = correlated({"a": LAWS["normal"], "b": LAWS["gumbel"]}, {("a", "b"): 0.5})
+    again = correlated({"a": LAWS["normal"], "b": LAWS["gumbel"]}, {("a", "b"): 0.2})
+    other = correlated({"a": LAWS["normal"], "b": LAWS["gumbel"]}, {("a", "b"): 0.2}, name="other")
+    with pytest.raises(ProblemError, match=r"'a~b' names two groups.*name=.*"):
+        survey({"x": first["a"], "y": again["b"]})
+    with pytest.raises(ProblemError, match="placed twice"):
+        survey({"front": first, "rear": first})
+    assert len(survey({"front": first, "rear": other}).germ_names) == 4
+    with pytest.raises(
+        ProblemError, match=r"'g\.a' names a germ variable of a correlated group and an independent law"
+    ):
+        survey(
+            {"x": correlated({"a": LAWS["normal"], "b": LAWS["normal"]}, {}, name="g"), "g": {"a": Normal(0.0, 1.0)}}
+        )
+
+
+TWO = {"a": LAWS["normal"], "b": LAWS["uniform"]}
+THREE = TWO | {"c": LAWS["gumbel"]}
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: correlated(TWO, [[1.0, 0.5], [0.4, 1.0]]), "symmetric: received 0.5 for 'a' and 'b'.*same number"),
+        (lambda: correlated(TWO, [[2.0, 0.5], [0.5, 1.0]]), "ones on its diagonal: received 2 for 'a' and 'a'.*covari"),
+        (lambda: correlated(TWO, [[1.0, 1.5], [1.5, 1.0]]), "between -1 and 1.*received 1.5 for 'a' and 'b'"),
+        (lambda: correlated(TWO, [[1.0, 1.0], [1.0, 1.0]]), "between -1 and 1.*`shared`"),
+        (lambda: correlated(TWO, [[1.0, np.nan], [np.nan, 1.0]]), "finite numbers: received nan"),
+        (lambda: correlated(TWO, np.eye(3)), r"shape \(2, 2\); received \(3, 3\)"),
+        (lambda: correlated(TWO, "strong"), "Correlations are plain numbers"),
+        (lambda: correlated(TWO, {("a", "b"): Decision(0.5)}), "Correlations are plain numbers; received Decision"),
+        (lambda: correlated(TWO, {("a", "x"): 0.5}), r"pairs of two of the laws a, b; received \('a', 'x'\)"),
+        (lambda: correlated(TWO, {("a", "a"): 0.5}), "pairs of two of the laws"),
+        (lambda: correlated(TWO, {"ab": 0.5}), "pairs of two of the laws"),
+        (lambda: correlated(TWO, {("a", "b"): 0.5, ("b", "a"): 0.5}), "given twice"),
+        (
+            lambda: correlated(THREE, {("a", "b"): 0.9, ("b", "c"): 0.9, ("a", "c"): -0.9}),
+            "contradict each other.*positive definite.*smallest eigenvalue -0.8.*closer to 0",
+        ),
+        (lambda: correlated({"a": LAWS["normal"]}, {}), "at least two; received 1"),
+        (lambda: correlated({"a": 3.0, "b": LAWS["normal"]}, {}), "'a': only distributions can be correlated"),
+        (lambda: correlated(correlated(TWO, {}), {}), "'a' is correlated already"),
+        (
+            lambda: correlated({"a": LAWS["exponential"], "b": LAWS["exponential"]}, {("a", "b"): -0.8}),
+            r"'a' and 'b' cannot be correlated by -0.8: .*between -0.64",
+        ),
+    ],
+)
+def test_correlations_that_cannot_be_are_refused_with_the_entry_and_the_remedy(make, message):
+    with pytest.raises(ProblemError, match=message):
+        make()
+
+
+def test_the_lowest_correlation_of_two_exponentials_is_one_less_pi_squared_over_six():
+    lowest = 1 - np.pi**2 / 6
+    laws = {"a": LAWS["exponential"], "b": LAWS["exponential"]}
+    correlated(laws, {("a", "b"): lowest + 1e-3})
+    with pytest.raises(ProblemError, match=f"{lowest:.3f}"):
+        correlated(laws, {("a", "b"): lowest - 1e-3})

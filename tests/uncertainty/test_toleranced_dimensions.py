@@ -1,0 +1,144 @@
+"""Dimensions with limits: their law by hand-computed numbers, the forms of a drawing, and refusals."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import stats
+
+from aleator._core.errors import ProblemError
+from aleator.uncertainty import Decision, HermiteGerm, Toleranced, named_numbers, realise, survey, toleranced
+
+# law, mean, standard deviation, limits
+CASES = {
+    "clutch hub": (Toleranced(27.645, tolerance=0.05), 27.645, 0.05 / 3, (27.595, 27.695)),
+    "by capability": (Toleranced(27.645, tolerance=0.05, cp=1.25), 27.645, 0.1 / 7.5, (27.595, 27.695)),
+    "by sigma level": (Toleranced(27.645, tolerance=0.05, sigmas=6), 27.645, 0.05 / 6, (27.595, 27.695)),
+    "asymmetric": (Toleranced(27.645, plus=0.05, minus=0.02), 27.66, 0.07 / 6, (27.625, 27.695)),
+    "both above": (Toleranced(20.0, plus=0.05, minus=-0.02, cp=0.5), 20.035, 0.01, (20.02, 20.05)),
+    "off centre": (Toleranced(10.0, tolerance=0.3, cp=2.0, cpk=1.5), 10.075, 0.05, (9.7, 10.3)),
+    "off centre, low": (
+        Toleranced(10.0, plus=0.4, minus=0.2, cp=2.0, cpk=1.5, towards="lower"),
+        10.025,
+        0.05,
+        (9.8, 10.4),
+    ),
+    "centred": (Toleranced(10.0, tolerance=0.3, cp=2.0, cpk=2.0), 10.0, 0.05, (9.7, 10.3)),
+    "outside its zone": (Toleranced(10.0, tolerance=0.3, cp=1.0, cpk=-1.0), 10.6, 0.1, (9.7, 10.3)),
+}
+
+
+@pytest.fixture(params=CASES.values(), ids=CASES.keys())
+def case(request):
+    return request.param
+
+
+def test_mean_spread_and_limits_are_those_computed_by_hand(case):
+    law, mean, std, limits = case
+    assert float(law.mean()) == pytest.approx(mean, rel=1e-14)
+    assert float(law.std()) == pytest.approx(std, rel=1e-12)
+    assert tuple(map(float, law.limits())) == pytest.approx(limits, rel=1e-14)
+
+
+def test_the_law_is_normal(case):
+    law, mean, std, _ = case
+    assert law.germ() == HermiteGerm()
+    levels = np.array([0.001, 0.3, 0.99])
+    values = [float(law.value(jnp.asarray(xi))) for xi in law.germ().quantile(levels)]
+    assert values == pytest.approx(stats.norm(mean, std).ppf(levels), rel=1e-13)
+    assert law.support() == (-np.inf, np.inf)
+
+
+def test_cpk_is_the_distance_of_the_mean_to_the_nearer_limit_in_three_standard_deviations(case):
+    law, _, _, _ = case
+    lower, upper = law.limits()
+    mean, std = law.mean(), law.std()
+    cpk = min(upper - mean, mean - lower) / (3 * std)
+    capability = law.parameters.get("cp", law.parameters.get("sigmas", 3.0) / 3)
+    assert cpk == pytest.approx(law.parameters.get("cpk", capability), rel=1e-10)
+
+
+def test_a_small_tolerance_of_a_large_dimension_keeps_its_digits():
+    assert float(Toleranced(1e6, tolerance=1e-6).std()) == pytest.approx(1e-6 / 3, rel=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("text", "parameters"),
+    [
+        ("27.645 +0.05/-0.02", {"nominal": 27.645, "plus": 0.05, "minus": 0.02}),
+        ("27.645 + 0.05 / - 0.02", {"nominal": 27.645, "plus": 0.05, "minus": 0.02}),
+        ("27.645 -0.02/+0.05", {"nominal": 27.645, "plus": 0.05, "minus": 0.02}),
+        ("27.645+0.05-0.02", {"nominal": 27.645, "plus": 0.05, "minus": 0.02}),
+        ("27.645 +0.05 \N{MINUS SIGN}0.02", {"nominal": 27.645, "plus": 0.05, "minus": 0.02}),
+        ("20 -0.007/-0.028", {"nominal": 20.0, "plus": -0.007, "minus": 0.028}),
+        ("20 +0.03/+0.01", {"nominal": 20.0, "plus": 0.03, "minus": -0.01}),
+        ("8 +0.1 0", {"nominal": 8.0, "plus": 0.1, "minus": 0.0}),
+        ("8 0/-0.1", {"nominal": 8.0, "plus": 0.0, "minus": 0.1}),
+        ("8 0 -0.1", {"nominal": 8.0, "plus": 0.0, "minus": 0.1}),
+        ("-8 +.1/-.2", {"nominal": -8.0, "plus": 0.1, "minus": 0.2}),
+        ("27.645 ±0.05", {"nominal": 27.645, "tolerance": 0.05}),
+        ("27.645±0.05", {"nominal": 27.645, "tolerance": 0.05}),
+        ("11.43 +/- 0.01", {"nominal": 11.43, "tolerance": 0.01}),
+        ("11.43+-0.01", {"nominal": 11.43, "tolerance": 0.01}),
+        ("1.5e-3 +/- 1e-5", {"nominal": 1.5e-3, "tolerance": 1e-5}),
+    ],
+)
+def test_a_drawings_text_is_read_in_its_usual_forms(text, parameters):
+    law = toleranced(text, cp=1.33)
+    assert law.parameters == pytest.approx(parameters | {"cp": 1.33}, rel=1e-15)
+    assert toleranced(text).parameters["cp"] == 1.0
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["27.645", "", "27,645 ±0.05", "27.645 ±0.05 mm", "27.645 0.05", "200-0.02", "27 645 ±0.05", "a ±0.1", "8 ±-0.1",
+     "8 +0.1/0.1", "8 +0.1/-0.1/-0.2", "8 ±", "1.2.3 ±0.1"],
+)  # fmt: skip
+def test_a_text_that_is_no_toleranced_dimension_is_refused_with_the_forms_that_are(text):
+    with pytest.raises(ProblemError, match=r"is no toleranced dimension: expected .*\+0\.05/-0\.02"):
+        toleranced(text)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Toleranced(1.0), r"Toleranced takes \(nominal, tolerance, cp\) or .*received \(nominal, cp\)"),
+        (lambda: Toleranced(1.0, plus=0.1), "Toleranced takes"),
+        (lambda: Toleranced(1.0, tolerance=0.1, plus=0.1, minus=0.1), "Toleranced takes"),
+        (lambda: Toleranced(1.0, tolerance=0.1, cp=1.0, sigmas=3.0), "Toleranced takes"),
+        (lambda: Toleranced(1.0, tolerance=0.0), "tolerance above 0.*tolerance=0"),
+        (lambda: Toleranced(1.0, tolerance=-0.1), "tolerance above 0.*tolerance=-0.1"),
+        (lambda: Toleranced(1.0, tolerance=-0.1, cp=-1.0), "tolerance above 0.*tolerance=-0.1"),
+        (lambda: Toleranced(1.0, plus=0.1, minus=-0.1), "limits in order.*minus=-0.1"),
+        (lambda: Toleranced(1.0, plus=0.1, minus=-0.2), "limits in order.*minus=-0.2"),
+        (lambda: Toleranced(1.0, tolerance=0.1, cp=0.0), "cp or sigmas above 0.*cp=0"),
+        (lambda: Toleranced(1.0, tolerance=0.1, sigmas=-3.0), "cp or sigmas above 0.*sigmas=-3"),
+        (lambda: Toleranced(1.0, tolerance=0.1, cp=float("inf")), "Toleranced needs finite.*cp=inf"),
+        (lambda: Toleranced(float("nan"), tolerance=0.1), "Toleranced needs finite.*nominal=nan"),
+        (lambda: Toleranced(1.0, tolerance=0.1, cp=1.0, cpk=1.2), "cpk at most cp.*cpk=1.2"),
+        (lambda: Toleranced(1.0, tolerance=0.1, cpk=float("nan")), "cpk at most cp.*cpk=nan"),
+        (lambda: Toleranced(1.0, tolerance=0.1, cpk=0.5, towards="left"), "'upper' or 'lower'|\"upper\" or \"lower\""),
+        (lambda: Toleranced(1.0, tolerance=Decision(0.1, -0.1, 0.2)), "its decisions reach tolerance=-0.1"),
+        (lambda: Toleranced(1.0, tolerance=0.1, cp=Decision(1.0, 0.0, 2.0)), "its decisions reach cp=0"),
+        (lambda: Toleranced(1.0, tolerance=0.1, cp=1.0, cpk=Decision(0.8, 0.5, 1.5)), "its decisions reach cpk=1.5"),
+    ],
+)
+def test_a_dimension_that_cannot_be_is_refused_with_what_it_needs(make, message):
+    with pytest.raises(ProblemError, match=message):
+        make()
+
+
+def test_a_decided_tolerance_is_a_number_of_the_model_and_sets_the_spread():
+    model = {"a": Toleranced(27.645, tolerance=Decision(0.05, 0.005, 0.2), cp=1.25), "c": toleranced("11.43 ±0.01")}
+    places = survey(model)
+    assert tuple(places.decisions) == ("a.tolerance",)
+    numbers = named_numbers(model, jnp.array([0.1]))
+    assert float(numbers["a.tolerance"]) == 0.1
+    assert float(numbers["a.std"]) == pytest.approx(0.1 / 3.75, rel=1e-13)
+    real = realise(model, jnp.array([1.5, -1.0]), jnp.array([0.1]))
+    assert float(real["a"]) == pytest.approx(27.645 + 1.5 * 0.1 / 3.75, rel=1e-14)
+    assert float(real["c"]) == pytest.approx(11.43 - 0.01 / 3, rel=1e-14)
+
+
+def test_sharing_keeps_the_side_to_which_the_process_is_shifted():
+    law = Toleranced(10.0, tolerance=0.3, cp=2.0, cpk=1.5, towards="lower").shared("d")
+    assert float(law.mean()) == pytest.approx(9.925, rel=1e-14)
