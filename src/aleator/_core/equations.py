@@ -13,9 +13,9 @@ from jax.extend.core import ClosedJaxpr
 def equations_text(closed: ClosedJaxpr) -> str | None:
     """The equations of a traced function, and a digest of what does not show in them when they are printed.
 
-    That is the arrays that inner functions hold, and the rules of differentiation. A rule is told by its name and
-    place in the source: its identity changes with each tracing. Arrays that the outermost function holds are its
-    constants, and no part of the text. None if an inner function holds an array that is itself being traced.
+    That is the arrays that inner functions hold, and the rules by which they are differentiated. Arrays that the
+    outermost function holds are its constants, and no part of the text. None if an inner function or a rule holds an
+    array that is itself being traced.
     """
     digest = hashlib.sha256()
     for part in _hidden(closed.jaxpr):
@@ -31,14 +31,28 @@ def array_digest(array: Any) -> str:
     return f"{values.shape}{values.dtype}{hashlib.sha256(values.tobytes()).hexdigest()}"
 
 
-def _hidden(jaxpr: Any) -> Iterator[Any]:
-    """The arrays that functions inside the equations hold, and the places of rules of differentiation, in order."""
+def _hidden(jaxpr: Any, *, rules: bool = True) -> Iterator[Any]:
+    """What the printed equations do not show: arrays as they are, rules of differentiation as texts, in order.
+
+    A rule may use the function that it belongs to, so that rules inside of rules are told by their place in the source.
+    """
     for equation in jaxpr.eqns:
+        if rules and equation.primitive.name == "custom_jvp_call":
+            yield from _forward_rule(equation)
         for part in jax.tree.leaves(equation.params):
             if isinstance(part, ClosedJaxpr):
                 yield from part.consts
-                yield from _hidden(part.jaxpr)
+                yield from _hidden(part.jaxpr, rules=rules)
             elif hasattr(part, "eqns"):
-                yield from _hidden(part)
+                yield from _hidden(part, rules=rules)
             elif hasattr(part, "debug_info"):
                 yield str(part.debug_info.func_src_info)
+
+
+def _forward_rule(equation: Any) -> Iterator[Any]:
+    """The rule of a `jax.custom_jvp` function, traced: it may hold numbers that do not show in the source."""
+    variables = len(equation.invars) - equation.params["num_consts"]
+    rule, held, *_ = equation.params["jvp_jaxpr_fun"].call_wrapped(*[False] * variables)
+    yield str(rule)
+    yield from held
+    yield from _hidden(rule, rules=False)

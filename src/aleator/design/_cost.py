@@ -30,7 +30,7 @@ class CostCurve(AbstractAtom):
     def text(self) -> str:
         """See `AbstractAtom.text`."""
         numbers = (f"{float(number):g}" for number in self.coefficients)
-        return self.shown.format(*numbers, spread=self.name)
+        return self.shown.format(*numbers, spread=self.name).replace("(0 + ", "(")
 
     @property
     def subjects(self) -> tuple[str, ...]:

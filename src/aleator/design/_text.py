@@ -1,11 +1,15 @@
 """A problem as readable mathematics."""
 
+import itertools
+from collections.abc import Iterator, Mapping
+
 import numpy as np
 
 from aleator.design._declaration import AbstractProblem
 from aleator.design._statistic import statistics_in
 from aleator.dynamics import AlgebraicSystem, Grid
 from aleator.statistics import Mean
+from aleator.uncertainty import AbstractDistribution
 
 
 def problem_text(problem: AbstractProblem) -> str:
@@ -14,7 +18,7 @@ def problem_text(problem: AbstractProblem) -> str:
     rows = [("minimise", str(problem.objective))]
     rows += _labelled("over", [_decision_text(name, place.decision) for name, place in places.decisions.items()])
     rows += _labelled("subject to", [f"{one.name}: {one}" for one in problem.constraints])
-    rows += _labelled("where", [f"{name} ~ {law}" for name, law in places.distributions.items()])
+    rows += _labelled("where", list(_law_texts(places.distributions)))
     rows += [
         _physics_row(problem),
         ("expansion", _expansion_text(problem, places.germ_names)),
@@ -29,6 +33,20 @@ def _labelled(label: str, texts: list[str]) -> list[tuple[str, str]]:
 def _decision_text(name: str, decision: object) -> str:
     lower, upper, start = (_range(getattr(decision, part)) for part in ("lower", "upper", "initial"))
     return f"{name} ∈ [{lower}, {upper}], from {start}"
+
+
+def _law_texts(laws: Mapping[str, AbstractDistribution]) -> Iterator[str]:
+    """A line for each law; numbered ones of one kind, such as the modes of a process, share theirs."""
+    for _, group in itertools.groupby(laws.items(), key=_numbered):
+        (first, law), *others = group
+        yield f"{first}{f' … {others[-1][0]}' if others else ''} ~ {law}"
+
+
+def _numbered(named: tuple[str, AbstractDistribution]) -> tuple[str, str]:
+    """What numbered laws of one kind have in common: the name before the number, and the law."""
+    name, law = named
+    before, _, number = name.rpartition(".")
+    return (before if number.isdigit() else name), str(law)
 
 
 def _range(values: object) -> str:

@@ -56,6 +56,8 @@ def _violation_rows(names: Sequence[str], evidence: Mapping[str, Evidence]) -> l
         [f"Systems that violate {limit}", *(share_text(one.violations.get(limit)) if one else "–" for one in found)]
         for limit in limits
     ]
+    if not limits:
+        return []
     return [*rows, ["Systems that violate any limit", *(share_text(one.joint) if one else "–" for one in found)]]
 
 

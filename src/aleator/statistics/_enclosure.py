@@ -303,7 +303,7 @@ def _along(
             values = (at[i] * 2 - 1) ** jnp.arange(len(matrix)) @ matrix
             terms = terms * values[form.indices[:, i]]
     degrees = jnp.arange(len(powers[variable]))
-    return powers[variable] @ jnp.sum(jnp.where(form.indices[:, variable] == degrees[:, None], terms[None], 0.0), axis=1)
+    return powers[variable] @ jnp.sum(jnp.where(form.indices[None, :, variable] == degrees[:, None], terms[None], 0.0), axis=1)
 
 
 def _to_powers(degree: int) -> Float[np.ndarray, "n n"]:

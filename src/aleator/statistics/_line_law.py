@@ -17,7 +17,7 @@ from scipy.interpolate import CubicSpline
 from aleator.uncertainty import AbstractGerm
 
 _CELLS = 2048
-_POWER = 4
+_POWER = 4  # two square roots, see `LineLaw`
 
 # An unbounded law ends where double precision cannot tell its distribution function from 0 or 1.
 _LEAST_LEVEL = 2.0**-53
@@ -40,13 +40,24 @@ class LineLaw(eqx.Module):
     from_powers: Float[Array, "variables orders orders"]
 
     def partial_moments(self, x: Float[Array, "edges variables lines"], orders: int) -> Float[Array, "..."]:
-        """`G_k(x)` for the first `orders` polynomials, along a new last axis."""
-        root = jnp.maximum(1 - jnp.abs(x), _LEAST_DISTANCE) ** (1 / _POWER) * _CELLS
-        cell = jnp.clip(root.astype(int), 0, _CELLS - 1)
-        variable = jnp.arange(x.shape[-2])[None, :, None]
-        cubic = self.table[variable, (x > 0).astype(int), cell, :, :orders]
-        within = (root - cell)[..., None]
+        """`G_k(x)` for the first `orders` polynomials, along a new last axis. Not to be differentiated."""
+        cubic, within, _ = self._spline(x, orders)
+        within = within[..., None]
         return ((cubic[..., 0, :] * within + cubic[..., 1, :]) * within + cubic[..., 2, :]) * within + cubic[..., 3, :]
+
+    def density(self, x: Float[Array, "edges variables lines"]) -> Float[Array, "edges variables lines"]:
+        """The probability density, by the scaled variable `x`."""
+        cubic, within, root = self._spline(x, 1)
+        cubic = cubic[..., 0]
+        by_root = (3 * cubic[..., 0] * within + 2 * cubic[..., 1]) * within + cubic[..., 2]
+        return -jnp.where(x > 0, 1.0, -1.0) * by_root * _CELLS / (_POWER * root ** (_POWER - 1))
+
+    def _spline(self, x: Array, orders: int) -> tuple[Array, Array, Array]:
+        """The coefficients of the cubic in each point's cell, its place in the cell, and the root of its distance."""
+        root = jnp.sqrt(jnp.sqrt(jnp.maximum(1 - jnp.abs(x), _LEAST_DISTANCE)))
+        cell = jnp.clip((root * _CELLS).astype(int), 0, _CELLS - 1)
+        variable = jnp.arange(x.shape[-2])[None, :, None]
+        return self.table[variable, (x > 0).astype(int), cell, :, :orders], root * _CELLS - cell, root
 
 
 def line_law(germs: list[AbstractGerm], orders: int) -> LineLaw:

@@ -1,4 +1,7 @@
-"""The distribution of one output, from its expansion along lines through the germ space (see `_lines`)."""
+"""The distribution of one output, from its expansion along lines through the germ space (see `_lines`).
+
+First derivatives are exact. Second derivatives are not to be taken: the search for crossings has none.
+"""
 
 import math
 from collections.abc import Callable
@@ -50,7 +53,20 @@ class OutputLaw(eqx.Module):
     def below(self, threshold: Scalar) -> Float[Array, ""]:
         """The probability of less than the mean plus `threshold`."""
         crossings, rising = self._crossings(threshold)
-        return self._average(self._moments_below(crossings, rising, 1)[..., 0])
+        below = self._moments_below(crossings, rising, 1)[..., 0]
+        # Its derivative is that of the crossings times the density there: no table need be differentiated.
+        heights = horner(self.powers.at[0].add(-threshold), crossings)
+        change = heights - jax.lax.stop_gradient(heights)
+        return self._average(below - jnp.sum(jax.lax.stop_gradient(self._densities(crossings)) * change, axis=0))
+
+    def density(self, threshold: Scalar) -> Float[Array, ""]:
+        """The probability density at the mean plus `threshold`."""
+        crossings, _ = self._crossings(threshold)
+        # The crossings with their derivatives, by the implicit function theorem.
+        heights, slopes = horner(self.powers.at[0].add(-threshold), crossings), slope(self.powers, crossings)
+        regular = self._is_inside(crossings) & (slopes != 0)
+        step = jnp.where(regular, heights / jnp.where(regular, jax.lax.stop_gradient(slopes), 1.0), 0.0)
+        return self._average(jnp.sum(self._densities(crossings - step), axis=0))
 
     def excess(self, threshold: Scalar) -> Float[Array, ""]:
         """The expected value of what goes beyond the mean plus `threshold`, taken as zero below it."""
@@ -66,14 +82,13 @@ class OutputLaw(eqx.Module):
 
     def _all_below(self, threshold: Scalar) -> Float[Array, "orders directions lines"]:
         # Nothing goes beyond the threshold at the threshold itself: how the crossings move has no part in it.
-        crossings, rising = jax.lax.stop_gradient(self._crossings(threshold))
+        crossings, rising = self._crossings(threshold)
         return jnp.moveaxis(self._moments_below(crossings, rising, len(self.series)), -1, 0)
 
     def quantile(self, level: Scalar) -> Float[Array, ""]:
         """How far the quantile lies from the mean, by the implicit function theorem."""
         found = jax.lax.stop_gradient(self)._quantile(jax.lax.stop_gradient(level))
-        probability, density = self._with_density(found)
-        density = jax.lax.stop_gradient(density)
+        probability, density = self.below(found), jax.lax.stop_gradient(self).density(found)
         regular = density > 0
         return found - jnp.where(regular, (probability - level) / jnp.where(regular, density, 1.0), 0.0)
 
@@ -92,7 +107,9 @@ class OutputLaw(eqx.Module):
 
         def narrow(state: tuple) -> tuple:
             low, high, at, _, count = state
-            probability, density = self._with_density(at)
+            crossings, rising = self._crossings(at)
+            probability = self._average(self._moments_below(crossings, rising, 1)[..., 0])
+            density = self._average(jnp.sum(self._densities(crossings), axis=0))
             low, high = jnp.where(probability < level, at, low), jnp.where(probability < level, high, at)
             inside = (probability > 0) & (probability < 1)
             score = jax.scipy.special.ndtri(jnp.where(inside, probability, 0.5))
@@ -105,22 +122,20 @@ class OutputLaw(eqx.Module):
         start = jnp.clip(self.std * target, low, high)
         return jax.lax.while_loop(unfinished, narrow, (low, high, start, self.std, 0))[2]
 
-    def _with_density(self, threshold: Float[Array, ""]) -> tuple[Float[Array, ""], Float[Array, ""]]:
-        return jax.jvp(self.below, (threshold,), (jnp.ones(()),))
-
-    def density(self, threshold: Float[Array, ""]) -> Float[Array, ""]:
-        """The probability density at the mean plus `threshold`."""
-        return self._with_density(threshold)[1]
-
     def _crossings(self, threshold: Scalar) -> tuple[Float[Array, "intervals *lines"], Bool[Array, "intervals *lines"]]:
-        """Where each line crosses a threshold between two edges, with derivatives, and whether it rises there."""
+        """Where each line crosses a threshold between two edges, without derivatives, and whether it rises there."""
         shifted = self.powers.at[0].add(-threshold)
-        fixed = jax.lax.stop_gradient(shifted)
-        found, rising = bracketed_roots(fixed, self.edges)
-        slopes = slope(fixed, found)
-        regular = (found > self.edges[:-1]) & (found < self.edges[1:]) & (slopes != 0)
-        step = horner(shifted, found) / jnp.where(regular, slopes, 1.0)
-        return jnp.where(regular, found - step, found), rising
+        return bracketed_roots(jax.lax.stop_gradient(shifted), self.edges)
+
+    def _is_inside(self, crossings: Float[Array, "intervals *lines"]) -> Bool[Array, "intervals *lines"]:
+        """Whether there is a crossing: where there is none, the root was set to an edge."""
+        return (crossings > self.edges[:-1]) & (crossings < self.edges[1:])
+
+    def _densities(self, crossings: Float[Array, "intervals *lines"]) -> Float[Array, "intervals *lines"]:
+        """The probability density of the output that each crossing contributes."""
+        slopes = jnp.abs(slope(self.powers, crossings))
+        regular = self._is_inside(jax.lax.stop_gradient(crossings)) & (slopes > 0)
+        return jnp.where(regular, self.law.density(crossings) / jnp.where(regular, slopes, 1.0), 0.0)
 
     def _moments_below(self, crossings: Array, rising: Array, orders: int) -> Float[Array, "directions lines orders"]:
         """The partial moments of each line's law over where the output is below the threshold."""

@@ -12,6 +12,8 @@ from aleator.references import pair
 from aleator.statistics import Mean, Std
 from aleator.validation._proportion import Proportion
 
+_NO_LIMITS = "  no constraint is a limit on single systems: none can violate"
+
 PERCENTILES = (1.0, 5.0, 25.0, 50.0, 75.0, 95.0, 99.0)
 
 
@@ -93,7 +95,7 @@ class Evidence:
     def __str__(self) -> str:
         rows = [f"{self.samples} fresh samples, seed {self.seed}, {self.seconds:.1f} s"]
         rows += [f"  violates {name}: {share}" for name, share in self.violations.items()]
-        rows.append(f"  violates any: {self.joint} (95 % confidence)")
+        rows.append(f"  violates any: {self.joint} (95 % confidence)" if self.violations else _NO_LIMITS)
         rows += [_row(one) for one in self.functionals.values() if np.ndim(one.mean) == 0]
         rows += [
             f"  {text}: {_estimated(one)} (expansion {one.expanded:.6g})"
