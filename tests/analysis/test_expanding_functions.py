@@ -262,3 +262,53 @@ def test_a_sparse_grid_that_leaves_nothing_to_check_is_judged_by_its_highest_deg
     assert float(fine.variance) == pytest.approx(DECAY_VARIANCE, abs=1e-8)
     with pytest.warns(al.ExpansionWarning, match="does not resolve"):
         al.expand(lambda m: jnp.cos(200 * m["b"]) * m["u"], DECAY, sparse)
+
+
+def test_python_code_that_is_called_back_tells_functions_apart():
+    def times(factor):
+        def called(at):
+            shape = jax.ShapeDtypeStruct((), jnp.float64)
+            return jax.pure_callback(lambda x: np.asarray(factor * x), shape, at["x"], vmap_method="sequential")
+
+        return al.expand(called, {"x": al.Uniform.bounds(0.0, 1.0)}, al.Expansion(2)).mean
+
+    assert [float(times(factor)) for factor in (5.0, 2.0)] == pytest.approx([2.5, 1.0])
+
+
+def test_reverse_rules_of_differentiation_tell_functions_apart():
+    def slope(factor):
+        @jax.custom_vjp
+        def response(x):
+            return x**2
+
+        response.defvjp(lambda x: (x**2, x), lambda x, cotangent: (cotangent * factor * x,))
+
+        def mean(m):
+            return al.expand(lambda at: response(at["x"]), {"x": al.Uniform(m, half_width=0.1)}, al.Expansion(2)).mean
+
+        return float(jax.grad(mean)(1.0))
+
+    assert [slope(factor) for factor in (2.0, 3.0)] == pytest.approx([2.0, 3.0])
+
+
+@pytest.mark.parametrize(
+    "expansion",
+    [
+        al.Expansion(order=5, points=al.GaussPoints()),
+        al.Expansion(order=5, points=al.GaussPoints(), fit=al.Projection()),
+        al.Expansion(order=5, index_set=al.TensorProduct(), points=al.GaussPoints(), fit=al.Interpolation()),
+    ],
+)
+def test_a_gauss_grid_that_interpolates_along_its_axes_does_not_pass_for_resolved(expansion):
+    laws = {name: al.Uniform.bounds(-1.0, 1.0) for name in ("x", "y")}
+    with pytest.warns(al.ExpansionWarning, match="does not resolve"):
+        expanded = al.expand(lambda at: jnp.cos(10 * at["x"]) + at["y"], laws, expansion)
+    assert expanded.error > 0.05
+
+
+def test_an_entry_that_does_not_vary_has_neither_shape_nor_contributors():
+    times = jnp.array([0.0, 1.0])
+    laws = {"k": al.Uniform.bounds(0.9, 1.1), "z": al.Normal(0.0, 1.0)}
+    expanded = al.expand(lambda at: 0.7 * jnp.exp(-at["k"] * times), laws, al.Expansion(4))
+    assert [float(one[0]) for one in (expanded.skewness, expanded.kurtosis, expanded.sobol("k"))] == [0.0, 0.0, 0.0]
+    assert float(expanded.sobol("k")[1]) == pytest.approx(1.0)

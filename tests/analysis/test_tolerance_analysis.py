@@ -138,3 +138,13 @@ def test_an_output_that_is_no_number_is_refused():
     laws = {"x": al.Normal(1.0, 0.1)}
     with pytest.raises(al.ProblemError, match="one number"):
         al.tolerance_analysis(laws, lambda dimension: {"y": dimension["x"]}, lower=0.0)
+
+
+def test_an_assembly_without_a_solution_says_where_newton_stopped():
+    model = al.Assembly(
+        dimensions={"a": al.Normal(45.0, 0.01), "c": 11.43, "e": 50.8},
+        unknowns={"b": 4.8, "chi": 7.0},
+        loops=[[("a", 90), ("b", 0), ("c", 90), ("c", "90 - chi"), ("-e", "90 - chi")]],
+    )
+    with pytest.raises(al.SimulationError, match="Newton found no solution at a=45"):
+        al.tolerance_analysis(model, "chi", lower=6.0)

@@ -10,7 +10,7 @@ from small_expansions import basis_of, coefficients_of_polynomial, random_coeffi
 
 from aleator._core.errors import ProblemError
 from aleator.collocation import Basis
-from aleator.statistics import Correlation, CornishFisher, Covariance, Kurtosis, Skewness, prepare
+from aleator.statistics import CornishFisher, Correlation, Covariance, Kurtosis, Skewness, prepare
 from aleator.statistics import _square as square_module
 from aleator.statistics._square import square
 from aleator.uncertainty import HermiteGerm, JacobiGerm, LaguerreGerm, LegendreGerm

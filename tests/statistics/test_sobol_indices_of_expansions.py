@@ -71,7 +71,7 @@ def test_an_output_that_does_not_vary_has_zero_indices():
 def test_an_unknown_variable_is_refused_with_close_matches():
     basis = collocate({"mass": LegendreGerm(), "damping": HermiteGerm()}, Expansion(2)).basis
     for index in (Sobol("mas"), Sobol(("damping", "mas")), TotalSobol("mas")):
-        with pytest.raises(ProblemError, match="no germ variable 'mas'. Did you mean 'mass'"):
+        with pytest.raises(ProblemError, match=r"no germ variable 'mas'\. Did you mean 'mass'"):
             prepare([index], basis)
     with pytest.raises(ProblemError, match=r"Expected one of \['mass', 'damping'\]"):
         prepare([Sobol("q")], basis)

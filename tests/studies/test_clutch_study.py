@@ -114,7 +114,7 @@ def test_the_study_writes_its_files_and_tables(results, tmp_path):
     assert saved["allocation"]["decisions"]["a.tolerance"]["value"] == pytest.approx(
         tolerances_of(results.allocation)["a"]
     )
-    assert [table.caption.split(":")[0] for table in study.tables()][0] == "Table 7.2 and more"
+    assert next(iter(study.tables())).caption.split(":")[0] == "Table 7.2 and more"
     assert study.headline().startswith("Build")
 
 

@@ -2,6 +2,8 @@
 
 import hashlib
 from collections.abc import Iterator
+from functools import partial
+from types import FunctionType
 from typing import Any
 
 import jax
@@ -9,17 +11,21 @@ import numpy as np
 from jax.core import Tracer
 from jax.extend.core import ClosedJaxpr
 
+# What equations that call Python code name it: `jax.pure_callback` and its like, and the rules of `jax.custom_vjp`.
+_OPAQUE = {"callback", "bwd", "fwd_jaxpr_thunk"}
+
 
 def equations_text(closed: ClosedJaxpr) -> str | None:
     """The equations of a traced function, and a digest of what does not show in them when they are printed.
 
     That is the arrays that inner functions hold, and the rules by which they are differentiated. Arrays that the
-    outermost function holds are its constants, and no part of the text. None if an inner function or a rule holds an
-    array that is itself being traced.
+    outermost function holds are its constants, and no part of the text. None if the text cannot tell what is computed:
+    where an inner function or a rule holds an array that is itself being traced, and where Python code is called, by
+    `jax.pure_callback` or as the rules of `jax.custom_vjp`.
     """
     digest = hashlib.sha256()
     for part in _hidden(closed.jaxpr):
-        if isinstance(part, Tracer):
+        if isinstance(part, Tracer) or callable(part):
             return None
         digest.update(part.encode() if isinstance(part, str) else array_digest(part).encode())
     return f"{closed.jaxpr}\n{digest.hexdigest()}"
@@ -39,6 +45,8 @@ def _hidden(jaxpr: Any, *, rules: bool = True) -> Iterator[Any]:
     for equation in jaxpr.eqns:
         if rules and equation.primitive.name == "custom_jvp_call":
             yield from _forward_rule(equation)
+        if not _OPAQUE.isdisjoint(equation.params):
+            yield _opaque
         for part in jax.tree.leaves(equation.params):
             if isinstance(part, ClosedJaxpr):
                 yield from part.consts
@@ -47,6 +55,12 @@ def _hidden(jaxpr: Any, *, rules: bool = True) -> Iterator[Any]:
                 yield from _hidden(part, rules=rules)
             elif hasattr(part, "debug_info"):
                 yield str(part.debug_info.func_src_info)
+            elif isinstance(part, FunctionType | partial):
+                yield part
+
+
+def _opaque() -> None:
+    """Stands for Python code that is no function itself."""
 
 
 def _forward_rule(equation: Any) -> Iterator[Any]:

@@ -7,7 +7,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from aleator._core.arrays import Pytree, numbers_to_arrays
 from aleator.analysis._abstract_expanded import AbstractExpanded, checked_points, paired, part, prepared
@@ -98,13 +98,12 @@ class Expanded(AbstractExpanded):
 
     @property
     def highest_degree_share(self) -> Pytree:
-        """The part of each output's variance in the terms of the highest degrees, summed over entries and relative.
+        """The part of each output's variance in the terms at the edge of the basis, summed over entries and relative.
 
-        Of the last two from order 3 on, since an even response has no odd terms; a large part says that more would
-        follow.
+        Those are terms which one degree more in a variable that they depend on takes out of the index set; two degrees
+        from order 3 on, since an even response has no odd terms. A large part says that more would follow.
         """
-        order = self.basis.order
-        highest = self.basis.indices.sum(axis=1) > order - (2 if order > 2 else 1)
+        highest = _edge(self.basis)
         return jax.tree.map(lambda terms: _share(terms, highest), self.coefficients)
 
     @property
@@ -132,6 +131,18 @@ class Expanded(AbstractExpanded):
         if known is None:
             return nothing
         return lambda entry: f"; {contributors(self.basis, known[(slice(None), *entry)])}; {trust(*trusted)}"
+
+
+def _edge(basis: Basis) -> Bool[np.ndarray, " terms"]:
+    """Which terms stand at the edge of the index set; see `highest_degree_share`."""
+    known = set(map(tuple, basis.indices.tolist()))
+    step = 2 if basis.order > 2 else 1
+
+    def ends(term: tuple[int, ...]) -> bool:
+        raised = ((*term[:i], degree + step, *term[i + 1 :]) for i, degree in enumerate(term) if degree)
+        return any(one not in known for one in raised)
+
+    return np.array([ends(tuple(term)) for term in basis.indices.tolist()])
 
 
 def _share(terms: Float[Array, "terms *shape"], highest: np.ndarray) -> Float[Array, ""]:

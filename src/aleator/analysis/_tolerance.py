@@ -6,18 +6,19 @@ from itertools import product
 from typing import Any, final
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from aleator._core.arrays import Pytree
-from aleator._core.errors import ProblemError
+from aleator._core.errors import ProblemError, SimulationError
 from aleator.analysis._expand import expand, sampler_of
 from aleator.analysis._expanded import Expanded
 from aleator.analysis._zones import Zone, in_zones, zones_of
 from aleator.collocation import Expansion
-from aleator.dynamics import AlgebraicSystem, simulate
+from aleator.dynamics import AlgebraicSystem, explain_failure, simulate
 from aleator.references import Linearised, linearise
 from aleator.statistics import Infimum, Kurtosis, Mean, Probability, Skewness, Std, Supremum, TotalSobol
-from aleator.uncertainty import survey
+from aleator.uncertainty import at_means, realise, survey
 
 PARTS_PER_MILLION = 1e6
 
@@ -117,7 +118,7 @@ def tolerance_analysis(
         )
     function, name = _function(model, output)
     zones = zones_of(survey(model), tolerances or {})
-    expanded = expand(function, model, expansion)
+    expanded = _expanded(function, model, expansion)
     if not isinstance(expanded.mean, jax.Array) or expanded.mean.ndim:
         raise ProblemError("tolerance_analysis: expected an output that is one number; received an array or a dict.")
     linear = linearise(function, model)
@@ -161,6 +162,20 @@ def _function(model: Pytree, output: str | Callable[[Any], Any]) -> tuple[Callab
 
 def _number(expanded: Expanded, statistic: Any) -> float:
     return float(expanded.statistic(statistic))
+
+
+def _expanded(function: Callable[[Any], Any], model: Pytree, expansion: Expansion | None) -> Expanded:
+    """The expansion of the output; where an assembly has no solution at its means, the error says why."""
+    try:
+        return expand(function, model, expansion)
+    except SimulationError as error:
+        why = _failure_at_means(model) if isinstance(model, AlgebraicSystem) else ""
+        raise SimulationError(f"{error} {why}".strip()) from error
+
+
+def _failure_at_means(system: AlgebraicSystem) -> str:
+    nominal = realise(at_means(system), jnp.zeros(0), jnp.asarray(survey(system).vector("initial")))
+    return explain_failure(nominal)
 
 
 def _worst_case(function: Callable[[Any], Any], model: Pytree, expansion: Expansion | None) -> tuple[float, float]:

@@ -17,6 +17,9 @@ from aleator.collocation._respond import Respond
 # Beyond this, least squares loses more than half of the digits of double precision.
 WORST_CONDITION = 1e8
 
+# Germ values that agree to so many decimals are one value of a grid.
+_DIGITS = 10
+
 # How far the products of polynomials may be from orthonormal under a rule that is said to integrate them.
 _ORTHONORMAL = 1e-8
 
@@ -65,6 +68,7 @@ class LeastSquares(AbstractFit):
         orthogonal, triangular = np.linalg.qr(matrix * scale[:, None])
         condition = _checked_condition(triangular, len(matrix))
         return _collocation(
+            basis,
             nodes,
             matrix,
             np.linalg.solve(triangular, orthogonal.T) * scale[None, :],
@@ -122,14 +126,26 @@ class Projection(AbstractFit):
             )
         positive = np.all(nodes.weights > 0)
         leverage = np.sum(weighted * matrix, axis=1) if positive else np.ones(len(matrix))
-        return _collocation(nodes, matrix, weighted.T, leverage, float(np.linalg.cond(matrix)))
+        return _collocation(basis, nodes, matrix, weighted.T, leverage, float(np.linalg.cond(matrix)))
 
 
 def _collocation(
-    nodes: Nodes, matrix: np.ndarray, pseudo_inverse: np.ndarray, leverage: np.ndarray, condition: float
+    basis: Basis, nodes: Nodes, matrix: np.ndarray, pseudo_inverse: np.ndarray, leverage: np.ndarray, condition: float
 ) -> Collocation:
-    parts = (nodes.points, nodes.weights, matrix, pseudo_inverse, leverage, condition)
+    checked = np.ones(len(matrix)) if _is_blind(basis, nodes) else leverage
+    parts = (nodes.points, nodes.weights, matrix, pseudo_inverse, checked, condition)
     return Collocation(*(jnp.asarray(part) for part in parts))
+
+
+def _is_blind(basis: Basis, nodes: Nodes) -> bool:
+    """Whether some variable takes no more values than its polynomials have coefficients, as on a Gauss grid.
+
+    What depends on that variable alone is then interpolated, so that no point checks it, whatever the leverage says.
+    """
+    return any(
+        len(np.unique(values.round(_DIGITS))) <= degree + 1 < len(values) and degree > 0
+        for values, degree in zip(nodes.points.T, basis.degrees, strict=True)
+    )
 
 
 def _refuse_too_few(basis: Basis, count: int) -> None:

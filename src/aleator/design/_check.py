@@ -2,6 +2,7 @@
 
 import difflib
 import hashlib
+import itertools
 from collections.abc import Callable
 from typing import Any
 
@@ -21,6 +22,8 @@ from aleator.design._statistic import AbstractFunctional, functionals_of, joined
 from aleator.dynamics import AbstractIntegrator, AbstractSignal, AlgebraicSystem, Grid, Instant, System, input_names
 from aleator.statistics import AbstractStatistic, Sobol, TotalSobol
 from aleator.uncertainty import Survey, named_numbers, refuse_nonpositive
+
+_UNTOLD = itertools.count()
 
 
 def check(problem: AbstractProblem) -> str:
@@ -141,7 +144,9 @@ def _trace(problem: AbstractProblem, function: Callable[..., Any], *arguments: A
     closed, shapes = jax.make_jaxpr(
         lambda numbers: function(eqx.combine(numbers, static), *arguments), return_shape=True
     )(dynamic)
-    return "\n".join([str(equations_text(closed)), *map(array_digest, closed.consts)]), shapes
+    # Where the equations do not tell what is computed, no two problems pass for the same.
+    text = equations_text(closed) or str(next(_UNTOLD))
+    return "\n".join([text, *map(array_digest, closed.consts)]), shapes
 
 
 def _outputs_of(problem: AbstractProblem, places: Survey) -> dict[str, jax.Array]:

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 # Newton's method within a bracket, bisection where it leaves it: to rounding for simple roots.
-_ITERATIONS = 12
+_ITERATIONS = 14
 
 
 def extrema(powers: Float[Array, "orders *lines"]) -> Float[Array, "edges *lines"]:

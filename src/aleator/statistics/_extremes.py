@@ -7,7 +7,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from aleator.statistics._enclosure import Enclosure, bound, climbed, difficulty, enclosure
+from aleator.statistics._branch_and_bound import bound, difficulty
+from aleator.statistics._enclosure import Enclosure, enclosure
+from aleator.statistics._local_search import climbed
 from aleator.statistics._statistic import AbstractStatistic, in_blocks
 
 # How many entries are worked on at once: few in a search, for it ends with the last of them.

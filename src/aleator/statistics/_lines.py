@@ -151,7 +151,7 @@ def _nowhere() -> Lines:
 
 
 def _points(basis: Basis, active: list[int], directions: int, seed: int) -> Float[np.ndarray, "lines variables"]:
-    """A point on each line: a scrambled Sobol net (Owen, 1995) in the variables that matter, the others in the middle."""
+    """A point on each line: a scrambled Sobol net (Owen, 1995) in the variables that matter, else the middle."""
     levels = np.full((1, basis.variables), 0.5)
     if len(active) > 1:
         size = int(np.log2(_LINES / directions))
@@ -188,7 +188,9 @@ def _rotation(basis: Basis, normal: list[int], points: np.ndarray) -> Rotation:
     return Rotation(*map(jnp.asarray, columns))
 
 
-def _with_divisors(indices: Int[np.ndarray, "terms variables"], variables: list[int]) -> Int[np.ndarray, "more variables"]:
+def _with_divisors(
+    indices: Int[np.ndarray, "terms variables"], variables: list[int]
+) -> Int[np.ndarray, "more variables"]:
     """The terms and after them those that lowering a degree of these variables leads to, if they are missing."""
     known = dict.fromkeys(map(tuple, indices.tolist()))
     waiting = list(known)

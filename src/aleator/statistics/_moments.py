@@ -3,7 +3,7 @@
 from typing import ClassVar, final
 
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from aleator._core.arrays import Pytree
 from aleator.statistics._statistic import AbstractStatistic
@@ -63,6 +63,15 @@ class Std(AbstractStatistic):
     def of_sample(self, values: Float[Array, "samples *shape"]) -> Float[Array, "*shape"]:
         """See `AbstractStatistic.of_sample`."""
         return root(Variance().of_sample(values))
+
+
+# Outputs that vary by less than this part of their size are constant, but for rounding.
+_ROUNDING = 1e-12
+
+
+def varies(coefficients: Float[Array, "terms *shape"]) -> Bool[Array, "*shape"]:
+    """Whether an output varies beyond rounding."""
+    return jnp.sum(coefficients[1:] ** 2, axis=0) > _ROUNDING**2 * jnp.sum(coefficients**2, axis=0)
 
 
 def root(square: Float[Array, "*shape"]) -> Float[Array, "*shape"]:

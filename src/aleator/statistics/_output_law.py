@@ -38,7 +38,7 @@ class OutputLaw(eqx.Module):
     - `mean`, `std`: of its expansion;
     - `series`, `powers`: how it differs from the mean along each line, in orthonormal polynomials and in powers of the
       line's variable, which goes from -1 to 1;
-    - `edges`: between which it rises or falls along a line;
+    - `edges`: between which it rises or falls along a line; `edge_levels`: the distribution function there;
     - `weights`: of each line.
     """
 
@@ -47,13 +47,17 @@ class OutputLaw(eqx.Module):
     series: Float[Array, "orders directions lines"]
     powers: Float[Array, "orders directions lines"]
     edges: Float[Array, "edges directions lines"]
+    edge_levels: Float[Array, "edges directions lines"]
     weights: Float[Array, " directions"]
     law: LineLaw
 
     def below(self, threshold: Scalar) -> Float[Array, ""]:
         """The probability of less than the mean plus `threshold`."""
-        crossings, rising = self._crossings(threshold)
-        below = self._moments_below(crossings, rising, 1)[..., 0]
+        return self._below(threshold, *self._crossings(threshold))
+
+    def _below(self, threshold: Scalar, crossings: Array, rising: Array) -> Float[Array, ""]:
+        levels = self.law.partial_moments(crossings, 1)[..., 0]
+        below = jnp.sum(_differences(self.edge_levels, levels, rising), axis=0)
         # Its derivative is that of the crossings times the density there: no table need be differentiated.
         heights = horner(self.powers.at[0].add(-threshold), crossings)
         change = heights - jax.lax.stop_gradient(heights)
@@ -73,24 +77,32 @@ class OutputLaw(eqx.Module):
         below = self._all_below(threshold)
         orders = jnp.arange(len(below))[:, None, None]
         above = jnp.where(orders == 0, 1.0, 0.0) - below
-        return self._average(jnp.sum(self.series * above, axis=0) - threshold * above[0])
+        return self._average(jnp.sum(self.series * above, axis=0) - jnp.asarray(threshold) * above[0])
 
     def shortfall(self, threshold: Scalar) -> Float[Array, ""]:
         """The expected value of what is missing to the mean plus `threshold`, taken as zero above it."""
         below = self._all_below(threshold)
-        return self._average(threshold * below[0] - jnp.sum(self.series * below, axis=0))
+        return self._average(jnp.asarray(threshold) * below[0] - jnp.sum(self.series * below, axis=0))
 
     def _all_below(self, threshold: Scalar) -> Float[Array, "orders directions lines"]:
+        """The partial moments of each line's law over where the output is below the threshold."""
         # Nothing goes beyond the threshold at the threshold itself: how the crossings move has no part in it.
         crossings, rising = self._crossings(threshold)
-        return jnp.moveaxis(self._moments_below(crossings, rising, len(self.series)), -1, 0)
+        at_edges, at_crossings = (self.law.partial_moments(x, len(self.series)) for x in (self.edges, crossings))
+        return jnp.moveaxis(jnp.sum(_differences(at_edges, at_crossings, rising[..., None]), axis=0), -1, 0)
 
     def quantile(self, level: Scalar) -> Float[Array, ""]:
         """How far the quantile lies from the mean, by the implicit function theorem."""
-        found = jax.lax.stop_gradient(self)._quantile(jax.lax.stop_gradient(level))
-        probability, density = self.below(found), jax.lax.stop_gradient(self).density(found)
+        found = self.nearly_quantile(level)
+        crossings, rising = self._crossings(found)
+        probability = self._below(found, crossings, rising)
+        density = jax.lax.stop_gradient(self._average(jnp.sum(self._densities(crossings), axis=0)))
         regular = density > 0
         return found - jnp.where(regular, (probability - level) / jnp.where(regular, density, 1.0), 0.0)
+
+    def nearly_quantile(self, level: Scalar) -> Float[Array, ""]:
+        """The quantile to 1e-8 standard deviations, without derivatives."""
+        return jax.lax.stop_gradient(self)._quantile(jax.lax.stop_gradient(level))
 
     def _quantile(self, level: Scalar) -> Float[Array, ""]:
         """Newton's method on the normal scale, on which most distribution functions are nearly straight.
@@ -108,7 +120,7 @@ class OutputLaw(eqx.Module):
         def narrow(state: tuple) -> tuple:
             low, high, at, _, count = state
             crossings, rising = self._crossings(at)
-            probability = self._average(self._moments_below(crossings, rising, 1)[..., 0])
+            probability = self._below(at, crossings, rising)
             density = self._average(jnp.sum(self._densities(crossings), axis=0))
             low, high = jnp.where(probability < level, at, low), jnp.where(probability < level, high, at)
             inside = (probability > 0) & (probability < 1)
@@ -137,15 +149,17 @@ class OutputLaw(eqx.Module):
         regular = self._is_inside(jax.lax.stop_gradient(crossings)) & (slopes > 0)
         return jnp.where(regular, self.law.density(crossings) / jnp.where(regular, slopes, 1.0), 0.0)
 
-    def _moments_below(self, crossings: Array, rising: Array, orders: int) -> Float[Array, "directions lines orders"]:
-        """The partial moments of each line's law over where the output is below the threshold."""
-        at_edges = self.law.partial_moments(self.edges, orders)
-        at_crossings = self.law.partial_moments(crossings, orders)
-        parts = jnp.where(rising[..., None], at_crossings - at_edges[:-1], at_edges[1:] - at_crossings)
-        return jnp.sum(parts, axis=0)
-
     def _average(self, of_lines: Float[Array, "directions lines"]) -> Float[Array, ""]:
         return self.weights @ jnp.mean(of_lines, axis=1)
+
+
+def _differences(
+    at_edges: Float[Array, "edges ..."],
+    at_crossings: Float[Array, "intervals ..."],
+    rising: Bool[Array, "intervals ..."],
+) -> Float[Array, "intervals ..."]:
+    """What a distribution function gains in each interval between edges where the output is below a crossing."""
+    return jnp.where(rising, at_crossings - at_edges[:-1], at_edges[1:] - at_crossings)
 
 
 def by_lines(
@@ -167,12 +181,14 @@ def output_law(coefficients: Float[Array, " terms"], lines: Lines, count: int) -
     """The distribution of an output, by up to `count` lines in each direction."""
     series = lines.polynomials(coefficients.at[0].set(0.0), count)
     powers = jnp.einsum("vkm,kvn->mvn", lines.law.monomials, series)
+    edges = extrema(jax.lax.stop_gradient(powers))
     return OutputLaw(
         mean=coefficients[0],
         std=root(jnp.sum(coefficients[1:] ** 2)),
         series=series,
         powers=powers,
-        edges=extrema(jax.lax.stop_gradient(powers)),
+        edges=edges,
+        edge_levels=lines.law.partial_moments(edges, 1)[..., 0],
         weights=lines.weights(coefficients.at[0].set(0.0)),
         law=lines.law,
     )

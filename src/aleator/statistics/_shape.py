@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 
 from aleator._core.arrays import Pytree, Scalar
 from aleator.statistics._given import level_given
-from aleator.statistics._moments import Mean, Std
+from aleator.statistics._moments import Mean, Std, varies
 from aleator.statistics._square import Square, square
 from aleator.statistics._statistic import AbstractStatistic, entry_by_entry
 
@@ -104,8 +104,9 @@ def shape_of(
     """Skewness and kurtosis: with the expansion of `y^2`, `E[y^3]` and `E[y^4]` are sums as that of equation (33)."""
 
     def both(terms: Float[Array, " terms"]) -> Float[Array, "2"]:
+        spreads = varies(terms)
         std = Std().of(terms, ())
-        standard = terms.at[0].set(0.0) / jnp.where(std > 0, std, 1.0)
+        standard = jnp.where(spreads, terms.at[0].set(0.0) / jnp.where(spreads, std, 1.0), 0.0)
         squared = constants.of(standard)
         return jnp.stack([squared[: len(standard)] @ standard, jnp.sum(squared**2)])
 

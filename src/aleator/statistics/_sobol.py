@@ -14,6 +14,7 @@ from jaxtyping import Array, Float
 
 from aleator._core.errors import ProblemError
 from aleator.collocation import Basis
+from aleator.statistics._moments import varies
 from aleator.statistics._statistic import AbstractStatistic
 
 
@@ -38,7 +39,9 @@ class Sobol(AbstractStatistic):
         """See `AbstractStatistic.preparation`."""
         return ExactlyOf(self.variables)
 
-    def of(self, coefficients: Float[Array, "terms *shape"], constants: Float[Array, " terms"]) -> Float[Array, "*shape"]:
+    def of(
+        self, coefficients: Float[Array, "terms *shape"], constants: Float[Array, " terms"]
+    ) -> Float[Array, "*shape"]:
         """See `AbstractStatistic.of`."""
         return share(coefficients, constants)
 
@@ -67,7 +70,9 @@ class TotalSobol(AbstractStatistic):
         """See `AbstractStatistic.preparation`."""
         return With(self.variable)
 
-    def of(self, coefficients: Float[Array, "terms *shape"], constants: Float[Array, " terms"]) -> Float[Array, "*shape"]:
+    def of(
+        self, coefficients: Float[Array, "terms *shape"], constants: Float[Array, " terms"]
+    ) -> Float[Array, "*shape"]:
         """See `AbstractStatistic.of`."""
         return share(coefficients, constants)
 
@@ -114,8 +119,8 @@ def share(coefficients: Float[Array, "terms *shape"], selected: Float[Array, " t
     """The part of the variance in the selected terms; zero, with derivative zero, where there is no variance."""
     squares = coefficients[1:] ** 2
     total = jnp.sum(squares, axis=0)
-    varies = total > 0
-    return jnp.where(varies, jnp.tensordot(selected[1:], squares, axes=1) / jnp.where(varies, total, 1.0), 0.0)
+    spreads = varies(coefficients)
+    return jnp.where(spreads, jnp.tensordot(selected[1:], squares, axes=1) / jnp.where(spreads, total, 1.0), 0.0)
 
 
 def _place(basis: Basis, name: str) -> int:

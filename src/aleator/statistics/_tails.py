@@ -15,11 +15,12 @@ from typing import final
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from aleator._core.arrays import Scalar
 from aleator._core.errors import ProblemError
-from aleator.statistics._given import level_given, number_given
+from aleator.statistics._given import is_traced, level_given, number_given
 from aleator.statistics._lines import Lines, lines_through
 from aleator.statistics._output_law import OutputLaw, by_lines
 from aleator.statistics._statistic import AbstractStatistic
@@ -86,8 +87,7 @@ class ConditionalValueAtRisk(AbstractTail):
     def of_law(self, law: OutputLaw) -> Float[Array, ""]:
         """See `AbstractTail.of_law`."""
         # The quantile is where this is extreme: its own derivative has no part in it.
-        quantile = law.quantile(jax.lax.stop_gradient(self.level))
-        quantile = jax.lax.stop_gradient(quantile)
+        quantile = law.nearly_quantile(self.level)
         if self.lower:
             return law.mean + quantile - law.shortfall(quantile) / self.level
         return law.mean + quantile + law.excess(quantile) / (1 - self.level)
@@ -125,7 +125,7 @@ class Probability(AbstractTail):
             raise ProblemError("Probability: expected a threshold, above=... or below=... or both; received neither.")
         self.above = None if above is None else number_given("Probability", "above", above)
         self.below = None if below is None else number_given("Probability", "below", below)
-        known = [one for one in (self.above, self.below) if not (one is None or isinstance(one, jax.core.Tracer))]
+        known = [one for one in (self.above, self.below) if one is not None and not is_traced(one)]
         if len(known) == 2 and not float(known[0]) < float(known[1]):
             raise ProblemError(
                 f"Probability: above < x < below needs above < below; received above={above}, below={below}. The "
@@ -134,8 +134,8 @@ class Probability(AbstractTail):
 
     def of_law(self, law: OutputLaw) -> Float[Array, ""]:
         """See `AbstractTail.of_law`."""
-        upper = 1.0 if self.below is None else law.below(self.below - law.mean)
-        lower = 0.0 if self.above is None else law.below(self.above - law.mean)
+        upper = jnp.ones(()) if self.below is None else law.below(self.below - law.mean)
+        lower = jnp.zeros(()) if self.above is None else law.below(self.above - law.mean)
         return upper - lower
 
     def of_sample(self, values: Float[Array, "samples *shape"]) -> Float[Array, "*shape"]:
@@ -149,11 +149,14 @@ class Probability(AbstractTail):
 
     def text(self, inside: str) -> str:
         """See `AbstractStatistic.text`: `P[x > 3]`."""
-        if self.below is None:
-            return f"P[{inside} > {float(self.above):g}]"
-        if self.above is None:
-            return f"P[{inside} < {float(self.below):g}]"
-        return f"P[{float(self.above):g} < {inside} < {float(self.below):g}]"
+        if self.above is None or self.below is None:
+            sign, threshold = (">", self.above) if self.below is None else ("<", self.below)
+            return f"P[{inside} {sign} {_brief(threshold)}]"
+        return f"P[{_brief(self.above)} < {inside} < {_brief(self.below)}]"
+
+
+def _brief(threshold: Scalar | None) -> str:
+    return f"{np.asarray(threshold):g}"
 
 
 def cdf(
