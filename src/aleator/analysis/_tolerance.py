@@ -187,7 +187,7 @@ def _worst_case(function: Callable[[Any], Any], model: Pytree, expansion: Expans
     low, high = _number(over_zones, Infimum()), _number(over_zones, Supremum())
     if over_zones.basis.variables > _MOST_CORNERS:
         return low, high
-    corners = np.array(list(product((-1.0, 1.0), repeat=over_zones.basis.variables)))
+    corners = jnp.asarray(list(product((-1.0, 1.0), repeat=over_zones.basis.variables)))
     values = np.asarray(sampler_of(function, model, traced=True).samples(corners))
     return min(low, float(values.min())), max(high, float(values.max()))
 
