@@ -21,8 +21,9 @@ _EASY_TOGETHER = 64
 class Supremum(AbstractStatistic):
     """The largest value that the expansion takes anywhere on the support of bounded laws: a guaranteed upper bound.
 
-    It is at least the supremum of the expansion, and above it by at most 1e-4 of the expansion's range wherever the
-    search ends before its limit on boxes: `attained` tells the gap. Its derivative is that of the active bound.
+    It is at least the supremum of the expansion. Where the search ends before its limit on boxes, it is above it by at
+    most 1e-4 of the range of the Bernstein coefficients; `attained` tells the gap. Its derivative is that of the active
+    coefficient.
     """
 
     symbol: ClassVar[str] = "sup"
