@@ -27,7 +27,12 @@ from aleator.statistics._statistic import AbstractStatistic
 
 
 class AbstractTail(AbstractStatistic):
-    """A statistic of the distribution that an output has along lines, which are prepared once for all of them."""
+    """A statistic of the distribution that an output has along lines, which are prepared once for all of them.
+
+    Right to 1e-8 in one variable and, for nearly linear outputs of normal variables, to a part in ten thousand of a
+    probability of 1e-6. Outputs of many bounded variables are harder: of a sum of five uniform ones a probability of
+    2.5 % is off by some 3 % of itself, one of 0.03 % by a third. It has first derivatives only.
+    """
 
     @property
     def preparation(self) -> Callable[..., Lines]:
