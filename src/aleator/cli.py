@@ -10,6 +10,7 @@ from typing import Annotated
 
 import typer
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table as RichTable
 
@@ -103,9 +104,10 @@ def _print_results(job: AbstractStudy, console: Console) -> None:
 
 def _rich(table: Table) -> RichTable:
     """A report's table for the terminal."""
-    shown = RichTable(*table.header, title=table.caption, caption=table.note, caption_justify="left")
+    header = map(escape, table.header)
+    shown = RichTable(*header, title=escape(table.caption), caption=escape(table.note), caption_justify="left")
     for row in table.rows:
-        shown.add_row(*row)
+        shown.add_row(*map(escape, row))
     return shown
 
 

@@ -10,9 +10,25 @@ import numpy as np
 from aleator._core import clock
 from aleator._core.errors import ExpansionWarning, ProblemError, SimulationError, SolveError
 from aleator.collocation import UNRESOLVED
-from aleator.design import ConstraintResult, ExpansionQuality, Moments, Problem, Solution, Times
+from aleator.design import Between, ConstraintResult, ExpansionQuality, Moments, Problem, Solution, Times
+from aleator.dynamics import Grid
 from aleator.nlp import AbstractSolver, Outcome, Status, default_solver
-from aleator.transcription import Resolved, Sequential, compile_seconds, diagnose, transcribe
+from aleator.transcription import (
+    Excess,
+    Resolved,
+    Sequential,
+    compile_seconds,
+    diagnose,
+    excess_between,
+    margins_for,
+    no_margins,
+    tightened,
+    transcribe,
+)
+
+# Between instants a limit may be exceeded by so much of its scale, and that is tried so many times.
+_HELD = 1e-6
+_MOST_TIGHTENINGS = 12
 
 
 def solve(
@@ -20,12 +36,18 @@ def solve(
     solver: AbstractSolver | None = None,
     *,
     warm_start: Solution | None = None,
+    start: Mapping[str, Any] | None = None,
+    between: int | None = None,
     throw: bool = True,
 ) -> Solution:
     """Solve a design problem: transcribe, compile once, optimise with exact derivatives, certify.
 
     - `solver`: `FilterSQP()` by default; `Ipopt()` or `Slsqp()` for a second opinion;
     - `warm_start`: a solution of a problem with the same decisions and constraints, to start from;
+    - `start`: values of decisions by name to start from, in the place of their own initial ones;
+    - `between`: limits over time are checked on a grid of so many times as many steps as well, and where they are
+      exceeded between two instants, the bounds there are tightened until they hold; 1 leaves that out. By default 10
+      for systems that follow trajectories, 1 for others;
     - `throw`: if False, a solution that failed is returned with its status instead of raised.
 
     Raises `SolveError` (which carries the unfinished solution), `SimulationError` if the model gives numbers that are
@@ -36,12 +58,13 @@ def solve(
     _check_arguments(problem, solver, warm_start)
     compiled_before = compile_seconds()
     transcription = transcribe(problem)
-    outcome = _optimise(transcription, solver, warm_start)
+    outcome = _optimise(transcription, solver, _first(problem, warm_start, start), warm_start)
+    outcome, excess = _held_between(transcription, solver, outcome, _factor(problem, between))
     if outcome.status is Status.INTERRUPTED:
         raise KeyboardInterrupt
     if outcome.failed_at is not None:
         outcome = replace(outcome, message=diagnose(transcription, outcome.failed_at))
-    solution = _report(transcription, outcome, compiled_before)
+    solution = _report(transcription, outcome, excess, compiled_before)
     if throw and outcome.status is Status.EVALUATION_FAILED:
         raise SimulationError(outcome.message)
     if throw and not solution.ok:
@@ -65,13 +88,64 @@ def _check_arguments(problem: Problem, solver: AbstractSolver, warm_start: Solut
         )
 
 
-def _optimise(transcription: Sequential, solver: AbstractSolver, warm_start: Solution | None) -> Outcome:
-    if warm_start is None:
-        return solver.solve(transcription.program)
-    return solver.solve(transcription.program, start=warm_start.vector, multipliers=warm_start.multipliers)
+def _first(problem: Problem, warm_start: Solution | None, start: Mapping[str, Any] | None) -> np.ndarray | None:
+    """The decisions to start from; None for their own initial values."""
+    if start is None:
+        return None if warm_start is None else warm_start.vector
+    places = problem.survey.decisions
+    if unknown := sorted(set(start) - set(places)):
+        raise ProblemError(f"solve: there is no decision {unknown}; expected some of {list(places)}.")
+    vector = problem.survey.vector("initial") if warm_start is None else warm_start.vector.copy()
+    for name, value in start.items():
+        expected = np.shape(places[name].decision.initial)
+        if np.shape(value) != expected:
+            raise ProblemError(f"solve: expected a start of shape {expected} for '{name}'; received {np.shape(value)}.")
+        vector[places[name].where] = np.ravel(value)
+    return vector
 
 
-def _report(transcription: Sequential, outcome: Outcome, compiled_before: float) -> Solution:
+def _factor(problem: Problem, between: int | None) -> int:
+    """How many times finer the grid is on which limits over time are checked; 1 for none."""
+    if not (isinstance(problem.grid, Grid) and any(one.is_path for one in problem.constraints)):
+        return 1
+    return (10 if problem.system.signals() else 1) if between is None else between  # type: ignore[union-attr]
+
+
+def _optimise(
+    transcription: Sequential, solver: AbstractSolver, start: np.ndarray | None, warm_start: Solution | None
+) -> Outcome:
+    multipliers = None if warm_start is None else warm_start.multipliers
+    return solver.solve(transcription.program, start=start, multipliers=multipliers)
+
+
+def _held_between(
+    transcription: Sequential, solver: AbstractSolver, outcome: Outcome, factor: int
+) -> tuple[Outcome, Excess | None]:
+    """The solution whose limits hold between instants too, by margins where they do not; and how far it exceeds
+    them.
+    """
+    if factor == 1 or outcome.status is not Status.SOLVED:
+        return outcome, None
+    excess = excess_between(transcription, outcome.decisions, factor)
+    margins = no_margins(excess)
+    for done in range(_MOST_TIGHTENINGS):
+        if excess.worst <= _HELD:
+            break
+        # At first nothing is given away; then it must come to an end.
+        margins = margins_for(margins, excess, relax=done < _MOST_TIGHTENINGS // 2)
+        again = solver.solve(
+            tightened(transcription, margins), start=outcome.decisions, multipliers=outcome.multipliers
+        )
+        if again.status is not Status.SOLVED:
+            break
+        seconds, iterations = outcome.seconds + again.seconds, outcome.iterations + again.iterations
+        evaluations = outcome.evaluations + again.evaluations
+        outcome = replace(again, seconds=seconds, iterations=iterations, evaluations=evaluations)
+        excess = excess_between(transcription, outcome.decisions, factor)
+    return outcome, excess
+
+
+def _report(transcription: Sequential, outcome: Outcome, excess: Excess | None, compiled_before: float) -> Solution:
     problem, places = transcription.problem, transcription.places
     resolved = transcription.resolve(outcome.decisions)
     return Solution(
@@ -94,7 +168,8 @@ def _report(transcription: Sequential, outcome: Outcome, compiled_before: float)
         times=Times(clock.import_seconds, compile_seconds() - compiled_before, outcome.seconds),
         solver=outcome.solver,
         message=outcome.message,
-        expansion=_quality(transcription, resolved),
+        between=None if excess is None else Between(excess.worst, excess.where, excess.when),
+        expansion=_quality(transcription, resolved, outcome.decisions),
     )
 
 
@@ -103,7 +178,7 @@ def _plain(named: dict[str, Any]) -> dict[str, Any]:
 
 
 def _constraint_results(transcription: Sequential, outcome: Outcome) -> tuple[ConstraintResult, ...]:
-    times = np.asarray(transcription.traced.grid.times)
+    times = transcription.times(outcome.decisions)
     results = []
     for constraint, rows, scale in zip(
         transcription.problem.constraints, transcription.rows, transcription.scales, strict=True
@@ -134,8 +209,8 @@ def _shaped(rows: np.ndarray, times: np.ndarray | None) -> np.ndarray:
     return rows if times is None or len(rows) == len(times) else rows.reshape(len(times), -1)
 
 
-def _quality(transcription: Sequential, resolved: Mapping[str, Resolved]) -> ExpansionQuality:
-    times = np.asarray(transcription.traced.grid.times)
+def _quality(transcription: Sequential, resolved: Mapping[str, Resolved], decisions: np.ndarray) -> ExpansionQuality:
+    times = transcription.times(decisions)
     followed = {text: int(one.instants) for text, one in resolved.items() if one.instants is not None}
     return ExpansionQuality(
         order=transcription.basis.order,
@@ -149,7 +224,7 @@ def _quality(transcription: Sequential, resolved: Mapping[str, Resolved]) -> Exp
 
 def _warn_if_unresolved(solution: Solution) -> None:
     quality = solution.expansion
-    if not quality.unresolved:
+    if solution.status is Status.EVALUATION_FAILED or not quality.unresolved:
         return
     if not quality.can_be_checked:
         problem = (

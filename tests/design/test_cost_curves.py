@@ -15,6 +15,10 @@ class Spread(AbstractScope):
     def statistic(self, functional, kind):
         raise AssertionError("a cost curve needs no statistics")
 
+    @property
+    def weights(self):
+        raise NotImplementedError
+
     def value(self, name):
         assert name == "theta.half_width"
         return self.number

@@ -49,6 +49,10 @@ class Numbers(AbstractScope):
     def statistic(self, functionals, kind):
         return jnp.asarray(self.numbers["_".join([type(kind).__name__.lower(), *(one.output for one in functionals)])])
 
+    @property
+    def weights(self):
+        raise NotImplementedError
+
     def value(self, name):
         return jnp.asarray(self.numbers[name.replace(".", "_")])
 

@@ -29,3 +29,12 @@ def numbers_to_arrays(tree: Pytree) -> Pytree:
 def is_number(leaf: Any) -> bool:
     """Whether `leaf` is a real number or an array of them: a Python float, or a floating NumPy or JAX array."""
     return isinstance(leaf, float) or jnp.issubdtype(getattr(leaf, "dtype", None) or bool, jnp.floating)
+
+
+def decided_bounds(leaf: Any) -> tuple[Any, Any] | None:
+    """The bounds of a decision; None for everything else.
+
+    The layers below decisions know them by their parts alone: a start and its bounds.
+    """
+    parts = [getattr(leaf, name, None) for name in ("initial", "lower", "upper")]
+    return None if any(part is None or callable(part) for part in parts) else (parts[1], parts[2])

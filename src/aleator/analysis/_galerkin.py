@@ -16,8 +16,9 @@ from aleator.analysis._expanded import Expanded
 from aleator.analysis._inputs import concrete
 from aleator.analysis._tracing import trace
 from aleator.collocation import UNRESOLVED, Adaptive, Basis, Expansion, GaussPoints, SmolyakPoints
-from aleator.dynamics import AbstractIntegrator, AbstractSignal, Grid, System, simulate
+from aleator.dynamics import AbstractIntegrator, Grid, System, simulate
 from aleator.dynamics._system import check_inputs, derivative, initial_state, observation
+from aleator.trajectories import AbstractSignal
 from aleator.uncertainty import realise, survey
 
 # Beyond this many quadrature nodes in each evaluation of the right-hand side, collocation is the better method by far.

@@ -22,11 +22,11 @@ def leave_one_out_history(
     """The leave-one-out error at each instant, relative to the largest variance up to that instant.
 
     Relative to the variance at the instant itself it would rise wherever all trajectories meet, as those of an
-    oscillator do near its turning points.
+    oscillator do near its turning points. What is rounding is told in the same way, by the largest square up to there.
     """
     parts = mean_squares(collocation, samples, coefficients)
     error, variance, square = (part.reshape(samples.shape[1], -1).sum(axis=1) for part in parts)
-    return relative_error(error, jax.lax.cummax(variance), square)
+    return relative_error(error, jax.lax.cummax(variance), jax.lax.cummax(square))
 
 
 def resolved_instants(

@@ -16,11 +16,13 @@ from aleator._core.errors import ProblemError
 from aleator.collocation import Expansion
 from aleator.design._cost import CostCurve
 from aleator.design._declaration import AbstractProblem
-from aleator.design._response import history
+from aleator.design._realisations import refuse_trouble
+from aleator.design._response import grid_at, history
 from aleator.design._scope import AbstractScope, Value
 from aleator.design._statistic import AbstractFunctional, functionals_of, joined, statistics_in
-from aleator.dynamics import AbstractIntegrator, AbstractSignal, AlgebraicSystem, Grid, Instant, System, input_names
+from aleator.dynamics import AbstractIntegrator, AlgebraicSystem, Grid, Instant, System, check_inputs
 from aleator.statistics import AbstractStatistic, Sobol, TotalSobol
+from aleator.trajectories import AbstractSignal
 from aleator.uncertainty import Survey, named_numbers, refuse_nonpositive
 
 _UNTOLD = itertools.count()
@@ -38,6 +40,7 @@ def check(problem: AbstractProblem) -> str:
     refuse_nonpositive(problem.model)
     _check_values(problem)
     _check_germs(problem)
+    refuse_trouble(problem)
     physics, outputs = _trace(problem, _outputs_of, problem.survey)
     _check_outputs(problem, outputs)
     expressions = [_check_shape(problem, i, outputs) for i in range(len(problem.expressions))]
@@ -61,8 +64,9 @@ def _check_types(problem: AbstractProblem) -> None:
             )
     part = "unknowns" if is_algebraic else "states"
     names = getattr(problem.system, part, None)
-    # Outputs without any unknown are explicit equations; a system without states does not move.
-    if names is None or not (names or is_algebraic):
+    # Outputs without any unknown are explicit equations; a system without states moves only if its motion is given.
+    moves = is_algebraic or bool(names) or bool(getattr(problem.system, "signals", dict)())
+    if names is None or not moves:
         raise ProblemError(
             f'{type(problem.system).__name__} names no {part}: expected `{part} = ("x", ...)` in the class.'
         )
@@ -74,12 +78,8 @@ def _check_inputs(problem: AbstractProblem) -> None:
             name = type(problem.system).__name__
             raise ProblemError(f"{name} is algebraic and takes no inputs; received {sorted(problem.inputs)}.")
         return
-    needed, given = set(input_names(problem.system)), set(problem.inputs)
-    if needed != given:
-        raise ProblemError(
-            f"{type(problem.system).__name__} takes the inputs {sorted(needed)}; received {sorted(given)}."
-        )
-    start, end = float(problem.grid.t_start), float(problem.grid.t_final)
+    check_inputs(problem.system, problem.inputs)
+    start, end = float(problem.grid.t_start), problem.grid.latest
     for name, signal in problem.inputs.items():
         if not isinstance(signal, AbstractSignal):
             raise ProblemError(
@@ -112,7 +112,7 @@ def _check_time(problem: AbstractProblem) -> None:
 def _check_values(problem: AbstractProblem) -> None:
     numbers = named_numbers(problem.model, jnp.asarray(problem.survey.vector("initial")))
     for expression in problem.expressions:
-        for atom in expression.atoms:
+        for atom in expression.leaves:
             if isinstance(atom, Value | CostCurve) and atom.name not in numbers:
                 raise ProblemError(_unknown("number of the model", atom.name, list(numbers)))
 
@@ -155,8 +155,9 @@ def _outputs_of(problem: AbstractProblem, places: Survey) -> dict[str, jax.Array
 
 def _check_outputs(problem: AbstractProblem, outputs: dict[str, jax.ShapeDtypeStruct]) -> None:
     for functional in functionals_of(problem.expressions):
-        if functional.output not in outputs:
-            raise ProblemError(_unknown(f"output of {type(problem.system).__name__}", functional.output, list(outputs)))
+        for name in functional.outputs:
+            if name not in outputs:
+                raise ProblemError(_unknown(f"output of {type(problem.system).__name__}", name, list(outputs)))
 
 
 def _check_shape(problem: AbstractProblem, which: int, outputs: dict[str, jax.ShapeDtypeStruct]) -> str:
@@ -183,13 +184,18 @@ class _ShapeScope(AbstractScope):
     """Statistics of the right shapes and no particular value."""
 
     def __init__(self, problem: AbstractProblem, outputs: dict[str, jax.Array]):
-        self._problem, self._outputs = problem, outputs
+        self._outputs = outputs
+        self._grid = grid_at(problem, jnp.zeros(problem.survey.size))
 
     def statistic(self, functionals: tuple[AbstractFunctional, ...], kind: AbstractStatistic) -> jax.Array:
         # Every statistic has the shape of what it is taken of, without the axis of those taken jointly.
         del kind
-        values = joined([one.evaluate(self._outputs, self._problem.grid) for one in functionals])
+        values = joined([one.evaluate(self._outputs, self._grid) for one in functionals])
         return values if len(functionals) == 1 else values[..., 0]
+
+    @property
+    def weights(self) -> jax.Array:
+        return self._grid.weights
 
     def value(self, name: str) -> jax.Array:
         del name

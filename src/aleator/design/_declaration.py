@@ -7,15 +7,17 @@ import equinox as eqx
 from aleator._core.errors import ProblemError
 from aleator.collocation import Expansion
 from aleator.design._expression import Constraint, Expression
-from aleator.dynamics import AbstractGrid, AbstractIntegrator, AbstractSignal, AlgebraicSystem, System
+from aleator.dynamics import AbstractGrid, AbstractIntegrator, AlgebraicSystem, System
+from aleator.trajectories import AbstractSignal
 from aleator.uncertainty import Survey, survey
 
 
 class Model(NamedTuple):
-    """Everything that may hold distributions and decisions: the system and its inputs."""
+    """Everything that may hold distributions and decisions: the system, its inputs and the grid's final time."""
 
     system: System | AlgebraicSystem
     inputs: dict[str, AbstractSignal]
+    grid: AbstractGrid
 
 
 class AbstractProblem(eqx.Module):
@@ -37,7 +39,7 @@ class AbstractProblem(eqx.Module):
     @property
     def model(self) -> Model:
         """The part of the problem that realisation acts on."""
-        return Model(self.system, self.inputs)
+        return Model(self.system, self.inputs, self.grid)
 
     @property
     def survey(self) -> Survey:

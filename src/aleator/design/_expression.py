@@ -80,6 +80,16 @@ class Expression(eqx.Module):
         )
 
     @property
+    def leaves(self) -> tuple[AbstractAtom, ...]:
+        """All statistics and values in it, those inside of norms and integrals too."""
+        return tuple(part for atom in self.atoms for part in atom.parts)
+
+    @property
+    def is_path(self) -> bool:
+        """Whether it is one number an instant instead of one number."""
+        return any(atom.is_path for atom in self.atoms)
+
+    @property
     def sigmas(self) -> float | None:
         """The largest multiple of a standard deviation in it; None if there is none."""
         multiples = [abs(float(factor)) for factor, atom in self._terms() if atom.is_spread]
@@ -159,7 +169,7 @@ class Constraint(eqx.Module):
     @property
     def is_path(self) -> bool:
         """Whether it holds at every instant."""
-        return any(atom.is_path for atom in self.expression.atoms)
+        return self.expression.is_path
 
     def __bool__(self) -> bool:
         raise ProblemError(

@@ -106,29 +106,29 @@ class Output(AbstractFunctional):
 
 def integral(output: str) -> Integral:
     """The time integral of an output over the grid: `∫ y dt`."""
-    return Integral(output)
+    return Integral((output,))
 
 
 def rms(output: str) -> Rms:
     """The root mean square of an output over the grid."""
-    return Rms(output)
+    return Rms((output,))
 
 
 def terminal(output: str) -> Terminal:
     """An output at the final time."""
-    return Terminal(output)
+    return Terminal((output,))
 
 
 def path(output: str) -> Path:
     """An output at every instant: its bounds hold at each of them."""
-    return Path(output)
+    return Path((output,))
 
 
 def peak(output: str) -> Peak:
     """The largest magnitude of an output over time."""
-    return Peak(output)
+    return Peak((output,))
 
 
 def output(name: str) -> Output:
     """An output of an algebraic system, which has no time."""
-    return Output(name)
+    return Output((name,))

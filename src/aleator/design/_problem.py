@@ -14,13 +14,13 @@ from aleator.design._expression import Constraint, Expression, as_expression, or
 from aleator.design._text import problem_text
 from aleator.dynamics import (
     AbstractIntegrator,
-    AbstractSignal,
     AlgebraicSystem,
     Grid,
     Instant,
     RungeKutta4,
     System,
 )
+from aleator.trajectories import AbstractSignal
 from aleator.uncertainty import at_means, uncertain_again
 
 
@@ -150,4 +150,4 @@ def uncertain(problem: Problem) -> Problem:
 
 
 def _with_model(problem: Problem, model: Model) -> Problem:
-    return eqx.tree_at(lambda tree: (tree.system, tree.inputs), problem, (model.system, model.inputs))
+    return eqx.tree_at(lambda tree: (tree.system, tree.inputs, tree.grid), problem, tuple(model))

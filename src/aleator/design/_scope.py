@@ -17,6 +17,11 @@ class AbstractScope(abc.ABC):
     def statistic(self, functionals: tuple[Any, ...], kind: AbstractStatistic) -> Float[Array, "..."]:
         """A statistic of a functional, or of several jointly (a covariance)."""
 
+    @property
+    @abc.abstractmethod
+    def weights(self) -> Float[Array, " instants"]:
+        """Weights of the quadrature rule on the instants, which integrate a path over time."""
+
     @abc.abstractmethod
     def value(self, name: str) -> Float[Array, ""]:
         """A number of the model itself, by name."""
@@ -37,6 +42,11 @@ class AbstractAtom(eqx.Module):
     @abc.abstractmethod
     def subjects(self) -> tuple[str, ...]:
         """The outputs or numbers of the model that it speaks of, by name."""
+
+    @property
+    def parts(self) -> "tuple[AbstractAtom, ...]":
+        """Itself, or the atoms that it is made of, in the order in which it evaluates them."""
+        return (self,)
 
     @property
     def measures(self) -> tuple[str, ...]:

@@ -4,11 +4,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, final
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from aleator.collocation import UNRESOLVED
 from aleator.design._problem import Problem
+from aleator.design._response import grid_at
 from aleator.nlp import Status
 
 
@@ -136,6 +138,24 @@ class ExpansionQuality:
 
 @final
 @dataclass(frozen=True)
+class Between:
+    """How far limits over time are exceeded between the instants of the grid, at worst.
+
+    - `worst`: in the constraint's scale, zero where all hold; `name`: of the constraint; `time`: when, s.
+    """
+
+    worst: float
+    name: str
+    time: float
+
+    @property
+    def holds(self) -> bool:
+        """Whether all limits hold there, to tolerance."""
+        return self.worst <= 1e-6
+
+
+@final
+@dataclass(frozen=True)
 class Moments:
     """Mean and standard deviation of one functional by the expansion: numbers, or one number an instant."""
 
@@ -158,7 +178,8 @@ class Solution:
     - `violation`, `stationarity`, `complementarity`: residuals of the optimality conditions, scaled, computed from the
       point and its multipliers and not taken from the solver;
     - `multipliers`: all constraint multipliers in one vector, for warm starts;
-    - `evaluations`: points at which the problem was simulated.
+    - `evaluations`: points at which the problem was simulated;
+    - `between`: how far limits over time are exceeded between instants; None where that was not looked at.
     """
 
     problem: Problem
@@ -181,11 +202,17 @@ class Solution:
     solver: str
     message: str
     expansion: ExpansionQuality
+    between: Between | None = None
 
     @property
     def ok(self) -> bool:
         """Whether the problem was solved to tolerance."""
         return self.status is Status.SOLVED
+
+    @property
+    def instants(self) -> Float[np.ndarray, " instants"]:
+        """The instants of the grid, s."""
+        return np.asarray(grid_at(self.problem, jnp.asarray(self.vector)).times)
 
     @property
     def active(self) -> tuple[str, ...]:
@@ -228,6 +255,7 @@ def _solution_text(solution: Solution) -> str:
             for name, value in solution.decisions.items()
         ),
         *(("constraint", _constraint_text(one)) for one in solution.constraints),
+        *([] if solution.between is None else [("between", _between_text(solution.between))]),
         ("certificate", _certificate_text(solution)),
         ("expansion", _expansion_text(solution)),
         ("effort", _effort_text(solution)),
@@ -253,6 +281,13 @@ def _constraint_text(one: ConstraintResult) -> str:
         else f"slack {-float(np.max(one.excess)):.4g}{when}"
     )
     return f"{one.name}: {one.text}: {state}"
+
+
+def _between_text(between: Between) -> str:
+    if between.holds:
+        return "limits over time hold between the instants of the grid too"
+    when = f"after t = {between.time:.4g} s"
+    return f"'{between.name}' is exceeded by {between.worst:.2g} of its scale {when}: use more steps"
 
 
 def _certificate_text(solution: Solution) -> str:

@@ -34,13 +34,18 @@ from aleator.statistics import (
 
 
 class AbstractFunctional(AbstractRandom):
-    """A quantity of one output, taken on each realisation of the system. Made by `integral`, `rms`, `terminal`, ...
+    """A quantity of an output, or of several, taken on each realisation. Made by `integral`, `rms`, `terminal`, ...
 
     Its statistics over the uncertainty (`mean`, `std`, `quantile(0.99)`, `supremum`, ...) are to be added, multiplied
     by numbers and compared with bounds; `at_most`, `at_least` and `within` bound one end of its distribution.
     """
 
-    output: str = eqx.field(static=True)
+    outputs: tuple[str, ...] = eqx.field(static=True)
+
+    @property
+    def output(self) -> str:
+        """The output that it is taken of: the first where it is taken of several."""
+        return self.outputs[0]
 
     @abc.abstractmethod
     def evaluate(self, history: History, grid: AbstractGrid) -> Float[Array, "..."]:
@@ -152,7 +157,7 @@ class AbstractFunctional(AbstractRandom):
 
         Raises `ProblemError` for bounds in the wrong order.
         """
-        lower, upper = ordered(self.output, lower, upper)
+        lower, upper = ordered(", ".join(self.outputs), lower, upper)
         margin: dict[str, Any] = {"sigmas": sigmas, "probability": probability, "surely": surely}
         return self.at_most(upper, **margin), self.at_least(lower, **margin)
 
@@ -188,7 +193,7 @@ class Statistic(AbstractAtom):
     @property
     def subjects(self) -> tuple[str, ...]:
         """See `AbstractAtom.subjects`."""
-        return tuple(one.output for one in self.functionals)
+        return tuple(name for one in self.functionals for name in one.outputs)
 
     @property
     def measures(self) -> tuple[str, ...]:
@@ -243,7 +248,7 @@ def functionals_of(expressions: tuple[Expression, ...]) -> tuple[AbstractFunctio
 
 def statistics_in(expressions: tuple[Expression, ...]) -> tuple[Statistic, ...]:
     """All statistics that stand in some expressions, in order of appearance."""
-    return tuple(atom for one in expressions for atom in one.atoms if isinstance(atom, Statistic))
+    return tuple(atom for one in expressions for atom in one.leaves if isinstance(atom, Statistic))
 
 
 def _multiple(functional: AbstractFunctional, sigmas: Any) -> float:

@@ -5,6 +5,7 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
+from aleator._core.arrays import decided_bounds
 from aleator.design._declaration import AbstractProblem
 from aleator.design._statistic import statistics_in
 from aleator.dynamics import AlgebraicSystem, Grid
@@ -60,9 +61,12 @@ def _physics_row(problem: AbstractProblem) -> tuple[str, str]:
     if isinstance(system, AlgebraicSystem) or not isinstance(grid, Grid):
         return "equations", f"{name}({', '.join(getattr(system, 'unknowns', ()))}), solved by Newton's method"
     return "dynamics", (
-        f"{name}({', '.join(system.states)}), {grid.steps} steps of {float(grid.step):g} s, "
-        f"{type(problem.integrator).__name__}"
+        f"{name}({', '.join(system.states)}), {grid.steps} steps{_step(grid)}, {type(problem.integrator).__name__}"
     )
+
+
+def _step(grid: Grid) -> str:
+    return f" to t = {grid.t_final}" if decided_bounds(grid.t_final) else f" of {float(grid.step):g} s"
 
 
 def _expansion_text(problem: AbstractProblem, variables: tuple[str, ...]) -> str:

@@ -1,15 +1,16 @@
 """The instants at which a simulation is recorded: a `Grid` of them or, without time, one `Instant`."""
 
 import abc
-from typing import final
+from typing import Any, final
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from aleator._core.arrays import Scalar
+from aleator._core.arrays import Scalar, decided_bounds
 from aleator._core.errors import ProblemError
+from aleator.trajectories import instants
 
 
 class AbstractGrid(eqx.Module):
@@ -28,22 +29,40 @@ class AbstractGrid(eqx.Module):
 
 @final
 class Grid(AbstractGrid):
-    """Uniform instants from `t_start` to `t_final`, `steps` steps apart: `steps + 1` instants, in seconds."""
+    """Uniform instants from `t_start` to `t_final`, `steps` steps apart: `steps + 1` instants, in seconds.
 
-    t_final: Scalar
+    `t_final` may be a `Decision`: a free final time. Trajectories among the inputs fill the grid, however long it is.
+    """
+
+    t_final: Any
     steps: int = eqx.field(static=True)
     t_start: Scalar
 
-    def __init__(self, t_final: float, steps: int, t_start: float = 0.0):
+    def __init__(self, t_final: Any, steps: int, t_start: float = 0.0):
         if isinstance(steps, bool) or not isinstance(steps, int | np.integer) or steps < 1:
             raise ProblemError(f"Grid: steps is a whole number of at least 1; received {steps!r}.")
-        if not (_is_finite(t_start) and _is_finite(t_final) and t_final > t_start):
+        earliest = _earliest(t_final)
+        if np.shape(getattr(t_final, "initial", 0.0) if decided_bounds(t_final) is not None else 0.0) != ():
+            raise ProblemError(f"Grid: there is one final time; received an array of decisions {t_final!r}.")
+        if not (_is_finite(t_start) and _is_finite(earliest) and earliest > t_start):
+            free = decided_bounds(t_final) is not None
             raise ProblemError(
-                f"Grid: t_final must be a finite number after t_start={t_start!r}; received t_final={t_final!r}."
+                f"Grid: t_final must be a finite number after t_start={t_start!r}; received "
+                + (f"a decision that may be {earliest!r}: raise its lower bound." if free else f"t_final={t_final!r}.")
             )
-        self.t_final = float(t_final)
+        self.t_final = float(t_final) if decided_bounds(t_final) is None else t_final
         self.steps = int(steps)
         self.t_start = float(t_start)
+
+    @property
+    def latest(self) -> float:
+        """The final time, or the largest one that may be chosen, s."""
+        bounds = decided_bounds(self.t_final)
+        return float(self.t_final if bounds is None else bounds[1])
+
+    def finer(self, factor: int) -> "Grid":
+        """The same time in `factor` times as many steps."""
+        return Grid(self.t_final, factor * self.steps, float(self.t_start))
 
     @property
     def step(self) -> Scalar:
@@ -51,10 +70,14 @@ class Grid(AbstractGrid):
         return (self.t_final - self.t_start) / self.steps
 
     @property
+    def fractions(self) -> Float[np.ndarray, " instants"]:
+        """All instants as fractions of the duration: known whatever the final time is."""
+        return np.linspace(0.0, 1.0, self.steps + 1)
+
+    @property
     def times(self) -> Float[Array, " instants"]:
         """All instants."""
-        # linspace ends at t_final to the last bit; beyond it a signal or an adaptive integrator knows nothing.
-        return jnp.linspace(self.t_start, self.t_final, self.steps + 1)
+        return instants(self.fractions, self.t_start, self.t_final)
 
     @property
     def weights(self) -> Float[Array, " instants"]:
@@ -76,6 +99,11 @@ class Instant(AbstractGrid):
     def weights(self) -> Float[Array, " instants"]:
         """The weight of the one instant."""
         return jnp.ones(1)
+
+
+def _earliest(t_final: Any) -> Any:
+    bounds = decided_bounds(t_final)
+    return t_final if bounds is None else float(np.min(bounds[0]))
 
 
 def _is_finite(number: object) -> bool:

@@ -1,29 +1,32 @@
 """Integrators: fixed-step Runge-Kutta for optimisation, adaptive ones (diffrax) for stiff and long simulations."""
 
 import abc
+from collections.abc import Callable
 from typing import Any, final
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from aleator._core.arrays import Pytree
 from aleator._core.errors import ProblemError
 from aleator.dynamics._grid import Grid
-from aleator.dynamics._signal import AbstractSignal
 from aleator.dynamics._system import System, derivative, initial_state, observation
+from aleator.trajectories import AbstractSignal
 
 Inputs = dict[str, AbstractSignal]
 History = dict[str, Float[Array, "instants ..."]]
+Observe = Callable[[System, Any, Any, dict[str, Array]], dict[str, Array]]
 
 
 class AbstractIntegrator(eqx.Module):
     """How a system's states are carried from one instant of a grid to the next."""
 
     @abc.abstractmethod
-    def outputs(self, system: System, grid: Grid, inputs: Inputs) -> History:
-        """The system's outputs at every instant, by name: shape (instants, ...)."""
+    def outputs(self, system: System, grid: Grid, inputs: Inputs, observe: Observe = observation) -> History:
+        """What `observe` takes of the system at every instant, its outputs by default: shape (instants, ...)."""
 
 
 @final
@@ -34,11 +37,11 @@ class RungeKutta4(AbstractIntegrator):
     inside optimisation.
     """
 
-    def outputs(self, system: System, grid: Grid, inputs: Inputs) -> History:
+    def outputs(self, system: System, grid: Grid, inputs: Inputs, observe: Observe = observation) -> History:
         """See `AbstractIntegrator.outputs`."""
-        times = grid.times
-        nodes = {name: jax.vmap(signal)(times) for name, signal in inputs.items()}
-        middles = {name: jax.vmap(signal)(times[:-1] + grid.step / 2) for name, signal in inputs.items()}
+        times, fractions = grid.times, grid.fractions
+        nodes = sampled(inputs, grid, fractions)
+        middles = sampled(inputs, grid, fractions[:-1] + 0.5 / grid.steps)
         start = initial_state(system)
 
         def rate(t: Array, z: Pytree, u: dict[str, Array]) -> Pytree:
@@ -53,16 +56,21 @@ class RungeKutta4(AbstractIntegrator):
             k4 = rate(t + h, _along(z, h, k3), u_end)
             end = jax.tree.map(lambda x, a, b, c, d: x + h / 6 * (a + 2 * b + 2 * c + d), z, k1, k2, k3, k4)
             # Outputs are taken inside the loop, while the state is at hand: states need not be stored.
-            return end, observation(system, t + h, end, u_end)
+            return end, observe(system, t + h, end, u_end)
 
         spans = (times[:-1], _rows(nodes, slice(None, -1)), middles, _rows(nodes, slice(1, None)))
         _, rest = jax.lax.scan(advance, start, spans)
-        first = observation(system, times[0], start, {name: values[0] for name, values in nodes.items()})
+        first = observe(system, times[0], start, {name: values[0] for name, values in nodes.items()})
         return {name: jnp.concatenate([first[name][None], rest[name]]) for name in first}
 
 
 def _along(z: Pytree, length: Any, rates: Pytree) -> Pytree:
     return jax.tree.map(lambda x, rate: x + length * rate, z, rates)
+
+
+def sampled(inputs: Inputs, grid: Grid, fractions: Float[np.ndarray, " n"]) -> dict[str, Float[Array, "n ..."]]:
+    """Every input at fixed fractions of a grid's duration."""
+    return {name: signal.sampled(fractions, grid.t_start, grid.t_final) for name, signal in inputs.items()}
 
 
 def _rows(signals: dict[str, Array], rows: slice) -> dict[str, Array]:
@@ -92,12 +100,14 @@ class AbstractAdaptive(AbstractIntegrator):
     def solver(self) -> Any:
         """The method of diffrax."""
 
-    def outputs(self, system: System, grid: Grid, inputs: Inputs) -> History:
+    def outputs(self, system: System, grid: Grid, inputs: Inputs, observe: Observe = observation) -> History:
         """See `AbstractIntegrator.outputs`."""
         import diffrax  # late: it takes as long to import as all the rest
 
+        stretched = {name: signal.over(grid.t_start, grid.t_final) for name, signal in inputs.items()}
+
         def now(t: Any) -> dict[str, Array]:
-            return {name: signal(t) for name, signal in inputs.items()}
+            return {name: signal(t) for name, signal in stretched.items()}
 
         solution = diffrax.diffeqsolve(
             diffrax.ODETerm(lambda t, z, _: derivative(system, t, z, now(t))),
@@ -106,7 +116,7 @@ class AbstractAdaptive(AbstractIntegrator):
             t1=grid.t_final,
             dt0=None,
             y0=initial_state(system),
-            saveat=diffrax.SaveAt(ts=grid.times, fn=lambda t, z, _: observation(system, t, z, now(t))),
+            saveat=diffrax.SaveAt(ts=grid.times, fn=lambda t, z, _: observe(system, t, z, now(t))),
             stepsize_controller=diffrax.PIDController(rtol=self.rtol, atol=self.atol),
             # Forward sensitivities: few decisions, many outputs.
             adjoint=diffrax.ForwardMode(),

@@ -1,10 +1,16 @@
 """`simulate`: the outputs of one realised system, over time or at the one instant of an algebraic system."""
 
+from collections.abc import Collection
+from typing import Any
+
+from jaxtyping import Array
+
 from aleator._core.errors import ProblemError
 from aleator.dynamics._algebraic import AlgebraicSystem, algebraic_outputs
 from aleator.dynamics._grid import AbstractGrid, Grid, Instant
+from aleator.dynamics._instantaneous import observed
 from aleator.dynamics._integrators import AbstractIntegrator, History, Inputs, RungeKutta4
-from aleator.dynamics._system import System, check_inputs
+from aleator.dynamics._system import System, check_inputs, observation
 
 
 def simulate(
@@ -12,24 +18,46 @@ def simulate(
     grid: AbstractGrid | None = None,
     inputs: Inputs | None = None,
     integrator: AbstractIntegrator | None = None,
+    *,
+    only: Collection[str] | None = None,
 ) -> History:
     """Outputs of one realised system (plain numbers in its fields) at every instant, by name: shape (instants, ...).
 
     The default integrator is `RungeKutta4`. An `AlgebraicSystem` knows one instant, takes no inputs and needs no
-    integrator: `simulate(system)`. Where its equations are not solved, or an adaptive integrator gives up, the outputs
-    are not a number.
+    integrator: `simulate(system)`. A system without states is not integrated either: its outputs follow from its inputs
+    at each instant. `only` lists the outputs that are asked for, by name. Where its equations are not solved, or an
+    adaptive integrator gives up, the outputs are not a number.
 
-    Raises `ProblemError` if grid or inputs do not fit the system.
+    Raises `ProblemError` if grid or inputs do not fit the system, or outputs are asked for that it does not have.
     """
     if isinstance(system, AlgebraicSystem):
-        return _solved(system, Instant() if grid is None else grid, inputs or {})
+        return _chosen(system, _solved(system, Instant() if grid is None else grid, inputs or {}), only)
     if not isinstance(grid, Grid):
         raise ProblemError(
             f"{type(system).__name__} moves in time: expected a grid, such as al.Grid(t_final, steps); "
             f"received {type(grid).__name__}."
         )
     check_inputs(system, inputs or {})
-    return (integrator or RungeKutta4()).outputs(system, grid, inputs or {})
+    system = system if only is None else system.focused(only)
+
+    def observe(system: System, t: Any, z: Any, now: dict[str, Array]) -> dict[str, Array]:
+        return _chosen(system, observation(system, t, z, now), only)
+
+    if not system.states:
+        return observed(system, grid, inputs or {}, observe)
+    return (integrator or RungeKutta4()).outputs(system, grid, {**system.signals(), **(inputs or {})}, observe)
+
+
+def _chosen(system: Any, found: dict[str, Array], only: Collection[str] | None) -> dict[str, Array]:
+    """The outputs that are asked for."""
+    if only is None:
+        return found
+    if isinstance(only, str) or not set(only) <= set(found):
+        raise ProblemError(
+            f"{type(system).__name__}: expected in `only` a list of some of the outputs {list(found)}; "
+            f"received {only!r}."
+        )
+    return {name: value for name, value in found.items() if name in only}
 
 
 def _solved(system: AlgebraicSystem, grid: AbstractGrid, inputs: Inputs) -> History:

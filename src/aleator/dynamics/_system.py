@@ -12,8 +12,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from aleator._core.arrays import Scalar
 from aleator._core.errors import ProblemError
+from aleator.trajectories import AbstractSignal
 
 
 class System(eqx.Module):
@@ -22,13 +22,14 @@ class System(eqx.Module):
     Subclass it with the parameters as fields and the states' names in `states`; any number in a field may then be
     replaced by a distribution or a decision. In `rhs` and `outputs` the state is a named tuple (`z.z_s`, or unpacked),
     and each further argument is an input of that name: `def rhs(self, t, z, road)`. Each of the two is given only the
-    inputs that it names (all of them, if it ends in `**inputs`).
+    inputs that it names (all of them, if it ends in `**inputs`). `signal_fields` are those that `signals` alone reads.
 
     The two are declared with open signatures here, so that each system names its own inputs. `units` may give the units
     of outputs, for reports.
     """
 
     states: ClassVar[tuple[str, ...]]
+    signal_fields: ClassVar[tuple[str, ...]] = ()
     units: ClassVar[Mapping[str, str]] = {}
 
     @abc.abstractmethod
@@ -39,8 +40,30 @@ class System(eqx.Module):
     def outputs(self, *args: Any, **kwargs: Any) -> dict[str, Any]:
         """`outputs(self, t, z, ...)`: quantities of interest by name: accelerations, distances, forces."""
 
-    def initial(self) -> Mapping[str, Scalar]:
+    def initial(self) -> Mapping[str, Any]:
         """Initial values by state; states left out start at zero."""
+        return {}
+
+    def signals(self) -> Mapping[str, AbstractSignal]:
+        """Inputs that are part of the system itself, by name: the motion or the torques that it is made for."""
+        return {}
+
+    def focused(self, only: Collection[str]) -> "System":
+        """The same system for those who ask for some outputs `only`: it may spare itself the work of others."""
+        del only
+        return self
+
+    def trouble(self, grid: Any) -> str:
+        """What is wrong with the realised system on a grid, in a sentence with its remedy; empty if nothing.
+
+        It is asked before anything is compiled, and where a simulation failed.
+        """
+        del grid
+        return ""
+
+    def holding(self, grid: Any) -> Mapping[str, Any]:
+        """The outputs that it would take to stay as it is at the start, by name, such as torques; none by default."""
+        del grid
         return {}
 
 
@@ -139,14 +162,15 @@ def _inputs_of(method: Callable[..., Any]) -> _Inputs:
 
 
 def input_names(system: System) -> tuple[str, ...]:
-    """The inputs that a system's `rhs` and `outputs` take: their arguments after time and state."""
-    return tuple(dict.fromkeys(_inputs_of(system.rhs).named + _inputs_of(system.outputs).named))
+    """The inputs that a system's `rhs` and `outputs` take from outside: their arguments after time and state."""
+    named = dict.fromkeys(_inputs_of(system.rhs).named + _inputs_of(system.outputs).named)
+    return tuple(name for name in named if name not in system.signals())
 
 
 def check_inputs(system: System, given: Collection[str]) -> None:
     """Refuse inputs that a system does not take, and systems that lack an input."""
     methods = [_inputs_of(system.rhs), _inputs_of(system.outputs)]
-    missing = sorted({name for method in methods for name in method.needed} - set(given))
+    missing = sorted({name for method in methods for name in method.needed} - set(given) - set(system.signals()))
     unknown = sorted(set(given) - set(input_names(system))) if not any(one.takes_all for one in methods) else []
     if missing or unknown:
         raise ProblemError(

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from aleator._core.errors import ProblemError
-from aleator.dynamics import AbstractSignal
+from aleator.trajectories import AbstractSignal
 
 
 @final

@@ -8,11 +8,11 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from aleator._core.errors import ProblemError
-from aleator.dynamics import AbstractSignal
 from aleator.processes._checks import number_or_law, plain_number
 from aleator.processes._covariance import AbstractCovariance
 from aleator.processes._karhunen_loeve import karhunen_loeve, legendre
 from aleator.processes._total import common_span
+from aleator.trajectories import AbstractSignal
 from aleator.uncertainty import Decision, Normal
 
 # Share of the variance that is kept where the user does not say.

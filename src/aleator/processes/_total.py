@@ -1,12 +1,13 @@
 """`total`: signals that act together."""
 
 from collections.abc import Iterable
-from typing import final
+from typing import Any, final
 
+import numpy as np
 from jaxtyping import Array, Float
 
 from aleator._core.errors import ProblemError
-from aleator.dynamics import AbstractSignal
+from aleator.trajectories import AbstractSignal
 
 
 @final
@@ -30,6 +31,15 @@ class Total(AbstractSignal):
     def __call__(self, t: Float[Array, ""]) -> Float[Array, "..."]:
         """See `AbstractSignal.__call__`."""
         first, *others = (part(t) for part in self.parts)
+        return sum(others, start=first)
+
+    def over(self, t_start: Any, t_final: Any) -> "Total":
+        """See `AbstractSignal.over`."""
+        return Total(part.over(t_start, t_final) for part in self.parts)
+
+    def sampled(self, fractions: Float[np.ndarray, " n"], t_start: Any, t_final: Any) -> Float[Array, "n ..."]:
+        """See `AbstractSignal.sampled`."""
+        first, *others = (part.sampled(fractions, t_start, t_final) for part in self.parts)
         return sum(others, start=first)
 
     def span(self) -> tuple[float, float]:

@@ -188,7 +188,7 @@ def _share_variables(axis: str, shares: list[Proportion]) -> dict[str, Variable]
 def _with_time(data: "xarray.Dataset", solution: Solution) -> "xarray.Dataset":
     if "time" not in data.dims:
         return data
-    times = np.asarray(solution.problem.grid.times)
+    times = solution.instants
     return data.assign_coords(time=("time", times, {"long_name": "time", "units": "s"}))
 
 

@@ -49,7 +49,7 @@ def trajectory_figure(
     share = evidence.violations.get(name)
     figure = blank(label("Time", "s"), label(y or name, unit), title=_violation_title(share, who), height=380)
     kept = [one for one in evidence.trajectories if one.name == name]
-    times = np.asarray(evidence.solution.problem.grid.times)[::every]
+    times = evidence.solution.instants[::every]
     distinct = _distinct(kept)
     for one, first in zip(distinct, [True] + [False] * len(distinct), strict=False):
         rows, broken = _curves(one.values[:drawn, ::every], one.violating[:drawn])

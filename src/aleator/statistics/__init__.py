@@ -2,12 +2,14 @@
 
 from aleator.statistics._extremes import Infimum as Infimum
 from aleator.statistics._extremes import Supremum as Supremum
+from aleator.statistics._joint import CoefficientProduct as CoefficientProduct
 from aleator.statistics._joint import Correlation as Correlation
 from aleator.statistics._joint import Covariance as Covariance
 from aleator.statistics._lines import lines_through as lines_through
 from aleator.statistics._moments import Mean as Mean
 from aleator.statistics._moments import Std as Std
 from aleator.statistics._moments import Variance as Variance
+from aleator.statistics._moments import root as root
 from aleator.statistics._shape import CornishFisher as CornishFisher
 from aleator.statistics._shape import Kurtosis as Kurtosis
 from aleator.statistics._shape import Skewness as Skewness

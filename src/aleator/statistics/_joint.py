@@ -33,6 +33,26 @@ class Covariance(AbstractStatistic):
 
 
 @final
+class CoefficientProduct(AbstractStatistic):
+    """`Σ_j |a^j b^j|` of two outputs, which lie along the last axis: the printed form of the expected power (83).
+
+    No property of the two alone: it depends on the basis, and no sample estimates it.
+    """
+
+    symbol: ClassVar[str] = "Σ|·|"
+
+    def of(self, coefficients: Float[Array, "terms *shape 2"], constants: Pytree) -> Float[Array, "*shape"]:
+        """See `AbstractStatistic.of`."""
+        del constants
+        first, second = _both(coefficients)
+        return jnp.sum(jnp.abs(first * second), axis=0)
+
+    def of_sample(self, values: Float[Array, "samples *shape 2"]) -> Float[Array, "*shape"]:
+        """No sample estimates it: not a number."""
+        return jnp.full(values.shape[1:-1], jnp.nan)
+
+
+@final
 class Correlation(AbstractStatistic):
     """The correlation coefficient of two outputs, which lie along the last axis: between -1 and 1.
 

@@ -5,3 +5,5 @@ from aleator.sweep._calibrate import Trial as Trial
 from aleator.sweep._calibrate import calibrate as calibrate
 from aleator.sweep._front import Front as Front
 from aleator.sweep._front import pareto as pareto
+from aleator.sweep._multistart import Starts as Starts
+from aleator.sweep._multistart import multistart as multistart

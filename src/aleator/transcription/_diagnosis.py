@@ -13,7 +13,7 @@ from aleator.uncertainty import uncertain_numbers
 def diagnose(transcription: Sequential, decisions: Float[np.ndarray, " n"]) -> str:
     """One sentence naming the first collocation point, output and instant whose value is not finite."""
     outputs = {name: np.asarray(values) for name, values in transcription.outputs(decisions).items()}
-    times = np.asarray(transcription.traced.grid.times)
+    times = transcription.times(decisions)
     broken = {name: _first(values) for name, values in outputs.items() if not np.isfinite(values).all()}
     where = ", ".join(f"{name}={value:.6g}" for name, value in _flat(transcription, decisions).items())
     if not broken:

@@ -6,7 +6,7 @@ from typing import Any, final
 from jaxtyping import Array, Float
 
 from aleator.collocation import Collocation
-from aleator.design import AbstractFunctional, AbstractScope, Problem, functionals_of, joined, responses
+from aleator.design import AbstractFunctional, AbstractScope, Problem, grid_at, joined, responses
 from aleator.statistics import AbstractStatistic, Constants
 from aleator.uncertainty import named_numbers
 
@@ -16,7 +16,7 @@ class ExpansionScope(AbstractScope):
     """Takes every statistic from the coefficients of expansions, fitted to samples at the collocation points.
 
     - `samples`: each functional at the collocation points; `coefficients`: of its expansion;
-    - `numbers`: those of the model, by name;
+    - `numbers`: those of the model, by name; `weights`: of the instants;
     - `taken`: the statistics that it has been asked for, in that order.
     """
 
@@ -26,12 +26,14 @@ class ExpansionScope(AbstractScope):
         collocation: Collocation,
         constants: Constants,
         numbers: Mapping[str, Any],
+        weights: Float[Array, " instants"],
     ):
         self.samples = samples
         self.coefficients = {one: collocation.coefficients(values) for one, values in samples.items()}
         self.taken: list[Float[Array, "..."]] = []
         self._constants = constants
         self._numbers = numbers
+        self._weights = weights
 
     def statistic(self, functionals: tuple[AbstractFunctional, ...], kind: AbstractStatistic) -> Float[Array, "..."]:
         """See `AbstractScope.statistic`."""
@@ -39,16 +41,25 @@ class ExpansionScope(AbstractScope):
         self.taken.append(found)
         return found
 
+    @property
+    def weights(self) -> Float[Array, " instants"]:
+        """See `AbstractScope.weights`."""
+        return self._weights
+
     def value(self, name: str) -> Float[Array, ""]:
         """See `AbstractScope.value`."""
         return self._numbers[name]
 
 
 def scope_of(
-    problem: Problem, collocation: Collocation, constants: Constants, decisions: Float[Array, " n"]
+    problem: Problem,
+    functionals: tuple[AbstractFunctional, ...],
+    collocation: Collocation,
+    constants: Constants,
+    decisions: Float[Array, " n"],
 ) -> ExpansionScope:
-    """The scope of all expressions of a problem at given decisions: simulates it at all collocation points once."""
-    functionals = functionals_of(problem.expressions)
-    samples = responses(problem, functionals, collocation.points, decisions)
+    """The scope of expressions of some functionals at given decisions: simulates at all collocation points once."""
+    samples = responses(problem, functionals, collocation.points, decisions) if functionals else ()
     numbers = named_numbers(problem.model, decisions)
-    return ExpansionScope(dict(zip(functionals, samples, strict=True)), collocation, constants, numbers)
+    weights = grid_at(problem, decisions).weights
+    return ExpansionScope(dict(zip(functionals, samples, strict=True)), collocation, constants, numbers, weights)

@@ -17,12 +17,14 @@ from aleator._core.arrays import numbers_to_arrays
 from aleator._core.compilation import Compiled
 from aleator._core.errors import ProblemError
 from aleator.collocation import Basis, Collocation
-from aleator.design import Problem, functionals_of, history, statistics_in
+from aleator.design import Problem, functionals_of, grid_at, history, statistics_in
 from aleator.nlp import Evaluation, NonlinearProgram
 from aleator.statistics import Constants
 from aleator.transcription._discretisation import RESPOND, discretised
+from aleator.transcription._instantaneous import instantaneous, instantaneous_rows
 from aleator.transcription._resolution import RESOLVE, Resolved
 from aleator.transcription._scope import scope_of
+from aleator.transcription._settled import refuse_settled
 from aleator.uncertainty import Survey
 
 
@@ -44,15 +46,33 @@ class Blocks(NamedTuple):
 def _evaluate(
     problem: Problem, collocation: Collocation, constants: Constants, decisions: Float[Array, " n"]
 ) -> tuple[tuple[Array, ...], ...]:
-    """The parts of `Blocks`, with exact derivatives, forward: few decisions, thousands of rows."""
+    """The parts of `Blocks`, with exact derivatives, forward: few decisions, thousands of rows.
 
-    def values(x: Array) -> tuple[tuple[Array, ...], tuple[tuple[Array, ...], ...]]:
-        scope = scope_of(problem, collocation, constants, x)
-        blocks = tuple(jnp.ravel(jnp.asarray(one.evaluate(scope))) for one in problem.expressions)
-        return blocks, (blocks, tuple(scope.samples.values()), tuple(scope.taken))
+    Expressions whose rows depend on one instant each are differentiated instant by instant.
+    """
+    which = instantaneous(problem)
+    rest = tuple(i for i in range(len(problem.expressions)) if i not in which)
+    expressions = tuple(problem.expressions[i] for i in rest)
 
-    derivatives, (blocks, samples, statistics) = jax.jacfwd(values, has_aux=True)(decisions)
-    return blocks, derivatives, samples, statistics
+    def values(x: Array) -> tuple[tuple[Array, ...], tuple]:
+        scope = scope_of(problem, functionals_of(expressions), collocation, constants, x)
+        blocks, taken = [], []
+        for one in expressions:
+            before = len(scope.taken)
+            blocks.append(jnp.ravel(jnp.asarray(one.evaluate(scope))))
+            taken.append(tuple(scope.taken[before:]))
+        return tuple(blocks), (tuple(blocks), tuple(scope.samples.values()), tuple(taken))
+
+    derivatives, (blocks, values_at_points, taken) = jax.jacfwd(values, has_aux=True)(decisions)
+    samples = dict(zip(functionals_of(expressions), values_at_points, strict=True))
+    found = dict(zip(rest, zip(blocks, derivatives, taken, strict=True), strict=True))
+    if which:
+        rows = instantaneous_rows(problem, which, collocation, constants, decisions)
+        found |= dict(zip(which, zip(rows.values, rows.derivatives, rows.statistics, strict=True), strict=True))
+        samples |= rows.samples
+    blocks, derivatives, taken = zip(*(found[i] for i in range(len(problem.expressions))), strict=True)
+    ordered = tuple(samples[one] for one in functionals_of(problem.expressions))
+    return blocks, derivatives, ordered, tuple(one for part in taken for one in part)
 
 
 def _outputs_at_points(problem: Problem, collocation: Collocation, decisions: Float[Array, " n"]) -> dict[str, Array]:
@@ -105,6 +125,7 @@ class Sequential:
     places: Survey
     basis: Basis
     collocation: Collocation
+    constants: Constants
     program: NonlinearProgram
     rows: tuple[slice, ...]
     scales: tuple[float, ...]
@@ -113,6 +134,10 @@ class Sequential:
     def outputs(self, decisions: Float[np.ndarray, " n"]) -> dict[str, Array]:
         """Histories of all outputs at all collocation points."""
         return OUTPUTS_AT_POINTS(self.traced, self.collocation, jnp.asarray(decisions))
+
+    def times(self, decisions: Float[np.ndarray, " n"]) -> Float[np.ndarray, " instants"]:
+        """The instants of the grid."""
+        return np.asarray(grid_at(self.problem, jnp.asarray(decisions)).times)
 
     def statistics(self, decisions: Float[np.ndarray, " n"]) -> dict[str, Float[np.ndarray, "..."]]:
         """Every statistic that stands in the problem, by its text."""
@@ -144,6 +169,7 @@ def transcribe(problem: Problem) -> Sequential:
     decision_scale = _decision_scale(start, places.vector("lower"), places.vector("upper"))
     scales = _scales(problem, at_start, decision_scale)
     rows = _rows(at_start)
+    _refuse_settled(problem, evaluator, scales)
     program = NonlinearProgram(
         evaluate=lambda decisions: _evaluation(evaluator(decisions)),
         start=start,
@@ -154,7 +180,21 @@ def transcribe(problem: Problem) -> Sequential:
         constraint_scale=_spread(rows, scales),
         decision_scale=decision_scale,
     )
-    return Sequential(problem, traced, places, basis, collocation, program, rows, tuple(scales), evaluator)
+    return Sequential(problem, traced, places, basis, collocation, constants, program, rows, tuple(scales), evaluator)
+
+
+def _refuse_settled(problem: Problem, evaluator: _Evaluator, scales: list[float]) -> None:
+    """Refuse constraints that no decision can meet; see `refuse_settled`."""
+    start, lower, upper = (problem.survey.vector(name) for name in ("initial", "lower", "upper"))
+    away = np.where(start + 1e-2 <= upper, start + 1e-2, np.maximum(start - 1e-2, lower))
+    refuse_settled(
+        problem,
+        evaluator(start).values[1:],
+        evaluator(start).derivatives[1:],
+        scales,
+        np.asarray(grid_at(problem, jnp.asarray(start)).times),
+        lambda: evaluator(away).values[1:],
+    )
 
 
 def _evaluation(blocks: Blocks) -> Evaluation:

@@ -93,11 +93,14 @@ def _places(model: Pytree) -> Iterator[tuple[str, Any]]:
 
 
 def _name(path: Any, leaf: Any) -> str:
-    """A leaf's name. A problem's model is the pair of its `system` and `inputs`: only the latter shows in names.
+    """A leaf's name: its place. What only holds the rest does not show in it.
 
-    Nor does the field in which an assembly holds its dimensions.
+    That is the `system` of a problem and its `grid`, the `model` of which a system tells the dynamics, and the
+    `dimensions` of an assembly.
     """
-    place = jax.tree_util.keystr(path, simple=True, separator=".").removeprefix("system.").removeprefix("dimensions.")
+    place = jax.tree_util.keystr(path, simple=True, separator=".")
+    for holder in ("system.", "model.", "dimensions.", "grid."):
+        place = place.removeprefix(holder)
     return _shared_name(leaf) or place
 
 

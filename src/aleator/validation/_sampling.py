@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from aleator._core.compilation import Compiled
-from aleator.design import AbstractFunctional, AbstractScope, Constraint, Problem, functionals_of, responses
+from aleator.design import AbstractFunctional, AbstractScope, Constraint, Problem, functionals_of, grid_at, responses
 from aleator.statistics import AbstractStatistic
 from aleator.uncertainty import AbstractGerm, named_numbers
 
@@ -36,13 +36,18 @@ class Batch(NamedTuple):
 class _OneSystem(AbstractScope):
     """A single system: its mean, its quantiles and its extremes are its value, and nothing spreads."""
 
-    def __init__(self, values: Mapping[AbstractFunctional, Array], numbers: Mapping[str, Array]):
-        self._values, self._numbers = values, numbers
+    def __init__(self, values: Mapping[AbstractFunctional, Array], numbers: Mapping[str, Array], weights: Array):
+        self._values, self._numbers, self._weights = values, numbers, weights
 
     def statistic(self, functionals: tuple[AbstractFunctional, ...], kind: AbstractStatistic) -> Array:
         """See `AbstractScope.statistic`."""
         value = self._values[functionals[0]]
         return value if kind.speaks_of_one_system else jnp.zeros_like(value)
+
+    @property
+    def weights(self) -> Array:
+        """See `AbstractScope.weights`."""
+        return self._weights
 
     def value(self, name: str) -> Array:
         """See `AbstractScope.value`."""
@@ -56,9 +61,10 @@ def _simulate_batch(
     functionals = functionals_of(problem.expressions)
     samples = responses(problem, functionals, germ, decisions)
     numbers = named_numbers(problem.model, decisions)
+    weights = grid_at(problem, decisions).weights
 
     def judge(values: tuple[Array, ...]) -> tuple[list[Array], dict[int, Array]]:
-        scope = _OneSystem(dict(zip(functionals, values, strict=True)), numbers)
+        scope = _OneSystem(dict(zip(functionals, values, strict=True)), numbers, weights)
         judged = [_judge(constraint, scope) for constraint in problem.constraints]
         paths = {i: value for i, (_, value) in enumerate(judged) if problem.constraints[i].is_path}
         return [excess for excess, _ in judged], paths

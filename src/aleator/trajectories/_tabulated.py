@@ -1,6 +1,5 @@
-"""Inputs of a system as functions of time."""
+"""`Tabulated`: a table of times and values as a signal."""
 
-import abc
 import csv
 from pathlib import Path
 from typing import Any, Self, final
@@ -12,18 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from aleator._core.errors import ProblemError
-
-
-class AbstractSignal(eqx.Module):
-    """An input of a system as a function of time. It is part of the model: its numbers may be uncertain or decided."""
-
-    @abc.abstractmethod
-    def __call__(self, t: Float[Array, ""]) -> Float[Array, "..."]:
-        """The value at time `t`."""
-
-    @abc.abstractmethod
-    def span(self) -> tuple[float, float]:
-        """The first and last time at which the signal is known (infinite if everywhere)."""
+from aleator.trajectories._signal import AbstractSignal
 
 
 @final

@@ -1,0 +1,110 @@
+"""Time-optimal robust motions by inverse dynamics against the same programs in CasADi with IPOPT, in one run.
+
+    python benchmarks/motion.py
+
+Both start from the same control points. CasADi has its exact sparse Jacobian, mapped over instants, and is timed with
+the Hessian that is faster for it here (L-BFGS for both robust problems; `casadi_motion.main` prints the exact one too).
+Times are wall times of solutions when warm: compiled, or constructed, before. The solvers' optima are printed beside,
+for a time to another optimum does not compare.
+"""
+
+import statistics
+import time
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from casadi_motion import PLANAR_GOAL, PLANAR_START, Plan, pick_and_place_time, six_axis_arm, straight_line
+from rich.console import Console
+from rich.table import Table
+
+import aleator as al
+from aleator.studies import pick_and_place_time as planar
+from aleator.studies import six_axis_arm as six_axis
+
+REPEATS = 3
+
+
+class Case(NamedTuple):
+    """A problem, its start, and the same in CasADi."""
+
+    name: str
+    problem: al.Problem
+    points: np.ndarray
+    peer: Callable[..., Plan]
+
+
+def cases() -> list[Case]:
+    """The two-link arm with 18 points of one germ variable, the six-axis arm with 30 of two."""
+    line = straight_line((PLANAR_START, PLANAR_GOAL), 0.5, 5)
+    reach = straight_line((six_axis.START, six_axis.TARGET), 0.2, 1)
+    return [
+        Case(
+            "two links, 18 points",
+            planar.robust_problem(1.0),
+            line,
+            lambda **options: pick_and_place_time(1.0, perturbation=0.5, seed=5, **options),
+        ),
+        Case(
+            "six axes, 30 points",
+            six_axis.robust_problem(1.0),
+            reach,
+            lambda **options: six_axis_arm(1.0, perturbation=0.2, seed=1, **options),
+        ),
+    ]
+
+
+def ours(case: Case) -> tuple[al.Solution, float]:
+    """The solution, and the median time of a warm solve, s."""
+    start: dict[str, Any] = {"motion.free": case.points, "t_final": 2.0}
+    solution = al.solve(case.problem, start=start, between=1)
+    times = []
+    for _ in range(REPEATS):
+        began = time.perf_counter()
+        solution = al.solve(case.problem, start=start, between=1)
+        times.append(time.perf_counter() - began)
+    return solution, statistics.median(times)
+
+
+def theirs(case: Case) -> tuple[Plan, float]:
+    """CasADi's plan, and the median time of its solution alone, s."""
+    plans = [case.peer(limited_memory=True) for _ in range(REPEATS)]
+    return plans[-1], statistics.median(plan.solution for plan in plans)
+
+
+def main() -> None:
+    """Print times, optima and evaluations side by side."""
+    table = Table(
+        "problem", "tool", "optimum, s", "iterations", "evaluations", "construct or compile, s", "solve warm, s"
+    )
+    console, ratios = Console(width=140), []
+    for case in cases():
+        before = time.perf_counter()
+        solution, warm = ours(case)
+        first = time.perf_counter() - before - REPEATS * warm
+        plan, peer = theirs(case)
+        table.add_row(
+            case.name,
+            "aleator, filterSQP",
+            f"{solution.objective:.8f}",
+            str(solution.iterations),
+            str(solution.evaluations),
+            f"{first:.2f}",
+            f"{warm:.3f}",
+        )
+        table.add_row(
+            "",
+            "CasADi, IPOPT",
+            f"{plan.optimum:.8f}",
+            str(plan.iterations),
+            str(plan.evaluations["jac_g"]),
+            f"{plan.construction:.2f}",
+            f"{peer:.3f}",
+        )
+        ratios.append(f"{case.name}: {peer / warm:.1f} times faster when warm")
+    console.print(table)
+    console.print("\n".join(ratios))
+
+
+if __name__ == "__main__":
+    main()

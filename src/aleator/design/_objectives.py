@@ -1,0 +1,195 @@
+"""The objectives of motion planning: time, effort, power, jerk (75)-(84) and what is left at the end (85), (86)."""
+
+from collections.abc import Mapping, Sequence
+from typing import final
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from aleator._core.errors import ProblemError
+from aleator.design._expression import Expression, as_expression, value
+from aleator.design._functionals import path, terminal
+from aleator.design._scope import AbstractAtom, AbstractScope
+from aleator.design._statistic import AbstractFunctional, statistic
+from aleator.dynamics import AbstractGrid, History
+from aleator.statistics import CoefficientProduct, root
+
+
+@final
+class SquareIntegral(AbstractFunctional):
+    """The time integral of an output's square, by the trapezoidal rule on the grid."""
+
+    def evaluate(self, history: History, grid: AbstractGrid) -> Array:
+        """See `AbstractFunctional.evaluate`."""
+        return jnp.tensordot(grid.weights, history[self.output] ** 2, axes=1)
+
+    def text(self) -> str:
+        """See `AbstractFunctional.text`."""
+        return f"∫{self.output}² dt"
+
+
+@final
+class Work(AbstractFunctional):
+    """The time integral of the magnitude of a product, such as torque times rate: the energy that goes to and fro.
+
+    With a `smoothing` `s`, the magnitude is `sqrt(x² + s²) - s`: smooth, and below `|x|` by `s` at most.
+    """
+
+    smoothing: float = eqx.field(static=True, default=0.0)
+
+    def evaluate(self, history: History, grid: AbstractGrid) -> Array:
+        """See `AbstractFunctional.evaluate`."""
+        force, rate = (history[name] for name in self.outputs)
+        exchanged, s = force * rate, self.smoothing
+        size = jnp.sqrt(exchanged**2 + s**2) - s if s else jnp.abs(exchanged)
+        return jnp.tensordot(grid.weights, size, axes=1)
+
+    def text(self) -> str:
+        """See `AbstractFunctional.text`."""
+        return f"∫|{' '.join(self.outputs)}| dt"
+
+
+@final
+class Norm(AbstractAtom):
+    """The Euclidean norm of several expressions."""
+
+    expressions: tuple[Expression, ...]
+
+    def evaluate(self, scope: AbstractScope) -> Array:
+        """See `AbstractAtom.evaluate`."""
+        return root(sum((one.evaluate(scope) ** 2 for one in self.expressions), start=jnp.zeros(())))
+
+    def text(self) -> str:
+        """See `AbstractAtom.text`."""
+        return f"‖{', '.join(map(str, self.expressions))}‖"
+
+    @property
+    def parts(self) -> tuple[AbstractAtom, ...]:
+        """See `AbstractAtom.parts`."""
+        return tuple(part for one in self.expressions for part in one.leaves)
+
+    @property
+    def subjects(self) -> tuple[str, ...]:
+        """See `AbstractAtom.subjects`."""
+        return tuple(name for part in self.parts for name in part.subjects)
+
+    @property
+    def measures(self) -> tuple[str, ...]:
+        """See `AbstractAtom.measures`."""
+        return tuple(text for part in self.parts for text in part.measures)
+
+    @property
+    def is_path(self) -> bool:
+        """See `AbstractAtom.is_path`."""
+        return any(one.is_path for one in self.expressions)
+
+
+@final
+class TimeIntegral(AbstractAtom):
+    """The time integral of an expression of paths, by the trapezoidal rule on the grid."""
+
+    expression: Expression
+
+    def evaluate(self, scope: AbstractScope) -> Array:
+        """See `AbstractAtom.evaluate`."""
+        return jnp.tensordot(scope.weights, self.expression.evaluate(scope), axes=1)
+
+    def text(self) -> str:
+        """See `AbstractAtom.text`."""
+        return f"∫{self.expression} dt"
+
+    @property
+    def parts(self) -> tuple[AbstractAtom, ...]:
+        """See `AbstractAtom.parts`."""
+        return self.expression.leaves
+
+    @property
+    def subjects(self) -> tuple[str, ...]:
+        """See `AbstractAtom.subjects`."""
+        return tuple(name for part in self.parts for name in part.subjects)
+
+    @property
+    def measures(self) -> tuple[str, ...]:
+        """See `AbstractAtom.measures`."""
+        return tuple(text for part in self.parts for text in part.measures)
+
+
+def final_time() -> Expression:
+    """The final time of the grid, s: `J_D1` (75), where `al.Grid(al.Decision(...), steps)` leaves it free."""
+    return value("t_final")
+
+
+def effort(*torques: str, weights: Sequence[float] | None = None) -> Expression:
+    """The expected effort `sum of w_i E[∫ τ_i² dt]`: `J_D2` (76) and, under uncertainty, `J_S1` (82)."""
+    return _weighted([SquareIntegral((name,)).mean for name in torques], weights, "effort")
+
+
+def jerk(*torques: str, weights: Sequence[float] | None = None) -> Expression:
+    """The expected jerk `sum of w_i E[∫ τ̇_i² dt]`: `J_D4` (78) and `J_S3` (84), of the outputs `<torque>_rate`."""
+    return _weighted([SquareIntegral((f"{name}_rate",)).mean for name in torques], weights, "jerk")
+
+
+def power(pairs: Mapping[str, str], *, weights: Sequence[float] | None = None, smoothing: float = 0.0) -> Expression:
+    """The expected energy exchanged, `sum of w_i E[∫ |τ_i q̇_i| dt]`: `J_D3` (77) and `J_S2` (83).
+
+    - `pairs`: the rate that each torque acts on: `{"elbow_torque": "elbow_rate"}`.
+
+    The magnitude is taken of each realisation. It has a kink wherever a power changes its sign, at which an optimiser
+    may stall: `smoothing`, W, rounds it, and lowers the result by at most as many joules a second. `coefficient_power`
+    is the sum that the dissertation prints.
+    """
+    return _weighted([Work((torque, rate), smoothing).mean for torque, rate in pairs.items()], weights, "power")
+
+
+def coefficient_power(pairs: Mapping[str, str], *, weights: Sequence[float] | None = None) -> Expression:
+    """`sum of w_i ∫ Σ_j |τ_i^j q̇_i^j| <Ψ^j, Ψ^j> dt`, as equation (83) prints it: from coefficients one by one.
+
+    It is no expected value, but smooth wherever no coefficient changes its sign. Where the rates are certain, as those
+    of a prescribed joint, it is the energy exchanged by the expected torque, `∫ |E[τ] q̇| dt`.
+    """
+    terms = [
+        Expression((1.0,), (TimeIntegral(statistic(CoefficientProduct(), path(torque), path(rate))),))
+        for torque, rate in pairs.items()
+    ]
+    return _weighted(terms, weights, "coefficient_power")
+
+
+def terminal_mean_error(references: Mapping[str, float]) -> Expression:
+    """The norm of the expected error at the end, `‖E[y(t_f)] - y_ref‖`: `J_S4` (85)."""
+    return norm(*(terminal(name).mean - reference for name, reference in references.items()))
+
+
+def terminal_variance(*outputs: str) -> Expression:
+    """The norm of the variances at the end, `‖Var[y(t_f)]‖`: `J_S5` (86)."""
+    return norm(*(terminal(name).variance for name in outputs))
+
+
+def norm(*expressions: Expression) -> Expression:
+    """The Euclidean norm of expressions; its derivative is taken as zero where all of them are zero.
+
+    Raises `ProblemError` for none.
+    """
+    if not expressions:
+        raise ProblemError("norm: expected at least one expression, such as al.terminal('x').variance; received none.")
+    return Expression((1.0,), (Norm(tuple(map(as_expression, expressions))),))
+
+
+def time_integral(expression: Expression) -> Expression:
+    """The time integral of an expression of paths, such as `al.path("x").std`. Raises `ProblemError` for any other."""
+    expression = as_expression(expression)
+    if not expression.is_path:
+        raise ProblemError(
+            f"time_integral: expected statistics of a path; received '{expression}', which is one number."
+        )
+    return Expression((1.0,), (TimeIntegral(expression),))
+
+
+def _weighted(terms: Sequence[Expression], weights: Sequence[float] | None, name: str) -> Expression:
+    if not terms:
+        raise ProblemError(f"{name}: expected at least one output by name; received none.")
+    factors = [1.0] * len(terms) if weights is None else list(weights)
+    if len(factors) != len(terms):
+        raise ProblemError(f"{name}: expected {len(terms)} weights, one a term; received {len(factors)}.")
+    first, *rest = (factor * term for factor, term in zip(factors, terms, strict=True))
+    return sum(rest, start=first)

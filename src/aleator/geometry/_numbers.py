@@ -1,0 +1,115 @@
+"""The numbers of a shape: what a user gives, checked and stored; and what realisation leaves, as arrays."""
+
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jaxtyping import Array, Float
+
+from aleator._core.errors import ProblemError
+
+
+def stored(owner: str, name: str, value: Any) -> Any:
+    """The numbers of a field as a shape keeps them.
+
+    Plain numbers become a float or a NumPy copy, checked to be finite. Distributions, decisions and traced arrays stay
+    as they are, also inside a sequence, which becomes a tuple. Raises `ProblemError` for anything else.
+    """
+    if _is_open(value):
+        return value
+    if isinstance(value, list | tuple) and _has_open(value):
+        return tuple(stored(owner, name, part) for part in value)
+    try:
+        numbers = np.array(value, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise ProblemError(
+            f"{owner}: '{name}' takes numbers, distributions, decisions or arrays; received {value!r}."
+        ) from error
+    if not np.isfinite(numbers).all():
+        raise ProblemError(f"{owner}: '{name}' must be finite; received {numbers}.")
+    return numbers if numbers.ndim else float(numbers)
+
+
+def shape_of(value: Any) -> tuple[int, ...]:
+    """The shape of a stored field once it is realised."""
+    if isinstance(value, tuple):
+        return (len(value), *_common_shape(value))
+    if isinstance(value, eqx.Module):
+        # A decision's `initial` is its start; a distribution's is a method, of shape ().
+        return np.shape(getattr(value, "initial", 0.0))
+    return np.shape(value)
+
+
+def plain(value: Any) -> np.ndarray | None:
+    """The values of a stored field if they are known; nothing where they are uncertain, decided or traced."""
+    return np.asarray(value) if isinstance(value, float | np.ndarray) else None
+
+
+def check_point(owner: str, name: str, value: Any) -> None:
+    """Raise `ProblemError` unless `value` is a vector of the plane or of space."""
+    if shape_of(value) not in ((2,), (3,)):
+        raise ProblemError(
+            f"{owner}: '{name}' takes 2 numbers in the plane or 3 in space; received shape {shape_of(value)}. "
+            "For a batch of shapes, use `jax.vmap`."
+        )
+
+
+def check_same_size(owner: str, **fields: Any) -> None:
+    """Raise `ProblemError` unless two vectors have one size."""
+    sizes = {name: shape_of(value) for name, value in fields.items()}
+    if len(set(sizes.values())) > 1:
+        received = " and ".join(f"'{name}' of shape {size}" for name, size in sizes.items())
+        raise ProblemError(f"{owner}: expected vectors of the same size; received {received}.")
+
+
+def check_number(owner: str, name: str, value: Any) -> None:
+    """Raise `ProblemError` unless `value` is one number."""
+    if shape_of(value) != ():
+        raise ProblemError(f"{owner}: '{name}' takes one number; received shape {shape_of(value)}.")
+
+
+def check_radius(owner: str, value: Any) -> None:
+    """Raise `ProblemError` unless `value` is one number that is not known to be negative."""
+    check_number(owner, "radius", value)
+    radius = plain(value)
+    if radius is not None and radius < 0:
+        raise ProblemError(f"{owner}: 'radius' must be zero or more; received {radius:g}.")
+
+
+def realised(owner: str, name: str, value: Any) -> Float[Array, "..."]:
+    """A field as an array. Raises `ProblemError` if it still holds a distribution or a decision."""
+    if isinstance(value, list | tuple):
+        return jnp.stack([realised(owner, name, part) for part in value])
+    if isinstance(value, eqx.Module):
+        raise ProblemError(
+            f"{owner}: '{name}' holds {value}, which has no value yet. Take distances where the model is realised: in "
+            "a system's outputs."
+        )
+    return jnp.asarray(value, dtype=float)
+
+
+def realised_point(owner: str, name: str, value: Any) -> Float[Array, " d"]:
+    """A vector of the plane or of space as an array, checked again: a batch shows only when distances are taken."""
+    point = realised(owner, name, value)
+    check_point(owner, name, point)
+    return point
+
+
+def _is_open(value: Any) -> bool:
+    """Whether the value is not known yet: distributions and decisions are modules."""
+    return isinstance(value, eqx.Module | Tracer)
+
+
+def _has_open(value: Any) -> bool:
+    if isinstance(value, list | tuple):
+        return any(_has_open(part) for part in value)
+    return _is_open(value)
+
+
+def _common_shape(parts: tuple[Any, ...]) -> tuple[int, ...]:
+    shapes = {shape_of(part) for part in parts}
+    if len(shapes) > 1:
+        raise ProblemError(f"A shape's numbers make no array: their parts have shapes {sorted(shapes)}.")
+    return shapes.pop()

@@ -1,0 +1,45 @@
+"""How a mechanical system is actuated, told from its actuation map (section 2.3)."""
+
+from enum import Enum
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from aleator.mechanics._matrices import solve_any
+from aleator.mechanics._mechanical import AbstractMechanical
+
+
+class Actuation(Enum):
+    """The schemes of figure 2.2."""
+
+    PASSIVE = "passive"
+    FULL = "fully actuated"
+    UNDER = "under-actuated"
+    OVER = "over-actuated"
+    UNDER_OVER = "under-over-actuated"
+
+
+def actuation_of(model: AbstractMechanical, q: Float[Array, " coordinates"]) -> Actuation:
+    """How a realised system is actuated in a posture: by the rank of its map `B(q)` and the number of its torques."""
+    return scheme(np.asarray(model.actuation(q)))
+
+
+def scheme(B: Float[np.ndarray, "speeds actuators"]) -> Actuation:
+    """The scheme of an actuation map."""
+    rank = int(np.linalg.matrix_rank(B)) if B.size else 0
+    speeds, actuators = B.shape
+    if rank == 0:
+        return Actuation.PASSIVE
+    if rank == speeds:
+        return Actuation.FULL if actuators == speeds else Actuation.OVER
+    return Actuation.UNDER if actuators == rank else Actuation.UNDER_OVER
+
+
+def torques(
+    model: AbstractMechanical, q: Float[Array, " coordinates"], force: Float[Array, " speeds"]
+) -> Float[Array, " actuators"]:
+    """The torques that give a generalised force; of many, those of least norm."""
+    if model.acts_directly:
+        return force
+    return solve_any(jnp.asarray(model.actuation(q)), force)

@@ -1,0 +1,105 @@
+"""`Body`: one rigid body of a tree, where its joint is, and how its mass is spread."""
+
+from typing import Any, final
+
+import equinox as eqx
+import numpy as np
+
+from aleator._core.errors import ProblemError
+from aleator.mechanics._joints import AbstractJoint, Fixed
+from aleator.mechanics._spatial import Block, Inertia, Pose, as_array, from_angles, library, skew
+
+# What rounding may take from an inertia that is only just possible, relative to its largest moment.
+_ROUNDING = 1e-9
+
+
+@final
+class Body(eqx.Module):
+    """A rigid body of an `al.Multibody`, with the joint that binds it to its parent. Lengths in m, angles in rad.
+
+    - `name`, `parent`: its own name and that of the body it is bound to; `None` for the ground;
+    - `joint`: `al.Revolute`, `al.Prismatic`, `al.Ball`, `al.Free`, or `al.Fixed` for a part of its parent;
+    - `position` (3,), `orientation`: the joint's frame in the parent's frame; the orientation is roll, pitch and yaw
+      (about x, then y, then z of the parent), or a rotation matrix (3, 3). At rest, the body's frame is the joint's;
+    - `mass` in kg, `center` (3,): the centre of mass in the body's frame;
+    - `inertia` in kg·m², about the centre of mass and along the body's axes: three principal moments, the six numbers
+      xx, yy, zz, xy, xz, yz, or a matrix (3, 3). One moment alone, such as `(0, 0, J)`, is what a plane model needs.
+
+    Each number may also be a tracer, alone or within a sequence. What is known is checked when the tree is built:
+    `ProblemError` is raised for a negative mass, an orientation that is no rotation, and an inertia that no body has.
+    """
+
+    name: str = eqx.field(static=True)
+    parent: str | None = eqx.field(static=True, default=None, kw_only=True)
+    joint: AbstractJoint | Fixed = eqx.field(kw_only=True)
+    mass: Any = eqx.field(kw_only=True)
+    center: Any = eqx.field(default=(0.0, 0.0, 0.0), kw_only=True)
+    inertia: Any = eqx.field(default=(0.0, 0.0, 0.0), kw_only=True)
+    position: Any = eqx.field(default=(0.0, 0.0, 0.0), kw_only=True)
+    orientation: Any = eqx.field(default=(0.0, 0.0, 0.0), kw_only=True)
+
+    def __check_init__(self):
+        if not isinstance(self.name, str) or not self.name:
+            raise ProblemError(f"Body: expected a name; received {self.name!r}.")
+        if not isinstance(self.joint, AbstractJoint | Fixed):
+            raise ProblemError(
+                f"Body '{self.name}': expected a joint, such as al.Revolute('z') or al.Fixed(); received "
+                f"{self.joint!r}."
+            )
+
+
+def placement(body: Body) -> Pose:
+    """The frame of a body's joint in its parent's frame."""
+    where = f"Body '{body.name}': orientation"
+    given = as_array(body.orientation, where, (3,), (3, 3))
+    rotation = from_angles(given) if given.shape == (3,) else given
+    if isinstance(rotation, np.ndarray) and not (
+        np.allclose(rotation @ rotation.T, np.eye(3), rtol=0, atol=_ROUNDING) and np.linalg.det(rotation) > 0
+    ):
+        raise ProblemError(f"{where}: expected a rotation matrix; received {body.orientation!r}.")
+    return Pose(rotation, as_array(body.position, f"Body '{body.name}': position", (3,)))
+
+
+def inertia(body: Body) -> Inertia:
+    """The inertia of a body in its own frame."""
+    mass = as_array(body.mass, f"Body '{body.name}': mass", ())
+    if isinstance(mass, np.ndarray) and mass < 0:
+        raise ProblemError(f"Body '{body.name}': expected a mass that is not negative; received {body.mass}.")
+    center = as_array(body.center, f"Body '{body.name}': center", (3,))
+    across = skew(center)
+    return Inertia(mass, mass * center, _moments(body) - mass * (across @ across))
+
+
+def _moments(body: Body) -> Block:
+    """The second moments about the centre of mass, as a matrix."""
+    where = f"Body '{body.name}': inertia"
+    given = as_array(body.inertia, where, (3,), (6,), (3, 3))
+    matrix = _matrix(given)
+    if isinstance(matrix, np.ndarray):
+        _check_moments(matrix, where)
+    return matrix
+
+
+def _matrix(given: Block) -> Block:
+    if given.shape == (3, 3):
+        return given
+    xp = library(given)
+    if given.shape == (3,):
+        return xp.diag(given)
+    xx, yy, zz, xy, xz, yz = given
+    return xp.stack([xp.stack([xx, xy, xz]), xp.stack([xy, yy, yz]), xp.stack([xz, yz, zz])])
+
+
+def _check_moments(matrix: np.ndarray, where: str) -> None:
+    """Refuse what is not symmetric or has principal moments that no body has."""
+    slack = _ROUNDING * np.abs(matrix).max()
+    if np.abs(matrix - matrix.T).max() > slack:
+        raise ProblemError(f"{where}: expected a symmetric matrix; received {matrix.tolist()}.")
+    smallest, middle, largest = np.linalg.eigvalsh(matrix)
+    if smallest < -slack:
+        raise ProblemError(f"{where}: expected principal moments that are not negative; received {smallest:.6g}.")
+    if middle > slack and largest > smallest + middle + slack:
+        raise ProblemError(
+            f"{where}: no body has a principal moment ({largest:.6g}) beyond the sum of the other two "
+            f"({smallest:.6g} + {middle:.6g}). For a plane model give the one moment that counts and two zeros."
+        )

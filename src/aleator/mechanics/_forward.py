@@ -1,0 +1,94 @@
+"""`ForwardDynamics`: torques are given, motion follows by integration (equation 68)."""
+
+from collections.abc import Mapping
+from typing import Any, ClassVar, final
+
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from aleator.dynamics import Grid, System
+from aleator.mechanics._actuation import Actuation, actuation_of, torques
+from aleator.mechanics._given import Given, checked_start, combined, signals_for, vector
+from aleator.mechanics._kinematics import accelerations, rates
+from aleator.mechanics._mechanical import AbstractMechanical
+from aleator.mechanics._motion import Motion
+from aleator.mechanics._outputs import standard_outputs
+from aleator.mechanics._trouble import trouble_along, trouble_at
+from aleator.trajectories import AbstractSignal, AbstractTrajectory
+
+
+@final
+class ForwardDynamics(System):
+    """A mechanical system driven by torques: `v̇ = M⁻¹ (B τ - C v - N)`, `q̇ = H v` (Table 5.2: τ known, motion not).
+
+    - `model`: the mechanical system; of any actuation scheme;
+    - `torque`: a trajectory (or any signal) of all actuators, or one by name; those left out are zero;
+    - `start`: initial coordinates and velocities by name; those left out are zero.
+
+    The torques act as given, on every system of the family alike. They are part of the system: its control points are
+    called `torque.free`. Raises `ProblemError` for torques and starts of what the model does not have.
+    """
+
+    model: AbstractMechanical
+    torque: Given
+    start: dict[str, Any]
+
+    states: ClassVar[tuple[str, ...]] = ("q", "v")
+
+    def __init__(self, model: AbstractMechanical, *, torque: Any = None, start: Mapping[str, Any] | None = None):
+        self.model = model
+        self.torque = signals_for(model.actuators, {} if torque is None else torque, "ForwardDynamics, torque")
+        self.start = checked_start(model, (*model.coordinates, *model.speeds), start, "ForwardDynamics")
+
+    @property
+    def units(self) -> Mapping[str, str]:  # type: ignore[override]
+        """The units that the model declares."""
+        return self.model.units
+
+    def signals(self) -> Mapping[str, AbstractSignal]:
+        """See `System.signals`."""
+        if not self.model.actuators:
+            return {}
+        torque = combined(self.model.actuators, self.torque)
+        rate = {"torque_rate": torque.derivative()} if isinstance(torque, AbstractTrajectory) else {}
+        return {"torque": torque, **rate}
+
+    def initial(self) -> Mapping[str, Any]:
+        """See `System.initial`."""
+        q = self.model.normalised(vector(self.model.coordinates, self.start))
+        return {"q": q, "v": vector(self.model.speeds, self.start)}
+
+    def rhs(self, t: Any, z: Any, torque: Any = None) -> tuple[Array, Array]:
+        """See `System.rhs`."""
+        del t
+        q = self.model.normalised(z.q)
+        return rates(self.model, q, z.v), self._accelerated(q, z.v, self._given(torque))
+
+    def outputs(self, t: Any, z: Any, torque: Any = None, torque_rate: Any = None) -> dict[str, Any]:
+        """See `System.outputs`."""
+        model, torque = self.model, self._given(torque)
+        q = model.normalised(z.q)
+        v_dot = self._accelerated(q, z.v, torque)
+        motion = Motion(t, q, rates(model, q, z.v), accelerations(model, q, z.v, v_dot), z.v, v_dot, torque)
+        return standard_outputs(model, motion, torque_rate)
+
+    def trouble(self, grid: Grid) -> str:
+        """See `System.trouble`."""
+        start = self.initial()
+        return trouble_at(self.model, start["q"], "at the start") or trouble_along(self, grid)
+
+    def holding(self, grid: Grid) -> Mapping[str, Any]:
+        """See `System.holding`: where every coordinate has a torque to hold it, and the start is at rest."""
+        del grid
+        start = self.initial()
+        if actuation_of(self.model, start["q"]) not in (Actuation.FULL, Actuation.OVER) or jnp.any(start["v"] != 0):
+            return {}
+        held = torques(self.model, start["q"], self.model.bias(start["q"], start["v"]))
+        return dict(zip(self.model.actuators, held, strict=True))
+
+    def _given(self, torque: Any) -> Array:
+        return jnp.zeros(len(self.model.actuators)) if torque is None else torque
+
+    def _accelerated(self, q: Array, v: Array, torque: Array) -> Array:
+        force = torque if self.model.acts_directly else self.model.actuation(q) @ torque
+        return self.model.forward_dynamics(q, v, force)

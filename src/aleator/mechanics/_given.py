@@ -1,0 +1,122 @@
+"""What a user gives to dynamics: motions and torques by name or as one trajectory, and a start."""
+
+from collections.abc import Mapping
+from typing import Any, final
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from aleator._core.errors import ProblemError
+from aleator.mechanics._mechanical import AbstractMechanical
+from aleator.trajectories import AbstractSignal, AbstractTrajectory, PowerSeries, Stack
+from aleator.trajectories._trajectory import copied, shape_of
+
+
+@final
+class Columns(AbstractSignal):
+    """Signals of one number each, side by side."""
+
+    parts: tuple[AbstractSignal, ...]
+
+    def __call__(self, t: Float[Array, ""]) -> Float[Array, " parts"]:
+        """See `AbstractSignal.__call__`."""
+        return jnp.stack([part(t) for part in self.parts])
+
+    def over(self, t_start: Any, t_final: Any) -> "Columns":
+        """See `AbstractSignal.over`."""
+        return Columns(tuple(part.over(t_start, t_final) for part in self.parts))
+
+    def sampled(self, fractions: Float[np.ndarray, " n"], t_start: Any, t_final: Any) -> Float[Array, "n parts"]:
+        """See `AbstractSignal.sampled`."""
+        return jnp.stack([part.sampled(fractions, t_start, t_final) for part in self.parts], axis=-1)
+
+    def span(self) -> tuple[float, float]:
+        """See `AbstractSignal.span`."""
+        first, last = zip(*(part.span() for part in self.parts), strict=True)
+        return max(first), min(last)
+
+
+Given = AbstractSignal | dict[str, AbstractSignal]
+"""Signals as a user gives them: one of all names, or one a name. Decisions in them are called by these names."""
+
+
+def signals_for(names: tuple[str, ...], given: Any, what: str) -> Given:
+    """Signals for all names, as given; what is left out of a mapping is zero.
+
+    Raises `ProblemError` for unknown names, for what is no signal, and for a signal of another size.
+    """
+    if isinstance(given, AbstractTrajectory) and given.shape != (len(names),):
+        raise ProblemError(
+            f"{what}: expected a trajectory of shape ({len(names)},), for {list(names)}; received shape {given.shape}."
+        )
+    if isinstance(given, AbstractSignal):
+        return given
+    if not isinstance(given, Mapping):
+        raise ProblemError(
+            f"{what}: expected a trajectory, or trajectories by name, for {list(names)}; "
+            f"received {type(given).__name__} {given!r}."
+        )
+    if unknown := sorted(set(given) - set(names)):
+        raise ProblemError(f"{what}: there is no {unknown}; expected some of {list(names)}.")
+    return {name: _single(given.get(name, 0.0), f"{what} of '{name}'") for name in names}
+
+
+def motions_for(names: tuple[str, ...], given: Any, what: str) -> Given:
+    """Trajectories for all names. Raises `ProblemError` for a name without one, or a signal that has no derivatives."""
+    if isinstance(given, Mapping) and (missing := [name for name in names if name not in given]):
+        raise ProblemError(f"{what}: expected a trajectory for each of {list(names)}; received none for {missing}.")
+    found = signals_for(names, given, what)
+    if not isinstance(combined(names, found), AbstractTrajectory):
+        raise ProblemError(
+            f"{what}: a motion is followed with its velocity and acceleration: expected trajectories, such as "
+            f"al.BSpline or al.PowerSeries; received {given!r}."
+        )
+    return found
+
+
+def combined(names: tuple[str, ...], given: Given) -> AbstractSignal:
+    """One signal of all names in order: a trajectory where each of them is one."""
+    if not isinstance(given, Mapping):
+        return given
+    parts = tuple(given[name] for name in names)
+    trajectories = tuple(part for part in parts if isinstance(part, AbstractTrajectory))
+    return Stack(trajectories) if len(trajectories) == len(parts) else Columns(parts)
+
+
+def combined_motion(names: tuple[str, ...], given: Given) -> AbstractTrajectory:
+    """One trajectory of all names in order, of motions that have been checked."""
+    found = combined(names, given)
+    assert isinstance(found, AbstractTrajectory)
+    return found
+
+
+def _single(given: Any, where: str) -> AbstractSignal:
+    if isinstance(given, AbstractTrajectory) and given.shape != ():
+        raise ProblemError(f"{where}: expected a trajectory of one number; received shape {given.shape}.")
+    if isinstance(given, AbstractSignal):
+        return given
+    if shape_of(given) != ():
+        raise ProblemError(f"{where}: expected a trajectory or one number; received {given!r}.")
+    # A number, uncertain or decided as it may be, is a constant.
+    return PowerSeries(start=(given,))
+
+
+def checked_start(model: AbstractMechanical, names: tuple[str, ...], start: Any, kind: str) -> dict[str, Any]:
+    """A start by name, with arrays of their own. Refuses what is no coordinate or velocity that is integrated."""
+    what = f"{kind} of {type(model).__name__}"
+    if not isinstance(start, Mapping | None):
+        raise ProblemError(f"{what}: expected a start by names, for some of {list(names)}; received {start!r}.")
+    given = dict(start or {})
+    if unknown := sorted(set(given) - set(names)):
+        raise ProblemError(f"{what}: there is no {unknown} to start; expected some of {list(names)}.")
+    for name, number in given.items():
+        if shape_of(number) != ():
+            raise ProblemError(f"{what}: expected one number to start '{name}'; received shape {shape_of(number)}.")
+    return {name: copied(what, f"start of '{name}'", number) for name, number in given.items()}
+
+
+def vector(names: tuple[str, ...], start: Mapping[str, Any]) -> Float[Array, " names"]:
+    """Initial values in order; those left out are zero."""
+    values = [jnp.asarray(start.get(name, 0.0), dtype=float) for name in names]
+    return jnp.stack(values) if values else jnp.zeros(0)

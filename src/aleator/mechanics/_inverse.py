@@ -1,0 +1,128 @@
+"""`InverseDynamics`: motion is given, torques follow by algebra (equation 69). Nothing is integrated."""
+
+from collections.abc import Collection, Mapping
+from typing import Any, ClassVar, final
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from aleator._core.errors import ProblemError
+from aleator.dynamics import Grid, System
+from aleator.mechanics._actuation import Actuation, actuation_of, torques
+from aleator.mechanics._given import Given, combined_motion, motions_for
+from aleator.mechanics._kinematics import Followed, follow
+from aleator.mechanics._mechanical import AbstractMechanical
+from aleator.mechanics._motion import Motion
+from aleator.mechanics._outputs import standard_outputs
+from aleator.mechanics._trouble import trouble_at, trouble_of_path
+from aleator.trajectories import AbstractSignal, AbstractTrajectory
+
+
+@final
+class InverseDynamics(System):
+    """A mechanical system on a prescribed motion: `τ = B⁻¹ (M v̇ + C v + N)` (Table 5.2: motion known, τ not).
+
+    - `model`: a fully actuated mechanical system; of an over-actuated one the torques of least norm are found;
+    - `motion`: a trajectory of all coordinates, or one by name;
+    - `torque_rates`: whether the rates of torques are among the outputs.
+
+    Each system of the family follows the same motion, and needs torques of its own. The motion is part of the system:
+    its control points are called `motion.free`. Raises `ProblemError` for motions of what the model does not have, and
+    for models with fewer torques than velocities.
+    """
+
+    model: AbstractMechanical
+    motion: Given
+    torque_rates: bool = eqx.field(static=True)
+
+    states: ClassVar[tuple[str, ...]] = ()
+    signal_fields: ClassVar[tuple[str, ...]] = ("motion",)
+
+    def __init__(self, model: AbstractMechanical, *, motion: Any, torque_rates: bool = True):
+        self.model = model
+        self.torque_rates = torque_rates
+        self.motion = motions_for(model.coordinates, motion, "InverseDynamics, motion")
+        if len(model.actuators) < len(model.speeds):
+            raise ProblemError(self._unrealisable("under-actuated"))
+
+    @property
+    def units(self) -> Mapping[str, str]:  # type: ignore[override]
+        """The units that the model declares."""
+        return self.model.units
+
+    def signals(self) -> Mapping[str, AbstractSignal]:
+        """See `System.signals`."""
+        motion = self._motion()
+        names = ("velocity", "acceleration", "jolt")[: 3 if self.torque_rates else 2]
+        return {"position": motion, **{name: motion.derivative(k) for k, name in enumerate(names, 1)}}
+
+    def focused(self, only: Collection[str]) -> "InverseDynamics":
+        """See `System.focused`: torque rates take a further derivative of everything."""
+        asked = any(f"{name}_rate" in only for name in self.model.actuators)
+        return InverseDynamics(self.model, motion=self.motion, torque_rates=asked)
+
+    def rhs(self, t: Any, z: Any) -> tuple[()]:
+        """See `System.rhs`: nothing is integrated."""
+        del t, z
+        return ()
+
+    def outputs(
+        self, t: Any, z: Any, position: Array, velocity: Array, acceleration: Array, jolt: Array | None = None
+    ) -> dict[str, Any]:
+        """See `System.outputs`."""
+        del z
+
+        def found(*at: Array) -> tuple[Array, Followed]:
+            followed = follow(self.model, *at)
+            force = self.model.inverse_dynamics(followed.q, followed.v, followed.v_dot)
+            return torques(self.model, followed.q, force), followed
+
+        at = position, velocity, acceleration
+        if jolt is None:
+            torque, followed = found(*at)
+            return standard_outputs(self.model, _motion_at(t, followed, torque), None)
+        torque, torque_rate, followed = jax.jvp(found, at, (velocity, acceleration, jolt), has_aux=True)
+        return standard_outputs(self.model, _motion_at(t, followed, torque), torque_rate)
+
+    def trouble(self, grid: Grid) -> str:
+        """See `System.trouble`."""
+        path = self._path(grid, grid.fractions)
+        q = path.q[0]
+        if found := trouble_at(self.model, q, "at the start"):
+            return found
+        scheme = actuation_of(self.model, q)
+        if scheme not in (Actuation.FULL, Actuation.OVER):
+            return self._unrealisable(scheme.value)
+        return trouble_of_path(self.model, np.asarray(grid.times), path.q)
+
+    def holding(self, grid: Grid) -> Mapping[str, Any]:
+        """See `System.holding`: where the motion starts at rest."""
+        path = self._path(grid, np.zeros(1))
+        q, v = path.q[0], path.v[0]
+        if jnp.any(jnp.abs(v) > 1e-9):
+            return {}
+        held = torques(self.model, q, self.model.bias(q, jnp.zeros_like(v)))
+        return dict(zip(self.model.actuators, held, strict=True))
+
+    def _unrealisable(self, scheme: str) -> str:
+        return (
+            f"InverseDynamics: {type(self.model).__name__} is {scheme}: its torques "
+            f"({', '.join(self.model.actuators) or 'none'}) cannot realise any motion of all its coordinates "
+            f"({', '.join(self.model.coordinates)}). Use al.HybridDynamics, which prescribes as many coordinates as "
+            "there are torques, or al.ForwardDynamics."
+        )
+
+    def _path(self, grid: Grid, fractions: np.ndarray) -> Followed:
+        at = [self._motion().derivative(k).sampled(fractions, grid.t_start, grid.t_final) for k in range(3)]
+        return jax.vmap(lambda *one: follow(self.model, *one))(*at)
+
+    def _motion(self) -> AbstractTrajectory:
+        return combined_motion(self.model.coordinates, self.motion)
+
+
+def _motion_at(t: Any, followed: Followed, torque: Array) -> Motion:
+    q, q_dot, q_ddot, v, v_dot = followed
+    return Motion(t, q, q_dot, q_ddot, v, v_dot, torque)

@@ -1,0 +1,220 @@
+"""Joints: how a body may move against its parent, its coordinates and speeds."""
+
+import abc
+from typing import Any, ClassVar, final
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from aleator._core.errors import ProblemError
+from aleator.mechanics._spatial import (
+    Pose,
+    Twist,
+    about,
+    as_array,
+    from_quaternion,
+    quaternion_rates,
+    unit,
+    unit_quaternion,
+)
+
+_AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
+
+
+class AbstractJoint(eqx.Module):
+    """What binds a body to its parent: coordinates `q`, speeds `v`, and the motion that they describe.
+
+    `coordinates` and `speeds` are endings: the body's name and one of them make the name of a coordinate or speed.
+    """
+
+    coordinates: ClassVar[tuple[str, ...]]
+    speeds: ClassVar[tuple[str, ...]]
+
+    @abc.abstractmethod
+    def pose(self, placement: Pose, q: Float[Array, " coordinates"]) -> Pose:
+        """The body in its parent's frame; `placement` is the joint's own frame there."""
+
+    @abc.abstractmethod
+    def subspace(self, q: Float[Array, " coordinates"]) -> Twist:
+        """`S(q)`: the body's twist against its parent, in the body's axes, for each speed as a column."""
+
+    def twist(self, q: Float[Array, " coordinates"], v: Float[Array, " speeds"]) -> Twist:
+        """`S(q) v`."""
+        return Twist(*(None if block is None else block @ v for block in self.subspace(q)))
+
+    def drift(self, q: Float[Array, " coordinates"], v: Float[Array, " speeds"]) -> Twist:
+        """The change of `S(q)` times `v`, in the body's axes."""
+        del q, v
+        return Twist(None, None)
+
+    def passive(self, q: Float[Array, " coordinates"], v: Float[Array, " speeds"]) -> Float[Array, " speeds"]:
+        """The force of springs and dampers along each speed."""
+        del q
+        return jnp.zeros_like(v)
+
+    def energy(self, q: Float[Array, " coordinates"]) -> Float[Array, ""]:
+        """The energy in springs, J."""
+        del q
+        return jnp.zeros(())
+
+    @abc.abstractmethod
+    def velocity_map(self, q: Float[Array, " coordinates"]) -> Float[Array, "coordinates speeds"]:
+        """`H(q)`, from speeds to the rates of the coordinates."""
+
+    def normalised(self, q: Float[Array, " coordinates"]) -> Float[Array, " coordinates"]:
+        """The coordinates, with quaternions of length one; one of zeros becomes that of no turn."""
+        return q
+
+
+class AbstractAxial(AbstractJoint):
+    """A joint along or about one axis, with a spring and a damper: force `-damping rate - stiffness (q - rest)`.
+
+    - `axis`: "x", "y", "z", or a vector of any length but zero, in the joint's frame (which is also the body's);
+    - `damping`: N·m·s/rad, or N·s/m; `stiffness`: N·m/rad, or N/m; `rest`: the coordinate without force, rad or m.
+    """
+
+    axis: Any
+    damping: Any = 0.0
+    stiffness: Any = 0.0
+    rest: Any = 0.0
+
+    coordinates: ClassVar[tuple[str, ...]] = ("",)
+    speeds: ClassVar[tuple[str, ...]] = ("_rate",)
+
+    def direction(self) -> Any:
+        """The axis as a unit vector. Raises `ProblemError` if it is none."""
+        name = type(self).__name__
+        if isinstance(self.axis, str) and self.axis not in _AXES:
+            raise ProblemError(f"{name}: expected the axis 'x', 'y' or 'z', or a vector; received '{self.axis}'.")
+        axis = as_array(_AXES[self.axis] if isinstance(self.axis, str) else self.axis, f"{name}: axis", (3,))
+        if isinstance(axis, np.ndarray) and not 0 < axis @ axis < np.inf:
+            raise ProblemError(f"{name}: expected an axis of finite length, and not zero; received {self.axis}.")
+        return unit(axis)
+
+    def passive(self, q: Float[Array, " 1"], v: Float[Array, " 1"]) -> Float[Array, " 1"]:
+        """See `AbstractJoint.passive`."""
+        return -self.damping * v - self.stiffness * (q - self.rest)
+
+    def energy(self, q: Float[Array, " 1"]) -> Float[Array, ""]:
+        """See `AbstractJoint.energy`."""
+        return 0.5 * self.stiffness * (q[0] - self.rest) ** 2
+
+    def velocity_map(self, q: Float[Array, " 1"]) -> Float[Array, "1 1"]:
+        """One."""
+        del q
+        return jnp.ones((1, 1))
+
+
+@final
+class Revolute(AbstractAxial):
+    """A hinge: the body turns about an axis through its origin, by one angle in rad. See `AbstractAxial`."""
+
+    def pose(self, placement: Pose, q: Float[Array, " 1"]) -> Pose:
+        """See `AbstractJoint.pose`."""
+        return Pose(about(self.direction(), q[0], placement.rotation), placement.position)
+
+    def subspace(self, q: Float[Array, " 1"]) -> Twist:
+        """See `AbstractJoint.subspace`."""
+        del q
+        return Twist(self.direction()[:, None], None)
+
+    def twist(self, q: Float[Array, " 1"], v: Float[Array, " 1"]) -> Twist:
+        """See `AbstractJoint.twist`."""
+        del q
+        return Twist(self.direction() * v[0], None)
+
+
+@final
+class Prismatic(AbstractAxial):
+    """A slide: the body moves along an axis, by one length in m. See `AbstractAxial`."""
+
+    def pose(self, placement: Pose, q: Float[Array, " 1"]) -> Pose:
+        """See `AbstractJoint.pose`."""
+        along = placement.rotation @ self.direction()
+        return Pose(placement.rotation, placement.position + along * q[0])
+
+    def subspace(self, q: Float[Array, " 1"]) -> Twist:
+        """See `AbstractJoint.subspace`."""
+        del q
+        return Twist(None, self.direction()[:, None])
+
+    def twist(self, q: Float[Array, " 1"], v: Float[Array, " 1"]) -> Twist:
+        """See `AbstractJoint.twist`."""
+        del q
+        return Twist(None, self.direction() * v[0])
+
+
+@final
+class Ball(AbstractJoint):
+    """The body turns about a point. Coordinates: a unit quaternion `(w, x, y, z)`, from the joint's axes to the body's;
+    speeds: the angular velocity against the parent, in the body's axes, rad/s.
+    """
+
+    coordinates: ClassVar[tuple[str, ...]] = ("_w", "_x", "_y", "_z")
+    speeds: ClassVar[tuple[str, ...]] = ("_omega_x", "_omega_y", "_omega_z")
+
+    def pose(self, placement: Pose, q: Float[Array, " 4"]) -> Pose:
+        """See `AbstractJoint.pose`."""
+        return Pose(placement.rotation @ from_quaternion(q), placement.position)
+
+    def subspace(self, q: Float[Array, " 4"]) -> Twist:
+        """See `AbstractJoint.subspace`."""
+        del q
+        return Twist(np.eye(3), None)
+
+    def twist(self, q: Float[Array, " 4"], v: Float[Array, " 3"]) -> Twist:
+        """See `AbstractJoint.twist`."""
+        del q
+        return Twist(v, None)
+
+    def velocity_map(self, q: Float[Array, " 4"]) -> Float[Array, "4 3"]:
+        """See `AbstractJoint.velocity_map`."""
+        return quaternion_rates(q)
+
+    def normalised(self, q: Float[Array, " 4"]) -> Float[Array, " 4"]:
+        """See `AbstractJoint.normalised`."""
+        return unit_quaternion(q)
+
+
+@final
+class Free(AbstractJoint):
+    """The body moves freely. Coordinates: the position of its origin in the joint's frame, m, then a unit quaternion
+    `(w, x, y, z)`; speeds: the rates of that position, in the joint's axes (those of the parent, unless `orientation`
+    turns them), m/s, then the angular velocity against the parent, in the body's axes, rad/s.
+    """
+
+    coordinates: ClassVar[tuple[str, ...]] = ("_x", "_y", "_z", "_qw", "_qx", "_qy", "_qz")
+    speeds: ClassVar[tuple[str, ...]] = ("_x_rate", "_y_rate", "_z_rate", "_omega_x", "_omega_y", "_omega_z")
+
+    def pose(self, placement: Pose, q: Float[Array, " 7"]) -> Pose:
+        """See `AbstractJoint.pose`."""
+        rotation = placement.rotation @ from_quaternion(q[3:])
+        return Pose(rotation, placement.position + placement.rotation @ q[:3])
+
+    def subspace(self, q: Float[Array, " 7"]) -> Twist:
+        """See `AbstractJoint.subspace`."""
+        zero = np.zeros((3, 3))
+        return Twist(np.hstack([zero, np.eye(3)]), jnp.hstack([from_quaternion(q[3:]).T, zero]))
+
+    def twist(self, q: Float[Array, " 7"], v: Float[Array, " 6"]) -> Twist:
+        """See `AbstractJoint.twist`."""
+        return Twist(v[3:], from_quaternion(q[3:]).T @ v[:3])
+
+    def drift(self, q: Float[Array, " 7"], v: Float[Array, " 6"]) -> Twist:
+        """See `AbstractJoint.drift`."""
+        return Twist(None, -jnp.cross(v[3:], from_quaternion(q[3:]).T @ v[:3]))
+
+    def velocity_map(self, q: Float[Array, " 7"]) -> Float[Array, "7 6"]:
+        """See `AbstractJoint.velocity_map`."""
+        return jnp.zeros((7, 6)).at[:3, :3].set(jnp.eye(3)).at[3:, 3:].set(quaternion_rates(q[3:]))
+
+    def normalised(self, q: Float[Array, " 7"]) -> Float[Array, " 7"]:
+        """See `AbstractJoint.normalised`."""
+        return jnp.concatenate([q[:3], unit_quaternion(q[3:])])
+
+
+@final
+class Fixed(eqx.Module):
+    """The body is part of its parent: no coordinates, no speeds, and no cost beyond that of one body."""

@@ -1,0 +1,144 @@
+"""`AbstractMechanical`: what forward, inverse and hybrid dynamics need of a mechanical system."""
+
+import abc
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from aleator._core.errors import ProblemError
+from aleator.mechanics._matrices import solve_positive
+from aleator.mechanics._motion import Motion
+
+
+class AbstractMechanical(eqx.Module):
+    """A mechanical system `M(q) v̇ + C(q, v) v + N(q, v) = B(q) τ`, `q̇ = H(q) v`, equations (3) and (4).
+
+    Its parameters are fields, and any number in a field may be a distribution or a decision. What is known of its
+    motion is said by `al.ForwardDynamics`, `al.InverseDynamics` or `al.HybridDynamics`; each makes a system of it,
+    whose outputs are, by the names of `coordinates`, `speeds` and `actuators`,
+
+    - `<coordinate>`, `<coordinate>_rate`, `<coordinate>_acceleration`; `<speed>`, where it is no rate, and
+      `<speed>_rate`;
+    - `<actuator>`, `<actuator>_rate` (`elbow_torque`, `elbow_torque_rate`);
+    - and those of its own `outputs(motion)`.
+
+    Write it as a subclass of `al.Mechanical` (from its matrices), `al.Lagrangian` (from its energies),
+    `al.Accelerations` (from any right-hand side) or `al.Multibody` (from bodies and joints).
+    """
+
+    units: ClassVar[Mapping[str, str]] = {}
+
+    @property
+    @abc.abstractmethod
+    def coordinates(self) -> tuple[str, ...]:
+        """The names of the coordinates `q`."""
+
+    @property
+    def speeds(self) -> tuple[str, ...]:
+        """The names of the generalised velocities `v`: by default the rates of the coordinates."""
+        return tuple(f"{name}_rate" for name in self.coordinates)
+
+    @property
+    def actuators(self) -> tuple[str, ...]:
+        """The names of the torques `τ`: by default one acts along each velocity."""
+        return tuple(f"{name.removesuffix('_rate')}_torque" for name in self.speeds)
+
+    @property
+    def moves_directly(self) -> bool:
+        """Whether the velocities are known to be the rates of the coordinates, whatever these are."""
+        return type(self).velocity_map is AbstractMechanical.velocity_map
+
+    @property
+    def acts_directly(self) -> bool:
+        """Whether each torque is known to act along its own velocity."""
+        own = type(self).actuation is AbstractMechanical.actuation
+        return own and np.array_equal(self._named_map(), np.eye(len(self.speeds)))
+
+    @abc.abstractmethod
+    def mass_matrix(self, q: Float[Array, " coordinates"]) -> Float[Array, "speeds speeds"]:
+        """`M(q)`, symmetric and positive definite."""
+
+    @abc.abstractmethod
+    def bias(self, q: Float[Array, " coordinates"], v: Float[Array, " speeds"]) -> Float[Array, " speeds"]:
+        """`C(q, v) v + N(q, v)`: the force that no acceleration takes."""
+
+    def actuation(self, q: Float[Array, " coordinates"]) -> Float[Array, "speeds actuators"]:
+        """`B(q)`, from torques to generalised forces: by default each torque acts along the velocity of its name.
+
+        Raises `ProblemError` where the names do not tell: where `elbow_torque` stands beside no `elbow_rate`.
+        """
+        del q
+        return jnp.asarray(self._named_map())
+
+    def velocity_map(self, q: Float[Array, " coordinates"]) -> Float[Array, "coordinates speeds"]:
+        """`H(q)`, from velocities to the rates of the coordinates (equation 4): by default they are the same."""
+        del q
+        return jnp.eye(len(self.coordinates))
+
+    def normalised(self, q: Float[Array, " coordinates"]) -> Float[Array, " coordinates"]:
+        """The coordinates as they may be, such as quaternions of length one: by default any."""
+        return q
+
+    def inverse_dynamics(
+        self, q: Float[Array, " coordinates"], v: Float[Array, " speeds"], v_dot: Float[Array, " speeds"]
+    ) -> Float[Array, " speeds"]:
+        """The generalised force `M v̇ + C v + N` that a motion takes (equation 3)."""
+        return self.mass_matrix(q) @ v_dot + self.bias(q, v)
+
+    def forward_dynamics(
+        self, q: Float[Array, " coordinates"], v: Float[Array, " speeds"], force: Float[Array, " speeds"]
+    ) -> Float[Array, " speeds"]:
+        """The acceleration `v̇` under a generalised force; not a number where `M` is singular."""
+        return solve_positive(self.mass_matrix(q), force - self.bias(q, v))
+
+    def trouble(self, q: Float[Array, " coordinates"]) -> str:
+        """What is wrong with the realised system itself, such as a negative mass, in a sentence; empty if nothing."""
+        del q
+        return ""
+
+    def _named_map(self) -> Float[np.ndarray, "speeds actuators"]:
+        """Which torque acts along which velocity, by their names."""
+        along = [f"{name.removesuffix('_rate')}_torque" for name in self.speeds]
+        if unknown := [name for name in self.actuators if name not in along]:
+            raise ProblemError(
+                f"{type(self).__name__}: along which velocity {unknown} act is not told by their names, which are none "
+                f"of {along}. Rename them, or write actuation(q)."
+            )
+        return np.array([[float(name == one) for one in self.actuators] for name in along]).reshape(len(along), -1)
+
+    def outputs(self, motion: Motion) -> Mapping[str, Any]:
+        """Further quantities of interest by name: positions, distances. `motion` knows `q`, `v`, `torque` and more."""
+        del motion
+        return {}
+
+
+class AbstractNamed(AbstractMechanical):
+    """A mechanical system whose names are given in its class: `names = ("shoulder", "elbow")`.
+
+    `velocity_names` and `actuator_names` may be given beside, where they are not one for each coordinate.
+    """
+
+    names: ClassVar[tuple[str, ...]]
+    velocity_names: ClassVar[Sequence[str] | None] = None
+    actuator_names: ClassVar[Sequence[str] | None] = None
+
+    @property
+    def coordinates(self) -> tuple[str, ...]:
+        """See `AbstractMechanical.coordinates`."""
+        return tuple(self.names)
+
+    @property
+    def speeds(self) -> tuple[str, ...]:
+        """See `AbstractMechanical.speeds`."""
+        given = self.velocity_names
+        return tuple(f"{name}_rate" for name in self.names) if given is None else tuple(given)
+
+    @property
+    def actuators(self) -> tuple[str, ...]:
+        """See `AbstractMechanical.actuators`."""
+        given = self.actuator_names
+        return tuple(f"{name.removesuffix('_rate')}_torque" for name in self.speeds) if given is None else tuple(given)

@@ -1,0 +1,22 @@
+"""`Motion`: all that is known of a mechanical system at one instant."""
+
+from typing import Any, NamedTuple
+
+from jaxtyping import Array, Float
+
+
+class Motion(NamedTuple):
+    """A mechanical system at one instant, whichever of its dynamics told the rest.
+
+    - `t`: s; `q`, `q_dot`, `q_ddot`: coordinates and their time derivatives, shape (coordinates,);
+    - `v`, `v_dot`: generalised velocities and their time derivatives, shape (speeds,); `q_dot = H(q) v`;
+    - `torque`: what the actuators give, shape (actuators,).
+    """
+
+    t: Any
+    q: Float[Array, " coordinates"]
+    q_dot: Float[Array, " coordinates"]
+    q_ddot: Float[Array, " coordinates"]
+    v: Float[Array, " speeds"]
+    v_dot: Float[Array, " speeds"]
+    torque: Float[Array, " actuators"]

@@ -1,0 +1,194 @@
+"""`Multibody`: a mechanical system from its bodies and joints."""
+
+import abc
+from collections.abc import Sequence
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from aleator._core.errors import ProblemError
+from aleator.dynamics import called
+from aleator.mechanics._body import Body
+from aleator.mechanics._joints import AbstractJoint
+from aleator.mechanics._mechanical import AbstractMechanical
+from aleator.mechanics._recursions import forward_dynamics, inverse_dynamics, mass_matrix, moving, world_poses
+from aleator.mechanics._spatial import Block, Pose, as_array, composed, cross, momentum, plus, power
+from aleator.mechanics._tree import GROUND, Tree, build_tree, sorted_bodies
+
+
+class Multibody(AbstractMechanical):
+    """A tree of rigid bodies that hangs on the ground. Subclass it with parameters as fields, and `bodies()`.
+
+        class Pendulum(al.Multibody):
+            length: al.Number = 1.0
+
+            def bodies(self):
+                return (al.Body("bob", joint=al.Revolute("y"), mass=1.0, center=(0.0, 0.0, -self.length)),)
+
+    Coordinates, speeds and forces are those of the joints: `bob` (rad), `bob_rate` (rad/s) and a torque (N·m); see
+    `al.Ball` and `al.Free` for theirs. They come in the order of the bodies, parents first. `gravity` is in m/s² and in
+    the world's axes; a field or property may take its place.
+
+    Any number of a field may be a distribution or a decision, but which bodies and joints there are is structure.
+    Inverse and forward dynamics cost in proportion to the number of bodies (Featherstone, Rigid Body Dynamics
+    Algorithms, 2008), and a body on `al.Fixed` none at all.
+
+    Raises `ProblemError` if the bodies are no tree.
+    """
+
+    # Without a type: a dataclass would put a field that takes its place before all others of a subclass.
+    gravity = (0.0, 0.0, -9.81)
+
+    @abc.abstractmethod
+    def bodies(self) -> Sequence[Body]:
+        """The bodies, from the numbers in the fields."""
+
+    @property
+    def coordinates(self) -> tuple[str, ...]:
+        """The names of the joints' coordinates, by body."""
+        return tuple(name + end for name, joint in self._joints() for end in joint.coordinates)
+
+    @property
+    def moves_directly(self) -> bool:
+        """See `AbstractMechanical.moves_directly`: so of joints with one degree of freedom each."""
+        return all(joint.coordinates == ("",) for _, joint in self._joints())
+
+    @property
+    def speeds(self) -> tuple[str, ...]:
+        """The names of the joints' speeds, by body."""
+        return tuple(name + end for name, joint in self._joints() for end in joint.speeds)
+
+    def mass_matrix(self, q: Float[Array, " coordinates"]) -> Float[Array, "speeds speeds"]:
+        """`M(q)`, by the composite-rigid-body algorithm."""
+        return mass_matrix(self._tree(), q)
+
+    def bias(self, q: Float[Array, " coordinates"], v: Float[Array, " speeds"]) -> Float[Array, " speeds"]:
+        """`C(q, v) v + N(q, v)`, of gravity, springs and dampers too, by the recursive Newton-Euler algorithm."""
+        return self.inverse_dynamics(q, v, jnp.zeros_like(v))
+
+    def inverse_dynamics(
+        self, q: Float[Array, " coordinates"], v: Float[Array, " speeds"], v_dot: Float[Array, " speeds"]
+    ) -> Float[Array, " speeds"]:
+        """The generalised force that a motion takes, by the recursive Newton-Euler algorithm."""
+        return inverse_dynamics(self._tree(), self._gravity(), q, v, v_dot)
+
+    def forward_dynamics(
+        self, q: Float[Array, " coordinates"], v: Float[Array, " speeds"], force: Float[Array, " speeds"]
+    ) -> Float[Array, " speeds"]:
+        """The acceleration `v̇` under a generalised force, by the articulated-body algorithm.
+
+        Not a number where a joint moves no inertia.
+        """
+        return forward_dynamics(self._tree(), self._gravity(), q, v, force)
+
+    def velocity_map(self, q: Float[Array, " coordinates"]) -> Float[Array, "coordinates speeds"]:
+        """`H(q)`, with `q̇ = H(q) v`: a block for each joint."""
+        tree = self._tree()
+        blocks = [link.joint.velocity_map(q[link.q]) for link in tree.links]
+        return jax.scipy.linalg.block_diag(*blocks) if blocks else jnp.zeros((0, 0))
+
+    def normalised(self, q: Float[Array, " coordinates"]) -> Float[Array, " coordinates"]:
+        """The coordinates, with quaternions of length one; one of zeros becomes that of no turn."""
+        return jnp.concatenate([jnp.zeros(0), *(link.joint.normalised(q[link.q]) for link in self._tree().links)])
+
+    def trouble(self, q: Float[Array, " coordinates"]) -> str:
+        """See `AbstractMechanical.trouble`: a mass that is negative, or not finite."""
+        del q
+        for body in self._bodies():
+            mass = float(body.mass)
+            if not mass >= 0:
+                return (
+                    f"Body '{body.name}' of {type(self).__name__} has the mass {mass:.4g} kg: expected none below "
+                    "zero. Reduce the spread of its law, or choose a bounded one."
+                )
+        return ""
+
+    def kinetic_energy(self, q: Float[Array, " coordinates"], v: Float[Array, " speeds"]) -> Float[Array, ""]:
+        """`vᵀ M(q) v / 2`, J."""
+        tree = self._tree()
+        twists = moving(tree, q, v).twists
+        energies = [power(twist, momentum(link.inertia, twist)) for link, twist in zip(tree.links, twists, strict=True)]
+        return 0.5 * sum(energies, start=jnp.zeros(()))
+
+    def potential_energy(self, q: Float[Array, " coordinates"]) -> Float[Array, ""]:
+        """The energy of weights (zero at the world's origin) and of springs, J."""
+        tree, gravity, total = self._tree(), self._gravity(), jnp.zeros(())
+        for link, pose in zip(tree.links, world_poses(tree, q), strict=True):
+            first = link.inertia.mass * pose.position + pose.rotation @ link.inertia.first
+            total = total + link.joint.energy(q[link.q]) - gravity @ first
+        return total
+
+    def poses(self, q: Float[Array, " coordinates"]) -> dict[str, Pose]:
+        """The pose of each body in the world, by name: `rotation` (3, 3) and `position` (3,), m."""
+        tree = self._tree()
+        carriers = world_poses(tree, q)
+        return {name: _placed(place, carriers) for name, place in tree.places.items()}
+
+    def point(self, q: Float[Array, " coordinates"], body: str, local: Any = (0.0, 0.0, 0.0)) -> Float[Array, "3"]:
+        """Where a point of a body, `local` in its frame, is in the world, m."""
+        pose = _of(self.poses(q), body)
+        return jnp.asarray(pose.position + pose.rotation @ _local(local))
+
+    def point_velocity(
+        self,
+        q: Float[Array, " coordinates"],
+        v: Float[Array, " speeds"],
+        body: str,
+        local: Any = (0.0, 0.0, 0.0),
+    ) -> Float[Array, "3"]:
+        """The velocity in the world of a point of a body, `local` in its frame, m/s."""
+        tree = self._tree()
+        index, within = _of(tree.places, body)
+        if index == GROUND:
+            return jnp.zeros(3)
+        arm = _local(local) if within is None else within.position + within.rotation @ _local(local)
+        twist = moving(tree, q, v).twists[index]
+        return world_poses(tree, q)[index].rotation @ plus(twist.linear, cross(twist.angular, arm))
+
+    def _tree(self) -> Tree:
+        return build_tree(self._bodies())
+
+    def _bodies(self) -> Sequence[Body]:
+        given = called(self, self.bodies)
+        if not isinstance(given, tuple | list) or not all(isinstance(body, Body) for body in given):
+            raise ProblemError(f"{type(self).__name__}.bodies returns a tuple of al.Body; received {given!r}.")
+        return given
+
+    def _joints(self) -> list[tuple[str, AbstractJoint]]:
+        """The bodies that move, with their joints: asked for before laws and decisions have become numbers."""
+        plain = jax.tree.map(_as_number, self, is_leaf=_is_placeholder)
+        bodies = sorted_bodies(plain._bodies())
+        return [(body.name, body.joint) for body in bodies if isinstance(body.joint, AbstractJoint)]
+
+    def _gravity(self) -> Block:
+        return as_array(self.gravity, f"{type(self).__name__}.gravity", (3,))
+
+
+def _is_placeholder(node: Any) -> bool:
+    """Whether a node is a law or a decision, which realisation replaces by a number: all of them may be shared."""
+    return isinstance(node, eqx.Module) and (hasattr(node, "shared_name") or hasattr(node, "distribution"))
+
+
+def _as_number(leaf: Any) -> Any:
+    """Any number, of a decision's shape, in the place of a law or a decision."""
+    return jnp.ones(jnp.shape(getattr(leaf, "lower", 1.0))) if _is_placeholder(leaf) else leaf
+
+
+def _placed(place: tuple[int, Pose | None], carriers: Sequence[Pose]) -> Pose:
+    index, within = place
+    if within is None:
+        return carriers[index]
+    return within if index == GROUND else composed(carriers[index], within)
+
+
+def _local(given: Any) -> Block:
+    return as_array(given, "A point of a body", (3,))
+
+
+def _of(by_name: dict[str, Any], body: str) -> Any:
+    if body not in by_name:
+        raise ProblemError(f"There is no body '{body}'; expected one of {sorted(by_name)}.")
+    return by_name[body]

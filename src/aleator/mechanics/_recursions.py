@@ -1,0 +1,167 @@
+"""Dynamics of trees of rigid bodies, in a few passes over their links.
+
+Featherstone, Rigid Body Dynamics Algorithms, 2008. All quantities of a link are in its own frame. The loops over links
+are unrolled.
+"""
+
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from aleator.mechanics._matrices import solve_positive
+from aleator.mechanics._spatial import (
+    Articulated,
+    Block,
+    Pose,
+    Twist,
+    Wrench,
+    added,
+    articulated,
+    articulated_outside,
+    composed,
+    cross_force,
+    cross_motion,
+    inertia_outside,
+    load,
+    momentum,
+    power,
+    times,
+    twist_within,
+    wrench_outside,
+)
+from aleator.mechanics._tree import GROUND, Tree
+
+_NO_MOTION = Twist(None, None)
+
+
+class Moving(NamedTuple):
+    """For each link its pose in its parent, its velocity, and the acceleration that it has beside `S v̇`."""
+
+    poses: list[Pose]
+    twists: list[Twist]
+    drifts: list[Twist]
+
+
+def local_poses(tree: Tree, q: Float[Array, " coordinates"]) -> list[Pose]:
+    """The pose of each link in its parent's frame."""
+    return [link.joint.pose(link.placement, q[link.q]) for link in tree.links]
+
+
+def world_poses(tree: Tree, q: Float[Array, " coordinates"]) -> list[Pose]:
+    """The pose of each link in the world."""
+    poses: list[Pose] = []
+    for link, pose in zip(tree.links, local_poses(tree, q), strict=True):
+        poses.append(pose if link.parent == GROUND else composed(poses[link.parent], pose))
+    return poses
+
+
+def moving(tree: Tree, q: Float[Array, " coordinates"], v: Float[Array, " speeds"]) -> Moving:
+    """Poses, velocities and drifts, from the ground outwards."""
+    found = Moving(local_poses(tree, q), [], [])
+    for link, pose in zip(tree.links, found.poses, strict=True):
+        own = link.joint.twist(q[link.q], v[link.v])
+        carried = twist_within(pose, found.twists[link.parent]) if link.parent != GROUND else _NO_MOTION
+        found.twists.append(added(carried, own))
+        found.drifts.append(added(link.joint.drift(q[link.q], v[link.v]), cross_motion(carried, own)))
+    return found
+
+
+def inverse_dynamics(
+    tree: Tree,
+    gravity: Block,
+    q: Float[Array, " coordinates"],
+    v: Float[Array, " speeds"],
+    v_dot: Float[Array, " speeds"],
+) -> Float[Array, " speeds"]:
+    """The generalised force of a motion, by the recursive Newton-Euler algorithm (table 5.1 there).
+
+    Springs and dampers are taken off it. The ground accelerates against gravity, in the place of weights.
+    """
+    poses, twists, drifts = moving(tree, q, v)
+    accelerations: list[Twist] = []
+    wrenches: list[Wrench] = []
+    for i, link in enumerate(tree.links):
+        outer = Twist(None, -gravity) if link.parent == GROUND else accelerations[link.parent]
+        own = link.joint.twist(q[link.q], v_dot[link.v])
+        accelerations.append(added(twist_within(poses[i], outer), own, drifts[i]))
+        moved = momentum(link.inertia, twists[i])
+        wrenches.append(added(momentum(link.inertia, accelerations[i]), cross_force(twists[i], moved)))
+    forces: list[Any] = []
+    for i, link in reversed(list(enumerate(tree.links))):
+        passive = link.joint.passive(q[link.q], v[link.v])
+        forces.insert(0, power(link.joint.subspace(q[link.q]), wrenches[i]) - passive)
+        if link.parent != GROUND:
+            wrenches[link.parent] = added(wrenches[link.parent], wrench_outside(poses[i], wrenches[i]))
+    return jnp.concatenate([jnp.zeros(0), *forces])
+
+
+def mass_matrix(tree: Tree, q: Float[Array, " coordinates"]) -> Float[Array, "speeds speeds"]:
+    """The mass matrix, by the composite-rigid-body algorithm (table 6.2 there)."""
+    poses = local_poses(tree, q)
+    subspaces = [link.joint.subspace(q[link.q]) for link in tree.links]
+    composite = [link.inertia for link in tree.links]
+    matrix = jnp.zeros((tree.speeds, tree.speeds))
+    for i, link in reversed(list(enumerate(tree.links))):
+        wrench = momentum(composite[i], subspaces[i])
+        matrix = matrix.at[link.v, link.v].set(power(subspaces[i], wrench))
+        if link.parent != GROUND:
+            composite[link.parent] = added(composite[link.parent], inertia_outside(poses[i], composite[i]))
+        j = i
+        while tree.links[j].parent != GROUND:
+            wrench, j = wrench_outside(poses[j], wrench), tree.links[j].parent
+            block = power(subspaces[j], wrench)
+            rows = tree.links[j].v
+            matrix = matrix.at[rows, link.v].set(block).at[link.v, rows].set(block.T)
+    return matrix
+
+
+def forward_dynamics(
+    tree: Tree,
+    gravity: Block,
+    q: Float[Array, " coordinates"],
+    v: Float[Array, " speeds"],
+    force: Float[Array, " speeds"],
+) -> Float[Array, " speeds"]:
+    """The acceleration under a generalised force, by the articulated-body algorithm (table 7.1 there).
+
+    No mass matrix is formed. Not a number where the inertia that a joint moves is singular.
+    """
+    poses, twists, drifts = moving(tree, q, v)
+    subspaces = [link.joint.subspace(q[link.q]) for link in tree.links]
+    inertias = [articulated(link.inertia) for link in tree.links]
+    wrenches = [
+        added(Wrench(np.zeros(3), np.zeros(3)), cross_force(twist, momentum(link.inertia, twist)))
+        for link, twist in zip(tree.links, twists, strict=True)
+    ]
+    # For each link: what its joint accelerates by itself, and how much less so where the link itself accelerates.
+    own: list[Any] = [None] * len(tree.links)
+    gains: list[Any] = [None] * len(tree.links)
+    for i, link in reversed(list(enumerate(tree.links))):
+        subspace = subspaces[i]
+        wrenches[i] = added(wrenches[i], load(inertias[i], drifts[i]))
+        carried = load(inertias[i], subspace)
+        passive = link.joint.passive(q[link.q], v[link.v])
+        rest = force[link.v] + passive - power(subspace, wrenches[i])
+        right = jnp.concatenate([rest[:, None], carried.moment.T, carried.force.T], axis=1)
+        solved = solve_positive(jnp.asarray(power(subspace, carried)), right)
+        own[i], gains[i] = solved[:, 0], Twist(solved[:, 1:4], solved[:, 4:])
+        if link.parent != GROUND:
+            reduced = Articulated(
+                inertias[i].angular - carried.moment @ gains[i].angular,
+                inertias[i].mixed - carried.moment @ gains[i].linear,
+                inertias[i].linear - carried.force @ gains[i].linear,
+            )
+            transmitted = added(wrenches[i], Wrench(carried.moment @ own[i], carried.force @ own[i]))
+            inertias[link.parent] = added(inertias[link.parent], articulated_outside(poses[i], reduced))
+            wrenches[link.parent] = added(wrenches[link.parent], wrench_outside(poses[i], transmitted))
+    accelerations: list[Twist] = []
+    found: list[Any] = []
+    for i, link in enumerate(tree.links):
+        outer = Twist(None, -gravity) if link.parent == GROUND else accelerations[link.parent]
+        carried = twist_within(poses[i], outer)
+        resisted = [times(gain, part) for gain, part in zip(gains[i], carried, strict=True) if part is not None]
+        found.append(own[i] - sum(resisted))
+        accelerations.append(added(carried, link.joint.twist(q[link.q], found[i]), drifts[i]))
+    return jnp.concatenate([jnp.zeros(0), *found])

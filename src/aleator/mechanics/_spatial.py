@@ -1,0 +1,260 @@
+"""Algebra of rigid bodies: rotations, twists, wrenches and inertias, as pairs of 3-vectors in the place of 6-vectors.
+
+Twists and wrenches are taken at the origin of a frame and in its axes. Each part of one is a vector, or a matrix with
+several as its columns; `None` stands for a part that is always zero and costs nothing. What is known when a function is
+traced stays in NumPy, so that it is computed once and not at every point.
+"""
+
+from typing import Any, NamedTuple, TypeAlias
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from aleator._core.errors import ProblemError
+
+Block: TypeAlias = Any
+"""A vector (3,), a matrix of columns (3, n), or `None` for zero; of NumPy where it is known, else of JAX."""
+
+
+class Pose(NamedTuple):
+    """Where a frame is: `rotation` (3, 3) turns its axes into the outer ones, `position` (3,) is its origin there,
+    m.
+    """
+
+    rotation: Block
+    position: Block
+
+
+class Twist(NamedTuple):
+    """A motion: angular part (velocity in rad/s) and linear part at the frame's origin (m/s), or their derivatives."""
+
+    angular: Block
+    linear: Block
+
+
+class Wrench(NamedTuple):
+    """A load: moment about the frame's origin, N·m, and force, N."""
+
+    moment: Block
+    force: Block
+
+
+class Inertia(NamedTuple):
+    """A rigid body: mass (kg), first moment `m c` (kg·m) and second moments (3, 3) about the origin (kg·m²)."""
+
+    mass: Any
+    first: Block
+    second: Block
+
+
+class Articulated(NamedTuple):
+    """The inertia that a body shows when those behind it can move: blocks of `[[A, B], [Bᵀ, M]]`, each (3, 3)."""
+
+    angular: Block
+    mixed: Block
+    linear: Block
+
+
+def library(*values: Any) -> Any:
+    """NumPy if all values are known, else JAX."""
+    return jnp if any(isinstance(value, jax.Array) for value in values) else np
+
+
+def as_array(given: Any, what: str, *shapes: tuple[int, ...]) -> Block:
+    """Numbers, or nested sequences of numbers and tracers, as one array.
+
+    Raises `ProblemError` if its shape is none of `shapes`, or if a number that is known is not finite.
+    """
+    try:
+        array = _stacked(given)
+    except (TypeError, ValueError) as error:
+        raise ProblemError(f"{what}: expected numbers of shape {_any_of(shapes)}; received {given!r}.") from error
+    if array.shape not in shapes:
+        raise ProblemError(f"{what}: expected numbers of shape {_any_of(shapes)}; received shape {array.shape}.")
+    if isinstance(array, np.ndarray) and not np.isfinite(array).all():
+        raise ProblemError(f"{what}: expected finite numbers; received {given!r}.")
+    return array
+
+
+def _stacked(given: Any) -> Block:
+    if isinstance(given, tuple | list):
+        parts = [_stacked(one) for one in given]
+        return library(*parts).stack(parts)
+    return jnp.asarray(given, dtype=float) if isinstance(given, jax.Array) else np.asarray(given, dtype=float)
+
+
+def _any_of(shapes: tuple[tuple[int, ...], ...]) -> str:
+    return " or ".join(map(str, shapes))
+
+
+def plus(*terms: Block) -> Block:
+    """The sum of what is not zero."""
+    total = None
+    for term in terms:
+        total = term if total is None else total if term is None else total + term
+    return total
+
+
+def times(matrix: Block, block: Block) -> Block:
+    """The product of a matrix and a block."""
+    return None if matrix is None or block is None else matrix @ block
+
+
+def cross(a: Block, b: Block) -> Block:
+    """`a × b` of a vector and a vector, or each of several columns."""
+    if a is None or b is None:
+        return None
+    parts = [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+    return library(a, b).stack(parts)
+
+
+def dot(a: Block, b: Block) -> Block:
+    """`aᵀ b`, zero if either is."""
+    return None if a is None or b is None else a.T @ b
+
+
+def skew(a: Block) -> Block:
+    """The matrix whose product with `b` is `a × b`."""
+    x, y, z = a
+    zero = 0 * x
+    xp = library(a)
+    return xp.stack([xp.stack([zero, -z, y]), xp.stack([z, zero, -x]), xp.stack([-y, x, zero])])
+
+
+def about(axis: Block, angle: Any, before: Block) -> Float[Array, "3 3"]:
+    """`before` times the rotation by an angle about a unit axis (Rodrigues).
+
+    The products with the axis are known beforehand, so that turning costs no product of matrices.
+    """
+    across = before @ skew(axis)
+    return before + jnp.sin(angle) * across + (1 - jnp.cos(angle)) * (across @ skew(axis))
+
+
+def from_angles(angles: Block) -> Block:
+    """The rotation of roll, pitch and yaw: about x, then y, then z of the outer frame."""
+    xp = library(angles)
+    (sr, sp, sy), (cr, cp, cy) = xp.sin(angles), xp.cos(angles)
+    return xp.stack(
+        [
+            xp.stack([cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr]),
+            xp.stack([sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr]),
+            xp.stack([-sp, cp * sr, cp * cr]),
+        ]
+    )
+
+
+def from_quaternion(quaternion: Float[Array, " 4"]) -> Float[Array, "3 3"]:
+    """The rotation of a quaternion `(w, x, y, z)`, after bringing it to length one."""
+    w, x, y, z = unit(quaternion)
+    return jnp.stack(
+        [
+            jnp.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)]),
+            jnp.stack([2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)]),
+            jnp.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]),
+        ]
+    )
+
+
+def quaternion_rates(quaternion: Float[Array, " 4"]) -> Float[Array, "4 3"]:
+    """The matrix from the angular velocity in the body's axes to the rates of a quaternion: half its product."""
+    w, x, y, z = unit(quaternion)
+    rows = [[-x, -y, -z], [w, -z, y], [z, w, -x], [-y, x, w]]
+    return 0.5 * jnp.stack([jnp.stack(row) for row in rows])
+
+
+def unit(vector: Block) -> Block:
+    """A vector brought to length one."""
+    return vector / library(vector).sqrt(vector @ vector)
+
+
+def unit_quaternion(given: Float[Array, " 4"]) -> Float[Array, " 4"]:
+    """A quaternion brought to length one; of zeros, as where none was given, that of no turn."""
+    return unit(jnp.where(given @ given > 0, given, jnp.array([1.0, 0.0, 0.0, 0.0])))
+
+
+def composed(outer: Pose, inner: Pose) -> Pose:
+    """The pose in the outermost frame of what is given in the frame of `outer`."""
+    return Pose(outer.rotation @ inner.rotation, outer.position + outer.rotation @ inner.position)
+
+
+def twist_within(pose: Pose, twist: Twist) -> Twist:
+    """An outer twist, as seen in the frame at `pose`."""
+    inward = pose.rotation.T
+    at_origin = plus(twist.linear, cross(twist.angular, pose.position))
+    return Twist(times(inward, twist.angular), times(inward, at_origin))
+
+
+def wrench_outside(pose: Pose, wrench: Wrench) -> Wrench:
+    """A wrench in the frame at `pose`, as seen in the outer frame."""
+    force = pose.rotation @ wrench.force
+    return Wrench(pose.rotation @ wrench.moment + cross(pose.position, force), force)
+
+
+def added(first: Any, *others: Any) -> Any:
+    """The sum of several twists, wrenches or inertias, part by part."""
+    return type(first)(*(plus(*parts) for parts in zip(first, *others, strict=True)))
+
+
+def cross_motion(twist: Twist, other: Twist) -> Twist:
+    """How a twist fixed in a frame that moves with `twist` changes."""
+    return Twist(
+        cross(twist.angular, other.angular),
+        plus(cross(twist.angular, other.linear), cross(twist.linear, other.angular)),
+    )
+
+
+def cross_force(twist: Twist, wrench: Wrench) -> Wrench:
+    """How a wrench, or momentum, fixed in a frame that moves with `twist` changes."""
+    return Wrench(
+        plus(cross(twist.angular, wrench.moment), cross(twist.linear, wrench.force)),
+        cross(twist.angular, wrench.force),
+    )
+
+
+def momentum(inertia: Inertia, twist: Twist) -> Wrench:
+    """The inertia times a twist: momentum of a velocity, load of an acceleration."""
+    along = None if twist.linear is None else inertia.mass * twist.linear
+    turning = None if twist.angular is None else -cross(inertia.first, twist.angular)
+    return Wrench(
+        plus(times(inertia.second, twist.angular), cross(inertia.first, twist.linear)),
+        plus(along, turning),
+    )
+
+
+def power(twist: Twist, wrench: Wrench) -> Block:
+    """The product of twist and wrench; of columns, the matrix of all products."""
+    return plus(dot(twist.angular, wrench.moment), dot(twist.linear, wrench.force))
+
+
+def inertia_outside(pose: Pose, inertia: Inertia) -> Inertia:
+    """The inertia of a body in the frame at `pose`, as seen in the outer frame."""
+    first = pose.rotation @ inertia.first
+    across = skew(pose.position)
+    # -P H' - H' P - m P P, with the moment moved to the outer origin (parallel axes).
+    mixed = across @ skew(first)
+    second = pose.rotation @ inertia.second @ pose.rotation.T - mixed - mixed.T - inertia.mass * (across @ across)
+    return Inertia(inertia.mass, first + inertia.mass * pose.position, second)
+
+
+def articulated(inertia: Inertia) -> Articulated:
+    """A rigid inertia as one that may be articulated."""
+    return Articulated(inertia.second, skew(inertia.first), inertia.mass * np.eye(3))
+
+
+def load(inertia: Articulated, twist: Twist) -> Wrench:
+    """An articulated inertia times a twist."""
+    return Wrench(
+        plus(times(inertia.angular, twist.angular), times(inertia.mixed, twist.linear)),
+        plus(times(inertia.mixed.T, twist.angular), times(inertia.linear, twist.linear)),
+    )
+
+
+def articulated_outside(pose: Pose, inertia: Articulated) -> Articulated:
+    """The articulated inertia in the frame at `pose`, as seen in the outer frame."""
+    R, across = pose.rotation, skew(pose.position)
+    angular, mixed, linear = (R @ block @ R.T for block in inertia)
+    moved = across @ linear
+    turned = across @ mixed.T
+    return Articulated(angular + turned + turned.T - moved @ across, mixed + moved, linear)

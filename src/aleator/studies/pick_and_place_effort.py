@@ -1,0 +1,98 @@
+"""Pick and place with the least effort: forward dynamics (dissertation, section 5.5.1).
+
+The torques are planned and act as they are on every arm of the family, so that the payload changes where the arm goes.
+The robust plan keeps the mean of the motion on its target and its spread away from obstacle and wall (79), (90); a
+third plan makes the spread at the end least (86).
+"""
+
+from typing import Any
+
+import numpy as np
+
+import aleator as al
+from aleator.studies.two_link_arm import OBSTACLE, START, TARGET, TORQUE, TwoLinkArm, clear_of_wall_and_obstacle
+
+PAYLOAD = al.Uniform(1.0, std=0.1)
+DURATION = 1.5
+STEPS = 60
+FREE = 12
+"""Control points a joint, all free: torques need not start or end at zero."""
+
+TORQUES = ("q1_torque", "q2_torque")
+TIP = ("tip_x", "tip_y")
+
+
+def deterministic_problem(obstacle: al.Sphere | None = OBSTACLE, *, guess: np.ndarray | None = None) -> al.Problem:
+    """The plan of least effort for the mean payload (72)."""
+    return al.deterministic(robust_problem(0.0, obstacle, guess=guess))
+
+
+def robust_problem(
+    sigmas: float = 1.0,
+    obstacle: al.Sphere | None = OBSTACLE,
+    *,
+    payload: al.Uniform = PAYLOAD,
+    guess: np.ndarray | None = None,
+) -> al.Problem:
+    """The plan of least effort that keeps its distances `sigmas` standard deviations off, on target in the mean."""
+    arm = TwoLinkArm(payload=payload, obstacle=obstacle)
+    return _problem(arm, al.effort(*TORQUES), sigmas, guess)
+
+
+def terminal_variance_problem(
+    sigmas: float = 1.0,
+    obstacle: al.Sphere | None = OBSTACLE,
+    *,
+    effort: float | None = None,
+    guess: np.ndarray | None = None,
+) -> al.Problem:
+    """The plan whose tip spreads least at the end (86), under the same constraints; of bounded effort where one is
+    given.
+    """
+    arm = TwoLinkArm(payload=PAYLOAD, obstacle=obstacle)
+    limits = [] if effort is None else [(al.effort(*TORQUES) <= effort).named("effort")]
+    return _problem(arm, al.terminal_variance(*TIP), sigmas, guess, limits)
+
+
+def _problem(
+    arm: TwoLinkArm,
+    objective: al.Expression,
+    sigmas: float,
+    guess: np.ndarray | None,
+    limits: list[al.Constraint] | None = None,
+) -> al.Problem:
+    torque = al.BSpline(al.Decision(start_torques() if guess is None else guess, -TORQUE, TORQUE))
+    return al.Problem(
+        al.ForwardDynamics(arm, torque=torque, start=dict(zip(arm.names, START, strict=True))),
+        grid=al.Grid(DURATION, STEPS),
+        minimize=objective,
+        subject_to=[*on_target(), *clear_of_wall_and_obstacle(arm, sigmas), *(limits or [])],
+        expansion=al.Expansion(order=5),
+    )
+
+
+def on_target() -> list[al.Constraint]:
+    """In the mean, the arm ends in the target posture, at rest."""
+    posture = zip(("q1", "q2"), TARGET, strict=True)
+    return [al.terminal(name).mean.equals(angle) for name, angle in posture] + [
+        al.terminal(f"{name}_rate").mean.equals(0.0) for name in ("q1", "q2")
+    ]
+
+
+def start_torques(bend: float = 1.2) -> np.ndarray:
+    """Control points of the torques that move the mean arm along a path with its elbow bent more in the middle.
+
+    From torques at random, most searches fail. `bend` is by how much the elbow is bent, rad.
+    """
+    fractions = np.linspace(0.0, 1.0, 61)
+    rise = 10 * fractions**3 - 15 * fractions**4 + 6 * fractions**5
+    arm = TwoLinkArm(payload=1.0)
+    line = np.array(START) + rise[:, None] * (np.array(TARGET) - np.array(START))
+    path = line + np.stack(
+        [-0.5 * bend * np.sin(np.pi * fractions) ** 2, bend * np.sin(np.pi * fractions) ** 2], axis=1
+    )
+    ends: dict[str, Any] = {"start": (START, 0, 0), "end": (TARGET, 0, 0)}
+    motion = al.BSpline(al.fit_control_points(path, 10, degree=5, **ends), degree=5, **ends)
+    found = al.simulate(al.InverseDynamics(arm, motion=motion), al.Grid(DURATION, 60))
+    torques = np.stack([np.asarray(found[name]) for name in TORQUES], axis=1)
+    return np.clip(al.fit_control_points(torques, FREE), -TORQUE, TORQUE)

@@ -1,0 +1,75 @@
+"""The arm of sections 5.5.1 and 5.5.2: two links in the horizontal plane, with a payload of uncertain mass at the
+tip.
+"""
+
+from typing import Any, ClassVar
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+import aleator as al
+
+START = (np.pi / 6, np.pi / 6)
+TARGET = (-np.pi / 6, -np.pi / 6)
+TORQUE = 10.0
+OBSTACLE = al.Sphere((0.65, 0.80), 0.30)
+
+
+class TwoLinkArm(al.Mechanical):
+    """Two uniform rods and a point mass at the tip; `q2` is measured from the first link, and gravity does no work.
+
+    `obstacle` is what the links keep away from; None leaves it out.
+    """
+
+    names = ("q1", "q2")
+    units: ClassVar = {
+        **dict.fromkeys(names, "rad"),
+        **{f"{name}_rate": "rad/s" for name in names},
+        **{f"{name}_acceleration": "rad/s²" for name in names},
+        **{f"{name}_torque": "N m" for name in names},
+        **dict.fromkeys(("elbow_x", "elbow_y", "tip_x", "tip_y", "gap_1", "gap_2"), "m"),
+    }
+
+    payload: al.Number = al.parameter("kg", positive=True)
+    obstacle: al.Sphere | None = None
+    mass_1: al.Number = al.parameter("kg", positive=True, default=1.0)
+    mass_2: al.Number = al.parameter("kg", positive=True, default=1.0)
+    length_1: al.Number = al.parameter("m", positive=True, default=1.0)
+    length_2: al.Number = al.parameter("m", positive=True, default=1.0)
+
+    def mass_matrix(self, q: Float[Array, " 2"]) -> Float[Array, "2 2"]:
+        """`M(q)`, kg m²: rods of inertia `m l²/12` about their middles."""
+        l_1, l_2 = self.length_1, self.length_2
+        inner = self.mass_1 * l_1**2 / 3 + (self.mass_2 + self.payload) * l_1**2
+        outer = (self.mass_2 / 3 + self.payload) * l_2**2
+        coupling = (self.mass_2 / 2 + self.payload) * l_1 * l_2 * jnp.cos(q[1])
+        return jnp.array([[inner + outer + 2 * coupling, outer + coupling], [outer + coupling, outer]])
+
+    def coriolis(self, q: Float[Array, " 2"], v: Float[Array, " 2"]) -> Float[Array, "2 2"]:
+        """`C(q, v)`, kg m²/s."""
+        h = (self.mass_2 / 2 + self.payload) * self.length_1 * self.length_2 * jnp.sin(q[1])
+        return jnp.array([[-h * v[1], -h * (v[0] + v[1])], [h * v[0], 0.0]])
+
+    def outputs(self, motion: al.Motion) -> dict[str, Any]:
+        """Where elbow and tip are, and how far the links are from the obstacle."""
+        elbow, tip = self.places(motion.q)
+        places = {"elbow_x": elbow[0], "elbow_y": elbow[1], "tip_x": tip[0], "tip_y": tip[1]}
+        if self.obstacle is None:
+            return places
+        links = al.Capsule((0.0, 0.0), elbow), al.Capsule(elbow, tip)
+        return places | {f"gap_{i}": al.distance(link, self.obstacle) for i, link in enumerate(links, 1)}
+
+    def places(self, q: Float[Array, " 2"]) -> tuple[Float[Array, " 2"], Float[Array, " 2"]]:
+        """The elbow and the tip, m."""
+        first, second = q[0], q[0] + q[1]
+        elbow = self.length_1 * jnp.array([jnp.cos(first), jnp.sin(first)])
+        return elbow, elbow + self.length_2 * jnp.array([jnp.cos(second), jnp.sin(second)])
+
+
+def clear_of_wall_and_obstacle(arm: TwoLinkArm, sigmas: float = 0.0) -> list[al.Constraint]:
+    """Elbow and tip stay before the wall at x = 0, and both links off the obstacle, `sigmas` standard deviations
+    off.
+    """
+    kept = ["elbow_x", "tip_x"] + ([] if arm.obstacle is None else ["gap_1", "gap_2"])
+    return [al.path(name).at_least(0.0, sigmas=sigmas) for name in kept]

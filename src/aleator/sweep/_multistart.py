@@ -1,0 +1,123 @@
+"""`multistart`: one problem from several starts, its local optima in order."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, final
+
+import numpy as np
+from jaxtyping import Float
+
+from aleator._core.errors import ProblemError
+from aleator._core.progress import Progress, silent
+from aleator.design import Problem, Solution
+from aleator.nlp import AbstractSolver
+from aleator.solve import solve
+
+# Objectives that differ by less, relatively, are those of one local optimum, and so are decisions.
+_SAME = 1e-4
+
+
+@final
+@dataclass(frozen=True)
+class Starts:
+    """A problem solved from several starts. `print(starts)` lists its local optima.
+
+    - `solutions`: one a start, in order, also where it failed;
+    - `interrupted`: whether it was stopped early; what was finished by then is all here.
+    """
+
+    solutions: tuple[Solution, ...]
+    interrupted: bool = False
+
+    @property
+    def best(self) -> Solution:
+        """The best of the solved; where none is, the least violated."""
+        solved = [one for one in self.solutions if one.ok]
+        if solved:
+            return min(solved, key=lambda one: one.objective)
+        return min(self.solutions, key=lambda one: np.nan_to_num(one.violation, nan=np.inf))
+
+    @property
+    def optima(self) -> tuple[tuple[Solution, int], ...]:
+        """The local optima, best first, each with how many starts led to it.
+
+        Solutions of the same objective are one, and so are those of the same decisions, whose objective may be zero.
+        """
+        solved = sorted((one for one in self.solutions if one.ok), key=lambda one: one.objective)
+        starts = [one.problem.survey.vector("initial") for one in solved]
+        size = np.max(np.abs([*starts, *(one.vector for one in solved)]), axis=0, initial=1e-12)
+        found: list[tuple[Solution, int]] = []
+        for one in solved:
+            best = found[-1][0] if found else None
+            if best and (
+                _close(one.objective, best.objective) or np.all(np.abs(one.vector - best.vector) < _SAME * size)
+            ):
+                found[-1] = (best, found[-1][1] + 1)
+            else:
+                found.append((one, 1))
+        return tuple(found)
+
+    def __str__(self) -> str:
+        rows = [f"{one.objective:14.8g}  from {count} of {len(self.solutions)} starts" for one, count in self.optima]
+        failed = sum(not one.ok for one in self.solutions)
+        return "\n".join(["local optima", *rows, *([f"{failed} starts failed"] if failed else [])])
+
+
+def _close(one: float, other: float) -> bool:
+    return abs(one - other) <= _SAME * max(abs(one), 1e-12)
+
+
+def multistart(
+    problem: Problem,
+    starts: int | Sequence[Mapping[str, Any]] = 10,
+    *,
+    spread: float = 0.3,
+    seed: int = 0,
+    solver: AbstractSolver | None = None,
+    progress: Progress = silent,
+) -> Starts:
+    """Solve a problem from several starts: given ones, by decisions' names, or so many random ones.
+
+    The first random start is the problem's own; the others differ from it by up to `spread` of each decision's range
+    (where a bound is infinite: of its magnitude), drawn from `seed`. The problem is compiled once. A start that fails
+    is kept with its status; Ctrl-C ends the search and returns what is finished.
+
+    Raises `ProblemError` for no start, or decisions that are not there.
+    """
+    if isinstance(starts, Mapping | str) or not isinstance(starts, int | Sequence):
+        raise ProblemError(
+            f"multistart: expected a number of starts, or a list of starts by names; received {starts!r}."
+        )
+    given = _random(problem, starts, spread, seed) if isinstance(starts, int) else list(starts)
+    if not given:
+        raise ProblemError("multistart: expected at least one start; received none.")
+    known = problem.survey.decisions
+    for start in given:
+        if not isinstance(start, Mapping) or not set(start) <= set(known):
+            raise ProblemError(f"multistart: expected starts by decisions' names, {list(known)}; received {start!r}.")
+    solutions: list[Solution] = []
+    interrupted = True
+    try:
+        for done, start in enumerate(given):
+            progress("starts", done, len(given))
+            solutions.append(solve(problem, solver, start=start, throw=False))
+        interrupted = False
+        progress("starts", len(given), len(given))
+    except KeyboardInterrupt:
+        if not solutions:
+            raise
+    return Starts(tuple(solutions), interrupted)
+
+
+def _random(problem: Problem, count: int, spread: float, seed: int) -> list[dict[str, Any]]:
+    places = problem.survey
+    first, lower, upper = (places.vector(name) for name in ("initial", "lower", "upper"))
+    finite = np.isfinite(upper - lower)
+    reach = spread * np.where(finite, np.where(finite, upper - lower, 0.0), np.maximum(np.abs(first), 1.0))
+    generator = np.random.default_rng(seed)
+
+    def drawn(i: int) -> Float[np.ndarray, " n"]:
+        shift = generator.uniform(-1.0, 1.0, first.size) if i else np.zeros(first.size)
+        return np.clip(first + reach * shift, lower, upper)
+
+    return [places.named(drawn(i)) for i in range(count)]

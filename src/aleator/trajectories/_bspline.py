@@ -1,0 +1,190 @@
+"""`BSpline`: clamped B-splines whose ends are given and whose other control points are free."""
+
+import math
+from typing import Any, final
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jaxtyping import Array, Float
+
+from aleator._core.errors import ProblemError
+from aleator.trajectories._basis import basis_matrix, clamped, derived
+from aleator.trajectories._trajectory import AbstractTrajectory, Fractions, as_array, conditions, copied, shape_of
+
+_KIND = "BSpline"
+
+
+@final
+class BSpline(AbstractTrajectory):
+    """A clamped B-spline of any degree (section 5.2.2): `B(u) = sum of basis_i(u) p_i` over the duration, equation
+    (52).
+
+    - `free`: the control points that are not given by the ends, shape (free, ...): `al.Decision(guess, -3.0, 3.0)`, or
+      numbers. One point may be a number, or a vector of one number a joint;
+    - `start`, `end`: `(value, velocity, acceleration)` there, or the first one or two of them, or none: each takes one
+      control point out of the free ones. Their numbers may be uncertain or decided too;
+    - `degree`: of the polynomials between knots;
+    - `knots`: the interior ones, increasing, between 0 and 1; uniform by default. Or `spans`: the lengths from knot to
+      knot in proportion, positive numbers or a `Decision`; knots that are decided so stay in order.
+
+    The curve stays in the convex hull of its control points: bounds of those are bounds of it at all times; see `hull`.
+    Raises `ProblemError` for too few control points, ends of another shape, an end condition on a derivative that the
+    degree does not have, or knots out of order.
+    """
+
+    free: Any
+    start: tuple[Any, ...]
+    end: tuple[Any, ...]
+    degree: int = eqx.field(static=True)
+    knots: tuple[float, ...] | None = eqx.field(static=True)
+    spans: Any
+
+    def __init__(
+        self,
+        free: Any,
+        *,
+        start: Any = (),
+        end: Any = (),
+        degree: int = 3,
+        knots: Any = None,
+        spans: Any = None,
+    ):
+        self.free = copied(_KIND, "control points", free)
+        if len(shape_of(self.free)) == 0:
+            raise ProblemError(
+                f"{_KIND}: expected several control points, such as al.Decision(np.zeros(8), -3.0, 3.0); received one."
+            )
+        self.degree = _checked_degree(degree)
+        self.start = conditions(_KIND, "start", start, self.shape)
+        self.end = conditions(_KIND, "end", end, self.shape)
+        most = max(len(self.start), len(self.end)) - 1
+        if most > self.degree:
+            raise ProblemError(
+                f"{_KIND}: a curve of degree {self.degree} has no derivative of order {most} to give at an end: raise "
+                "the degree, or leave that condition out."
+            )
+        interior = self.count - self.degree - 1
+        if interior < 0:
+            raise ProblemError(
+                f"{_KIND}: degree {degree} needs at least {degree + 1} control points in all; received "
+                f"{shape_of(self.free)[0]} free ones beside {len(self.start)} conditions at the start and "
+                f"{len(self.end)} at the end. Give {-interior} more free control points."
+            )
+        if knots is not None and spans is not None:
+            raise ProblemError(f"{_KIND}: expected knots or spans; received both.")
+        self.spans = None if spans is None else _checked_spans(spans, interior + 1)
+        self.knots = None if spans is not None else _checked_knots(knots, interior)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """See `AbstractTrajectory.shape`."""
+        return shape_of(self.free)[1:]
+
+    @property
+    def count(self) -> int:
+        """How many control points there are in all."""
+        return shape_of(self.free)[0] + len(self.start) + len(self.end)
+
+    def values(self, fractions: Fractions, duration: Any = 1.0, order: int = 0) -> Float[Array, "n ..."]:
+        """See `AbstractTrajectory.values`; the derivative splines of equations (56) and (57)."""
+        weights = basis_matrix(fractions, self.all_knots(), self.degree, order)
+        return jnp.tensordot(jnp.asarray(weights), self.control_points(duration), axes=1) / duration**order
+
+    def all_knots(self) -> tuple[float, ...] | Float[Array, " knots"]:
+        """All knots over [0, 1], the ends repeated `degree + 1` times."""
+        if self.knots is not None:
+            return tuple(clamped(np.array(self.knots), self.degree).tolist())
+        ends = jnp.cumsum(as_array(self.spans))
+        return clamped(ends[:-1] / ends[-1], self.degree)
+
+    def control_points(self, duration: Any = 1.0, order: int = 0) -> Float[Array, "n ..."]:
+        """All control points, or those of a derivative by time (equation 54), for a duration in s."""
+        if order > self.degree:
+            return jnp.zeros((1, *self.shape))
+        points = jnp.concatenate([self._eliminated(0, duration), as_array(self.free), self._eliminated(1, duration)])
+        if order == 0:
+            return points
+        knots = self.all_knots()
+        change = derived(np.array(knots) if isinstance(knots, tuple) else knots, self.degree, order)
+        return jnp.tensordot(jnp.asarray(change), points, axes=1) / duration**order
+
+    def hull(self, duration: Any = 1.0, order: int = 0) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
+        """Bounds that the curve, or a derivative of it by time, keeps at all times: of its control points."""
+        points = self.control_points(duration, order)
+        return jnp.min(points, axis=0), jnp.max(points, axis=0)
+
+    def _eliminated(self, side: int, duration: Any) -> Float[Array, "fixed ..."]:
+        """The control points that the conditions at one end determine, the first of them outermost."""
+        given = (self.start, self.end)[side]
+        points: list[Array] = []
+        for order, condition in enumerate(given):
+            # At an end, a derivative of order k depends on the outermost k + 1 control points only.
+            weights = jnp.asarray(basis_matrix(np.array([float(side)]), self.all_knots(), self.degree, order))[0]
+            weights = weights[::-1] if side else weights
+            known = sum((weights[i] * point for i, point in enumerate(points)), start=jnp.zeros(self.shape))
+            points.append((as_array(condition) * duration**order - known) / weights[order])
+        points = points[::-1] if side else points
+        return jnp.stack(points) if points else jnp.zeros((0, *self.shape))
+
+
+def fit_control_points(
+    path: Any, free: int, *, start: Any = (), end: Any = (), degree: int = 3, duration: float = 1.0
+) -> Float[np.ndarray, "free ..."]:
+    """The free control points of the `BSpline` with these ends that comes closest to a path, in least squares.
+
+    - `path`: its values at uniform instants from start to end, shape (instants, ...): at least `free` of them;
+    - `start`, `end`, `degree`: as of the `BSpline`, of plain numbers;
+    - `duration`: s, by which velocities and accelerations at the ends count.
+
+    A first guess for an optimiser: `al.Decision(al.fit_control_points(np.linspace(q_0, q_f, 50), 8, start=...,
+    end=...))`. Raises `ProblemError` for fewer instants, or numbers that are not finite or not plain.
+    """
+    samples = np.asarray(path, dtype=float)
+    if samples.ndim == 0 or len(samples) < free or not np.isfinite(samples).all():
+        raise ProblemError(
+            f"fit_control_points: expected finite values at {free} instants at least; received shape {samples.shape}."
+        )
+    if any(isinstance(one, eqx.Module) for one in jax.tree.leaves((start, end), is_leaf=_is_module)):
+        raise ProblemError("fit_control_points: expected plain numbers at the ends; received laws or decisions.")
+    bare = BSpline(np.zeros((free, *samples.shape[1:])), start=start, end=end, degree=degree)
+    fractions = np.linspace(0.0, 1.0, len(samples))
+    weights = basis_matrix(fractions, bare.all_knots(), degree, 0)
+    rest = samples - np.asarray(bare.values(fractions, duration))
+    inner = weights[:, len(bare.start) : bare.count - len(bare.end)]
+    solution = np.linalg.lstsq(inner, rest.reshape(len(samples), -1), rcond=None)[0]
+    return solution.reshape(free, *samples.shape[1:])
+
+
+def _is_module(node: Any) -> bool:
+    return isinstance(node, eqx.Module)
+
+
+def _checked_degree(degree: int) -> int:
+    if isinstance(degree, bool) or not isinstance(degree, int) or degree < 1:
+        raise ProblemError(f"{_KIND}: its degree is a whole number of at least 1; received {degree!r}.")
+    return degree
+
+
+def _checked_knots(knots: Any, interior: int) -> tuple[float, ...]:
+    if knots is None:
+        return tuple((i / (interior + 1)) for i in range(1, interior + 1))
+    kept = tuple(float(knot) for knot in knots)
+    ordered = all(a < b for a, b in zip((0.0, *kept), (*kept, 1.0), strict=True))
+    if len(kept) != interior or not ordered:
+        raise ProblemError(f"{_KIND}: expected {interior} increasing knots between 0 and 1; received {list(kept)}.")
+    return kept
+
+
+def _checked_spans(spans: Any, count: int) -> Any:
+    kept = copied(_KIND, "spans", spans)
+    lowest = [getattr(one, "lower", one) for one in jax.tree.leaves(kept, is_leaf=_is_module)]
+    known = [x for one in lowest if not isinstance(one, eqx.Module | Tracer) for x in np.ravel(one)]
+    if shape_of(kept) != (count,) or not all(math.isfinite(x) and x > 0 for x in known):
+        raise ProblemError(
+            f"{_KIND}: expected {count} positive spans, or a Decision of as many with positive lower bounds, such as "
+            f"al.Decision(np.ones({count}), 0.2, 5.0); received {spans!r}."
+        )
+    return kept

@@ -1,0 +1,89 @@
+"""`PowerSeries`: one polynomial over the whole duration, by its conditions at the ends and a point between."""
+
+import math
+from typing import Any, final
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from aleator._core.arrays import decided_bounds
+from aleator._core.errors import ProblemError
+from aleator.trajectories._trajectory import AbstractTrajectory, Fractions, as_array, conditions, copied, shape_of
+
+_KIND = "PowerSeries"
+
+
+@final
+class PowerSeries(AbstractTrajectory):
+    """The polynomial `a_1 + a_2 t + a_3 t² + ...` (equation 50) that meets its conditions (equation 51).
+
+    - `start`, `end`: `(value, velocity, acceleration)` there, or the first one or two of them;
+    - `middle`: the value at one more instant, such as a `Decision`, or None; `middle_time`: that instant, as a fraction
+      of the duration: a number between 0 and 1, or a `Decision` within.
+
+    There are as many coefficients as conditions. Raises `ProblemError` for conditions of different shapes, and for a
+    middle time that can reach an end.
+    """
+
+    start: tuple[Any, ...]
+    end: tuple[Any, ...]
+    middle: Any
+    middle_time: Any
+
+    def __init__(self, *, start: Any, end: Any = (), middle: Any = None, middle_time: Any = 0.5):
+        values = start if isinstance(start, list | tuple) else (start,)
+        if not values:
+            raise ProblemError(f"{_KIND}: expected at least a value at the start; received none.")
+        shape = shape_of(values[0])
+        self.start = conditions(_KIND, "start", start, shape)
+        self.end = conditions(_KIND, "end", end, shape)
+        self.middle = None if middle is None else copied(_KIND, "middle", middle)
+        if middle is not None and shape_of(self.middle) != shape:
+            raise ProblemError(f"{_KIND}: expected a middle of shape {shape}; received {shape_of(self.middle)}.")
+        self.middle_time = copied(_KIND, "middle time", middle_time)
+        _check_inside(self.middle_time)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """See `AbstractTrajectory.shape`."""
+        return shape_of(self.start[0])
+
+    def values(self, fractions: Fractions, duration: Any = 1.0, order: int = 0) -> Float[Array, "n ..."]:
+        """See `AbstractTrajectory.values`."""
+        coefficients = self.coefficients(duration)
+        powers = _powers(jnp.asarray(fractions, dtype=float), len(coefficients), order)
+        return jnp.tensordot(powers, coefficients, axes=1) / duration**order
+
+    def coefficients(self, duration: Any = 1.0) -> Float[Array, "n ..."]:
+        """The coefficients by fractions of the duration, from the linear system (51)."""
+        ends = [(0.0, order, value) for order, value in enumerate(self.start)]
+        ends += [(1.0, order, value) for order, value in enumerate(self.end)]
+        inner = [] if self.middle is None else [(self.middle_time, 0, self.middle)]
+        count = len(ends) + len(inner)
+        rows = [_powers(as_array(where)[None], count, order)[0] for where, order, _ in (*ends, *inner)]
+        wanted = [as_array(value) * duration**order for _, order, value in (*ends, *inner)]
+        right = jnp.stack(wanted).reshape(count, -1)
+        return jnp.linalg.solve(jnp.stack(rows), right).reshape(count, *self.shape)
+
+
+def _powers(u: Float[Array, " n"], count: int, order: int) -> Float[Array, "n count"]:
+    """Derivatives of some order of the powers 0 to `count - 1` of `u`."""
+    terms = [
+        math.perm(power, order) * u ** (power - order) if power >= order else jnp.zeros_like(u)
+        for power in range(count)
+    ]
+    return jnp.stack(terms, axis=1)
+
+
+def _check_inside(time: Any) -> None:
+    bounds = decided_bounds(time) or (time, time)
+    known = [bound for bound in bounds if isinstance(bound, float | np.ndarray)]
+    # A law has no bounds to be told by here.
+    is_law = isinstance(bounds[0], eqx.Module)
+    if is_law or shape_of(time) != () or not all(0 < float(bound) < 1 for bound in known):
+        raise ProblemError(
+            f"{_KIND}: expected a middle time strictly between 0 and 1, as a fraction of the duration, or a Decision "
+            f"with such bounds; received {time!r}."
+        )

@@ -1,0 +1,37 @@
+"""Functions of time: what a system is driven by, and what a motion follows."""
+
+import abc
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+
+class AbstractSignal(eqx.Module):
+    """An input of a system as a function of time. It is part of the model: its numbers may be uncertain or decided."""
+
+    @abc.abstractmethod
+    def __call__(self, t: Float[Array, ""]) -> Float[Array, "..."]:
+        """The value at time `t`, s."""
+
+    @abc.abstractmethod
+    def span(self) -> tuple[float, float]:
+        """The first and last time at which the signal is known (infinite if everywhere)."""
+
+    def over(self, t_start: Any, t_final: Any) -> "AbstractSignal":
+        """The signal as it acts on a grid from `t_start` to `t_final`: trajectories are stretched to fill it."""
+        del t_start, t_final
+        return self
+
+    def sampled(self, fractions: Float[np.ndarray, " n"], t_start: Any, t_final: Any) -> Float[Array, "n ..."]:
+        """Its values at fixed fractions of the time from `t_start` to `t_final`."""
+        return jax.vmap(self.over(t_start, t_final))(instants(fractions, t_start, t_final))
+
+
+def instants(fractions: Float[np.ndarray, " n"], t_start: Any, t_final: Any) -> Float[Array, " n"]:
+    """Fractions of the time from `t_start` to `t_final` as times; 1 is `t_final` to the last bit."""
+    # Beyond its end by rounding a signal or an adaptive integrator knows nothing.
+    return jnp.where(fractions < 1, t_start + jnp.asarray(fractions) * (t_final - t_start), t_final)

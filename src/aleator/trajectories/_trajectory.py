@@ -1,0 +1,165 @@
+"""Trajectories: functions over a duration that is decided elsewhere, with their derivatives."""
+
+import abc
+from typing import Any, final
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jaxtyping import Array, Float
+
+from aleator._core.arrays import decided_bounds
+from aleator._core.errors import ProblemError
+from aleator.trajectories._signal import AbstractSignal
+
+Fractions = Float[np.ndarray, " n"] | Float[Array, " n"]
+
+
+class AbstractTrajectory(AbstractSignal):
+    """A signal that fills the time grid of its problem, whatever the final time: a free final time only scales it.
+
+    It is known by fractions of the duration, 0 at the start and 1 at the end; its derivatives are by time, in seconds.
+    Called by itself it lasts one second.
+    """
+
+    @abc.abstractmethod
+    def values(self, fractions: Fractions, duration: Any = 1.0, order: int = 0) -> Float[Array, "n ..."]:
+        """The derivative of some order by time (0: the value) at fractions of the duration, s."""
+
+    @property
+    @abc.abstractmethod
+    def shape(self) -> tuple[int, ...]:
+        """The shape of one value: `()` for a number, `(n,)` for n joints."""
+
+    def derivative(self, order: int = 1) -> "Derivative":
+        """The derivative by time as a trajectory of its own. Raises `ProblemError` for an order that is negative."""
+        if isinstance(order, bool) or not isinstance(order, int) or order < 0:
+            raise ProblemError(f"derivative: expected an order of 0, 1, 2, ...; received {order!r}.")
+        return Derivative(self, order)
+
+    def __call__(self, t: Float[Array, ""]) -> Float[Array, "..."]:
+        """See `AbstractSignal.__call__`."""
+        return self.values(jnp.asarray(t)[None])[0]
+
+    def span(self) -> tuple[float, float]:
+        """See `AbstractSignal.span`: it fills any."""
+        return -np.inf, np.inf
+
+    def over(self, t_start: Any, t_final: Any) -> AbstractSignal:
+        """See `AbstractSignal.over`."""
+        return _Stretched(self, t_start, t_final)
+
+    def sampled(self, fractions: Float[np.ndarray, " n"], t_start: Any, t_final: Any) -> Float[Array, "n ..."]:
+        """See `AbstractSignal.sampled`: at fixed fractions, what depends on them alone is computed once."""
+        return self.values(fractions, t_final - t_start)
+
+
+@final
+class Derivative(AbstractTrajectory):
+    """A derivative of a trajectory by time; see `AbstractTrajectory.derivative`."""
+
+    trajectory: AbstractTrajectory
+    order: int = eqx.field(static=True)
+
+    def values(self, fractions: Fractions, duration: Any = 1.0, order: int = 0) -> Float[Array, "n ..."]:
+        """See `AbstractTrajectory.values`."""
+        return self.trajectory.values(fractions, duration, self.order + order)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """See `AbstractTrajectory.shape`."""
+        return self.trajectory.shape
+
+
+@final
+class Stack(AbstractTrajectory):
+    """Trajectories of one number each, side by side: one trajectory of several joints."""
+
+    parts: tuple[AbstractTrajectory, ...]
+
+    def values(self, fractions: Fractions, duration: Any = 1.0, order: int = 0) -> Float[Array, "n parts"]:
+        """See `AbstractTrajectory.values`."""
+        return jnp.stack([part.values(fractions, duration, order) for part in self.parts], axis=-1)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """See `AbstractTrajectory.shape`."""
+        return (len(self.parts),)
+
+
+@final
+class _Stretched(AbstractSignal):
+    """A trajectory between two times."""
+
+    trajectory: AbstractTrajectory
+    t_start: Any
+    t_final: Any
+
+    def __call__(self, t: Float[Array, ""]) -> Float[Array, "..."]:
+        duration = self.t_final - self.t_start
+        return self.trajectory.values(((t - self.t_start) / duration)[None], duration)[0]
+
+    def span(self) -> tuple[float, float]:
+        return -np.inf, np.inf
+
+
+def shape_of(number: Any) -> tuple[int, ...]:
+    """The shape of what stands in a field: numbers, or what realisation puts in the place of a law or a decision."""
+    if isinstance(number, list | tuple):
+        return (len(number), *(shape_of(number[0]) if number else ()))
+    if isinstance(number, eqx.Module):
+        # Realisation puts as many numbers in the place of a decision as it has starts, one in the place of a law.
+        bounds = decided_bounds(number)
+        return () if bounds is None else np.shape(bounds[0])
+    return np.shape(number)
+
+
+def as_array(number: Any) -> Float[Array, "..."]:
+    """A realised number, or a sequence of them, as an array."""
+    if isinstance(number, list | tuple):
+        return jnp.stack([as_array(one) for one in number])
+    return jnp.asarray(number, dtype=float)
+
+
+def conditions(kind: str, where: str, given: Any, shape: tuple[int, ...]) -> tuple[Any, ...]:
+    """Conditions at one end, `(value, velocity, acceleration)` or the first of them, each of the trajectory's shape.
+
+    Zero stands for zeros of any shape. Raises `ProblemError` for more than three or for other shapes.
+    """
+    given = tuple(given) if isinstance(given, list | tuple) else (given,)
+    if len(given) > 3:
+        raise ProblemError(
+            f"{kind}: expected at the {where} a value, a velocity and an acceleration, or the first one or two of "
+            f"them; received {len(given)} conditions."
+        )
+    kept = []
+    for number, name in zip(given, ("value", "velocity", "acceleration"), strict=False):
+        is_zero = isinstance(number, int | float) and number == 0
+        if shape_of(number) != shape and not is_zero:
+            raise ProblemError(
+                f"{kind}: expected a {name} of shape {shape} at the {where}, that of its control points; "
+                f"received shape {shape_of(number)}."
+            )
+        # A whole number would be structure, and each one compiled apart.
+        kept.append(np.zeros(shape) if is_zero else copied(kind, f"{name} at the {where}", number))
+    return tuple(kept)
+
+
+def copied(kind: str, name: str, number: Any) -> Any:
+    """Numbers as an array of their own; laws, decisions and traced numbers, and sequences with some, as they are.
+
+    Raises `ProblemError` for what is neither, and for numbers that are not finite.
+    """
+    if isinstance(number, eqx.Module | Tracer):
+        return number
+    if isinstance(number, list | tuple):
+        parts = tuple(copied(kind, name, one) for one in number)
+        plain = all(isinstance(one, np.ndarray) for one in parts)
+        return np.stack(parts) if parts and plain else parts
+    if not (hasattr(number, "dtype") or isinstance(number, int | float)) or np.asarray(number).dtype.kind not in "iuf":
+        raise ProblemError(f"{kind}: expected numbers, distributions or decisions as its {name}; received {number!r}.")
+    array = np.array(number, dtype=float)
+    if not np.isfinite(array).all():
+        raise ProblemError(f"{kind}: its {name} must be finite; received {number!r}.")
+    return array

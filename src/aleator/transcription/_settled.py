@@ -1,0 +1,56 @@
+"""Constraints that no decision can change, and that do not hold: a start inside an obstacle, an end beyond a limit."""
+
+from collections.abc import Callable
+
+import numpy as np
+from jaxtyping import Float
+
+from aleator._core.errors import ProblemError
+from aleator.design import Constraint, Problem
+
+Values = tuple[Float[np.ndarray, "..."], ...]
+"""Rows of each constraint, whose number differs from one to the next."""
+
+_TOLERANCE = 1e-6
+
+
+def refuse_settled(
+    problem: Problem,
+    values: Values,
+    derivatives: Values,
+    scales: list[float],
+    times: Float[np.ndarray, " instants"],
+    elsewhere: Callable[[], Values],
+) -> None:
+    """Raise `ProblemError` for a constraint that is violated whatever the decisions are.
+
+    - `values`, `derivatives`: of the constraints at the initial decisions; `elsewhere`: their values at other
+      decisions, asked only where something is suspect: a derivative may vanish at one point by chance.
+    """
+    suspects = [
+        (i, int(np.argmax(np.where(row, excess, -np.inf))))
+        for i, (one, value, slope, scale) in enumerate(
+            zip(problem.constraints, values, derivatives, scales, strict=True)
+        )
+        if (row := ((excess := _excess(one, value)) > _TOLERANCE * scale) & np.all(slope == 0, axis=1)).any()
+    ]
+    if not suspects:
+        return
+    others = elsewhere()
+    for i, row in suspects:
+        if others[i][row] == values[i][row]:
+            raise ProblemError(_sentence(problem.constraints[i], float(values[i][row]), len(values[i]), row, times))
+
+
+def _excess(constraint: Constraint, value: np.ndarray) -> np.ndarray:
+    return np.maximum(value - float(constraint.upper), float(constraint.lower) - value)
+
+
+def _sentence(constraint: Constraint, value: float, rows: int, row: int, times: np.ndarray) -> str:
+    when = f" at t = {times[row * len(times) // rows]:.4g} s" if constraint.is_path else ""
+    return (
+        f"Constraint '{constraint.name}' ({constraint}) is {value:.6g}{when} whatever the decisions are, so that "
+        "no design "
+        "can meet it. Move what is fixed there (a start inside an obstacle, an end beyond a limit), or change "
+        "the bound."
+    )

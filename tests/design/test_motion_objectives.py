@@ -1,0 +1,194 @@
+"""The objectives of motion planning, against closed forms: a response `gain θ (1 + t)` and others, `θ` uniform."""
+
+from functools import cache
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import aleator as al
+from aleator.design import AbstractScope
+from aleator.statistics import CoefficientProduct
+
+HALF = 0.3
+VARIANCE = HALF**2 / 3
+T = np.linspace(0.0, 0.8, 9)
+
+
+class Joint(al.System):
+    """Torques and rates as functions of time and of one uncertain number."""
+
+    states = ("nothing",)
+
+    gain: Any
+    theta: Any
+
+    def rhs(self, t, z):
+        return (0.0 * z.nothing,)
+
+    def outputs(self, t, z):
+        return {
+            "torque": self.gain * self.theta * (1 + t),
+            "torque_rate": self.gain * self.theta + 3 * t,
+            "certain": jnp.sin(3 * t) + 0.0 * self.gain,
+            "rate": 1 - 2 * t,
+            "against": (2 - self.theta) * (1 - 2 * t),
+            "zero": 0.0 * self.theta,
+        }
+
+
+def integral(values):
+    return np.trapezoid(values, T)
+
+
+# At the solution the gain is 2 and the final time 0.8 s: their lower bounds.
+SECOND = 1 + VARIANCE
+WORK = integral(2 * (1 + T) * np.abs(1 - 2 * T))
+EXPECTED = {
+    "effort": (al.effort("torque"), 4 * SECOND * integral((1 + T) ** 2)),
+    "weighted": (
+        al.effort("torque", "certain", weights=[0.5, 3.0]),
+        2 * SECOND * integral((1 + T) ** 2) + 3 * integral(np.sin(3 * T) ** 2),
+    ),
+    "jerk": (al.jerk("torque"), integral((2 + 3 * T) ** 2 + 4 * VARIANCE)),
+    # E|θ (2 - θ)| is 1 minus the variance; from coefficients one by one it is 1 plus the variance.
+    "power": (al.power({"torque": "against"}), (1 - VARIANCE) * WORK),
+    "coefficient": (al.coefficient_power({"torque": "against"}), (1 + VARIANCE) * WORK),
+    "power at a certain rate": (al.power({"torque": "rate"}), WORK),
+    "coefficient at a certain rate": (al.coefficient_power({"torque": "rate"}, weights=[2.0]), 2 * WORK),
+    "sum of powers": (
+        al.power({"torque": "rate", "certain": "rate"}, weights=[1.0, 0.1]),
+        WORK + 0.1 * integral(np.abs(np.sin(3 * T) * (1 - 2 * T))),
+    ),
+    "mean error": (
+        al.terminal_mean_error({"torque": 5.0, "rate": 0.2}),
+        np.hypot(2 * 1.8 - 5.0, (1 - 1.6) - 0.2),
+    ),
+    "variance": (al.terminal_variance("torque", "against"), VARIANCE * np.hypot((2 * 1.8) ** 2, 0.6**2)),
+    "no variance": (al.terminal_variance("zero"), 0.0),
+    "norm": (al.norm(al.value("gain"), al.terminal("rate").mean - 1.0), np.hypot(2.0, -1.6)),
+    "spread over time": (al.time_integral(al.path("torque").std), 2 * np.sqrt(VARIANCE) * integral(1 + T)),
+    "norm over time": (
+        al.time_integral(al.norm(al.path("rate").mean, al.path("certain").mean)),
+        integral(np.hypot(1 - 2 * T, np.sin(3 * T))),
+    ),
+    "time": (al.final_time(), 0.8),
+}
+
+
+def problem(constraints=()):
+    return al.Problem(
+        Joint(al.Decision(3.0, 2.0, 5.0), al.Uniform(1.0, half_width=HALF)),
+        grid=al.Grid(al.Decision(1.0, 0.8, 2.0), 8),
+        minimize=al.value("gain") + al.final_time(),
+        subject_to=constraints,
+    )
+
+
+@cache
+def solved():
+    constraints = [(expression >= -100.0).named(name) for name, (expression, _) in EXPECTED.items()]
+    return al.solve(problem(constraints))
+
+
+@pytest.mark.parametrize("name", EXPECTED)
+def test_objectives_have_the_values_of_their_closed_forms(name):
+    found = {one.name: one.values for one in solved().constraints}
+    np.testing.assert_allclose(found[name], EXPECTED[name][1], rtol=1e-7, atol=1e-9)
+
+
+def test_the_printed_power_is_the_expected_one_where_all_is_certain():
+    limits = [
+        (one >= -100.0).named(f"{i}")
+        for i, one in enumerate([al.power({"torque": "against"}), al.coefficient_power({"torque": "against"})])
+    ]
+    values = [float(one.values[0]) for one in al.solve(al.deterministic(problem(limits))).constraints]
+    np.testing.assert_allclose(values, [WORK, WORK], rtol=1e-7)
+
+
+def test_the_final_time_of_a_fixed_grid_is_a_number():
+    fixed = al.Problem(
+        Joint(al.Decision(3.0, 2.0, 5.0), 1.0), grid=al.Grid(0.7, 4), minimize=al.value("gain") + al.final_time()
+    )
+    assert al.solve(fixed).objective == pytest.approx(2.7, rel=1e-8)
+
+
+class Means(AbstractScope):
+    """Every statistic is the one number."""
+
+    def __init__(self, number):
+        self.number = number
+
+    def statistic(self, functionals, kind):
+        return self.number
+
+    @property
+    def weights(self):
+        raise NotImplementedError
+
+    def value(self, name):
+        raise NotImplementedError
+
+
+def test_the_norm_of_what_is_zero_has_derivative_zero():
+    for expression in (al.terminal_variance("a", "b"), al.terminal_mean_error({"a": 0.0})):
+        assert float(jax.grad(lambda x, one=expression: one.evaluate(Means(x)))(0.0)) == 0.0
+    slope = jax.grad(lambda x: al.terminal_variance("a", "b").evaluate(Means(x)))(3.0)
+    assert float(slope) == pytest.approx(np.sqrt(2.0), rel=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("expression", "text"),
+    [
+        (al.effort("a", "b", weights=[1.0, 0.5]), "μ[∫a² dt] + 0.5 μ[∫b² dt]"),
+        (al.jerk("a"), "μ[∫a_rate² dt]"),
+        (al.power({"a": "q_rate"}), "μ[∫|a q_rate| dt]"),
+        (al.coefficient_power({"a": "q_rate"}), "∫Σ|·|[a(t), q_rate(t)] dt"),
+        (al.terminal_mean_error({"x": 2.0}), "‖μ[x(t_f)] − 2‖"),
+        (al.terminal_variance("x", "y"), "‖Var[x(t_f)], Var[y(t_f)]‖"),
+        (al.time_integral(2 * al.path("x").std), "∫2 σ[x(t)] dt"),
+        (al.final_time(), "t_final"),
+    ],
+)
+def test_objectives_are_shown_as_mathematics(expression, text):
+    assert str(expression) == text
+
+
+def test_objectives_speak_of_their_outputs():
+    constraint = al.power({"a": "q_rate"}) + al.terminal_variance("x") <= 2.0
+    assert constraint.name == "a, q_rate, x"
+    assert not constraint.is_path
+    assert (al.norm(al.path("x").mean) <= 1.0).is_path
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        (lambda: al.effort(), "effort: expected at least one output"),
+        (lambda: al.power({}), "power: expected at least one output"),
+        (lambda: al.coefficient_power({}), "coefficient_power: expected at least one output"),
+        (lambda: al.effort("a", "b", weights=[1.0]), "expected 2 weights, one a term; received 1"),
+        (lambda: al.effort("a", weights=["heavy"]), "Only numbers can multiply"),
+        (lambda: al.norm(), "norm: expected at least one expression"),
+        (lambda: al.terminal_mean_error({}), "norm: expected at least one expression"),
+        (lambda: al.norm(al.terminal("x")), "differs from one realisation to the next"),
+        (lambda: al.time_integral(al.terminal("x").mean), "expected statistics of a path; received 'μ"),
+        (lambda: al.time_integral(al.path("x")), "differs from one realisation to the next"),
+        (lambda: problem([al.effort("torqe") <= 1.0]), "Did you mean 'torque'"),
+        (lambda: problem([al.norm(al.value("gian")) <= 1.0]), "Did you mean 'gain'"),
+    ],
+)
+def test_objectives_that_make_no_sense_are_refused_in_words(wrong, message):
+    with pytest.raises(al.ProblemError, match=message):
+        wrong()
+
+
+def test_no_sample_estimates_the_printed_power():
+    assert np.isnan(CoefficientProduct().of_sample(jnp.ones((5, 2))))
+    coefficients = np.random.default_rng(0).normal(size=(4, 3, 2))
+    expected = np.abs(coefficients[..., 0] * coefficients[..., 1]).sum(axis=0)
+    np.testing.assert_allclose(CoefficientProduct().of(jnp.asarray(coefficients), None), expected, rtol=1e-14)
+    with pytest.raises(al.ProblemError, match="of two outputs"):
+        CoefficientProduct().of(jnp.ones((4, 3)), None)

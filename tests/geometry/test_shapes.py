@@ -1,0 +1,112 @@
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import aleator as al
+from aleator._core.arrays import numbers_to_arrays
+from aleator.geometry import Box, Capsule, HalfSpace, Sphere, distance
+from aleator.uncertainty import realise, survey
+
+
+class Scene(eqx.Module):
+    obstacle: Sphere
+    wall: HalfSpace
+    shelf: Box
+
+
+def scene():
+    return Scene(
+        Sphere([al.Uniform(1.0, half_width=0.2), 0.5], al.Decision(0.1, lower=0.0, upper=0.3)),
+        HalfSpace(al.Decision(np.array([0.0, 2.0])), al.Normal(-1.0, std=0.1)),
+        Box([3, 0], [0.5, al.Decision(0.25, lower=0.1, upper=0.5)], al.Normal(0.0, std=0.1)),
+    )
+
+
+def test_shapes_of_a_model_may_hold_distributions_and_decisions():
+    places = survey(scene())
+    assert set(places.distributions) == {"obstacle.center.0", "wall.offset", "shelf.orientation"}
+    assert set(places.decisions) == {"obstacle.radius", "wall.normal", "shelf.half_sizes.1"}
+
+    def distances(germ, decisions):
+        model = realise(numbers_to_arrays(scene()), germ, decisions)
+        link = Capsule([0.0, 0.0], [model.obstacle.center[0] * 0.0, 1.0], 0.05)
+        return jnp.stack([distance(link, shape) for shape in (model.obstacle, model.wall, model.shelf)])
+
+    values, slopes = jax.jit(lambda germ, x: (distances(germ, x), jax.jacfwd(distances)(germ, x)))(
+        jnp.array([0.5, -1.0, 0.0]), places.vector("initial")
+    )
+    # The disc at x = 1 + 0.2 * 0.5, the wall y <= (-1 - 0.1) / 2, the left side of the shelf at 2.5.
+    np.testing.assert_allclose(values, [1.1 - 0.1 - 0.05, 0.55 - 0.05, 2.5 - 0.05], atol=1e-12)
+    np.testing.assert_allclose(slopes[:2], [[0.2, 0.0, 0.0], [0.0, -0.05, 0.0]], atol=1e-12)
+
+
+def test_the_numbers_of_a_shape_may_mix_floats_and_traced_arrays():
+    def gap(x):
+        cos, sin = jnp.cos(x), jnp.sin(x)
+        turned = [[cos, -sin, 0.0], [sin, cos, 0.0], [0, 0, 1]]
+        return distance(Box([0.0, x, 0], (1.0, 1, 2.0 + x), turned), Sphere([5.0, 0.0, 0.0], x))
+
+    np.testing.assert_allclose(jax.jit(gap)(0.0), 4.0, atol=1e-14)
+    # The face stays at 1 to first order: only the radius grows.
+    np.testing.assert_allclose(jax.jit(jax.jacfwd(gap))(0.0), -1.0, atol=1e-14)
+
+
+def test_the_arrays_of_a_caller_are_copied():
+    center = np.array([1.0, 2.0])
+    sphere = Sphere(center)
+    center[0] = 9.0
+    np.testing.assert_array_equal(sphere.center, [1.0, 2.0])
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Sphere([1.0]), r"Sphere: 'center' takes 2 numbers in the plane or 3 in space; received shape \(1,\)"),
+        (lambda: Sphere(np.zeros((5, 3))), r"received shape \(5, 3\)\. For a batch of shapes, use `jax\.vmap`"),
+        (lambda: Sphere([0.0, np.nan]), r"Sphere: 'center' must be finite"),
+        (
+            lambda: Sphere("here"),
+            r"Sphere: 'center' takes numbers, distributions, decisions or arrays; received 'here'",
+        ),
+        (lambda: Sphere([0.0, 0.0], -1.0), r"Sphere: 'radius' must be zero or more; received -1"),
+        (lambda: Sphere([0.0, 0.0], [1.0]), r"Sphere: 'radius' takes one number; received shape \(1,\)"),
+        (lambda: Sphere([[0.0, 1.0], al.Normal(0.0, std=1.0)]), r"their parts have shapes \[\(\), \(2,\)\]"),
+        (lambda: Capsule([0.0, 0.0], [0.0, 0.0, 1.0]), r"'start' of shape \(2,\) and 'end' of shape \(3,\)"),
+        (lambda: Box([0.0, 0.0], [1.0, 0.0]), r"Box: 'half_sizes' must be positive; received \[1\. 0\.\]"),
+        (lambda: Box([0.0, 0.0], [1.0, 1.0], np.eye(2)), r"in 2 dimensions 'orientation' takes one angle in rad"),
+        (lambda: Box(np.zeros(3), np.ones(3), 0.3), r"in 3 dimensions 'orientation' takes a rotation matrix"),
+        (lambda: Box(np.zeros(3), np.ones(3), 2 * np.eye(3)), r"its columns are not orthonormal"),
+        (lambda: HalfSpace([0.0, 0.0], 1.0), r"HalfSpace: 'normal' must not be zero"),
+        (lambda: HalfSpace([0.0, 1.0], [1.0, 2.0]), r"HalfSpace: 'offset' takes one number"),
+    ],
+)
+def test_numbers_that_make_no_shape_are_refused(make, message):
+    with pytest.raises(al.ProblemError, match=message):
+        make()
+
+
+FLOOR = HalfSpace([0.0, 0.0, 1.0], 0.0)
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "message"),
+    [
+        (FLOOR, FLOOR, r"at most one is a HalfSpace; received HalfSpace and HalfSpace"),
+        (Sphere([0.0, 0.0]), [1.0, 2.0], r"received Sphere and list"),
+        (Sphere([0.0, 0.0]), Box(np.zeros(3), np.ones(3)), r"a Sphere in 2 dimensions and a Box in 3 dimensions"),
+        (FLOOR, Sphere([0.0, 0.0]), r"a Sphere in 2 dimensions and a HalfSpace in 3 dimensions"),
+        (Sphere([0.0, al.Normal(0.0, std=1.0)]), Sphere([0.0, 0.0]), r"'center' holds .*, which has no value yet"),
+    ],
+)
+def test_pairs_without_a_distance_are_refused(first, second, message):
+    with pytest.raises(al.ProblemError, match=message):
+        distance(first, second)
+
+
+def test_a_batch_of_shapes_is_refused_without_vmap():
+    batch = jax.vmap(Sphere)(jnp.zeros((4, 3)))
+    with pytest.raises(al.ProblemError, match=r"received shape \(4, 3\)\. For a batch of shapes, use `jax\.vmap`"):
+        distance(batch, FLOOR)
+    np.testing.assert_allclose(jax.vmap(lambda sphere: distance(sphere, FLOOR))(batch), np.zeros(4))

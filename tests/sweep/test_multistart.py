@@ -1,0 +1,114 @@
+import warnings
+from typing import Any
+
+import jax.numpy as jnp
+import pytest
+
+import aleator as al
+from aleator.transcription import EVALUATE
+
+
+class Wells(al.AlgebraicSystem):
+    """`x⁴/4 - x³/3 - x²`, whose slope is `(x + 1) x (x - 2)`: minima -5/12 at -1 and -8/3 at 2. No number below -3."""
+
+    unknowns = ()
+
+    x: Any
+
+    def guess(self):
+        return {}
+
+    def residual(self, rho):
+        return ()
+
+    def outputs(self, rho):
+        x = self.x
+        return {
+            "depth": x**4 / 4 - x**3 / 3 - x**2 + 0.0 * jnp.sqrt(x + 3),
+            "square": (x - 1.0) ** 2,
+            "x": x,
+        }
+
+
+def wells(output="depth", constraints=()):
+    return al.Problem(Wells(al.Decision(-0.7, -4.0, 4.0)), minimize=al.output(output).mean, subject_to=constraints)
+
+
+def test_both_optima_are_found_and_listed_in_order_with_how_often():
+    starts = al.multistart(wells(), [{"x": x} for x in (-1.3, 1.6, -0.8, 2.3, 2.0)])
+    (deep, often), (shallow, seldom) = starts.optima
+    assert (often, seldom) == (3, 2)
+    assert (deep.objective, shallow.objective) == pytest.approx((-8 / 3, -5 / 12), rel=1e-8)
+    assert (deep.decisions["x"], shallow.decisions["x"]) == pytest.approx((2.0, -1.0), rel=1e-5)
+    assert starts.best is deep
+    assert [round(one.decisions["x"]) for one in starts.solutions] == [-1, 2, -1, 2, 2]
+    assert not starts.interrupted
+    assert "from 3 of 5 starts" in str(starts)
+    assert str(starts).index("-2.666") < str(starts).index("-0.416")
+
+
+def test_random_starts_begin_with_the_problem_s_own_and_are_told_by_their_seed():
+    problem = wells()
+    al.solve(problem)
+    before, seen = EVALUATE.compilations, []
+    starts = al.multistart(problem, 6, seed=3, spread=0.25, progress=lambda *one: seen.append(one))
+    again = al.multistart(problem, 6, seed=3, spread=0.25)
+    assert EVALUATE.compilations == before
+    assert starts.solutions[0].objective == pytest.approx(al.solve(problem).objective, rel=1e-12)
+    assert [one.objective for one in starts.solutions] == [one.objective for one in again.solutions]
+    assert {round(one.objective, 6) for one in starts.solutions} == {round(-8 / 3, 6), round(-5 / 12, 6)}
+    assert [count for _, count in starts.optima] == [count for _, count in again.optima]
+    assert sum(count for _, count in starts.optima) == 6
+    assert seen[0][1:] == (0, 6)
+    assert seen[-1][1:] == (6, 6)
+
+
+def test_a_start_that_fails_is_kept():
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", al.ExpansionWarning)
+        starts = al.multistart(wells(), [{"x": -3.9}, {"x": 2.2}])
+    assert [one.ok for one in starts.solutions] == [False, True]
+    assert starts.best is starts.solutions[1]
+    assert "1 starts failed" in str(starts)
+    assert len(starts.optima) == 1
+
+
+def test_where_all_fail_the_least_violated_is_the_best():
+    impossible = wells("square", [al.output("x").mean >= 3.0, (al.output("x").mean <= 2.0).named("low")])
+    starts = al.multistart(impossible, [{"x": -3.9}, {"x": 2.2}])
+    assert not any(one.ok for one in starts.solutions)
+    assert starts.optima == ()
+    assert starts.best.violation == min(one.violation for one in starts.solutions)
+
+
+def test_solutions_at_one_place_are_one_optimum_even_where_the_objective_is_zero():
+    starts = al.multistart(wells("square"), [{"x": x} for x in (-2.9, 0.3, 1.1, 3.7)])
+    assert [count for _, count in starts.optima] == [4]
+    assert starts.best.objective == pytest.approx(0.0, abs=1e-12)
+
+
+def test_an_interrupted_search_returns_what_is_finished():
+    def impatient(what, done, total):
+        if done == 1:
+            raise KeyboardInterrupt
+
+    starts = al.multistart(wells(), [{"x": 1.7}, {"x": -1.3}], progress=impatient)
+    assert starts.interrupted
+    assert len(starts.solutions) == 1
+
+
+@pytest.mark.parametrize(
+    ("starts", "message"),
+    [
+        (0, "at least one start"),
+        ([], "at least one start"),
+        ({"x": 1.0}, "a list of starts by names"),
+        (2.5, "a list of starts by names"),
+        ([{"x": 1.0}, {"y": 1.0}], r"starts by decisions' names, \['x'\]; received \{'y': 1.0\}"),
+        ([1.0], "starts by decisions' names"),
+        ([{"x": [1.0, 2.0]}], r"expected a start of shape \(\) for 'x'"),
+    ],
+)
+def test_starts_that_make_no_sense_are_refused(starts, message):
+    with pytest.raises(al.ProblemError, match=message):
+        al.multistart(wells(), starts)

@@ -1,0 +1,266 @@
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.interpolate import BSpline as SciPySpline
+
+import aleator as al
+from aleator.uncertainty import realise, survey
+
+compiled = partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
+FRACTIONS = np.linspace(0.0, 1.0, 57)
+
+
+def numbers(*shape, seed=0):
+    return np.random.default_rng(seed).normal(size=shape)
+
+
+def clamped(interior, degree):
+    return np.concatenate([np.zeros(degree + 1), interior, np.ones(degree + 1)])
+
+
+def scipy_values(spline, points, duration, order, fractions=FRACTIONS):
+    knots = clamped(spline.knots, spline.degree)
+    return SciPySpline(knots, points, spline.degree)(fractions, nu=order) / duration**order
+
+
+@pytest.mark.parametrize("degree", [1, 2, 3, 4, 5, 6])
+def test_values_and_derivatives_of_every_degree_are_those_of_scipy(degree):
+    points = numbers(degree + 5, 2, seed=degree)
+    knots = [None, [0.1, 0.15, 0.6, 0.95]][degree % 2]
+    spline = al.BSpline(points, degree=degree, knots=knots)
+    for order in range(min(degree, 4) + 1):
+        expected = scipy_values(spline, points, 1.7, order)
+        if order == degree:
+            # Between knots it is constant: at a knot itself, sides are a matter of convention.
+            keep = np.min(np.abs(FRACTIONS[:, None] - np.array(spline.knots)), axis=1) > 1e-9
+        else:
+            keep = np.ones_like(FRACTIONS, bool)
+        ours = spline.values(FRACTIONS, 1.7, order)
+        np.testing.assert_allclose(ours[keep], expected[keep], rtol=1e-10, atol=1e-10 * np.abs(expected).max())
+    np.testing.assert_array_equal(spline.values(FRACTIONS, 1.7, degree + 1), np.zeros((57, 2)))
+
+
+def test_spans_are_knots_in_proportion():
+    points, spans = numbers(7), np.array([1.0, 3.0, 0.5, 2.0])
+    by_spans = al.BSpline(points, spans=spans)
+    by_knots = al.BSpline(points, knots=np.cumsum(spans)[:-1] / spans.sum())
+    found = compiled(lambda: [by_spans.values(FRACTIONS, 2.0, order) for order in range(3)])()
+    for order in range(3):
+        np.testing.assert_allclose(found[order], by_knots.values(FRACTIONS, 2.0, order), rtol=1e-11, atol=1e-11)
+
+
+@pytest.mark.parametrize("degree", [1, 3, 5])
+def test_polynomials_up_to_the_degree_are_reproduced(degree):
+    polynomial = np.polynomial.Polynomial(numbers(degree + 1, seed=7))
+    T = 2.5
+    ends = {"start": (), "end": ()}
+    if degree == 5:
+        derivatives = [polynomial, polynomial.deriv(), polynomial.deriv(2)]
+        ends = {"start": [one(0.0) for one in derivatives], "end": [one(T) for one in derivatives]}
+    free = degree + 3
+    path = polynomial(T * np.linspace(0.0, 1.0, 40))
+    found = al.fit_control_points(path, free, degree=degree, duration=T, **ends)
+    spline = al.BSpline(found, degree=degree, **ends)
+    for order in range(min(degree, 3)):
+        expected = polynomial.deriv(order)(T * FRACTIONS) if order else polynomial(T * FRACTIONS)
+        np.testing.assert_allclose(spline.values(FRACTIONS, T, order), expected, rtol=1e-8, atol=1e-8)
+
+
+def test_fitted_control_points_of_vectors_are_those_of_each_number():
+    path = np.stack([np.sin(3 * FRACTIONS), FRACTIONS**2], axis=1)
+    ends = {"start": ([0.0, 0.0], [1.5, 0.0]), "end": (path[-1],)}
+    found = al.fit_control_points(path, 6, duration=2.0, **ends)
+    apart = [
+        al.fit_control_points(path[:, i], 6, duration=2.0, start=(0.0, [1.5, 0.0][i]), end=(path[-1, i],))
+        for i in range(2)
+    ]
+    np.testing.assert_allclose(found, np.stack(apart, axis=1), rtol=1e-12)
+    curve = al.BSpline(found, **ends).values(FRACTIONS, 2.0)
+    assert np.abs(curve - path).max() < 2e-3
+
+
+@pytest.mark.parametrize("duration", [0.3, 1.0, 4.0])
+@pytest.mark.parametrize("degree", [2, 3, 5])
+def test_conditions_at_the_ends_hold_for_any_duration(degree, duration):
+    start, end = numbers(3, 2, seed=1), numbers(3, 2, seed=2)
+    spline = al.BSpline(numbers(4, 2), start=tuple(start), end=tuple(end), degree=degree)
+    for order in range(3):
+        both = spline.values(np.array([0.0, 1.0]), duration, order)
+        np.testing.assert_allclose(both, np.stack([start[order], end[order]]), rtol=1e-9, atol=1e-9)
+    np.testing.assert_array_equal(spline.control_points(duration)[3:-3], numbers(4, 2))
+
+
+def test_a_curve_may_be_given_by_its_ends_alone():
+    # Degree 5 with six conditions is the one quintic: from rest to rest by the textbook's polynomial.
+    spline = al.BSpline(np.zeros(0), start=(0, 0, 0), end=(1.0, 0, 0), degree=5)
+    expected = 10 * FRACTIONS**3 - 15 * FRACTIONS**4 + 6 * FRACTIONS**5
+    np.testing.assert_allclose(spline.values(FRACTIONS, 3.0), expected, rtol=0, atol=1e-14)
+
+
+def test_control_points_of_derivatives_are_those_of_equation_54():
+    points, interior, p, T = numbers(8), np.array([0.2, 0.5, 0.55, 0.9]), 3, 1.3
+    u = clamped(interior, p)
+    by_hand = [p / (u[i + p + 1] - u[i + 1]) * (points[i + 1] - points[i]) / T for i in range(7)]
+    spline = al.BSpline(points, knots=interior)
+    np.testing.assert_allclose(spline.control_points(T, 1), by_hand, rtol=1e-13)
+    second = SciPySpline(u, points, p).derivative(2)
+    np.testing.assert_allclose(spline.control_points(T, 2), second.c[:6] / T**2, rtol=1e-12)
+    np.testing.assert_array_equal(spline.control_points(T, 4), [0.0])
+
+
+@pytest.mark.parametrize("order", [0, 1, 2, 3])
+def test_the_curve_stays_in_the_hull_of_its_control_points(order):
+    spline = al.BSpline(numbers(5, 3), start=(np.ones(3), np.zeros(3)), end=(np.zeros(3),), degree=4)
+    dense = np.asarray(spline.values(np.linspace(0.0, 1.0, 2001), 0.7, order))
+    lower, upper = map(np.asarray, spline.hull(0.7, order))
+    assert (dense >= lower - 1e-9).all()
+    assert (dense <= upper + 1e-9).all()
+    assert (upper > lower).all()
+
+
+def test_hulls_of_derivatives_beyond_the_degree_are_zero():
+    lower, upper = al.BSpline(numbers(5)).hull(1.0, 4)
+    assert float(lower) == float(upper) == 0.0
+
+
+def test_derivatives_by_control_points_spans_ends_and_duration_agree_with_differences():
+    points, spans, fractions = numbers(5), np.array([1.0, 2.0, 0.7, 1.3, 0.4, 0.9]), np.linspace(0.0, 1.0, 23)
+
+    def values_at(points, spans, velocity, duration):
+        spline = al.BSpline(points, start=(0.5, velocity), end=(1.0, 0.0), spans=spans)
+        return jnp.stack([spline.values(fractions, duration, order) for order in (0, 2)])
+
+    at = (points, spans, np.array(0.3), np.array(1.4))
+    values, derivative = compiled(values_at), compiled(lambda at, along: jax.jvp(values_at, at, along)[1])
+    for which in range(4):
+        along = tuple(numbers(*np.shape(x), seed=3) * (i == which) for i, x in enumerate(at))
+        found = derivative(at, along)
+        h = 1e-5
+        ahead, behind = (values(*(x + sign * h * d for x, d in zip(at, along, strict=True))) for sign in (1.0, -1.0))
+        np.testing.assert_allclose(found, (ahead - behind) / (2 * h), rtol=1e-6, atol=1e-6)
+        assert np.abs(found).max() > 0.1
+
+
+def test_traced_fractions_give_what_plain_ones_give():
+    for spline in (
+        al.BSpline(numbers(6, 2), start=(np.zeros(2),), degree=4),
+        al.BSpline(numbers(6, 2), spans=[1.0, 2.0, 3.0]),
+    ):
+        traced = compiled(lambda u, spline=spline: [spline.values(u, 2.0, order) for order in range(3)])(FRACTIONS)
+        plain = compiled(lambda spline=spline: [spline.values(FRACTIONS, 2.0, order) for order in range(3)])()
+        for one, other in zip(traced, plain, strict=True):
+            np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-12)
+
+
+def test_beyond_its_ends_by_rounding_the_curve_goes_on():
+    # An instant that rounding puts 1e-15 before the start must not find the curve at zero.
+    spline = al.BSpline(np.array([2.0, 2.5, 1.0, 3.0]))
+    np.testing.assert_allclose(spline.values(np.array([-1e-15, 1 + 1e-15])), [2.0, 3.0], rtol=1e-12)
+
+
+def test_a_trajectory_fills_the_time_that_it_is_given():
+    spline = al.BSpline(numbers(6))
+    times = np.linspace(2.0, 5.0, 7)
+
+    @compiled
+    @jax.vmap
+    def along(t):
+        return spline.over(2.0, 5.0)(t), jax.grad(spline.over(2.0, 5.0))(t), spline.derivative().over(2.0, 5.0)(t)
+
+    stretched, slope, rate = along(times)
+    np.testing.assert_allclose(stretched, spline.values((times - 2.0) / 3.0, 3.0), rtol=1e-12)
+    np.testing.assert_allclose(spline.sampled(np.linspace(0, 1, 7), 2.0, 5.0), stretched, rtol=1e-12)
+    np.testing.assert_allclose(rate, slope, rtol=1e-10, atol=1e-12)
+    twice = spline.derivative().derivative()
+    np.testing.assert_allclose(twice.values(FRACTIONS, 3.0), spline.values(FRACTIONS, 3.0, 2), rtol=1e-12)
+    assert twice.shape == ()
+
+
+class Follower(al.System):
+    """A system without states that shows a trajectory."""
+
+    states = ()
+
+    path: al.AbstractTrajectory
+
+    def signals(self):
+        return {"value": self.path, "rate": self.path.derivative()}
+
+    def rhs(self, t, z):
+        return ()
+
+    def outputs(self, t, z, value, rate):
+        return {"value": value, "rate": rate}
+
+
+def test_laws_and_decisions_stand_in_control_points_and_ends():
+    uncertain = Follower(
+        al.BSpline(
+            [al.Decision(0.2, -1.0, 1.0), al.Uniform(1.0, half_width=0.5), -0.4],
+            start=(al.Normal(0.1, 0.01), al.Decision(0.0, -1.0, 1.0)),
+            end=(1.0,),
+        )
+    )
+    assert survey(uncertain).germ_names == ("path.free.1", "path.start.0")
+    assert survey(uncertain).size == 2
+    realised = realise(uncertain, jnp.array([0.5, 2.0]), jnp.array([0.3, 0.7]))
+    plain = Follower(al.BSpline([0.3, 1.25, -0.4], start=(0.12, 0.7), end=(1.0,)))
+    grid = al.Grid(2.0, 20, t_start=0.5)
+    ours, expected = al.simulate(realised, grid), al.simulate(plain, grid)
+    for name in ("value", "rate"):
+        np.testing.assert_allclose(ours[name], expected[name], rtol=1e-13, atol=1e-13)
+    np.testing.assert_allclose([ours["value"][0], ours["rate"][0]], [0.12, 0.7], rtol=1e-12)
+
+
+def test_one_decision_may_hold_all_control_points_and_one_the_spans():
+    model = Follower(al.BSpline(al.Decision(numbers(4, 2), -9.0, 9.0), spans=al.Decision(np.array([2.0]), 0.1, 5.0)))
+    assert model.path.shape == (2,)
+    assert survey(model).entry_names()[-1] == "path.spans[0]"
+    realised = realise(model, jnp.zeros(0), jnp.concatenate([numbers(4, 2).ravel(), np.array([3.0])]))
+    expected = al.BSpline(numbers(4, 2)).values(FRACTIONS)
+    np.testing.assert_allclose(compiled(lambda: realised.path.values(FRACTIONS))(), expected, rtol=1e-12, atol=1e-13)
+
+
+def test_a_caller_s_array_is_copied():
+    points = np.ones(5)
+    spline = al.BSpline(points)
+    points[:] = 7.0
+    np.testing.assert_allclose(spline.values(FRACTIONS), np.ones(57), rtol=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        (lambda: al.BSpline(np.zeros(3)), "degree 3 needs at least 4 control points .* Give 1 more"),
+        (lambda: al.BSpline(2.0), "expected several control points"),
+        (lambda: al.BSpline(al.Decision(2.0)), "expected several control points"),
+        (lambda: al.BSpline(np.zeros((5, 2)), start=(1.0,)), r"a value of shape \(2,\) at the start, .*shape \(\)"),
+        (lambda: al.BSpline(np.zeros(5), end=(0.0, np.zeros(2))), r"a velocity of shape \(\) at the end"),
+        (lambda: al.BSpline(np.zeros(9), start=(0, 0, 0, 0)), "received 4 conditions"),
+        (lambda: al.BSpline(np.zeros(9), start=(0, 0, 0), degree=1), "degree 1 has no derivative of order 2"),
+        (lambda: al.BSpline(np.zeros(6), knots=[0.6, 0.4]), "expected 2 increasing knots"),
+        (lambda: al.BSpline(np.zeros(6), knots=[0.4, 1.0]), "expected 2 increasing knots"),
+        (lambda: al.BSpline(np.zeros(6), knots=[0.4]), "expected 2 increasing knots"),
+        (lambda: al.BSpline(np.zeros(6), knots=[0.4, np.nan]), "expected 2 increasing knots"),
+        (lambda: al.BSpline(np.zeros(6), knots=[0.4, 0.6], spans=np.ones(3)), "received both"),
+        (lambda: al.BSpline(np.zeros(6), spans=[1.0, 0.0, 1.0]), "expected 3 positive spans"),
+        (lambda: al.BSpline(np.zeros(6), spans=np.ones(2)), "expected 3 positive spans"),
+        (lambda: al.BSpline(np.zeros(6), spans=al.Decision(np.ones(3), 0.0, 2.0)), "positive lower bounds"),
+        (lambda: al.BSpline(np.zeros(5), spans=[al.Uniform(1.0, half_width=0.1), -2.0]), "expected 2 positive spans"),
+        (lambda: al.BSpline(np.array([0.0, np.nan, 1.0, 2.0])), "control points must be finite"),
+        (lambda: al.BSpline(np.zeros(5), start=(np.inf,)), "value at the start must be finite"),
+        (lambda: al.BSpline(["a"] * 5), "expected numbers, distributions or decisions"),
+        (lambda: al.BSpline(np.zeros(5), degree=0), "whole number of at least 1"),
+        (lambda: al.BSpline(np.zeros(5), degree=2.0), "whole number of at least 1"),
+        (lambda: al.BSpline(np.zeros(5)).derivative(-1), "an order of 0, 1, 2"),
+        (lambda: al.fit_control_points(np.zeros(3), 4), "finite values at 4 instants"),
+        (lambda: al.fit_control_points([0.0, np.nan, 1.0, 2.0], 4), "finite values"),
+        (lambda: al.fit_control_points(np.zeros(9), 4, start=(al.Normal(0.0, 1.0),)), "expected plain numbers"),
+    ],
+)
+def test_splines_that_make_no_sense_are_refused_in_words(wrong, message):
+    with pytest.raises(al.ProblemError, match=message):
+        wrong()

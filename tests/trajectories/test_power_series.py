@@ -1,0 +1,117 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import aleator as al
+from aleator.uncertainty import realise
+
+FRACTIONS = np.linspace(0.0, 1.0, 31)
+
+
+def row(t, order, count):
+    """A row of the matrix in equation (51): derivatives of the powers of t."""
+    return [
+        np.prod([float(k - i) for i in range(order)]) * t ** (k - order) if k >= order else 0.0 for k in range(count)
+    ]
+
+
+def by_numpy(conditions, t, order):
+    """The polynomial with these conditions `(time, order, value)`, by NumPy's own linear solve."""
+    count = len(conditions)
+    matrix = np.array([row(when, which, count) for when, which, _ in conditions])
+    coefficients = np.linalg.solve(matrix, np.array([value for *_, value in conditions]))
+    return np.array([row(one, order, count) for one in t]) @ coefficients
+
+
+START, END = (0.3, -1.0, 2.0), (1.1, 0.5, -0.7)
+
+
+@pytest.mark.parametrize("duration", [0.4, 1.0, 3.0])
+@pytest.mark.parametrize("middle", [None, (0.5, 1.9), (0.3, -0.4)])
+def test_the_polynomial_is_that_of_equation_51_in_seconds(duration, middle):
+    conditions = [(0.0, k, x) for k, x in enumerate(START)] + [(duration, k, x) for k, x in enumerate(END)]
+    options = {}
+    if middle is not None:
+        conditions.append((middle[0] * duration, 0, middle[1]))
+        options = {"middle_time": middle[0], "middle": middle[1]}
+    series = al.PowerSeries(start=START, end=END, **options)
+    for order in range(5):
+        expected = by_numpy(conditions, duration * FRACTIONS, order)
+        found = series.values(FRACTIONS, duration, order)
+        np.testing.assert_allclose(found, expected, rtol=1e-8, atol=1e-9 * np.abs(expected).max())
+    np.testing.assert_allclose(series.values(FRACTIONS, duration, 8), 0.0)
+
+
+def test_conditions_hold_for_vectors_of_joints():
+    start, end, middle = ([0.0, 1.0], [0.5, 0.0]), ([2.0, -1.0],), [0.3, 0.4]
+    series = al.PowerSeries(start=start, end=end, middle=middle, middle_time=0.25)
+    values = series.values(np.array([0.0, 0.25, 1.0]), 2.0)
+    np.testing.assert_allclose(values, [start[0], middle, end[0]], rtol=1e-12, atol=1e-13)
+    np.testing.assert_allclose(series.values(np.array([0.0]), 2.0, 1)[0], start[1], rtol=1e-12, atol=1e-13)
+    assert series.shape == (2,)
+
+
+def test_conditions_at_the_start_alone_make_a_taylor_series():
+    t = 1.7 * FRACTIONS
+    series = al.PowerSeries(start=(0.2, -1.0, 3.0))
+    np.testing.assert_allclose(series.values(FRACTIONS, 1.7), 0.2 - t + 1.5 * t**2, rtol=1e-13, atol=1e-13)
+    np.testing.assert_allclose(series.values(FRACTIONS, 1.7, 1), -1 + 3 * t, rtol=1e-13, atol=1e-13)
+    constant = al.PowerSeries(start=4.0)
+    np.testing.assert_array_equal(constant.values(FRACTIONS, 9.0), np.full(31, 4.0))
+    np.testing.assert_array_equal(constant.values(FRACTIONS, 9.0, 1), np.zeros(31))
+
+
+def test_derivatives_by_the_middle_its_time_and_the_duration_agree_with_differences():
+    model = al.PowerSeries(
+        start=START, end=END, middle=al.Decision(0.5, -2.0, 2.0), middle_time=al.Decision(0.4, 0.1, 0.9)
+    )
+
+    @jax.jit
+    def values(decisions, duration):
+        series = realise(model, jnp.zeros(0), decisions)
+        return jnp.stack([series.values(FRACTIONS, duration, order) for order in range(3)])
+
+    at = (np.array([0.8, 0.35]), np.array(1.4))
+    for along in ((np.array([1.0, 0.0]), 0.0), (np.array([0.0, 1.0]), 0.0), (np.zeros(2), 1.0)):
+        along = tuple(map(np.asarray, along))
+        found = jax.jvp(values, at, along)[1]
+        h = 1e-5
+        ahead, behind = (values(at[0] + s * h * along[0], at[1] + s * h * along[1]) for s in (1.0, -1.0))
+        np.testing.assert_allclose(found, (ahead - behind) / (2 * h), rtol=1e-6, atol=1e-5)
+        assert np.abs(found).max() > 0.1
+
+
+def test_uncertain_ends_are_realised():
+    series = al.PowerSeries(start=(al.Uniform(1.0, half_width=0.5), 0.0), end=(2.0, 0.0))
+    realised = realise(series, jnp.array([-1.0]), jnp.zeros(0))
+    expected = 0.5 + 1.5 * (3 * FRACTIONS**2 - 2 * FRACTIONS**3)
+    np.testing.assert_allclose(realised.values(FRACTIONS, 5.0), expected, rtol=1e-13)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        (lambda: al.PowerSeries(start=()), "expected at least a value at the start"),
+        (lambda: al.PowerSeries(start=(0, 0, 0, 0)), "received 4 conditions"),
+        (lambda: al.PowerSeries(start=(0.0,), end=(np.ones(2),)), r"a value of shape \(\) at the end"),
+        (lambda: al.PowerSeries(start=(np.ones(2), 1.0)), r"a velocity of shape \(2,\) at the start"),
+        (lambda: al.PowerSeries(start=(0.0,), middle=np.ones(2)), r"a middle of shape \(\); received \(2,\)"),
+        (lambda: al.PowerSeries(start=(0.0,), middle=1.0, middle_time=0.0), "strictly between 0 and 1"),
+        (lambda: al.PowerSeries(start=(0.0,), middle=1.0, middle_time=1), "strictly between 0 and 1"),
+        (lambda: al.PowerSeries(start=(0.0,), middle=1.0, middle_time=np.nan), "must be finite"),
+        (
+            lambda: al.PowerSeries(start=(0.0,), middle=1.0, middle_time=al.Decision(0.5, 0.0, 0.9)),
+            "or a Decision with such bounds",
+        ),
+        (
+            lambda: al.PowerSeries(start=(0.0,), middle=1.0, middle_time=al.Uniform(0.5, half_width=0.6)),
+            "or a Decision with such bounds",
+        ),
+        (lambda: al.PowerSeries(start=(np.nan,)), "value at the start must be finite"),
+        (lambda: al.PowerSeries(start=("here",)), "expected numbers, distributions or decisions"),
+    ],
+)
+def test_power_series_that_make_no_sense_are_refused_in_words(wrong, message):
+    with pytest.raises(al.ProblemError, match=message):
+        wrong()
