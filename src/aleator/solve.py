@@ -148,13 +148,14 @@ def _held_between(
 def _report(transcription: Sequential, outcome: Outcome, excess: Excess | None, compiled_before: float) -> Solution:
     problem, places = transcription.problem, transcription.places
     resolved = transcription.resolve(outcome.decisions)
+    times = transcription.times(outcome.decisions)
     return Solution(
         problem=problem,
         status=outcome.status,
         decisions=_plain(places.named(outcome.decisions)),
         vector=outcome.decisions,
         objective=outcome.evaluation.objective,
-        constraints=_constraint_results(transcription, outcome),
+        constraints=_constraint_results(transcription, outcome, times),
         moments={text: Moments(np.asarray(one.mean), np.asarray(one.std)) for text, one in resolved.items()},
         statistics=transcription.statistics(outcome.decisions),
         at_bounds=tuple(np.array(places.entry_names())[outcome.active_bounds].tolist()),
@@ -169,7 +170,7 @@ def _report(transcription: Sequential, outcome: Outcome, excess: Excess | None, 
         solver=outcome.solver,
         message=outcome.message,
         between=None if excess is None else Between(excess.worst, excess.where, excess.when),
-        expansion=_quality(transcription, resolved, outcome.decisions),
+        expansion=_quality(transcription, resolved, times),
     )
 
 
@@ -177,8 +178,7 @@ def _plain(named: dict[str, Any]) -> dict[str, Any]:
     return {name: float(value) if np.ndim(value) == 0 else value for name, value in named.items()}
 
 
-def _constraint_results(transcription: Sequential, outcome: Outcome) -> tuple[ConstraintResult, ...]:
-    times = transcription.times(outcome.decisions)
+def _constraint_results(transcription: Sequential, outcome: Outcome, times: np.ndarray) -> tuple[ConstraintResult, ...]:
     results = []
     for constraint, rows, scale in zip(
         transcription.problem.constraints, transcription.rows, transcription.scales, strict=True
@@ -209,8 +209,7 @@ def _shaped(rows: np.ndarray, times: np.ndarray | None) -> np.ndarray:
     return rows if times is None or len(rows) == len(times) else rows.reshape(len(times), -1)
 
 
-def _quality(transcription: Sequential, resolved: Mapping[str, Resolved], decisions: np.ndarray) -> ExpansionQuality:
-    times = transcription.times(decisions)
+def _quality(transcription: Sequential, resolved: Mapping[str, Resolved], times: np.ndarray) -> ExpansionQuality:
     followed = {text: int(one.instants) for text, one in resolved.items() if one.instants is not None}
     return ExpansionQuality(
         order=transcription.basis.order,

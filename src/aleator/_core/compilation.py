@@ -40,6 +40,23 @@ class Compiled:
             self._executables.popitem(last=False)
         return self._executables[key](*leaves)
 
+    def bound(self, *fixed: Any) -> Callable[..., Any]:
+        """The function with its first arguments fixed and all others arrays: for many calls that differ in these alone.
+
+        What tells the structure of the fixed arguments is found once, at the first call.
+        """
+        leaves = jax.tree.leaves(eqx.filter(fixed, eqx.is_array))
+        found: list[Callable[..., Any]] = []
+
+        def call(*arrays: jax.Array) -> Any:
+            if found:
+                return found[0](*leaves, *arrays)
+            result = self(*fixed, *arrays)
+            found.append(next(reversed(self._executables.values())))
+            return result
+
+        return call
+
     def _compile(self, leaves: list[jax.Array], structure: Any, static: Any) -> Callable[..., Any]:
         def flat(*leaves: jax.Array) -> Any:
             arguments = eqx.combine(jax.tree.unflatten(structure, leaves), static)

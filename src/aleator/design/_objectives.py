@@ -142,16 +142,18 @@ def power(pairs: Mapping[str, str], *, weights: Sequence[float] | None = None, s
     return _weighted([Work((torque, rate), smoothing).mean for torque, rate in pairs.items()], weights, "power")
 
 
-def coefficient_power(pairs: Mapping[str, str], *, weights: Sequence[float] | None = None) -> Expression:
+def coefficient_power(
+    pairs: Mapping[str, str], *, weights: Sequence[float] | None = None, smoothing: float = 0.0
+) -> Expression:
     """`sum of w_i ∫ Σ_j |τ_i^j q̇_i^j| <Ψ^j, Ψ^j> dt`, as equation (83) prints it: from coefficients one by one.
 
-    It is no expected value, but smooth wherever no coefficient changes its sign. Where the rates are certain, as those
-    of a prescribed joint, it is the energy exchanged by the expected torque, `∫ |E[τ] q̇| dt`.
+    It is no expected value, but smooth wherever no coefficient changes its sign; `smoothing`, W, as in `power`. Where
+    the rates are certain, as those of a prescribed joint, it is the energy exchanged by the expected torque,
+    `∫ |E[τ] q̇| dt`.
     """
-    terms = [
-        Expression((1.0,), (TimeIntegral(statistic(CoefficientProduct(), path(torque), path(rate))),))
-        for torque, rate in pairs.items()
-    ]
+    kind = CoefficientProduct(smoothing)
+    paths = ((path(torque), path(rate)) for torque, rate in pairs.items())
+    terms = [Expression((1.0,), (TimeIntegral(statistic(kind, *pair)),)) for pair in paths]
     return _weighted(terms, weights, "coefficient_power")
 
 

@@ -141,7 +141,8 @@ class ExpansionQuality:
 class Between:
     """How far limits over time are exceeded between the instants of the grid, at worst.
 
-    - `worst`: in the constraint's scale, zero where all hold; `name`: of the constraint; `time`: when, s.
+    - `worst`: relative to the bound, or to the constraint's scale where that is zero; zero where all hold;
+    - `name`: of the constraint; `time`: when, s.
     """
 
     worst: float
@@ -287,7 +288,7 @@ def _between_text(between: Between) -> str:
     if between.holds:
         return "limits over time hold between the instants of the grid too"
     when = f"after t = {between.time:.4g} s"
-    return f"'{between.name}' is exceeded by {between.worst:.2g} of its scale {when}: use more steps"
+    return f"'{between.name}' is exceeded by {between.worst:.2g} of it {when}: use more steps"
 
 
 def _certificate_text(solution: Solution) -> str:

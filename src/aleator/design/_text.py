@@ -60,13 +60,12 @@ def _physics_row(problem: AbstractProblem) -> tuple[str, str]:
     name = type(system).__name__
     if isinstance(system, AlgebraicSystem) or not isinstance(grid, Grid):
         return "equations", f"{name}({', '.join(getattr(system, 'unknowns', ()))}), solved by Newton's method"
-    return "dynamics", (
-        f"{name}({', '.join(system.states)}), {grid.steps} steps{_step(grid)}, {type(problem.integrator).__name__}"
-    )
-
-
-def _step(grid: Grid) -> str:
-    return f" to t = {grid.t_final}" if decided_bounds(grid.t_final) else f" of {float(grid.step):g} s"
+    free = decided_bounds(grid.t_final) is not None
+    steps = f"{grid.steps} steps to t_final" if free else f"{grid.steps} steps of {float(grid.step):g} s"
+    who = f"{name} of {type(model).__name__}" if (model := getattr(system, "model", None)) is not None else name
+    if not system.states:
+        return "dynamics", f"{who}, {steps}, nothing is integrated"
+    return "dynamics", f"{who}({', '.join(system.states)}), {steps}, {type(problem.integrator).__name__}"
 
 
 def _expansion_text(problem: AbstractProblem, variables: tuple[str, ...]) -> str:

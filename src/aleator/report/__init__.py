@@ -15,6 +15,10 @@ from aleator.report._methods import Trial as Trial
 from aleator.report._methods import bars_figure as bars_figure
 from aleator.report._methods import density_figure as density_figure
 from aleator.report._methods import effort_figure as effort_figure
+from aleator.report._motion import Scene as Scene
+from aleator.report._motion import bands_figure as bands_figure
+from aleator.report._motion import linkage_animation as linkage_animation
+from aleator.report._motion import plane_figure as plane_figure
 from aleator.report._numbers import count as count
 from aleator.report._numbers import given as given
 from aleator.report._numbers import interval as interval
@@ -42,6 +46,8 @@ from aleator.report._samples import signal_figure as signal_figure
 from aleator.report._samples import trajectory_figure as trajectory_figure
 from aleator.report._store import json_text as json_text
 from aleator.report._store import save as save
+from aleator.report._style import Look as Look
+from aleator.report._style import looks as looks
 from aleator.report._tables import certificate_table as certificate_table
 from aleator.report._tables import designs_table as designs_table
 from aleator.report._tables import evidence_table as evidence_table

@@ -91,7 +91,7 @@ def _holds(solution: Solution, bound: str) -> bool:
 def _hover(front: Front, i: int) -> str:
     solution = front.solutions[i]
     price = f"<br>price of the bound {number(solution.multiplier(front.bound), 3)} per unit"
-    active = ", ".join(solution.active) or "nothing"
+    active = ", ".join(dict.fromkeys(name.split("[")[0] for name in solution.active)) or "nothing"
     decisions = "".join(
         f"<br>{plain(key)} = {number(float(value))}" for key, value in solution.decisions.items() if not np.ndim(value)
     )

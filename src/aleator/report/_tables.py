@@ -109,6 +109,11 @@ def certificate_table(solutions: Mapping[str, Solution]) -> Table:
         ["Violation (scaled)", *(residual(one.violation) for one in every)],
         ["Stationarity (scaled)", *(residual(one.stationarity) for one in every)],
         ["Complementarity (scaled)", *(residual(one.complementarity) for one in every)],
+        *(
+            [["Limits between the instants", *(_between(one) for one in every)]]
+            if any(one.between for one in every)
+            else []
+        ),
         ["Iterations / evaluations", *(f"{one.iterations} / {one.evaluations}" for one in every)],
         [
             "Time to compile / to solve",
@@ -125,6 +130,13 @@ def certificate_table(solutions: Mapping[str, Solution]) -> Table:
         f" {given(100 * UNRESOLVED)} % it counts as resolved."
     )
     return Table("Certificate", ["", *solutions], rows, note)
+
+
+def _between(solution: Solution) -> str:
+    one = solution.between
+    if one is None:
+        return "–"
+    return "hold" if one.holds else f"{one.name} exceeded by {number(one.worst, 2)} of its scale"
 
 
 def _expanded(solution: Solution) -> bool:

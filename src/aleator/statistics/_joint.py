@@ -2,6 +2,7 @@
 
 from typing import ClassVar, final
 
+import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -36,16 +37,19 @@ class Covariance(AbstractStatistic):
 class CoefficientProduct(AbstractStatistic):
     """`Σ_j |a^j b^j|` of two outputs, which lie along the last axis: the printed form of the expected power (83).
 
-    No property of the two alone: it depends on the basis, and no sample estimates it.
+    No property of the two alone: it depends on the basis, and no sample estimates it. With a `smoothing` `s`, `|x|` is
+    `sqrt(x² + s²) - s`.
     """
 
     symbol: ClassVar[str] = "Σ|·|"
+    smoothing: float = eqx.field(static=True, default=0.0)
 
     def of(self, coefficients: Float[Array, "terms *shape 2"], constants: Pytree) -> Float[Array, "*shape"]:
         """See `AbstractStatistic.of`."""
         del constants
         first, second = _both(coefficients)
-        return jnp.sum(jnp.abs(first * second), axis=0)
+        products, s = first * second, self.smoothing
+        return jnp.sum(jnp.sqrt(products**2 + s**2) - s if s else jnp.abs(products), axis=0)
 
     def of_sample(self, values: Float[Array, "samples *shape 2"]) -> Float[Array, "*shape"]:
         """No sample estimates it: not a number."""

@@ -10,7 +10,15 @@ from typing import Any
 import numpy as np
 
 import aleator as al
-from aleator.studies.two_link_arm import OBSTACLE, START, TARGET, TORQUE, TwoLinkArm, clear_of_wall_and_obstacle
+from aleator.studies.two_link_arm import (
+    OBSTACLE,
+    START,
+    TARGET,
+    TORQUE,
+    TwoLinkArm,
+    bent_path,
+    clear_of_wall_and_obstacle,
+)
 
 PAYLOAD = al.Uniform(1.0, std=0.1)
 DURATION = 1.5
@@ -79,20 +87,12 @@ def on_target() -> list[al.Constraint]:
     ]
 
 
-def start_torques(bend: float = 1.2) -> np.ndarray:
-    """Control points of the torques that move the mean arm along a path with its elbow bent more in the middle.
-
-    From torques at random, most searches fail. `bend` is by how much the elbow is bent, rad.
+def start_torques(bend: float = 1.9) -> np.ndarray:
+    """Control points of the torques that move the mean arm along `bent_path`. From torques at random, most searches
+    fail.
     """
-    fractions = np.linspace(0.0, 1.0, 61)
-    rise = 10 * fractions**3 - 15 * fractions**4 + 6 * fractions**5
-    arm = TwoLinkArm(payload=1.0)
-    line = np.array(START) + rise[:, None] * (np.array(TARGET) - np.array(START))
-    path = line + np.stack(
-        [-0.5 * bend * np.sin(np.pi * fractions) ** 2, bend * np.sin(np.pi * fractions) ** 2], axis=1
-    )
     ends: dict[str, Any] = {"start": (START, 0, 0), "end": (TARGET, 0, 0)}
-    motion = al.BSpline(al.fit_control_points(path, 10, degree=5, **ends), degree=5, **ends)
-    found = al.simulate(al.InverseDynamics(arm, motion=motion), al.Grid(DURATION, 60))
+    motion = al.BSpline(al.fit_control_points(bent_path(bend), 10, degree=5, **ends), degree=5, **ends)
+    found = al.simulate(al.InverseDynamics(TwoLinkArm(payload=1.0), motion=motion), al.Grid(DURATION, STEPS))
     torques = np.stack([np.asarray(found[name]) for name in TORQUES], axis=1)
     return np.clip(al.fit_control_points(torques, FREE), -TORQUE, TORQUE)

@@ -7,7 +7,15 @@ robust plan is the fastest whose torques stay within their limits `sigmas` stand
 import numpy as np
 
 import aleator as al
-from aleator.studies.two_link_arm import OBSTACLE, START, TARGET, TORQUE, TwoLinkArm, clear_of_wall_and_obstacle
+from aleator.studies.two_link_arm import (
+    OBSTACLE,
+    START,
+    TARGET,
+    TORQUE,
+    TwoLinkArm,
+    bent_path,
+    clear_of_wall_and_obstacle,
+)
 
 PAYLOAD = al.Uniform(1.0, std=0.5)
 FREE = 8
@@ -34,7 +42,7 @@ def robust_problem(
 ) -> al.Problem:
     """The fastest plan whose torques keep their limits `sigmas` standard deviations off (80), (91).
 
-    `guess` are the control points to start from; by default those of the straight line from start to target.
+    `guess` are the control points to start from; by default those of `bent_path`.
     """
     arm = TwoLinkArm(payload=PAYLOAD, obstacle=obstacle)
     plan = al.InverseDynamics(arm, motion=motion(free, guess))
@@ -50,6 +58,5 @@ def robust_problem(
 
 def motion(free: int = FREE, guess: np.ndarray | None = None) -> al.BSpline:
     """Both joints' clamped cubic B-splines, from rest to rest."""
-    line = np.linspace(START, TARGET, 50)
-    points = al.fit_control_points(line, free, start=(START, 0), end=(TARGET, 0)) if guess is None else guess
+    points = al.fit_control_points(bent_path(), free, start=(START, 0), end=(TARGET, 0)) if guess is None else guess
     return al.BSpline(al.Decision(points, -3.0, 3.0), start=(START, 0), end=(TARGET, 0))

@@ -67,6 +67,18 @@ class TwoLinkArm(al.Mechanical):
         return elbow, elbow + self.length_2 * jnp.array([jnp.cos(second), jnp.sin(second)])
 
 
+def bent_path(bend: float = 1.9, instants: int = 61) -> Float[np.ndarray, "instants 2"]:
+    """A path from start to target, at rest at both, that draws the tip in by bending the elbow `bend` rad more.
+
+    It goes around the obstacle on the side of the base: the plans that are fast and take little effort do. From other
+    paths, a search ends at others.
+    """
+    fractions = np.linspace(0.0, 1.0, instants)
+    rise = 10 * fractions**3 - 15 * fractions**4 + 6 * fractions**5
+    line = np.array(START) + rise[:, None] * (np.array(TARGET) - np.array(START))
+    return line + np.sin(np.pi * fractions)[:, None] ** 2 * bend * np.array([-0.5, 1.0])
+
+
 def clear_of_wall_and_obstacle(arm: TwoLinkArm, sigmas: float = 0.0) -> list[al.Constraint]:
     """Elbow and tip stay before the wall at x = 0, and both links off the obstacle, `sigmas` standard deviations
     off.

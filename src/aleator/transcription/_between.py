@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 from aleator._core.arrays import numbers_to_arrays
 from aleator._core.compilation import Compiled
 from aleator.collocation import Collocation
-from aleator.design import Problem, functionals_of
+from aleator.design import Constraint, Problem, functionals_of
 from aleator.dynamics import Grid
 from aleator.nlp import NonlinearProgram
 from aleator.statistics import Constants
@@ -26,8 +26,8 @@ class Excess(NamedTuple):
 
     - `shifts`: of each path constraint, by how much its bound is to move inwards at each instant for the worst value
       beside it to meet the bound, negative where it may move outwards; None for constraints that are no paths;
-    - `worst`: the largest excess of all, in the constraints' scales, or zero; `where`: its constraint, `when`: its
-      time, s.
+    - `worst`: the largest excess of all, relative to its bound (to the constraint's scale where that is zero), or
+      zero; `where`: its constraint, `when`: its time, s.
     """
 
     shifts: Margins
@@ -63,11 +63,19 @@ def excess_between(transcription: Sequential, decisions: Float[np.ndarray, " n"]
             shifts.append(None)
             continue
         beyond = np.maximum(np.asarray(value) - float(one.upper), float(one.lower) - np.asarray(value))
+        scale = _bound_size(one) or scale
         rows = beyond.reshape(len(beyond), -1).max(axis=1)
         shifts.append(_shifts(rows, factor))
         if rows.max() / scale > worst[0]:
             worst = (float(rows.max() / scale), one.name, float(times[int(np.argmax(rows)) // factor]))
     return Excess(tuple(shifts), *worst)
+
+
+def _bound_size(constraint: Constraint) -> float:
+    """The smaller of a constraint's bounds in magnitude; zero where one of them is zero, which says nothing of
+    sizes.
+    """
+    return min(abs(bound) for bound in map(float, (constraint.lower, constraint.upper)) if np.isfinite(bound))
 
 
 def _shifts(beyond: Float[np.ndarray, " finer"], factor: int) -> Float[np.ndarray, " instants"]:

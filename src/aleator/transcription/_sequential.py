@@ -96,13 +96,13 @@ class _Evaluator:
     """
 
     def __init__(self, traced: Problem, collocation: Collocation, constants: Constants):
-        self._arguments = (traced, collocation, constants)
+        self._evaluate = EVALUATE.bound(traced, collocation, constants)
         self._memory: dict[bytes, Blocks] = {}
 
     def __call__(self, decisions: Float[np.ndarray, " n"]) -> Blocks:
         key = decisions.tobytes()
         if key not in self._memory:
-            values, derivatives, samples, statistics = EVALUATE(*self._arguments, jnp.asarray(decisions))
+            values, derivatives, samples, statistics = self._evaluate(jnp.asarray(decisions))
             while len(self._memory) > 1:
                 del self._memory[next(iter(self._memory))]
             values, derivatives, statistics = (
@@ -192,7 +192,7 @@ def _refuse_settled(problem: Problem, evaluator: _Evaluator, scales: list[float]
         evaluator(start).values[1:],
         evaluator(start).derivatives[1:],
         scales,
-        np.asarray(grid_at(problem, jnp.asarray(start)).times),
+        lambda: np.asarray(grid_at(problem, jnp.asarray(start)).times),
         lambda: evaluator(away).values[1:],
     )
 

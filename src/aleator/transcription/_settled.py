@@ -19,13 +19,14 @@ def refuse_settled(
     values: Values,
     derivatives: Values,
     scales: list[float],
-    times: Float[np.ndarray, " instants"],
+    times: Callable[[], Float[np.ndarray, " instants"]],
     elsewhere: Callable[[], Values],
 ) -> None:
     """Raise `ProblemError` for a constraint that is violated whatever the decisions are.
 
-    - `values`, `derivatives`: of the constraints at the initial decisions; `elsewhere`: their values at other
-      decisions, asked only where something is suspect: a derivative may vanish at one point by chance.
+    - `values`, `derivatives`: of the constraints at the initial decisions;
+    - `times`: the instants; `elsewhere`: the values at other decisions: asked only where something is suspect, for a
+      derivative may vanish at one point by chance.
     """
     suspects = [
         (i, int(np.argmax(np.where(row, excess, -np.inf))))
@@ -39,7 +40,7 @@ def refuse_settled(
     others = elsewhere()
     for i, row in suspects:
         if others[i][row] == values[i][row]:
-            raise ProblemError(_sentence(problem.constraints[i], float(values[i][row]), len(values[i]), row, times))
+            raise ProblemError(_sentence(problem.constraints[i], float(values[i][row]), len(values[i]), row, times()))
 
 
 def _excess(constraint: Constraint, value: np.ndarray) -> np.ndarray:

@@ -30,6 +30,9 @@ from aleator.validation._evidence import PERCENTILES, Checked, Evidence, Sampled
 from aleator.validation._proportion import Proportion
 from aleator.validation._sampling import SIMULATE_BATCH, Batch, draw
 
+# How far a system may be beyond a limit, of the limit's scale: as a solution may.
+_TOLERANCE = 1e-6
+
 
 def validate(
     solution: Solution,
@@ -65,7 +68,8 @@ def validate(
     if not functionals_of(problem.expressions):
         raise ProblemError("validate: no functional of an output stands in this problem: there is nothing to sample.")
     generator = np.random.default_rng(seed)
-    tally = _Tally(problem, samples, min(keep, samples))
+    scales = tuple(one.scale for one in solution.constraints)
+    tally = _Tally(problem, scales, samples, min(keep, samples))
     traced, decisions = numbers_to_arrays(problem), jnp.asarray(solution.vector)
     batch = min(batch, samples)
     for done in range(0, samples, batch):
@@ -111,9 +115,11 @@ def _speaks_of_one_system(expression: Expression) -> bool:
 class _Tally:
     """What has been sampled so far. Moments of paths are merged batch by batch (Chan, Golub and LeVeque, 1983)."""
 
-    def __init__(self, problem: Problem, samples: int, keep: int):
+    def __init__(self, problem: Problem, scales: tuple[float, ...], samples: int, keep: int):
         self._problem = problem
         self._functionals = functionals_of(problem.expressions)
+        # A limit that is met to a solver's tolerance is not broken by rounding.
+        self._tolerances = np.array([_TOLERANCE * scale for scale in scales])
         self._samples, self._keep = samples, keep
         self._seen = 0
         self._scalars: dict[int, Float[np.ndarray, " samples"]] = {}
@@ -182,7 +188,7 @@ class _Tally:
 
     def _breaks(self, name: str) -> np.ndarray:
         rows = [i for i, one in enumerate(self._problem.constraints) if one.name == name and _is_counted(one)]
-        return np.any(self._excess[rows] > 0, axis=0)
+        return np.any(self._excess[rows] > self._tolerances[rows, None], axis=0)
 
     def _sampled(self, i: int, functional: AbstractFunctional, solution: Solution) -> Sampled:
         moments = solution.moments[functional.text()]

@@ -6,10 +6,10 @@
     JSON.parse(document.querySelector(`script[data-for="${plot.id}"]`).textContent);
 
   for (const plot of plots) {
-    const { data, layout } = content(plot);
+    const { data, layout, frames } = content(plot);
     // Dragging stays with the page on touch screens: there it scrolls.
     layout.dragmode = matchMedia("(pointer: coarse)").matches ? false : "zoom";
-    Plotly.newPlot(plot, data, layout, config);
+    Plotly.newPlot(plot, { data, layout, frames, config });
   }
 
   // A contents list that fills a phone's first screen would hide the report.

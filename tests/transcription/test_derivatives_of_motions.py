@@ -1,10 +1,10 @@
-"""Derivatives that are taken instant by instant agree with finite differences, whatever the decisions act on."""
+"""Derivatives of motion plans agree with finite differences, also where they are taken instant by instant."""
 
 import numpy as np
 import pytest
 
 import aleator as al
-from aleator.studies import pick_and_place_time
+from aleator.studies import pick_and_place_effort, pick_and_place_time, swing_up
 from aleator.studies.two_link_arm import START, TARGET, TwoLinkArm
 from aleator.transcription import transcribe
 from aleator.transcription._instantaneous import instantaneous
@@ -50,7 +50,16 @@ def differences(program, x, step=1e-5):
     return np.stack(columns, axis=1)
 
 
-@pytest.mark.parametrize("problem", [codesign, pick_and_place_time.robust_problem], ids=["co-design", "study 4"])
+@pytest.mark.parametrize(
+    "problem",
+    [
+        codesign,
+        pick_and_place_time.robust_problem,
+        pick_and_place_effort.terminal_variance_problem,
+        swing_up.robust_problem,
+    ],
+    ids=["co-design", "inverse dynamics", "forward dynamics", "hybrid dynamics"],
+)
 def test_derivatives_agree_with_finite_differences(problem):
     declared = problem()
     program = transcribe(declared).program

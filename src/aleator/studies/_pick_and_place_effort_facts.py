@@ -1,0 +1,105 @@
+"""What the page of the effort-optimal study says in numbers: published and reference values, spreads, a lesson."""
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from aleator.collocation import UNRESOLVED
+from aleator.report import Table, given, number, percent
+from aleator.studies._family import Family
+from aleator.studies._motion_study import MotionResults
+
+MEAN, ROBUST, LEAST = "deterministic", "robust", "least variance"
+REFERENCE = {MEAN: 106.34, ROBUST: 112.12, LEAST: 200.4}
+PUBLISHED = {MEAN: 2770.0, ROBUST: 3530.0, LEAST: 5910.0}
+SPREADS = {ROBUST: (0.191, 0.133), LEAST: (0.144, 0.114)}
+LEAST_REFERENCE = 0.02533
+UNIT = "(N m)² s"
+
+
+class Spread(NamedTuple):
+    """The spread of a joint at the end: sampled, by the expansion, and its leave-one-out error."""
+
+    sampled: float
+    expanded: float
+    error: float
+
+
+def published_table(done: MotionResults) -> Table:
+    """What the dissertation prints and what an independent program finds, beside ours."""
+    shown = list(done.plans)
+    flown = {name: done.families.get(name) for name in shown}
+    efforts = {name: np.nan if one is None else effort_of(one) for name, one in flown.items()}
+    first = efforts.get(MEAN, np.nan)
+    rows = [
+        [
+            "Effort over that of the first, published",
+            *(number(PUBLISHED[name] / PUBLISHED[MEAN], 3) for name in shown),
+        ],
+        ["– ours", *(number(efforts[name] / first, 3) for name in shown)],
+        [f"Effort, {UNIT}, reference", *(number(REFERENCE[name], 5) for name in shown)],
+        [
+            "– ours, with limits at the instants",
+            *(_unless_least(name, done.coarse[name].objective) for name in shown),
+        ],
+        ["– ours, between the instants too", *(number(efforts[name], 5) for name in shown)],
+        ["Norm of the tip's variances, m², reference", *(_only_least(name, LEAST_REFERENCE) for name in shown)],
+        ["– ours", *(_only_least(name, done.plans[name].objective) for name in shown)],
+        ["σ of the tip's x and y at the end, m, published", *(pair_text(SPREADS.get(name)) for name in shown)],
+        ["– ours", *(pair_text(None if one is None else terminal_spread(one)) for one in flown.values())],
+    ]
+    note = (
+        "Reference: an independent program for the same arm, with limits at the 61 instants alone. The published"
+        " efforts are sums over an unstated number of samples, for another inertia model, another obstacle and a"
+        " payload of standard deviation 0.5: ratios compare in order, not in size."
+    )
+    return Table("Published and reference values beside ours", ["", *shown], rows, note)
+
+
+def spreads_table(spreads: Mapping[str, Mapping[str, Spread]]) -> Table:
+    """The joints' spreads at the end by payload: sampled and by the expansion."""
+    rows = [
+        [f"{name}(t_f), {payload}", number(one.sampled, 3), number(one.expanded, 3), percent(one.error)]
+        for payload, ends in spreads.items()
+        for name, one in ends.items()
+    ]
+    header = ["", "σ sampled (rad)", "σ by order 5 (rad)", "Leave-one-out error"]
+    note = (
+        f"More than {given(100 * UNRESOLVED)} % counts as not resolved: a solve warns, and means and spreads are not"
+        " to be trusted."
+    )
+    return Table("The robust plan with the payload of this study and with a wider one", header, rows, note)
+
+
+def effort_of(family: Family) -> float:
+    """`∫ τ₁² + τ₂² dt` of a plan, (N m)² s, by the trapezoidal rule as in the problem."""
+    torques = family.nominal["q1_torque"] ** 2 + family.nominal["q2_torque"] ** 2
+    return float(np.trapezoid(torques, family.times))
+
+
+def terminal_spread(family: Family) -> tuple[float, float]:
+    """The standard deviations of the tip's place at the end, x and y, m."""
+    return float(family.systems["tip_x"][:, -1].std()), float(family.systems["tip_y"][:, -1].std())
+
+
+def _unless_least(name: str, value: float) -> str:
+    return "–" if name == LEAST else number(value, 5)
+
+
+def _only_least(name: str, value: float) -> str:
+    return number(value, 4) if name == LEAST else "–"
+
+
+def pair_text(values: tuple[float, float] | None) -> str:
+    return "–" if values is None else " and ".join(number(one, 3) for one in values)
+
+
+LESSON = (
+    (
+        "The dissertation's payload has a standard deviation of 0.5 kg. The same torques then send a light payload and"
+        " a heavy one to different corners of the plane, and the joints' angles bend too sharply over the payload for"
+        " a polynomial of order 5. The expansion says so itself, by its leave-one-out error."
+    ),
+    "What helps is feedback, or a plan of the motion instead of the torques: see the study pick-and-place-time.",
+)

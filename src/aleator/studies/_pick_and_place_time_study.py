@@ -1,0 +1,277 @@
+"""Pick and place in the least time as the command line runs it: plans, evidence, a calibrated margin, the page."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, ClassVar, final
+
+import numpy as np
+from scipy import stats
+
+import aleator as al
+from aleator._core.progress import Progress
+from aleator.report import (
+    Block,
+    Card,
+    Drawing,
+    Section,
+    Table,
+    Text,
+    Verdict,
+    bands_figure,
+    calibration_figure,
+    given,
+    number,
+    percent,
+    share_text,
+)
+from aleator.studies._family import Family
+from aleator.studies._motion_facts import (
+    SHADES,
+    animations,
+    duration,
+    named,
+    no_recommendation,
+    violation_cards,
+)
+from aleator.studies._motion_study import AbstractMotionStudy, Effort, Stage
+from aleator.studies._two_link_views import SCENE, TIP, TOGETHER, joints
+from aleator.studies.pick_and_place_time import PAYLOAD, deterministic_problem, robust_problem
+from aleator.studies.two_link_arm import TORQUE
+
+MEAN, ONE, WORST = "deterministic", "robust, a = 1", "robust, a = √3"
+SIGMAS = {ONE: 1.0, WORST: float(np.sqrt(3.0))}
+REFERENCE = {MEAN: 1.4142, ONE: 1.5938}
+PUBLISHED = {MEAN: 1.12, ONE: 1.20}
+TARGET_SHARE = 0.05
+SPREAD = 0.2
+"""Of the random starts, as a share of each decision's range."""
+
+FULL, QUICK = Effort(starts=16), Effort(starts=3, samples=4_000, family=400, calibration_samples=2_000)
+
+
+def predicted_share(sigmas: float) -> float:
+    """How many payloads lie more than `sigmas` standard deviations off their mean: of a uniform law, `1 - a/√3`."""
+    return max(0.0, 1.0 - sigmas / np.sqrt(3.0))
+
+
+@final
+class PickAndPlaceTime(AbstractMotionStudy):
+    """The fastest plans for the mean payload and for all payloads, and the margin that a tolerated share asks for."""
+
+    title = "Pick and place in the least time: inverse dynamics"
+    subtitle = (
+        f"Two-link arm, payload in kg: {PAYLOAD}; torques within ±{given(TORQUE)} N m;"
+        " dissertation, sections 5.5.2 and 5.6"
+    )
+    names = (MEAN, ONE, WORST)
+    measures: ClassVar = dict.fromkeys(names, "duration, s")
+    glossary = (
+        ("Deterministic plan", "The fastest plan for the mean payload (73)."),
+        ("Robust plan", "The fastest plan whose torques keep their limits with μ ± a·σ, (80) and (91)."),
+        ("μ, σ", "Mean and standard deviation over all payloads."),
+        ("Margin a", "How many σ are kept between the mean torque and its limit."),
+        ("Inverse dynamics", "The joints follow the plan exactly; the payload changes the torques that this takes."),
+        ("t_f", "Duration of the motion, chosen by the plan."),
+    )
+
+    def __init__(self, effort: Effort):
+        super().__init__(effort)
+        self.calibration: al.Calibration | None = None
+
+    def find_plans(self, progress: Progress) -> None:
+        """Each plan from several starts: the first at random, the robust ones from the optima found before, too."""
+        done = self.done
+        plan = done.search(MEAN, named(deterministic_problem(), TOGETHER), done.effort.starts, progress)
+        for name, sigmas in SIGMAS.items():
+            problem = named(robust_problem(sigmas, guess=plan.decisions["motion.free"]), TOGETHER)
+            earlier = [dict(one.decisions) for search in done.searches.values() for one, _ in search.optima[:4]]
+            plan = done.search(name, problem, earlier, progress)
+        done.solve_at_instants()
+
+    def more(self) -> Mapping[str, Stage]:
+        """See `AbstractMotionStudy.more`."""
+        return {"calibration": Stage(self.calibrate, 0.2, lambda: self.calibration is not None)}
+
+    def calibrate(self, progress: Progress) -> None:
+        """The margin at which no more payloads than tolerated overload a joint (section 5.6)."""
+        start = self.done.plans[ONE].decisions["motion.free"]
+        samples = self.done.effort.calibration_samples
+        problem = named(robust_problem(1.0, guess=start), TOGETHER)
+        self.calibration = al.calibrate(problem, "torque", TARGET_SHARE, samples=samples, progress=progress)
+
+    def more_results(self) -> Mapping[str, Any]:
+        """See `AbstractMotionStudy.more_results`."""
+        return {"calibration": self.calibration}
+
+    def published(self) -> Table:
+        """See `AbstractMotionStudy.published`."""
+        rows = []
+        for name, plan in self.done.plans.items():
+            printed, reference = PUBLISHED.get(name), REFERENCE.get(name)
+            rows.append(
+                [
+                    name,
+                    "–" if printed is None else given(printed, "s"),
+                    "–" if reference is None else f"{reference:.4f} s",
+                    number(duration(self.done.coarse[name]), 5, "s"),
+                    number(duration(plan), 5, "s"),
+                ]
+            )
+        note = (
+            "Reference: an independent program for the same arm, with limits at the 91 instants alone. The published"
+            " times do not compare: the dissertation prints neither the arm's inertias nor its obstacle, and no arm"
+            " whose parameters are all one gives both of its times. What compares is that the robust plan is slower:"
+            f" published by {percent(PUBLISHED[ONE] / PUBLISHED[MEAN] - 1)}, reference"
+            f" {percent(REFERENCE[ONE] / REFERENCE[MEAN] - 1)}."
+        )
+        header = ["t_f", "Published", "Reference", "Ours, at the instants", "Ours, between them too"]
+        return Table("Published and reference values beside ours", header, rows, note)
+
+    def verdict(self) -> Verdict:
+        """See `AbstractMotionStudy.verdict`."""
+        done = self.done
+        sentences, cards = list(self._sentences()), list(self._cards())
+        if said := no_recommendation(done.plans, done.evidence, self.names, sentences, cards):
+            return said
+        plan, share = done.plans[WORST], done.evidence[WORST].joint
+        slower = percent(duration(plan) / duration(done.plans[MEAN]) - 1)
+        headline = f"Use the plan with a = √3: {number(duration(plan), 4, 's')}, {slower} longer than for one payload"
+        if share.count:
+            said = f"{headline}; yet {percent(share.estimate)} of the payloads overload a joint."
+            return Verdict("caution", "Check the margin", said, sentences, cards)
+        return Verdict("good", "Run", f"{headline}, and no payload overloads a joint.", sentences, cards)
+
+    def _sentences(self) -> Iterator[str]:
+        evidence = self.done.evidence
+        if one := evidence.get(MEAN):
+            yield (
+                "Do not run the plan for the mean payload: it drives the torques to their limits, and"
+                f" {share_text(one.joint)} of the payloads ask for more."
+            )
+        if one := evidence.get(ONE):
+            yield (
+                f"A margin of one σ is not safe: {share_text(one.joint)} of the payloads overload a joint. That is"
+                f" right: {percent(predicted_share(1.0))} of uniform payloads lie outside μ ± σ."
+            )
+        if self.calibration is not None:
+            found = self.calibration
+            yield (
+                f"If {given(100 * found.target)} % of the payloads may fail, a = {number(found.sigmas, 4)} does, in"
+                f" {number(duration(found.solution), 4, 's')}; confirmed on fresh payloads:"
+                f" {share_text(found.evidence.violations['torque'])}."
+            )
+
+    def _cards(self) -> Iterator[Card]:
+        notes = {MEAN: "fastest for the mean payload", WORST: "fastest for all payloads"}
+        for name, note in notes.items():
+            if plan := self.done.plans.get(name):
+                yield Card(f"Duration, {name}", number(duration(plan), 4, "s"), note)
+        yield from violation_cards(self.done.evidence, (MEAN, ONE), "a limit")
+
+    def chapters(self) -> Sequence[Section]:
+        """See `AbstractMotionStudy.chapters`."""
+        return [
+            Section("Torques against their limits", list(self._torques())),
+            Section("The motion", list(self._motion())),
+            Section("How wide a margin", list(self._margin())),
+        ]
+
+    def _torques(self) -> Iterator[Block]:
+        families = self.done.families
+        if MEAN in families:
+            nominal = {text: rows[:1] for text, rows in _torques(families[MEAN], nominal=True).items()}
+            figures = [
+                _torque_figure(families[MEAN].times, nominal, "The mean payload"),
+                _torque_figure(families[MEAN].times, _torques(families[MEAN]), "All payloads"),
+            ]
+            caption = (
+                "The fastest plan holds one torque or the other at its limit almost throughout. Another payload on the"
+                f" same path asks for more. {SHADES}"
+            )
+            yield Drawing(figures, "Torques of the deterministic plan", caption, "5.5")
+        robust = [name for name in (ONE, WORST) if name in families]
+        if robust:
+            figures = [
+                _torque_figure(families[name].times, _torques(families[name]), name.capitalize()) for name in robust
+            ]
+            caption = (
+                "The margin pushes the bands inside the limits: with a = 1 the dark band of one σ, with a = √3 the"
+                " light band of all payloads, for a uniform law ends √3 σ off its mean."
+            )
+            yield Drawing(figures, "Torques of the robust plans", caption, "5.6")
+
+    def _motion(self) -> Iterator[Block]:
+        families = self.done.families
+        shown = [name for name in (MEAN, WORST) if name in families]
+        if not shown:
+            return
+        yield animations(families, shown, joints, TIP, SCENE, self.names)
+        robust = families[shown[-1]]
+        angles = {"q₁": robust.systems["q1"], "q₂": robust.systems["q2"]}
+        figure = bands_figure(robust.times, angles, y="Joint angle", unit="rad", title=shown[-1].capitalize())
+        yield Drawing(
+            [figure],
+            "Configuration over time",
+            "The joints follow the plan whatever the payload: nothing spreads.",
+            "5.7",
+        )
+
+    def _margin(self) -> Iterator[Block]:
+        if self.done.evidence:
+            yield Text(_WHY, lead="Why one σ leaves four payloads in ten outside.")
+            yield self._shares()
+        if self.calibration is not None:
+            caption = f"Margins tried until {given(100 * TARGET_SHARE)} % of the payloads overload a joint."
+            figure = calibration_figure(self.calibration, who="payloads")
+            yield Drawing([figure], "The margin that a tolerated share asks for", caption)
+
+    def _shares(self) -> Table:
+        rows = []
+        for name in (ONE, WORST):
+            if (one := self.done.evidence.get(name)) and name in self.done.families:
+                family = self.done.families[name]
+                rows.append(
+                    [
+                        name,
+                        percent(predicted_share(SIGMAS[name])),
+                        share_text(one.violations["torque"]),
+                        number(_largest_skewness(family), 2),
+                    ]
+                )
+        header = ["Plan", "Payloads outside μ ± a·σ", "Payloads that overload a joint", "Largest skewness of a torque"]
+        note = (
+            "Skewness is of the sampled torques, at the instant where it is largest; its sampling error is"
+            f" {number(float(np.sqrt(6 / self.done.effort.family)), 2)}."
+        )
+        return Table("What a margin is worth", header, rows, note)
+
+
+_WHY = (
+    (
+        "Along a given motion each torque is a straight line in the payload: τ = τ₀(t) + τ₁(t)·M. So it is uniform as"
+        " the payload is, its skewness is zero, and μ ± σ covers the share 1/√3 = 57.7 % of the payloads at every"
+        " instant. Where a heavier payload and a lighter one both meet a limit, 1 − 1/√3 = 42.3 % overload a joint."
+    ),
+    (
+        "For one uniform payload a = √3 is the exact worst case. For other laws, or several uncertain numbers, the"
+        " share that a margin leaves outside is not known beforehand: count it and calibrate a, as below (section 5.6)."
+    ),
+)
+
+
+def _torques(family: Family, *, nominal: bool = False) -> dict[str, np.ndarray]:
+    outputs = family.nominal if nominal else family.systems
+    return {text: np.atleast_2d(outputs[name]) for text, name in (("τ₁", "q1_torque"), ("τ₂", "q2_torque"))}
+
+
+def _torque_figure(times: np.ndarray, torques: dict[str, np.ndarray], title: str) -> Any:
+    return bands_figure(times, torques, y="Torque", unit="N m", limits=(-TORQUE, TORQUE), title=title)
+
+
+def _largest_skewness(family: Family) -> float:
+    found = [stats.skew(rows, axis=0) for rows in _torques(family).values()]
+    return float(np.nanmax(np.abs(found)))
+
+
+def make(quick: bool) -> PickAndPlaceTime:
+    """The study, at full or at quick effort."""
+    return PickAndPlaceTime(QUICK if quick else FULL)

@@ -1,0 +1,82 @@
+"""What the page of the swing-up study says of its families: where they are, what they miss, what finer steps change."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from aleator.report import Table, number
+from aleator.studies._family import Family
+from aleator.studies._motion_facts import Outputs
+from aleator.studies.swing_up import STEPS, TORQUE
+from aleator.validation import Proportion
+
+LENGTH_1, LENGTH_2 = 0.5, 1.0
+TIP = (0.0, LENGTH_1 + LENGTH_2)
+FAR = 0.2
+"""An end further than this from upright, m, is a miss."""
+
+FINER = 4
+FRICTION = (
+    (
+        "The motion of the first joint is given, so the second link obeys its own equation, in which every term but"
+        " friction is proportional to its mass: inertia, weight, and the pull of the first link. Without friction the"
+        " mass cancels, all pendulums of the family swing alike, and the tip does not spread."
+    ),
+    (
+        "Friction also decides the energy: without it, whatever is put in stays in, so that any motion which never"
+        " brakes costs the same, the difference of the potential energy. With it, each second costs."
+    ),
+)
+
+
+def joints(outputs: Outputs) -> np.ndarray:
+    """Pivot, elbow and tip, m."""
+    q1 = outputs["q1"]
+    elbow = LENGTH_1 * np.stack([-np.sin(q1), np.cos(q1)], axis=-1)
+    tip = np.stack([outputs["tip_x"], outputs["tip_y"]], axis=-1)
+    return np.stack([np.zeros_like(tip), elbow, tip], axis=-2)
+
+
+def overloads(family: Family) -> np.ndarray:
+    """Which systems ask for more torque than there is."""
+    return np.abs(family.systems["q1_torque"]).max(axis=1) > TORQUE * (1 + 1e-6)
+
+
+def missed(family: Family) -> Proportion:
+    """How many systems end too far from upright."""
+    x, y = (family.systems[name][:, -1] for name in ("tip_x", "tip_y"))
+    return Proportion(int(np.sum(np.hypot(x - TIP[0], y - TIP[1]) > FAR)), len(x))
+
+
+def terminal_norm(family: Family) -> float:
+    """The norm of the tip's variances at the end, m²."""
+    return float(np.hypot(*(family.systems[name][:, -1].var() for name in ("tip_x", "tip_y"))))
+
+
+def _ends(family: Family) -> list[str]:
+    torque = family.systems["q1_torque"]
+    largest = float(np.max(np.abs(torque.mean(axis=0)) + torque.std(axis=0)))
+    means = (float(family.systems[name][:, -1].mean()) for name in ("q2", "q2_rate"))
+    return [*(number(one, 3) for one in means), number(terminal_norm(family), 4), number(largest, 5)]
+
+
+def steps_table(families: Mapping[str, Family], finer: Mapping[str, Family]) -> Table:
+    """The same systems with the steps of the problem and with finer ones."""
+    rows = []
+    for name, fine in finer.items():
+        for label, family in ((f"{name}, {STEPS} steps", families[name]), (f"{FINER * STEPS}", fine)):
+            rows.append([label, *_ends(family)])
+    header = [
+        "",
+        "E[q₂(t_f)] (rad)",
+        "E[q̇₂(t_f)] (rad/s)",
+        "Variance of the tip (m²)",
+        "Largest |μ| + σ of τ₁ (N m)",
+    ]
+    first = next(iter(finer.values()))
+    note = (
+        f"The same {len(first.systems['q2'])} random pendulums, integrated with RK4 in {STEPS} steps and in"
+        f" {FINER} times as many: what differs is the error of the integration. That the means are not exactly zero"
+        " is the error of the sample."
+    )
+    return Table("The plans with finer steps", header, rows, note)

@@ -1,0 +1,49 @@
+"""Where the searches of the swing-up study start."""
+
+import numpy as np
+
+import aleator as al
+from aleator._core.progress import Progress
+from aleator.studies._motion_facts import named
+from aleator.studies._motion_study import MotionResults
+from aleator.studies.swing_up import DEGREE, ENDS, FREE, deterministic_problem, robust_problem
+
+MEAN, EXPECTED, ENERGY = "deterministic", "robust, expected torque", "robust, expected energy"
+NAMES = (MEAN, ENERGY, EXPECTED)
+_TOGETHER = {"q1_torque": "torque", "q2": "upright", "q2_rate": "upright"}
+
+Swing = tuple[float, int, float, int]
+"""Duration (s), half swings, their width (rad), and how late the joint rises, of a motion to start a search from."""
+
+SWINGS: tuple[Swing, ...] = (
+    (3.0, 6, 0.8, 5),
+    (4.0, 4, -0.8, 5),
+    (3.0, 4, -0.8, 2),
+    (4.0, 4, -0.8, 2),
+    (3.0, 3, 0.8, 2),
+    (4.0, 3, -0.8, 2),
+    (3.0, 5, -0.8, 2),
+)
+FAMILY_SWINGS: tuple[Swing, ...] = ((3.0, 4, -0.8, 2), (3.0, 5, -0.8, 2), (4.0, 3, -0.8, 2), (3.0, 6, -0.8, 5))
+"""The swings from which plans for the whole family are reached: late and wide ones spread it too far."""
+
+
+def search_plans(results: MotionResults, progress: Progress) -> None:
+    """All three plans, each from its problem's own start and several swings; the last from the optimum before it,
+    too.
+    """
+    count = results.effort.starts
+    # An empty start is the problem's own.
+    starts = [{}, *(_start(*one) for one in SWINGS)][:count]
+    family_starts = [{}, *(_start(*one) for one in FAMILY_SWINGS)][:count]
+    results.search(MEAN, named(deterministic_problem(), _TOGETHER), starts, progress)
+    plan = results.search(ENERGY, named(robust_problem(expected="energy"), _TOGETHER), family_starts, progress)
+    torque = named(robust_problem(expected="torque"), _TOGETHER)
+    results.search(EXPECTED, torque, [dict(plan.decisions), *family_starts], progress)
+
+
+def _start(duration: float, halves: int, width: float, late: int) -> dict[str, np.ndarray | float]:
+    """A motion that rises `late`, with so many half swings of growing width on it."""
+    fractions = np.linspace(0.0, 1.0, 80)
+    swing = -np.pi * (1 - fractions**late) + width * np.sin(halves * np.pi * fractions) * fractions
+    return {"motion.q1.free": al.fit_control_points(swing, FREE, degree=DEGREE, **ENDS), "t_final": duration}

@@ -1,0 +1,104 @@
+"""The optima of the motion studies, and their limits on finer grids by another quadrature than the plans used."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import aleator as al
+from aleator.studies import pick_and_place_effort, pick_and_place_time, six_axis_arm, swing_up
+from aleator.uncertainty import realise
+
+
+def moments(solution, names, finer=10):
+    """Mean and standard deviation of outputs over a uniform law, by Gauss-Legendre nodes on a finer grid."""
+    problem = al.uncertain(solution.problem)
+    problem = eqx.tree_at(lambda tree: tree.grid, problem, problem.grid.finer(finer))
+    nodes, weights = np.polynomial.legendre.leggauss(9)
+
+    @jax.jit
+    def histories(germ):
+        system, inputs, grid = realise(problem.model, germ, jnp.asarray(solution.vector))
+        return al.simulate(system, grid, inputs, only=names)
+
+    found = [histories(jnp.array([node])) for node in nodes]
+    means = {name: sum(w / 2 * np.asarray(one[name]) for w, one in zip(weights, found, strict=True)) for name in names}
+    squares = {
+        name: sum(w / 2 * (np.asarray(one[name]) - means[name]) ** 2 for w, one in zip(weights, found, strict=True))
+        for name in names
+    }
+    return means, {name: np.sqrt(square) for name, square in squares.items()}
+
+
+TORQUES, GAPS = ("q1_torque", "q2_torque"), ("gap_1", "gap_2", "elbow_x", "tip_x")
+
+
+@pytest.mark.parametrize(("sigmas", "best"), [(0.0, 1.4143), (1.0, 1.5939)])
+def test_the_fastest_plans_are_as_good_as_the_reference_at_its_instants(sigmas, best):
+    problem = pick_and_place_time.robust_problem(sigmas) if sigmas else pick_and_place_time.deterministic_problem()
+    assert al.solve(problem, between=1).objective <= best
+
+
+def test_the_fastest_robust_plan_keeps_its_limits_between_the_instants():
+    solution = al.solve(pick_and_place_time.robust_problem(1.0))
+    means, stds = moments(solution, (*TORQUES, *GAPS))
+    assert max(np.max(np.abs(means[name]) + stds[name]) for name in TORQUES) <= 10 * (1 + 2e-6)
+    assert min(np.min(means[name]) for name in GAPS) >= -2e-6
+    # What holding between instants costs is small.
+    assert solution.objective <= 1.5939 * 1.001
+
+
+def test_the_plan_of_least_effort_is_as_good_as_the_reference_and_keeps_its_distances():
+    solution = al.solve(pick_and_place_effort.robust_problem(1.0))
+    assert solution.objective <= 112.125
+    means, stds = moments(solution, (*GAPS, "q1", "q2", "q1_rate", "q2_rate"))
+    # Ten times as many steps also integrate better than the plan's sixty did: by some 2e-4 rad at the end.
+    assert min(np.min(means[name] - stds[name]) for name in GAPS) >= -3e-4
+    ends = [means[name][-1] for name in ("q1", "q2", "q1_rate", "q2_rate")]
+    np.testing.assert_allclose(ends, [-np.pi / 6, -np.pi / 6, 0.0, 0.0], atol=4e-4)
+
+
+@pytest.mark.slow
+def test_the_other_plans_of_forward_dynamics_are_as_good_as_the_reference():
+    assert al.solve(pick_and_place_effort.deterministic_problem(), between=1).objective <= 106.35
+    least = al.solve(pick_and_place_effort.terminal_variance_problem(), between=1)
+    assert least.objective <= 0.025335
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("make", "best"),
+    [
+        (swing_up.deterministic_problem, 27.8),
+        (lambda **options: swing_up.robust_problem(1.0, **options), 30.6),
+        (lambda **options: swing_up.robust_problem(1.0, expected="energy", **options), 30.6),
+    ],
+    ids=["deterministic", "expected torque", "expected energy"],
+)
+def test_the_swing_up_is_as_good_as_the_reference(make, best):
+    solution = al.solve(make())
+    exact = al.solve(make(smoothing=0.0), warm_start=None, start=solution.decisions, between=1, throw=False)
+    # Not rounded off, its energy is that of the same plan to the rounding: 0.01 W over its duration.
+    rounding = swing_up.SMOOTHING * float(solution.decisions["t_final"])
+    assert solution.objective + rounding <= best
+    assert exact.objective <= best
+
+
+@pytest.mark.slow
+def test_the_robust_swing_up_holds_with_four_times_as_many_steps():
+    solution = al.solve(swing_up.robust_problem(1.0))
+    means, stds = moments(solution, ("q1_torque", "q2", "q2_rate", "tip_x", "tip_y"), finer=4)
+    assert np.max(np.abs(means["q1_torque"]) + stds["q1_torque"]) <= 10.001
+    assert np.hypot(*(stds[name][-1] ** 2 for name in ("tip_x", "tip_y"))) <= 0.01 * 1.001
+    np.testing.assert_allclose([means["q2"][-1], means["q2_rate"][-1]], 0.0, atol=5e-3)
+
+
+@pytest.mark.slow
+def test_the_six_axis_arm_is_as_fast_as_an_independent_program_finds():
+    share = np.linspace(0, 1, 10)[1:-1, None]
+    line = (1 - share) * six_axis_arm.START + share * six_axis_arm.TARGET
+    points = line + 0.2 * np.random.default_rng(1).standard_normal(line.shape)
+    solution = al.solve(six_axis_arm.robust_problem(1.0, guess=points), between=1)
+    # CasADi and IPOPT, `benchmarks/casadi_motion.py`.
+    assert solution.objective == pytest.approx(0.7866628406, rel=1e-6)

@@ -1,0 +1,120 @@
+"""The studies of motion planning: the time-optimal one in small from stage to page, the others as a user runs them."""
+
+import json
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import aleator as al
+from aleator import cli
+from aleator.report import page_html
+from aleator.studies import STUDIES, load
+from aleator.studies._family import fly
+from aleator.studies._motion_study import Effort
+from aleator.studies._pick_and_place_time_study import MEAN, ONE, TARGET_SHARE, WORST, PickAndPlaceTime
+from aleator.studies.two_link_arm import START, TARGET, TwoLinkArm
+
+SMALL = Effort(starts=3, samples=1_500, family=300, calibration_samples=1_500)
+
+
+@pytest.fixture(scope="module")
+def study():
+    found = PickAndPlaceTime(SMALL)
+    for stage in found.stages:
+        found.run(stage)
+    return found
+
+
+@pytest.mark.parametrize("name", ["pick-and-place-effort", "pick-and-place-time", "swing-up"])
+def test_the_studies_are_listed_and_begin_with_nothing(name):
+    assert name in STUDIES
+    begun = load(name, quick=True)
+    assert begun.headline().startswith("Incomplete")
+    assert begun.tables() == []
+    assert "Not reached: plans" in page_html(begun.page())
+
+
+@pytest.mark.parametrize(("name", "reference"), [(MEAN, 1.4142), (ONE, 1.5938)])
+def test_the_plans_are_as_fast_as_those_of_an_independent_program(study, name, reference):
+    assert study.done.coarse[name].objective == pytest.approx(reference, abs=1e-4)
+    # Limits that hold between the instants too cost a little.
+    assert reference < study.done.plans[name].objective < 1.002 * reference
+
+
+def test_violations_are_the_shares_of_a_uniform_law_that_lie_beyond_the_margin(study):
+    for name, expected in ((MEAN, 1.0), (ONE, 1 - 1 / np.sqrt(3)), (WORST, 0.0)):
+        share = study.done.evidence[name].violations["torque"]
+        assert share.estimate == pytest.approx(expected, abs=4.5 * np.sqrt(0.25 / share.samples))
+
+
+def test_the_calibrated_margin_is_the_closed_form(study):
+    # A uniform law leaves 1 - a/√3 outside μ ± aσ; the search ends within a tenth below its target.
+    error = 4.5 * np.sqrt(TARGET_SHARE / SMALL.calibration_samples)
+    assert study.calibration.sigmas == pytest.approx(np.sqrt(3) * (1 - TARGET_SHARE), abs=np.sqrt(3) * error)
+
+
+def test_a_family_follows_the_plan_and_its_torques_spread_as_the_expansion_says(study):
+    plan, family = study.done.plans[ONE], study.done.families[ONE]
+    np.testing.assert_allclose(np.ptp(family.systems["q1"], axis=0), 0.0, atol=1e-12)
+    np.testing.assert_allclose(family.nominal["q1"][[0, -1]], [START[0], TARGET[0]], atol=1e-9)
+    moments = plan.moments["q1_torque(t)"]
+    torques = family.systems["q1_torque"]
+    # The torque is affine in the payload, so that the nominal one is its mean.
+    np.testing.assert_allclose(family.nominal["q1_torque"], moments.mean, atol=1e-9)
+    error = np.abs(torques.mean(axis=0) - moments.mean)
+    assert np.all(error <= 4.5 * moments.std / np.sqrt(len(torques)) + 1e-9)
+    np.testing.assert_allclose(torques.std(axis=0), moments.std, rtol=0.15, atol=1e-9)
+
+
+def test_a_finer_flight_passes_through_the_same_instants(study):
+    plan = study.done.plans[ONE]
+    coarse, fine = (fly(plan.problem, plan.vector, 20, seed=5, finer=finer) for finer in (1, 3))
+    np.testing.assert_allclose(fine.times[::3], coarse.times, rtol=1e-12)
+    np.testing.assert_allclose(fine.systems["q2_torque"][:, ::3], coarse.systems["q2_torque"], atol=1e-9)
+
+
+def test_the_tip_ends_where_the_closed_form_puts_it(study):
+    elbow, tip = TwoLinkArm(payload=1.0).places(np.array(TARGET))
+    del elbow
+    family = study.done.families[WORST]
+    ends = [family.nominal["tip_x"][-1], family.nominal["tip_y"][-1]]
+    np.testing.assert_allclose(ends, tip, atol=1e-9)
+
+
+def test_the_page_shows_the_figures_of_the_chapter_and_the_numbers(study):
+    html = page_html(study.page())
+    for figure in ("Figure 5.5", "Figure 5.6", "Figure 5.7"):
+        assert figure in html
+    assert "Not reached" not in html
+    assert html.count('"frames":[') == 2
+    assert "1.4142" in html  # the reference
+    assert "42.3" in html  # outside μ ± σ
+    assert study.verdict().word == "Run"
+
+
+def test_the_study_writes_its_files_and_tables(study, tmp_path):
+    written = [*study.save(tmp_path), study.write_page(tmp_path)]
+    assert {one.name for one in written} == {"results.nc", "designs.json", "report.html"}
+    saved = json.loads((tmp_path / "designs.json").read_text(encoding="utf-8"))
+    assert saved[f"plans/{ONE}"]["objective"]["value"] == study.done.plans[ONE].objective
+    assert [table.caption for table in study.tables()] == [
+        "Plans, limits and violations",
+        "Published and reference values beside ours",
+        "Local optima of the searches",
+    ]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "figures"),
+    [("pick-and-place-effort", ("5.2", "5.3", "5.4")), ("swing-up", ("5.10", "5.11", "5.13", "5.14"))],
+)
+def test_the_quick_run_writes_a_report(name, figures, tmp_path):
+    result = CliRunner().invoke(cli.application, ["run", name, "--quick", "--out", str(tmp_path)])
+    assert result.exit_code == 0, result.output
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert all(f"Figure {number}" in page for number in figures)
+    assert "Not reached" not in page
+    saved = json.loads((tmp_path / "designs.json").read_text(encoding="utf-8"))
+    assert {one["status"] for one in saved.values()} == {al.Status.SOLVED.value}
