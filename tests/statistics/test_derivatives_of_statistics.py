@@ -10,6 +10,7 @@ from small_expansions import basis_of, random_coefficients
 from aleator import statistics
 from aleator.statistics import (
     AbstractStatistic,
+    CoefficientProduct,
     ConditionalValueAtRisk,
     CornishFisher,
     Correlation,
@@ -43,6 +44,7 @@ STATISTICS = [
     Skewness(),
     Kurtosis(),
     Covariance(),
+    CoefficientProduct(),
     Correlation(),
     Sobol("a"),
     Sobol(("a", "b")),
@@ -85,7 +87,7 @@ def test_no_statistic_is_left_out_of_these_tests():
 
 @pytest.mark.parametrize(("statistic", "basis"), CASES)
 def test_forward_and_reverse_derivatives_are_those_of_finite_differences(statistic, basis):
-    shape = (2,) if isinstance(statistic, Covariance | Correlation) else ()
+    shape = (2,) if isinstance(statistic, Covariance | Correlation | CoefficientProduct) else ()
     coefficients = random_coefficients(basis, seed=4, shape=shape, decay=0.15).at[0].set(0.1)
     constants = prepare([statistic], basis).of(statistic)
     function = jax.jit(lambda c: statistic.of(c, constants))
