@@ -50,6 +50,7 @@ def test_the_links_of_a_folded_arm_collide_and_neighbours_are_left_out():
     np.testing.assert_allclose(square, [0.9, -0.1, 0.9], atol=1e-12)
 
 
+@pytest.mark.slow
 def test_the_distances_of_links_of_several_kinds_are_those_of_each_pair_in_order():
     rng = np.random.default_rng(1)
     links = [

@@ -307,7 +307,7 @@ def _forward(numbers):
 ASKED = ("shoulder_torque", "elbow_acceleration", "shoulder_torque_rate")
 
 
-@pytest.mark.parametrize("make", [_inverse, _hybrid, _forward])
+@pytest.mark.parametrize("make", [_inverse, pytest.param(_hybrid, marks=pytest.mark.slow), _forward])
 def test_derivatives_of_simulations_agree_with_differences(make):
     # By a parameter of the model, the trajectory and the final time at once.
     def values_at(numbers):

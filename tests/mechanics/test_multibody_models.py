@@ -154,6 +154,7 @@ def flight():
     return jax.tree.map(lambda first, later: jnp.concatenate([first[None], later]), (q, v), path)
 
 
+@pytest.mark.slow
 def test_a_passive_tree_without_dampers_keeps_its_energy():
     q, v = flight()
     energy = compiled(jax.vmap(lambda q, v: FLOATING.kinetic_energy(q, v) + FLOATING.potential_energy(q)))(q, v)

@@ -41,7 +41,10 @@ def dynamics(tree, q, v, given):
     return jax.vmap(at)(q, v, given)
 
 
-@pytest.fixture(scope="module", params=list(TREES))
+@pytest.fixture(
+    scope="module",
+    params=["branches", pytest.param("a free base", marks=pytest.mark.slow), "two roots"],
+)
 def case(request):
     kinds, parents = TREES[request.param]
     seed = list(TREES).index(request.param)
