@@ -10,7 +10,7 @@ import numpy as np
 from aleator._core import clock
 from aleator._core.errors import ExpansionWarning, ProblemError, SimulationError, SolveError
 from aleator.collocation import UNRESOLVED
-from aleator.design import Between, ConstraintResult, ExpansionQuality, Moments, Problem, Solution, Times
+from aleator.design import HELD, Between, ConstraintResult, ExpansionQuality, Moments, Problem, Solution, Times
 from aleator.dynamics import Grid
 from aleator.nlp import AbstractSolver, Outcome, Status, default_solver
 from aleator.transcription import (
@@ -26,8 +26,7 @@ from aleator.transcription import (
     transcribe,
 )
 
-# Between instants a limit may be exceeded by so much of its scale, and that is tried so many times.
-_HELD = 1e-6
+# How often limits between instants are tightened, until they hold or it is given up.
 _MOST_TIGHTENINGS = 12
 
 
@@ -129,7 +128,7 @@ def _held_between(
     excess = excess_between(transcription, outcome.decisions, factor)
     margins = no_margins(excess)
     for done in range(_MOST_TIGHTENINGS):
-        if excess.worst <= _HELD:
+        if excess.worst <= HELD:
             break
         # At first nothing is given away; then it must come to an end.
         margins = margins_for(margins, excess, relax=done < _MOST_TIGHTENINGS // 2)

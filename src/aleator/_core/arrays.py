@@ -2,6 +2,7 @@
 
 from typing import Any, TypeAlias
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -29,6 +30,14 @@ def numbers_to_arrays(tree: Pytree) -> Pytree:
 def is_number(leaf: Any) -> bool:
     """Whether `leaf` is a real number or an array of them: a Python float, or a floating NumPy or JAX array."""
     return isinstance(leaf, float) or jnp.issubdtype(getattr(leaf, "dtype", None) or bool, jnp.floating)
+
+
+def realised_shape(leaf: Any) -> tuple[int, ...]:
+    """The shape of what realisation leaves in the place of a leaf: a decision's own, one number for a law."""
+    if isinstance(leaf, eqx.Module):
+        bounds = decided_bounds(leaf)
+        return () if bounds is None else np.shape(bounds[0])
+    return np.shape(leaf)
 
 
 def decided_bounds(leaf: Any) -> tuple[Any, Any] | None:

@@ -34,6 +34,7 @@ from aleator.design._response import responses as responses
 from aleator.design._response import unsolved as unsolved
 from aleator.design._response import value_at as value_at
 from aleator.design._scope import AbstractScope as AbstractScope
+from aleator.design._solution import HELD as HELD
 from aleator.design._solution import Between as Between
 from aleator.design._solution import ConstraintResult as ConstraintResult
 from aleator.design._solution import ExpansionQuality as ExpansionQuality

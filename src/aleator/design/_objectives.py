@@ -1,5 +1,6 @@
 """The objectives of motion planning: time, effort, power, jerk (75)-(84) and what is left at the end (85), (86)."""
 
+import abc
 from collections.abc import Mapping, Sequence
 from typing import final
 
@@ -50,8 +51,27 @@ class Work(AbstractFunctional):
         return f"∫|{' '.join(self.outputs)}| dt"
 
 
+class AbstractComposite(AbstractAtom):
+    """An atom made of expressions: it speaks of all that they speak of."""
+
+    @property
+    @abc.abstractmethod
+    def parts(self) -> tuple[AbstractAtom, ...]:
+        """See `AbstractAtom.parts`."""
+
+    @property
+    def subjects(self) -> tuple[str, ...]:
+        """See `AbstractAtom.subjects`."""
+        return tuple(name for part in self.parts for name in part.subjects)
+
+    @property
+    def measures(self) -> tuple[str, ...]:
+        """See `AbstractAtom.measures`."""
+        return tuple(text for part in self.parts for text in part.measures)
+
+
 @final
-class Norm(AbstractAtom):
+class Norm(AbstractComposite):
     """The Euclidean norm of several expressions."""
 
     expressions: tuple[Expression, ...]
@@ -70,23 +90,13 @@ class Norm(AbstractAtom):
         return tuple(part for one in self.expressions for part in one.leaves)
 
     @property
-    def subjects(self) -> tuple[str, ...]:
-        """See `AbstractAtom.subjects`."""
-        return tuple(name for part in self.parts for name in part.subjects)
-
-    @property
-    def measures(self) -> tuple[str, ...]:
-        """See `AbstractAtom.measures`."""
-        return tuple(text for part in self.parts for text in part.measures)
-
-    @property
     def is_path(self) -> bool:
         """See `AbstractAtom.is_path`."""
         return any(one.is_path for one in self.expressions)
 
 
 @final
-class TimeIntegral(AbstractAtom):
+class TimeIntegral(AbstractComposite):
     """The time integral of an expression of paths, by the trapezoidal rule on the grid."""
 
     expression: Expression
@@ -103,16 +113,6 @@ class TimeIntegral(AbstractAtom):
     def parts(self) -> tuple[AbstractAtom, ...]:
         """See `AbstractAtom.parts`."""
         return self.expression.leaves
-
-    @property
-    def subjects(self) -> tuple[str, ...]:
-        """See `AbstractAtom.subjects`."""
-        return tuple(name for part in self.parts for name in part.subjects)
-
-    @property
-    def measures(self) -> tuple[str, ...]:
-        """See `AbstractAtom.measures`."""
-        return tuple(text for part in self.parts for text in part.measures)
 
 
 def final_time() -> Expression:

@@ -13,6 +13,9 @@ from aleator.design._problem import Problem
 from aleator.design._response import grid_at
 from aleator.nlp import Status
 
+HELD = 1e-6
+"""A limit holds where it is exceeded by no more than this part of its scale: solvers meet it to a tolerance."""
+
 
 @final
 @dataclass(frozen=True)
@@ -49,7 +52,7 @@ class ConstraintResult:
     @property
     def holds(self) -> bool:
         """Whether it holds everywhere, to tolerance."""
-        return self.violation <= 1e-6 * self.scale
+        return self.violation <= HELD * self.scale
 
     @property
     def worst_time(self) -> float | None:
@@ -152,7 +155,7 @@ class Between:
     @property
     def holds(self) -> bool:
         """Whether all limits hold there, to tolerance."""
-        return self.worst <= 1e-6
+        return self.worst <= HELD
 
 
 @final

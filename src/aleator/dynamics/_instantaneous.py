@@ -1,5 +1,6 @@
 """Systems without states: their outputs follow from what is known at one instant alone."""
 
+import math
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
@@ -28,7 +29,7 @@ class Known(NamedTuple):
         """The time and the inputs of one row."""
         found, start = {}, 1
         for name, shape in self.inputs.items():
-            size = int(jnp.zeros(shape).size)
+            size = math.prod(shape)
             found[name] = row[start : start + size].reshape(shape)
             start += size
         return row[0], found

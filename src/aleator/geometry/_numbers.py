@@ -8,6 +8,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
+from aleator._core.arrays import realised_shape
 from aleator._core.errors import ProblemError
 
 
@@ -36,10 +37,7 @@ def shape_of(value: Any) -> tuple[int, ...]:
     """The shape of a stored field once it is realised."""
     if isinstance(value, tuple):
         return (len(value), *_common_shape(value))
-    if isinstance(value, eqx.Module):
-        # A decision's `initial` is its start; a distribution's is a method, of shape ().
-        return np.shape(getattr(value, "initial", 0.0))
-    return np.shape(value)
+    return realised_shape(value)
 
 
 def plain(value: Any) -> np.ndarray | None:

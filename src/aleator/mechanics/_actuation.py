@@ -43,3 +43,9 @@ def torques(
     if model.acts_directly:
         return force
     return solve_any(jnp.asarray(model.actuation(q)), force)
+
+
+def held(model: AbstractMechanical, q: Float[Array, " coordinates"]) -> dict[str, Float[Array, ""]]:
+    """The torques that hold a system still in a posture, by name."""
+    found = torques(model, q, model.bias(q, jnp.zeros(len(model.speeds))))
+    return dict(zip(model.actuators, found, strict=True))

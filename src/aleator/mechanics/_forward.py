@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from aleator.dynamics import Grid, System
-from aleator.mechanics._actuation import Actuation, actuation_of, torques
+from aleator.mechanics._actuation import Actuation, actuation_of, held
 from aleator.mechanics._given import Given, checked_start, combined, signals_for, vector
 from aleator.mechanics._kinematics import accelerations, rates
 from aleator.mechanics._mechanical import AbstractMechanical
@@ -83,8 +83,7 @@ class ForwardDynamics(System):
         start = self.initial()
         if actuation_of(self.model, start["q"]) not in (Actuation.FULL, Actuation.OVER) or jnp.any(start["v"] != 0):
             return {}
-        held = torques(self.model, start["q"], self.model.bias(start["q"], start["v"]))
-        return dict(zip(self.model.actuators, held, strict=True))
+        return held(self.model, start["q"])
 
     def _given(self, torque: Any) -> Array:
         return jnp.zeros(len(self.model.actuators)) if torque is None else torque

@@ -1,6 +1,6 @@
 """What a user gives to dynamics: motions and torques by name or as one trajectory, and a start."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any, final
 
 import jax.numpy as jnp
@@ -89,6 +89,17 @@ def combined_motion(names: tuple[str, ...], given: Given) -> AbstractTrajectory:
     found = combined(names, given)
     assert isinstance(found, AbstractTrajectory)
     return found
+
+
+def followed(motion: AbstractTrajectory, torque_rates: bool) -> dict[str, AbstractSignal]:
+    """A motion with the derivatives that dynamics take of it: one more where torques are differentiated as well."""
+    names = ("velocity", "acceleration", "jolt")[: 3 if torque_rates else 2]
+    return {"position": motion, **{name: motion.derivative(k) for k, name in enumerate(names, 1)}}
+
+
+def asks_torque_rates(model: AbstractMechanical, only: Collection[str]) -> bool:
+    """Whether the rate of any torque is among some outputs."""
+    return any(f"{name}_rate" in only for name in model.actuators)
 
 
 def _single(given: Any, where: str) -> AbstractSignal:

@@ -11,7 +11,17 @@ from jaxtyping import Array, Float
 
 from aleator._core.errors import ProblemError
 from aleator.dynamics import Grid, System
-from aleator.mechanics._given import Given, checked_start, combined, combined_motion, motions_for, signals_for, vector
+from aleator.mechanics._given import (
+    Given,
+    asks_torque_rates,
+    checked_start,
+    combined,
+    combined_motion,
+    followed,
+    motions_for,
+    signals_for,
+    vector,
+)
 from aleator.mechanics._kinematics import accelerations, rates
 from aleator.mechanics._matrices import solve_any, solve_positive
 from aleator.mechanics._mechanical import AbstractMechanical
@@ -75,10 +85,7 @@ class HybridDynamics(System):
 
     def signals(self) -> Mapping[str, AbstractSignal]:
         """See `System.signals`."""
-        motion = combined_motion(self._followed(), self.motion)
-        names = ("velocity", "acceleration", "jolt")[: 3 if self.torque_rates else 2]
-        found: dict[str, AbstractSignal] = {"position": motion}
-        found |= {name: motion.derivative(k) for k, name in enumerate(names, 1)}
+        found = followed(combined_motion(self._followed(), self.motion), self.torque_rates)
         if self.known:
             found["known"] = known = combined(self._commanded(), self.torque)
             if isinstance(known, AbstractTrajectory):
@@ -87,7 +94,7 @@ class HybridDynamics(System):
 
     def focused(self, only: Collection[str]) -> "HybridDynamics":
         """See `System.focused`: torque rates take a further derivative of everything."""
-        asked = any(f"{name}_rate" in only for name in self.model.actuators)
+        asked = asks_torque_rates(self.model, only)
         given = {"motion": self.motion, "torque": self.torque, "start": self.start}
         return HybridDynamics(self.model, **given, torque_rates=asked)  # type: ignore[arg-type]
 
@@ -188,8 +195,8 @@ class HybridDynamics(System):
         eliminated = solve_positive(_block(M, u, u), jnp.concatenate([M_ua, rest[u][:, None], B_free[u]], axis=1))
         inner, force, effect = eliminated[:, : len(a)], eliminated[:, len(a)], eliminated[:, len(a) + 1 :]
         # The equations of the prescribed coordinates, without the other accelerations.
-        needed = (_block(M, a, a) - M_ua.T @ inner) @ v_dot_a + rest[np.array(a)] - M_ua.T @ force
-        found = solve_any(B_free[np.array(a)] - M_ua.T @ effect, needed)
+        needed = (_block(M, a, a) - M_ua.T @ inner) @ v_dot_a + rest[a] - M_ua.T @ force
+        found = solve_any(B_free[a] - M_ua.T @ effect, needed)
         v_dot_u = effect @ found - inner @ v_dot_a - force
         torque = jnp.concatenate([found, given.known])[_order((*self._unknown(), *self.known))]
         return _Solved(q, v, self._merged(v_dot_a, v_dot_u), torque)
@@ -267,12 +274,11 @@ def _check_names(model: AbstractMechanical, motion: Any, torque: Any) -> None:
     if not 0 < len(motion) < len(model.coordinates):
         raise ProblemError(
             f"HybridDynamics of {type(model).__name__}: expected some of {list(model.coordinates)} as prescribed "
-            "motion, "
-            f"but not all; received {list(motion)}. Use al.InverseDynamics for all, al.ForwardDynamics for none."
+            f"motion, but not all; received {list(motion)}. Use al.InverseDynamics for all, al.ForwardDynamics for "
+            "none."
         )
     if len(model.coordinates) != len(model.speeds):
         raise ProblemError(
             f"HybridDynamics of {type(model).__name__}: expected one velocity for each coordinate, as Euler "
-            "angles have; "
-            f"received {len(model.coordinates)} coordinates and {len(model.speeds)} velocities."
+            f"angles have; received {len(model.coordinates)} coordinates and {len(model.speeds)} velocities."
         )

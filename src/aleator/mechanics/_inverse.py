@@ -11,8 +11,8 @@ from jaxtyping import Array
 
 from aleator._core.errors import ProblemError
 from aleator.dynamics import Grid, System
-from aleator.mechanics._actuation import Actuation, actuation_of, torques
-from aleator.mechanics._given import Given, combined_motion, motions_for
+from aleator.mechanics._actuation import Actuation, actuation_of, held, torques
+from aleator.mechanics._given import Given, asks_torque_rates, combined_motion, followed, motions_for
 from aleator.mechanics._kinematics import Followed, follow
 from aleator.mechanics._mechanical import AbstractMechanical
 from aleator.mechanics._motion import Motion
@@ -55,13 +55,11 @@ class InverseDynamics(System):
 
     def signals(self) -> Mapping[str, AbstractSignal]:
         """See `System.signals`."""
-        motion = self._motion()
-        names = ("velocity", "acceleration", "jolt")[: 3 if self.torque_rates else 2]
-        return {"position": motion, **{name: motion.derivative(k) for k, name in enumerate(names, 1)}}
+        return followed(self._motion(), self.torque_rates)
 
     def focused(self, only: Collection[str]) -> "InverseDynamics":
         """See `System.focused`: torque rates take a further derivative of everything."""
-        asked = any(f"{name}_rate" in only for name in self.model.actuators)
+        asked = asks_torque_rates(self.model, only)
         return InverseDynamics(self.model, motion=self.motion, torque_rates=asked)
 
     def rhs(self, t: Any, z: Any) -> tuple[()]:
@@ -76,16 +74,16 @@ class InverseDynamics(System):
         del z
 
         def found(*at: Array) -> tuple[Array, Followed]:
-            followed = follow(self.model, *at)
-            force = self.model.inverse_dynamics(followed.q, followed.v, followed.v_dot)
-            return torques(self.model, followed.q, force), followed
+            path = follow(self.model, *at)
+            force = self.model.inverse_dynamics(path.q, path.v, path.v_dot)
+            return torques(self.model, path.q, force), path
 
         at = position, velocity, acceleration
         if jolt is None:
-            torque, followed = found(*at)
-            return standard_outputs(self.model, _motion_at(t, followed, torque), None)
-        torque, torque_rate, followed = jax.jvp(found, at, (velocity, acceleration, jolt), has_aux=True)
-        return standard_outputs(self.model, _motion_at(t, followed, torque), torque_rate)
+            torque, path = found(*at)
+            return standard_outputs(self.model, _motion_at(t, path, torque), None)
+        torque, torque_rate, path = jax.jvp(found, at, (velocity, acceleration, jolt), has_aux=True)
+        return standard_outputs(self.model, _motion_at(t, path, torque), torque_rate)
 
     def trouble(self, grid: Grid) -> str:
         """See `System.trouble`."""
@@ -104,8 +102,7 @@ class InverseDynamics(System):
         q, v = path.q[0], path.v[0]
         if jnp.any(jnp.abs(v) > 1e-9):
             return {}
-        held = torques(self.model, q, self.model.bias(q, jnp.zeros_like(v)))
-        return dict(zip(self.model.actuators, held, strict=True))
+        return held(self.model, q)
 
     def _unrealisable(self, scheme: str) -> str:
         return (
@@ -123,6 +120,6 @@ class InverseDynamics(System):
         return combined_motion(self.model.coordinates, self.motion)
 
 
-def _motion_at(t: Any, followed: Followed, torque: Array) -> Motion:
-    q, q_dot, q_ddot, v, v_dot = followed
+def _motion_at(t: Any, path: Followed, torque: Array) -> Motion:
+    q, q_dot, q_ddot, v, v_dot = path
     return Motion(t, q, q_dot, q_ddot, v, v_dot, torque)

@@ -57,5 +57,4 @@ def _solve_large(M: Float[Array, "n n"], b: Float[Array, "n ..."]) -> Float[Arra
     factor = jnp.linalg.cholesky(M)
     pivots = jnp.diagonal(factor) ** 2
     regular = jnp.all(pivots > _SINGULAR * jnp.abs(jnp.diagonal(M)))
-
     return jnp.where(regular, linalg.cho_solve((factor, True), b), jnp.nan)

@@ -67,8 +67,8 @@ def _map_trouble(model: AbstractMechanical, q: Any, when: str) -> str:
     worst = model.coordinates[int(np.argmax(np.where(np.isfinite(H), np.abs(H), np.inf).max(axis=1)))]
     return (
         f"The velocity map H of {type(model).__name__} is singular {when} ({_posture(model, q)}): the rate of "
-        f"'{worst}' is "
-        "not determined (gimbal lock). Stay away from this posture, or choose other coordinates, such as quaternions."
+        f"'{worst}' is not determined (gimbal lock). Stay away from this posture, or choose other coordinates, such as "
+        "quaternions."
     )
 
 

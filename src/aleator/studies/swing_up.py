@@ -36,8 +36,8 @@ SWINGS = (-3.208, -3.3414, -3.3707, -2.342, -4.0307, -3.1935, -1.6233, -4.9035, 
 DURATION = 7.5558
 FAMILY_SWINGS = (-2.866, -2.461, -3.128, -4.033, -3.458, -1.564, -3.278, -4.843, -3.604, 0.934, -0.696, 0.415)
 FAMILY_DURATION = 6.36
-"""Where the searches start, for the mean pendulum and for the family: the best that `benchmarks/swing_up_starts.py`
-found among local searches from many swings at random, most of which end elsewhere or nowhere."""
+"""Where the searches start, for the mean pendulum and for the family: the best of local searches from many swings at
+random, most of which end elsewhere or nowhere. `benchmarks/swing_up_starts.py` searches in this way."""
 
 
 class DoublePendulum(al.Mechanical):

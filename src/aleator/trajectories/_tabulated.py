@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from aleator._core.arrays import realised_shape
 from aleator._core.errors import ProblemError
 from aleator.trajectories._signal import AbstractSignal
 
@@ -100,7 +101,4 @@ def _shape(values: Any) -> tuple[int, ...]:
     """The shape of numbers, or of what realisation puts in the place of a distribution (a number) or decision."""
     if isinstance(values, tuple):
         return (len(values),)
-    if _is_leaf(values):
-        # A decision's `initial` is its start; a distribution's is a method, of shape ().
-        return np.shape(getattr(values, "initial", 0.0))
-    return np.shape(values)
+    return realised_shape(values)

@@ -9,7 +9,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from aleator._core.arrays import decided_bounds
+from aleator._core.arrays import realised_shape
 from aleator._core.errors import ProblemError
 from aleator.trajectories._signal import AbstractSignal
 
@@ -108,11 +108,7 @@ def shape_of(number: Any) -> tuple[int, ...]:
     """The shape of what stands in a field: numbers, or what realisation puts in the place of a law or a decision."""
     if isinstance(number, list | tuple):
         return (len(number), *(shape_of(number[0]) if number else ()))
-    if isinstance(number, eqx.Module):
-        # Realisation puts as many numbers in the place of a decision as it has starts, one in the place of a law.
-        bounds = decided_bounds(number)
-        return () if bounds is None else np.shape(bounds[0])
-    return np.shape(number)
+    return realised_shape(number)
 
 
 def as_array(number: Any) -> Float[Array, "..."]:

@@ -84,12 +84,8 @@ def instantaneous_rows(
         samples = dict(zip(functionals, jax.vmap(one)(collocation.points), strict=True))
         weights = jnp.ones(1)  # no expression of these integrates over time
         scope = ExpansionScope(samples, collocation, constants, named_numbers(problem.model, decisions), weights)
-        values, taken = [], []
-        for expression in expressions:
-            before = len(scope.taken)
-            values.append(jnp.ravel(expression.evaluate(scope)))
-            taken.append(tuple(scope.taken[before:]))
-        return jnp.concatenate(values), (tuple(samples.values()), tuple(taken))
+        values, taken = scope.evaluated(expressions)
+        return jnp.concatenate(values), (tuple(samples.values()), taken)
 
     chosen = decisions[direct]
     numbers = jnp.concatenate([at.rows, jnp.broadcast_to(chosen[None], (len(at.rows), len(direct)))], axis=1)

@@ -3,10 +3,11 @@
 from collections.abc import Mapping
 from typing import Any, final
 
+import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from aleator.collocation import Collocation
-from aleator.design import AbstractFunctional, AbstractScope, Problem, grid_at, joined, responses
+from aleator.design import AbstractFunctional, AbstractScope, Expression, Problem, grid_at, joined, responses
 from aleator.statistics import AbstractStatistic, Constants
 from aleator.uncertainty import named_numbers
 
@@ -34,6 +35,15 @@ class ExpansionScope(AbstractScope):
         self._constants = constants
         self._numbers = numbers
         self._weights = weights
+
+    def evaluated(self, expressions: tuple[Expression, ...]) -> tuple[tuple[Array, ...], tuple[tuple[Array, ...], ...]]:
+        """Expressions, each flattened, and the statistics that each of them asked for."""
+        blocks, taken = [], []
+        for one in expressions:
+            before = len(self.taken)
+            blocks.append(jnp.ravel(one.evaluate(self)))
+            taken.append(tuple(self.taken[before:]))
+        return tuple(blocks), tuple(taken)
 
     def statistic(self, functionals: tuple[AbstractFunctional, ...], kind: AbstractStatistic) -> Float[Array, "..."]:
         """See `AbstractScope.statistic`."""

@@ -56,12 +56,8 @@ def _evaluate(
 
     def values(x: Array) -> tuple[tuple[Array, ...], tuple]:
         scope = scope_of(problem, functionals_of(expressions), collocation, constants, x)
-        blocks, taken = [], []
-        for one in expressions:
-            before = len(scope.taken)
-            blocks.append(jnp.ravel(jnp.asarray(one.evaluate(scope))))
-            taken.append(tuple(scope.taken[before:]))
-        return tuple(blocks), (tuple(blocks), tuple(scope.samples.values()), tuple(taken))
+        blocks, taken = scope.evaluated(expressions)
+        return blocks, (blocks, tuple(scope.samples.values()), taken)
 
     derivatives, (blocks, values_at_points, taken) = jax.jacfwd(values, has_aux=True)(decisions)
     samples = dict(zip(functionals_of(expressions), values_at_points, strict=True))
@@ -169,7 +165,7 @@ def transcribe(problem: Problem) -> Sequential:
     decision_scale = _decision_scale(start, places.vector("lower"), places.vector("upper"))
     scales = _scales(problem, at_start, decision_scale)
     rows = _rows(at_start)
-    _refuse_settled(problem, evaluator, scales)
+    _refuse_settled(problem, places, evaluator, scales)
     program = NonlinearProgram(
         evaluate=lambda decisions: _evaluation(evaluator(decisions)),
         start=start,
@@ -183,9 +179,9 @@ def transcribe(problem: Problem) -> Sequential:
     return Sequential(problem, traced, places, basis, collocation, constants, program, rows, tuple(scales), evaluator)
 
 
-def _refuse_settled(problem: Problem, evaluator: _Evaluator, scales: list[float]) -> None:
+def _refuse_settled(problem: Problem, places: Survey, evaluator: _Evaluator, scales: list[float]) -> None:
     """Refuse constraints that no decision can meet; see `refuse_settled`."""
-    start, lower, upper = (problem.survey.vector(name) for name in ("initial", "lower", "upper"))
+    start, lower, upper = (places.vector(name) for name in ("initial", "lower", "upper"))
     away = np.where(start + 1e-2 <= upper, start + 1e-2, np.maximum(start - 1e-2, lower))
     refuse_settled(
         problem,

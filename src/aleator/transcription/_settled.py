@@ -6,12 +6,10 @@ import numpy as np
 from jaxtyping import Float
 
 from aleator._core.errors import ProblemError
-from aleator.design import Constraint, Problem
+from aleator.design import HELD, Constraint, Problem
 
 Values = tuple[Float[np.ndarray, "..."], ...]
 """Rows of each constraint, whose number differs from one to the next."""
-
-_TOLERANCE = 1e-6
 
 
 def refuse_settled(
@@ -33,7 +31,7 @@ def refuse_settled(
         for i, (one, value, slope, scale) in enumerate(
             zip(problem.constraints, values, derivatives, scales, strict=True)
         )
-        if (row := ((excess := _excess(one, value)) > _TOLERANCE * scale) & np.all(slope == 0, axis=1)).any()
+        if (row := ((excess := _excess(one, value)) > HELD * scale) & np.all(slope == 0, axis=1)).any()
     ]
     if not suspects:
         return

@@ -11,6 +11,7 @@ from aleator._core.arrays import numbers_to_arrays
 from aleator._core.errors import ProblemError, SimulationError
 from aleator._core.progress import Progress, silent
 from aleator.design import (
+    HELD,
     AbstractFunctional,
     Constraint,
     Expression,
@@ -29,9 +30,6 @@ from aleator.uncertainty import uncertain_numbers
 from aleator.validation._evidence import PERCENTILES, Checked, Evidence, Sampled, Trajectories
 from aleator.validation._proportion import Proportion
 from aleator.validation._sampling import SIMULATE_BATCH, Batch, draw
-
-# How far a system may be beyond a limit, of the limit's scale: as a solution may.
-_TOLERANCE = 1e-6
 
 
 def validate(
@@ -119,7 +117,7 @@ class _Tally:
         self._problem = problem
         self._functionals = functionals_of(problem.expressions)
         # A limit that is met to a solver's tolerance is not broken by rounding.
-        self._tolerances = np.array([_TOLERANCE * scale for scale in scales])
+        self._tolerances = np.array([HELD * scale for scale in scales])
         self._samples, self._keep = samples, keep
         self._seen = 0
         self._scalars: dict[int, Float[np.ndarray, " samples"]] = {}
