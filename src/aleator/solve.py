@@ -179,9 +179,8 @@ def _plain(named: dict[str, Any]) -> dict[str, Any]:
 
 def _constraint_results(transcription: Sequential, outcome: Outcome, times: np.ndarray) -> tuple[ConstraintResult, ...]:
     results = []
-    for constraint, rows, scale in zip(
-        transcription.problem.constraints, transcription.rows, transcription.scales, strict=True
-    ):
+    parts = transcription.texts.constraints, transcription.rows, transcription.scales
+    for constraint, text, rows, scale in zip(transcription.problem.constraints, *parts, strict=True):
         instants = times if constraint.is_path else None
         values, multipliers, active = (
             _shaped(part[rows], instants)
@@ -190,7 +189,7 @@ def _constraint_results(transcription: Sequential, outcome: Outcome, times: np.n
         results.append(
             ConstraintResult(
                 name=constraint.name,
-                text=str(constraint),
+                text=text,
                 lower=float(constraint.lower),
                 upper=float(constraint.upper),
                 values=values,

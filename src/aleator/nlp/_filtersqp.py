@@ -9,6 +9,7 @@ from aleator._core.errors import MissingExtraError
 from aleator.nlp._certificate import Multipliers
 from aleator.nlp._ipopt import Ipopt
 from aleator.nlp._outcome import Status
+from aleator.nlp._pattern import Pattern
 from aleator.nlp._scaling import ScaledProgram
 from aleator.nlp._solver import AbstractSolver
 from aleator.nlp._verdict import Answer
@@ -45,14 +46,32 @@ class FilterSQP(AbstractSolver):
         return f"filterSQP (Uno {_import().current_uno_version()})"
 
     def _minimise(self, scaled: ScaledProgram, multipliers: np.ndarray | None) -> Answer:
+        pattern = Pattern(scaled.evaluate(scaled.start).jacobian != 0)
+        answer = self._solved(scaled, pattern, scaled.start, multipliers, self.max_iterations)
+        while pattern.outgrown and scaled.evaluations.halt is None and answer.iterations < self.max_iterations:
+            pattern = pattern.widened()
+            rows = None if answer.multipliers is None else answer.multipliers.rows
+            left = self.max_iterations - answer.iterations
+            again = self._solved(scaled, pattern, answer.point, rows, left)
+            answer = again._replace(iterations=answer.iterations + again.iterations)
+        return answer
+
+    def _solved(
+        self,
+        scaled: ScaledProgram,
+        pattern: Pattern,
+        start: np.ndarray,
+        multipliers: np.ndarray | None,
+        iterations: int,
+    ) -> Answer:
+        """Run Uno until it ends, or until derivatives are not zero where `pattern` has none."""
         unopy = _import()
-        model = _model(unopy, scaled, multipliers)
         solver = unopy.UnoSolver()
         solver.set_preset("filtersqp")
-        for option, value in self._options(scaled).items():
+        for option, value in (self._options(scaled) | {"max_iterations": iterations}).items():
             solver.set_option(option, value)
-        solver.set_termination_callback(lambda *_: scaled.evaluations.halt is not None)
-        return _answer(solver.optimize(model))
+        solver.set_termination_callback(lambda *_: scaled.evaluations.halt is not None or pattern.outgrown)
+        return _answer(solver.optimize(_model(unopy, scaled, pattern, start, multipliers)))
 
     def _options(self, scaled: ScaledProgram) -> dict[str, Any]:
         return {
@@ -64,7 +83,6 @@ class FilterSQP(AbstractSolver):
             # The preset's L2 norm would demand more of a row, the more rows a grid has.
             "residual_norm": "INF",
             "TR_radius": float(self.radius),
-            "max_iterations": self.max_iterations,
             "logger": "SILENT",
         }
 
@@ -88,7 +106,9 @@ def _import() -> Any:
     return unopy
 
 
-def _model(unopy: Any, scaled: ScaledProgram, multipliers: np.ndarray | None) -> Any:
+def _model(
+    unopy: Any, scaled: ScaledProgram, pattern: Pattern, start: np.ndarray, multipliers: np.ndarray | None
+) -> Any:
     def gradient(z: np.ndarray, out: np.ndarray) -> None:
         out[:] = scaled.evaluate(z).gradient
 
@@ -96,7 +116,7 @@ def _model(unopy: Any, scaled: ScaledProgram, multipliers: np.ndarray | None) ->
         out[:] = scaled.evaluate(z).constraints
 
     def jacobian(z: np.ndarray, out: np.ndarray) -> None:
-        out[:] = scaled.evaluate(z).jacobian.ravel(order="F")
+        out[:] = pattern.entries(scaled.evaluate(z).jacobian)
 
     n, m = scaled.size, scaled.rows
     model = unopy.Model(
@@ -105,10 +125,10 @@ def _model(unopy: Any, scaled: ScaledProgram, multipliers: np.ndarray | None) ->
     model.set_objective(unopy.MINIMIZE, lambda z: scaled.evaluate(z).objective, gradient)
     model.set_lagrangian_sign_convention(unopy.MULTIPLIER_POSITIVE)
     if m:
-        columns, rows = (index.ravel().tolist() for index in np.indices((n, m)))
+        rows, columns = pattern.rows.tolist(), pattern.columns.tolist()
         lower, upper = scaled.constraint_lower.tolist(), scaled.constraint_upper.tolist()
-        model.set_constraints(m, constraints, lower, upper, n * m, rows, columns, jacobian)
-    model.set_initial_primal_iterate(scaled.start.tolist())
+        model.set_constraints(m, constraints, lower, upper, len(rows), rows, columns, jacobian)
+    model.set_initial_primal_iterate(start.tolist())
     if m and multipliers is not None:
         model.set_initial_dual_iterate(multipliers.tolist())
     return model

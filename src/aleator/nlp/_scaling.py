@@ -100,7 +100,8 @@ class ScaledProgram:
 
     def scale(self, user: Evaluation) -> Evaluation:
         """Scale an evaluation in user units: free decisions and useful rows only."""
-        jacobian = user.jacobian[np.ix_(self._useful, self._free)]
+        whole = self.size == self._free.size and self.rows == self._useful.size
+        jacobian = user.jacobian if whole else user.jacobian[np.ix_(self._useful, self._free)]
         return Evaluation(
             (user.objective - self._objective_origin) / self.objective_scale,
             user.gradient[self._free] * self._decision_scale / self.objective_scale,

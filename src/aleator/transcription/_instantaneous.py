@@ -5,7 +5,9 @@ instant, some tens of numbers, whatever the number of decisions behind them. Its
 instant by instant, and multiplied with the derivatives of the numbers by the decisions, which no model takes part in.
 """
 
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple, final
 
 import equinox as eqx
 import jax
@@ -14,10 +16,12 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from aleator._core.arrays import decided_bounds
+from aleator._core.compilation import Compiled
 from aleator.collocation import Collocation
 from aleator.design import AbstractFunctional, Expression, Path, Problem, Statistic, functionals_of
 from aleator.dynamics import Grid, Known, System, known_at, observation, observed_at
 from aleator.statistics import Constants
+from aleator.transcription._affine import Anchors, affine_features, anchored
 from aleator.transcription._scope import ExpansionScope
 from aleator.uncertainty import named_numbers, realise, survey
 
@@ -58,48 +62,123 @@ def instantaneous_rows(
     which: tuple[int, ...],
     collocation: Collocation,
     constants: Constants,
+    anchors: Anchors | None,
     decisions: Float[Array, " n"],
 ) -> Rows:
     """The expressions `which` of a problem and their derivatives, instant by instant."""
     expressions = tuple(problem.expressions[i] for i in which)
-    functionals = functionals_of(expressions)
-    frozen, direct = _frozen(problem)
-    needed = {name for one in functionals for name in one.outputs}
-
-    def known(x: Array) -> Known:
-        system, inputs, grid = realise(problem.model, jnp.zeros(len(problem.survey.germ_names)), x)
-        return known_at(system.focused(needed), grid, inputs)
-
-    at = known(decisions)
+    instant = _Instant.of(problem, expressions, decisions)
 
     def row(numbers: Array) -> tuple[Array, tuple]:
         """All expressions at one instant, from what is known there and the decisions that act on the model itself."""
-        now, chosen = numbers[: at.rows.shape[1]], numbers[at.rows.shape[1] :]
-
-        def one(point: Array) -> tuple[Array, ...]:
-            system = realise(frozen.model, point, chosen).system.focused(needed)
-            outputs = observed_at(system, at, now, observation)
-            return tuple(functional.evaluate(outputs, problem.grid) for functional in functionals)
-
-        samples = dict(zip(functionals, jax.vmap(one)(collocation.points), strict=True))
+        samples = instant.samples(collocation.points, anchors, numbers)
         weights = jnp.ones(1)  # no expression of these integrates over time
         scope = ExpansionScope(samples, collocation, constants, named_numbers(problem.model, decisions), weights)
-        values, taken = scope.evaluated(expressions)
-        return jnp.concatenate(values), (tuple(samples.values()), taken)
+        found, taken = scope.evaluated(expressions)
+        values = jnp.concatenate(found)
+        return values, (values, tuple(samples.values()), taken)
 
-    chosen = decisions[direct]
-    numbers = jnp.concatenate([at.rows, jnp.broadcast_to(chosen[None], (len(at.rows), len(direct)))], axis=1)
-    values, (samples, taken) = jax.vmap(row)(numbers)
-    slopes = jax.vmap(jax.jacfwd(lambda x: row(x)[0]))(numbers)
-    inner = jax.jacfwd(lambda x: known(x).rows)(decisions)
-    derivatives = jnp.einsum("trk,tkn->trn", slopes[..., : at.rows.shape[1]], inner)
-    derivatives = derivatives.at[..., direct].add(slopes[..., at.rows.shape[1] :])
+    numbers = instant.numbers(decisions)
+    slopes, (values, samples, taken) = jax.vmap(jax.jacfwd(row, has_aux=True))(numbers)
+    inner = jax.jacfwd(lambda x: instant.numbers(x))(decisions)
+    derivatives = jnp.einsum("trk,tkn->rtn", slopes, inner)
     return Rows(
         tuple(values.T),
-        tuple(jnp.moveaxis(derivatives, 1, 0)),
-        dict(zip(functionals, (jnp.moveaxis(one, 1, 0) for one in samples), strict=True)),
+        tuple(derivatives),
+        dict(zip(instant.functionals, (jnp.moveaxis(one, 1, 0) for one in samples), strict=True)),
         taken,
     )
+
+
+def anchors_of(problem: Problem, collocation: Collocation, decisions: Float[np.ndarray, " n"]) -> Anchors | None:
+    """The collocation points that a traced problem's instantaneous functionals are solved at; None for all."""
+    which = instantaneous(problem)
+    if not which or collocation.points.size == 0:
+        return None
+    features, affine = FEATURES(problem, which, collocation.points, jnp.asarray(decisions))
+    if not affine.any():
+        return None
+    return anchored(np.asarray(collocation.points), np.asarray(features), affine.tolist())
+
+
+def _features(
+    problem: Problem, which: tuple[int, ...], points: Float[Array, "points variables"], decisions: Float[Array, " n"]
+) -> tuple[Float[Array, "points features"], Array]:
+    """The features that the functionals are affine in at all points, and which of them are so."""
+    instant = _Instant.of(problem, tuple(problem.expressions[i] for i in which), decisions)
+    numbers, affine = instant.numbers(decisions)[0], []
+
+    def found(point: Array) -> Array:
+        features, yes = affine_features(lambda *at: instant.at(instant.functionals, *at), point, numbers)
+        affine[:] = yes
+        return features
+
+    return jax.vmap(found)(points), jnp.array(affine)
+
+
+FEATURES = Compiled(_features)
+
+
+@final
+@dataclass(frozen=True)
+class _Instant:
+    """The functionals of some expressions at one instant, as functions of a germ point and of a row of numbers.
+
+    - `known`: what is known at the instants, of which the row is one; then come the decisions of the model itself,
+      which are those at `direct` among all.
+    """
+
+    problem: Problem
+    functionals: tuple[AbstractFunctional, ...]
+    frozen: Problem
+    direct: np.ndarray
+    known: Known
+
+    @classmethod
+    def of(cls, problem: Problem, expressions: tuple[Expression, ...], decisions: Float[Array, " n"]) -> "_Instant":
+        functionals = functionals_of(expressions)
+        return cls(problem, functionals, *_frozen(problem), _known(problem, functionals, decisions))
+
+    def numbers(self, decisions: Float[Array, " n"]) -> Float[Array, "instants numbers"]:
+        """The rows of all instants."""
+        rows = _known(self.problem, self.functionals, decisions).rows
+        chosen = jnp.broadcast_to(decisions[self.direct][None], (len(rows), len(self.direct)))
+        return jnp.concatenate([rows, chosen], axis=1)
+
+    def at(
+        self, functionals: Sequence[AbstractFunctional], point: Float[Array, " variables"], numbers: Array
+    ) -> tuple[Array, ...]:
+        """Some functionals of one system of the family."""
+        now, chosen = jnp.split(numbers, [self.known.rows.shape[1]])
+        system = realise(self.frozen.model, point, chosen).system.focused(_needed(functionals))
+        outputs = observed_at(system, self.known, now, observation)
+        return tuple(one.evaluate(outputs, self.problem.grid) for one in functionals)
+
+    def samples(
+        self, points: Float[Array, "points variables"], anchors: Anchors | None, numbers: Array
+    ) -> dict[AbstractFunctional, Float[Array, " points"]]:
+        """All functionals at all points, those that are affine by way of the anchors."""
+
+        def solved(some: list[AbstractFunctional], points: Array) -> dict[AbstractFunctional, Array]:
+            values = jax.vmap(lambda point: self.at(some, point, numbers))(points) if some else ()
+            return dict(zip(some, values, strict=True))
+
+        if anchors is None:
+            return solved(list(self.functionals), points)
+        kinds = list(zip(self.functionals, anchors.affine, strict=True))
+        few = solved([one for one, affine in kinds if affine], anchors.points)
+        combined = {one: jnp.tensordot(anchors.weights, values, axes=1) for one, values in few.items()}
+        found = combined | solved([one for one, affine in kinds if not affine], points)
+        return {one: found[one] for one in self.functionals}
+
+
+def _known(problem: Problem, functionals: Sequence[AbstractFunctional], decisions: Float[Array, " n"]) -> Known:
+    system, inputs, grid = realise(problem.model, jnp.zeros(len(problem.survey.germ_names)), decisions)
+    return known_at(system.focused(_needed(functionals)), grid, inputs)
+
+
+def _needed(functionals: Sequence[AbstractFunctional]) -> set[str]:
+    return {name for one in functionals for name in one.outputs}
 
 
 def _frozen(problem: Problem) -> tuple[Problem, np.ndarray]:

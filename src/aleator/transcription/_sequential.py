@@ -5,13 +5,14 @@ values and the Jacobian of the objective and of all constraints come from one co
 """
 
 import itertools
+from collections import deque
 from dataclasses import dataclass
-from typing import NamedTuple, final
+from typing import Any, NamedTuple, final
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from aleator._core.arrays import numbers_to_arrays
 from aleator._core.compilation import Compiled
@@ -20,8 +21,9 @@ from aleator.collocation import Basis, Collocation
 from aleator.design import Problem, functionals_of, grid_at, history, statistics_in
 from aleator.nlp import Evaluation, NonlinearProgram
 from aleator.statistics import Constants
+from aleator.transcription._affine import Anchors
 from aleator.transcription._discretisation import RESPOND, discretised
-from aleator.transcription._instantaneous import instantaneous, instantaneous_rows
+from aleator.transcription._instantaneous import FEATURES, anchors_of, instantaneous, instantaneous_rows
 from aleator.transcription._resolution import RESOLVE, Resolved
 from aleator.transcription._scope import scope_of
 from aleator.transcription._settled import refuse_settled
@@ -31,21 +33,37 @@ from aleator.uncertainty import Survey
 class Blocks(NamedTuple):
     """A problem at one point.
 
-    - `values`, `derivatives`: the objective and each constraint, flattened, and their derivatives by the decisions:
+    - `values`, `derivatives`: the objective, then the rows of each constraint, and their derivatives by the decisions:
       shapes (rows,) and (rows, n);
+    - `sizes`: how many rows each of them has;
     - `samples`: each functional at the collocation points;
-    - `statistics`: each that stands in the expressions, in the order of `statistics_in`.
+    - `statistics`: each that stands in the expressions, in the order of `statistics_in`;
+    - `times`: the instants of the grid.
     """
 
-    values: tuple[Float[np.ndarray, " rows"], ...]
-    derivatives: tuple[Float[np.ndarray, "rows n"], ...]
+    values: Float[np.ndarray, " rows"]
+    derivatives: Float[np.ndarray, "rows n"]
+    sizes: Int[np.ndarray, " expressions"]
     samples: tuple[Float[Array, "points ..."], ...]
-    statistics: tuple[Float[np.ndarray, "..."], ...]
+    statistics: tuple[Float[Array, "..."], ...]
+    times: Float[Array, " instants"]
+
+    def by_constraint(self, rows: np.ndarray) -> list[np.ndarray]:
+        """The rows of each constraint among all, such as those of `derivatives`."""
+        return np.split(rows, np.cumsum(self.sizes)[:-1])[1:]
+
+
+# Enough for a problem and its deterministic twin, each solved from many starts.
+_KEPT = 4
 
 
 def _evaluate(
-    problem: Problem, collocation: Collocation, constants: Constants, decisions: Float[Array, " n"]
-) -> tuple[tuple[Array, ...], ...]:
+    problem: Problem,
+    collocation: Collocation,
+    constants: Constants,
+    anchors: Anchors | None,
+    decisions: Float[Array, " n"],
+) -> tuple[Any, ...]:
     """The parts of `Blocks`, with exact derivatives, forward: few decisions, thousands of rows.
 
     Expressions whose rows depend on one instant each are differentiated instant by instant.
@@ -63,12 +81,15 @@ def _evaluate(
     samples = dict(zip(functionals_of(expressions), values_at_points, strict=True))
     found = dict(zip(rest, zip(blocks, derivatives, taken, strict=True), strict=True))
     if which:
-        rows = instantaneous_rows(problem, which, collocation, constants, decisions)
+        rows = instantaneous_rows(problem, which, collocation, constants, anchors, decisions)
         found |= dict(zip(which, zip(rows.values, rows.derivatives, rows.statistics, strict=True), strict=True))
         samples |= rows.samples
     blocks, derivatives, taken = zip(*(found[i] for i in range(len(problem.expressions))), strict=True)
     ordered = tuple(samples[one] for one in functionals_of(problem.expressions))
-    return blocks, derivatives, ordered, tuple(one for part in taken for one in part)
+    sizes = jnp.array([one.size for one in blocks])
+    statistics = tuple(one for part in taken for one in part)
+    times = grid_at(problem, decisions).times
+    return jnp.concatenate(blocks), jnp.concatenate(derivatives), sizes, ordered, statistics, times
 
 
 def _outputs_at_points(problem: Problem, collocation: Collocation, decisions: Float[Array, " n"]) -> dict[str, Array]:
@@ -81,7 +102,7 @@ OUTPUTS_AT_POINTS = Compiled(_outputs_at_points)
 
 def compile_seconds() -> float:
     """How long all compilations for solutions have taken so far, s."""
-    return EVALUATE.seconds + RESOLVE.seconds + RESPOND.seconds
+    return EVALUATE.seconds + RESOLVE.seconds + RESPOND.seconds + FEATURES.seconds
 
 
 @final
@@ -91,21 +112,36 @@ class _Evaluator:
     So the start, needed to find scales, and the solution, needed for its moments, are not computed twice.
     """
 
-    def __init__(self, traced: Problem, collocation: Collocation, constants: Constants):
-        self._evaluate = EVALUATE.bound(traced, collocation, constants)
+    def __init__(self, traced: Problem, collocation: Collocation, constants: Constants, anchors: Anchors | None):
+        self._evaluate = EVALUATE.bound(traced, collocation, constants, anchors)
         self._memory: dict[bytes, Blocks] = {}
 
     def __call__(self, decisions: Float[np.ndarray, " n"]) -> Blocks:
         key = decisions.tobytes()
         if key not in self._memory:
-            values, derivatives, samples, statistics = self._evaluate(jnp.asarray(decisions))
+            values, derivatives, sizes, *rest = self._evaluate(decisions)
             while len(self._memory) > 1:
                 del self._memory[next(iter(self._memory))]
-            values, derivatives, statistics = (
-                tuple(map(np.asarray, part)) for part in (values, derivatives, statistics)
-            )
-            self._memory[key] = Blocks(values, derivatives, samples, statistics)
+            self._memory[key] = Blocks(np.asarray(values), np.asarray(derivatives), np.asarray(sizes), *rest)
         return self._memory[key]
+
+
+@final
+class Texts(NamedTuple):
+    """How the statistics, the functionals and the constraints of a problem are written, in order."""
+
+    statistics: tuple[str, ...]
+    functionals: tuple[str, ...]
+    constraints: tuple[str, ...]
+
+    @classmethod
+    def of(cls, problem: Problem) -> "Texts":
+        """Those of a problem."""
+        return cls(
+            tuple(one.text() for one in statistics_in(problem.expressions)),
+            tuple(one.text() for one in functionals_of(problem.expressions)),
+            tuple(map(str, problem.constraints)),
+        )
 
 
 @final
@@ -113,7 +149,7 @@ class _Evaluator:
 class Sequential:
     """A problem transcribed: its nonlinear program, and what leads back from the program's rows to the problem.
 
-    `rows` and `scales` are those of each constraint.
+    `rows` and `scales` are those of each constraint; `texts`: how the problem is written.
     """
 
     problem: Problem
@@ -126,6 +162,7 @@ class Sequential:
     rows: tuple[slice, ...]
     scales: tuple[float, ...]
     evaluator: _Evaluator
+    texts: Texts
 
     def outputs(self, decisions: Float[np.ndarray, " n"]) -> dict[str, Array]:
         """Histories of all outputs at all collocation points."""
@@ -133,25 +170,46 @@ class Sequential:
 
     def times(self, decisions: Float[np.ndarray, " n"]) -> Float[np.ndarray, " instants"]:
         """The instants of the grid."""
-        return np.asarray(grid_at(self.problem, jnp.asarray(decisions)).times)
+        return np.asarray(self.evaluator(decisions).times)
 
     def statistics(self, decisions: Float[np.ndarray, " n"]) -> dict[str, Float[np.ndarray, "..."]]:
         """Every statistic that stands in the problem, by its text."""
-        texts = (one.text() for one in statistics_in(self.problem.expressions))
-        return dict(zip(texts, self.evaluator(decisions).statistics, strict=True))
+        return dict(zip(self.texts.statistics, map(np.asarray, self.evaluator(decisions).statistics), strict=True))
 
     def resolve(self, decisions: Float[np.ndarray, " n"]) -> dict[str, Resolved]:
         """The moments and the quality of each functional's expansion, by its text."""
         functionals = functionals_of(self.problem.expressions)
         found = RESOLVE(functionals, self.collocation, self.evaluator(decisions).samples)
-        return dict(zip((one.text() for one in functionals), found, strict=True))
+        return dict(zip(self.texts.functionals, found, strict=True))
+
+
+_RECENT: deque[tuple[list[Any], Sequential]] = deque(maxlen=_KEPT)
 
 
 def transcribe(problem: Problem) -> Sequential:
     """Turn a declared problem into a nonlinear program, compiling it if no problem of its structure has been before.
 
-    Raises `ProblemError` if the problem has no decisions.
+    A problem that was transcribed a short while ago, such as by a solution from another start, is not again. Raises
+    `ProblemError` if the problem has no decisions.
     """
+    numbers = [leaf.copy() if isinstance(leaf, np.ndarray) else leaf for leaf in jax.tree.leaves(problem)]
+    for known, found in _RECENT:
+        if found.problem is problem and _same(known, numbers):
+            return found
+    found = _transcribed(problem)
+    _RECENT.append((numbers, found))
+    return found
+
+
+def _same(first: list[Any], second: list[Any]) -> bool:
+    """Whether the numbers of a problem are still what they were: arrays can be changed in place."""
+    return len(first) == len(second) and all(
+        np.array_equal(one, other) if isinstance(one, np.ndarray) else one is other
+        for one, other in zip(first, second, strict=True)
+    )
+
+
+def _transcribed(problem: Problem) -> Sequential:
     places = problem.survey
     if places.size == 0:
         raise ProblemError(
@@ -159,8 +217,8 @@ def transcribe(problem: Problem) -> Sequential:
         )
     basis, collocation, constants = discretised(problem)
     traced = numbers_to_arrays(problem)
-    evaluator = _Evaluator(traced, collocation, constants)
     start = places.vector("initial")
+    evaluator = _Evaluator(traced, collocation, constants, anchors_of(traced, collocation, start))
     at_start = evaluator(start)
     decision_scale = _decision_scale(start, places.vector("lower"), places.vector("upper"))
     scales = _scales(problem, at_start, decision_scale)
@@ -176,37 +234,39 @@ def transcribe(problem: Problem) -> Sequential:
         constraint_scale=_spread(rows, scales),
         decision_scale=decision_scale,
     )
-    return Sequential(problem, traced, places, basis, collocation, constants, program, rows, tuple(scales), evaluator)
+    discretisation = basis, collocation, constants
+    back = program, rows, tuple(scales), evaluator, Texts.of(problem)
+    return Sequential(problem, traced, places, *discretisation, *back)
 
 
 def _refuse_settled(problem: Problem, places: Survey, evaluator: _Evaluator, scales: list[float]) -> None:
     """Refuse constraints that no decision can meet; see `refuse_settled`."""
     start, lower, upper = (places.vector(name) for name in ("initial", "lower", "upper"))
     away = np.where(start + 1e-2 <= upper, start + 1e-2, np.maximum(start - 1e-2, lower))
+    at_start = evaluator(start)
     refuse_settled(
         problem,
-        evaluator(start).values[1:],
-        evaluator(start).derivatives[1:],
+        at_start.by_constraint(at_start.values),
+        at_start.by_constraint(at_start.derivatives),
         scales,
-        lambda: np.asarray(grid_at(problem, jnp.asarray(start)).times),
-        lambda: evaluator(away).values[1:],
+        lambda: np.asarray(at_start.times),
+        lambda: at_start.by_constraint(evaluator(away).values),
     )
 
 
 def _evaluation(blocks: Blocks) -> Evaluation:
     """A point in the solver's terms."""
-    n = blocks.derivatives[0].shape[1]
     return Evaluation(
-        objective=float(blocks.values[0][0]),
-        gradient=blocks.derivatives[0][0],
-        constraints=np.concatenate([np.zeros(0), *blocks.values[1:]]),
-        jacobian=np.concatenate([np.zeros((0, n)), *blocks.derivatives[1:]]),
+        objective=float(blocks.values[0]),
+        gradient=blocks.derivatives[0],
+        constraints=blocks.values[1:],
+        jacobian=blocks.derivatives[1:],
     )
 
 
 def _rows(blocks: Blocks) -> tuple[slice, ...]:
     """The rows of each constraint in the program's constraint vector."""
-    ends = np.cumsum([0, *(block.size for block in blocks.values[1:])]).tolist()
+    ends = np.cumsum([0, *blocks.sizes[1:]]).tolist()
     return tuple(slice(first, last) for first, last in itertools.pairwise(ends))
 
 
@@ -223,7 +283,8 @@ def _scales(problem: Problem, at_start: Blocks, decision_scale: Float[np.ndarray
     The larger of the two counts. A remote second bound says nothing of the size, nor does a bound of zero.
     """
     scales = []
-    for one, slopes, values in zip(problem.constraints, at_start.derivatives[1:], at_start.values[1:], strict=True):
+    rows = zip(at_start.by_constraint(at_start.derivatives), at_start.by_constraint(at_start.values), strict=True)
+    for one, (slopes, values) in zip(problem.constraints, rows, strict=True):
         bounds = [abs(float(bound)) for bound in (one.lower, one.upper) if np.isfinite(bound) and bound != 0]
         change = float(np.max(np.abs(slopes) @ decision_scale, initial=0.0))
         known = [size for size in (min(bounds, default=0.0), change) if np.isfinite(size)]

@@ -1,6 +1,6 @@
 """Constraints that no decision can change, and that do not hold: a start inside an obstacle, an end beyond a limit."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from jaxtyping import Float
@@ -8,7 +8,7 @@ from jaxtyping import Float
 from aleator._core.errors import ProblemError
 from aleator.design import HELD, Constraint, Problem
 
-Values = tuple[Float[np.ndarray, "..."], ...]
+Values = Sequence[Float[np.ndarray, "..."]]
 """Rows of each constraint, whose number differs from one to the next."""
 
 

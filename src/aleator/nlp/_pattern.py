@@ -1,0 +1,41 @@
+"""Where a Jacobian may be other than zero: solvers work less on rows that depend on few decisions."""
+
+from typing import final
+
+import numpy as np
+
+# Beyond this share of entries other than zero, keeping them apart saves nothing.
+_DENSE = 0.7
+# A pattern that was outgrown so often is none.
+_MOST_WIDENINGS = 2
+
+
+@final
+class Pattern:
+    """The entries of a Jacobian that a solver is told of, taken from where it is other than zero at one point.
+
+    An entry that is zero there by chance, or as long as two bodies are apart, shows itself later: the pattern is then
+    `outgrown`, and the solver is to go on with `widened()`.
+
+    - `rows`, `columns`: of the entries, column by column, shape (entries,).
+    """
+
+    def __init__(self, nonzero: np.ndarray, widenings: int = 0):
+        self._widenings = widenings
+        dense = widenings == _MOST_WIDENINGS or nonzero.mean() > _DENSE if nonzero.size else True
+        self._nonzero = np.ones_like(nonzero) if dense else nonzero
+        self.columns, self.rows = np.nonzero(self._nonzero.T)
+        self._places = self.rows * nonzero.shape[1] + self.columns
+        self.outgrown = False
+
+    def entries(self, jacobian: np.ndarray) -> np.ndarray:
+        """The entries of a Jacobian of shape (m, n), shape (entries,)."""
+        found = jacobian.ravel()[self._places]
+        if np.count_nonzero(jacobian) > np.count_nonzero(found):
+            self._nonzero = self._nonzero | (jacobian != 0)
+            self.outgrown = True
+        return found
+
+    def widened(self) -> "Pattern":
+        """The pattern with the entries that outgrew it; of all entries when that happens again and again."""
+        return Pattern(self._nonzero, self._widenings + 1)

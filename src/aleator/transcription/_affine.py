@@ -1,0 +1,181 @@
+"""Outputs that are affine in what the germ moves: the model is solved at few points, and all others are combinations.
+
+The torques that a motion takes are sums of numbers that the motion decides times masses and moments of inertia, which
+the germ decides. The torques at any collocation point are then a combination of those at a few, the anchors, with
+weights that no motion changes. That an output is of this kind is read off the traced equations, never guessed from
+values. (Reduced-basis methods call it affine parameter dependence: Hesthaven, Rozza, Stamm, Certified Reduced Basis
+Methods for Parametrized Partial Differential Equations, 2016, section 3.3.)
+"""
+
+import enum
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, NamedTuple, final
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import scipy.linalg
+from jax.extend.core import ClosedJaxpr, Literal
+from jaxtyping import Array, Float
+
+# What rounding leaves of a direction, relative to the largest one, in which no feature varies.
+_ROUNDING = 1e-11
+
+# Equations that are linear in all their operands together, and those that are so in each by itself.
+_LINEAR = {
+    *("add", "add_any", "sub", "neg", "copy", "reduce_sum", "cumsum"),
+    *("reshape", "transpose", "broadcast_in_dim", "squeeze", "slice", "split", "stack", "concatenate", "pad", "rev"),
+}
+_BILINEAR = {"mul", "dot_general"}
+# Equations that are linear in their first operands, as many as stand here, where the others are certain.
+_LINEAR_IN_FIRST = {"div": 1, "gather": 1, "dynamic_slice": 1, "dynamic_update_slice": 2}
+# Equations that stand for others.
+_NESTED = {"jit": "jaxpr", "pjit": "jaxpr", "custom_jvp_call": "call_jaxpr"}
+
+
+@final
+class Anchors(eqx.Module):
+    """Collocation points that affine outputs are solved at, and what leads from these to all points.
+
+    - `points`: shape (anchors, variables); `weights`: shape (points, anchors), each row adding up to one;
+    - `affine`: of each functional, whether it is so.
+    """
+
+    points: Float[Array, "anchors variables"]
+    weights: Float[Array, "points anchors"]
+    affine: tuple[bool, ...] = eqx.field(static=True)
+
+
+def anchored(
+    points: Float[np.ndarray, "points variables"],
+    features: Float[np.ndarray, "points features"],
+    affine: Iterable[bool],
+) -> Anchors | None:
+    """The fewest points whose features span, by combinations that add up to one, the features at all points.
+
+    None where that takes all of them, or where a feature is not finite.
+    """
+    if not np.isfinite(features).all():
+        return None
+    deviations = features - features.mean(axis=0)
+    sizes = np.abs(deviations).max(axis=0, initial=0.0)
+    varying = sizes > 0
+    rows = np.hstack([np.ones((len(points), 1)), deviations[:, varying] / sizes[varying]])
+    _, triangle, order = scipy.linalg.qr(rows.T, mode="economic", pivoting=True)  # type: ignore[assignment]
+    pivots = np.abs(np.diag(triangle))
+    chosen = order[: int(np.sum(pivots > _ROUNDING * pivots[0]))]
+    if len(chosen) == len(points):
+        return None
+    weights = np.linalg.lstsq(rows[chosen].T, rows.T)[0].T
+    return Anchors(jnp.asarray(points[chosen]), jnp.asarray(weights), tuple(affine))
+
+
+def affine_features(
+    function: Callable[[Array, Array], Sequence[Array]],
+    germ: Float[Array, " variables"],
+    moved: Float[Array, " numbers"],
+) -> tuple[Float[Array, " features"], tuple[bool, ...]]:
+    """Numbers of the germ alone that outputs of `function(germ, moved)` are affine in, and which outputs are so.
+
+    What the function holds is known, and may be traced by an outer transformation.
+    """
+    closed = jax.make_jaxpr(lambda *both: tuple(function(*both)))(germ, moved)
+    given = [_Entry(_Kind.GERM, germ), _Entry(_Kind.MOVED)]
+    affine = tuple(entry.kind is not _Kind.OTHER for entry in _walked(closed, given, [], closed.jaxpr.outvars))
+    kept = [variable for variable, yes in zip(closed.jaxpr.outvars, affine, strict=True) if yes]
+    features: list[Array] = []
+    features += [entry.value for entry in _walked(closed, given, features, kept) if entry.kind is _Kind.GERM]
+    return jnp.concatenate([jnp.zeros(0), *(jnp.ravel(one) for one in features)]), affine
+
+
+@final
+class _Kind(enum.Enum):
+    """What a number of the traced equations depends on."""
+
+    KNOWN = "nothing"
+    GERM = "the germ alone"
+    MOVED = "what is moved alone"
+    AFFINE = "what is moved, and in an affine way on features of the germ"
+    OTHER = "both in another way"
+
+
+_UNCERTAIN = {_Kind.GERM, _Kind.AFFINE}
+_VALUED = {_Kind.KNOWN, _Kind.GERM}
+
+
+class _Entry(NamedTuple):
+    """A variable of the equations; its value is followed as long as nothing that is moved takes part in it."""
+
+    kind: _Kind
+    value: Any = None
+
+
+def _walked(
+    closed: ClosedJaxpr, arguments: Sequence[_Entry], features: list[Array], wanted: Sequence[Any]
+) -> list[_Entry]:
+    """The entries of the variables `wanted`. What of the germ meets what is moved on the way is added to `features`."""
+    jaxpr = closed.jaxpr
+    known = [_Entry(_Kind.KNOWN, value) for value in closed.consts]
+    entries = dict(zip([*jaxpr.constvars, *jaxpr.invars], [*known, *arguments], strict=True))
+
+    def read(variable: Any) -> _Entry:
+        return _Entry(_Kind.KNOWN, variable.val) if isinstance(variable, Literal) else entries[variable]
+
+    for equation in _needed(jaxpr, wanted):
+        found = _followed(equation, [read(variable) for variable in equation.invars], features)
+        entries.update(zip(equation.outvars, found, strict=True))
+    return [read(variable) for variable in wanted]
+
+
+def _needed(jaxpr: Any, wanted: Sequence[Any]) -> list[Any]:
+    """The equations that some variables depend on, in order."""
+    alive = {variable for variable in wanted if not isinstance(variable, Literal)}
+    found = []
+    for equation in reversed(jaxpr.eqns):
+        if not alive.isdisjoint(equation.outvars):
+            found.append(equation)
+            alive.update(variable for variable in equation.invars if not isinstance(variable, Literal))
+    return found[::-1]
+
+
+def _followed(equation: Any, operands: list[_Entry], features: list[Array]) -> list[_Entry]:
+    """The entries of one equation's results."""
+    kinds = [one.kind for one in operands]
+    if _VALUED.issuperset(kinds):
+        values = _computed(equation, [one.value for one in operands])
+        return [_Entry(_Kind.GERM if _Kind.GERM in kinds else _Kind.KNOWN, value) for value in values]
+    if equation.primitive.name in _NESTED and _Kind.OTHER not in kinds:
+        inner = equation.params[_NESTED[equation.primitive.name]]
+        return _walked(inner, operands, features, inner.jaxpr.outvars)
+    return [_Entry(_combined(equation, operands, features))] * len(equation.outvars)
+
+
+def _combined(equation: Any, operands: list[_Entry], features: list[Array]) -> _Kind:
+    kinds = [one.kind for one in operands]
+    if _Kind.OTHER in kinds:
+        return _Kind.OTHER
+    uncertain = [kind in _UNCERTAIN for kind in kinds]
+    if not any(uncertain):
+        return _Kind.MOVED
+    if not _is_affine(equation, uncertain):
+        return _Kind.OTHER
+    features += [one.value for one in operands if one.kind is _Kind.GERM]
+    return _Kind.AFFINE
+
+
+def _is_affine(equation: Any, uncertain: list[bool]) -> bool:
+    """Whether an equation is affine in all its uncertain operands together, the others being certain."""
+    name = equation.primitive.name
+    if name == "convert_element_type":
+        return jnp.issubdtype(equation.params["new_dtype"], jnp.floating)
+    if name == "select_n":
+        return not uncertain[0]
+    if name in _LINEAR_IN_FIRST:
+        return not any(uncertain[_LINEAR_IN_FIRST[name] :])
+    return name in _LINEAR or (name in _BILINEAR and sum(uncertain) == 1)
+
+
+def _computed(equation: Any, values: list[Any]) -> Sequence[Any]:
+    found = equation.primitive.bind(*values, **equation.primitive.get_bind_params(equation.params))
+    return found if equation.primitive.multiple_results else [found]

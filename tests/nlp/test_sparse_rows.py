@@ -1,0 +1,77 @@
+"""Solvers are told only of entries of a Jacobian that are not zero, and learn of others when these show up."""
+
+import numpy as np
+import pytest
+from nlp_problems import INF, evaluation, program
+
+from aleator.nlp import FilterSQP, Status
+from aleator.nlp._pattern import Pattern
+
+
+def test_a_pattern_keeps_entries_column_by_column():
+    jacobian = np.array([[0.0, 2.0, 0.0], [3.0, 0.0, 0.0]])
+    pattern = Pattern(jacobian != 0)
+    assert list(zip(pattern.rows, pattern.columns, strict=True)) == [(1, 0), (0, 1)]
+    np.testing.assert_array_equal(pattern.entries(10 * jacobian), [30.0, 20.0])
+    assert not pattern.outgrown
+
+
+def test_a_pattern_notices_what_outgrows_it_and_is_whole_in_the_end():
+    jacobian = np.eye(6)
+    pattern = Pattern(jacobian != 0)
+    jacobian[0, 5] = 1.0
+    pattern.entries(jacobian)
+    assert pattern.outgrown
+    wider = pattern.widened()
+    assert len(wider.rows) == 7
+    jacobian[5, 0] = 1.0
+    wider.entries(jacobian)
+    assert len(wider.widened().rows) == 36
+
+
+def test_rows_that_hardly_depend_on_anything_at_the_start_are_solved():
+    # Minimise the sum of x_i, with x_i >= 0.5 and row i: (x_i - 1)_+² + (x_{i+1} - x_i)² <= 1, flat at the start.
+    n = 12
+
+    def evaluate(x):
+        jacobian = np.zeros((n, n))
+        ahead = np.roll(x, -1)
+        over = np.maximum(x - 1.0, 0.0)
+        rows = over**2 + (ahead - x) ** 2
+        for i in range(n):
+            jacobian[i, i] = 2 * over[i] - 2 * (ahead[i] - x[i])
+            jacobian[i, (i + 1) % n] += 2 * (ahead[i] - x[i])
+        return evaluation(-x.sum(), -np.ones(n), rows, jacobian)
+
+    outcome = FilterSQP().solve(program(evaluate, np.full(n, 0.7), np.full(n, 0.5), rows=[(-INF, 1.0)] * n))
+    assert outcome.status is Status.SOLVED
+    # All x equal to 2 meet every row with equality, and by symmetry and convexity no sum is larger.
+    np.testing.assert_allclose(outcome.decisions, 2.0, atol=1e-6)
+    np.testing.assert_allclose(outcome.multipliers, 0.5, atol=1e-5)
+
+
+@pytest.mark.parametrize("links", [3, 15])
+def test_sparse_and_dense_rows_have_the_same_optimum(links, monkeypatch):
+    # A chain of unit links between (0, 0) and (links / 2, 0), with least sum of heights: rows know two joints each.
+    def evaluate(z):
+        x, y = np.concatenate([[0.0], z[: links - 1], [links / 2]]), np.concatenate([[0.0], z[links - 1 :], [0.0]])
+        dx, dy = np.diff(x), np.diff(y)
+        jacobian = np.zeros((links, 2 * (links - 1)))
+        for i in range(links):
+            for joint, sign in ((i - 1, -1.0), (i, 1.0)):
+                if 0 <= joint < links - 1:
+                    jacobian[i, joint] += sign * 2 * dx[i]
+                    jacobian[i, links - 1 + joint] += sign * 2 * dy[i]
+        gradient = np.concatenate([np.zeros(links - 1), np.ones(links - 1)])
+        return evaluation(y.sum(), gradient, dx**2 + dy**2, jacobian)
+
+    inner = np.arange(1, links) / 2
+    sag = -0.5 * np.sin(np.pi * np.arange(1, links) / links)
+    declared = program(evaluate, np.concatenate([inner, sag]), rows=[(-INF, 1.0)] * links)
+    sparse = FilterSQP().solve(declared)
+    monkeypatch.setattr("aleator.nlp._pattern._DENSE", 0.0)
+    dense = FilterSQP().solve(declared)
+    assert sparse.ok
+    assert dense.ok
+    assert sparse.evaluation.objective == pytest.approx(dense.evaluation.objective, rel=1e-7)
+    np.testing.assert_allclose(sparse.multipliers, dense.multipliers, rtol=1e-4, atol=1e-6)
