@@ -20,6 +20,7 @@ from aleator.transcription import (
     compile_seconds,
     diagnose,
     excess_between,
+    is_over_time,
     margins_for,
     no_margins,
     tightened,
@@ -42,11 +43,13 @@ def solve(
     """Solve a design problem: transcribe, compile once, optimise with exact derivatives, certify.
 
     - `solver`: `FilterSQP()` by default; `Ipopt()` or `Slsqp()` for a second opinion;
-    - `warm_start`: a solution of a problem with the same decisions and constraints, to start from;
+    - `warm_start`: a solution of a problem with the same decisions and constraints, to start from, on the same grid or
+      another;
     - `start`: values of decisions by name to start from, in the place of their own initial ones;
     - `between`: limits over time are checked on a grid of so many times as many steps as well, and where they are
-      exceeded between two instants, the bounds there are tightened until they hold; 1 leaves that out. By default 10
-      for systems that follow trajectories, 1 for others;
+      exceeded between two instants, the bounds there are tightened until they hold; a solution that exceeds one by more
+      than a thousandth of it nevertheless has failed. 1 leaves all that out. By default 10 for systems that follow
+      trajectories, 1 for others;
     - `throw`: if False, a solution that failed is returned with its status instead of raised.
 
     Raises `SolveError` (which carries the unfinished solution), `SimulationError` if the model gives numbers that are
@@ -54,16 +57,18 @@ def solve(
     resolved.
     """
     solver = solver or default_solver()
-    _check_arguments(problem, solver, warm_start)
+    _check_arguments(problem, solver, warm_start, between)
     compiled_before = compile_seconds()
     transcription = transcribe(problem)
     outcome = _optimise(transcription, solver, _first(problem, warm_start, start), warm_start)
-    outcome, excess = _held_between(transcription, solver, outcome, _factor(problem, between))
+    factor = _factor(problem, between)
+    outcome, excess = _held_between(transcription, solver, outcome, factor)
     if outcome.status is Status.INTERRUPTED:
         raise KeyboardInterrupt
     if outcome.failed_at is not None:
         outcome = replace(outcome, message=diagnose(transcription, outcome.failed_at))
-    solution = _report(transcription, outcome, excess, compiled_before)
+    found = None if excess is None else Between(factor, *excess[1:])
+    solution = _report(transcription, outcome, found, compiled_before)
     if throw and outcome.status is Status.EVALUATION_FAILED:
         raise SimulationError(outcome.message)
     if throw and not solution.ok:
@@ -72,13 +77,19 @@ def solve(
     return solution
 
 
-def _check_arguments(problem: Problem, solver: AbstractSolver, warm_start: Solution | None) -> None:
+def _check_arguments(
+    problem: Problem, solver: AbstractSolver, warm_start: Solution | None, between: int | None
+) -> None:
     if not isinstance(problem, Problem):
         raise ProblemError(f"solve: expected a Problem; received {type(problem).__name__}.")
     if not isinstance(solver, AbstractSolver):
         raise ProblemError(f"solve: expected a solver, such as al.Ipopt(); received {solver!r}.")
+    if between is not None and not (isinstance(between, int | np.integer) and between >= 1):
+        raise ProblemError(f"solve: expected `between` as a whole number of at least 1; received {between!r}.")
     if warm_start is None:
         return
+    if not isinstance(warm_start, Solution):
+        raise ProblemError(f"solve: expected a Solution as `warm_start`; received {type(warm_start).__name__}.")
     names = problem.survey.entry_names()
     if warm_start.problem.survey.entry_names() != names or warm_start.problem.names != problem.names:
         raise ProblemError(
@@ -97,15 +108,25 @@ def _first(problem: Problem, warm_start: Solution | None, start: Mapping[str, An
     vector = problem.survey.vector("initial") if warm_start is None else warm_start.vector.copy()
     for name, value in start.items():
         expected = np.shape(places[name].decision.initial)
-        if np.shape(value) != expected:
-            raise ProblemError(f"solve: expected a start of shape {expected} for '{name}'; received {np.shape(value)}.")
-        vector[places[name].where] = np.ravel(value)
+        vector[places[name].where] = np.ravel(_numbers(name, value, expected))
     return vector
+
+
+def _numbers(name: str, value: Any, shape: tuple[int, ...]) -> np.ndarray:
+    try:
+        array = np.asarray(value, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise ProblemError(f"solve: expected numbers to start '{name}' from; received {value!r}.") from error
+    if array.shape != shape:
+        raise ProblemError(f"solve: expected a start of shape {shape} for '{name}'; received {array.shape}.")
+    if not np.isfinite(array).all():
+        raise ProblemError(f"solve: expected finite numbers to start '{name}' from; received {value}.")
+    return array
 
 
 def _factor(problem: Problem, between: int | None) -> int:
     """How many times finer the grid is on which limits over time are checked; 1 for none."""
-    if not (isinstance(problem.grid, Grid) and any(one.is_path for one in problem.constraints)):
+    if not (isinstance(problem.grid, Grid) and any(map(is_over_time, problem.constraints))):
         return 1
     return (10 if problem.system.signals() else 1) if between is None else between  # type: ignore[union-attr]
 
@@ -113,7 +134,10 @@ def _factor(problem: Problem, between: int | None) -> int:
 def _optimise(
     transcription: Sequential, solver: AbstractSolver, start: np.ndarray | None, warm_start: Solution | None
 ) -> Outcome:
-    multipliers = None if warm_start is None else warm_start.multipliers
+    rows = transcription.program.constraint_lower.shape
+    # Prices at the instants of another grid say nothing here.
+    known = None if warm_start is None else warm_start.multipliers
+    multipliers = known if known is not None and known.shape == rows else None
     return solver.solve(transcription.program, start=start, multipliers=multipliers)
 
 
@@ -135,6 +159,8 @@ def _held_between(
         again = solver.solve(
             tightened(transcription, margins), start=outcome.decisions, multipliers=outcome.multipliers
         )
+        if again.status is Status.INTERRUPTED:
+            return again, None
         if again.status is not Status.SOLVED:
             break
         seconds, iterations = outcome.seconds + again.seconds, outcome.iterations + again.iterations
@@ -144,7 +170,7 @@ def _held_between(
     return outcome, excess
 
 
-def _report(transcription: Sequential, outcome: Outcome, excess: Excess | None, compiled_before: float) -> Solution:
+def _report(transcription: Sequential, outcome: Outcome, between: Between | None, compiled_before: float) -> Solution:
     problem, places = transcription.problem, transcription.places
     resolved = transcription.resolve(outcome.decisions)
     times = transcription.times(outcome.decisions)
@@ -168,7 +194,7 @@ def _report(transcription: Sequential, outcome: Outcome, excess: Excess | None, 
         times=Times(clock.import_seconds, compile_seconds() - compiled_before, outcome.seconds),
         solver=outcome.solver,
         message=outcome.message,
-        between=None if excess is None else Between(excess.worst, excess.where, excess.when),
+        between=between,
         expansion=_quality(transcription, resolved, times),
     )
 

@@ -1,5 +1,11 @@
 """The declared problem: functionals of outputs, statistics of them, bounds, cost curves. And its answer."""
 
+from aleator.design._certificate import HELD as HELD
+from aleator.design._certificate import Between as Between
+from aleator.design._certificate import ConstraintResult as ConstraintResult
+from aleator.design._certificate import ExpansionQuality as ExpansionQuality
+from aleator.design._certificate import Moments as Moments
+from aleator.design._certificate import Times as Times
 from aleator.design._cost import cost_curve as cost_curve
 from aleator.design._cost import exponential as exponential
 from aleator.design._cost import reciprocal as reciprocal
@@ -10,6 +16,7 @@ from aleator.design._expression import Expression as Expression
 from aleator.design._expression import as_expression as as_expression
 from aleator.design._expression import value as value
 from aleator.design._functionals import Path as Path
+from aleator.design._functionals import Peak as Peak
 from aleator.design._functionals import integral as integral
 from aleator.design._functionals import output as output
 from aleator.design._functionals import path as path
@@ -34,13 +41,7 @@ from aleator.design._response import responses as responses
 from aleator.design._response import unsolved as unsolved
 from aleator.design._response import value_at as value_at
 from aleator.design._scope import AbstractScope as AbstractScope
-from aleator.design._solution import HELD as HELD
-from aleator.design._solution import Between as Between
-from aleator.design._solution import ConstraintResult as ConstraintResult
-from aleator.design._solution import ExpansionQuality as ExpansionQuality
-from aleator.design._solution import Moments as Moments
 from aleator.design._solution import Solution as Solution
-from aleator.design._solution import Times as Times
 from aleator.design._statistic import AbstractFunctional as AbstractFunctional
 from aleator.design._statistic import Statistic as Statistic
 from aleator.design._statistic import correlation as correlation

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 from aleator._core.arrays import numbers_to_arrays
 from aleator._core.compilation import Compiled
 from aleator.collocation import Collocation
-from aleator.design import Constraint, Problem, functionals_of
+from aleator.design import Constraint, Peak, Problem, functionals_of
 from aleator.dynamics import Grid
 from aleator.nlp import NonlinearProgram
 from aleator.statistics import Constants
@@ -22,18 +22,21 @@ Margins = tuple[Float[np.ndarray, " instants"] | None, ...]
 
 
 class Excess(NamedTuple):
-    """How far the constraints are exceeded on a finer grid.
+    """How far the constraints are exceeded on a finer grid, and how far those change that are no limits over time.
 
-    - `shifts`: of each path constraint, by how much its bound is to move inwards at each instant for the worst value
-      beside it to meet the bound, negative where it may move outwards; None for constraints that are no paths;
-    - `worst`: the largest excess of all, relative to its bound (to the constraint's scale where that is zero), or
-      zero; `where`: its constraint, `when`: its time, s.
+    - `shifts`: of each constraint that limits a path or a peak, by how much its bound is to move inwards at each
+      instant for the worst value beside it to meet the bound, negative where it may move outwards; None for others;
+    - `worst`: the largest excess of a limit over time, relative to its bound (to the constraint's scale where that is
+      zero), or zero; `where`: its constraint, `when`: its time, s;
+    - `change`: the largest change of any other constraint's value, relative likewise; `changed`: which it is.
     """
 
     shifts: Margins
     worst: float
     where: str
     when: float
+    change: float
+    changed: str
 
 
 def _constraint_values(
@@ -55,20 +58,29 @@ def excess_between(transcription: Sequential, decisions: Float[np.ndarray, " n"]
     finer = eqx.tree_at(lambda tree: tree.grid, problem, grid.finer(factor))
     arguments = numbers_to_arrays(finer), transcription.collocation, transcription.constants
     values = CONSTRAINT_VALUES(*arguments, jnp.asarray(decisions))
-    times = transcription.times(decisions)
+    times, before = transcription.times(decisions), transcription.constraints(decisions)
     shifts: list[Float[np.ndarray, " instants"] | None] = []
-    worst = (0.0, "", 0.0)
-    for one, value, scale in zip(problem.constraints, values, transcription.scales, strict=True):
-        if not one.is_path or float(one.lower) == float(one.upper):
+    worst, change = (0.0, "", 0.0), (0.0, "")
+    for one, value, old, scale in zip(problem.constraints, values, before, transcription.scales, strict=True):
+        scale = _bound_size(one) or scale
+        if not is_over_time(one):
             shifts.append(None)
+            change = max(change, (float(np.max(np.abs(np.ravel(value) - old))) / scale, one.name))
             continue
         beyond = np.maximum(np.asarray(value) - float(one.upper), float(one.lower) - np.asarray(value))
-        scale = _bound_size(one) or scale
-        rows = beyond.reshape(len(beyond), -1).max(axis=1)
-        shifts.append(_shifts(rows, factor))
+        rows = beyond.reshape(len(beyond) if one.is_path else 1, -1).max(axis=1)
+        shifts.append(_shifts(rows, factor) if one.is_path else rows)
         if rows.max() / scale > worst[0]:
-            worst = (float(rows.max() / scale), one.name, float(times[int(np.argmax(rows)) // factor]))
-    return Excess(tuple(shifts), *worst)
+            when = times[int(np.argmax(rows)) // factor] if one.is_path else np.nan
+            worst = float(rows.max() / scale), one.name, float(when)
+        if float(one.lower) == float(one.upper):
+            shifts[-1] = None  # no margin makes both sides hold
+    return Excess(tuple(shifts), *worst, *change)
+
+
+def is_over_time(constraint: Constraint) -> bool:
+    """Whether a constraint limits a path, or the peak of one: the instants between those of the grid count too."""
+    return constraint.is_path or any(isinstance(one, Peak) for one in functionals_of((constraint.expression,)))
 
 
 def _bound_size(constraint: Constraint) -> float:

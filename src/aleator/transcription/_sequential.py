@@ -24,6 +24,7 @@ from aleator.statistics import Constants
 from aleator.transcription._affine import Anchors
 from aleator.transcription._discretisation import RESPOND, discretised
 from aleator.transcription._instantaneous import FEATURES, anchors_of, instantaneous, instantaneous_rows
+from aleator.transcription._magnitudes import constraint_scales, decision_scales, elsewhere
 from aleator.transcription._resolution import RESOLVE, Resolved
 from aleator.transcription._scope import scope_of
 from aleator.transcription._settled import refuse_settled
@@ -88,8 +89,11 @@ def _evaluate(
     ordered = tuple(samples[one] for one in functionals_of(problem.expressions))
     sizes = jnp.array([one.size for one in blocks])
     statistics = tuple(one for part in taken for one in part)
+    # A statistic may hide that a system came to no end: a rare event has no probability, whatever it would have been.
+    finite = jnp.array([jnp.isfinite(one).all() for one in ordered]).all()
+    every = jnp.where(finite, jnp.concatenate(blocks), jnp.nan)
     times = grid_at(problem, decisions).times
-    return jnp.concatenate(blocks), jnp.concatenate(derivatives), sizes, ordered, statistics, times
+    return every, jnp.concatenate(derivatives), sizes, ordered, statistics, times
 
 
 def _outputs_at_points(problem: Problem, collocation: Collocation, decisions: Float[Array, " n"]) -> dict[str, Array]:
@@ -172,6 +176,11 @@ class Sequential:
         """The instants of the grid."""
         return np.asarray(self.evaluator(decisions).times)
 
+    def constraints(self, decisions: Float[np.ndarray, " n"]) -> list[Float[np.ndarray, " rows"]]:
+        """The rows of each constraint."""
+        blocks = self.evaluator(decisions)
+        return blocks.by_constraint(blocks.values)
+
     def statistics(self, decisions: Float[np.ndarray, " n"]) -> dict[str, Float[np.ndarray, "..."]]:
         """Every statistic that stands in the problem, by its text."""
         return dict(zip(self.texts.statistics, map(np.asarray, self.evaluator(decisions).statistics), strict=True))
@@ -220,8 +229,13 @@ def _transcribed(problem: Problem) -> Sequential:
     start = places.vector("initial")
     evaluator = _Evaluator(traced, collocation, constants, anchors_of(traced, collocation, start))
     at_start = evaluator(start)
-    decision_scale = _decision_scale(start, places.vector("lower"), places.vector("upper"))
-    scales = _scales(problem, at_start, decision_scale)
+    decision_scale = decision_scales(start, places.vector("lower"), places.vector("upper"))
+    scales = constraint_scales(
+        problem.constraints,
+        at_start.by_constraint(at_start.values),
+        at_start.by_constraint(at_start.derivatives),
+        decision_scale,
+    )
     rows = _rows(at_start)
     _refuse_settled(problem, places, evaluator, scales)
     program = NonlinearProgram(
@@ -241,8 +255,7 @@ def _transcribed(problem: Problem) -> Sequential:
 
 def _refuse_settled(problem: Problem, places: Survey, evaluator: _Evaluator, scales: list[float]) -> None:
     """Refuse constraints that no decision can meet; see `refuse_settled`."""
-    start, lower, upper = (places.vector(name) for name in ("initial", "lower", "upper"))
-    away = np.where(start + 1e-2 <= upper, start + 1e-2, np.maximum(start - 1e-2, lower))
+    start = places.vector("initial")
     at_start = evaluator(start)
     refuse_settled(
         problem,
@@ -250,7 +263,10 @@ def _refuse_settled(problem: Problem, places: Survey, evaluator: _Evaluator, sca
         at_start.by_constraint(at_start.derivatives),
         scales,
         lambda: np.asarray(at_start.times),
-        lambda: at_start.by_constraint(evaluator(away).values),
+        lambda: [
+            (found := evaluator(one)).by_constraint(found.values)
+            for one in elsewhere(start, places.vector("lower"), places.vector("upper"))
+        ],
     )
 
 
@@ -275,26 +291,3 @@ def _spread(rows: tuple[slice, ...], numbers: list[float]) -> Float[np.ndarray, 
     return np.concatenate(
         [np.zeros(0), *(np.full(row.stop - row.start, x) for row, x in zip(rows, numbers, strict=True))]
     )
-
-
-def _scales(problem: Problem, at_start: Blocks, decision_scale: Float[np.ndarray, " n"]) -> list[float]:
-    """A typical magnitude of each constraint: its smaller bound, or its change over a typical change of the decisions.
-
-    The larger of the two counts. A remote second bound says nothing of the size, nor does a bound of zero.
-    """
-    scales = []
-    rows = zip(at_start.by_constraint(at_start.derivatives), at_start.by_constraint(at_start.values), strict=True)
-    for one, (slopes, values) in zip(problem.constraints, rows, strict=True):
-        bounds = [abs(float(bound)) for bound in (one.lower, one.upper) if np.isfinite(bound) and bound != 0]
-        change = float(np.max(np.abs(slopes) @ decision_scale, initial=0.0))
-        known = [size for size in (min(bounds, default=0.0), change) if np.isfinite(size)]
-        fallback = float(np.max(np.abs(values), initial=0.0))
-        scales.append(max(known) or (fallback if np.isfinite(fallback) else 0.0) or 1.0)
-    return scales
-
-
-def _decision_scale(start: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> Float[np.ndarray, " n"]:
-    """A typical magnitude of each decision: its start, or a tenth of its range if that is larger."""
-    span = upper - lower
-    scale = np.maximum(np.abs(start), np.where(np.isfinite(span), 0.1 * span, 0.0))
-    return np.where(scale > 0, scale, 1.0)

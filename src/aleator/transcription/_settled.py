@@ -7,9 +7,7 @@ from jaxtyping import Float
 
 from aleator._core.errors import ProblemError
 from aleator.design import HELD, Constraint, Problem
-
-Values = Sequence[Float[np.ndarray, "..."]]
-"""Rows of each constraint, whose number differs from one to the next."""
+from aleator.transcription._magnitudes import Values
 
 
 def refuse_settled(
@@ -18,13 +16,13 @@ def refuse_settled(
     derivatives: Values,
     scales: list[float],
     times: Callable[[], Float[np.ndarray, " instants"]],
-    elsewhere: Callable[[], Values],
+    elsewhere: Callable[[], Sequence[Values]],
 ) -> None:
     """Raise `ProblemError` for a constraint that is violated whatever the decisions are.
 
     - `values`, `derivatives`: of the constraints at the initial decisions;
-    - `times`: the instants; `elsewhere`: the values at other decisions: asked only where something is suspect, for a
-      derivative may vanish at one point by chance.
+    - `times`: the instants; `elsewhere`: the values at some other decisions: asked only where something is suspect, for
+      a derivative may vanish at one point by chance, or over a range.
     """
     suspects = [
         (i, int(np.argmax(np.where(row, excess, -np.inf))))
@@ -37,7 +35,7 @@ def refuse_settled(
         return
     others = elsewhere()
     for i, row in suspects:
-        if others[i][row] == values[i][row]:
+        if all(other[i][row] == values[i][row] for other in others):
             raise ProblemError(_sentence(problem.constraints[i], float(values[i][row]), len(values[i]), row, times()))
 
 
