@@ -10,7 +10,17 @@ import numpy as np
 from aleator._core import clock
 from aleator._core.errors import ExpansionWarning, ProblemError, SimulationError, SolveError
 from aleator.collocation import UNRESOLVED
-from aleator.design import HELD, Between, ConstraintResult, ExpansionQuality, Moments, Problem, Solution, Times
+from aleator.design import (
+    HELD,
+    TOLERATED,
+    Between,
+    ConstraintResult,
+    ExpansionQuality,
+    Moments,
+    Problem,
+    Solution,
+    Times,
+)
 from aleator.dynamics import Grid
 from aleator.nlp import AbstractSolver, Outcome, Status, default_solver
 from aleator.transcription import (
@@ -67,6 +77,8 @@ def solve(
         raise KeyboardInterrupt
     if outcome.failed_at is not None:
         outcome = replace(outcome, message=diagnose(transcription, outcome.failed_at))
+    if excess is not None and excess.worst > TOLERATED:
+        outcome = replace(outcome, status=Status.NOT_HELD)
     found = None if excess is None else Between(factor, *excess[1:])
     solution = _report(transcription, outcome, found, compiled_before)
     if throw and outcome.status is Status.EVALUATION_FAILED:

@@ -171,6 +171,28 @@ def test_objectives_speak_of_their_outputs():
         (lambda: al.coefficient_power({}), "coefficient_power: expected at least one output"),
         (lambda: al.effort("a", "b", weights=[1.0]), "expected 2 weights, one a term; received 1"),
         (lambda: al.effort("a", weights=["heavy"]), "Only numbers can multiply"),
+        (lambda: al.effort("a", weights=[np.nan]), "Only finite numbers can multiply an expression by; received nan"),
+        (lambda: al.jerk("a", weights=[np.inf]), "Only finite numbers can multiply an expression by; received inf"),
+        (lambda: al.effort("a", "b", weights=2.0), "expected 2 weights, one a term; received 1"),
+        (lambda: al.effort("a", "b", weights={"b": 1.0, "a": 2.0}), "effort: weights are numbers in the order"),
+        (lambda: al.effort(["a", "b"]), "An output is given by its name, such as 'x', and several one by one"),
+        (lambda: al.jerk(["a", "b"]), r"An output is given by its name.*received list \['a', 'b'\]"),
+        (lambda: al.terminal_variance(["a"]), "An output is given by its name"),
+        (lambda: al.path(3), "An output is given by its name.*received int 3"),
+        (lambda: al.power([("a", "b")]), "power: expected the rate that each torque acts on, by its name"),
+        (lambda: al.coefficient_power("a"), "coefficient_power: expected the rate that each torque acts on"),
+        (lambda: al.power({"a": 3}), "An output is given by its name.*received int 3"),
+        (lambda: al.power({"a": "b"}, smoothing=-1.0), "power: smoothing is a power, W, not below zero; received -1"),
+        (lambda: al.power({"a": "b"}, smoothing=np.inf), "Only finite numbers can smooth a power; received inf"),
+        (lambda: al.coefficient_power({"a": "b"}, smoothing=-0.1), "coefficient_power: smoothing is a power"),
+        (lambda: al.coefficient_power({"a": "b"}, smoothing=np.nan), "Only finite numbers can smooth a power"),
+        (lambda: al.terminal_mean_error("x"), "terminal_mean_error: expected what each output is to be at the end"),
+        (lambda: al.terminal_mean_error({"x": np.nan}), "Only finite numbers can be added to or compared"),
+        (lambda: np.nan * al.effort("a"), "Only finite numbers can multiply"),
+        (lambda: al.effort("a") / np.nan, "Only finite numbers can divide"),
+        (lambda: al.effort("a") / 0, "cannot be divided by zero"),
+        (lambda: al.effort("a") + np.inf, "Only finite numbers can be added"),
+        (lambda: al.reciprocal("k", bias=np.nan, scale=1.0), "Only finite numbers can be a coefficient of a cost"),
         (lambda: al.norm(), "norm: expected at least one expression"),
         (lambda: al.terminal_mean_error({}), "norm: expected at least one expression"),
         (lambda: al.norm(al.terminal("x")), "differs from one realisation to the next"),
@@ -183,6 +205,23 @@ def test_objectives_speak_of_their_outputs():
 def test_objectives_that_make_no_sense_are_refused_in_words(wrong, message):
     with pytest.raises(al.ProblemError, match=message):
         wrong()
+
+
+@pytest.mark.parametrize("weights", [(2.0,), 2.0, np.array([2.0]), jnp.array([2.0]), np.float32(2.0), jnp.array(2.0)])
+def test_weights_are_any_sequence_of_numbers_or_one_for_one_output(weights):
+    assert str(al.effort("a", weights=weights)) == "2 μ[∫a² dt]"
+
+
+def test_references_and_factors_may_be_numbers_of_any_library():
+    assert str(al.terminal_mean_error({"x": jnp.array(2.0)})) == "‖μ[x(t_f)] − 2‖"
+    assert str(al.power({"a": "b"}, smoothing=np.array(0.1)) * jnp.array(3)) == "3 μ[∫|a b| dt]"
+
+
+def test_a_norm_and_a_root_mean_square_of_what_is_not_a_number_are_none():
+    for expression in (al.terminal_variance("a", "b"), al.terminal_mean_error({"a": 0.0})):
+        assert np.isnan(expression.evaluate(Means(jnp.nan)))
+    history = {"a": jnp.array([1.0, jnp.nan, 2.0])}
+    assert np.isnan(al.rms("a").evaluate(history, al.Grid(1.0, 2)))
 
 
 def test_no_sample_estimates_the_printed_power():

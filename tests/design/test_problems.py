@@ -52,6 +52,7 @@ def declare(system=None, **changes):
         ({"inputs": {"force": sine(), "wind": sine()}}, r"takes the inputs \['force'\]; received \['force', 'wind'\]"),
         ({"inputs": {"force": 1.0}}, "Input 'force' must be a signal.*received float"),
         ({"grid": al.Grid(6.0, 80)}, "Input 'force' is known from 0 to 5 s, but the grid asks for 0 to 6 s"),
+        ({"grid": al.Grid(al.Decision(4.0, 3.0, 6.0), 80)}, "Input 'force' is known .* the grid asks for 0 to 6 s"),
         ({"grid": al.Grid(4.0, 80, t_start=-1.0)}, "but the grid asks for -1 to 4 s"),
         ({"minimize": al.path("x").mean}, r"objective must be one number, but 'μ\[x\(t\)\]' has shape \(81,\)"),
         ({"minimize": al.rms("x")}, "differs from one realisation to the next"),
@@ -112,6 +113,40 @@ def test_a_system_without_states_is_refused():
 
     with pytest.raises(al.ProblemError, match="Nothing names no states"):
         declare(Nothing(), inputs={}, minimize=al.terminal("x").mean)
+
+
+def test_a_systems_own_signals_are_refused_where_they_do_not_reach_over_the_grid():
+    class Wheel(al.Mechanical):
+        names = ("a",)
+        inertia: al.Number = 1.0
+
+        def mass_matrix(self, q):
+            return self.inertia * np.eye(1)
+
+    def problem(t_final):
+        torque = {"a_torque": al.Tabulated([0.0, 1.0], [0.0, 1.0])}
+        driven = al.ForwardDynamics(Wheel(al.Uniform(1.0, half_width=0.1)), torque=torque)
+        return al.Problem(driven, grid=al.Grid(t_final, 6), minimize=al.terminal("a").mean)
+
+    assert problem(1.0).grid.latest == 1.0
+    with pytest.raises(al.ProblemError, match=r"Signal 'torque' of ForwardDynamics is known from 0 to 1 s.*0 to 3 s"):
+        problem(3.0)
+
+
+def test_a_system_without_states_may_be_driven_from_outside():
+    class Square(al.System):
+        states = ()
+        gain: al.Number = 1.0
+
+        def rhs(self, t, z):
+            return ()
+
+        def outputs(self, t, z, u):
+            return {"y": self.gain * (u - 0.3) ** 2}
+
+    gain, u = al.Uniform(2.0, half_width=0.5), al.BSpline(al.Decision(np.zeros(4), -1.0, 1.0))
+    problem = al.Problem(Square(gain), grid=al.Grid(1.0, 10), inputs={"u": u}, minimize=al.integral("y").mean)
+    np.testing.assert_allclose(al.solve(problem).decisions["inputs.u.free"], 0.3, atol=1e-3)
 
 
 def test_constraints_may_come_in_any_nesting():

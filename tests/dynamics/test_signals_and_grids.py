@@ -150,6 +150,13 @@ def test_a_grid_knows_its_instants_and_the_trapezoidal_rule():
     assert float(grid.weights @ values) == pytest.approx(np.trapezoid(values, dx=0.25), rel=1e-14)
 
 
+@pytest.mark.parametrize("array", [np.array, jnp.array])
+def test_a_grid_takes_arrays_of_one_number(array):
+    start, end = array(1), array(3.0)
+    for times in (al.Grid(end, 8, start).times, jax.jit(lambda: al.Grid(end, 8, start).times)()):
+        np.testing.assert_allclose(times, np.linspace(1.0, 3.0, 9), rtol=1e-15)
+
+
 @pytest.mark.parametrize("steps", [0, -3, 2.0, True, "ten", None])
 def test_a_grid_without_a_whole_number_of_steps_is_refused(steps):
     with pytest.raises(al.ProblemError, match="steps is a whole number of at least 1; received"):
@@ -157,7 +164,8 @@ def test_a_grid_without_a_whole_number_of_steps_is_refused(steps):
 
 
 @pytest.mark.parametrize(
-    ("t_final", "t_start"), [(0.0, 0.0), (1.0, 2.0), (np.inf, 0.0), (np.nan, 0.0), (1.0, -np.inf), ("late", 0.0)]
+    ("t_final", "t_start"),
+    [(0.0, 0.0), (1.0, 2.0), (np.inf, 0.0), (np.nan, 0.0), (1.0, -np.inf), ("late", 0.0), (np.array([2.0]), 0.0)],
 )
 def test_a_grid_that_does_not_end_after_its_start_is_refused(t_final, t_start):
     with pytest.raises(al.ProblemError, match=r"t_final must be a finite number after t_start=.*; received t_final="):

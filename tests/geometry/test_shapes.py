@@ -75,6 +75,25 @@ def test_the_arrays_of_a_caller_are_copied():
         (lambda: Sphere([[0.0, 1.0], al.Normal(0.0, std=1.0)]), r"their parts have shapes \[\(\), \(2,\)\]"),
         (lambda: Capsule([0.0, 0.0], [0.0, 0.0, 1.0]), r"'start' of shape \(2,\) and 'end' of shape \(3,\)"),
         (lambda: Box([0.0, 0.0], [1.0, 0.0]), r"Box: 'half_sizes' must be positive; received \[1\. 0\.\]"),
+        (
+            lambda: Sphere([0.0, 0.0], al.Uniform(0.1, half_width=0.3)),
+            r"'radius' .* zero or more; .* can reach -0\.2\.",
+        ),
+        (lambda: Sphere([0.0, 0.0], al.Normal(0.1, std=0.001)), r"'radius' must be zero or more; .* unbounded below"),
+        (
+            lambda: Capsule([0.0, 0.0], [1.0, 0.0], al.Decision(0.1, -0.5, 1.0)),
+            r"Capsule: 'radius' .* can reach -0\.5\.",
+        ),
+        (lambda: Sphere([0.0, 0.0], al.Uniform(al.Decision(0.5, 0.1, 1.0), half_width=0.3)), r"can reach -0\.2\."),
+        (lambda: Sphere([0.0, 0.0], al.Decision(0.1)), r"'radius' must be zero or more; .* unbounded below"),
+        (lambda: Box(np.zeros(3), (-1.0, al.Uniform(1.0, half_width=0.1), 1.0)), r"'half_sizes' .* can reach -1\."),
+        (
+            lambda: Box(np.zeros(2), (1.0, al.Uniform(1.0, half_width=1.0))),
+            r"'half_sizes' must be positive; .* reach 0\.",
+        ),
+        (lambda: Box(np.zeros(3), al.Decision(np.ones(3), -1.0, 2.0)), r"'half_sizes' .* can reach -1\."),
+        (lambda: Box(np.zeros(3), (-0.2, al.Decision(0.1, 0.05, 0.2), 0.1)), r"'half_sizes' .* can reach -0\.2\."),
+        (lambda: jax.vmap(lambda x: Box(jnp.zeros(2), (x, -0.2)))(jnp.ones(2)), r"'half_sizes' .* can reach -0\.2\."),
         (lambda: Box([0.0, 0.0], [1.0, 1.0], np.eye(2)), r"in 2 dimensions 'orientation' takes one angle in rad"),
         (lambda: Box(np.zeros(3), np.ones(3), 0.3), r"in 3 dimensions 'orientation' takes a rotation matrix"),
         (lambda: Box(np.zeros(3), np.ones(3), 2 * np.eye(3)), r"its columns are not orthonormal"),
@@ -85,6 +104,27 @@ def test_the_arrays_of_a_caller_are_copied():
 def test_numbers_that_make_no_shape_are_refused(make, message):
     with pytest.raises(al.ProblemError, match=message):
         make()
+
+
+def test_laws_and_decisions_that_keep_a_size_positive_are_taken():
+    # A lognormal law begins at 0 and never takes it; a radius may be 0.
+    sizes = (
+        al.Gamma(mean=0.2, std=0.1, lower=0.05),
+        al.LogNormal(mean=0.2, std=0.1),
+        al.Uniform(al.Decision(0.5, 0.3, 1.0), half_width=0.2),
+    )
+    assert Box(np.zeros(3), sizes).half_sizes == sizes
+    radius = al.Uniform(0.1, half_width=0.1)
+    assert Sphere([0.0, 0.0], radius).radius is radius
+
+
+def test_sizes_that_are_known_are_checked_while_others_are_traced():
+    def gap(x):
+        radius = al.Uniform(jnp.asarray(0.3), half_width=0.1)
+        assert Sphere([0.0, 0.0], radius).radius is radius
+        return distance(Box(np.zeros(2), (x, jnp.asarray(0.5))), Sphere([3.0, 0.0], jnp.asarray(0.25)))
+
+    np.testing.assert_allclose(jax.jit(gap)(1.0), 1.75, atol=1e-14)
 
 
 FLOOR = HalfSpace([0.0, 0.0, 1.0], 0.0)

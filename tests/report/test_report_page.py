@@ -4,8 +4,11 @@ from html.parser import HTMLParser
 import pytest
 import report_problems as given
 
+import aleator as al
 from aleator import ProblemError
 from aleator.report import Card, Page, Section, Table, Text, Verdict, page_html, report
+from aleator.report._report import verdict
+from tiny_models import LOSS, ONE_STEP, RESPONSE, gain_problem
 
 
 class Reader(HTMLParser):
@@ -111,3 +114,15 @@ def test_the_verdict_is_a_mark_and_a_word_and_never_colour_alone(level):
     assert "<span>A word</span>" in text
     assert f"verdict-{level}" in text
     assert text.count("<svg") == 1
+
+
+def test_where_no_limit_is_counted_the_verdict_says_so_and_why_and_claims_no_share():
+    problem = al.Problem(
+        gain_problem().system, grid=ONE_STEP, minimize=LOSS.mean, subject_to=[(RESPONSE.std <= 0.3).named("spread")]
+    )
+    solution = al.solve(problem)
+    said = verdict({"design": solution}, {"design": al.validate(solution, 100)})
+    assert "none was counted" in said.headline
+    assert "of systems break" not in said.headline
+    assert any("σ[response(t_f)] ≤ 0.3: a statistic of all systems together" in one for one in said.sentences)
+    assert not any("violate" in card.label for card in said.cards)

@@ -10,9 +10,10 @@ import aleator as al
 from aleator import cli
 from aleator.report import page_html
 from aleator.studies import STUDIES, load
-from aleator.studies._family import fly
+from aleator.studies._family import Family, fly
 from aleator.studies._motion_study import Effort
 from aleator.studies._pick_and_place_time_study import MEAN, ONE, TARGET_SHARE, WORST, PickAndPlaceTime
+from aleator.studies._swing_up_facts import terminal_norm
 from aleator.studies.two_link_arm import START, TARGET, TwoLinkArm
 
 SMALL = Effort(starts=3, samples=1_500, family=300, calibration_samples=1_500)
@@ -72,6 +73,32 @@ def test_a_finer_flight_passes_through_the_same_instants(study):
     coarse, fine = (fly(plan.problem, plan.vector, 20, seed=5, finer=finer) for finer in (1, 3))
     np.testing.assert_allclose(fine.times[::3], coarse.times, rtol=1e-12)
     np.testing.assert_allclose(fine.systems["q2_torque"][:, ::3], coarse.systems["q2_torque"], atol=1e-9)
+
+
+def test_extremes_of_a_family_are_those_of_a_finer_flight(study):
+    plan, family = study.done.plans[ONE], study.done.families[ONE]
+    finer = fly(plan.problem, plan.vector, SMALL.family, seed=2, finer=10)
+    for name in ("q2_torque", "gap_2"):
+        rows = finer.systems[name]
+        np.testing.assert_allclose(family.extremes[name], np.stack([rows.min(axis=1), rows.max(axis=1)], axis=1))
+        assert np.all(family.extremes[name][:, 0] <= family.systems[name].min(axis=1) + 1e-12)
+    assert np.any(family.extremes["q2_torque"][:, 1] > family.systems["q2_torque"].max(axis=1) + 1e-6)
+
+
+def test_violations_are_counted_between_the_instants_and_the_page_says_at_how_many(study):
+    assert {one.instants for one in study.done.evidence.values()} == {901}
+    assert "over time at 901 instants" in page_html(study.page())
+    assert study.calibration.evidence.instants == 901
+
+
+def test_the_variance_of_the_tip_is_told_with_the_error_of_its_sample():
+    # Of n normal numbers the variance has the standard error s² sqrt(2 / n); so has the norm of two of equal size.
+    count, spread = 20_000, 0.3
+    ends = np.random.default_rng(4).normal(0.0, spread, (2, count, 1))
+    family = Family(np.zeros(1), {}, dict(zip(("tip_x", "tip_y"), ends, strict=True)), {})
+    value, error = (float(part) for part in terminal_norm(family).split(" ± "))
+    assert error == pytest.approx(spread**2 * np.sqrt(2 / count), rel=0.35)
+    assert abs(value - np.sqrt(2) * spread**2) < 4 * error
 
 
 def test_the_tip_ends_where_the_closed_form_puts_it(study):

@@ -3,6 +3,8 @@ import pytest
 from scipy import stats
 
 import aleator as al
+from aleator.report import front_figure
+from aleator.report._datasets import front_dataset
 from aleator.sweep import _front as front_module
 from aleator.transcription import EVALUATE
 from tiny_models import LOSS, ONE_STEP, RESPONSE, SPREAD, Gain, gain_problem, oscillator_problem
@@ -58,6 +60,42 @@ def test_infeasible_points_are_kept_with_their_least_violation():
     assert front.violations[[0, 3]] == pytest.approx([0, 0], abs=1e-8)
     assert "infeasible" in str(front)
     assert "'response' is violated by" in str(front)
+
+
+def pushed_problem():
+    """The mass starts at zero, whatever the damper: a bound above that is refused before anything is solved."""
+    return oscillator_problem(subject_to=[al.path("x").at_least(-0.14, sigmas=2.0)])
+
+
+@pytest.mark.parametrize("bounds", [[-0.14, -0.15, 0.1], [0.1, -0.14, -0.15]], ids=["last", "first"])
+def test_a_refused_point_is_kept_with_what_was_said_and_the_others_are_solved(bounds):
+    front = al.pareto(pushed_problem(), "x", bounds)
+    assert front.values.tolist() == bounds
+    assert front.solved.tolist() == [bound < 0 for bound in bounds]
+    assert not front.interrupted
+    cold = [al.solve(pushed_problem().with_bound("x", bound)).objective for bound in bounds if bound < 0]
+    np.testing.assert_allclose(front.objectives[front.solved], cold, rtol=1e-7)
+    (refused,) = (one for one in front.solutions if not one.ok)
+    assert "whatever the decisions are" in refused.why()
+    assert "whatever the decisions are" in str(front)
+    assert np.isnan([refused.objective, refused.violation, refused.decisions["c"]]).all()
+    assert float(refused.problem.named("x")[0].lower) == 0.1
+
+
+def test_a_front_of_which_every_point_is_refused_is_refused():
+    with pytest.raises(al.ProblemError, match="whatever the decisions are"):
+        al.pareto(pushed_problem(), "x", [0.1, 0.2])
+
+
+def test_a_front_with_a_refused_point_can_be_drawn_and_saved(tmp_path):
+    front = al.pareto(pushed_problem(), "x", [-0.14, 0.1])
+    figure = front_figure({"one": front}, x="limit", y="objective")
+    hovered = [text for trace in figure.data for text in np.ravel(trace.customdata) if trace.customdata is not None]
+    assert any("whatever the decisions are" in text for text in hovered)
+    saved = front_dataset(front)
+    assert np.isnan(saved["objective"].values).tolist() == [False, True]
+    page = al.report(front.solutions[0], fronts=front, path=tmp_path / "page.html")
+    assert "whatever the decisions are" in page.read_text(encoding="utf-8")
 
 
 def test_ctrl_c_ends_a_front_with_the_points_that_are_finished(monkeypatch):

@@ -2,9 +2,11 @@ import warnings
 from typing import Any
 
 import jax.numpy as jnp
+import numpy as np
 import pytest
 
 import aleator as al
+from aleator.sweep import _multistart as multistart_module
 from aleator.transcription import EVALUATE
 
 
@@ -26,6 +28,7 @@ class Wells(al.AlgebraicSystem):
         return {
             "depth": x**4 / 4 - x**3 / 3 - x**2 + 0.0 * jnp.sqrt(x + 3),
             "square": (x - 1.0) ** 2,
+            "bowls": (x * (x - 2.0)) ** 2 + 1.0,
             "x": x,
         }
 
@@ -107,8 +110,27 @@ def test_an_interrupted_search_returns_what_is_finished():
         ([{"x": 1.0}, {"y": 1.0}], r"starts by decisions' names, \['x'\]; received \{'y': 1.0\}"),
         ([1.0], "starts by decisions' names"),
         ([{"x": [1.0, 2.0]}], r"expected a start of shape \(\) for 'x'"),
+        ([{}, {"x": [1.0, 2.0]}], r"expected a start of shape \(\) for 'x'"),
+        ([{}, {"x": np.nan}], r"for 'x', of finite numbers; received nan"),
+        ([{}, {"x": "far"}], r"for 'x', of finite numbers; received 'far'"),
     ],
 )
-def test_starts_that_make_no_sense_are_refused(starts, message):
+def test_starts_that_make_no_sense_are_refused_before_anything_is_solved(starts, message, monkeypatch):
+    solved = []
+    monkeypatch.setattr(multistart_module, "solve", lambda *arguments, **options: solved.append(arguments))
     with pytest.raises(al.ProblemError, match=message):
         al.multistart(wells(), starts)
+    assert solved == []
+
+
+def test_a_number_of_starts_may_come_from_numpy():
+    two = [al.multistart(wells(), count).solutions for count in (np.int64(2), 2)]
+    assert [one.objective for one in two[0]] == [one.objective for one in two[1]]
+    assert len(two[0]) == 2
+
+
+def test_mirrored_optima_count_as_one_and_the_list_says_so():
+    starts = al.multistart(wells("bowls"), [{"x": 0.3}, {"x": 1.7}])
+    assert [round(one.decisions["x"], 4) for one in starts.solutions] == [0.0, 2.0]
+    assert [count for _, count in starts.optima] == [2]
+    assert "of equal objective counted as one" in str(starts)

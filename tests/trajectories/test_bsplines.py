@@ -250,6 +250,17 @@ def test_a_caller_s_array_is_copied():
         (lambda: al.BSpline(np.zeros(6), spans=np.ones(2)), "expected 3 positive spans"),
         (lambda: al.BSpline(np.zeros(6), spans=al.Decision(np.ones(3), 0.0, 2.0)), "positive lower bounds"),
         (lambda: al.BSpline(np.zeros(5), spans=[al.Uniform(1.0, half_width=0.1), -2.0]), "expected 2 positive spans"),
+        (
+            lambda: al.BSpline(np.zeros(6), spans=[1.0, al.Uniform(1.0, half_width=2.0), 1.0]),
+            "expected 3 positive spans",
+        ),
+        (lambda: al.BSpline(np.zeros(5), spans=[1.0, al.Decision(1.0, -0.5, 2.0)]), "expected 2 positive spans"),
+        (lambda: al.BSpline(np.zeros(5), spans=[1.0, al.Normal(1.0, std=0.01)]), "expected 2 positive spans"),
+        (lambda: al.BSpline(np.zeros(6), knots=al.Decision([0.4, 0.6])), r"spans=al\.Decision\(np\.ones\(3\)"),
+        (
+            lambda: al.BSpline(np.zeros(6), knots=[0.4, al.Uniform(0.6, half_width=0.1)]),
+            "expected plain numbers as knots",
+        ),
         (lambda: al.BSpline(np.array([0.0, np.nan, 1.0, 2.0])), "control points must be finite"),
         (lambda: al.BSpline(np.zeros(5), start=(np.inf,)), "value at the start must be finite"),
         (lambda: al.BSpline(["a"] * 5), "expected numbers, distributions or decisions"),

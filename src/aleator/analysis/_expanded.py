@@ -147,5 +147,6 @@ def _edge(basis: Basis) -> Bool[np.ndarray, " terms"]:
 
 def _share(terms: Float[Array, "terms *shape"], highest: np.ndarray) -> Float[Array, ""]:
     total = jnp.sum(terms[1:] ** 2)
-    varies = total > _ROUNDING**2 * jnp.sum(terms**2)
-    return jnp.where(varies, jnp.sum(terms[highest] ** 2) / jnp.where(varies, total, 1.0), 0.0)
+    # Asked this way round, what is not a number, or infinite, does not pass for constant.
+    constant = (total == 0) | (total < _ROUNDING**2 * jnp.sum(terms**2))
+    return jnp.where(constant, 0.0, jnp.sum(terms[highest] ** 2) / jnp.where(constant, 1.0, total))

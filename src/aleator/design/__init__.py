@@ -1,6 +1,7 @@
 """The declared problem: functionals of outputs, statistics of them, bounds, cost curves. And its answer."""
 
 from aleator.design._certificate import HELD as HELD
+from aleator.design._certificate import TOLERATED as TOLERATED
 from aleator.design._certificate import Between as Between
 from aleator.design._certificate import ConstraintResult as ConstraintResult
 from aleator.design._certificate import ExpansionQuality as ExpansionQuality
@@ -41,6 +42,7 @@ from aleator.design._response import responses as responses
 from aleator.design._response import unsolved as unsolved
 from aleator.design._response import value_at as value_at
 from aleator.design._scope import AbstractScope as AbstractScope
+from aleator.design._scope import Units as Units
 from aleator.design._solution import Solution as Solution
 from aleator.design._statistic import AbstractFunctional as AbstractFunctional
 from aleator.design._statistic import Statistic as Statistic

@@ -20,9 +20,8 @@ from aleator.design._realisations import refuse_trouble
 from aleator.design._response import grid_at, history
 from aleator.design._scope import AbstractScope, Value
 from aleator.design._statistic import AbstractFunctional, functionals_of, joined, statistics_in
-from aleator.dynamics import AbstractIntegrator, AlgebraicSystem, Grid, Instant, System, check_inputs
+from aleator.dynamics import AbstractIntegrator, AlgebraicSystem, Grid, Instant, System, check_signals
 from aleator.statistics import AbstractStatistic, Sobol, TotalSobol
-from aleator.trajectories import AbstractSignal
 from aleator.uncertainty import Survey, named_numbers, refuse_nonpositive
 
 _UNTOLD = itertools.count()
@@ -64,9 +63,9 @@ def _check_types(problem: AbstractProblem) -> None:
             )
     part = "unknowns" if is_algebraic else "states"
     names = getattr(problem.system, part, None)
-    # Outputs without any unknown are explicit equations; a system without states moves only if its motion is given.
-    moves = is_algebraic or bool(names) or bool(getattr(problem.system, "signals", dict)())
-    if names is None or not moves:
+    # Outputs without any unknown are explicit equations; a system without states moves only if a motion is given to it.
+    driven = is_algebraic or bool(problem.inputs) or bool(getattr(problem.system, "signals", dict)())
+    if names is None or not (names or driven):
         raise ProblemError(
             f'{type(problem.system).__name__} names no {part}: expected `{part} = ("x", ...)` in the class.'
         )
@@ -78,19 +77,7 @@ def _check_inputs(problem: AbstractProblem) -> None:
             name = type(problem.system).__name__
             raise ProblemError(f"{name} is algebraic and takes no inputs; received {sorted(problem.inputs)}.")
         return
-    check_inputs(problem.system, problem.inputs)
-    start, end = float(problem.grid.t_start), problem.grid.latest
-    for name, signal in problem.inputs.items():
-        if not isinstance(signal, AbstractSignal):
-            raise ProblemError(
-                f"Input '{name}' must be a signal, such as al.Tabulated(times, values); "
-                f"received {type(signal).__name__}."
-            )
-        first, last = signal.span()
-        if start < first or end > last:
-            raise ProblemError(
-                f"Input '{name}' is known from {first:g} to {last:g} s, but the grid asks for {start:g} to {end:g} s."
-            )
+    check_signals(problem.system, problem.grid, problem.inputs)
 
 
 def _check_time(problem: AbstractProblem) -> None:

@@ -8,8 +8,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from aleator._core.arrays import Scalar
-from aleator.design._expression import Expression
-from aleator.design._scope import AbstractAtom, AbstractScope
+from aleator.design._expression import Expression, number_given
+from aleator.design._scope import AbstractAtom, AbstractScope, Units
 
 Curve = Callable[..., Float[Array, ""]]
 
@@ -32,6 +32,11 @@ class CostCurve(AbstractAtom):
         numbers = (f"{float(number):g}" for number in self.coefficients)
         return self.shown.format(*numbers, spread=self.name).replace("(0 + ", "(")
 
+    def unit(self, units: Units) -> str:
+        """See `AbstractAtom.unit`: a curve does not say."""
+        del units
+        return ""
+
     @property
     def subjects(self) -> tuple[str, ...]:
         """See `AbstractAtom.subjects`."""
@@ -47,7 +52,8 @@ def _exponential(spread: Array, bias: Array, scale: Array, rate: Array) -> Array
 
 
 def _expression(name: str, curve: Curve, shown: str, *coefficients: float) -> Expression:
-    return Expression((1.0,), (CostCurve(name, curve, shown, tuple(float(number) for number in coefficients)),))
+    numbers = tuple(number_given(number, "be a coefficient of a cost curve") for number in coefficients)
+    return Expression((1.0,), (CostCurve(name, curve, shown, numbers),))
 
 
 def reciprocal_power(name: str, *, bias: float, scale: float, power: float) -> Expression:

@@ -9,11 +9,13 @@ from typing import Any, Self, final
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from aleator._core.arrays import Scalar
 from aleator._core.errors import ProblemError
-from aleator.design._scope import AbstractAtom, AbstractRandom, AbstractScope, Value
+from aleator._core.units import common
+from aleator.design._scope import AbstractAtom, AbstractRandom, AbstractScope, Units, Value
 
 
 @final
@@ -29,6 +31,10 @@ class Expression(eqx.Module):
         terms = (factor * atom.evaluate(scope) for factor, atom in zip(self.factors, self.atoms, strict=True))
         return jnp.asarray(sum(terms, start=self.constant))
 
+    def unit(self, units: Units) -> str:
+        """The unit that its terms share; empty where they differ or one of them is unknown."""
+        return common(atom.unit(units) for factor, atom in self._terms() if float(factor) != 0)
+
     def __add__(self, other: Any) -> "Expression":
         other = as_expression(other)
         return Expression(self.factors + other.factors, self.atoms + other.atoms, self.constant + other.constant)
@@ -42,7 +48,10 @@ class Expression(eqx.Module):
     __rmul__ = __mul__
 
     def __truediv__(self, number: Any) -> "Expression":
-        return self * (1 / number_given(number, "divide an expression by"))
+        number = number_given(number, "divide an expression by")
+        if number == 0:
+            raise ProblemError(f"'{self}' cannot be divided by zero.")
+        return self * (1 / number)
 
     def __neg__(self) -> "Expression":
         return self * -1.0
@@ -207,10 +216,15 @@ def _product(factor: float, atom: str) -> str:
 
 
 def number_given(value: Any, action: str) -> float:
-    """A number as a float. Raises `ProblemError` for anything else, saying what only numbers can do."""
-    if isinstance(value, int | float | np.number) and not isinstance(value, bool):
-        return float(value)
-    raise ProblemError(f"Only numbers can {action}; received {type(value).__name__} '{value}'.")
+    """A finite number as a float. Raises `ProblemError` for anything else, saying what only numbers can do."""
+    number = value
+    if isinstance(value, np.generic | np.ndarray | Array) and not isinstance(value, Tracer) and value.ndim == 0:
+        number = value.item()
+    if not isinstance(number, int | float) or isinstance(number, bool):
+        raise ProblemError(f"Only numbers can {action}; received {type(value).__name__} '{value}'.")
+    if not np.isfinite(number):
+        raise ProblemError(f"Only finite numbers can {action}; received {number}.")
+    return float(number)
 
 
 def as_expression(value: Any) -> Expression:

@@ -1,12 +1,15 @@
 """The functionals: integral, rms, terminal, path and peak of an output; an output without time."""
 
+from collections.abc import Mapping
 from typing import final
 
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from aleator._core.units import integrated
 from aleator.design._statistic import AbstractFunctional
 from aleator.dynamics import AbstractGrid, History
+from aleator.statistics import root
 
 
 @final
@@ -21,6 +24,10 @@ class Integral(AbstractFunctional):
         """See `AbstractFunctional.text`."""
         return f"∫{self.output} dt"
 
+    def unit(self, outputs: Mapping[str, str]) -> str:
+        """See `AbstractFunctional.unit`."""
+        return integrated(outputs.get(self.output, ""))
+
 
 @final
 class Rms(AbstractFunctional):
@@ -28,10 +35,8 @@ class Rms(AbstractFunctional):
 
     def evaluate(self, history: History, grid: AbstractGrid) -> Array:
         """See `AbstractFunctional.evaluate`."""
-        square = jnp.tensordot(grid.weights, history[self.output] ** 2, axes=1) / jnp.sum(grid.weights)
-        positive = square > 0
         # An output that is zero throughout has rms zero, with derivative zero (its smallest subgradient).
-        return jnp.where(positive, jnp.sqrt(jnp.where(positive, square, 1.0)), 0.0)
+        return root(jnp.tensordot(grid.weights, history[self.output] ** 2, axes=1) / jnp.sum(grid.weights))
 
     def text(self) -> str:
         """See `AbstractFunctional.text`."""

@@ -2,19 +2,24 @@
 
 import abc
 from collections.abc import Mapping, Sequence
-from typing import final
+from typing import Any, TypeAlias, final
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array
 
 from aleator._core.errors import ProblemError
-from aleator.design._expression import Expression, as_expression, value
+from aleator._core.units import common, integrated, product, squared
+from aleator.design._expression import Expression, as_expression, number_given, value
 from aleator.design._functionals import path, terminal
-from aleator.design._scope import AbstractAtom, AbstractScope
-from aleator.design._statistic import AbstractFunctional, statistic
+from aleator.design._scope import AbstractAtom, AbstractScope, Units
+from aleator.design._statistic import AbstractFunctional, name_given, statistic
 from aleator.dynamics import AbstractGrid, History
 from aleator.statistics import CoefficientProduct, root
+
+Weights: TypeAlias = float | Sequence[float] | Array | None
+"""A factor for each term, in their order; one number for one term. None is all ones."""
 
 
 @final
@@ -28,6 +33,10 @@ class SquareIntegral(AbstractFunctional):
     def text(self) -> str:
         """See `AbstractFunctional.text`."""
         return f"∫{self.output}² dt"
+
+    def unit(self, outputs: Mapping[str, str]) -> str:
+        """See `AbstractFunctional.unit`."""
+        return integrated(squared(outputs.get(self.output, "")))
 
 
 @final
@@ -49,6 +58,10 @@ class Work(AbstractFunctional):
     def text(self) -> str:
         """See `AbstractFunctional.text`."""
         return f"∫|{' '.join(self.outputs)}| dt"
+
+    def unit(self, outputs: Mapping[str, str]) -> str:
+        """See `AbstractFunctional.unit`."""
+        return integrated(product(*(outputs.get(name, "") for name in self.outputs)))
 
 
 class AbstractComposite(AbstractAtom):
@@ -84,6 +97,10 @@ class Norm(AbstractComposite):
         """See `AbstractAtom.text`."""
         return f"‖{', '.join(map(str, self.expressions))}‖"
 
+    def unit(self, units: Units) -> str:
+        """See `AbstractAtom.unit`."""
+        return common(one.unit(units) for one in self.expressions)
+
     @property
     def parts(self) -> tuple[AbstractAtom, ...]:
         """See `AbstractAtom.parts`."""
@@ -109,6 +126,10 @@ class TimeIntegral(AbstractComposite):
         """See `AbstractAtom.text`."""
         return f"∫{self.expression} dt"
 
+    def unit(self, units: Units) -> str:
+        """See `AbstractAtom.unit`."""
+        return integrated(self.expression.unit(units))
+
     @property
     def parts(self) -> tuple[AbstractAtom, ...]:
         """See `AbstractAtom.parts`."""
@@ -120,17 +141,17 @@ def final_time() -> Expression:
     return value("t_final")
 
 
-def effort(*torques: str, weights: Sequence[float] | None = None) -> Expression:
+def effort(*torques: str, weights: Weights = None) -> Expression:
     """The expected effort `sum of w_i E[∫ τ_i² dt]`: `J_D2` (76) and, under uncertainty, `J_S1` (82)."""
     return _weighted([SquareIntegral((name,)).mean for name in torques], weights, "effort")
 
 
-def jerk(*torques: str, weights: Sequence[float] | None = None) -> Expression:
+def jerk(*torques: str, weights: Weights = None) -> Expression:
     """The expected jerk `sum of w_i E[∫ τ̇_i² dt]`: `J_D4` (78) and `J_S3` (84), of the outputs `<torque>_rate`."""
-    return _weighted([SquareIntegral((f"{name}_rate",)).mean for name in torques], weights, "jerk")
+    return _weighted([SquareIntegral((f"{name_given(name)}_rate",)).mean for name in torques], weights, "jerk")
 
 
-def power(pairs: Mapping[str, str], *, weights: Sequence[float] | None = None, smoothing: float = 0.0) -> Expression:
+def power(pairs: Mapping[str, str], *, weights: Weights = None, smoothing: float = 0.0) -> Expression:
     """The expected energy exchanged, `sum of w_i E[∫ |τ_i q̇_i| dt]`: `J_D3` (77) and `J_S2` (83).
 
     - `pairs`: the rate that each torque acts on: `{"elbow_torque": "elbow_rate"}`.
@@ -139,26 +160,30 @@ def power(pairs: Mapping[str, str], *, weights: Sequence[float] | None = None, s
     may stall: `smoothing`, W, rounds it, and lowers the result by at most as many joules a second. `coefficient_power`
     is the sum that the dissertation prints.
     """
-    return _weighted([Work((torque, rate), smoothing).mean for torque, rate in pairs.items()], weights, "power")
+    smoothing, given = _smoothing("power", smoothing), _pairs("power", pairs)
+    return _weighted([Work(pair, smoothing).mean for pair in given], weights, "power")
 
 
-def coefficient_power(
-    pairs: Mapping[str, str], *, weights: Sequence[float] | None = None, smoothing: float = 0.0
-) -> Expression:
+def coefficient_power(pairs: Mapping[str, str], *, weights: Weights = None, smoothing: float = 0.0) -> Expression:
     """`sum of w_i ∫ Σ_j |τ_i^j q̇_i^j| <Ψ^j, Ψ^j> dt`, as equation (83) prints it: from coefficients one by one.
 
     It is no expected value, but smooth wherever no coefficient changes its sign; `smoothing`, W, as in `power`. Where
     the rates are certain, as those of a prescribed joint, it is the energy exchanged by the expected torque,
     `∫ |E[τ] q̇| dt`.
     """
-    kind = CoefficientProduct(smoothing)
-    paths = ((path(torque), path(rate)) for torque, rate in pairs.items())
+    kind = CoefficientProduct(_smoothing("coefficient_power", smoothing))
+    paths = ((path(torque), path(rate)) for torque, rate in _pairs("coefficient_power", pairs))
     terms = [Expression((1.0,), (TimeIntegral(statistic(kind, *pair)),)) for pair in paths]
     return _weighted(terms, weights, "coefficient_power")
 
 
 def terminal_mean_error(references: Mapping[str, float]) -> Expression:
     """The norm of the expected error at the end, `‖E[y(t_f)] - y_ref‖`: `J_S4` (85)."""
+    if not isinstance(references, Mapping):
+        raise ProblemError(
+            "terminal_mean_error: expected what each output is to be at the end, by its name, such as {'reach': 1.2}; "
+            f"received {type(references).__name__} {references!r}."
+        )
     return norm(*(terminal(name).mean - reference for name, reference in references.items()))
 
 
@@ -187,10 +212,28 @@ def time_integral(expression: Expression) -> Expression:
     return Expression((1.0,), (TimeIntegral(expression),))
 
 
-def _weighted(terms: Sequence[Expression], weights: Sequence[float] | None, name: str) -> Expression:
+def _pairs(name: str, pairs: Any) -> list[tuple[str, str]]:
+    if isinstance(pairs, Mapping):
+        return list(pairs.items())
+    raise ProblemError(
+        f"{name}: expected the rate that each torque acts on, by its name, such as {{'elbow_torque': 'elbow_rate'}}; "
+        f"received {type(pairs).__name__} {pairs!r}."
+    )
+
+
+def _smoothing(name: str, smoothing: Any) -> float:
+    number = number_given(smoothing, "smooth a power")
+    if number < 0:
+        raise ProblemError(f"{name}: smoothing is a power, W, not below zero; received {number:g}.")
+    return number
+
+
+def _weighted(terms: Sequence[Expression], weights: Any, name: str) -> Expression:
     if not terms:
         raise ProblemError(f"{name}: expected at least one output by name; received none.")
-    factors = [1.0] * len(terms) if weights is None else list(weights)
+    if isinstance(weights, Mapping | str):
+        raise ProblemError(f"{name}: weights are numbers in the order of the outputs; received {weights!r}.")
+    factors = [1.0] * len(terms) if weights is None else list(weights) if np.ndim(weights) else [weights]
     if len(factors) != len(terms):
         raise ProblemError(f"{name}: expected {len(terms)} weights, one a term; received {len(factors)}.")
     first, *rest = (factor * term for factor, term in zip(factors, terms, strict=True))

@@ -1,21 +1,20 @@
 """What a system says of itself once its numbers are known: asked at the initial decisions, before compilation."""
 
 from collections.abc import Iterator
-from typing import Any, final
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from aleator._core.errors import ProblemError
 from aleator.design._declaration import AbstractProblem, Model
-from aleator.design._expression import Constraint
+from aleator.design._expression import Constraint, Expression
 from aleator.design._functionals import Path
-from aleator.design._scope import AbstractScope
-from aleator.design._statistic import AbstractFunctional, statistics_in
-from aleator.dynamics import Grid, System
-from aleator.statistics import AbstractStatistic
-from aleator.uncertainty import AbstractGerm, at_means, named_numbers, realise, uncertain_numbers
+from aleator.design._statistic import Statistic
+from aleator.dynamics import System
+from aleator.statistics import Mean
+from aleator.uncertainty import AbstractGerm, at_means, realise, survey, uncertain_numbers
 
 # An unbounded variable is tried this far out on either side: beyond lies one realisation in a billion.
 _TAIL = 1e-9
@@ -24,26 +23,36 @@ _TAIL = 1e-9
 def refuse_trouble(problem: AbstractProblem) -> None:
     """Raise `ProblemError` for what a system finds wrong with itself, or where it cannot hold its start.
 
-    It is asked at the means, then with each uncertain number at either end of its law, the others at their medians.
+    It is asked at the means, then with each uncertain number at either end of its law, the others at their medians, and
+    with each decided number of the system itself (not of the motion that it is made for) at either of its bounds.
     """
     if not isinstance(problem.system, System) or not _speaks(problem.system):
         return
     start = jnp.asarray(problem.survey.vector("initial"))
-    mean = realise(at_means(problem.model), jnp.zeros(0), start)
-    _refuse(mean, "")
+    _refuse(_at_means(problem, start), "")
     for germ in _extremes(list(problem.survey.germs.values())):
         numbers = uncertain_numbers(problem.survey, jnp.asarray(germ), start)
         where = ", ".join(f"{name} = {float(number):.4g}" for name, number in numbers.items())
         _refuse(realise(problem.model, jnp.asarray(germ), start), f" In the system with {where}.")
-    _refuse_unheld(problem, mean)
+    for name, decisions in _bounds(problem):
+        _refuse(_at_means(problem, decisions), f" In the system with {name}.")
+    _refuse_unheld(problem)
 
 
 def _speaks(system: System) -> bool:
     return type(system).trouble is not System.trouble
 
 
+def _at_means(problem: AbstractProblem, decisions: Any) -> Model:
+    return realise(at_means(problem.model), jnp.zeros(0), jnp.asarray(decisions))
+
+
 def _refuse(model: Model, who: str) -> None:
-    if trouble := model.system.trouble(model.grid):  # type: ignore[union-attr]
+    try:
+        trouble = model.system.trouble(model.grid)  # type: ignore[union-attr]
+    except ProblemError as error:
+        trouble = str(error)
+    if trouble:
         raise ProblemError(trouble + who)
 
 
@@ -57,47 +66,78 @@ def _extremes(germs: list[AbstractGerm]) -> Iterator[Float[np.ndarray, " variabl
             yield point
 
 
-def _refuse_unheld(problem: AbstractProblem, model: Model) -> None:
-    """Refuse limits of torques that cannot hold the start still: no motion of the kind would begin."""
-    if not isinstance(model.system, System) or not isinstance(model.grid, Grid):
-        return
-    held = model.system.holding(model.grid)
+def _bounds(problem: AbstractProblem) -> Iterator[tuple[str, Float[np.ndarray, " n"]]]:
+    """Decisions with one number of the system itself at a finite bound, the others at their start; and which it is.
+
+    Entries of arrays go together, such as the moments of a body: one alone at a bound says nothing of the others.
+    """
+    places, own = problem.survey, survey(getattr(problem.system, "model", problem.system)).decisions
+    start, names = places.vector("initial"), places.entry_names()
+    for i in (
+        place.where.start
+        for name, place in places.decisions.items()
+        if name in own and place.where.stop - place.where.start == 1
+    ):
+        for bound in (places.vector("lower")[i], places.vector("upper")[i]):
+            if np.isfinite(bound) and bound != start[i]:
+                decisions = start.copy()
+                decisions[i] = bound
+                yield f"{names[i]} = {bound:.4g}", decisions
+
+
+def _refuse_unheld(problem: AbstractProblem) -> None:
+    """Refuse limits of torques that cannot hold the start, where the system rests there whatever the decisions are."""
+    held = _held(problem)
     for constraint in problem.constraints:
-        inside = statistics_in((constraint.expression,))
-        functionals = [one for atom in inside for one in atom.functionals]
-        torques = all(isinstance(one, Path) and one.output in held for one in functionals)
-        # What is integrated over time says nothing of the start.
-        over_time = any(atom.measures and not atom.is_path for atom in constraint.expression.atoms)
-        if not functionals or not torques or over_time:
-            continue
-        value = float(constraint.expression.evaluate(_Held(problem, held)))
-        if not float(constraint.lower) - 1e-9 <= value <= float(constraint.upper) + 1e-9:
-            raise ProblemError(_unheld(constraint, {one.output: float(held[one.output]) for one in functionals}))
+        least, most = _range(constraint.expression, held)
+        if least > float(constraint.upper) + 1e-9 or most < float(constraint.lower) - 1e-9:
+            named = {name: held[name] for atom in constraint.expression.atoms for name in atom.subjects}
+            raise ProblemError(_unheld(constraint, named))
 
 
 def _unheld(constraint: Constraint, torques: dict[str, float]) -> str:
     needed = ", ".join(f"{name} = {value:.4g}" for name, value in torques.items())
     return (
         f"Constraint '{constraint.name}' ({constraint}) cannot hold the system still at the start, which takes "
-        f"{needed} "
-        "at the means. Raise the limit, lighten the load, or start in another posture."
+        f"{needed} at the means. Raise the limit, lighten the load, start in another posture, or leave the "
+        "acceleration at the start open."
     )
 
 
-@final
-class _Held(AbstractScope):
-    """A system that is held still: every mean is the value it takes, and nothing spreads."""
+def _range(expression: Expression, held: dict[str, float]) -> tuple[float, float]:
+    """Between what an expression of means and spreads of torques is at the start; anything for other expressions."""
+    value, least, most = float(expression.constant), 0.0, 0.0
+    for factor, atom in zip(expression.factors, expression.atoms, strict=True):
+        path = isinstance(atom, Statistic) and isinstance(atom.functionals[0], Path) and atom.functionals[0].output
+        if path not in held or not (atom.is_spread or isinstance(atom.kind, Mean)):  # type: ignore[attr-defined]
+            return -np.inf, np.inf
+        if not atom.is_spread:
+            value += float(factor) * held[path]
+        elif factor != 0:
+            # How far torques spread is not known here, but not below zero.
+            least, most = (least, np.inf) if factor > 0 else (-np.inf, most)
+    return value + least, value + most
 
-    def __init__(self, problem: AbstractProblem, held: Any):
-        self._problem, self._held = problem, held
 
-    def statistic(self, functionals: tuple[AbstractFunctional, ...], kind: AbstractStatistic) -> Array:
-        value = jnp.asarray(self._held[functionals[0].output])
-        return value if kind.speaks_of_one_system else jnp.zeros_like(value)
+def _held(problem: AbstractProblem) -> dict[str, float]:
+    """What holds the start at the means, as far as it is the same at other decisions, far from the first."""
+    start, lower, upper = (problem.survey.vector(name) for name in ("initial", "lower", "upper"))
+    along = np.linspace(0.25, 0.45, len(start))
+    between = np.isfinite(lower) & np.isfinite(upper)
+    held = _holding(problem, start)
+    for part, step in ((along, 1 + along), (1 - along, -1 - along)):
+        inside = np.where(between, lower, 0.0) + part * np.where(between, upper - lower, 0.0)
+        decisions = np.where(between, inside, np.clip(start + step, lower, upper))
+        other = _holding(problem, decisions) if held else {}
+        held = {name: one for name, one in held.items() if np.isclose(one, other.get(name, np.nan), rtol=1e-9)}
+    return held
 
-    @property
-    def weights(self) -> Array:
-        return jnp.zeros(1)
 
-    def value(self, name: str) -> Array:
-        return named_numbers(self._problem.model, jnp.asarray(self._problem.survey.vector("initial")))[name]
+def _holding(problem: AbstractProblem, decisions: Float[np.ndarray, " n"]) -> dict[str, float]:
+    model = _at_means(problem, decisions)
+    try:
+        held = model.system.holding(model.grid)  # type: ignore[union-attr]
+    except ProblemError:
+        # What cannot be built there is held by nothing.
+        return {}
+    return {name: float(one) for name, one in held.items()}

@@ -1,7 +1,8 @@
 """What an expression is made of, and where it takes its numbers from."""
 
 import abc
-from typing import Any, final
+from collections.abc import Mapping
+from typing import Any, NamedTuple, final
 
 import equinox as eqx
 from jaxtyping import Array, Float
@@ -27,6 +28,17 @@ class AbstractScope(abc.ABC):
         """A number of the model itself, by name."""
 
 
+class Units(NamedTuple):
+    """The units of a problem as far as they are known, as text (see `_core.units`).
+
+    - `outputs`: of outputs, by name;
+    - `numbers`: of numbers of the model, by name (`k_s`, `k_s.half_width`), for those that expressions speak of.
+    """
+
+    outputs: Mapping[str, str]
+    numbers: Mapping[str, str]
+
+
 class AbstractAtom(eqx.Module):
     """A term of an expression that is no sum or multiple of others."""
 
@@ -37,6 +49,10 @@ class AbstractAtom(eqx.Module):
     @abc.abstractmethod
     def text(self) -> str:
         """The term as mathematics."""
+
+    @abc.abstractmethod
+    def unit(self, units: Units) -> str:
+        """The term's unit, from those of what it speaks of; empty where it does not follow from them."""
 
     @property
     @abc.abstractmethod
@@ -77,6 +93,10 @@ class Value(AbstractAtom):
     def text(self) -> str:
         """See `AbstractAtom.text`."""
         return self.name
+
+    def unit(self, units: Units) -> str:
+        """See `AbstractAtom.unit`."""
+        return units.numbers.get(self.name, "")
 
     @property
     def subjects(self) -> tuple[str, ...]:

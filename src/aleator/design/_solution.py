@@ -10,7 +10,6 @@ from jaxtyping import Float
 
 from aleator.design._certificate import (
     HELD,
-    TOLERATED,
     Between,
     ConstraintResult,
     ExpansionQuality,
@@ -66,7 +65,7 @@ class Solution:
     @property
     def ok(self) -> bool:
         """Whether it was solved to tolerance, and limits hold between instants too where that was looked at."""
-        return self.status is Status.SOLVED and (self.between is None or self.between.worst <= TOLERATED)
+        return self.status is Status.SOLVED
 
     @property
     def instants(self) -> Float[np.ndarray, " instants"]:
@@ -97,7 +96,7 @@ class Solution:
         """Why it is not solved: the constraints that do not hold, where and by how much."""
         if self.ok:
             return "The problem is solved."
-        if self.status is Status.SOLVED and self.between is not None:
+        if self.status is Status.NOT_HELD and self.between is not None:
             return (
                 f"{self.solver}: solved at the instants of the grid, but {self.between.sentence()}, or between=1 to "
                 "look at the instants alone."

@@ -1,17 +1,16 @@
 """Functionals have statistics: `AbstractFunctional`, what each of its kinds shares, and `Statistic`, an atom."""
 
 import abc
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, final
 
 import equinox as eqx
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
 from aleator._core.errors import ProblemError
 from aleator.design._expression import Constraint, Expression, number_given, ordered
-from aleator.design._scope import AbstractAtom, AbstractRandom, AbstractScope
+from aleator.design._scope import AbstractAtom, AbstractRandom, AbstractScope, Units
 from aleator.dynamics import AbstractGrid, History
 from aleator.statistics import (
     AbstractStatistic,
@@ -42,6 +41,10 @@ class AbstractFunctional(AbstractRandom):
 
     outputs: tuple[str, ...] = eqx.field(static=True)
 
+    def __check_init__(self) -> None:
+        for name in self.outputs:
+            name_given(name)
+
     @property
     def output(self) -> str:
         """The output that it is taken of: the first where it is taken of several."""
@@ -50,6 +53,10 @@ class AbstractFunctional(AbstractRandom):
     @abc.abstractmethod
     def evaluate(self, history: History, grid: AbstractGrid) -> Float[Array, "..."]:
         """The quantity on one realisation's history: a number, or for `path` one number an instant."""
+
+    def unit(self, outputs: Mapping[str, str]) -> str:
+        """Its unit, from those of outputs as far as they are known (see `_core.units`): by default its output's own."""
+        return outputs.get(self.output, "")
 
     @property
     def is_path(self) -> bool:
@@ -190,6 +197,10 @@ class Statistic(AbstractAtom):
         """See `AbstractAtom.text`."""
         return self.kind.text(", ".join(self.measures))
 
+    def unit(self, units: Units) -> str:
+        """See `AbstractAtom.unit`."""
+        return self.kind.unit(*(one.unit(units.outputs) for one in self.functionals))
+
     @property
     def subjects(self) -> tuple[str, ...]:
         """See `AbstractAtom.subjects`."""
@@ -209,6 +220,15 @@ class Statistic(AbstractAtom):
     def is_spread(self) -> bool:
         """See `AbstractAtom.is_spread`."""
         return isinstance(self.kind, Std)
+
+
+def name_given(name: Any) -> str:
+    """The name of an output as it is. Raises `ProblemError` for what is no name."""
+    if isinstance(name, str):
+        return name
+    raise ProblemError(
+        f"An output is given by its name, such as 'x', and several one by one; received {type(name).__name__} {name!r}."
+    )
 
 
 def statistic(kind: AbstractStatistic, *functionals: AbstractFunctional) -> Expression:
@@ -254,6 +274,6 @@ def statistics_in(expressions: tuple[Expression, ...]) -> tuple[Statistic, ...]:
 def _multiple(functional: AbstractFunctional, sigmas: Any) -> float:
     """A multiple of a standard deviation as a float. Raises `ProblemError` unless it makes a margin."""
     number = number_given(sigmas, "multiply a standard deviation")
-    if not (np.isfinite(number) and number >= 0):
-        raise ProblemError(f"'{functional.text()}': sigmas must be finite and not negative; received {sigmas}.")
+    if number < 0:
+        raise ProblemError(f"'{functional.text()}': sigmas must not be negative; received {sigmas}.")
     return number

@@ -17,6 +17,7 @@ from aleator.dynamics._integrators import Inputs as Inputs
 from aleator.dynamics._integrators import Kvaerno5 as Kvaerno5
 from aleator.dynamics._integrators import RungeKutta4 as RungeKutta4
 from aleator.dynamics._integrators import Tsit5 as Tsit5
+from aleator.dynamics._refusals import check_signals as check_signals
 from aleator.dynamics._simulate import simulate as simulate
 from aleator.dynamics._system import System as System
 from aleator.dynamics._system import called as called

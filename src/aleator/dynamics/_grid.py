@@ -4,8 +4,10 @@ import abc
 from typing import Any, final
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from aleator._core.arrays import Scalar, decided_bounds
@@ -41,6 +43,7 @@ class Grid(AbstractGrid):
     def __init__(self, t_final: Any, steps: int, t_start: float = 0.0):
         if isinstance(steps, bool) or not isinstance(steps, int | np.integer) or steps < 1:
             raise ProblemError(f"Grid: steps is a whole number of at least 1; received {steps!r}.")
+        t_final, t_start = _scalar(t_final), _scalar(t_start)
         earliest = _earliest(t_final)
         if np.shape(getattr(t_final, "initial", 0.0) if decided_bounds(t_final) is not None else 0.0) != ():
             raise ProblemError(f"Grid: there is one final time; received an array of decisions {t_final!r}.")
@@ -104,6 +107,12 @@ class Instant(AbstractGrid):
 def _earliest(t_final: Any) -> Any:
     bounds = decided_bounds(t_final)
     return t_final if bounds is None else float(np.min(bounds[0]))
+
+
+def _scalar(number: Any) -> Any:
+    """An array of one known number, without axes, as a float; everything else as it is."""
+    is_array = isinstance(number, np.ndarray | jax.Array) and not isinstance(number, Tracer)
+    return float(number) if is_array and number.shape == () and number.dtype.kind in "iuf" else number
 
 
 def _is_finite(number: object) -> bool:

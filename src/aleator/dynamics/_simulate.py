@@ -10,7 +10,8 @@ from aleator.dynamics._algebraic import AlgebraicSystem, algebraic_outputs
 from aleator.dynamics._grid import AbstractGrid, Grid, Instant
 from aleator.dynamics._instantaneous import observed
 from aleator.dynamics._integrators import AbstractIntegrator, History, Inputs, RungeKutta4
-from aleator.dynamics._system import System, check_inputs, observation
+from aleator.dynamics._refusals import check_signals, refuse_unrealised
+from aleator.dynamics._system import System, observation
 
 
 def simulate(
@@ -28,24 +29,28 @@ def simulate(
     at each instant. `only` lists the outputs that are asked for, by name. Where its equations are not solved, or an
     adaptive integrator gives up, the outputs are not a number.
 
-    Raises `ProblemError` if grid or inputs do not fit the system, or outputs are asked for that it does not have.
+    Raises `ProblemError` if a distribution or a decision is left in system, grid or inputs, if grid or inputs do not
+    fit the system, if a signal is not known on the whole grid (unless it is traced), or outputs are asked for that the
+    system does not have.
     """
+    inputs = inputs or {}
+    refuse_unrealised(system=system, grid=grid, inputs=inputs)
     if isinstance(system, AlgebraicSystem):
-        return _chosen(system, _solved(system, Instant() if grid is None else grid, inputs or {}), only)
+        return _chosen(system, _solved(system, Instant() if grid is None else grid, inputs), only)
     if not isinstance(grid, Grid):
         raise ProblemError(
             f"{type(system).__name__} moves in time: expected a grid, such as al.Grid(t_final, steps); "
             f"received {type(grid).__name__}."
         )
-    check_inputs(system, inputs or {})
+    check_signals(system, grid, inputs)
     system = system if only is None else system.focused(only)
 
     def observe(system: System, t: Any, z: Any, now: dict[str, Array]) -> dict[str, Array]:
         return _chosen(system, observation(system, t, z, now), only)
 
     if not system.states:
-        return observed(system, grid, inputs or {}, observe)
-    return (integrator or RungeKutta4()).outputs(system, grid, {**system.signals(), **(inputs or {})}, observe)
+        return observed(system, grid, inputs, observe)
+    return (integrator or RungeKutta4()).outputs(system, grid, {**system.signals(), **inputs}, observe)
 
 
 def _chosen(system: Any, found: dict[str, Array], only: Collection[str] | None) -> dict[str, Array]:

@@ -56,13 +56,16 @@ class System(eqx.Module):
     def trouble(self, grid: Any) -> str:
         """What is wrong with the realised system on a grid, in a sentence with its remedy; empty if nothing.
 
-        It is asked before anything is compiled, and where a simulation failed.
+        It is asked before anything is compiled.
         """
         del grid
         return ""
 
     def holding(self, grid: Any) -> Mapping[str, Any]:
-        """The outputs that it would take to stay as it is at the start, by name, such as torques; none by default."""
+        """What it takes to stay at the start, by the names of outputs such as torques, where it is made to rest there.
+
+        None by default, nor where it starts on the move or may begin to move.
+        """
         del grid
         return {}
 

@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 
 from aleator._core.arrays import realised_shape
 from aleator._core.errors import ProblemError
+from aleator._core.laws import lowest
 
 
 def stored(owner: str, name: str, value: Any) -> Any:
@@ -69,11 +70,29 @@ def check_number(owner: str, name: str, value: Any) -> None:
 
 
 def check_radius(owner: str, value: Any) -> None:
-    """Raise `ProblemError` unless `value` is one number that is not known to be negative."""
+    """Raise `ProblemError` unless `value` is one number that cannot become negative, as far as it is known."""
     check_number(owner, "radius", value)
-    radius = plain(value)
-    if radius is not None and radius < 0:
-        raise ProblemError(f"{owner}: 'radius' must be zero or more; received {radius:g}.")
+    least = lowest(value)
+    if least is not None and least < 0:
+        raise ProblemError(f"{owner}: 'radius' must be zero or more; {_received(value, least)}")
+
+
+def check_lengths(owner: str, name: str, value: Any) -> None:
+    """Raise `ProblemError` if one of several numbers can become zero or negative, as far as they are known."""
+    least = lowest(value)
+    if least is not None and least <= 0:
+        raise ProblemError(f"{owner}: '{name}' must be positive; {_received(value, least)}")
+
+
+def _received(value: Any, least: float) -> str:
+    known = plain(value)
+    if known is not None:
+        return f"received {known}."
+    reach = "numbers that are unbounded below" if least == -np.inf else f"numbers that can reach {least:g}"
+    return (
+        f"received {reach}. Give larger numbers, distributions that are bounded or spread less, or decisions with "
+        "higher lower bounds."
+    )
 
 
 def realised(owner: str, name: str, value: Any) -> Float[Array, "..."]:

@@ -12,6 +12,7 @@ from aleator._core.arrays import Number
 from aleator._core.errors import ProblemError
 from aleator.geometry._body import TINY, Body, unit
 from aleator.geometry._numbers import (
+    check_lengths,
     check_number,
     check_point,
     check_radius,
@@ -45,7 +46,8 @@ class AbstractBounded(AbstractShape):
 class Sphere(AbstractBounded):
     """The ball of the given `radius` (m) around `center` (m); a disc in the plane, a point where the radius is 0.
 
-    Raises `ProblemError` if `center` has not 2 or 3 numbers, or if a plain number is not finite or the radius negative.
+    Raises `ProblemError` if `center` has not 2 or 3 numbers, if a plain number is not finite, or if the
+    radius can become negative: plain, by its law or by the bounds of its decision.
     """
 
     center: Any
@@ -71,8 +73,8 @@ class Capsule(AbstractBounded):
     A link of an arm between two joints. Where start and end coincide it is a sphere; derivatives there are finite, and
     those with respect to the two ends are the sphere's, shared evenly.
 
-    Raises `ProblemError` if the ends have not both 2 or both 3 numbers, or if a plain number is not finite or the
-    radius negative.
+    Raises `ProblemError` if the ends have not both 2 or both 3 numbers, if a plain number is not finite, or if the
+    radius can become negative: plain, by its law or by the bounds of its decision.
     """
 
     start: Any
@@ -105,7 +107,8 @@ class Box(AbstractBounded):
     columns are the box's axes. Without it they are the axes of the coordinates.
 
     Raises `ProblemError` if vectors have not both 2 or both 3 numbers, if `orientation` does not fit, if a plain number
-    is not finite, a plain half size not positive or a plain orientation no rotation.
+    is not finite or a plain orientation no rotation, or if a half size can become zero or negative: plain, by its law
+    or by the bounds of its decision.
     """
 
     center: Any
@@ -118,9 +121,7 @@ class Box(AbstractBounded):
         self.orientation = None if orientation is None else stored("Box", "orientation", orientation)
         check_point("Box", "center", self.center)
         check_same_size("Box", center=self.center, half_sizes=self.half_sizes)
-        sizes = plain(self.half_sizes)
-        if sizes is not None and sizes.min() <= 0:
-            raise ProblemError(f"Box: 'half_sizes' must be positive; received {sizes}.")
+        check_lengths("Box", "half_sizes", self.half_sizes)
         if self.orientation is not None:
             _check_orientation(self.orientation, shape_of(self.center)[0])
 

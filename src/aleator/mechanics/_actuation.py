@@ -2,12 +2,11 @@
 
 from enum import Enum
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from aleator.mechanics._matrices import solve_any
-from aleator.mechanics._mechanical import AbstractMechanical
+from aleator.mechanics._mechanical import AbstractMechanical, actuation_map
 
 
 class Actuation(Enum):
@@ -22,7 +21,7 @@ class Actuation(Enum):
 
 def actuation_of(model: AbstractMechanical, q: Float[Array, " coordinates"]) -> Actuation:
     """How a realised system is actuated in a posture: by the rank of its map `B(q)` and the number of its torques."""
-    return scheme(np.asarray(model.actuation(q)))
+    return scheme(np.asarray(actuation_map(model, q)))
 
 
 def scheme(B: Float[np.ndarray, "speeds actuators"]) -> Actuation:
@@ -42,10 +41,4 @@ def torques(
     """The torques that give a generalised force; of many, those of least norm."""
     if model.acts_directly:
         return force
-    return solve_any(jnp.asarray(model.actuation(q)), force)
-
-
-def held(model: AbstractMechanical, q: Float[Array, " coordinates"]) -> dict[str, Float[Array, ""]]:
-    """The torques that hold a system still in a posture, by name."""
-    found = torques(model, q, model.bias(q, jnp.zeros(len(model.speeds))))
-    return dict(zip(model.actuators, found, strict=True))
+    return solve_any(actuation_map(model, q), force)

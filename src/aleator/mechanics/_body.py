@@ -7,7 +7,7 @@ import numpy as np
 
 from aleator._core.errors import ProblemError
 from aleator.mechanics._joints import AbstractJoint, Fixed
-from aleator.mechanics._spatial import Block, Inertia, Pose, as_array, from_angles, library, skew
+from aleator.mechanics._spatial import Block, Inertia, Pose, as_array, from_angles, is_known, library, skew
 
 # What rounding may take from an inertia that is only just possible, relative to its largest moment.
 _ROUNDING = 1e-9
@@ -25,7 +25,8 @@ class Body(eqx.Module):
     - `inertia` in kg·m², about the centre of mass and along the body's axes: three principal moments, the six numbers
       xx, yy, zz, xy, xz, yz, or a matrix (3, 3). One moment alone, such as `(0, 0, J)`, is what a plane model needs.
 
-    Each number may also be a tracer, alone or within a sequence. What is known is checked when the tree is built:
+    Each number may also be a tracer, alone or within a sequence. What is known is checked when the tree is built
+    (of laws, the numbers at their ends, when a problem is made):
     `ProblemError` is raised for a negative mass, an orientation that is no rotation, and an inertia that no body has.
     """
 
@@ -53,17 +54,19 @@ def placement(body: Body) -> Pose:
     where = f"Body '{body.name}': orientation"
     given = as_array(body.orientation, where, (3,), (3, 3))
     rotation = from_angles(given) if given.shape == (3,) else given
-    if isinstance(rotation, np.ndarray) and not (
-        np.allclose(rotation @ rotation.T, np.eye(3), rtol=0, atol=_ROUNDING) and np.linalg.det(rotation) > 0
-    ):
+    if is_known(rotation) and not _turns(np.asarray(rotation)):
         raise ProblemError(f"{where}: expected a rotation matrix; received {body.orientation!r}.")
     return Pose(rotation, as_array(body.position, f"Body '{body.name}': position", (3,)))
+
+
+def _turns(matrix: np.ndarray) -> bool:
+    return np.allclose(matrix @ matrix.T, np.eye(3), rtol=0, atol=_ROUNDING) and np.linalg.det(matrix) > 0
 
 
 def inertia(body: Body) -> Inertia:
     """The inertia of a body in its own frame."""
     mass = as_array(body.mass, f"Body '{body.name}': mass", ())
-    if isinstance(mass, np.ndarray) and mass < 0:
+    if is_known(mass) and np.asarray(mass) < 0:
         raise ProblemError(f"Body '{body.name}': expected a mass that is not negative; received {body.mass}.")
     center = as_array(body.center, f"Body '{body.name}': center", (3,))
     across = skew(center)
@@ -75,8 +78,8 @@ def _moments(body: Body) -> Block:
     where = f"Body '{body.name}': inertia"
     given = as_array(body.inertia, where, (3,), (6,), (3, 3))
     matrix = _matrix(given)
-    if isinstance(matrix, np.ndarray):
-        _check_moments(matrix, where)
+    if is_known(matrix):
+        _check_moments(np.asarray(matrix), where)
     return matrix
 
 

@@ -7,8 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from aleator._core.errors import ProblemError
-from aleator.mechanics._mechanical import AbstractNamed
+from aleator.mechanics._mechanical import AbstractNamed, actuation_map, bias_of, shaped
 
 
 class Mechanical(AbstractNamed):
@@ -32,8 +31,8 @@ class Mechanical(AbstractNamed):
     def bias(self, q: Float[Array, " coordinates"], v: Float[Array, " speeds"]) -> Float[Array, " speeds"]:
         """See `AbstractMechanical.bias`."""
         n = len(self.speeds)
-        along = _shaped(self, "coriolis(q, v)", self.coriolis(q, v), (n, n)) @ v
-        return along + _shaped(self, "forces(q, v)", self.forces(q, v), (n,))
+        along = shaped(self, "coriolis(q, v)", self.coriolis(q, v), (n, n)) @ v
+        return along + shaped(self, "forces(q, v)", self.forces(q, v), (n,))
 
 
 class Lagrangian(AbstractNamed):
@@ -60,7 +59,7 @@ class Lagrangian(AbstractNamed):
 
     def mass_matrix(self, q: Float[Array, " n"]) -> Float[Array, "n n"]:
         """`M = d²T/dv²`."""
-        return jax.jacfwd(jax.grad(self.kinetic_energy, argnums=1), argnums=1)(q, jnp.zeros_like(q))
+        return self._inertia(q, jnp.zeros_like(q))
 
     def coriolis(self, q: Float[Array, " n"], v: Float[Array, " n"]) -> Float[Array, "n n"]:
         """`C(q, v)` by Christoffel's symbols of `M`: the choice that makes `Ṁ - 2 C` skew-symmetric."""
@@ -73,14 +72,31 @@ class Lagrangian(AbstractNamed):
         """See `AbstractMechanical.bias`: `d/dt(dT/dv) - dT/dq` without acceleration, `dV/dq` and `dR/dv`."""
 
         def momentum(at: Array) -> Array:
-            return jax.grad(self.kinetic_energy, argnums=1)(at, v)
+            return jax.grad(self._kinetic, argnums=1)(at, v)
 
         change = jax.jvp(momentum, (q,), (v,))[1]
-        return change - jax.grad(self.kinetic_energy)(q, v) + self._forces(q, v)
+        return change - jax.grad(self._kinetic)(q, v) + self._forces(q, v)
+
+    def trouble(self, q: Float[Array, " n"]) -> str:
+        """See `AbstractMechanical.trouble`: a kinetic energy that is not quadratic in the velocities."""
+        at_rest, moving = (self._inertia(q, v) for v in (jnp.zeros_like(q), jnp.linspace(0.4, 0.7, len(q))))
+        slack = 1e-9 * float(jnp.abs(at_rest).max(initial=0.0))
+        if jnp.allclose(moving, at_rest, rtol=1e-6, atol=slack, equal_nan=True):
+            return ""
+        return (
+            f"{type(self).__name__}.kinetic_energy(q, v): expected a quadratic function of the velocities, whose "
+            "second derivatives are the mass matrix whatever the velocities are. Write al.Accelerations for others."
+        )
 
     def _forces(self, q: Array, v: Array) -> Array:
-        potential = jax.grad(lambda at: jnp.asarray(self.potential_energy(at), dtype=float))(q)
-        return potential + jax.grad(lambda at: jnp.asarray(self.dissipation(q, at), dtype=float))(v)
+        potential = jax.grad(lambda at: shaped(self, "potential_energy(q)", self.potential_energy(at), ()))(q)
+        return potential + jax.grad(lambda at: shaped(self, "dissipation(q, v)", self.dissipation(q, at), ()))(v)
+
+    def _kinetic(self, q: Array, v: Array) -> Array:
+        return shaped(self, "kinetic_energy(q, v)", self.kinetic_energy(q, v), ())
+
+    def _inertia(self, q: Array, v: Array) -> Array:
+        return jax.jacfwd(jax.grad(self._kinetic, argnums=1), argnums=1)(q, v)
 
 
 class Accelerations(AbstractNamed):
@@ -111,7 +127,7 @@ class Accelerations(AbstractNamed):
     def trouble(self, q: Float[Array, " coordinates"]) -> str:
         """See `AbstractMechanical.trouble`: accelerations that are not affine in the torques."""
         v, torque = jnp.linspace(0.4, 0.7, len(self.speeds)), jnp.linspace(0.6, 1.3, len(self.actuators))
-        expected = self.actuation(q) @ torque - self.bias(q, v)
+        expected = actuation_map(self, q) @ torque - bias_of(self, q, v)
         if jnp.allclose(self._rates(q, v, torque), expected, rtol=1e-6, atol=1e-9, equal_nan=True):
             return ""
         return (
@@ -121,12 +137,4 @@ class Accelerations(AbstractNamed):
 
     def _rates(self, q: Array, v: Array, torque: Array) -> Array:
         given = self.accelerations(q, v, torque)
-        return _shaped(self, "accelerations(q, v, torque)", given, (len(self.speeds),))
-
-
-def _shaped(model: AbstractNamed, part: str, value: Any, shape: tuple[int, ...]) -> Float[Array, "..."]:
-    """What a user's method gives, as an array. Raises `ProblemError` for another shape, which would broadcast."""
-    found = jnp.asarray(value, dtype=float)
-    if found.shape != shape:
-        raise ProblemError(f"{type(model).__name__}.{part}: expected shape {shape}; received {found.shape}.")
-    return found
+        return shaped(self, "accelerations(q, v, torque)", given, (len(self.speeds),))

@@ -6,11 +6,11 @@ from typing import Any, ClassVar, final
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from aleator._core.errors import ProblemError
 from aleator.dynamics import Grid, System
-from aleator.mechanics._actuation import Actuation, actuation_of, held
-from aleator.mechanics._given import Given, checked_start, combined, signals_for, vector
+from aleator.mechanics._given import Given, checked_start, combined, coordinates_at, signals_for, vector
 from aleator.mechanics._kinematics import accelerations, rates
-from aleator.mechanics._mechanical import AbstractMechanical
+from aleator.mechanics._mechanical import AbstractMechanical, actuation_map
 from aleator.mechanics._motion import Motion
 from aleator.mechanics._outputs import standard_outputs
 from aleator.mechanics._trouble import trouble_along, trouble_at
@@ -23,7 +23,7 @@ class ForwardDynamics(System):
 
     - `model`: the mechanical system; of any actuation scheme;
     - `torque`: a trajectory (or any signal) of all actuators, or one by name; those left out are zero;
-    - `start`: initial coordinates and velocities by name; those left out are zero.
+    - `start`: initial coordinates and velocities by name; those left out are zero (of a quaternion `(1, 0, 0, 0)`).
 
     The torques act as given, on every system of the family alike. They are part of the system: its control points are
     called `torque.free`. Raises `ProblemError` for torques and starts of what the model does not have.
@@ -42,8 +42,8 @@ class ForwardDynamics(System):
 
     @property
     def units(self) -> Mapping[str, str]:  # type: ignore[override]
-        """The units that the model declares."""
-        return self.model.units
+        """The units that the model declares, and those that its kind tells."""
+        return {**self.model.standard_units, **self.model.units}
 
     def signals(self) -> Mapping[str, AbstractSignal]:
         """See `System.signals`."""
@@ -55,7 +55,7 @@ class ForwardDynamics(System):
 
     def initial(self) -> Mapping[str, Any]:
         """See `System.initial`."""
-        q = self.model.normalised(vector(self.model.coordinates, self.start))
+        q = self.model.normalised(coordinates_at(self.model, self.start))
         return {"q": q, "v": vector(self.model.speeds, self.start)}
 
     def rhs(self, t: Any, z: Any, torque: Any = None) -> tuple[Array, Array]:
@@ -77,17 +77,18 @@ class ForwardDynamics(System):
         start = self.initial()
         return trouble_at(self.model, start["q"], "at the start") or trouble_along(self, grid)
 
-    def holding(self, grid: Grid) -> Mapping[str, Any]:
-        """See `System.holding`: where every coordinate has a torque to hold it, and the start is at rest."""
-        del grid
-        start = self.initial()
-        if actuation_of(self.model, start["q"]) not in (Actuation.FULL, Actuation.OVER) or jnp.any(start["v"] != 0):
-            return {}
-        return held(self.model, start["q"])
-
     def _given(self, torque: Any) -> Array:
-        return jnp.zeros(len(self.model.actuators)) if torque is None else torque
+        n = len(self.model.actuators)
+        if torque is None:
+            return jnp.zeros(n)
+        if jnp.shape(torque) not in ((n,), () if n == 1 else (n,)):
+            raise ProblemError(
+                f"ForwardDynamics of {type(self.model).__name__}: expected a torque signal of shape ({n},), one value "
+                f"for each of {list(self.model.actuators)}; received shape {jnp.shape(torque)}. Give signals of one "
+                "number each in a dict by these names."
+            )
+        return jnp.reshape(torque, (n,))
 
     def _accelerated(self, q: Array, v: Array, torque: Array) -> Array:
-        force = torque if self.model.acts_directly else self.model.actuation(q) @ torque
+        force = torque if self.model.acts_directly else actuation_map(self.model, q) @ torque
         return self.model.forward_dynamics(q, v, force)

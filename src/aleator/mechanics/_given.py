@@ -127,6 +127,13 @@ def checked_start(model: AbstractMechanical, names: tuple[str, ...], start: Any,
     return {name: copied(what, f"start of '{name}'", number) for name, number in given.items()}
 
 
+def coordinates_at(model: AbstractMechanical, start: Mapping[str, Any]) -> Float[Array, " coordinates"]:
+    """Initial coordinates; those left out are zero, or where they are part of a quaternion that of no turn."""
+    names = model.coordinates
+    unturned = model.normalised(jnp.zeros(len(names)))
+    return vector(names, {**dict(zip(names, unturned, strict=True)), **start})
+
+
 def vector(names: tuple[str, ...], start: Mapping[str, Any]) -> Float[Array, " names"]:
     """Initial values in order; those left out are zero."""
     values = [jnp.asarray(start.get(name, 0.0), dtype=float) for name in names]

@@ -11,10 +11,10 @@ from jaxtyping import Array
 
 from aleator._core.errors import ProblemError
 from aleator.dynamics import Grid, System
-from aleator.mechanics._actuation import Actuation, actuation_of, held, torques
+from aleator.mechanics._actuation import Actuation, actuation_of, torques
 from aleator.mechanics._given import Given, asks_torque_rates, combined_motion, followed, motions_for
 from aleator.mechanics._kinematics import Followed, follow
-from aleator.mechanics._mechanical import AbstractMechanical
+from aleator.mechanics._mechanical import AbstractMechanical, actuation_map
 from aleator.mechanics._motion import Motion
 from aleator.mechanics._outputs import standard_outputs
 from aleator.mechanics._trouble import trouble_at, trouble_of_path
@@ -50,8 +50,8 @@ class InverseDynamics(System):
 
     @property
     def units(self) -> Mapping[str, str]:  # type: ignore[override]
-        """The units that the model declares."""
-        return self.model.units
+        """The units that the model declares, and those that its kind tells."""
+        return {**self.model.standard_units, **self.model.units}
 
     def signals(self) -> Mapping[str, AbstractSignal]:
         """See `System.signals`."""
@@ -87,22 +87,24 @@ class InverseDynamics(System):
 
     def trouble(self, grid: Grid) -> str:
         """See `System.trouble`."""
-        path = self._path(grid, grid.fractions)
-        q = path.q[0]
-        if found := trouble_at(self.model, q, "at the start"):
+        model, path = self.model, self._motion().sampled(grid.fractions, grid.t_start, grid.t_final)
+        q = model.normalised(path[0])
+        if found := trouble_at(model, q, "at the start"):
             return found
-        scheme = actuation_of(self.model, q)
+        scheme = actuation_of(model, q)
         if scheme not in (Actuation.FULL, Actuation.OVER):
             return self._unrealisable(scheme.value)
-        return trouble_of_path(self.model, np.asarray(grid.times), path.q)
+        effects = None if model.acts_directly else jax.vmap(lambda at: actuation_map(model, model.normalised(at)))(path)
+        return trouble_of_path(model, np.asarray(grid.times), path, effects)
 
     def holding(self, grid: Grid) -> Mapping[str, Any]:
-        """See `System.holding`: where the motion starts at rest."""
-        path = self._path(grid, np.zeros(1))
-        q, v = path.q[0], path.v[0]
-        if jnp.any(jnp.abs(v) > 1e-9):
+        """See `System.holding`: the torques, where the motion starts at rest and without acceleration."""
+        at = [self._motion().derivative(k).sampled(np.zeros(1), grid.t_start, grid.t_final)[0] for k in range(3)]
+        start = follow(self.model, *at)
+        if jnp.any(jnp.abs(jnp.stack([start.v, start.v_dot])) > 1e-9):
             return {}
-        return held(self.model, q)
+        force = self.model.inverse_dynamics(start.q, start.v, start.v_dot)
+        return dict(zip(self.model.actuators, torques(self.model, start.q, force), strict=True))
 
     def _unrealisable(self, scheme: str) -> str:
         return (
@@ -111,10 +113,6 @@ class InverseDynamics(System):
             f"({', '.join(self.model.coordinates)}). Use al.HybridDynamics, which prescribes as many coordinates as "
             "there are torques, or al.ForwardDynamics."
         )
-
-    def _path(self, grid: Grid, fractions: np.ndarray) -> Followed:
-        at = [self._motion().derivative(k).sampled(fractions, grid.t_start, grid.t_final) for k in range(3)]
-        return jax.vmap(lambda *one: follow(self.model, *one))(*at)
 
     def _motion(self) -> AbstractTrajectory:
         return combined_motion(self.model.coordinates, self.motion)

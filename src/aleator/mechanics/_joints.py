@@ -15,6 +15,7 @@ from aleator.mechanics._spatial import (
     about,
     as_array,
     from_quaternion,
+    is_known,
     quaternion_rates,
     unit,
     unit_quaternion,
@@ -27,10 +28,13 @@ class AbstractJoint(eqx.Module):
     """What binds a body to its parent: coordinates `q`, speeds `v`, and the motion that they describe.
 
     `coordinates` and `speeds` are endings: the body's name and one of them make the name of a coordinate or speed.
+    `units` are those of the first coordinates (quaternions, which have none, are last), `speed_units` of all speeds.
     """
 
     coordinates: ClassVar[tuple[str, ...]]
     speeds: ClassVar[tuple[str, ...]]
+    units: ClassVar[tuple[str, ...]]
+    speed_units: ClassVar[tuple[str, ...]]
 
     @abc.abstractmethod
     def pose(self, placement: Pose, q: Float[Array, " coordinates"]) -> Pose:
@@ -72,7 +76,8 @@ class AbstractAxial(AbstractJoint):
     """A joint along or about one axis, with a spring and a damper: force `-damping rate - stiffness (q - rest)`.
 
     - `axis`: "x", "y", "z", or a vector of any length but zero, in the joint's frame (which is also the body's);
-    - `damping`: N·m·s/rad, or N·s/m; `stiffness`: N·m/rad, or N/m; `rest`: the coordinate without force, rad or m.
+    - `damping`: N·m·s/rad, or N·s/m, not negative; `stiffness`: N·m/rad, or N/m; `rest`: the coordinate without force,
+      rad or m.
     """
 
     axis: Any
@@ -89,12 +94,17 @@ class AbstractAxial(AbstractJoint):
         if isinstance(self.axis, str) and self.axis not in _AXES:
             raise ProblemError(f"{name}: expected the axis 'x', 'y' or 'z', or a vector; received '{self.axis}'.")
         axis = as_array(_AXES[self.axis] if isinstance(self.axis, str) else self.axis, f"{name}: axis", (3,))
-        if isinstance(axis, np.ndarray) and not 0 < axis @ axis < np.inf:
+        if is_known(axis) and not 0 < np.linalg.norm(np.asarray(axis)) < np.inf:
             raise ProblemError(f"{name}: expected an axis of finite length, and not zero; received {self.axis}.")
         return unit(axis)
 
     def passive(self, q: Float[Array, " 1"], v: Float[Array, " 1"]) -> Float[Array, " 1"]:
-        """See `AbstractJoint.passive`."""
+        """See `AbstractJoint.passive`. Raises `ProblemError` for a negative damping."""
+        if is_known(self.damping) and np.any(np.asarray(self.damping) < 0):
+            raise ProblemError(
+                f"{type(self).__name__}: expected a damping that is not negative; received {self.damping}. A "
+                "negative one would drive the joint."
+            )
         return -self.damping * v - self.stiffness * (q - self.rest)
 
     def energy(self, q: Float[Array, " 1"]) -> Float[Array, ""]:
@@ -110,6 +120,9 @@ class AbstractAxial(AbstractJoint):
 @final
 class Revolute(AbstractAxial):
     """A hinge: the body turns about an axis through its origin, by one angle in rad. See `AbstractAxial`."""
+
+    units: ClassVar[tuple[str, ...]] = ("rad",)
+    speed_units: ClassVar[tuple[str, ...]] = ("rad/s",)
 
     def pose(self, placement: Pose, q: Float[Array, " 1"]) -> Pose:
         """See `AbstractJoint.pose`."""
@@ -130,6 +143,9 @@ class Revolute(AbstractAxial):
 class Prismatic(AbstractAxial):
     """A slide: the body moves along an axis, by one length in m. See `AbstractAxial`."""
 
+    units: ClassVar[tuple[str, ...]] = ("m",)
+    speed_units: ClassVar[tuple[str, ...]] = ("m/s",)
+
     def pose(self, placement: Pose, q: Float[Array, " 1"]) -> Pose:
         """See `AbstractJoint.pose`."""
         along = placement.rotation @ self.direction()
@@ -149,11 +165,14 @@ class Prismatic(AbstractAxial):
 @final
 class Ball(AbstractJoint):
     """The body turns about a point. Coordinates: a unit quaternion `(w, x, y, z)`, from the joint's axes to the body's;
-    speeds: the angular velocity against the parent, in the body's axes, rad/s.
+    speeds: the angular velocity against the parent, in the body's axes, rad/s. A start may leave components out, which
+    are then those of no turn, `(1, 0, 0, 0)`.
     """
 
     coordinates: ClassVar[tuple[str, ...]] = ("_w", "_x", "_y", "_z")
     speeds: ClassVar[tuple[str, ...]] = ("_omega_x", "_omega_y", "_omega_z")
+    units: ClassVar[tuple[str, ...]] = ()
+    speed_units: ClassVar[tuple[str, ...]] = ("rad/s",) * 3
 
     def pose(self, placement: Pose, q: Float[Array, " 4"]) -> Pose:
         """See `AbstractJoint.pose`."""
@@ -187,6 +206,8 @@ class Free(AbstractJoint):
 
     coordinates: ClassVar[tuple[str, ...]] = ("_x", "_y", "_z", "_qw", "_qx", "_qy", "_qz")
     speeds: ClassVar[tuple[str, ...]] = ("_x_rate", "_y_rate", "_z_rate", "_omega_x", "_omega_y", "_omega_z")
+    units: ClassVar[tuple[str, ...]] = ("m",) * 3
+    speed_units: ClassVar[tuple[str, ...]] = ("m/s",) * 3 + ("rad/s",) * 3
 
     def pose(self, placement: Pose, q: Float[Array, " 7"]) -> Pose:
         """See `AbstractJoint.pose`."""

@@ -6,7 +6,7 @@ import jax
 from jaxtyping import Array, Float
 
 from aleator.mechanics._matrices import solve_any
-from aleator.mechanics._mechanical import AbstractMechanical
+from aleator.mechanics._mechanical import AbstractMechanical, rate_map
 
 
 class Followed(NamedTuple):
@@ -21,7 +21,7 @@ class Followed(NamedTuple):
 
 def rates(model: AbstractMechanical, q: Array, v: Array) -> Float[Array, " coordinates"]:
     """`q̇ = H(q) v`, equation (4)."""
-    return v if model.moves_directly else model.velocity_map(q) @ v
+    return v if model.moves_directly else rate_map(model, q) @ v
 
 
 def accelerations(model: AbstractMechanical, q: Array, v: Array, v_dot: Array) -> Float[Array, " coordinates"]:
@@ -33,16 +33,16 @@ def accelerations(model: AbstractMechanical, q: Array, v: Array, v_dot: Array) -
 
 def follow(model: AbstractMechanical, position: Array, velocity: Array, acceleration: Array) -> Followed:
     """The motion that a curve of coordinates prescribes, equations (66) and (67)."""
-    q, q_dot, q_ddot = _on_manifold(model, position, velocity, acceleration)
+    q, q_dot, q_ddot = on_manifold(model, position, velocity, acceleration)
     if model.moves_directly:
         return Followed(q, q_dot, q_ddot, q_dot, q_ddot)
-    H = model.velocity_map(q)
+    H = rate_map(model, q)
     v = solve_any(H, q_dot)
-    change = jax.jvp(lambda at: model.velocity_map(at) @ v, (q,), (q_dot,))[1]
+    change = jax.jvp(lambda at: rate_map(model, at) @ v, (q,), (q_dot,))[1]
     return Followed(q, q_dot, q_ddot, v, solve_any(H, q_ddot - change))
 
 
-def _on_manifold(model: AbstractMechanical, position: Array, velocity: Array, acceleration: Array) -> Any:
+def on_manifold(model: AbstractMechanical, position: Array, velocity: Array, acceleration: Array) -> Any:
     """The curve where coordinates may be (quaternions of length one), and its derivatives by time."""
     if model.moves_directly:
         return position, velocity, acceleration

@@ -1,7 +1,7 @@
 """`AbstractMechanical`: what forward, inverse and hybrid dynamics need of a mechanical system."""
 
 import abc
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any, ClassVar
 
 import equinox as eqx
@@ -48,6 +48,11 @@ class AbstractMechanical(eqx.Module):
         return tuple(f"{name.removesuffix('_rate')}_torque" for name in self.speeds)
 
     @property
+    def standard_units(self) -> Mapping[str, str]:
+        """The units of coordinates, velocities and torques, as far as they are known; `units` comes before them."""
+        return {}
+
+    @property
     def moves_directly(self) -> bool:
         """Whether the velocities are known to be the rates of the coordinates, whatever these are."""
         return type(self).velocity_map is AbstractMechanical.velocity_map
@@ -83,20 +88,32 @@ class AbstractMechanical(eqx.Module):
         """The coordinates as they may be, such as quaternions of length one: by default any."""
         return q
 
+    def speeds_along(self, coordinates: Collection[str]) -> tuple[int, ...]:
+        """The places of the velocities that some coordinates determine: by default the coordinates' own places.
+
+        Raises `ProblemError` where they determine none by themselves.
+        """
+        if len(self.coordinates) != len(self.speeds):
+            raise ProblemError(
+                f"HybridDynamics of {type(self).__name__}: expected one velocity for each coordinate, as Euler angles "
+                f"have; received {len(self.coordinates)} coordinates and {len(self.speeds)} velocities."
+            )
+        return tuple(i for i, name in enumerate(self.coordinates) if name in coordinates)
+
     def inverse_dynamics(
         self, q: Float[Array, " coordinates"], v: Float[Array, " speeds"], v_dot: Float[Array, " speeds"]
     ) -> Float[Array, " speeds"]:
         """The generalised force `M v̇ + C v + N` that a motion takes (equation 3)."""
-        return self.mass_matrix(q) @ v_dot + self.bias(q, v)
+        return mass_of(self, q) @ v_dot + bias_of(self, q, v)
 
     def forward_dynamics(
         self, q: Float[Array, " coordinates"], v: Float[Array, " speeds"], force: Float[Array, " speeds"]
     ) -> Float[Array, " speeds"]:
         """The acceleration `v̇` under a generalised force; not a number where `M` is singular."""
-        return solve_positive(self.mass_matrix(q), force - self.bias(q, v))
+        return solve_positive(mass_of(self, q), force - bias_of(self, q, v))
 
     def trouble(self, q: Float[Array, " coordinates"]) -> str:
-        """What is wrong with the realised system itself, such as a negative mass, in a sentence; empty if nothing."""
+        """What is wrong with the realised model itself, in a sentence; empty if nothing."""
         del q
         return ""
 
@@ -126,6 +143,14 @@ class AbstractNamed(AbstractMechanical):
     velocity_names: ClassVar[Sequence[str] | None] = None
     actuator_names: ClassVar[Sequence[str] | None] = None
 
+    def __check_init__(self):
+        for field in ("names", "velocity_names", "actuator_names"):
+            if isinstance(given := getattr(self, field, None), str):
+                raise ProblemError(
+                    f"{type(self).__name__}.{field}: expected names in a tuple; received the text {given!r}. One name "
+                    f"alone takes a comma: ({given!r},)."
+                )
+
     @property
     def coordinates(self) -> tuple[str, ...]:
         """See `AbstractMechanical.coordinates`."""
@@ -142,3 +167,34 @@ class AbstractNamed(AbstractMechanical):
         """See `AbstractMechanical.actuators`."""
         given = self.actuator_names
         return tuple(f"{name.removesuffix('_rate')}_torque" for name in self.speeds) if given is None else tuple(given)
+
+
+def mass_of(model: AbstractMechanical, q: Float[Array, " coordinates"]) -> Float[Array, "speeds speeds"]:
+    """`M(q)` as an array. Raises `ProblemError` for another shape."""
+    n = len(model.speeds)
+    return shaped(model, "mass_matrix(q)", model.mass_matrix(q), (n, n))
+
+
+def bias_of(
+    model: AbstractMechanical, q: Float[Array, " coordinates"], v: Float[Array, " speeds"]
+) -> Float[Array, " speeds"]:
+    """`C(q, v) v + N(q, v)` as an array. Raises `ProblemError` for another shape."""
+    return shaped(model, "bias(q, v)", model.bias(q, v), (len(model.speeds),))
+
+
+def actuation_map(model: AbstractMechanical, q: Float[Array, " coordinates"]) -> Float[Array, "speeds actuators"]:
+    """`B(q)` as an array. Raises `ProblemError` for another shape."""
+    return shaped(model, "actuation(q)", model.actuation(q), (len(model.speeds), len(model.actuators)))
+
+
+def rate_map(model: AbstractMechanical, q: Float[Array, " coordinates"]) -> Float[Array, "coordinates speeds"]:
+    """`H(q)` as an array. Raises `ProblemError` for another shape."""
+    return shaped(model, "velocity_map(q)", model.velocity_map(q), (len(model.coordinates), len(model.speeds)))
+
+
+def shaped(model: AbstractMechanical, part: str, value: Any, shape: tuple[int, ...]) -> Float[Array, "..."]:
+    """What a user's method gives, as an array. Raises `ProblemError` for another shape, which would broadcast."""
+    found = jnp.asarray(value, dtype=float)
+    if found.shape != shape:
+        raise ProblemError(f"{type(model).__name__}.{part}: expected shape {shape}; received {found.shape}.")
+    return found

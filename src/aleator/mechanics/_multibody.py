@@ -1,7 +1,7 @@
 """`Multibody`: a mechanical system from its bodies and joints."""
 
 import abc
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -32,9 +32,16 @@ class Multibody(AbstractMechanical):
     `al.Ball` and `al.Free` for theirs. They come in the order of the bodies, parents first. `gravity` is in m/s² and in
     the world's axes; a field or property may take its place.
 
+    Friction, drag and the forces of rotors are added to the bodies' by overriding `bias`, the inertia of geared motors
+    by overriding `mass_matrix`:
+
+        def bias(self, q, v):
+            return super().bias(q, v) + 0.2 * jnp.tanh(v / 1e-3)
+
     Any number of a field may be a distribution or a decision, but which bodies and joints there are is structure.
     Inverse and forward dynamics cost in proportion to the number of bodies (Featherstone, Rigid Body Dynamics
-    Algorithms, 2008), and a body on `al.Fixed` none at all.
+    Algorithms, 2008), and a body on `al.Fixed` none at all; with a `bias` or a `mass_matrix` of one's own they go by
+    these.
 
     Raises `ProblemError` if the bodies are no tree.
     """
@@ -54,12 +61,25 @@ class Multibody(AbstractMechanical):
     @property
     def moves_directly(self) -> bool:
         """See `AbstractMechanical.moves_directly`: so of joints with one degree of freedom each."""
-        return all(joint.coordinates == ("",) for _, joint in self._joints())
+        own = type(self).velocity_map is Multibody.velocity_map
+        return own and all(joint.coordinates == ("",) for _, joint in self._joints())
 
     @property
     def speeds(self) -> tuple[str, ...]:
         """The names of the joints' speeds, by body."""
         return tuple(name + end for name, joint in self._joints() for end in joint.speeds)
+
+    @property
+    def standard_units(self) -> Mapping[str, str]:
+        """See `AbstractMechanical.standard_units`: as the joints tell. Those of torques go by their names."""
+        found = {}
+        for name, joint in self._joints():
+            found |= {name + end: unit for end, unit in zip(joint.coordinates, joint.units, strict=False)}
+            for end, unit in zip(joint.speeds, joint.speed_units, strict=True):
+                speed = name + end
+                found[speed] = unit
+                found[f"{speed.removesuffix('_rate')}_torque"] = "N" if unit == "m/s" else "N·m"
+        return found
 
     def mass_matrix(self, q: Float[Array, " coordinates"]) -> Float[Array, "speeds speeds"]:
         """`M(q)`, by the composite-rigid-body algorithm."""
@@ -67,12 +87,14 @@ class Multibody(AbstractMechanical):
 
     def bias(self, q: Float[Array, " coordinates"], v: Float[Array, " speeds"]) -> Float[Array, " speeds"]:
         """`C(q, v) v + N(q, v)`, of gravity, springs and dampers too, by the recursive Newton-Euler algorithm."""
-        return self.inverse_dynamics(q, v, jnp.zeros_like(v))
+        return inverse_dynamics(self._tree(), self._gravity(), q, v, jnp.zeros_like(v))
 
     def inverse_dynamics(
         self, q: Float[Array, " coordinates"], v: Float[Array, " speeds"], v_dot: Float[Array, " speeds"]
     ) -> Float[Array, " speeds"]:
         """The generalised force that a motion takes, by the recursive Newton-Euler algorithm."""
+        if not self._is_bodies_alone():
+            return super().inverse_dynamics(q, v, v_dot)
         return inverse_dynamics(self._tree(), self._gravity(), q, v, v_dot)
 
     def forward_dynamics(
@@ -82,6 +104,8 @@ class Multibody(AbstractMechanical):
 
         Not a number where a joint moves no inertia.
         """
+        if not self._is_bodies_alone():
+            return super().forward_dynamics(q, v, force)
         return forward_dynamics(self._tree(), self._gravity(), q, v, force)
 
     def velocity_map(self, q: Float[Array, " coordinates"]) -> Float[Array, "coordinates speeds"]:
@@ -94,20 +118,24 @@ class Multibody(AbstractMechanical):
         """The coordinates, with quaternions of length one; one of zeros becomes that of no turn."""
         return jnp.concatenate([jnp.zeros(0), *(link.joint.normalised(q[link.q]) for link in self._tree().links)])
 
-    def trouble(self, q: Float[Array, " coordinates"]) -> str:
-        """See `AbstractMechanical.trouble`: a mass that is negative, or not finite."""
-        del q
-        for body in self._bodies():
-            mass = float(body.mass)
-            if not mass >= 0:
-                return (
-                    f"Body '{body.name}' of {type(self).__name__} has the mass {mass:.4g} kg: expected none below "
-                    "zero. Reduce the spread of its law, or choose a bounded one."
+    def speeds_along(self, coordinates: Collection[str]) -> tuple[int, ...]:
+        """See `AbstractMechanical.speeds_along`: those of the joints, of which all coordinates are needed."""
+        found: list[int] = []
+        first = 0
+        for name, joint in self._joints():
+            own = [name + end for end in joint.coordinates]
+            given = [one for one in own if one in coordinates]
+            if given and given != own:
+                raise ProblemError(
+                    f"{type(self).__name__}: the joint of '{name}' moves by {own} together; received {given} alone. "
+                    "Prescribe all of them, or none."
                 )
-        return ""
+            found += range(first, first + len(joint.speeds)) if given else ()
+            first += len(joint.speeds)
+        return tuple(found)
 
     def kinetic_energy(self, q: Float[Array, " coordinates"], v: Float[Array, " speeds"]) -> Float[Array, ""]:
-        """`vᵀ M(q) v / 2`, J."""
+        """The kinetic energy of the bodies, J."""
         tree = self._tree()
         twists = moving(tree, q, v).twists
         energies = [power(twist, momentum(link.inertia, twist)) for link, twist in zip(tree.links, twists, strict=True)]
@@ -147,6 +175,10 @@ class Multibody(AbstractMechanical):
         arm = _local(local) if within is None else within.position + within.rotation @ _local(local)
         twist = moving(tree, q, v).twists[index]
         return world_poses(tree, q)[index].rotation @ plus(twist.linear, cross(twist.angular, arm))
+
+    def _is_bodies_alone(self) -> bool:
+        """Whether the equations of motion are those of the bodies: nothing is added, which recursions know not of."""
+        return type(self).bias is Multibody.bias and type(self).mass_matrix is Multibody.mass_matrix
 
     def _tree(self) -> Tree:
         return build_tree(self._bodies())

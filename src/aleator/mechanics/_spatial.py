@@ -10,6 +10,7 @@ from typing import Any, NamedTuple, TypeAlias
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from aleator._core.errors import ProblemError
@@ -62,6 +63,11 @@ def library(*values: Any) -> Any:
     return jnp if any(isinstance(value, jax.Array) for value in values) else np
 
 
+def is_known(value: Any) -> bool:
+    """Whether numbers can be looked at (through NumPy: within a trace JAX would trace what it computes of them)."""
+    return not isinstance(value, Tracer)
+
+
 def as_array(given: Any, what: str, *shapes: tuple[int, ...]) -> Block:
     """Numbers, or nested sequences of numbers and tracers, as one array.
 
@@ -73,7 +79,7 @@ def as_array(given: Any, what: str, *shapes: tuple[int, ...]) -> Block:
         raise ProblemError(f"{what}: expected numbers of shape {_any_of(shapes)}; received {given!r}.") from error
     if array.shape not in shapes:
         raise ProblemError(f"{what}: expected numbers of shape {_any_of(shapes)}; received shape {array.shape}.")
-    if isinstance(array, np.ndarray) and not np.isfinite(array).all():
+    if is_known(array) and not np.isfinite(np.asarray(array)).all():
         raise ProblemError(f"{what}: expected finite numbers; received {given!r}.")
     return array
 
@@ -171,7 +177,7 @@ def unit(vector: Block) -> Block:
 
 def unit_quaternion(given: Float[Array, " 4"]) -> Float[Array, " 4"]:
     """A quaternion brought to length one; of zeros, as where none was given, that of no turn."""
-    return unit(jnp.where(given @ given > 0, given, jnp.array([1.0, 0.0, 0.0, 0.0])))
+    return unit(jnp.where(given @ given == 0, jnp.array([1.0, 0.0, 0.0, 0.0]), given))
 
 
 def composed(outer: Pose, inner: Pose) -> Pose:

@@ -11,31 +11,31 @@ from jaxtyping import Array
 from aleator._core.arrays import numbers_to_arrays
 from aleator._core.compilation import Compiled
 from aleator.dynamics import Grid, RungeKutta4, System, simulate
-from aleator.mechanics._mechanical import AbstractMechanical
+from aleator.mechanics._mechanical import AbstractMechanical, actuation_map, bias_of, mass_of, rate_map
 
 # Reciprocal condition numbers below this are rounding of zero: answers would have no correct digit left.
 _SINGULAR = 1e-12
 
+# A quaternion shorter than this has no direction worth the name.
+_VANISHING = 1e-3
+
+# Coordinates this many times as large as at the start are no posture of the model any more.
+_ABSURD = 1e4
+
 
 def trouble_at(model: AbstractMechanical, q: Any, when: str) -> str:
-    """What is wrong in one posture: a shape, a mass matrix that is not positive definite, a singular velocity map."""
-    name, n, speeds, actuators = type(model).__name__, len(model.coordinates), len(model.speeds), len(model.actuators)
-    v = jnp.zeros(speeds)
-    parts: tuple[tuple[str, Callable[[], Any], tuple[int, ...]], ...] = (
-        ("mass_matrix(q)", lambda: model.mass_matrix(q), (speeds, speeds)),
-        ("bias(q, v)", lambda: model.bias(q, v), (speeds,)),
-        ("actuation(q)", lambda: model.actuation(q), (speeds, actuators)),
-        ("velocity_map(q)", lambda: model.velocity_map(q), (n, speeds)),
-    )
-    for part, value, shape in parts:
-        received = np.shape(value())
-        if received != shape:
-            return f"{name}.{part}: expected shape {shape}; received {received}."
-    return model.trouble(q) or _mass_trouble(model, q, when) or _map_trouble(model, q, when)
+    """What is wrong in one posture: a mass matrix that is not positive definite, a singular velocity map.
+
+    Raises `ProblemError` for a matrix of another shape than expected, and for what is no body.
+    """
+    M = np.asarray(mass_of(model, q))
+    # Their shapes are looked at.
+    bias_of(model, q, jnp.zeros(len(model.speeds)))
+    actuation_map(model, q)
+    return model.trouble(q) or _mass_trouble(model, M, q, when) or _map_trouble(model, q, when)
 
 
-def _mass_trouble(model: AbstractMechanical, q: Any, when: str) -> str:
-    M = np.asarray(model.mass_matrix(q))
+def _mass_trouble(model: AbstractMechanical, M: np.ndarray, q: Any, when: str) -> str:
     posture = _posture(model, q)
     if not np.isfinite(M).all():
         return f"The mass matrix of {type(model).__name__} is not finite {when} ({posture})."
@@ -58,18 +58,31 @@ def _mass_trouble(model: AbstractMechanical, q: Any, when: str) -> str:
 def _map_trouble(model: AbstractMechanical, q: Any, when: str) -> str:
     if model.moves_directly:
         return ""
-    H = np.asarray(model.velocity_map(q))
-    finite = np.isfinite(H).all()
-    if finite:
-        values = np.linalg.svd(H, compute_uv=False)
-        if values[-1] > 1e-8 * values[0]:
-            return _name_trouble(model, H, when)
+    H = np.asarray(rate_map(model, q))
+    if _are_regular(H):
+        return _name_trouble(model, H, when)
     worst = model.coordinates[int(np.argmax(np.where(np.isfinite(H), np.abs(H), np.inf).max(axis=1)))]
     return (
         f"The velocity map H of {type(model).__name__} is singular {when} ({_posture(model, q)}): the rate of "
         f"'{worst}' is not determined (gimbal lock). Stay away from this posture, or choose other coordinates, such as "
         "quaternions."
     )
+
+
+def _are_regular(maps: np.ndarray) -> Any:
+    """Whether velocity maps, in the last two axes, tell the rates of all coordinates."""
+    finite: Any = np.isfinite(maps).all(axis=(-2, -1))
+    maps = np.where(finite[..., None, None], maps, 0.0)
+    # In sizes of their own: nanometres and radians do not go together.
+    scaled = maps / _sizes(maps, -1)
+    scaled = scaled / _sizes(scaled, -2)
+    values, alike = (np.linalg.svd(one, compute_uv=False) for one in (maps, scaled))
+    return finite & (values[..., -1] > 1e-14 * values[..., 0]) & (alike[..., -1] > 1e-8 * alike[..., 0])
+
+
+def _sizes(maps: np.ndarray, axis: int) -> np.ndarray:
+    sizes = np.abs(maps).max(axis=axis, keepdims=True)
+    return np.where(sizes > 0, sizes, 1.0)
 
 
 def _name_trouble(model: AbstractMechanical, H: np.ndarray, when: str) -> str:
@@ -86,31 +99,89 @@ def _name_trouble(model: AbstractMechanical, H: np.ndarray, when: str) -> str:
     return ""
 
 
-def trouble_of_path(model: AbstractMechanical, times: np.ndarray, path: Any) -> str:
-    """The first posture of a path in which something is wrong, with its time."""
+def trouble_of_path(model: AbstractMechanical, times: np.ndarray, path: Any, effects: Any = None) -> str:
+    """The first posture of a path in which something is wrong, with its time.
+
+    `path` holds coordinates as given, quaternions of any length; `effects` are the matrices by which torques act on
+    what they must move, where they are to be looked at: each needs the rank of its number of rows.
+    """
+    path = jnp.asarray(path)
+    if found := quaternion_trouble(model, times, path) or _map_trouble_along(model, times, path):
+        return found
+    return "" if effects is None else _effect_trouble_along(model, times, path, np.asarray(effects))
+
+
+def quaternion_trouble(model: AbstractMechanical, times: np.ndarray, path: Any) -> str:
+    """Where a path of coordinates as given passes near a quaternion of zeros, which has no direction."""
     if model.moves_directly:
         return ""
-    maps = np.asarray(jax.vmap(model.velocity_map)(jnp.asarray(path)))
-    finite = np.asarray(np.isfinite(maps).all(axis=(1, 2)))
-    values = np.linalg.svd(np.where(finite[:, None, None], maps, 0.0), compute_uv=False)
-    bad = ~finite | (values[:, -1] <= 1e-8 * values[:, 0])
-    if not bad.any():
+    normalised = np.asarray(jax.vmap(model.normalised)(path))
+    vanished = np.abs(normalised) > np.abs(np.asarray(path)) / _VANISHING
+    if not vanished.any():
         return ""
+    instant, coordinate = (int(found[0]) for found in np.nonzero(vanished))
+    return (
+        f"{type(model).__name__}: the quaternion of '{model.coordinates[coordinate]}' has no length at t = "
+        f"{times[instant]:.4g} s ({_posture(model, path[instant])}), and so no direction. Prescribe quaternions that "
+        "keep away from zero."
+    )
+
+
+def _map_trouble_along(model: AbstractMechanical, times: np.ndarray, path: Array) -> str:
+    if model.moves_directly:
+        return ""
+    q = jax.vmap(model.normalised)(path)
+    bad = ~_are_regular(np.asarray(jax.vmap(lambda at: rate_map(model, at))(q)))
     first = int(np.argmax(bad))
-    return trouble_at(model, jnp.asarray(path)[first], f"at t = {times[first]:.4g} s")
+    return trouble_at(model, q[first], f"at t = {times[first]:.4g} s") if bad.any() else ""
 
 
-def trouble_along(system: System, grid: Grid) -> str:
-    """The posture and time at which an integrated motion ends to be finite, and what is wrong there; empty if
-    nothing.
+def _effect_trouble_along(model: AbstractMechanical, times: np.ndarray, path: Array, effects: np.ndarray) -> str:
+    """Where torques lose their effect: at an instant, or between two as the determinant changes its sign."""
+    finite: Any = np.isfinite(effects).all(axis=(1, 2))
+    effects = np.where(finite[:, None, None], effects, 0.0)
+    size = np.abs(effects).max(axis=(0, 2), initial=0.0)
+    effects = effects / np.where(size > 0, size, 1.0)[:, None]
+    values = np.linalg.svd(effects, compute_uv=False)
+    lost = ~finite | (values[:, -1] <= _SINGULAR * values.max(initial=0.0))
+    turned = np.zeros(len(lost), dtype=bool)
+    if effects.shape[1] == effects.shape[2]:
+        signs = np.linalg.slogdet(effects)[0]
+        turned[:-1] = signs[:-1] * signs[1:] < 0
+    if not (lost | turned).any():
+        return ""
+    first = int(np.argmax(lost | turned))
+    when = f"at t = {times[first]:.4g} s"
+    if not lost[first]:
+        when = f"between t = {times[first]:.4g} s and t = {times[first + 1]:.4g} s"
+    return (
+        f"The torques of {type(model).__name__} lose their effect {when} ({_posture(model, path[first])}): the matrix "
+        "by which they act on what they must move is singular there. Start from a motion that stays away from this "
+        "posture, or add a torque."
+    )
+
+
+def trouble_along(system: System, grid: Grid, effects: Callable[[System, Array], Array] | None = None) -> str:
+    """What is wrong along an integrated motion, or in the posture in which it ends to be finite; empty if nothing.
+
+    `effects(system, path)`: see `trouble_of_path`. A motion that grows out of all bounds says nothing of the model:
+    steps that are too long for a stiff one make it grow as well.
     """
     model: AbstractMechanical = system.model  # type: ignore[attr-defined]
-    path = np.asarray(_FOLLOWED(numbers_to_arrays(system), numbers_to_arrays(grid)))
-    finite = np.isfinite(path).all(axis=1)
-    if finite.all():
-        return trouble_of_path(model, np.asarray(grid.times), path)
-    last = max(int(np.argmin(finite)) - 1, 0)
-    return trouble_at(model, jnp.asarray(path[last]), f"about t = {float(np.asarray(grid.times)[last]):.4g} s")
+    system, times = numbers_to_arrays(system), np.asarray(grid.times)
+    path = np.asarray(_FOLLOWED(system, numbers_to_arrays(grid)))
+    moderate = np.isfinite(path).all(axis=1) & (np.abs(path) <= _ABSURD * (1 + np.abs(path[0]).max())).all(axis=1)
+    if moderate.all():
+        return trouble_of_path(model, times, path, effects and effects(system, jnp.asarray(path)))
+    following = int(np.argmin(moderate))
+    last = max(following - 1, 0)
+    if effects is not None and not np.isfinite(path[following]).all():
+        # At once, and not by growing: what is prescribed is known there too, and tells whether torques still act.
+        onward = np.where(np.isfinite(path[following]), path[following], path[last])
+        known = jnp.asarray(np.where(np.arange(len(path))[:, None] < following, path, onward))
+        if found := _effect_trouble_along(model, times, known, np.asarray(effects(system, known))):
+            return found
+    return trouble_at(model, jnp.asarray(path[last]), f"about t = {times[last]:.4g} s")
 
 
 def _followed(system: System, grid: Grid) -> Array:

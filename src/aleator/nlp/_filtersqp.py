@@ -46,7 +46,7 @@ class FilterSQP(AbstractSolver):
         return f"filterSQP (Uno {_import().current_uno_version()})"
 
     def _minimise(self, scaled: ScaledProgram, multipliers: np.ndarray | None) -> Answer:
-        pattern = Pattern(scaled.evaluate(scaled.start).jacobian != 0)
+        pattern = Pattern(scaled.structure)
         answer = self._solved(scaled, pattern, scaled.start, multipliers, self.max_iterations)
         while pattern.outgrown and scaled.evaluations.halt is None and answer.iterations < self.max_iterations:
             pattern = pattern.widened()

@@ -14,6 +14,7 @@ class Status(enum.Enum):
     """How a solve ended; the value is a phrase to be read."""
 
     SOLVED = "solved: feasible and stationary within tolerance"
+    NOT_HELD = "solved at the instants of the grid, but limits break between them"
     INFEASIBLE = "infeasible: the constraints cannot all be met near here"
     ITERATION_LIMIT = "stopped at the iteration limit"
     EVALUATION_FAILED = "the model gave numbers that are not finite"

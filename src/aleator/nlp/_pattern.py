@@ -12,17 +12,17 @@ _MOST_WIDENINGS = 2
 
 @final
 class Pattern:
-    """The entries of a Jacobian that a solver is told of, taken from where it is other than zero at one point.
+    """The entries of a Jacobian that a solver is told of.
 
-    An entry that is zero there by chance, or as long as two bodies are apart, shows itself later: the pattern is then
-    `outgrown`, and the solver is to go on with `widened()`.
+    An entry that shows up beside them outgrows the pattern: it is then `outgrown`, and the solver is to go on with
+    `widened()`.
 
     - `rows`, `columns`: of the entries, column by column, shape (entries,).
     """
 
     def __init__(self, nonzero: np.ndarray, widenings: int = 0):
         self._widenings = widenings
-        dense = widenings == _MOST_WIDENINGS or nonzero.mean() > _DENSE if nonzero.size else True
+        dense = nonzero.size == 0 or widenings == _MOST_WIDENINGS or bool(nonzero.mean() > _DENSE)
         self._nonzero = np.ones_like(nonzero) if dense else nonzero
         self.columns, self.rows = np.nonzero(self._nonzero.T)
         self._places = self.rows * nonzero.shape[1] + self.columns

@@ -43,7 +43,9 @@ class NonlinearProgram:
     - `constraint_lower`, `constraint_upper`: bounds of the constraints, shape (m,), infinite where there is none,
       equal for an equality;
     - `constraint_scale`: typical magnitudes of the constraints, shape (m,), positive;
-    - `decision_scale`: typical magnitudes of the decisions, shape (n,), positive.
+    - `decision_scale`: typical magnitudes of the decisions, shape (n,), positive;
+    - `structure`: which entries of the Jacobian may be other than zero, shape (m, n); all by default. Solvers that use
+      it notice where it was too narrow.
 
     Raises `ProblemError` if shapes differ, bounds cross, scales are not positive or the start is not finite.
     """
@@ -56,6 +58,7 @@ class NonlinearProgram:
     constraint_upper: np.ndarray
     constraint_scale: np.ndarray
     decision_scale: np.ndarray
+    structure: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         for name, length in _expected_lengths(self).items():
@@ -63,6 +66,9 @@ class NonlinearProgram:
             if array.shape != (length,):
                 raise ProblemError(f"Expected `{name}` of shape ({length},). Received shape {array.shape}.")
             object.__setattr__(self, name, array)
+        shape = (self.constraint_lower.size, self.start.size)
+        if self.structure is not None and self.structure.shape != shape:
+            raise ProblemError(f"Expected `structure` of shape {shape}. Received shape {self.structure.shape}.")
         _check_bounds("lower", "upper", self.lower, self.upper)
         _check_bounds("constraint_lower", "constraint_upper", self.constraint_lower, self.constraint_upper)
         _check_positive("decision_scale", self.decision_scale)

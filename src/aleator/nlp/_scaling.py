@@ -26,6 +26,7 @@ class ScaledProgram:
     model is never asked outside the bounds.
 
     - `size`, `rows`: n_free and m_useful;
+    - `structure`: which entries of the Jacobian may be other than zero, shape (m_useful, n_free);
     - `start`: scaled start, clipped to the bounds, shape (n_free,);
     - `lower`, `upper`: scaled bounds, shape (n_free,);
     - `constraint_lower`, `constraint_upper`: scaled bounds, shape (m_useful,);
@@ -48,6 +49,9 @@ class ScaledProgram:
 
         self.evaluations = Evaluations(program.evaluate, start.size, program.constraint_lower.size)
         self.size, self.rows = int(self._free.sum()), int(self._useful.sum())
+        every = np.ones((self._useful.size, self._free.size), dtype=bool)
+        structure = every if program.structure is None else program.structure
+        self.structure = structure[np.ix_(self._useful, self._free)]
         self.lower = program.lower[self._free] / self._decision_scale
         self.upper = program.upper[self._free] / self._decision_scale
         self.constraint_lower = program.constraint_lower[self._useful] / self._constraint_scale

@@ -96,6 +96,8 @@ def evidence_dataset(evidence: Evidence) -> "xarray.Dataset":
         data[f"trajectory {i} violating"] = _variable("system", broken, f"1 if the system violates {one.name}", "")
     coordinates = {"limit": list(shares), "percent": list(PERCENTILES)}
     attributes = {"samples": evidence.samples, "seed": evidence.seed, "seconds": evidence.seconds}
+    if evidence.instants is not None:
+        attributes["instants"] = evidence.instants
     return _with_time(xarray.Dataset(data, coords=coordinates, attrs=attributes), evidence.solution)
 
 

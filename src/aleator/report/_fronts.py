@@ -129,6 +129,8 @@ def _ends(front: Front) -> tuple[float, float]:
 def _why(solution: Solution) -> str:
     """Status and the least violations, one a line, for hovering."""
     lines = [plain(solution.status.value), *(plain(one.sentence()) for one in solution.violated)]
+    if np.isnan(solution.violation):
+        return "<br>".join([*lines, plain(solution.message)])
     return "<br>".join([*lines, f"least scaled violation {number(solution.violation, 3)}"])
 
 

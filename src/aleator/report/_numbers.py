@@ -1,7 +1,6 @@
 """Numbers, probabilities and units as an engineer reads them."""
 
 import math
-import re
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -87,12 +86,3 @@ def words(names: list[str] | tuple[str, ...], nothing: str = "none") -> str:
     if len(names) < 2:
         return names[0] if names else nothing
     return f"{', '.join(names[:-1])} and {names[-1]}"
-
-
-def times_second(unit: str) -> str:
-    """The unit of a time integral: `m²/s⁴` becomes `m²/s³`."""
-    powers = {"s⁴": "s³", "s³": "s²", "s²": "s"}
-    if match := re.fullmatch(r"(.+)/(s[²³⁴]?)", unit):
-        base, second = match.groups()
-        return base if second == "s" else f"{base}/{powers[second]}"
-    return f"{unit} s".strip() if unit != "-" else "s"

@@ -143,6 +143,9 @@ def verdict(designs: Mapping[str, Solution], evidence: Mapping[str, Evidence]) -
     if unchecked:
         headline = f"{solved} to tolerance; no Monte Carlo evidence is given for {words(unchecked)}."
         return Verdict("caution", "Solved, not checked", headline, sentences, cards)
+    if not any(one.violations for one in evidence.values()):
+        headline = f"{solved} to tolerance; no limit speaks of single systems, so that none was counted."
+        return Verdict("good", "Solved", headline, sentences, cards)
     worst = max(evidence.values(), key=lambda one: one.joint.estimate).joint
     share = f"{percent(worst.estimate)} [{interval(worst)}]"
     if worst.estimate > OFTEN:
@@ -154,11 +157,13 @@ def verdict(designs: Mapping[str, Solution], evidence: Mapping[str, Evidence]) -
 
 def _violation_sentence(name: str, evidence: Evidence) -> str:
     if not evidence.violations:
-        return f"{name}: no limit speaks of single systems, so there is nothing to count."
+        why = "; ".join(f"{text}: {reason}" for text, reason in evidence.uncounted.items())
+        return f"{name}: no limit speaks of single systems, so there is nothing to count{f' ({why})' if why else ''}."
     parts = [f"{limit} {percent(share.estimate)}" for limit, share in evidence.violations.items()]
+    over_time = f", limits over time counted at {count(evidence.instants)} instants" if evidence.instants else ""
     return (
         f"{name}: of {count(evidence.samples)} random systems {percent(evidence.joint.estimate)}"
-        f" [{interval(evidence.joint)}] violate at least one limit ({words(parts)})."
+        f" [{interval(evidence.joint)}] violate at least one limit ({words(parts)}){over_time}."
     )
 
 
@@ -179,6 +184,7 @@ def _violation_cards(evidence: Mapping[str, Evidence]) -> list[Card]:
             f"95 % confidence: {interval(one.joint)}",
         )
         for name, one in list(evidence.items())[:2]
+        if one.violations
     ]
 
 

@@ -125,6 +125,7 @@ def solution_document(solution: Solution, evidence: Evidence | None = None) -> d
         document["evidence"] = {
             "samples": evidence.samples,
             "seed": evidence.seed,
+            "instants": evidence.instants,
             "violations": {**shares, "any": _share(evidence.joint)},
         }
     return document

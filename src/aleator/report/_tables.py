@@ -14,6 +14,7 @@ from aleator.statistics import Mean, Std
 from aleator.validation import Checked, Evidence
 
 STATUS_WORDS = {
+    Status.NOT_HELD: "limits break between the instants",
     Status.SOLVED: "solved",
     Status.INFEASIBLE: "infeasible",
     Status.ITERATION_LIMIT: "iteration limit",

@@ -8,6 +8,7 @@ from jaxtyping import Array, Float
 
 from aleator._core.arrays import Pytree
 from aleator._core.errors import ProblemError
+from aleator._core.units import PURE, product
 from aleator.statistics._moments import root
 from aleator.statistics._statistic import AbstractStatistic
 
@@ -32,6 +33,10 @@ class Covariance(AbstractStatistic):
         first, second = _both(values - jnp.mean(values, axis=0)[None])
         return jnp.sum(first * second, axis=0) / (len(values) - 1)
 
+    def unit(self, *of: str) -> str:
+        """See `AbstractStatistic.unit`."""
+        return product(*of)
+
 
 @final
 class CoefficientProduct(AbstractStatistic):
@@ -55,6 +60,10 @@ class CoefficientProduct(AbstractStatistic):
         """No sample estimates it: not a number."""
         return jnp.full(values.shape[1:-1], jnp.nan)
 
+    def unit(self, *of: str) -> str:
+        """See `AbstractStatistic.unit`."""
+        return product(*of)
+
 
 @final
 class Correlation(AbstractStatistic):
@@ -74,13 +83,18 @@ class Correlation(AbstractStatistic):
         """See `AbstractStatistic.of_sample`."""
         return _cosine(values - jnp.mean(values, axis=0)[None])
 
+    def unit(self, *of: str) -> str:
+        """See `AbstractStatistic.unit`."""
+        del of
+        return PURE
+
 
 def _cosine(vectors: Float[Array, "n *shape 2"]) -> Float[Array, "*shape"]:
     first, second = _both(vectors)
     # One root each: the product of both squares leaves the range of doubles earlier.
     size = root(jnp.sum(first**2, axis=0)) * root(jnp.sum(second**2, axis=0))
-    varies = size > 0
-    return jnp.where(varies, jnp.sum(first * second, axis=0) / jnp.where(varies, size, 1.0), 0.0)
+    constant = size == 0
+    return jnp.where(constant, 0.0, jnp.sum(first * second, axis=0) / jnp.where(constant, 1.0, size))
 
 
 def _both(stacked: Float[Array, "n *shape outputs"]) -> tuple[Float[Array, "n *shape"], Float[Array, "n *shape"]]:

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from aleator._core.arrays import Pytree
+from aleator._core.units import squared
 from aleator.statistics._statistic import AbstractStatistic
 
 
@@ -45,6 +46,10 @@ class Variance(AbstractStatistic):
         """See `AbstractStatistic.of_sample`."""
         return jnp.var(values, axis=0, ddof=1)
 
+    def unit(self, *of: str) -> str:
+        """See `AbstractStatistic.unit`."""
+        return squared(*of)
+
 
 @final
 class Std(AbstractStatistic):
@@ -70,11 +75,14 @@ _ROUNDING = 1e-12
 
 
 def varies(coefficients: Float[Array, "terms *shape"]) -> Bool[Array, "*shape"]:
-    """Whether an output varies beyond rounding."""
-    return jnp.sum(coefficients[1:] ** 2, axis=0) > _ROUNDING**2 * jnp.sum(coefficients**2, axis=0)
+    """Whether an output varies beyond rounding. What is not a number, or infinite, does not pass for constant."""
+    variance = jnp.sum(coefficients[1:] ** 2, axis=0)
+    constant = (variance == 0) | (variance < _ROUNDING**2 * jnp.sum(coefficients**2, axis=0))
+    return ~constant
 
 
 def root(square: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
-    """The square root, with derivative zero at zero."""
-    positive = square > 0
-    return jnp.where(positive, jnp.sqrt(jnp.where(positive, square, 1.0)), 0.0)
+    """The square root, with derivative zero at zero; zero below it, where only rounding leads."""
+    # Asked this way round, what is not a number stays so.
+    zero = square <= 0
+    return jnp.where(zero, 0.0, jnp.sqrt(jnp.where(zero, 1.0, square)))

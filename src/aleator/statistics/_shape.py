@@ -8,6 +8,7 @@ from jax.scipy.special import ndtri
 from jaxtyping import Array, Float
 
 from aleator._core.arrays import Pytree, Scalar
+from aleator._core.units import PURE
 from aleator.statistics._given import level_given
 from aleator.statistics._moments import Mean, Std, varies
 from aleator.statistics._square import Square, square
@@ -35,6 +36,11 @@ class Skewness(AbstractStatistic):
         """See `AbstractStatistic.of_sample`."""
         return jnp.mean(_standard(values) ** 3, axis=0)
 
+    def unit(self, *of: str) -> str:
+        """See `AbstractStatistic.unit`."""
+        del of
+        return PURE
+
 
 @final
 class Kurtosis(AbstractStatistic):
@@ -54,6 +60,11 @@ class Kurtosis(AbstractStatistic):
     def of_sample(self, values: Float[Array, "samples *shape"]) -> Float[Array, "*shape"]:
         """See `AbstractStatistic.of_sample`."""
         return jnp.mean(_standard(values) ** 4, axis=0)
+
+    def unit(self, *of: str) -> str:
+        """See `AbstractStatistic.unit`."""
+        del of
+        return PURE
 
 
 @final

@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from aleator._core.errors import ProblemError
+from aleator._core.units import PURE
 from aleator.collocation import Basis
 from aleator.statistics._moments import varies
 from aleator.statistics._statistic import AbstractStatistic
@@ -49,6 +50,11 @@ class Sobol(AbstractStatistic):
         """Not to be had from one sample."""
         _refuse_sample(values)
 
+    def unit(self, *of: str) -> str:
+        """See `AbstractStatistic.unit`."""
+        del of
+        return PURE
+
     def text(self, inside: str) -> str:
         """See `AbstractStatistic.text`."""
         return f"S({', '.join(self.variables)})[{inside}]"
@@ -79,6 +85,11 @@ class TotalSobol(AbstractStatistic):
     def of_sample(self, values: Float[Array, "samples *shape"]) -> NoReturn:
         """Not to be had from one sample."""
         _refuse_sample(values)
+
+    def unit(self, *of: str) -> str:
+        """See `AbstractStatistic.unit`."""
+        del of
+        return PURE
 
     def text(self, inside: str) -> str:
         """See `AbstractStatistic.text`."""

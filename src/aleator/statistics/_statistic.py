@@ -46,6 +46,10 @@ class AbstractStatistic(eqx.Module):
         """
         return False
 
+    def unit(self, *of: str) -> str:
+        """Its unit, from those of what it is taken of (see `_core.units`): by default that of the first."""
+        return of[0]
+
     def text(self, inside: str) -> str:
         """As mathematics: `μ[x]`."""
         return f"{self.symbol}[{inside}]"

@@ -20,6 +20,7 @@ from jaxtyping import Array, Float
 
 from aleator._core.arrays import Scalar
 from aleator._core.errors import ProblemError
+from aleator._core.units import PURE
 from aleator.statistics._given import is_traced, level_given, number_given
 from aleator.statistics._lines import Lines, lines_through
 from aleator.statistics._output_law import OutputLaw, by_lines
@@ -150,7 +151,12 @@ class Probability(AbstractTail):
             inside = inside & (values > self.above)
         if self.below is not None:
             inside = inside & (values < self.below)
-        return jnp.mean(inside, axis=0, dtype=float)
+        return jnp.mean(jnp.where(jnp.isnan(values), jnp.nan, inside), axis=0)
+
+    def unit(self, *of: str) -> str:
+        """See `AbstractStatistic.unit`."""
+        del of
+        return PURE
 
     def text(self, inside: str) -> str:
         """See `AbstractStatistic.text`: `P[x > 3]`."""

@@ -14,6 +14,7 @@ from aleator._core.arrays import numbers_to_arrays
 from aleator._core.compilation import Compiled
 from aleator.design import grid_at, history, uncertain
 from aleator.dynamics import History
+from aleator.validation import AT_ONCE
 
 
 @final
@@ -23,31 +24,42 @@ class Family:
 
     - `times`: the instants, shape (instants,), s;
     - `nominal`: the outputs of the system in the middle of every law, by name, shape (instants,);
-    - `systems`: those of the random ones, shape (systems, instants).
+    - `systems`: those of the random ones, shape (systems, instants);
+    - `extremes`: the least and the largest that each output of each random system takes, shape (systems, 2): between
+      the instants too, where the plan holds its limits there.
     """
 
     times: Float[np.ndarray, " instants"]
     nominal: Mapping[str, Float[np.ndarray, " instants"]]
     systems: Mapping[str, Float[np.ndarray, "systems instants"]]
+    extremes: Mapping[str, Float[np.ndarray, "systems 2"]]
 
 
 def _histories(problem: al.Problem, germ: Float[Array, "systems variables"], decisions: Float[Array, " n"]) -> History:
     return jax.vmap(lambda point: history(problem, point, decisions))(germ)
 
 
-HISTORIES = Compiled(_histories)
+def _extremes(
+    problem: al.Problem, germ: Float[Array, "systems variables"], decisions: Float[Array, " n"]
+) -> dict[str, Float[Array, "systems 2"]]:
+    def one(point: Float[Array, " variables"]) -> dict[str, Float[Array, " 2"]]:
+        found = history(problem, point, decisions)
+        return {name: jnp.stack([rows.min(), rows.max()]) for name, rows in found.items()}
+
+    # A few systems at a time: fine histories of all would fill the memory.
+    return jax.lax.map(one, germ, batch_size=min(AT_ONCE, len(germ)))
 
 
-def fly(problem: al.Problem, decisions: Any, count: int, *, seed: int = 0, finer: int = 1) -> Family:
+HISTORIES, EXTREMES = Compiled(_histories), Compiled(_extremes)
+
+
+def fly(problem: al.Problem, decisions: Any, count: int, *, seed: int = 0, finer: int = 1, between: int = 1) -> Family:
     """Simulate a problem's systems at given decisions: `count` random ones, and the nominal one.
 
-    The grid has `finer` times as many steps. A deterministic problem is flown on the family it stands for, and the same
-    seed draws the same systems.
+    The grid has `finer` times as many steps; extremes are taken on one with `between` times as many again. A
+    deterministic problem is flown on the family it stands for, and the same seed draws the same systems.
     """
-    # The systems alone: what is asked of them would be compiled anew for every plan.
-    whole: Any = uncertain(problem)
-    anything = al.terminal(whole.system.model.coordinates[0]).mean
-    bare: Any = al.Problem(whole.system, grid=whole.grid.finer(finer), minimize=anything)
+    bare = _bare(problem, finer)
     generator = np.random.default_rng(seed)
     germs = bare.survey.germs.values()
     levels = generator.uniform(np.finfo(float).tiny, 1.0, (count + 1, len(germs)))
@@ -55,8 +67,17 @@ def fly(problem: al.Problem, decisions: Any, count: int, *, seed: int = 0, finer
     drawn = np.stack([germ.quantile(levels[:, i]) for i, germ in enumerate(germs)], axis=1)
     x = jnp.asarray(decisions)
     found = HISTORIES(numbers_to_arrays(bare), jnp.asarray(drawn), x)
+    extremes = EXTREMES(numbers_to_arrays(_bare(problem, finer * between)), jnp.asarray(drawn[1:]), x)
     return Family(
         times=np.asarray(grid_at(bare, x).times),
         nominal={name: np.asarray(rows)[0] for name, rows in found.items()},
         systems={name: np.asarray(rows)[1:] for name, rows in found.items()},
+        extremes={name: np.asarray(rows) for name, rows in extremes.items()},
     )
+
+
+def _bare(problem: al.Problem, finer: int) -> Any:
+    """The systems of a problem alone: what is asked of them would be compiled anew for every plan."""
+    whole: Any = uncertain(problem)
+    anything = al.terminal(whole.system.model.coordinates[0]).mean
+    return al.Problem(whole.system, grid=whole.grid.finer(finer), minimize=anything)

@@ -72,7 +72,11 @@ def plans_table(
     if any(found):
         rows.append(["Systems that break any limit", *(share_text(one.joint) if one else "–" for one in found)])
     samples = max((one.samples for one in found if one), default=0)
-    note = f"Counted on {count(samples)} fresh random systems without the expansion; in brackets 95 % confidence."
+    instants = words([count(one) for one in sorted({one.instants for one in found if one and one.instants})])
+    note = (
+        f"Counted on {count(samples)} fresh random systems without the expansion, over time at {instants} instants; in"
+        " brackets 95 % confidence."
+    )
     return Table("Plans, limits and violations", ["", *plans], rows, note if samples else "")
 
 
@@ -88,7 +92,8 @@ def optima_table(searches: Mapping[str, al.Starts]) -> Table:
             rows.append([name if not search.optima else "", "no optimum reached", "–", f"{failed} of {total}"])
     note = (
         "The problem is not convex: each start leads to the optimum of its own valley, or to none. The best of them is"
-        " the plan; that there is no better one is not proved."
+        " the plan; that there is no better one is not proved. Plans of equal objective count as one, mirrored ones"
+        " too."
     )
     return Table("Local optima of the searches", ["Plan", "Objective", "Duration (s)", "Starts"], rows, note)
 

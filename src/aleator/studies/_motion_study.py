@@ -26,6 +26,7 @@ from aleator.report import (
 from aleator.studies._family import Family, fly
 from aleator.studies._motion_facts import optima_table, plans_table
 from aleator.studies._study import AbstractStudy
+from aleator.validation import finer_by
 
 KEPT = 25
 
@@ -88,7 +89,8 @@ class MotionResults:
         """Fly each plan on its family and keep every output."""
         for i, (name, plan) in enumerate(self.plans.items()):
             progress(f"family, {name}", i, len(self.plans))
-            self.families[name] = fly(plan.problem, plan.vector, self.effort.family, seed=2)
+            between = finer_by(plan)
+            self.families[name] = fly(plan.problem, plan.vector, self.effort.family, seed=2, between=between)
 
 
 class Stage(NamedTuple):

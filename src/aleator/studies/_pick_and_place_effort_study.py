@@ -50,6 +50,7 @@ from aleator.studies.pick_and_place_effort import (
 )
 from aleator.studies.two_link_arm import TARGET, TORQUE
 from aleator.transcription import transcribe
+from aleator.validation import finer_by
 
 WIDE = al.Uniform(1.0, std=0.5)
 BENDS = (1.2, 0.6, 2.5)
@@ -126,7 +127,7 @@ class PickAndPlaceEffort(AbstractMotionStudy):
         for i, payload in enumerate((PAYLOAD, WIDE)):
             progress(f"payload {payload}", i, 2)
             problem = named(robust_problem(payload=payload), TOGETHER)
-            self.wide = fly(problem, plan.vector, effort.family, seed=3)
+            self.wide = fly(problem, plan.vector, effort.family, seed=3, between=finer_by(plan))
             resolved = transcribe(problem).resolve(plan.vector)
             ends = {name: resolved[f"{name}(t_f)"] for name in ("q1", "q2")}
             self.spreads[str(payload)] = {
@@ -205,7 +206,7 @@ class PickAndPlaceEffort(AbstractMotionStudy):
             return
         yield animations(families, shown, joints, TIP, SCENE, self.names)
         figures = [
-            tip_paths(families[name], name, joints, TIP, SCENE, touches(families[name].systems), self.names)
+            tip_paths(families[name], name, joints, TIP, SCENE, touches(families[name]), self.names)
             for name in families
         ]
         caption = (
@@ -264,7 +265,7 @@ class PickAndPlaceEffort(AbstractMotionStudy):
         yield spreads_table(self.spreads)
         wide = self.wide
         angles = {"q₁": wide.systems["q1"], "q₂": wide.systems["q2"]}
-        paths = tip_paths(wide, ROBUST, joints, TIP, SCENE, touches(wide.systems), self.names)
+        paths = tip_paths(wide, ROBUST, joints, TIP, SCENE, touches(wide), self.names)
         figures = [bands_figure(wide.times, angles, y="Joint angle", unit="rad", title="Joints"), paths]
         yield Drawing(figures, f"The robust plan with payload {WIDE}", SHADES)
 

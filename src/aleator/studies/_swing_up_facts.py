@@ -1,13 +1,15 @@
 """What the page of the swing-up study says of its families: where they are, what they miss, what finer steps change."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from aleator.report import Table, number
+from aleator.design import HELD
+from aleator.references import estimate, group_count
+from aleator.report import Table, count, given, number
 from aleator.studies._family import Family
 from aleator.studies._motion_facts import Outputs
-from aleator.studies.swing_up import STEPS, TORQUE
+from aleator.studies.swing_up import STEPS, TORQUE, VARIANCE
 from aleator.validation import Proportion
 
 LENGTH_1, LENGTH_2 = 0.5, 1.0
@@ -38,8 +40,8 @@ def joints(outputs: Outputs) -> np.ndarray:
 
 
 def overloads(family: Family) -> np.ndarray:
-    """Which systems ask for more torque than there is."""
-    return np.abs(family.systems["q1_torque"]).max(axis=1) > TORQUE * (1 + 1e-6)
+    """Which systems ask for more torque than there is, at any time."""
+    return np.abs(family.extremes["q1_torque"]).max(axis=1) > TORQUE * (1 + HELD)
 
 
 def missed(family: Family) -> Proportion:
@@ -48,16 +50,24 @@ def missed(family: Family) -> Proportion:
     return Proportion(int(np.sum(np.hypot(x - TIP[0], y - TIP[1]) > FAR)), len(x))
 
 
-def terminal_norm(family: Family) -> float:
+def terminal_norm(family: Family) -> str:
     """The norm of the tip's variances at the end, m²."""
-    return float(np.hypot(*(family.systems[name][:, -1].var() for name in ("tip_x", "tip_y"))))
+    ends = np.stack([family.systems[name][:, -1] for name in ("tip_x", "tip_y")], axis=1)
+    return _estimated(lambda sample: np.hypot(*sample.var(axis=0, ddof=1)), ends)
+
+
+def _estimated(statistic: Callable[[np.ndarray], np.ndarray], sample: np.ndarray) -> str:
+    """A statistic of the sample, and one standard error of it."""
+    found = estimate(statistic, sample, group_count(len(sample)))
+    return f"{number(float(found.value), 3)} ± {number(float(found.standard_error), 2)}"
 
 
 def _ends(family: Family) -> list[str]:
-    torque = family.systems["q1_torque"]
-    largest = float(np.max(np.abs(torque.mean(axis=0)) + torque.std(axis=0)))
-    means = (float(family.systems[name][:, -1].mean()) for name in ("q2", "q2_rate"))
-    return [*(number(one, 3) for one in means), number(terminal_norm(family), 4), number(largest, 5)]
+    def largest(torques: np.ndarray) -> np.ndarray:
+        return np.max(np.abs(torques.mean(axis=0)) + torques.std(axis=0, ddof=1))
+
+    means = [_estimated(np.mean, family.systems[name][:, -1]) for name in ("q2", "q2_rate")]
+    return [*means, terminal_norm(family), _estimated(largest, family.systems["q1_torque"])]
 
 
 def steps_table(families: Mapping[str, Family], finer: Mapping[str, Family]) -> Table:
@@ -75,8 +85,11 @@ def steps_table(families: Mapping[str, Family], finer: Mapping[str, Family]) -> 
     ]
     first = next(iter(finer.values()))
     note = (
-        f"The same {len(first.systems['q2'])} random pendulums, integrated with RK4 in {STEPS} steps and in"
-        f" {FINER} times as many: what differs is the error of the integration. That the means are not exactly zero"
-        " is the error of the sample."
+        f"The same {count(len(first.systems['q2']))} random pendulums, integrated with RK4 in {STEPS} steps and in"
+        f" {FINER} times as many; ± is one standard error of that sample, which both rows of a plan share. What differs"
+        " between them is the error of the integration and, in the last column, above all that finer instants meet the"
+        " peak between the coarser ones. The robust plans are made so that the true means are zero and the true"
+        f" variance is at most {given(VARIANCE, 'm²')}: what is off by no more than the sample's error says nothing"
+        " against that. The deterministic plan brings up the pendulum of mean mass, not the mean of all pendulums."
     )
     return Table("The plans with finer steps", header, rows, note)

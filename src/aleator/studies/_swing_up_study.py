@@ -120,14 +120,15 @@ class SwingUp(AbstractMotionStudy):
                     time,
                     number(duration(plan), 3),
                     "–" if name != EXPECTED else given(PUBLISHED_VARIANCE),
-                    "–" if family is None else number(terminal_norm(family), 3),
+                    "–" if family is None else terminal_norm(family),
                 ]
             )
         note = (
             "The published numbers are called powers, in W, and are sums over an unstated number of samples for another"
             " friction: they do not compare, nor does that the uncertain plan was the cheaper one there. Reference:"
-            f" what an independent search found. Limit of the variance: {given(VARIANCE, 'm²')}, asked of the robust"
-            f" plans only. Powers are rounded off where they are zero, which lowers an energy by at most"
+            " what an independent search found. Variances are those of the random pendulums flown, ± one standard error"
+            f" of that sample; the limit of the true one is {given(VARIANCE, 'm²')}, asked of the robust plans only."
+            " Powers are rounded off where they are zero, which lowers an energy by at most"
             f" {given(SMOOTHING)} J a second."
         )
         header = [

@@ -1,9 +1,10 @@
 """What both pick-and-place studies show of the arm: where its joints are, what stands around it, its limits by name."""
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from aleator.report import Scene
+from aleator.studies._family import Family
 from aleator.studies._motion_facts import Outputs
 from aleator.studies.two_link_arm import OBSTACLE, TARGET
 
@@ -31,7 +32,7 @@ def joints(outputs: Outputs) -> Float[np.ndarray, "... joints 2"]:
     return np.stack([np.zeros_like(tip), elbow, tip], axis=-2)
 
 
-def touches(outputs: Outputs) -> Float[np.ndarray, " systems"]:
-    """Which systems hit the obstacle or the wall at any instant."""
+def touches(family: Family) -> Bool[np.ndarray, " systems"]:
+    """Which systems hit the obstacle or the wall at any time."""
     kept = ("gap_1", "gap_2", "elbow_x", "tip_x")
-    return np.any([outputs[name].min(axis=-1) < 0 for name in kept], axis=0)
+    return np.any([family.extremes[name][:, 0] < 0 for name in kept], axis=0)

@@ -1,7 +1,7 @@
 """`pareto`: one problem for many values of a bound (the constraint form of multi-objective design, section 3.5.1)."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import final
 
 import numpy as np
@@ -9,8 +9,8 @@ from jaxtyping import Float
 
 from aleator._core.errors import ProblemError
 from aleator._core.progress import Progress, silent
-from aleator.design import Problem, Solution
-from aleator.nlp import AbstractSolver
+from aleator.design import Problem, Solution, Times
+from aleator.nlp import AbstractSolver, Status
 from aleator.solve import solve
 
 
@@ -20,7 +20,8 @@ class Front:
     """Optimal designs along a bound. `print(front)` shows them.
 
     - `bound`: the name of the constraint; `values`: its bounds, shape (points,);
-    - `solutions`: one a point, also where the problem is infeasible: see `Solution.status` and `Solution.why()`;
+    - `solutions`: one a point, also where the problem is infeasible: see `Solution.status` and `Solution.why()`. Where
+      it was refused before it was solved, because no decision can meet the bound, all numbers are not a number;
     - `interrupted`: whether the sweep was stopped early; the points finished by then are all here.
     """
 
@@ -46,7 +47,10 @@ class Front:
 
     @property
     def violations(self) -> Float[np.ndarray, " points"]:
-        """The scaled violation at each point: the least one found where the problem is infeasible."""
+        """The scaled violation at each point: the least one found where the problem is infeasible.
+
+        Not a number where it was refused.
+        """
         return np.array([solution.violation for solution in self.solutions])
 
     def __str__(self) -> str:
@@ -73,26 +77,66 @@ def pareto(
     """Solve a problem for each value of the bound called `bound`, each from the nearest solution found so far.
 
     The problem is compiled once: bounds are data. A point that fails is tried again from the problem's own start, and
-    then kept with its status, its least violation and the reason. Ctrl-C ends the sweep and returns the points that are
-    finished.
+    then kept with its status, its least violation and the reason. One that is refused, because no decision can meet the
+    bound, is kept as infeasible with what was said. Ctrl-C ends the sweep and returns the points that are finished.
 
-    A value given twice is solved once. Raises `ProblemError` if there is no such constraint or no value.
+    A value given twice is solved once. Raises `ProblemError` if there is no such constraint or no value, or if every
+    point is refused.
     """
     bounds = list(dict.fromkeys(float(value) for value in np.ravel(np.asarray(values, dtype=float))))
     if not bounds:
         raise ProblemError("pareto: expected at least one value of the bound; received none.")
     problems = [problem.with_bound(bound, value) for value in bounds]
     solutions: dict[float, Solution] = {}
+    refused: dict[float, ProblemError] = {}
     interrupted = True
     try:
         for done, (one, value) in enumerate(zip(problems, bounds, strict=True)):
             progress(f"front over {bound}", done, len(bounds))
-            solutions[value] = _point(one, _nearest(solutions, value), solver)
+            try:
+                solutions[value] = _point(one, _nearest(solutions, value), solver)
+            except ProblemError as error:
+                refused[value] = error
         interrupted = False
         progress(f"front over {bound}", len(bounds), len(bounds))
     except KeyboardInterrupt:
         pass
-    return Front(bound, np.array(list(solutions)), tuple(solutions.values()), interrupted)
+    if refused and not solutions:
+        raise next(iter(refused.values()))
+    for one, value in zip(problems, bounds, strict=True):
+        if value in refused:
+            solutions[value] = _without_design(one, refused[value], next(iter(solutions.values())))
+    finished = [value for value in bounds if value in solutions]
+    return Front(bound, np.array(finished), tuple(solutions[value] for value in finished), interrupted)
+
+
+def _without_design(problem: Problem, error: ProblemError, other: Solution) -> Solution:
+    """A point that was refused: as `other`, a finished one, without its numbers, and with what was said."""
+    nothing = np.full(other.vector.shape, np.nan)
+    named = problem.survey.named(nothing)
+    return replace(
+        other,
+        problem=problem,
+        status=Status.INFEASIBLE,
+        decisions=named,
+        vector=nothing,
+        objective=np.nan,
+        constraints=(),
+        moments={},
+        statistics={},
+        at_bounds=(),
+        bound_multipliers=named,
+        multipliers=np.full(other.multipliers.shape, np.nan),
+        violation=np.nan,
+        stationarity=np.nan,
+        complementarity=np.nan,
+        iterations=0,
+        evaluations=0,
+        times=Times(0.0, 0.0, 0.0),
+        solver="refused before it was solved",
+        message=str(error).removesuffix("."),
+        between=None,
+    )
 
 
 def _nearest(solutions: Mapping[float, Solution], value: float) -> Solution | None:

@@ -41,7 +41,8 @@ class Starts:
     def optima(self) -> tuple[tuple[Solution, int], ...]:
         """The local optima, best first, each with how many starts led to it.
 
-        Solutions of the same objective are one, and so are those of the same decisions, whose objective may be zero.
+        Solutions of the same objective are one, mirrored plans too, and so are those of the same decisions, whose
+        objective may be zero.
         """
         solved = sorted((one for one in self.solutions if one.ok), key=lambda one: one.objective)
         starts = [one.problem.survey.vector("initial") for one in solved]
@@ -60,7 +61,9 @@ class Starts:
     def __str__(self) -> str:
         rows = [f"{one.objective:14.8g}  from {count} of {len(self.solutions)} starts" for one, count in self.optima]
         failed = sum(not one.ok for one in self.solutions)
-        return "\n".join(["local optima", *rows, *([f"{failed} starts failed"] if failed else [])])
+        return "\n".join(
+            ["local optima, of equal objective counted as one", *rows, *([f"{failed} starts failed"] if failed else [])]
+        )
 
 
 def _close(one: float, other: float) -> bool:
@@ -82,19 +85,18 @@ def multistart(
     (where a bound is infinite: of its magnitude), drawn from `seed`. The problem is compiled once. A start that fails
     is kept with its status; Ctrl-C ends the search and returns what is finished.
 
-    Raises `ProblemError` for no start, or decisions that are not there.
+    Raises `ProblemError`, before anything is solved, for no start, decisions that are not there, and values that are
+    not finite or of the wrong shape.
     """
-    if isinstance(starts, Mapping | str) or not isinstance(starts, int | Sequence):
+    if isinstance(starts, Mapping | str) or not isinstance(starts, int | np.integer | Sequence):
         raise ProblemError(
             f"multistart: expected a number of starts, or a list of starts by names; received {starts!r}."
         )
-    given = _random(problem, starts, spread, seed) if isinstance(starts, int) else list(starts)
+    given = list(starts) if isinstance(starts, Sequence) else _random(problem, int(starts), spread, seed)
     if not given:
         raise ProblemError("multistart: expected at least one start; received none.")
-    known = problem.survey.decisions
     for start in given:
-        if not isinstance(start, Mapping) or not set(start) <= set(known):
-            raise ProblemError(f"multistart: expected starts by decisions' names, {list(known)}; received {start!r}.")
+        _check_start(problem, start)
     solutions: list[Solution] = []
     interrupted = True
     try:
@@ -107,6 +109,23 @@ def multistart(
         if not solutions:
             raise
     return Starts(tuple(solutions), interrupted)
+
+
+def _check_start(problem: Problem, start: Any) -> None:
+    """Raise `ProblemError` unless a start names decisions and gives each of them finite numbers of its shape."""
+    known = problem.survey.decisions
+    if not isinstance(start, Mapping) or not set(start) <= set(known):
+        raise ProblemError(f"multistart: expected starts by decisions' names, {list(known)}; received {start!r}.")
+    for name, value in start.items():
+        expected = np.shape(known[name].decision.initial)
+        try:
+            numbers = np.asarray(value, dtype=float)
+        except (TypeError, ValueError):
+            numbers = np.array(np.nan)
+        if numbers.shape != expected or not np.isfinite(numbers).all():
+            raise ProblemError(
+                f"multistart: expected a start of shape {expected} for '{name}', of finite numbers; received {value!r}."
+            )
 
 
 def _random(problem: Problem, count: int, spread: float, seed: int) -> list[dict[str, Any]]:

@@ -1,6 +1,5 @@
 """`BSpline`: clamped B-splines whose ends are given and whose other control points are free."""
 
-import math
 from typing import Any, final
 
 import equinox as eqx
@@ -11,6 +10,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from aleator._core.errors import ProblemError
+from aleator._core.laws import lowest
 from aleator.trajectories._basis import basis_matrix, clamped, derived
 from aleator.trajectories._trajectory import AbstractTrajectory, Fractions, as_array, conditions, copied, shape_of
 
@@ -28,11 +28,11 @@ class BSpline(AbstractTrajectory):
       control point out of the free ones. Their numbers may be uncertain or decided too;
     - `degree`: of the polynomials between knots;
     - `knots`: the interior ones, increasing, between 0 and 1; uniform by default. Or `spans`: the lengths from knot to
-      knot in proportion, positive numbers or a `Decision`; knots that are decided so stay in order.
+      knot in proportion, positive numbers, laws or a `Decision`; knots that are decided so stay in order.
 
     The curve stays in the convex hull of its control points: bounds of those are bounds of it at all times; see `hull`.
     Raises `ProblemError` for too few control points, ends of another shape, an end condition on a derivative that the
-    degree does not have, or knots out of order.
+    degree does not have, or knots out of order or not plain.
     """
 
     free: Any
@@ -171,6 +171,11 @@ def _checked_degree(degree: int) -> int:
 def _checked_knots(knots: Any, interior: int) -> tuple[float, ...]:
     if knots is None:
         return tuple((i / (interior + 1)) for i in range(1, interior + 1))
+    if any(isinstance(one, eqx.Module | Tracer) for one in jax.tree.leaves(knots, is_leaf=_is_module)):
+        raise ProblemError(
+            f"{_KIND}: expected plain numbers as knots; received {knots!r}. Decided or uncertain knots "
+            f"are told by the lengths between them, such as spans=al.Decision(np.ones({interior + 1}), 0.2, 5.0)."
+        )
     kept = tuple(float(knot) for knot in knots)
     ordered = all(a < b for a, b in zip((0.0, *kept), (*kept, 1.0), strict=True))
     if len(kept) != interior or not ordered:
@@ -180,11 +185,10 @@ def _checked_knots(knots: Any, interior: int) -> tuple[float, ...]:
 
 def _checked_spans(spans: Any, count: int) -> Any:
     kept = copied(_KIND, "spans", spans)
-    lowest = [getattr(one, "lower", one) for one in jax.tree.leaves(kept, is_leaf=_is_module)]
-    known = [x for one in lowest if not isinstance(one, eqx.Module | Tracer) for x in np.ravel(one)]
-    if shape_of(kept) != (count,) or not all(math.isfinite(x) and x > 0 for x in known):
+    least = lowest(kept)
+    if shape_of(kept) != (count,) or (least is not None and least <= 0):
         raise ProblemError(
-            f"{_KIND}: expected {count} positive spans, or a Decision of as many with positive lower bounds, such as "
-            f"al.Decision(np.ones({count}), 0.2, 5.0); received {spans!r}."
+            f"{_KIND}: expected {count} positive spans, or laws that stay positive, or a Decision of as many with "
+            f"positive lower bounds, such as al.Decision(np.ones({count}), 0.2, 5.0); received {spans!r}."
         )
     return kept

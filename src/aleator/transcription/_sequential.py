@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, final
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from aleator._core.arrays import numbers_to_arrays
 from aleator._core.compilation import Compiled
@@ -53,6 +53,9 @@ class Blocks(NamedTuple):
         """The rows of each constraint among all, such as those of `derivatives`."""
         return np.split(rows, np.cumsum(self.sizes)[:-1])[1:]
 
+
+# Decisions beside the start that tell which derivatives are zero everywhere.
+_NEARBY = 3
 
 # Enough for a problem and its deterministic twin, each solved from many starts.
 _KEPT = 4
@@ -247,6 +250,7 @@ def _transcribed(problem: Problem) -> Sequential:
         constraint_upper=_spread(rows, [float(one.upper) for one in problem.constraints]),
         constraint_scale=_spread(rows, scales),
         decision_scale=decision_scale,
+        structure=_structure(problem, evaluator, rows, start, decision_scale) if instantaneous(problem) else None,
     )
     discretisation = basis, collocation, constants
     back = program, rows, tuple(scales), evaluator, Texts.of(problem)
@@ -268,6 +272,34 @@ def _refuse_settled(problem: Problem, places: Survey, evaluator: _Evaluator, sca
             for one in elsewhere(start, places.vector("lower"), places.vector("upper"))
         ],
     )
+
+
+def _structure(
+    problem: Problem,
+    evaluator: _Evaluator,
+    rows: tuple[slice, ...],
+    start: Float[np.ndarray, " n"],
+    size: Float[np.ndarray, " n"],
+) -> Bool[np.ndarray, "rows n"]:
+    """Which derivatives of constraints may be other than zero, by what they are at some decisions near the start.
+
+    A constraint on a path depends on a decision at an instant if it does so at any instant, and if any constraint does
+    so at that instant: one that bodies near each other feel, and others do not, is counted wherever it may be felt.
+    """
+    rng, places = np.random.default_rng(0), problem.survey
+    bounds = places.vector("lower"), places.vector("upper")
+    nearby = [np.clip(start + 0.1 * size * rng.uniform(-1, 1, len(start)), *bounds) for _ in range(_NEARBY)]
+    found = np.any([evaluator(one).derivatives[1:] != 0 for one in (start, *nearby)], axis=0)
+    paths = [one for one, constraint in zip(rows, problem.constraints, strict=True) if constraint.is_path]
+    instants = len(evaluator(start).times)
+    felt = np.zeros((instants, len(start)), dtype=bool)
+    for where in paths:
+        felt |= found[where].reshape(instants, -1, len(start)).any(axis=1)
+    structure = np.ones_like(found)
+    for where in paths:
+        block = found[where]
+        structure[where] = np.repeat(felt, len(block) // instants, axis=0) & block.any(axis=0)
+    return structure
 
 
 def _evaluation(blocks: Blocks) -> Evaluation:

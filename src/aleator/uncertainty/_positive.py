@@ -10,6 +10,7 @@ import numpy as np
 
 from aleator._core.arrays import Pytree
 from aleator._core.errors import ProblemError
+from aleator._core.laws import lowest_of_law
 from aleator.uncertainty._decision import Decision
 from aleator.uncertainty._distribution import AbstractDistribution
 from aleator.uncertainty._survey import free, is_special
@@ -60,22 +61,12 @@ def _lowest(leaf: Any) -> float | None:
     """The smallest value that a leaf can take; nothing for a leaf that is no number."""
     leaf = free(leaf)
     if isinstance(leaf, AbstractDistribution):
-        return _lowest_of(leaf)
+        return lowest_of_law(leaf)
     if isinstance(leaf, Decision):
         return float(np.min(leaf.lower, initial=np.inf))
     if isinstance(leaf, int | float | np.generic | np.ndarray | jax.Array) and np.asarray(leaf).dtype.kind in "biuf":
         return float(np.min(np.asarray(leaf, dtype=float), initial=np.inf))
     return None
-
-
-def _lowest_of(law: AbstractDistribution) -> float:
-    """The lower end of a law's support, at the corner of its decisions where it is lowest."""
-    with np.errstate(invalid="ignore"):
-        ends = [law.decided(lambda name, _, at=corner: at[name]).support()[0] for corner in law.corners()]
-    if not law.REACHES_ENDS:
-        ends = [np.nextafter(float(end), np.inf) for end in ends]
-    # An upper end at infinity leaves "infinity less infinity" at its corner; another corner knows the lower end.
-    return float(np.nanmin([float(end) for end in ends]))
 
 
 def _message(name: str, leaf: Any, lowest: float | None) -> str:

@@ -12,7 +12,7 @@ from aleator.references import pair
 from aleator.statistics import Mean, Std
 from aleator.validation._proportion import Proportion
 
-_NO_LIMITS = "  no constraint is a limit on single systems: none can violate"
+_NO_LIMITS = "  no constraint is a limit on single systems, so that none is counted"
 
 PERCENTILES = (1.0, 5.0, 25.0, 50.0, 75.0, 95.0, 99.0)
 
@@ -74,8 +74,11 @@ class Evidence:
     """A design re-simulated on fresh random systems, without any expansion. `print(evidence)` shows it.
 
     - `violations`: by constraint name, how often a system violates any constraint of that name at any instant;
-      constraints that say nothing of one system (a bound on a `std`, say) are left out;
     - `joint`: how often a system violates at least one of them;
+    - `uncounted`: the constraints left out of both, as mathematics, with the reason: they say nothing of one system, as
+      a bound on a `std`, or cannot be met by one exactly, as an equality;
+    - `instants`: at how many instants limits over time were counted, None where there are none. More than those of the
+      design's grid where its limits hold between them too;
     - `functionals`: mean and standard deviation of each, sampled, beside the expansion's;
     - `statistics`: each statistic in the problem by its text (`"Q0.99[rms(x)]"`), sampled, beside the expansion's;
       those of paths, and those that a sample cannot tell (Sobol indices: see `al.sobol_indices`), are left out;
@@ -87,6 +90,8 @@ class Evidence:
     seed: int
     violations: Mapping[str, Proportion]
     joint: Proportion
+    uncounted: Mapping[str, str]
+    instants: int | None
     functionals: Mapping[str, Sampled]
     statistics: Mapping[str, Checked]
     trajectories: tuple[Trajectories, ...]
@@ -96,6 +101,8 @@ class Evidence:
         rows = [f"{self.samples} fresh samples, seed {self.seed}, {self.seconds:.1f} s"]
         rows += [f"  violates {name}: {share}" for name, share in self.violations.items()]
         rows.append(f"  violates any: {self.joint} (95 % confidence)" if self.violations else _NO_LIMITS)
+        rows += [] if self.instants is None else [f"  limits over time counted at {self.instants} instants"]
+        rows += [f"  not counted: {text} ({why})" for text, why in self.uncounted.items()]
         rows += [_row(one) for one in self.functionals.values() if np.ndim(one.mean) == 0]
         rows += [
             f"  {text}: {_estimated(one)} (expansion {one.expanded:.6g})"

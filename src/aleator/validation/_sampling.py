@@ -12,6 +12,7 @@ from aleator._core.compilation import Compiled
 from aleator.design import AbstractFunctional, AbstractScope, Constraint, Problem, functionals_of, grid_at, responses
 from aleator.statistics import AbstractStatistic
 from aleator.uncertainty import AbstractGerm, named_numbers
+from aleator.validation._counted import is_over_time
 
 
 class Batch(NamedTuple):
@@ -96,7 +97,31 @@ def _judge(constraint: Constraint, scope: AbstractScope) -> tuple[Array, Array]:
     return excess, value
 
 
+def _excess_over_time(
+    problem: Problem, germ: Float[Array, "systems variables"], decisions: Float[Array, " n"]
+) -> Float[Array, "limits systems"]:
+    """How far each system is beyond each limit over time at worst.
+
+    A few systems at a time, so that a fine grid takes no more memory than a coarse one does for all.
+    """
+    limits = tuple(one for one in problem.constraints if is_over_time(one))
+    functionals = functionals_of(tuple(one.expression for one in limits))
+    numbers = named_numbers(problem.model, decisions)
+    weights = grid_at(problem, decisions).weights
+
+    def judge(point: Float[Array, " variables"]) -> Float[Array, " limits"]:
+        values = responses(problem, functionals, point[None], decisions)
+        scope = _OneSystem({one: value[0] for one, value in zip(functionals, values, strict=True)}, numbers, weights)
+        return jnp.stack([_judge(limit, scope)[0] for limit in limits])
+
+    return jax.lax.map(judge, germ, batch_size=min(AT_ONCE, len(germ))).T
+
+
+AT_ONCE = 50
+"""Systems that are simulated together on a fine grid."""
+
 SIMULATE_BATCH = Compiled(_simulate_batch)
+EXCESS_OVER_TIME = Compiled(_excess_over_time)
 
 
 def draw(germs: tuple[AbstractGerm, ...], count: int, generator: np.random.Generator) -> Float[np.ndarray, "count n"]:

@@ -3,9 +3,10 @@
 import time
 from typing import final
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
 from aleator._core.arrays import numbers_to_arrays
 from aleator._core.errors import ProblemError, SimulationError
@@ -13,8 +14,6 @@ from aleator._core.progress import Progress, silent
 from aleator.design import (
     HELD,
     AbstractFunctional,
-    Constraint,
-    Expression,
     Problem,
     Solution,
     Statistic,
@@ -24,12 +23,14 @@ from aleator.design import (
     uncertain,
     unsolved,
 )
+from aleator.dynamics import Grid
 from aleator.references import estimate, group_count
 from aleator.statistics import Infimum, Sobol, Supremum, TotalSobol
 from aleator.uncertainty import uncertain_numbers
+from aleator.validation._counted import finer_by, is_counted, is_over_time, uncounted
 from aleator.validation._evidence import PERCENTILES, Checked, Evidence, Sampled, Trajectories
 from aleator.validation._proportion import Proportion
-from aleator.validation._sampling import SIMULATE_BATCH, Batch, draw
+from aleator.validation._sampling import EXCESS_OVER_TIME, SIMULATE_BATCH, Batch, draw
 
 
 def validate(
@@ -46,6 +47,9 @@ def validate(
     A deterministic design is validated on the uncertain systems it stands for. Systems are simulated `batch` at a time,
     so that memory does not grow with their number; `keep` of them are kept whole, for drawing. `seed` makes it
     repeatable.
+
+    Where the design holds its limits over time between the instants of its grid too, systems are counted against them
+    on that finer grid. All else is taken on the design's own grid, as the expansion beside it is.
 
     Raises `ProblemError` if nothing is uncertain and `SimulationError` if a system gives numbers that are not finite,
     naming its parameter values.
@@ -69,16 +73,34 @@ def validate(
     scales = tuple(one.scale for one in solution.constraints)
     tally = _Tally(problem, scales, samples, min(keep, samples))
     traced, decisions = numbers_to_arrays(problem), jnp.asarray(solution.vector)
+    finer = _finer(problem, finer_by(solution))
     batch = min(batch, samples)
     for done in range(0, samples, batch):
         progress("Monte Carlo", done, samples)
         # The last batch is drawn in full too, so that one compiled size serves all; what is left over is dropped.
         germ, count = draw(germs, batch, generator), min(batch, samples - done)
         result = SIMULATE_BATCH(traced, jnp.asarray(germ), decisions, jnp.asarray(count))
+        if finer is not None:
+            result = _with_limits(problem, result, EXCESS_OVER_TIME(finer, jnp.asarray(germ), decisions))
         _refuse_broken(problem, result, germ[:count], solution.vector)
         tally.add(result, done, count)
     progress("Monte Carlo", samples, samples)
     return tally.evidence(solution, seed, time.perf_counter() - started)
+
+
+def _finer(problem: Problem, factor: int) -> Problem | None:
+    """The problem on a grid `factor` times finer; None where no limit over time is counted there."""
+    limits = any(is_over_time(one) and is_counted(one) for one in problem.constraints)
+    if factor == 1 or not limits or not isinstance(problem.grid, Grid):
+        return None
+    return numbers_to_arrays(eqx.tree_at(lambda tree: tree.grid, problem, problem.grid.finer(factor)))
+
+
+def _with_limits(problem: Problem, batch: Batch, beyond: Float[Array, "limits systems"]) -> Batch:
+    """A batch with its limits over time judged on a finer grid."""
+    rows = jnp.array([i for i, one in enumerate(problem.constraints) if is_over_time(one)])
+    finite = batch.finite & jnp.isfinite(beyond).all(axis=0)
+    return batch._replace(excess=batch.excess.at[rows].set(beyond), finite=finite)
 
 
 def _refuse_broken(problem: Problem, batch: Batch, germ: np.ndarray, decisions: np.ndarray) -> None:
@@ -93,20 +115,6 @@ def _refuse_broken(problem: Problem, batch: Batch, germ: np.ndarray, decisions: 
         f"Monte Carlo: the simulation of the system with {where} is not finite. "
         f"{unsolved(problem, point, jnp.asarray(decisions)) or remedy}"
     )
-
-
-def _is_counted(constraint: Constraint) -> bool:
-    """Whether systems can be counted against a constraint: it speaks of one system, and is no equality."""
-    return _speaks_of_one_system(constraint.expression) and float(constraint.lower) < float(constraint.upper)
-
-
-def _speaks_of_one_system(expression: Expression) -> bool:
-    """Whether the value of a single system is part of it: not so of a spread, nor of the gap between two quantiles."""
-    factors: dict[tuple[AbstractFunctional, ...], float] = {}
-    for factor, atom in zip(expression.factors, expression.atoms, strict=True):
-        if isinstance(atom, Statistic) and atom.kind.speaks_of_one_system:
-            factors[atom.functionals] = factors.get(atom.functionals, 0.0) + float(factor)
-    return any(factor != 0 for factor in factors.values())
 
 
 @final
@@ -157,11 +165,19 @@ class _Tally:
             seed=seed,
             violations={name: Proportion(int(mask.sum()), self._samples) for name, mask in broken.items()},
             joint=Proportion(int(joint.sum()), self._samples),
+            uncounted=uncounted(self._problem),
+            instants=self._instants(solution),
             functionals={one.text(): self._sampled(i, one, solution) for i, one in enumerate(self._functionals)},
             statistics={one.text(): self._checked(one, solution) for one in self._countable_statistics()},
             trajectories=tuple(self._trajectories(i, broken) for i in self._kept),
             seconds=seconds,
         )
+
+    def _instants(self, solution: Solution) -> int | None:
+        """At how many instants limits over time were counted; None where there are none to count."""
+        if not any(is_over_time(one) and is_counted(one) for one in self._problem.constraints):
+            return None
+        return (len(solution.instants) - 1) * finer_by(solution) + 1
 
     def _countable_statistics(self) -> tuple[Statistic, ...]:
         """The statistics in the problem that the samples of its functionals, kept where they are numbers, can tell."""
@@ -182,10 +198,10 @@ class _Tally:
         return Checked(statistic, expanded, float(found.value), float(found.standard_error))
 
     def _sampled_names(self) -> tuple[str, ...]:
-        return tuple(dict.fromkeys(one.name for one in self._problem.constraints if _is_counted(one)))
+        return tuple(dict.fromkeys(one.name for one in self._problem.constraints if is_counted(one)))
 
     def _breaks(self, name: str) -> np.ndarray:
-        rows = [i for i, one in enumerate(self._problem.constraints) if one.name == name and _is_counted(one)]
+        rows = [i for i, one in enumerate(self._problem.constraints) if one.name == name and is_counted(one)]
         return np.any(self._excess[rows] > self._tolerances[rows, None], axis=0)
 
     def _sampled(self, i: int, functional: AbstractFunctional, solution: Solution) -> Sampled:

@@ -1,0 +1,71 @@
+"""Units as text: what becomes of them in products, squares, rates and integrals over time.
+
+A unit is what a model declares, such as `N m` or `m²/s⁴`, and is read no further than these need. An empty text is an
+unknown unit, of which nothing follows; `-` is that of a pure number.
+"""
+
+import re
+from collections.abc import Iterable
+
+PURE = "-"
+
+# Force or torque, and the rate that it acts on.
+_POWERS = ({"N", "m/s"}, {"N m", "rad/s"}, {"N·m", "rad/s"}, {"Nm", "rad/s"})
+_SECONDS = ("s", "s²", "s³", "s⁴")
+_INTEGRALS = {"": "", PURE: "s", "W": "J"}
+_RATES = {"": "", PURE: "1/s", "J": "W"}
+
+
+def common(units: Iterable[str]) -> str:
+    """The unit of a sum: the one that all terms share; unknown if they differ."""
+    found = set(units)
+    return found.pop() if len(found) == 1 else ""
+
+
+def product(first: str, second: str) -> str:
+    """The unit of a product: `N` and `m` make `N m`, a force and a speed make `W`."""
+    if not (first and second):
+        return ""
+    if PURE in (first, second):
+        return second if first == PURE else first
+    if first == second:
+        return f"{first}²" if first.isalpha() else f"({first})²"
+    return "W" if {first, second} in _POWERS else f"{_factor(first)} {_factor(second)}"
+
+
+def squared(unit: str) -> str:
+    """The unit of a square: `N²`, `(N m)²`."""
+    return product(unit, unit)
+
+
+def integrated(unit: str) -> str:
+    """The unit of an integral over time: `m²/s⁴` becomes `m²/s³`, `W` becomes `J`."""
+    if unit in _INTEGRALS:
+        return _INTEGRALS[unit]
+    base, power = _by_time(unit)
+    if not power:
+        return f"{_factor(unit)} s"
+    if power == 1:
+        return PURE if base == "1" else base
+    return f"{base}/{_SECONDS[power - 2]}"
+
+
+def rate(unit: str) -> str:
+    """The unit of a derivative by time: `rad` becomes `rad/s`, `J` becomes `W`."""
+    if unit in _RATES:
+        return _RATES[unit]
+    base, power = _by_time(unit)
+    if power < len(_SECONDS):
+        return f"{base if power else _factor(unit)}/{_SECONDS[power]}"
+    return f"{_factor(unit)}/s"
+
+
+def _by_time(unit: str) -> tuple[str, int]:
+    """What a unit divides by a power of seconds, and the power; 0 where it does not end in such a division."""
+    base, _, seconds = unit.rpartition("/")
+    return (base, 1 + _SECONDS.index(seconds)) if base and seconds in _SECONDS else (unit, 0)
+
+
+def _factor(unit: str) -> str:
+    """A unit as a factor of others: in brackets where it divides."""
+    return f"({unit})" if "/" in re.sub(r"\([^()]*\)", "", unit) else unit

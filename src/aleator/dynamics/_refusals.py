@@ -1,0 +1,65 @@
+"""What is refused before a system is simulated: numbers that are not known yet, and signals that do not reach."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import equinox as eqx
+import jax
+from jax.core import Tracer
+
+from aleator._core.arrays import decided_bounds
+from aleator._core.errors import ProblemError
+from aleator._core.laws import is_law
+from aleator.dynamics._grid import Grid
+from aleator.dynamics._system import System, check_inputs
+from aleator.trajectories import AbstractSignal
+
+
+def refuse_unrealised(**parts: Any) -> None:
+    """Raise `ProblemError` if a law or a decision is left in what is to be simulated; traced numbers pass."""
+    found = [
+        f"'{jax.tree_util.keystr(path, simple=True, separator='.')}' is a {type(leaf).__name__}"
+        for path, leaf in jax.tree_util.tree_leaves_with_path(parts, is_leaf=_is_unrealised)
+        if _is_unrealised(leaf)
+    ]
+    if found:
+        raise ProblemError(
+            f"simulate: expected plain numbers, of one realised system; received others: {', '.join(found)}. Put "
+            "numbers in their places; or declare an al.Problem, or give a function that simulates to al.expand or "
+            "al.monte_carlo, which realise the system."
+        )
+
+
+def check_signals(system: System, grid: Grid, inputs: Mapping[str, Any]) -> None:
+    """Refuse inputs that are not those of a system, or no signals, and signals that are not known on the whole grid.
+
+    That is asked of inputs and of the system's own signals alike, up to the largest final time that may be chosen, but
+    not where numbers are traced: then it is not known.
+    """
+    check_inputs(system, inputs)
+    for name, signal in inputs.items():
+        if not isinstance(signal, AbstractSignal):
+            raise ProblemError(
+                f"Input '{name}' must be a signal, such as al.Tabulated(times, values); "
+                f"received {type(signal).__name__}."
+            )
+    own = {f"Signal '{name}' of {type(system).__name__}": signal for name, signal in system.signals().items()}
+    for who, signal in (own | {f"Input '{name}'": signal for name, signal in inputs.items()}).items():
+        if not any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves((signal, grid))):
+            _check_span(who, signal, grid)
+
+
+def _check_span(who: str, signal: AbstractSignal, grid: Grid) -> None:
+    # What follows is known, also where a function that simulates is being traced.
+    with jax.ensure_compile_time_eval():
+        first, last = signal.span()
+    start, end = float(grid.t_start), grid.latest
+    if start < first or end > last:
+        raise ProblemError(
+            f"{who} is known from {first:g} to {last:g} s, but the grid asks for {start:g} to {end:g} s. Give it for "
+            "the whole time, or change the grid."
+        )
+
+
+def _is_unrealised(node: Any) -> bool:
+    return isinstance(node, eqx.Module) and (decided_bounds(node) is not None or is_law(node))

@@ -1,0 +1,127 @@
+"""Systems are counted where the design holds its limits: between the instants of its grid too."""
+
+import dataclasses
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.interpolate import BSpline
+
+import aleator as al
+
+FREE, STEPS, LIMIT, STD = 4, 7, 1.6, 0.2
+ENDS: dict[str, Any] = {"start": ((0.0,), (0.0,)), "end": ((1.0,), (0.0,))}
+
+
+class Cart(al.Mechanical):
+    """A mass that is pushed one metre along a line."""
+
+    names = ("x",)
+    mass: al.Number = al.parameter("kg", positive=True)
+
+    def mass_matrix(self, q):
+        return jnp.array([[self.mass]])
+
+    def coriolis(self, q, v):
+        return jnp.zeros((1, 1))
+
+    def outputs(self, motion):
+        return {"momentum": self.mass * motion.v[0]}
+
+
+def cart_problem(**options):
+    points = al.fit_control_points(np.linspace([0.0], [1.0], 40), FREE, **ENDS)
+    motion = al.BSpline(al.Decision(points, -5.0, 5.0), **ENDS)
+    defaults = {
+        "grid": al.Grid(1.0, STEPS),
+        "minimize": al.effort("x_torque"),
+        "subject_to": [al.path("momentum").at_most(LIMIT, sigmas=1.0)],
+        "expansion": al.Expansion(order=1),
+    }
+    return al.Problem(al.InverseDynamics(Cart(mass=al.Uniform(1.0, std=STD)), motion=motion), **(defaults | options))
+
+
+def share_beyond(solution, instants):
+    """How many masses have more momentum than the limit: by SciPy, from the control points of the clamped spline."""
+    points = np.concatenate([[0.0, 0.0], np.ravel(solution.decisions["motion.free"]), [1.0, 1.0]])
+    knots = np.concatenate([np.zeros(4), np.linspace(0, 1, len(points) - 2)[1:-1], np.ones(4)])
+    fastest = np.max(BSpline(knots, points, 3).derivative()(np.linspace(0, 1, instants)))
+    return np.clip((1 + np.sqrt(3) * STD - LIMIT / fastest) / (2 * np.sqrt(3) * STD), 0, 1)
+
+
+@pytest.fixture(scope="module")
+def solution():
+    return al.solve(cart_problem())
+
+
+def test_the_share_that_breaks_a_limit_is_that_at_all_times_and_not_at_the_instants_of_the_grid(solution):
+    truth, at_instants = (share_beyond(solution, instants) for instants in (10_001, STEPS + 1))
+    evidence = al.validate(solution, 20_000, seed=2)
+    share = evidence.violations["momentum"]
+    assert share.lower <= truth <= share.upper
+    assert at_instants < share.lower
+    assert evidence.instants == 10 * STEPS + 1
+    assert "limits over time counted at 71 instants" in str(evidence)
+
+
+def test_a_design_that_holds_at_its_instants_alone_is_counted_there():
+    coarse = al.solve(cart_problem(), between=1)
+    evidence = al.validate(coarse, 20_000, seed=2)
+    share = evidence.violations["momentum"]
+    assert share.lower <= share_beyond(coarse, STEPS + 1) <= share.upper
+    assert share_beyond(coarse, 10_001) > share.upper
+    assert evidence.instants == STEPS + 1
+
+
+def test_moments_and_kept_systems_stay_those_of_the_design_s_own_grid(solution):
+    fine = al.validate(solution, 300, batch=70, keep=300)
+    coarse = al.validate(dataclasses.replace(solution, between=None), 300, batch=70, keep=300)
+    for text, one in coarse.functionals.items():
+        np.testing.assert_array_equal(fine.functionals[text].mean, one.mean)
+        np.testing.assert_array_equal(fine.functionals[text].std, one.std)
+    for one, other in zip(fine.trajectories, coarse.trajectories, strict=True):
+        np.testing.assert_array_equal(one.values, other.values)
+        assert one.values.shape == (300, STEPS + 1)
+        assert one.violating.sum() == fine.violations["momentum"].count
+    assert fine.violations["momentum"].count > coarse.violations["momentum"].count
+
+
+def test_the_count_between_instants_does_not_depend_on_the_batch(solution):
+    first, second = (al.validate(solution, 230, seed=5, batch=batch) for batch in (230, 64))
+    assert first.violations == second.violations
+    assert first.violations["momentum"].count > 0
+
+
+def test_calibration_counts_between_instants_too():
+    target = 0.1
+    found = al.calibrate(cart_problem(), "momentum", target, samples=4_000)
+    error = 3 * np.sqrt(target / 4_000)
+    assert share_beyond(found.solution, 10_001) == pytest.approx(target * 0.95, abs=0.05 * target + error)
+    assert found.evidence.instants == 10 * STEPS + 1
+
+
+def test_limits_that_say_nothing_of_one_system_are_named_with_the_reason():
+    solution = al.solve(
+        cart_problem(
+            subject_to=[
+                (al.norm(al.path("momentum").mean) <= LIMIT).named("norm"),
+                (al.path("momentum").std <= LIMIT).named("spread"),
+                al.terminal("x").mean.equals(1.0).named("end"),
+                (al.value("mass.std") <= 5.0).named("given"),
+            ]
+        )
+    )
+    evidence = al.validate(solution, 100)
+    assert evidence.violations == {}
+    assert evidence.instants is None
+    reasons = dict(zip(solution.problem.names, evidence.uncounted.values(), strict=True))
+    assert reasons == {
+        "norm": "a norm or an integral of statistics",
+        "spread": "a statistic of all systems together",
+        "end": "an equality, which no single system meets",
+        "given": "numbers of the design alone",
+    }
+    text = str(evidence)
+    assert "not counted: ‖μ[momentum(t)]‖ ≤ 1.6 for all t (a norm or an integral of statistics)" in text
+    assert "none can violate" not in text
