@@ -20,6 +20,7 @@ from aleator.design import (
     Problem,
     Solution,
     Times,
+    is_over_time,
 )
 from aleator.dynamics import Grid
 from aleator.nlp import AbstractSolver, Outcome, Status, default_solver
@@ -30,7 +31,6 @@ from aleator.transcription import (
     compile_seconds,
     diagnose,
     excess_between,
-    is_over_time,
     margins_for,
     no_margins,
     tightened,

@@ -1,9 +1,12 @@
 """Solvers are told only of entries of a Jacobian that are not zero, and learn of others when these show up."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from nlp_problems import INF, evaluation, program
 
+from aleator._core.errors import ProblemError
 from aleator.nlp import FilterSQP, Status
 from aleator.nlp._pattern import Pattern
 
@@ -43,7 +46,11 @@ def test_rows_that_hardly_depend_on_anything_at_the_start_are_solved():
             jacobian[i, (i + 1) % n] += 2 * (ahead[i] - x[i])
         return evaluation(-x.sum(), -np.ones(n), rows, jacobian)
 
-    outcome = FilterSQP().solve(program(evaluate, np.full(n, 0.7), np.full(n, 0.5), rows=[(-INF, 1.0)] * n))
+    start = np.linspace(0.6, 0.7, n)
+    declared = program(evaluate, start, np.full(n, 0.5), rows=[(-INF, 1.0)] * n)
+    # Told of the entries at the start alone, of which those of the first part are zero by chance.
+    narrow = np.eye(n, dtype=bool)
+    outcome = FilterSQP().solve(replace(declared, structure=narrow))
     assert outcome.status is Status.SOLVED
     # All x equal to 2 meet every row with equality, and by symmetry and convexity no sum is larger.
     np.testing.assert_allclose(outcome.decisions, 2.0, atol=1e-6)
@@ -51,7 +58,7 @@ def test_rows_that_hardly_depend_on_anything_at_the_start_are_solved():
 
 
 @pytest.mark.parametrize("links", [3, 15])
-def test_sparse_and_dense_rows_have_the_same_optimum(links, monkeypatch):
+def test_sparse_and_dense_rows_have_the_same_optimum(links):
     # A chain of unit links between (0, 0) and (links / 2, 0), with least sum of heights: rows know two joints each.
     def evaluate(z):
         x, y = np.concatenate([[0.0], z[: links - 1], [links / 2]]), np.concatenate([[0.0], z[links - 1 :], [0.0]])
@@ -68,10 +75,20 @@ def test_sparse_and_dense_rows_have_the_same_optimum(links, monkeypatch):
     inner = np.arange(1, links) / 2
     sag = -0.5 * np.sin(np.pi * np.arange(1, links) / links)
     declared = program(evaluate, np.concatenate([inner, sag]), rows=[(-INF, 1.0)] * links)
-    sparse = FilterSQP().solve(declared)
-    monkeypatch.setattr("aleator.nlp._pattern._DENSE", 0.0)
+    joints = np.arange(2 * (links - 1)) % (links - 1)
+    structure = np.stack([(joints == i - 1) | (joints == i) for i in range(links)])
+    sparse = FilterSQP().solve(replace(declared, structure=structure))
     dense = FilterSQP().solve(declared)
     assert sparse.ok
     assert dense.ok
+    assert len(Pattern(structure).rows) == structure.sum() or links == 3
     assert sparse.evaluation.objective == pytest.approx(dense.evaluation.objective, rel=1e-7)
     np.testing.assert_allclose(sparse.multipliers, dense.multipliers, rtol=1e-4, atol=1e-6)
+
+
+def test_a_structure_of_another_shape_is_refused():
+    with pytest.raises(ProblemError, match=r"`structure` of shape \(1, 2\).* \(2, 1\)"):
+        replace(
+            program(lambda x: evaluation(x[0], [1, 0], [x[1]], [[0, 1]]), [0.0, 0.0], rows=[(0, 1)]),
+            structure=np.ones((2, 1), dtype=bool),
+        )

@@ -5,8 +5,9 @@ import numpy as np
 import pytest
 
 import aleator as al
+from aleator.design import is_over_time
 from aleator.nlp import FilterSQP, Status
-from aleator.transcription import excess_between, is_over_time, transcribe
+from aleator.transcription import excess_between, transcribe
 
 
 class Cart(al.Mechanical):

@@ -19,6 +19,7 @@ from aleator.design._expression import value as value
 from aleator.design._functionals import Path as Path
 from aleator.design._functionals import Peak as Peak
 from aleator.design._functionals import integral as integral
+from aleator.design._functionals import is_over_time as is_over_time
 from aleator.design._functionals import output as output
 from aleator.design._functionals import path as path
 from aleator.design._functionals import peak as peak

@@ -7,7 +7,8 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from aleator._core.units import integrated
-from aleator.design._statistic import AbstractFunctional
+from aleator.design._expression import Constraint
+from aleator.design._statistic import AbstractFunctional, functionals_of
 from aleator.dynamics import AbstractGrid, History
 from aleator.statistics import root
 
@@ -137,3 +138,8 @@ def peak(output: str) -> Peak:
 def output(name: str) -> Output:
     """An output of an algebraic system, which has no time."""
     return Output((name,))
+
+
+def is_over_time(constraint: Constraint) -> bool:
+    """Whether a constraint limits a path, or the peak of one: the instants between those of the grid count too."""
+    return constraint.is_path or any(isinstance(one, Peak) for one in functionals_of((constraint.expression,)))

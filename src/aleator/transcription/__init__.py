@@ -2,7 +2,6 @@
 
 from aleator.transcription._between import Excess as Excess
 from aleator.transcription._between import excess_between as excess_between
-from aleator.transcription._between import is_over_time as is_over_time
 from aleator.transcription._between import margins_for as margins_for
 from aleator.transcription._between import no_margins as no_margins
 from aleator.transcription._between import tightened as tightened

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 from aleator._core.arrays import numbers_to_arrays
 from aleator._core.compilation import Compiled
 from aleator.collocation import Collocation
-from aleator.design import Constraint, Peak, Problem, functionals_of
+from aleator.design import Constraint, Problem, functionals_of, is_over_time
 from aleator.dynamics import Grid
 from aleator.nlp import NonlinearProgram
 from aleator.statistics import Constants
@@ -76,11 +76,6 @@ def excess_between(transcription: Sequential, decisions: Float[np.ndarray, " n"]
         if float(one.lower) == float(one.upper):
             shifts[-1] = None  # no margin makes both sides hold
     return Excess(tuple(shifts), *worst, *change)
-
-
-def is_over_time(constraint: Constraint) -> bool:
-    """Whether a constraint limits a path, or the peak of one: the instants between those of the grid count too."""
-    return constraint.is_path or any(isinstance(one, Peak) for one in functionals_of((constraint.expression,)))
 
 
 def _bound_size(constraint: Constraint) -> float:

@@ -28,6 +28,7 @@ from aleator.transcription._magnitudes import constraint_scales, decision_scales
 from aleator.transcription._resolution import RESOLVE, Resolved
 from aleator.transcription._scope import scope_of
 from aleator.transcription._settled import refuse_settled
+from aleator.transcription._structure import nearby, structure_of
 from aleator.uncertainty import Survey
 
 
@@ -53,9 +54,6 @@ class Blocks(NamedTuple):
         """The rows of each constraint among all, such as those of `derivatives`."""
         return np.split(rows, np.cumsum(self.sizes)[:-1])[1:]
 
-
-# Decisions beside the start that tell which derivatives are zero everywhere.
-_NEARBY = 3
 
 # Enough for a problem and its deterministic twin, each solved from many starts.
 _KEPT = 4
@@ -250,7 +248,7 @@ def _transcribed(problem: Problem) -> Sequential:
         constraint_upper=_spread(rows, [float(one.upper) for one in problem.constraints]),
         constraint_scale=_spread(rows, scales),
         decision_scale=decision_scale,
-        structure=_structure(problem, evaluator, rows, start, decision_scale) if instantaneous(problem) else None,
+        structure=_structure(problem, evaluator, rows, decision_scale) if instantaneous(problem) else None,
     )
     discretisation = basis, collocation, constants
     back = program, rows, tuple(scales), evaluator, Texts.of(problem)
@@ -275,31 +273,13 @@ def _refuse_settled(problem: Problem, places: Survey, evaluator: _Evaluator, sca
 
 
 def _structure(
-    problem: Problem,
-    evaluator: _Evaluator,
-    rows: tuple[slice, ...],
-    start: Float[np.ndarray, " n"],
-    size: Float[np.ndarray, " n"],
+    problem: Problem, evaluator: _Evaluator, rows: tuple[slice, ...], size: Float[np.ndarray, " n"]
 ) -> Bool[np.ndarray, "rows n"]:
-    """Which derivatives of constraints may be other than zero, by what they are at some decisions near the start.
-
-    A constraint on a path depends on a decision at an instant if it does so at any instant, and if any constraint does
-    so at that instant: one that bodies near each other feel, and others do not, is counted wherever it may be felt.
-    """
-    rng, places = np.random.default_rng(0), problem.survey
-    bounds = places.vector("lower"), places.vector("upper")
-    nearby = [np.clip(start + 0.1 * size * rng.uniform(-1, 1, len(start)), *bounds) for _ in range(_NEARBY)]
-    found = np.any([evaluator(one).derivatives[1:] != 0 for one in (start, *nearby)], axis=0)
-    paths = [one for one, constraint in zip(rows, problem.constraints, strict=True) if constraint.is_path]
-    instants = len(evaluator(start).times)
-    felt = np.zeros((instants, len(start)), dtype=bool)
-    for where in paths:
-        felt |= found[where].reshape(instants, -1, len(start)).any(axis=1)
-    structure = np.ones_like(found)
-    for where in paths:
-        block = found[where]
-        structure[where] = np.repeat(felt, len(block) // instants, axis=0) & block.any(axis=0)
-    return structure
+    """Which derivatives of constraints may be other than zero, by what they are at some decisions near the start."""
+    start, lower, upper = (problem.survey.vector(name) for name in ("initial", "lower", "upper"))
+    found = np.any([evaluator(one).derivatives[1:] != 0 for one in nearby(start, lower, upper, size)], axis=0)
+    paths = [where for where, one in zip(rows, problem.constraints, strict=True) if one.is_path]
+    return structure_of(found, paths, len(evaluator(start).times))
 
 
 def _evaluation(blocks: Blocks) -> Evaluation:

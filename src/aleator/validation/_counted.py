@@ -4,22 +4,15 @@ from aleator.design import (
     AbstractFunctional,
     Constraint,
     Expression,
-    Peak,
     Problem,
     Solution,
     Statistic,
-    functionals_of,
 )
 
 
 def is_counted(constraint: Constraint) -> bool:
     """Whether systems can be counted against a constraint: it speaks of one system, and is no equality."""
     return not _reason(constraint)
-
-
-def is_over_time(constraint: Constraint) -> bool:
-    """Whether a constraint limits a path or a peak, so that it matters how fine the grid is."""
-    return constraint.is_path or any(isinstance(one, Peak) for one in functionals_of((constraint.expression,)))
 
 
 def uncounted(problem: Problem) -> dict[str, str]:

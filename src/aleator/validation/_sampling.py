@@ -9,10 +9,18 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from aleator._core.compilation import Compiled
-from aleator.design import AbstractFunctional, AbstractScope, Constraint, Problem, functionals_of, grid_at, responses
+from aleator.design import (
+    AbstractFunctional,
+    AbstractScope,
+    Constraint,
+    Problem,
+    functionals_of,
+    grid_at,
+    is_over_time,
+    responses,
+)
 from aleator.statistics import AbstractStatistic
 from aleator.uncertainty import AbstractGerm, named_numbers
-from aleator.validation._counted import is_over_time
 
 
 class Batch(NamedTuple):

@@ -18,6 +18,7 @@ from aleator.design import (
     Solution,
     Statistic,
     functionals_of,
+    is_over_time,
     joined,
     statistics_in,
     uncertain,
@@ -27,7 +28,7 @@ from aleator.dynamics import Grid
 from aleator.references import estimate, group_count
 from aleator.statistics import Infimum, Sobol, Supremum, TotalSobol
 from aleator.uncertainty import uncertain_numbers
-from aleator.validation._counted import finer_by, is_counted, is_over_time, uncounted
+from aleator.validation._counted import finer_by, is_counted, uncounted
 from aleator.validation._evidence import PERCENTILES, Checked, Evidence, Sampled, Trajectories
 from aleator.validation._proportion import Proportion
 from aleator.validation._sampling import EXCESS_OVER_TIME, SIMULATE_BATCH, Batch, draw

@@ -1,0 +1,39 @@
+"""Which derivatives of constraints may be other than zero: rows of splines depend on few decisions each."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+# Decisions beside the start that tell which derivatives are zero everywhere, and how far from it they are.
+_NEARBY, _DISTANCE = 3, 0.1
+
+
+def nearby(
+    start: Float[np.ndarray, " n"],
+    lower: Float[np.ndarray, " n"],
+    upper: Float[np.ndarray, " n"],
+    size: Float[np.ndarray, " n"],
+) -> list[Float[np.ndarray, " n"]]:
+    """The start, and decisions beside it, by a part of their typical magnitudes: few derivatives vanish at them all."""
+    steps = _DISTANCE * np.random.default_rng(0).uniform(-1, 1, (_NEARBY, len(start)))
+    return [start, *np.clip(start + size * steps, lower, upper)]
+
+
+def structure_of(
+    nonzero: Bool[np.ndarray, "rows n"], paths: Sequence[slice], instants: int
+) -> Bool[np.ndarray, "rows n"]:
+    """The derivatives that may be other than zero, from where they were so at some decisions.
+
+    A constraint on a path, whose rows stand in `paths`, may depend on a decision at an instant if it did so at any
+    instant, and if any such constraint did so at this one: what bodies feel only while they are near each other is
+    counted wherever it may be felt. Other constraints may depend on everything.
+    """
+    structure = np.ones_like(nonzero)
+    felt = np.zeros((instants, nonzero.shape[1]), dtype=bool)
+    for where in paths:
+        felt |= nonzero[where].reshape(instants, -1, nonzero.shape[1]).any(axis=1)
+    for where in paths:
+        block = nonzero[where]
+        structure[where] = np.repeat(felt, len(block) // instants, axis=0) & block.any(axis=0)
+    return structure
