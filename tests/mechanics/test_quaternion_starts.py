@@ -65,6 +65,7 @@ def test_a_prescribed_quaternion_that_passes_through_zero_is_refused_with_its_jo
     assert "'head_w' has no length at t = 0.5 s" in al.HybridDynamics(Swivel(), motion=turned).trouble(al.Grid(1.0, 10))
 
 
+@pytest.mark.slow
 def test_a_free_base_answers_its_arm_so_that_the_momentum_stays():
     model, grid = Flyer(), al.Grid(1.0, 100)
     swing = al.PowerSeries(start=(0.1, 0.2), end=(1.0, 0.0))
@@ -92,6 +93,7 @@ def test_a_free_base_answers_its_arm_so_that_the_momentum_stays():
     np.testing.assert_allclose(centre, straight, rtol=0, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_prescribed_head_of_any_quaternion_moves_its_slide_back():
     grid = al.Grid(1.0, 100)
     motion = {

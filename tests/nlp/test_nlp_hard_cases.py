@@ -123,12 +123,21 @@ def after(calls, action, make=problems.hs71):
     return made
 
 
+@pytest.fixture
+def python_interrupts():
+    """Python's own handler of Ctrl-C, which a process started in the background of a shell is without."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
 def interrupt():
     raise KeyboardInterrupt
 
 
 @pytest.mark.parametrize("calls", [0, 1, 3])
 @pytest.mark.parametrize("action", [interrupt, lambda: signal.raise_signal(signal.SIGINT)], ids=["raised", "signal"])
+@pytest.mark.usefixtures("python_interrupts")
 def test_an_interrupt_ends_the_solve_with_the_best_point_so_far(solver, calls, action):
     outcome = solver.solve(after(calls, action))
     assert outcome.status is Status.INTERRUPTED

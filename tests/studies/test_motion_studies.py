@@ -68,6 +68,7 @@ def test_a_family_follows_the_plan_and_its_torques_spread_as_the_expansion_says(
     np.testing.assert_allclose(torques.std(axis=0), moments.std, rtol=0.15, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_finer_flight_passes_through_the_same_instants(study):
     plan = study.done.plans[ONE]
     coarse, fine = (fly(plan.problem, plan.vector, 20, seed=5, finer=finer) for finer in (1, 3))

@@ -126,7 +126,7 @@ def tolerance_problem():
 @pytest.mark.parametrize(
     ("declared", "anchors"),
     [
-        (pick_and_place_time.robust_problem, 2),
+        pytest.param(pick_and_place_time.robust_problem, 2, marks=pytest.mark.slow),
         (spatial_problem, 4),
         (tolerance_problem, None),
     ],
