@@ -31,6 +31,7 @@ def test_code_shown_in_documents_runs(document: str, tmp_path: Path):
     assert finished.returncode == 0, finished.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("example", sorted(path.name for path in (ROOT / "examples").glob("*.py")))
 def test_examples_run(example: str, tmp_path: Path):
     finished = run([str(ROOT / "examples" / example)], tmp_path)
