@@ -113,7 +113,7 @@ class Evaluations:
         now or before.
         """
         evaluation = self.at(x)
-        if not evaluation.is_finite:
+        if x.tobytes() in self._failed_points:
             raise NotFiniteError
         return evaluation
 
@@ -137,18 +137,20 @@ class Evaluations:
 
     def _remember(self, key: bytes, evaluation: Evaluation) -> None:
         # Failures must not push out finite points, to which a solver that steps back returns.
-        points = self._points if evaluation.is_finite else self._failed_points
+        finite = evaluation.is_finite
+        points = self._points if finite else self._failed_points
         points[key] = evaluation
         if len(points) > self._remembered:
             points.popitem(last=False)
-        self._failures = 0 if evaluation.is_finite else self._failures + 1
-        self._recent.append(evaluation.is_finite)
+        self._failures = 0 if finite else self._failures + 1
+        self._recent.append(finite)
         if self._failures >= _MOST_FAILURES:
             raise NowhereFiniteError(f"not finite at {_MOST_FAILURES} points in a row")
 
     def _checked(self, evaluation: Evaluation) -> Evaluation:
-        # Copies, because a model may use its arrays again.
-        arrays = [np.array(part, dtype=float) for part in evaluation[1:]]
+        # Copies, because a model may use its arrays again, unless nobody can write to them.
+        given = [np.asarray(part, dtype=float) for part in evaluation[1:]]
+        arrays = [array.copy() if array.flags.writeable else array for array in given]
         shapes = tuple(array.shape for array in arrays)
         if shapes != self._shapes:
             raise ProblemError(

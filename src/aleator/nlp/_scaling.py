@@ -43,6 +43,8 @@ class ScaledProgram:
         self._useful = np.isfinite(program.constraint_lower) | np.isfinite(program.constraint_upper)
         self._decision_scale = program.decision_scale[self._free]
         self._constraint_scale = program.constraint_scale[self._useful]
+        self._jacobian_factor = self._decision_scale / self._constraint_scale[:, None]
+        self._is_whole = bool(self._free.all() and self._useful.all())
         self._fixed_decisions = np.clip(start, program.lower, program.upper)
         self._last: tuple[bytes, Evaluation] | None = None
         self._best_rank = (np.inf, np.inf)
@@ -94,23 +96,22 @@ class ScaledProgram:
 
         Raises `NotFiniteError` if the model cannot be evaluated here, `HaltedError` if the solve is to end.
         """
-        x = self.decisions(np.asarray(z, dtype=float))
-        user = self.evaluations.finite_at(x)
-        key = x.tobytes()
-        if self._last is None or self._last[0] != key:
+        key = np.asarray(z, dtype=float).tobytes()
+        if self._last is None or self._last[0] != key or self.evaluations.halt is not None:
+            self._last = None
+            user = self.evaluations.finite_at(self.decisions(z))
             self._last = (key, self.scale(user))
             self._rank(np.array(z, dtype=float), user, self._last[1])
         return self._last[1]
 
     def scale(self, user: Evaluation) -> Evaluation:
         """Scale an evaluation in user units: free decisions and useful rows only."""
-        whole = self.size == self._free.size and self.rows == self._useful.size
-        jacobian = user.jacobian if whole else user.jacobian[np.ix_(self._useful, self._free)]
+        jacobian = user.jacobian if self._is_whole else user.jacobian[np.ix_(self._useful, self._free)]
         return Evaluation(
             (user.objective - self._objective_origin) / self.objective_scale,
             user.gradient[self._free] * self._decision_scale / self.objective_scale,
             user.constraints[self._useful] / self._constraint_scale,
-            jacobian * self._decision_scale / self._constraint_scale[:, None],
+            jacobian * self._jacobian_factor,
         )
 
     def is_finite(self, z: np.ndarray) -> bool:

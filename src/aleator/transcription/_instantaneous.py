@@ -5,7 +5,7 @@ instant, some tens of numbers, whatever the number of decisions behind them. Its
 instant by instant, and multiplied with the derivatives of the numbers by the decisions, which no model takes part in.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple, final
 
@@ -71,15 +71,15 @@ def instantaneous_rows(
 
     def row(numbers: Array) -> tuple[Array, tuple]:
         """All expressions at one instant, from what is known there and the decisions that act on the model itself."""
-        samples = instant.samples(collocation.points, anchors, numbers)
+        samples, coefficients = instant.expanded(collocation, anchors, numbers)
         weights = jnp.ones(1)  # no expression of these integrates over time
-        scope = ExpansionScope(samples, collocation, constants, named_numbers(problem.model, decisions), weights)
+        scope = ExpansionScope(samples, coefficients, constants, named_numbers(problem.model, decisions), weights)
         found, taken = scope.evaluated(expressions)
         values = jnp.concatenate(found)
         return values, (values, tuple(samples.values()), taken)
 
     numbers = instant.numbers(decisions)
-    slopes, (values, samples, taken) = jax.vmap(jax.jacfwd(row, has_aux=True))(numbers)
+    slopes, (values, samples, taken) = jax.vmap(lambda one: _differentiated(row, one))(numbers)
     inner = jax.jacfwd(lambda x: instant.numbers(x))(decisions)
     derivatives = jnp.einsum("trk,tkn->rtn", slopes, inner)
     return Rows(
@@ -88,6 +88,24 @@ def instantaneous_rows(
         dict(zip(instant.functionals, (jnp.moveaxis(one, 1, 0) for one in samples), strict=True)),
         taken,
     )
+
+
+def _differentiated(
+    function: Callable[[Array], tuple[Array, Any]], at: Float[Array, " numbers"]
+) -> tuple[Float[Array, "rows numbers"], Any]:
+    """The derivatives of a function, and the auxiliary part of its result.
+
+    What its derivatives need of its values, sines for instance, stands behind barriers: the compiler would compute it
+    again for every derivative.
+    """
+    _, along, found = jax.linearize(function, at, has_aux=True)
+    along = jax.tree.map(_kept, along)
+    return jax.vmap(along, out_axes=-1)(jnp.eye(at.size)), found
+
+
+def _kept(leaf: Array) -> Array:
+    # Matrices are left out: sums and products of the others, they cost more to keep than to compute again.
+    return jax.lax.optimization_barrier(leaf) if jnp.issubdtype(leaf.dtype, jnp.floating) and leaf.ndim <= 1 else leaf
 
 
 def anchors_of(problem: Problem, collocation: Collocation, decisions: Float[np.ndarray, " n"]) -> Anchors | None:
@@ -154,22 +172,29 @@ class _Instant:
         outputs = observed_at(system, self.known, now, observation)
         return tuple(one.evaluate(outputs, self.problem.grid) for one in functionals)
 
-    def samples(
-        self, points: Float[Array, "points variables"], anchors: Anchors | None, numbers: Array
-    ) -> dict[AbstractFunctional, Float[Array, " points"]]:
-        """All functionals at all points, those that are affine by way of the anchors."""
+    def expanded(
+        self, collocation: Collocation, anchors: Anchors | None, numbers: Array
+    ) -> tuple[dict[AbstractFunctional, Float[Array, " points"]], dict[AbstractFunctional, Float[Array, " terms"]]]:
+        """All functionals at all collocation points, and the coefficients of their expansions.
 
-        def solved(some: list[AbstractFunctional], points: Array) -> dict[AbstractFunctional, Array]:
-            values = jax.vmap(lambda point: self.at(some, point, numbers))(points) if some else ()
-            return dict(zip(some, values, strict=True))
+        Affine ones are solved at the anchors, and their coefficients are taken from these directly: the derivatives of
+        what they are at all points are then never needed.
+        """
+        affine = anchors.affine if anchors else (False,) * len(self.functionals)
+        samples: dict[AbstractFunctional, Array] = {}
+        coefficients: dict[AbstractFunctional, Array] = {}
 
-        if anchors is None:
-            return solved(list(self.functionals), points)
-        kinds = list(zip(self.functionals, anchors.affine, strict=True))
-        few = solved([one for one, affine in kinds if affine], anchors.points)
-        combined = {one: jnp.tensordot(anchors.weights, values, axes=1) for one, values in few.items()}
-        found = combined | solved([one for one, affine in kinds if not affine], points)
-        return {one: found[one] for one in self.functionals}
+        def solve(which: bool, points: Array, spread: Callable[[Array], Array], fit: Array) -> None:
+            some = [one for one, yes in zip(self.functionals, affine, strict=True) if yes is which]
+            found = jax.vmap(lambda point: self.at(some, point, numbers))(points) if some else ()
+            for one, values in zip(some, found, strict=True):
+                samples[one], coefficients[one] = spread(values), fit @ values
+
+        solve(False, collocation.points, lambda values: values, collocation.pseudo_inverse)
+        if anchors:
+            fit = collocation.coefficients(anchors.weights)
+            solve(True, anchors.points, lambda values: anchors.weights @ values, fit)
+        return {one: samples[one] for one in self.functionals}, coefficients
 
 
 def _known(problem: Problem, functionals: Sequence[AbstractFunctional], decisions: Float[Array, " n"]) -> Known:

@@ -14,9 +14,9 @@ from aleator.uncertainty import named_numbers
 
 @final
 class ExpansionScope(AbstractScope):
-    """Takes every statistic from the coefficients of expansions, fitted to samples at the collocation points.
+    """Takes every statistic from the coefficients of expansions.
 
-    - `samples`: each functional at the collocation points; `coefficients`: of its expansion;
+    - `samples`: each functional at the collocation points; `coefficients`: those of the expansions fitted to them;
     - `numbers`: those of the model, by name; `weights`: of the instants;
     - `taken`: the statistics that it has been asked for, in that order.
     """
@@ -24,13 +24,13 @@ class ExpansionScope(AbstractScope):
     def __init__(
         self,
         samples: Mapping[AbstractFunctional, Float[Array, "points ..."]],
-        collocation: Collocation,
+        coefficients: Mapping[AbstractFunctional, Float[Array, "terms ..."]],
         constants: Constants,
         numbers: Mapping[str, Any],
         weights: Float[Array, " instants"],
     ):
         self.samples = samples
-        self.coefficients = {one: collocation.coefficients(values) for one, values in samples.items()}
+        self._coefficients = coefficients
         self.taken: list[Float[Array, "..."]] = []
         self._constants = constants
         self._numbers = numbers
@@ -47,7 +47,7 @@ class ExpansionScope(AbstractScope):
 
     def statistic(self, functionals: tuple[AbstractFunctional, ...], kind: AbstractStatistic) -> Float[Array, "..."]:
         """See `AbstractScope.statistic`."""
-        found = kind.of(joined([self.coefficients[one] for one in functionals]), self._constants.of(kind))
+        found = kind.of(joined([self._coefficients[one] for one in functionals]), self._constants.of(kind))
         self.taken.append(found)
         return found
 
@@ -72,4 +72,6 @@ def scope_of(
     samples = responses(problem, functionals, collocation.points, decisions) if functionals else ()
     numbers = named_numbers(problem.model, decisions)
     weights = grid_at(problem, decisions).weights
-    return ExpansionScope(dict(zip(functionals, samples, strict=True)), collocation, constants, numbers, weights)
+    found = dict(zip(functionals, samples, strict=True))
+    coefficients = {one: collocation.coefficients(values) for one, values in found.items()}
+    return ExpansionScope(found, coefficients, constants, numbers, weights)

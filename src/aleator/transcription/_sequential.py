@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, final
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
 from aleator._core.arrays import numbers_to_arrays
 from aleator._core.compilation import Compiled
@@ -46,9 +46,9 @@ class Blocks(NamedTuple):
     values: Float[np.ndarray, " rows"]
     derivatives: Float[np.ndarray, "rows n"]
     sizes: Int[np.ndarray, " expressions"]
-    samples: tuple[Float[Array, "points ..."], ...]
-    statistics: tuple[Float[Array, "..."], ...]
-    times: Float[Array, " instants"]
+    samples: tuple[Float[np.ndarray, "points ..."], ...]
+    statistics: tuple[Float[np.ndarray, "..."], ...]
+    times: Float[np.ndarray, " instants"]
 
     def by_constraint(self, rows: np.ndarray) -> list[np.ndarray]:
         """The rows of each constraint among all, such as those of `derivatives`."""
@@ -124,10 +124,10 @@ class _Evaluator:
     def __call__(self, decisions: Float[np.ndarray, " n"]) -> Blocks:
         key = decisions.tobytes()
         if key not in self._memory:
-            values, derivatives, sizes, *rest = self._evaluate(decisions)
+            found = Blocks(*self._evaluate(decisions))
             while len(self._memory) > 1:
                 del self._memory[next(iter(self._memory))]
-            self._memory[key] = Blocks(np.asarray(values), np.asarray(derivatives), np.asarray(sizes), *rest)
+            self._memory[key] = found
         return self._memory[key]
 
 
@@ -175,7 +175,7 @@ class Sequential:
 
     def times(self, decisions: Float[np.ndarray, " n"]) -> Float[np.ndarray, " instants"]:
         """The instants of the grid."""
-        return np.asarray(self.evaluator(decisions).times)
+        return self.evaluator(decisions).times
 
     def constraints(self, decisions: Float[np.ndarray, " n"]) -> list[Float[np.ndarray, " rows"]]:
         """The rows of each constraint."""
@@ -184,7 +184,7 @@ class Sequential:
 
     def statistics(self, decisions: Float[np.ndarray, " n"]) -> dict[str, Float[np.ndarray, "..."]]:
         """Every statistic that stands in the problem, by its text."""
-        return dict(zip(self.texts.statistics, map(np.asarray, self.evaluator(decisions).statistics), strict=True))
+        return dict(zip(self.texts.statistics, self.evaluator(decisions).statistics, strict=True))
 
     def resolve(self, decisions: Float[np.ndarray, " n"]) -> dict[str, Resolved]:
         """The moments and the quality of each functional's expansion, by its text."""
@@ -202,12 +202,12 @@ def transcribe(problem: Problem) -> Sequential:
     A problem that was transcribed a short while ago, such as by a solution from another start, is not again. Raises
     `ProblemError` if the problem has no decisions.
     """
-    numbers = [leaf.copy() if isinstance(leaf, np.ndarray) else leaf for leaf in jax.tree.leaves(problem)]
+    numbers = jax.tree.leaves(problem)
     for known, found in _RECENT:
         if found.problem is problem and _same(known, numbers):
             return found
     found = _transcribed(problem)
-    _RECENT.append((numbers, found))
+    _RECENT.append(([leaf.copy() if isinstance(leaf, np.ndarray) else leaf for leaf in numbers], found))
     return found
 
 
@@ -227,59 +227,40 @@ def _transcribed(problem: Problem) -> Sequential:
         )
     basis, collocation, constants = discretised(problem)
     traced = numbers_to_arrays(problem)
-    start = places.vector("initial")
+    start, lower, upper = (places.vector(name) for name in ("initial", "lower", "upper"))
     evaluator = _Evaluator(traced, collocation, constants, anchors_of(traced, collocation, start))
+    decision_scale = decision_scales(start, lower, upper)
+    beside = nearby(start, lower, upper, decision_scale) if instantaneous(problem) else []
+    around = [evaluator(one).derivatives[1:] != 0 for one in beside]
+    # The start comes last, for it is asked for again: the evaluator remembers it.
     at_start = evaluator(start)
-    decision_scale = decision_scales(start, places.vector("lower"), places.vector("upper"))
-    scales = constraint_scales(
-        problem.constraints,
-        at_start.by_constraint(at_start.values),
-        at_start.by_constraint(at_start.derivatives),
-        decision_scale,
-    )
+    values, derivatives = map(at_start.by_constraint, (at_start.values, at_start.derivatives))
+    scales = constraint_scales(problem.constraints, values, derivatives, decision_scale)
     rows = _rows(at_start)
-    _refuse_settled(problem, places, evaluator, scales)
+    refuse_settled(
+        problem,
+        values,
+        derivatives,
+        scales,
+        lambda: at_start.times,
+        lambda: [(found := evaluator(one)).by_constraint(found.values) for one in elsewhere(start, lower, upper)],
+    )
+    paths = [where for where, one in zip(rows, problem.constraints, strict=True) if one.is_path]
+    found = [at_start.derivatives[1:] != 0, *around]
     program = NonlinearProgram(
         evaluate=lambda decisions: _evaluation(evaluator(decisions)),
         start=start,
-        lower=places.vector("lower"),
-        upper=places.vector("upper"),
+        lower=lower,
+        upper=upper,
         constraint_lower=_spread(rows, [float(one.lower) for one in problem.constraints]),
         constraint_upper=_spread(rows, [float(one.upper) for one in problem.constraints]),
         constraint_scale=_spread(rows, scales),
         decision_scale=decision_scale,
-        structure=_structure(problem, evaluator, rows, decision_scale) if instantaneous(problem) else None,
+        structure=structure_of(np.any(found, axis=0), paths, len(at_start.times)) if around else None,
     )
     discretisation = basis, collocation, constants
     back = program, rows, tuple(scales), evaluator, Texts.of(problem)
     return Sequential(problem, traced, places, *discretisation, *back)
-
-
-def _refuse_settled(problem: Problem, places: Survey, evaluator: _Evaluator, scales: list[float]) -> None:
-    """Refuse constraints that no decision can meet; see `refuse_settled`."""
-    start = places.vector("initial")
-    at_start = evaluator(start)
-    refuse_settled(
-        problem,
-        at_start.by_constraint(at_start.values),
-        at_start.by_constraint(at_start.derivatives),
-        scales,
-        lambda: np.asarray(at_start.times),
-        lambda: [
-            (found := evaluator(one)).by_constraint(found.values)
-            for one in elsewhere(start, places.vector("lower"), places.vector("upper"))
-        ],
-    )
-
-
-def _structure(
-    problem: Problem, evaluator: _Evaluator, rows: tuple[slice, ...], size: Float[np.ndarray, " n"]
-) -> Bool[np.ndarray, "rows n"]:
-    """Which derivatives of constraints may be other than zero, by what they are at some decisions near the start."""
-    start, lower, upper = (problem.survey.vector(name) for name in ("initial", "lower", "upper"))
-    found = np.any([evaluator(one).derivatives[1:] != 0 for one in nearby(start, lower, upper, size)], axis=0)
-    paths = [where for where, one in zip(rows, problem.constraints, strict=True) if one.is_path]
-    return structure_of(found, paths, len(evaluator(start).times))
 
 
 def _evaluation(blocks: Blocks) -> Evaluation:

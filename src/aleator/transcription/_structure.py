@@ -15,9 +15,9 @@ def nearby(
     upper: Float[np.ndarray, " n"],
     size: Float[np.ndarray, " n"],
 ) -> list[Float[np.ndarray, " n"]]:
-    """The start, and decisions beside it, by a part of their typical magnitudes: few derivatives vanish at them all."""
+    """Decisions beside the start, by a part of their typical magnitudes: few derivatives vanish at them all."""
     steps = _DISTANCE * np.random.default_rng(0).uniform(-1, 1, (_NEARBY, len(start)))
-    return [start, *np.clip(start + size * steps, lower, upper)]
+    return list(np.clip(start + size * steps, lower, upper))
 
 
 def structure_of(

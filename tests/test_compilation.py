@@ -1,0 +1,52 @@
+"""Executables: one for each structure of the arguments, and the same numbers however they travel."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from aleator._core.compilation import Compiled
+
+
+def _results(tree, kind, x):
+    products = {name: part * x.sum() for name, part in tree["parts"].items()}
+    return products, jnp.arange(3) + tree["shift"], (x.sum() > 0, jnp.zeros((0, 2))), kind
+
+
+TREE = {"parts": {"a": jnp.arange(6.0).reshape(3, 2), "b": jnp.asarray(2.5)}, "shift": jnp.asarray(4)}
+
+
+def _expected(x):
+    return (
+        {"a": np.arange(6.0).reshape(3, 2) * x.sum(), "b": 2.5 * x.sum()},
+        np.arange(3) + 4,
+        (x.sum() > 0, np.zeros((0, 2))),
+        7,
+    )
+
+
+def test_bound_functions_give_every_array_its_shape_kind_and_numbers_back():
+    x = np.array([0.5, -3.0])
+    found = Compiled(_results).bound(TREE, jnp.asarray(7))(x)
+    leaves, expected = jax.tree.leaves(found), jax.tree.leaves(_expected(x))
+    assert jax.tree.structure(found) == jax.tree.structure(_expected(x))
+    for one, other in zip(leaves, expected, strict=True):
+        assert isinstance(one, np.ndarray)
+        assert one.dtype == np.asarray(other).dtype
+        np.testing.assert_array_equal(one, other)
+
+
+def test_bound_functions_of_other_numbers_share_an_executable_and_those_of_another_structure_do_not():
+    compiled = Compiled(_results)
+    first = compiled.bound(TREE, jnp.asarray(7))(np.ones(2))
+    second = compiled.bound(jax.tree.map(lambda leaf: 2 * leaf, TREE), jnp.asarray(7))(np.ones(2))
+    assert compiled.compilations == 1
+    np.testing.assert_array_equal(second[0]["a"], 2 * first[0]["a"])
+    compiled.bound(TREE | {"parts": {"a": TREE["parts"]["a"]}}, jnp.asarray(7))(np.ones(2))
+    assert compiled.compilations == 2
+
+
+def test_results_of_bound_functions_cannot_be_written_to():
+    found = Compiled(_results).bound(TREE, jnp.asarray(7))(np.ones(2))
+    with pytest.raises(ValueError, match="read-only"):
+        found[0]["a"][0, 0] = 1.0
