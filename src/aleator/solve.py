@@ -36,6 +36,7 @@ from aleator.transcription import (
     tightened,
     transcribe,
 )
+from aleator.uncertainty import Survey
 
 # How often limits between instants are tightened, until they hold or it is given up.
 _MOST_TIGHTENINGS = 12
@@ -70,7 +71,7 @@ def solve(
     _check_arguments(problem, solver, warm_start, between)
     compiled_before = compile_seconds()
     transcription = transcribe(problem)
-    outcome = _optimise(transcription, solver, _first(problem, warm_start, start), warm_start)
+    outcome = _optimise(transcription, solver, _first(transcription.places, warm_start, start), warm_start)
     factor = _factor(problem, between)
     outcome, excess = _held_between(transcription, solver, outcome, factor)
     if outcome.status is Status.INTERRUPTED:
@@ -110,30 +111,11 @@ def _check_arguments(
         )
 
 
-def _first(problem: Problem, warm_start: Solution | None, start: Mapping[str, Any] | None) -> np.ndarray | None:
+def _first(places: Survey, warm_start: Solution | None, start: Mapping[str, Any] | None) -> np.ndarray | None:
     """The decisions to start from; None for their own initial values."""
     if start is None:
         return None if warm_start is None else warm_start.vector
-    places = problem.survey.decisions
-    if unknown := sorted(set(start) - set(places)):
-        raise ProblemError(f"solve: there is no decision {unknown}; expected some of {list(places)}.")
-    vector = problem.survey.vector("initial") if warm_start is None else warm_start.vector.copy()
-    for name, value in start.items():
-        expected = np.shape(places[name].decision.initial)
-        vector[places[name].where] = np.ravel(_numbers(name, value, expected))
-    return vector
-
-
-def _numbers(name: str, value: Any, shape: tuple[int, ...]) -> np.ndarray:
-    try:
-        array = np.asarray(value, dtype=float)
-    except (TypeError, ValueError) as error:
-        raise ProblemError(f"solve: expected numbers to start '{name}' from; received {value!r}.") from error
-    if array.shape != shape:
-        raise ProblemError(f"solve: expected a start of shape {shape} for '{name}'; received {array.shape}.")
-    if not np.isfinite(array).all():
-        raise ProblemError(f"solve: expected finite numbers to start '{name}' from; received {value}.")
-    return array
+    return places.moved(places.vector("initial") if warm_start is None else warm_start.vector, start)
 
 
 def _factor(problem: Problem, between: int | None) -> int:

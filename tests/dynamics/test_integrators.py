@@ -152,7 +152,7 @@ def test_states_that_are_not_named_start_at_zero_and_a_grid_may_start_late():
 
 @pytest.mark.parametrize(
     "integrator",
-    [al.RungeKutta4(), al.Tsit5(1e-12, 1e-13), al.Kvaerno5(1e-12, 1e-13)],
+    [al.RungeKutta4(), al.Tsit5(1e-12, 1e-13), pytest.param(al.Kvaerno5(1e-12, 1e-13), marks=pytest.mark.slow)],
     ids=["RungeKutta4", "Tsit5", "Kvaerno5"],
 )
 def test_derivatives_through_every_integrator_agree_with_finite_differences(integrator):

@@ -152,6 +152,7 @@ def test_inverse_dynamics_undo_forward_dynamics(case):
     same(np.asarray(force), given, 1e-11)
 
 
+@pytest.mark.slow
 def test_forward_derivatives_are_those_of_central_differences():
     tree, mj = random_tree(["free", "revolute", "ball"], [-1, 0, 1], 7)
     random = np.random.default_rng(8)

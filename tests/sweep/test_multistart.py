@@ -107,12 +107,12 @@ def test_an_interrupted_search_returns_what_is_finished():
         ([], "at least one start"),
         ({"x": 1.0}, "a list of starts by names"),
         (2.5, "a list of starts by names"),
-        ([{"x": 1.0}, {"y": 1.0}], r"starts by decisions' names, \['x'\]; received \{'y': 1.0\}"),
-        ([1.0], "starts by decisions' names"),
-        ([{"x": [1.0, 2.0]}], r"expected a start of shape \(\) for 'x'"),
-        ([{}, {"x": [1.0, 2.0]}], r"expected a start of shape \(\) for 'x'"),
-        ([{}, {"x": np.nan}], r"for 'x', of finite numbers; received nan"),
-        ([{}, {"x": "far"}], r"for 'x', of finite numbers; received 'far'"),
+        ([{"x": 1.0}, {"y": 1.0}], r"decisions by their names, some of \['x'\]; received \{'y': 1.0\}"),
+        ([1.0], "decisions by their names"),
+        ([{"x": [1.0, 2.0]}], r"finite numbers of shape \(\) for 'x'; received \[1.0, 2.0\]"),
+        ([{}, {"x": [1.0, 2.0]}], r"finite numbers of shape \(\) for 'x'; received \[1.0, 2.0\]"),
+        ([{}, {"x": np.nan}], r"for 'x'; received nan"),
+        ([{}, {"x": "far"}], r"for 'x'; received 'far'"),
     ],
 )
 def test_starts_that_make_no_sense_are_refused_before_anything_is_solved(starts, message, monkeypatch):

@@ -127,7 +127,7 @@ def tolerance_problem():
     ("declared", "anchors"),
     [
         pytest.param(pick_and_place_time.robust_problem, 2, marks=pytest.mark.slow),
-        (spatial_problem, 4),
+        pytest.param(spatial_problem, 4, marks=pytest.mark.slow),
         (tolerance_problem, None),
     ],
     ids=["two links", "a load in space", "a tolerance to decide"],

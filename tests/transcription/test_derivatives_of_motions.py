@@ -50,6 +50,7 @@ def differences(program, x, step=1e-5):
     return np.stack(columns, axis=1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "problem",
     [

@@ -164,8 +164,8 @@ def test_arguments_that_make_no_sense_are_refused_in_words():
     for options, words in [
         ({"between": 0}, "whole number of at least 1; received 0"),
         ({"between": 2.5}, "received 2.5"),
-        ({"start": {"t_final": "soon"}}, "numbers to start 't_final' from; received 'soon'"),
-        ({"start": {"t_final": np.nan}}, "finite numbers to start 't_final'"),
+        ({"start": {"t_final": "soon"}}, r"numbers of shape \(\) for 't_final'; received 'soon'"),
+        ({"start": {"t_final": np.nan}}, "finite numbers of shape .* for 't_final'; received nan"),
         ({"warm_start": {"t_final": 1.0}}, "expected a Solution as `warm_start`; received dict"),
     ]:
         with pytest.raises(al.ProblemError, match=words):

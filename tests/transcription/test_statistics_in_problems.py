@@ -85,6 +85,7 @@ class Kick(al.System):
 X, PATH = al.terminal("x"), al.path("y")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "expression",
     [

@@ -16,6 +16,11 @@ def is_law(node: Any) -> bool:
     return isinstance(law, eqx.Module) and all(callable(getattr(law, part, None)) for part in ("support", "germ"))
 
 
+def is_unrealised(node: Any) -> bool:
+    """Whether `node` is a law or a decision, which realisation replaces by a number."""
+    return isinstance(node, eqx.Module) and (decided_bounds(node) is not None or is_law(node))
+
+
 def lowest(number: Any) -> float | None:
     """The smallest value that a number of a model can take, for every realisation and decision; -inf if unbounded.
 

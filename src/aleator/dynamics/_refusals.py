@@ -3,13 +3,11 @@
 from collections.abc import Mapping
 from typing import Any
 
-import equinox as eqx
 import jax
 from jax.core import Tracer
 
-from aleator._core.arrays import decided_bounds
 from aleator._core.errors import ProblemError
-from aleator._core.laws import is_law
+from aleator._core.laws import is_unrealised
 from aleator.dynamics._grid import Grid
 from aleator.dynamics._system import System, check_inputs
 from aleator.trajectories import AbstractSignal
@@ -19,8 +17,8 @@ def refuse_unrealised(**parts: Any) -> None:
     """Raise `ProblemError` if a law or a decision is left in what is to be simulated; traced numbers pass."""
     found = [
         f"'{jax.tree_util.keystr(path, simple=True, separator='.')}' is a {type(leaf).__name__}"
-        for path, leaf in jax.tree_util.tree_leaves_with_path(parts, is_leaf=_is_unrealised)
-        if _is_unrealised(leaf)
+        for path, leaf in jax.tree_util.tree_leaves_with_path(parts, is_leaf=is_unrealised)
+        if is_unrealised(leaf)
     ]
     if found:
         raise ProblemError(
@@ -59,7 +57,3 @@ def _check_span(who: str, signal: AbstractSignal, grid: Grid) -> None:
             f"{who} is known from {first:g} to {last:g} s, but the grid asks for {start:g} to {end:g} s. Give it for "
             "the whole time, or change the grid."
         )
-
-
-def _is_unrealised(node: Any) -> bool:
-    return isinstance(node, eqx.Module) and (decided_bounds(node) is not None or is_law(node))

@@ -4,12 +4,12 @@ import abc
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from aleator._core.errors import ProblemError
+from aleator._core.laws import is_unrealised
 from aleator.dynamics import called
 from aleator.mechanics._body import Body
 from aleator.mechanics._joints import AbstractJoint
@@ -191,7 +191,7 @@ class Multibody(AbstractMechanical):
 
     def _joints(self) -> list[tuple[str, AbstractJoint]]:
         """The bodies that move, with their joints: asked for before laws and decisions have become numbers."""
-        plain = jax.tree.map(_as_number, self, is_leaf=_is_unrealised)
+        plain = jax.tree.map(_as_number, self, is_leaf=is_unrealised)
         bodies = sorted_bodies(plain._bodies())
         return [(body.name, body.joint) for body in bodies if isinstance(body.joint, AbstractJoint)]
 
@@ -199,14 +199,9 @@ class Multibody(AbstractMechanical):
         return as_array(self.gravity, f"{type(self).__name__}.gravity", (3,))
 
 
-def _is_unrealised(node: Any) -> bool:
-    """Whether a node is a law or a decision, which realisation replaces by a number: all of them may be shared."""
-    return isinstance(node, eqx.Module) and (hasattr(node, "shared_name") or hasattr(node, "distribution"))
-
-
 def _as_number(leaf: Any) -> Any:
     """Any number, of a decision's shape, in the place of a law or a decision."""
-    return jnp.ones(jnp.shape(getattr(leaf, "lower", 1.0))) if _is_unrealised(leaf) else leaf
+    return jnp.ones(jnp.shape(getattr(leaf, "lower", 1.0))) if is_unrealised(leaf) else leaf
 
 
 def _placed(place: tuple[int, Pose | None], carriers: Sequence[Pose]) -> Pose:

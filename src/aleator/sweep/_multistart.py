@@ -96,7 +96,7 @@ def multistart(
     if not given:
         raise ProblemError("multistart: expected at least one start; received none.")
     for start in given:
-        _check_start(problem, start)
+        problem.survey.moved(problem.survey.vector("initial"), start)
     solutions: list[Solution] = []
     interrupted = True
     try:
@@ -109,23 +109,6 @@ def multistart(
         if not solutions:
             raise
     return Starts(tuple(solutions), interrupted)
-
-
-def _check_start(problem: Problem, start: Any) -> None:
-    """Raise `ProblemError` unless a start names decisions and gives each of them finite numbers of its shape."""
-    known = problem.survey.decisions
-    if not isinstance(start, Mapping) or not set(start) <= set(known):
-        raise ProblemError(f"multistart: expected starts by decisions' names, {list(known)}; received {start!r}.")
-    for name, value in start.items():
-        expected = np.shape(known[name].decision.initial)
-        try:
-            numbers = np.asarray(value, dtype=float)
-        except (TypeError, ValueError):
-            numbers = np.array(np.nan)
-        if numbers.shape != expected or not np.isfinite(numbers).all():
-            raise ProblemError(
-                f"multistart: expected a start of shape {expected} for '{name}', of finite numbers; received {value!r}."
-            )
 
 
 def _random(problem: Problem, count: int, spread: float, seed: int) -> list[dict[str, Any]]:

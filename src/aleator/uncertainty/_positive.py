@@ -10,9 +10,7 @@ import numpy as np
 
 from aleator._core.arrays import Pytree
 from aleator._core.errors import ProblemError
-from aleator._core.laws import lowest_of_law
-from aleator.uncertainty._decision import Decision
-from aleator.uncertainty._distribution import AbstractDistribution
+from aleator._core.laws import lowest
 from aleator.uncertainty._survey import free, is_special
 
 
@@ -52,30 +50,27 @@ def refuse_nonpositive(model: Pytree) -> None:
         for leaf in jax.tree.leaves(value, is_leaf=is_special):
             if callable(leaf) and not is_special(leaf):
                 continue
-            lowest = _lowest(leaf)
-            if lowest is None or not lowest > 0:
-                raise ProblemError(_message(name.removeprefix("system."), free(leaf), lowest))
+            least = _lowest(leaf)
+            if least is None or not least > 0:
+                raise ProblemError(_message(name.removeprefix("system."), free(leaf), least))
 
 
 def _lowest(leaf: Any) -> float | None:
     """The smallest value that a leaf can take; nothing for a leaf that is no number."""
     leaf = free(leaf)
-    if isinstance(leaf, AbstractDistribution):
-        return lowest_of_law(leaf)
-    if isinstance(leaf, Decision):
-        return float(np.min(leaf.lower, initial=np.inf))
-    if isinstance(leaf, int | float | np.generic | np.ndarray | jax.Array) and np.asarray(leaf).dtype.kind in "biuf":
-        return float(np.min(np.asarray(leaf, dtype=float), initial=np.inf))
-    return None
+    numeric = (
+        isinstance(leaf, int | float | np.generic | np.ndarray | jax.Array) and np.asarray(leaf).dtype.kind in "biuf"
+    )
+    return lowest(leaf) if numeric or is_special(leaf) else None
 
 
-def _message(name: str, leaf: Any, lowest: float | None) -> str:
-    if lowest is None:
+def _message(name: str, leaf: Any, least: float | None) -> str:
+    if least is None:
         return (
             f"'{name}' must stay positive: expected a number, a distribution or a Decision; "
             f"received {type(leaf).__name__} {leaf!r}. Give a number."
         )
-    reach = "is unbounded below" if lowest == -np.inf else f"can reach {lowest:g}"
+    reach = "is unbounded below" if least == -np.inf else f"can reach {least:g}"
     return (
         f"'{name}' must stay positive, but {leaf} {reach}. "
         "Reduce its spread, choose a bounded distribution, or raise the lower bound of its decisions."

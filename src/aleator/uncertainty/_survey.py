@@ -4,7 +4,7 @@ A model is any pytree. `survey` finds the distributions and decisions among its 
 `realise` puts numbers in their places, so that the physics runs unchanged.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, NamedTuple, final
 
 import equinox as eqx
@@ -70,6 +70,28 @@ class Survey(NamedTuple):
             name: vector[place.where].reshape(np.shape(place.decision.initial))[()]
             for name, place in self.decisions.items()
         }
+
+    def moved(self, vector: Float[np.ndarray, " n"], values: Any) -> Float[np.ndarray, " n"]:
+        """A decision vector with other values of some decisions, by name.
+
+        Raises `ProblemError` for decisions that are not there, and for values of another shape or not finite.
+        """
+        if not isinstance(values, Mapping) or not set(values) <= set(self.decisions):
+            raise ProblemError(
+                f"start: expected decisions by their names, some of {list(self.decisions)}; received {values!r}."
+            )
+        result = vector.copy()
+        for name, value in values.items():
+            place = self.decisions[name]
+            shape = np.shape(place.decision.initial)
+            try:
+                numbers = np.asarray(value, dtype=float)
+            except (TypeError, ValueError):
+                numbers = np.array(np.nan)
+            if numbers.shape != shape or not np.isfinite(numbers).all():
+                raise ProblemError(f"start: expected finite numbers of shape {shape} for '{name}'; received {value!r}.")
+            result[place.where] = numbers.ravel()
+        return result
 
     def entry_names(self) -> tuple[str, ...]:
         """One name for each entry of the decision vector: `k` or, in an array, `k[2]`."""
