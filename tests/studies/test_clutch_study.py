@@ -38,6 +38,7 @@ def test_quadrature_of_the_closed_form_is_the_exact_value():
     assert exact_variation() == pytest.approx(0.6590101, abs=1e-7)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "value", "tolerance"),
     [
@@ -51,16 +52,19 @@ def test_table_7_2_is_reached(results, name, value, tolerance):
     assert method(results, name).variation == pytest.approx(value, abs=tolerance)
 
 
+@pytest.mark.slow
 def test_the_points_of_table_7_2_are_the_published_ones(results):
     assert [method(results, f"gPC, order {order}").points for order in (2, 3, 5)] == [30, 60, 168]
 
 
+@pytest.mark.slow
 def test_sampled_values_agree_with_the_exact_one_within_their_errors(results):
     for name in ("Monte Carlo", "quasi-Monte Carlo"):
         one = method(results, name)
         assert abs(one.variation - results.exact) < 4.5 * one.standard_error
 
 
+@pytest.mark.slow
 def test_monte_carlo_needs_a_thousand_times_the_effort_of_order_three(results):
     expanded, sampled = method(results, "gPC, order 3"), method(results, "Monte Carlo")
     error = abs(expanded.variation - results.exact)
@@ -69,6 +73,7 @@ def test_monte_carlo_needs_a_thousand_times_the_effort_of_order_three(results):
     assert times_cheaper(results) > 0
 
 
+@pytest.mark.slow
 def test_the_allocation_follows_the_rule_of_the_linearised_problem(results):
     """Minimising the sum of 1/T at a given variance makes T proportional to |S|^(-2/3)."""
     assert results.allocation.ok
@@ -80,23 +85,27 @@ def test_the_allocation_follows_the_rule_of_the_linearised_problem(results):
     assert results.allocation.objective < 0.65 * sum(1 / one for one in TOLERANCES.values())
 
 
+@pytest.mark.slow
 def test_fresh_assemblies_confirm_the_predicted_rejects(results):
     share, error = counted(results.evidence)
     assert abs(share - rejects_of(results.allocation)) < 4.5 * error
     assert rejects_of(results.allocation) == pytest.approx(results.given, rel=1e-5)
 
 
+@pytest.mark.slow
 def test_fewer_rejects_cost_more(results):
     assert results.front.solved.all()
     assert np.all(np.diff(results.front.objectives) > 0)  # from many rejects to few
 
 
+@pytest.mark.slow
 def test_the_verdict_names_what_to_tighten(results):
     said = verdict(results)
     assert said.word == "Build"
     assert said.headline.startswith("Tighten the hub a, widen the roller c and ring e")
 
 
+@pytest.mark.slow
 def test_the_page_has_every_section_and_says_what_was_not_reached(results):
     whole = clutch_page(results)
     assert [one.heading for one in whole.sections][:3] == ["Table 7.2", "The given tolerances", "Allocation"]
@@ -105,6 +114,7 @@ def test_the_page_has_every_section_and_says_what_was_not_reached(results):
     assert "Not reached: methods" in clutch_page(begun).sections[0].blocks[0].paragraphs[0]
 
 
+@pytest.mark.slow
 def test_the_study_writes_its_files_and_tables(results, tmp_path):
     study = load("clutch", quick=True)
     study._results = results
