@@ -43,7 +43,7 @@ class Compiled:
         def flat(*leaves: jax.Array) -> Any:
             return self._function(*eqx.combine(jax.tree.unflatten(structure, leaves), static))
 
-        return self._known(arguments, "leaves", lambda: self._compile(flat, *leaves))(*leaves)
+        return self._known("leaves", leaves, structure, static, lambda: self._compile(flat, *leaves))(*leaves)
 
     def bound(self, *fixed: Any) -> Callable[[Float[np.ndarray, " n"]], Any]:
         """The function with all arguments but the last fixed, for many calls that differ in that one: an array.
@@ -64,15 +64,16 @@ class Compiled:
         def call(last: Float[np.ndarray, " n"]) -> Any:
             given = vector, others, last
             if not found:
-                found.append(self._known((fixed, last), "packed", lambda: self._compile_packed(result, *given)))
+                parts = [*jax.tree.leaves(reals), *others, last], (jax.tree.structure(reals), structure), static
+                found.append(self._known("packed", *parts, lambda: self._compile_packed(result, *given)))
             return found[0](*given)
 
         return call
 
-    def _known(self, arguments: Any, way: str, build: Callable[[], Callable[..., Any]]) -> Callable[..., Any]:
+    def _known(
+        self, way: str, leaves: list[Any], structure: Any, static: Any, build: Callable[[], Callable[..., Any]]
+    ) -> Callable[..., Any]:
         """What is called for arguments of this structure, built where none has been before."""
-        dynamic, static = eqx.partition(arguments, eqx.is_array)
-        leaves, structure = jax.tree.flatten(dynamic)
         static_leaves, static_structure = jax.tree.flatten(static)
         shapes = tuple((leaf.shape, leaf.dtype) for leaf in leaves)
         kinds = tuple(type(leaf) for leaf in static_leaves)  # 1 and True are equal, but not the same structure

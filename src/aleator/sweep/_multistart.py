@@ -95,8 +95,9 @@ def multistart(
     given = list(starts) if isinstance(starts, Sequence) else _random(problem, int(starts), spread, seed)
     if not given:
         raise ProblemError("multistart: expected at least one start; received none.")
+    places = problem.survey
     for start in given:
-        problem.survey.moved(problem.survey.vector("initial"), start)
+        places.moved(places.vector("initial"), start)
     solutions: list[Solution] = []
     interrupted = True
     try:
