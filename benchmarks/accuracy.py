@@ -67,7 +67,7 @@ def compare_quadrature(nodes: int = 6, batch: int = 972) -> None:
     )
     mean = weights @ ride
     std = np.sqrt(weights @ (ride - mean) ** 2)
-    ours = transcribe(problem).resolve(np.asarray(start))[0]
+    ours = transcribe(problem).resolve(np.asarray(start))[RIDE.text()]
     print(f"Ride at k_s = 30 000, b_s = 2000 against {len(grid)} Gauss points; targets: 1e-4 and 1e-3")
     print(f"  mean {float(ours.mean):.6f} and {mean:.6f}, relative difference {abs(float(ours.mean) / mean - 1):.1e}")
     print(f"  std  {float(ours.std):.6f} and {std:.6f}, relative difference {abs(float(ours.std) / std - 1):.1e}")

@@ -54,7 +54,7 @@ problem = al.Problem(
     + al.reciprocal("payload.half_width", bias=0.0, scale=0.05)
     + 0.5 * al.value("lever"),
     subject_to=[
-        al.path("angle_torque").within(-12.0, 12.0, surely=True),
+        al.path("angle_torque").within(-12.0, 12.0, worst_case=True),
         al.path("angle_rate").within(-4.0, 4.0),
         al.terminal("height").mean >= 0.7,
     ],

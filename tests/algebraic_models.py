@@ -42,6 +42,6 @@ def tolerance_problem(limit: Any = None, **options: Any) -> al.Problem:
     return al.Problem(
         Hardening(a=force),
         minimize=al.reciprocal("a.half_width", bias=1.0, scale=0.5),
-        subject_to=[X.at_most(1.1, surely=True) if limit is None else limit],
+        subject_to=[X.at_most(1.1, worst_case=True) if limit is None else limit],
         **options,
     )

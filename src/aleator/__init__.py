@@ -11,7 +11,9 @@ _started = _time.perf_counter()
 from aleator._core import clock as _clock  # noqa: E402
 from aleator._core.arrays import Number as Number  # noqa: E402
 from aleator._core.errors import AleatorError as AleatorError  # noqa: E402
+from aleator._core.errors import CalibrationWarning as CalibrationWarning  # noqa: E402
 from aleator._core.errors import ExpansionWarning as ExpansionWarning  # noqa: E402
+from aleator._core.errors import GridWarning as GridWarning  # noqa: E402
 from aleator._core.errors import MissingExtraError as MissingExtraError  # noqa: E402
 from aleator._core.errors import ProblemError as ProblemError  # noqa: E402
 from aleator._core.errors import SimulationError as SimulationError  # noqa: E402
@@ -92,6 +94,7 @@ from aleator.mechanics import Accelerations as Accelerations  # noqa: E402
 from aleator.mechanics import Actuation as Actuation  # noqa: E402
 from aleator.mechanics import Ball as Ball  # noqa: E402
 from aleator.mechanics import Body as Body  # noqa: E402
+from aleator.mechanics import BodyLoad as BodyLoad  # noqa: E402
 from aleator.mechanics import Fixed as Fixed  # noqa: E402
 from aleator.mechanics import ForwardDynamics as ForwardDynamics  # noqa: E402
 from aleator.mechanics import Free as Free  # noqa: E402
@@ -157,6 +160,9 @@ from aleator.uncertainty import correlated as correlated  # noqa: E402
 from aleator.uncertainty import parameter as parameter  # noqa: E402
 from aleator.uncertainty import toleranced as toleranced  # noqa: E402
 from aleator.validation import Evidence as Evidence  # noqa: E402
+from aleator.validation import Proportion as Proportion  # noqa: E402
+from aleator.validation import WeightedProportion as WeightedProportion  # noqa: E402
+from aleator.validation import rare_violation as rare_violation  # noqa: E402
 from aleator.validation import validate as validate  # noqa: E402
 
 __version__ = "0.1.0"

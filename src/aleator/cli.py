@@ -1,24 +1,27 @@
 """The command line: `aleator list` and `aleator run STUDY`.
 
-Exit codes: 0 done, 1 a solve or a simulation failed, 2 wrong usage, 130 interrupted. Finished results are written in
-every case.
+Exit codes: 0 done, 1 a solve, a simulation or writing failed, 2 wrong usage, 130 interrupted, 143 terminated. Finished
+results are written in every case.
 """
 
 import time
+from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, final
 
 import typer
 from rich.console import Console
-from rich.markup import escape
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table as RichTable
+from rich.text import Text
 
 from aleator._core.errors import AleatorError, ProblemError
-from aleator.report import Table, check_writable
+from aleator._core.interruption import Interruptions
+from aleator.report import PAGE, Table, check_writable, only_writer, words
 from aleator.studies import STUDIES, AbstractStudy, load
 
-FAILED, USAGE, INTERRUPTED = 1, 2, 130
+FAILED, USAGE = 1, 2
 
 application = typer.Typer(
     help="Optimal design of uncertain dynamical systems.", no_args_is_help=True, add_completion=False
@@ -31,7 +34,7 @@ def list_studies() -> None:
     table = RichTable("study", "about", box=None)
     for name, entry in STUDIES.items():
         table.add_row(name, entry.about)
-    Console().print(table)
+    _console().print(table)
 
 
 @application.command()
@@ -41,76 +44,144 @@ def run(
     out: Annotated[Path | None, typer.Option(help="Folder for the results.", show_default="results/STUDY")] = None,
 ) -> None:
     """Run a case study: solve, check by Monte Carlo, sweep, and write the report."""
-    console, errors = Console(), Console(stderr=True)
-    try:
-        job = load(study, quick=quick)
-        folder = check_writable(out if out is not None else Path("results") / study)
-    except ProblemError as error:
-        errors.print(f"[bold red]error:[/] {error}", highlight=False)
-        raise typer.Exit(USAGE) from None
-    code = _run_stages(job, folder, console, errors)
-    _print_results(job, console)
-    raise typer.Exit(_write_results(job, folder, console, errors) or code)
+    course = _Run()
+    with ExitStack() as held:
+        held.enter_context(course.interruptions)
+        try:
+            job = load(study, quick=quick)
+            folder = check_writable(out if out is not None else Path("results") / study)
+            held.enter_context(only_writer(folder))
+        except ProblemError as error:
+            course.complain("error", error)
+            raise typer.Exit(USAGE) from None
+        try:
+            code = course.execute(job, folder)
+        except BrokenPipeError:
+            raise
+        except OSError as error:
+            course.complain("error", error)
+            code = FAILED
+        raise typer.Exit(code)
 
 
-def _run_stages(job: AbstractStudy, folder: Path, console: Console, errors: Console) -> int:
-    """Run all stages, saving after each; returns the exit code."""
-    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
-    bars = Progress(*columns, TextColumn("left"), TimeRemainingColumn(), console=console)
-    with bars:
-        overall = bars.add_task("all stages", total=sum(job.stages.values()))
-        for stage, share in job.stages.items():
-            try:
-                _run_stage(job, stage, bars)
-                job.save(folder)
-            except KeyboardInterrupt:
-                errors.print(f"Interrupted during '{stage}'; what was finished before is kept.")
-                return INTERRUPTED
-            except AleatorError as error:
-                errors.print(f"[bold red]error[/] during '{stage}': {error}", highlight=False)
-                return FAILED
-            bars.advance(overall, share)
-    return 0
+@final
+class _Run:
+    """One run of a study: what it has finished, which is on the disk, and what there is to say of it."""
 
+    def __init__(self) -> None:
+        self._console, self._errors = _console(), _console(stderr=True)
+        self.interruptions = Interruptions(self._last_words)
+        self._stage, self._folder = "", Path()
+        self._finished, self._paths, self._refused = list[str](), list[Path](), False
 
-def _write_results(job: AbstractStudy, folder: Path, console: Console, errors: Console) -> int:
-    """Write files and report; returns the exit code."""
-    try:
-        for path in [*job.save(folder), job.write_page(folder)]:
-            console.print(f"wrote {path}", highlight=False, soft_wrap=True)
-    except AleatorError as error:
-        errors.print(f"[bold red]error:[/] {error}", highlight=False)
-        return FAILED
-    return 0
+    def execute(self, job: AbstractStudy, folder: Path) -> int:
+        """Run all stages, saving after each, write the page, and print the tables; returns the exit code."""
+        self._folder = folder
+        code = self._attempt(lambda: self._run_stages(job))
+        code = self._attempt(lambda: self._write_page(job)) or code
+        if not self._interrupted(code):
+            self.interruptions.rest()
+            self._print_results(job)
+        if not self._interrupted(code):
+            return code
+        self.interruptions.conclude()
+        self._errors.print(self._last_words(), soft_wrap=True)
+        return self.interruptions.exit_code
+
+    def _interrupted(self, code: int) -> bool:
+        return self.interruptions.received is not None or code == self.interruptions.exit_code
+
+    def _attempt(self, part: Callable[[], None]) -> int:
+        """Do a part of the run; returns the exit code."""
+        try:
+            part()
+        except KeyboardInterrupt:
+            return self.interruptions.exit_code
+        except Exception as error:
+            # On its way through libraries, an interrupt may have become another exception.
+            if self.interruptions.received is not None:
+                return self.interruptions.exit_code
+            if not isinstance(error, AleatorError | MemoryError):
+                raise
+            self.complain(f"error{self._during()}", error)
+            return FAILED
+        return 0
+
+    def _during(self) -> str:
+        return f" during '{self._stage}'" if self._stage else ""
+
+    def complain(self, what: str, error: Exception) -> None:
+        """Say what went wrong."""
+        self._errors.print(Text.assemble((what, "bold red"), f": {error}"))
+
+    def _last_words(self) -> str:
+        """What a run that was interrupted has kept."""
+        if not self._paths:
+            return f"Interrupted{self._during()}: no stage was finished; nothing was written."
+        kept = words([f"'{name}'" for name in self._finished], "what was found")
+        verb = "are" if len(self._finished) > 1 else "is"
+        report = "" if PAGE in [path.name for path in self._paths] else ", without a report"
+        return f"Interrupted{self._during()}: {kept} {verb} kept in {self._folder}{report}."
+
+    def _run_stages(self, job: AbstractStudy) -> None:
+        columns = (TextColumn("{task.description}", markup=False), BarColumn(), TaskProgressColumn())
+        clocks = (TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn())
+        with Progress(*columns, *clocks, console=self._console) as bars:
+            overall = bars.add_task("all stages", total=sum(job.stages.values()))
+            for stage, share in job.stages.items():
+                self._stage, started = stage, time.perf_counter()
+                with self.interruptions.work():
+                    _run_stage(job, stage, bars)
+                self._save(job, [*self._finished, stage])
+                self._console.print(f"{stage}: {time.perf_counter() - started:.1f} s")
+                bars.advance(overall, share)
+        self._stage = ""
+
+    def _save(self, job: AbstractStudy, finished: list[str]) -> None:
+        self._refused = True
+        self._paths, self._finished = job.save(self._folder), finished
+        self._refused = False
+
+    def _write_page(self, job: AbstractStudy) -> None:
+        """Write the page, and before it what a stage has found that did not come to its end."""
+        if self._refused or not (self._finished or job.tables()):
+            return
+        if len(self._finished) < len(job.stages):
+            self._save(job, self._finished)
+        self._paths = [*self._paths, job.write_page(self._folder)]
+
+    def _print_results(self, job: AbstractStudy) -> None:
+        for table in job.tables():
+            self._console.print(_rich(table))
+        self._console.print(Text(job.headline(), style="bold"))
+        for path in self._paths:
+            self._console.print(f"wrote {path}", soft_wrap=True)
 
 
 def _run_stage(job: AbstractStudy, stage: str, bars: Progress) -> None:
     """Run one stage, with a bar for the work inside it that is removed at the end."""
-    inner, started = bars.add_task(f"  {stage}", total=None), time.perf_counter()
+    inner = bars.add_task(f"  {stage}", total=None)
 
     def show(task: str, done: int, total: int) -> None:
         bars.update(inner, description=f"  {stage}: {task}", completed=done, total=total)
 
     job.run(stage, show)
     bars.remove_task(inner)
-    bars.console.print(f"{stage}: {time.perf_counter() - started:.1f} s", highlight=False)
 
 
-def _print_results(job: AbstractStudy, console: Console) -> None:
-    for table in job.tables():
-        console.print(_rich(table))
-    console.print(f"[bold]{job.headline()}[/]", highlight=False)
+def _console(*, stderr: bool = False) -> Console:
+    """A console that prints text as it is: nothing in it is markup."""
+    return Console(stderr=stderr, markup=False, emoji=False, highlight=False)
 
 
 def _rich(table: Table) -> RichTable:
     """A report's table for the terminal."""
-    header = map(escape, table.header)
-    shown = RichTable(*header, title=escape(table.caption), caption=escape(table.note), caption_justify="left")
+    shown = RichTable(*table.header, title=table.caption, caption=table.note, caption_justify="left")
     for row in table.rows:
-        shown.add_row(*map(escape, row))
+        shown.add_row(*row)
     return shown
 
 
 def main() -> None:
-    """Entry point of the `aleator` command."""
+    """Entry point of the command, once the package is imported."""
     application()

@@ -3,43 +3,48 @@
 import warnings
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from aleator._core import clock
-from aleator._core.errors import ExpansionWarning, ProblemError, SimulationError, SolveError
-from aleator.collocation import UNRESOLVED
+from aleator._core.errors import ExpansionWarning, GridWarning, ProblemError, SimulationError, SolveError
+from aleator._core.given import whole
 from aleator.design import (
-    HELD,
     TOLERATED,
     Between,
     ConstraintResult,
-    ExpansionQuality,
+    GridError,
     Moments,
     Problem,
     Solution,
     Times,
+    WorstCase,
+    expanded_functionals,
     is_over_time,
 )
-from aleator.dynamics import Grid
 from aleator.nlp import AbstractSolver, Outcome, Status, default_solver
 from aleator.transcription import (
-    Excess,
-    Resolved,
+    Reference,
     Sequential,
+    as_read,
     compile_seconds,
     diagnose,
-    excess_between,
-    margins_for,
-    no_margins,
-    tightened,
+    doubts,
+    grid_error,
+    held_at_worst,
+    held_between,
+    quality_of,
+    reference_factor,
+    refinement,
+    second_opinion,
+    started_from,
     transcribe,
+    unconverged,
 )
-from aleator.uncertainty import Survey
 
-# How often limits between instants are tightened, until they hold or it is given up.
-_MOST_TIGHTENINGS = 12
+# The finest accuracy of a grid that may be asked for.
+_FINEST = 1e-9
 
 
 def solve(
@@ -49,125 +54,172 @@ def solve(
     warm_start: Solution | None = None,
     start: Mapping[str, Any] | None = None,
     between: int | None = None,
+    accuracy: float = 1e-3,
+    refine: bool = False,
     throw: bool = True,
 ) -> Solution:
     """Solve a design problem: transcribe, compile once, optimise with exact derivatives, certify.
 
     - `solver`: `FilterSQP()` by default; `Ipopt()` or `Slsqp()` for a second opinion;
-    - `warm_start`: a solution of a problem with the same decisions and constraints, to start from, on the same grid or
-      another;
+    - `warm_start`: a solution of the same problem to start from, on the same grid or another, with as many control
+      points of its trajectories or others: curves are refitted over the fraction of time, other decisions are taken
+      over by name;
     - `start`: values of decisions by name to start from, in the place of their own initial ones;
     - `between`: limits over time are checked on a grid of so many times as many steps as well, and where they are
       exceeded between two instants, the bounds there are tightened until they hold; a solution that exceeds one by more
-      than a thousandth of it nevertheless has failed. 1 leaves all that out. By default 10 for systems that follow
-      trajectories, 1 for others;
+      than a thousandth of it nevertheless has failed. 1 leaves that out. By default 10 for systems that follow
+      trajectories, 2 for others, or more on a coarse grid;
+    - `accuracy`: the error of the grid that is tolerated, as a part of a limit or of a spread, whichever is smaller. It
+      is told by a finer grid and an integrator of another order. A solution whose objective is off by more than this
+      part of it, or that breaks a limit on the finer grid, is not `ok`; other errors beyond it are warned of;
+    - `refine`: solve again on finer grids, each from the last solution, until the error is tolerated. The solution's
+      problem then has the finest grid;
     - `throw`: if False, a solution that failed is returned with its status instead of raised.
 
     Raises `SolveError` (which carries the unfinished solution), `SimulationError` if the model gives numbers that are
     not finite, `ProblemError` if there is nothing to decide. Warns with `ExpansionWarning` if an expansion is not
-    resolved.
+    resolved, or if a few fresh simulations at the answer contradict it (where that breaks a limit, the solution has
+    failed: see `SecondOpinion`), with `GridWarning` if the grid is too coarse.
     """
     solver = solver or default_solver()
-    _check_arguments(problem, solver, warm_start, between)
-    compiled_before = compile_seconds()
-    transcription = transcribe(problem)
-    outcome = _optimise(transcription, solver, _first(transcription.places, warm_start, start), warm_start)
-    factor = _factor(problem, between)
-    outcome, excess = _held_between(transcription, solver, outcome, factor)
-    if outcome.status is Status.INTERRUPTED:
-        raise KeyboardInterrupt
-    if outcome.failed_at is not None:
-        outcome = replace(outcome, message=diagnose(transcription, outcome.failed_at))
-    if excess is not None and excess.worst > TOLERATED:
-        outcome = replace(outcome, status=Status.NOT_HELD)
-    found = None if excess is None else Between(factor, *excess[1:])
-    solution = _report(transcription, outcome, found, compiled_before)
-    if throw and outcome.status is Status.EVALUATION_FAILED:
-        raise SimulationError(outcome.message)
+    _check_arguments(problem, solver, warm_start, between, accuracy)
+    stages = _Stages(solver, between, float(accuracy), compile_seconds())
+    first = _first(problem, warm_start, start)
+    known = (None, None) if warm_start is None else (warm_start.multipliers, warm_start.worst_case)
+    solution = stages.solution(problem, first, *known)
+    if refine:
+        solution = _refined(stages, solution)
+    solution = _with_opinion(stages, solution)
+    if throw and solution.status is Status.EVALUATION_FAILED:
+        raise SimulationError(solution.message)
     if throw and not solution.ok:
         raise SolveError(solution.why(), solution)
-    _warn_if_unresolved(solution)
+    _warn_of_doubts(solution)
+    _warn_if_coarse(solution)
     return solution
 
 
+class _Stages(NamedTuple):
+    """The stages of one solution, the same on each grid."""
+
+    solver: AbstractSolver
+    between: int | None
+    accuracy: float
+    compiled_before: float
+
+    def solution(
+        self,
+        problem: Problem,
+        start: np.ndarray | None,
+        multipliers: np.ndarray | None,
+        known: WorstCase | None = None,
+    ) -> Solution:
+        """Optimise, hold limits between the instants and in the worst case, find the error of the grid, report."""
+        is_between = self.between != 1 and any(map(is_over_time, problem.constraints))
+        transcription, outcome, (between, finer), worst_case = held_at_worst(
+            transcribe(problem),
+            self._attempt,
+            start,
+            multipliers,
+            factor=reference_factor(problem, self.between) if is_between else 1,
+            known=known,
+        )
+        if outcome.status is Status.INTERRUPTED:
+            raise KeyboardInterrupt
+        if outcome.failed_at is not None:
+            outcome = replace(outcome, message=diagnose(transcription, outcome.failed_at))
+        error = None if finer is None else grid_error(transcription, outcome.decisions, finer, self.accuracy)
+        if error is not None and not error.is_usable:
+            outcome = replace(outcome, status=Status.COARSE)
+        if between is not None and between.worst > TOLERATED:
+            outcome = replace(outcome, status=Status.NOT_HELD)
+        return _report(transcription, outcome, between, error, worst_case, self.compiled_before)
+
+    def _attempt(
+        self, transcription: Sequential, start: np.ndarray | None, multipliers: np.ndarray | None
+    ) -> tuple[Outcome, tuple[Between | None, Reference | None]]:
+        outcome = _optimise(transcription, self.solver, start, multipliers)
+        outcome, between, finer = held_between(transcription, self.solver, outcome, self.between)
+        return outcome, (between, finer)
+
+
+def _refined(stages: _Stages, solution: Solution) -> Solution:
+    """The solution on finer grids, until the error is tolerated or does not fall any more."""
+    solutions = [solution]
+    while (plan := refinement(solutions)) is not None:
+        solutions.append(stages.solution(plan, solutions[-1].vector, None))
+    reason = unconverged(solutions)
+    return replace(solutions[-1], message=reason) if reason else solutions[-1]
+
+
+def _with_opinion(stages: _Stages, solution: Solution) -> Solution:
+    """The solution with what a few fresh simulations say of its expansions, and failed where they break a limit."""
+    if not solution.ok:
+        return solution
+    opinion = second_opinion(transcribe(solution.problem), solution.vector)
+    status = Status.CONTRADICTED if opinion is not None and opinion.broken else solution.status
+    times = replace(solution.times, compile_=compile_seconds() - stages.compiled_before)
+    return replace(solution, opinion=opinion, status=status, times=times)
+
+
 def _check_arguments(
-    problem: Problem, solver: AbstractSolver, warm_start: Solution | None, between: int | None
+    problem: Problem, solver: AbstractSolver, warm_start: Solution | None, between: int | None, accuracy: float
 ) -> None:
     if not isinstance(problem, Problem):
         raise ProblemError(f"solve: expected a Problem; received {type(problem).__name__}.")
     if not isinstance(solver, AbstractSolver):
         raise ProblemError(f"solve: expected a solver, such as al.Ipopt(); received {solver!r}.")
-    if between is not None and not (isinstance(between, int | np.integer) and between >= 1):
-        raise ProblemError(f"solve: expected `between` as a whole number of at least 1; received {between!r}.")
+    if between is not None:
+        whole("solve: between", between)
+    if isinstance(accuracy, bool) or not isinstance(accuracy, int | float) or not _FINEST <= accuracy < 1:
+        raise ProblemError(
+            f"solve: expected `accuracy` as a number from {_FINEST:g} (64-bit arithmetic gives no more) to below 1; "
+            f"received {accuracy!r}."
+        )
     if warm_start is None:
         return
     if not isinstance(warm_start, Solution):
         raise ProblemError(f"solve: expected a Solution as `warm_start`; received {type(warm_start).__name__}.")
-    names = problem.survey.entry_names()
-    if warm_start.problem.survey.entry_names() != names or warm_start.problem.names != problem.names:
+    if warm_start.problem.names != problem.names:
         raise ProblemError(
-            "solve: a warm start is a solution of a problem with the same decisions and constraints; expected "
-            f"decisions {list(names)} and constraints {list(problem.names)}."
+            "solve: a warm start is a solution of a problem with the same constraints; expected "
+            f"{list(problem.names)}; received {list(warm_start.problem.names)}."
         )
 
 
-def _first(places: Survey, warm_start: Solution | None, start: Mapping[str, Any] | None) -> np.ndarray | None:
+def _first(problem: Problem, warm_start: Solution | None, start: Mapping[str, Any] | None) -> np.ndarray | None:
     """The decisions to start from; None for their own initial values."""
+    places = problem.survey
     if start is None:
-        return None if warm_start is None else warm_start.vector
-    return places.moved(places.vector("initial") if warm_start is None else warm_start.vector, start)
-
-
-def _factor(problem: Problem, between: int | None) -> int:
-    """How many times finer the grid is on which limits over time are checked; 1 for none."""
-    if not (isinstance(problem.grid, Grid) and any(map(is_over_time, problem.constraints))):
-        return 1
-    return (10 if problem.system.signals() else 1) if between is None else between  # type: ignore[union-attr]
+        return None if warm_start is None else started_from(problem, warm_start)
+    # What is given is checked first.
+    moved = places.moved(places.vector("initial"), start)
+    return moved if warm_start is None else places.moved(started_from(problem, warm_start, start), start)
 
 
 def _optimise(
-    transcription: Sequential, solver: AbstractSolver, start: np.ndarray | None, warm_start: Solution | None
+    transcription: Sequential, solver: AbstractSolver, start: np.ndarray | None, multipliers: np.ndarray | None
 ) -> Outcome:
     rows = transcription.program.constraint_lower.shape
-    # Prices at the instants of another grid say nothing here.
-    known = None if warm_start is None else warm_start.multipliers
-    multipliers = known if known is not None and known.shape == rows else None
-    return solver.solve(transcription.program, start=start, multipliers=multipliers)
+    # Multipliers at the instants of another grid say nothing here.
+    known = multipliers if multipliers is not None and multipliers.shape == rows else None
+    return solver.solve(transcription.program, start=start, multipliers=known)
 
 
-def _held_between(
-    transcription: Sequential, solver: AbstractSolver, outcome: Outcome, factor: int
-) -> tuple[Outcome, Excess | None]:
-    """The solution whose limits hold between instants too, by margins where they do not; and how far it exceeds
-    them.
-    """
-    if factor == 1 or outcome.status is not Status.SOLVED:
-        return outcome, None
-    excess = excess_between(transcription, outcome.decisions, factor)
-    margins = no_margins(excess)
-    for done in range(_MOST_TIGHTENINGS):
-        if excess.worst <= HELD:
-            break
-        # At first nothing is given away; then it must come to an end.
-        margins = margins_for(margins, excess, relax=done < _MOST_TIGHTENINGS // 2)
-        again = solver.solve(
-            tightened(transcription, margins), start=outcome.decisions, multipliers=outcome.multipliers
-        )
-        if again.status is Status.INTERRUPTED:
-            return again, None
-        if again.status is not Status.SOLVED:
-            break
-        seconds, iterations = outcome.seconds + again.seconds, outcome.iterations + again.iterations
-        evaluations = outcome.evaluations + again.evaluations
-        outcome = replace(again, seconds=seconds, iterations=iterations, evaluations=evaluations)
-        excess = excess_between(transcription, outcome.decisions, factor)
-    return outcome, excess
-
-
-def _report(transcription: Sequential, outcome: Outcome, between: Between | None, compiled_before: float) -> Solution:
+def _report(
+    transcription: Sequential,
+    outcome: Outcome,
+    between: Between | None,
+    error: GridError | None,
+    worst_case: WorstCase | None,
+    compiled_before: float,
+) -> Solution:
     problem, places = transcription.problem, transcription.places
     resolved = transcription.resolve(outcome.decisions)
     times = transcription.times(outcome.decisions)
+    # Limits on the worst case ask the model itself.
+    asked = {one.text() for one in expanded_functionals(problem.expressions)}
+    expanded = {text: one for text, one in resolved.items() if text in asked}
     return Solution(
         problem=problem,
         status=outcome.status,
@@ -189,7 +241,9 @@ def _report(transcription: Sequential, outcome: Outcome, between: Between | None
         solver=outcome.solver,
         message=outcome.message,
         between=between,
-        expansion=_quality(transcription, resolved, times),
+        worst_case=worst_case,
+        expansion=quality_of(transcription, expanded, outcome.decisions),
+        grid_error=error,
     )
 
 
@@ -199,12 +253,12 @@ def _plain(named: dict[str, Any]) -> dict[str, Any]:
 
 def _constraint_results(transcription: Sequential, outcome: Outcome, times: np.ndarray) -> tuple[ConstraintResult, ...]:
     results = []
-    parts = transcription.texts.constraints, transcription.rows, transcription.scales
-    for constraint, text, rows, scale in zip(transcription.problem.constraints, *parts, strict=True):
+    each = transcription.texts.constraints, transcription.rows
+    for constraint, text, rows in zip(transcription.problem.constraints, *each, strict=True):
         instants = times if constraint.is_path else None
+        parts = outcome.evaluation.constraints[rows], outcome.multipliers[rows], outcome.active[rows]
         values, multipliers, active = (
-            _shaped(part[rows], instants)
-            for part in (outcome.evaluation.constraints, outcome.multipliers, outcome.active)
+            _shaped(part, instants) for part in as_read(constraint, transcription.scenarios, *parts)
         )
         results.append(
             ConstraintResult(
@@ -216,7 +270,7 @@ def _constraint_results(transcription: Sequential, outcome: Outcome, times: np.n
                 times=instants,
                 multipliers=multipliers,
                 active=active,
-                scale=scale,
+                scale=float(outcome.sizes[rows].max()),
             )
         )
     return tuple(results)
@@ -227,31 +281,12 @@ def _shaped(rows: np.ndarray, times: np.ndarray | None) -> np.ndarray:
     return rows if times is None or len(rows) == len(times) else rows.reshape(len(times), -1)
 
 
-def _quality(transcription: Sequential, resolved: Mapping[str, Resolved], times: np.ndarray) -> ExpansionQuality:
-    followed = {text: int(one.instants) for text, one in resolved.items() if one.instants is not None}
-    return ExpansionQuality(
-        order=transcription.basis.order,
-        terms=transcription.basis.terms,
-        points=len(transcription.collocation.points),
-        condition_number=float(transcription.collocation.condition_number),
-        leave_one_out={text: float(one.leave_one_out) for text, one in resolved.items()},
-        unresolved_from={text: float(times[count]) for text, count in followed.items() if count < len(times)},
-    )
+def _warn_of_doubts(solution: Solution) -> None:
+    sentences = [] if solution.status is Status.EVALUATION_FAILED else doubts(solution.expansion, solution.opinion)
+    if sentences:
+        warnings.warn(f"{'. '.join(sentences)}, and compare with al.validate.", ExpansionWarning, stacklevel=3)
 
 
-def _warn_if_unresolved(solution: Solution) -> None:
-    quality = solution.expansion
-    if solution.status is Status.EVALUATION_FAILED or not quality.unresolved:
-        return
-    if not quality.can_be_checked:
-        problem = (
-            f"{quality.points} points for {quality.terms} terms leave nothing to check the expansion of order "
-            f"{quality.order} by, so whether means and spreads can be trusted is not known. Use more points"
-        )
-    else:
-        bad = [f"{text} ({quality.leave_one_out[text]:.2g}){quality.since(text)}" for text in quality.unresolved]
-        problem = (
-            f"The expansion of order {quality.order} does not resolve {', '.join(bad)}: its relative leave-one-out "
-            f"error exceeds {UNRESOLVED}, so means and spreads cannot be trusted. Raise the order"
-        )
-    warnings.warn(f"{problem}, and compare with al.validate.", ExpansionWarning, stacklevel=3)
+def _warn_if_coarse(solution: Solution) -> None:
+    if solution.grid_error is not None and solution.ok and not solution.grid_error.is_met:
+        warnings.warn(f"On {solution.grid_error.steps} steps {solution.grid_error}.", GridWarning, stacklevel=3)

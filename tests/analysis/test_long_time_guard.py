@@ -48,7 +48,7 @@ def test_the_history_of_errors_is_relative_to_the_largest_variance_so_far():
     single = [float(leave_one_out(parts[0], parts[1][:, i], parts[2][:, i])) for i in range(3)]
     variances = np.var(np.asarray(parts[1]), axis=0)
     assert errors[:2] == pytest.approx(single[:2], rel=1e-10)
-    assert errors[2] == pytest.approx(single[2] * variances[2] / variances[1], rel=1e-10)
+    assert errors[2] == pytest.approx(single[2] * np.sqrt(variances[2] / variances[1]), rel=1e-10)
 
 
 def test_a_start_that_is_certain_and_crossings_do_not_count_as_unresolved():

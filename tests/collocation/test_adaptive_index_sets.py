@@ -55,7 +55,7 @@ def ishigami(points):
 
 
 def test_ishigamis_moments_and_sobol_indices_are_the_published_ones():
-    expansion = Expansion(index_set=Adaptive(error=1e-13, budget=1500))
+    expansion = Expansion(index_set=Adaptive(error=3e-7, budget=1500))
     basis, collocation, coefficients, _ = expanded(ishigami, uniform(3), expansion)
     assert len(collocation.points) < 1000
     assert float(coefficients[0]) == pytest.approx(3.5, abs=1e-6)
@@ -71,7 +71,7 @@ def test_a_sparse_polynomial_is_found_exactly_with_few_points(points):
     def model(xi):
         return 1 + xi[:, 0] ** 7 + xi[:, 1] * xi[:, 2] + 0.5 * xi[:, 3] ** 2 * xi[:, 4] ** 2
 
-    expansion = Expansion(index_set=Adaptive(error=1e-20, budget=400), points=points)
+    expansion = Expansion(index_set=Adaptive(error=1e-10, budget=400), points=points)
     basis, collocation, _, samples = expanded(model, uniform(6), expansion)
     rows = {tuple(row) for row in basis.indices.tolist()}
     assert {(7, 0, 0, 0, 0, 0), (0, 1, 1, 0, 0, 0), (0, 0, 0, 2, 2, 0)} <= rows
@@ -83,7 +83,7 @@ def test_a_sparse_polynomial_is_found_exactly_with_few_points(points):
 def test_sets_are_downward_closed_sorted_and_within_budget_and_order(budget):
     with pytest.warns(ExpansionWarning, match="limit of its budget"):
         basis, collocation, _, _ = expanded(
-            ishigami, uniform(3), Expansion(9, index_set=Adaptive(error=1e-12, budget=budget))
+            ishigami, uniform(3), Expansion(9, index_set=Adaptive(error=1e-6, budget=budget))
         )
     rows = basis.indices.tolist()
     present = {tuple(row) for row in rows}
@@ -100,14 +100,14 @@ def test_variables_that_matter_are_refined_and_others_are_not():
     def model(xi):
         return np.exp(2 * xi[:, 0]) + 0.01 * xi[:, 1]
 
-    basis, _, _, _ = expanded(model, uniform(4), Expansion(index_set=Adaptive(error=1e-10)))
+    basis, _, _, _ = expanded(model, uniform(4), Expansion(index_set=Adaptive(error=1e-5)))
     assert basis.degrees[0] >= 8
     assert max(basis.degrees[1:]) <= 3
 
 
 def test_no_point_is_solved_twice_and_none_is_lost():
     model = Recorded(ishigami)
-    _, collocation = collocate(uniform(3), Expansion(index_set=Adaptive(error=1e-6)), model)
+    _, collocation = collocate(uniform(3), Expansion(index_set=Adaptive(error=1e-3)), model)
     solved = np.concatenate(model.points)
     assert len(model.points) > 2
     assert np.array_equal(solved, collocation.points)
@@ -117,20 +117,20 @@ def test_the_error_asked_for_is_the_leave_one_out_error_of_every_output():
     def model(xi):
         return {"small": 1e-6 * np.exp(2 * xi[:, 0]), "path": np.sin(np.outer(1 + xi[:, 1], np.arange(1, 6)))}
 
-    _, collocation = collocate(uniform(2), Expansion(index_set=Adaptive(error=1e-7)), model)
+    _, collocation = collocate(uniform(2), Expansion(index_set=Adaptive(error=3e-4)), model)
     for values in model(np.asarray(collocation.points)).values():
         samples = jnp.asarray(values)
-        assert float(leave_one_out(collocation, samples, collocation.coefficients(samples))) <= 1e-7
+        assert float(leave_one_out(collocation, samples, collocation.coefficients(samples))) <= 3e-4
 
 
 def test_a_smaller_error_takes_more_points_and_gives_it():
     counts, deviations = [], []
     check = np.random.default_rng(0).uniform(-1, 1, (500, 3))
-    for error in (1e-2, 1e-4, 1e-6):
+    for error in (1e-1, 1e-2, 1e-3):
         basis, collocation, coefficients, _ = expanded(ishigami, uniform(3), Expansion(index_set=Adaptive(error=error)))
         counts.append(len(collocation.points))
         deviations.append(np.mean((basis.matrix(check) @ np.asarray(coefficients) - ishigami(check)) ** 2) / 13.84)
-        assert deviations[-1] < 10 * error
+        assert deviations[-1] < 10 * error**2
     assert counts == sorted(counts)
 
 
@@ -145,7 +145,7 @@ def test_normal_variables_grow_too():
         return np.exp(0.5 * xi[:, 0]) + xi[:, 1] ** 2
 
     germs = {"a": HermiteGerm(), "b": HermiteGerm()}
-    _, _, coefficients, _ = expanded(model, germs, Expansion(index_set=Adaptive(error=1e-8)))
+    _, _, coefficients, _ = expanded(model, germs, Expansion(index_set=Adaptive(error=1e-4)))
     assert float(coefficients[0]) == pytest.approx(np.exp(0.125) + 1, abs=1e-4)
 
 
@@ -156,13 +156,13 @@ def test_nothing_uncertain_needs_no_model():
 
 def test_an_error_out_of_reach_within_the_order_is_warned_of_with_what_was_reached():
     with pytest.warns(ExpansionWarning, match=r"of order 4 at \d+ points leave .* at the limit of its order 4"):
-        collocate(uniform(2), Expansion(4, index_set=Adaptive(error=1e-12)), lambda xi: np.exp(3 * xi[:, 0]))
+        collocate(uniform(2), Expansion(4, index_set=Adaptive(error=1e-6)), lambda xi: np.exp(3 * xi[:, 0]))
 
 
 def test_an_output_with_a_jump_is_warned_of_and_the_best_set_kept():
     with pytest.warns(ExpansionWarning, match=r"at the limit of its budget of 150 points\. Raise that limit"):
         _, collocation = collocate(
-            uniform(2), Expansion(index_set=Adaptive(error=1e-4, budget=150)), lambda xi: np.sign(xi[:, 0] + 0.3)
+            uniform(2), Expansion(index_set=Adaptive(error=1e-2, budget=150)), lambda xi: np.sign(xi[:, 0] + 0.3)
         )
     assert np.isfinite(collocation.pseudo_inverse).all()
 
@@ -200,8 +200,8 @@ def test_growing_without_a_model_is_refused():
         (lambda: Expansion(index_set=Adaptive(), points=200), r"al\.Adaptive\(budget=200\)"),
         (lambda: Expansion(index_set=Adaptive(budget=8)), "budget of at least 9 points"),
         (lambda: Expansion(index_set=Adaptive(), fit=Interpolation()), "fitted by least squares; received Interpol"),
-        (lambda: Adaptive(error=0), "lies between 0 and 1"),
-        (lambda: Adaptive(budget=0), "budget of points is a positive whole number"),
+        (lambda: Adaptive(error=0), "expected a positive number below 1; received 0"),
+        (lambda: Adaptive(budget=0), "budget of points is a whole number of at least 1"),
     ],
 )
 def test_wishes_that_do_not_go_together_are_refused_with_a_remedy(wish, message):

@@ -155,7 +155,7 @@ def test_an_order_that_is_no_positive_whole_number_is_refused(order):
 
 @pytest.mark.parametrize("points", [0, -5, True])
 def test_points_that_are_no_positive_whole_number_are_refused(points):
-    with pytest.raises(ProblemError, match="points is a positive whole number; received"):
+    with pytest.raises(ProblemError, match="points is a whole number of at least 1; received"):
         Expansion(2, points=points)
 
 

@@ -61,7 +61,7 @@ def test_the_error_is_that_of_refitting_without_each_point(order, points, output
     collocation = collocate(GERMS, Expansion(order, points=points))
     samples = output(collocation.points)
     refitted = errors_by_refitting(np.asarray(collocation.matrix), np.asarray(samples))
-    expected = np.mean(refitted**2, axis=0).sum() / np.var(np.asarray(samples), axis=0).sum()
+    expected = np.sqrt(np.mean(refitted**2, axis=0).sum() / np.var(np.asarray(samples), axis=0).sum())
     assert error_of(collocation, samples) == pytest.approx(expected, rel=1e-8)
 
 
@@ -75,24 +75,24 @@ def test_the_error_is_that_of_openturns():
     algorithm.run()
     splitter = ot.LeaveOneOutSplitter(len(samples))
     squared = ot.FunctionalChaosValidation(algorithm.getResult(), splitter).computeMeanSquaredError()[0]
-    assert error_of(collocation, jnp.asarray(samples)) == pytest.approx(squared / samples.var(), rel=1e-8)
+    assert error_of(collocation, jnp.asarray(samples)) == pytest.approx(np.sqrt(squared / samples.var()), rel=1e-8)
 
 
 def test_the_error_of_a_polynomial_in_the_span_is_zero_but_for_rounding():
     collocation = collocate(GERMS, Expansion(3))
     samples = 1 + collocation.points[:, 0] * collocation.points[:, 1] ** 2
-    assert error_of(collocation, samples) < 1e-24
+    assert error_of(collocation, samples) < 1e-12
 
 
 def test_the_error_falls_with_the_order_for_a_smooth_output():
     errors = [error_of(c, jnp.exp(c.points[:, 0])) for c in (collocate(ONE, Expansion(order)) for order in range(1, 8))]
-    assert np.polyfit(range(1, 8), np.log10(errors), 1)[0] < -1
+    assert np.polyfit(range(1, 8), np.log10(errors), 1)[0] < -0.5
 
 
 def test_an_output_unrelated_to_the_germ_has_an_error_of_about_one_or_more():
     collocation = collocate(GERMS, Expansion(3))
     noise = jnp.asarray(np.random.default_rng(1).normal(size=len(collocation.points)))
-    assert error_of(collocation, noise) > 0.8
+    assert error_of(collocation, noise) > 0.9
 
 
 @pytest.mark.parametrize("constant", [0.0, 0.1, 1 / 3, np.pi, -1e9, 1e-300])
@@ -145,7 +145,7 @@ def test_with_weights_the_error_is_that_of_weighted_refits(points):
         scaled = matrix[others] * roots[others, None], samples[others] * roots[others, None]
         squares[k] = (samples[k] - matrix[k] @ np.linalg.lstsq(*scaled, rcond=None)[0]) ** 2
     variance = weights @ (samples - weights @ samples) ** 2
-    expected = (weights @ squares).sum() / variance.sum()
+    expected = np.sqrt((weights @ squares).sum() / variance.sum())
     assert error_of(collocation, jnp.asarray(samples)) == pytest.approx(expected, rel=1e-7)
 
 
@@ -173,12 +173,12 @@ def test_the_error_of_each_entry_is_that_of_the_entry_alone(expansion):
     assert each == pytest.approx(np.array(alone), rel=1e-8)
 
 
-def test_the_error_is_the_mean_of_those_of_the_entries_weighted_by_variance():
+def test_the_squared_error_is_the_mean_of_those_of_the_entries_weighted_by_variance():
     collocation = collocate(GERMS, Expansion(3))
     samples = histories(collocation.points)
     each = leave_one_out_by_entry(collocation, samples, collocation.coefficients(samples))
     variance = np.var(np.asarray(samples), axis=0)
-    assert error_of(collocation, samples) == pytest.approx(np.average(each, weights=variance), rel=1e-9)
+    assert error_of(collocation, samples) ** 2 == pytest.approx(np.average(each**2, weights=variance), rel=1e-9)
 
 
 def test_an_entry_that_does_not_vary_has_no_error_of_its_own():

@@ -190,5 +190,5 @@ def test_interpolation_with_another_number_of_points_is_refused():
 @pytest.mark.parametrize("kind", [GaussPoints, SmolyakPoints])
 @pytest.mark.parametrize("number", [0, -1, True])
 def test_sizes_of_grids_are_positive_whole_numbers(kind, number):
-    with pytest.raises(ProblemError, match="is a positive whole number; received"):
+    with pytest.raises(ProblemError, match="is a whole number of at least 1; received"):
         kind(number)

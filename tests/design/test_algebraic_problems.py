@@ -88,7 +88,7 @@ def test_a_margin_on_a_deflection_gives_the_tolerance_of_exact_quadrature():
     ("limit", "width"),
     [
         # The largest force, the one at the level 0.99, and the one exceeded with probability 0.05 deflect by 1.1.
-        (X.at_most(1.1, surely=True), FORCE - 2.0),
+        (X.at_most(1.1, worst_case=True), FORCE - 2.0),
         (X.at_most(1.1, probability=0.99), (FORCE - 2.0) / 0.98),
         (X.probability(above=1.1) <= 0.05, (FORCE - 2.0) / 0.9),
     ],
@@ -124,7 +124,8 @@ def test_evidence_fronts_and_calibration_know_algebraic_problems():
     assert np.all(np.diff(front.objectives) < 0)
     calibrated = al.calibrate(problem, "x", 0.05, samples=4000)
     width = calibrated.solution.decisions["a.half_width"]
-    assert (2.0 + width - (1.1 + 1.1**3)) / (2 * width) == pytest.approx(0.05, abs=0.015)
+    assert calibrated.confirmed
+    assert 0.03 < (2.0 + width - (1.1 + 1.1**3)) / (2 * width) < 0.05
 
 
 def strut_angle(a, c, e):
@@ -187,8 +188,8 @@ def test_equations_without_a_solution_are_reported_with_point_and_residual():
     with pytest.raises(al.SimulationError) as caught:
         al.solve(problem)
     message = str(caught.value)
-    assert re.search(
-        r"At b=1\.3, collocation point \d+ of 12 \(a=1\.[345]\d*\): Fold: Newton found no solution", message
+    assert re.match(
+        r"Fold: Newton found no solution.*collocation point \d+ of 12 \(a=1\.[345]\d*\).*decisions are b=1\.3", message
     )
     assert "residual" in message
 
@@ -197,7 +198,7 @@ def test_a_sampled_system_without_a_solution_is_reported_with_its_residual():
     problem = al.Problem(
         Fold(al.Normal(1.0, 0.15), al.Decision(1.5, 1.45, 1.55)),
         minimize=al.output("x").mean,
-        expansion=al.Expansion(1, points=3),
+        expansion=al.Expansion(1, points=3, tolerance=0.5),
     )
     solution = al.solve(problem)
     with pytest.raises(al.SimulationError, match=r"system with a=1\.\d+ is not finite. Fold: Newton found no solution"):

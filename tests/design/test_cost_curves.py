@@ -15,8 +15,10 @@ class Spread(AbstractScope):
     def statistic(self, functional, kind):
         raise AssertionError("a cost curve needs no statistics")
 
-    @property
-    def weights(self):
+    def realised(self, functional):
+        raise NotImplementedError
+
+    def time_integral(self, expression):
         raise NotImplementedError
 
     def value(self, name):

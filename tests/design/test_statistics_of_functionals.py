@@ -31,8 +31,8 @@ def test_statistics_print_as_mathematics(expression, text):
     [
         (X.at_most(2, probability=0.99), "Q0.99[rms(x)] ≤ 2"),
         (X.at_least(-2, probability=0.99), "Q0.01[rms(x)] ≥ -2"),
-        (X.at_most(2, surely=True), "sup[rms(x)] ≤ 2"),
-        (al.path("x").at_least(-2, surely=True), "inf[x(t)] ≥ -2 for all t"),
+        (X.at_most(2, worst_case=True), "max[rms(x)] ≤ 2"),
+        (al.path("x").at_least(-2, worst_case=True), "min[x(t)] ≥ -2 for all t"),
         (X.within(-1, 1, probability=0.9)[0], "Q0.9[rms(x)] ≤ 1"),
         (X.within(-1, 1, probability=0.9)[1], "Q0.1[rms(x)] ≥ -1"),
         (al.covariance(al.path("x"), al.path("v")) <= 1, "Cov[x(t), v(t)] ≤ 1 for all t"),
@@ -49,8 +49,8 @@ def test_a_limit_on_two_functionals_is_named_after_both():
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
-        (lambda: X.at_most(1, sigmas=2, surely=True), r"expected one of .* received \['sigmas', 'surely'\]"),
-        (lambda: X.at_most(1, probability=0.9, surely=True), r"received \['probability', 'surely'\]"),
+        (lambda: X.at_most(1, sigmas=2, worst_case=True), r"expected one of .* received \['sigmas', 'worst_case'\]"),
+        (lambda: X.at_most(1, probability=0.9, worst_case=True), r"received \['probability', 'worst_case'\]"),
         (lambda: X.quantile(1.5), "1.5"),
         (lambda: X.at_most(1, probability=0.0), "0"),
         (lambda: X.probability(), "above"),

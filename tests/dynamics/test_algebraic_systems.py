@@ -255,8 +255,8 @@ def test_a_system_that_moves_needs_a_grid_in_time(grid):
         al.simulate(Still(), grid)
 
 
-def test_an_instant_is_one_moment_of_weight_one():
-    assert (al.Instant().times.tolist(), al.Instant().weights.tolist()) == ([0.0], [1.0])
+def test_an_instant_is_one_moment():
+    assert al.Instant().times.tolist() == [0.0]
 
 
 def test_parameters_may_be_uncertain_and_decided():

@@ -1,4 +1,5 @@
 import itertools
+import re
 
 import jax
 import jax.numpy as jnp
@@ -201,6 +202,78 @@ def test_too_few_steps_of_an_adaptive_integrator_give_no_number():
     assert np.isnan(outputs["x"]).all()
 
 
+class Falling(al.System):
+    """`x² = 1 - 2 rate t`: the rate of `x` is a root of a negative number once `x` has vanished, at `0.5 / rate`."""
+
+    states = ("x",)
+    rate: al.Number
+
+    def rhs(self, t, z):
+        return (-self.rate / jnp.sqrt(1 - 2 * self.rate * t),)
+
+    def outputs(self, t, z):
+        return {"x": z.x}
+
+    def initial(self):
+        return {"x": 1.0}
+
+
+def family(integrator, t_final=1.0):
+    """Systems whose rate is spread around a decided number."""
+    return al.Problem(
+        Falling(al.Uniform(al.Decision(2.0, 1.0, 3.0), half_width=0.1)),
+        grid=al.Grid(t_final, 4),
+        minimize=al.terminal("x").mean,
+        expansion=al.Expansion(order=1),
+        integrator=integrator,
+    )
+
+
+def test_a_stiff_integrator_that_fails_within_a_design_is_a_status_and_names_the_time_it_reached():
+    solution = al.solve(family(al.Kvaerno5(max_steps=200)), throw=False)
+    assert solution.status is al.Status.EVALUATION_FAILED
+    rate = float(re.search(r"\(rate=([\d.]+)\)", solution.message)[1])
+    reached = float(re.search(r"gets no further than t = ([\d.]+) s", solution.message)[1])
+    assert reached == pytest.approx(0.5 / rate, rel=1e-2)
+
+
+class Draining(al.System):
+    """A tank that is empty already: the rate is a root, whose slope at zero is infinite."""
+
+    states = ("level",)
+    size: al.Number
+
+    def rhs(self, t, z):
+        return (-self.size * jnp.sqrt(z.level),)
+
+    def outputs(self, t, z):
+        return {"level": z.level + self.size}
+
+
+@pytest.mark.slow
+def test_slopes_that_are_not_finite_are_no_error_of_the_program_for_a_stiff_integrator():
+    one = al.Problem(
+        Draining(al.Uniform(al.Decision(2.0, 1.0, 3.0), half_width=0.1)),
+        grid=al.Grid(1.0, 4),
+        minimize=al.terminal("level").mean,
+        expansion=al.Expansion(order=1),
+        integrator=al.Kvaerno5(max_steps=100),
+    )
+    assert al.solve(one, throw=False).status is al.Status.EVALUATION_FAILED
+
+
+def test_an_integrator_that_runs_out_of_steps_asks_for_more_and_not_for_itself():
+    with pytest.raises(al.SimulationError, match=r"Tsit5 used up its 3 steps .* al.Tsit5\(max_steps=30\)"):
+        al.solve(family(al.Tsit5(max_steps=3), t_final=0.15))
+
+
+def test_explanations_of_integrators_are_empty_where_nothing_fails():
+    assert al.Kvaerno5().explain(Falling(1.0), al.Grid(0.25, 2), {}) == ""
+    said = al.Kvaerno5(max_steps=5).explain(Falling(1.0), al.Grid(0.45, 2), {})
+    assert "Kvaerno5 used up its 5 steps" in said
+    assert "al.Kvaerno5(max_steps=50)" in said
+
+
 @pytest.mark.parametrize(("t_final", "steps"), [(15.8, 49), (1.1, 7), (0.7, 49), (2.8, 2800)])
 def test_adaptive_integrators_take_any_grid_whatever_its_rounding(t_final, steps):
     grid = al.Grid(t_final, steps)
@@ -211,5 +284,5 @@ def test_adaptive_integrators_take_any_grid_whatever_its_rounding(t_final, steps
 
 @pytest.mark.parametrize("options", [{"rtol": 0.0}, {"atol": -1.0}, {"max_steps": 0}])
 def test_tolerances_that_make_no_sense_are_refused(options):
-    with pytest.raises(al.ProblemError, match="Tsit5: tolerances and max_steps are positive"):
+    with pytest.raises(al.ProblemError, match=f"Tsit5: {next(iter(options))}.*received {next(iter(options.values()))}"):
         al.Tsit5(**options)

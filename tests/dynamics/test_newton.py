@@ -161,3 +161,69 @@ def test_derivatives_are_exact_whatever_the_scales():
     jacobian = jax.jit(jax.jacrev(at))(jnp.array([1.5, 0.3]))
     np.testing.assert_allclose(jacobian[0], [1e6, 0.0], rtol=1e-13)
     np.testing.assert_allclose(jacobian[1], [0.0, -np.exp(-0.3) * 1e-6], rtol=1e-13, atol=1e-19)
+
+
+def random_systems(count, size, *, singular=False):
+    """Random systems `D (A z - b) = 0` of unknowns in other units, `x = E z`, about half of which are zero."""
+    random = np.random.default_rng(11)
+    A = 0.3 * random.normal(size=(count, size, size)) + 2 * np.eye(size)
+    A = A[:, random.permutation(size)]
+    if singular:
+        A[:, -1] = np.einsum("ck,cki->ci", random.normal(size=(count, size - 1)), A[:, :-1])
+    z = random.normal(size=(count, size)) * (random.random((count, size)) < 0.5)
+    rows, columns = (10.0 ** random.uniform(-8, 8, (count, size)) for _ in range(2))
+    guesses = (z + 0.2 * random.normal(size=z.shape)) * (random.random(z.shape) < 0.5)
+    return A, z, rows, columns, guesses
+
+
+def residuals_of(A, b, rows, columns, curvature):
+    def function(x):
+        z = x / columns
+        return rows * (A @ z - b + curvature * (A.T @ (z * jnp.roll(z, 1) + jnp.sin(z) ** 2)))
+
+    return function
+
+
+@pytest.mark.parametrize("size", [2, 5])
+@pytest.mark.parametrize("curvature", [0.0, 0.02], ids=["linear", "curved"])
+def test_regular_systems_with_zeros_in_their_solutions_are_solved_in_any_units(size, curvature):
+    A, z, rows, columns, guesses = random_systems(300, size)
+    ones = np.ones(size)
+    b = jax.vmap(lambda A, z: residuals_of(A, 0 * z, ones, ones, curvature)(z))(A, z)
+
+    def solve(A, b, rows, columns, guess):
+        return newton(residuals_of(A, b, rows, columns, curvature), guess * columns)
+
+    found = jax.jit(jax.vmap(solve))(A, b, rows, columns, guesses)
+    assert np.asarray(jax.vmap(lambda one: one.converged)(found)).all()
+    np.testing.assert_allclose(found.point / columns, z, atol=1e-12)
+
+    def first(b, *rest):
+        return solve(rest[0], b, *rest[1:]).point
+
+    slopes = jax.jit(jax.vmap(jax.jacfwd(first)))(b, A, rows, columns, guesses)
+    if not curvature:
+        np.testing.assert_allclose(slopes / columns[:, :, None], np.linalg.inv(A), atol=1e-10)
+    assert np.isfinite(slopes).all()
+
+
+def test_singular_systems_are_called_singular_in_any_units():
+    A, z, rows, columns, guesses = random_systems(300, 4, singular=True)
+    b = np.einsum("cij,cj->ci", A, z)
+    found = jax.jit(
+        jax.vmap(lambda A, b, rows, columns, guess: newton(residuals_of(A, b, rows, columns, 0.0), guess * columns))
+    )(A, b, rows, columns, guesses)
+    assert not np.asarray(jax.vmap(lambda one: one.regular)(found)).any()
+
+
+@pytest.mark.parametrize("a", [0.5, 1.0, 2.0, 3.0])
+def test_an_unknown_that_is_zero_up_to_rounding_is_found(a):
+    found = solved(lambda x, y: [x + 0.1 * y - 0.3 / a, a * y - 3.0], [0.0, 1.0])
+    assert found.converged
+    np.testing.assert_allclose(found.point, [0.0, 3.0 / a], rtol=1e-15, atol=1e-16)
+
+
+@pytest.mark.parametrize("start", [1e-9, 1e-5, 0.1])
+def test_a_double_root_is_singular_however_close_the_guess(start):
+    # Circles that touch, at y = 0.
+    assert not solved(lambda x, y: [x**2 + y**2 - 1.0, (x - 2.0) ** 2 + y**2 - 1.0], [1.0, start]).converged

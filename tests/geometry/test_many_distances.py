@@ -74,7 +74,7 @@ POINT = Sphere([0.0, 0.0])
     ("links", "apart", "message"),
     [
         ([POINT, POINT], 2, "no two of 2 links are 2 places from each other. Give at least 3 links"),
-        ([POINT, POINT], 0, "'apart' is a positive whole number; received 0"),
+        ([POINT, POINT], 0, "'apart' is a whole number of at least 1; received 0"),
         ([POINT, HalfSpace([0.0, 1.0], 0.0)], 1, "link 1 is a HalfSpace"),
         ([POINT, Sphere([0.0, 0.0, 0.0])], 1, r"links of the same space; received dimensions \[2, 3\]"),
     ],

@@ -68,7 +68,7 @@ def test_the_arrays_of_a_caller_are_copied():
         (lambda: Sphere([0.0, np.nan]), r"Sphere: 'center' must be finite"),
         (
             lambda: Sphere("here"),
-            r"Sphere: 'center' takes numbers, distributions, decisions or arrays; received 'here'",
+            r"Sphere: 'center': expected numbers, distributions, decisions or arrays; received 'here'",
         ),
         (lambda: Sphere([0.0, 0.0], -1.0), r"Sphere: 'radius' must be zero or more; received -1"),
         (lambda: Sphere([0.0, 0.0], [1.0]), r"Sphere: 'radius' takes one number; received shape \(1,\)"),

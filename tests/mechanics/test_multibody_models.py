@@ -229,25 +229,25 @@ def body(name="one", **changes):
 @pytest.mark.parametrize(
     ("bodies", "message"),
     [
-        ((body(), body()), "'one'.* occur twice"),
-        ((body(parent="two"),), "parents .'two'., which are no bodies"),
-        ((body("a", parent="b"), body("b", parent="a")), "cycle"),
-        ((body(mass=-1.0),), "mass that is not negative; received -1.0"),
-        ((body(mass=np.nan),), "mass: expected finite numbers"),
-        ((body(inertia=(1, 1, -1)),), "not negative; received -1"),
-        ((body(inertia=(1, 1, 3)),), "beyond the sum of the other two"),
-        ((body(inertia=[[1, 0.5, 0], [0, 1, 0], [0, 0, 1]]),), "expected a symmetric matrix"),
-        ((body(inertia=(1, 1)),), "inertia: expected numbers of shape .3,. or .6,. or .3, 3."),
-        ((body(orientation=2 * np.eye(3)),), "expected a rotation matrix"),
-        ((body(position="far"),), "position: expected numbers"),
-        ((body(joint=Revolute("w")),), "axis 'x', 'y' or 'z'"),
-        ((body(joint=Prismatic((0, 0, 0))),), "not zero"),
-        ("one", "returns a tuple of al.Body"),
+        (lambda: (body(), body()), "'one'.* occur twice"),
+        (lambda: (body(parent="two"),), "parents .'two'., which are no bodies"),
+        (lambda: (body("a", parent="b"), body("b", parent="a")), "cycle"),
+        (lambda: (body(mass=-1.0),), "mass that is not negative; received -1.0"),
+        (lambda: (body(mass=np.nan),), "mass: expected finite numbers"),
+        (lambda: (body(inertia=(1, 1, -1)),), "not negative; received -1"),
+        (lambda: (body(inertia=(1, 1, 3)),), "beyond the sum of the other two"),
+        (lambda: (body(inertia=[[1, 0.5, 0], [0, 1, 0], [0, 0, 1]]),), "expected a symmetric matrix"),
+        (lambda: (body(inertia=(1, 1)),), "inertia: expected numbers of shape .3,. or .6,. or .3, 3."),
+        (lambda: (body(orientation=2 * np.eye(3)),), "expected a rotation matrix"),
+        (lambda: (body(position="far"),), "position: expected numbers"),
+        (lambda: (body(joint=Revolute("w")),), "axis 'x', 'y' or 'z'"),
+        (lambda: (body(joint=Prismatic((0, 0, 0))),), "not zero"),
+        (lambda: "one", "returns a tuple of al.Body"),
     ],
 )
 def test_bodies_that_make_no_tree_are_refused_in_words(bodies, message):
     with pytest.raises(ProblemError, match=message):
-        Tree(bodies).bias(jnp.zeros(1), jnp.zeros(1))
+        Tree(bodies()).bias(jnp.zeros(1), jnp.zeros(1))
 
 
 def test_a_body_needs_a_name_and_a_joint():

@@ -51,16 +51,14 @@ def test_the_final_time_falls_to_the_closed_form_as_control_points_are_added():
 
 
 def test_the_least_effort_of_a_double_integrator_is_twelve():
-    steps = 100
     motion = al.BSpline(al.Decision(np.linspace(0.2, 0.8, 5)), start=(0.0, 0.0), end=(1.0, 0.0))
     problem = al.Problem(
         al.InverseDynamics(Cart(1.0), motion={"q": motion}),
-        grid=al.Grid(1.0, steps),
+        grid=al.Grid(1.0, 100),
         minimize=al.effort("q_torque"),
     )
-    # The cubic 3t² - 2t³ is among the splines; the trapezoidal rule adds 24 h² to its integral, and the best spline for
-    # that rule saves a little of it.
-    assert al.solve(problem).objective == pytest.approx(12 + 24 / steps**2, rel=3e-6)
+    # The cubic 3t² - 2t³ is among the splines, and Simpson's rule integrates the square of its acceleration exactly.
+    assert al.solve(problem).objective == pytest.approx(12.0, rel=1e-7)
 
 
 @pytest.mark.slow

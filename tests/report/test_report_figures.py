@@ -1,3 +1,4 @@
+import dataclasses
 import html
 
 import numpy as np
@@ -8,6 +9,7 @@ from aleator.report import (
     Axis,
     Box,
     calibration_figure,
+    density_figure,
     front_figure,
     interval,
     number,
@@ -107,6 +109,9 @@ def test_a_calibration_shows_every_trial_with_its_interval_and_the_target():
     upper = np.array(figure.data[0].y) + np.array(figure.data[0].error_y.array)
     np.testing.assert_allclose(upper, [100 * one.violation.upper for one in trials])
     assert figure.layout.shapes[0].y0 == pytest.approx(10.0)
+    assert figure.data[1].y == (100 * calibration.confirmation.estimate,)
+    unconfirmed = dataclasses.replace(calibration, confirmation=None, missing="it was interrupted")
+    assert len(calibration_figure(unconfirmed).data[1].x) == 0
 
 
 def test_percentiles_and_means_are_those_sampled():
@@ -122,6 +127,23 @@ def test_decisions_are_drawn_relative_to_their_start():
     (line,) = relative_figure(front, {"c.mean": "damper"}, x="Reach", y="Share").data
     chosen = [float(one.decisions["c.mean"]) for one in front.solutions[:3]]
     np.testing.assert_allclose(np.array(line.y[:3], dtype=float), 100 * np.array(chosen))
+
+
+@pytest.mark.parametrize("logarithmic", [False, True])
+def test_a_density_shows_its_limits_and_what_is_rejected_beyond_them(logarithmic):
+    values = np.linspace(-4.0, 4.0, 81)
+    density = np.exp(-0.5 * values**2) / np.sqrt(2 * np.pi)
+    tails = ("22 800\nppm", "1 350\nppm")
+    figure = density_figure(
+        values, {"normal": density}, x="Angle", unit="°", limits=(-2.0, 3.0), tails=tails, logarithmic=logarithmic
+    )
+    assert [line.x0 for line in figure.layout.shapes] == [-2.0, 3.0]
+    shaded = [np.array(one.x) for one in figure.data if one.fill == "tozeroy"]
+    assert shaded[0].max() == pytest.approx(-2.0)
+    assert shaded[1].min() == pytest.approx(3.0)
+    said = {one.text: one.x for one in figure.layout.annotations if "ppm" in one.text}
+    assert said == {"22 800<br>ppm": -2.0, "1 350<br>ppm": 3.0}
+    assert figure.layout.yaxis.type == ("log" if logarithmic else None)
 
 
 def test_a_signal_is_drawn_as_given():

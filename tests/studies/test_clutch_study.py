@@ -1,19 +1,31 @@
 """The clutch study: table 7.2, its analysis and its allocation, in small, from stage to page."""
 
+import itertools
 import json
 
 import numpy as np
 import pytest
+from scipy import optimize
 
 import aleator as al
 from aleator.studies import STUDIES, load
-from aleator.studies._clutch_facts import counted, method, rejects_of, times_cheaper, tolerances_of
+from aleator.studies._clutch_counts import (
+    CHEAPEST,
+    GIVEN,
+    SAFE,
+    count_rejects,
+    exact_rejects,
+    tolerances_of,
+    worst_case,
+    worst_case_tolerances,
+)
+from aleator.studies._clutch_facts import counted, counts_table, method, rejects_of, times_cheaper
 from aleator.studies._clutch_page import clutch_page
 from aleator.studies._clutch_run import STAGES, ClutchResults, Effort, exact_variation, run_stage
 from aleator.studies._clutch_verdict import verdict
 from aleator.studies.clutch import MEANS, TOLERANCES, allocation_problem, clutch, pressure_angle
 
-SMALL = Effort(samples=20_000, quasi_samples=2**11, evidence_samples=20_000, front_points=3)
+SMALL = Effort(samples=20_000, quasi_samples=2**11, evidence_samples=20_000, counted=200_000, front_points=3)
 
 
 @pytest.fixture(scope="module")
@@ -36,6 +48,48 @@ def test_the_loop_closes_where_the_closed_form_says():
 
 def test_quadrature_of_the_closed_form_is_the_exact_value():
     assert exact_variation() == pytest.approx(0.6590101, abs=1e-7)
+
+
+def corners(tolerances):
+    signs = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
+    return pressure_angle(*(np.array(list(MEANS.values())) + signs * np.array(list(tolerances.values()))).T)
+
+
+def test_the_worst_case_is_the_extreme_of_all_corners_of_the_tolerances():
+    """The angle is monotone in each dimension, so that no point of the box lies beyond its eight corners."""
+    for tolerances in (TOLERANCES, {"a": 0.01, "c": 0.05, "e": 0.03}):
+        every = corners(tolerances)
+        assert worst_case(tolerances) == pytest.approx((every.min(), every.max()), rel=1e-14)
+
+
+def test_the_worst_case_of_the_given_tolerances_breaks_six_degrees():
+    counts = count_rejects(TOLERANCES, 1000)
+    assert counts.broken() == [6.0]
+    assert counts.worst_case == pytest.approx((5.957, 7.938), abs=1e-3)  # cos chi = 39.135 / 39.3475, 39.015 / 39.3925
+
+
+def test_counted_rejects_are_those_of_the_exact_tails():
+    wide = {name: 1.5 * tolerance for name, tolerance in TOLERANCES.items()}
+    counts = count_rejects(wide, 2_000_000)
+    for one, exact in zip((counts.function.low, counts.function.high), exact_rejects(wide), strict=True):
+        assert one.lower < exact < one.upper
+    low, high = exact_rejects(TOLERANCES)  # one sum of normal parts a limit
+    assert (low, high) == pytest.approx((8.2556e-6, 8.3914e-7), rel=1e-3)
+
+
+def test_counts_do_not_depend_on_how_many_assemblies_are_drawn_at_once():
+    assert count_rejects(TOLERANCES, 1_000_001).deviation.either.samples == 1_000_001
+
+
+def test_the_worst_case_tolerances_are_the_cheapest_that_an_optimiser_finds():
+    found = worst_case_tolerances()
+    assert worst_case(found)[0] == pytest.approx(6.0, abs=1e-9)
+    assert worst_case(found)[1] < 8.0
+    limits = {"type": "ineq", "fun": lambda x: 100 * (corners(dict(zip(MEANS, x / 100, strict=True))) - 6.0)}
+    start = np.array([2.0, 1.0, 2.0])
+    best = optimize.minimize(lambda x: np.sum(100 / x), start, constraints=[limits], bounds=[(0.1, 10)] * 3, tol=1e-9)
+    assert best.success
+    np.testing.assert_allclose(best.x / 100, list(found.values()), rtol=1e-3)
 
 
 @pytest.mark.slow
@@ -103,15 +157,33 @@ def test_the_verdict_names_what_to_tighten(results):
     said = verdict(results)
     assert said.word == "Build"
     assert said.headline.startswith("Tighten the hub a, widen the roller c and ring e")
+    assert "no worst case may leave 6° to 8°" in said.headline
+    assert any(one.startswith("The given tolerances") and "breaks 6°" in one for one in said.sentences)
+
+
+@pytest.mark.slow
+def test_given_and_cheapest_and_safe_tolerances_are_all_counted(results):
+    assert set(results.counts) == {GIVEN, CHEAPEST, SAFE}
+    rows = {row[0]: row[1:] for row in counts_table(results).rows}
+    assert [one.split(", ")[1] for one in rows["Worst case"]] == [
+        "breaks 6°",
+        "breaks 6° and 8°",
+        "within the limits",
+    ]
+    for name in (GIVEN, CHEAPEST):
+        either = results.counts[name].deviation.either
+        share = al.Proportion(either.count, either.samples, confidence=0.999)
+        assert share.lower < results.given < share.upper
 
 
 @pytest.mark.slow
 def test_the_page_has_every_section_and_says_what_was_not_reached(results):
     whole = clutch_page(results)
-    assert [one.heading for one in whole.sections][:3] == ["Table 7.2", "The given tolerances", "Allocation"]
+    headings = [one.heading for one in whole.sections]
+    assert headings[:4] == ["The clutch", "Table 7.2", "The given tolerances", "Allocation"]
     begun = ClutchResults(SMALL)
     assert verdict(begun).word == "Incomplete"
-    assert "Not reached: methods" in clutch_page(begun).sections[0].blocks[0].paragraphs[0]
+    assert "Not reached: methods" in clutch_page(begun).sections[1].blocks[0].paragraphs[0]
 
 
 @pytest.mark.slow

@@ -53,14 +53,17 @@ def test_the_plan_of_least_effort_is_as_good_as_the_reference_and_keeps_its_dist
     solution = al.solve(pick_and_place_effort.robust_problem(1.0))
     assert solution.objective <= 112.125
     means, stds = moments(solution, (*GAPS, "q1", "q2", "q1_rate", "q2_rate"))
-    # Ten times as many steps also integrate better than the plan's sixty did: by some 2e-4 rad at the end.
+    # Ten times as many steps also integrate better than the plan's did: by some 1e-4 rad at the end.
     assert min(np.min(means[name] - stds[name]) for name in GAPS) >= -3e-4
     ends = [means[name][-1] for name in ("q1", "q2", "q1_rate", "q2_rate")]
     np.testing.assert_allclose(ends, [-np.pi / 6, -np.pi / 6, 0.0, 0.0], atol=4e-4)
 
 
 @pytest.mark.slow
-def test_the_other_plans_of_forward_dynamics_are_as_good_as_the_reference():
+@pytest.mark.filterwarnings("ignore::aleator.GridWarning")
+def test_the_other_plans_of_forward_dynamics_are_as_good_as_the_reference(monkeypatch):
+    # At the reference's own instants, which are too few for the speeds at the end: a warning says so.
+    monkeypatch.setattr(pick_and_place_effort, "STEPS", 60)
     assert al.solve(pick_and_place_effort.deterministic_problem(), between=1).objective <= 106.35
     least = al.solve(pick_and_place_effort.terminal_variance_problem(), between=1)
     assert least.objective <= 0.025335

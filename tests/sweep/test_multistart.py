@@ -103,16 +103,16 @@ def test_an_interrupted_search_returns_what_is_finished():
 @pytest.mark.parametrize(
     ("starts", "message"),
     [
-        (0, "at least one start"),
+        (0, "number of starts is a whole number of at least 1; received 0"),
         ([], "at least one start"),
         ({"x": 1.0}, "a list of starts by names"),
         (2.5, "a list of starts by names"),
         ([{"x": 1.0}, {"y": 1.0}], r"decisions by their names, some of \['x'\]; received \{'y': 1.0\}"),
         ([1.0], "decisions by their names"),
-        ([{"x": [1.0, 2.0]}], r"finite numbers of shape \(\) for 'x'; received \[1.0, 2.0\]"),
-        ([{}, {"x": [1.0, 2.0]}], r"finite numbers of shape \(\) for 'x'; received \[1.0, 2.0\]"),
-        ([{}, {"x": np.nan}], r"for 'x'; received nan"),
-        ([{}, {"x": "far"}], r"for 'x'; received 'far'"),
+        ([{"x": [1.0, 2.0]}], r"start: 'x': expected finite numbers of shape \(\); received \[1.0, 2.0\]"),
+        ([{}, {"x": [1.0, 2.0]}], r"start: 'x': expected finite numbers of shape \(\); received \[1.0, 2.0\]"),
+        ([{}, {"x": np.nan}], "start: 'x': .* received nan"),
+        ([{}, {"x": "far"}], "start: 'x': .* received 'far'"),
     ],
 )
 def test_starts_that_make_no_sense_are_refused_before_anything_is_solved(starts, message, monkeypatch):

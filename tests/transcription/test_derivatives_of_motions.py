@@ -29,7 +29,7 @@ def codesign():
         minimize=al.final_time() + al.effort("q1_torque", "q2_torque"),
         subject_to=[
             torque.within(-40.0, 40.0, sigmas=1.5),
-            al.path("q2_torque").at_most(40.0, surely=True),
+            al.path("q2_torque").at_most(40.0, worst_case=True),
             (tip.mean - tip.std - al.value("length_2") >= -3.0).named("mixed"),
             al.path("q1_rate").within(-9.0, 9.0),
             (al.time_integral(torque.std) <= 50.0).named("spread"),

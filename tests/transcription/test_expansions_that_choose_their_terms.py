@@ -60,7 +60,7 @@ def exact_design(bound):
     return low
 
 
-ADAPTIVE = al.Expansion(index_set=Adaptive(error=1e-6, budget=800))
+ADAPTIVE = al.Expansion(index_set=Adaptive(error=1e-3, budget=800))
 SPARSE = al.Expansion(6, index_set=HyperbolicCross(0.7), points=200, fit=Sparse())
 
 

@@ -7,7 +7,7 @@ import pytest
 import aleator as al
 from aleator.design import is_over_time
 from aleator.nlp import FilterSQP, Status
-from aleator.transcription import excess_between, transcribe
+from aleator.transcription import excess_between, reference, transcribe
 
 
 class Cart(al.Mechanical):
@@ -53,15 +53,16 @@ def test_a_plan_that_breaks_its_limits_between_too_few_instants_is_no_solution()
 
 def test_a_plan_that_holds_says_on_how_many_steps():
     solution = al.solve(problem(), between=5)
-    assert solution.between.factor == 5
+    assert solution.between.factor >= 5
     assert solution.between.holds
-    assert "hold on 5 times as many steps" in str(solution)
+    assert f"hold on {solution.between.factor} times as many steps" in str(solution)
 
 
 def test_peaks_are_looked_at_between_instants_too():
     declared = problem(al.peak("speed").mean <= 0.62, minimize=al.effort("x_torque"), steps=3, free=4, t_final=2.0)
     found = transcribe(declared)
-    excess = excess_between(found, declared.survey.vector("initial"), 40)
+    start = declared.survey.vector("initial")
+    excess = excess_between(found, start, reference(found, start, 40))
     points = al.BSpline(np.concatenate([[0.0, 0.0], np.linspace(0.2, 0.8, 4), [1.0, 1.0]])[:, None], start=(), end=())
     speed = points.derivative(1).sampled(np.linspace(0.0, 1.0, 121), 0.0, 2.0)
     peak = float(np.abs(speed).max())
@@ -164,8 +165,8 @@ def test_arguments_that_make_no_sense_are_refused_in_words():
     for options, words in [
         ({"between": 0}, "whole number of at least 1; received 0"),
         ({"between": 2.5}, "received 2.5"),
-        ({"start": {"t_final": "soon"}}, r"numbers of shape \(\) for 't_final'; received 'soon'"),
-        ({"start": {"t_final": np.nan}}, "finite numbers of shape .* for 't_final'; received nan"),
+        ({"start": {"t_final": "soon"}}, r"'t_final': expected finite numbers of shape \(\); received 'soon'"),
+        ({"start": {"t_final": np.nan}}, "'t_final': expected finite numbers of shape .*; received nan"),
         ({"warm_start": {"t_final": 1.0}}, "expected a Solution as `warm_start`; received dict"),
     ]:
         with pytest.raises(al.ProblemError, match=words):

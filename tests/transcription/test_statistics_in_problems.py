@@ -157,7 +157,7 @@ def test_a_quantile_limit_gives_the_closed_form_design():
 
 def test_a_path_that_must_surely_stay_below_a_limit_does_so_on_every_sample():
     reach = 0.16
-    problem = oscillator_problem(subject_to=[al.path("x").within(-reach, reach, surely=True)])
+    problem = oscillator_problem(subject_to=[al.path("x").within(-reach, reach, worst_case=True)])
     solution = al.solve(problem)
     assert solution.constraints[0].values.shape == (81,)
     assert solution.active == ("x",)
@@ -170,7 +170,7 @@ def test_a_path_that_must_surely_stay_below_a_limit_does_so_on_every_sample():
 def test_a_deterministic_problem_knows_every_statistic():
     limits = [
         RESPONSE.at_most(2.0, probability=0.99),
-        RESPONSE.at_most(2.5, surely=True).named("sure"),
+        RESPONSE.at_most(2.5, worst_case=True).named("sure"),
         (RESPONSE.sobol("theta") <= 1.0).named("share"),
         (RESPONSE.skewness <= 1.0).named("skew"),
         (al.correlation(RESPONSE, LOSS) <= 1.0).named("together"),

@@ -246,8 +246,11 @@ THREE = TWO | {"c": LAWS["gumbel"]}
         (lambda: correlated(TWO, [[1.0, 1.0], [1.0, 1.0]]), "between -1 and 1.*`shared`"),
         (lambda: correlated(TWO, [[1.0, np.nan], [np.nan, 1.0]]), "finite numbers: received nan"),
         (lambda: correlated(TWO, np.eye(3)), r"shape \(2, 2\); received \(3, 3\)"),
-        (lambda: correlated(TWO, "strong"), "Correlations are plain numbers"),
-        (lambda: correlated(TWO, {("a", "b"): Decision(0.5)}), "Correlations are plain numbers; received Decision"),
+        (lambda: correlated(TWO, "strong"), "Correlations: expected plain numbers; received 'strong'"),
+        (
+            lambda: correlated(TWO, {("a", "b"): Decision(0.5)}),
+            r"correlation of \('a', 'b'\): expected a finite number; received Decision",
+        ),
         (lambda: correlated(TWO, {("a", "x"): 0.5}), r"pairs of two of the laws a, b; received \('a', 'x'\)"),
         (lambda: correlated(TWO, {("a", "a"): 0.5}), "pairs of two of the laws"),
         (lambda: correlated(TWO, {"ab": 0.5}), "pairs of two of the laws"),

@@ -16,7 +16,7 @@ from aleator.uncertainty import Decision, survey
         (lambda: Decision(-1.0, 0.0, 2.0), r"between its bounds \[0.0, 2.0\]; received -1.0"),
         (lambda: Decision(float("nan")), "finite value; received nan"),
         (lambda: Decision(float("inf")), "finite value; received inf"),
-        (lambda: Decision(None), "finite value"),
+        (lambda: Decision(None), "expected numbers.*received None"),
         (lambda: Decision(1.0, lower=float("nan")), "received lower=nan"),
         (lambda: Decision(1.0, upper=float("nan")), "upper=nan"),
         (lambda: Decision(1.0, lower=float("inf")), "between its bounds|lower bound"),
@@ -26,9 +26,9 @@ from aleator.uncertainty import Decision, survey
         (lambda: Decision(np.array([1.0, 5.0]), 0.0, 2.0), "between its bounds"),
         (lambda: Decision(np.array([1.0, np.nan])), "finite"),
         (lambda: Decision(np.ones(2), lower=np.array([0.0, 3.0]), upper=2.0), "lower bound must not exceed"),
-        (lambda: Decision("fast"), "takes numbers.*received 'fast'"),
-        (lambda: Decision([[1.0], [1.0, 2.0]]), "takes numbers"),
-        (lambda: Decision(1.0, {}), "takes numbers"),
+        (lambda: Decision("fast"), "expected numbers.*received 'fast'"),
+        (lambda: Decision([[1.0], [1.0, 2.0]]), "expected numbers"),
+        (lambda: Decision(1.0, {}), "expected numbers"),
     ],
 )
 def test_a_decision_that_makes_no_sense_is_refused_with_what_was_received(make, message):

@@ -145,11 +145,11 @@ def test_fields_not_declared_positive_may_be_anything():
         (Holder(Mass(0.0)), "inside.m"),
         (Holder([Mass(1.0), Mass(0.0)]), "inside.1.m"),
         (Holder({"a": (Mass(0.0),)}), "inside.a.0.m"),
-        (Whole(Mass(0.0), {}), "m"),
+        (Whole(Mass(0.0), {}), "system.m"),
         (Whole(1.0, {"u": Mass(0.0)}), "inputs.u.m"),
         ([Mass(0.0)], "0.m"),
     ],
-    ids=["module", "list", "dict and tuple", "system", "inputs", "list at the top"],
+    ids=["module", "list", "dict and tuple", "a field called system", "inputs", "list at the top"],
 )
 def test_positive_fields_are_found_anywhere_in_a_model(model, name):
     with pytest.raises(ProblemError, match=f"^'{name}' must stay positive"):

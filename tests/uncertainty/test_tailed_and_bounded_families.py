@@ -238,7 +238,7 @@ def test_a_number_that_must_be_positive_and_finite_is_refused_by_name_and_value(
         (lambda: Density(3.0, 0.0, 1.0), "Density takes a function"),
         (lambda: Density(bell, 1.0, 0.0), "Density needs lower < upper"),
         (lambda: Density(bell, float("nan"), 0.0), "Density needs lower < upper"),
-        (lambda: Density(bell, Decision(0.0), 1.0), "plain numbers as bounds.*decisions"),
+        (lambda: Density(bell, Decision(0.0), 1.0), r"Density: lower: expected a plain number .*decisions"),
         (lambda: Sample([1.0]), "at least two differ"),
         (lambda: Sample([2.0, 2.0]), "at least two differ"),
         (lambda: Sample([1.0, np.nan]), "1 numbers that are not finite"),

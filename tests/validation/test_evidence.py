@@ -1,4 +1,5 @@
 import dataclasses
+import warnings
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -10,7 +11,18 @@ import aleator as al
 from aleator.uncertainty import LegendreGerm
 from aleator.validation import PERCENTILES, Proportion
 from aleator.validation._sampling import SIMULATE_BATCH, draw
-from tiny_models import HALF_WIDTH, LOSS, ONE_STEP, RESPONSE, SPREAD, Gain, gain_problem, oscillator_problem
+from tiny_models import (
+    HALF_WIDTH,
+    LOSS,
+    ONE_STEP,
+    RESPONSE,
+    SPREAD,
+    Gain,
+    Oscillator,
+    gain_problem,
+    oscillator_problem,
+    sine,
+)
 
 
 @pytest.mark.parametrize("samples", [1, 2, 10, 1000, 100_000])
@@ -75,11 +87,13 @@ def test_the_same_seed_gives_the_same_evidence_whatever_the_batch():
 
 def test_moments_of_paths_and_kept_systems_are_those_of_the_samples_themselves():
     # As many kept as sampled: the paths themselves are at hand. One constraint with factor 1 on the mean.
-    solution = al.solve(oscillator_problem(subject_to=[al.path("x").within(-0.13, 0.13, sigmas=1.0)]))
+    # On so many steps that limits are counted at the instants of the design's own grid.
+    limits = [al.path("x").within(-0.13, 0.13, sigmas=1.0)]
+    solution = al.solve(oscillator_problem(subject_to=limits, grid=al.Grid(4.0, 320)))
     evidence = al.validate(solution, 150, batch=40, keep=150)
     upper, lower = evidence.trajectories
     paths = upper.values
-    assert paths.shape == (150, 81)
+    assert paths.shape == (150, 321)
     np.testing.assert_array_equal(lower.values, paths)
     sampled = evidence.functionals["x(t)"]
     np.testing.assert_allclose(sampled.mean, paths.mean(axis=0), rtol=1e-11, atol=1e-15)
@@ -130,6 +144,11 @@ def test_constraints_on_moments_alone_are_left_out_and_joint_counts_a_system_onc
     assert evidence.violations["low"].count == low.sum()
     assert evidence.violations["high"].count == high.sum()
     assert evidence.joint.count == (low | high).sum()
+    assert evidence.violation("low", "high") == evidence.joint
+    assert evidence.violation("high") == evidence.violations["high"]
+    for names in ((), ("spread",), ("low", "travel")):
+        with pytest.raises(al.ProblemError, match=r"systems are counted against, \['high', 'low'\]"):
+            evidence.violation(*names)
 
 
 def test_what_is_kept_of_the_samples_does_not_grow_with_the_instants_but_for_the_drawn_few():
@@ -150,15 +169,38 @@ def test_all_batches_share_one_compilation(solution):
     assert SIMULATE_BATCH.compilations == before
 
 
-def test_nothing_uncertain_is_refused():
-    solution = al.solve(gain_problem(theta=1.0))
-    with pytest.raises(al.ProblemError, match="nothing in this problem is uncertain"):
-        al.validate(solution)
+def test_a_design_of_which_nothing_is_uncertain_is_simulated_on_a_finer_grid():
+    evidence = al.validate(al.solve(gain_problem(theta=1.0)))
+    assert evidence.agrees
+    assert evidence.joint.count == 0
+    assert "nothing is uncertain: the one system simulated on 10 times as many steps" in str(evidence)
+
+
+def test_a_coarse_grid_behind_a_design_without_uncertainty_is_found_out():
+    swinging = Oscillator(m=1.0, c=al.Decision(0.5, 0.05, 8.0), k=10.0)
+    problem = al.Problem(
+        swinging,
+        grid=al.Grid(4.0, 8),
+        inputs={"force": sine()},
+        minimize=0.1 * al.value("c") + al.rms("v").mean,
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", al.GridWarning)
+        solution = al.solve(problem, throw=False)  # the solve knows it already
+    with pytest.warns(al.ExpansionWarning, match="contradict the solution.*Use more steps"):
+        evidence = al.validate(solution)
+    assert not evidence.agrees
+    assert str(evidence).startswith("DISAGREES: ")
+
+
+def test_a_seed_below_zero_is_what_the_refusal_speaks_of(solution):
+    with pytest.raises(al.ProblemError, match="seed is a whole number of at least 0; received -1"):
+        al.validate(solution, seed=-1)
 
 
 @pytest.mark.parametrize(("samples", "batch"), [(1, 100), (0, 100), (100, 0)])
 def test_numbers_of_samples_that_make_no_sense_are_refused(solution, samples, batch):
-    with pytest.raises(al.ProblemError, match=f"received {samples} and {batch}"):
+    with pytest.raises(al.ProblemError, match=f"received {min(samples, batch)}"):
         al.validate(solution, samples, batch=batch)
 
 

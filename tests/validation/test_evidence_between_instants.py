@@ -11,6 +11,7 @@ from scipy.interpolate import BSpline
 import aleator as al
 
 FREE, STEPS, LIMIT, STD = 4, 7, 1.6, 0.2
+ROUGHLY = 0.01  # so few steps give the effort to a quarter of a per cent
 ENDS: dict[str, Any] = {"start": ((0.0,), (0.0,)), "end": ((1.0,), (0.0,))}
 
 
@@ -37,7 +38,7 @@ def cart_problem(**options):
         "grid": al.Grid(1.0, STEPS),
         "minimize": al.effort("x_torque"),
         "subject_to": [al.path("momentum").at_most(LIMIT, sigmas=1.0)],
-        "expansion": al.Expansion(order=1),
+        "expansion": al.Expansion(order=2),
     }
     return al.Problem(al.InverseDynamics(Cart(mass=al.Uniform(1.0, std=STD)), motion=motion), **(defaults | options))
 
@@ -52,7 +53,7 @@ def share_beyond(solution, instants):
 
 @pytest.fixture(scope="module")
 def solution():
-    return al.solve(cart_problem())
+    return al.solve(cart_problem(), accuracy=ROUGHLY)
 
 
 def test_the_share_that_breaks_a_limit_is_that_at_all_times_and_not_at_the_instants_of_the_grid(solution):
@@ -61,12 +62,14 @@ def test_the_share_that_breaks_a_limit_is_that_at_all_times_and_not_at_the_insta
     share = evidence.violations["momentum"]
     assert share.lower <= truth <= share.upper
     assert at_instants < share.lower
-    assert evidence.instants == 10 * STEPS + 1
-    assert "limits over time counted at 71 instants" in str(evidence)
+    instants = solution.between.factor * STEPS + 1
+    assert evidence.instants == instants
+    assert instants > 100
+    assert f"limits over time counted at {instants} instants" in str(evidence)
 
 
 def test_a_design_that_holds_at_its_instants_alone_is_counted_there():
-    coarse = al.solve(cart_problem(), between=1)
+    coarse = al.solve(cart_problem(), between=1, accuracy=0.1)
     evidence = al.validate(coarse, 20_000, seed=2)
     share = evidence.violations["momentum"]
     assert share.lower <= share_beyond(coarse, STEPS + 1) <= share.upper
@@ -76,7 +79,7 @@ def test_a_design_that_holds_at_its_instants_alone_is_counted_there():
 
 def test_moments_and_kept_systems_stay_those_of_the_design_s_own_grid(solution):
     fine = al.validate(solution, 300, batch=70, keep=300)
-    coarse = al.validate(dataclasses.replace(solution, between=None), 300, batch=70, keep=300)
+    coarse = al.validate(dataclasses.replace(solution, between=None, grid_error=None), 300, batch=70, keep=300)
     for text, one in coarse.functionals.items():
         np.testing.assert_array_equal(fine.functionals[text].mean, one.mean)
         np.testing.assert_array_equal(fine.functionals[text].std, one.std)
@@ -95,10 +98,11 @@ def test_the_count_between_instants_does_not_depend_on_the_batch(solution):
 
 def test_calibration_counts_between_instants_too():
     target = 0.1
-    found = al.calibrate(cart_problem(), "momentum", target, samples=4_000)
+    found = al.calibrate(cart_problem(grid=al.Grid(1.0, 10)), "momentum", target, samples=4_000)
     error = 3 * np.sqrt(target / 4_000)
-    assert share_beyond(found.solution, 10_001) == pytest.approx(target * 0.95, abs=0.05 * target + error)
-    assert found.evidence.instants == 10 * STEPS + 1
+    assert found.confirmed
+    assert target - 2 * error < share_beyond(found.solution, 10_001) < target
+    assert found.evidence.instants == 10 * 10 + 1
 
 
 def test_limits_that_say_nothing_of_one_system_are_named_with_the_reason():
@@ -110,7 +114,8 @@ def test_limits_that_say_nothing_of_one_system_are_named_with_the_reason():
                 al.terminal("x").mean.equals(1.0).named("end"),
                 (al.value("mass.std") <= 5.0).named("given"),
             ]
-        )
+        ),
+        accuracy=ROUGHLY,
     )
     evidence = al.validate(solution, 100)
     assert evidence.violations == {}
@@ -122,6 +127,8 @@ def test_limits_that_say_nothing_of_one_system_are_named_with_the_reason():
         "end": "an equality, which no single system meets",
         "given": "numbers of the design alone",
     }
+    met = {one.name: one.meets for one in evidence.compared}
+    assert met == {"norm": True, "spread": True, "end": True}
     text = str(evidence)
     assert "not counted: ‖μ[momentum(t)]‖ ≤ 1.6 for all t (a norm or an integral of statistics)" in text
     assert "none can violate" not in text

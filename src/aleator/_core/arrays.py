@@ -2,7 +2,6 @@
 
 from typing import Any, TypeAlias
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -30,20 +29,3 @@ def numbers_to_arrays(tree: Pytree) -> Pytree:
 def is_number(leaf: Any) -> bool:
     """Whether `leaf` is a real number or an array of them: a Python float, or a floating NumPy or JAX array."""
     return isinstance(leaf, float) or jnp.issubdtype(getattr(leaf, "dtype", None) or bool, jnp.floating)
-
-
-def realised_shape(leaf: Any) -> tuple[int, ...]:
-    """The shape of what realisation leaves in the place of a leaf: a decision's own, one number for a law."""
-    if isinstance(leaf, eqx.Module):
-        bounds = decided_bounds(leaf)
-        return () if bounds is None else np.shape(bounds[0])
-    return np.shape(leaf)
-
-
-def decided_bounds(leaf: Any) -> tuple[Any, Any] | None:
-    """The bounds of a decision; None for everything else.
-
-    The layers below decisions know them by their parts alone: a start and its bounds.
-    """
-    parts = [getattr(leaf, name, None) for name in ("initial", "lower", "upper")]
-    return None if any(part is None or callable(part) for part in parts) else (parts[1], parts[2])

@@ -1,9 +1,12 @@
 """Ahead-of-time compilation, once per structure of the arguments, with its time on record."""
 
+import functools
 import math
+import threading
 import time
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
+from concurrent.futures import Future
 from itertools import accumulate, pairwise
 from typing import Any, NamedTuple, final
 
@@ -14,6 +17,8 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
+from aleator._core.errors import ProblemError
+
 # Enough for a session's problems; beyond, the one unused for longest is dropped, with the classes it holds.
 _KEPT = 32
 # On a CPU, XLA takes `jax.lax.optimization_barrier` away before it fuses loops, and then computes an intermediate
@@ -21,18 +26,34 @@ _KEPT = 32
 # this name left out, barriers last.
 _OPTIONS: dict[str, dict[str, str | bool]] = {"cpu": {"xla_disable_hlo_passes": "cse_barrier_expander"}}
 
+# By this name the checks of Equinox, and of what is built on it, are known among the errors of XLA.
+_CHECKED = "_EquinoxRuntimeError"
+
 
 @final
 class Compiled:
     """A function compiled ahead of time: once for each structure of its arguments, whatever their numbers are.
 
     Arrays in the arguments (also deep inside a problem) are traced; all the rest is structure. `compilations` and
-    `seconds` count what has been compiled so far.
+    `seconds` count what has been compiled so far. Several threads may call it: what one of them is compiling, the
+    others wait for.
+
+    Where the arguments hold code, such as the methods of a system, what that reads beside them must be told apart too:
+
+    - `code(*arguments)`: equal for code that computes the same, if the arguments do not say it themselves;
+    - `unchanged(*arguments)`: raises if that may have changed while it was compiled, and nothing is kept.
     """
 
-    def __init__(self, function: Callable[..., Any]):
-        self._function = function
-        self._executables: OrderedDict[Any, Callable[..., Any]] = OrderedDict()
+    def __init__(
+        self,
+        function: Callable[..., Any],
+        *,
+        code: Callable[..., Hashable] | None = None,
+        unchanged: Callable[..., None] | None = None,
+    ):
+        self._function, self._code, self._unchanged = function, code, unchanged
+        self._executables: OrderedDict[Any, Future[Callable[..., Any]]] = OrderedDict()
+        self._lock = threading.Lock()
         self.compilations = 0
         self.seconds = 0.0
 
@@ -43,7 +64,8 @@ class Compiled:
         def flat(*leaves: jax.Array) -> Any:
             return self._function(*eqx.combine(jax.tree.unflatten(structure, leaves), static))
 
-        return self._known("leaves", leaves, structure, static, lambda: self._compile(flat, *leaves))(*leaves)
+        found = self._known(arguments, "leaves", leaves, structure, static, lambda: self._compile(flat, *leaves))
+        return found(*leaves)
 
     def bound(self, *fixed: Any) -> Callable[[Float[np.ndarray, " n"]], Any]:
         """The function with all arguments but the last fixed, for many calls that differ in that one: an array.
@@ -65,33 +87,65 @@ class Compiled:
             given = vector, others, last
             if not found:
                 parts = [*jax.tree.leaves(reals), *others, last], (jax.tree.structure(reals), structure), static
-                found.append(self._known("packed", *parts, lambda: self._compile_packed(result, *given)))
+                build = functools.partial(self._compile_packed, result, *given)
+                found.append(self._known((*fixed, last), "packed", *parts, build))
             return found[0](*given)
 
         return call
 
     def _known(
-        self, way: str, leaves: list[Any], structure: Any, static: Any, build: Callable[[], Callable[..., Any]]
+        self,
+        arguments: tuple[Any, ...],
+        way: str,
+        leaves: list[Any],
+        structure: Any,
+        static: Any,
+        build: Callable[[], Callable[..., Any]],
     ) -> Callable[..., Any]:
         """What is called for arguments of this structure, built where none has been before."""
         static_leaves, static_structure = jax.tree.flatten(static)
         shapes = tuple((leaf.shape, leaf.dtype) for leaf in leaves)
         kinds = tuple(type(leaf) for leaf in static_leaves)  # 1 and True are equal, but not the same structure
-        key = (way, structure, static_structure, tuple(static_leaves), kinds, shapes)
-        if key not in self._executables:
-            self._executables[key] = build()
-        self._executables.move_to_end(key)
-        while len(self._executables) > _KEPT:
-            self._executables.popitem(last=False)
-        return self._executables[key]
+        code = self._code(*arguments) if self._code else None
+        key = (way, structure, static_structure, tuple(static_leaves), kinds, shapes, code)
+        with self._lock:
+            known = self._executables.get(key)
+            future = self._executables.setdefault(key, Future()) if known is None else known
+            self._executables.move_to_end(key)
+            while len(self._executables) > _KEPT:
+                self._executables.popitem(last=False)
+        if known is None:
+            self._build(key, future, arguments, build)
+        elif isinstance(future.exception(), KeyboardInterrupt):  # of the thread that was building
+            return self._known(arguments, way, leaves, structure, static, build)
+        return future.result()
+
+    def _build(
+        self, key: Any, future: Future[Callable[..., Any]], arguments: tuple[Any, ...], build: Callable[[], Any]
+    ) -> None:
+        """Build what others may be waiting for already. What fails is not kept, and fails for them too."""
+        try:
+            built = build()
+            if self._code and self._code(*arguments) != key[-1]:
+                raise ProblemError("The code of the system has changed while it was compiled. Run it again.")
+            if self._unchanged:
+                self._unchanged(*arguments)
+        except BaseException as error:
+            with self._lock:
+                if self._executables.get(key) is future:
+                    del self._executables[key]
+            future.set_exception(error)
+        else:
+            future.set_result(built)
 
     def _compile(self, function: Callable[..., Any], *arguments: Any) -> Callable[..., Any]:
         start = time.perf_counter()
         options = _OPTIONS.get(jax.default_backend(), {})
         executable = jax.jit(function).lower(*arguments).compile(compiler_options=options)
-        self.seconds += time.perf_counter() - start
-        self.compilations += 1
-        return executable
+        with self._lock:
+            self.seconds += time.perf_counter() - start
+            self.compilations += 1
+        return functools.partial(_run, executable)
 
     def _compile_packed(self, function: Callable[..., Any], *arguments: Any) -> Callable[..., Any]:
         layout: list[_Layout] = []
@@ -105,6 +159,21 @@ class Compiled:
 
         executable = self._compile(packed, *arguments)
         return lambda *given: layout[0].unpacked(*executable(*given))
+
+
+def _run(executable: Callable[..., Any], *arguments: Any) -> Any:
+    """What an executable gives; numbers that are none where the checks of a library inside stop it.
+
+    The linear solvers of stiff integrators do so where they meet derivatives that are not finite. Given no numbers at
+    all, the same executable gives none, in the right shapes.
+    """
+    try:
+        return jax.block_until_ready(executable(*arguments))
+    except jax.errors.JaxRuntimeError as error:
+        if _CHECKED not in str(error):
+            raise
+    nothing = jax.tree.map(lambda leaf: jnp.full_like(leaf, jnp.nan) if _is_real(leaf) else leaf, arguments)
+    return executable(*nothing)
 
 
 class _Layout(NamedTuple):

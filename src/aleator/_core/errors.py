@@ -30,3 +30,11 @@ class MissingExtraError(AleatorError, ImportError):
 
 class ExpansionWarning(UserWarning):
     """The expansion does not resolve an output well enough for its statistics to be trusted."""
+
+
+class GridWarning(UserWarning):
+    """The time grid is too coarse for the accuracy that is asked for."""
+
+
+class CalibrationWarning(UserWarning):
+    """A calibration ended without a design that is confirmed to be violated no more often than asked."""

@@ -1,6 +1,7 @@
 """`AbstractExpanded`: what can be asked of a function of uncertain inputs once it is expanded."""
 
 import abc
+import threading
 from collections.abc import Callable, Mapping
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -34,13 +35,15 @@ from aleator.statistics import (
 from aleator.uncertainty import AbstractDistribution, AbstractGerm
 
 _PREPARED: "WeakKeyDictionary[Basis, dict[Any, Pytree]]" = WeakKeyDictionary()
+_LOCK = threading.Lock()
 
 
 def prepared(preparation: Callable[[Basis], Pytree] | None, basis: Basis) -> Pytree:
     """What a statistic needs of a basis: prepared when first asked for, and kept as long as the basis."""
     if preparation is None:
         return ()
-    known = _PREPARED.setdefault(basis, {})
+    with _LOCK:
+        known = _PREPARED.setdefault(basis, {})
     if preparation not in known:
         # What is kept must not belong to a function that is just being traced.
         with jax.ensure_compile_time_eval():

@@ -47,7 +47,7 @@ def element(box: Box, germs: Mapping[str, AbstractGerm], expansion: Expansion, s
     values = flat(samples)
     known = [np.asarray(collocation.coefficients(jnp.asarray(one))) for one in values]
     errors = [
-        float(leave_one_out(collocation, jnp.asarray(one), jnp.asarray(terms))) * one.var(axis=0).sum()
+        float(leave_one_out(collocation, jnp.asarray(one), jnp.asarray(terms))) ** 2 * one.var(axis=0).sum()
         for one, terms in zip(values, known, strict=True)
     ]
     coefficients = jax.tree.map(collocation.coefficients, samples)

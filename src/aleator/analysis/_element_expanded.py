@@ -12,12 +12,12 @@ from jaxtyping import Array, Float
 
 from aleator._core.arrays import Pytree
 from aleator._core.errors import ProblemError
+from aleator._core.tracing import evaluate
 from aleator.analysis import _sampled_law as sampled_law
 from aleator.analysis._abstract_expanded import AbstractExpanded, checked_points, paired, part, prepared
 from aleator.analysis._expanded_text import as_lines, law_rows, nothing, output_rows
 from aleator.analysis._inputs import inputs_at
 from aleator.analysis._partition import Partition
-from aleator.analysis._tracing import evaluate
 from aleator.statistics import (
     AbstractStatistic,
     Covariance,

@@ -1,7 +1,7 @@
 """`expand`: any function of uncertain inputs as polynomials of them, without a design around it."""
 
 import warnings
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any, overload
 
 import jax
@@ -18,8 +18,9 @@ from aleator.analysis._partition import Partition
 from aleator.analysis._refinement import Refinement
 from aleator.analysis._sampling import AbstractSampler, CalledSampler, Function, TracedSampler
 from aleator.collocation import (
-    UNRESOLVED,
+    ILL_CONDITIONED,
     Adaptive,
+    Collocation,
     Discretisation,
     Expansion,
     Sparse,
@@ -65,18 +66,20 @@ def expand(
     parameter of a law, outputs vary with a weak singularity at the ends of it; `al.GaussPoints` integrates that best.
 
     Raises `ProblemError` if there is nothing uncertain or the function cannot be traced, `SimulationError` where an
-    output is not finite. Warns with `ExpansionWarning` if an output is not resolved.
+    output is not finite. Warns with `ExpansionWarning` if an output is not resolved, or if the condition number of the
+    collocation matrix exceeds a million.
     """
     sampler = sampler_of(function, model, traced)
     if isinstance(expansion, MultiElement):
         return _in_elements(sampler, expansion)
     if not isinstance(expansion, Expansion | None):
         raise ProblemError(f"expand: expected an Expansion or a MultiElement; received {expansion!r}.")
-    basis, collocation = _discretised(sampler, expansion or Expansion())
+    expansion = expansion or Expansion()
+    basis, collocation = _discretised(sampler, expansion)
     samples = sampler.samples(collocation.points)
     coefficients = jax.tree.map(collocation.coefficients, samples)
-    expanded = Expanded(sampler.laws, basis, coefficients, collocation, samples)
-    _warn_if_unresolved(expanded, times)
+    expanded = Expanded(sampler.laws, basis, coefficients, collocation, samples, expansion.tolerance)
+    _warn_of_doubts(expanded, collocation, times)
     return expanded
 
 
@@ -128,26 +131,36 @@ def _kept(germs: tuple[tuple[str, AbstractGerm], ...], expansion: Expansion) -> 
         return collocate(dict(germs), expansion)
 
 
-def _warn_if_unresolved(expanded: Expanded, times: Any) -> None:
-    """Say which outputs the order does not resolve and, where the instants are known, from when on."""
+def _warn_of_doubts(expanded: Expanded, collocation: Collocation, times: Any) -> None:
+    """Say where the matrix is ill-conditioned, which outputs the order does not resolve and, where the instants are
+    known, from when on.
+    """
     errors = jax.tree_util.tree_leaves_with_path(expanded.error)
     until = [None] * len(errors) if times is None else _resolved_until(expanded, np.asarray(times))
     bad = []
     for (path, error), last in zip(errors, until, strict=True):
         known = concrete(error)
-        if known is None or (known <= UNRESOLVED and last is None):
+        if known is None or (known <= expanded.tolerance and last is None):
             continue
         name = jax.tree_util.keystr(path, simple=True, separator=".") or "the output"
         since = "" if last is None else f", resolved until t = {last:.4g} only"
         bad.append(f"{name} (error {float(known):.2g}{since})")
-    if bad:
-        warnings.warn(
-            f"The expansion of order {expanded.basis.order} does not resolve {', '.join(bad)}: errors above "
-            f"{UNRESOLVED} make means and spreads unreliable. Raise the order, shorten the time, or expand by "
-            "al.MultiElement().",
-            ExpansionWarning,
-            stacklevel=3,
+    said = []
+    condition = concrete(collocation.condition_number)
+    if condition is not None and not condition <= ILL_CONDITIONED:
+        said.append(
+            f"The collocation matrix has condition number {float(condition):.1e} (warned of beyond "
+            f"{ILL_CONDITIONED:.0e}), so coefficients lose digits. Use more points or a lower order, or "
+            "al.ChristoffelPoints()."
         )
+    if bad:
+        said.append(
+            f"The expansion of order {expanded.basis.order} does not resolve {', '.join(bad)}: errors above "
+            f"{expanded.tolerance:g} make means and spreads unreliable. Raise the order, shorten the time, or expand "
+            "by al.MultiElement()."
+        )
+    if said:
+        warnings.warn(" ".join(said), ExpansionWarning, stacklevel=3)
 
 
 def _resolved_until(expanded: Expanded, times: np.ndarray) -> list[float | None]:
@@ -158,6 +171,9 @@ def _resolved_until(expanded: Expanded, times: np.ndarray) -> list[float | None]
                 f"expand: times has {len(times)} instants, so each output needs a leading axis of {len(times)}; "
                 f"received shape {leaf.shape[1:]}."
             )
-    counts = [concrete(count) for count in jax.tree.leaves(expanded.checked(resolved_instants))]
+    counts = [
+        concrete(count)
+        for count in jax.tree.leaves(expanded.checked(partial(resolved_instants, tolerance=expanded.tolerance)))
+    ]
     known = [len(times) if count is None else int(count) for count in counts]
     return [None if count == len(times) else float(times[max(count - 1, 0)]) for count in known]

@@ -10,12 +10,13 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from aleator._core.arrays import Pytree, numbers_to_arrays
+from aleator._core.tracing import evaluate
 from aleator.analysis._abstract_expanded import AbstractExpanded, checked_points, paired, part, prepared
 from aleator.analysis._expanded_text import as_lines, contributors, law_rows, nothing, output_rows, trust
 from aleator.analysis._inputs import concrete
-from aleator.analysis._tracing import evaluate
-from aleator.collocation import Basis, Collocation, leave_one_out
-from aleator.statistics import AbstractStatistic, Sobol, TotalSobol, cdf, lines_through, pdf
+from aleator.analysis._shapley import shapley_matrix
+from aleator.collocation import UNRESOLVED, Basis, Collocation, leave_one_out, unseen
+from aleator.statistics import AbstractStatistic, Sobol, TotalSobol, cdf, lines_through, pdf, refuse_correlated, varies
 from aleator.uncertainty import AbstractDistribution, AbstractGerm
 
 # Outputs that vary by less than this part of their size are constant, but for rounding.
@@ -29,7 +30,8 @@ class Expanded(AbstractExpanded):
     - `laws`: the law of each uncertain input, by name; `basis`: the orthonormal polynomials;
     - `coefficients`: of each output, shape (terms, *shape);
     - `collocation`, `samples`: the points, and the outputs there, shape (points, *shape); a Galerkin solution has
-      neither (None).
+      neither (None);
+    - `tolerance`: the error up to which an output counts as resolved, that of the `Expansion`.
     """
 
     laws: dict[str, AbstractDistribution]
@@ -37,17 +39,19 @@ class Expanded(AbstractExpanded):
     coefficients: Pytree
     collocation: Collocation | None
     samples: Pytree | None
+    tolerance: float = UNRESOLVED
 
     def __getitem__(self, name: str) -> "Expanded":
         """See `AbstractExpanded.__getitem__`."""
         samples = None if self.samples is None else part(self.samples, name)
-        return Expanded(self.laws, self.basis, part(self.coefficients, name), self.collocation, samples)
+        return Expanded(self.laws, self.basis, part(self.coefficients, name), self.collocation, samples, self.tolerance)
 
     def _both(self, first: str, second: str) -> "Expanded":
         return Expanded(self.laws, self.basis, paired(self.coefficients, first, second), None, None)
 
     def statistic(self, kind: AbstractStatistic) -> Pytree:
-        """See `AbstractExpanded.statistic`."""
+        """See `AbstractExpanded.statistic`. Raises `ProblemError` for Sobol indices of correlated inputs."""
+        refuse_correlated(self.laws, kind)
         numbers, rest = eqx.partition(numbers_to_arrays(kind), eqx.is_array)
 
         def of(numbers: Pytree, constants: Pytree, terms: Array) -> Array:
@@ -74,9 +78,21 @@ class Expanded(AbstractExpanded):
         """The share of the variance to which an input contributes, alone or together with others, from 0 to 1."""
         return self.statistic(TotalSobol(variable))
 
+    def shapley(self, name: str) -> Pytree:
+        """The share of the variance that an input contributes, correlated or not, from 0 to 1 (Shapley effect).
+
+        The shares of all inputs add up to one. Of independent inputs it is the sum of their Sobol indices, those of
+        several acting together in equal parts. Zero where the output does not vary.
+
+        Raises `ProblemError` for an unknown input, and for more than 12.
+        """
+        matrix = jnp.asarray(shapley_matrix(self.laws, self.basis, name))
+        return jax.tree.map(lambda terms: _part_of_variance(terms, matrix), self.coefficients)
+
     @property
     def leave_one_out(self) -> Pytree:
-        """The relative leave-one-out error of each output: 0 is perfect, 1 is no better than the mean.
+        """The relative leave-one-out error of each output, an rms over the standard deviation: 0 is perfect, 1 is no
+        better than the mean.
 
         Not a number for a Galerkin solution, which has no samples to predict.
         """
@@ -84,11 +100,16 @@ class Expanded(AbstractExpanded):
 
     @property
     def error(self) -> Pytree:
-        """How far each output is from resolved: its leave-one-out error or, where nothing can be left out, the part of
-        its variance in the highest degrees. Sparse grids, interpolation and Galerkin projection leave nothing to check.
+        """How far each output is from resolved: its leave-one-out error or, where nothing can be left out, what the
+        decay of its degrees leads to. Sparse grids, interpolation and Galerkin projection leave nothing to check.
+
+        If each degree is a fraction `r` of the one before, `highest_degree_share` is `r**(2 (order - step))`, and what
+        is beyond the order about `r**order`, both relative to the spread (`step` is 1 up to order 2, 2 from then on).
         """
+        order = self.basis.order
+        exponent = order / (2 * max(order - _step(self.basis), 1))
         pairs = self.leave_one_out, self.highest_degree_share
-        return jax.tree.map(lambda error, share: jnp.where(jnp.isfinite(error), error, share), *pairs)
+        return jax.tree.map(lambda error, share: jnp.where(jnp.isfinite(error), error, share**exponent), *pairs)
 
     def checked(self, check: Callable[..., Any]) -> Pytree:
         """`check(collocation, samples, coefficients)` of each output; not a number where there are no samples."""
@@ -117,32 +138,50 @@ class Expanded(AbstractExpanded):
         return jax.tree.map(lambda terms: jnp.tensordot(matrix, terms, axes=1), self.coefficients)
 
     def __str__(self) -> str:
-        remarks = jax.tree.map(self._remark, self.coefficients, self.leave_one_out, self.highest_degree_share)
-        return as_lines([("expansion", self._how()), *law_rows(self.laws), *output_rows(self.mean, self.std, remarks)])
+        remarks = jax.tree.map(self._remark, self.coefficients, self.leave_one_out, self.error)
+        rows = [("expansion", self._how()), *law_rows(self.laws), *output_rows(self.mean, self.std, remarks)]
+        points = None if self.collocation is None else concrete(self.collocation.points)
+        corner = None if points is None else unseen(self.basis, points)
+        return as_lines(rows if corner is None else [*rows, ("not seen", corner.sentence())])
 
     def _how(self) -> str:
         variables = self.basis.variables
         how = f"order {self.basis.order} in {variables} variable{'s' * (variables != 1)}, {self.basis.terms} terms"
-        return f"{how}, Galerkin" if self.collocation is None else f"{how}, {len(self.collocation.points)} points"
+        if self.collocation is None:
+            return f"{how}, Galerkin"
+        condition = concrete(self.collocation.condition_number)
+        told = "" if condition is None else f", condition number {float(condition):.3g}"
+        return f"{how}, {len(self.collocation.points)} points{told}"
 
-    def _remark(self, terms: Array, error: Array, share: Array) -> Callable[[tuple], str]:
+    def _remark(self, terms: Array, checked: Array, error: Array) -> Callable[[tuple], str]:
         """What is said of one entry of an output beside its moments: where its spread comes from, and trust."""
-        known, *trusted = map(concrete, (terms, error, share))
+        known, loo, missed = map(concrete, (terms, checked, error))
         if known is None:
             return nothing
-        return lambda entry: f"; {contributors(self.basis, known[(slice(None), *entry)])}; {trust(*trusted)}"
+        trusted = trust(loo, missed, self.tolerance)
+        return lambda entry: f"; {contributors(self.laws, self.basis, known[(slice(None), *entry)])}; {trusted}"
 
 
 def _edge(basis: Basis) -> Bool[np.ndarray, " terms"]:
     """Which terms stand at the edge of the index set; see `highest_degree_share`."""
     known = set(map(tuple, basis.indices.tolist()))
-    step = 2 if basis.order > 2 else 1
+    step = _step(basis)
 
     def ends(term: tuple[int, ...]) -> bool:
         raised = ((*term[:i], degree + step, *term[i + 1 :]) for i, degree in enumerate(term) if degree)
         return any(one not in known for one in raised)
 
     return np.array([ends(tuple(term)) for term in basis.indices.tolist()])
+
+
+def _step(basis: Basis) -> int:
+    return 2 if basis.order > 2 else 1
+
+
+def _part_of_variance(terms: Float[Array, "terms *shape"], matrix: Float[Array, "terms terms"]) -> Array:
+    part = jnp.sum(terms * jnp.tensordot(matrix, terms, axes=1), axis=0)
+    total, spreads = jnp.sum(terms[1:] ** 2, axis=0), varies(terms)
+    return jnp.where(spreads, part / jnp.where(spreads, total, 1.0), 0.0)
 
 
 def _share(terms: Float[Array, "terms *shape"], highest: np.ndarray) -> Float[Array, ""]:

@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from aleator._core.arrays import Pytree
 from aleator.analysis._inputs import concrete
-from aleator.collocation import UNRESOLVED, Basis
+from aleator.collocation import Basis
 from aleator.uncertainty import AbstractDistribution
 
 _CONTRIBUTORS = 4
@@ -60,22 +60,29 @@ def _where(shape: tuple[int, ...], entry: tuple) -> str:
     return f"{'×'.join(map(str, shape))} numbers, of the largest spread [{place}]: "
 
 
-def contributors(basis: Basis, terms: Float[np.ndarray, " terms"]) -> str:
-    """The largest shares of the variance by the inputs that they come from, alone or together (Sobol indices)."""
+def contributors(laws: Mapping[str, AbstractDistribution], basis: Basis, terms: Float[np.ndarray, " terms"]) -> str:
+    """The largest shares of the variance by the inputs that they come from, alone or together (Sobol indices).
+
+    A correlated group counts as one input: what its members contribute is told by Shapley effects.
+    """
+    group = {
+        germ: f"({law.dependence.group})" for law in laws.values() if law.dependence for germ in law.germ_names("")
+    }
     variance = np.sum(terms[1:] ** 2)
     if not variance > 0:
         return "it does not vary"
     shares: dict[str, float] = {}
     for degrees, coefficient in zip(basis.indices[1:], terms[1:], strict=True):
-        name = "·".join(name for name, degree in zip(basis.names, degrees, strict=True) if degree)
+        name = "·".join(
+            dict.fromkeys(group.get(name, name) for name, degree in zip(basis.names, degrees, strict=True) if degree)
+        )
         shares[name] = shares.get(name, 0.0) + float(coefficient**2 / variance)
     largest = sorted(shares.items(), key=lambda item: -item[1])[:_CONTRIBUTORS]
     return ", ".join(f"{name} {100 * share:.3g} %" for name, share in largest if share > _LEAST_SHARE)
 
 
-def trust(leave_one_out: Any, highest_degree_share: Any) -> str:
+def trust(leave_one_out: Any, error: Any, tolerance: float) -> str:
     """How well the expansion is known to hold: by its leave-one-out error or, without samples, by its last terms."""
-    checked = bool(np.isfinite(leave_one_out))
-    error = float(leave_one_out if checked else highest_degree_share)
-    verdict = "resolved" if error <= UNRESOLVED else "NOT RESOLVED, raise the order"
-    return f"{'leave-one-out error' if checked else 'share of the highest degrees'} {error:.1e} ({verdict})"
+    by = "leave-one-out error" if np.isfinite(leave_one_out) else "error by the decay of its degrees"
+    verdict = "resolved" if float(error) <= tolerance else "NOT RESOLVED, raise the order"
+    return f"{by} {float(error):.1e} ({verdict})"

@@ -12,10 +12,12 @@ from jaxtyping import Array, Float
 
 from aleator._core.arrays import Pytree, numbers_to_arrays
 from aleator._core.errors import ExpansionWarning, ProblemError, SimulationError
+from aleator._core.given import one_of, refusal
+from aleator._core.leaves import transparent
+from aleator._core.tracing import trace
 from aleator.analysis._expanded import Expanded
 from aleator.analysis._inputs import concrete
-from aleator.analysis._tracing import trace
-from aleator.collocation import UNRESOLVED, Adaptive, Basis, Expansion, GaussPoints, SmolyakPoints
+from aleator.collocation import Adaptive, Basis, Expansion, GaussPoints, SmolyakPoints
 from aleator.dynamics import AbstractIntegrator, Grid, System, simulate
 from aleator.dynamics._system import check_inputs, derivative, initial_state, observation
 from aleator.trajectories import AbstractSignal
@@ -33,6 +35,7 @@ class _Quadrature(NamedTuple):
     projection: Float[Array, "terms nodes"]
 
 
+@transparent("system")
 class _Model(NamedTuple):
     """What may hold distributions."""
 
@@ -98,10 +101,14 @@ def galerkin(
     do not stay finite. Warns with `ExpansionWarning` if the terms of the highest degrees carry a large part of an
     output's variance.
     """
+    if not isinstance(inputs, Mapping | None):
+        raise refusal("galerkin: inputs", "signals by name, such as {'road': ...}", inputs)
+    if integrator is not None:
+        one_of("galerkin: integrator", integrator, AbstractIntegrator, "al.RungeKutta4()")
+    expansion = one_of("galerkin: expansion", Expansion() if expansion is None else expansion, Expansion)
     model = _Model(system, dict(inputs or {}))
     _check(system, grid, model)
     places = survey(model)
-    expansion = expansion or Expansion()
     if isinstance(expansion.index_set, Adaptive):
         raise ProblemError("galerkin: an Adaptive index set needs samples; expected a fixed one, such as TotalDegree.")
     basis = Basis(places.germs, expansion.index_set.indices(places.germ_names, expansion.order))
@@ -116,9 +123,11 @@ def galerkin(
         outputs = simulate(expanded, grid, {}, integrator)
         return {name: jnp.moveaxis(values, 1, 0) for name, values in outputs.items()}
 
-    coefficients = trace(histories, numbers, quadrature)(numbers, quadrature)
+    coefficients = trace(histories, numbers, quadrature, code=(model, integrator), name=type(system).__name__)(
+        numbers, quadrature
+    )
     laws = {name: law.initial() for name, law in places.distributions.items()}
-    expanded = Expanded(laws, basis, coefficients, None, None)
+    expanded = Expanded(laws, basis, coefficients, None, None, expansion.tolerance)
     _judge(expanded, np.asarray(grid.times))
     return expanded
 
@@ -166,12 +175,13 @@ def _judge(expanded: Expanded, times: np.ndarray) -> None:
                 "time step, lower the order or use an implicit integrator (al.Kvaerno5)."
             )
     shares = {name: concrete(share) for name, share in expanded.error.items()}
-    bad = {name: float(share) for name, share in shares.items() if share is not None and not share <= UNRESOLVED}
+    limit = expanded.tolerance
+    bad = {name: float(share) for name, share in shares.items() if share is not None and not share <= limit}
     if bad:
         listed = ", ".join(f"{name} ({share:.2g})" for name, share in bad.items())
         warnings.warn(
-            f"galerkin: the highest degrees carry a large part of the variance of {listed}, more than {UNRESOLVED}, so "
-            "means and spreads are unreliable. Raise the order or shorten the time.",
+            f"galerkin: the highest degrees carry a large part of the variance of {listed}: errors above {limit:g} "
+            "make means and spreads unreliable. Raise the order or shorten the time.",
             ExpansionWarning,
             stacklevel=3,
         )

@@ -4,8 +4,7 @@ from typing import final
 
 import equinox as eqx
 
-from aleator._core.errors import ProblemError
-from aleator.collocation import Expansion
+from aleator._core import given
 
 
 @final
@@ -29,8 +28,6 @@ class MultiElement(eqx.Module):
     budget: int = eqx.field(static=True)
 
     def __init__(self, order: int = 4, *, error: float = 1e-3, budget: int = 10_000):
-        if not (isinstance(error, float) and 0 < error < 1):
-            raise ProblemError(f"MultiElement: error is a number between 0 and 1; received {error!r}.")
-        if isinstance(budget, bool) or not isinstance(budget, int) or budget < 1:
-            raise ProblemError(f"MultiElement: budget is a positive whole number of calls; received {budget!r}.")
-        self.order, self.error, self.budget = Expansion(order).order, error, budget
+        self.order = given.whole("MultiElement: order", order)
+        self.error = given.positive("MultiElement: error", error, below=1.0)
+        self.budget = given.whole("MultiElement: budget, the number of calls,", budget)

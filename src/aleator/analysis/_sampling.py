@@ -13,8 +13,8 @@ from jaxtyping import Array, Float
 
 from aleator._core.arrays import Pytree, numbers_to_arrays
 from aleator._core.errors import ProblemError, SimulationError
+from aleator._core.tracing import Traced, trace
 from aleator.analysis._inputs import concrete, inputs_at, plain
-from aleator.analysis._tracing import Traced, trace
 from aleator.uncertainty import AbstractDistribution, Survey, realise, survey
 
 Function: TypeAlias = Callable[[Any], Pytree]
@@ -99,7 +99,7 @@ class TracedSampler(AbstractSampler):
             return jax.vmap(lambda point: self._arrays(self.function(self._realised(model, point))))(points)
 
         try:
-            return trace(outputs, self._numbers, points)
+            return trace(outputs, self._numbers, points, code=self.function, name=self._name)
         except (jax.errors.JAXTypeError, jax.errors.NonConcreteBooleanIndexError) as error:
             raise ProblemError(
                 f"{self._name} cannot be traced by JAX ({str(error).splitlines()[0]}) Write it with jax.numpy, or "

@@ -11,6 +11,7 @@ import numpy as np
 
 from aleator._core.arrays import Pytree
 from aleator._core.errors import ProblemError, SimulationError
+from aleator._core.given import one_of, real_array
 from aleator.analysis._expand import expand, sampler_of
 from aleator.analysis._expanded import Expanded
 from aleator.analysis._zones import Zone, in_zones, zones_of
@@ -112,10 +113,13 @@ def tolerance_analysis(
 
     Raises `ProblemError` for limits in the wrong order, an unknown output, a tolerance of an unknown dimension.
     """
-    if not lower < upper or (np.isinf(lower) and np.isinf(upper)):
+    limits = [real_array(f"tolerance_analysis: {name}", one) for name, one in (("lower", lower), ("upper", upper))]
+    if any(one.ndim for one in limits) or not limits[0] < limits[1] or (np.isinf(lower) and np.isinf(upper)):
         raise ProblemError(
             f"tolerance_analysis: expected limits lower < upper, one of them finite; received {lower} and {upper}."
         )
+    if expansion is not None:
+        one_of("tolerance_analysis: expansion", expansion, Expansion)
     function, name = _function(model, output)
     zones = zones_of(survey(model), tolerances or {})
     expanded = _expanded(function, model, expansion)

@@ -8,6 +8,7 @@ from aleator.collocation._collocation import leave_one_out_by_entry as leave_one
 from aleator.collocation._expansion import Discretisation as Discretisation
 from aleator.collocation._expansion import Expansion as Expansion
 from aleator.collocation._expansion import collocate as collocate
+from aleator.collocation._fit import ILL_CONDITIONED as ILL_CONDITIONED
 from aleator.collocation._fit import AbstractFit as AbstractFit
 from aleator.collocation._fit import Interpolation as Interpolation
 from aleator.collocation._fit import LeastSquares as LeastSquares
@@ -33,3 +34,5 @@ from aleator.collocation._resolution import leave_one_out_history as leave_one_o
 from aleator.collocation._resolution import resolved_instants as resolved_instants
 from aleator.collocation._respond import Respond as Respond
 from aleator.collocation._sparse import Sparse as Sparse
+from aleator.collocation._unseen import Unseen as Unseen
+from aleator.collocation._unseen import unseen as unseen

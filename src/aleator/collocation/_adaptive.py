@@ -9,11 +9,12 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float, Int
 
+from aleator._core import given
 from aleator._core.errors import ExpansionWarning, ProblemError
 from aleator.collocation._basis import Basis
 from aleator.collocation._fit import WORST_CONDITION
 from aleator.collocation._index_set import TotalDegree, sorted_terms
-from aleator.collocation._points import AbstractCountedPoints, AbstractPoints, Nodes, check_positive
+from aleator.collocation._points import AbstractCountedPoints, AbstractPoints, Nodes
 from aleator.collocation._respond import Respond, components, responses
 from aleator.uncertainty import AbstractGerm
 
@@ -40,20 +41,19 @@ class Adaptive(eqx.Module):
     path has one error), or with `ExpansionWarning` where `budget` points or the expansion's order do not suffice; then
     the set of the least error is kept. The terms stay as they are from then on, whatever the decisions.
 
-    - `error`: relative leave-one-out error to reach, a squared error over the variance;
+    - `error`: relative leave-one-out error to reach, that of an rms over the standard deviation;
     - `budget`: the largest number of points.
 
     Source: Gerstner and Griebel (2003), Dimension-adaptive tensor-product quadrature, for the growth of downward closed
     sets; Blatman and Sudret (2010) for the error that drives it.
     """
 
-    error: float = eqx.field(static=True, default=1e-4)
-    budget: int = eqx.field(static=True, default=1000)
+    error: float = eqx.field(static=True)
+    budget: int = eqx.field(static=True)
 
-    def __check_init__(self):
-        if not (isinstance(self.error, int | float) and 0 < self.error < 1):
-            raise ProblemError(f"Adaptive: the error to reach lies between 0 and 1; received {self.error!r}.")
-        check_positive(self.budget, Adaptive, "the budget of points")
+    def __init__(self, error: float = 1e-2, budget: int = 1000):
+        self.error = given.positive("Adaptive: the error to reach", error, below=1.0)
+        self.budget = given.whole("Adaptive: the budget of points", budget)
 
 
 def grow(
@@ -130,7 +130,8 @@ class _State:
         self._residuals = [one - self._orthogonal @ (self._orthogonal.T @ one) for one in outputs]
         sound = remainder.min() > _LEAST_REMAINDER and np.linalg.cond(triangular) < WORST_CONDITION
         self._errors = [
-            float(np.sum((one / remainder[:, None]) ** 2) / len(one)) if sound else np.inf for one in self._residuals
+            float(np.sqrt(np.sum((one / remainder[:, None]) ** 2) / len(one))) if sound else np.inf
+            for one in self._residuals
         ]
         self.error = max(self._errors, default=0.0)
 

@@ -7,7 +7,12 @@ from typing import final
 import numpy as np
 from jaxtyping import Float, Int
 
+from aleator._core.memory import NUMBER, refuse_beyond_memory
+from aleator.collocation._index_set import SMALLER
 from aleator.uncertainty import AbstractGerm
+
+# The matrix, and the column of each of its entries in one variable.
+_MATRICES = 2
 
 
 @final
@@ -48,11 +53,20 @@ class Basis:
         return tuple(self.indices.max(axis=0).tolist())
 
     def matrix(self, points: Float[np.ndarray, "n variables"]) -> Float[np.ndarray, "n terms"]:
-        """The matrix `A[k, j] = Psi_j(xi_k)` of equation (28) at germ points of any number."""
+        """The matrix `A[k, j] = Psi_j(xi_k)` of equation (28) at germ points of any number.
+
+        Raises `ProblemError` if it would not fit into memory.
+        """
+        self.refuse_beyond_memory(len(points), _MATRICES)
         matrix = np.ones((len(points), self.terms))
         for i, (germ, degree) in enumerate(zip(self.germs.values(), self.degrees, strict=True)):
             matrix *= germ.polynomials(degree, points[:, i])[:, self.indices[:, i]]
         return matrix
+
+    def refuse_beyond_memory(self, points: int, matrices: int) -> None:
+        """Raise `ProblemError` if so many matrices of points by terms would not fit into memory."""
+        what = f"Expansion: {self.terms} terms in {self.variables} variables at {points} points"
+        refuse_beyond_memory(what, NUMBER * matrices * points * self.terms, f"{SMALLER} Fewer points help too.")
 
     def map_to_germ(self, levels: Float[np.ndarray, "n variables"]) -> Float[np.ndarray, "n variables"]:
         """Points of the unit cube as germ values, by the quantile functions."""

@@ -45,10 +45,11 @@ def leave_one_out(
     samples: Float[Array, "points *shape"],
     coefficients: Float[Array, "terms *shape"],
 ) -> Float[Array, ""]:
-    """Relative leave-one-out error of an expansion: squared prediction error over variance, both summed over entries.
+    """Relative leave-one-out error of an expansion: the root of the mean squared prediction error over the variance.
 
-    Each sample is predicted from all others at no further cost, by the leverage (Blatman and Sudret, 2010), and squares
-    are averaged by the weights of the points. 0 is perfect; 1 is no better than the mean. Zero where the output does
+    Both are summed over the entries of an output. Each sample is predicted from all others at no further cost, by the
+    leverage (Blatman and Sudret, 2010), and squares are averaged by the weights of the points. 0 is perfect; 1 is no
+    better than the mean; 0.05 misses a new sample by a twentieth of the standard deviation. Zero where the output does
     not vary beyond rounding. Infinite where a sample cannot be predicted, its leverage being one: as many points as
     terms, for instance, only interpolate, and of a projection by a sparse grid nothing is known.
     """
@@ -88,7 +89,7 @@ def mean_squares(
 def relative_error(
     error: Float[Array, "*n"], variance: Float[Array, "*n"], square: Float[Array, "*n"]
 ) -> Float[Array, "*n"]:
-    """Error over variance; zero where the variance is rounding."""
+    """The root of error over variance; zero where the variance is rounding."""
     # Asked this way round, samples that are not finite leave a nan and do not pass for constant.
     constant = variance <= _ROUNDING**2 * square
-    return jnp.where(constant, 0.0, error / jnp.where(constant, 1.0, variance))
+    return jnp.where(constant, 0.0, jnp.sqrt(error / jnp.where(constant, 1.0, variance)))

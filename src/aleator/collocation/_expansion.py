@@ -6,15 +6,21 @@ from typing import NamedTuple, final
 import equinox as eqx
 import numpy as np
 
+from aleator._core import given
 from aleator._core.errors import ProblemError
 from aleator.collocation._adaptive import Adaptive, grow
 from aleator.collocation._basis import Basis
 from aleator.collocation._collocation import Collocation
 from aleator.collocation._fit import AbstractFit, LeastSquares
 from aleator.collocation._index_set import AbstractIndexSet, TotalDegree
-from aleator.collocation._points import AbstractPoints, HammersleyPoints, Nodes, SobolPoints
+from aleator.collocation._points import AbstractCountedPoints, AbstractPoints, HammersleyPoints, Nodes, SobolPoints
+from aleator.collocation._resolution import UNRESOLVED
 from aleator.collocation._respond import Respond
 from aleator.uncertainty import AbstractGerm
+
+# Matrices of points by terms that a fit has in memory at once: the matrix, in NumPy and in JAX, as weighted, its
+# orthogonal factor, and the map to coefficients, twice in NumPy and once in JAX.
+_MATRICES = 7
 
 # The default order: of fixed index sets, and as the limit of those that grow.
 _ORDER, _HIGHEST_ORDER = 3, 20
@@ -28,16 +34,19 @@ class Expansion(eqx.Module):
     - `index_set`: which products, by default all up to that total degree; `Adaptive(error, budget)` finds them;
     - `points`: where the model is solved: a number of Hammersley points, by default three for each term, as the
       dissertation advises after equation (29), or another point set; `Adaptive` takes Sobol points;
-    - `fit`: how the coefficients are found, by default by least squares.
+    - `fit`: how the coefficients are found, by default by least squares;
+    - `tolerance`: the relative leave-one-out error up to which an output counts as resolved, by default 0.05: a new
+      sample is then predicted to a twentieth of the standard deviation, and all but 1/400 of the variance is explained.
 
-    Raises `ProblemError` if the order is not positive, or if an adaptive index set is to be fitted otherwise than by
-    least squares.
+    Raises `ProblemError` if the order is not positive, if the tolerance is not, or if an adaptive index set is to be
+    fitted otherwise than by least squares.
     """
 
     order: int = eqx.field(static=True)
     index_set: AbstractIndexSet | Adaptive
     points: AbstractPoints
     fit: AbstractFit
+    tolerance: float
 
     def __init__(
         self,
@@ -46,18 +55,25 @@ class Expansion(eqx.Module):
         index_set: AbstractIndexSet | Adaptive | None = None,
         points: int | AbstractPoints | None = None,
         fit: AbstractFit | None = None,
+        tolerance: float = UNRESOLVED,
     ):
         adaptive = isinstance(index_set, Adaptive)
         if order is None:
             order = _HIGHEST_ORDER if adaptive else _ORDER
-        if isinstance(order, bool) or not isinstance(order, int) or order < 1:
-            raise ProblemError(f"Expansion: the order is a whole number of at least 1; received {order!r}.")
-        self.order = order
-        self.index_set = index_set or TotalDegree()
+        self.order = given.whole("Expansion: the order", order)
+        sets = (AbstractIndexSet, Adaptive)
+        self.index_set = given.one_of(
+            "Expansion: index_set", TotalDegree() if index_set is None else index_set, sets, "al.TotalDegree()"
+        )
+        if not isinstance(points, AbstractPoints | None):
+            points = given.whole("Expansion: points", points)
         if not isinstance(points, AbstractPoints):
             points = SobolPoints(points) if adaptive else HammersleyPoints(points)
         self.points = points
-        self.fit = fit or LeastSquares()
+        self.fit = given.one_of(
+            "Expansion: fit", LeastSquares() if fit is None else fit, AbstractFit, "al.LeastSquares()"
+        )
+        self.tolerance = _checked_tolerance(tolerance)
         if adaptive and not isinstance(self.fit, LeastSquares):
             raise ProblemError(
                 f"Expansion: an Adaptive index set is fitted by least squares; received {type(fit).__name__}. Leave "
@@ -71,6 +87,11 @@ class Expansion(eqx.Module):
             f"{order} in {variables} variables, {type(self.index_set).__name__} index set, "
             f"{type(self.points).__name__}, {type(self.fit).__name__} fit"
         )
+
+
+def _checked_tolerance(tolerance: float) -> float:
+    what = "Expansion: tolerance, the relative leave-one-out error up to which outputs count as resolved"
+    return given.positive(what, tolerance)
 
 
 class Discretisation(NamedTuple):
@@ -100,9 +121,9 @@ def collocate(
     points, or a pytree of such arrays. Needed where they choose the terms (`Adaptive`, `Sparse`), else never called.
     The result is a fixed basis all the same, linear in the samples.
 
-    Raises `ProblemError` if points, index set and fit do not go together, if there are fewer points than terms or if
-    the matrix is singular to working precision; `SimulationError` if an output that chooses terms is not finite. Warns
-    with `ExpansionWarning` where an adaptive index set does not reach its error.
+    Raises `ProblemError` if points, index set and fit do not go together, if the matrices would not fit into memory, if
+    there are fewer points than terms or if the matrix is singular to working precision; `SimulationError` if an output
+    that chooses terms is not finite. Warns with `ExpansionWarning` where an adaptive set does not reach its error.
     """
     if not germs:
         nothing = Basis(germs, np.zeros((1, 0), dtype=int))
@@ -111,6 +132,10 @@ def collocate(
         basis, nodes = grow(germs, expansion.order, expansion.index_set, expansion.points, respond)
     else:
         candidates = Basis(germs, expansion.index_set.indices(tuple(germs), expansion.order))
-        nodes = expansion.points.nodes(candidates, expansion.fit.points_per_term * candidates.terms)
+        usual = expansion.fit.points_per_term * candidates.terms
+        if isinstance(expansion.points, AbstractCountedPoints):
+            candidates.refuse_beyond_memory(expansion.points.count or usual, _MATRICES)
+        nodes = expansion.points.nodes(candidates, usual)
+        candidates.refuse_beyond_memory(len(nodes.points), _MATRICES)
         basis = expansion.fit.select(candidates, nodes, respond)
     return Discretisation(basis, expansion.fit.collocation(basis, nodes))

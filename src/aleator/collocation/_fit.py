@@ -17,6 +17,9 @@ from aleator.collocation._respond import Respond
 # Beyond this, least squares loses more than half of the digits of double precision.
 WORST_CONDITION = 1e8
 
+ILL_CONDITIONED = 1e6
+"""Beyond this condition number coefficients lose so many digits, and points count so unevenly, that it is warned of."""
+
 # Germ values that agree to so many decimals are one value of a grid.
 _DIGITS = 10
 

@@ -1,20 +1,28 @@
 """Index sets: which products of univariate polynomials make the multivariate basis (equation 16)."""
 
 import abc
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from math import comb
 from typing import final
 
 import equinox as eqx
 import numpy as np
 from jaxtyping import Float, Int
 
+from aleator._core import given
 from aleator._core.errors import ProblemError
 
 # Room for rounding in sums of powers, so that indices on the edge of a set belong to it.
 _ROUNDING = 1e-9
 
-# A basis beyond this takes gigabytes of memory in its collocation matrix alone.
+# A basis beyond this takes hundreds of gigabytes for its collocation matrix: three points a term, eight bytes a number.
 _MOST_TERMS = 200_000
+
+# Numbers beyond this are not printed.
+_COUNTABLE = 1e30
+
+SMALLER = "Lower the order, or take a smaller index set: al.HyperbolicCross(q) or al.Anisotropic(weights)."
+"""What to do about a basis that is too large."""
 
 
 class AbstractIndexSet(eqx.Module):
@@ -35,6 +43,7 @@ class TotalDegree(AbstractIndexSet):
 
     def indices(self, names: tuple[str, ...], order: int) -> Int[np.ndarray, "terms variables"]:
         """See `AbstractIndexSet.indices`."""
+        _refuse_too_many(comb(len(names) + order, order), len(names))
         return _within(np.tile(np.arange(order + 1.0), (len(names), 1)), order)
 
 
@@ -44,6 +53,7 @@ class TensorProduct(AbstractIndexSet):
 
     def indices(self, names: tuple[str, ...], order: int) -> Int[np.ndarray, "terms variables"]:
         """See `AbstractIndexSet.indices`."""
+        _refuse_too_many((order + 1) ** len(names), len(names))
         return _within(np.zeros((len(names), order + 1)), 0.0)
 
 
@@ -58,12 +68,11 @@ class HyperbolicCross(AbstractIndexSet):
     q: float = eqx.field(static=True)
 
     def __init__(self, q: float = 0.5):
-        if not (isinstance(q, int | float) and 0 < q <= 1):
-            raise ProblemError(f"HyperbolicCross: q lies in (0, 1]; received {q!r}. q = 1 keeps the total degree.")
-        self.q = float(q)
+        self.q = given.positive("HyperbolicCross: q, where 1 keeps the total degree,", q, most=1.0)
 
     def indices(self, names: tuple[str, ...], order: int) -> Int[np.ndarray, "terms variables"]:
         """See `AbstractIndexSet.indices`."""
+        _refuse_too_many(1 + len(names) * order, len(names))  # the powers of single variables alone
         return _within(np.tile(np.arange(order + 1.0) ** self.q, (len(names), 1)), order**self.q)
 
 
@@ -80,14 +89,16 @@ class Anisotropic(AbstractIndexSet):
 
     def __init__(self, weights: Sequence[float] | Mapping[str, float]):
         named = isinstance(weights, Mapping)
-        numbers = tuple(weights.values() if named else weights)
-        if not numbers or not all(isinstance(one, int | float) and 0 < one < np.inf for one in numbers):
-            raise ProblemError(f"Anisotropic: weights are positive finite numbers; received {weights!r}.")
+        if isinstance(weights, str) or not isinstance(weights, Iterable) or not tuple(weights):
+            raise given.refusal("Anisotropic: weights", "positive numbers, one for each variable or by name", weights)
+        each = weights.values() if named else weights
+        numbers = tuple(given.positive("Anisotropic: weights", one) for one in each)
         self.weights, self.names = numbers, tuple(weights) if named else None
 
     def indices(self, names: tuple[str, ...], order: int) -> Int[np.ndarray, "terms variables"]:
         """See `AbstractIndexSet.indices`. Raises `ProblemError` if the weights are not those of the variables."""
         weights = self._of(names)
+        _refuse_too_many(1 - len(names) + sum(order / one for one in weights.tolist()), len(names))
         return _within(weights[:, None] * np.arange(int(order / min(weights) + _ROUNDING) + 1), order)
 
     def _of(self, names: tuple[str, ...]) -> Float[np.ndarray, " variables"]:
@@ -121,12 +132,18 @@ def _within(costs: Float[np.ndarray, "variables degrees"], budget: float) -> Int
     rows, left = np.zeros((1, 0), dtype=int), np.array([allowed])
     for cost in costs:
         choices = np.searchsorted(cost, left, side="right")
-        if choices.sum() > _MOST_TERMS:
-            raise ProblemError(
-                f"Expansion: more than {_MOST_TERMS} terms in {len(costs)} variables. Lower the order, or take a "
-                "smaller index set, al.HyperbolicCross(q) or al.Anisotropic(weights)."
-            )
+        _refuse_too_many(int(choices.sum()), len(costs))
         parent = np.repeat(np.arange(len(rows)), choices)
         degree = np.arange(len(parent)) - np.repeat(np.cumsum(choices) - choices, choices)
         rows, left = np.column_stack([rows[parent], degree]), left[parent] - cost[degree]
     return sorted_terms(rows)
+
+
+def _refuse_too_many(terms: float, variables: int) -> None:
+    """Refuse a basis of so many terms, or more, before they are enumerated."""
+    if not terms <= _MOST_TERMS:
+        count = f"{terms:.3g}" if terms < _COUNTABLE else f"more than {_COUNTABLE:.0e}"
+        raise ProblemError(
+            f"Expansion: more than {_MOST_TERMS} terms in {variables} variables, at least {count}: their collocation "
+            f"matrix alone would need hundreds of GiB of memory. {SMALLER}"
+        )

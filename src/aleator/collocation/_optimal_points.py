@@ -9,7 +9,7 @@ from scipy import linalg
 
 from aleator._core.errors import ProblemError
 from aleator.collocation._basis import Basis
-from aleator.collocation._points import AbstractCountedPoints, Nodes, check_seed
+from aleator.collocation._points import AbstractCountedPoints, Nodes, seed_given
 from aleator.uncertainty import AbstractGerm
 
 # How many candidates there are for each point chosen among them.
@@ -23,10 +23,7 @@ _FINE = 60
 class AbstractBasisPoints(AbstractCountedPoints):
     """Points that depend on the polynomials, with weights; the same ones for the same `seed`."""
 
-    seed: int = eqx.field(static=True, default=0)
-
-    def __check_init__(self):
-        check_seed(self.seed, type(self))
+    seed: int = eqx.field(static=True, default=0, converter=seed_given)
 
 
 @final

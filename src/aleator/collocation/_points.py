@@ -1,13 +1,13 @@
 """Point sets: where in germ space a model is solved. Here those that cover it evenly."""
 
 import abc
-from typing import Any, ClassVar, NamedTuple, final
+from typing import ClassVar, NamedTuple, final
 
 import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from aleator._core.errors import ProblemError
+from aleator._core import given
 from aleator.collocation._basis import Basis
 
 _SOBOL_BITS = 30
@@ -22,6 +22,16 @@ class Nodes(NamedTuple):
 
     points: Float[np.ndarray, "points variables"]
     weights: Float[np.ndarray, " points"]
+
+
+def count_given(count: int | None) -> int | None:
+    """A number of points or roots, or none where it follows from the basis."""
+    return None if count is None else given.whole("The number of points", count)
+
+
+def seed_given(seed: int) -> int:
+    """A seed of random numbers."""
+    return given.whole("The seed of random points", seed, least=0)
 
 
 class AbstractPoints(eqx.Module):
@@ -40,11 +50,7 @@ class AbstractPoints(eqx.Module):
 class AbstractCountedPoints(AbstractPoints):
     """A point set of any size: by default as many as the fit takes, for least squares three for each term."""
 
-    count: int | None = eqx.field(static=True, default=None)
-
-    def __check_init__(self):
-        if self.count is not None:
-            check_positive(self.count, type(self), "points")
+    count: int | None = eqx.field(static=True, default=None, converter=count_given)
 
     @abc.abstractmethod
     def nodes(self, basis: Basis, usual: int) -> Nodes:
@@ -96,10 +102,7 @@ class HaltonPoints(AbstractEvenPoints):
 class AbstractDrawnPoints(AbstractEvenPoints):
     """Random points in the unit cube, the same ones for the same `seed`."""
 
-    seed: int = eqx.field(static=True, default=0)
-
-    def __check_init__(self):
-        check_seed(self.seed, type(self))
+    seed: int = eqx.field(static=True, default=0, converter=seed_given)
 
     @abc.abstractmethod
     def levels(self, count: int, variables: int) -> Float[np.ndarray, "count variables"]:
@@ -147,18 +150,6 @@ class RandomPoints(AbstractDrawnPoints):
     def levels(self, count: int, variables: int) -> Float[np.ndarray, "count variables"]:
         """See `AbstractEvenPoints.levels`."""
         return np.random.default_rng(self.seed).random((count, variables))
-
-
-def check_positive(number: Any, kind: type, what: str) -> None:
-    """Raise `ProblemError` unless `number` is a positive whole number."""
-    if isinstance(number, bool) or not isinstance(number, int) or number < 1:
-        raise ProblemError(f"{kind.__name__}: {what} is a positive whole number; received {number!r}.")
-
-
-def check_seed(seed: Any, kind: type) -> None:
-    """Raise `ProblemError` unless `seed` is a whole number of at least 0."""
-    if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
-        raise ProblemError(f"{kind.__name__}: the seed is a whole number of at least 0; received {seed!r}.")
 
 
 def _halton(index: np.ndarray, variables: int) -> Float[np.ndarray, "count variables"]:

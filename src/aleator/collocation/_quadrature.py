@@ -7,10 +7,12 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Int
 
+from aleator._core import given
 from aleator._core.errors import ProblemError
+from aleator._core.memory import NUMBER, refuse_beyond_memory
 from aleator.collocation._basis import Basis
 from aleator.collocation._index_set import TotalDegree
-from aleator.collocation._points import AbstractPoints, Nodes, check_positive
+from aleator.collocation._points import AbstractPoints, Nodes, count_given
 from aleator.uncertainty import AbstractGerm
 
 # More simulations than anyone wants by accident.
@@ -18,6 +20,10 @@ _MOST_POINTS = 1_000_000
 
 # Roots that are nearer than this part of their range are one and the same, but for rounding.
 _SAME = 1e-10
+
+
+def _level_given(level: int | None) -> int | None:
+    return None if level is None else given.whole("SmolyakPoints: the level", level)
 
 
 @final
@@ -28,11 +34,7 @@ class GaussPoints(AbstractPoints):
     the basis are integrated. There are `count^n_p` points: for few variables.
     """
 
-    count: int | None = eqx.field(static=True, default=None)
-
-    def __check_init__(self):
-        if self.count is not None:
-            check_positive(self.count, GaussPoints, "the number of roots")
+    count: int | None = eqx.field(static=True, default=None, converter=count_given)
 
     def nodes(self, basis: Basis, usual: int) -> Nodes:
         """See `AbstractPoints.nodes`. Raises `ProblemError` if the grid has more than a million points."""
@@ -43,6 +45,7 @@ class GaussPoints(AbstractPoints):
                 f"GaussPoints: a grid of {' x '.join(map(str, counts))} roots has more than {_MOST_POINTS} points. "
                 "Take al.SmolyakPoints(), or least squares."
             )
+        _refuse_large_rule(max(counts))
         rules = [germ.gauss(count) for germ, count in zip(basis.germs.values(), counts, strict=True)]
         rows = _grid(counts)
         points = np.column_stack([roots[row] for (roots, _), row in zip(rules, rows.T, strict=True)])
@@ -59,18 +62,15 @@ class SmolyakPoints(AbstractPoints):
     Source: Smolyak (1963); combination by Wasilkowski and Woźniakowski (1995).
     """
 
-    level: int | None = eqx.field(static=True, default=None)
-
-    def __check_init__(self):
-        if self.level is not None:
-            check_positive(self.level, SmolyakPoints, "the level")
+    level: int | None = eqx.field(static=True, default=None, converter=_level_given)
 
     def nodes(self, basis: Basis, usual: int) -> Nodes:
         """See `AbstractPoints.nodes`. Raises `ProblemError` if the grid has more than a million points."""
         del usual
         level = self.level or basis.order
-        rules = [_Rules(germ, level) for germ in basis.germs.values()]
         levels = TotalDegree().indices(basis.names, level)
+        _refuse_large_rule(level + 1)
+        rules = [_Rules(germ, level) for germ in basis.germs.values()]
         missing = level - levels.sum(axis=1)
         used = missing < basis.variables
         parts = []
@@ -108,6 +108,12 @@ class _Rules:
         number = np.empty(len(every), dtype=int)
         number[np.argsort(every)] = np.cumsum(new) - 1
         self.places = np.split(number, np.cumsum([len(roots) for roots, _ in rules])[:-1])
+
+
+def _refuse_large_rule(count: int) -> None:
+    """Refuse a Gauss rule whose eigenvectors, of a matrix of three diagonals, would not fit into memory."""
+    advice = "Take fewer roots, or least squares."
+    refuse_beyond_memory(f"A Gauss rule of {count} roots", 5 * NUMBER * count**2, advice)
 
 
 def _grid(counts: list[int]) -> Int[np.ndarray, "points variables"]:

@@ -10,8 +10,8 @@ from jaxtyping import Array, Float, Int
 
 from aleator.collocation._collocation import Collocation, mean_squares, relative_error
 
-# Above this relative squared error an expansion predicts a new sample to worse than a fifth of its spread.
 UNRESOLVED = 0.05
+"""Above this relative leave-one-out error an output is not resolved, unless its `Expansion` says otherwise."""
 
 
 def leave_one_out_history(
@@ -33,10 +33,11 @@ def resolved_instants(
     collocation: Collocation,
     samples: Float[Array, "points instants *shape"],
     coefficients: Float[Array, "terms instants *shape"],
+    tolerance: float = UNRESOLVED,
 ) -> Int[Array, ""]:
     """How many instants of a history, from the first on, an expansion resolves: the index of the first it does not.
 
-    An instant is not resolved if its `leave_one_out_history` exceeds `UNRESOLVED` or is not a number.
+    An instant is not resolved if its `leave_one_out_history` exceeds `tolerance` or is not a number.
     """
-    unresolved = ~(leave_one_out_history(collocation, samples, coefficients) <= UNRESOLVED)
+    unresolved = ~(leave_one_out_history(collocation, samples, coefficients) <= tolerance)
     return jnp.where(unresolved.any(), jnp.argmax(unresolved), len(unresolved))

@@ -7,10 +7,8 @@ from typing import final
 import numpy as np
 from jaxtyping import Float
 
-from aleator.collocation import UNRESOLVED
-
-HELD = 1e-6
-"""A limit holds where it is exceeded by no more than this part of its scale: solvers meet it to a tolerance."""
+from aleator.collocation import ILL_CONDITIONED, UNRESOLVED, Unseen
+from aleator.nlp import HELD
 
 TOLERATED = 1e-3
 """Between instants, a limit that is exceeded by more than this part of it makes a design no solution."""
@@ -25,7 +23,8 @@ class ConstraintResult:
     - `multipliers`: the price of the bound, `-d objective / d bound`, in the shape of `values`: positive where the
       upper bound is active, negative where the lower one is;
     - `active`: where it is active, in the shape of `values`;
-    - `scale`: a typical magnitude, to which tolerances are relative.
+    - `scale`: its magnitude, in its own unit: that of its bound and of its values around the answer, as
+      `constraint_size` of the transcription says. It holds where it misses its bound by no more than a millionth of it.
     """
 
     name: str
@@ -50,7 +49,7 @@ class ConstraintResult:
 
     @property
     def holds(self) -> bool:
-        """Whether it holds everywhere, to tolerance."""
+        """Whether it holds everywhere, to a millionth of its magnitude."""
         return self.violation <= HELD * self.scale
 
     @property
@@ -75,11 +74,12 @@ class ConstraintResult:
         return float(self.values.flat[int(np.argmax(self.excess))])
 
     def sentence(self) -> str:
-        """What is violated, when and by how much."""
+        """What is violated, when and by how much, and how it is written."""
         when = "" if self.worst_time is None else f" at t = {self.worst_time:.4g} s"
         worst = self.worst
         bound, relation = (self.upper, "≤") if worst > self.upper else (self.lower, "≥")
-        asked = f"{worst:.6g} where {relation} {bound:.6g} is asked"
+        relation = "=" if self.lower == self.upper else relation
+        asked = f"{worst:.6g} where {relation} {bound:.6g} is asked ({self.text})"
         return f"'{self.name}' is violated by {self.violation:.4g}{when}: {asked}"
 
 
@@ -104,10 +104,13 @@ class ExpansionQuality:
 
     - `order`, `terms`, `points`: those of the expansion, as far as they were reached where it adapts to the problem;
     - `condition_number`: that of the collocation matrix;
-    - `leave_one_out`: for each functional, the squared error of predicting a collocation point from all others,
-      relative to the variance;
+    - `leave_one_out`: for each functional, the rms error of predicting a collocation point from all others, relative
+      to the standard deviation; zero where it spreads by no more than rounding;
     - `unresolved_from`: for each path that is followed only so far, the instant (s) from which on that error is too
-      large: polynomials of one order do not follow a long simulation for ever.
+      large: polynomials of one order do not follow a long simulation for ever;
+    - `tolerance`: the relative error up to which a functional counts as resolved, that of the `Expansion`;
+    - `unseen`: the largest corner of the uncertainty that holds no point, so that nothing is known of it; None where
+      nothing is uncertain.
     """
 
     order: int
@@ -116,6 +119,8 @@ class ExpansionQuality:
     condition_number: float
     leave_one_out: Mapping[str, float] = field(default_factory=dict)
     unresolved_from: Mapping[str, float] = field(default_factory=dict)
+    tolerance: float = UNRESOLVED
+    unseen: Unseen | None = None
 
     @property
     def worst(self) -> float:
@@ -126,12 +131,17 @@ class ExpansionQuality:
     def unresolved(self) -> tuple[str, ...]:
         """The functionals whose statistics cannot be trusted, because their error is too large, at least at the end."""
         errors = self.leave_one_out.items()
-        return tuple(text for text, error in errors if not error <= UNRESOLVED or text in self.unresolved_from)
+        return tuple(text for text, error in errors if not error <= self.tolerance or text in self.unresolved_from)
 
     @property
     def can_be_checked(self) -> bool:
         """Whether points are left to check it by: interpolation and sparse quadrature have none."""
         return not any(np.isposinf(error) for error in self.leave_one_out.values())
+
+    @property
+    def is_conditioned(self) -> bool:
+        """Whether the collocation matrix leaves the coefficients enough digits."""
+        return self.condition_number <= ILL_CONDITIONED
 
     def since(self, text: str) -> str:
         """From when on a path is not resolved, in words; nothing for other functionals."""
@@ -146,16 +156,15 @@ class Between:
     - `factor`: how many times as many steps that grid has;
     - `worst`: relative to the bound, or to the constraint's scale where that is zero; zero where all hold;
     - `name`: of the constraint; `time`: when, s, not-a-number for a peak;
-    - `change`: the largest change of a constraint that is no limit over time, such as one on the end, relative
-      likewise: the error of its integration; `changed`: its name.
+    - `is_strict`: whether what happens between instants shapes the design: where bounds had to be tightened for it, and
+      where a system follows trajectories. Its systems are counted there too.
     """
 
     factor: int
     worst: float
     name: str
     time: float
-    change: float
-    changed: str
+    is_strict: bool = False
 
     @property
     def holds(self) -> bool:

@@ -2,7 +2,6 @@
 
 import difflib
 import hashlib
-import itertools
 from collections.abc import Callable
 from typing import Any
 
@@ -16,23 +15,20 @@ from aleator._core.errors import ProblemError
 from aleator.collocation import Expansion
 from aleator.design._cost import CostCurve
 from aleator.design._declaration import AbstractProblem
+from aleator.design._expression import Expression
+from aleator.design._functionals import AbstractIntegral
+from aleator.design._physics import Digest, physics_of, uncertain_parts
 from aleator.design._realisations import refuse_trouble
 from aleator.design._response import grid_at, history
 from aleator.design._scope import AbstractScope, Value
-from aleator.design._statistic import AbstractFunctional, functionals_of, joined, statistics_in
+from aleator.design._statistic import AbstractFunctional, Taken, functionals_of, joined, statistics_in
 from aleator.dynamics import AbstractIntegrator, AlgebraicSystem, Grid, Instant, System, check_signals
-from aleator.statistics import AbstractStatistic, Sobol, TotalSobol
+from aleator.statistics import AbstractStatistic, Sobol, TotalSobol, refuse_correlated
 from aleator.uncertainty import Survey, named_numbers, refuse_nonpositive
-
-_UNTOLD = itertools.count()
 
 
 def check(problem: AbstractProblem) -> str:
-    """Raise `ProblemError` for the first thing found wrong, from the outside inwards. Returns `physics`.
-
-    That is a digest of the traced equations, expressions included: two problems that differ in it are compiled apart,
-    also where the difference lies in what their code reads and not in their fields.
-    """
+    """Raise `ProblemError` for the first thing found wrong, from the outside inwards. Returns `physics`."""
     _check_types(problem)
     _check_inputs(problem)
     _check_time(problem)
@@ -40,10 +36,26 @@ def check(problem: AbstractProblem) -> str:
     _check_values(problem)
     _check_germs(problem)
     refuse_trouble(problem)
-    physics, outputs = _trace(problem, _outputs_of, problem.survey)
-    _check_outputs(problem, outputs)
-    expressions = [_check_shape(problem, i, outputs) for i in range(len(problem.expressions))]
-    return hashlib.sha256("\n".join([physics, *expressions]).encode()).hexdigest()
+    return equations_now(problem)
+
+
+def equations_now(problem: AbstractProblem) -> str:
+    """What `physics` is now: of a deterministic problem, that of the uncertain one that it stands for.
+
+    That is a digest of the traced equations, expressions included: two problems that differ in it are compiled apart,
+    also where the difference lies in what their code reads and not in their fields. Raises `ProblemError` if outputs
+    and expressions do not go together.
+    """
+    return physics_of(problem, lambda: _digest(problem))
+
+
+def _digest(problem: AbstractProblem) -> Digest:
+    whole = eqx.tree_at(lambda one: (one.system, one.inputs, one.grid), problem, uncertain_parts(problem))
+    physics, outputs = _trace(whole, _outputs_of, whole.survey)
+    _check_outputs(whole, outputs)
+    texts = [physics, *(_check_shape(whole, i, outputs) for i in range(len(whole.expressions)))]
+    told = "\n".join(text or "" for text in texts)
+    return Digest(hashlib.sha256(told.encode()).hexdigest(), None not in texts)
 
 
 def _check_types(problem: AbstractProblem) -> None:
@@ -105,10 +117,11 @@ def _check_values(problem: AbstractProblem) -> None:
 
 
 def _check_germs(problem: AbstractProblem) -> None:
-    """Refuse Sobol indices of what is no germ variable."""
+    """Refuse Sobol indices of what is no germ variable, or belongs to a correlated group."""
     known = list(problem.survey.germ_names)
     for one in statistics_in(problem.expressions):
         kind = one.kind
+        refuse_correlated(problem.survey.distributions, kind)
         named = kind.variables if isinstance(kind, Sobol) else (kind.variable,) if isinstance(kind, TotalSobol) else ()
         for name in named:
             if name not in known:
@@ -121,19 +134,18 @@ def _unknown(kind: str, name: str, known: list[str]) -> str:
     return f"There is no {kind} '{name}'; expected one of {known}.{hint}"
 
 
-def _trace(problem: AbstractProblem, function: Callable[..., Any], *arguments: Any) -> tuple[str, Any]:
+def _trace(problem: AbstractProblem, function: Callable[..., Any], *arguments: Any) -> tuple[str | None, Any]:
     """Trace `function(problem, *arguments)` without computing: its equations as text, and the shapes of its results.
 
     The problem's numbers are variables of the equations, so that the text does not depend on them; constants are what
-    the code itself holds.
+    the code itself holds. There is no text where the equations do not tell what is computed.
     """
     dynamic, static = eqx.partition(numbers_to_arrays(problem), eqx.is_array)
     closed, shapes = jax.make_jaxpr(
         lambda numbers: function(eqx.combine(numbers, static), *arguments), return_shape=True
     )(dynamic)
-    # Where the equations do not tell what is computed, no two problems pass for the same.
-    text = equations_text(closed) or str(next(_UNTOLD))
-    return "\n".join([text, *map(array_digest, closed.consts)]), shapes
+    text = equations_text(closed)
+    return text and "\n".join([text, *map(array_digest, closed.consts)]), shapes
 
 
 def _outputs_of(problem: AbstractProblem, places: Survey) -> dict[str, jax.Array]:
@@ -147,7 +159,7 @@ def _check_outputs(problem: AbstractProblem, outputs: dict[str, jax.ShapeDtypeSt
                 raise ProblemError(_unknown(f"output of {type(problem.system).__name__}", name, list(outputs)))
 
 
-def _check_shape(problem: AbstractProblem, which: int, outputs: dict[str, jax.ShapeDtypeStruct]) -> str:
+def _check_shape(problem: AbstractProblem, which: int, outputs: dict[str, jax.ShapeDtypeStruct]) -> str | None:
     """Check that an expression's terms go together, and that the objective is one number; its equations as text."""
     expression = problem.expressions[which]
     zeros = {name: jnp.zeros(one.shape) for name, one in outputs.items()}
@@ -177,12 +189,20 @@ class _ShapeScope(AbstractScope):
     def statistic(self, functionals: tuple[AbstractFunctional, ...], kind: AbstractStatistic) -> jax.Array:
         # Every statistic has the shape of what it is taken of, without the axis of those taken jointly.
         del kind
-        values = joined([one.evaluate(self._outputs, self._grid) for one in functionals])
+        values = joined([self._evaluated(one) for one in functionals])
         return values if len(functionals) == 1 else values[..., 0]
 
-    @property
-    def weights(self) -> jax.Array:
-        return self._grid.weights
+    def _evaluated(self, functional: AbstractFunctional) -> jax.Array:
+        integrals: dict[AbstractFunctional, jax.Array] = {}
+        if isinstance(functional, AbstractIntegral):
+            integrals[functional] = functional.integrand({name: one[0] for name, one in self._outputs.items()})
+        return functional.evaluate(Taken(self._outputs, integrals), self._grid)
+
+    def time_integral(self, expression: Expression) -> jax.Array:
+        return expression.evaluate(self)[0]
+
+    def realised(self, functional: AbstractFunctional) -> jax.Array:
+        return self._evaluated(functional)
 
     def value(self, name: str) -> jax.Array:
         del name

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from aleator._core.arrays import Scalar
+from aleator._core.given import a_name, refusal
 from aleator.design._expression import Expression, number_given
 from aleator.design._scope import AbstractAtom, AbstractScope, Units
 
@@ -53,7 +54,7 @@ def _exponential(spread: Array, bias: Array, scale: Array, rate: Array) -> Array
 
 def _expression(name: str, curve: Curve, shown: str, *coefficients: float) -> Expression:
     numbers = tuple(number_given(number, "be a coefficient of a cost curve") for number in coefficients)
-    return Expression((1.0,), (CostCurve(name, curve, shown, numbers),))
+    return Expression((1.0,), (CostCurve(a_name("A cost curve", name), curve, shown, numbers),))
 
 
 def reciprocal_power(name: str, *, bias: float, scale: float, power: float) -> Expression:
@@ -78,4 +79,6 @@ def exponential(name: str, *, bias: float, scale: float, rate: float) -> Express
 
 def cost_curve(name: str, curve: Curve) -> Expression:
     """Cost `curve(spread)` by a function of your own, written with `jax.numpy` so that it can be differentiated."""
+    if not callable(curve):
+        raise refusal("cost_curve", "a function of the number", curve)
     return _expression(name, curve, f"{getattr(curve, '__name__', 'curve')}({{spread}})")

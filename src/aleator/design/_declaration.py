@@ -5,6 +5,7 @@ from typing import NamedTuple
 import equinox as eqx
 
 from aleator._core.errors import ProblemError
+from aleator._core.leaves import transparent
 from aleator.collocation import Expansion
 from aleator.design._expression import Constraint, Expression
 from aleator.dynamics import AbstractGrid, AbstractIntegrator, AlgebraicSystem, System
@@ -12,6 +13,7 @@ from aleator.trajectories import AbstractSignal
 from aleator.uncertainty import Survey, survey
 
 
+@transparent("system", "grid")
 class Model(NamedTuple):
     """Everything that may hold distributions and decisions: the system, its inputs and the grid's final time."""
 
@@ -24,7 +26,7 @@ class AbstractProblem(eqx.Module):
     """The parts of a problem, and what follows from them. See `Problem`, its only implementation.
 
     `physics` stands for the traced equations, so that two problems whose code reads other globals, class attributes or
-    closures are told apart where their fields are alike.
+    closures are told apart where their fields are alike. It is that of the time of declaration: see `current`.
     """
 
     system: System | AlgebraicSystem

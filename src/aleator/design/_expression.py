@@ -4,7 +4,7 @@ All of it is data: an expression can be evaluated on any source of statistics (a
 differentiated, swept and printed as mathematics. The two refer to each other and therefore live together.
 """
 
-from typing import Any, Self, final
+from typing import Any, ClassVar, Self, final
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -14,6 +14,7 @@ from jaxtyping import Array, Float
 
 from aleator._core.arrays import Scalar
 from aleator._core.errors import ProblemError
+from aleator._core.given import a_name, is_masked, real_array
 from aleator._core.units import common
 from aleator.design._scope import AbstractAtom, AbstractRandom, AbstractScope, Units, Value
 
@@ -21,6 +22,9 @@ from aleator.design._scope import AbstractAtom, AbstractRandom, AbstractScope, U
 @final
 class Expression(eqx.Module):
     """`constant + sum of factor * atom`. The factors are data: changing them compiles nothing anew."""
+
+    # So that NumPy leaves products with its own numbers to this class.
+    __array_ufunc__: ClassVar[None] = None
 
     factors: tuple[Scalar, ...]
     atoms: tuple[AbstractAtom, ...]
@@ -50,7 +54,7 @@ class Expression(eqx.Module):
     def __truediv__(self, number: Any) -> "Expression":
         number = number_given(number, "divide an expression by")
         if number == 0:
-            raise ProblemError(f"'{self}' cannot be divided by zero.")
+            raise ProblemError(f"'{self}' cannot be divided by zero; received {number}.")
         return self * (1 / number)
 
     def __neg__(self) -> "Expression":
@@ -149,11 +153,14 @@ class Constraint(eqx.Module):
         name: str | None = None,
     ):
         self.expression = as_expression(expression)
-        self.name = name or self.subject
+        self.name = self.subject if name is None else a_name("Constraint: name", name)
         self.has_own_name = name is not None
         self.lower, self.upper = ordered(self.name, lower, upper)
-        if np.isinf(self.lower) and np.isinf(self.upper):
-            raise ProblemError(f"Constraint '{self.name}' bounds nothing; expected a finite bound.")
+        if not np.isfinite(self.lower) and not np.isfinite(self.upper):
+            raise ProblemError(
+                f"Constraint '{self.name}' bounds nothing: expected a finite bound; received {self.lower} and "
+                f"{self.upper}."
+            )
 
     @property
     def subject(self) -> str:
@@ -167,9 +174,7 @@ class Constraint(eqx.Module):
 
     def named(self, name: str) -> "Constraint":
         """The same constraint under a name of your own."""
-        if not isinstance(name, str) or not name:
-            raise ProblemError(f"A constraint's name is a text; received {name!r}.")
-        return Constraint(self.expression, lower=self.lower, upper=self.upper, name=name)
+        return Constraint(self.expression, lower=self.lower, upper=self.upper, name=a_name("Constraint: name", name))
 
     def with_bounds(self, lower: float, upper: float) -> Self:
         """The same constraint between other bounds. Raises `ProblemError` if they are in the wrong order."""
@@ -199,6 +204,9 @@ class Constraint(eqx.Module):
 
 def ordered(name: str, lower: Scalar, upper: Scalar) -> tuple[float, float]:
     """The bounds as floats. Raises `ProblemError` if they are in the wrong order or not a number."""
+    lower, upper = (real_array(f"Constraint '{name}'", bound, "numbers as bounds") for bound in (lower, upper))
+    if lower.ndim or upper.ndim:
+        raise ProblemError(f"Constraint '{name}': expected one number as a bound; received {lower} and {upper}.")
     lower, upper = float(lower), float(upper)
     if np.isnan(lower) or np.isnan(upper):
         raise ProblemError(f"Constraint '{name}': expected numbers as bounds; received lower={lower}, upper={upper}.")
@@ -217,6 +225,8 @@ def _product(factor: float, atom: str) -> str:
 
 def number_given(value: Any, action: str) -> float:
     """A finite number as a float. Raises `ProblemError` for anything else, saying what only numbers can do."""
+    if is_masked(value):
+        raise ProblemError(f"Only numbers can {action}; received {value}.")
     number = value
     if isinstance(value, np.generic | np.ndarray | Array) and not isinstance(value, Tracer) and value.ndim == 0:
         number = value.item()
@@ -245,4 +255,4 @@ def _compare(difference: Expression, *, upper: bool) -> "Constraint":
 
 def value(name: str) -> Expression:
     """A number of the model: a decision or plain number (`"k_s"`), or part of a distribution (`"k_s.half_width"`)."""
-    return Expression((1.0,), (Value(name),))
+    return Expression((1.0,), (Value(a_name("value", name)),))

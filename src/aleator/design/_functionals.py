@@ -1,25 +1,47 @@
 """The functionals: integral, rms, terminal, path and peak of an output; an output without time."""
 
+import abc
 from collections.abc import Mapping
-from typing import final
+from typing import Any, final
 
 import jax.numpy as jnp
 from jaxtyping import Array
 
 from aleator._core.units import integrated
-from aleator.design._expression import Constraint
-from aleator.design._statistic import AbstractFunctional, functionals_of
-from aleator.dynamics import AbstractGrid, History
+from aleator.design._expression import Constraint, Expression
+from aleator.design._statistic import AbstractFunctional, Taken, functionals_of, statistics_in
+from aleator.dynamics import AbstractGrid, Grid
 from aleator.statistics import root
 
 
-@final
-class Integral(AbstractFunctional):
-    """The time integral of an output, by the trapezoidal rule on the grid."""
+class AbstractIntegral(AbstractFunctional):
+    """What follows from the time integral of a function of outputs, taken as accurately as the states are."""
 
-    def evaluate(self, history: History, grid: AbstractGrid) -> Array:
+    @abc.abstractmethod
+    def integrand(self, now: Mapping[str, Array]) -> Array:
+        """What is integrated, from the outputs at one time."""
+
+    def total(self, integral: Array, grid: Grid) -> Array:
+        """The functional, from the integral over the grid: the integral itself, by default."""
+        del grid
+        return integral
+
+    def evaluate(self, taken: Taken, grid: Any) -> Array:
         """See `AbstractFunctional.evaluate`."""
-        return jnp.tensordot(grid.weights, history[self.output], axes=1)
+        return self.total(taken.integrals[self], grid)
+
+    def reach(self, peaks: Mapping[str, Array], grid: Any) -> Array:
+        """See `AbstractFunctional.reach`."""
+        return self.total(grid.duration * jnp.abs(self.integrand(peaks)), grid)
+
+
+@final
+class Integral(AbstractIntegral):
+    """The time integral of an output."""
+
+    def integrand(self, now: Mapping[str, Array]) -> Array:
+        """See `AbstractIntegral.integrand`."""
+        return now[self.output]
 
     def text(self) -> str:
         """See `AbstractFunctional.text`."""
@@ -31,13 +53,17 @@ class Integral(AbstractFunctional):
 
 
 @final
-class Rms(AbstractFunctional):
+class Rms(AbstractIntegral):
     """The root of an output's mean square over time, equations (109) and (110)."""
 
-    def evaluate(self, history: History, grid: AbstractGrid) -> Array:
-        """See `AbstractFunctional.evaluate`."""
+    def integrand(self, now: Mapping[str, Array]) -> Array:
+        """See `AbstractIntegral.integrand`."""
+        return now[self.output] ** 2
+
+    def total(self, integral: Array, grid: Grid) -> Array:
+        """See `AbstractIntegral.total`."""
         # An output that is zero throughout has rms zero, with derivative zero (its smallest subgradient).
-        return root(jnp.tensordot(grid.weights, history[self.output] ** 2, axes=1) / jnp.sum(grid.weights))
+        return root(integral / grid.duration)
 
     def text(self) -> str:
         """See `AbstractFunctional.text`."""
@@ -48,10 +74,10 @@ class Rms(AbstractFunctional):
 class Terminal(AbstractFunctional):
     """An output at the final time."""
 
-    def evaluate(self, history: History, grid: AbstractGrid) -> Array:
+    def evaluate(self, taken: Taken, grid: AbstractGrid) -> Array:
         """See `AbstractFunctional.evaluate`."""
         del grid
-        return history[self.output][-1]
+        return taken.history[self.output][-1]
 
     def text(self) -> str:
         """See `AbstractFunctional.text`."""
@@ -67,10 +93,10 @@ class Path(AbstractFunctional):
         """See `AbstractFunctional.is_path`."""
         return True
 
-    def evaluate(self, history: History, grid: AbstractGrid) -> Array:
+    def evaluate(self, taken: Taken, grid: AbstractGrid) -> Array:
         """See `AbstractFunctional.evaluate`."""
         del grid
-        return history[self.output]
+        return taken.history[self.output]
 
     def text(self) -> str:
         """See `AbstractFunctional.text`."""
@@ -81,10 +107,10 @@ class Path(AbstractFunctional):
 class Peak(AbstractFunctional):
     """The largest magnitude of an output over time. Not smooth where the instant of the peak jumps: prefer `path`."""
 
-    def evaluate(self, history: History, grid: AbstractGrid) -> Array:
+    def evaluate(self, taken: Taken, grid: AbstractGrid) -> Array:
         """See `AbstractFunctional.evaluate`."""
         del grid
-        return jnp.max(jnp.abs(history[self.output]), axis=0)
+        return jnp.max(jnp.abs(taken.history[self.output]), axis=0)
 
     def text(self) -> str:
         """See `AbstractFunctional.text`."""
@@ -100,10 +126,10 @@ class Output(AbstractFunctional):
         """See `AbstractFunctional.needs_time`."""
         return False
 
-    def evaluate(self, history: History, grid: AbstractGrid) -> Array:
+    def evaluate(self, taken: Taken, grid: AbstractGrid) -> Array:
         """See `AbstractFunctional.evaluate`."""
         del grid
-        return history[self.output][0]
+        return taken.history[self.output][0]
 
     def text(self) -> str:
         """See `AbstractFunctional.text`."""
@@ -143,3 +169,8 @@ def output(name: str) -> Output:
 def is_over_time(constraint: Constraint) -> bool:
     """Whether a constraint limits a path, or the peak of one: the instants between those of the grid count too."""
     return constraint.is_path or any(isinstance(one, Peak) for one in functionals_of((constraint.expression,)))
+
+
+def expanded_functionals(expressions: tuple[Expression, ...]) -> tuple[AbstractFunctional, ...]:
+    """The functionals that some expressions ask a statistic of, and not only a worst case: those that are expanded."""
+    return tuple(dict.fromkeys(one for atom in statistics_in(expressions) for one in atom.functionals))

@@ -12,10 +12,9 @@ from jaxtyping import Array
 from aleator._core.errors import ProblemError
 from aleator._core.units import common, integrated, product, squared
 from aleator.design._expression import Expression, as_expression, number_given, value
-from aleator.design._functionals import path, terminal
+from aleator.design._functionals import AbstractIntegral, path, terminal
 from aleator.design._scope import AbstractAtom, AbstractScope, Units
-from aleator.design._statistic import AbstractFunctional, name_given, statistic
-from aleator.dynamics import AbstractGrid, History
+from aleator.design._statistic import name_given, statistic
 from aleator.statistics import CoefficientProduct, root
 
 Weights: TypeAlias = float | Sequence[float] | Array | None
@@ -23,12 +22,12 @@ Weights: TypeAlias = float | Sequence[float] | Array | None
 
 
 @final
-class SquareIntegral(AbstractFunctional):
-    """The time integral of an output's square, by the trapezoidal rule on the grid."""
+class SquareIntegral(AbstractIntegral):
+    """The time integral of an output's square."""
 
-    def evaluate(self, history: History, grid: AbstractGrid) -> Array:
-        """See `AbstractFunctional.evaluate`."""
-        return jnp.tensordot(grid.weights, history[self.output] ** 2, axes=1)
+    def integrand(self, now: Mapping[str, Array]) -> Array:
+        """See `AbstractIntegral.integrand`."""
+        return now[self.output] ** 2
 
     def text(self) -> str:
         """See `AbstractFunctional.text`."""
@@ -40,7 +39,7 @@ class SquareIntegral(AbstractFunctional):
 
 
 @final
-class Work(AbstractFunctional):
+class Work(AbstractIntegral):
     """The time integral of the magnitude of a product, such as torque times rate: the energy that goes to and fro.
 
     With a `smoothing` `s`, the magnitude is `sqrt(x² + s²) - s`: smooth, and below `|x|` by `s` at most.
@@ -48,12 +47,11 @@ class Work(AbstractFunctional):
 
     smoothing: float = eqx.field(static=True, default=0.0)
 
-    def evaluate(self, history: History, grid: AbstractGrid) -> Array:
-        """See `AbstractFunctional.evaluate`."""
-        force, rate = (history[name] for name in self.outputs)
+    def integrand(self, now: Mapping[str, Array]) -> Array:
+        """See `AbstractIntegral.integrand`."""
+        force, rate = (now[name] for name in self.outputs)
         exchanged, s = force * rate, self.smoothing
-        size = jnp.sqrt(exchanged**2 + s**2) - s if s else jnp.abs(exchanged)
-        return jnp.tensordot(grid.weights, size, axes=1)
+        return jnp.sqrt(exchanged**2 + s**2) - s if s else jnp.abs(exchanged)
 
     def text(self) -> str:
         """See `AbstractFunctional.text`."""
@@ -107,6 +105,11 @@ class Norm(AbstractComposite):
         return tuple(part for one in self.expressions for part in one.leaves)
 
     @property
+    def integrated(self) -> tuple[AbstractAtom, ...]:
+        """See `AbstractAtom.integrated`."""
+        return tuple(part for one in self.expressions for atom in one.atoms for part in atom.integrated)
+
+    @property
     def is_path(self) -> bool:
         """See `AbstractAtom.is_path`."""
         return any(one.is_path for one in self.expressions)
@@ -114,13 +117,13 @@ class Norm(AbstractComposite):
 
 @final
 class TimeIntegral(AbstractComposite):
-    """The time integral of an expression of paths, by the trapezoidal rule on the grid."""
+    """The time integral of an expression of paths: of statistics at instants and in the middles between them."""
 
     expression: Expression
 
     def evaluate(self, scope: AbstractScope) -> Array:
         """See `AbstractAtom.evaluate`."""
-        return jnp.tensordot(scope.weights, self.expression.evaluate(scope), axes=1)
+        return scope.time_integral(self.expression)
 
     def text(self) -> str:
         """See `AbstractAtom.text`."""
@@ -134,6 +137,11 @@ class TimeIntegral(AbstractComposite):
     def parts(self) -> tuple[AbstractAtom, ...]:
         """See `AbstractAtom.parts`."""
         return self.expression.leaves
+
+    @property
+    def integrated(self) -> tuple[AbstractAtom, ...]:
+        """See `AbstractAtom.integrated`."""
+        return self.parts
 
 
 def final_time() -> Expression:

@@ -4,13 +4,16 @@ from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, Self, final
 
 import equinox as eqx
+import jax
 import numpy as np
 
 from aleator._core.errors import ProblemError
+from aleator._core.given import one_of, positive, real
 from aleator.collocation import Expansion
-from aleator.design._check import check
+from aleator.design._check import check, equations_now
 from aleator.design._declaration import AbstractProblem, Model
 from aleator.design._expression import Constraint, Expression, as_expression, ordered
+from aleator.design._physics import changes
 from aleator.design._text import problem_text
 from aleator.dynamics import (
     AbstractIntegrator,
@@ -48,15 +51,15 @@ class Problem(AbstractProblem):
         expansion: Expansion | None = None,
         integrator: AbstractIntegrator | None = None,
     ):
-        self.system = system
-        self.grid: Any = Instant() if grid is None and isinstance(system, AlgebraicSystem) else grid
+        self.system = _copied(system)
+        self.grid: Any = Instant() if grid is None and isinstance(system, AlgebraicSystem) else _copied(grid)
         if inputs is not None and not isinstance(inputs, Mapping):
             raise ProblemError(f"inputs: expected signals by name, such as {{'road': ...}}; received {type(inputs)}.")
-        self.inputs = dict(inputs or {})
+        self.inputs = _copied(dict(inputs or {}))
         self.objective = as_expression(minimize)
         self.constraints = _told_apart(tuple(_flatten(subject_to)))
-        self.expansion = expansion or Expansion()
-        self.integrator = integrator or RungeKutta4()
+        self.expansion = Expansion() if expansion is None else expansion
+        self.integrator = RungeKutta4() if integrator is None else integrator
         self.physics = ""
         self.physics = check(self)
 
@@ -72,8 +75,7 @@ class Problem(AbstractProblem):
 
     def with_sigmas(self, name: str, sigmas: float) -> Self:
         """The same problem with the multiple of the standard deviation in the constraints called `name` at `sigmas`."""
-        if not (np.isfinite(sigmas) and sigmas > 0):
-            raise ProblemError(f"Constraint '{name}': sigmas must be positive and finite; received {sigmas}.")
+        sigmas = positive(f"Constraint '{name}': sigmas", sigmas)
         self.named(name)
         return self._with(
             name,
@@ -86,6 +88,11 @@ class Problem(AbstractProblem):
 
     def __str__(self) -> str:
         return problem_text(self)
+
+
+def _copied(tree: Any) -> Any:
+    """A tree with its NumPy arrays copied: a problem is what it was declared as, whatever becomes of them."""
+    return jax.tree.map(lambda leaf: leaf.copy() if isinstance(leaf, np.ndarray) else leaf, tree)
 
 
 def _flatten(constraints: Any) -> Iterator[Constraint]:
@@ -125,6 +132,7 @@ def _new_bounds(
 ) -> tuple[float, float]:
     if isinstance(bound, tuple):
         return ordered(name, *bound)
+    bound = real(f"Constraint '{name}': its new bound", bound)
     if all(float(one.lower) == float(one.upper) for one in constraints):
         return float(bound), float(bound)
     lower = {float(one.lower) for one in constraints if np.isfinite(one.lower)}
@@ -139,13 +147,44 @@ def _new_bounds(
     return float(bound), float(bound)
 
 
+def current(problem: Problem) -> Problem:
+    """A problem with its code as it is now: the same unless what the code reads has changed.
+
+    Globals, class attributes and closures may have another value than they had at declaration. A problem that has
+    changed is declared, and so checked, anew.
+    """
+    if equations_now(problem) == problem.physics:
+        return problem
+    return Problem(
+        problem.system,
+        minimize=problem.objective,
+        subject_to=problem.constraints,
+        grid=problem.grid,
+        inputs=problem.inputs,
+        expansion=problem.expansion,
+        integrator=problem.integrator,
+    )
+
+
+def refuse_changed(verb: str, problem: Problem, since: str) -> None:
+    """Raise `ProblemError` if the code of a problem computes something else than it did, naming what has changed."""
+    if equations_now(problem) == problem.physics:
+        return
+    found = changes(problem) or "what it computes has changed, in a way that its code does not show"
+    raise ProblemError(
+        f"{verb}: the code of {type(problem.system).__name__} is not what it was {since}: {found}. Solve it again, or "
+        "put back what has changed."
+    )
+
+
 def deterministic(problem: Problem) -> Problem:
     """The same problem with every distribution at its mean and no spread (dOpt, equations 93 and 113)."""
-    return _with_model(problem, at_means(problem.model))
+    return _with_model(one_of("deterministic", problem, Problem), at_means(problem.model))
 
 
 def uncertain(problem: Problem) -> Problem:
     """The problem with its distributions again: the inverse of `deterministic`."""
+    one_of("uncertain", problem, Problem)
     return _with_model(problem, uncertain_again(problem.model))
 
 

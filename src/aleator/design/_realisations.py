@@ -13,6 +13,7 @@ from aleator.design._expression import Constraint, Expression
 from aleator.design._functionals import Path
 from aleator.design._statistic import Statistic
 from aleator.dynamics import System
+from aleator.mechanics import AbstractFormulation
 from aleator.statistics import Mean
 from aleator.uncertainty import AbstractGerm, at_means, realise, survey, uncertain_numbers
 
@@ -71,7 +72,8 @@ def _bounds(problem: AbstractProblem) -> Iterator[tuple[str, Float[np.ndarray, "
 
     Entries of arrays go together, such as the moments of a body: one alone at a bound says nothing of the others.
     """
-    places, own = problem.survey, survey(getattr(problem.system, "model", problem.system)).decisions
+    system = problem.system
+    places, own = problem.survey, survey(system.model if isinstance(system, AbstractFormulation) else system).decisions
     start, names = places.vector("initial"), places.entry_names()
     for i in (
         place.where.start

@@ -1,6 +1,7 @@
 """The response of a problem's system, realisation by realisation, and the numbers of its model."""
 
-from typing import Any, final
+from collections.abc import Iterable, Mapping
+from typing import Any, NamedTuple, final
 
 import jax
 import jax.numpy as jnp
@@ -9,9 +10,10 @@ from jaxtyping import Array, Float
 from aleator._core.errors import ProblemError
 from aleator.design._declaration import AbstractProblem
 from aleator.design._expression import Expression
+from aleator.design._functionals import AbstractIntegral
 from aleator.design._scope import AbstractScope
-from aleator.design._statistic import AbstractFunctional, Statistic
-from aleator.dynamics import AbstractGrid, AlgebraicSystem, History, explain_failure, simulate
+from aleator.design._statistic import AbstractFunctional, Statistic, Taken
+from aleator.dynamics import AbstractGrid, AlgebraicSystem, Asked, Grid, History, explain_failure, record, simulate
 from aleator.statistics import AbstractStatistic
 from aleator.uncertainty import at_means, named_numbers, realise
 
@@ -27,6 +29,12 @@ def grid_at(problem: AbstractProblem, decisions: Float[Array, " n"]) -> Abstract
     return realise(at_means(problem.model), jnp.zeros(0), decisions).grid
 
 
+def step_at(problem: AbstractProblem, decisions: Float[Array, " n"]) -> Array:
+    """The time between two instants, s; one where there is no time."""
+    grid = grid_at(problem, decisions)
+    return jnp.asarray(grid.step if isinstance(grid, Grid) else 1.0)
+
+
 def responses(
     problem: AbstractProblem,
     functionals: tuple[AbstractFunctional, ...],
@@ -34,20 +42,83 @@ def responses(
     decisions: Float[Array, " n"],
 ) -> tuple[Float[Array, "points ..."], ...]:
     """Each functional at each germ point: a tuple of arrays whose first axis is the points."""
-    needed = {name for functional in functionals for name in functional.outputs}
+    return sampled(problem, functionals, (), germ, decisions).values
 
-    def one(point: Float[Array, " variables"]) -> tuple[Array, ...]:
+
+class Sampled(NamedTuple):
+    """What a family of realisations yields: arrays whose first axis is the germ points.
+
+    - `values`: of each functional; `nodes`: of each of some paths, at the instants and in the middles between them.
+    """
+
+    values: tuple[Float[Array, "points ..."], ...]
+    nodes: tuple[Float[Array, "points nodes ..."], ...]
+
+
+def sampled(
+    problem: AbstractProblem,
+    functionals: tuple[AbstractFunctional, ...],
+    paths: tuple[AbstractFunctional, ...],
+    germ: Float[Array, "points variables"],
+    decisions: Float[Array, " n"],
+) -> Sampled:
+    """Functionals at each germ point, and some `paths` among them between the instants too."""
+    integrals = tuple(one for one in functionals if isinstance(one, AbstractIntegral))
+    asked = Asked(
+        instants=_outputs([one for one in functionals if not isinstance(one, AbstractIntegral)]),
+        nodes=_outputs(paths),
+        integrands=tuple(one.integrand for one in integrals),
+        integrated=_outputs(integrals),
+    )
+
+    def one(point: Float[Array, " variables"]) -> Sampled:
         system, inputs, grid = realise(problem.model, point, decisions)
-        outputs = simulate(system, grid, inputs, problem.integrator, only=needed)
-        return tuple(functional.evaluate(outputs, grid) for functional in functionals)
+        found = record(system, grid, inputs, problem.integrator, asked)
+        taken = Taken(found.history, dict(zip(integrals, found.integrals, strict=True)))
+        between = Taken(found.nodes, {})
+        return Sampled(
+            tuple(functional.evaluate(taken, grid) for functional in functionals),
+            tuple(path.evaluate(between, grid) for path in paths),
+        )
 
     return jax.vmap(one)(germ)
 
 
+def _outputs(functionals: Iterable[AbstractFunctional]) -> frozenset[str]:
+    return frozenset(name for one in functionals for name in one.outputs)
+
+
 def unsolved(problem: AbstractProblem, germ: Float[Array, " variables"], decisions: Float[Array, " n"]) -> str:
-    """Why the equations of one realisation of an algebraic system have no solution; empty if they have one."""
-    system, _, _ = realise(problem.model, germ, decisions)
-    return explain_failure(system) if isinstance(system, AlgebraicSystem) else ""
+    """Why one realisation has no solution, as far as its equations or its integrator can tell; empty if it has one."""
+    system, inputs, grid = realise(problem.model, germ, decisions)
+    if isinstance(system, AlgebraicSystem):
+        return explain_failure(system)
+    return problem.integrator.explain(system, grid, {**system.signals(), **inputs}) if system.states else ""
+
+
+@final
+class OneSystem(AbstractScope):
+    """A single system: its mean, its quantiles and its extremes are its value, and nothing spreads."""
+
+    def __init__(self, values: Mapping[AbstractFunctional, Array], numbers: Mapping[str, Array], step: Array):
+        self._values, self._numbers, self._step = values, numbers, step
+
+    def statistic(self, functionals: tuple[AbstractFunctional, ...], kind: AbstractStatistic) -> Array:
+        """See `AbstractScope.statistic`."""
+        value = self._values[functionals[0]]
+        return value if kind.speaks_of_one_system else jnp.zeros_like(value)
+
+    def realised(self, functional: AbstractFunctional) -> Array:
+        """See `AbstractScope.realised`."""
+        return self._values[functional]
+
+    def time_integral(self, expression: Expression) -> Array:
+        """See `AbstractScope.time_integral`: to the trapezoidal rule, for no system is counted by it."""
+        return self._step * jnp.trapezoid(expression.evaluate(self), axis=0)
+
+    def value(self, name: str) -> Array:
+        """See `AbstractScope.value`."""
+        return self._numbers[name]
 
 
 @final
@@ -61,9 +132,11 @@ class _Numbers(AbstractScope):
         received = Statistic(functionals, kind).text()
         raise ProblemError(f"Only the model's own numbers are known here; received {received}.")
 
-    @property
-    def weights(self) -> Array:
-        raise ProblemError("Only the model's own numbers are known here; received an integral over time.")
+    def realised(self, functional: Any) -> Array:
+        raise ProblemError(f"Only the model's own numbers are known here; received {functional.text()}.")
+
+    def time_integral(self, expression: Expression) -> Array:
+        raise ProblemError(f"Only the model's own numbers are known here; received the time integral of {expression}.")
 
     def value(self, name: str) -> Array:
         return self._numbers[name]

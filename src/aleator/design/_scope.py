@@ -18,10 +18,13 @@ class AbstractScope(abc.ABC):
     def statistic(self, functionals: tuple[Any, ...], kind: AbstractStatistic) -> Float[Array, "..."]:
         """A statistic of a functional, or of several jointly (a covariance)."""
 
-    @property
     @abc.abstractmethod
-    def weights(self) -> Float[Array, " instants"]:
-        """Weights of the quadrature rule on the instants, which integrate a path over time."""
+    def realised(self, functional: Any) -> Float[Array, "..."]:
+        """A functional on single realisations, along a new last axis where there are several."""
+
+    @abc.abstractmethod
+    def time_integral(self, expression: Any) -> Float[Array, ""]:
+        """The integral over time of an expression of paths."""
 
     @abc.abstractmethod
     def value(self, name: str) -> Float[Array, ""]:
@@ -63,6 +66,11 @@ class AbstractAtom(eqx.Module):
     def parts(self) -> "tuple[AbstractAtom, ...]":
         """Itself, or the atoms that it is made of, in the order in which it evaluates them."""
         return (self,)
+
+    @property
+    def integrated(self) -> "tuple[AbstractAtom, ...]":
+        """Those of its parts that are integrated over time: their paths are asked for between the instants too."""
+        return ()
 
     @property
     def measures(self) -> tuple[str, ...]:

@@ -9,15 +9,17 @@ import numpy as np
 from jaxtyping import Float
 
 from aleator.design._certificate import (
-    HELD,
     Between,
     ConstraintResult,
     ExpansionQuality,
     Moments,
     Times,
 )
+from aleator.design._grid_error import GridError
+from aleator.design._opinion import SecondOpinion
 from aleator.design._problem import Problem
 from aleator.design._response import grid_at
+from aleator.design._worst_case import WorstCase
 from aleator.nlp import Status
 
 
@@ -37,7 +39,11 @@ class Solution:
       point and its multipliers and not taken from the solver;
     - `multipliers`: all constraint multipliers in one vector, for warm starts;
     - `evaluations`: points at which the problem was simulated;
-    - `between`: how far limits over time are exceeded between instants; None where that was not looked at.
+    - `between`: how far limits over time are exceeded between instants; None where that was not looked at;
+    - `grid_error`: how far a finer grid and an integrator of another order differ; None where time plays no part;
+    - `opinion`: what a few fresh simulations at the answer say of the expansions; None where nothing is uncertain, or
+      nothing was solved;
+    - `worst_case`: the worst realisations of limits on the worst case; None where there are none.
     """
 
     problem: Problem
@@ -61,6 +67,9 @@ class Solution:
     message: str
     expansion: ExpansionQuality
     between: Between | None = None
+    grid_error: GridError | None = None
+    opinion: SecondOpinion | None = None
+    worst_case: WorstCase | None = None
 
     @property
     def ok(self) -> bool:
@@ -101,8 +110,24 @@ class Solution:
                 f"{self.solver}: solved at the instants of the grid, but {self.between.sentence()}, or between=1 to "
                 "look at the instants alone."
             )
-        broken = "; ".join(one.sentence() for one in self.violated)
+        if self.status is Status.WORST_CASE_BROKEN and self.worst_case is not None:
+            return f"{self.solver}: {self.status.value}. {self.worst_case.broken()}"
+        if self.status is Status.COARSE and self.grid_error is not None:
+            return (
+                f"{self.solver}: solved on {self.grid_error.steps} steps, but {self.grid_error}. {self.message}".strip()
+            )
+        if self.status is Status.CONTRADICTED and self.opinion is not None:
+            return (
+                f"{self.solver}: solved for the expansion, but {self.opinion.samples} fresh simulations contradict it: "
+                f"{self.opinion.broken}. Raise the order of the expansion."
+            )
+        broken = "; ".join(one.sentence() + self._realisation(one) for one in self.violated)
         return f"{self.solver}: {self.status.value}. {broken or self.message}."
+
+    def _realisation(self, one: ConstraintResult) -> str:
+        """By which system a limit on the worst case is broken, in words; nothing for other constraints."""
+        worst = None if self.worst_case is None else self.worst_case.of(one.text)
+        return "" if worst is None else f" (with {worst.system})"
 
     def __str__(self) -> str:
         return _solution_text(self)
@@ -118,9 +143,13 @@ def _solution_text(solution: Solution) -> str:
             for name, value in solution.decisions.items()
         ),
         *(("constraint", _constraint_text(one)) for one in solution.constraints),
-        *_between_rows(solution.between),
+        *([] if solution.between is None else [("between", solution.between.sentence())]),
+        *([] if solution.grid_error is None else [("grid", str(solution.grid_error))]),
+        *(("worst case", row) for row in (solution.worst_case.rows() if solution.worst_case else ())),
         ("certificate", _certificate_text(solution)),
         ("expansion", _expansion_text(solution)),
+        *([("fresh", solution.opinion.sentence())] if solution.opinion else []),
+        *([("not seen", solution.expansion.unseen.sentence())] if solution.expansion.unseen else []),
         ("effort", _effort_text(solution)),
     ]
     return "\n".join(f"{label:<12} {text}" for label, text in rows)
@@ -144,13 +173,6 @@ def _constraint_text(one: ConstraintResult) -> str:
         else f"slack {-float(np.max(one.excess)):.4g}{when}"
     )
     return f"{one.name}: {one.text}: {state}"
-
-
-def _between_rows(between: Between | None) -> list[tuple[str, str]]:
-    if between is None:
-        return []
-    told = f"'{between.changed}' changes by {between.change:.1e} of its size on {between.factor} times as many steps"
-    return [("between", between.sentence()), *([("integration", told)] if between.change > HELD else [])]
 
 
 def _certificate_text(solution: Solution) -> str:

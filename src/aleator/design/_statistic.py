@@ -2,7 +2,7 @@
 
 import abc
 from collections.abc import Mapping, Sequence
-from typing import Any, final
+from typing import Any, NamedTuple, final
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 
 from aleator._core.errors import ProblemError
 from aleator.design._expression import Constraint, Expression, number_given, ordered
+from aleator.design._extreme import Extreme
 from aleator.design._scope import AbstractAtom, AbstractRandom, AbstractScope, Units
 from aleator.dynamics import AbstractGrid, History
 from aleator.statistics import (
@@ -51,8 +52,16 @@ class AbstractFunctional(AbstractRandom):
         return self.outputs[0]
 
     @abc.abstractmethod
-    def evaluate(self, history: History, grid: AbstractGrid) -> Float[Array, "..."]:
-        """The quantity on one realisation's history: a number, or for `path` one number an instant."""
+    def evaluate(self, taken: "Taken", grid: AbstractGrid) -> Float[Array, "..."]:
+        """The quantity on what was taken of one realisation: a number, or for `path` one number an instant."""
+
+    def reach(self, peaks: Mapping[str, Array], grid: AbstractGrid) -> Float[Array, "..."]:
+        """How large it could be at most, were its outputs at their peaks all the time.
+
+        A quantity that happens to be small, such as the speed at the end of a motion, is judged beside it.
+        """
+        del grid
+        return peaks[self.output]
 
     def unit(self, outputs: Mapping[str, str]) -> str:
         """Its unit, from those of outputs as far as they are known (see `_core.units`): by default its output's own."""
@@ -95,12 +104,12 @@ class AbstractFunctional(AbstractRandom):
 
     @property
     def supremum(self) -> Expression:
-        """The largest value that the uncertainty can bring about, for bounded laws (equation 88)."""
+        """The largest value of its expansion, for bounded distributions (equation 88): the model's may be larger."""
         return statistic(Supremum(), self)
 
     @property
     def infimum(self) -> Expression:
-        """The smallest value that the uncertainty can bring about, for bounded laws (equation 88)."""
+        """The smallest value of its expansion, for bounded distributions (equation 88): the model's may be smaller."""
         return statistic(Infimum(), self)
 
     def quantile(self, level: float) -> Expression:
@@ -128,28 +137,28 @@ class AbstractFunctional(AbstractRandom):
         return statistic(TotalSobol(variable), self)
 
     def at_most(
-        self, upper: float, *, sigmas: float = 0.0, probability: float | None = None, surely: bool = False
+        self, upper: float, *, sigmas: float = 0.0, probability: float | None = None, worst_case: bool = False
     ) -> Constraint:
         """`mean + sigmas * std <= upper`, or in its place one of two limits that need no normal law.
 
         - `probability`: at most `upper` with this probability (`quantile(probability) <= upper`);
-        - `surely`: at most `upper` whatever happens (`supremum <= upper`), for bounded laws.
+        - `worst_case`: at most `upper` on the worst realisation that `solve` finds, for bounded distributions.
 
         Raises `ProblemError` if more than one of the three is given.
         """
-        return self._end(1, sigmas, probability, surely) <= upper
+        return self._end(1, sigmas, probability, worst_case) <= upper
 
     def at_least(
-        self, lower: float, *, sigmas: float = 0.0, probability: float | None = None, surely: bool = False
+        self, lower: float, *, sigmas: float = 0.0, probability: float | None = None, worst_case: bool = False
     ) -> Constraint:
         """`mean - sigmas * std >= lower`, or in its place one of two limits that need no normal law.
 
         - `probability`: at least `lower` with this probability (`quantile(1 - probability) >= lower`);
-        - `surely`: at least `lower` whatever happens (`infimum >= lower`), for bounded laws.
+        - `worst_case`: at least `lower` on the worst realisation that `solve` finds, for bounded distributions.
 
         Raises `ProblemError` if more than one of the three is given.
         """
-        return self._end(-1, sigmas, probability, surely) >= lower
+        return self._end(-1, sigmas, probability, worst_case) >= lower
 
     def within(
         self,
@@ -158,28 +167,37 @@ class AbstractFunctional(AbstractRandom):
         *,
         sigmas: float = 0.0,
         probability: float | None = None,
-        surely: bool = False,
+        worst_case: bool = False,
     ) -> tuple[Constraint, Constraint]:
         """Both `at_most(upper)` and `at_least(lower)`, under one name; `probability` is that of each side alone.
 
         Raises `ProblemError` for bounds in the wrong order.
         """
         lower, upper = ordered(", ".join(self.outputs), lower, upper)
-        margin: dict[str, Any] = {"sigmas": sigmas, "probability": probability, "surely": surely}
+        margin: dict[str, Any] = {"sigmas": sigmas, "probability": probability, "worst_case": worst_case}
         return self.at_most(upper, **margin), self.at_least(lower, **margin)
 
-    def _end(self, side: int, sigmas: float, probability: float | None, surely: bool) -> Expression:
+    def _end(self, side: int, sigmas: float, probability: float | None, worst_case: bool) -> Expression:
         """The upper (`side = 1`) or lower (`side = -1`) end of its distribution."""
         multiple = _multiple(self, sigmas)
-        asked = {"sigmas": multiple > 0, "probability": probability is not None, "surely": surely}
+        asked = {"sigmas": multiple > 0, "probability": probability is not None, "worst_case": worst_case}
         if sum(asked.values()) > 1:
             names = [name for name, is_asked in asked.items() if is_asked]
-            raise ProblemError(f"'{self.text()}': expected one of sigmas, probability and surely; received {names}.")
-        if surely:
-            return self.supremum if side > 0 else self.infimum
+            raise ProblemError(
+                f"'{self.text()}': expected one of sigmas, probability and worst_case; received {names}."
+            )
+        if worst_case:
+            return Expression((1.0,), (Extreme(self, side),))
         if probability is not None:
             return self.quantile(probability if side > 0 else 1 - probability)
         return self.mean + side * multiple * self.std
+
+
+class Taken(NamedTuple):
+    """What functionals are evaluated on: one realisation's outputs over time, and the integrals that they ask for."""
+
+    history: History
+    integrals: Mapping[AbstractFunctional, Float[Array, "..."]]
 
 
 @final
@@ -224,7 +242,7 @@ class Statistic(AbstractAtom):
 
 def name_given(name: Any) -> str:
     """The name of an output as it is. Raises `ProblemError` for what is no name."""
-    if isinstance(name, str):
+    if isinstance(name, str) and name:
         return name
     raise ProblemError(
         f"An output is given by its name, such as 'x', and several one by one; received {type(name).__name__} {name!r}."
@@ -263,7 +281,15 @@ def joined(values: Sequence[Float[Array, "..."]]) -> Float[Array, "..."]:
 
 def functionals_of(expressions: tuple[Expression, ...]) -> tuple[AbstractFunctional, ...]:
     """All functionals that stand in some expressions, each once, in order of appearance."""
-    return tuple(dict.fromkeys(one for atom in statistics_in(expressions) for one in atom.functionals))
+    atoms = (atom for one in expressions for atom in one.leaves if isinstance(atom, Statistic | Extreme))
+    return tuple(dict.fromkeys(one for atom in atoms for one in atom.functionals))
+
+
+def integrated_paths(expressions: tuple[Expression, ...]) -> tuple[AbstractFunctional, ...]:
+    """The paths whose statistics are integrated over time in some expressions, each once."""
+    atoms = (part for one in expressions for atom in one.atoms for part in atom.integrated)
+    functionals = (one for atom in atoms if isinstance(atom, Statistic) for one in atom.functionals)
+    return tuple(dict.fromkeys(one for one in functionals if one.is_path))
 
 
 def statistics_in(expressions: tuple[Expression, ...]) -> tuple[Statistic, ...]:

@@ -5,12 +5,12 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from aleator._core.arrays import decided_bounds
 from aleator.design._declaration import AbstractProblem
 from aleator.design._statistic import statistics_in
 from aleator.dynamics import AlgebraicSystem, Grid
+from aleator.mechanics import AbstractFormulation
 from aleator.statistics import Mean
-from aleator.uncertainty import AbstractDistribution
+from aleator.uncertainty import AbstractDistribution, Decision
 
 
 def problem_text(problem: AbstractProblem) -> str:
@@ -60,9 +60,9 @@ def _physics_row(problem: AbstractProblem) -> tuple[str, str]:
     name = type(system).__name__
     if isinstance(system, AlgebraicSystem) or not isinstance(grid, Grid):
         return "equations", f"{name}({', '.join(getattr(system, 'unknowns', ()))}), solved by Newton's method"
-    free = decided_bounds(grid.t_final) is not None
+    free = isinstance(grid.t_final, Decision)
     steps = f"{grid.steps} steps to t_final" if free else f"{grid.steps} steps of {float(grid.step):g} s"
-    who = f"{name} of {type(model).__name__}" if (model := getattr(system, "model", None)) is not None else name
+    who = f"{name} of {type(system.model).__name__}" if isinstance(system, AbstractFormulation) else name
     if not system.states:
         return "dynamics", f"{who}, {steps}, nothing is integrated"
     return "dynamics", f"{who}({', '.join(system.states)}), {steps}, {type(problem.integrator).__name__}"

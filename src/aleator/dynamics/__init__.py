@@ -1,5 +1,7 @@
 """Dynamical and algebraic systems and their simulation. Knows no randomness."""
 
+from aleator.dynamics._adaptive import Kvaerno5 as Kvaerno5
+from aleator.dynamics._adaptive import Tsit5 as Tsit5
 from aleator.dynamics._algebraic import AlgebraicSystem as AlgebraicSystem
 from aleator.dynamics._algebraic import Solved as Solved
 from aleator.dynamics._algebraic import explain_failure as explain_failure
@@ -12,12 +14,13 @@ from aleator.dynamics._instantaneous import Known as Known
 from aleator.dynamics._instantaneous import known_at as known_at
 from aleator.dynamics._instantaneous import observed_at as observed_at
 from aleator.dynamics._integrators import AbstractIntegrator as AbstractIntegrator
-from aleator.dynamics._integrators import History as History
 from aleator.dynamics._integrators import Inputs as Inputs
-from aleator.dynamics._integrators import Kvaerno5 as Kvaerno5
 from aleator.dynamics._integrators import RungeKutta4 as RungeKutta4
-from aleator.dynamics._integrators import Tsit5 as Tsit5
+from aleator.dynamics._record import Asked as Asked
+from aleator.dynamics._record import History as History
+from aleator.dynamics._record import Record as Record
 from aleator.dynamics._refusals import check_signals as check_signals
+from aleator.dynamics._simulate import record as record
 from aleator.dynamics._simulate import simulate as simulate
 from aleator.dynamics._system import System as System
 from aleator.dynamics._system import called as called

@@ -11,10 +11,14 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, Int
 
-from aleator._core.arrays import is_number
+from aleator._core.arrays import is_number, numbers_to_arrays
 from aleator._core.errors import ProblemError
+from aleator._core.given import traceable
+from aleator._core.leaves import named_leaves
 from aleator.dynamics._newton import Root, newton
-from aleator.dynamics._system import as_outputs, called, state_type
+from aleator.dynamics._system import as_outputs, called, starting, state_type
+
+_GOLDEN = (5**0.5 - 1) / 2
 
 
 class AlgebraicSystem(eqx.Module):
@@ -108,13 +112,7 @@ def explain_failure(system: AlgebraicSystem) -> str:
 
 def _numbers(system: AlgebraicSystem) -> dict[str, Any]:
     """The numbers in the fields of a realised system, by name."""
-    leaves, _ = jax.tree_util.tree_flatten_with_path(system)
-    names = (jax.tree_util.keystr(path, simple=True, separator=".") for path, _ in leaves)
-    return {
-        name.removeprefix("dimensions."): leaf
-        for name, (_, leaf) in zip(names, leaves, strict=True)
-        if is_number(leaf) or isinstance(leaf, int)
-    }
+    return {name: leaf for name, leaf in named_leaves(system) if is_number(leaf) or isinstance(leaf, int)}
 
 
 def _remark(root: Root) -> str:
@@ -133,7 +131,27 @@ def _listed(numbers: Mapping[str, Any]) -> str:
 def _root(system: AlgebraicSystem, guess: Any) -> tuple[Root, Callable[[Array], Any]]:
     """The root over all unknowns as one vector, and what makes a named tuple of such a vector."""
     start, named = ravel_pytree(guess)
-    return newton(lambda vector: _equations(system, named(vector), start.size), start), named
+    terms = _constant_terms(system, guess, start.size)
+    return newton(lambda vector: _equations(system, named(vector), start.size), start, terms), named
+
+
+def _constant_terms(system: AlgebraicSystem, guess: Any, expected: int) -> Float[Array, " n"]:
+    """The sizes of what the system's own numbers add to each equation: as they round, so do the unknowns.
+
+    By derivatives along all numbers at once, with weights in which terms of opposite signs do not cancel.
+    """
+    dynamic, static = eqx.partition(numbers_to_arrays(system), eqx.is_inexact_array)
+    numbers, combined = ravel_pytree(dynamic)
+    if not numbers.size:
+        return jnp.zeros(expected)
+    order = np.arange(1, numbers.size + 1)
+    weights = np.stack([0.5 + order * _GOLDEN % 1, (-1.0) ** order * (0.5 + order * _GOLDEN**2 % 1)])
+
+    def equations(given: Float[Array, " numbers"]) -> Float[Array, " n"]:
+        return _equations(eqx.combine(combined(given), static), guess, expected)
+
+    _, along = jax.vmap(lambda weight: jax.jvp(equations, (numbers,), (numbers * weight,)))(jnp.asarray(weights))
+    return jnp.nan_to_num(jnp.abs(along).max(axis=0), nan=0.0, posinf=0.0)
 
 
 def _guess(system: AlgebraicSystem) -> Any:
@@ -144,7 +162,7 @@ def _guess(system: AlgebraicSystem) -> Any:
             f"{type(system).__name__}.guess returns a dict with a number for each of the unknowns {system.unknowns}; "
             f"received {given!r}."
         )
-    return state_type(system.unknowns)(*(jnp.asarray(given[name], dtype=float) for name in system.unknowns))
+    return state_type(system.unknowns)(*starting(f"{type(system).__name__}.guess", system.unknowns, given))
 
 
 def _equations(system: AlgebraicSystem, rho: Any, expected: int) -> Float[Array, " n"]:
@@ -153,7 +171,7 @@ def _equations(system: AlgebraicSystem, rho: Any, expected: int) -> Float[Array,
     name = type(system).__name__
     if not isinstance(values, tuple | list):
         raise ProblemError(f"{name}.residual returns the equations as a tuple; received {values!r}.")
-    vector = jnp.concatenate([jnp.zeros(0), *(jnp.ravel(jnp.asarray(value, dtype=float)) for value in values)])
+    vector = jnp.concatenate([jnp.zeros(0), *(jnp.ravel(traceable(f"{name}.residual", value)) for value in values)])
     if vector.size != expected:
         raise ProblemError(
             f"{name}.residual: expected as many equations as numbers in the unknowns {system.unknowns}, "

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from aleator._core.errors import ProblemError
+from aleator._core.leaves import AbstractLeaf, transparent
 from aleator.dynamics._algebraic import AlgebraicSystem
 from aleator.dynamics._formula import Formula, check_name, evaluate, names_in, read_equation, read_formula
 from aleator.dynamics._vectors import Chain, is_chain, read_chain
@@ -26,6 +27,7 @@ class _Description(NamedTuple):
 
 
 @final
+@transparent("dimensions")
 class Assembly(AlgebraicSystem):
     """Parts that fit together, as a designer draws them: vectors that close (dissertation, equations 1, 2 and 121).
 
@@ -134,8 +136,8 @@ def _check_names(
 
 
 def _dimension(name: str, value: Any) -> Any:
-    """A number as a float, so that changing it compiles nothing; distributions and decisions (modules) as they are."""
-    if isinstance(value, eqx.Module | jax.Array):
+    """A number as a float, so that changing it compiles nothing; distributions and decisions as they are."""
+    if isinstance(value, AbstractLeaf | jax.Array):
         return value
     return _number(value, f"dimension '{name}'", "a finite number, a distribution or a decision")
 

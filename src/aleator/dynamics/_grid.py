@@ -10,8 +10,10 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from aleator._core.arrays import Scalar, decided_bounds
+from aleator._core.arrays import Scalar
 from aleator._core.errors import ProblemError
+from aleator._core.given import is_masked, whole
+from aleator._core.leaves import AbstractLeaf, highest, lowest, realised_shape
 from aleator.trajectories import instants
 
 
@@ -22,11 +24,6 @@ class AbstractGrid(eqx.Module):
     @abc.abstractmethod
     def times(self) -> Float[Array, " instants"]:
         """All instants, in seconds."""
-
-    @property
-    @abc.abstractmethod
-    def weights(self) -> Float[Array, " instants"]:
-        """Weights of the quadrature rule on the instants."""
 
 
 @final
@@ -41,27 +38,24 @@ class Grid(AbstractGrid):
     t_start: Scalar
 
     def __init__(self, t_final: Any, steps: int, t_start: float = 0.0):
-        if isinstance(steps, bool) or not isinstance(steps, int | np.integer) or steps < 1:
-            raise ProblemError(f"Grid: steps is a whole number of at least 1; received {steps!r}.")
+        self.steps = whole("Grid: steps", steps)
         t_final, t_start = _scalar(t_final), _scalar(t_start)
+        free = _is_decided(t_final)
         earliest = _earliest(t_final)
-        if np.shape(getattr(t_final, "initial", 0.0) if decided_bounds(t_final) is not None else 0.0) != ():
+        if free and realised_shape(t_final) != ():
             raise ProblemError(f"Grid: there is one final time; received an array of decisions {t_final!r}.")
         if not (_is_finite(t_start) and _is_finite(earliest) and earliest > t_start):
-            free = decided_bounds(t_final) is not None
             raise ProblemError(
                 f"Grid: t_final must be a finite number after t_start={t_start!r}; received "
                 + (f"a decision that may be {earliest!r}: raise its lower bound." if free else f"t_final={t_final!r}.")
             )
-        self.t_final = float(t_final) if decided_bounds(t_final) is None else t_final
-        self.steps = int(steps)
+        self.t_final = t_final if free else float(t_final)
         self.t_start = float(t_start)
 
     @property
     def latest(self) -> float:
         """The final time, or the largest one that may be chosen, s."""
-        bounds = decided_bounds(self.t_final)
-        return float(self.t_final if bounds is None else bounds[1])
+        return float(self.t_final if (latest := highest(self.t_final)) is None else latest)
 
     def finer(self, factor: int) -> "Grid":
         """The same time in `factor` times as many steps."""
@@ -83,10 +77,26 @@ class Grid(AbstractGrid):
         return instants(self.fractions, self.t_start, self.t_final)
 
     @property
-    def weights(self) -> Float[Array, " instants"]:
-        """Weights of the trapezoidal rule on the instants."""
-        ends = jnp.ones(self.steps + 1).at[jnp.array([0, -1])].set(0.5)
-        return jnp.asarray(self.step * ends)
+    def duration(self) -> Scalar:
+        """From the first instant to the last, s."""
+        return self.t_final - self.t_start
+
+    @property
+    def node_fractions(self) -> Float[np.ndarray, " nodes"]:
+        """The instants and the middles of the steps between them, as fractions of the duration."""
+        return np.linspace(0.0, 1.0, 2 * self.steps + 1)
+
+    @property
+    def node_times(self) -> Float[Array, " nodes"]:
+        """The instants and the middles of the steps between them."""
+        return instants(self.node_fractions, self.t_start, self.t_final)
+
+    @property
+    def node_weights(self) -> Float[Array, " nodes"]:
+        """Weights of Simpson's rule on instants and middles: of order 4, as the default integrator is."""
+        weights = np.tile([2.0, 4.0], self.steps + 1)[:-1]
+        weights[[0, -1]] = 1.0
+        return jnp.asarray(self.step / 6 * weights)
 
 
 @final
@@ -98,22 +108,22 @@ class Instant(AbstractGrid):
         """The one instant."""
         return jnp.zeros(1)
 
-    @property
-    def weights(self) -> Float[Array, " instants"]:
-        """The weight of the one instant."""
-        return jnp.ones(1)
+
+def _is_decided(t_final: Any) -> bool:
+    """Whether a final time is decided."""
+    return isinstance(t_final, AbstractLeaf) and not t_final.UNCERTAIN
 
 
 def _earliest(t_final: Any) -> Any:
-    bounds = decided_bounds(t_final)
-    return t_final if bounds is None else float(np.min(bounds[0]))
+    return lowest(t_final) if _is_decided(t_final) else t_final
 
 
 def _scalar(number: Any) -> Any:
     """An array of one known number, without axes, as a float; everything else as it is."""
-    is_array = isinstance(number, np.ndarray | jax.Array) and not isinstance(number, Tracer)
+    is_array = isinstance(number, np.ndarray | jax.Array) and not isinstance(number, Tracer) and not is_masked(number)
     return float(number) if is_array and number.shape == () and number.dtype.kind in "iuf" else number
 
 
-def _is_finite(number: object) -> bool:
-    return isinstance(number, int | float | np.number) and bool(np.isfinite(number))
+def _is_finite(number: Any) -> bool:
+    is_real = isinstance(number, int | float | np.number) and not isinstance(number, bool)
+    return is_real and bool(np.isfinite(number))

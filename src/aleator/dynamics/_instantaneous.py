@@ -2,18 +2,24 @@
 
 import math
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Float
 
 from aleator._core.arrays import Pytree
 from aleator.dynamics._grid import Grid
-from aleator.dynamics._integrators import History, Inputs, Observe, sampled
-from aleator.dynamics._system import System, initial_state
+from aleator.dynamics._integrators import Inputs, sampled
+from aleator.dynamics._record import Asked, Record
+from aleator.dynamics._system import System, initial_state, observation
+from aleator.trajectories import instants
+
+Fractions: TypeAlias = Float[np.ndarray, " n"]
+Take: TypeAlias = Callable[[System, Any, Any, dict[str, Array]], Pytree]
 
 
 class Known(NamedTuple):
@@ -35,24 +41,38 @@ class Known(NamedTuple):
         return row[0], found
 
 
-def known_at(system: System, grid: Grid, inputs: Inputs) -> Known:
-    """What a realised system and its inputs make known at each instant of a grid."""
-    at = sampled({**system.signals(), **inputs}, grid, grid.fractions)
+def known_at(system: System, grid: Grid, inputs: Inputs, fractions: Fractions | None = None) -> Known:
+    """What a realised system and its inputs make known at each instant of a grid, or at other fractions of it."""
+    fractions = grid.fractions if fractions is None else fractions
+    at = sampled({**system.signals(), **inputs}, grid, fractions)
     columns = [values.reshape(len(values), -1) for values in at.values()]
-    rows = jnp.concatenate([grid.times[:, None], *columns], axis=1)
+    times = instants(fractions, grid.t_start, grid.t_final)
+    rows = jnp.concatenate([times[:, None], *columns], axis=1)
     return Known(rows, {name: values.shape[1:] for name, values in at.items()})
 
 
-def observed_at(system: System, known: Known, row: Float[Array, " numbers"], observe: Observe) -> dict[str, Array]:
-    """What `observe` takes of a system without states at one row of what is known."""
+def observed_at(system: System, known: Known, row: Float[Array, " numbers"]) -> dict[str, Array]:
+    """The outputs of a system without states at one row of what is known."""
     t, now = known.unpack(row)
-    return observe(system, t, initial_state(system), now)
+    return observation(system, t, initial_state(system), now)
 
 
-def observed(system: System, grid: Grid, inputs: Inputs, observe: Observe) -> History:
-    """What `observe` takes of a system without states at every instant."""
-    known = known_at(system, grid, inputs)
-    return at_each_instant(lambda one, row: observed_at(one, known, row, observe), system, known.rows)
+def observed(system: System, grid: Grid, inputs: Inputs, asked: Asked) -> Record:
+    """The record of a system without states: its integrals are taken by Simpson's rule, which sees between instants."""
+
+    def over(fractions: Fractions, take: Take) -> Pytree:
+        known = known_at(system, grid, inputs, fractions)
+
+        def one(realised: System, row: Array) -> Pytree:
+            t, now = known.unpack(row)
+            return take(realised, t, initial_state(realised), now)
+
+        return at_each_instant(one, system, known.rows)
+
+    history = over(grid.fractions, asked.at_instant)
+    nodes = over(grid.node_fractions, asked.at_node) if asked.nodes else {}
+    rates = over(grid.node_fractions, asked.rates) if asked.integrands else ()
+    return Record(history, nodes, tuple(jnp.tensordot(grid.node_weights, one, axes=1) for one in rates))
 
 
 def at_each_instant(

@@ -1,8 +1,11 @@
-"""Integrators: fixed-step Runge-Kutta for optimisation, adaptive ones (diffrax) for stiff and long simulations."""
+"""Integrators: what they all are, and fixed-step Runge-Kutta for optimisation.
+
+Integrals over time are further states, whose rates are the integrands: they are as accurate as the states are, and an
+input that is wild only where nothing is evaluated is as cheap, or as dear, for the one as for the other.
+"""
 
 import abc
-from collections.abc import Callable
-from typing import Any, final
+from typing import Any, ClassVar, NamedTuple, final
 
 import equinox as eqx
 import jax
@@ -11,61 +14,159 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from aleator._core.arrays import Pytree
-from aleator._core.errors import ProblemError
 from aleator.dynamics._grid import Grid
-from aleator.dynamics._system import System, derivative, initial_state, observation
+from aleator.dynamics._record import Asked, Record
+from aleator.dynamics._system import System, derivative, initial_state
 from aleator.trajectories import AbstractSignal
 
 Inputs = dict[str, AbstractSignal]
-History = dict[str, Float[Array, "instants ..."]]
-Observe = Callable[[System, Any, Any, dict[str, Array]], dict[str, Array]]
 
 
 class AbstractIntegrator(eqx.Module):
     """How a system's states are carried from one instant of a grid to the next."""
 
     @abc.abstractmethod
-    def outputs(self, system: System, grid: Grid, inputs: Inputs, observe: Observe = observation) -> History:
-        """What `observe` takes of the system at every instant, its outputs by default: shape (instants, ...)."""
+    def record(self, system: System, grid: Grid, inputs: Inputs, asked: Asked) -> Record:
+        """Simulate a realised system and record what is asked; `inputs` are all signals, its own among them."""
+
+    @abc.abstractmethod
+    def reference(self) -> "AbstractIntegrator":
+        """A more accurate integrator of another order, by which the error of this one is told."""
+
+    def explain(self, system: System, grid: Grid, inputs: Inputs) -> str:
+        """Why it comes to no end with one realised system, with the remedy; empty if it does, or cannot tell."""
+        del system, grid, inputs
+        return ""
+
+    def refined(self) -> "AbstractIntegrator":
+        """The same to smaller tolerances of its own, if it has any: most follow the steps of the grid."""
+        return self
+
+
+class Tableau(NamedTuple):
+    """An explicit Runge-Kutta method (Hairer, Nørsett and Wanner, Solving Ordinary Differential Equations I, II.1).
+
+    - `nodes`: of the stages, as fractions of a step; `couplings`: of each stage with those before it; `weights`.
+    """
+
+    nodes: tuple[float, ...]
+    couplings: tuple[tuple[float, ...], ...]
+    weights: tuple[float, ...]
+
+
+class AbstractFixedStep(AbstractIntegrator):
+    """An explicit Runge-Kutta method, one step of it between two instants.
+
+    Its steps do not depend on the numbers, so that derivatives of the result are exact and free of noise.
+    """
+
+    tableau: ClassVar[Tableau]
+
+    def record(self, system: System, grid: Grid, inputs: Inputs, asked: Asked) -> Record:
+        """See `AbstractIntegrator.record`."""
+        nodes, couplings, weights = self.tableau
+        h, start = grid.step, initial_state(system)
+        at_instants = sampled(inputs, grid, grid.fractions)
+        inner = sorted({node for node in (*nodes, *([0.5] if asked.nodes else [])) if 0 < node < 1})
+        between = [sampled(inputs, grid, grid.fractions[:-1] + node / grid.steps) for node in inner]
+
+        def rates(t: Array, z: Pytree, u: dict[str, Array]) -> tuple[Pytree, tuple[Array, ...]]:
+            return derivative(system, t, z, u), asked.rates(system, t, z, u)
+
+        def advance(carried: tuple[Pytree, Pytree], now: tuple) -> tuple[tuple[Pytree, Pytree], tuple[Any, Any]]:
+            (z, integrals), (t, first, last, *middle) = carried, now
+            signals = {0.0: first, 1.0: last, **dict(zip(inner, middle, strict=True))}
+            slopes: list[Pytree] = []
+            growths: list[Pytree] = []
+            for node, coupling in zip(nodes, couplings, strict=True):
+                stage = rates(t + node * h, _moved(z, h, coupling, slopes), signals[node])
+                slopes.append(stage[0])
+                growths.append(stage[1])
+            end = _moved(z, h, weights, slopes)
+            # Outputs are taken inside the loop, while the state is at hand: states need not be stored.
+            found = asked.at_instant(system, t + h, end, last)
+            halfway = {}
+            if asked.nodes:
+                arrived = derivative(system, t + h, end, last)
+                # The cubic through both ends and their slopes, as accurate as the ends are.
+                centre = jax.tree.map(lambda a, b, da, db: (a + b) / 2 + h / 8 * (da - db), z, end, slopes[0], arrived)
+                halfway = asked.at_node(system, t + h / 2, centre, signals[0.5])
+            return (end, _moved(integrals, h, weights, growths)), (found, halfway)
+
+        zeros = jax.tree.map(lambda one: jnp.zeros(one.shape), _rate_shapes(asked, system, grid, start, at_instants))
+        spans = (grid.times[:-1], _rows(at_instants, slice(None, -1)), _rows(at_instants, slice(1, None)), *between)
+        (_, integrals), (rest, middles) = jax.lax.scan(advance, (start, zeros), spans)
+        now = {name: values[0] for name, values in at_instants.items()}
+        first = asked.at_instant(system, grid.times[0], start, now)
+        history = {name: jnp.concatenate([first[name][None], rest[name]]) for name in first}
+        return Record(history, _interleaved(history, middles), integrals)
+
+
+def _rate_shapes(asked: Asked, system: System, grid: Grid, start: Any, at: dict[str, Array]) -> Any:
+    now = {name: values[0] for name, values in at.items()}
+    return jax.eval_shape(lambda: asked.rates(system, grid.times[0], start, now))
+
+
+def _moved(z: Pytree, h: Any, weights: tuple[float, ...], slopes: list[Pytree]) -> Pytree:
+    """`z + h * sum of weight * slope`."""
+    used = [(weight, slope) for weight, slope in zip(weights, slopes, strict=True) if weight != 0]
+    if not used:
+        return z
+    return jax.tree.map(
+        lambda x, *rates: x + h * sum(weight * rate for (weight, _), rate in zip(used, rates, strict=True)),
+        z,
+        *(slope for _, slope in used),
+    )
+
+
+def _interleaved(history: dict[str, Array], middles: dict[str, Array]) -> dict[str, Array]:
+    """What is known at the instants and in the middles between them, in the order of time."""
+    found = {}
+    for name, inside in middles.items():
+        ends = history[name]
+        pairs = jnp.stack([ends[:-1], inside], axis=1).reshape(2 * len(inside), *inside.shape[1:])
+        found[name] = jnp.concatenate([pairs, ends[-1:]])
+    return found
 
 
 @final
-class RungeKutta4(AbstractIntegrator):
-    """The classical Runge-Kutta method of order 4, one step of it between two instants.
+class RungeKutta4(AbstractFixedStep):
+    """The classical Runge-Kutta method of order 4: the default inside optimisation."""
 
-    Its steps do not depend on the numbers, so that derivatives of the result are exact and free of noise: the default
-    inside optimisation.
+    tableau: ClassVar[Tableau] = Tableau(
+        nodes=(0.0, 0.5, 0.5, 1.0),
+        couplings=((), (1 / 2,), (0.0, 1 / 2), (0.0, 0.0, 1.0)),
+        weights=(1 / 6, 1 / 3, 1 / 3, 1 / 6),
+    )
+
+    def reference(self) -> AbstractIntegrator:
+        """See `AbstractIntegrator.reference`."""
+        return DormandPrince5()
+
+
+@final
+class DormandPrince5(AbstractFixedStep):
+    """The method of order 5 by Dormand and Prince (1980), with steps that are given.
+
+    Its stages stand elsewhere in a step than those of `RungeKutta4`, so that it sees what happens between these.
     """
 
-    def outputs(self, system: System, grid: Grid, inputs: Inputs, observe: Observe = observation) -> History:
-        """See `AbstractIntegrator.outputs`."""
-        times, fractions = grid.times, grid.fractions
-        nodes = sampled(inputs, grid, fractions)
-        middles = sampled(inputs, grid, fractions[:-1] + 0.5 / grid.steps)
-        start = initial_state(system)
+    tableau: ClassVar[Tableau] = Tableau(
+        nodes=(0.0, 1 / 5, 3 / 10, 4 / 5, 8 / 9, 1.0),
+        couplings=(
+            (),
+            (1 / 5,),
+            (3 / 40, 9 / 40),
+            (44 / 45, -56 / 15, 32 / 9),
+            (19372 / 6561, -25360 / 2187, 64448 / 6561, -212 / 729),
+            (9017 / 3168, -355 / 33, 46732 / 5247, 49 / 176, -5103 / 18656),
+        ),
+        weights=(35 / 384, 0.0, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84),
+    )
 
-        def rate(t: Array, z: Pytree, u: dict[str, Array]) -> Pytree:
-            return derivative(system, t, z, u)
-
-        def advance(z: Pytree, now: tuple) -> tuple[Pytree, Pytree]:
-            t, u_start, u_middle, u_end = now
-            h = grid.step
-            k1 = rate(t, z, u_start)
-            k2 = rate(t + h / 2, _along(z, h / 2, k1), u_middle)
-            k3 = rate(t + h / 2, _along(z, h / 2, k2), u_middle)
-            k4 = rate(t + h, _along(z, h, k3), u_end)
-            end = jax.tree.map(lambda x, a, b, c, d: x + h / 6 * (a + 2 * b + 2 * c + d), z, k1, k2, k3, k4)
-            # Outputs are taken inside the loop, while the state is at hand: states need not be stored.
-            return end, observe(system, t + h, end, u_end)
-
-        spans = (times[:-1], _rows(nodes, slice(None, -1)), middles, _rows(nodes, slice(1, None)))
-        _, rest = jax.lax.scan(advance, start, spans)
-        first = observe(system, times[0], start, {name: values[0] for name, values in nodes.items()})
-        return {name: jnp.concatenate([first[name][None], rest[name]]) for name in first}
-
-
-def _along(z: Pytree, length: Any, rates: Pytree) -> Pytree:
-    return jax.tree.map(lambda x, rate: x + length * rate, z, rates)
+    def reference(self) -> AbstractIntegrator:
+        """See `AbstractIntegrator.reference`."""
+        return RungeKutta4()
 
 
 def sampled(inputs: Inputs, grid: Grid, fractions: Float[np.ndarray, " n"]) -> dict[str, Float[Array, "n ..."]]:
@@ -75,75 +176,3 @@ def sampled(inputs: Inputs, grid: Grid, fractions: Float[np.ndarray, " n"]) -> d
 
 def _rows(signals: dict[str, Array], rows: slice) -> dict[str, Array]:
     return {name: values[rows] for name, values in signals.items()}
-
-
-class AbstractAdaptive(AbstractIntegrator):
-    """Adaptive integration by diffrax, to relative and absolute tolerances.
-
-    Where the solver gives up (more than `max_steps` steps between start and end) the outputs are not a number, which
-    the caller reports with the realisation at fault. Loose tolerances give wrong derivatives.
-    """
-
-    rtol: float = eqx.field(static=True)
-    atol: float = eqx.field(static=True)
-    max_steps: int = eqx.field(static=True)
-
-    def __init__(self, rtol: float = 1e-8, atol: float = 1e-10, max_steps: int = 100_000):
-        if not (rtol > 0 and atol > 0 and max_steps > 0):
-            raise ProblemError(
-                f"{type(self).__name__}: tolerances and max_steps are positive; "
-                f"received rtol={rtol}, atol={atol}, max_steps={max_steps}."
-            )
-        self.rtol, self.atol, self.max_steps = rtol, atol, max_steps
-
-    @abc.abstractmethod
-    def solver(self) -> Any:
-        """The method of diffrax."""
-
-    def outputs(self, system: System, grid: Grid, inputs: Inputs, observe: Observe = observation) -> History:
-        """See `AbstractIntegrator.outputs`."""
-        import diffrax  # late: it takes as long to import as all the rest
-
-        stretched = {name: signal.over(grid.t_start, grid.t_final) for name, signal in inputs.items()}
-
-        def now(t: Any) -> dict[str, Array]:
-            return {name: signal(t) for name, signal in stretched.items()}
-
-        solution = diffrax.diffeqsolve(
-            diffrax.ODETerm(lambda t, z, _: derivative(system, t, z, now(t))),
-            self.solver(),
-            t0=grid.t_start,
-            t1=grid.t_final,
-            dt0=None,
-            y0=initial_state(system),
-            saveat=diffrax.SaveAt(ts=grid.times, fn=lambda t, z, _: observe(system, t, z, now(t))),
-            stepsize_controller=diffrax.PIDController(rtol=self.rtol, atol=self.atol),
-            # Forward sensitivities: few decisions, many outputs.
-            adjoint=diffrax.ForwardMode(),
-            max_steps=self.max_steps,
-            throw=False,
-        )
-        arrived = solution.result == diffrax.RESULTS.successful
-        return jax.tree.map(lambda values: jnp.where(arrived, values, jnp.nan), solution.ys)
-
-
-@final
-class Tsit5(AbstractAdaptive):
-    """Adaptive explicit Runge-Kutta of order 5 (Tsitouras, 2011), for smooth systems that are not stiff."""
-
-    def solver(self) -> Any:
-        """See `AbstractAdaptive.solver`."""
-        import diffrax
-
-        return diffrax.Tsit5()
-
-
-@final
-class Kvaerno5(AbstractAdaptive):
-    """Adaptive implicit Runge-Kutta of order 5 (Kvaerno, 2004), for stiff systems."""
-
-    def solver(self) -> Any:
-        """See `AbstractAdaptive.solver`."""
-        import diffrax
-
-        return diffrax.Kvaerno5()

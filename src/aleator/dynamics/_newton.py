@@ -12,27 +12,31 @@ Matrix: TypeAlias = Float[Array, "n n"]
 
 _MOST_STEPS = 50
 _SMALLEST_DAMPING = 2.0**-12
-# Lengths of steps, relative to the unknowns' own scale. Newton goes on to the first, below the noise of rounding in
+# Lengths of steps, relative to the unknowns' own sizes. Newton goes on to the first, below the noise of rounding in
 # most equations; where the noise is larger it is content with the second.
 _FINISHED = 1e-13
 _CLOSE = 1e-10
+# Rounding leaves this share of an equation's terms open.
+_ROUNDING = 32 * float(jnp.finfo(float).eps)
 # Near a regular solution steps shrink quadratically; towards one where the Jacobian is singular, by halves. The two are
 # told apart by steps no longer than the first of these, which come after one longer than the second: above rounding.
 _SHORT = 1e-6
 _ABOVE_NOISE = 1e-9
 _REGULAR_SHRINKAGE = 0.25
+_REGULAR_CHANGE = 0.25
 _LEAST_REGULARITY = 1e-8
+_BALANCING_SWEEPS = 10
 
 
 class Root(NamedTuple):
     """Where Newton's method ended, and how.
 
-    - `residuals`: the equations there, in their own units; `relative`: each divided by how much it changes as the
-      unknowns change by their own scale;
-    - `step`: length of the last Newton step relative to the scale of the unknowns; `shrinkage`: the largest ratio of a
-      step to the one before, once they are short;
+    - `residuals`: the equations there, in their own units; `relative`: each divided by the size of its terms;
+    - `step`: length of the last Newton step relative to the sizes of the unknowns, as far as it is above rounding;
+      `shrinkage`: the largest ratio of a step to the one before, once they are short;
     - `regularity`: distance of the Jacobian from a singular one, between 0 and 1 (the inverse of its condition number
-      in the maximum norm, each equation and unknown in its own scale); `steps`: how many were taken.
+      in the maximum norm, balanced so that no scale of an equation or an unknown counts); `change`: how much it
+      changes, relative to itself, within what rounding leaves open; `steps`: how many were taken.
     """
 
     point: Vector
@@ -41,12 +45,14 @@ class Root(NamedTuple):
     step: Float[Array, ""]
     shrinkage: Float[Array, ""]
     regularity: Float[Array, ""]
+    change: Float[Array, ""]
     steps: Float[Array, ""]
 
     @property
     def regular(self) -> Bool[Array, ""]:
         """Whether the Jacobian determines the step, also if it is not a number: then it does not."""
-        return (self.regularity >= _LEAST_REGULARITY) & (self.shrinkage <= _REGULAR_SHRINKAGE)
+        steady = (self.shrinkage <= _REGULAR_SHRINKAGE) & (self.change <= _REGULAR_CHANGE)
+        return (self.regularity >= _LEAST_REGULARITY) & steady
 
     @property
     def converged(self) -> Bool[Array, ""]:
@@ -54,50 +60,65 @@ class Root(NamedTuple):
         return self.regular & (self.step <= _CLOSE) & jnp.isfinite(self.point).all()
 
 
+class _Balanced(NamedTuple):
+    """A Jacobian over the scales of its rows and columns, which make its entries comparable."""
+
+    matrix: Matrix
+    rows: Vector
+    columns: Vector
+
+
 class _State(NamedTuple):
     point: Vector
+    size: Vector
     step: Float[Array, ""]
     shrinkage: Float[Array, ""]
     steps: Float[Array, ""]
     moving: Bool[Array, ""]
 
 
-def newton(function: Callable[[Vector], Vector], guess: Vector) -> Root:
+def newton(function: Callable[[Vector], Vector], guess: Vector, terms: Vector | None = None) -> Root:
     """Solve `function(unknowns) = 0` from a guess.
 
     Steps are shortened until they pass the natural monotonicity test of Deuflhard (*Newton Methods for Nonlinear
-    Problems*, 2004, section 3.3), which does not depend on the scales of the equations; unknowns are measured by
-    themselves (by their guess or current value, whichever is larger; by 1 where both are zero). It stops where rounding
-    lets it go no further.
+    Problems*, 2004, section 3.3), which does not depend on the scales of the equations. Unknowns are measured by
+    themselves, by the largest value that each has taken, guess included. One that is zero up to rounding has no such
+    size: steps no longer than rounding leaves open count as none. That is `|J⁻¹| m` times the unit of rounding (Skeel,
+    Journal of the ACM 26, 1979), where `m` are the sizes of the equations' terms: of unknowns and of `terms`, those
+    that do not depend on unknowns (default: none). It stops where rounding lets it go no further.
 
     `point` is differentiable in whatever `function` closes over, forwards, backwards and repeatedly, by the implicit
     function theorem at the solution; all else in the result has derivative zero. May be vectorised: each root is found
     by itself. Nothing is raised: see `Root.converged`, which is of one root.
     """
+    constant = jnp.zeros_like(guess) if terms is None else jax.lax.stop_gradient(terms)
     point, account = jax.lax.custom_root(
-        function, guess, lambda f, start: _iterate(f, start), _solve_tangent, has_aux=True
+        function, guess, lambda f, start: _iterate(f, start, constant), _solve_tangent, has_aux=True
     )
     return Root(point, *account)
 
 
-def _iterate(function: Callable[[Vector], Vector], guess: Vector) -> tuple[Vector, tuple[Array, ...]]:
+def _iterate(function: Callable[[Vector], Vector], guess: Vector, terms: Vector) -> tuple[Vector, tuple[Array, ...]]:
     """The root and, as a tuple, the rest of `Root`."""
 
     def advance(state: _State) -> _State:
         point = state.point
-        scale = _scale(guess, point)
-        equations, rows = _equilibrated(jax.jacfwd(function)(point), scale)
-        factors = jax.scipy.linalg.lu_factor(equations)
+        jacobian = jax.jacfwd(function)(point)
+        balanced = _balanced(jacobian)
+        inverse = jnp.linalg.inv(balanced.matrix)
 
         def correction(at: Vector) -> Vector:
-            """The step at `at` with the Jacobian of `point`, in units of `scale`."""
-            return jax.scipy.linalg.lu_solve(factors, -function(at) / rows)
+            """The step at `at` with the Jacobian of `point`."""
+            return balanced.columns * (inverse @ (-function(at) / balanced.rows))
 
         direction = correction(point)
-        step = _length(direction)
+        noise = _noise(jacobian, balanced, inverse, jnp.maximum(state.size, jnp.abs(point + direction)), terms)
+        # What is zero up to rounding has no size of its own, as long as it is not known where it goes.
+        size = jnp.where(state.size > noise, state.size, jnp.maximum(noise, jnp.abs(direction)))
+        step = _length(direction, size, noise)
 
         def is_refused(damping: Array) -> Bool[Array, ""]:
-            ahead = _length(correction(point + damping * scale * direction))
+            ahead = _length(correction(point + damping * direction), size, noise)
             # Not the same as `ahead > ...`, where a number is not one.
             return ~(ahead <= (1 - damping / 4) * step)
 
@@ -109,8 +130,10 @@ def _iterate(function: Callable[[Vector], Vector], guess: Vector) -> tuple[Vecto
         )
         moved = damping >= _SMALLEST_DAMPING
         tells = (step <= _SHORT) & (state.step > _ABOVE_NOISE)
+        following = jnp.where(moved, point + damping * direction, point)
         return _State(
-            point=jnp.where(moved, point + damping * scale * direction, point),
+            point=following,
+            size=jnp.maximum(state.size, jnp.abs(following)),
             step=step,
             shrinkage=jnp.where(tells, jnp.maximum(state.shrinkage, step / state.step), state.shrinkage),
             steps=state.steps + moved,
@@ -118,34 +141,51 @@ def _iterate(function: Callable[[Vector], Vector], guess: Vector) -> tuple[Vecto
         )
 
     zero = jnp.zeros(())
-    start = _State(guess, jnp.asarray(jnp.inf), zero, zero, jnp.asarray(True))
+    start = _State(guess, jnp.abs(guess), jnp.asarray(jnp.inf), zero, zero, jnp.asarray(True))
     end = jax.lax.while_loop(lambda state: state.moving & (state.steps < _MOST_STEPS), advance, start)
     residuals = function(end.point)
-    equations, rows = _equilibrated(jax.jacfwd(function)(end.point), _scale(guess, end.point))
-    regularity = 1 / jnp.abs(jnp.linalg.inv(equations)).sum(axis=1).max()
-    return end.point, (residuals, residuals / rows, end.step, end.shrinkage, regularity, end.steps)
+    jacobian = jax.jacfwd(function)(end.point)
+    balanced = _balanced(jacobian)
+    inverse = jnp.linalg.inv(balanced.matrix)
+    regularity = 1 / jnp.abs(inverse).sum(axis=1).max()
+    noise = _noise(jacobian, balanced, inverse, end.size, terms)
+    moved = jax.jacfwd(function)(end.point + noise) - jacobian
+    change = jnp.abs(inverse @ (moved * balanced.columns[None, :] / balanced.rows[:, None])).sum(axis=1).max()
+    sizes = jnp.abs(jacobian) @ end.size + terms
+    relative = residuals / jnp.where(sizes > 0, sizes, 1.0)
+    return end.point, (residuals, relative, end.step, end.shrinkage, regularity, change, end.steps)
 
 
-def _scale(guess: Vector, point: Vector) -> Vector:
-    size = jnp.maximum(jnp.abs(guess), jnp.abs(point))
-    return jnp.where(size > 0, size, 1.0)
+def _length(step: Vector, size: Vector, noise: Vector) -> Float[Array, ""]:
+    """The length of a step relative to the sizes of the unknowns; what is not above rounding counts as none."""
+    return jnp.where(jnp.abs(step) <= noise, 0.0, jnp.abs(step) / jnp.where(size > 0, size, 1.0)).max()
 
 
-def _length(step: Vector) -> Float[Array, ""]:
-    return jnp.abs(step).max()
+def _noise(jacobian: Matrix, balanced: _Balanced, inverse: Matrix, size: Vector, terms: Vector) -> Vector:
+    """What rounding leaves open of the unknowns."""
+    open_rows = (jnp.abs(jacobian) @ size + terms) / balanced.rows
+    return _ROUNDING * balanced.columns * (jnp.abs(inverse) @ open_rows)
 
 
-def _equilibrated(jacobian: Matrix, scale: Vector) -> tuple[Matrix, Vector]:
-    """The Jacobian with unknowns in units of `scale` and rows of sum 1 (in absolute value), and the rows' sums before.
+def _balanced(jacobian: Matrix) -> _Balanced:
+    """The Jacobian with rows and columns of sum 1 (in absolute value), as nearly as there are such scales.
 
-    An equation that does not depend on the unknowns has no scale: its row is not a number, and so is the step.
+    Sinkhorn and Knopp, Pacific Journal of Mathematics 21 (1967). The result does not depend on the units of equations
+    and unknowns. Where an equation does not depend on the unknowns, or an unknown is in none, it is not a number.
     """
-    scaled = jacobian * scale[None, :]
-    rows = jnp.abs(scaled).sum(axis=1)
-    return scaled / rows[:, None], rows
+    sizes = jnp.abs(jax.lax.stop_gradient(jacobian))
+
+    def sweep(_: Array, scales: tuple[Vector, Vector]) -> tuple[Vector, Vector]:
+        _, columns = scales
+        rows = sizes @ columns
+        return rows, 1 / (sizes / rows[:, None]).sum(axis=0)
+
+    start = jnp.ones(len(sizes)), 1 / sizes.sum(axis=0)
+    rows, columns = jax.lax.fori_loop(0, _BALANCING_SWEEPS, sweep, start)
+    return _Balanced(jacobian * columns[None, :] / rows[:, None], rows, columns)
 
 
 def _solve_tangent(linear: Callable[[Vector], Vector], right: Vector) -> Vector:
     """Solve `linear(x) = right` for `x`: the implicit function theorem."""
-    matrix, rows = _equilibrated(jax.jacfwd(linear)(right), jnp.ones_like(right))
-    return jnp.linalg.solve(matrix, right / rows)
+    balanced = _balanced(jax.jacfwd(linear)(right))
+    return balanced.columns * jnp.linalg.solve(balanced.matrix, right / balanced.rows)

@@ -7,7 +7,8 @@ import jax
 from jax.core import Tracer
 
 from aleator._core.errors import ProblemError
-from aleator._core.laws import is_unrealised
+from aleator._core.given import refuse_missing
+from aleator._core.leaves import is_leaf, named_leaves
 from aleator.dynamics._grid import Grid
 from aleator.dynamics._system import System, check_inputs
 from aleator.trajectories import AbstractSignal
@@ -15,10 +16,12 @@ from aleator.trajectories import AbstractSignal
 
 def refuse_unrealised(**parts: Any) -> None:
     """Raise `ProblemError` if a law or a decision is left in what is to be simulated; traced numbers pass."""
+    for name, leaf in named_leaves(parts):
+        refuse_missing(name, leaf)
     found = [
         f"'{jax.tree_util.keystr(path, simple=True, separator='.')}' is a {type(leaf).__name__}"
-        for path, leaf in jax.tree_util.tree_leaves_with_path(parts, is_leaf=is_unrealised)
-        if is_unrealised(leaf)
+        for path, leaf in jax.tree_util.tree_leaves_with_path(parts, is_leaf=is_leaf)
+        if is_leaf(leaf)
     ]
     if found:
         raise ProblemError(

@@ -1,17 +1,16 @@
 """`simulate`: the outputs of one realised system, over time or at the one instant of an algebraic system."""
 
-from collections.abc import Collection
-from typing import Any
-
-from jaxtyping import Array
+from collections.abc import Collection, Mapping
 
 from aleator._core.errors import ProblemError
+from aleator._core.given import one_of, refusal
 from aleator.dynamics._algebraic import AlgebraicSystem, algebraic_outputs
 from aleator.dynamics._grid import AbstractGrid, Grid, Instant
 from aleator.dynamics._instantaneous import observed
-from aleator.dynamics._integrators import AbstractIntegrator, History, Inputs, RungeKutta4
+from aleator.dynamics._integrators import AbstractIntegrator, Inputs, RungeKutta4
+from aleator.dynamics._record import Asked, History, Record, chosen
 from aleator.dynamics._refusals import check_signals, refuse_unrealised
-from aleator.dynamics._system import System, observation
+from aleator.dynamics._system import System, state_type
 
 
 def simulate(
@@ -33,36 +32,41 @@ def simulate(
     fit the system, if a signal is not known on the whole grid (unless it is traced), or outputs are asked for that the
     system does not have.
     """
+    one_of("simulate: system", system, (System, AlgebraicSystem))
+    if not isinstance(inputs, Mapping | None):
+        raise refusal("simulate: inputs", "signals by name, such as {'road': ...}", inputs)
+    if integrator is not None:
+        one_of("simulate: integrator", integrator, AbstractIntegrator, "al.RungeKutta4()")
+    if only is not None and (isinstance(only, str) or not isinstance(only, Collection)):
+        raise refusal("simulate: only", "a list of outputs by name, such as ['x']", only)
+    return record(system, grid, inputs, integrator, Asked(None if only is None else frozenset(only))).history
+
+
+def record(
+    system: System | AlgebraicSystem,
+    grid: AbstractGrid | None,
+    inputs: Inputs | None,
+    integrator: AbstractIntegrator | None,
+    asked: Asked,
+) -> Record:
+    """What is asked of one realised system; see `simulate`, which asks for outputs at the instants alone."""
     inputs = inputs or {}
     refuse_unrealised(system=system, grid=grid, inputs=inputs)
     if isinstance(system, AlgebraicSystem):
-        return _chosen(system, _solved(system, Instant() if grid is None else grid, inputs), only)
+        found = _solved(system, Instant() if grid is None else grid, inputs)
+        return Record(chosen(system, found, asked.instants), {}, ())
     if not isinstance(grid, Grid):
         raise ProblemError(
             f"{type(system).__name__} moves in time: expected a grid, such as al.Grid(t_final, steps); "
             f"received {type(grid).__name__}."
         )
+    state_type(system.states)
     check_signals(system, grid, inputs)
-    system = system if only is None else system.focused(only)
-
-    def observe(system: System, t: Any, z: Any, now: dict[str, Array]) -> dict[str, Array]:
-        return _chosen(system, observation(system, t, z, now), only)
-
+    if asked.instants is not None:
+        system = system.focused(asked.instants | asked.nodes | asked.integrated)
     if not system.states:
-        return observed(system, grid, inputs, observe)
-    return (integrator or RungeKutta4()).outputs(system, grid, {**system.signals(), **inputs}, observe)
-
-
-def _chosen(system: Any, found: dict[str, Array], only: Collection[str] | None) -> dict[str, Array]:
-    """The outputs that are asked for."""
-    if only is None:
-        return found
-    if isinstance(only, str) or not set(only) <= set(found):
-        raise ProblemError(
-            f"{type(system).__name__}: expected in `only` a list of some of the outputs {list(found)}; "
-            f"received {only!r}."
-        )
-    return {name: value for name, value in found.items() if name in only}
+        return observed(system, grid, inputs, asked)
+    return (integrator or RungeKutta4()).record(system, grid, {**system.signals(), **inputs}, asked)
 
 
 def _solved(system: AlgebraicSystem, grid: AbstractGrid, inputs: Inputs) -> History:

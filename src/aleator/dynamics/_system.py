@@ -10,10 +10,16 @@ from typing import Any, ClassVar, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array
 
-from aleator._core.errors import ProblemError
+from aleator._core.errors import AleatorError, ProblemError
+from aleator._core.given import traceable
 from aleator.trajectories import AbstractSignal
+
+# As much of the text of another library's error as a sentence quotes.
+_LONGEST = 160
 
 
 class System(eqx.Module):
@@ -70,10 +76,22 @@ class System(eqx.Module):
         return {}
 
 
-@cache
 def state_type(names: tuple[str, ...]) -> Any:
-    """The named tuple that carries a state."""
-    return namedtuple("State", names)  # type: ignore[misc]
+    """The named tuple that carries a state. Raises `ProblemError` unless an attribute can have each of the names."""
+    if not isinstance(names, tuple) or not all(isinstance(name, str) for name in names):
+        raise ProblemError(f"Expected names of states or unknowns as a tuple, such as ('x', 'v'); received {names!r}.")
+    return _state_type(names)
+
+
+@cache
+def _state_type(names: tuple[str, ...]) -> Any:
+    try:
+        return namedtuple("State", names)  # type: ignore[misc]
+    except ValueError as error:
+        raise ProblemError(
+            f"States and unknowns are named as attributes are, each once and without an underscore at the beginning; "
+            f"received {names}: {_first_line(error)}."
+        ) from error
 
 
 def initial_state(system: System) -> Any:
@@ -90,7 +108,16 @@ def initial_state(system: System) -> Any:
             f"{type(system).__name__}.initial names {sorted(unknown)}, which are no states; "
             f"expected some of {system.states}."
         )
-    return state_type(system.states)(*(jnp.asarray(given.get(name, 0.0), dtype=float) for name in system.states))
+    return state_type(system.states)(*starting(f"{type(system).__name__}.initial", system.states, given))
+
+
+def starting(what: str, names: tuple[str, ...], given: Mapping[str, Any]) -> list[Array]:
+    """Initial values or guesses by name as arrays, zero where none is given: finite as far as they are known."""
+    values = [traceable(f"{what}, '{name}'", given.get(name, 0.0)) for name in names]
+    for name, value in zip(names, values, strict=True):
+        if not isinstance(value, Tracer) and not np.isfinite(value).all():
+            raise ProblemError(f"{what}, '{name}': expected finite numbers; received {given[name]}.")
+    return values
 
 
 def derivative(system: System, t: Any, z: Any, inputs: dict[str, Array]) -> Any:
@@ -103,14 +130,15 @@ def derivative(system: System, t: Any, z: Any, inputs: dict[str, Array]) -> Any:
         raise ProblemError(
             f"{name}.rhs: expected {len(system.states)} rates, for {system.states}; received {len(rates)}."
         )
-    for state, rate in zip(system.states, rates, strict=True):
+    arrays = [traceable(f"{name}.rhs, '{state}'", rate) for state, rate in zip(system.states, rates, strict=True)]
+    for state, rate in zip(system.states, arrays, strict=True):
         expected = jnp.shape(getattr(z, state))
         if jnp.shape(rate) != expected:
             remedy = "" if expected else f" If '{state}' is an array, give its initial value in initial()."
             raise ProblemError(
                 f"{name}.rhs: expected a rate of shape {expected} for '{state}'; received {jnp.shape(rate)}.{remedy}"
             )
-    return state_type(system.states)(*(jnp.asarray(rate, dtype=float) for rate in rates))
+    return state_type(system.states)(*arrays)
 
 
 def observation(system: System, t: Any, z: Any, inputs: dict[str, Array]) -> dict[str, Array]:
@@ -124,7 +152,18 @@ def as_outputs(system: eqx.Module, values: Any) -> dict[str, Array]:
         raise ProblemError(
             f"{type(system).__name__}.outputs returns a dict of arrays by name; received {type(values).__name__}."
         )
-    return {name: jnp.asarray(value, dtype=float) for name, value in values.items()}
+    who = f"{type(system).__name__}.outputs"
+    found = {}
+    for name, value in values.items():
+        if not isinstance(name, str):
+            raise ProblemError(f"{who}: expected names of outputs; received {name!r}.")
+        found[name] = traceable(f"{who}, '{name}'", value)
+        if found[name].size == 0:
+            raise ProblemError(
+                f"{who}, '{name}': expected one number at least; received an array of shape {found[name].shape}, "
+                "on which every constraint would hold. Leave the output out."
+            )
+    return found
 
 
 def _evaluated(system: System, method: Callable[..., Any], t: Any, z: Any, inputs: dict[str, Array]) -> Any:
@@ -135,14 +174,35 @@ def _evaluated(system: System, method: Callable[..., Any], t: Any, z: Any, input
 
 
 def called(system: eqx.Module, method: Callable[..., Any], *arguments: Any, **named: Any) -> Any:
-    """`method` of `system`, called. Raises `ProblemError` if it branches on a number known only at run time."""
+    """`method` of `system`, called. Raises `ProblemError` for whatever a user's code raises, with a remedy if known."""
+    who = f"{type(system).__name__}.{method.__name__}"
     try:
         return method(*arguments, **named)
+    except (AleatorError, jax.errors.JaxRuntimeError):
+        raise
     except jax.errors.TracerBoolConversionError as error:
         raise ProblemError(
-            f"{type(system).__name__}.{method.__name__} branches on a number that is only known at run time: "
+            f"{who} branches on a number that is only known at run time: "
             "use jnp.where(condition, a, b) in the place of `if`, and jnp.minimum or jnp.maximum in that of min or max."
         ) from error
+    except jax.errors.JAXTypeError as error:
+        raise ProblemError(
+            f"{who} takes a number that is only known at run time out of JAX: use jax.numpy, such as jnp.sin, in the "
+            "place of numpy and math, and neither float(), int(), range(), .item() nor .tolist()."
+        ) from error
+    except Exception as error:
+        raise ProblemError(f"{who} raised {type(error).__name__}: {_first_line(error)}{_hint(error)}") from error
+
+
+def _first_line(error: Exception) -> str:
+    text = (str(error).splitlines() or [""])[0]
+    return text if len(text) <= _LONGEST else text[: _LONGEST - 1] + "…"
+
+
+def _hint(error: Exception) -> str:
+    """The names that a state has, where code asked for another one."""
+    names = getattr(getattr(error, "obj", None), "_fields", ())
+    return f"; expected one of {names}." if isinstance(error, AttributeError) and names else ""
 
 
 class _Inputs(NamedTuple):

@@ -9,9 +9,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from aleator._core.errors import ProblemError
+from aleator._core.given import refusal, traceable, whole
 from aleator.geometry._body import Body
 from aleator.geometry._distance import between_bodies
-from aleator.geometry._numbers import plain, stored
+from aleator.geometry._numbers import check_number, plain, stored
 from aleator.geometry._shapes import AbstractBounded
 
 
@@ -25,8 +26,9 @@ def link_distances(links: Sequence[AbstractBounded], apart: int = 2) -> Float[Ar
     Raises `ProblemError` if `apart` is not positive, if no pair is left, if a link is a half-space or if links lie in
     different spaces.
     """
-    if not (isinstance(apart, int) and apart >= 1):
-        raise ProblemError(f"link_distances: 'apart' is a positive whole number; received {apart!r}.")
+    apart = whole("link_distances: 'apart'", apart)
+    if not isinstance(links, Sequence):
+        raise refusal("link_distances: 'links'", "shapes in a list", links)
     for place, link in enumerate(links):
         if not isinstance(link, AbstractBounded):
             raise ProblemError(
@@ -65,10 +67,11 @@ def smallest(distances: Any, sharpness: Any = 1e3) -> Float[Array, ""]:
     Raises `ProblemError` if there are no distances, or if a plain sharpness is not positive.
     """
     sharpness = stored("smallest", "sharpness", sharpness)
+    check_number("smallest", "sharpness", sharpness)
     known = plain(sharpness)
     if known is not None and not known > 0:
         raise ProblemError(f"smallest: 'sharpness' must be positive; received {known}.")
-    values = jnp.ravel(jnp.asarray(distances, dtype=float))
+    values = jnp.ravel(traceable("smallest: 'distances'", distances))
     if values.size == 0:
         raise ProblemError("smallest: expected at least one distance; received none.")
     # Taken relative to the least, no exponential overflows and the logarithm is of a number that is at least 1.

@@ -2,15 +2,14 @@
 
 from typing import Any
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from aleator._core.arrays import realised_shape
 from aleator._core.errors import ProblemError
-from aleator._core.laws import lowest
+from aleator._core.given import real_array
+from aleator._core.leaves import AbstractLeaf, lowest, realised_shape
 
 
 def stored(owner: str, name: str, value: Any) -> Any:
@@ -23,12 +22,7 @@ def stored(owner: str, name: str, value: Any) -> Any:
         return value
     if isinstance(value, list | tuple) and _has_open(value):
         return tuple(stored(owner, name, part) for part in value)
-    try:
-        numbers = np.array(value, dtype=float)
-    except (TypeError, ValueError) as error:
-        raise ProblemError(
-            f"{owner}: '{name}' takes numbers, distributions, decisions or arrays; received {value!r}."
-        ) from error
+    numbers = real_array(f"{owner}: '{name}'", value, "numbers, distributions, decisions or arrays")
     if not np.isfinite(numbers).all():
         raise ProblemError(f"{owner}: '{name}' must be finite; received {numbers}.")
     return numbers if numbers.ndim else float(numbers)
@@ -99,7 +93,7 @@ def realised(owner: str, name: str, value: Any) -> Float[Array, "..."]:
     """A field as an array. Raises `ProblemError` if it still holds a distribution or a decision."""
     if isinstance(value, list | tuple):
         return jnp.stack([realised(owner, name, part) for part in value])
-    if isinstance(value, eqx.Module):
+    if isinstance(value, AbstractLeaf):
         raise ProblemError(
             f"{owner}: '{name}' holds {value}, which has no value yet. Take distances where the model is realised: in "
             "a system's outputs."
@@ -115,8 +109,8 @@ def realised_point(owner: str, name: str, value: Any) -> Float[Array, " d"]:
 
 
 def _is_open(value: Any) -> bool:
-    """Whether the value is not known yet: distributions and decisions are modules."""
-    return isinstance(value, eqx.Module | Tracer)
+    """Whether the value is not known yet: a distribution, a decision or a traced number."""
+    return isinstance(value, AbstractLeaf | Tracer)
 
 
 def _has_open(value: Any) -> bool:

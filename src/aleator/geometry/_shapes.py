@@ -162,7 +162,10 @@ class HalfSpace(AbstractShape):
         check_number("HalfSpace", "offset", self.offset)
         normal = plain(self.normal)
         if normal is not None and not normal.any():
-            raise ProblemError("HalfSpace: 'normal' must not be zero; give the direction that points out of the solid.")
+            raise ProblemError(
+                f"HalfSpace: 'normal' must not be zero; received {normal}. Give the direction that points out of the "
+                "solid."
+            )
 
     def plane(self) -> tuple[Float[Array, " d"], Float[Array, ""]]:
         """The unit normal, and the plane's distance from the origin along it."""

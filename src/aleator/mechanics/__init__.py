@@ -3,9 +3,11 @@
 from aleator.mechanics._actuation import Actuation as Actuation
 from aleator.mechanics._actuation import actuation_of as actuation_of
 from aleator.mechanics._body import Body as Body
+from aleator.mechanics._body_load import BodyLoad as BodyLoad
 from aleator.mechanics._equations import Accelerations as Accelerations
 from aleator.mechanics._equations import Lagrangian as Lagrangian
 from aleator.mechanics._equations import Mechanical as Mechanical
+from aleator.mechanics._formulation import AbstractFormulation as AbstractFormulation
 from aleator.mechanics._forward import ForwardDynamics as ForwardDynamics
 from aleator.mechanics._hybrid import HybridDynamics as HybridDynamics
 from aleator.mechanics._inverse import InverseDynamics as InverseDynamics

@@ -5,6 +5,7 @@ from enum import Enum
 import numpy as np
 from jaxtyping import Array, Float
 
+from aleator._core.given import one_of
 from aleator.mechanics._matrices import solve_any
 from aleator.mechanics._mechanical import AbstractMechanical, actuation_map
 
@@ -21,6 +22,7 @@ class Actuation(Enum):
 
 def actuation_of(model: AbstractMechanical, q: Float[Array, " coordinates"]) -> Actuation:
     """How a realised system is actuated in a posture: by the rank of its map `B(q)` and the number of its torques."""
+    one_of("actuation_of", model, AbstractMechanical, "an al.Multibody")
     return scheme(np.asarray(actuation_map(model, q)))
 
 

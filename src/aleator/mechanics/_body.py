@@ -6,8 +6,9 @@ import equinox as eqx
 import numpy as np
 
 from aleator._core.errors import ProblemError
+from aleator._core.given import a_name
 from aleator.mechanics._joints import AbstractJoint, Fixed
-from aleator.mechanics._spatial import Block, Inertia, Pose, as_array, from_angles, is_known, library, skew
+from aleator.mechanics._spatial import Block, Inertia, Pose, all_known, as_array, from_angles, is_known, library, skew
 
 # What rounding may take from an inertia that is only just possible, relative to its largest moment.
 _ROUNDING = 1e-9
@@ -47,6 +48,12 @@ class Body(eqx.Module):
                 f"Body '{self.name}': expected a joint, such as al.Revolute('z') or al.Fixed(); received "
                 f"{self.joint!r}."
             )
+        if self.parent is not None:
+            a_name(f"Body '{self.name}': parent", self.parent)
+        if all_known(self.mass, self.center, self.inertia):
+            inertia(self)
+        if all_known(self.position, self.orientation):
+            placement(self)
 
 
 def placement(body: Body) -> Pose:

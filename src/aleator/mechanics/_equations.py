@@ -7,15 +7,20 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from aleator.mechanics._mechanical import AbstractNamed, actuation_map, bias_of, shaped
+from aleator.mechanics._instant import along_time
+from aleator.mechanics._mechanical import AbstractNamed, actuation_map, bias_of, mass_of, shaped
 
 
 class Mechanical(AbstractNamed):
-    """A mechanical system by its matrices: `M(q) v̇ + C(q, v) v + N(q, v) = B(q) τ`, `q̇ = H(q) v`, (3) and (4).
+    """A mechanical system by its matrices: `M(q) v̇ + C(q, v) v + N(q, v) = B(q) τ + Q(q, v)`, `q̇ = H(q) v`, (3), (4).
 
     Subclass it with the coordinates' names in `names`, and write `mass_matrix(q)`; where there are such, `coriolis(q,
     v)`, `forces(q, v)` (gravity, springs, friction; on the left-hand side, so that weight is positive upwards),
-    `actuation(q)` and `velocity_map(q)`.
+    `actuation(q)`, `velocity_map(q)`, and `load(q, v)`, the external force on the side of the torques.
+
+    Each may name the time as well: `mass_matrix(q, t)`. The equation is then (3) with the matrices of the instant: mass
+    comes and goes with the velocity of what it belongs to, as sand that runs out of a cart does, and `Ṁ v` is no part
+    of it. What leaves at another velocity is a force of its own: a rocket's thrust is a `load`.
     """
 
     def coriolis(self, q: Float[Array, " coordinates"], v: Float[Array, " speeds"]) -> Float[Array, "speeds speeds"]:
@@ -31,8 +36,8 @@ class Mechanical(AbstractNamed):
     def bias(self, q: Float[Array, " coordinates"], v: Float[Array, " speeds"]) -> Float[Array, " speeds"]:
         """See `AbstractMechanical.bias`."""
         n = len(self.speeds)
-        along = shaped(self, "coriolis(q, v)", self.coriolis(q, v), (n, n)) @ v
-        return along + shaped(self, "forces(q, v)", self.forces(q, v), (n,))
+        along = shaped(self, "coriolis", (q, v), (n, n)) @ v
+        return along + shaped(self, "forces", (q, v), (n,))
 
 
 class Lagrangian(AbstractNamed):
@@ -41,6 +46,10 @@ class Lagrangian(AbstractNamed):
     Subclass it with the coordinates' names in `names`, and write `kinetic_energy(q, v)` and, where there are such,
     `potential_energy(q)` and `dissipation(q, v)`, Rayleigh's function `R` with friction `-dR/dv`. All give one number,
     J (`R`: W).
+
+    Each may name the time as well, `kinetic_energy(q, v, t)`: of a pendulum whose support is moved, with the velocities
+    in space. Lagrange's equations then hold in full, `d/dt(dT/dv) - dT/dq`: where masses change with time, momentum is
+    kept, as if what comes had been at rest, and `Ṁ v` is part of them. Unlike in `al.Mechanical`.
     """
 
     @abc.abstractmethod
@@ -63,18 +72,21 @@ class Lagrangian(AbstractNamed):
 
     def coriolis(self, q: Float[Array, " n"], v: Float[Array, " n"]) -> Float[Array, "n n"]:
         """`C(q, v)` by Christoffel's symbols of `M`: the choice that makes `Ṁ - 2 C` skew-symmetric."""
-        slope = jax.jacfwd(self.mass_matrix)(q)  # [i, j, k]: dM_ij / dq_k
+        slope = jax.jacfwd(lambda at: mass_of(self, at))(q)  # [i, j, k]: dM_ij / dq_k
         along = slope @ v
         across = jnp.einsum("ikj,k->ij", slope, v)
         return 0.5 * (along + across - across.T)
 
     def bias(self, q: Float[Array, " n"], v: Float[Array, " n"]) -> Float[Array, " n"]:
-        """See `AbstractMechanical.bias`: `d/dt(dT/dv) - dT/dq` without acceleration, `dV/dq` and `dR/dv`."""
+        """See `AbstractMechanical.bias`: `d/dt(dT/dv) - dT/dq` without acceleration, `dV/dq` and `dR/dv`.
 
-        def momentum(at: Array) -> Array:
-            return jax.grad(self._kinetic, argnums=1)(at, v)
+        The momentum `dT/dv` changes with the coordinates, with the time, and with the parameters that depend on it.
+        """
 
-        change = jax.jvp(momentum, (q,), (v,))[1]
+        def momentum(model: Lagrangian, at: Array) -> Array:
+            return jax.grad(model._kinetic, argnums=1)(at, v)
+
+        change = along_time(momentum, self, (q,), (v,))[1]
         return change - jax.grad(self._kinetic)(q, v) + self._forces(q, v)
 
     def trouble(self, q: Float[Array, " n"]) -> str:
@@ -89,11 +101,11 @@ class Lagrangian(AbstractNamed):
         )
 
     def _forces(self, q: Array, v: Array) -> Array:
-        potential = jax.grad(lambda at: shaped(self, "potential_energy(q)", self.potential_energy(at), ()))(q)
-        return potential + jax.grad(lambda at: shaped(self, "dissipation(q, v)", self.dissipation(q, at), ()))(v)
+        potential = jax.grad(lambda at: shaped(self, "potential_energy", (at,), ()))(q)
+        return potential + jax.grad(lambda at: shaped(self, "dissipation", (q, at), ()))(v)
 
     def _kinetic(self, q: Array, v: Array) -> Array:
-        return shaped(self, "kinetic_energy(q, v)", self.kinetic_energy(q, v), ())
+        return shaped(self, "kinetic_energy", (q, v), ())
 
     def _inertia(self, q: Array, v: Array) -> Array:
         return jax.jacfwd(jax.grad(self._kinetic, argnums=1), argnums=1)(q, v)
@@ -136,5 +148,4 @@ class Accelerations(AbstractNamed):
         )
 
     def _rates(self, q: Array, v: Array, torque: Array) -> Array:
-        given = self.accelerations(q, v, torque)
-        return shaped(self, "accelerations(q, v, torque)", given, (len(self.speeds),))
+        return shaped(self, "accelerations", (q, v, torque), (len(self.speeds),))

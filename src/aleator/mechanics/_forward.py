@@ -7,10 +7,12 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from aleator._core.errors import ProblemError
-from aleator.dynamics import Grid, System
+from aleator.dynamics import Grid
+from aleator.mechanics._formulation import AbstractFormulation, model_given
 from aleator.mechanics._given import Given, checked_start, combined, coordinates_at, signals_for, vector
+from aleator.mechanics._instant import at, course, instants_of
 from aleator.mechanics._kinematics import accelerations, rates
-from aleator.mechanics._mechanical import AbstractMechanical, actuation_map
+from aleator.mechanics._mechanical import AbstractMechanical, actuation_map, driven
 from aleator.mechanics._motion import Motion
 from aleator.mechanics._outputs import standard_outputs
 from aleator.mechanics._trouble import trouble_along, trouble_at
@@ -18,8 +20,8 @@ from aleator.trajectories import AbstractSignal, AbstractTrajectory
 
 
 @final
-class ForwardDynamics(System):
-    """A mechanical system driven by torques: `v̇ = M⁻¹ (B τ - C v - N)`, `q̇ = H v` (Table 5.2: τ known, motion not).
+class ForwardDynamics(AbstractFormulation):
+    """A mechanical system driven by torques: `v̇ = M⁻¹ (B τ + Q - C v - N)`, `q̇ = H v` (Table 5.2: τ known, motion not).
 
     - `model`: the mechanical system; of any actuation scheme;
     - `torque`: a trajectory (or any signal) of all actuators, or one by name; those left out are zero;
@@ -36,7 +38,7 @@ class ForwardDynamics(System):
     states: ClassVar[tuple[str, ...]] = ("q", "v")
 
     def __init__(self, model: AbstractMechanical, *, torque: Any = None, start: Mapping[str, Any] | None = None):
-        self.model = model
+        self.model = model_given("ForwardDynamics", model)
         self.torque = signals_for(model.actuators, {} if torque is None else torque, "ForwardDynamics, torque")
         self.start = checked_start(model, (*model.coordinates, *model.speeds), start, "ForwardDynamics")
 
@@ -47,35 +49,39 @@ class ForwardDynamics(System):
 
     def signals(self) -> Mapping[str, AbstractSignal]:
         """See `System.signals`."""
+        found = course(self.model, 2)
         if not self.model.actuators:
-            return {}
+            return found
         torque = combined(self.model.actuators, self.torque)
         rate = {"torque_rate": torque.derivative()} if isinstance(torque, AbstractTrajectory) else {}
-        return {"torque": torque, **rate}
+        return {"torque": torque, **rate, **found}
 
     def initial(self) -> Mapping[str, Any]:
         """See `System.initial`."""
         q = self.model.normalised(coordinates_at(self.model, self.start))
         return {"q": q, "v": vector(self.model.speeds, self.start)}
 
-    def rhs(self, t: Any, z: Any, torque: Any = None) -> tuple[Array, Array]:
+    def rhs(self, t: Any, z: Any, torque: Any = None, parameters: Any = None) -> tuple[Array, Array]:
         """See `System.rhs`."""
-        del t
-        q = self.model.normalised(z.q)
-        return rates(self.model, q, z.v), self._accelerated(q, z.v, self._given(torque))
-
-    def outputs(self, t: Any, z: Any, torque: Any = None, torque_rate: Any = None) -> dict[str, Any]:
-        """See `System.outputs`."""
-        model, torque = self.model, self._given(torque)
+        model = at(self.model, t, parameters)
         q = model.normalised(z.q)
-        v_dot = self._accelerated(q, z.v, torque)
+        return rates(model, q, z.v), _accelerated(model, q, z.v, self._given(torque))
+
+    def outputs(
+        self, t: Any, z: Any, torque: Any = None, torque_rate: Any = None, parameters: Any = None
+    ) -> dict[str, Any]:
+        """See `System.outputs`."""
+        model, torque = at(self.model, t, parameters), self._given(torque)
+        q = model.normalised(z.q)
+        v_dot = _accelerated(model, q, z.v, torque)
         motion = Motion(t, q, rates(model, q, z.v), accelerations(model, q, z.v, v_dot), z.v, v_dot, torque)
         return standard_outputs(model, motion, torque_rate)
 
     def trouble(self, grid: Grid) -> str:
         """See `System.trouble`."""
         start = self.initial()
-        return trouble_at(self.model, start["q"], "at the start") or trouble_along(self, grid)
+        first = instants_of(self.model, grid).at(0)
+        return trouble_at(first, start["q"], "at the start") or trouble_along(self, grid)
 
     def _given(self, torque: Any) -> Array:
         n = len(self.model.actuators)
@@ -89,6 +95,6 @@ class ForwardDynamics(System):
             )
         return jnp.reshape(torque, (n,))
 
-    def _accelerated(self, q: Array, v: Array, torque: Array) -> Array:
-        force = torque if self.model.acts_directly else actuation_map(self.model, q) @ torque
-        return self.model.forward_dynamics(q, v, force)
+
+def _accelerated(model: AbstractMechanical, q: Array, v: Array, torque: Array) -> Array:
+    return driven(model, q, v, torque if model.acts_directly else actuation_map(model, q) @ torque)

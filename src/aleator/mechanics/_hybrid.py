@@ -1,7 +1,8 @@
 """`HybridDynamics`: some coordinates are prescribed, the others integrated, torques follow (equations 70 and 71)."""
 
+import functools
 from collections.abc import Collection, Mapping
-from typing import Any, ClassVar, NamedTuple, final
+from typing import Any, ClassVar, final
 
 import equinox as eqx
 import jax
@@ -9,9 +10,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from aleator._core.code import told_apart
 from aleator._core.compilation import Compiled
 from aleator._core.errors import ProblemError
-from aleator.dynamics import Grid, System
+from aleator.dynamics import Grid
+from aleator.mechanics._formulation import AbstractFormulation, model_given
 from aleator.mechanics._given import (
     Given,
     asks_torque_rates,
@@ -24,17 +27,19 @@ from aleator.mechanics._given import (
     signals_for,
     vector,
 )
+from aleator.mechanics._instant import Instants, along_time, at, course, instants_of
 from aleator.mechanics._kinematics import accelerations, on_manifold, rates
 from aleator.mechanics._matrices import solve_any, solve_positive
-from aleator.mechanics._mechanical import AbstractMechanical, actuation_map, bias_of, mass_of, rate_map
+from aleator.mechanics._mechanical import AbstractMechanical, actuation_map, bias_of, load_on, mass_of, rate_map
 from aleator.mechanics._motion import Motion
 from aleator.mechanics._outputs import standard_outputs
+from aleator.mechanics._partition import Prescribed, Solved, block, order
 from aleator.mechanics._trouble import quaternion_trouble, trouble_along, trouble_at
 from aleator.trajectories import AbstractSignal, AbstractTrajectory
 
 
 @final
-class HybridDynamics(System):
+class HybridDynamics(AbstractFormulation):
     """A mechanical system some of whose coordinates are prescribed, the others moving as they must (Table 5.2).
 
     - `model`: a mechanical system, under-actuated or not;
@@ -71,7 +76,7 @@ class HybridDynamics(System):
         start: Mapping[str, Any] | None = None,
         torque_rates: bool = True,
     ):
-        self.model = model
+        self.model = model_given("HybridDynamics", model)
         self.torque_rates = torque_rates
         _check_names(model, motion, torque or {})
         self.prescribed = tuple(i for i, name in enumerate(model.coordinates) if name in motion)
@@ -91,6 +96,7 @@ class HybridDynamics(System):
     def signals(self) -> Mapping[str, AbstractSignal]:
         """See `System.signals`."""
         found = followed(combined_motion(self._followed(), self.motion), self.torque_rates)
+        found |= course(self.model, 2 + self.torque_rates)
         if self.known:
             found["known"] = known = combined(self._commanded(), self.torque)
             if isinstance(known, AbstractTrajectory):
@@ -109,12 +115,19 @@ class HybridDynamics(System):
         return {"q": q[self._others()], "v": vector(self._loose_speeds(), self.start)}
 
     def rhs(
-        self, t: Any, z: Any, position: Array, velocity: Array, acceleration: Array, known: Any = None
+        self,
+        t: Any,
+        z: Any,
+        position: Array,
+        velocity: Array,
+        acceleration: Array,
+        known: Any = None,
+        parameters: Any = None,
     ) -> tuple[Array, Array]:
         """See `System.rhs`."""
-        del t
-        solved = self._solve(_Given(position, velocity, acceleration, self._known(known)), z.q, z.v)
-        return rates(self.model, solved.q, solved.v)[self._others()], solved.v_dot[self._undriven()]
+        model = at(self.model, t, parameters)
+        solved = self._solve(model, Prescribed(position, velocity, acceleration, self._known(known)), z.q, z.v)
+        return rates(model, solved.q, solved.v)[self._others()], solved.v_dot[self._undriven()]
 
     def outputs(
         self,
@@ -126,17 +139,17 @@ class HybridDynamics(System):
         jolt: Array | None = None,
         known: Any = None,
         known_rate: Any = None,
+        parameters: Any = None,
     ) -> dict[str, Any]:
         """See `System.outputs`."""
-        given = _Given(position, velocity, acceleration, self._known(known))
-        solved = self._solve(given, z.q, z.v)
-        model = self.model
+        given, model = Prescribed(position, velocity, acceleration, self._known(known)), at(self.model, t, parameters)
+        solved = self._solve(model, given, z.q, z.v)
         q_dot = rates(model, solved.q, solved.v)
         torque_rate = None
         if jolt is not None and (known is None or known_rate is not None):
-            change = _Given(velocity, acceleration, jolt, self._known(known_rate))
+            change = Prescribed(velocity, acceleration, jolt, self._known(known_rate))
             along = (change, q_dot[self._others()], solved.v_dot[self._undriven()])
-            torque_rate = jax.jvp(lambda *at: self._solve(*at).torque, (given, z.q, z.v), along)[1]
+            torque_rate = along_time(lambda *now: self._solve(*now).torque, model, (given, z.q, z.v), along)[1]
         q_ddot = accelerations(model, solved.q, solved.v, solved.v_dot)
         motion = Motion(t, solved.q, q_dot, q_ddot, solved.v, solved.v_dot, solved.torque)
         return standard_outputs(model, motion, torque_rate)
@@ -147,27 +160,28 @@ class HybridDynamics(System):
         others = self.initial()["q"]
         given = jax.vmap(lambda position: self._merged(position, others))(motion)
         q = self.model.normalised(given[0])
-        if found := trouble_at(self.model, q, "at the start"):
+        first = instants_of(self.model, grid).at(0)
+        if found := trouble_at(first, q, "at the start"):
             return found
-        effect = np.asarray(self.effect(q))
+        effect = np.asarray(self._effect(first, q))
         if not effect.size or np.linalg.matrix_rank(effect) < len(self.driven):
             return self._unrealisable()
-        found = self._entangled(q) or quaternion_trouble(self.model, np.asarray(grid.times), given)
+        found = self._entangled(first, q) or quaternion_trouble(self.model, np.asarray(grid.times), given)
         return found or trouble_along(self, grid, _EFFECTS)
 
-    def effect(self, q: Float[Array, " coordinates"]) -> Float[Array, "driven unknown"]:
+    def _effect(self, model: AbstractMechanical, q: Float[Array, " coordinates"]) -> Float[Array, "driven unknown"]:
         """How the torques to find act along the prescribed velocities, the others moving as they must."""
-        M, B = mass_of(self.model, q), actuation_map(self.model, q)
+        M, B = mass_of(model, q), actuation_map(model, q)
         a, u, free = self.driven, self._undriven(), self._unknown()
-        return _block(B, a, free) - _block(M, a, u) @ solve_positive(_block(M, u, u), _block(B, u, free))
+        return block(B, a, free) - block(M, a, u) @ solve_positive(block(M, u, u), block(B, u, free))
 
-    def _entangled(self, q: Array) -> str:
+    def _entangled(self, model: AbstractMechanical, q: Array) -> str:
         """Why the prescribed rates do not determine velocities of their own; empty if they do."""
-        if self.model.moves_directly:
+        if model.moves_directly:
             return ""
         # A posture apart, in which no angle happens to be zero.
-        H = np.asarray(rate_map(self.model, q + jnp.linspace(0.2, 0.3, len(q))))
-        if not np.any(_block(H, self.prescribed, self._undriven())):
+        H = np.asarray(rate_map(model, q + jnp.linspace(0.2, 0.3, len(q))))
+        if not np.any(block(H, self.prescribed, self._undriven())):
             return ""
         names = ", ".join(self.model.coordinates[i] for i in self.prescribed)
         return (
@@ -185,47 +199,50 @@ class HybridDynamics(System):
             "velocities as there are unknown torques."
         )
 
-    def _solve(self, given: "_Given", q_u: Array, v_u: Array) -> "_Solved":
+    def _solve(self, model: AbstractMechanical, given: Prescribed, q_u: Array, v_u: Array) -> Solved:
         """Coordinates, velocities, accelerations and torques, from what is given and what is integrated."""
-        model, a, u = self.model, np.array(self.driven), self._undriven()
-        q, v_a, v_dot_a = self._prescribed_velocities(given, q_u, v_u)
+        a, u = np.array(self.driven), self._undriven()
+        q, v_a, v_dot_a = self._prescribed_velocities(model, given, q_u, v_u)
         v = self._joined(v_a, v_u)
-        M, bias, B = mass_of(model, q), bias_of(model, q, v), actuation_map(model, q)
+        M, B = mass_of(model, q), actuation_map(model, q)
+        bias = bias_of(model, q, v) - load_on(model, q, v)
         rest = bias - B[:, list(self.known)] @ given.known
         B_free = B[:, self._unknown()]
-        M_ua = _block(M, u, a)
-        eliminated = solve_positive(_block(M, u, u), jnp.concatenate([M_ua, rest[u][:, None], B_free[u]], axis=1))
+        M_ua = block(M, u, a)
+        eliminated = solve_positive(block(M, u, u), jnp.concatenate([M_ua, rest[u][:, None], B_free[u]], axis=1))
         inner, force, effect = eliminated[:, : len(a)], eliminated[:, len(a)], eliminated[:, len(a) + 1 :]
         # The equations of the prescribed coordinates, without the other accelerations.
-        needed = (_block(M, a, a) - M_ua.T @ inner) @ v_dot_a + rest[a] - M_ua.T @ force
+        needed = (block(M, a, a) - M_ua.T @ inner) @ v_dot_a + rest[a] - M_ua.T @ force
         found = solve_any(B_free[a] - M_ua.T @ effect, needed)
         v_dot_u = effect @ found - inner @ v_dot_a - force
-        torque = jnp.concatenate([found, given.known])[_order((*self._unknown(), *self.known))]
-        return _Solved(q, v, self._joined(v_dot_a, v_dot_u), torque)
+        torque = jnp.concatenate([found, given.known])[order((*self._unknown(), *self.known))]
+        return Solved(q, v, self._joined(v_dot_a, v_dot_u), torque)
 
-    def _prescribed_velocities(self, given: "_Given", q_u: Array, v_u: Array) -> tuple[Array, Array, Array]:
+    def _prescribed_velocities(
+        self, model: AbstractMechanical, given: Prescribed, q_u: Array, v_u: Array
+    ) -> tuple[Array, Array, Array]:
         """Equations (66) and (67) for the prescribed coordinates alone, whose rates no other velocity enters."""
-        if self.model.moves_directly:
+        if model.moves_directly:
             return self._merged(given.position, q_u), given.velocity, given.acceleration
 
-        def own(at: Array) -> Array:
-            return _block(rate_map(self.model, at), self.prescribed, self.driven)
+        def own(now: AbstractMechanical, where: Array) -> Array:
+            return block(rate_map(now, where), self.prescribed, self.driven)
 
         still, a = jnp.zeros_like(q_u), np.array(self.prescribed)
         curve = (self._merged(given.position, q_u), *(self._merged(one, still) for one in given[1:3]))
-        q, rate, acceleration = on_manifold(self.model, *curve)
-        v_a = solve_any(own(q), rate[a])
-        q_dot = rates(self.model, q, self._joined(v_a, v_u))
-        change = jax.jvp(lambda at: own(at) @ v_a, (q,), (q_dot,))[1]
-        return q, v_a, solve_any(own(q), acceleration[a] - change)
+        q, rate, acceleration = on_manifold(model, *curve)
+        v_a = solve_any(own(model, q), rate[a])
+        q_dot = rates(model, q, self._joined(v_a, v_u))
+        change = along_time(lambda *now: own(*now) @ v_a, model, (q,), (q_dot,))[1]
+        return q, v_a, solve_any(own(model, q), acceleration[a] - change)
 
     def _merged(self, prescribed: Array, others: Array) -> Array:
         """Coordinates in their order."""
-        return jnp.concatenate([prescribed, others])[_order((*self.prescribed, *self._others()))]
+        return jnp.concatenate([prescribed, others])[order((*self.prescribed, *self._others()))]
 
     def _joined(self, driven: Array, others: Array) -> Array:
         """Velocities in their order."""
-        return jnp.concatenate([driven, others])[_order((*self.driven, *self._undriven()))]
+        return jnp.concatenate([driven, others])[order((*self.driven, *self._undriven()))]
 
     def _followed(self) -> tuple[str, ...]:
         return tuple(self.model.coordinates[i] for i in self.prescribed)
@@ -252,37 +269,11 @@ class HybridDynamics(System):
         return jnp.zeros(len(self.known)) if given is None else given
 
 
-def _effects(system: HybridDynamics, path: Array) -> Array:
-    return jax.vmap(system.effect)(path)
+def _effects(system: HybridDynamics, now: Instants, path: Array) -> Array:
+    return now.each(system._effect, path)
 
 
-_EFFECTS = Compiled(_effects)
-
-
-class _Given(NamedTuple):
-    """The prescribed motion and the known torques at one instant (or their rates)."""
-
-    position: Array
-    velocity: Array
-    acceleration: Array
-    known: Array
-
-
-class _Solved(NamedTuple):
-    q: Array
-    v: Array
-    v_dot: Array
-    torque: Array
-
-
-def _block(M: Any, rows: Any, columns: Any) -> Any:
-    """The entries of a matrix in some rows and columns."""
-    return M[np.asarray(rows, dtype=int)][:, np.asarray(columns, dtype=int)]
-
-
-def _order(places: tuple[int, ...]) -> np.ndarray:
-    """Which entry of what is listed by places comes first, second, and so on."""
-    return np.argsort(np.array(places, dtype=int))
+_EFFECTS = Compiled(_effects, code=functools.partial(told_apart, _effects))
 
 
 def _check_names(model: AbstractMechanical, motion: Any, torque: Any) -> None:

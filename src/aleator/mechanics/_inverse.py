@@ -4,17 +4,18 @@ from collections.abc import Collection, Mapping
 from typing import Any, ClassVar, final
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
 from aleator._core.errors import ProblemError
-from aleator.dynamics import Grid, System
+from aleator.dynamics import Grid
 from aleator.mechanics._actuation import Actuation, actuation_of, torques
+from aleator.mechanics._formulation import AbstractFormulation, model_given
 from aleator.mechanics._given import Given, asks_torque_rates, combined_motion, followed, motions_for
+from aleator.mechanics._instant import along_time, at, course, instants_of
 from aleator.mechanics._kinematics import Followed, follow
-from aleator.mechanics._mechanical import AbstractMechanical, actuation_map
+from aleator.mechanics._mechanical import AbstractMechanical, actuation_map, required_force
 from aleator.mechanics._motion import Motion
 from aleator.mechanics._outputs import standard_outputs
 from aleator.mechanics._trouble import trouble_at, trouble_of_path
@@ -22,8 +23,8 @@ from aleator.trajectories import AbstractSignal, AbstractTrajectory
 
 
 @final
-class InverseDynamics(System):
-    """A mechanical system on a prescribed motion: `τ = B⁻¹ (M v̇ + C v + N)` (Table 5.2: motion known, τ not).
+class InverseDynamics(AbstractFormulation):
+    """A mechanical system on a prescribed motion: `τ = B⁻¹ (M v̇ + C v + N - Q)` (Table 5.2: motion known, τ not).
 
     - `model`: a fully actuated mechanical system; of an over-actuated one the torques of least norm are found;
     - `motion`: a trajectory of all coordinates, or one by name;
@@ -42,7 +43,7 @@ class InverseDynamics(System):
     signal_fields: ClassVar[tuple[str, ...]] = ("motion",)
 
     def __init__(self, model: AbstractMechanical, *, motion: Any, torque_rates: bool = True):
-        self.model = model
+        self.model = model_given("InverseDynamics", model)
         self.torque_rates = torque_rates
         self.motion = motions_for(model.coordinates, motion, "InverseDynamics, motion")
         if len(model.actuators) < len(model.speeds):
@@ -55,7 +56,7 @@ class InverseDynamics(System):
 
     def signals(self) -> Mapping[str, AbstractSignal]:
         """See `System.signals`."""
-        return followed(self._motion(), self.torque_rates)
+        return {**followed(self._motion(), self.torque_rates), **course(self.model, 2 + self.torque_rates)}
 
     def focused(self, only: Collection[str]) -> "InverseDynamics":
         """See `System.focused`: torque rates take a further derivative of everything."""
@@ -68,43 +69,45 @@ class InverseDynamics(System):
         return ()
 
     def outputs(
-        self, t: Any, z: Any, position: Array, velocity: Array, acceleration: Array, jolt: Array | None = None
+        self,
+        t: Any,
+        z: Any,
+        position: Array,
+        velocity: Array,
+        acceleration: Array,
+        jolt: Array | None = None,
+        parameters: Array | None = None,
     ) -> dict[str, Any]:
         """See `System.outputs`."""
         del z
-
-        def found(*at: Array) -> tuple[Array, Followed]:
-            path = follow(self.model, *at)
-            force = self.model.inverse_dynamics(path.q, path.v, path.v_dot)
-            return torques(self.model, path.q, force), path
-
-        at = position, velocity, acceleration
+        model, curve = at(self.model, t, parameters), (position, velocity, acceleration)
         if jolt is None:
-            torque, path = found(*at)
-            return standard_outputs(self.model, _motion_at(t, path, torque), None)
-        torque, torque_rate, path = jax.jvp(found, at, (velocity, acceleration, jolt), has_aux=True)
-        return standard_outputs(self.model, _motion_at(t, path, torque), torque_rate)
+            torque, path = _torques(model, *curve)
+            return standard_outputs(model, _motion_at(t, path, torque), None)
+        along = velocity, acceleration, jolt
+        torque, torque_rate, path = along_time(_torques, model, curve, along, has_aux=True)
+        return standard_outputs(model, _motion_at(t, path, torque), torque_rate)
 
     def trouble(self, grid: Grid) -> str:
         """See `System.trouble`."""
-        model, path = self.model, self._motion().sampled(grid.fractions, grid.t_start, grid.t_final)
+        now, path = instants_of(self.model, grid), self._motion().sampled(grid.fractions, grid.t_start, grid.t_final)
+        model = now.at(0)
         q = model.normalised(path[0])
         if found := trouble_at(model, q, "at the start"):
             return found
         scheme = actuation_of(model, q)
         if scheme not in (Actuation.FULL, Actuation.OVER):
             return self._unrealisable(scheme.value)
-        effects = None if model.acts_directly else jax.vmap(lambda at: actuation_map(model, model.normalised(at)))(path)
-        return trouble_of_path(model, np.asarray(grid.times), path, effects)
+        effects = None if model.acts_directly else now.each(lambda one, q: actuation_map(one, one.normalised(q)), path)
+        return trouble_of_path(now, path, effects)
 
     def holding(self, grid: Grid) -> Mapping[str, Any]:
         """See `System.holding`: the torques, where the motion starts at rest and without acceleration."""
-        at = [self._motion().derivative(k).sampled(np.zeros(1), grid.t_start, grid.t_final)[0] for k in range(3)]
-        start = follow(self.model, *at)
+        curve = [self._motion().derivative(k).sampled(np.zeros(1), grid.t_start, grid.t_final)[0] for k in range(3)]
+        torque, start = _torques(instants_of(self.model, grid).at(0), *curve)
         if jnp.any(jnp.abs(jnp.stack([start.v, start.v_dot])) > 1e-9):
             return {}
-        force = self.model.inverse_dynamics(start.q, start.v, start.v_dot)
-        return dict(zip(self.model.actuators, torques(self.model, start.q, force), strict=True))
+        return dict(zip(self.model.actuators, torque, strict=True))
 
     def _unrealisable(self, scheme: str) -> str:
         return (
@@ -116,6 +119,14 @@ class InverseDynamics(System):
 
     def _motion(self) -> AbstractTrajectory:
         return combined_motion(self.model.coordinates, self.motion)
+
+
+def _torques(
+    model: AbstractMechanical, position: Array, velocity: Array, acceleration: Array
+) -> tuple[Array, Followed]:
+    """The torques that a motion takes, and the motion."""
+    path = follow(model, position, velocity, acceleration)
+    return torques(model, path.q, required_force(model, path.q, path.v, path.v_dot)), path
 
 
 def _motion_at(t: Any, path: Followed, torque: Array) -> Motion:

@@ -13,6 +13,7 @@ from aleator.mechanics._spatial import (
     Pose,
     Twist,
     about,
+    all_known,
     as_array,
     from_quaternion,
     is_known,
@@ -87,6 +88,13 @@ class AbstractAxial(AbstractJoint):
 
     coordinates: ClassVar[tuple[str, ...]] = ("",)
     speeds: ClassVar[tuple[str, ...]] = ("_rate",)
+
+    def __check_init__(self):
+        if all_known(self.axis):
+            self.direction()
+        for part in ("damping", "stiffness", "rest"):
+            if all_known(value := getattr(self, part)):
+                as_array(value, f"{type(self).__name__}: {part}", ())
 
     def direction(self) -> Any:
         """The axis as a unit vector. Raises `ProblemError` if it is none."""

@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 import jax
 from jaxtyping import Array, Float
 
+from aleator.mechanics._instant import along_time
 from aleator.mechanics._matrices import solve_any
 from aleator.mechanics._mechanical import AbstractMechanical, rate_map
 
@@ -25,10 +26,10 @@ def rates(model: AbstractMechanical, q: Array, v: Array) -> Float[Array, " coord
 
 
 def accelerations(model: AbstractMechanical, q: Array, v: Array, v_dot: Array) -> Float[Array, " coordinates"]:
-    """`q̈ = H v̇ + Ḣ v`, equation (65): `Ḣ` along the motion, by a directional derivative."""
+    """`q̈ = H v̇ + Ḣ v`, equation (65): `Ḣ` in total along the motion, by a directional derivative."""
     if model.moves_directly:
         return v_dot
-    return jax.jvp(lambda a, b: rates(model, a, b), (q, v), (rates(model, q, v), v_dot))[1]
+    return along_time(rates, model, (q, v), (rates(model, q, v), v_dot))[1]
 
 
 def follow(model: AbstractMechanical, position: Array, velocity: Array, acceleration: Array) -> Followed:
@@ -38,7 +39,7 @@ def follow(model: AbstractMechanical, position: Array, velocity: Array, accelera
         return Followed(q, q_dot, q_ddot, q_dot, q_ddot)
     H = rate_map(model, q)
     v = solve_any(H, q_dot)
-    change = jax.jvp(lambda at: rate_map(model, at) @ v, (q,), (q_dot,))[1]
+    change = along_time(lambda now, at: rate_map(now, at) @ v, model, (q,), (q_dot,))[1]
     return Followed(q, q_dot, q_ddot, v, solve_any(H, q_ddot - change))
 
 

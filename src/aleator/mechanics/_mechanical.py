@@ -2,7 +2,7 @@
 
 import abc
 from collections.abc import Collection, Mapping, Sequence
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -10,16 +10,24 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from aleator._core.errors import ProblemError
+from aleator.dynamics import called
+from aleator.mechanics._instant import at, course, is_timed
 from aleator.mechanics._matrices import solve_positive
 from aleator.mechanics._motion import Motion
+from aleator.mechanics._signatures import call_of, timed_methods
 
 
 class AbstractMechanical(eqx.Module):
-    """A mechanical system `M(q) v̇ + C(q, v) v + N(q, v) = B(q) τ`, `q̇ = H(q) v`, equations (3) and (4).
+    """A mechanical system `M(q) v̇ + C(q, v) v + N(q, v) = B(q) τ + Q(q, v)`, `q̇ = H(q) v`, equations (3) and (4).
 
-    Its parameters are fields, and any number in a field may be a distribution or a decision. What is known of its
-    motion is said by `al.ForwardDynamics`, `al.InverseDynamics` or `al.HybridDynamics`; each makes a system of it,
-    whose outputs are, by the names of `coordinates`, `speeds` and `actuators`,
+    Its parameters are fields, and any number in a field may be a distribution or a decision, or a signal: a parameter
+    `θ(t)` that changes with time, such as `al.signal`, `al.RandomProcess` or a trajectory. In methods it is a number,
+    its value at the instant. A method may name the time besides, after its other arguments: `mass_matrix(self, q, t)`.
+    Equation (3) is taken at each instant: see `al.Mechanical` and `al.Lagrangian` for masses that change.
+
+    `Q` is the external `load(q, v)`, which torques work against in all three dynamics. What is known of its motion is
+    said by `al.ForwardDynamics`, `al.InverseDynamics` or `al.HybridDynamics`; each makes a system of it, whose outputs
+    are, by the names of `coordinates`, `speeds` and `actuators`,
 
     - `<coordinate>`, `<coordinate>_rate`, `<coordinate>_acceleration`; `<speed>`, where it is no rate, and
       `<speed>_rate`;
@@ -31,6 +39,16 @@ class AbstractMechanical(eqx.Module):
     """
 
     units: ClassVar[Mapping[str, str]] = {}
+    _when: Any = eqx.field(default=None, init=False, repr=False)
+
+    def __check_init__(self):
+        timed_methods(type(self))
+
+    def at(self, t: Any) -> Self:
+        """The realised model at the time `t`, s: with values in the place of signals. Trajectories last one second."""
+        now = jnp.asarray(t, dtype=float)
+        found = [signal(now) for signal in course(self, 2).values()]
+        return at(self, now, found[0] if found else None)
 
     @property
     @abc.abstractmethod
@@ -63,6 +81,11 @@ class AbstractMechanical(eqx.Module):
         own = type(self).actuation is AbstractMechanical.actuation
         return own and np.array_equal(self._named_map(), np.eye(len(self.speeds)))
 
+    @property
+    def is_loaded(self) -> bool:
+        """Whether there may be an external load."""
+        return type(self).load is not AbstractMechanical.load
+
     @abc.abstractmethod
     def mass_matrix(self, q: Float[Array, " coordinates"]) -> Float[Array, "speeds speeds"]:
         """`M(q)`, symmetric and positive definite."""
@@ -83,6 +106,18 @@ class AbstractMechanical(eqx.Module):
         """`H(q)`, from velocities to the rates of the coordinates (equation 4): by default they are the same."""
         del q
         return jnp.eye(len(self.coordinates))
+
+    def load(self, q: Float[Array, " coordinates"], v: Float[Array, " speeds"]) -> Float[Array, " speeds"]:
+        """`Q(q, v)`: the external generalised force, such as wind or contact, along each velocity; none by default.
+
+        It stands on the side of the torques: positive where it drives the velocity on.
+        """
+        del q
+        return jnp.zeros_like(v)
+
+    def external(self, q: Float[Array, " coordinates"], v: Float[Array, " speeds"]) -> Float[Array, " speeds"]:
+        """All external loads together, as a generalised force."""
+        return shaped(self, "load", (q, v), (len(self.speeds),))
 
     def normalised(self, q: Float[Array, " coordinates"]) -> Float[Array, " coordinates"]:
         """The coordinates as they may be, such as quaternions of length one: by default any."""
@@ -172,29 +207,57 @@ class AbstractNamed(AbstractMechanical):
 def mass_of(model: AbstractMechanical, q: Float[Array, " coordinates"]) -> Float[Array, "speeds speeds"]:
     """`M(q)` as an array. Raises `ProblemError` for another shape."""
     n = len(model.speeds)
-    return shaped(model, "mass_matrix(q)", model.mass_matrix(q), (n, n))
+    return shaped(model, "mass_matrix", (q,), (n, n))
 
 
 def bias_of(
     model: AbstractMechanical, q: Float[Array, " coordinates"], v: Float[Array, " speeds"]
 ) -> Float[Array, " speeds"]:
     """`C(q, v) v + N(q, v)` as an array. Raises `ProblemError` for another shape."""
-    return shaped(model, "bias(q, v)", model.bias(q, v), (len(model.speeds),))
+    return shaped(model, "bias", (q, v), (len(model.speeds),))
+
+
+def load_on(model: AbstractMechanical, q: Float[Array, " coordinates"], v: Float[Array, " speeds"]) -> Any:
+    """`Q(q, v)`; zero, as a number, where there is none. Raises `ProblemError` for another shape."""
+    return model.external(q, v) if model.is_loaded else 0.0
+
+
+def required_force(model: AbstractMechanical, q: Array, v: Array, v_dot: Array) -> Float[Array, " speeds"]:
+    """The generalised force that actuators must give for a motion, under the external load (equation 69)."""
+    return shaped(model, "inverse_dynamics", (q, v, v_dot), (len(model.speeds),)) - load_on(model, q, v)
+
+
+def driven(model: AbstractMechanical, q: Array, v: Array, force: Array) -> Float[Array, " speeds"]:
+    """The acceleration under a generalised force of actuators and the external load (equation 68)."""
+    return shaped(model, "forward_dynamics", (q, v, force + load_on(model, q, v)), (len(model.speeds),))
 
 
 def actuation_map(model: AbstractMechanical, q: Float[Array, " coordinates"]) -> Float[Array, "speeds actuators"]:
     """`B(q)` as an array. Raises `ProblemError` for another shape."""
-    return shaped(model, "actuation(q)", model.actuation(q), (len(model.speeds), len(model.actuators)))
+    return shaped(model, "actuation", (q,), (len(model.speeds), len(model.actuators)))
 
 
 def rate_map(model: AbstractMechanical, q: Float[Array, " coordinates"]) -> Float[Array, "coordinates speeds"]:
     """`H(q)` as an array. Raises `ProblemError` for another shape."""
-    return shaped(model, "velocity_map(q)", model.velocity_map(q), (len(model.coordinates), len(model.speeds)))
+    return shaped(model, "velocity_map", (q,), (len(model.coordinates), len(model.speeds)))
 
 
-def shaped(model: AbstractMechanical, part: str, value: Any, shape: tuple[int, ...]) -> Float[Array, "..."]:
+def shaped(
+    model: AbstractMechanical, name: str, arguments: tuple[Any, ...], shape: tuple[int, ...]
+) -> Float[Array, "..."]:
     """What a user's method gives, as an array. Raises `ProblemError` for another shape, which would broadcast."""
-    found = jnp.asarray(value, dtype=float)
+    found = jnp.asarray(evaluated(model, name, *arguments), dtype=float)
     if found.shape != shape:
-        raise ProblemError(f"{type(model).__name__}.{part}: expected shape {shape}; received {found.shape}.")
+        raise ProblemError(f"{type(model).__name__}.{call_of(name)}: expected shape {shape}; received {found.shape}.")
     return found
+
+
+def evaluated(model: AbstractMechanical, name: str, *arguments: Any) -> Any:
+    """A user's method, given the time if it names it. Raises `ProblemError` where the time is needed and not known."""
+    if model._when is None and is_timed(model):
+        raise ProblemError(
+            f"{type(model).__name__} depends on time, which is not known here: ask the model at an instant, such as "
+            f"model.at(0.0).{name}(...)."
+        )
+    time = {"t": model._when.t} if model._when is not None and name in timed_methods(type(model)) else {}
+    return called(model, getattr(model, name), *arguments, **time)

@@ -6,17 +6,27 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from aleator._core.errors import ProblemError
-from aleator._core.laws import is_unrealised
-from aleator.dynamics import called
+from aleator._core.leaves import is_leaf
 from aleator.mechanics._body import Body
+from aleator.mechanics._body_load import BodyLoad, refuse_moving_places, wrenches_of
+from aleator.mechanics._instant import at, later
 from aleator.mechanics._joints import AbstractJoint
-from aleator.mechanics._mechanical import AbstractMechanical
-from aleator.mechanics._recursions import forward_dynamics, inverse_dynamics, mass_matrix, moving, world_poses
+from aleator.mechanics._mechanical import AbstractMechanical, evaluated
+from aleator.mechanics._recursions import (
+    forward_dynamics,
+    generalised,
+    inverse_dynamics,
+    mass_matrix,
+    moving,
+    world_poses,
+)
 from aleator.mechanics._spatial import Block, Pose, as_array, composed, cross, momentum, plus, power
 from aleator.mechanics._tree import GROUND, Tree, build_tree, sorted_bodies
+from aleator.trajectories import AbstractSignal
 
 
 class Multibody(AbstractMechanical):
@@ -38,7 +48,12 @@ class Multibody(AbstractMechanical):
         def bias(self, q, v):
             return super().bias(q, v) + 0.2 * jnp.tanh(v / 1e-3)
 
-    Any number of a field may be a distribution or a decision, but which bodies and joints there are is structure.
+    Forces from outside, such as wind and contact, are a tuple of `al.BodyLoad` by `body_loads(q, v)`, or a generalised
+    force by `load(q, v)`; both act together.
+
+    Any number of a field may be a distribution, a decision or a signal, but which bodies and joints there are is
+    structure. Masses and inertias may change with time, as in `al.Mechanical`: what leaves a body has its velocity.
+    Where joints are may not: that is the motion of one more joint, which `al.HybridDynamics` prescribes.
     Inverse and forward dynamics cost in proportion to the number of bodies (Featherstone, Rigid Body Dynamics
     Algorithms, 2008), and a body on `al.Fixed` none at all; with a `bias` or a `mass_matrix` of one's own they go by
     these.
@@ -108,6 +123,22 @@ class Multibody(AbstractMechanical):
             return super().forward_dynamics(q, v, force)
         return forward_dynamics(self._tree(), self._gravity(), q, v, force)
 
+    def body_loads(self, q: Float[Array, " coordinates"], v: Float[Array, " speeds"]) -> Sequence[BodyLoad]:
+        """Forces and moments from outside on the bodies; none by default."""
+        del q, v
+        return ()
+
+    @property
+    def is_loaded(self) -> bool:
+        """See `AbstractMechanical.is_loaded`."""
+        return super().is_loaded or type(self).body_loads is not Multibody.body_loads
+
+    def external(self, q: Float[Array, " coordinates"], v: Float[Array, " speeds"]) -> Float[Array, " speeds"]:
+        """See `AbstractMechanical.external`: the load, and what pushes the bodies."""
+        tree = self._tree()
+        wrenches = wrenches_of(type(self).__name__, tree, q, evaluated(self, "body_loads", q, v))
+        return super().external(q, v) + generalised(tree, q, wrenches)
+
     def velocity_map(self, q: Float[Array, " coordinates"]) -> Float[Array, "coordinates speeds"]:
         """`H(q)`, with `q̇ = H(q) v`: a block for each joint."""
         tree = self._tree()
@@ -116,7 +147,10 @@ class Multibody(AbstractMechanical):
 
     def normalised(self, q: Float[Array, " coordinates"]) -> Float[Array, " coordinates"]:
         """The coordinates, with quaternions of length one; one of zeros becomes that of no turn."""
-        return jnp.concatenate([jnp.zeros(0), *(link.joint.normalised(q[link.q]) for link in self._tree().links)])
+        joints = [joint for _, joint in self._joints()]
+        ends = np.cumsum([0, *(len(joint.coordinates) for joint in joints)])
+        parts = [joint.normalised(q[i:j]) for joint, i, j in zip(joints, ends[:-1], ends[1:], strict=True)]
+        return jnp.concatenate([jnp.zeros(0), *parts])
 
     def speeds_along(self, coordinates: Collection[str]) -> tuple[int, ...]:
         """See `AbstractMechanical.speeds_along`: those of the joints, of which all coordinates are needed."""
@@ -181,27 +215,37 @@ class Multibody(AbstractMechanical):
         return type(self).bias is Multibody.bias and type(self).mass_matrix is Multibody.mass_matrix
 
     def _tree(self) -> Tree:
+        if self._when is not None:
+            refuse_moving_places(type(self).__name__, lambda s: later(self, s)._bodies())
         return build_tree(self._bodies())
 
     def _bodies(self) -> Sequence[Body]:
-        given = called(self, self.bodies)
+        given = evaluated(self, "bodies")
         if not isinstance(given, tuple | list) or not all(isinstance(body, Body) for body in given):
             raise ProblemError(f"{type(self).__name__}.bodies returns a tuple of al.Body; received {given!r}.")
         return given
 
     def _joints(self) -> list[tuple[str, AbstractJoint]]:
         """The bodies that move, with their joints: asked for before laws and decisions have become numbers."""
-        plain = jax.tree.map(_as_number, self, is_leaf=is_unrealised)
-        bodies = sorted_bodies(plain._bodies())
+        plain = jax.tree.map(_as_number, self, is_leaf=_is_no_number)
+        now = plain if self._when is not None else at(plain, jnp.zeros(()), None)
+        bodies = sorted_bodies(now._bodies())
         return [(body.name, body.joint) for body in bodies if isinstance(body.joint, AbstractJoint)]
 
     def _gravity(self) -> Block:
         return as_array(self.gravity, f"{type(self).__name__}.gravity", (3,))
 
 
+def _is_no_number(node: Any) -> bool:
+    return is_leaf(node) or isinstance(node, AbstractSignal)
+
+
 def _as_number(leaf: Any) -> Any:
-    """Any number, of a decision's shape, in the place of a law or a decision."""
-    return jnp.ones(jnp.shape(getattr(leaf, "lower", 1.0))) if is_unrealised(leaf) else leaf
+    """Any number, of a decision's or a signal's shape, in the place of a law, a decision or a signal."""
+    if isinstance(leaf, AbstractSignal):
+        plain = jax.tree.map(_as_number, leaf, is_leaf=is_leaf)
+        return jnp.ones(jax.eval_shape(plain, jnp.zeros(())).shape)
+    return jnp.ones(leaf.shape) if is_leaf(leaf) else leaf
 
 
 def _placed(place: tuple[int, Pose | None], carriers: Sequence[Pose]) -> Pose:

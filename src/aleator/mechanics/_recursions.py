@@ -4,6 +4,7 @@ Featherstone, Rigid Body Dynamics Algorithms, 2008. All quantities of a link are
 are unrolled.
 """
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -92,6 +93,17 @@ def inverse_dynamics(
     for i, link in reversed(list(enumerate(tree.links))):
         passive = link.joint.passive(q[link.q], v[link.v])
         forces.insert(0, power(link.joint.subspace(q[link.q]), wrenches[i]) - passive)
+        if link.parent != GROUND:
+            wrenches[link.parent] = added(wrenches[link.parent], wrench_outside(poses[i], wrenches[i]))
+    return jnp.concatenate([jnp.zeros(0), *forces])
+
+
+def generalised(tree: Tree, q: Float[Array, " coordinates"], loads: Sequence[Wrench]) -> Float[Array, " speeds"]:
+    """The generalised force of a wrench on each link, in its own frame: from the leaves inwards, as in dynamics."""
+    poses, wrenches = local_poses(tree, q), list(loads)
+    forces: list[Any] = []
+    for i, link in reversed(list(enumerate(tree.links))):
+        forces.insert(0, power(link.joint.subspace(q[link.q]), wrenches[i]))
         if link.parent != GROUND:
             wrenches[link.parent] = added(wrenches[link.parent], wrench_outside(poses[i], wrenches[i]))
     return jnp.concatenate([jnp.zeros(0), *forces])

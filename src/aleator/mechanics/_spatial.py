@@ -14,6 +14,8 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from aleator._core.errors import ProblemError
+from aleator._core.given import real_array, refusal
+from aleator._core.leaves import is_leaf
 
 Block: TypeAlias = Any
 """A vector (3,), a matrix of columns (3, n), or `None` for zero; of NumPy where it is known, else of JAX."""
@@ -76,7 +78,7 @@ def as_array(given: Any, what: str, *shapes: tuple[int, ...]) -> Block:
     try:
         array = _stacked(given)
     except (TypeError, ValueError) as error:
-        raise ProblemError(f"{what}: expected numbers of shape {_any_of(shapes)}; received {given!r}.") from error
+        raise refusal(what, f"numbers of shape {_any_of(shapes)}", given) from error
     if array.shape not in shapes:
         raise ProblemError(f"{what}: expected numbers of shape {_any_of(shapes)}; received shape {array.shape}.")
     if is_known(array) and not np.isfinite(np.asarray(array)).all():
@@ -84,11 +86,17 @@ def as_array(given: Any, what: str, *shapes: tuple[int, ...]) -> Block:
     return array
 
 
+def all_known(*given: Any) -> bool:
+    """Whether nothing in what a user gave is a leaf or a number of JAX, so that it can be checked at once."""
+    leaves = jax.tree.leaves(given, is_leaf=is_leaf)
+    return not any(isinstance(one, jax.Array) or is_leaf(one) for one in leaves)
+
+
 def _stacked(given: Any) -> Block:
     if isinstance(given, tuple | list):
         parts = [_stacked(one) for one in given]
         return library(*parts).stack(parts)
-    return jnp.asarray(given, dtype=float) if isinstance(given, jax.Array) else np.asarray(given, dtype=float)
+    return jnp.asarray(given, dtype=float) if isinstance(given, jax.Array) else real_array("", given)
 
 
 def _any_of(shapes: tuple[tuple[int, ...], ...]) -> str:

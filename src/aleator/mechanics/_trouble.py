@@ -1,5 +1,6 @@
 """What can be wrong with a realised mechanical system, in words: shapes, singular matrices, where and when."""
 
+import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -9,9 +10,11 @@ import numpy as np
 from jaxtyping import Array
 
 from aleator._core.arrays import numbers_to_arrays
+from aleator._core.code import told_apart
 from aleator._core.compilation import Compiled
 from aleator.dynamics import Grid, RungeKutta4, System, simulate
-from aleator.mechanics._mechanical import AbstractMechanical, actuation_map, bias_of, mass_of, rate_map
+from aleator.mechanics._instant import Instants, instants_of, is_timed
+from aleator.mechanics._mechanical import AbstractMechanical, actuation_map, bias_of, load_on, mass_of, rate_map
 
 # Reciprocal condition numbers below this are rounding of zero: answers would have no correct digit left.
 _SINGULAR = 1e-12
@@ -30,7 +33,9 @@ def trouble_at(model: AbstractMechanical, q: Any, when: str) -> str:
     """
     M = np.asarray(mass_of(model, q))
     # Their shapes are looked at.
-    bias_of(model, q, jnp.zeros(len(model.speeds)))
+    at_rest = jnp.zeros(len(model.speeds))
+    bias_of(model, q, at_rest)
+    load_on(model, q, at_rest)
     actuation_map(model, q)
     return model.trouble(q) or _mass_trouble(model, M, q, when) or _map_trouble(model, q, when)
 
@@ -99,14 +104,14 @@ def _name_trouble(model: AbstractMechanical, H: np.ndarray, when: str) -> str:
     return ""
 
 
-def trouble_of_path(model: AbstractMechanical, times: np.ndarray, path: Any, effects: Any = None) -> str:
+def trouble_of_path(now: Instants, path: Any, effects: Any = None) -> str:
     """The first posture of a path in which something is wrong, with its time.
 
     `path` holds coordinates as given, quaternions of any length; `effects` are the matrices by which torques act on
     what they must move, where they are to be looked at: each needs the rank of its number of rows.
     """
-    path = jnp.asarray(path)
-    if found := quaternion_trouble(model, times, path) or _map_trouble_along(model, times, path):
+    model, times, path = now.model, np.asarray(now.times), jnp.asarray(path)
+    if found := quaternion_trouble(model, times, path) or _map_trouble_along(now, path) or _mass_along(now, path):
         return found
     return "" if effects is None else _effect_trouble_along(model, times, path, np.asarray(effects))
 
@@ -127,13 +132,28 @@ def quaternion_trouble(model: AbstractMechanical, times: np.ndarray, path: Any) 
     )
 
 
-def _map_trouble_along(model: AbstractMechanical, times: np.ndarray, path: Array) -> str:
-    if model.moves_directly:
+def _map_trouble_along(now: Instants, path: Array) -> str:
+    if now.model.moves_directly:
         return ""
-    q = jax.vmap(model.normalised)(path)
-    bad = ~_are_regular(np.asarray(jax.vmap(lambda at: rate_map(model, at))(q)))
+    q = jax.vmap(now.model.normalised)(path)
+    bad = ~_are_regular(np.asarray(now.each(rate_map, q)))
+    return _first_trouble(now, q, bad)
+
+
+def _mass_along(now: Instants, path: Array) -> str:
+    """Where a mass that changes with time is none any more; of others the start tells."""
+    if not is_timed(now.model):
+        return ""
+    q = jax.vmap(now.model.normalised)(path)
+    masses = np.asarray(now.each(mass_of, q))
+    finite: Any = np.isfinite(masses).all(axis=(1, 2))
+    least = np.linalg.eigvalsh(np.where(finite[:, None, None], masses, 0.0)).min(axis=1, initial=np.inf)
+    return _first_trouble(now, q, ~finite | (least <= 0))
+
+
+def _first_trouble(now: Instants, q: Array, bad: np.ndarray) -> str:
     first = int(np.argmax(bad))
-    return trouble_at(model, q[first], f"at t = {times[first]:.4g} s") if bad.any() else ""
+    return trouble_at(now.at(first), q[first], f"at t = {float(now.times[first]):.4g} s") if bad.any() else ""
 
 
 def _effect_trouble_along(model: AbstractMechanical, times: np.ndarray, path: Array, effects: np.ndarray) -> str:
@@ -161,27 +181,28 @@ def _effect_trouble_along(model: AbstractMechanical, times: np.ndarray, path: Ar
     )
 
 
-def trouble_along(system: System, grid: Grid, effects: Callable[[System, Array], Array] | None = None) -> str:
+def trouble_along(system: System, grid: Grid, effects: Callable[[System, Instants, Array], Array] | None = None) -> str:
     """What is wrong along an integrated motion, or in the posture in which it ends to be finite; empty if nothing.
 
-    `effects(system, path)`: see `trouble_of_path`. A motion that grows out of all bounds says nothing of the model:
-    steps that are too long for a stiff one make it grow as well.
+    `effects(system, now, path)`: see `trouble_of_path`. A motion that grows out of all bounds says nothing of the
+    model: steps that are too long for a stiff one make it grow as well.
     """
     model: AbstractMechanical = system.model  # type: ignore[attr-defined]
     system, times = numbers_to_arrays(system), np.asarray(grid.times)
+    now = instants_of(model, grid)
     path = np.asarray(_FOLLOWED(system, numbers_to_arrays(grid)))
     moderate = np.isfinite(path).all(axis=1) & (np.abs(path) <= _ABSURD * (1 + np.abs(path[0]).max())).all(axis=1)
     if moderate.all():
-        return trouble_of_path(model, times, path, effects and effects(system, jnp.asarray(path)))
+        return trouble_of_path(now, path, effects and effects(system, now, jnp.asarray(path)))
     following = int(np.argmin(moderate))
     last = max(following - 1, 0)
     if effects is not None and not np.isfinite(path[following]).all():
         # At once, and not by growing: what is prescribed is known there too, and tells whether torques still act.
         onward = np.where(np.isfinite(path[following]), path[following], path[last])
         known = jnp.asarray(np.where(np.arange(len(path))[:, None] < following, path, onward))
-        if found := _effect_trouble_along(model, times, known, np.asarray(effects(system, known))):
+        if found := _effect_trouble_along(model, times, known, np.asarray(effects(system, now, known))):
             return found
-    return trouble_at(model, jnp.asarray(path[last]), f"about t = {times[last]:.4g} s")
+    return trouble_at(now.at(last), jnp.asarray(path[last]), f"about t = {times[last]:.4g} s")
 
 
 def _followed(system: System, grid: Grid) -> Array:
@@ -191,7 +212,7 @@ def _followed(system: System, grid: Grid) -> Array:
 
 
 # Once for all systems of a family: each is asked.
-_FOLLOWED = Compiled(_followed)
+_FOLLOWED = Compiled(_followed, code=functools.partial(told_apart, _followed))
 
 
 def _posture(model: AbstractMechanical, q: Any) -> str:

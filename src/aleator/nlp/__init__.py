@@ -6,6 +6,8 @@ from aleator.nlp._ipopt import Ipopt as Ipopt
 from aleator.nlp._outcome import Outcome as Outcome
 from aleator.nlp._outcome import Status as Status
 from aleator.nlp._program import Evaluation as Evaluation
+from aleator.nlp._program import Magnitudes as Magnitudes
 from aleator.nlp._program import NonlinearProgram as NonlinearProgram
 from aleator.nlp._slsqp import Slsqp as Slsqp
 from aleator.nlp._solver import AbstractSolver as AbstractSolver
+from aleator.nlp._verdict import HELD as HELD

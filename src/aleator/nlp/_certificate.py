@@ -6,10 +6,11 @@ from typing import final
 import numpy as np
 
 from aleator.nlp._program import Evaluation
-from aleator.nlp._scaling import ScaledProgram
+from aleator.nlp._scaling import Multipliers, ScaledProgram
 
-# Rows this close to a bound count as active when multipliers are fitted or infeasibility is examined.
-_ACTIVE = 1e-5
+# Rows this close to a bound count as active when multipliers are fitted or infeasibility is examined; there, no further
+# off than this part of the largest violation, in whatever it is scaled.
+_ACTIVE, _ACTIVE_FRACTION = 1e-5, 1e-3
 # A violation is stationary if one typical magnitude of every decision would lower it by less than this fraction.
 _STATIONARY_FRACTION = 1e-3
 
@@ -20,7 +21,7 @@ class Certificate:
     """Residuals of the Karush-Kuhn-Tucker conditions, dimensionless.
 
     - `violation`: largest `(c - upper) / scale` or `(lower - c) / scale` of a row or decision, at least 0;
-    - `stationarity`: `max |∇f + Jᵀλ + μ|`, over the largest multiplier where that is above 1;
+    - `stationarity`: `max |∇f + Jᵀλ + μ|`, over the largest term `λ_i J_ij` or `μ_j` in it where that is above 1;
     - `complementarity`: largest product of a multiplier and the slack of the bound it pushes against (a slack above
       1, or a bound that does not exist, counts as 1), over the largest multiplier where that is above 1.
     """
@@ -34,15 +35,6 @@ class Certificate:
         return self.violation <= violation and max(self.stationarity, self.complementarity) <= optimality
 
 
-@final
-@dataclass(frozen=True)
-class Multipliers:
-    """Scaled multipliers: of the rows, shape (m_useful,), and of the free decisions' bounds, shape (n_free,)."""
-
-    rows: np.ndarray
-    bounds: np.ndarray
-
-
 def certify(scaled: ScaledProgram, z: np.ndarray, evaluation: Evaluation, multipliers: Multipliers) -> Certificate:
     """Compute the residuals at `z`, shape (n_free,), with its scaled evaluation.
 
@@ -54,9 +46,14 @@ def certify(scaled: ScaledProgram, z: np.ndarray, evaluation: Evaluation, multip
 
     largest = max(1.0, _largest(multipliers.rows), _largest(multipliers.bounds))
     gradient = lagrangian_gradient(evaluation, multipliers)
+    pushing = np.flatnonzero(multipliers.rows)
+    # Terms, and not multipliers: these grow with whatever a constraint is divided by.
+    terms = max(
+        1.0, _largest(multipliers.bounds), _largest(multipliers.rows[pushing, None] * evaluation.jacobian[pushing])
+    )
     return Certificate(
         violation=float(np.maximum(values - upper, lower - values).max(initial=0.0)),
-        stationarity=float(np.abs(gradient).max(initial=0.0)) / largest,
+        stationarity=float(np.abs(gradient).max(initial=0.0)) / terms,
         complementarity=max(_largest(part) for part in _products(scaled, z, evaluation, multipliers)) / largest,
     )
 
@@ -135,10 +132,11 @@ def _sum_is_stationary(scaled: ScaledProgram, z: np.ndarray, evaluation: Evaluat
     """
     from scipy.optimize import lsq_linear
 
-    violated = outside > _ACTIVE
+    close = _close(outside)
+    violated = outside > close
     sides = _sides(scaled, evaluation, violated)
     steepest = (sides[:, None] * evaluation.jacobian[violated]).sum(axis=0)
-    rows, row_signs = _active(evaluation.constraints, scaled.constraint_lower, scaled.constraint_upper)
+    rows, row_signs = _active(evaluation.constraints, scaled.constraint_lower, scaled.constraint_upper, close)
     kinks = evaluation.jacobian[rows].T * row_signs
     cone = _bound_cone(scaled, z)
     columns = np.concatenate([kinks, cone], axis=1)
@@ -152,7 +150,7 @@ def _sum_is_stationary(scaled: ScaledProgram, z: np.ndarray, evaluation: Evaluat
 
 def _maximum_is_stationary(scaled: ScaledProgram, z: np.ndarray, evaluation: Evaluation, outside: np.ndarray) -> bool:
     """Whether zero is in the subdifferential of `max violation`, the convex hull of the worst rows' gradients."""
-    worst = outside >= outside.max() * (1 - _STATIONARY_FRACTION) - _ACTIVE
+    worst = outside >= outside.max() * (1 - _STATIONARY_FRACTION) - _close(outside)
     gradients = _sides(scaled, evaluation, worst) * evaluation.jacobian[worst].T
     cone = _bound_cone(scaled, z)
     # The last equation makes the weights of the worst rows sum to one.
@@ -161,6 +159,11 @@ def _maximum_is_stationary(scaled: ScaledProgram, z: np.ndarray, evaluation: Eva
     target = np.append(np.zeros(z.size), 1.0)
     residual = np.linalg.norm(system @ _nonnegative_fit(system, target) - target)
     return float(residual) <= _STATIONARY_FRACTION * float(outside.max())
+
+
+def _close(outside: np.ndarray) -> float:
+    """How close to a bound a row is active where others are violated by `outside`."""
+    return min(_ACTIVE, _ACTIVE_FRACTION * float(outside.max()))
 
 
 def _nonnegative_fit(columns: np.ndarray, target: np.ndarray) -> np.ndarray:
@@ -186,8 +189,10 @@ def _bound_cone(scaled: ScaledProgram, z: np.ndarray) -> np.ndarray:
     return np.eye(z.size)[:, bounds] * signs
 
 
-def _active(values: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _active(
+    values: np.ndarray, lower: np.ndarray, upper: np.ndarray, close: float = _ACTIVE
+) -> tuple[np.ndarray, np.ndarray]:
     """Find the values at a bound, with the sign of its multiplier; an equality is at both."""
-    at_upper = np.flatnonzero(np.abs(upper - values) <= _ACTIVE)
-    at_lower = np.flatnonzero(np.abs(values - lower) <= _ACTIVE)
+    at_upper = np.flatnonzero(np.abs(upper - values) <= close)
+    at_lower = np.flatnonzero(np.abs(values - lower) <= close)
     return np.concatenate([at_upper, at_lower]), np.concatenate([np.ones(at_upper.size), -np.ones(at_lower.size)])

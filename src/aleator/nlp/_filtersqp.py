@@ -5,12 +5,12 @@ from typing import Any, final
 
 import numpy as np
 
+from aleator._core import given
 from aleator._core.errors import MissingExtraError
-from aleator.nlp._certificate import Multipliers
 from aleator.nlp._ipopt import Ipopt
 from aleator.nlp._outcome import Status
 from aleator.nlp._pattern import Pattern
-from aleator.nlp._scaling import ScaledProgram
+from aleator.nlp._scaling import Multipliers, ScaledProgram
 from aleator.nlp._solver import AbstractSolver
 from aleator.nlp._verdict import Answer
 
@@ -38,6 +38,10 @@ class FilterSQP(AbstractSolver):
     """
 
     radius: float = 10.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        given.positive("FilterSQP: radius", self.radius)
 
     def _require(self) -> None:
         _import()
@@ -78,8 +82,8 @@ class FilterSQP(AbstractSolver):
             "QP_solver": "BQPD",
             "hessian_model": "LBFGS",
             "quasi_newton_memory_size": int(np.clip(2 * scaled.size, 6, _LARGEST_MEMORY)),
-            "primal_tolerance": self.tolerance,
-            "dual_tolerance": self.tolerance,
+            "primal_tolerance": self.aim,
+            "dual_tolerance": self.aim,
             # The preset's L2 norm would demand more of a row, the more rows a grid has.
             "residual_norm": "INF",
             "TR_radius": float(self.radius),

@@ -5,10 +5,9 @@ from typing import Any, final
 
 import numpy as np
 
-from aleator.nlp._certificate import Multipliers
 from aleator.nlp._evaluations import HaltedError, NotFiniteError
 from aleator.nlp._outcome import Status
-from aleator.nlp._scaling import ScaledProgram
+from aleator.nlp._scaling import Multipliers, ScaledProgram
 from aleator.nlp._solver import AbstractSolver
 from aleator.nlp._verdict import Answer
 
@@ -57,7 +56,7 @@ class Ipopt(AbstractSolver):
     def _equality_slack(self, scaled: ScaledProgram) -> np.ndarray | float:
         """Widen equalities that outnumber the decisions, which IPOPT would refuse, within the tolerance."""
         equal = scaled.constraint_lower == scaled.constraint_upper
-        return np.where(equal, self.tolerance, 0.0) if equal.sum() > scaled.size else 0.0
+        return np.where(equal, self.aim, 0.0) if equal.sum() > scaled.size else 0.0
 
     def _options(self, warm: bool) -> dict[str, Any]:
         options = {
@@ -70,8 +69,8 @@ class Ipopt(AbstractSolver):
             "ipopt.sb": "yes",
             "ipopt.hessian_approximation": "limited-memory",
             "ipopt.mu_strategy": "adaptive",
-            "ipopt.tol": self.tolerance,
-            "ipopt.constr_viol_tol": self.tolerance,
+            "ipopt.tol": self.aim,
+            "ipopt.constr_viol_tol": self.aim,
             "ipopt.max_iter": self.max_iterations,
             # The program is scaled already, and the model must not be asked outside the decisions' bounds.
             "ipopt.nlp_scaling_method": "none",

@@ -15,11 +15,14 @@ class Status(enum.Enum):
 
     SOLVED = "solved: feasible and stationary within tolerance"
     NOT_HELD = "solved at the instants of the grid, but limits break between them"
+    COARSE = "solved on this grid, which is too coarse: a finer one gives something else"
+    CONTRADICTED = "solved for the expansion, but fresh simulations contradict it"
+    WORST_CASE_BROKEN = "solved for the realisations found so far, but others break a limit on the worst case"
     INFEASIBLE = "infeasible: the constraints cannot all be met near here"
     ITERATION_LIMIT = "stopped at the iteration limit"
     EVALUATION_FAILED = "the model gave numbers that are not finite"
     INTERRUPTED = "interrupted by the user"
-    FAILED = "the solver gave up before reaching a solution"
+    FAILED = "not solved: the solver stopped at a point that is no solution to the tolerance asked for"
 
 
 @final
@@ -37,10 +40,11 @@ class Outcome:
     - `evaluation`: the model's values and derivatives at `decisions`;
     - `multipliers`: of the constraints, shape (m,), units of objective per constraint;
     - `bound_multipliers`: of the decisions' bounds, shape (n,), units of objective per decision;
-    - `violation`: largest violation of a constraint or bound over its scale, dimensionless;
+    - `violation`: largest violation of a constraint over its size (`sizes`), dimensionless;
     - `stationarity`: largest component of the scaled Lagrangian's gradient, over the size of what cancels in it or of
-      its change over a typical magnitude, whichever is larger, and over the largest multiplier if above 1;
-    - `complementarity`: largest product of a scaled multiplier and its slack, over the same sizes;
+      its change over a typical magnitude, whichever is larger. Where the objective is closer to a value below which it
+      cannot fall, how close: over its change over a typical magnitude;
+    - `complementarity`: largest product of a scaled multiplier and its slack, over the largest multiplier if above 1;
     - `iterations`: the solver's count, over all restarts;
     - `evaluations`: number of points at which `evaluate` was called;
     - `seconds`: wall-clock time;
@@ -49,6 +53,8 @@ class Outcome:
     - `active`: whether a constraint is at its bound, shape (m,): its scaled slack is at most 1e-6, or smaller than a
       scaled multiplier above 1e-6; equalities always are;
     - `active_bounds`: the same of the decisions, shape (n,); fixed ones always are;
+    - `sizes`: the magnitudes of the constraints at `decisions` to which a violation is relative, in their units,
+      shape (m,);
     - `failed_at`: the last point at which the model was not finite, shape (n,), where the status is EVALUATION_FAILED;
       None otherwise.
     """
@@ -68,6 +74,7 @@ class Outcome:
     message: str
     active: np.ndarray
     active_bounds: np.ndarray
+    sizes: np.ndarray
     failed_at: np.ndarray | None = None
 
     @property

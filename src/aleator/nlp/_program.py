@@ -29,6 +29,17 @@ class Evaluation(NamedTuple):
         return bool(np.isfinite(self.objective) and all(np.isfinite(part).all() for part in self[1:]))
 
 
+class Magnitudes(NamedTuple):
+    """How large the constraints are at a point, in user units, shape (m,) each.
+
+    - `size`: the magnitude to which a violation is relative, whatever a solver divides by;
+    - `scale`: what a solver had best divide by from here on.
+    """
+
+    size: np.ndarray
+    scale: np.ndarray
+
+
 @final
 @dataclass(frozen=True)
 class NonlinearProgram:
@@ -42,10 +53,14 @@ class NonlinearProgram:
     - `lower`, `upper`: bounds of the decisions, shape (n,), infinite where there is none, equal to fix a decision;
     - `constraint_lower`, `constraint_upper`: bounds of the constraints, shape (m,), infinite where there is none,
       equal for an equality;
-    - `constraint_scale`: typical magnitudes of the constraints, shape (m,), positive;
+    - `constraint_scale`: what solvers divide the constraints by at first, shape (m,), positive: typical magnitudes;
     - `decision_scale`: typical magnitudes of the decisions, shape (n,), positive;
     - `structure`: which entries of the Jacobian may be other than zero, shape (m, n); all by default. Solvers that use
-      it notice where it was too narrow.
+      it notice where it was too narrow;
+    - `magnitudes`: those of the constraints at a point `x` with its evaluation: by them, and not by what a solver
+      divided by, an answer is judged feasible. By default `constraint_scale`, as size and as scale, at every point;
+    - `least`: a value below which the objective cannot fall, such as 0 for a norm: there it is optimal, even if it
+      has a kink. Minus infinity where none is known.
 
     Raises `ProblemError` if shapes differ, bounds cross, scales are not positive or the start is not finite.
     """
@@ -59,6 +74,8 @@ class NonlinearProgram:
     constraint_scale: np.ndarray
     decision_scale: np.ndarray
     structure: np.ndarray | None = None
+    magnitudes: Callable[[np.ndarray, Evaluation], Magnitudes] | None = None
+    least: float = -np.inf
 
     def __post_init__(self) -> None:
         for name, length in _expected_lengths(self).items():

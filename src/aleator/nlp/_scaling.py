@@ -1,11 +1,12 @@
 """The program as solvers see it: dimensionless, without fixed decisions and without rows that bind nothing."""
 
-from typing import final
+from dataclasses import dataclass
+from typing import NamedTuple, final
 
 import numpy as np
 
 from aleator.nlp._evaluations import Evaluations
-from aleator.nlp._program import Evaluation, NonlinearProgram
+from aleator.nlp._program import Evaluation, Magnitudes, NonlinearProgram
 
 # The steepest scaled slope at the start. Solvers begin without curvature, so it is also the length of their first
 # step, in typical magnitudes of the decisions.
@@ -19,8 +20,39 @@ _REACHED = 1e-6
 
 
 @final
+@dataclass(frozen=True)
+class Multipliers:
+    """Scaled multipliers: of the rows, shape (m_useful,), and of the free decisions' bounds, shape (n_free,)."""
+
+    rows: np.ndarray
+    bounds: np.ndarray
+
+
+class Scales(NamedTuple):
+    """What the objective and the useful constraints, shape (m_useful,), are divided by."""
+
+    objective: float
+    constraints: np.ndarray
+
+    def converted(self, multipliers: Multipliers | None, into: "Scales") -> Multipliers | None:
+        """The multipliers in other scales."""
+        if multipliers is None:
+            return None
+        ratio = self.objective / into.objective
+        rows = multipliers.rows * ratio * (into.constraints / self.constraints)
+        return Multipliers(rows, multipliers.bounds * ratio)
+
+    def is_near(self, other: "Scales", factor: float) -> bool:
+        """Whether no scale differs from the other's by more than a factor."""
+        objective, rows = self.objective / other.objective, self.constraints / other.constraints
+        return bool(1 / factor <= objective <= factor and np.all((rows <= factor) & (rows >= 1 / factor)))
+
+
+@final
 class ScaledProgram:
     """The program in `x / decision_scale`, `(f - f(start)) / objective_scale` and `c / constraint_scale`.
+
+    A solver sees it in scales that suit its steps; an answer is judged in those of its own magnitudes (`rescale`).
 
     Only free decisions and useful rows are seen: points `z` have shape (n_free,), constraints shape (m_useful,). The
     model is never asked outside the bounds.
@@ -42,8 +74,6 @@ class ScaledProgram:
         self._free = program.lower < program.upper
         self._useful = np.isfinite(program.constraint_lower) | np.isfinite(program.constraint_upper)
         self._decision_scale = program.decision_scale[self._free]
-        self._constraint_scale = program.constraint_scale[self._useful]
-        self._jacobian_factor = self._decision_scale / self._constraint_scale[:, None]
         self._is_whole = bool(self._free.all() and self._useful.all())
         self._fixed_decisions = np.clip(start, program.lower, program.upper)
         self._last: tuple[bytes, Evaluation] | None = None
@@ -56,12 +86,11 @@ class ScaledProgram:
         self.structure = structure[np.ix_(self._useful, self._free)]
         self.lower = program.lower[self._free] / self._decision_scale
         self.upper = program.upper[self._free] / self._decision_scale
-        self.constraint_lower = program.constraint_lower[self._useful] / self._constraint_scale
-        self.constraint_upper = program.constraint_upper[self._useful] / self._constraint_scale
         self.start = np.clip(self._fixed_decisions[self._free] / self._decision_scale, self.lower, self.upper)
         self.best: tuple[np.ndarray, Evaluation] | None = None
         self.objective_scale = 1.0
         self._objective_origin = 0.0
+        self._scale_constraints(program.constraint_scale[self._useful])
 
     def begin(self) -> None:
         """Evaluate the start and set `objective_scale` from it.
@@ -75,14 +104,48 @@ class ScaledProgram:
         self.objective_scale = max(steepest / _FIRST_STEP, _ROUNDING * abs(first.objective)) or 1.0
         self.evaluate(self.start)
 
-    def rescale(self, z: np.ndarray, objective_scale: float) -> None:
-        """Go on from `z`, shape (n_free,), with another scale of the objective.
+    @property
+    def scales(self) -> Scales:
+        """The present scales."""
+        return Scales(self.objective_scale, self._constraint_scale)
 
-        Multipliers scale with the inverse of `objective_scale`; those at hand are the caller's to convert.
-        """
+    def rescale(self, z: np.ndarray, scales: Scales) -> None:
+        """Go on from `z`, shape (n_free,), in other scales. Multipliers at hand are the caller's to convert."""
         self.start = np.clip(z, self.lower, self.upper)
-        self.objective_scale = objective_scale
+        self.objective_scale = scales.objective
+        self._scale_constraints(scales.constraints)
         self._last = None
+        if self.best is not None:
+            # In other scales another violation counts as the least.
+            (point, user), self._best_rank = self.best, (np.inf, np.inf)
+            self._rank(point, user, self.scale(user))
+
+    def _scale_constraints(self, scale: np.ndarray) -> None:
+        self._constraint_scale = scale
+        self._jacobian_factor = self._decision_scale / scale[:, None]
+        self.constraint_lower = self._program.constraint_lower[self._useful] / scale
+        self.constraint_upper = self._program.constraint_upper[self._useful] / scale
+
+    def magnitudes(self, user: Evaluation, z: np.ndarray) -> Magnitudes:
+        """Those of the useful constraints at `z` with its evaluation in user units, shape (m_useful,) each."""
+        if self._program.magnitudes is None:
+            scale = self._program.constraint_scale[self._useful]
+            return Magnitudes(scale, scale)
+        size, scale = self._program.magnitudes(self.decisions(z), user)
+        return Magnitudes(size[self._useful], scale[self._useful])
+
+    def sizes(self, useful: np.ndarray) -> np.ndarray:
+        """Sizes of all constraints, shape (m,), from those of the useful ones."""
+        sizes = self._program.constraint_scale.copy()
+        sizes[self._useful] = useful
+        return sizes
+
+    def above_least(self, user: Evaluation) -> float:
+        """By how much the objective exceeds a value below which it cannot fall, over its change over a typical
+        magnitude of the decisions; infinite where no such value is known.
+        """
+        change = float(np.abs(user.gradient[self._free] * self._decision_scale).sum())
+        return max(user.objective - self._program.least, 0.0) / change if change > 0 else np.inf
 
     def decisions(self, z: np.ndarray) -> np.ndarray:
         """All decisions in user units, shape (n,), within their bounds."""
@@ -113,6 +176,11 @@ class ScaledProgram:
             user.constraints[self._useful] / self._constraint_scale,
             jacobian * self._jacobian_factor,
         )
+
+    def terms(self, evaluation: Evaluation, multipliers: Multipliers) -> float:
+        """The magnitude of what is added up in the Lagrangian, of which its rounding is a part; scaled."""
+        objective = abs(evaluation.objective) + abs(self._objective_origin) / self.objective_scale
+        return objective + float(np.abs(multipliers.rows) @ np.abs(evaluation.constraints))
 
     def is_finite(self, z: np.ndarray) -> bool:
         """Whether the model can be evaluated at `z`."""

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple, final
 
 import numpy as np
 
+from aleator._core import given
 from aleator.nlp._evaluations import NotFiniteError
 from aleator.nlp._outcome import Status
 from aleator.nlp._program import Evaluation
@@ -51,6 +52,10 @@ class Slsqp(AbstractSolver):
     max_iterations: int = 1000
     max_rounds: int = 60
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        given.whole("Slsqp: max_rounds", self.max_rounds)
+
     def _name(self) -> str:
         import scipy
 
@@ -63,7 +68,7 @@ class Slsqp(AbstractSolver):
         for _ in range(self.max_rounds):
             rows = np.union1d(rows, _worst_rows(scaled, point))
             before = point
-            point, mode, spent, message = search(scaled, point, rows, self.tolerance, self.max_iterations - iterations)
+            point, mode, spent, message = search(scaled, point, rows, self.aim, self.max_iterations - iterations)
             iterations += spent
             if not scaled.is_finite(point):
                 return Answer(Status.EVALUATION_FAILED, before, None, iterations, message)
@@ -71,7 +76,7 @@ class Slsqp(AbstractSolver):
                 used_up = message if mode == _ITERATION_LIMIT else "iteration limit reached over all rounds"
                 return Answer(Status.ITERATION_LIMIT, point, None, iterations, used_up)
             settled = bool(np.abs(point - before).max() < 0.99 * _REACH) and self._met(scaled, point, rows)
-            feasible = _largest_violation(scaled, point) <= 10 * self.tolerance
+            feasible = _largest_violation(scaled, point) <= 10 * self.aim
             if search is _least_violation:
                 if settled and not feasible:
                     return Answer(Status.INFEASIBLE, point, None, iterations, message)
@@ -87,7 +92,7 @@ class Slsqp(AbstractSolver):
         """Whether no row outside `rows` is violated more than those inside: another round would change nothing."""
         outside = scaled.violation(scaled.evaluate(point).constraints)
         inside = float(outside[rows].max(initial=0.0))
-        return float(outside.max(initial=0.0)) <= max(inside, self.tolerance)
+        return float(outside.max(initial=0.0)) <= max(inside, self.aim)
 
 
 def _largest_violation(scaled: ScaledProgram, point: np.ndarray) -> float:

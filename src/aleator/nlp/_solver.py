@@ -7,35 +7,51 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from aleator._core import given
 from aleator._core.errors import ProblemError
 from aleator.nlp._evaluations import HaltedError, NotFiniteError, NowhereFiniteError
 from aleator.nlp._outcome import Outcome, Status
 from aleator.nlp._program import NonlinearProgram
 from aleator.nlp._scaling import ScaledProgram
-from aleator.nlp._verdict import Answer, Verdict, judge, settle
+from aleator.nlp._verdict import Answer, Verdict, better_scales, judge, settle
 
 # Each round of a steep start makes the objective flatter by many orders of magnitude.
 _MOST_ROUNDS = 4
-# Fewer iterations than this are not shared out among rounds.
-_WORTH_SHARING = 50
+# Curvature met on a steep start can make a solver creep, so the first round leaves this part of the iterations, where
+# there are enough of them, to those that follow in a better scale.
+_LEFT_OVER, _WORTH_SHARING = 4, 50
+# Solvers aim at this part of the tolerance: the scale in which they run is not yet that in which they are judged.
+_AIM = 1e-2
+# No solver arrives closer than this.
+_LEAST_AIM = 1e-13
+# A scale that differs from another by no more than this is no better.
+_SAME_SCALE = 10.0
 
 
 @dataclass(frozen=True)
 class AbstractSolver(abc.ABC):
     """Solves nonlinear programs. Implementations only run their library on the scaled program.
 
-    - `tolerance`: on the scaled violation and Karush-Kuhn-Tucker residuals;
+    - `tolerance`: what "solved" means: no Karush-Kuhn-Tucker residual of the `Outcome` is larger, and no violation
+      either, nor than a millionth. The library itself aims at a hundredth of it (`aim`);
     - `max_iterations`: after which the solver stops, restarts included.
+
+    A point that the library calls optimal, or at which it gives up, and which is not within the tolerance in scales
+    taken there, is where it starts once more in those scales; again only where these turn out to differ by much.
     """
 
-    tolerance: float = 1e-8
+    tolerance: float = 1e-6
     max_iterations: int = 200
 
     def __post_init__(self) -> None:
-        if not 0 < self.tolerance < 1:
-            raise ProblemError(f"Expected `tolerance` between 0 and 1. Received {self.tolerance}.")
-        if self.max_iterations < 1:
-            raise ProblemError(f"Expected `max_iterations` of at least 1. Received {self.max_iterations}.")
+        who = type(self).__name__
+        given.positive(f"{who}: tolerance", self.tolerance, below=1.0)
+        given.whole(f"{who}: max_iterations", self.max_iterations)
+
+    @property
+    def aim(self) -> float:
+        """The tolerance that the library is given, in the scales in which it runs."""
+        return max(_AIM * self.tolerance, _LEAST_AIM)
 
     def solve(
         self,
@@ -61,7 +77,7 @@ class AbstractSolver(abc.ABC):
         scaled = ScaledProgram(program, start)
         with scaled.evaluations.noting_interrupts():
             answer = self._answer(scaled, multipliers)
-            verdict = judge(scaled, answer)
+            verdict = judge(scaled, answer, self.tolerance)
         return _outcome(scaled, answer, verdict, self._name(), time.perf_counter() - began)
 
     @abc.abstractmethod
@@ -119,24 +135,29 @@ class AbstractSolver(abc.ABC):
         return answer
 
     def _rounds(self, scaled: ScaledProgram, multipliers: np.ndarray | None) -> Answer:
-        """Minimise, and again from the answer with a new scale of the objective, until the answer stands in it."""
-        spent, rounds = 0, 0
+        """Minimise, and again from the answer in the scales that it has there, until it stands in them."""
+        spent, rounds, tried = 0, 0, False
         while True:
             rounds += 1
-            last, left = rounds == _MOST_ROUNDS, self.max_iterations - spent
-            # Curvature met on a steep start can make a solver creep, so no round but the last uses all iterations.
-            share = left if last or left < _WORTH_SHARING else left // 2
+            left = self.max_iterations - spent
+            share = left - left // _LEFT_OVER if rounds == 1 and left >= _WORTH_SHARING else left
+            ran_in = scaled.scales
             answer = dataclasses.replace(self, max_iterations=share)._minimise(scaled, multipliers)
             spent += answer.iterations
-            answer, stands = self._settled(scaled, answer._replace(iterations=spent))
-            if last or stands or spent >= self.max_iterations:
+            answer = answer._replace(iterations=spent)
+            if scaled.evaluations.halt is not None or not scaled.is_finite(answer.point):
                 return answer
-            multipliers = None if answer.multipliers is None else answer.multipliers.rows
-
-    def _settled(self, scaled: ScaledProgram, answer: Answer) -> tuple[Answer, bool]:
-        if scaled.evaluations.halt is not None or not scaled.is_finite(answer.point):
-            return answer, True
-        return settle(scaled, answer)
+            answer, stands = settle(scaled, answer, self.tolerance)
+            if stands or rounds == _MOST_ROUNDS or spent >= self.max_iterations:
+                return answer
+            judged_in, better = scaled.scales, better_scales(scaled, answer)
+            if answer.claim is not Status.ITERATION_LIMIT:
+                if tried and better.is_near(ran_in, _SAME_SCALE):
+                    return answer
+                tried = True
+            scaled.rescale(answer.point, better)
+            known = judged_in.converted(answer.multipliers, better)
+            multipliers = None if known is None else known.rows
 
 
 def _outcome(scaled: ScaledProgram, answer: Answer, verdict: Verdict, solver: str, seconds: float) -> Outcome:
@@ -161,6 +182,7 @@ def _outcome(scaled: ScaledProgram, answer: Answer, verdict: Verdict, solver: st
         message=verdict.message,
         active=active,
         active_bounds=active_bounds,
+        sizes=scaled.sizes(verdict.sizes),
         failed_at=scaled.evaluations.failed_at if verdict.status is Status.EVALUATION_FAILED else None,
     )
 

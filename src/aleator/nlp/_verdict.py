@@ -6,7 +6,6 @@ import numpy as np
 
 from aleator.nlp._certificate import (
     Certificate,
-    Multipliers,
     certify,
     complementary,
     fit_multipliers,
@@ -16,20 +15,15 @@ from aleator.nlp._certificate import (
 from aleator.nlp._evaluations import NotFiniteError
 from aleator.nlp._outcome import Status
 from aleator.nlp._program import Evaluation
-from aleator.nlp._scaling import ScaledProgram
+from aleator.nlp._scaling import Multipliers, ScaledProgram, Scales
+from aleator.nlp._stall import stall
 
-# A solver's word that it converged is believed up to these residuals.
-_BELIEVED_VIOLATION = 1e-6
-_BELIEVED_OPTIMALITY = 1e-4
-# Up to these, a point is a solution even if the solver says that it gave up (small step, acceptable level).
-_PROVEN_VIOLATION = 1e-7
-_PROVEN_OPTIMALITY = 1e-5
-# A solver that was still under way must have arrived beyond doubt.
-_UNCLAIMED_OPTIMALITY = 1e-6
+HELD = 1e-6
+"""A constraint holds where it misses its bound by no more than this part of its size: the magnitude of the bound and of
+the values around the answer."""
+
 # Size of a probing step, in typical magnitudes: the change of the gradient must stand out from its rounding.
 _PROBE = 1e-4
-# Scales this close make no difference to a solver.
-_SAME_SCALE = 10.0
 
 
 class Answer(NamedTuple):
@@ -50,7 +44,10 @@ class Answer(NamedTuple):
 
 
 class Verdict(NamedTuple):
-    """What is reported: a point with its evaluation in user units, scaled multipliers and their certificate."""
+    """What is reported: a point with its evaluation in user units, scaled multipliers and their certificate.
+
+    `sizes`: of the useful constraints at the point, in user units, shape (m_useful,).
+    """
 
     status: Status
     point: np.ndarray
@@ -58,100 +55,155 @@ class Verdict(NamedTuple):
     multipliers: Multipliers
     certificate: Certificate
     message: str
+    sizes: np.ndarray
 
 
-def judge(scaled: ScaledProgram, answer: Answer) -> Verdict:
-    """Judge `answer`."""
+def judge(scaled: ScaledProgram, answer: Answer, tolerance: float) -> Verdict:
+    """Judge `answer`, which `settle` has seen."""
     if scaled.best is None:
         return _unknown(scaled, answer)
     if scaled.evaluations.halt is not None or answer.claim is Status.INTERRUPTED:
-        return _at(scaled, scaled.best, answer)
+        return _at_best(scaled, answer, tolerance)
     try:
-        evaluation = scaled.evaluate(answer.point)
+        scaled.evaluate(answer.point)
     except NotFiniteError:
-        return _at(scaled, scaled.best, answer._replace(claim=Status.EVALUATION_FAILED, multipliers=None))
-    user = scaled.evaluations.at(scaled.decisions(answer.point))
-    verdict = _at(scaled, (answer.point, user), answer)
-    status = _status(scaled, answer, evaluation, verdict.certificate)
-    if status is not answer.claim:
-        verdict = verdict._replace(status=status, message=f"{answer.message}; judged: {_reason(verdict.certificate)}")
+        return _at_best(scaled, answer._replace(claim=Status.EVALUATION_FAILED), tolerance)
+    user = _user(scaled, answer)
+    answer = _framed(scaled, answer, user)
+    verdict = _at(scaled, answer, user, tolerance)
+    status = _status(scaled, answer, verdict.certificate, tolerance)
+    if status is Status.FAILED and scaled.evaluations.failed_recently:
+        # A solver that gives up beside points that cannot be evaluated gave up because of them.
+        status = Status.EVALUATION_FAILED
+    verdict = verdict._replace(status=status)
+    if status is Status.FAILED:
+        reason = _reason(scaled, verdict, tolerance)
+        return verdict._replace(message=f"{reason} (the solver said: {answer.message})")
     if status is Status.EVALUATION_FAILED:
-        verdict = verdict._replace(
+        return verdict._replace(
             message=f"stuck beside points where the model is not finite; the solver said: {answer.message}"
         )
     if status is Status.INFEASIBLE:
-        return _at(scaled, scaled.best, Answer(status, answer.point, None, 0, verdict.message))
+        least = _at_best(scaled, answer._replace(claim=status), tolerance)
+        return least if least.certificate.violation > _held(tolerance) else verdict
     return verdict
 
 
-def _status(scaled: ScaledProgram, answer: Answer, evaluation: Evaluation, certificate: Certificate) -> Status:
-    claim = answer.claim
-    proven = _UNCLAIMED_OPTIMALITY if claim is Status.ITERATION_LIMIT else _PROVEN_OPTIMALITY
-    if certificate.within(_PROVEN_VIOLATION, proven):
+def _held(tolerance: float) -> float:
+    """The largest violation of a constraint that holds, over its size."""
+    return min(HELD, tolerance)
+
+
+def _status(scaled: ScaledProgram, answer: Answer, certificate: Certificate, tolerance: float) -> Status:
+    if certificate.within(_held(tolerance), tolerance):
         return Status.SOLVED
-    if claim is Status.SOLVED and certificate.within(_BELIEVED_VIOLATION, _BELIEVED_OPTIMALITY):
-        return Status.SOLVED
-    if certificate.violation > _BELIEVED_VIOLATION and is_least_violated(scaled, answer.point, evaluation):
+    infeasible = certificate.violation > _held(tolerance)
+    if infeasible and (answer.claim is Status.INFEASIBLE or _is_least_violated(scaled, answer)):
         return Status.INFEASIBLE
-    if claim in (Status.ITERATION_LIMIT, Status.EVALUATION_FAILED):
-        return claim
-    # A solver that gives up beside points that cannot be evaluated gave up because of them.
-    return Status.EVALUATION_FAILED if scaled.evaluations.failed_recently else Status.FAILED
+    if answer.claim in (Status.ITERATION_LIMIT, Status.EVALUATION_FAILED):
+        return answer.claim
+    return Status.FAILED
 
 
-def _at(scaled: ScaledProgram, point: tuple[np.ndarray, Evaluation], answer: Answer) -> Verdict:
-    """Report the answer's claim at `point`, with the multipliers that prove most."""
-    z, user = point
-    evaluation = scaled.scale(user)
+def _is_least_violated(scaled: ScaledProgram, answer: Answer) -> bool:
+    return is_least_violated(scaled, answer.point, scaled.evaluate(answer.point))
+
+
+def _examined(scaled: ScaledProgram, answer: Answer, user: Evaluation, tolerance: float) -> Answer:
+    """The answer, its claim infeasible where that is proven in the scales in which the solver ran, and only there.
+
+    Which weights the violations have in the sum or maximum that no step lowers does not matter.
+    """
+    size = scaled.magnitudes(user, answer.point).size
+    outside = scaled.violation(scaled.scale(user).constraints) * scaled.scales.constraints / size
+    if float(outside.max(initial=0.0)) > _held(tolerance) and _is_least_violated(scaled, answer):
+        return answer._replace(claim=Status.INFEASIBLE)
+    return answer._replace(claim=Status.FAILED) if answer.claim is Status.INFEASIBLE else answer
+
+
+def _user(scaled: ScaledProgram, answer: Answer) -> Evaluation:
+    """The evaluation of an answer's point in user units."""
+    return scaled.evaluations.at(scaled.decisions(answer.point))
+
+
+def _framed(scaled: ScaledProgram, answer: Answer, user: Evaluation) -> Answer:
+    """The answer in scales that are the constraints' sizes at it, which are those of `scaled` from now on."""
+    size = scaled.magnitudes(user, answer.point).size
+    return _rescaled(scaled, answer, scaled.scales._replace(constraints=size))
+
+
+def _rescaled(scaled: ScaledProgram, answer: Answer, scales: Scales) -> Answer:
+    before = scaled.scales
+    scaled.rescale(answer.point, scales)
+    return answer._replace(multipliers=before.converted(answer.multipliers, scales))
+
+
+def better_scales(scaled: ScaledProgram, answer: Answer) -> Scales:
+    """The scales in which a solver had best go on from an answer that `settle` has seen."""
+    scale = scaled.magnitudes(_user(scaled, answer), answer.point).scale
+    return scaled.scales._replace(constraints=scale)
+
+
+def _at_best(scaled: ScaledProgram, answer: Answer, tolerance: float) -> Verdict:
+    """Report the answer's claim at the best point seen."""
+    assert scaled.best is not None
+    point, user = scaled.best
+    at_best = _framed(scaled, answer._replace(point=point, multipliers=None), user)
+    return _at(scaled, at_best, user, tolerance)
+
+
+def _at(scaled: ScaledProgram, answer: Answer, user: Evaluation, tolerance: float) -> Verdict:
+    """Report the answer's claim at its point, with the multipliers that prove most."""
+    z, evaluation = answer.point, scaled.scale(user)
     candidates = []
     if answer.multipliers is not None:
         own = certify(scaled, z, evaluation, answer.multipliers)
         candidates.append((own, answer.multipliers))
-    if not candidates or not candidates[0][0].within(np.inf, _PROVEN_OPTIMALITY):
+    if not candidates or not candidates[0][0].within(np.inf, tolerance):
+        none = Multipliers(np.zeros(scaled.rows), np.zeros(scaled.size))
+        least = Certificate(certify(scaled, z, evaluation, none).violation, scaled.above_least(user), 0.0)
         fitted = fit_multipliers(scaled, z, evaluation)
-        candidates.append((certify(scaled, z, evaluation, fitted), fitted))
+        candidates += [(certify(scaled, z, evaluation, fitted), fitted), (least, none)]
     certificate, multipliers = min(candidates, key=lambda pair: max(pair[0].stationarity, pair[0].complementarity))
-    return Verdict(answer.claim, z, user, multipliers, certificate, answer.message)
+    return Verdict(answer.claim, z, user, multipliers, certificate, answer.message, scaled.scales.constraints)
 
 
-def converted(multipliers: Multipliers | None, factor: float) -> Multipliers | None:
-    """Multipliers of the objective times `factor`."""
-    return None if multipliers is None else Multipliers(multipliers.rows * factor, multipliers.bounds * factor)
-
-
-def settle(scaled: ScaledProgram, answer: Answer) -> tuple[Answer, bool]:
-    """Scale the objective by what it does at the answer, and say whether the answer stands in that scale.
+def settle(scaled: ScaledProgram, answer: Answer, tolerance: float) -> tuple[Answer, bool]:
+    """Scale objective and constraints by what they are at the answer, and say whether the answer stands in that scale:
+    solved, infeasible, or not a point to go on from.
 
     The start may be so steep that every slope near the answer is negligible beside it. So the answer is judged by
     the terms that cancel in the gradient of its Lagrangian and, where these are no larger than the remainder (at an
     optimum inside all bounds they vanish), by the change of that gradient over a typical magnitude of the decisions,
     for which the model is evaluated once more, close by. Neither depends on the start or on an offset.
-
-    The answer also stands where nothing is to be gained by another scale: infeasible, not finite, or scaled much the
-    same already. One that is still under way stands only if it has arrived.
     """
-    if answer.claim not in (Status.SOLVED, Status.FAILED, Status.ITERATION_LIMIT):
+    user = _user(scaled, answer)
+    if answer.claim in (Status.EVALUATION_FAILED, Status.INTERRUPTED):
         return answer, True
-    evaluation = scaled.evaluate(answer.point)
-    user = scaled.evaluations.at(scaled.decisions(answer.point))
-    multipliers = complementary(
-        scaled, answer.point, evaluation, _at(scaled, (answer.point, user), answer).multipliers, _PROVEN_OPTIMALITY
-    )
+    answer = _framed(scaled, _examined(scaled, answer, user, tolerance), user)
+    verdict = _at(scaled, answer, user, tolerance)
+    if verdict.certificate.violation <= _held(tolerance):
+        size = _size_of_gradient(scaled, answer.point, verdict.multipliers, tolerance)
+        scales = scaled.scales
+        answer = _rescaled(scaled, answer, scales._replace(objective=scales.objective * size))
+        verdict = _at(scaled, answer, user, tolerance)
+    status = _status(scaled, answer, verdict.certificate, tolerance)
+    return answer, status in (Status.SOLVED, Status.INFEASIBLE)
+
+
+def _size_of_gradient(scaled: ScaledProgram, z: np.ndarray, multipliers: Multipliers, tolerance: float) -> float:
+    """What the remaining gradient of the Lagrangian at a feasible point is to be compared with."""
+    evaluation = scaled.evaluate(z)
+    multipliers = complementary(scaled, z, evaluation, multipliers, tolerance)
     remainder = lagrangian_gradient(evaluation, multipliers)
-    under_way = answer.claim is Status.ITERATION_LIMIT
-    if scaled.violation(evaluation.constraints).max(initial=0.0) > _BELIEVED_VIOLATION or not remainder.any():
-        return answer, not under_way
+    if not remainder.any():
+        return 1.0
     largest = float(np.abs(remainder).max())
     pushes = remainder - evaluation.gradient
     size = float(np.minimum(np.abs(evaluation.gradient), np.abs(pushes)).max())
-    if largest > _PROVEN_OPTIMALITY * size:
-        size = max(size, _change_of_gradient(scaled, answer.point, multipliers, remainder)) or largest
-    before, after = scaled.objective_scale, scaled.objective_scale * size
-    scaled.rescale(answer.point, after)
-    answer = answer._replace(multipliers=converted(answer.multipliers, before / after))
-    if under_way:
-        return answer, largest <= _UNCLAIMED_OPTIMALITY * size
-    return answer, largest <= _PROVEN_OPTIMALITY * size or 1 / _SAME_SCALE <= size <= _SAME_SCALE
+    if largest > tolerance * size:
+        size = max(size, _change_of_gradient(scaled, z, multipliers, remainder)) or largest
+    return size
 
 
 def _change_of_gradient(scaled: ScaledProgram, z: np.ndarray, multipliers: Multipliers, remainder: np.ndarray) -> float:
@@ -175,11 +227,18 @@ def _unknown(scaled: ScaledProgram, answer: Answer) -> Verdict:
     """No point could be evaluated: nothing is known."""
     nowhere = Certificate(np.nan, np.nan, np.nan)
     zero = Multipliers(np.zeros(scaled.rows), np.zeros(scaled.size))
-    return Verdict(answer.claim, answer.point, scaled.evaluations.last, zero, nowhere, answer.message)
+    sizes = scaled.scales.constraints
+    return Verdict(answer.claim, answer.point, scaled.evaluations.last, zero, nowhere, answer.message, sizes)
 
 
-def _reason(certificate: Certificate) -> str:
-    return (
-        f"violation {certificate.violation:.1e}, stationarity {certificate.stationarity:.1e}, "
-        f"complementarity {certificate.complementarity:.1e}, all scaled"
-    )
+def _reason(scaled: ScaledProgram, verdict: Verdict, tolerance: float) -> str:
+    """Why a point is no solution: what is not met, and what is known of the reason."""
+    certificate = verdict.certificate
+    if certificate.violation > _held(tolerance):
+        return (
+            f"a constraint is missed by {certificate.violation:.1e} of its size, where {_held(tolerance):.0e} is "
+            "asked, though small steps would still lessen it"
+        )
+    residual = max(certificate.stationarity, certificate.complementarity)
+    known = stall(scaled, verdict.point, verdict.multipliers)
+    return f"stationarity is {residual:.1e}, where {tolerance:.0e} is asked{known and ': '}{known}"

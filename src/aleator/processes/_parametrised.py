@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from aleator._core.errors import ProblemError
+from aleator._core.leaves import AbstractLeaf
 from aleator.trajectories import AbstractSignal
 
 
@@ -56,7 +57,9 @@ def signal(function: Callable[[Any, Any], Any], /, **parameters: Any) -> Paramet
 
 def _parameter(name: str, value: Any) -> Any:
     """A parameter as it is stored: floats are data that change nothing compiled, whole numbers are structure."""
-    if isinstance(value, eqx.Module | jax.Array) or (isinstance(value, int) and not isinstance(value, bool)):
+    if isinstance(value, AbstractLeaf | AbstractSignal | jax.Array) or (
+        isinstance(value, int) and not isinstance(value, bool)
+    ):
         return value
     if (
         not isinstance(value, float | list | tuple | np.ndarray | np.generic)

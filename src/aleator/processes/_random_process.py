@@ -1,6 +1,6 @@
 """`RandomProcess`: a random process as a signal, through its Karhunen-Loève expansion."""
 
-from typing import Any, final
+from typing import Any, ClassVar, final
 
 import jax
 import jax.numpy as jnp
@@ -50,6 +50,8 @@ class RandomProcess(AbstractSignal):
     functions: Float[np.ndarray, "polynomials modes"]
     t_start: float
     t_final: float
+
+    unbounded: ClassVar[bool] = True
 
     def __init__(
         self,

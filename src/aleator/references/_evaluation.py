@@ -11,7 +11,10 @@ from jaxtyping import Float
 
 from aleator._core.arrays import Pytree
 from aleator._core.errors import ProblemError, SimulationError
+from aleator._core.given import whole as whole_given
+from aleator._core.memory import NUMBER, refuse_beyond_memory
 from aleator._core.progress import Progress
+from aleator._core.tracing import Traced, trace
 from aleator.references._outputs import UNTRACEABLE, Function, real_array
 from aleator.uncertainty import Survey, realise, survey, uncertain_numbers
 
@@ -34,9 +37,13 @@ def uncertain_places(verb: str, function: Function, model: Pytree) -> Survey:
 def check_whole(verb: str, **numbers: Any) -> None:
     """Refuse anything but whole numbers, positive unless it is the seed."""
     for name, number in numbers.items():
-        least = 0 if name == "seed" else 1
-        if isinstance(number, bool) or not isinstance(number, int | np.integer) or number < least:
-            raise ProblemError(f"{verb}: expected a whole number of at least {least} as {name}; received {number!r}.")
+        whole_given(f"{verb}: {name}", number, least=0 if name == "seed" else 1)
+
+
+def refuse_large_sample(verb: str, samples: int, variables: int) -> None:
+    """Refuse a sample whose inputs, as levels and as germ values, would not fit into memory."""
+    what = f"{verb}: {samples} samples of {variables} variables"
+    refuse_beyond_memory(what, 2 * NUMBER * samples * variables, "Ask for fewer samples.")
 
 
 def map_to_germ(places: Survey, levels: Float[np.ndarray, "n variables"]) -> Float[np.ndarray, "n variables"]:
@@ -97,24 +104,26 @@ def _refuse_change(kept: Pytree, values: Pytree) -> None:
 
 
 def _traced(function: Function, model: Pytree, decisions: jax.Array, batch: int) -> Callable[[np.ndarray], Pytree]:
-    """The function vectorised by JAX, compiled for this use alone: it may read what changes until the next one."""
+    """The function vectorised by JAX, traced for this use alone: it may read what changes until the next one."""
 
     def one(germ: jax.Array) -> Pytree:
         return jax.tree.map(lambda value: real_array(value, jnp), function(realise(model, germ, decisions)))
 
-    compiled = jax.jit(jax.vmap(one))
+    found: list[Traced] = []
 
     def outputs(germ: np.ndarray) -> Pytree:
         # The last batch is filled up, so that one compiled size serves all.
         filled = jnp.asarray(np.resize(germ, (batch, germ.shape[1])))
         try:
-            values = compiled(filled)
+            if not found:
+                name = f"'{getattr(function, '__name__', type(function).__name__)}'"
+                found.append(trace(jax.vmap(one), filled, code=function, name=name))
         except UNTRACEABLE as error:
             raise ProblemError(
                 f"The function cannot be traced by JAX ({str(error).splitlines()[0]}) Write it with jax.numpy, or say "
                 "traced=False: it is then called with plain numbers, point by point."
             ) from error
-        return jax.tree.map(lambda leaf: np.asarray(leaf)[: len(germ)], values)
+        return jax.tree.map(lambda leaf: np.asarray(leaf)[: len(germ)], found[0](filled))
 
     return outputs
 

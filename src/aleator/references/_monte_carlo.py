@@ -7,7 +7,7 @@ from aleator._core.arrays import Pytree
 from aleator._core.errors import ProblemError
 from aleator._core.progress import Progress, silent
 from aleator.references._estimate import group_count
-from aleator.references._evaluation import check_whole, evaluate, uncertain_places
+from aleator.references._evaluation import check_whole, evaluate, refuse_large_sample, uncertain_places
 from aleator.references._outputs import Function
 from aleator.references._random_sample import RandomSample
 
@@ -41,6 +41,7 @@ def monte_carlo(
     if samples < 4:
         raise ProblemError(f"monte_carlo: expected at least 4 samples; received {samples}.")
     places = uncertain_places("monte_carlo", function, model)
+    refuse_large_sample("monte_carlo", samples, len(places.germs))
     # Never 0, where unbounded laws are infinite; 1 is left out by the generator.
     levels = np.random.default_rng(seed).uniform(np.finfo(float).tiny, 1.0, (samples, len(places.germs)))
     values = evaluate(function, model, levels, traced=traced, batch=batch, progress=progress)
@@ -85,6 +86,7 @@ def scrambled_nets(
             f"{verb}: expected samples that are replicates times a power of two, such as {replicates} * 1024; received "
             f"samples={samples} with replicates={replicates}."
         )
+    refuse_large_sample(verb, samples, variables)
     # SciPy calls the generator `seed` up to 1.14; its type stubs know the later name alone.
     settings = {"bits": _DIGITS, "seed": np.random.default_rng(seed)}
     from scipy.stats import qmc  # late: it takes a second to import

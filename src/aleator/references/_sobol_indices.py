@@ -10,7 +10,7 @@ from aleator._core.arrays import Pytree
 from aleator._core.errors import ProblemError
 from aleator._core.progress import Progress, silent
 from aleator.references._estimate import Estimate, estimate
-from aleator.references._evaluation import check_whole, evaluate, uncertain_places
+from aleator.references._evaluation import check_whole, evaluate, refuse_large_sample, uncertain_places
 from aleator.references._monte_carlo import scrambled_nets
 from aleator.references._outputs import Function
 
@@ -54,6 +54,7 @@ def sobol_indices(
     check_whole("sobol_indices", samples=samples, replicates=replicates, seed=seed, batch=batch)
     places = uncertain_places("sobol_indices", function, model)
     names = list(places.germs)
+    refuse_large_sample("sobol_indices", (len(names) + 2) * samples, len(names))
     both = scrambled_nets("sobol_indices", 2 * len(names), samples, replicates, seed)
     levels = _exchanged(both[:, : len(names)], both[:, len(names) :])
     values = evaluate(function, model, levels.reshape(-1, len(names)), traced=traced, batch=batch, progress=progress)

@@ -11,6 +11,7 @@ from aleator.report._fronts import decision_path_figure as decision_path_figure
 from aleator.report._fronts import front_figure as front_figure
 from aleator.report._fronts import price_figure as price_figure
 from aleator.report._fronts import relative_figure as relative_figure
+from aleator.report._lock import only_writer as only_writer
 from aleator.report._methods import Trial as Trial
 from aleator.report._methods import bars_figure as bars_figure
 from aleator.report._methods import density_figure as density_figure
@@ -31,6 +32,7 @@ from aleator.report._page import Card as Card
 from aleator.report._page import Code as Code
 from aleator.report._page import Drawing as Drawing
 from aleator.report._page import Page as Page
+from aleator.report._page import Schematic as Schematic
 from aleator.report._page import Section as Section
 from aleator.report._page import Table as Table
 from aleator.report._page import Text as Text
@@ -44,8 +46,10 @@ from aleator.report._samples import calibration_figure as calibration_figure
 from aleator.report._samples import percentile_figure as percentile_figure
 from aleator.report._samples import signal_figure as signal_figure
 from aleator.report._samples import trajectory_figure as trajectory_figure
+from aleator.report._store import PAGE as PAGE
 from aleator.report._store import json_text as json_text
 from aleator.report._store import save as save
+from aleator.report._store import save_study as save_study
 from aleator.report._style import Look as Look
 from aleator.report._style import looks as looks
 from aleator.report._tables import certificate_table as certificate_table

@@ -9,7 +9,7 @@ from aleator.design import Solution, statistics_in
 from aleator.report import _units
 from aleator.statistics import Mean, Std
 from aleator.sweep import Calibration, Front
-from aleator.validation import PERCENTILES, Evidence, Proportion
+from aleator.validation import PERCENTILES, Evidence, Share
 
 if TYPE_CHECKING:
     import xarray
@@ -132,15 +132,17 @@ def calibration_dataset(calibration: Calibration) -> "xarray.Dataset":
     objectives = [one.solution.objective for one in trials]
     data["objective"] = _variable("sigmas", objectives, "optimum at this margin", _objective_unit(trials[0].solution))
     sigmas = _variable("sigmas", [one.sigmas for one in trials], "multiple of the standard deviation", "1")
-    confirmed = calibration.evidence.violations[calibration.name]
     attributes = {
         "constraint": calibration.name,
         "target": calibration.target,
         "chosen": calibration.sigmas,
-        "confirmed": confirmed.estimate,
-        "confirmed_lower": confirmed.lower,
-        "confirmed_upper": confirmed.upper,
+        "confirmed": int(calibration.confirmed),
+        "verdict": calibration.sentence(),
+        "interrupted": int(calibration.interrupted),
     }
+    if (fresh := calibration.confirmation) is not None:
+        attributes |= {"fresh": fresh.estimate, "fresh_lower": fresh.lower, "fresh_upper": fresh.upper}
+        attributes |= {"fresh_samples": fresh.samples, "fresh_confidence": fresh.confidence}
     return xarray.Dataset(data, coords={"sigmas": sigmas}, attrs=attributes)
 
 
@@ -178,7 +180,7 @@ def _axes(values: Any, is_path: bool) -> tuple[str, ...]:
     return ("time", *rest) if is_path else rest
 
 
-def _share_variables(axis: str, shares: list[Proportion]) -> dict[str, Variable]:
+def _share_variables(axis: str, shares: list[Share]) -> dict[str, Variable]:
     level = f"{100 * shares[0].confidence:g} %" if shares else ""
     return {
         "violation": _variable(axis, [one.estimate for one in shares], "share of systems that violate", "1"),

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from aleator.report._numbers import count, given, number, seconds
-from aleator.report._style import ALARM, MUTED, blank, label, limit_line, looks, padded, plain
+from aleator.report._style import ALARM, MUTED, SIZE, blank, label, limit_line, looks, padded, plain
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
@@ -50,9 +50,15 @@ def density_figure(
     x: str,
     unit: str = "",
     limits: Sequence[float] = (),
+    tails: Sequence[str] = (),
+    logarithmic: bool = False,
+    title: str = "",
 ) -> "Figure":
-    """Probability densities of one quantity against its limits; what lies beyond them is filled."""
-    figure = blank(label(x, unit), label("Density", f"1/{unit}" if unit else ""), height=380)
+    """Probability densities of one quantity against its limits; what lies beyond them is filled.
+
+    `tails` says how much lies below and above the limits. Tails too thin to be seen show on a `logarithmic` axis.
+    """
+    figure = blank(label(x, unit), label("Density", f"1/{unit}" if unit else ""), title=title, height=380)
     for name, look in looks(densities).items():
         figure.add_scatter(
             x=values,
@@ -79,7 +85,22 @@ def density_figure(
     for limit in limits:
         limit_line(figure, limit, f"limit {given(limit, unit)}", axis="x")
     figure.update_xaxes(range=padded([*values[[0, -1]], *limits], 0.02))
-    figure.update_yaxes(rangemode="tozero")
+    if logarithmic:
+        figure.update_yaxes(type="log", exponentformat="power", dtick=2)
+    else:
+        figure.update_yaxes(rangemode="tozero")
+    for text, limit, anchor in zip(tails, limits, ("right", "left"), strict=False):
+        figure.add_annotation(
+            text="<br>".join(map(plain, text.splitlines())),
+            x=limit,
+            xanchor=anchor,
+            xshift={"right": -18, "left": 6}[anchor],
+            yref="paper",
+            y=0.98,
+            yanchor="top",
+            showarrow=False,
+            font={"size": SIZE - 1, "color": ALARM},
+        )
     return figure
 
 

@@ -8,7 +8,7 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
-    from aleator.validation import Proportion
+    from aleator.validation import Share
 
 _THIN = "\u202f"  # narrow space that does not break a line
 _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
@@ -63,13 +63,13 @@ def percent(probability: float) -> str:
     return f"{value:#.3g}".rstrip(".") + f"{_THIN}%"
 
 
-def interval(share: "Proportion") -> str:
+def interval(share: "Share") -> str:
     """The confidence interval of a share: `34.3 to 35.6 %`."""
     ends = [percent(end).removesuffix(f"{_THIN}%") for end in (share.lower, share.upper)]
     return f"{ends[0]} to {ends[1]}{_THIN}%"
 
 
-def share_text(share: "Proportion | None") -> str:
+def share_text(share: "Share | None") -> str:
     """A share with its confidence interval: `35.0 % [34.3 to 35.6 %]`; a dash where nothing was counted."""
     return "–" if share is None else f"{percent(share.estimate)} [{interval(share)}]"
 

@@ -84,7 +84,24 @@ class Drawing:
     kind: str = "drawing"
 
 
-Block = Text | Code | Table | Drawing
+@final
+@dataclass(frozen=True)
+class Schematic:
+    """Drawings of a system as SVG made by `sketch`, and beside them its mathematics."""
+
+    drawings: Sequence[str]
+    heading: str
+    caption: str = ""
+    number: str = ""
+    beside: Sequence[Code] = ()
+    kind: str = "schematic"
+
+    def __html__(self) -> str:
+        """The drawings as markup, for the template: `sketch` escapes what it is given."""
+        return "".join(f'<div class="sketch">{one}</div>' for one in self.drawings)
+
+
+Block = Text | Code | Table | Drawing | Schematic
 
 
 @final

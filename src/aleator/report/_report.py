@@ -9,7 +9,7 @@ import numpy as np
 from aleator._core.errors import ProblemError
 from aleator.design import Solution
 from aleator.report import _units
-from aleator.report._files import check_writable
+from aleator.report._files import as_path, check_writable
 from aleator.report._fronts import front_figure, price_figure
 from aleator.report._numbers import count, interval, number, percent, words
 from aleator.report._page import Block, Card, Code, Drawing, Page, Section, Text, Verdict, write_page
@@ -69,7 +69,7 @@ def report(
         raise ProblemError("report: expected at least one solution; received none.")
     first = next(iter(designs))
     sampled, swept = _named(evidence, Evidence, first), _named(fronts, Front, first)
-    check_writable(Path(path).parent)
+    check_writable(as_path(path).parent)
     return write_page(_page(designs, sampled, {name: one for name, one in swept.items() if one.solutions}, title), path)
 
 
@@ -124,9 +124,11 @@ def verdict(designs: Mapping[str, Solution], evidence: Mapping[str, Evidence]) -
     failed = {name: one for name, one in designs.items() if not one.ok}
     coarse = unresolved(designs)
     sentences = [f"{name}: {one.why()}" for name, one in failed.items()]
+    contradicted = {name: one for name, one in evidence.items() if not one.agrees}
+    sentences += [f"{name}: {one.alarm()}" for name, one in contradicted.items()]
     sentences += [_violation_sentence(name, one) for name, one in evidence.items()]
     sentences += [
-        f"The expansion of {name} leaves {percent(error)} of the variance of {text} unexplained: "
+        f"The expansion of {name} misses new samples of {text} by {percent(error)} of their standard deviation: "
         "raise its order before trusting its means and spreads."
         for name, (text, error) in coarse.items()
     ]
@@ -139,6 +141,9 @@ def verdict(designs: Mapping[str, Solution], evidence: Mapping[str, Evidence]) -
     solved = "The design is solved" if len(designs) == 1 else f"All {len(designs)} designs are solved"
     if coarse:
         return Verdict("bad", "Not resolved", f"{solved}, but the expansion is too coarse to trust.", sentences, cards)
+    if contradicted:
+        headline = f"{solved}, but fresh simulations contradict {words(list(contradicted))}: do not trust the numbers."
+        return Verdict("bad", "Contradicted", headline, sentences, cards)
     unchecked = [name for name in designs if name not in evidence]
     if unchecked:
         headline = f"{solved} to tolerance; no Monte Carlo evidence is given for {words(unchecked)}."
@@ -233,7 +238,17 @@ def _front_blocks(fronts: Mapping[str, Front]) -> list[Block]:
 def _evidence_blocks(evidence: Mapping[str, Evidence]) -> list[Block]:
     if not evidence:
         return []
-    blocks: list[Block] = [one for one in (evidence_table(evidence), statistics_table(evidence)) if one is not None]
+    blocks: list[Block] = [
+        Text([one.alarm()], lead=f"{name}: samples and solution disagree.")
+        for name, one in evidence.items()
+        if not one.agrees
+    ]
+    blocks += [
+        Text([one.sentence() for one in each.compared], lead=f"{name}: limits on statistics, by the samples.")
+        for name, each in evidence.items()
+        if each.compared
+    ]
+    blocks += [one for one in (evidence_table(evidence), statistics_table(evidence)) if one is not None]
     for text in dict.fromkeys(text for one in evidence.values() for text in one.functionals):
         group = {name: one.functionals[text] for name, one in evidence.items() if text in one.functionals}
         if any(np.ndim(one.mean) or one.percentiles is None for one in group.values()):

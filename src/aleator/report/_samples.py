@@ -169,12 +169,12 @@ def percentile_figure(
 
 
 def calibration_figure(calibration: Calibration, *, who: str = "systems") -> "Figure":
-    """How often a design violates against the margin it was given, with intervals; the target; the choice confirmed."""
+    """How often a design violates against its margin, with intervals; the target; the choice on fresh samples."""
     figure = blank(
         "Margin a (multiples of σ)", plain(f"{who.capitalize()} that violate {calibration.name} (%)"), height=380
     )
     trials = sorted(calibration.trials, key=lambda one: one.sigmas)
-    confirmed = calibration.evidence.violations[calibration.name]
+    fresh = [] if calibration.confirmation is None else [calibration.confirmation]
     groups = (
         (
             "trials, one sample for all",
@@ -183,7 +183,7 @@ def calibration_figure(calibration: Calibration, *, who: str = "systems") -> "Fi
             "#0072b2",
             "circle",
         ),
-        ("the choice, on fresh samples", [calibration.sigmas], [confirmed], ALARM, "star"),
+        ("the choice, on fresh samples", [calibration.sigmas for _ in fresh], fresh, ALARM, "star"),
     )
     for name, sigmas, shares, colour, symbol in groups:
         figure.add_scatter(

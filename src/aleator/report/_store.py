@@ -2,7 +2,8 @@
 
 import json
 import math
-from collections.abc import Mapping
+import uuid
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,29 +12,45 @@ import numpy as np
 from aleator.design import ConstraintResult, Solution
 from aleator.report import _units
 from aleator.report._datasets import tree
-from aleator.report._files import check_writable, write_text, write_whole
+from aleator.report._files import write_together
 from aleator.sweep import Calibration, Front
 from aleator.validation import Evidence, Proportion
 
 Result = Solution | Evidence | Front | Calibration
+
+PAGE = "report.html"
+"""The page of a study, beside its results."""
 
 
 def save(folder: str | Path, **results: Result | Mapping[str, Any] | None) -> tuple[Path, ...]:
     """Write results into a folder and return the paths: `results.nc`, and `designs.json` if there is a solution.
 
     Each keyword is a result or a mapping of results by name, nested as needed: a group of the netCDF file.
-    Solutions become entries of the JSON file, with the violations of the evidence that speaks of them. Every file
-    is whole or not there: what an earlier run left stays until the new one is complete.
+    Solutions become entries of the JSON file, with the violations of the evidence that speaks of them. Both files are
+    of one generation, whose name they carry: what an earlier run left stays until the new ones are complete.
 
-    Raises `ProblemError` if the folder cannot be written.
+    Raises `ProblemError` if the folder cannot be written, or if another process keeps writing into it.
     """
-    folder = check_writable(folder)
+    return _write(folder, results, ())
+
+
+def save_study(folder: str | Path, **results: Result | Mapping[str, Any] | None) -> tuple[Path, ...]:
+    """Write results as `save` does, and take away the page of earlier ones: it would show other numbers than these."""
+    return _write(folder, results, (PAGE,))
+
+
+def _write(folder: str | Path, results: Mapping[str, Any], outdated: Sequence[str]) -> tuple[Path, ...]:
+    """Write one generation of results, and take outdated files away with the earlier one."""
+    generation = uuid.uuid4().hex
     nodes = tree(results)
-    written = [write_whole(folder / "results.nc", lambda file: nodes.to_netcdf(file, engine="h5netcdf"))]
-    document = designs_document(results)
-    if document:
-        written.append(write_text(folder / "designs.json", json_text(document)))
-    return tuple(written)
+    nodes.attrs["generation"] = generation
+    document = {place: {**one, "generation": generation} for place, one in designs_document(results).items()}
+    files = {
+        # In memory: on a full disk HDF5 ends the process, failing to close its file.
+        "results.nc": bytes(nodes.to_netcdf(engine="h5netcdf")),
+        "designs.json": json_text(document).encode("utf-8") if document else None,
+    }
+    return write_together(folder, {**files, **dict.fromkeys(outdated)})
 
 
 def json_text(document: Any) -> str:
@@ -126,6 +143,9 @@ def solution_document(solution: Solution, evidence: Evidence | None = None) -> d
             "samples": evidence.samples,
             "seed": evidence.seed,
             "instants": evidence.instants,
+            "agrees": evidence.agrees,
+            "disagreements": [one.sentence() for one in evidence.disagreements],
+            "compared": [one.sentence() for one in evidence.compared],
             "violations": {**shares, "any": _share(evidence.joint)},
         }
     return document

@@ -4,7 +4,6 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from aleator.collocation import UNRESOLVED
 from aleator.design import ConstraintResult, Solution
 from aleator.nlp import Status
 from aleator.report import _units
@@ -15,6 +14,9 @@ from aleator.validation import Checked, Evidence
 
 STATUS_WORDS = {
     Status.NOT_HELD: "limits break between the instants",
+    Status.COARSE: "the grid is too coarse",
+    Status.CONTRADICTED: "fresh simulations contradict the expansion",
+    Status.WORST_CASE_BROKEN: "the worst case breaks a limit",
     Status.SOLVED: "solved",
     Status.INFEASIBLE: "infeasible",
     Status.ITERATION_LIMIT: "iteration limit",
@@ -127,8 +129,8 @@ def certificate_table(solutions: Mapping[str, Solution]) -> Table:
         rows.append([f"Leave-one-out error, {text}", *(_leave_one_out(one, text) for one in every)])
     note = (
         "Residuals are computed from the point and its multipliers, not taken from the solver. The leave-one-out error"
-        " is the squared error of predicting each collocation point from all others, relative to the variance: up to"
-        f" {given(100 * UNRESOLVED)} % it counts as resolved."
+        " is the rms error of predicting each collocation point from all others, relative to the standard deviation:"
+        f" up to {words(sorted({f'{given(100 * one.expansion.tolerance)} %' for one in every}))} it counts as resolved."
     )
     return Table("Certificate", ["", *solutions], rows, note)
 

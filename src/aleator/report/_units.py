@@ -2,11 +2,9 @@
 
 from aleator._core.units import PURE, rate
 from aleator.design import AbstractFunctional, Expression, Problem, Statistic, Units, functionals_of
-from aleator.mechanics import AbstractMechanical
+from aleator.mechanics import AbstractFormulation
 from aleator.uncertainty import fields_of
 
-# What only holds the rest of a system does not show in the names of its numbers.
-_HOLDERS = ("model.", "dimensions.")
 # Those parameters of distributions that are in the unit of the uncertain number itself.
 _LIKE_THE_NUMBER = (
     *("mean", "std", "half_width", "lower", "upper", "mode", "median", "location", "scale"),
@@ -47,22 +45,17 @@ def _shown(unit: str) -> str:
 
 def _number(name: str, problem: Problem) -> str:
     """The unit of a number of the model, by the name under which it is decided."""
-    units = _TIMES | {_place(place): field.metadata.get("unit", "") for place, field, _ in fields_of(problem.system)}
+    units = _TIMES | {place: field.metadata.get("unit", "") for place, field, _ in fields_of(problem.system)}
     owner, _, parameter = name.rpartition(".")
     unit = units.get(name.split("[")[0]) or (units.get(owner) if parameter in _LIKE_THE_NUMBER else "")
     return unit if isinstance(unit, str) else ""
 
 
-def _place(path: str) -> str:
-    for holder in _HOLDERS:
-        path = path.removeprefix(holder)
-    return path
-
-
 def _outputs(problem: Problem) -> dict[str, str]:
     """The units that a system declares, and those of the rates that every mechanical system has."""
-    units, model = dict(problem.system.units), getattr(problem.system, "model", None)
-    if isinstance(model, AbstractMechanical):
+    units = dict(problem.system.units)
+    if isinstance(problem.system, AbstractFormulation):
+        model = problem.system.model
         for name in model.coordinates:
             speed = units.setdefault(f"{name}_rate", rate(units.get(name, "")))
             units.setdefault(f"{name}_acceleration", rate(speed))

@@ -10,11 +10,13 @@ from aleator.statistics._moments import Mean as Mean
 from aleator.statistics._moments import Std as Std
 from aleator.statistics._moments import Variance as Variance
 from aleator.statistics._moments import root as root
+from aleator.statistics._moments import varies as varies
 from aleator.statistics._shape import CornishFisher as CornishFisher
 from aleator.statistics._shape import Kurtosis as Kurtosis
 from aleator.statistics._shape import Skewness as Skewness
 from aleator.statistics._sobol import Sobol as Sobol
 from aleator.statistics._sobol import TotalSobol as TotalSobol
+from aleator.statistics._sobol import refuse_correlated as refuse_correlated
 from aleator.statistics._statistic import AbstractStatistic as AbstractStatistic
 from aleator.statistics._statistic import Constants as Constants
 from aleator.statistics._statistic import Preparation as Preparation

@@ -19,11 +19,11 @@ _EASY_TOGETHER = 64
 
 @final
 class Supremum(AbstractStatistic):
-    """The largest value that the expansion takes anywhere on the support of bounded laws: a guaranteed upper bound.
+    """The largest value that the expansion takes anywhere on the support of bounded distributions, bounded from above.
 
-    It is at least the supremum of the expansion. Where the search ends before its limit on boxes, it is above it by at
-    most 1e-4 of the range of the Bernstein coefficients; `attained` tells the gap. Its derivative is that of the active
-    coefficient.
+    It bounds the expansion, not the model, which may exceed it where the expansion misses something. It is at least the
+    supremum of the expansion. Where the search ends before its limit on boxes, it is above it by at most 1e-4 of the
+    range of the Bernstein coefficients; `attained` tells the gap. Its derivative is that of the active coefficient.
     """
 
     symbol: ClassVar[str] = "sup"
@@ -53,7 +53,7 @@ class Supremum(AbstractStatistic):
 
 @final
 class Infimum(AbstractStatistic):
-    """The smallest value that the expansion takes anywhere on the support: a guaranteed lower bound. See `Supremum`."""
+    """The smallest value that the expansion takes anywhere on the support, bounded from below. See `Supremum`."""
 
     symbol: ClassVar[str] = "inf"
 

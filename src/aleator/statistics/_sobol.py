@@ -2,7 +2,7 @@
 polynomial chaos expansions).
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
 from typing import NoReturn, final
@@ -17,6 +17,7 @@ from aleator._core.units import PURE
 from aleator.collocation import Basis
 from aleator.statistics._moments import varies
 from aleator.statistics._statistic import AbstractStatistic
+from aleator.uncertainty import AbstractDistribution
 
 
 @final
@@ -132,6 +133,27 @@ def share(coefficients: Float[Array, "terms *shape"], selected: Float[Array, " t
     total = jnp.sum(squares, axis=0)
     spreads = varies(coefficients)
     return jnp.where(spreads, jnp.tensordot(selected[1:], squares, axes=1) / jnp.where(spreads, total, 1.0), 0.0)
+
+
+def refuse_correlated(laws: Mapping[str, AbstractDistribution], kind: AbstractStatistic) -> None:
+    """Raise `ProblemError` for a Sobol index of a correlated input, which would be that of its germ variables.
+
+    Those depend on the order in which the group was declared; the variance of correlated inputs has no such parts.
+    """
+    named = kind.variables if isinstance(kind, Sobol) else (kind.variable,) if isinstance(kind, TotalSobol) else ()
+    groups = {
+        name: law.dependence.group
+        for place, law in laws.items()
+        if law.dependence is not None
+        for name in (place, *law.germ_names(place))
+    }
+    for name in named:
+        if name in groups:
+            raise ProblemError(
+                f"Sobol index: '{name}' belongs to the correlated group '{groups[name]}', whose variance has no parts "
+                "that belong to one input alone. Take Shapley effects, which share it out among inputs: "
+                "al.expand(...).shapley(name)."
+            )
 
 
 def _place(basis: Basis, name: str) -> int:

@@ -85,10 +85,14 @@ def in_blocks(
 
 @final
 class Constants(eqx.Module):
-    """What some statistics need of a basis: constant arrays, prepared once."""
+    """What some statistics need of a basis: constant arrays, prepared once.
+
+    `scenarios`: the germ points at which limits on the worst case are held; None where a problem has no such limit.
+    """
 
     preparations: tuple[Any, ...] = eqx.field(static=True)
     values: tuple[Pytree, ...]
+    scenarios: Float[Array, "scenarios variables"] | None = None
 
     def of(self, statistic: AbstractStatistic) -> Pytree:
         """The constants of one statistic."""

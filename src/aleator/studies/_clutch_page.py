@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import jax.numpy as jnp
 import numpy as np
@@ -12,6 +13,7 @@ from aleator.report import (
     Code,
     Drawing,
     Page,
+    Schematic,
     Section,
     Table,
     Text,
@@ -22,19 +24,26 @@ from aleator.report import (
     effort_figure,
     footer,
     front_figure,
+    given,
     words,
 )
 from aleator.report import write_page as write_report_page
+from aleator.studies._clutch_counts import CHEAPEST, GIVEN, SAFE, tolerances_of
+from aleator.studies._clutch_drawing import clutch_drawing
 from aleator.studies._clutch_facts import (
     allocation_table,
     analysis_table,
     contributions_table,
+    counts_table,
     methods_table,
-    tolerances_of,
+    rejected_tails,
 )
 from aleator.studies._clutch_run import STAGES, ClutchResults
 from aleator.studies._clutch_verdict import verdict
-from aleator.studies.clutch import DEVIATION, NAMES, TOLERANCES, clutch
+from aleator.studies.clutch import LIMITS, MEANS, NAMES, TOLERANCES, clutch
+
+if TYPE_CHECKING:
+    from plotly.graph_objects import Figure
 
 GLOSSARY = (
     ("χ", "Pressure angle between roller and ring, degrees. The clutch holds and releases between 6° and 8°."),
@@ -47,6 +56,16 @@ GLOSSARY = (
     ("Σ 1/T", "Cost of manufacture: halving a tolerance doubles its cost."),
     ("Price", "How much cheaper the tolerances become for each unit by which the limit on rejects is relaxed."),
 )
+LOOP = f"""The vectors (length ∠ direction) close, (121):
+  a∠90° + b∠0° + c∠90°
+    + c∠(90° - χ) - e∠(90° - χ) = 0
+  χ + γ = 90°
+
+so that
+  cos χ = (a + c) / (e - c)
+  b = (e - c) sin χ
+
+The clutch works between χ = {given(LIMITS[0])}° and {given(LIMITS[1])}°."""
 
 
 def write_page(results: ClutchResults, path: str | Path) -> Path:
@@ -60,6 +79,7 @@ def write_page(results: ClutchResults, path: str | Path) -> Path:
 def clutch_page(results: ClutchResults) -> Page:
     """The page as data; parts that were not reached are left out and named."""
     sections = [
+        Section("The clutch", [_schematic()]),
         Section("Table 7.2", [*_unfinished(results), *_methods(results)]),
         Section("The given tolerances", list(_analyses(results))),
         Section("Allocation", list(_allocation(results))),
@@ -73,6 +93,16 @@ def clutch_page(results: ClutchResults) -> Page:
         sections=[one for one in sections if one.blocks],
         footer=footer(),
     )
+
+
+def _schematic() -> Schematic:
+    caption = "A quarter of the clutch, to scale. The angle follows from hub a, roller c and ring e."
+    sizes = "\n".join(f"  {name} = {given(mean)} ± {given(TOLERANCES[name])} mm" for name, mean in MEANS.items())
+    beside = [
+        Code("As mathematics", f"{LOOP}\n\nNormal parts, σ a third of the tolerance:\n{sizes}", opened=True),
+        Code("The assembly", str(clutch())),
+    ]
+    return Schematic([clutch_drawing()], "The vector loop", caption, "7.1", beside)
 
 
 def _unfinished(results: ClutchResults) -> list[Block]:
@@ -122,26 +152,45 @@ def _analyses(results: ClutchResults) -> Iterator[Block]:
         return
     yield contributions_table(results)
     yield analysis_table(results)
-    one = results.analyses["deviation"]
-    angles = np.linspace(one.mean - 5 * one.std, one.mean + 5 * one.std, 301)
+    caption = (
+        "The angle is skewed: its lower tail is longer, so the lower limit rejects more than the upper one. Shaded:"
+        " rejects, in parts per million, counted. Those of the function's limits are so few that only a logarithmic"
+        " axis shows them."
+    )
+    figures = [_density(results, name) for name in results.analyses]
+    yield Drawing(figures, "Distribution of the angle, limits and rejects", caption)
+
+
+def _density(results: ClutchResults, name: str) -> "Figure":
+    """The distribution against the limits of one specification, with the rejects beyond them."""
+    one = results.analyses[name]
+    function = name == "limits"
+    reach = (6.5 if function else 5.0) * one.std
+    angles = np.linspace(one.mean - reach, one.mean + reach, 401)
     normal = np.exp(-0.5 * ((angles - one.mean) / one.std) ** 2) / (one.std * np.sqrt(2 * np.pi))
     densities = {"expansion": np.asarray(one.expanded.pdf(jnp.asarray(angles))), "normal of the same μ and σ": normal}
-    caption = "The angle is skewed: its lower tail is longer, so the lower limit rejects more than the upper one."
-    figure = density_figure(angles, densities, x="Pressure angle χ", unit="°", limits=DEVIATION)
-    yield Drawing([figure], "Distribution of the angle", caption)
-    yield Code("The assembly", str(clutch()))
+    return density_figure(
+        angles,
+        densities,
+        x="Pressure angle χ",
+        unit="°",
+        limits=(one.lower, one.upper),
+        tails=rejected_tails(results, name),
+        logarithmic=function,
+        title="Function: 6° to 8°" if function else "Nominal ± 0.6°",
+    )
 
 
 def _allocation(results: ClutchResults) -> Iterator[Block]:
     if results.allocation is None:
         return
     yield allocation_table(results)
+    if results.counts:
+        yield counts_table(results)
     if results.allocation.ok:
         chosen = tolerances_of(results.allocation)
-        bars = {
-            "given": {NAMES[name]: value for name, value in TOLERANCES.items()},
-            "cheapest": {NAMES[name]: value for name, value in chosen.items()},
-        }
+        sets = {GIVEN: TOLERANCES, CHEAPEST: chosen, SAFE: results.counts[SAFE].tolerances}
+        bars = {name: {NAMES[part]: value for part, value in one.items()} for name, one in sets.items()}
         yield Drawing([bars_figure(bars, y="Tolerance ±T", unit="mm")], "Tolerances before and after")
     if results.front is not None:
         figure = front_figure({"cheapest": results.front}, x="Rejects allowed", y="Cost Σ 1/T", y_unit="1/mm")

@@ -10,6 +10,15 @@ import numpy as np
 
 import aleator as al
 from aleator._core.progress import Progress, silent
+from aleator.studies._clutch_counts import (
+    CHEAPEST,
+    GIVEN,
+    SAFE,
+    Counts,
+    count_rejects,
+    tolerances_of,
+    worst_case_tolerances,
+)
 from aleator.studies.clutch import (
     DEVIATION,
     LIMITS,
@@ -30,15 +39,18 @@ REPEATS = 5
 @final
 @dataclass(frozen=True)
 class Effort:
-    """How much is computed: Monte Carlo samples of table 7.2, samples of the evidence, and points on the front."""
+    """How much is computed: Monte Carlo samples of table 7.2 and of the evidence, assemblies counted in closed form for
+    each set of tolerances, and points on the front.
+    """
 
     samples: int = 2_500_000
     quasi_samples: int = 2**16
     evidence_samples: int = 1_000_000
+    counted: int = 20_000_000
     front_points: int = 11
 
 
-QUICK = Effort(samples=250_000, quasi_samples=2**13, evidence_samples=100_000, front_points=5)
+QUICK = Effort(samples=250_000, quasi_samples=2**13, evidence_samples=100_000, counted=2_000_000, front_points=5)
 
 
 class Method(NamedTuple):
@@ -64,6 +76,8 @@ class ClutchResults:
     - `methods`: the rows of table 7.2 and of its extension;
     - `analyses`: the tolerance analysis for each specification, by its name;
     - `given`: the rejects of the given tolerances under the second specification, a share;
+    - `counts`: what the given tolerances, the cheapest ones, and the cheapest ones whose worst case stays within the
+      function's limits leave of both specifications, by these names;
     - `allocation`, `evidence`: the cheapest tolerances with no more rejects, and a count of these;
     - `front`: the cost over the rejects allowed.
     """
@@ -72,6 +86,7 @@ class ClutchResults:
     exact: float = np.nan
     methods: list[Method] = field(default_factory=list)
     analyses: dict[str, al.ToleranceAnalysis] = field(default_factory=dict)
+    counts: dict[str, Counts] = field(default_factory=dict)
     allocation: al.Solution | None = None
     evidence: al.Evidence | None = None
     front: al.Front | None = None
@@ -145,16 +160,20 @@ def _timed(work: Callable[[], Any], repeats: int = REPEATS) -> tuple[Any, float]
 
 
 def analyse_tolerances(results: ClutchResults, progress: Progress) -> None:
-    """Contributions, capability and rejects under both specifications."""
-    del progress
+    """Contributions, capability and rejects under both specifications; the given and the safe tolerances counted."""
     for name, (lower, upper) in {"limits": LIMITS, "deviation": DEVIATION}.items():
         results.analyses[name] = al.tolerance_analysis(clutch(), "chi", lower=lower, upper=upper)
+    for name, tolerances in {GIVEN: TOLERANCES, SAFE: worst_case_tolerances()}.items():
+        results.counts[name] = count_rejects(tolerances, results.effort.counted, progress=progress)
 
 
 def allocate(results: ClutchResults, progress: Progress) -> None:
     """The cheapest tolerances that leave no more rejects than the given ones, and a count of their rejects."""
     results.allocation = al.solve(allocation_problem(results.given))
     results.evidence = al.validate(results.allocation, results.effort.evidence_samples, seed=1, progress=progress)
+    if results.allocation.ok:
+        chosen = tolerances_of(results.allocation)
+        results.counts[CHEAPEST] = count_rejects(chosen, results.effort.counted, progress=progress)
 
 
 def sweep_rejects(results: ClutchResults, progress: Progress) -> None:

@@ -5,8 +5,14 @@ from pathlib import Path
 from typing import final
 
 from aleator._core.progress import Progress
-from aleator.report import Table, save
-from aleator.studies._clutch_facts import allocation_table, analysis_table, contributions_table, methods_table
+from aleator.report import PAGE, Table, save_study
+from aleator.studies._clutch_facts import (
+    allocation_table,
+    analysis_table,
+    contributions_table,
+    counts_table,
+    methods_table,
+)
 from aleator.studies._clutch_page import write_page
 from aleator.studies._clutch_run import QUICK, STAGES, ClutchResults, Effort, run_stage
 from aleator.studies._clutch_verdict import verdict
@@ -32,18 +38,19 @@ class ClutchStudy(AbstractStudy):
     def save(self, folder: Path) -> list[Path]:
         """See `AbstractStudy.save`."""
         done = self._results
-        return list(save(folder, allocation=done.allocation, evidence=done.evidence, front=done.front))
+        return list(save_study(folder, allocation=done.allocation, evidence=done.evidence, front=done.front))
 
     def write_page(self, folder: Path) -> Path:
         """See `AbstractStudy.write_page`."""
-        return write_page(self._results, folder / "report.html")
+        return write_page(self._results, folder / PAGE)
 
     def tables(self) -> list[Table]:
         """See `AbstractStudy.tables`."""
         done = self._results
         shown = [methods_table(done)] if done.methods else []
         shown += [contributions_table(done), analysis_table(done)] if done.analyses else []
-        return [*shown, allocation_table(done)] if done.allocation is not None else shown
+        shown += [allocation_table(done)] if done.allocation is not None else []
+        return [*shown, counts_table(done)] if done.counts else shown
 
     def headline(self) -> str:
         """See `AbstractStudy.headline`."""

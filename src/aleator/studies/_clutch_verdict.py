@@ -2,18 +2,20 @@
 
 from collections.abc import Iterator
 
-from aleator.report import Card, Verdict, count, number, percent, words
+from aleator.report import Card, Verdict, count, given, number, percent, words
+from aleator.studies._clutch_counts import CHEAPEST, GIVEN, SAFE, tolerances_of
 from aleator.studies._clutch_facts import (
     REFERENCE_ORDER,
     counted,
     given_cost,
     method,
+    per_million,
     rejects_of,
     times_cheaper,
-    tolerances_of,
+    worst_text,
 )
 from aleator.studies._clutch_run import ClutchResults
-from aleator.studies.clutch import NAMES, TOLERANCES
+from aleator.studies.clutch import LIMITS, NAMES, TOLERANCES
 
 SURPRISE = 4.0
 """Standard errors between a count and its prediction that are no accident."""
@@ -42,7 +44,20 @@ def _headline(results: ClutchResults) -> str:
     tighter = [NAMES[name] for name in chosen if chosen[name] < TOLERANCES[name]]
     return (
         f"Tighten the {words(tighter)}, widen the {words(wider)}: as few rejects as before for"
-        f" {percent(1 - solution.objective / given_cost())} less."
+        f" {percent(1 - solution.objective / given_cost())} less.{_safe_headline(results)}"
+    )
+
+
+def _safe_headline(results: ClutchResults) -> str:
+    """What it costs that no assembly of parts within their tolerances leaves the limits, where the cheapest ones do."""
+    if SAFE not in results.counts or CHEAPEST not in results.counts or not results.counts[CHEAPEST].broken():
+        return ""
+    cost = results.counts[SAFE].cost
+    lower, upper = map(given, LIMITS)
+    change = 1 - cost / given_cost()
+    return (
+        f" Where no worst case may leave {lower}° to {upper}°, build the worst-case tolerances, for"
+        f" {percent(abs(change))} {'less' if change > 0 else 'more'} than the given ones."
     )
 
 
@@ -54,6 +69,7 @@ def _sentences(results: ClutchResults) -> Iterator[str]:
             f" within 6° to 8° with Cpk {number(one.cpk, 3)}; within nominal ± 0.6° only for"
             f" {percent(1 - results.given)} of the assemblies."
         )
+    yield from _worst_sentences(results)
     if results.allocation is not None and results.allocation.ok and results.evidence is not None:
         share = counted(results.evidence)
         yield (
@@ -67,12 +83,29 @@ def _sentences(results: ClutchResults) -> Iterator[str]:
         )
 
 
+def _worst_sentences(results: ClutchResults) -> Iterator[str]:
+    """How far each set of tolerances can leave the function's limits, and how often it does."""
+    lower, upper = map(given, LIMITS)
+    for name, one in ((name, results.counts[name]) for name in (GIVEN, CHEAPEST, SAFE) if name in results.counts):
+        title = {GIVEN: "The given", CHEAPEST: "The cheapest", SAFE: "The worst-case"}[name]
+        chosen = ", ".join(f"{NAMES[part]} ± {number(width, 3, 'mm')}" for part, width in one.tolerances.items())
+        yield (
+            f"{title} tolerances ({chosen}; cost {number(one.cost, 4, '1/mm')}): the worst case of parts within them"
+            f" is {worst_text(one)}; of {count(one.function.low.samples)} assemblies counted,"
+            f" {per_million(one.function.either)} in a million lie outside {lower}° to {upper}°."
+        )
+
+
 def _cards(results: ClutchResults) -> Iterator[Card]:
     if expanded := method(results, REFERENCE_ORDER):
         error = abs(expanded.variation - results.exact)
         yield Card("3σ of the angle, order 3", f"{expanded.variation:.5f}°", f"error {number(error, 2, '°')}")
     if results.analyses:
         yield Card("Rejects, given tolerances", percent(results.given), "specification nominal ± 0.6°")
+    if GIVEN in results.counts:
+        one = results.counts[GIVEN]
+        outside = f"{per_million(one.function.either)} ppm counted outside {given(LIMITS[0])}° to {given(LIMITS[1])}°"
+        yield Card("Worst case, given tolerances", f"{number(one.worst_case[0], 4)}°", outside)
     if results.allocation is not None and results.allocation.ok:
         cost = results.allocation.objective
         yield Card("Cost Σ 1/T", number(cost, 4, "1/mm"), f"instead of {number(given_cost(), 4, '1/mm')}")

@@ -2,7 +2,7 @@
 
 import abc
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple, final
 
@@ -10,16 +10,18 @@ import aleator as al
 from aleator._core.progress import Progress, silent
 from aleator.report import (
     HOW_TO_READ,
+    PAGE,
     Block,
     Code,
     Page,
+    Schematic,
     Section,
     Table,
     Text,
     Verdict,
     certificate_table,
     footer,
-    save,
+    save_study,
     words,
     write_page,
 )
@@ -136,6 +138,10 @@ class AbstractMotionStudy(AbstractStudy):
         """Published and reference values beside computed ones; called once there is a plan."""
 
     @abc.abstractmethod
+    def schematic(self) -> Schematic:
+        """The system as a drawing."""
+
+    @abc.abstractmethod
     def chapters(self) -> Sequence[Section]:
         """The figures; called with whatever there is."""
 
@@ -160,11 +166,11 @@ class AbstractMotionStudy(AbstractStudy):
 
     def save(self, folder: Path) -> list[Path]:
         """See `AbstractStudy.save`."""
-        return list(save(folder, plans=self.done.plans, evidence=self.done.evidence, **self.more_results()))
+        return list(save_study(folder, plans=self.done.plans, evidence=self.done.evidence, **self.more_results()))
 
     def write_page(self, folder: Path) -> Path:
         """See `AbstractStudy.write_page`."""
-        return write_page(self.page(), folder / "report.html")
+        return write_page(self.page(), folder / PAGE)
 
     def tables(self) -> list[Table]:
         """See `AbstractStudy.tables`."""
@@ -185,13 +191,13 @@ class AbstractMotionStudy(AbstractStudy):
         """The page as data; parts that were not reached are left out and named."""
         plans = self.done.plans
         tables: list[Block] = [self.plans_table(), self.published()] if plans else []
-        texts = [Code(name, str(one.problem)) for name, one in plans.items()]
+        texts = [Code(f"{name} as mathematics", str(one.problem)) for name, one in plans.items()]
         sections = [
+            Section("The system", [replace(self.schematic(), beside=texts)]),
             Section("The plans", [*self._unfinished(), *tables]),
             *self.chapters(),
             Section("Local optima", [optima_table(self.done.searches)] if plans else []),
             Section("Certificate", [certificate_table(plans)] if plans else []),
-            Section("The problems as mathematics", texts),
             Section("How to read this", [Text(HOW_TO_READ), Table("Glossary", ["Term", "Meaning"], self.glossary)]),
         ]
         return Page(

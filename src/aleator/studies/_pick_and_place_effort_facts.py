@@ -4,11 +4,12 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
+from scipy import integrate
 
-from aleator.collocation import UNRESOLVED
 from aleator.report import Table, given, number, percent
 from aleator.studies._family import Family
 from aleator.studies._motion_study import MotionResults
+from aleator.studies.pick_and_place_effort import TOLERANCE
 
 MEAN, ROBUST, LEAST = "deterministic", "robust", "least variance"
 REFERENCE = {MEAN: 106.34, ROBUST: 112.12, LEAST: 200.4}
@@ -66,16 +67,16 @@ def spreads_table(spreads: Mapping[str, Mapping[str, Spread]]) -> Table:
     ]
     header = ["", "σ sampled (rad)", "σ by order 5 (rad)", "Leave-one-out error"]
     note = (
-        f"More than {given(100 * UNRESOLVED)} % counts as not resolved: a solve warns, and means and spreads are not"
+        f"More than {given(100 * TOLERANCE)} % counts as not resolved: a solve warns, and means and spreads are not"
         " to be trusted."
     )
     return Table("The robust plan with the payload of this study and with a wider one", header, rows, note)
 
 
 def effort_of(family: Family) -> float:
-    """`∫ τ₁² + τ₂² dt` of a plan, (N m)² s, by the trapezoidal rule as in the problem."""
+    """`∫ τ₁² + τ₂² dt` of a plan, (N m)² s, by Simpson's rule on its instants."""
     torques = family.nominal["q1_torque"] ** 2 + family.nominal["q2_torque"] ** 2
-    return float(np.trapezoid(torques, family.times))
+    return float(integrate.simpson(torques, x=family.times))
 
 
 def terminal_spread(family: Family) -> tuple[float, float]:

@@ -11,6 +11,7 @@ from aleator.report import (
     Block,
     Card,
     Drawing,
+    Schematic,
     Section,
     Table,
     Text,
@@ -39,6 +40,7 @@ from aleator.studies._pick_and_place_effort_facts import (
     spreads_table,
     terminal_spread,
 )
+from aleator.studies._two_link_drawing import arm_schematic
 from aleator.studies._two_link_views import SCENE, TIP, TOGETHER, joints, touches
 from aleator.studies.pick_and_place_effort import (
     DURATION,
@@ -180,7 +182,7 @@ class PickAndPlaceEffort(AbstractMotionStudy):
             )
             yield (
                 f"With payloads that spread five times as much a joint ends with σ = {number(spread, 2, 'rad')}, and"
-                f" order 5 leaves {percent(error)} of a variance unexplained: there the expansion must not be trusted."
+                f" order 5 misses a new payload by {percent(error)} of it: there the expansion must not be trusted."
             )
 
     def _cards(self) -> Iterator[Card]:
@@ -189,6 +191,10 @@ class PickAndPlaceEffort(AbstractMotionStudy):
             if name in plans:
                 yield Card(f"Effort, {name}", number(plans[name].objective, 4, UNIT), f"reference {REFERENCE[name]}")
         yield from violation_cards(self.done.evidence, (MEAN, ROBUST), "a limit")
+
+    def schematic(self) -> Schematic:
+        """See `AbstractMotionStudy.schematic`."""
+        return arm_schematic(PAYLOAD)
 
     def chapters(self) -> Sequence[Section]:
         """See `AbstractMotionStudy.chapters`."""

@@ -12,6 +12,7 @@ from aleator.report import (
     Block,
     Card,
     Drawing,
+    Schematic,
     Section,
     Table,
     Text,
@@ -33,6 +34,7 @@ from aleator.studies._motion_facts import (
     violation_cards,
 )
 from aleator.studies._motion_study import AbstractMotionStudy, Effort, Stage
+from aleator.studies._two_link_drawing import arm_schematic
 from aleator.studies._two_link_views import SCENE, TIP, TOGETHER, joints
 from aleator.studies.pick_and_place_time import PAYLOAD, deterministic_problem, robust_problem
 from aleator.studies.two_link_arm import TORQUE
@@ -89,7 +91,7 @@ class PickAndPlaceTime(AbstractMotionStudy):
 
     def more(self) -> Mapping[str, Stage]:
         """See `AbstractMotionStudy.more`."""
-        return {"calibration": Stage(self.calibrate, 0.2, lambda: self.calibration is not None)}
+        return {"calibration": Stage(self.calibrate, 0.2, self._is_calibrated)}
 
     def calibrate(self, progress: Progress) -> None:
         """The margin at which no more payloads than tolerated overload a joint (section 5.6)."""
@@ -97,6 +99,11 @@ class PickAndPlaceTime(AbstractMotionStudy):
         samples = self.done.effort.calibration_samples
         problem = named(robust_problem(1.0, guess=start), TOGETHER)
         self.calibration = al.calibrate(problem, "torque", TARGET_SHARE, samples=samples, progress=progress)
+        if self.calibration.interrupted:
+            raise KeyboardInterrupt
+
+    def _is_calibrated(self) -> bool:
+        return self.calibration is not None and not self.calibration.interrupted
 
     def more_results(self) -> Mapping[str, Any]:
         """See `AbstractMotionStudy.more_results`."""
@@ -155,9 +162,8 @@ class PickAndPlaceTime(AbstractMotionStudy):
         if self.calibration is not None:
             found = self.calibration
             yield (
-                f"If {given(100 * found.target)} % of the payloads may fail, a = {number(found.sigmas, 4)} does, in"
-                f" {number(duration(found.solution), 4, 's')}; confirmed on fresh payloads:"
-                f" {share_text(found.evidence.violations['torque'])}."
+                f"If {given(100 * found.target)} % of the payloads may fail, a = {number(found.sigmas, 4)}, in"
+                f" {number(duration(found.solution), 4, 's')}, is {found.sentence('payloads')}."
             )
 
     def _cards(self) -> Iterator[Card]:
@@ -166,6 +172,10 @@ class PickAndPlaceTime(AbstractMotionStudy):
             if plan := self.done.plans.get(name):
                 yield Card(f"Duration, {name}", number(duration(plan), 4, "s"), note)
         yield from violation_cards(self.done.evidence, (MEAN, ONE), "a limit")
+
+    def schematic(self) -> Schematic:
+        """See `AbstractMotionStudy.schematic`."""
+        return arm_schematic(PAYLOAD)
 
     def chapters(self) -> Sequence[Section]:
         """See `AbstractMotionStudy.chapters`."""

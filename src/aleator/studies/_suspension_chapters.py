@@ -181,8 +181,9 @@ def violations(results: SuspensionResults) -> Iterator[Block]:
         yield Drawing(
             [calibration_figure(results.calibration, who="cars")],
             "The margin that makes violations as rare as asked",
-            "Each trial is a full design, counted on the same random cars. The chosen margin a ="
-            f" {number(results.calibration.sigmas, 4)} is then confirmed on fresh ones. Bars: 95 % intervals.",
+            "Each trial is a full design, counted on the same random cars. The margin a ="
+            f" {number(results.calibration.sigmas, 4)} is {results.calibration.sentence('cars')}. Bars: 95 % intervals,"
+            " on fresh cars at their own confidence.",
         )
 
 

@@ -3,12 +3,15 @@
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
+
 from aleator.report import (
     HOW_TO_READ,
     Block,
     Code,
     Drawing,
     Page,
+    Schematic,
     Section,
     Table,
     Text,
@@ -21,6 +24,7 @@ from aleator.report import (
 from aleator.report import (
     write_page as write_report_page,
 )
+from aleator.studies._car_drawing import car_drawing
 from aleator.studies._suspension_chapters import apportionment, projections, robust_design, violations
 from aleator.studies._suspension_facts import (
     HOLDING_TEXT,
@@ -31,6 +35,7 @@ from aleator.studies._suspension_facts import (
 )
 from aleator.studies._suspension_run import HOLDING, NARROW_TRAVEL, RIDE, STAGES, TRAVEL, SuspensionResults
 from aleator.studies._suspension_verdict import verdict
+from aleator.studies.suspension import nominal, road
 
 GLOSSARY = (
     ("dOpt", "Deterministic optimum: the nominal spring and damper that ride best, for the nominal car only."),
@@ -62,6 +67,7 @@ def write_page(results: SuspensionResults, path: str | Path) -> Path:
 def suspension_page(results: SuspensionResults) -> Page:
     """The page as data; parts that were not reached are left out and named."""
     sections = [
+        Section("The car", [_schematic(results)]),
         Section("The three designs", [*_unfinished(results), *_designs(results)]),
         Section("Published beside ours", [published_table(results)] if results.designs else []),
         Section("Robust design (chapter 6)", list(robust_design(results))),
@@ -69,7 +75,6 @@ def suspension_page(results: SuspensionResults) -> Page:
         Section("Apportionment (chapter 7)", list(apportionment(results))),
         Section("Evidence", list(_evidence(results))),
         Section("Certificate", _certificate(results)),
-        Section("The problems as mathematics", [Code(name, str(one.problem)) for name, one in results.designs.items()]),
         Section("How to read this", [Text(HOW_TO_READ), Table("Glossary", ["Term", "Meaning"], GLOSSARY)]),
     ]
     return Page(
@@ -84,12 +89,24 @@ def suspension_page(results: SuspensionResults) -> Page:
     )
 
 
+def _schematic(results: SuspensionResults) -> Schematic:
+    profile = road()
+    drawing = car_drawing(nominal(), np.asarray(profile.times), np.asarray(profile.values))
+    caption = (
+        "A scheme: boxes are as large as their masses, the road is the model's own. ± is the half-width of a uniform"
+        " distribution; means that a design chooses have the index 0. The damper is η times"
+        " as strong in compression as in extension."
+    )
+    beside = [Code(f"The problem of {name} as mathematics", str(one.problem)) for name, one in results.designs.items()]
+    return Schematic([drawing], "Quarter car on its road", caption, "6.1 and 6.3", beside)
+
+
 def _unfinished(results: SuspensionResults) -> list[Block]:
     done = {
         "designs": len(results.designs) == 3,
         "narrow travel": len(results.narrow) == 3,
         "evidence": len(results.evidence) == 3 and len(results.narrow_evidence) == 3,
-        "calibration": results.calibration is not None,
+        "calibration": results.calibration is not None and not results.calibration.interrupted,
         "fronts over travel": len(results.travel_fronts) == 3,
         "fronts over holding": len(results.holding_fronts) == 2 and len(results.boxes) == 2,
     }

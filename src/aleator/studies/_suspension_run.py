@@ -97,6 +97,8 @@ def calibrate_margin(results: SuspensionResults, progress: Progress) -> None:
     problem = robust_problem(NARROW_TRAVEL, HOLDING)
     samples = results.effort.calibration_samples
     results.calibration = al.calibrate(problem, "travel", TARGET, samples=samples, progress=progress)
+    if results.calibration.interrupted:
+        raise KeyboardInterrupt
 
 
 def sweep_travel(results: SuspensionResults, progress: Progress) -> None:

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import final
 
 from aleator._core.progress import Progress
-from aleator.report import Table, save
+from aleator.report import PAGE, Table, save_study
 from aleator.studies._study import AbstractStudy
 from aleator.studies._suspension_facts import designs_table, published_table
 from aleator.studies._suspension_page import write_page
@@ -32,7 +32,7 @@ class SuspensionStudy(AbstractStudy):
     def save(self, folder: Path) -> list[Path]:
         """See `AbstractStudy.save`."""
         done = self._results
-        paths = save(
+        paths = save_study(
             folder,
             designs=done.designs,
             evidence=done.evidence,
@@ -46,7 +46,7 @@ class SuspensionStudy(AbstractStudy):
 
     def write_page(self, folder: Path) -> Path:
         """See `AbstractStudy.write_page`."""
-        return write_page(self._results, folder / "report.html")
+        return write_page(self._results, folder / PAGE)
 
     def tables(self) -> list[Table]:
         """See `AbstractStudy.tables`."""

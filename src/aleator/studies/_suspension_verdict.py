@@ -137,14 +137,11 @@ def _beside(results: SuspensionResults) -> str:
 def _calibrated(results: SuspensionResults) -> str:
     if results.calibration is None:
         return ""
-    one, confirmed = results.calibration, results.calibration.evidence.violations["travel"]
+    one = results.calibration
     trial = results.narrow.get(ROBUST_NARROW)
     price = (
         ""
         if trial is None
         else f"; ride rises from {number(trial.objective, 4)} to {number(one.solution.objective, 4, RIDE_UNIT)}"
     )
-    return (
-        f" A margin of a = {number(one.sigmas, 3)} brings that to the target of {given(100 * one.target)} %: on fresh"
-        f" cars {percent(confirmed.estimate)} [{interval_text(confirmed)}]{price}."
-    )
+    return f" A margin of a = {number(one.sigmas, 3)} is {one.sentence('cars')}{price}."

@@ -11,6 +11,7 @@ from aleator.report import (
     Card,
     Drawing,
     Scene,
+    Schematic,
     Section,
     Table,
     Text,
@@ -31,6 +32,7 @@ from aleator.studies._motion_facts import (
     violation_cards,
 )
 from aleator.studies._motion_study import AbstractMotionStudy, Effort, Stage
+from aleator.studies._pendulum_drawing import pendulum_drawing
 from aleator.studies._swing_up_facts import (
     FAR,
     FINER,
@@ -43,7 +45,7 @@ from aleator.studies._swing_up_facts import (
     terminal_norm,
 )
 from aleator.studies._swing_up_plans import ENERGY, EXPECTED, MEAN, NAMES, search_plans
-from aleator.studies.swing_up import MASS_2, SMOOTHING, TORQUE, VARIANCE
+from aleator.studies.swing_up import MASS_2, SMOOTHING, TORQUE, VARIANCE, DoublePendulum
 
 REFERENCE = {MEAN: 27.8, EXPECTED: 30.6}
 PUBLISHED = {MEAN: ("1060", "5.66"), EXPECTED: ("310", "4.46")}
@@ -188,6 +190,14 @@ class SwingUp(AbstractMotionStudy):
             if plan := self.done.plans.get(name):
                 yield Card(f"Energy, {name}", number(plan.objective, 4, "J"), f"in {number(duration(plan), 3, 's')}")
         yield from violation_cards(self.done.evidence, (MEAN, EXPECTED), "the torque limit")
+
+    def schematic(self) -> Schematic:
+        """See `AbstractMotionStudy.schematic`."""
+        caption = (
+            f"To scale, hanging at the start and upright at the target. The mass of the second link in kg: {MASS_2}."
+            " Only the first joint is driven; both have friction."
+        )
+        return Schematic([pendulum_drawing(DoublePendulum())], "Double pendulum", caption, "5.8")
 
     def chapters(self) -> Sequence[Section]:
         """See `AbstractMotionStudy.chapters`."""

@@ -21,7 +21,7 @@ TORQUE = 10.0
 VARIANCE = 0.01
 """Largest norm of the tip's variances at the end, m²."""
 
-STEPS = 150
+STEPS = 450
 FREE = 12
 DEGREE = 5
 ENDS: dict[str, Any] = {"start": (-np.pi, 0.0), "end": (0.0, 0.0)}

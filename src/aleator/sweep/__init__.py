@@ -1,8 +1,8 @@
 """Many solves of one problem: fronts along a bound, calibration of a design's margins."""
 
-from aleator.sweep._calibrate import Calibration as Calibration
-from aleator.sweep._calibrate import Trial as Trial
 from aleator.sweep._calibrate import calibrate as calibrate
+from aleator.sweep._calibration import Calibration as Calibration
+from aleator.sweep._calibration import Trial as Trial
 from aleator.sweep._front import Front as Front
 from aleator.sweep._front import pareto as pareto
 from aleator.sweep._multistart import Starts as Starts

@@ -1,71 +1,36 @@
 """`calibrate`: the multiple of the standard deviation that makes violations as rare as asked (sections 5.6 and 6.5)."""
 
-from dataclasses import dataclass
-from typing import final
+import bisect
+import warnings
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, final
 
 import numpy as np
 from scipy import special
 
-from aleator._core.errors import ProblemError, SolveError
+from aleator._core.errors import CalibrationWarning, ProblemError
 from aleator._core.progress import Progress, silent
-from aleator.design import Problem, Solution
+from aleator.design import Problem, Solution, uncertain
 from aleator.nlp import AbstractSolver
-from aleator.solve import solve
-from aleator.validation import Evidence, Proportion, validate
+from aleator.sweep._calibration import Calibration, Trial
+from aleator.sweep._margins import MarginSearch
+from aleator.validation import Evidence, Proportion, Share, rare_violation, validate, why_uncounted
 
-_SMALLEST, _LARGEST = 0.02, 20.0
-
-
-@final
-@dataclass(frozen=True)
-class Trial:
-    """One multiple of the standard deviation that was tried: its optimal design and how often that is violated."""
-
-    sigmas: float
-    solution: Solution
-    violation: Proportion
-
-
-@final
-@dataclass(frozen=True)
-class Calibration:
-    """The smallest multiple found whose design is violated no more often than asked. `print(calibration)` shows it.
-
-    - `trials`: all that was tried, on one and the same random sample;
-    - `evidence`: the chosen design on a second, independent sample.
-    """
-
-    name: str
-    target: float
-    trials: tuple[Trial, ...]
-    evidence: Evidence
-
-    @property
-    def chosen(self) -> Trial:
-        """The trial with the smallest multiple that meets the target."""
-        return min((one for one in self.trials if one.violation.estimate <= self.target), key=lambda one: one.sigmas)
-
-    @property
-    def sigmas(self) -> float:
-        """The calibrated multiple of the standard deviation."""
-        return self.chosen.sigmas
-
-    @property
-    def solution(self) -> Solution:
-        """The design it gives."""
-        return self.chosen.solution
-
-    def __str__(self) -> str:
-        rows = [f"{'sigmas':>8} {'objective':>12}  violates {self.name}"]
-        rows += [f"{one.sigmas:8.4f} {one.solution.objective:12.6g}  {one.violation}" for one in self.trials]
-        confirmed = self.evidence.violations[self.name]
-        rows.append(f"chosen: {self.sigmas:.4f} for at most {100 * self.target:g} %; on fresh samples {confirmed}")
-        return "\n".join(rows)
+# All looks at fresh systems together confirm a design that violates too often in one calibration of so many.
+_WRONG = 1 / 40
+# Fresh systems, as multiples of those of a trial: more are drawn as long as they are likely to confirm the design.
+_FRESH = (2, 4, 8)
+# Violations that are expected at the target: with fewer they are not counted, but sampled where they are.
+_COUNTED = 20
+_FEWEST_WEIGHTED = 1000
+_MOST_COUNTED = 2_000_000
+_LIKELY = 0.84  # standard deviations: fresh systems confirm what meets the aim in four cases of five
 
 
 def calibrate(
     problem: Problem,
-    name: str,
+    names: str | Sequence[str],
     target: float = 0.01,
     *,
     samples: int = 20_000,
@@ -75,119 +40,237 @@ def calibrate(
     solver: AbstractSolver | None = None,
     progress: Progress = silent,
 ) -> Calibration:
-    """Find the `sigmas` of the constraints called `name` at which a system violates them with probability `target`.
+    """Find the `sigmas` at which systems violate the constraints called `names` no more often than `target`.
 
-    Each trial solves the problem (warm-started, compiled once) and validates the design on the same `samples` random
-    systems. The search is a secant on the normal quantile of the probability, which is nearly straight, kept inside a
-    bracket; it ends when the probability lies within `precision` (relative) below the target.
+    Of several names, a system that breaks any counts once, and all get the same multiple (as `Problem.with_sigmas` sets
+    it). Each trial solves the problem, warm-started and compiled once, and counts violations of its design on the same
+    `samples` random systems. The search is a secant on the normal quantile of the probability, which is nearly
+    straight, kept inside a bracket; it ends within `precision` (relative) below an aim, which lies so far below the
+    target that fresh systems are likely to confirm the design.
 
-    Raises `ProblemError` for a target outside (0, 1), for one too small to be counted with so many samples, or if the
-    constraints hold no standard deviation; `SolveError` if the target needs a design that does not exist.
+    These are drawn then, twice as many: the design is confirmed if the upper end of their interval lies below the
+    target. If it does not, up to four times as many again are drawn where that is likely to suffice, or the margin is
+    widened, until a design is confirmed. Each look at fresh systems is given half of the error of that before, so that
+    of all calibrations at most 2.5 % confirm a design that is violated more often than asked.
+
+    Where fewer than 20 violations are expected among the samples at the target, they are estimated by importance
+    sampling (`al.rare_violation`), and counted on 20 over the target where that fails.
+
+    What cannot be confirmed is returned too, with a `CalibrationWarning` that says what is missing: see
+    `Calibration.confirmed`. So is what Ctrl-C leaves after the first trial; a solve that fails later bounds the search.
+
+    Raises `ProblemError`, before anything is solved, for arguments that make no sense, and what the first solve raises.
     """
-    if not 0 < target < 1:
-        raise ProblemError(f"calibrate: the target is a probability between 0 and 1; received {target}.")
-    if target * samples < 10:
-        raise ProblemError(
-            f"calibrate: a probability of {target:g} needs at least {int(np.ceil(10 / target))} samples to be counted; "
-            f"received {samples}."
-        )
-    search = _Search(problem, name, target, precision, samples, seed, solver)
-    for attempt in range(max_trials):
-        if search.done:
-            break
-        progress(f"calibration of {name}", attempt, max_trials)
-        search.step()
-    calibrated = [one for one in search.trials if one.violation.estimate <= target]
-    if not calibrated:
-        last = max(search.trials, key=lambda one: one.sigmas)
-        beyond = f", and from {search.ceiling:.3g} on there is no design" if np.isfinite(search.ceiling) else ""
-        raise SolveError(
-            f"calibrate: no multiple of the standard deviation up to {last.sigmas:.3g} brought the violation of "
-            f"'{name}' down to {target:g}: that one gave {last.violation}{beyond}.",
-            last.solution,
-        )
-    best = min(calibrated, key=lambda one: one.sigmas)
-    evidence = validate(best.solution, samples, seed=seed)
-    progress(f"calibration of {name}", max_trials, max_trials)
-    return Calibration(name, target, tuple(search.trials), evidence)
+    names = _checked(problem, names, target, samples, seed, precision, max_trials)
+    sampler = _Sampler(names, float(target), samples, seed)
+    # One multiple for all, the largest that is given.
+    first = max(max(one.expression.sigmas or 0.0 for one in problem.named(name)) for name in names)
+    search = MarginSearch(problem, names, first, sampler.trial, sampler.aim, precision, solver)
+    run = _Run(search, sampler, max_trials, progress)
+    interrupted = False
+    try:
+        run.finish()
+    except KeyboardInterrupt:
+        if not search.trials:
+            raise
+        interrupted = True
+        run.missing = "it was interrupted"
+    chosen = run.chosen or search.best
+    found = Calibration(
+        names, float(target), tuple(search.trials), chosen, run.fresh, run.evidence, run.missing, interrupted
+    )
+    if not (found.confirmed or interrupted):
+        said = f"calibrate: sigmas = {found.sigmas:.4g} is {found.sentence()}."
+        warnings.warn(said, CalibrationWarning, stacklevel=2)
+    return found
 
 
 @final
-class _Search:
-    """A bracketed secant on the normal quantile of the violation probability, which falls as the multiple grows."""
+class _Run:
+    """Search and confirmation in turns, until a design is confirmed or `missing` says why not.
 
-    def __init__(
-        self,
-        problem: Problem,
-        name: str,
-        target: float,
-        precision: float,
-        samples: int,
-        seed: int,
-        solver: AbstractSolver | None,
-    ):
-        self._problem, self._name, self._target, self._precision = problem, name, target, precision
-        # A stream of its own: evidence that a user gathers with the same seed is fresh all the same.
-        self._seed = int(np.random.SeedSequence([seed, 1]).generate_state(1)[0])
-        self._samples, self._solver = samples, solver
-        self.trials: list[Trial] = []
-        self.ceiling = np.inf
-        multiples = [one.expression.sigmas for one in problem.named(name)]
-        self._next = max((multiple for multiple in multiples if multiple), default=0.0)
-        if self._next == 0.0:
-            raise ProblemError(f"calibrate: the constraints called '{name}' hold no standard deviation; set sigmas=1.")
+    - `chosen`, `fresh`, `evidence`: the design that fresh systems were looked at last, and what they said.
+    """
+
+    def __init__(self, search: MarginSearch, sampler: "_Sampler", max_trials: int, progress: Progress):
+        self._search, self._sampler, self._max_trials, self._progress = search, sampler, max_trials, progress
+        self._tried = 0
+        self.chosen: Trial | None = None
+        self.fresh: Share | None = None
+        self.evidence: Evidence | None = None
+        self.missing = ""
+
+    def finish(self) -> None:
+        """Search and confirm until a design is confirmed, or nothing is left to try."""
+        while True:
+            self._seek()
+            best = self._search.best
+            if best.violation.estimate > self._sampler.target:
+                self.missing = f"no margin that was tried is violated so rarely, {self._why_no_wider()}"
+                return
+            if self._confirm(best):
+                self._progress(self._task, self._max_trials, self._max_trials)
+                return
+            if self._tried < self._max_trials and self.fresh is not None:
+                self._search.tighten(best, self.fresh)
+            if self._tried >= self._max_trials or (self._search.done and self._search.best is best):
+                self.missing = "; ".join(filter(None, [self._enough_samples(), self._why_no_wider()]))
+                return
 
     @property
-    def done(self) -> bool:
-        """Whether a trial is close below the target, or below it with a margin that no smaller one would change.
+    def _task(self) -> str:
+        return f"calibration of {' or '.join(self._sampler.names)}"
 
-        Or whether there is nothing left to try: the margin is at its largest, or as large as there are designs.
+    def _seek(self) -> None:
+        while self._tried < self._max_trials and not self._search.done:
+            self._progress(self._task, self._tried, self._max_trials)
+            self._search.step()
+            self._tried += 1
+
+    def _confirm(self, trial: Trial) -> bool:
+        """Whether fresh systems confirm a design: more of them as long as that is likely."""
+        self.chosen, self.fresh, self.evidence = trial, None, None
+        for times in _FRESH:
+            self.fresh, self.evidence = self._sampler.fresh(trial.solution, times)
+            if self.fresh.upper <= self._sampler.target:
+                return True
+            if self._sampler.hoped(self.fresh, 2).upper > self._sampler.target:
+                break
+        return False
+
+    def _enough_samples(self) -> str:
+        """How many fresh systems would confirm the design, if they violate it as often as those before."""
+        if self.fresh is None or self.fresh.estimate >= self._sampler.target:
+            return ""
+        factors = (2.0**power for power in range(1, 30))
+        enough = (one for one in factors if self._sampler.hoped(self.fresh, one).upper <= self._sampler.target)
+        needed = next(enough, None)
+        return "" if needed is None else f"about {needed * self.fresh.samples:.2g} fresh systems would tell"
+
+    def _why_no_wider(self) -> str:
+        search = self._search
+        if np.isfinite(search.ceiling) and search.exhausted:
+            return f"from sigmas = {search.ceiling:.4g} on there is no design ({search.failures[search.ceiling]})"
+        if search.exhausted:
+            return "and no wider margin is tried"
+        return f"and the trials are used up: expected more than max_trials = {self._max_trials}"
+
+
+@final
+class _Sampler:
+    """How often designs are violated: on the sample of all trials, and on fresh ones, each looked at once."""
+
+    def __init__(self, names: tuple[str, ...], target: float, samples: int, seed: int):
+        self.names, self.target = names, target
+        self._samples, self._seed = samples, seed
+        self._looks = 0
+
+    def trial(self, solution: Solution) -> Share:
+        """On the sample of all trials."""
+        return self._drawn(solution, 1, self._stream(1), keep=0)[0]
+
+    def fresh(self, solution: Solution, times: int) -> tuple[Share, Evidence]:
+        """On systems that were never drawn before, so many times as many as in a trial."""
+        self._looks += 1
+        seed = self._stream(1 + self._looks)
+        share, evidence = self._drawn(solution, times, seed, keep=200)
+        if evidence is None:
+            evidence = validate(solution, self._samples, seed=seed)
+        return replace(share, confidence=_confidence(self._looks)), evidence
+
+    def hoped(self, share: Share, times: float) -> Share:
+        """What the next look at so many times as many systems would say if they violated as often."""
+        samples, confidence = round(times * share.samples), _confidence(self._looks + 1)
+        if isinstance(share, Proportion):
+            return Proportion(round(share.estimate * samples), samples, confidence)
+        variance, largest = share.variance / times, share.largest / times
+        return replace(share, variance=variance, largest=largest, samples=samples, confidence=confidence)
+
+    def aim(self, share: Share) -> float:
+        """How often the sample of a trial may violate, so that the next look is likely to confirm the design.
+
+        Both are in error: the first by `p / n`, the second, of twice as many systems, by half of that (variances).
         """
-        widest = max((one.sigmas for one in self.trials), default=0.0)
-        return widest >= min(_LARGEST, 0.999 * self.ceiling) or any(
-            self._settles(one) for one in self.trials if one.violation.estimate <= self._target
+        confidence = _confidence(self._looks + 1)
+        if not isinstance(share, Proportion):
+            errors = special.ndtri((1 + confidence) / 2) / np.sqrt(_FRESH[0]) + _LIKELY * np.sqrt(1 + 1 / _FRESH[0])
+            return self.target * float(np.exp(-errors / np.sqrt(share.effective)))
+        samples = _FRESH[0] * share.samples
+        counts = range(int(self.target * samples) + 1)
+        most = bisect.bisect_right(counts, self.target, key=lambda count: Proportion(count, samples, confidence).upper)
+        # The count expected, so that it stays at `most - 1` or below with its error and that of the trial.
+        error = _LIKELY * np.sqrt(1 + _FRESH[0])
+        return float((np.sqrt(error**2 + 4 * max(most - 0.5, 0.0)) - error) ** 2 / 4 / samples)
+
+    def _drawn(self, solution: Solution, times: int, seed: int, keep: int) -> tuple[Share, Evidence | None]:
+        count = self._samples * times
+        if self.target * self._samples < _COUNTED:
+            found = rare_violation(solution, self.names, count, seed=seed)
+            if not isinstance(found, Proportion):
+                return found, None
+            count = min(times * int(np.ceil(_COUNTED / self.target)), _MOST_COUNTED)
+        evidence = validate(solution, count, seed=seed, keep=keep)
+        return evidence.violation(*self.names), evidence
+
+    def _stream(self, number: int) -> int:
+        """Seeds of independent streams: evidence that a user gathers with the same seed is fresh all the same."""
+        return int(np.random.SeedSequence([self._seed, number]).generate_state(1)[0])
+
+
+def _confidence(look: int) -> float:
+    """Of a look at fresh systems, counted from 1: half of the error that the one before was given."""
+    return 1 - 2 * _WRONG / 2**look
+
+
+def _checked(
+    problem: Any,
+    names: Any,
+    target: Any,
+    samples: Any,
+    seed: Any,
+    precision: Any,
+    max_trials: Any,
+) -> tuple[str, ...]:
+    """The names, each once. Raises `ProblemError` for arguments that make no sense."""
+    if not isinstance(problem, Problem):
+        raise ProblemError(f"calibrate: expected a Problem; received {type(problem).__name__}.")
+    for what, number in (("target", target), ("precision", precision)):
+        if not (_is_real(number) and 0 < number < 1):
+            kind = "a probability between 0 and 1, such as 0.01" if what == "target" else "a number between 0 and 1"
+            raise ProblemError(f"calibrate: expected {what} as {kind}; received {number!r}.")
+    for what, number, least in (("samples", samples, 2), ("seed", seed, 0), ("max_trials", max_trials, 1)):
+        if isinstance(number, bool) or not isinstance(number, int | np.integer) or number < least:
+            raise ProblemError(
+                f"calibrate: expected {what} as a whole number of at least {least}; received {number!r}."
+            )
+    fewest = min(int(np.ceil(_COUNTED / target)), _FEWEST_WEIGHTED)
+    if samples < fewest:
+        raise ProblemError(
+            f"calibrate: a violation of {target:g} needs at least {fewest} samples to be told; received {samples}."
         )
+    given = (names,) if isinstance(names, str) else tuple(names) if isinstance(names, Sequence) else ()
+    if not given or not all(isinstance(name, str) for name in given):
+        raise ProblemError(f"calibrate: expected a constraint's name, or several in a tuple; received {names!r}.")
+    for name in given:
+        _check_margin(problem, name)
+    return tuple(dict.fromkeys(given))
 
-    def _settles(self, trial: Trial) -> bool:
-        # Where the constraints are not active, the margin does not shape the design.
-        idle = self._name not in trial.solution.active
-        close = trial.violation.estimate >= (1 - self._precision) * self._target
-        return close or idle or trial.sigmas <= _SMALLEST
 
-    def step(self) -> None:
-        """Try one more multiple. One that has no design only bounds the search, unless it is the first."""
-        sigmas = self._next
-        warm = min(self.trials, key=lambda one: abs(one.sigmas - sigmas)).solution if self.trials else None
-        try:
-            solution = solve(self._problem.with_sigmas(self._name, sigmas), self._solver, warm_start=warm)
-        except SolveError:
-            if warm is None:
-                raise
-            self.ceiling = min(self.ceiling, sigmas)
-            self._next = self._propose()
-            return
-        evidence = validate(solution, self._samples, seed=self._seed, keep=0)
-        if self._name not in evidence.violations:
-            raise ProblemError(f"calibrate: '{self._name}' bounds moments alone: no single system can break it.")
-        self.trials.append(Trial(sigmas, solution, evidence.violations[self._name]))
-        self._next = self._propose()
+def _is_real(number: Any) -> bool:
+    return isinstance(number, int | float | np.number) and not isinstance(number, bool | np.complexfloating)
 
-    def _propose(self) -> float:
-        """The secant through the two trials around the target, aimed a little below it."""
-        points = sorted((one.sigmas, self._level(one)) for one in self.trials)
-        above = [point for point in points if point[1] > 0]
-        below = [point for point in points if point[1] <= 0]
-        if not below:
-            widest = above[-1][0]
-            return min(widest * 1.5 + 0.1, _LARGEST, (widest + self.ceiling) / 2)
-        if not above:
-            return max(below[0][0] / 2, _SMALLEST)
-        (low, high_level), (high, low_level) = above[-1], below[0]
-        share = high_level / (high_level - low_level)
-        return low + (high - low) * float(np.clip(share, 0.1, 0.9))
 
-    def _level(self, trial: Trial) -> float:
-        """Distance from the aim on the scale of the normal quantile: positive where violated too often."""
-        aim = self._target * (1 - self._precision / 2)
-        estimate = (trial.violation.count + 0.5) / (trial.violation.samples + 1)
-        return float(special.ndtri(estimate) - special.ndtri(aim))
+def _check_margin(problem: Problem, name: str) -> None:
+    """Refuse constraints that no margin can be found for."""
+    constraints = problem.named(name)
+    if reason := why_uncounted(problem, name):
+        raise ProblemError(
+            f"calibrate: no single system is counted against '{name}' ({constraints[0]}): it is {reason}."
+        )
+    if not any(one.expression.sigmas for one in constraints):
+        raise ProblemError(
+            f"calibrate: the constraints called '{name}' hold no standard deviation; set sigmas=1 in them."
+        )
+    if not problem.survey.germs:
+        held = " (al.deterministic holds them at their means)" if uncertain(problem).survey.germs else ""
+        raise ProblemError(f"calibrate: expected a problem with distributions{held}; received one without a spread.")

@@ -8,8 +8,9 @@ import numpy as np
 from jaxtyping import Float
 
 from aleator._core.errors import ProblemError
+from aleator._core.given import a_name, one_of, real_array
 from aleator._core.progress import Progress, silent
-from aleator.design import Problem, Solution, Times
+from aleator.design import Problem, Solution, Times, current, refuse_changed
 from aleator.nlp import AbstractSolver, Status
 from aleator.solve import solve
 
@@ -83,9 +84,12 @@ def pareto(
     A value given twice is solved once. Raises `ProblemError` if there is no such constraint or no value, or if every
     point is refused.
     """
-    bounds = list(dict.fromkeys(float(value) for value in np.ravel(np.asarray(values, dtype=float))))
+    one_of("pareto: problem", problem, Problem)
+    a_name("pareto: bound", bound)
+    bounds = list(dict.fromkeys(np.ravel(real_array("pareto: values", values)).tolist()))
     if not bounds:
         raise ProblemError("pareto: expected at least one value of the bound; received none.")
+    problem = current(problem)
     problems = [problem.with_bound(bound, value) for value in bounds]
     solutions: dict[float, Solution] = {}
     refused: dict[float, ProblemError] = {}
@@ -93,6 +97,7 @@ def pareto(
     try:
         for done, (one, value) in enumerate(zip(problems, bounds, strict=True)):
             progress(f"front over {bound}", done, len(bounds))
+            refuse_changed("pareto", one, "when the front was begun")
             try:
                 solutions[value] = _point(one, _nearest(solutions, value), solver)
             except ProblemError as error:

@@ -8,8 +8,9 @@ import numpy as np
 from jaxtyping import Float
 
 from aleator._core.errors import ProblemError
+from aleator._core.given import one_of, positive, whole
 from aleator._core.progress import Progress, silent
-from aleator.design import Problem, Solution
+from aleator.design import Problem, Solution, current, refuse_changed
 from aleator.nlp import AbstractSolver
 from aleator.solve import solve
 
@@ -88,13 +89,18 @@ def multistart(
     Raises `ProblemError`, before anything is solved, for no start, decisions that are not there, and values that are
     not finite or of the wrong shape.
     """
-    if isinstance(starts, Mapping | str) or not isinstance(starts, int | np.integer | Sequence):
+    one_of("multistart: problem", problem, Problem)
+    spread, seed = positive("multistart: spread", spread), whole("multistart: seed", seed, least=0)
+    if isinstance(starts, bool | Mapping | str) or not isinstance(starts, int | np.integer | Sequence):
         raise ProblemError(
             f"multistart: expected a number of starts, or a list of starts by names; received {starts!r}."
         )
-    given = list(starts) if isinstance(starts, Sequence) else _random(problem, int(starts), spread, seed)
+    if not isinstance(starts, Sequence):
+        starts = _random(problem, whole("multistart: the number of starts", starts), spread, seed)
+    given = list(starts)
     if not given:
         raise ProblemError("multistart: expected at least one start; received none.")
+    problem = current(problem)
     places = problem.survey
     for start in given:
         places.moved(places.vector("initial"), start)
@@ -103,6 +109,7 @@ def multistart(
     try:
         for done, start in enumerate(given):
             progress("starts", done, len(given))
+            refuse_changed("multistart", problem, "at the first start")
             solutions.append(solve(problem, solver, start=start, throw=False))
         interrupted = False
         progress("starts", len(given), len(given))

@@ -1,6 +1,6 @@
 """`BSpline`: clamped B-splines whose ends are given and whose other control points are free."""
 
-from typing import Any, final
+from typing import Any, ClassVar, final
 
 import equinox as eqx
 import jax
@@ -9,8 +9,9 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
+from aleator._core import given as check
 from aleator._core.errors import ProblemError
-from aleator._core.laws import lowest
+from aleator._core.leaves import AbstractLeaf, is_leaf, lowest
 from aleator.trajectories._basis import basis_matrix, clamped, derived
 from aleator.trajectories._trajectory import AbstractTrajectory, Fractions, as_array, conditions, copied, shape_of
 
@@ -41,6 +42,8 @@ class BSpline(AbstractTrajectory):
     degree: int = eqx.field(static=True)
     knots: tuple[float, ...] | None = eqx.field(static=True)
     spans: Any
+
+    curve_fields: ClassVar[tuple[str, ...]] = ("free", "start", "end")
 
     def __init__(
         self,
@@ -100,6 +103,10 @@ class BSpline(AbstractTrajectory):
         ends = jnp.cumsum(as_array(self.spans))
         return clamped(ends[:-1] / ends[-1], self.degree)
 
+    def breaks(self) -> Float[np.ndarray, " ends"]:
+        """See `AbstractTrajectory.breaks`: its knots."""
+        return np.unique(np.asarray(self.all_knots()))
+
     def control_points(self, duration: Any = 1.0, order: int = 0) -> Float[Array, "n ..."]:
         """All control points, or those of a derivative by time (equation 54), for a duration in s."""
         if order > self.degree:
@@ -142,12 +149,14 @@ def fit_control_points(
     A first guess for an optimiser: `al.Decision(al.fit_control_points(np.linspace(q_0, q_f, 50), 8, start=...,
     end=...))`. Raises `ProblemError` for fewer instants, or numbers that are not finite or not plain.
     """
-    samples = np.asarray(path, dtype=float)
+    who = "fit_control_points"
+    samples, free = check.real_array(f"{who}: path", path), check.whole(f"{who}: free", free)
+    duration = check.positive(f"{who}: duration", duration)
     if samples.ndim == 0 or len(samples) < free or not np.isfinite(samples).all():
         raise ProblemError(
             f"fit_control_points: expected finite values at {free} instants at least; received shape {samples.shape}."
         )
-    if any(isinstance(one, eqx.Module) for one in jax.tree.leaves((start, end), is_leaf=_is_module)):
+    if any(is_leaf(one) for one in jax.tree.leaves((start, end), is_leaf=is_leaf)):
         raise ProblemError("fit_control_points: expected plain numbers at the ends; received laws or decisions.")
     bare = BSpline(np.zeros((free, *samples.shape[1:])), start=start, end=end, degree=degree)
     fractions = np.linspace(0.0, 1.0, len(samples))
@@ -158,25 +167,19 @@ def fit_control_points(
     return solution.reshape(free, *samples.shape[1:])
 
 
-def _is_module(node: Any) -> bool:
-    return isinstance(node, eqx.Module)
-
-
 def _checked_degree(degree: int) -> int:
-    if isinstance(degree, bool) or not isinstance(degree, int) or degree < 1:
-        raise ProblemError(f"{_KIND}: its degree is a whole number of at least 1; received {degree!r}.")
-    return degree
+    return check.whole(f"{_KIND}: its degree", degree)
 
 
 def _checked_knots(knots: Any, interior: int) -> tuple[float, ...]:
     if knots is None:
         return tuple((i / (interior + 1)) for i in range(1, interior + 1))
-    if any(isinstance(one, eqx.Module | Tracer) for one in jax.tree.leaves(knots, is_leaf=_is_module)):
+    if any(isinstance(one, AbstractLeaf | Tracer) for one in jax.tree.leaves(knots, is_leaf=is_leaf)):
         raise ProblemError(
             f"{_KIND}: expected plain numbers as knots; received {knots!r}. Decided or uncertain knots "
             f"are told by the lengths between them, such as spans=al.Decision(np.ones({interior + 1}), 0.2, 5.0)."
         )
-    kept = tuple(float(knot) for knot in knots)
+    kept = tuple(np.ravel(check.real_array(f"{_KIND}: knots", knots)).tolist())
     ordered = all(a < b for a, b in zip((0.0, *kept), (*kept, 1.0), strict=True))
     if len(kept) != interior or not ordered:
         raise ProblemError(f"{_KIND}: expected {interior} increasing knots between 0 and 1; received {list(kept)}.")

@@ -1,15 +1,13 @@
 """`PowerSeries`: one polynomial over the whole duration, by its conditions at the ends and a point between."""
 
 import math
-from typing import Any, final
+from typing import Any, ClassVar, final
 
-import equinox as eqx
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
-from aleator._core.arrays import decided_bounds
 from aleator._core.errors import ProblemError
+from aleator._core.leaves import highest, lowest
 from aleator.trajectories._trajectory import AbstractTrajectory, Fractions, as_array, conditions, copied, shape_of
 
 _KIND = "PowerSeries"
@@ -21,7 +19,7 @@ class PowerSeries(AbstractTrajectory):
 
     - `start`, `end`: `(value, velocity, acceleration)` there, or the first one or two of them;
     - `middle`: the value at one more instant, such as a `Decision`, or None; `middle_time`: that instant, as a fraction
-      of the duration: a number between 0 and 1, or a `Decision` within.
+      of the duration: a number between 0 and 1, or a distribution or `Decision` within.
 
     There are as many coefficients as conditions. Raises `ProblemError` for conditions of different shapes, and for a
     middle time that can reach an end.
@@ -31,6 +29,8 @@ class PowerSeries(AbstractTrajectory):
     end: tuple[Any, ...]
     middle: Any
     middle_time: Any
+
+    curve_fields: ClassVar[tuple[str, ...]] = ("start", "end", "middle")
 
     def __init__(self, *, start: Any, end: Any = (), middle: Any = None, middle_time: Any = 0.5):
         values = start if isinstance(start, list | tuple) else (start,)
@@ -78,12 +78,9 @@ def _powers(u: Float[Array, " n"], count: int, order: int) -> Float[Array, "n co
 
 
 def _check_inside(time: Any) -> None:
-    bounds = decided_bounds(time) or (time, time)
-    known = [bound for bound in bounds if isinstance(bound, float | np.ndarray)]
-    # A law has no bounds to be told by here.
-    is_law = isinstance(bounds[0], eqx.Module)
-    if is_law or shape_of(time) != () or not all(0 < float(bound) < 1 for bound in known):
+    known = [end for end in (lowest(time), highest(time)) if end is not None]
+    if shape_of(time) != () or not all(0 < end < 1 for end in known):
         raise ProblemError(
-            f"{_KIND}: expected a middle time strictly between 0 and 1, as a fraction of the duration, or a Decision "
-            f"with such bounds; received {time!r}."
+            f"{_KIND}: expected a middle time strictly between 0 and 1, as a fraction of the duration, or a "
+            f"distribution or a Decision within; received {time!r}."
         )

@@ -1,7 +1,7 @@
 """Functions of time: what a system is driven by, and what a motion follows."""
 
 import abc
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -11,7 +11,12 @@ from jaxtyping import Array, Float
 
 
 class AbstractSignal(eqx.Module):
-    """An input of a system as a function of time. It is part of the model: its numbers may be uncertain or decided."""
+    """An input of a system as a function of time. It is part of the model: its numbers may be uncertain or decided.
+
+    `unbounded` says that no bound of its values is known whatever its numbers are, such as of a Gaussian process.
+    """
+
+    unbounded: ClassVar[bool] = False
 
     @abc.abstractmethod
     def __call__(self, t: Float[Array, ""]) -> Float[Array, "..."]:

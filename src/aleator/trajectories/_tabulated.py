@@ -4,14 +4,14 @@ import csv
 from pathlib import Path
 from typing import Any, Self, final
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from aleator._core.arrays import realised_shape
 from aleator._core.errors import ProblemError
+from aleator._core.given import real_array
+from aleator._core.leaves import is_leaf, realised_shape
 from aleator.trajectories._signal import AbstractSignal
 
 
@@ -32,14 +32,14 @@ class Tabulated(AbstractSignal):
 
     def __init__(self, times: Any, values: Any):
         self.times = _numbers("times", times)
-        self.values = values if _is_leaf(values) else _samples(values)
+        self.values = values if is_leaf(values) else _samples(values)
         length = _shape(self.values)
         if self.times.ndim != 1 or self.times.shape != length or self.times.size < 2:
             raise ProblemError(
                 "Tabulated: expected two vectors of the same length, of at least 2; "
                 f"received times {self.times.shape} and values {length}."
             )
-        plain = [value for value in jax.tree.leaves(self.values, is_leaf=_is_leaf) if not _is_leaf(value)]
+        plain = [value for value in jax.tree.leaves(self.values, is_leaf=is_leaf) if not is_leaf(value)]
         if not all(np.isfinite(numbers).all() for numbers in [self.times, *plain]):
             raise ProblemError("Tabulated: every time and value must be finite.")
         if not np.all(np.diff(self.times) > 0):
@@ -48,15 +48,16 @@ class Tabulated(AbstractSignal):
 
     @classmethod
     def from_csv(cls, path: str | Path, time: str, value: str) -> Self:
-        """Read the columns `time` and `value` of a CSV file; lines that start with `#` are comments."""
-        with Path(path).open(encoding="utf-8-sig", newline="") as file:
-            rows = list(csv.DictReader(line for line in file if not line.startswith("#")))
-        names = list(rows[0]) if rows else []
+        """Read the columns `time` and `value` of a CSV file; lines that start with `#` are comments.
+
+        Raises `ProblemError` if there is no such file, if it is no table, or if it has not each of the columns once.
+        """
+        names, rows = _table(path)
         for name in (time, value):
-            if name not in names:
-                raise ProblemError(f"{path}: expected a column '{name}'; received {names}.")
+            if names.count(name) != 1:
+                raise ProblemError(f"{path}: expected one column '{name}'; received {names}.")
         try:
-            return cls(*(np.array([float(row[name] or "nan") for row in rows]) for name in (time, value)))
+            return cls(*(np.array([_entry(row, names.index(name)) for row in rows]) for name in (time, value)))
         except ValueError as error:
             raise ProblemError(f"{path}: {error}") from error
 
@@ -72,16 +73,34 @@ class Tabulated(AbstractSignal):
         return float(self.times[0]), float(self.times[-1])
 
 
-def _is_leaf(value: Any) -> bool:
-    """Whether realisation will put numbers in the place of `value`: distributions and decisions are modules."""
-    return isinstance(value, eqx.Module)
+def _entry(row: list[str], column: int) -> float:
+    """A number in a row of a table; none where the row has no such column, or nothing in it."""
+    return float((row[column] if column < len(row) else "") or "nan")
+
+
+def _table(path: str | Path) -> tuple[list[str], list[list[str]]]:
+    """The names of the columns of a CSV file, and its rows."""
+    try:
+        text = Path(path).read_text(encoding="utf-8-sig")
+        names, *rows = csv.reader(line for line in text.splitlines() if line.strip() and not line.startswith("#"))
+    except TypeError as error:
+        raise ProblemError(f"Tabulated.from_csv: expected the path of a file; received {path!r}.") from error
+    except UnicodeDecodeError as error:
+        byte = f"{error.object[error.start]:#x}"
+        raise ProblemError(f"{path}: expected text in UTF-8; received the byte {byte}.") from error
+    except (OSError, csv.Error) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise ProblemError(f"{path}: expected a CSV file that can be read; received: {reason}.") from error
+    except ValueError as error:
+        raise ProblemError(f"{path}: expected a line with names of columns; received an empty file.") from error
+    return names, rows
 
 
 def _samples(values: Any) -> np.ndarray | tuple[Any, ...]:
     """An array of numbers or, where some are uncertain or decided, a tuple of single values."""
-    if not (isinstance(values, list | tuple) and any(_is_leaf(value) for value in values)):
+    if not (isinstance(values, list | tuple) and any(is_leaf(value) for value in values)):
         return _numbers("values", values)
-    samples = tuple(value if _is_leaf(value) else _numbers("values", value) for value in values)
+    samples = tuple(value if is_leaf(value) else _numbers("values", value) for value in values)
     for place, sample in enumerate(samples):
         if _shape(sample) != ():
             raise ProblemError(
@@ -91,10 +110,7 @@ def _samples(values: Any) -> np.ndarray | tuple[Any, ...]:
 
 
 def _numbers(name: str, values: Any) -> np.ndarray:
-    try:
-        return np.array(values, dtype=float)
-    except (TypeError, ValueError) as error:
-        raise ProblemError(f"Tabulated: {name} must be plain numbers; received {values!r}.") from error
+    return real_array(f"Tabulated: {name}", values, "plain numbers")
 
 
 def _shape(values: Any) -> tuple[int, ...]:

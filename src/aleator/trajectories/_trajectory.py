@@ -1,7 +1,7 @@
 """Trajectories: functions over a duration that is decided elsewhere, with their derivatives."""
 
 import abc
-from typing import Any, final
+from typing import Any, ClassVar, final
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -9,8 +9,9 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from aleator._core.arrays import realised_shape
 from aleator._core.errors import ProblemError
+from aleator._core.given import is_masked
+from aleator._core.leaves import AbstractLeaf, realised_shape
 from aleator.trajectories._signal import AbstractSignal
 
 Fractions = Float[np.ndarray, " n"] | Float[Array, " n"]
@@ -20,8 +21,11 @@ class AbstractTrajectory(AbstractSignal):
     """A signal that fills the time grid of its problem, whatever the final time: a free final time only scales it.
 
     It is known by fractions of the duration, 0 at the start and 1 at the end; its derivatives are by time, in seconds.
-    Called by itself it lasts one second.
+    Called by itself it lasts one second. `curve_fields` names the fields in which the curve is affine, from which a
+    solution of a coarser problem can be refitted.
     """
+
+    curve_fields: ClassVar[tuple[str, ...]] = ()
 
     @abc.abstractmethod
     def values(self, fractions: Fractions, duration: Any = 1.0, order: int = 0) -> Float[Array, "n ..."]:
@@ -31,6 +35,10 @@ class AbstractTrajectory(AbstractSignal):
     @abc.abstractmethod
     def shape(self) -> tuple[int, ...]:
         """The shape of one value: `()` for a number, `(n,)` for n joints."""
+
+    def breaks(self) -> Float[np.ndarray, " ends"]:
+        """The fractions at which its smooth pieces begin and end, of a realised trajectory: by default there is one."""
+        return np.array([0.0, 1.0])
 
     def derivative(self, order: int = 1) -> "Derivative":
         """The derivative by time as a trajectory of its own. Raises `ProblemError` for an order that is negative."""
@@ -147,13 +155,14 @@ def copied(kind: str, name: str, number: Any) -> Any:
 
     Raises `ProblemError` for what is neither, and for numbers that are not finite.
     """
-    if isinstance(number, eqx.Module | Tracer):
+    if isinstance(number, AbstractLeaf | Tracer):
         return number
     if isinstance(number, list | tuple):
         parts = tuple(copied(kind, name, one) for one in number)
         plain = all(isinstance(one, np.ndarray) for one in parts)
         return np.stack(parts) if parts and plain else parts
-    if not (hasattr(number, "dtype") or isinstance(number, int | float)) or np.asarray(number).dtype.kind not in "iuf":
+    is_given = not is_masked(number) and (hasattr(number, "dtype") or isinstance(number, int | float))
+    if not is_given or np.asarray(number).dtype.kind not in "iuf":
         raise ProblemError(f"{kind}: expected numbers, distributions or decisions as its {name}; received {number!r}.")
     array = np.array(number, dtype=float)
     if not np.isfinite(array).all():

@@ -1,13 +1,22 @@
 """From a declared problem to a nonlinear program."""
 
-from aleator.transcription._between import Excess as Excess
 from aleator.transcription._between import excess_between as excess_between
-from aleator.transcription._between import margins_for as margins_for
-from aleator.transcription._between import no_margins as no_margins
-from aleator.transcription._between import tightened as tightened
 from aleator.transcription._diagnosis import diagnose as diagnose
+from aleator.transcription._held import held_between as held_between
+from aleator.transcription._quality import doubts as doubts
+from aleator.transcription._quality import quality_of as quality_of
+from aleator.transcription._reference import Reference as Reference
+from aleator.transcription._reference import grid_error as grid_error
+from aleator.transcription._reference import reference as reference
+from aleator.transcription._reference import reference_factor as reference_factor
+from aleator.transcription._refinement import refinement as refinement
+from aleator.transcription._refinement import unconverged as unconverged
 from aleator.transcription._resolution import Resolved as Resolved
+from aleator.transcription._rows import as_read as as_read
+from aleator.transcription._second_opinion import second_opinion as second_opinion
 from aleator.transcription._sequential import EVALUATE as EVALUATE
 from aleator.transcription._sequential import Sequential as Sequential
 from aleator.transcription._sequential import compile_seconds as compile_seconds
 from aleator.transcription._sequential import transcribe as transcribe
+from aleator.transcription._warm_start import started_from as started_from
+from aleator.transcription._worst_case import held_at_worst as held_at_worst

@@ -3,92 +3,73 @@
 from dataclasses import replace
 from typing import NamedTuple
 
-import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
-from aleator._core.arrays import numbers_to_arrays
-from aleator._core.compilation import Compiled
-from aleator.collocation import Collocation
-from aleator.design import Constraint, Problem, functionals_of, is_over_time
-from aleator.dynamics import Grid
+from aleator.design import Constraint, is_over_time
 from aleator.nlp import NonlinearProgram
-from aleator.statistics import Constants
-from aleator.transcription._scope import scope_of
+from aleator.transcription._jumps import jumps, knots, one_sided
+from aleator.transcription._reference import Reference, bound_size
 from aleator.transcription._sequential import Sequential
 
 Margins = tuple[Float[np.ndarray, " instants"] | None, ...]
 
 
 class Excess(NamedTuple):
-    """How far the constraints are exceeded on a finer grid, and how far those change that are no limits over time.
+    """How far limits over time are exceeded on a finer grid.
 
     - `shifts`: of each constraint that limits a path or a peak, by how much its bound is to move inwards at each
       instant for the worst value beside it to meet the bound, negative where it may move outwards; None for others;
     - `worst`: the largest excess of a limit over time, relative to its bound (to the constraint's scale where that is
-      zero), or zero; `where`: its constraint, `when`: its time, s;
-    - `change`: the largest change of any other constraint's value, relative likewise; `changed`: which it is.
+      zero), or zero; `where`: its constraint, `when`: its time, s.
     """
 
     shifts: Margins
     worst: float
     where: str
     when: float
-    change: float
-    changed: str
 
 
-def _constraint_values(
-    problem: Problem, collocation: Collocation, constants: Constants, decisions: Float[Array, " n"]
-) -> tuple[Array, ...]:
-    functionals = functionals_of(tuple(one.expression for one in problem.constraints))
-    scope = scope_of(problem, functionals, collocation, constants, decisions)
-    return tuple(jnp.asarray(one.expression.evaluate(scope)) for one in problem.constraints)
-
-
-CONSTRAINT_VALUES = Compiled(_constraint_values)
-
-
-def excess_between(transcription: Sequential, decisions: Float[np.ndarray, " n"], factor: int) -> Excess:
-    """How far a problem's path constraints are exceeded on a grid of `factor` times as many steps."""
-    problem = transcription.problem
-    grid = problem.grid
-    assert isinstance(grid, Grid)
-    finer = eqx.tree_at(lambda tree: tree.grid, problem, grid.finer(factor))
-    arguments = numbers_to_arrays(finer), transcription.collocation, transcription.constants
-    values = CONSTRAINT_VALUES(*arguments, jnp.asarray(decisions))
-    times, before = transcription.times(decisions), transcription.constraints(decisions)
+def excess_between(transcription: Sequential, decisions: Float[np.ndarray, " n"], finer: Reference) -> Excess:
+    """How far a problem's limits over time are exceeded on a finer grid."""
+    problem, factor = transcription.problem, finer.factor
+    times = transcription.times(decisions)
     shifts: list[Float[np.ndarray, " instants"] | None] = []
-    worst, change = (0.0, "", 0.0), (0.0, "")
-    for one, value, old, scale in zip(problem.constraints, values, before, transcription.scales, strict=True):
-        scale = _bound_size(one) or scale
+    worst = (0.0, "", 0.0)
+    at = knots(problem, decisions)
+    for one, value, scale in zip(problem.constraints, finer.values[1:], transcription.scales, strict=True):
+        scale = bound_size(one) or scale
         if not is_over_time(one):
             shifts.append(None)
-            change = max(change, (float(np.max(np.abs(np.ravel(value) - old))) / scale, one.name))
             continue
-        beyond = np.maximum(np.asarray(value) - float(one.upper), float(one.lower) - np.asarray(value))
-        rows = beyond.reshape(len(beyond) if one.is_path else 1, -1).max(axis=1)
-        shifts.append(_shifts(rows, factor) if one.is_path else rows)
-        if rows.max() / scale > worst[0]:
-            when = times[int(np.argmax(rows)) // factor] if one.is_path else np.nan
-            worst = float(rows.max() / scale), one.name, float(when)
+        flat = value.reshape(len(value) if one.is_path else 1, -1)
+        rows = _excess(one, flat)
+        sides = [
+            (jump.place, float(_excess(one, jump.before[None])[0]), float(_excess(one, jump.after[None])[0]))
+            for jump in (jumps(flat, at) if one.is_path else [])
+        ]
+        shifts.append(_shifts(rows, factor, sides) if one.is_path else rows)
+        candidates = [(float(rows.max()), int(np.argmax(rows))), *((max(side[1:]), int(side[0])) for side in sides)]
+        largest, place = max(candidates)
+        if largest / scale > worst[0]:
+            worst = largest / scale, one.name, float(times[place // factor]) if one.is_path else np.nan
         if float(one.lower) == float(one.upper):
             shifts[-1] = None  # no margin makes both sides hold
-    return Excess(tuple(shifts), *worst, *change)
+    return Excess(tuple(shifts), *worst)
 
 
-def _bound_size(constraint: Constraint) -> float:
-    """The smaller of a constraint's bounds in magnitude; zero where one of them is zero, which says nothing of
-    sizes.
-    """
-    return min(abs(bound) for bound in map(float, (constraint.lower, constraint.upper)) if np.isfinite(bound))
+def _excess(constraint: Constraint, values: Float[np.ndarray, "rows entries"]) -> Float[np.ndarray, " rows"]:
+    """How far each row is beyond a constraint's bounds at worst."""
+    return np.maximum(values - float(constraint.upper), float(constraint.lower) - values).max(axis=1)
 
 
-def _shifts(beyond: Float[np.ndarray, " finer"], factor: int) -> Float[np.ndarray, " instants"]:
+def _shifts(
+    beyond: Float[np.ndarray, " finer"], factor: int, sides: list[tuple[float, float, float]]
+) -> Float[np.ndarray, " instants"]:
     """What the worst value in each interval asks of its two ends, in proportion to how close they are.
 
     Shifts `e (1 - s)` and `e s` over their squares' sum change a straight line between them by `e` at the fraction `s`.
+    An end beyond a jump has no part in that; `sides` are the jumps, with the excess before and after.
     """
     places = np.arange(0, len(beyond) - 1, factor)[:, None] + np.arange(factor + 1)[None, :]
     inside = beyond[places]
@@ -97,6 +78,7 @@ def _shifts(beyond: Float[np.ndarray, " finer"], factor: int) -> Float[np.ndarra
     s = worst / factor
     share = np.stack([1 - s, s]) / ((1 - s) ** 2 + s**2)
     first, last = np.where(excess > 0, share * excess, excess)
+    one_sided(first, last, inside, sides)
     return np.maximum(np.append(first, -np.inf), np.append(-np.inf, last))
 
 

@@ -9,31 +9,44 @@ from aleator.dynamics import Grid
 from aleator.transcription._sequential import Sequential
 from aleator.uncertainty import uncertain_numbers
 
+# As many numbers as are read at a glance.
+_MOST_NUMBERS = 5
+
 
 def diagnose(transcription: Sequential, decisions: Float[np.ndarray, " n"]) -> str:
-    """One sentence naming the first collocation point, output and instant whose value is not finite."""
+    """The first point, output and instant whose value is not finite: the reason, then a few numbers."""
     outputs = {name: np.asarray(values) for name, values in transcription.outputs(decisions).items()}
     times = transcription.times(decisions)
     broken = {name: _first(values) for name, values in outputs.items() if not np.isfinite(values).all()}
-    where = ", ".join(f"{name}={value:.6g}" for name, value in _flat(transcription, decisions).items())
+    numbers = dict(zip(transcription.places.entry_names(), decisions.tolist(), strict=True))
     if not broken:
         return (
-            f"At {where} every simulation is finite, but the objective, a constraint or its derivative is not: "
-            "look for a root or logarithm of zero, or a division by zero, in outputs or cost curves."
+            "Where the solver stopped every simulation is finite, but the objective, a constraint or its derivative is "
+            "not: look for a root or logarithm of zero, or a division by zero, in outputs or cost curves. The "
+            f"decisions are {_few(numbers, _MOST_NUMBERS)}."
         )
     name, (point, instant) = min(broken.items(), key=lambda item: item[1][1])
-    realisation = ", ".join(
-        f"{key}={value:.6g}" for key, value in _realisation(transcription, decisions, point).items()
-    )
-    who = f"collocation point {point + 1} of {len(outputs[name])} ({realisation})" if realisation else ""
-    germ = transcription.collocation.points[point]
+    uncertain = _realisation(transcription, decisions, point)
+    # Most of them are of the realisation: one of many is wrong, all of them have the same decisions.
+    realised = min(len(uncertain), _MOST_NUMBERS - min(len(numbers), 2))
+    count = len(transcription.collocation.points)
+    place = f"collocation point {point + 1} of {count}" if point < count else "a scenario of the worst case"
+    who = f"{place} ({_few(uncertain, realised)})" if uncertain else ""
+    where = f"The decisions are {_few(numbers, _MOST_NUMBERS - realised)}."
+    germ = jnp.asarray(transcription.points[point])
     if reason := unsolved(transcription.problem, germ, jnp.asarray(decisions)):
-        return f"At {where}{who and ', ' + who}: {reason}"
-    what = f"the simulation{who and ' of ' + who} is not finite: output '{name}'"
+        return f"{reason.rstrip('.')}.{who and f' This is {who}.'} {where}"
+    what = f"The simulation{who and ' of ' + who} is not finite: output '{name}'"
     if not isinstance(transcription.problem.grid, Grid):
-        return f"At {where}, {what}. Look for a root or logarithm of zero, or a division by zero."
+        return f"{what}. Look for a root or logarithm of zero, or a division by zero. {where}"
     remedy = "Shorten the time step, tighten the decisions' bounds or use an implicit integrator (al.Kvaerno5)."
-    return f"At {where}, {what} from t = {times[instant]:.4g} s on. {remedy}"
+    return f"{what} from t = {times[instant]:.4g} s on. {remedy} {where}"
+
+
+def _few(numbers: dict[str, float], most: int) -> str:
+    """The first of some numbers, and how many more there are."""
+    shown = ", ".join(f"{name}={value:.6g}" for name, value in list(numbers.items())[:most])
+    return f"{shown} and {len(numbers) - most} more" if len(numbers) > most else shown
 
 
 def _first(values: np.ndarray) -> tuple[int, int]:
@@ -43,12 +56,8 @@ def _first(values: np.ndarray) -> tuple[int, int]:
     return int(np.argmax(bad.take(instant, axis=1))), instant
 
 
-def _flat(transcription: Sequential, decisions: np.ndarray) -> dict[str, float]:
-    return dict(zip(transcription.places.entry_names(), decisions.tolist(), strict=True))
-
-
 def _realisation(transcription: Sequential, decisions: np.ndarray, point: int) -> dict[str, float]:
-    """The uncertain numbers at one collocation point."""
-    germ = transcription.collocation.points[point]
+    """The uncertain numbers at one of its points."""
+    germ = jnp.asarray(transcription.points[point])
     numbers = uncertain_numbers(transcription.places, germ, jnp.asarray(decisions))
     return {name: float(number) for name, number in numbers.items()}

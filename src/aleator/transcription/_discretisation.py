@@ -14,7 +14,15 @@ from jaxtyping import Array, Float
 from aleator._core.arrays import numbers_to_arrays
 from aleator._core.compilation import Compiled
 from aleator.collocation import Adaptive, Basis, Collocation, Discretisation, Expansion, Sparse, collocate
-from aleator.design import Problem, functionals_of, responses, statistics_in
+from aleator.design import (
+    Problem,
+    functionals_of,
+    refuse_changed_code,
+    refuse_large_histories,
+    responses,
+    statistics_in,
+)
+from aleator.dynamics import System
 from aleator.statistics import Constants, Preparation
 from aleator.uncertainty import AbstractGerm
 
@@ -41,12 +49,21 @@ def discretised(problem: Problem) -> Discretised:
 
     An expansion that chooses its terms by the model's outputs is asked once, at the initial decisions. Bounds and
     margins are no part of that, so that it is the same all along a front and a calibration.
+
+    Raises `ProblemError` if the collocation, or the histories at its points, would not fit into memory.
     """
     germs, expansion = tuple(problem.survey.germs.items()), problem.expansion
     chooses = isinstance(expansion.index_set, Adaptive) or isinstance(expansion.fit, Sparse)
     needed = (one.kind.preparation for one in statistics_in(problem.expressions))
     preparations = tuple(dict.fromkeys(one for one in needed if one is not None))
-    return _discretised(germs, expansion, preparations, _Outputs.of(problem) if chooses and germs else None)
+    found = _discretised(germs, expansion, preparations, _Outputs.of(problem) if chooses and germs else None)
+    # Outputs that follow from one instant are differentiated there, by the few numbers that are known.
+    moves = isinstance(problem.system, System) and problem.system.states
+    decided = problem.survey.vector("initial").size if moves else 0
+    refuse_large_histories(
+        problem, len(found.collocation.points), decided, "Take fewer steps, fewer points or a lower order."
+    )
+    return found
 
 
 Germs = tuple[tuple[str, AbstractGerm], ...]
@@ -102,4 +119,4 @@ def _respond(
     return responses(problem, functionals_of(problem.expressions), germ, decisions)
 
 
-RESPOND = Compiled(_respond)
+RESPOND = Compiled(_respond, unchanged=refuse_changed_code)

@@ -15,21 +15,33 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from aleator._core.arrays import decided_bounds
 from aleator._core.compilation import Compiled
+from aleator._core.leaves import is_leaf
 from aleator.collocation import Collocation
-from aleator.design import AbstractFunctional, Expression, Path, Problem, Statistic, functionals_of
-from aleator.dynamics import Grid, Known, System, known_at, observation, observed_at
+from aleator.design import (
+    AbstractFunctional,
+    Expression,
+    Extreme,
+    Path,
+    Problem,
+    Statistic,
+    Taken,
+    extreme_functionals,
+    functionals_of,
+    refuse_changed_code,
+)
+from aleator.dynamics import Grid, Known, System, known_at, observed_at
 from aleator.statistics import Constants
+from aleator.trajectories import AbstractSignal
 from aleator.transcription._affine import Anchors, affine_features, anchored
 from aleator.transcription._scope import ExpansionScope
-from aleator.uncertainty import named_numbers, realise, survey
+from aleator.uncertainty import Decision, named_numbers, realise, survey
 
 
 class Rows(NamedTuple):
     """Some expressions over all instants.
 
-    - `values`, `derivatives`: of each, shapes (rows,) and (rows, n);
+    - `values`, `derivatives`: of each, shapes (rows,) and (rows, n), instant by instant;
     - `samples`: each of their functionals at the collocation points, shape (points, instants);
     - `statistics`: those of each expression, in order.
     """
@@ -45,16 +57,21 @@ def instantaneous(problem: Problem) -> tuple[int, ...]:
     system = problem.system
     if not (isinstance(system, System) and isinstance(problem.grid, Grid)) or system.states:
         return ()
-    signals = [getattr(system, name) for name in system.signal_fields]
+    # Also those in the place of numbers: what is known at an instant is then not the same for all systems.
+    signals = [one for one in jax.tree.leaves(system, is_leaf=_is_signal) if _is_signal(one)]
     if survey((signals, problem.inputs)).distributions:
         return ()
     return tuple(i for i, one in enumerate(problem.expressions) if _is_instantaneous(one))
 
 
+def _is_signal(node: Any) -> bool:
+    return isinstance(node, AbstractSignal)
+
+
 def _is_instantaneous(expression: Expression) -> bool:
     """Whether it consists of statistics of paths, each by itself: no integral, no norm, no number of the model."""
     paths = all(isinstance(one, Path) for one in functionals_of((expression,)))
-    return paths and bool(expression.atoms) and all(isinstance(atom, Statistic) for atom in expression.atoms)
+    return paths and bool(expression.atoms) and all(isinstance(atom, Statistic | Extreme) for atom in expression.atoms)
 
 
 def instantaneous_rows(
@@ -68,13 +85,17 @@ def instantaneous_rows(
     """The expressions `which` of a problem and their derivatives, instant by instant."""
     expressions = tuple(problem.expressions[i] for i in which)
     instant = _Instant.of(problem, expressions, decisions)
+    held = extreme_functionals(expressions)
+    sizes: list[int] = []
 
     def row(numbers: Array) -> tuple[Array, tuple]:
         """All expressions at one instant, from what is known there and the decisions that act on the model itself."""
         samples, coefficients = instant.expanded(collocation, anchors, numbers)
-        weights = jnp.ones(1)  # no expression of these integrates over time
-        scope = ExpansionScope(samples, coefficients, constants, named_numbers(problem.model, decisions), weights)
+        realised = instant.realised(held, constants.scenarios, numbers)
+        named = named_numbers(problem.model, decisions)
+        scope = ExpansionScope(samples, coefficients, constants, named, realised=realised)
         found, taken = scope.evaluated(expressions)
+        sizes[:] = [one.size for one in found]
         values = jnp.concatenate(found)
         return values, (values, tuple(samples.values()), taken)
 
@@ -82,9 +103,10 @@ def instantaneous_rows(
     slopes, (values, samples, taken) = jax.vmap(lambda one: _differentiated(row, one))(numbers)
     inner = jax.jacfwd(lambda x: instant.numbers(x))(decisions)
     derivatives = jnp.einsum("trk,tkn->rtn", slopes, inner)
+    ends = np.cumsum(sizes)[:-1]
     return Rows(
-        tuple(values.T),
-        tuple(derivatives),
+        tuple(jnp.ravel(one.T) for one in jnp.split(values.T, ends)),
+        tuple(jnp.moveaxis(one, 0, 1).reshape(-1, one.shape[-1]) for one in jnp.split(derivatives, ends)),
         dict(zip(instant.functionals, (jnp.moveaxis(one, 1, 0) for one in samples), strict=True)),
         taken,
     )
@@ -134,7 +156,7 @@ def _features(
     return jax.vmap(found)(points), jnp.array(affine)
 
 
-FEATURES = Compiled(_features)
+FEATURES = Compiled(_features, unchanged=refuse_changed_code)
 
 
 @final
@@ -169,8 +191,19 @@ class _Instant:
         """Some functionals of one system of the family."""
         now, chosen = jnp.split(numbers, [self.known.rows.shape[1]])
         system = realise(self.frozen.model, point, chosen).system.focused(_needed(functionals))
-        outputs = observed_at(system, self.known, now, observation)
-        return tuple(one.evaluate(outputs, self.problem.grid) for one in functionals)
+        taken = Taken(observed_at(system, self.known, now), {})
+        return tuple(one.evaluate(taken, self.problem.grid) for one in functionals)
+
+    def realised(
+        self,
+        held: tuple[AbstractFunctional, ...],
+        scenarios: Float[Array, "scenarios variables"] | None,
+        numbers: Array,
+    ) -> dict[AbstractFunctional, Float[Array, " scenarios"]]:
+        """Some functionals at the scenarios of the worst case."""
+        if scenarios is None or not held:
+            return {}
+        return dict(zip(held, jax.vmap(lambda point: self.at(held, point, numbers))(scenarios), strict=True))
 
     def expanded(
         self, collocation: Collocation, anchors: Anchors | None, numbers: Array
@@ -210,10 +243,10 @@ def _frozen(problem: Problem) -> tuple[Problem, np.ndarray]:
     """The problem without the decisions of its signals and its final time, and where the others are in `x`."""
 
     def plain(leaf: Any) -> Any:
-        return jnp.asarray(leaf.initial) if decided_bounds(leaf) is not None else leaf
+        return jnp.asarray(leaf.initial) if isinstance(leaf, Decision) else leaf
 
     def still(tree: Any) -> Any:
-        return jax.tree.map(plain, tree, is_leaf=lambda leaf: decided_bounds(leaf) is not None)
+        return jax.tree.map(plain, tree, is_leaf=is_leaf)
 
     system = problem.system
     for name in system.signal_fields:  # type: ignore[union-attr]

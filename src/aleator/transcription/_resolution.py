@@ -2,10 +2,10 @@
 
 from typing import NamedTuple
 
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
 from aleator._core.compilation import Compiled
-from aleator.collocation import Collocation, leave_one_out, resolved_instants
+from aleator.collocation import Collocation, leave_one_out, leave_one_out_history
 from aleator.design import AbstractFunctional
 from aleator.statistics import Mean, Std
 
@@ -13,13 +13,13 @@ from aleator.statistics import Mean, Std
 class Resolved(NamedTuple):
     """One functional at given decisions: its moments, and how well its expansion predicts a new sample.
 
-    `instants` is how many instants of a path are resolved, from the first on; None for a number.
+    `history` is the leave-one-out error of a path at each instant (see `leave_one_out_history`); None for a number.
     """
 
     mean: Float[Array, "*shape"]
     std: Float[Array, "*shape"]
     leave_one_out: Float[Array, ""]
-    instants: Int[Array, ""] | None
+    history: Float[Array, " instants"] | None
 
 
 def _resolve(
@@ -38,7 +38,7 @@ def _resolved(
         mean=Mean().of(terms, ()),
         std=Std().of(terms, ()),
         leave_one_out=leave_one_out(collocation, samples, terms),
-        instants=resolved_instants(collocation, samples, terms) if functional.is_path else None,
+        history=leave_one_out_history(collocation, samples, terms) if functional.is_path else None,
     )
 
 

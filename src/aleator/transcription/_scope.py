@@ -1,13 +1,25 @@
 """Statistics of a problem's functionals by an expansion: where its expressions take their numbers."""
 
 from collections.abc import Mapping
-from typing import Any, final
+from types import MappingProxyType
+from typing import Any, NamedTuple, final
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from aleator.collocation import Collocation
-from aleator.design import AbstractFunctional, AbstractScope, Expression, Problem, grid_at, joined, responses
+from aleator.design import (
+    AbstractFunctional,
+    AbstractScope,
+    Expression,
+    Problem,
+    Sampled,
+    grid_at,
+    integrated_paths,
+    joined,
+    sampled,
+)
+from aleator.dynamics import Grid
 from aleator.statistics import AbstractStatistic, Constants
 from aleator.uncertainty import named_numbers
 
@@ -17,7 +29,8 @@ class ExpansionScope(AbstractScope):
     """Takes every statistic from the coefficients of expansions.
 
     - `samples`: each functional at the collocation points; `coefficients`: those of the expansions fitted to them;
-    - `numbers`: those of the model, by name; `weights`: of the instants;
+    - `numbers`: those of the model, by name; `between`: what integrals over time are taken from;
+    - `realised`: each functional on the realisations at which limits on the worst case are held;
     - `taken`: the statistics that it has been asked for, in that order.
     """
 
@@ -27,14 +40,16 @@ class ExpansionScope(AbstractScope):
         coefficients: Mapping[AbstractFunctional, Float[Array, "terms ..."]],
         constants: Constants,
         numbers: Mapping[str, Any],
-        weights: Float[Array, " instants"],
+        between: "Between | None" = None,
+        realised: Mapping[AbstractFunctional, Float[Array, "scenarios ..."]] = MappingProxyType({}),
     ):
         self.samples = samples
         self._coefficients = coefficients
+        self._realised = realised
         self.taken: list[Float[Array, "..."]] = []
         self._constants = constants
         self._numbers = numbers
-        self._weights = weights
+        self._between = between
 
     def evaluated(self, expressions: tuple[Expression, ...]) -> tuple[tuple[Array, ...], tuple[tuple[Array, ...], ...]]:
         """Expressions, each flattened, and the statistics that each of them asked for."""
@@ -51,14 +66,33 @@ class ExpansionScope(AbstractScope):
         self.taken.append(found)
         return found
 
-    @property
-    def weights(self) -> Float[Array, " instants"]:
-        """See `AbstractScope.weights`."""
-        return self._weights
+    def time_integral(self, expression: Expression) -> Float[Array, ""]:
+        """See `AbstractScope.time_integral`."""
+        assert self._between is not None
+        nodes, weights = self._between
+        inner = ExpansionScope({}, {**self._coefficients, **nodes}, self._constants, self._numbers)
+        integral = jnp.tensordot(weights, expression.evaluate(inner), axes=1)
+        # Every second node is an instant, at which statistics are told.
+        self.taken += [one if one.ndim == 0 else one[::2] for one in inner.taken]
+        return integral
+
+    def realised(self, functional: AbstractFunctional) -> Float[Array, "... scenarios"]:
+        """See `AbstractScope.realised`."""
+        return jnp.moveaxis(self._realised[functional], 0, -1)
 
     def value(self, name: str) -> Float[Array, ""]:
         """See `AbstractScope.value`."""
         return self._numbers[name]
+
+
+class Between(NamedTuple):
+    """What integrals of statistics over time are taken from.
+
+    - `coefficients`: of paths at the instants and in the middles between them; `weights`: of the quadrature there.
+    """
+
+    coefficients: Mapping[AbstractFunctional, Float[Array, "terms nodes ..."]]
+    weights: Float[Array, " nodes"]
 
 
 def scope_of(
@@ -68,10 +102,24 @@ def scope_of(
     constants: Constants,
     decisions: Float[Array, " n"],
 ) -> ExpansionScope:
-    """The scope of expressions of some functionals at given decisions: simulates at all collocation points once."""
-    samples = responses(problem, functionals, collocation.points, decisions) if functionals else ()
+    """The scope of expressions of some functionals at given decisions.
+
+    Simulates once, at all collocation points and at the scenarios of the worst case together.
+    """
+    paths = tuple(one for one in integrated_paths(problem.expressions) if one in functionals)
+    count, every = len(collocation.points), _with_scenarios(collocation.points, constants.scenarios)
+    found = sampled(problem, functionals, paths, every, decisions) if functionals else Sampled((), ())
+    samples = {one: values[:count] for one, values in zip(functionals, found.values, strict=True)}
+    realised = {one: values[count:] for one, values in zip(functionals, found.values, strict=True)}
+    coefficients = {one: collocation.coefficients(values) for one, values in samples.items()}
+    nodes = {one: collocation.coefficients(values[:count]) for one, values in zip(paths, found.nodes, strict=True)}
+    grid = grid_at(problem, decisions)
+    between = Between(nodes, grid.node_weights) if isinstance(grid, Grid) else None
     numbers = named_numbers(problem.model, decisions)
-    weights = grid_at(problem, decisions).weights
-    found = dict(zip(functionals, samples, strict=True))
-    coefficients = {one: collocation.coefficients(values) for one, values in found.items()}
-    return ExpansionScope(found, coefficients, constants, numbers, weights)
+    return ExpansionScope(samples, coefficients, constants, numbers, between, realised)
+
+
+def _with_scenarios(
+    points: Float[Array, "points variables"], scenarios: Float[Array, "scenarios variables"] | None
+) -> Float[Array, "every variables"]:
+    return points if scenarios is None else jnp.concatenate([points, scenarios])

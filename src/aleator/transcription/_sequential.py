@@ -4,9 +4,9 @@ The decisions are the only variables of the nonlinear program; the dynamics are 
 values and the Jacobian of the objective and of all constraints come from one compiled function.
 """
 
-import itertools
+import threading
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, final
 
 import jax
@@ -18,17 +18,29 @@ from aleator._core.arrays import numbers_to_arrays
 from aleator._core.compilation import Compiled
 from aleator._core.errors import ProblemError
 from aleator.collocation import Basis, Collocation
-from aleator.design import Problem, functionals_of, grid_at, history, statistics_in
+from aleator.design import Problem, current, functionals_of, grid_at, history, refuse_changed_code
 from aleator.nlp import Evaluation, NonlinearProgram
 from aleator.statistics import Constants
 from aleator.transcription._affine import Anchors
 from aleator.transcription._discretisation import RESPOND, discretised
 from aleator.transcription._instantaneous import FEATURES, anchors_of, instantaneous, instantaneous_rows
-from aleator.transcription._magnitudes import constraint_scales, decision_scales, elsewhere
+from aleator.transcription._magnitudes import (
+    Sizing,
+    decision_scales,
+    elsewhere,
+    largest_of,
+    least_objective,
+    needs_more,
+    spread,
+)
+from aleator.transcription._oracle import REACHED
 from aleator.transcription._resolution import RESOLVE, Resolved
+from aleator.transcription._rows import row_bounds, rows_of
+from aleator.transcription._scenarios import Scenarios, first_scenarios
 from aleator.transcription._scope import scope_of
 from aleator.transcription._settled import refuse_settled
 from aleator.transcription._structure import nearby, structure_of
+from aleator.transcription._texts import Texts
 from aleator.uncertainty import Survey
 
 
@@ -97,17 +109,19 @@ def _evaluate(
     return every, jnp.concatenate(derivatives), sizes, ordered, statistics, times
 
 
-def _outputs_at_points(problem: Problem, collocation: Collocation, decisions: Float[Array, " n"]) -> dict[str, Array]:
-    return jax.vmap(lambda germ: history(problem, germ, decisions))(collocation.points)
+def _outputs_at_points(
+    problem: Problem, points: Float[Array, "points variables"], decisions: Float[Array, " n"]
+) -> dict[str, Array]:
+    return jax.vmap(lambda germ: history(problem, germ, decisions))(points)
 
 
-EVALUATE = Compiled(_evaluate)
-OUTPUTS_AT_POINTS = Compiled(_outputs_at_points)
+EVALUATE = Compiled(_evaluate, unchanged=refuse_changed_code)
+OUTPUTS_AT_POINTS = Compiled(_outputs_at_points, unchanged=refuse_changed_code)
 
 
 def compile_seconds() -> float:
     """How long all compilations for solutions have taken so far, s."""
-    return EVALUATE.seconds + RESOLVE.seconds + RESPOND.seconds + FEATURES.seconds
+    return EVALUATE.seconds + RESOLVE.seconds + RESPOND.seconds + FEATURES.seconds + REACHED.seconds
 
 
 @final
@@ -118,35 +132,27 @@ class _Evaluator:
     """
 
     def __init__(self, traced: Problem, collocation: Collocation, constants: Constants, anchors: Anchors | None):
+        self._parts = traced, collocation, anchors
         self._evaluate = EVALUATE.bound(traced, collocation, constants, anchors)
         self._memory: dict[bytes, Blocks] = {}
+        self._lock = threading.Lock()
+
+    def with_constants(self, constants: Constants) -> "_Evaluator":
+        """The same problem with other constants, such as other scenarios."""
+        traced, collocation, anchors = self._parts
+        return _Evaluator(traced, collocation, constants, anchors)
 
     def __call__(self, decisions: Float[np.ndarray, " n"]) -> Blocks:
         key = decisions.tobytes()
-        if key not in self._memory:
+        with self._lock:
+            found = self._memory.get(key)
+        if found is None:
             found = Blocks(*self._evaluate(decisions))
-            while len(self._memory) > 1:
-                del self._memory[next(iter(self._memory))]
-            self._memory[key] = found
-        return self._memory[key]
-
-
-@final
-class Texts(NamedTuple):
-    """How the statistics, the functionals and the constraints of a problem are written, in order."""
-
-    statistics: tuple[str, ...]
-    functionals: tuple[str, ...]
-    constraints: tuple[str, ...]
-
-    @classmethod
-    def of(cls, problem: Problem) -> "Texts":
-        """Those of a problem."""
-        return cls(
-            tuple(one.text() for one in statistics_in(problem.expressions)),
-            tuple(one.text() for one in functionals_of(problem.expressions)),
-            tuple(map(str, problem.constraints)),
-        )
+            with self._lock:
+                while len(self._memory) > 1:
+                    del self._memory[next(iter(self._memory))]
+                self._memory[key] = found
+        return found
 
 
 @final
@@ -154,7 +160,9 @@ class Texts(NamedTuple):
 class Sequential:
     """A problem transcribed: its nonlinear program, and what leads back from the program's rows to the problem.
 
-    `rows` and `scales` are those of each constraint; `texts`: how the problem is written.
+    `rows` and `scales` (magnitudes at the start) are those of each constraint; `texts`: how the problem is written;
+    `sizing`: how large its constraints are anywhere; `scenarios`: where its limits on the worst case are held, if it
+    has any.
     """
 
     problem: Problem
@@ -168,10 +176,18 @@ class Sequential:
     scales: tuple[float, ...]
     evaluator: _Evaluator
     texts: Texts
+    sizing: Sizing
+    scenarios: Scenarios | None = None
+
+    @property
+    def points(self) -> Float[np.ndarray, "points variables"]:
+        """All germ points at which the model is simulated: the collocation points, then the scenarios."""
+        points = np.asarray(self.collocation.points)
+        return points if self.scenarios is None else np.concatenate([points, self.scenarios.points])
 
     def outputs(self, decisions: Float[np.ndarray, " n"]) -> dict[str, Array]:
-        """Histories of all outputs at all collocation points."""
-        return OUTPUTS_AT_POINTS(self.traced, self.collocation, jnp.asarray(decisions))
+        """Histories of all outputs at all `points`."""
+        return OUTPUTS_AT_POINTS(self.traced, jnp.asarray(self.points), jnp.asarray(decisions))
 
     def times(self, decisions: Float[np.ndarray, " n"]) -> Float[np.ndarray, " instants"]:
         """The instants of the grid."""
@@ -194,20 +210,26 @@ class Sequential:
 
 
 _RECENT: deque[tuple[list[Any], Sequential]] = deque(maxlen=_KEPT)
+_LOCK = threading.Lock()
 
 
 def transcribe(problem: Problem) -> Sequential:
     """Turn a declared problem into a nonlinear program, compiling it if no problem of its structure has been before.
 
-    A problem that was transcribed a short while ago, such as by a solution from another start, is not again. Raises
-    `ProblemError` if the problem has no decisions.
+    A problem that was transcribed a short while ago, such as by a solution from another start, is not again. One whose
+    code has changed since it was declared is transcribed as it is now. Raises `ProblemError` if the problem has no
+    decisions.
     """
+    problem = current(problem)
     numbers = jax.tree.leaves(problem)
-    for known, found in _RECENT:
+    with _LOCK:
+        recent = list(_RECENT)
+    for known, found in recent:
         if found.problem is problem and _same(known, numbers):
             return found
     found = _transcribed(problem)
-    _RECENT.append(([leaf.copy() if isinstance(leaf, np.ndarray) else leaf for leaf in numbers], found))
+    with _LOCK:
+        _RECENT.append(([leaf.copy() if isinstance(leaf, np.ndarray) else leaf for leaf in numbers], found))
     return found
 
 
@@ -225,18 +247,26 @@ def _transcribed(problem: Problem) -> Sequential:
         raise ProblemError(
             "The problem has no decisions: put al.Decision(initial, lower, upper) in the place of a number of it."
         )
+    scenarios = first_scenarios(problem)
     basis, collocation, constants = discretised(problem)
+    if scenarios is not None:
+        constants = replace(constants, scenarios=jnp.asarray(scenarios.points))
     traced = numbers_to_arrays(problem)
     start, lower, upper = (places.vector(name) for name in ("initial", "lower", "upper"))
     evaluator = _Evaluator(traced, collocation, constants, anchors_of(traced, collocation, start))
     decision_scale = decision_scales(start, lower, upper)
-    beside = nearby(start, lower, upper, decision_scale) if instantaneous(problem) else []
-    around = [evaluator(one).derivatives[1:] != 0 for one in beside]
+    around = nearby(start, lower, upper, decision_scale)
+    beside = [evaluator(one) for one in around] if instantaneous(problem) else []
     # The start comes last, for it is asked for again: the evaluator remembers it.
     at_start = evaluator(start)
+    rows = rows_of(at_start.sizes[1:])
     values, derivatives = map(at_start.by_constraint, (at_start.values, at_start.derivatives))
-    scales = constraint_scales(problem.constraints, values, derivatives, decision_scale)
-    rows = _rows(at_start)
+    unknown = not beside and needs_more(problem.constraints, values, derivatives, decision_scale)
+    seen = [at_start, *beside, *([evaluator(around[0])] if unknown else [])]
+    away = largest_of([one.by_constraint(one.values) for one in seen])
+    sizing = Sizing(problem.constraints, rows, decision_scale, away)
+    sizes = sizing.each(start, values, derivatives)
+    scales = [one.size for one in sizes]
     refuse_settled(
         problem,
         values,
@@ -246,41 +276,31 @@ def _transcribed(problem: Problem) -> Sequential:
         lambda: [(found := evaluator(one)).by_constraint(found.values) for one in elsewhere(start, lower, upper)],
     )
     paths = [where for where, one in zip(rows, problem.constraints, strict=True) if one.is_path]
-    found = [at_start.derivatives[1:] != 0, *around]
+    found = [one.derivatives[1:] != 0 for one in (at_start, *beside)]
+    constraint_lower, constraint_upper = row_bounds(problem.constraints, rows, scenarios)
     program = NonlinearProgram(
-        evaluate=lambda decisions: _evaluation(evaluator(decisions)),
+        evaluate=lambda decisions: evaluation_of(evaluator(decisions)),
         start=start,
         lower=lower,
         upper=upper,
-        constraint_lower=_spread(rows, [float(one.lower) for one in problem.constraints]),
-        constraint_upper=_spread(rows, [float(one.upper) for one in problem.constraints]),
-        constraint_scale=_spread(rows, scales),
+        constraint_lower=constraint_lower,
+        constraint_upper=constraint_upper,
+        constraint_scale=spread(rows, [one.scale for one in sizes]),
         decision_scale=decision_scale,
-        structure=structure_of(np.any(found, axis=0), paths, len(at_start.times)) if around else None,
+        structure=structure_of(np.any(found, axis=0), paths, len(at_start.times)) if beside else None,
+        magnitudes=sizing.at,
+        least=least_objective(problem),
     )
     discretisation = basis, collocation, constants
-    back = program, rows, tuple(scales), evaluator, Texts.of(problem)
+    back = program, rows, tuple(scales), evaluator, Texts.of(problem), sizing, scenarios
     return Sequential(problem, traced, places, *discretisation, *back)
 
 
-def _evaluation(blocks: Blocks) -> Evaluation:
+def evaluation_of(blocks: Blocks) -> Evaluation:
     """A point in the solver's terms."""
     return Evaluation(
         objective=float(blocks.values[0]),
         gradient=blocks.derivatives[0],
         constraints=blocks.values[1:],
         jacobian=blocks.derivatives[1:],
-    )
-
-
-def _rows(blocks: Blocks) -> tuple[slice, ...]:
-    """The rows of each constraint in the program's constraint vector."""
-    ends = np.cumsum([0, *blocks.sizes[1:]]).tolist()
-    return tuple(slice(first, last) for first, last in itertools.pairwise(ends))
-
-
-def _spread(rows: tuple[slice, ...], numbers: list[float]) -> Float[np.ndarray, " m"]:
-    """One number for each constraint, repeated over its rows."""
-    return np.concatenate(
-        [np.zeros(0), *(np.full(row.stop - row.start, x) for row, x in zip(rows, numbers, strict=True))]
     )

@@ -9,14 +9,17 @@ from jaxtyping import Array, Float
 
 from aleator._core.arrays import Scalar
 from aleator.uncertainty._density_germs import TriangularGerm, TruncatedNormalGerm
-from aleator.uncertainty._distribution import AbstractDistribution, Canonical, Form
+from aleator.uncertainty._distribution import AbstractDistribution
+from aleator.uncertainty._parameters import Canonical, Form
 from aleator.uncertainty._polynomials import AbstractGerm
 
 
 def _triangular_quantile(below: Array, above: Array, mode: Scalar) -> Array:
     """Quantile on [-1, 1], given the probabilities below and above."""
     left = below < mode
-    distance = 2 * jnp.sqrt(jnp.where(left, mode * below, (1 - mode) * above))
+    square = jnp.where(left, mode * below, (1 - mode) * above)
+    # The ends stay where they are, whatever the mode is.
+    distance = jnp.where(square > 0, 2 * jnp.sqrt(jnp.where(square > 0, square, 1.0)), 0.0)
     return jnp.where(left, distance - 1, 1 - distance)
 
 

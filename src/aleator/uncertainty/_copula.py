@@ -17,8 +17,10 @@ from jaxtyping import Float
 from scipy import optimize
 
 from aleator._core.errors import ProblemError
+from aleator._core.given import real, real_array, refusal
+from aleator._core.leaves import is_traced
 from aleator.uncertainty._dependence import Dependence
-from aleator.uncertainty._distribution import AbstractDistribution, is_traced
+from aleator.uncertainty._distribution import AbstractDistribution
 from aleator.uncertainty._polynomials import HermiteGerm
 
 _TERMS = 100
@@ -45,6 +47,8 @@ def correlated(
 
     Raises `ProblemError` if the correlations make no matrix of correlations, or if these laws cannot reach them.
     """
+    if not isinstance(laws, Mapping):
+        raise refusal("correlated", "distributions by name", laws)
     members = tuple(laws)
     for member, law in laws.items():
         _check_member(member, law)
@@ -78,10 +82,7 @@ def _matrix(members: tuple[str, ...], correlations: Any) -> Float[np.ndarray, "n
     """The correlations as a matrix, in the order of the members."""
     count = len(members)
     if not isinstance(correlations, Mapping):
-        try:
-            matrix = np.asarray(correlations, dtype=float)
-        except (TypeError, ValueError) as error:
-            raise ProblemError(f"Correlations are plain numbers; received {correlations!r}.") from error
+        matrix = real_array("Correlations", correlations, "plain numbers")
         if matrix.shape != (count, count):
             raise ProblemError(
                 f"A correlation matrix of {count} laws has shape ({count}, {count}); received {matrix.shape}."
@@ -98,10 +99,7 @@ def _matrix(members: tuple[str, ...], correlations: Any) -> Float[np.ndarray, "n
             raise ProblemError(f"The correlation of '{pair[0]}' and '{pair[1]}' is given twice. Give it once.")
         named.add(frozenset(pair))
         i, j = map(members.index, pair)
-        try:
-            matrix[i, j] = matrix[j, i] = float(value)
-        except (TypeError, ValueError) as error:
-            raise ProblemError(f"Correlations are plain numbers; received {value!r} for {pair!r}.") from error
+        matrix[i, j] = matrix[j, i] = real(f"The correlation of {pair!r}", value)
     return matrix
 
 

@@ -14,8 +14,10 @@ from scipy.special import ndtr
 
 from aleator._core.arrays import Scalar
 from aleator._core.errors import ProblemError
+from aleator._core.given import real_array, refusal
 from aleator.uncertainty._density_germs import DensityGerm, SampleGerm
-from aleator.uncertainty._distribution import AbstractDistribution, Canonical, Form
+from aleator.uncertainty._distribution import AbstractDistribution
+from aleator.uncertainty._parameters import Canonical, Form
 from aleator.uncertainty._polynomials import AbstractGerm
 
 
@@ -86,13 +88,11 @@ class Density(AbstractDistribution):
 
 
 def _ends(lower: Any, upper: Any) -> tuple[float, float]:
-    try:
-        low, high = float(lower), float(upper)
-    except (TypeError, ValueError) as error:
-        raise ProblemError(
-            f"Density takes plain numbers as bounds of its function; received {lower!r} and {upper!r}. "
-            "Let `location` and `scale` be the decisions."
-        ) from error
+    expected = "a plain number (let `location` and `scale` be the decisions)"
+    low, high = (real_array(f"Density: {name}", end, expected) for name, end in (("lower", lower), ("upper", upper)))
+    if low.ndim or high.ndim:
+        raise refusal("Density: its bounds", "plain numbers", (lower, upper))
+    low, high = float(low), float(high)
     if not low < high:
         raise ProblemError(f"Density needs lower < upper; received lower={low:g}, upper={high:g}.")
     return low, high
@@ -171,10 +171,7 @@ class Sample(AbstractDistribution):
 
 
 def _data(data: Any) -> Float[np.ndarray, " n"]:
-    try:
-        values = np.asarray(data, dtype=float)
-    except (TypeError, ValueError) as error:
-        raise ProblemError(f"Sample takes a list or vector of numbers; received {type(data).__name__}.") from error
+    values = real_array("Sample", data, "a list or vector of numbers")
     if values.ndim != 1 or not np.all(np.isfinite(values)) or np.unique(values).size < 2:
         raise ProblemError(
             "Sample takes a vector of finite numbers of which at least two differ; received "

@@ -1,16 +1,22 @@
 """`Decision`: a number of a model that the optimiser chooses."""
 
-from typing import Any, final
+from typing import Any, ClassVar, final
 
 import equinox as eqx
 import numpy as np
+from jaxtyping import Float
 
 from aleator._core.arrays import Scalar
 from aleator._core.errors import ProblemError
+from aleator._core.given import a_name, real_array, refusal
+from aleator._core.leaves import AbstractLeaf, is_traced
+
+# By how much a start may leave its bounds, relative to it: it may have been computed.
+_ROUNDING = 1e-9
 
 
 @final
-class Decision(eqx.Module):
+class Decision(AbstractLeaf):
     """A number (or an array of numbers) that the optimiser chooses, placed anywhere in a model.
 
     `Decision(30e3, lower=23_339, upper=300e3)` starts at 30 000. An array as `initial` makes as many decisions, with
@@ -20,6 +26,8 @@ class Decision(eqx.Module):
     Raises `ProblemError` if a number is not finite (bounds may be infinite), if the bounds are in the wrong order, or
     if the start lies outside them.
     """
+
+    UNCERTAIN: ClassVar[bool] = False
 
     initial: Scalar | np.ndarray
     lower: Scalar | np.ndarray
@@ -44,14 +52,24 @@ class Decision(eqx.Module):
 
     def shared(self, name: str) -> "Decision":
         """The same decision wherever it is placed: all placements shared under one name are one decision."""
-        return Decision(self.initial, self.lower, self.upper, shared_name=name)
+        return Decision(self.initial, self.lower, self.upper, shared_name=a_name("shared", name))
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """The shape of the numbers that are chosen."""
+        return np.shape(self.initial)
+
+    def lowest(self) -> float | None:
+        """The smallest number that may be chosen."""
+        return None if is_traced(self.lower) else float(np.min(np.asarray(self.lower), initial=np.inf))
+
+    def highest(self) -> float | None:
+        """The largest number that may be chosen."""
+        return None if is_traced(self.upper) else float(np.max(np.asarray(self.upper), initial=-np.inf))
 
 
 def _real(value: Any) -> np.ndarray:
-    try:
-        return np.asarray(value, dtype=float)
-    except (TypeError, ValueError) as error:
-        raise ProblemError(f"A Decision takes numbers or arrays of numbers; received {value!r}.") from error
+    return real_array("A Decision", value, "numbers or arrays of numbers")
 
 
 def _check(start: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> None:
@@ -69,3 +87,20 @@ def _check(start: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> None:
         )
     if np.any(start < lower) or np.any(start > upper):
         raise ProblemError(f"A Decision starts between its bounds [{lower}, {upper}]; received {start}.")
+
+
+def start_given(name: str, value: Any, decision: Decision) -> Float[np.ndarray, "..."]:
+    """Another start of a decision, brought into its bounds, which it may leave by rounding alone."""
+    expected = f"finite numbers of shape {decision.shape}"
+    numbers = real_array(f"start: '{name}'", value, expected)
+    if numbers.shape != decision.shape or not np.isfinite(numbers).all():
+        raise refusal(f"start: '{name}'", expected, value)
+    inside = np.clip(numbers, np.asarray(decision.lower), np.asarray(decision.upper))
+    beyond = np.abs(inside - numbers) > _ROUNDING * np.maximum(np.abs(numbers), np.abs(inside))
+    if beyond.any():
+        first = np.flatnonzero(beyond)[0]
+        lower, upper, start = (
+            np.broadcast_to(one, numbers.shape).flat[first] for one in (decision.lower, decision.upper, numbers)
+        )
+        raise ProblemError(f"start: expected '{name}' between its bounds {lower:g} and {upper:g}; received {start:g}.")
+    return inside

@@ -4,38 +4,25 @@ import abc
 import dataclasses
 import itertools
 from collections.abc import Callable, Iterator
-from typing import Any, ClassVar, NamedTuple, Self
+from typing import Any, ClassVar, Self
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from aleator._core.arrays import Scalar
 from aleator._core.errors import ProblemError
+from aleator._core.given import a_name
+from aleator._core.leaves import AbstractLeaf, is_traced
 from aleator.uncertainty._decision import Decision
 from aleator.uncertainty._dependence import Dependence
+from aleator.uncertainty._parameters import Canonical, Form, brief, constant, plain
 from aleator.uncertainty._polynomials import AbstractGerm, HermiteGerm
 
 
-class Canonical(NamedTuple):
-    """A law as `location + scale * germ`, with the shape parameters of its germ (none, one or two numbers)."""
-
-    location: Scalar
-    scale: Scalar
-    shape: tuple[Scalar, ...] = ()
-
-
-class Form(NamedTuple):
-    """One way to give a distribution's parameters: how they become canonical, and which of them set the shape."""
-
-    canonical: Callable[..., Canonical]
-    shaped_by: frozenset[str] = frozenset()
-
-
-class AbstractDistribution(eqx.Module):
+class AbstractDistribution(AbstractLeaf):
     """An uncertain number, placed anywhere in a model. Each of its parameters may be a number or a `Decision`.
 
     The germ `xi` is fixed and the number is `location + scale * xi` (dissertation, equations 13 and 14), so that
@@ -50,6 +37,7 @@ class AbstractDistribution(eqx.Module):
     dependence: Dependence | None
     shared_name: str | None = eqx.field(static=True)
 
+    UNCERTAIN: ClassVar[bool] = True
     FORMS: ClassVar[dict[tuple[str, ...], Form]]
     REQUIRES: ClassVar[str] = "finite parameters, a positive spread and positive shape parameters"
     REACHES_ENDS: ClassVar[bool] = True
@@ -57,7 +45,7 @@ class AbstractDistribution(eqx.Module):
 
     def _take(self, given: dict[str, Any], shared_name: str | None) -> None:
         """Store the parameters that were given, after checking that they make a law."""
-        parameters = {name: _plain(name, value, type(self)) for name, value in given.items() if value is not None}
+        parameters = {name: plain(name, value, type(self)) for name, value in given.items() if value is not None}
         self.parameters = parameters
         self.dependence = None
         self.shared_name = shared_name
@@ -68,7 +56,7 @@ class AbstractDistribution(eqx.Module):
 
     def shared(self, name: str) -> Self:
         """The same realisation wherever it is placed: all placements shared under one name are one random variable."""
-        return self._with(shared_name=name)
+        return self._with(shared_name=a_name("shared", name))
 
     def _with(self, **changes: Any) -> Self:
         """A copy with other values in the named fields."""
@@ -144,6 +132,38 @@ class AbstractDistribution(eqx.Module):
         for ends in itertools.product(("lower", "upper"), repeat=len(keys)):
             end = dict(zip(keys, ends, strict=True))
             yield {name: float(getattr(decision, end[key[name]])) for name, decision in self.decisions.items()}
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """That of one number. (The shape of the law is another matter: see `concrete_shape`.)"""
+        return ()
+
+    def lowest(self) -> float | None:
+        """The lower end of the support, at the corner of its decisions where it is lowest."""
+        ends = self._ends(0)
+        if not ends:
+            return None
+        least = float(np.nanmin(ends))
+        return least if self.REACHES_ENDS else float(np.nextafter(least, np.inf))
+
+    def highest(self) -> float | None:
+        """The upper end of the support, at the corner of its decisions where it is highest."""
+        ends = self._ends(1)
+        if not ends:
+            return None
+        most = float(np.nanmax(ends))
+        return most if self.REACHES_ENDS else float(np.nextafter(most, -np.inf))
+
+    def _ends(self, which: int) -> list[float]:
+        """One end of the support at every corner of the decisions; nothing where numbers are traced.
+
+        An end at infinity leaves "infinity less infinity", not a number, at its corner; another corner knows the end.
+        """
+        if is_traced(self):
+            return []
+        with np.errstate(invalid="ignore"), jax.ensure_compile_time_eval():
+            corners = [self.decided(lambda name, _, at=corner: at[name]) for corner in self.corners()]
+            return [float(one.support()[which]) for one in corners]
 
     def canonical(self) -> Canonical:
         """Location, scale and shape, once the parameters are plain numbers."""
@@ -266,41 +286,5 @@ class AbstractDistribution(eqx.Module):
         """Smallest and largest possible value, once the parameters are plain numbers."""
 
     def __str__(self) -> str:
-        inside = ", ".join(f"{name}={_brief(self.parameters[name])}" for name in self._names())
+        inside = ", ".join(f"{name}={brief(self.parameters[name])}" for name in self._names())
         return f"{type(self).__name__}({inside})"
-
-
-def constant(tree: Any) -> Any:
-    """The same numbers without their derivatives: plain ones under `jax.grad`, but traced ones under `jax.jit`."""
-    with jax.ensure_compile_time_eval():
-        return jax.lax.stop_gradient(tree)
-
-
-def is_traced(tree: Any) -> bool:
-    """Whether any number in `tree` is traced by JAX."""
-    return any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(tree))
-
-
-def _plain(name: str, value: Any, family: type) -> Any:
-    """A parameter as a float, a scalar array or a scalar `Decision`."""
-    if isinstance(value, Decision):
-        if np.ndim(value.initial) == 0:
-            return value
-        received = f"a Decision of shape {np.shape(value.initial)}"
-    elif isinstance(value, jax.Array) and value.ndim == 0:
-        return value
-    elif isinstance(value, int | float | np.number | np.ndarray) and _is_one_real(np.asarray(value)):
-        return float(value)
-    else:
-        received = f"{type(value).__name__} {value!r}"
-    raise ProblemError(f"{family.__name__}: '{name}' takes one number or one Decision; received {received}.")
-
-
-def _is_one_real(value: np.ndarray) -> bool:
-    return value.ndim == 0 and value.dtype.kind in "iuf"
-
-
-def _brief(value: Any) -> str:
-    if isinstance(value, Decision):
-        return f"Decision({float(value.initial):g} in [{float(value.lower):g}, {float(value.upper):g}])"
-    return f"{float(value):g}" if not isinstance(value, Tracer) else "traced"

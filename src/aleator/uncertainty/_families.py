@@ -9,7 +9,8 @@ from jaxtyping import Array, Float
 
 from aleator._core.arrays import Scalar
 from aleator._core.errors import ProblemError
-from aleator.uncertainty._distribution import AbstractDistribution, Canonical, Form
+from aleator.uncertainty._distribution import AbstractDistribution
+from aleator.uncertainty._parameters import Canonical, Form
 from aleator.uncertainty._polynomials import AbstractGerm, HermiteGerm, JacobiGerm, LaguerreGerm, LegendreGerm
 from aleator.uncertainty._transport import beta_anchor, beta_quantile, gamma_anchor, gamma_quantile
 

@@ -10,8 +10,10 @@ import numpy as np
 
 from aleator._core.arrays import Pytree
 from aleator._core.errors import ProblemError
-from aleator._core.laws import lowest
-from aleator.uncertainty._survey import free, is_special
+from aleator._core.given import refusal
+from aleator._core.leaves import is_leaf, is_transparent, lowest, shown
+from aleator.trajectories import AbstractSignal
+from aleator.uncertainty._survey import free
 
 
 def parameter(unit: str = "", *, positive: bool = False, **options: Any) -> Any:
@@ -19,20 +21,23 @@ def parameter(unit: str = "", *, positive: bool = False, **options: Any) -> Any:
 
     With `positive`, a number, decision or distribution in this field that can reach zero is refused.
     """
+    if not isinstance(unit, str):
+        raise refusal("parameter", "a unit as text, such as 'kg'", unit)
     return eqx.field(metadata={"unit": unit, "positive": positive}, **options)
 
 
 def fields_of(model: Pytree, path: str = "") -> Iterator[tuple[str, dataclasses.Field, Any]]:
     """The fields of a model and of the modules anywhere inside it: name, field, value."""
     for where, module in jax.tree_util.tree_leaves_with_path(model, is_leaf=_is_module):
-        if not _is_module(module) or is_special(module):
+        if not _is_module(module) or is_leaf(module):
             continue
-        place = path + "".join(f"{jax.tree_util.keystr((key,), simple=True)}." for key in where)
+        place = path + "".join(f"{jax.tree_util.keystr((key,), simple=True)}." for key in shown(model, where))
         for field in dataclasses.fields(module):
             value = getattr(module, field.name, None)
             yield place + field.name, field, value
             if not field.metadata.get("static", False):
-                yield from fields_of(value, f"{place}{field.name}.")
+                inside = place if is_transparent(module, field.name) else f"{place}{field.name}."
+                yield from fields_of(value, inside)
 
 
 def _is_module(node: Any) -> bool:
@@ -47,12 +52,27 @@ def refuse_nonpositive(model: Pytree) -> None:
     for name, field, value in fields_of(model):
         if not field.metadata.get("positive", False):
             continue
-        for leaf in jax.tree.leaves(value, is_leaf=is_special):
-            if callable(leaf) and not is_special(leaf):
+        for leaf in jax.tree.leaves(value, is_leaf=_is_whole_part):
+            if isinstance(leaf, AbstractSignal) and leaf.unbounded:
+                raise ProblemError(_message_of_process(name, leaf))
+            # What other signals give is known in time only: dynamics look at the masses that follow.
+            if callable(leaf) and not is_leaf(leaf):
                 continue
             least = _lowest(leaf)
             if least is None or not least > 0:
-                raise ProblemError(_message(name.removeprefix("system."), free(leaf), least))
+                raise ProblemError(_message(name, free(leaf), least))
+
+
+def _is_whole_part(node: Any) -> bool:
+    return is_leaf(node) or isinstance(node, AbstractSignal)
+
+
+def _message_of_process(name: str, signal: Any) -> str:
+    return (
+        f"'{name}' must stay positive, but a {type(signal).__name__} is Gaussian at every instant, and so unbounded "
+        "below. Give a positive function of it, such as al.signal(lambda t, p: 2.0 * jnp.exp(p.noise(t)), "
+        "noise=al.RandomProcess(...))."
+    )
 
 
 def _lowest(leaf: Any) -> float | None:
@@ -61,7 +81,7 @@ def _lowest(leaf: Any) -> float | None:
     numeric = (
         isinstance(leaf, int | float | np.generic | np.ndarray | jax.Array) and np.asarray(leaf).dtype.kind in "biuf"
     )
-    return lowest(leaf) if numeric or is_special(leaf) else None
+    return lowest(leaf) if numeric or is_leaf(leaf) else None
 
 
 def _message(name: str, leaf: Any, least: float | None) -> str:

@@ -5,28 +5,49 @@ A model is any pytree. `survey` finds the distributions and decisions among its 
 """
 
 from collections.abc import Callable, Iterator, Mapping
-from typing import Any, NamedTuple, final
+from typing import Any, ClassVar, NamedTuple, final
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from aleator._core.arrays import Pytree, is_number
 from aleator._core.errors import ProblemError
-from aleator.uncertainty._decision import Decision
+from aleator._core.given import refuse_missing
+from aleator._core.leaves import AbstractLeaf, is_leaf, is_traced, named_leaves
+from aleator.uncertainty._decision import Decision, start_given
 from aleator.uncertainty._dependence import check_groups
 from aleator.uncertainty._distribution import AbstractDistribution
 from aleator.uncertainty._polynomials import AbstractGerm
 
 
 @final
-class AtMean(eqx.Module):
+class AtMean(AbstractLeaf):
     """A distribution held at its mean: what `deterministic` puts in the place of each distribution."""
 
+    UNCERTAIN: ClassVar[bool] = False
+
     distribution: AbstractDistribution
+
+    @property
+    def shared_name(self) -> str | None:  # type: ignore[override]
+        """The name under which the distribution is shared."""
+        return self.distribution.shared_name
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """That of the distribution."""
+        return self.distribution.shape
+
+    def lowest(self) -> float | None:
+        """That of the distribution, which evidence samples again."""
+        return self.distribution.lowest()
+
+    def highest(self) -> float | None:
+        """That of the distribution, which evidence samples again."""
+        return self.distribution.highest()
 
 
 class Place(NamedTuple):
@@ -74,7 +95,8 @@ class Survey(NamedTuple):
     def moved(self, vector: Float[np.ndarray, " n"], values: Any) -> Float[np.ndarray, " n"]:
         """A decision vector with other values of some decisions, by name.
 
-        Raises `ProblemError` for decisions that are not there, and for values of another shape or not finite.
+        Raises `ProblemError` for decisions that are not there, and for values of another shape, not finite or beyond
+        their bounds by more than rounding.
         """
         if not isinstance(values, Mapping) or not set(values) <= set(self.decisions):
             raise ProblemError(
@@ -83,14 +105,7 @@ class Survey(NamedTuple):
         result = vector.copy()
         for name, value in values.items():
             place = self.decisions[name]
-            shape = np.shape(place.decision.initial)
-            try:
-                numbers = np.asarray(value, dtype=float)
-            except (TypeError, ValueError):
-                numbers = np.array(np.nan)
-            if numbers.shape != shape or not np.isfinite(numbers).all():
-                raise ProblemError(f"start: expected finite numbers of shape {shape} for '{name}'; received {value!r}.")
-            result[place.where] = numbers.ravel()
+            result[place.where] = start_given(name, value, place.decision).ravel()
         return result
 
     def entry_names(self) -> tuple[str, ...]:
@@ -102,37 +117,9 @@ class Survey(NamedTuple):
         )
 
 
-def is_special(node: Any) -> bool:
-    """Whether `node` is a leaf of a model that realisation replaces."""
-    return isinstance(node, AbstractDistribution | Decision | AtMean)
-
-
-def _places(model: Pytree) -> Iterator[tuple[str, Any]]:
-    """Every leaf of a model with its name: its path, or the name under which it is shared."""
-    leaves, _ = jax.tree_util.tree_flatten_with_path(model, is_leaf=is_special)
-    for path, leaf in leaves:
-        yield _name(path, leaf), leaf
-
-
-def _name(path: Any, leaf: Any) -> str:
-    """A leaf's name: its place. What only holds the rest does not show in it.
-
-    That is the `system` of a problem and its `grid`, the `model` of which a system tells the dynamics, and the
-    `dimensions` of an assembly.
-    """
-    place = jax.tree_util.keystr(path, simple=True, separator=".")
-    for holder in ("system.", "model.", "dimensions.", "grid."):
-        place = place.removeprefix(holder)
-    return _shared_name(leaf) or place
-
-
 def free(leaf: Any) -> Any:
     """The distribution behind a leaf that holds it at its mean; any other leaf as it is."""
     return leaf.distribution if isinstance(leaf, AtMean) else leaf
-
-
-def _shared_name(leaf: Any) -> str | None:
-    return getattr(free(leaf), "shared_name", None) if is_special(leaf) else None
 
 
 def _decisions_in(name: str, leaf: Any) -> Iterator[tuple[str, Decision]]:
@@ -164,14 +151,15 @@ def survey(model: Pytree) -> Survey:
     distributions: dict[str, AbstractDistribution] = {}
     decisions: dict[str, Place] = {}
     size = 0
-    for name, leaf in _places(model):
+    for name, leaf in named_leaves(model):
+        refuse_missing(name, leaf)
         if name in named:
             _refuse_conflict(name, named[name], leaf)
             continue
         for key, owner in _named_by(name, leaf):
             if owner is not named.setdefault(key, owner):
                 _refuse_conflict(key, named[key], owner)
-        if not is_special(leaf):
+        if not is_leaf(leaf):
             continue
         if isinstance(leaf, AbstractDistribution):
             distributions[name] = leaf
@@ -185,21 +173,21 @@ def survey(model: Pytree) -> Survey:
     return Survey(distributions, decisions)
 
 
+def _is_shared(owner: Any) -> bool:
+    return isinstance(owner, AbstractLeaf) and owner.shared_name is not None
+
+
 def _refuse_conflict(name: str, first: Any, second: Any) -> None:
-    if _shared_name(first) is None or _shared_name(second) is None:
+    if not (_is_shared(first) and _is_shared(second)):
         raise ProblemError(
             f"'{name}' names two placements: {first} and {second}. "
             "Rename one of them, or give the same `shared` name to both if they are one."
         )
-    if not (_is_traced(first) or eqx.tree_equal(first, second)):
+    if not (is_traced(first) or eqx.tree_equal(first, second)):
         raise ProblemError(
             f"'{name}' is shared by two placements that differ: {first} and {second}. "
             "Give the same distribution or decision in both places, or two names."
         )
-
-
-def _is_traced(tree: Pytree) -> bool:
-    return any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(tree))
 
 
 def realise(model: Pytree, germ: Float[Array, " variables"], decisions: Float[Array, " n"]) -> Pytree:
@@ -211,17 +199,14 @@ def realise(model: Pytree, germ: Float[Array, " variables"], decisions: Float[Ar
     places = survey(model)
     uncertain = uncertain_numbers(places, germ, decisions)
 
-    def substitute(path: Any, leaf: Any) -> Any:
-        if not is_special(leaf):
-            return leaf
-        name = _name(path, leaf)
+    def value(name: str, leaf: Any) -> Any:
         if isinstance(leaf, Decision):
             return _chosen(places, decisions, name)
         if isinstance(leaf, AtMean):
             return _decided(leaf.distribution, name, places, decisions).mean()
-        return uncertain[name]
+        return uncertain[name] if is_leaf(leaf) else leaf
 
-    return jax.tree_util.tree_map_with_path(substitute, model, is_leaf=is_special)
+    return _with_leaves(model, value)
 
 
 def uncertain_numbers(
@@ -258,10 +243,10 @@ def named_numbers(model: Pytree, decisions: Float[Array, " n"]) -> dict[str, Any
     """
     places = survey(model)
     numbers: dict[str, Any] = {}
-    for name, leaf in _places(model):
+    for name, leaf in named_leaves(model):
         if isinstance(leaf, Decision):
             numbers[name] = _chosen(places, decisions, name)
-        elif is_special(leaf):
+        elif is_leaf(leaf):
             law = _decided(free(leaf), name, places, decisions)
             moments = {"mean": law.mean(), "std": law.std()}
             numbers |= {f"{name}.{key}": jnp.asarray(value) for key, value in (moments | law.parameters).items()}
@@ -279,7 +264,7 @@ def _is_whole(leaf: Any) -> bool:
 
 def at_means(model: Pytree) -> Pytree:
     """The model with every distribution held at its mean: no germ is left."""
-    return _replace(model, AbstractDistribution, AtMean)
+    return _replace(model, AbstractDistribution, AtMean)  # type: ignore[arg-type]
 
 
 def uncertain_again(model: Pytree) -> Pytree:
@@ -290,18 +275,24 @@ def uncertain_again(model: Pytree) -> Pytree:
 def with_laws(model: Pytree, choose: Callable[[str, AbstractDistribution], AbstractDistribution]) -> Pytree:
     """The model with `choose(name, law)` in the place of each of its laws; what was shared stays shared."""
 
-    def change(path: Any, leaf: Any) -> Any:
+    def change(name: str, leaf: Any) -> Any:
         if not isinstance(leaf, AbstractDistribution):
             return leaf
-        law = choose(_name(path, leaf), leaf)
+        law = choose(name, leaf)
         return law.shared(leaf.shared_name) if leaf.shared_name else law
 
-    return jax.tree_util.tree_map_with_path(change, model, is_leaf=is_special)
+    return _with_leaves(model, change)
+
+
+def _with_leaves(model: Pytree, change: Callable[[str, Any], Any]) -> Pytree:
+    """The model with `change(name, leaf)` in the place of each of its leaves."""
+    structure = jax.tree.structure(model, is_leaf=is_leaf)
+    return jax.tree.unflatten(structure, [change(name, leaf) for name, leaf in named_leaves(model)])
 
 
 def _replace(model: Pytree, kind: type, change: Callable[[Any], Any]) -> Pytree:
     return jax.tree.map(
         lambda leaf: change(leaf) if isinstance(leaf, kind) else leaf,
         model,
-        is_leaf=lambda leaf: is_special(leaf),
+        is_leaf=is_leaf,
     )

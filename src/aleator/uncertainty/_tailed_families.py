@@ -9,7 +9,8 @@ from jaxtyping import Array, Float
 
 from aleator._core.arrays import Scalar
 from aleator.uncertainty._density_germs import GumbelGerm, WeibullGerm
-from aleator.uncertainty._distribution import AbstractDistribution, Canonical, Form
+from aleator.uncertainty._distribution import AbstractDistribution
+from aleator.uncertainty._parameters import Canonical, Form
 from aleator.uncertainty._polynomials import AbstractGerm, HermiteGerm, LaguerreGerm
 from aleator.uncertainty._transport import weibull_inverse_shape
 

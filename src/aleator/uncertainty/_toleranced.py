@@ -10,7 +10,9 @@ from jaxtyping import Array, Float
 
 from aleator._core.arrays import Scalar
 from aleator._core.errors import ProblemError
-from aleator.uncertainty._distribution import AbstractDistribution, Canonical, Form
+from aleator._core.given import refusal
+from aleator.uncertainty._distribution import AbstractDistribution
+from aleator.uncertainty._parameters import Canonical, Form
 from aleator.uncertainty._polynomials import AbstractGerm, HermiteGerm
 
 
@@ -140,6 +142,8 @@ def toleranced(text: str, **options: Any) -> Toleranced:
     Understood are `27.645 ±0.05`, `11.43 +/- 0.01`, and two deviations from the nominal value, each with its sign, in
     any order: `27.645 +0.05/-0.02`, `20 -0.007/-0.028`, `8 +0.1 0`. `options` are those of `Toleranced`.
     """
+    if not isinstance(text, str):
+        raise refusal("toleranced", "a dimension as a drawing writes it, such as '11.43 ±0.01'", text)
     compact = re.sub(r"\s+(?=[^\d.])|(?<=[^\d.])\s+", "", text.strip().replace("\N{MINUS SIGN}", "-"))
     if match := _SYMMETRIC.fullmatch(compact):
         nominal, tolerance = map(float, match.groups())

@@ -77,7 +77,10 @@ def _differentiable(
         below_dot, above_dot, *shape_dot = tangents
         x = quantile(below, above, *shape)
         level_dot = jnp.where(below < above, below_dot, -above_dot)
-        return x, (level_dot - _along(x, shape, shape_dot)) / density(x, *shape)
+        inside = (below > 0) & (above > 0)
+        # The ends of the support stay where they are, whatever the shape is.
+        slope = (level_dot - _along(x, shape, shape_dot)) / jnp.where(inside, density(x, *shape), 1.0)
+        return x, jnp.where(inside, slope, 0.0)
 
     @jax.custom_jvp
     def anchor(x: Array, *shape: Array) -> Array:

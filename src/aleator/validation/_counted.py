@@ -1,13 +1,20 @@
 """Which constraints single systems are counted against, why the others are not, and on how fine a grid."""
 
+import numpy as np
+from jaxtyping import Float
+
 from aleator.design import (
+    HELD,
     AbstractFunctional,
     Constraint,
     Expression,
+    Extreme,
     Problem,
     Solution,
     Statistic,
 )
+
+_AN_ORDER_BELOW = 0.1
 
 
 def is_counted(constraint: Constraint) -> bool:
@@ -20,9 +27,27 @@ def uncounted(problem: Problem) -> dict[str, str]:
     return {str(one): reason for one in problem.constraints if (reason := _reason(one))}
 
 
+def tolerances(solution: Solution) -> Float[np.ndarray, " constraints"]:
+    """How far a system may be beyond each constraint and does not break it: a limit met is not broken by rounding."""
+    return np.array([HELD * one.scale for one in solution.constraints])
+
+
+def why_uncounted(problem: Problem, name: str) -> str:
+    """Why no system can be counted against the constraints called `name`; empty where one is counted."""
+    reasons = [_reason(one) for one in problem.named(name)]
+    return "" if "" in reasons else reasons[0]
+
+
 def finer_by(solution: Solution) -> int:
-    """How many times finer than its own grid that is on which a solution's limits over time were held."""
-    return 1 if solution.between is None else solution.between.factor
+    """How many times finer than a solution's own grid that is on which systems are counted against limits over time.
+
+    That is the grid on which these were held between instants, where they were. Otherwise it is the solution's own if
+    its error is an order below what is tolerated, and the one that its error was told by if not.
+    """
+    between, error = solution.between, solution.grid_error
+    if between is not None and between.is_strict:
+        return between.factor
+    return 1 if error is None or error.ratio <= _AN_ORDER_BELOW else error.factor
 
 
 def _reason(constraint: Constraint) -> str:
@@ -40,6 +65,8 @@ def _reason(constraint: Constraint) -> str:
 
 def _speaks_of_one_system(expression: Expression) -> bool:
     """Whether the value of a single system is part of it: not so of a spread, nor of the gap between two quantiles."""
+    if any(isinstance(atom, Extreme) for atom in expression.atoms):
+        return True
     factors: dict[tuple[AbstractFunctional, ...], float] = {}
     for factor, atom in zip(expression.factors, expression.atoms, strict=True):
         if isinstance(atom, Statistic) and atom.kind.speaks_of_one_system:

@@ -5,14 +5,20 @@ from dataclasses import dataclass
 from typing import final
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
+from aleator._core.errors import ProblemError
 from aleator.design import Solution, Statistic
 from aleator.references import pair
 from aleator.statistics import Mean, Std
+from aleator.validation._compared import Compared
+from aleator.validation._disagreement import Disagreement
 from aleator.validation._proportion import Proportion
 
 _NO_LIMITS = "  no constraint is a limit on single systems, so that none is counted"
+
+# Disagreements that a sentence names.
+_TOLD = 3
 
 PERCENTILES = (1.0, 5.0, 25.0, 50.0, 75.0, 95.0, 99.0)
 
@@ -24,7 +30,8 @@ class Sampled:
 
     - `mean`, `std`: of the samples, a number or one number an instant; `standard_error`: of that mean;
     - `percentiles`: at `PERCENTILES`, of functionals that are numbers; None for a path;
-    - `expanded_mean`, `expanded_std`: by the expansion at the solution (for a deterministic design, its nominal value).
+    - `expanded_mean`, `expanded_std`: by the expansion at the solution (for a deterministic design, its nominal value);
+    - `std_error`: standard error of the sampled standard deviation.
     """
 
     text: str
@@ -34,6 +41,7 @@ class Sampled:
     percentiles: Float[np.ndarray, " levels"] | None
     expanded_mean: Float[np.ndarray, "*shape"]
     expanded_std: Float[np.ndarray, "*shape"]
+    std_error: Float[np.ndarray, "*shape"]
 
 
 @final
@@ -82,7 +90,13 @@ class Evidence:
     - `functionals`: mean and standard deviation of each, sampled, beside the expansion's;
     - `statistics`: each statistic in the problem by its text (`"Q0.99[rms(x)]"`), sampled, beside the expansion's;
       those of paths, and those that a sample cannot tell (Sobol indices: see `al.sobol_indices`), are left out;
-    - `trajectories`: some systems, for drawing.
+    - `trajectories`: some systems, for drawing;
+    - `compared`: limits on statistics of all systems together, such as a bound on a `std`, with the sampled statistics
+      in them; those that need statistics of paths other than mean, `std` and variance are left out;
+    - `disagreements`: the numbers of the solution that the samples contradict, and the limits that were to hold for all
+      systems and are broken; none where `agrees`;
+    - `alone`: where nothing is uncertain, how many times as many steps the one system was simulated on; else None;
+    - `broken`: by constraint name, which of the sampled systems violate it, shape (samples,).
     """
 
     solution: Solution
@@ -96,12 +110,44 @@ class Evidence:
     statistics: Mapping[str, Checked]
     trajectories: tuple[Trajectories, ...]
     seconds: float
+    broken: Mapping[str, Bool[np.ndarray, " samples"]]
+    compared: tuple[Compared, ...] = ()
+    disagreements: tuple[Disagreement, ...] = ()
+    alone: int | None = None
+
+    @property
+    def agrees(self) -> bool:
+        """Whether no sampled number contradicts the solution: see `disagreements`."""
+        return not self.disagreements
+
+    def alarm(self) -> str:
+        """What the simulations contradict, at most three numbers of it, and what to do."""
+        told = [one.sentence() for one in self.disagreements[:_TOLD]]
+        more = f"; and {len(self.disagreements) - _TOLD} more" if len(self.disagreements) > _TOLD else ""
+        remedy = "Use more steps." if self.alone else "Raise the order of the expansion (and check the grid)."
+        return f"fresh simulations contradict the solution: {'; '.join(told)}{more}. {remedy}"
+
+    def violation(self, *names: str) -> Proportion:
+        """How often a system violates any of the constraints of these names: a system that breaks two counts once.
+
+        Raises `ProblemError` for names that no system is counted against, and for none.
+        """
+        unknown = [name for name in names if name not in self.broken]
+        if unknown or not names:
+            raise ProblemError(
+                f"violation: expected names of constraints that systems are counted against, {list(self.broken)}; "
+                f"received {unknown}."
+            )
+        mask = np.any([self.broken[name] for name in names], axis=0)
+        return Proportion(int(mask.sum()), self.samples)
 
     def __str__(self) -> str:
-        rows = [f"{self.samples} fresh samples, seed {self.seed}, {self.seconds:.1f} s"]
+        rows = [] if self.agrees else [f"DISAGREES: {self.alarm()}"]
+        rows.append(self._how())
         rows += [f"  violates {name}: {share}" for name, share in self.violations.items()]
         rows.append(f"  violates any: {self.joint} (95 % confidence)" if self.violations else _NO_LIMITS)
         rows += [] if self.instants is None else [f"  limits over time counted at {self.instants} instants"]
+        rows += [f"  compared: {one.sentence()}" for one in self.compared]
         rows += [f"  not counted: {text} ({why})" for text, why in self.uncounted.items()]
         rows += [_row(one) for one in self.functionals.values() if np.ndim(one.mean) == 0]
         rows += [
@@ -110,6 +156,13 @@ class Evidence:
             if not isinstance(one.statistic.kind, Mean | Std)
         ]
         return "\n".join(rows)
+
+    def _how(self) -> str:
+        if self.alone is None:
+            return f"{self.samples} fresh samples, seed {self.seed}, {self.seconds:.1f} s"
+        if self.alone == 1:
+            return "nothing is uncertain and there is no time: the one system simulated again"
+        return f"nothing is uncertain: the one system simulated on {self.alone} times as many steps"
 
 
 def _row(one: Sampled) -> str:

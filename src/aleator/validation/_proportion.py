@@ -37,9 +37,9 @@ class Proportion:
         return float(special.betaincinv(self.count + 1, missed, 1 - tail)) if missed else 1.0
 
     def __str__(self) -> str:
-        return f"{_percent(self.estimate)} ({_percent(self.lower)} to {_percent(self.upper)})"
+        return f"{percent(self.estimate)} ({percent(self.lower)} to {percent(self.upper)})"
 
 
-def _percent(probability: float) -> str:
+def percent(probability: float) -> str:
     """Three significant digits: 11.4 %, 0.0369 %."""
     return f"{100 * probability:.3g} %"

@@ -1,7 +1,6 @@
 """One batch of Monte Carlo: simulate fresh systems and reduce them to what evidence needs."""
 
-from collections.abc import Mapping
-from typing import NamedTuple, final
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -10,16 +9,16 @@ from jaxtyping import Array, Bool, Float, Int
 
 from aleator._core.compilation import Compiled
 from aleator.design import (
-    AbstractFunctional,
     AbstractScope,
     Constraint,
+    OneSystem,
     Problem,
     functionals_of,
-    grid_at,
     is_over_time,
+    refuse_changed_code,
     responses,
+    step_at,
 )
-from aleator.statistics import AbstractStatistic
 from aleator.uncertainty import AbstractGerm, named_numbers
 
 
@@ -27,40 +26,18 @@ class Batch(NamedTuple):
     """What one batch of systems yields.
 
     - `scalars`: by functional (those that are numbers), shape (systems,);
-    - `path_mean`, `path_square`: by functional (those that are paths), mean and sum of squared deviations, (instants,);
+    - `paths`: by functional (those that are paths), the mean and the sums of second, third and fourth powers of what
+      deviates from it, each of shape (instants,);
     - `excess`: by constraint, how far it is beyond its bound at worst, shape (constraints, systems);
     - `values`: by path constraint, its expression, shape (systems, instants);
     - `finite`: whether every functional of a system is finite, shape (systems,).
     """
 
     scalars: dict[int, Float[Array, " systems"]]
-    path_mean: dict[int, Float[Array, "..."]]
-    path_square: dict[int, Float[Array, "..."]]
+    paths: dict[int, tuple[Float[Array, "..."], ...]]
     excess: Float[Array, "constraints systems"]
     values: dict[int, Float[Array, "systems ..."]]
     finite: Bool[Array, " systems"]
-
-
-@final
-class _OneSystem(AbstractScope):
-    """A single system: its mean, its quantiles and its extremes are its value, and nothing spreads."""
-
-    def __init__(self, values: Mapping[AbstractFunctional, Array], numbers: Mapping[str, Array], weights: Array):
-        self._values, self._numbers, self._weights = values, numbers, weights
-
-    def statistic(self, functionals: tuple[AbstractFunctional, ...], kind: AbstractStatistic) -> Array:
-        """See `AbstractScope.statistic`."""
-        value = self._values[functionals[0]]
-        return value if kind.speaks_of_one_system else jnp.zeros_like(value)
-
-    @property
-    def weights(self) -> Array:
-        """See `AbstractScope.weights`."""
-        return self._weights
-
-    def value(self, name: str) -> Array:
-        """See `AbstractScope.value`."""
-        return self._numbers[name]
 
 
 def _simulate_batch(
@@ -70,10 +47,10 @@ def _simulate_batch(
     functionals = functionals_of(problem.expressions)
     samples = responses(problem, functionals, germ, decisions)
     numbers = named_numbers(problem.model, decisions)
-    weights = grid_at(problem, decisions).weights
+    step = step_at(problem, decisions)
 
     def judge(values: tuple[Array, ...]) -> tuple[list[Array], dict[int, Array]]:
-        scope = _OneSystem(dict(zip(functionals, values, strict=True)), numbers, weights)
+        scope = OneSystem(dict(zip(functionals, values, strict=True)), numbers, step)
         judged = [_judge(constraint, scope) for constraint in problem.constraints]
         paths = {i: value for i, (_, value) in enumerate(judged) if problem.constraints[i].is_path}
         return [excess for excess, _ in judged], paths
@@ -90,8 +67,9 @@ def _simulate_batch(
     finite = [jnp.isfinite(one).reshape(systems, -1).all(axis=1) for one in samples]
     return Batch(
         scalars={i: one for i, one in enumerate(samples) if one.ndim == 1},
-        path_mean=means,
-        path_square={i: total((one - means[i][None]) ** 2) for i, one in paths.items()},
+        paths={
+            i: (means[i], *(total((one - means[i][None]) ** power) for power in (2, 3, 4))) for i, one in paths.items()
+        },
         excess=jnp.stack(excess) if excess else jnp.zeros((0, systems)),
         values=values,
         finite=jnp.stack([jnp.ones(systems, bool), *finite]).all(axis=0),
@@ -115,11 +93,11 @@ def _excess_over_time(
     limits = tuple(one for one in problem.constraints if is_over_time(one))
     functionals = functionals_of(tuple(one.expression for one in limits))
     numbers = named_numbers(problem.model, decisions)
-    weights = grid_at(problem, decisions).weights
+    step = step_at(problem, decisions)
 
     def judge(point: Float[Array, " variables"]) -> Float[Array, " limits"]:
         values = responses(problem, functionals, point[None], decisions)
-        scope = _OneSystem({one: value[0] for one, value in zip(functionals, values, strict=True)}, numbers, weights)
+        scope = OneSystem({one: value[0] for one, value in zip(functionals, values, strict=True)}, numbers, step)
         return jnp.stack([_judge(limit, scope)[0] for limit in limits])
 
     return jax.lax.map(judge, germ, batch_size=min(AT_ONCE, len(germ))).T
@@ -128,12 +106,16 @@ def _excess_over_time(
 AT_ONCE = 50
 """Systems that are simulated together on a fine grid."""
 
-SIMULATE_BATCH = Compiled(_simulate_batch)
-EXCESS_OVER_TIME = Compiled(_excess_over_time)
+SIMULATE_BATCH = Compiled(_simulate_batch, unchanged=refuse_changed_code)
+EXCESS_OVER_TIME = Compiled(_excess_over_time, unchanged=refuse_changed_code)
 
 
 def draw(germs: tuple[AbstractGerm, ...], count: int, generator: np.random.Generator) -> Float[np.ndarray, "count n"]:
     """Independent germ points, by the quantile functions."""
     # Never 0, where unbounded laws are infinite; 1 is left out by the generator.
-    levels = generator.uniform(np.finfo(float).tiny, 1.0, (count, len(germs)))
+    return at_levels(germs, generator.uniform(np.finfo(float).tiny, 1.0, (count, len(germs))))
+
+
+def at_levels(germs: tuple[AbstractGerm, ...], levels: Float[np.ndarray, "count n"]) -> Float[np.ndarray, "count n"]:
+    """Germ points at given probability levels, between 0 and 1."""
     return np.stack([germ.quantile(levels[:, i]) for i, germ in enumerate(germs)], axis=1)

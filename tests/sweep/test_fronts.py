@@ -1,6 +1,5 @@
 import numpy as np
 import pytest
-from scipy import stats
 
 import aleator as al
 from aleator.report import front_figure
@@ -34,8 +33,9 @@ def test_a_front_is_compiled_once_and_follows_its_closed_form():
 
 
 def test_prices_are_the_slope_of_the_front():
-    step, bound = 1e-5, 0.13
-    front = al.pareto(oscillator_problem(), "x", [bound - step, bound, bound + step])
+    step, bound = 1e-3, 0.13
+    # So many steps that margins for what lies between the instants, which move with the bound too, are negligible.
+    front = al.pareto(oscillator_problem(grid=al.Grid(4.0, 400)), "x", [bound - step, bound, bound + step])
     slope = (front.objectives[2] - front.objectives[0]) / (2 * step)
     assert slope < -1e-3
     assert front.prices[1] == pytest.approx(-slope, rel=1e-3)
@@ -119,95 +119,9 @@ def test_ctrl_c_ends_a_front_with_the_points_that_are_finished(monkeypatch):
     [
         ("response", [], "at least one value"),
         ("travel", [1.0], "There is no constraint 'travel'"),
-        ("response", [1.0, np.nan], "expected numbers as bounds"),
+        ("response", [1.0, np.nan], "expected a finite number; received nan"),
     ],
 )
 def test_fronts_that_make_no_sense_are_refused(name, values, message):
     with pytest.raises(al.ProblemError, match=message):
         al.pareto(gain_problem(), name, values)
-
-
-def normal_problem(sigmas=1.0, upper=2.0):
-    """The response is normal: it violates `mean + sigmas std <= upper`, active, with probability 1 - Phi(sigmas)."""
-    return gain_problem(upper=upper, sigmas=sigmas, theta=al.Normal(1.0, 0.2))
-
-
-@pytest.mark.parametrize("first", [1.0, 3.0])
-@pytest.mark.parametrize("target", [0.0228, 0.2])
-def test_calibration_finds_the_margin_of_a_normal_response(target, first):
-    samples = 20_000
-    found = al.calibrate(normal_problem(first), "response", target, samples=samples)
-    exact = stats.norm.isf(target)
-    # The search ends up to 10 % below the target, and the sample itself is in error by its standard error.
-    error = 3 * np.sqrt(target / samples) / stats.norm.pdf(exact)
-    assert stats.norm.isf(target) - error <= found.sigmas <= stats.norm.isf(0.9 * target) + error
-    assert found.solution.decisions["gain"] == pytest.approx(2.0 / (1 + 0.2 * found.sigmas), rel=1e-6)
-    assert found.chosen.violation.estimate <= target
-    # Fresh samples agree with the probability that this margin has in closed form.
-    fresh = found.evidence.violations["response"]
-    assert abs(fresh.estimate - stats.norm.sf(found.sigmas)) < 4 * np.sqrt(target / samples)
-    # The trials were counted on other samples than those that a user draws with the same seed.
-    again = al.validate(found.solution, found.evidence.samples, seed=0)
-    assert again.violations == found.evidence.violations
-    assert found.chosen.violation.samples == again.samples
-    assert f"{found.sigmas:.4f}" in str(found)
-
-
-def test_a_wide_target_ends_at_the_smallest_margin():
-    found = al.calibrate(normal_problem(), "response", 0.9, samples=500)
-    assert found.sigmas <= 0.02
-    assert found.chosen.violation.estimate == pytest.approx(0.5, abs=0.1)
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"target": 0.0}, "a probability between 0 and 1; received 0"),
-        ({"target": 1.0}, "a probability between 0 and 1"),
-        ({"target": -0.1}, "a probability between 0 and 1"),
-        ({"target": np.nan}, "a probability between 0 and 1"),
-        ({"target": 1e-4, "samples": 1000}, "needs at least 100000 samples to be counted; received 1000"),
-        ({"name": "travel"}, "There is no constraint 'travel'"),
-    ],
-)
-def test_calibrations_that_make_no_sense_are_refused(options, message):
-    with pytest.raises(al.ProblemError, match=message):
-        al.calibrate(normal_problem(), **({"name": "response", "samples": 2000, "target": 0.05} | options))
-
-
-def test_calibration_of_a_constraint_without_spread_is_refused():
-    with pytest.raises(al.ProblemError, match="hold no standard deviation; set sigmas=1"):
-        al.calibrate(gain_problem(sigmas=0.0), "response", 0.1)
-
-
-def least_gain_problem(least):
-    return al.Problem(
-        Gain(al.Decision(least, least, 10.0), al.Normal(1.0, 0.2)),
-        grid=ONE_STEP,
-        minimize=LOSS.mean,
-        subject_to=[RESPONSE.at_most(2.0, sigmas=1.0)],
-    )
-
-
-def test_a_margin_is_found_although_a_wider_one_has_no_design():
-    # The margin exists up to (2 / least - 1) / 0.2 = 1.55; the first guess beyond 1 is 1.6.
-    target = stats.norm.sf(1.4)
-    found = al.calibrate(least_gain_problem(2.0 / 1.31), "response", target, samples=20_000)
-    assert found.sigmas == pytest.approx(1.4, abs=0.1)
-
-
-def test_a_target_that_no_design_reaches_is_an_error():
-    with pytest.raises(
-        al.SolveError, match=r"up to 1\.5\d* brought the violation of 'response' down to 0.01.* from 1\.55"
-    ):
-        al.calibrate(least_gain_problem(2.0 / 1.31), "response", 0.01, samples=2000)
-    with pytest.raises(al.SolveError, match="'response' is violated by"):
-        al.calibrate(least_gain_problem(1.9), "response", 0.01, samples=2000)
-
-
-@pytest.mark.parametrize("solver", [al.FilterSQP(), al.Ipopt()], ids=lambda one: type(one).__name__)
-def test_a_margin_that_does_not_matter_is_not_searched_for(solver):
-    # The best gain is 3 and the response never gets near 100.
-    found = al.calibrate(normal_problem(upper=100.0), "response", 0.1, samples=500, solver=solver)
-    assert len(found.trials) == 1
-    assert found.solution.decisions["gain"] == pytest.approx(3.0, rel=1e-5)

@@ -1,0 +1,288 @@
+"""What code reads beside its arguments: globals, closures, class attributes, found without running it.
+
+JAX traces a function once and keeps what it read on the way. Whether that is still so is told from two readings of the
+code: what a function names is looked up where Python would look it up, and what is found there is read in turn. More is
+read than is used: two readings that are equal are then proof that nothing has changed, and two that differ are no proof
+of the contrary, for which code must be traced again. What cannot be read, such as the state of a generator of random
+numbers, is a doubt. Libraries are presumed not to change; names in them that stand for something else now are noticed.
+"""
+
+import dis
+import enum
+import functools
+import sys
+import types
+from collections.abc import Callable, Hashable, Iterator, Mapping
+from decimal import Decimal
+from fractions import Fraction
+from typing import Any, NamedTuple, final
+
+import equinox as eqx
+import jax
+import numpy as np
+from jax.core import Tracer
+
+from aleator._core.arrays import Pytree, is_number
+from aleator._core.equations import array_digest, equations_text
+from aleator._core.libraries import is_library, is_moody
+from aleator._core.readings import Place, Plain, Reading, Same
+
+# Larger programs are not read to the end.
+_MOST = 5_000
+# What these methods give differs from one call to the next.
+_MOODY_NAMES = {"rvs"}
+# What these read, no name in the code tells.
+_HIDDEN = {"eval", "exec", "compile", "globals", "locals", "vars", "getattr", "open", "input", "__import__"}
+_JITTED = type(jax.jit(lambda: None))
+_PLAIN = (str, bytes, int, bool, complex, type(None), type(Ellipsis), range, Decimal, Fraction, np.dtype)
+_WITHOUT_CODE = (float, *_PLAIN)
+_DESCRIPTORS = (
+    types.MemberDescriptorType,
+    types.GetSetDescriptorType,
+    types.WrapperDescriptorType,
+    types.MethodDescriptorType,
+    type(Place.who),  # a field of a named tuple
+)
+_SEQUENCES = (tuple, list, set, frozenset)
+_BOOKKEEPING = {
+    *("__doc__", "__module__", "__dict__", "__weakref__", "__annotations__", "__annotate_func__", "__qualname__"),
+    *("__abstractmethods__", "_abc_impl", "__abstractvars__", "__abstractclassvars__", "__slots__", "__match_args__"),
+    *("__dataclass_params__", "__dataclass_fields__", "__parameters__", "__orig_bases__", "__static_attributes__"),
+    *("__firstlineno__", "__annotations_cache__"),
+}
+
+
+def read_code(tree: Pytree) -> Reading:
+    """What the code in a tree reads: that of its modules' classes, and of the functions and objects that it holds.
+
+    Numbers and arrays of the tree are data, no part of its code.
+    """
+    reader = _Reader()
+    reader.data(tree, Place(type(tree).__name__, "attribute", ""))
+    return Reading(tuple(reader.reads), tuple(dict.fromkeys(reader.doubts)))
+
+
+def told_apart(function: Callable[..., Pytree], *arguments: Pytree) -> Hashable:
+    """Equal for arguments whose code makes `function` compute the same: a reading of it, or the traced equations."""
+    reading = read_code(arguments)
+    if not reading.doubts:
+        return reading.reads
+    numbers, rest = eqx.partition(arguments, eqx.is_array)
+    closed = jax.make_jaxpr(lambda numbers: function(*eqx.combine(numbers, rest)))(numbers)
+    return equations_text(closed), tuple(map(array_digest, closed.consts)), reading.reads
+
+
+class _Names(NamedTuple):
+    """What a function's code names, inner functions included, and the modules that it imports itself."""
+
+    names: tuple[str, ...]
+    imports: tuple[str, ...]
+
+
+@functools.lru_cache(maxsize=4096)
+def _names(code: types.CodeType) -> _Names:
+    inner = [_names(one) for one in code.co_consts if isinstance(one, types.CodeType)]
+    imports = [one.argval for one in dis.get_instructions(code) if one.opname == "IMPORT_NAME"]
+    return _Names(
+        tuple(dict.fromkeys([*code.co_names, *(name for one in inner for name in one.names)])),
+        tuple(dict.fromkeys([*imports, *(name for one in inner for name in one.imports)])),
+    )
+
+
+@final
+class _Reader:
+    """Reads each object once, depth first."""
+
+    def __init__(self) -> None:
+        self.reads: list[tuple[Place, Any]] = []
+        self.doubts: list[Place] = []
+        # Objects are kept as long as they stand here for having been read: an address can be used again.
+        self._seen: dict[int, Any] = {}
+        self._classes: set[type] = set()
+
+    def _is_new(self, it: Any) -> bool:
+        if id(it) in self._seen:
+            return False
+        self._seen[id(it)] = it
+        return True
+
+    def data(self, it: Any, place: Place) -> None:
+        """A part of a tree whose numbers are data."""
+        if isinstance(it, _WITHOUT_CODE):
+            return
+        if isinstance(it, eqx.Module):
+            self._class(type(it))
+            name, fields = type(it).__name__, type(it).__dataclass_fields__  # type: ignore[attr-defined]
+            for field, value in vars(it).items():
+                if isinstance(value, _WITHOUT_CODE):
+                    continue  # data, or structure such as the steps of a grid
+                static = field not in fields or fields[field].metadata.get("static", False)
+                (self.value if static else self.data)(value, Place(name, "attribute", field))
+        elif isinstance(it, tuple | list | dict):
+            self._class(type(it))
+            for part in it.values() if isinstance(it, dict) else it:
+                self.data(part, place)
+        elif not is_number(it):
+            self.value(it, place)
+
+    def value(self, it: Any, place: Place) -> None:
+        """Anything that is read by its value."""
+        if isinstance(it, _WITHOUT_CODE):
+            self._class(type(it))
+            self.reads.append((place, Plain(type(it), it, it.hex() if isinstance(it, float) else "")))
+        elif isinstance(it, types.ModuleType):
+            self.reads.append((place, Same(it)))
+        elif len(self._seen) > _MOST:
+            self.doubts.append(place)
+        elif self._is_new(it):
+            self._compound(it, place)
+        else:
+            self.reads.append((place, Same(it)))
+
+    def _compound(self, it: Any, place: Place) -> None:
+        self._class(type(it))
+        if isinstance(it, types.FunctionType):
+            self._function(it, place)
+        elif isinstance(it, type):
+            self._known(it, place, doubtful=is_moody(it.__module__))
+            self._class(it)
+        elif isinstance(it, np.ndarray | np.generic):
+            self._array(np.asarray(it), place)
+        elif isinstance(it, Tracer):
+            self.doubts.append(place)
+        elif isinstance(it, jax.Array | enum.Enum):
+            self.reads.append((place, Same(it)))
+        elif isinstance(it, _SEQUENCES):
+            self.reads.append((place, Plain(type(it), len(it))))
+            self._all(it, place)
+            self._attributes(it, place)
+        elif isinstance(it, Mapping) and hasattr(it, "items"):
+            self.reads.append((place, Plain(type(it), len(it))))
+            self._all((part for item in list(it.items()) for part in item), place)
+        elif isinstance(it, types.MethodType):
+            self._all((it.__func__, it.__self__), place)
+        elif isinstance(it, property):
+            self._all((it.fget,), place)
+        elif isinstance(it, staticmethod | classmethod):
+            self._all((it.__func__,), place)
+        elif isinstance(it, functools.cached_property):
+            self._all((it.func,), place)
+        elif isinstance(it, functools.partial):
+            self._all((it.func, it.args, it.keywords), place)
+        elif isinstance(it, types.BuiltinFunctionType | types.MethodWrapperType):
+            self._builtin(it, place)
+        elif isinstance(it, _DESCRIPTORS) or type(it) is object:
+            self._known(it, place, doubtful=False)
+        elif isinstance(it, np.ufunc):
+            self._known(it, place, doubtful=all("O" in one for one in it.types))
+        else:
+            self._object(it, place)
+
+    def _all(self, parts: Any, place: Place) -> None:
+        for part in parts:
+            self.value(part, place)
+
+    def _known(self, it: Any, place: Place, *, doubtful: bool) -> None:
+        """Something that is what it is, as long as it is the same object."""
+        self.reads.append((place, Same(it)))
+        if doubtful:
+            self.doubts.append(place)
+
+    def _array(self, it: np.ndarray, place: Place) -> None:
+        if it.dtype == object:
+            self._all(it.ravel().tolist(), place)
+        else:
+            self.reads.append((place, array_digest(it)))
+
+    def _builtin(self, it: Any, place: Place) -> None:
+        owner = it.__self__
+        self._known(it, place, doubtful=is_moody(getattr(it, "__module__", None)))
+        if owner is not None and not isinstance(owner, types.ModuleType):
+            self.value(owner, place)
+
+    def _object(self, it: Any, place: Place) -> None:
+        kind = type(it)
+        module = getattr(it, "__module__", None)
+        if isinstance(it, _JITTED | functools._lru_cache_wrapper):
+            # They remember what they have read before.
+            self._known(it, place, doubtful=not is_library(module))
+            if not is_library(module):
+                self.value(getattr(it, "__wrapped__", None), place)
+        elif hasattr(it, "__name__") and is_library(module) and kind.__module__.startswith("jax"):
+            self._known(it, place, doubtful=is_moody(module))
+        elif is_moody(kind.__module__) or not _has_attributes(it):
+            self._known(it, place, doubtful=True)
+        else:
+            self.reads.append((place, Same(kind)))
+            self._attributes(it, place)
+
+    def _attributes(self, it: Any, place: Place) -> None:
+        for name, value in list(getattr(it, "__dict__", {}).items()):
+            self.value(value, Place(place.who, place.kind, f"{place.name}.{name}"))
+        for kind in type(it).__mro__:
+            slots = vars(kind).get("__slots__", ())
+            for name in (slots,) if isinstance(slots, str) else slots:
+                self.value(getattr(it, name, None), place)
+
+    def _class(self, it: type) -> None:
+        """All that a class and its bases define."""
+        for kind in it.__mro__:
+            if kind in self._classes or is_library(kind.__module__):
+                continue
+            self._classes.add(kind)
+            self.reads.append((Place(kind.__qualname__, "attribute", "__mro__"), Same(kind)))
+            for name, value in list(vars(kind).items()):
+                if name not in _BOOKKEEPING:
+                    self.value(value, Place(kind.__qualname__, "attribute", name))
+
+    def _function(self, it: types.FunctionType, place: Place) -> None:
+        home = it.__globals__.get("__name__")
+        if is_library(home) and is_library(it.__module__) and "<locals>" not in it.__qualname__:
+            self._known(it, place, doubtful=is_moody(home))
+            return
+        who = it.__qualname__
+        self.reads.append((Place(who, "code", ""), Same(it.__code__)))
+        for name, default in [*enumerate(it.__defaults__ or ()), *(it.__kwdefaults__ or {}).items()]:
+            self.value(default, Place(who, "default", str(name)))
+        for name, cell in zip(it.__code__.co_freevars, it.__closure__ or (), strict=True):
+            for content in _contents(cell):
+                self.value(content, Place(who, "closure variable", name))
+        self._attributes(it, Place(who, "attribute", ""))
+        if not is_library(home):
+            self._globals(it, who)
+
+    def _globals(self, it: types.FunctionType, who: str) -> None:
+        names, imports = _names(it.__code__)
+        known, builtins, modules = it.__globals__, it.__builtins__, set[int]()  # type: ignore[attr-defined]
+        for name in names:
+            if name in known:
+                self._named(known[name], Place(who, "global", name), names, modules)
+            elif (name in _HIDDEN and name in builtins) or name in _MOODY_NAMES:
+                self.doubts.append(Place(who, "name", name))
+        for name in imports:
+            if name in sys.modules:
+                self._named(sys.modules[name], Place(who, "module", name), names, modules)
+
+    def _named(self, it: Any, place: Place, names: tuple[str, ...], modules: set[int]) -> None:
+        """What a name stands for: of a module, whatever of it is named beside it, such as `physics.GRAVITY`."""
+        self.value(it, place)
+        if not isinstance(it, types.ModuleType) or id(it) in modules:
+            return
+        modules.add(id(it))
+        if is_moody(it.__name__):
+            self.doubts.append(place)
+            return
+        for name in names:
+            if name in vars(it):
+                self._named(vars(it)[name], Place(place.who, "global", f"{place.name}.{name}"), names, modules)
+
+
+def _has_attributes(it: Any) -> bool:
+    return hasattr(it, "__dict__") or any("__slots__" in vars(one) for one in type(it).__mro__)
+
+
+def _contents(cell: types.CellType) -> Iterator[Any]:
+    try:
+        yield cell.cell_contents
+    except ValueError:  # empty as yet
+        return

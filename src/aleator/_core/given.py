@@ -1,0 +1,117 @@
+"""What a user gives, checked at the border: numbers, whole numbers, names, and objects of a kind.
+
+Each check returns what was given in the form in which it is kept, and raises `ProblemError` otherwise: one sentence
+with what was expected and what was received. `what` begins the sentence: "Grid: steps", "validate: the seed".
+"""
+
+import reprlib
+from typing import Any, TypeVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jaxtyping import Array, Float
+
+from aleator._core.errors import ProblemError
+
+Kind = TypeVar("Kind")
+
+# As much of a value as a sentence shows.
+_SHOWN = 80
+
+_reprs = reprlib.Repr()
+_reprs.maxstring = _reprs.maxother = _SHOWN
+
+
+def shown(value: Any) -> str:
+    """A value as a message shows it: its type where that is not plain to see, and not too much of it."""
+    text = " ".join(_reprs.repr(value).split())
+    is_plain = value is None or isinstance(value, bool | int | float | complex | str | bytes | list | tuple | dict)
+    kind = type(value).__name__
+    return text if is_plain or kind in text else f"{kind} {text}"
+
+
+def refusal(what: str, expected: str, value: Any) -> ProblemError:
+    """The error that says what was expected in the place of `value`."""
+    return ProblemError(f"{what}: expected {expected}; received {shown(value)}.")
+
+
+def is_masked(value: Any) -> bool:
+    """Whether numbers of a masked array are missing, which would be taken for whatever stands behind the mask."""
+    parts = value if isinstance(value, list | tuple) else (value,)
+    return any(isinstance(part, np.ma.MaskedArray) and bool(np.ma.is_masked(part)) for part in parts)
+
+
+def real_array(what: str, value: Any, expected: str = "real numbers") -> Float[np.ndarray, "..."]:
+    """Known numbers as an array of their own. Text, truth values and missing ones are no numbers."""
+    try:
+        array = None if is_masked(value) else np.asarray(value)
+    except (TypeError, ValueError):
+        array = None
+    if array is None or not (array.dtype.kind in "iuf" or (array.size == 0 and array.ndim)):
+        raise refusal(what, expected, value)
+    return np.array(array, dtype=float)
+
+
+def real(what: str, value: Any, expected: str = "a finite number") -> float:
+    """One finite number."""
+    array = real_array(what, value, expected)
+    if array.ndim or not np.isfinite(array):
+        raise refusal(what, expected, value)
+    return float(array)
+
+
+def positive(what: str, value: Any, *, below: float = np.inf, most: float = np.inf) -> float:
+    """A positive finite number, `below` another one or at `most` one where that is given."""
+    limit = f" below {below:g}" if below < np.inf else f" of at most {most:g}" if most < np.inf else ""
+    expected = f"a positive number{limit}"
+    number = real(what, value, expected)
+    if not (0 < number < below and number <= most):
+        raise refusal(what, expected, value)
+    return number
+
+
+def whole(what: str, value: Any, *, least: int = 1) -> int:
+    """A whole number, also one of NumPy."""
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
+        raise ProblemError(f"{what} is a whole number of at least {least}; received {shown(value)}.")
+    return int(value)
+
+
+def a_name(what: str, value: Any) -> str:
+    """A name: text that is not empty."""
+    if not isinstance(value, str) or not value:
+        raise refusal(what, "a name", value)
+    return value
+
+
+def one_of(what: str, value: Any, kinds: type[Kind] | tuple[type[Kind], ...], example: str = "") -> Kind:
+    """An object of a kind, or of one of some kinds."""
+    if isinstance(value, kinds):
+        return value
+    names = " or ".join(kind.__name__ for kind in (kinds if isinstance(kinds, tuple) else (kinds,)))
+    raise refusal(what, f"{names}{example and f', such as {example}'}", value)
+
+
+def traceable(what: str, value: Any) -> Float[Array, "..."]:
+    """Real numbers, known or traced, as an array: what a model's own code gives back."""
+    expected = "real numbers"
+    if is_masked(value):
+        raise refusal(what, expected, value)
+    try:
+        array = jnp.asarray(value)
+    except jax.errors.JAXTypeError:
+        raise
+    except (TypeError, ValueError) as error:
+        raise refusal(what, expected, value) from error
+    if jnp.issubdtype(array.dtype, jnp.complexfloating):
+        raise ProblemError(f"{what}: expected {expected}; received complex ones, of shape {array.shape}.")
+    return jnp.asarray(array, dtype=float)
+
+
+def refuse_missing(name: str, value: Any) -> None:
+    """Raise `ProblemError` for a number of a model that is none: masked, or not a number."""
+    is_nan = isinstance(value, float | np.floating | np.ndarray | jax.Array) and not isinstance(value, Tracer)
+    if is_masked(value) or (is_nan and bool(np.any(np.isnan(value)))):
+        raise refusal(f"'{name}'", "numbers", value)

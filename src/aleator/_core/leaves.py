@@ -1,0 +1,145 @@
+"""Leaves of a model as all layers know them: what may stand in the place of a number, and how places are named."""
+
+import abc
+from collections import Counter
+from collections.abc import Callable
+from typing import Any, ClassVar, TypeVar
+
+import equinox as eqx
+import jax
+import numpy as np
+from jax.core import Tracer
+from jax.tree_util import DictKey, GetAttrKey, SequenceKey, keystr, tree_flatten_with_path
+
+from aleator._core.arrays import Pytree
+
+_Class = TypeVar("_Class", bound=type)
+
+
+class AbstractLeaf(eqx.Module):
+    """What stands in the place of a number of a model until realisation replaces it: a distribution or a decision.
+
+    Leaves are told by this type alone, so that a model's own classes may have any fields.
+    """
+
+    UNCERTAIN: ClassVar[bool]
+    """Whether realisations differ: true of distributions, false of decisions."""
+
+    shared_name: eqx.AbstractVar[str | None]
+
+    @property
+    @abc.abstractmethod
+    def shape(self) -> tuple[int, ...]:
+        """The shape of what realisation leaves in its place."""
+
+    @abc.abstractmethod
+    def lowest(self) -> float | None:
+        """The smallest value of any entry, for every realisation and decision; -inf if unbounded.
+
+        Nothing where none is known, since numbers are traced.
+        """
+
+    @abc.abstractmethod
+    def highest(self) -> float | None:
+        """The largest value of any entry, as `lowest`."""
+
+
+def is_leaf(node: Any) -> bool:
+    """Whether `node` is a distribution or a decision, which realisation replaces by a number."""
+    return isinstance(node, AbstractLeaf)
+
+
+def is_traced(tree: Pytree) -> bool:
+    """Whether any number in `tree` is traced by JAX."""
+    return any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(tree))
+
+
+def realised_shape(leaf: Any) -> tuple[int, ...]:
+    """The shape of what realisation leaves in the place of a number or a leaf."""
+    return leaf.shape if isinstance(leaf, AbstractLeaf) else np.shape(leaf)
+
+
+def lowest(number: Any) -> float | None:
+    """The smallest value that a number of a model can take, for every realisation and decision; -inf if unbounded.
+
+    Of an array, or a sequence, it is the smallest of all entries. Nothing where none is known: numbers may be traced.
+    """
+    return _end(number, lambda leaf: leaf.lowest(), lambda array: np.min(array, initial=np.inf), min)
+
+
+def highest(number: Any) -> float | None:
+    """The largest value that a number of a model can take, as `lowest`."""
+    return _end(number, lambda leaf: leaf.highest(), lambda array: np.max(array, initial=-np.inf), max)
+
+
+def _end(number: Any, of_leaf: Callable[[AbstractLeaf], float | None], of_array: Any, of_ends: Any) -> float | None:
+    if isinstance(number, list | tuple):
+        ends = (_end(one, of_leaf, of_array, of_ends) for one in number)
+        return of_ends((end for end in ends if end is not None), default=None)
+    if isinstance(number, AbstractLeaf):
+        return of_leaf(number)
+    return None if is_traced(number) else float(of_array(np.asarray(number, dtype=float)))
+
+
+_HIDDEN: dict[type, frozenset[str]] = {}
+
+
+def transparent(*fields: str) -> Callable[[_Class], _Class]:
+    """A class decorator: these fields only hold the rest, and do not show in the names of the numbers inside.
+
+    So a mass of `ForwardDynamics(model=arm)` is called `mass`, and not `model.mass`. The class itself says so;
+    fields of the same name in a user's classes show.
+    """
+
+    def told(cls: _Class) -> _Class:
+        _HIDDEN[cls] = frozenset(fields)
+        return cls
+
+    return told
+
+
+def is_transparent(node: Any, field: str) -> bool:
+    """Whether a field of `node` does not show in names."""
+    return any(field in _HIDDEN.get(cls, ()) for cls in type(node).__mro__)
+
+
+def named_leaves(model: Pytree) -> list[tuple[str, Any]]:
+    """Every leaf of a model with its name, in the order of `jax.tree.leaves(model, is_leaf=is_leaf)`.
+
+    That is the name under which it is shared, or its place, in which transparent fields do not show. Where two leaves
+    would have one name for that reason, both go by their full places.
+    """
+    paths, _ = tree_flatten_with_path(model, is_leaf=is_leaf)
+    short = [_shared_name(leaf) or _text(shown(model, path) or path) for path, leaf in paths]
+    counts = Counter(name for name, (_, leaf) in zip(short, paths, strict=True) if not _shared_name(leaf))
+    return [
+        (name if _shared_name(leaf) or counts[name] == 1 else _text(path), leaf)
+        for name, (path, leaf) in zip(short, paths, strict=True)
+    ]
+
+
+def _shared_name(leaf: Any) -> str | None:
+    return leaf.shared_name if isinstance(leaf, AbstractLeaf) else None
+
+
+def _text(path: tuple[Any, ...]) -> str:
+    return keystr(path, simple=True, separator=".")
+
+
+def shown(model: Pytree, path: tuple[Any, ...]) -> tuple[Any, ...]:
+    """A path in a model without the keys of transparent fields."""
+    kept, node = [], model
+    for key in path:
+        if not (isinstance(key, GetAttrKey) and is_transparent(node, key.name)):
+            kept.append(key)
+        node = _child(node, key)
+    return tuple(kept)
+
+
+def _child(node: Any, key: Any) -> Any:
+    match key:
+        case GetAttrKey(name=name):
+            return getattr(node, name, None)
+        case DictKey(key=name) | SequenceKey(idx=name):
+            return node[name]
+    return None  # a container of someone else's, which knows no transparent fields

@@ -1,0 +1,63 @@
+"""`Extreme`: the worst value of a functional over all realisations of the model, as the term of a limit."""
+
+from typing import Any, final
+
+import equinox as eqx
+from jaxtyping import Array
+
+from aleator.design._expression import Constraint, Expression
+from aleator.design._scope import AbstractAtom, AbstractScope, Units
+
+
+@final
+class Extreme(AbstractAtom):
+    """The largest (`side = 1`) or smallest (`side = -1`) value of a functional over all realisations of the model.
+
+    It evaluates to the functional on each realisation that is at hand: a bound on it is a bound on each of them.
+    """
+
+    functional: Any
+    side: int = eqx.field(static=True)
+
+    def evaluate(self, scope: AbstractScope) -> Array:
+        """See `AbstractAtom.evaluate`."""
+        return scope.realised(self.functional)
+
+    def text(self) -> str:
+        """See `AbstractAtom.text`."""
+        return f"{'max' if self.side > 0 else 'min'}[{self.functional.text()}]"
+
+    def unit(self, units: Units) -> str:
+        """See `AbstractAtom.unit`."""
+        return self.functional.unit(units.outputs)
+
+    @property
+    def subjects(self) -> tuple[str, ...]:
+        """See `AbstractAtom.subjects`."""
+        return self.functional.outputs
+
+    @property
+    def functionals(self) -> tuple[Any, ...]:
+        """What it is taken of, as a statistic tells it."""
+        return (self.functional,)
+
+    @property
+    def measures(self) -> tuple[str, ...]:
+        """See `AbstractAtom.measures`."""
+        return (self.functional.text(),)
+
+    @property
+    def is_path(self) -> bool:
+        """See `AbstractAtom.is_path`."""
+        return self.functional.is_path
+
+
+def is_worst_case(constraint: Constraint) -> bool:
+    """Whether a constraint bounds the worst realisation of the model."""
+    return any(isinstance(atom, Extreme) for atom in constraint.expression.leaves)
+
+
+def extreme_functionals(expressions: tuple[Expression, ...]) -> tuple[Any, ...]:
+    """The functionals whose worst case stands in some expressions, each once."""
+    leaves = (leaf for one in expressions for leaf in one.leaves)
+    return tuple(dict.fromkeys(leaf.functional for leaf in leaves if isinstance(leaf, Extreme)))

@@ -1,0 +1,75 @@
+"""The worst realisations of a solution: which systems come closest to its limits on the worst case."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+from jaxtyping import Float
+
+# More numbers than these are not read.
+_MOST_NUMBERS = 5
+
+
+@final
+@dataclass(frozen=True)
+class WorstRealisation:
+    """The system that comes closest to a limit on the worst case, or breaks it most.
+
+    - `name`, `text`: of the constraint; `value`: what its functional reaches; `beyond`: how far beyond the bound that
+      is, negative inside; `time`: when, s, None where it is no limit over time;
+    - `numbers`: the uncertain numbers of that system, by name.
+    """
+
+    name: str
+    text: str
+    value: float
+    beyond: float
+    time: float | None
+    numbers: Mapping[str, float]
+
+    @property
+    def system(self) -> str:
+        """Which system it is: its uncertain numbers, the first few where there are many."""
+        shown = [f"{name} = {number:.6g}" for name, number in self.numbers.items()]
+        left = len(shown) - _MOST_NUMBERS
+        return ", ".join(shown[:_MOST_NUMBERS]) + (f" and {left} more" if left > 0 else "")
+
+    def sentence(self) -> str:
+        """What is reached, when, and by which system."""
+        when = "" if self.time is None else f" at t = {self.time:.4g} s"
+        return f"{self.name} reaches {self.value:.6g}{when} with {self.system}"
+
+
+@final
+@dataclass(frozen=True)
+class WorstCase:
+    """The worst cases of a solution, as far as a search over realisations of the model finds them: no proof.
+
+    - `realisations`: the worst of each limit on the worst case, in the order of the constraints;
+    - `scenarios`: the germ points at which the limits were held, shape (scenarios, variables);
+    - `rounds`: how often the program was solved, with more scenarios each time;
+    - `searched`: at how many realisations the model was simulated.
+    """
+
+    realisations: tuple[WorstRealisation, ...]
+    scenarios: Float[np.ndarray, "scenarios variables"]
+    rounds: int
+    searched: int
+
+    def of(self, text: str) -> WorstRealisation | None:
+        """The worst realisation of the constraint with this text; None for one that is not on the worst case."""
+        return next((one for one in self.realisations if one.text == text), None)
+
+    def broken(self) -> str:
+        """The realisation that breaks its limit most, and what to do where the search came to no end."""
+        worst = max(self.realisations, key=lambda one: one.beyond)
+        return (
+            f"After {self.rounds} rounds {worst.sentence()}, {worst.beyond:.3g} beyond its bound: each new design "
+            "breaks it at another realisation. Narrow the distributions, or give the optimiser fewer decisions."
+        )
+
+    def rows(self) -> list[str]:
+        """A line for each limit, then how they were found."""
+        found = [one.sentence() for one in self.realisations]
+        return [*found, f"the worst of {self.searched} realisations of the model, in {self.rounds} rounds"]

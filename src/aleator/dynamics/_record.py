@@ -1,0 +1,69 @@
+"""What is asked of a simulation, and what it records."""
+
+from collections.abc import Callable, Collection, Mapping
+from typing import Any, NamedTuple, TypeAlias
+
+from jaxtyping import Array, Float
+
+from aleator._core.errors import ProblemError
+from aleator.dynamics._system import System, observation
+
+History: TypeAlias = dict[str, Float[Array, "instants ..."]]
+Integrand: TypeAlias = Callable[[Mapping[str, Array]], Float[Array, "..."]]
+"""A function of the outputs at one time."""
+
+
+class Asked(NamedTuple):
+    """What is asked of a simulation.
+
+    - `instants`: the outputs that are recorded at every instant, by name; None for all;
+    - `nodes`: those recorded at every instant and in the middle of every step too, some of those at instants, where
+      statistics of many realisations are to be integrated over time;
+    - `integrands`: what is integrated over time along the realisation, with the accuracy of its states; `integrated`:
+      the outputs that these are functions of.
+    """
+
+    instants: frozenset[str] | None = None
+    nodes: frozenset[str] = frozenset()
+    integrands: tuple[Integrand, ...] = ()
+    integrated: frozenset[str] = frozenset()
+
+    def at_instant(self, system: System, t: Any, z: Any, now: dict[str, Array]) -> dict[str, Array]:
+        """What is recorded at an instant of the grid."""
+        return chosen(system, observation(system, t, z, now), self.instants)
+
+    def at_node(self, system: System, t: Any, z: Any, now: dict[str, Array]) -> dict[str, Array]:
+        """What is recorded in the middle of a step, and at its ends."""
+        return chosen(system, observation(system, t, z, now), self.nodes)
+
+    def rates(self, system: System, t: Any, z: Any, now: dict[str, Array]) -> tuple[Array, ...]:
+        """The integrands at one time."""
+        if not self.integrands:
+            return ()
+        outputs = observation(system, t, z, now)
+        return tuple(one(outputs) for one in self.integrands)
+
+
+class Record(NamedTuple):
+    """What a simulation recorded.
+
+    - `history`: outputs at every instant, shape (instants, ...); `nodes`: outputs at every instant and in the middle
+      of every step, shape (2 steps + 1, ...);
+    - `integrals`: in the order of the integrands.
+    """
+
+    history: History
+    nodes: History
+    integrals: tuple[Float[Array, "..."], ...]
+
+
+def chosen(system: Any, found: dict[str, Array], only: Collection[str] | None) -> dict[str, Array]:
+    """The outputs that are asked for. Raises `ProblemError` for some that the system does not have."""
+    if only is None:
+        return found
+    if not set(only) <= set(found):
+        raise ProblemError(
+            f"{type(system).__name__}: expected in `only` a list of some of the outputs {list(found)}; "
+            f"received {sorted(only)!r}."
+        )
+    return {name: value for name, value in found.items() if name in only}

@@ -1,0 +1,199 @@
+"""A mechanical system at one instant: numbers in the place of the signals in its fields, and how these change.
+
+A parameter `θ(t)` is a signal in the place of a number, as a distribution is. At an instant the model is the same tree
+with the signals' values. It remembers the time and the signals' derivatives, so that whatever follows from it can be
+differentiated by time in total, as equation (65) does: `∂/∂t` and `θ̇ ∂/∂θ` together.
+"""
+
+from collections.abc import Callable, Sequence
+from copy import copy
+from typing import Any, NamedTuple, TypeVar, final
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from aleator._core.errors import ProblemError
+from aleator.dynamics import Grid
+from aleator.mechanics._signatures import timed_methods
+from aleator.trajectories import AbstractSignal, AbstractTrajectory
+
+Model = TypeVar("Model", bound=eqx.Module)
+
+
+@final
+class When(eqx.Module):
+    """What a model remembers of its instant.
+
+    - `t`: the time, s; `rates`: for each order of derivative from one on, those of all signals, by time;
+    - `places`: where the signals' values are among the leaves of the model.
+    """
+
+    t: Any
+    rates: tuple[tuple[Array, ...], ...]
+    places: tuple[int, ...] = eqx.field(static=True)
+
+
+@final
+class Course(AbstractSignal):
+    """The signals in a model's fields side by side, each as a row of numbers: values, then derivatives."""
+
+    parts: tuple[tuple[AbstractSignal, ...], ...]
+
+    def __call__(self, t: Float[Array, ""]) -> Float[Array, "orders numbers"]:
+        """See `AbstractSignal.__call__`."""
+        return jnp.stack([jnp.concatenate([jnp.ravel(part(t)) for part in order]) for order in self.parts])
+
+    def over(self, t_start: Any, t_final: Any) -> "Course":
+        """See `AbstractSignal.over`."""
+        return Course(tuple(tuple(part.over(t_start, t_final) for part in order) for order in self.parts))
+
+    def sampled(
+        self, fractions: Float[np.ndarray, " n"], t_start: Any, t_final: Any
+    ) -> Float[Array, "n orders numbers"]:
+        """See `AbstractSignal.sampled`."""
+
+        def rows(part: AbstractSignal) -> Array:
+            return part.sampled(fractions, t_start, t_final).reshape(len(fractions), -1)
+
+        return jnp.stack([jnp.concatenate([rows(part) for part in order], axis=1) for order in self.parts], axis=1)
+
+    def span(self) -> tuple[float, float]:
+        """See `AbstractSignal.span`."""
+        first, last = zip(*(part.span() for part in self.parts[0]), strict=True)
+        return max(first), min(last)
+
+
+@final
+class Rate(AbstractSignal):
+    """The derivative of a signal by time."""
+
+    signal: AbstractSignal
+
+    def __call__(self, t: Float[Array, ""]) -> Float[Array, "..."]:
+        """See `AbstractSignal.__call__`."""
+        return jax.jvp(self.signal, (t,), (jnp.ones_like(t),))[1]
+
+    def over(self, t_start: Any, t_final: Any) -> "Rate":
+        """See `AbstractSignal.over`."""
+        return Rate(self.signal.over(t_start, t_final))
+
+    def span(self) -> tuple[float, float]:
+        """See `AbstractSignal.span`."""
+        return self.signal.span()
+
+
+def course(model: eqx.Module, orders: int) -> dict[str, AbstractSignal]:
+    """The signals in a model's fields with as many derivatives as are needed, as dynamics take them; none of none."""
+    parts = [leaf for leaf in _leaves(model) if isinstance(leaf, AbstractSignal)]
+    if not parts:
+        return {}
+    rows = [tuple(parts)]
+    for order in range(1, orders):
+        rows.append(tuple(_derivative(part, before, order) for part, before in zip(parts, rows[-1], strict=True)))
+    return {"parameters": Course(tuple(rows))}
+
+
+def is_timed(model: eqx.Module) -> bool:
+    """Whether a model depends on time: by signals in its fields, or by methods that name the time."""
+    return bool(timed_methods(type(model))) or any(isinstance(leaf, AbstractSignal) for leaf in _leaves(model))
+
+
+def at(model: Model, t: Any, parameters: Float[Array, "orders numbers"] | None) -> Model:
+    """A model at an instant, with what its `course` gives there. One that does not depend on time stays as it is."""
+    leaves, structure = jax.tree.flatten(model, is_leaf=_is_signal)
+    places = tuple(i for i, leaf in enumerate(leaves) if isinstance(leaf, AbstractSignal))
+    if bool(places) != (parameters is not None):
+        raise ProblemError(
+            f"{type(model).__name__}: expected {'values of' if places else 'no'} parameters that change with time; "
+            f"received {'none' if places else 'an input of that name'}."
+        )
+    rows = [()] if parameters is None else [_split(row, [leaves[i] for i in places]) for row in parameters]
+    for place, value in zip(places, rows[0], strict=True):
+        leaves[place] = value
+    found = jax.tree.unflatten(structure, leaves)
+    return _remembering(found, When(t, tuple(rows[1:]), places)) if is_timed(model) else found
+
+
+def later(model: Model, s: Any) -> Model:
+    """A model at an instant, a time `s` later, as far as its derivatives tell: to be differentiated by `s` at zero."""
+    when: When | None = model._when  # type: ignore[attr-defined]
+    if when is None:
+        return model
+    leaves, structure = jax.tree.flatten(_remembering(model, None))
+    rows = [tuple(leaves[place] for place in when.places), *when.rates]
+    moved = [tuple(_taylor(orders, s) for orders in zip(*rows[k:], strict=True)) for k in range(len(rows))]
+    for place, value in zip(when.places, moved[0], strict=True):
+        leaves[place] = value
+    return _remembering(jax.tree.unflatten(structure, leaves), When(when.t + s, tuple(moved[1:]), when.places))
+
+
+def along_time(
+    function: Callable[..., Any], model: Any, primals: Sequence[Any], tangents: Sequence[Any], *, has_aux: bool = False
+) -> Any:
+    """`function(model, *at)` and its total derivative by time, of arguments that change at the rates `tangents`."""
+    zero, one = jnp.zeros(()), jnp.ones(())
+
+    def moved(s: Array, *where: Any) -> Any:
+        return function(later(model, s), *where)
+
+    return jax.jvp(moved, (zero, *primals), (one, *tangents), has_aux=has_aux)
+
+
+class Instants(NamedTuple):
+    """A model at the instants of a grid."""
+
+    model: Any
+    times: Float[Array, " n"]
+    parameters: Float[Array, "n orders numbers"] | None
+
+    def at(self, i: int) -> Any:
+        """The model at one instant."""
+        return at(self.model, self.times[i], None if self.parameters is None else self.parameters[i])
+
+    def each(self, function: Callable[..., Any], *given: Array) -> Any:
+        """`function(model, *given)` at every instant, of what is given there."""
+        return jax.vmap(lambda t, row, *own: function(at(self.model, t, row), *own))(
+            self.times, self.parameters, *given
+        )
+
+
+def instants_of(model: eqx.Module, grid: Grid) -> Instants:
+    """A realised model at the instants of a grid."""
+    found = [one.sampled(grid.fractions, grid.t_start, grid.t_final) for one in course(model, 2).values()]
+    return Instants(model, grid.times, found[0] if found else None)
+
+
+def _is_signal(node: Any) -> bool:
+    return isinstance(node, AbstractSignal)
+
+
+def _leaves(model: eqx.Module) -> list[Any]:
+    return jax.tree.leaves(model, is_leaf=_is_signal)
+
+
+def _derivative(signal: AbstractSignal, before: AbstractSignal, order: int) -> AbstractSignal:
+    return signal.derivative(order) if isinstance(signal, AbstractTrajectory) else Rate(before)
+
+
+def _split(row: Float[Array, " numbers"], signals: Sequence[AbstractSignal]) -> tuple[Array, ...]:
+    """The numbers of several signals in the shapes of their values."""
+    shapes = [jax.eval_shape(signal, jnp.zeros(())).shape for signal in signals]
+    ends = np.cumsum([int(np.prod(shape)) for shape in shapes])
+    return tuple(part.reshape(shape) for part, shape in zip(jnp.split(row, ends[:-1]), shapes, strict=True))
+
+
+def _taylor(orders: Sequence[Array], s: Any) -> Array:
+    """The value after a time `s`, from a value and its derivatives."""
+    found = orders[-1]
+    for k in range(len(orders) - 1, 0, -1):
+        found = orders[k - 1] + s / k * found
+    return found
+
+
+def _remembering(model: Model, when: When | None) -> Model:
+    found = copy(model)
+    object.__setattr__(found, "_when", when)  # of a copy that nobody has seen yet
+    return found

@@ -1,0 +1,62 @@
+"""Why a solver got stuck: whether objective and constraints change as their derivatives say."""
+
+import itertools
+
+import numpy as np
+
+from aleator.nlp._certificate import lagrangian_gradient
+from aleator.nlp._evaluations import NotFiniteError
+from aleator.nlp._scaling import Multipliers, ScaledProgram
+
+# Steps along which it is looked, in typical magnitudes of the decisions.
+_STEPS = (1e-3, 1e-5, 1e-7)
+# A change below this many roundings of what it is a change of is not to be told from none.
+_ROUNDINGS = 1e3
+# The error of a first-order prediction falls with the square of the step: with less than this power, no derivative
+# predicts; with less than the second, the function jumps.
+_SMOOTH, _JUMP = 1.5, 0.5
+
+
+def stall(scaled: ScaledProgram, z: np.ndarray, multipliers: Multipliers) -> str:
+    """What is known of a point where a solver got stuck, in words that follow a colon; empty if nothing is.
+
+    The Lagrangian is evaluated along its own steepest descent, over steps of different lengths. Where it is smooth,
+    what its derivative fails to predict falls with the square of the step; at a kink it falls with the step, at a jump
+    not at all. Nothing of it depends on what held the solver up.
+    """
+    start = scaled.evaluate(z)
+    remainder = lagrangian_gradient(start, multipliers)
+    largest = float(np.abs(remainder).max(initial=0.0))
+    if largest == 0:
+        return ""
+    typical = max(1.0, float(np.abs(z).max()))
+    rounding = _ROUNDINGS * np.finfo(float).eps * scaled.terms(start, multipliers)
+    missed: list[tuple[float, float]] = []
+    seen = False
+    for step in _STEPS:
+        moved = np.clip(z - step * typical * remainder / largest, scaled.lower, scaled.upper)
+        try:
+            there = scaled.evaluate(moved)
+        except NotFiniteError:
+            return "the model is not finite close by, where it would be less"
+        predicted = float(remainder @ (moved - z))
+        seen = seen or abs(predicted) > rounding
+        rows = float(multipliers.rows @ (there.constraints - start.constraints))
+        actual = there.objective - start.objective + rows + float(multipliers.bounds @ (moved - z))
+        error = abs(actual - predicted)
+        if error > max(rounding, abs(predicted) / 2):
+            missed.append((step, error))
+    if not seen:
+        return "what is left to gain is below the rounding of the objective, so that the arithmetic gives no more here"
+    if len(missed) < 2:
+        return ""
+    power = min(
+        np.log(error / finer) / np.log(step / smaller) for (step, error), (smaller, finer) in itertools.pairwise(missed)
+    )
+    if power > _SMOOTH:
+        return ""
+    what = "jumps" if power < _JUMP else "has a kink"
+    return (
+        f"the objective or an active constraint {what} close by, so that it does not change as its derivative says, "
+        "and no solver that goes by derivatives gets further"
+    )

@@ -1,0 +1,156 @@
+"""The search of a calibration: margins tried one after another, and which to try next."""
+
+from collections.abc import Callable
+from typing import final
+
+import numpy as np
+from scipy import special
+
+from aleator._core.errors import AleatorError, SolveError
+from aleator.design import Problem, Solution, current, refuse_changed
+from aleator.nlp import AbstractSolver
+from aleator.solve import solve
+from aleator.sweep._calibration import Trial
+from aleator.validation import Proportion, Share
+
+_SMALLEST, _LARGEST = 0.02, 20.0
+# Margins that differ by less, relatively, give the same design.
+_SAME = 1e-3
+
+
+@final
+class MarginSearch:
+    """A bracketed secant on the normal quantile of the violation probability, which falls as the multiple grows.
+
+    - `measure`: how often a design is violated, on one random sample for all designs;
+    - `aim`: how often it may be by such a measurement, so that fresh systems are likely to confirm it.
+
+    `tighten` lowers that aim, after fresh systems did not.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        names: tuple[str, ...],
+        first: float,
+        measure: Callable[[Solution], Share],
+        aim: Callable[[Share], float],
+        precision: float,
+        solver: AbstractSolver | None,
+    ):
+        self._problem, self._names, self._next = current(problem), names, first
+        self._measure, self._aim, self._precision, self._solver = measure, aim, precision, solver
+        self._lowered = self._tightened = 1.0
+        self.trials: list[Trial] = []
+        self.failures: dict[float, AleatorError] = {}
+
+    @property
+    def ceiling(self) -> float:
+        """The smallest multiple beyond all trials that has no design; infinite if none is known."""
+        widest = max((one.sigmas for one in self.trials), default=0.0)
+        return min((sigmas for sigmas in self.failures if sigmas > widest), default=np.inf)
+
+    @property
+    def exhausted(self) -> bool:
+        """Whether no wider margin is left to try: it is at its largest, or as large as there are designs."""
+        widest = max((one.sigmas for one in self.trials), default=0.0)
+        return widest >= min(_LARGEST, (1 - _SAME) * self.ceiling)
+
+    @property
+    def done(self) -> bool:
+        """Whether a trial is close below the aim, or below it as closely as a margin can bring it.
+
+        Or whether there is nothing left to try.
+        """
+        meeting = [one for one in self.trials if self._meets(one)]
+        return any(map(self._settles, meeting)) or (not meeting and self.exhausted)
+
+    @property
+    def best(self) -> Trial:
+        """The smallest margin that meets the aim; where none does, the one that is violated least often."""
+        meeting = [one for one in self.trials if self._meets(one)]
+        if meeting:
+            return min(meeting, key=lambda one: one.sigmas)
+        return min(self.trials, key=lambda one: (one.violation.estimate, -one.sigmas))
+
+    def step(self) -> None:
+        """Try one more multiple. One that has no design, or none that can be sampled, only bounds the search.
+
+        Raises what the first trial raises.
+        """
+        refuse_changed("calibrate", self._problem, "at the first trial")
+        sigmas = self._next
+        try:
+            solution = self._solved(sigmas)
+            self.trials.append(Trial(sigmas, solution, self._measure(solution)))
+        except AleatorError as error:
+            if not self.trials:
+                raise
+            self.failures[sigmas] = error
+        self._next = self._propose()
+
+    def tighten(self, trial: Trial, fresh: Share) -> None:
+        """Aim lower, since fresh systems violate a trial too often: by as much, and a little more."""
+        measured = trial.violation.estimate
+        self._tightened *= 0.85
+        self._lowered = self._tightened * min(measured / fresh.estimate, 1.0) if fresh.estimate > 0 else self._tightened
+        self._next = self._propose()
+
+    def _solved(self, sigmas: float) -> Solution:
+        problem = self._problem
+        for name in self._names:
+            problem = problem.with_sigmas(name, sigmas)
+        nearest = min(self.trials, key=lambda one: abs(one.sigmas - sigmas), default=None)
+        if nearest is None:
+            return solve(problem, self._solver)
+        try:
+            return solve(problem, self._solver, warm_start=nearest.solution)
+        except SolveError:
+            return solve(problem, self._solver)
+
+    def _limit(self, share: Share) -> float:
+        return self._lowered * self._aim(share)
+
+    def _meets(self, trial: Trial) -> bool:
+        return trial.violation.estimate <= self._limit(trial.violation)
+
+    def _settles(self, trial: Trial) -> bool:
+        low = max((sigmas for sigmas in self._too_small() if sigmas < trial.sigmas), default=0.0)
+        # Where the constraints are not active, the margin does not shape the design.
+        idle = not set(self._names) & set(trial.solution.active)
+        closest = trial.sigmas - low < _SAME * trial.sigmas or trial.sigmas <= _SMALLEST
+        return self._is_close(trial.violation) or idle or closest
+
+    def _is_close(self, share: Share) -> bool:
+        least = (1 - self._precision) * self._limit(share)
+        # Of few systems, no whole number may lie in between.
+        if isinstance(share, Proportion):
+            return share.count >= np.floor(least * share.samples)
+        return share.estimate >= least
+
+    def _too_small(self) -> list[float]:
+        return [one.sigmas for one in self.trials if not self._meets(one)] + list(self.failures)
+
+    def _propose(self) -> float:
+        """The secant through the two trials around the aim, aimed a little below it."""
+        meeting = sorted((one for one in self.trials if self._meets(one)), key=lambda one: one.sigmas)
+        if not meeting:
+            widest = max((one.sigmas for one in self.trials), default=self._next)
+            return min(widest * 1.5 + 0.1, _LARGEST, (widest + self.ceiling) / 2)
+        high = meeting[0]
+        missing = [one for one in self.trials if one.sigmas < high.sigmas]
+        failed = max((sigmas for sigmas in self.failures if sigmas < high.sigmas), default=0.0)
+        if not missing:
+            return max((failed + high.sigmas) / 2, _SMALLEST)
+        low = max(missing, key=lambda one: one.sigmas)
+        if failed > low.sigmas:
+            return (failed + high.sigmas) / 2
+        above, below = max(self._level(low), 0.0), min(self._level(high), 0.0)
+        share = above / (above - below) if above > below else 0.5
+        return low.sigmas + (high.sigmas - low.sigmas) * float(np.clip(share, 0.1, 0.9))
+
+    def _level(self, trial: Trial) -> float:
+        """Distance from the aim on the scale of the normal quantile: positive where violated too often."""
+        one, aim = trial.violation, self._limit(trial.violation) * (1 - self._precision / 2)
+        estimate = (one.count + 0.5) / (one.samples + 1) if isinstance(one, Proportion) else one.estimate
+        return float(special.ndtri(estimate) - special.ndtri(aim))

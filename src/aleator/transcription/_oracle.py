@@ -1,0 +1,107 @@
+"""The model at given realisations: how far beyond the limits on the worst case it is there, and when."""
+
+from typing import NamedTuple, final
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from aleator._core.arrays import numbers_to_arrays
+from aleator._core.compilation import Compiled
+from aleator.design import (
+    Constraint,
+    OneSystem,
+    Problem,
+    functionals_of,
+    grid_at,
+    is_worst_case,
+    refuse_changed_code,
+    responses,
+    step_at,
+)
+from aleator.dynamics import Grid
+from aleator.transcription._scenarios import germ_box
+from aleator.transcription._search import Points
+from aleator.uncertainty import named_numbers
+
+# Realisations that are simulated together: one compiled size serves all.
+_TOGETHER = 64
+
+
+def worst_case_limits(problem: Problem) -> tuple[Constraint, ...]:
+    """The limits on the worst case among a problem's constraints."""
+    return tuple(one for one in problem.constraints if is_worst_case(one))
+
+
+class Reached(NamedTuple):
+    """Limits on the worst case at some realisations, where each is closest to its bound or furthest beyond it.
+
+    - `beyond`: how far, negative inside; `value`: of the functional; `time`: when, s, not a number where
+      the limit is none over time.
+    """
+
+    beyond: Float[np.ndarray, "points limits"]
+    value: Float[np.ndarray, "points limits"]
+    time: Float[np.ndarray, "points limits"]
+
+
+def _reached(
+    problem: Problem, germ: Float[Array, "points variables"], decisions: Float[Array, " n"]
+) -> tuple[Array, Array, Array]:
+    """The parts of `Reached`."""
+    limits = worst_case_limits(problem)
+    functionals = functionals_of(tuple(one.expression for one in limits))
+    times, step = grid_at(problem, decisions).times, step_at(problem, decisions)
+    numbers = named_numbers(problem.model, decisions)
+
+    def one(values: tuple[Array, ...]) -> tuple[Array, Array, Array]:
+        scope = OneSystem(dict(zip(functionals, values, strict=True)), numbers, step)
+        found = []
+        for limit in limits:
+            value = jnp.asarray(limit.expression.evaluate(scope))
+            beyond = jnp.ravel(jnp.maximum(value - limit.upper, limit.lower - value))
+            # The first that is not a number counts as the largest.
+            worst = jnp.argmax(beyond)
+            time = times[worst * len(times) // beyond.size] if limit.is_path else jnp.nan
+            found.append((beyond[worst], jnp.ravel(value)[worst], time))
+        return tuple(jnp.stack(part) for part in zip(*found, strict=True))  # type: ignore[return-value]
+
+    return jax.vmap(one)(responses(problem, functionals, germ, decisions))
+
+
+REACHED = Compiled(_reached, unchanged=refuse_changed_code)
+
+
+@final
+class Oracle:
+    """The model of a problem at realisations, some together, on a grid `factor` times as fine as its own.
+
+    `asked`: at how many realisations it was simulated.
+    """
+
+    def __init__(self, problem: Problem, factor: int):
+        if factor > 1 and isinstance(problem.grid, Grid):
+            problem = eqx.tree_at(lambda tree: tree.grid, problem, problem.grid.finer(factor))
+        self._traced = numbers_to_arrays(problem)
+        self.low, self.high = germ_box(problem).T
+        self.asked = 0
+
+    def __call__(self, germ: Float[np.ndarray, "points variables"], decisions: np.ndarray) -> Reached:
+        parts = []
+        for first in range(0, len(germ), _TOGETHER):
+            some = germ[first : first + _TOGETHER]
+            filled = jnp.asarray(np.resize(some, (_TOGETHER, germ.shape[1])))
+            found = REACHED(self._traced, filled, jnp.asarray(decisions))
+            parts.append([np.asarray(one)[: len(some)] for one in found])
+        self.asked += len(germ)
+        return Reached(*(np.concatenate(one) for one in zip(*parts, strict=True)))
+
+    def germ(self, points: Points) -> Float[np.ndarray, "points variables"]:
+        """Points of the unit box in the germ's box."""
+        return self.low + points * (self.high - self.low)
+
+    def unit(self, germ: Float[np.ndarray, "points variables"]) -> Points:
+        """The inverse of `germ`."""
+        return (germ - self.low) / (self.high - self.low)

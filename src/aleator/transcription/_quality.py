@@ -1,0 +1,85 @@
+"""How far the expansions of a problem can be trusted at a solution, and what is said where they cannot."""
+
+from collections.abc import Mapping
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from aleator.collocation import ILL_CONDITIONED, unseen
+from aleator.design import ExpansionQuality, SecondOpinion, sizes
+from aleator.transcription._resolution import Resolved
+from aleator.transcription._sequential import Sequential
+
+# A spread below this part of what a functional is made of is rounding.
+_ROUNDING = 1e-11
+
+
+def quality_of(
+    transcription: Sequential, resolved: Mapping[str, Resolved], decisions: Float[np.ndarray, " n"]
+) -> ExpansionQuality:
+    """The quality of the expansions at given decisions, where `resolved` was taken."""
+    basis, collocation = transcription.basis, transcription.collocation
+    tolerance, times = transcription.problem.expansion.tolerance, transcription.times(decisions)
+    errors = {text: float(one.leave_one_out) for text, one in resolved.items()}
+    return ExpansionQuality(
+        order=basis.order,
+        terms=basis.terms,
+        points=len(collocation.points),
+        condition_number=float(collocation.condition_number),
+        leave_one_out=errors | _rounding(transcription, resolved, errors, decisions),
+        unresolved_from={
+            text: float(times[int(np.argmax(late))])
+            for text, one in resolved.items()
+            if one.history is not None and (late := ~(np.asarray(one.history) <= tolerance)).any()
+        },
+        tolerance=tolerance,
+        unseen=unseen(basis, np.asarray(collocation.points)),
+    )
+
+
+def _rounding(
+    transcription: Sequential,
+    resolved: Mapping[str, Resolved],
+    errors: Mapping[str, float],
+    decisions: Float[np.ndarray, " n"],
+) -> dict[str, float]:
+    """Those functionals that are numbers and spread by rounding alone, with no error: looked for among the unresolved.
+
+    The rate at the end of a motion that comes to rest is zero in every system, up to rounding of the rates before.
+    """
+    tolerance = transcription.problem.expansion.tolerance
+    suspects = {text for text, error in errors.items() if not error <= tolerance and np.ndim(resolved[text].std) == 0}
+    if not suspects:
+        return {}
+    magnitudes = sizes(transcription.problem, transcription.collocation.points[0], jnp.asarray(decisions))
+    return {
+        text: 0.0
+        for text, size in zip(transcription.texts.functionals, magnitudes, strict=True)
+        if text in suspects and float(resolved[text].std) <= _ROUNDING * float(size)
+    }
+
+
+def doubts(quality: ExpansionQuality, opinion: SecondOpinion | None) -> list[str]:
+    """Why the statistics of an expansion cannot be trusted, a sentence each; none where they can."""
+    sentences = []
+    if not quality.is_conditioned:
+        sentences.append(
+            f"The collocation matrix has condition number {quality.condition_number:.1e} (warned of beyond "
+            f"{ILL_CONDITIONED:.0e}), so coefficients lose digits. Use more points, a lower order, or "
+            "al.ChristoffelPoints()"
+        )
+    if not quality.can_be_checked:
+        sentences.append(
+            f"{quality.points} points for {quality.terms} terms leave nothing to check the expansion of order "
+            f"{quality.order} by, so whether means and spreads can be trusted is not known. Use more points"
+        )
+    elif quality.unresolved:
+        bad = [f"{text} ({quality.leave_one_out[text]:.2g}){quality.since(text)}" for text in quality.unresolved]
+        sentences.append(
+            f"The expansion of order {quality.order} does not resolve {', '.join(bad)}: its relative leave-one-out "
+            f"error exceeds {quality.tolerance:g}, so means and spreads cannot be trusted. Raise the order"
+        )
+    if opinion is not None and not opinion.agrees:
+        sentences.append(f"{opinion.sentence()}. Raise the order")
+    return sentences

@@ -1,0 +1,204 @@
+"""A problem on a finer grid and by an integrator of another order: what its own grid is judged by."""
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from aleator._core.arrays import numbers_to_arrays
+from aleator._core.compilation import Compiled
+from aleator.collocation import Collocation
+from aleator.design import (
+    Constraint,
+    Deviation,
+    Expression,
+    GridError,
+    Peak,
+    Problem,
+    Statistic,
+    functionals_of,
+    grid_at,
+    is_over_time,
+    refuse_changed_code,
+)
+from aleator.dynamics import Grid
+from aleator.statistics import Constants, Mean, Std, Variance
+from aleator.trajectories import AbstractTrajectory
+from aleator.transcription._jumps import splines_in
+from aleator.transcription._scope import scope_of
+from aleator.transcription._sequential import Sequential
+
+# How many times as many steps: for systems that follow trajectories, whose limits are held between instants, for
+# others; and the least number of steps in all, and of steps from knot to knot.
+_FOLLOWING, _PLAIN, _FEWEST, _BY_PIECE = 10, 2, 100, 4
+# The other grid has an error of its own, much smaller than what it is asked about.
+_OWN_ERROR = 1.25
+# A magnitude smaller than this part of what it could be is zero up to the errors of integration.
+_NEGLIGIBLE_SPREAD, _NEGLIGIBLE_VALUE, _ROUNDING = 1e-6, 1e-3, 1e-9
+# Nothing is told from nothing.
+_TINY = 1e-30
+
+
+class Reference(NamedTuple):
+    """A problem's numbers at one point on the finer grid.
+
+    - `values`: the objective, then the constraints, those of paths at every instant of that grid;
+    - `means`, `stds`: of each functional; `reaches`: how large each could be, see `AbstractFunctional.reach`;
+    - `factor`: how many times as many steps that grid has; `integrator`: its name.
+    """
+
+    values: tuple[Float[np.ndarray, "..."], ...]
+    means: tuple[Float[np.ndarray, "..."], ...]
+    stds: tuple[Float[np.ndarray, "..."], ...]
+    reaches: tuple[float, ...]
+    factor: int
+    integrator: str
+
+
+def _referenced(
+    problem: Problem, collocation: Collocation, constants: Constants, decisions: Float[Array, " n"]
+) -> tuple[Any, ...]:
+    functionals = functionals_of(problem.expressions)
+    names = dict.fromkeys(name for one in functionals for name in one.outputs)
+    peaks = tuple(Peak((name,)) for name in names)
+    scope = scope_of(problem, tuple(dict.fromkeys((*functionals, *peaks))), collocation, constants, decisions)
+    values = tuple(jnp.asarray(one.evaluate(scope)) for one in problem.expressions)
+    terms = [collocation.coefficients(scope.samples[one]) for one in functionals]
+    means, stds = (tuple(kind.of(one, ()) for one in terms) for kind in (Mean(), Std()))
+    highest = {name: jnp.max(scope.samples[peak]) for name, peak in zip(names, peaks, strict=True)}
+    grid = grid_at(problem, decisions)
+    return values, means, stds, tuple(one.reach(highest, grid) for one in functionals)
+
+
+REFERENCE = Compiled(_referenced, unchanged=refuse_changed_code)
+
+
+def reference_factor(problem: Problem, between: int | None) -> int:
+    """How many times as many steps the finer grid of a problem has; 1 where time plays no part."""
+    grid = problem.grid
+    if not (isinstance(grid, Grid) and functionals_of(problem.expressions)):
+        return 1
+    parts = pieces(problem)
+    chosen = between if between is not None else _FOLLOWING if parts else _PLAIN
+    return max(chosen, _PLAIN, -(-_FEWEST // grid.steps), -(-_BY_PIECE * parts // grid.steps))
+
+
+def follows_trajectories(problem: Problem) -> bool:
+    """Whether a problem's system follows trajectories, which may do anything between two instants."""
+    return pieces(problem) > 0
+
+
+def pieces(problem: Problem) -> int:
+    """Of how many polynomial pieces the trajectories consist that a problem's system follows, at most; 0 for none."""
+
+    def is_trajectory(node: Any) -> bool:
+        return isinstance(node, AbstractTrajectory)
+
+    parts = problem.system, problem.inputs
+    followed = any(map(is_trajectory, jax.tree.leaves(parts, is_leaf=is_trajectory)))
+    return max([followed, *(one.count - one.degree for one in splines_in(parts))])
+
+
+def reference(transcription: Sequential, decisions: Float[np.ndarray, " n"], factor: int) -> Reference:
+    """A problem's numbers on a grid of `factor` times as many steps, by another integrator."""
+    problem = transcription.problem
+    grid, integrator = problem.grid, problem.integrator.reference()
+    assert isinstance(grid, Grid)
+    finer = eqx.tree_at(lambda tree: (tree.grid, tree.integrator), problem, (grid.finer(factor), integrator))
+    arguments = numbers_to_arrays(finer), transcription.collocation, transcription.constants
+    values, means, stds, reaches = jax.tree.map(np.asarray, REFERENCE(*arguments, jnp.asarray(decisions)))
+    named = type(integrator).__name__ if problem.system.states else "Simpson's rule"  # type: ignore[union-attr]
+    return Reference(values, means, stds, tuple(float(np.max(one)) for one in reaches), factor, named)
+
+
+def grid_error(
+    transcription: Sequential, decisions: Float[np.ndarray, " n"], finer: Reference, accuracy: float
+) -> GridError:
+    """The error of a problem's own grid at some decisions, by what a finer one gives there."""
+    problem, resolved = transcription.problem, transcription.resolve(decisions)
+    assert isinstance(problem.grid, Grid)
+    times = transcription.times(decisions)
+    functionals = functionals_of(problem.expressions)
+    reaches = dict(zip(functionals, finer.reaches, strict=True))
+    deviations = {}
+    for i, one in enumerate(functionals):
+        own = resolved[one.text()]
+        mean, std = (np.asarray(part)[:: finer.factor if one.is_path else 1] for part in _at_least_1d(finer, i))
+        change = np.maximum(np.abs(own.mean - mean), np.abs(own.std - std))
+        limits = _limits(problem, one)
+        spread, value, reach = float(np.max(std)), float(np.max(np.abs(mean))), reaches[one]
+        sizes = [*limits, *([spread] if spread > _NEGLIGIBLE_SPREAD * reach else [])]
+        # What is to be zero, and is, has no magnitude of its own.
+        alone = value if value > _NEGLIGIBLE_VALUE * reach else reach
+        size = max(min(sizes, default=alone), _ROUNDING * reach / accuracy, _TINY / accuracy)
+        when = float(times[int(np.argmax(change.reshape(len(times), -1).max(axis=1)))]) if one.is_path else np.nan
+        deviations[one.text()] = Deviation(_OWN_ERROR * float(np.max(change)), accuracy * size, when)
+    objective = float(transcription.program.evaluate(decisions).objective)
+    away = _OWN_ERROR * abs(objective - float(finer.values[0]))
+    floor = _NEGLIGIBLE_VALUE * _reach_of(problem.objective, reaches)
+    return GridError(
+        steps=problem.grid.steps,
+        factor=finer.factor,
+        integrator=finer.integrator,
+        accuracy=accuracy,
+        objective=Deviation(away, max(accuracy * max(abs(objective), floor), _TINY)),
+        functionals=deviations,
+        broken=_broken(problem, finer, reaches, accuracy),
+    )
+
+
+def _at_least_1d(finer: Reference, which: int) -> tuple[np.ndarray, np.ndarray]:
+    return np.atleast_1d(finer.means[which]), np.atleast_1d(finer.stds[which])
+
+
+def _limits(problem: Problem, functional: Any) -> list[float]:
+    """The bounds other than zero that a functional is held to, in its own unit."""
+    found = []
+    for one in problem.constraints:
+        for factor, atom in zip(one.expression.factors, one.expression.atoms, strict=True):
+            if isinstance(atom, Statistic) and functional in atom.functionals and atom.kind.speaks_of_one_system:
+                sizes = (abs(float(bound)) for bound in (one.lower, one.upper))
+                found += [size / abs(float(factor)) for size in sizes if 0 < size < np.inf and float(factor) != 0]
+    return found
+
+
+def _reach_of(expression: Expression, reaches: dict[Any, float]) -> float:
+    """How large an expression could be, were the functionals in it as large as they could: zero where none tells."""
+    return sum(
+        abs(float(factor)) * sum(_reach(part, reaches) for part in atom.parts)
+        for factor, atom in zip(expression.factors, expression.atoms, strict=True)
+    )
+
+
+def _reach(atom: Any, reaches: dict[Any, float]) -> float:
+    """How large a statistic could be; a spread is no larger than what spreads."""
+    if not isinstance(atom, Statistic):
+        return 0.0
+    reach = reaches[atom.functionals[0]]
+    if isinstance(atom.kind, Variance):
+        return reach**2
+    return reach if atom.kind.speaks_of_one_system or isinstance(atom.kind, Std) else 0.0
+
+
+def _broken(problem: Problem, finer: Reference, reaches: dict[Any, float], accuracy: float) -> str:
+    """A sentence on the constraint, no limit over time, that is broken most on the finer grid; empty if all hold."""
+    worst, sentence = accuracy, ""
+    for one, value in zip(problem.constraints, finer.values[1:], strict=True):
+        if is_over_time(one):
+            continue
+        excess = float(np.max(np.maximum(value - float(one.upper), float(one.lower) - value)))
+        size = bound_size(one) or _reach_of(one.expression, reaches)
+        if excess > worst * size > 0:
+            worst = excess / size
+            sentence = f"on a finer grid '{one.name}' ({one}) misses its bound by {excess:.2g}"
+    return sentence
+
+
+def bound_size(constraint: Constraint) -> float:
+    """The smaller of a constraint's bounds in magnitude; zero where one of them is zero, which says nothing of
+    sizes.
+    """
+    return min(abs(bound) for bound in map(float, (constraint.lower, constraint.upper)) if np.isfinite(bound))

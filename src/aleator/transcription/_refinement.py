@@ -1,0 +1,79 @@
+"""Finer grids for a problem whose own is too coarse, and why they may not help."""
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from aleator.design import Problem, Solution, functionals_of, history
+from aleator.dynamics import Grid
+from aleator.nlp import Status
+from aleator.transcription._reference import pieces
+
+# A grid has at least twice and at most eight times as many steps as the one before, and at most so many times as many
+# as the first.
+_LEAST, _MOST, _FINEST = 2, 8, 256
+# An error that falls by less than this, on a grid of twice as many steps or more, does not converge.
+_FALLS = 0.6
+_SOLVED = (Status.SOLVED, Status.COARSE, Status.NOT_HELD)
+
+
+def refinement(solutions: Sequence[Solution]) -> Problem | None:
+    """The problem on a grid whose error is tolerated, as far as the last of some solutions tells; None to end.
+
+    They are those on the grids so far, the coarsest first.
+    """
+    last, problem = solutions[-1], solutions[-1].problem
+    error = last.grid_error
+    if error is None or error.is_met or last.status not in _SOLVED:
+        return None
+    grid, begun = problem.grid, solutions[0].problem.grid
+    assert isinstance(grid, Grid)
+    assert isinstance(begun, Grid)
+    steps = int(np.clip(error.steps_needed, _LEAST * grid.steps, _MOST * grid.steps))
+    # Steps that end where the pieces of splines do lose no order there.
+    parts = pieces(problem) or 1
+    steps = parts * -(-steps // parts)
+    if steps > _FINEST * begun.steps or _does_not_help(solutions):
+        return None
+    finer = Grid(grid.t_final, steps, float(grid.t_start))
+    return eqx.tree_at(lambda tree: (tree.grid, tree.integrator), problem, (finer, problem.integrator.refined()))
+
+
+def _does_not_help(solutions: Sequence[Solution]) -> bool:
+    """Whether finer grids do not lower the error.
+
+    A finer grid may lead to another design, whose error is another one: only two in a row that do not help tell.
+    """
+    ratios = [np.inf if (error := one.grid_error) is None else error.ratio for one in solutions[-3:]]
+    return len(ratios) == 3 and min(ratios[1:]) > _FALLS * ratios[0]
+
+
+def unconverged(solutions: Sequence[Solution]) -> str:
+    """Why finer grids do not bring the error down to what is asked, with the instant; empty if they do."""
+    last = solutions[-1]
+    if len(solutions) == 1 or last.grid_error is None or last.grid_error.is_met or last.status not in _SOLVED:
+        return ""
+    return (
+        f"As far as {last.grid_error.steps} steps the "
+        f"error does not fall to what is asked: the model seems to jump in time, near t = {_when(last):.4g} s. Let the "
+        "jump fall on an instant of the grid, make it smooth, or ask for less accuracy"
+    )
+
+
+def _when(solution: Solution) -> float:
+    """The instant from which on twice as many steps give something else, at the means of what is uncertain."""
+    problem = solution.problem
+    grid = problem.grid
+    assert isinstance(grid, Grid)
+    finer = eqx.tree_at(lambda tree: tree.grid, problem, grid.finer(2))
+    germ, decisions = jnp.zeros(len(problem.survey.germ_names)), jnp.asarray(solution.vector)
+    coarse, fine = (jax.jit(lambda x, one=one: history(one, germ, x))(decisions) for one in (problem, finer))
+    changes = np.zeros(grid.steps)
+    for name in {name for one in functionals_of(problem.expressions) for name in one.outputs}:
+        one, other = (np.asarray(values).reshape(len(values), -1) for values in (coarse[name], fine[name][::2]))
+        away = np.abs(one - other).max(axis=1) / max(float(np.abs(other).max()), np.finfo(float).tiny)
+        changes = np.maximum(changes, np.abs(np.diff(away)))
+    return float(solution.instants[int(np.argmax(changes))])

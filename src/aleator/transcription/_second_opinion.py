@@ -1,0 +1,270 @@
+"""A second opinion on a solution: fresh simulations at the answer, beside what the expansions predict of them.
+
+Optimisers go where an expansion is wrong. What it misses of a few fresh systems corrects each statistic (a control
+variate: the expansion's own number, plus the mean of what it misses), with a standard error by the jackknife.
+"""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple, final
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from scipy import special
+
+from aleator.design import (
+    AbstractScope,
+    Expression,
+    SecondOpinion,
+    Statistic,
+    expanded_functionals,
+    functionals_of,
+    sizes,
+    statistics_in,
+)
+from aleator.statistics import (
+    AbstractStatistic,
+    ConditionalValueAtRisk,
+    CornishFisher,
+    Infimum,
+    Mean,
+    Probability,
+    Quantile,
+    Std,
+    Supremum,
+    Variance,
+)
+from aleator.transcription._discretisation import RESPOND
+from aleator.transcription._sequential import Sequential
+from aleator.uncertainty import named_numbers
+
+# Fresh systems: enough for a standard error, and few beside the points of one evaluation with derivatives.
+_FRESH = 32
+
+# What is as rare as four standard deviations of a normal variable, on both sides together.
+_RARE = 2 * float(special.ndtr(-4.0))
+
+# Shifts up to this part of what one spread would make of an expression are none; one beyond a bound by more than the
+# second part breaks it.
+_NONE, _BREAKS = 0.01, 0.05
+
+# Outputs that vary by less than this part of their size are constant, but for rounding.
+_ROUNDING = 1e-11
+
+_FOLLOW_THE_SPREAD = (Quantile, CornishFisher, ConditionalValueAtRisk, Supremum, Infimum)
+
+
+class _Fresh(NamedTuple):
+    """A functional at the fresh points: simulated, predicted; and its mean and variance by the expansion."""
+
+    values: Float[np.ndarray, "fresh ..."]
+    predicted: Float[np.ndarray, "fresh ..."]
+    mean: Float[np.ndarray, "..."]
+    variance: Float[np.ndarray, "..."]
+
+    def miss(self) -> float:
+        """The rms error of the predictions over the standard deviation, summed over entries; zero for rounding."""
+        total, size = float(np.sum(self.variance)), float(np.sum(self.mean**2 + self.variance))
+        if total <= _ROUNDING**2 * size:
+            return 0.0
+        return float(np.sqrt(np.sum(np.mean((self.values - self.predicted) ** 2, axis=0)) / total))
+
+    def is_rounding(self, size: float) -> bool:
+        """Whether a number spreads by no more than rounding of what it is made of, which has the magnitude `size`."""
+        return self.values.ndim == 1 and bool(np.sqrt(self.variance) <= _ROUNDING * size)
+
+    def means(self, missed: Float[np.ndarray, "fresh ..."]) -> Float[np.ndarray, "... replicates"]:
+        """The mean of what is missed: zero, of all, and of all but one (the jackknife), as a last axis."""
+        every, count = missed.mean(axis=0), len(missed)
+        rest = (count * every[None] - missed) / (count - 1)
+        return np.moveaxis(np.concatenate([0 * every[None], every[None], rest]), 0, -1)
+
+
+@final
+class _Replicated(AbstractScope):
+    """Statistics with a last axis of replicates: those of `_Fresh.means`, then one for each statistic that is moved."""
+
+    def __init__(self, known: Mapping[str, np.ndarray], numbers: Mapping[str, Array], step: float):
+        self._known, self._numbers, self._step = known, numbers, step
+
+    def statistic(self, functionals: tuple, kind: AbstractStatistic) -> Array:
+        """See `AbstractScope.statistic`."""
+        return jnp.asarray(self._known[Statistic(functionals, kind).text()])
+
+    def realised(self, functional: Any) -> Array:
+        """See `AbstractScope.realised`: limits on the worst case ask no expansion, and are left out."""
+        raise NotImplementedError
+
+    def time_integral(self, expression: Expression) -> Array:
+        """See `AbstractScope.time_integral`: to the trapezoidal rule, for what is wanted is how it changes."""
+        return self._step * jnp.trapezoid(expression.evaluate(self), axis=0)
+
+    def value(self, name: str) -> Array:
+        """See `AbstractScope.value`."""
+        return self._numbers[name]
+
+
+def second_opinion(transcription: Sequential, decisions: Float[np.ndarray, " n"]) -> SecondOpinion | None:
+    """What fresh simulations say of the expansions at given decisions; None where nothing is uncertain.
+
+    The fresh systems are the same at every call, so that a solution is repeatable; no solver has seen them.
+    """
+    problem, basis = transcription.problem, transcription.basis
+    if basis.variables == 0 or not functionals_of(problem.expressions):
+        return None
+    levels = np.random.default_rng(2).uniform(np.finfo(float).tiny, 1.0, (_FRESH, basis.variables))
+    points = basis.map_to_germ(levels)
+    values = RESPOND(transcription.traced, jnp.asarray(points), jnp.asarray(decisions))
+    fresh = _fresh(transcription, points, [np.asarray(one) for one in values], decisions)
+    bad = [text for text, one in fresh.items() if not np.isfinite(one.values).all()]
+    if bad:
+        return SecondOpinion(_FRESH, {}, (f"fresh simulations of {bad[0]} are not finite",), "")
+    found = _opinion(transcription, fresh, decisions)
+    if found.agrees:
+        return found
+    magnitudes = sizes(problem, jnp.asarray(points[0]), jnp.asarray(decisions))
+    settled = {
+        text: one._replace(values=one.predicted) if one.is_rounding(float(size)) else one
+        for (text, one), size in zip(fresh.items(), magnitudes, strict=True)
+    }
+    return _opinion(transcription, settled, decisions)
+
+
+def _opinion(
+    transcription: Sequential, fresh: Mapping[str, _Fresh], decisions: Float[np.ndarray, " n"]
+) -> SecondOpinion:
+    # Nobody relies on the expansion of what only a worst case is asked of.
+    asked = {one.text() for one in expanded_functionals(transcription.problem.expressions)}
+    fresh = {text: one for text, one in fresh.items() if text in asked}
+    misses = {text: one.miss() for text, one in fresh.items()}
+    told = [
+        f"the expansion misses fresh simulations of {text} by {miss:.2g} of their standard deviation"
+        for text, miss in misses.items()
+        if not miss <= 2 * transcription.problem.expansion.tolerance
+    ]
+    shifts, broken = _judged(transcription, fresh, decisions)
+    return SecondOpinion(_FRESH, misses, (*told, *shifts), broken)
+
+
+def _fresh(
+    transcription: Sequential,
+    points: Float[np.ndarray, "fresh variables"],
+    values: list[np.ndarray],
+    decisions: Float[np.ndarray, " n"],
+) -> dict[str, _Fresh]:
+    collocation, samples = transcription.collocation, transcription.evaluator(decisions).samples
+    fit = np.asarray(collocation.pseudo_inverse)
+    predict = transcription.basis.matrix(points) @ fit
+    found = {}
+    for text, seen, known in zip(transcription.texts.functionals, values, samples, strict=True):
+        flat = np.asarray(known).reshape(len(known), -1)
+        terms = fit @ flat
+        parts = predict @ flat, terms[0], np.sum(terms[1:] ** 2, axis=0)
+        found[text] = _Fresh(seen, *(part.reshape((*part.shape[:-1], *seen.shape[1:])) for part in parts))
+    return found
+
+
+def _corrected(kind: AbstractStatistic, expanded: np.ndarray, one: _Fresh) -> tuple[np.ndarray, np.ndarray]:
+    """A statistic in all replicates, and how far one spread of its functional would move it.
+
+    Quantiles and their like are moved and stretched with mean and spread; those of several functionals are left alone.
+    """
+    shift = one.means(one.values - one.predicted)
+    squares = one.means((one.values - one.mean) ** 2 - (one.predicted - one.mean) ** 2) - shift**2
+    std = np.sqrt(one.variance)
+    wider = np.sqrt(np.maximum(one.variance[..., None] + squares, 0.0))
+    base = np.asarray(expanded)[..., None]
+    if isinstance(kind, Mean):
+        return base + shift, std
+    if isinstance(kind, Variance):
+        return base + squares, one.variance
+    if isinstance(kind, Std):
+        return base + wider - std[..., None], std
+    if isinstance(kind, _FOLLOW_THE_SPREAD):
+        safe = np.where(std > 0, std, 1.0)[..., None]
+        return base + shift + (base - one.mean[..., None]) / safe * (wider - std[..., None]), std
+    if isinstance(kind, Probability):
+        inside = [_inside(kind, part) for part in (one.values, one.predicted)]
+        return base + one.means(inside[0] - inside[1]), np.sqrt(np.clip(base[..., 0] * (1 - base[..., 0]), 0.0, None))
+    return base + 0 * shift, 0 * std
+
+
+def _inside(kind: Probability, values: np.ndarray) -> np.ndarray:
+    above = -np.inf if kind.above is None else float(kind.above)
+    below = np.inf if kind.below is None else float(kind.below)
+    return ((values > above) & (values < below)).astype(float)
+
+
+def _judged(
+    transcription: Sequential, fresh: Mapping[str, _Fresh], decisions: Float[np.ndarray, " n"]
+) -> tuple[list[str], str]:
+    """The expressions that shift beyond chance, a sentence each; and what is broken by it, if anything."""
+    problem, expanded = transcription.problem, transcription.statistics(decisions)
+    known, spreads = {}, {}
+    for atom in statistics_in(problem.expressions):
+        text = atom.text()
+        one = fresh[atom.functionals[0].text()]
+        alone = len(atom.functionals) == 1
+        base = np.asarray(expanded[text])
+        known[text], spreads[text] = (
+            _corrected(atom.kind, base, one) if alone else (np.repeat(base[..., None], _FRESH + 2, axis=-1), 0 * base)
+        )
+    for i, (text, values) in enumerate(known.items()):
+        moved = np.repeat(values[..., :1], len(spreads), axis=-1)
+        moved[..., i] += spreads[text]
+        known[text] = np.concatenate([values, moved], axis=-1)
+    at = jnp.asarray(decisions)
+    times = transcription.times(decisions)
+    step = float(times[1] - times[0]) if len(times) > 1 else 1.0
+    scope = _Replicated(known, named_numbers(problem.model, at), step)
+    told, broken = [], ""
+    for which, expression in enumerate(problem.expressions):
+        if not any(isinstance(leaf, Statistic) for leaf in expression.leaves):
+            continue
+        shift = _shift(np.asarray(expression.evaluate(scope)))
+        if shift is None:
+            continue
+        told.append(f"{expression} is {shift.by:+.3g} ± {shift.error:.2g} off by fresh simulations")
+        broken = broken or _break(transcription, which, shift, decisions)
+    return told, broken
+
+
+class _Shift(NamedTuple):
+    """By how much an expression is off at worst, in the entry `where`, and what one spread would make of it."""
+
+    by: float
+    error: float
+    scale: float
+    where: int
+
+
+def _shift(values: Float[np.ndarray, "... replicates"]) -> _Shift | None:
+    """How far fresh simulations move an expression beyond chance and by what matters; None where they do not."""
+    rows = values.reshape(-1, values.shape[-1])
+    rest = rows[:, 2 : 2 + _FRESH]
+    by = rows[:, 1] - rows[:, 0]
+    error = np.sqrt((_FRESH - 1) * np.var(rest, axis=1))
+    scale = float(np.max(np.sum(np.abs(rows[:, 2 + _FRESH :] - rows[:, :1]), axis=1)))
+    reach = -special.stdtrit(_FRESH - 1, _RARE / 2 / len(rows))
+    floor = max(_NONE * scale, _ROUNDING * float(np.max(np.abs(rows))))
+    ratio = np.abs(by) / np.maximum(np.maximum(reach * error, floor), np.finfo(float).tiny)
+    i = int(np.argmax(ratio))
+    return _Shift(float(by[i]), float(error[i]), scale, i) if ratio[i] > 1 else None
+
+
+def _break(transcription: Sequential, which: int, shift: _Shift, decisions: Float[np.ndarray, " n"]) -> str:
+    """What a shift breaks: a limit, by a twentieth of a spread, or all that was gained; empty for nothing."""
+    problem, margin = transcription.problem, _BREAKS * shift.scale
+    if which == 0:
+        reached = transcription.evaluator(decisions).values[0]
+        gained = abs(float(transcription.evaluator(problem.survey.vector("initial")).values[0] - reached))
+        if abs(shift.by) <= max(gained, margin):
+            return ""
+        return f"the objective is {shift.by:+.3g} ± {shift.error:.2g} off, more than was gained ({gained:.3g})"
+    limit = problem.constraints[which - 1]
+    value = float(transcription.constraints(decisions)[which - 1][shift.where]) + shift.by
+    beyond = max(value - float(limit.upper), float(limit.lower) - value)
+    if beyond <= margin:
+        return ""
+    corrected = f"{shift.by:+.3g} ± {shift.error:.2g}"
+    return f"'{limit.name}' is broken by {beyond:.3g} once the expansion is corrected by {corrected}"

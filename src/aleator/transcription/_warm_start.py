@@ -1,0 +1,141 @@
+"""Where a solution of a coarser or finer problem lets another one start: decisions by name, curves refitted."""
+
+from collections.abc import Collection, Mapping
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from aleator._core.arrays import Pytree
+from aleator._core.errors import ProblemError
+from aleator._core.leaves import is_leaf
+from aleator.design import Problem, Solution
+from aleator.trajectories import AbstractTrajectory
+from aleator.uncertainty import Decision, at_means, realise
+
+# Points of comparison in each piece of two curves: polynomials of up to twice this degree less one are told apart.
+_POINTS = 12
+
+
+def started_from(problem: Problem, solution: Solution, given: Collection[str] = ()) -> Float[np.ndarray, " n"]:
+    """The decisions of a problem that come closest to a solution of another one, within their bounds.
+
+    Numbers of the same name and shape are taken over. Where a trajectory in the same place has other control points,
+    knots, ends or another degree, its free numbers are those of least squares: the curve is the same over the fraction
+    of time wherever the new one can be it, as a spline can whose knots contain the old ones.
+
+    - `given`: names of decisions that are told otherwise.
+
+    Raises `ProblemError` for a decision that the solution says nothing of.
+    """
+    places, old = problem.survey, solution.problem
+    curves, known = _curves(problem.model), _curves(old.model)
+    both = [path for path in curves if path in known and curves[path].shape == known[path].shape]
+    changed = [path for path in both if not _is_alike(curves[path], known[path])]
+    sought, framed = _sought(problem, [curves[path] for path in changed])
+    values = old.survey.named(solution.vector)
+    vector = places.vector("initial")
+    for name, place in places.decisions.items():
+        if name in sought and not (place.decision.shared_name and name in values):
+            continue
+        if name in values and np.shape(values[name]) == np.shape(place.decision.initial):
+            vector[place.where] = np.ravel(values[name])
+        elif name not in {*given, *sought, *framed}:
+            raise ProblemError(_unmatched(name, np.shape(place.decision.initial), values))
+    free = [place.where for name, place in places.decisions.items() if name in sought and name not in given]
+    if free:
+        vector = _refitted(problem, vector, np.r_[tuple(free)], solution, changed)
+    return np.clip(vector, places.vector("lower"), places.vector("upper"))
+
+
+def _curves(model: Pytree) -> dict[str, AbstractTrajectory]:
+    """The trajectories of a model that curves determine, by their places."""
+    leaves = jax.tree_util.tree_leaves_with_path(model, is_leaf=_is_curve)
+    return {jax.tree_util.keystr(path): leaf for path, leaf in leaves if _is_curve(leaf)}
+
+
+def _is_curve(node: Any) -> bool:
+    return isinstance(node, AbstractTrajectory) and bool(node.curve_fields)
+
+
+def _is_alike(new: AbstractTrajectory, old: AbstractTrajectory) -> bool:
+    """Whether the same decisions make the same curve of both."""
+    plain = (jax.tree.map(_plain, one, is_leaf=is_leaf) for one in (new, old))
+    return eqx.tree_equal(*plain) is True
+
+
+def _plain(leaf: Any) -> Any:
+    return np.zeros(leaf.shape) if is_leaf(leaf) else leaf
+
+
+def _sought(problem: Problem, curves: Collection[AbstractTrajectory]) -> tuple[set[str], set[str]]:
+    """The decisions that trajectories are affine in, by name, and those that only set where their pieces are."""
+    sought, framed = set(), set()
+    for curve in curves:
+        inside = {id(leaf) for field in curve.curve_fields for leaf in _decisions(getattr(curve, field))}
+        every = {id(leaf): leaf.shared_name for leaf in _decisions(curve)}
+        for name, place in problem.survey.decisions.items():
+            if id(place.decision) in every or (place.decision.shared_name and name in every.values()):
+                (sought if id(place.decision) in inside else framed).add(name)
+    return sought, framed
+
+
+def _decisions(tree: Pytree) -> list[Any]:
+    return [leaf for leaf in jax.tree.leaves(tree, is_leaf=is_leaf) if isinstance(leaf, Decision)]
+
+
+def _refitted(
+    problem: Problem,
+    vector: Float[np.ndarray, " n"],
+    free: np.ndarray,
+    solution: Solution,
+    paths: list[str],
+) -> Float[np.ndarray, " n"]:
+    """Decisions whose entries `free` bring the curves in some places closest to those of a solution."""
+    old, known = _realised(solution.problem, jnp.asarray(solution.vector), paths)
+    breaks = [one.breaks() for curves in (old, _realised(problem, jnp.asarray(vector), paths)[0]) for one in curves]
+    fractions, weights = _nodes(np.unique(np.concatenate(breaks)))
+
+    def sampled(curves: list[AbstractTrajectory], duration: Any) -> Array:
+        rows = [weights[:, None] * one.values(fractions, duration).reshape(len(fractions), -1) for one in curves]
+        return jnp.concatenate([jnp.ravel(one) for one in rows])
+
+    @jax.jit
+    def new(moved: Array) -> Array:
+        return sampled(*_realised(problem, jnp.asarray(vector).at[free].set(moved), paths))
+
+    start = jnp.asarray(vector[free])
+    missing = np.asarray(sampled(old, known) - new(start))
+    slopes = np.asarray(jax.jit(jax.jacfwd(new))(start))
+    result = vector.copy()
+    # What a curve does not depend on stays where it was: the solution of least norm.
+    result[free] += np.linalg.lstsq(slopes, missing, rcond=None)[0]
+    return result
+
+
+def _realised(problem: Problem, vector: Array, paths: list[str]) -> tuple[list[AbstractTrajectory], Any]:
+    """The trajectories in some places at the means, and the duration that they fill, s."""
+    model = realise(at_means(problem.model), jnp.zeros(0), vector)
+    curves = _curves(model)
+    return [curves[path] for path in paths], model.grid.t_final - model.grid.t_start
+
+
+def _nodes(breaks: Float[np.ndarray, " ends"]) -> tuple[Float[np.ndarray, " nodes"], Float[np.ndarray, " nodes"]]:
+    """Gauss's points of all pieces, and the roots of their weights."""
+    points, weights = np.polynomial.legendre.leggauss(_POINTS)
+    lengths = np.diff(breaks)[:, None]
+    fractions = breaks[:-1, None] + 0.5 * (points + 1) * lengths
+    return fractions.ravel(), np.sqrt(0.5 * weights * lengths).ravel()
+
+
+def _unmatched(name: str, shape: tuple[int, ...], values: Mapping[str, Any]) -> str:
+    what = f"of shape {shape}" if shape else "of one number"
+    there = {known: np.shape(value) for known, value in values.items()}
+    received = f"shape {there[name]}" if name in there else f"a solution with the decisions {list(there)}"
+    return (
+        f"solve: the warm start says nothing of the decision '{name}': expected a decision of that name and {what}; "
+        f"received {received}. Give its value in start={{'{name}': ...}}, or start without the solution."
+    )

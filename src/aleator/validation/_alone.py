@@ -1,0 +1,70 @@
+"""The evidence of a design of which nothing is uncertain: its one system, on a finer grid."""
+
+import time
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from aleator._core.arrays import numbers_to_arrays
+from aleator._core.errors import ProblemError
+from aleator.design import HELD, Solution, functionals_of
+from aleator.dynamics import Grid
+from aleator.validation._counted import is_counted, tolerances, uncounted
+from aleator.validation._disagreement import Disagreement
+from aleator.validation._evidence import Evidence, Sampled
+from aleator.validation._proportion import Proportion
+from aleator.validation._sampling import SIMULATE_BATCH
+
+# How many times as many steps.
+_FINER = 10
+
+# Differences up to this part of a number's own size are none.
+_RELATIVE = 1e-3
+
+
+def alone(solution: Solution, started: float) -> Evidence:
+    """Simulate the one system that a design without uncertainty has, on a finer grid where it moves in time."""
+    problem, factor = solution.problem, 1
+    functionals = functionals_of(problem.expressions)
+    if not functionals:
+        raise ProblemError("validate: no functional of an output stands in this problem: there is nothing to simulate.")
+    if isinstance(problem.grid, Grid):
+        factor = _FINER
+        problem = eqx.tree_at(lambda tree: tree.grid, problem, problem.grid.finer(factor))
+    batch = SIMULATE_BATCH(numbers_to_arrays(problem), jnp.zeros((1, 0)), jnp.asarray(solution.vector), jnp.asarray(1))
+    sampled, told = {}, []
+    for i, one in enumerate(functionals):
+        text = one.text()
+        fine = np.asarray(batch.scalars[i][0]) if i in batch.scalars else np.asarray(batch.paths[i][0])[::factor]
+        expected = np.asarray(solution.moments[text].mean)
+        zero = np.zeros(np.shape(expected))
+        sampled[text] = Sampled(text, fine, zero, zero, None, expected, zero, zero)
+        away = np.abs(fine - expected)
+        where = int(np.argmax(away))
+        if not away.flat[where] <= _RELATIVE * max(float(np.max(np.abs(expected))), HELD):
+            when = None if not one.is_path else float(solution.instants[where // (away.size // len(solution.instants))])
+            numbers = float(expected.flat[where]), float(fine.flat[where])
+            told.append(Disagreement(text, *numbers, 0.0, when, "the design's own grid"))
+    beyond = np.asarray(batch.excess)[:, 0] > tolerances(solution)
+    names = dict.fromkeys(one.name for one in problem.constraints if is_counted(one))
+    broken = {
+        name: np.array([any(beyond[i] for i, one in enumerate(problem.constraints) if one.name == name)])
+        for name in names
+    }
+    return Evidence(
+        solution=solution,
+        samples=1,
+        seed=0,
+        violations={name: Proportion(int(mask.sum()), 1) for name, mask in broken.items()},
+        joint=Proportion(int(any(mask.any() for mask in broken.values())), 1),
+        uncounted=uncounted(solution.problem),
+        instants=None,
+        functionals=sampled,
+        statistics={},
+        trajectories=(),
+        seconds=time.perf_counter() - started,
+        broken=broken,
+        disagreements=tuple(told),
+        alone=factor,
+    )

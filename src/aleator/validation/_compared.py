@@ -1,0 +1,121 @@
+"""Limits that speak of no single system: what the samples give in the place of their statistics, beside the bounds."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple, final
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from aleator.design import AbstractScope, Constraint, Expression, Problem, Statistic, grid_at, step_at
+from aleator.references import pair
+from aleator.statistics import AbstractStatistic
+from aleator.uncertainty import named_numbers
+from aleator.validation._disagreement import reach
+
+# Standard errors to either side in which the true number lies with 95 % confidence.
+_CONFIDENT = 1.96
+
+
+class Estimated(NamedTuple):
+    """A statistic of the samples with its standard error: numbers, or one number an instant."""
+
+    value: Float[np.ndarray, "*shape"]
+    standard_error: Float[np.ndarray, "*shape"]
+
+
+@final
+@dataclass(frozen=True)
+class Compared:
+    """A limit on a statistic, with the sampled statistic in the place of the expansion's.
+
+    - `value`, `standard_error`: its expression by the samples, at the `time` (s) that is closest to or furthest beyond
+      the bound, None for a number; the error is an upper bound where several statistics stand in it;
+    - `bound`: the one that is nearer or further exceeded; `beyond`: by how much it is exceeded, negative inside;
+      `tolerance`: up to how much is none;
+    - `reach`: how many standard errors are no chance, for the number of its instants.
+    """
+
+    name: str
+    text: str
+    value: float
+    standard_error: float
+    time: float | None
+    bound: float
+    beyond: float
+    tolerance: float
+    reach: float
+
+    @property
+    def meets(self) -> bool | None:
+        """Whether the limit is met, with 95 % confidence; None where the samples do not tell."""
+        if self.beyond > self.tolerance + self.reach * self.standard_error:
+            return False
+        return True if self.beyond + _CONFIDENT * self.standard_error <= self.tolerance else None
+
+    def sentence(self) -> str:
+        """What was found, and what it says of the limit."""
+        when = "" if self.time is None else f" at t = {self.time:.4g} s"
+        found = f"{self.value:.6g}" if not self.standard_error > 0 else pair(self.value, self.standard_error)
+        verdict = {True: "met", False: "BROKEN", None: "within its error of the bound"}[self.meets]
+        return f"{self.text}: sampled {found}{when}, {verdict}"
+
+
+@final
+class _SampledScope(AbstractScope):
+    """Takes statistics from the samples, one of them moved by its standard error where it is `moved`."""
+
+    def __init__(self, known: Mapping[Any, Estimated], numbers: Mapping[str, Array], step: Array, moved: Any = None):
+        self._known, self._numbers, self._step, self._moved = known, numbers, step, moved
+
+    def statistic(self, functionals: tuple[Any, ...], kind: AbstractStatistic) -> Array:
+        """See `AbstractScope.statistic`."""
+        key = Statistic(functionals, kind).text()
+        one = self._known[key]
+        return jnp.asarray(one.value + one.standard_error if key == self._moved else one.value)
+
+    def realised(self, functional: Any) -> Array:
+        """See `AbstractScope.realised`: samples have none, for limits on the worst case are counted."""
+        raise NotImplementedError
+
+    def time_integral(self, expression: Expression) -> Array:
+        """See `AbstractScope.time_integral`: to the trapezoidal rule, of sampled statistics."""
+        return self._step * jnp.trapezoid(expression.evaluate(self), axis=0)
+
+    def value(self, name: str) -> Array:
+        """See `AbstractScope.value`."""
+        return self._numbers[name]
+
+
+def compared(
+    problem: Problem,
+    constraint: Constraint,
+    known: Mapping[str, Estimated],
+    decisions: Float[np.ndarray, " n"],
+    tolerance: float,
+    freedom: int,
+) -> Compared | None:
+    """A limit with sampled statistics, which are `known` by their texts; None where one that it needs is not."""
+    expression = constraint.expression
+    needed = {leaf.text() for leaf in expression.leaves if isinstance(leaf, Statistic)}
+    if not needed or not needed <= set(known):
+        return None
+    at = jnp.asarray(decisions)
+    numbers, step = named_numbers(problem.model, at), step_at(problem, at)
+    times = np.asarray(grid_at(problem, at).times)
+
+    def evaluated(moved: str | None = None) -> np.ndarray:
+        return np.asarray(expression.evaluate(_SampledScope(known, numbers, step, moved)))
+
+    value = evaluated()
+    # Errors add up at worst: how the statistics of one sample depend on each other is not known.
+    error = sum((np.abs(evaluated(one) - value) for one in needed), start=np.zeros(value.shape))
+    lower, upper = float(constraint.lower), float(constraint.upper)
+    beyond = np.maximum(value - upper, lower - value)
+    sure = reach(freedom, value.size)
+    i = int(np.argmax(beyond - sure * error))
+    when = float(times[i // (value.size // len(times))]) if constraint.is_path else None
+    found, off, far = (float(np.ravel(part)[i]) for part in (value, error, beyond))
+    bound = upper if found - upper >= lower - found else lower
+    return Compared(constraint.name, str(constraint), found, off, when, bound, far, tolerance, sure)

@@ -1,0 +1,90 @@
+"""Where samples and an expansion disagree: beyond chance, and by an amount that matters.
+
+Two numbers disagree if they differ by more than four standard errors of the sampled one, and by more than a hundredth
+of what one system adds to it (its standard error times the root of the number of samples): a larger sample sees more,
+but does not call a thousandth a disagreement. Where many instants are compared, the worst of them by chance is allowed
+for (Bonferroni's correction).
+"""
+
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+from jaxtyping import Float
+from scipy import special
+
+from aleator.references import pair
+from aleator.validation._proportion import Proportion
+
+# What is as rare as four standard deviations of a normal variable, on both sides together.
+_RARE = 2 * float(special.ndtr(-4.0))
+
+_RELATIVE = 0.01
+"""Differences up to this part of what one system adds to a statistic are none."""
+
+_ROUNDING = 1e-9
+
+
+@final
+@dataclass(frozen=True)
+class Disagreement:
+    """A number of the solution that fresh simulations contradict.
+
+    - `text`: as mathematics, such as `σ[x(t)]`; `time`: the instant (s) at which it is worst, None for a number;
+    - `expected`: by the solution, `source` says by which part of it; `estimate`, `standard_error`: of the samples.
+    """
+
+    text: str
+    expected: float
+    estimate: float
+    standard_error: float
+    time: float | None = None
+    source: str = "the expansion"
+
+    def sentence(self) -> str:
+        """What was found beside what was expected."""
+        when = "" if self.time is None else f" at t = {self.time:.4g} s"
+        found = f"{self.estimate:.6g}" if not self.standard_error > 0 else pair(self.estimate, self.standard_error)
+        return f"{self.text}{when} is {found}, not {self.expected:.6g} as by {self.source}"
+
+
+def reach(freedom: int, comparisons: int = 1) -> float:
+    """How many standard errors are no chance, by Student's t law: four for one comparison and a large sample."""
+    return float(-special.stdtrit(freedom, _RARE / 2 / comparisons))
+
+
+def worst_disagreement(
+    text: str,
+    expected: Float[np.ndarray, "*shape"],
+    estimate: Float[np.ndarray, "*shape"],
+    standard_error: Float[np.ndarray, "*shape"],
+    *,
+    samples: int,
+    freedom: int,
+    size: float = 0.0,
+    times: Float[np.ndarray, " instants"] | None = None,
+) -> Disagreement | None:
+    """Where a sampled number, or one number an instant, disagrees most with what was expected; None if it agrees.
+
+    `size` is a magnitude to which rounding is relative, besides those of the numbers themselves.
+    """
+    expected, estimate, standard_error = (np.asarray(one, float) for one in (expected, estimate, standard_error))
+    expected = np.broadcast_to(expected, estimate.shape)
+    floor = _ROUNDING * max(float(np.max(np.abs(expected))), float(np.max(np.abs(estimate))), size)
+    limit = max(reach(freedom, estimate.size), _RELATIVE * np.sqrt(samples)) * standard_error
+    allowed = np.maximum(limit, floor)
+    difference = np.abs(estimate - expected)
+    # What has no standard error cannot be told.
+    ratio = np.where(np.isnan(allowed) | (difference == 0), 0.0, difference / np.where(allowed > 0, allowed, 1e-300))
+    i = int(np.argmax(ratio))
+    if not ratio.flat[i] > 1:
+        return None
+    when = None if times is None else float(times[i // (estimate.size // len(times))])
+    return Disagreement(text, float(expected.flat[i]), float(estimate.flat[i]), float(standard_error.flat[i]), when)
+
+
+def is_rare(count: int, samples: int, probability: float) -> bool:
+    """Whether a count disagrees with a probability: by the exact interval, and by an amount that matters."""
+    share = Proportion(count, samples, confidence=1 - _RARE)
+    inside = share.lower <= probability <= share.upper
+    return not inside and abs(share.estimate - probability) > _RELATIVE * np.sqrt(probability * (1 - probability))

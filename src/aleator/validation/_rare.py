@@ -1,0 +1,105 @@
+"""`rare_violation`: how often systems break limits that are broken too rarely to be counted, by importance sampling."""
+
+from collections.abc import Sequence
+from typing import final
+
+import numpy as np
+from jaxtyping import Float
+from scipy import special
+
+from aleator._core.errors import ProblemError
+from aleator._core.given import refusal
+from aleator._core.progress import Progress, silent
+from aleator.design import Solution
+from aleator.validation._counted import is_counted, tolerances
+from aleator.validation._proposal import adapted, weighted
+from aleator.validation._sampling import at_levels
+from aleator.validation._systems import Systems
+from aleator.validation._validate import validate
+from aleator.validation._weighted import Share
+
+# An estimate that rests on fewer equal weights is no better than a count, and its interval is not to be trusted.
+_ENOUGH = 100
+# So many standard deviations off the middle, violations are looked for at first; one in ten thousand lies beyond.
+_REACH = 3.7
+
+
+def rare_violation(
+    solution: Solution,
+    names: str | Sequence[str] | None = None,
+    samples: int = 20_000,
+    *,
+    seed: int = 0,
+    batch: int = 500,
+    progress: Progress = silent,
+) -> Share:
+    """How often systems of a design break any of the limits called `names` (all by default), for rare violations.
+
+    First the systems that break each limit are looked for, on simulations of their own, level by level (the
+    cross-entropy method); then `samples` fresh systems are drawn where they were found, and weighted by their
+    likelihood ratio. The estimate is unbiased whatever was found, and needs some thousand samples where a count needs a
+    hundred over the probability. Any distributions will do, correlated ones too; with more than some twenty uncertain
+    numbers the weights degenerate.
+
+    Where the weights are as good as fewer than a hundred equal ones, the result is a plain count of `samples` systems
+    in the place of the estimate: a `Proportion`. What no sample can tell is a way to break a limit that was never met:
+    it is the less likely, the fewer uncertain numbers there are. Where much depends on it, count with `al.validate`.
+
+    Raises `ProblemError` as `al.validate` does, and for names that no system is counted against.
+    """
+    if not isinstance(solution, Solution):
+        raise ProblemError(f"rare_violation: expected a Solution, from al.solve; received {type(solution).__name__}.")
+    for name, number, least in (("samples", samples, 2), ("batch", batch, 1), ("seed", seed, 0)):
+        if isinstance(number, bool) or not isinstance(number, int | np.integer) or number < least:
+            raise ProblemError(
+                f"rare_violation: expected {name} as a whole number of at least {least}; received {number!r}."
+            )
+    limits = _Limits(solution, names, min(batch, samples))
+    generator = np.random.default_rng(seed)
+
+    def tell(done: int) -> None:
+        progress("rare violations", done, samples)
+
+    tell(0)
+    level = max(1000, samples // 10)
+    proposal = adapted(limits.beyond, len(limits.systems.germs), _REACH, level, generator)
+    found = weighted(limits.beyond, proposal, samples, limits.batch, generator, tell)
+    tell(samples)
+    if found.effective >= _ENOUGH:
+        return found
+    # A stream of its own, so that the count does not know what was tried.
+    fresh = int(np.random.SeedSequence([seed, 1]).generate_state(1)[0])
+    return validate(solution, samples, seed=fresh, batch=batch, keep=0).violation(*limits.names)
+
+
+@final
+class _Limits:
+    """How far systems are beyond each of some limits, as a function of standard normal numbers."""
+
+    def __init__(self, solution: Solution, names: str | Sequence[str] | None, batch: int):
+        self.systems, self.batch = Systems(solution, "rare_violation"), batch
+        constraints = self.systems.problem.constraints
+        if not isinstance(names, str | Sequence | None):
+            raise refusal("rare_violation: names", "names of constraints", names)
+        counted = dict.fromkeys(one.name for one in constraints if is_counted(one))
+        self.names = tuple(counted) if names is None else (names,) if isinstance(names, str) else tuple(names)
+        unknown = [name for name in self.names if name not in counted]
+        if unknown or not self.names:
+            raise ProblemError(
+                f"rare_violation: expected names of constraints that systems are counted against, {list(counted)}; "
+                f"received {unknown}."
+            )
+        self._rows = [i for i, one in enumerate(constraints) if one.name in self.names and is_counted(one)]
+        self._tolerances = tolerances(solution)[self._rows]
+
+    def beyond(self, normals: Float[np.ndarray, "systems variables"]) -> Float[np.ndarray, "limits systems"]:
+        """The excess over each limit, positive where it is broken; in batches of one size, compiled once."""
+        levels = np.clip(special.ndtr(normals), np.finfo(float).tiny, 1 - np.finfo(float).epsneg)
+        germ = at_levels(self.systems.germs, levels)
+        found = []
+        for start in range(0, len(germ), self.batch):
+            part = germ[start : start + self.batch]
+            filled = np.concatenate([part, np.repeat(part[:1], self.batch - len(part), axis=0)])
+            batch = self.systems.simulate(filled, len(part))
+            found.append(np.asarray(batch.excess)[self._rows, : len(part)])
+        return np.concatenate(found, axis=1) - self._tolerances[:, None]

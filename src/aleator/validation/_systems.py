@@ -1,0 +1,80 @@
+"""Systems of a design, simulated batch by batch as evidence counts them."""
+
+from typing import final
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from aleator._core.arrays import numbers_to_arrays
+from aleator._core.errors import ProblemError, SimulationError
+from aleator.design import Problem, Solution, functionals_of, is_over_time, refuse_changed, uncertain, unsolved
+from aleator.dynamics import Grid
+from aleator.uncertainty import uncertain_numbers
+from aleator.validation._counted import finer_by, is_counted
+from aleator.validation._sampling import EXCESS_OVER_TIME, SIMULATE_BATCH, Batch
+
+
+@final
+class Systems:
+    """The uncertain systems of a solution, at its decisions: a batch of them for a batch of germ points.
+
+    - `problem`: with its distributions, which a deterministic design holds at their means; `germs`: their variables.
+
+    Raises `ProblemError`, in the name of `who` asks, where nothing is uncertain or nothing can be sampled, and
+    where the code of the system is not what it was when the design was solved.
+    """
+
+    def __init__(self, solution: Solution, who: str):
+        refuse_changed(who, solution.problem, "when the design was solved")
+        self.problem = uncertain(solution.problem)
+        self.germs = tuple(self.problem.survey.germs.values())
+        if not self.germs:
+            raise ProblemError(f"{who}: nothing in this problem is uncertain, so there is nothing to sample.")
+        if not functionals_of(self.problem.expressions):
+            raise ProblemError(f"{who}: no functional of an output stands in this problem: there is nothing to sample.")
+        self._vector = solution.vector
+        self._traced, self._decisions = numbers_to_arrays(self.problem), jnp.asarray(solution.vector)
+        self._finer = _finer(self.problem, finer_by(solution))
+
+    def simulate(self, germ: Float[np.ndarray, "systems variables"], count: int) -> Batch:
+        """The systems at some germ points. Those after the first `count` fill up the batch and do not count.
+
+        Raises `SimulationError` if a system gives numbers that are not finite, naming its parameter values.
+        """
+        result = SIMULATE_BATCH(self._traced, jnp.asarray(germ), self._decisions, jnp.asarray(count))
+        if self._finer is not None:
+            beyond = EXCESS_OVER_TIME(self._finer, jnp.asarray(germ), self._decisions)
+            result = _with_limits(self.problem, result, beyond)
+        _refuse_broken(self.problem, result, germ[:count], self._vector)
+        return result
+
+
+def _finer(problem: Problem, factor: int) -> Problem | None:
+    """The problem on a grid `factor` times finer; None where no limit over time is counted there."""
+    limits = any(is_over_time(one) and is_counted(one) for one in problem.constraints)
+    if factor == 1 or not limits or not isinstance(problem.grid, Grid):
+        return None
+    return numbers_to_arrays(eqx.tree_at(lambda tree: tree.grid, problem, problem.grid.finer(factor)))
+
+
+def _with_limits(problem: Problem, batch: Batch, beyond: Float[Array, "limits systems"]) -> Batch:
+    """A batch with its limits over time judged on a finer grid."""
+    rows = jnp.array([i for i, one in enumerate(problem.constraints) if is_over_time(one)])
+    finite = batch.finite & jnp.isfinite(beyond).all(axis=0)
+    return batch._replace(excess=batch.excess.at[rows].set(beyond), finite=finite)
+
+
+def _refuse_broken(problem: Problem, batch: Batch, germ: np.ndarray, decisions: np.ndarray) -> None:
+    good = np.asarray(batch.finite)[: len(germ)]
+    if good.all():
+        return
+    point = jnp.asarray(germ[np.argmin(good)])
+    numbers = uncertain_numbers(problem.survey, point, jnp.asarray(decisions))
+    where = ", ".join(f"{name}={float(number):.6g}" for name, number in numbers.items())
+    remedy = "Shorten the time step, use an implicit integrator (al.Kvaerno5), or bound the distributions."
+    raise SimulationError(
+        f"Monte Carlo: the simulation of the system with {where} is not finite. "
+        f"{unsolved(problem, point, jnp.asarray(decisions)) or remedy}"
+    )

@@ -1,0 +1,181 @@
+"""What batches of systems add up to: counts, estimates of statistics, moments of paths; evidence in the end."""
+
+from collections.abc import Mapping
+from typing import final
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from aleator.design import (
+    AbstractFunctional,
+    Problem,
+    Solution,
+    Statistic,
+    functionals_of,
+    is_over_time,
+    joined,
+    statistics_in,
+)
+from aleator.references import estimate, group_count
+from aleator.statistics import Infimum, Mean, Sobol, Std, Supremum, TotalSobol, Variance
+from aleator.validation._alarms import Found, disagreements
+from aleator.validation._compared import Compared, Estimated, compared
+from aleator.validation._counted import finer_by, is_counted, uncounted
+from aleator.validation._evidence import PERCENTILES, Checked, Evidence, Sampled, Trajectories
+from aleator.validation._proportion import Proportion
+from aleator.validation._sampling import Batch
+from aleator.validation._sums import Sums
+
+
+@final
+class Tally:
+    """What has been sampled so far. Moments of paths are merged batch by batch."""
+
+    def __init__(self, problem: Problem, tolerances: Float[np.ndarray, " constraints"], samples: int, keep: int):
+        self._problem = problem
+        self._functionals = functionals_of(problem.expressions)
+        self._tolerances = tolerances
+        self._samples, self._keep = samples, keep
+        self._scalars: dict[int, Float[np.ndarray, " samples"]] = {}
+        self._paths: dict[int, Sums] = {}
+        self._excess = np.empty((len(problem.constraints), samples))
+        self._kept: dict[int, list[np.ndarray]] = {}
+
+    def add(self, batch: Batch, start: int, count: int) -> None:
+        """Add the first `count` systems of a batch, numbered from `start`."""
+        rows = slice(start, start + count)
+        self._excess[:, rows] = np.asarray(batch.excess)[:, :count]
+        for i, values in batch.scalars.items():
+            self._scalars.setdefault(i, np.empty(self._samples))[rows] = np.asarray(values)[:count]
+        for i, values in batch.values.items():
+            wanted = min(count, self._keep - start)
+            if wanted > 0:
+                self._kept.setdefault(i, []).append(np.asarray(values[:wanted]))
+        self._merge(batch, count)
+
+    def _merge(self, batch: Batch, count: int) -> None:
+        for i, parts in batch.paths.items():
+            new = Sums(count, *map(np.asarray, parts))
+            self._paths[i] = self._paths[i].merged(new) if i in self._paths else new
+
+    def evidence(self, solution: Solution, seed: int, seconds: float) -> Evidence:
+        """Everything sampled, as evidence."""
+        broken = {name: self._breaks(name) for name in self._sampled_names()}
+        functionals = {one.text(): self._sampled(i, one, solution) for i, one in enumerate(self._functionals)}
+        statistics = {one.text(): self._checked(one, solution) for one in self._countable_statistics()}
+        shares = {name: Proportion(int(mask.sum()), self._samples) for name, mask in broken.items()}
+        limits = self._compared(solution, functionals, statistics)
+        found = Found(solution, self._problem, self._samples, functionals, statistics, self._values(), shares, limits)
+        joint = np.any([np.zeros(self._samples, bool), *broken.values()], axis=0)
+        return Evidence(
+            solution=solution,
+            samples=self._samples,
+            seed=seed,
+            violations=shares,
+            joint=Proportion(int(joint.sum()), self._samples),
+            uncounted=uncounted(self._problem),
+            instants=self._instants(solution),
+            functionals=functionals,
+            statistics=statistics,
+            trajectories=tuple(self._trajectories(i, broken) for i in self._kept),
+            seconds=seconds,
+            broken=broken,
+            compared=limits,
+            disagreements=disagreements(found),
+        )
+
+    def _values(self) -> dict[str, Float[np.ndarray, " samples"]]:
+        """The samples of the functionals that are numbers, by their texts."""
+        return {self._functionals[i].text(): values for i, values in self._scalars.items()}
+
+    def _compared(
+        self, solution: Solution, functionals: Mapping[str, Sampled], statistics: Mapping[str, Checked]
+    ) -> tuple[Compared, ...]:
+        """The limits that no system is counted against, with sampled statistics, where these are known."""
+        known = {
+            text: Estimated(np.asarray(one.estimate), np.asarray(one.standard_error))
+            for text, one in statistics.items()
+        }
+        for atom in statistics_in(self._problem.expressions):
+            one = functionals[atom.functionals[0].text()]
+            if atom.functionals[0].is_path and isinstance(atom.kind, Mean | Std | Variance):
+                known[atom.text()] = _of_path(atom, one)
+        rows = zip(self._problem.constraints, self._tolerances, strict=True)
+        freedom = group_count(self._samples) - 1
+        found = (
+            compared(self._problem, one, known, solution.vector, float(tolerance), freedom)
+            for one, tolerance in rows
+            if not is_counted(one)
+        )
+        return tuple(one for one in found if one is not None)
+
+    def _instants(self, solution: Solution) -> int | None:
+        """At how many instants limits over time were counted; None where there are none to count."""
+        if not any(is_over_time(one) and is_counted(one) for one in self._problem.constraints):
+            return None
+        return (len(solution.instants) - 1) * finer_by(solution) + 1
+
+    def _countable_statistics(self) -> tuple[Statistic, ...]:
+        """The statistics in the problem that the samples of its functionals, kept where they are numbers, can tell."""
+        known = [self._functionals[i] for i in self._scalars]
+        return tuple(
+            atom
+            for atom in statistics_in(self._problem.expressions)
+            if all(one in known for one in atom.functionals) and not isinstance(atom.kind, Sobol | TotalSobol)
+        )
+
+    def _checked(self, statistic: Statistic, solution: Solution) -> Checked:
+        values = joined([jnp.asarray(self._scalars[self._functionals.index(one)]) for one in statistic.functionals])
+        expanded = float(solution.statistics[statistic.text()])
+        if isinstance(statistic.kind, Supremum | Infimum):
+            # How far the extremes of a sample are from those of the law, the sample does not tell.
+            return Checked(statistic, expanded, float(statistic.kind.of_sample(values)), np.nan)
+        found = estimate(statistic.kind.of_sample, np.asarray(values), group_count(self._samples))
+        return Checked(statistic, expanded, float(found.value), float(found.standard_error))
+
+    def _sampled_names(self) -> tuple[str, ...]:
+        return tuple(dict.fromkeys(one.name for one in self._problem.constraints if is_counted(one)))
+
+    def _breaks(self, name: str) -> np.ndarray:
+        rows = [i for i, one in enumerate(self._problem.constraints) if one.name == name and is_counted(one)]
+        return np.any(self._excess[rows] > self._tolerances[rows, None], axis=0)
+
+    def _sampled(self, i: int, functional: AbstractFunctional, solution: Solution) -> Sampled:
+        moments = solution.moments[functional.text()]
+        percentiles = None
+        if i in self._scalars:
+            sums = Sums.of(self._scalars[i])
+            percentiles = np.percentile(self._scalars[i], PERCENTILES)
+        else:
+            sums = self._paths[i]
+        return Sampled(
+            text=functional.text(),
+            mean=np.asarray(sums.mean),
+            std=sums.std,
+            standard_error=np.asarray(sums.std / np.sqrt(self._samples)),
+            percentiles=percentiles,
+            expanded_mean=moments.mean,
+            expanded_std=moments.std,
+            std_error=sums.std_error,
+        )
+
+    def _trajectories(self, i: int, broken: dict[str, np.ndarray]) -> Trajectories:
+        constraint = self._problem.constraints[i]
+        values = np.concatenate(self._kept[i])
+        return Trajectories(
+            name=constraint.name,
+            lower=float(constraint.lower),
+            upper=float(constraint.upper),
+            values=values,
+            violating=broken.get(constraint.name, np.zeros(self._samples, bool))[: len(values)],
+        )
+
+
+def _of_path(atom: Statistic, one: Sampled) -> Estimated:
+    """The mean, standard deviation or variance of a path, with its standard error."""
+    if isinstance(atom.kind, Mean):
+        return Estimated(one.mean, one.standard_error)
+    if isinstance(atom.kind, Std):
+        return Estimated(one.std, one.std_error)
+    return Estimated(np.asarray(one.std**2), np.asarray(2 * one.std * one.std_error))

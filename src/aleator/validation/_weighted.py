@@ -1,0 +1,68 @@
+"""`WeightedProportion`: a probability estimated by importance sampling, with its confidence interval."""
+
+from dataclasses import dataclass
+from typing import TypeAlias, final
+
+import numpy as np
+from jaxtyping import Float
+from scipy import special
+
+from aleator.validation._proportion import Proportion, percent
+
+
+@final
+@dataclass(frozen=True)
+class WeightedProportion:
+    """How often something happens, estimated from samples of another distribution by their likelihood ratios.
+
+    With the weight `w` of a sample where it happened and 0 elsewhere, `estimate` is the mean of the weights, which is
+    unbiased whatever the samples were drawn from; `variance` is the sum of their squares over the squared number of
+    samples, and `largest` the largest weight over that number.
+
+    `lower` and `upper` are those of Fay and Feuer (Statistics in Medicine 16, 1997) for weighted counts: by the gamma
+    distribution, with one more count of the largest weight at the upper end; for equal weights they are the exact
+    interval of a Poisson count. They hold as far as the samples have met every way in which it happens.
+    """
+
+    estimate: float
+    variance: float
+    largest: float
+    samples: int
+    confidence: float = 0.95
+
+    @classmethod
+    def of(cls, weights: Float[np.ndarray, " samples"]) -> "WeightedProportion":
+        """From the weights of all samples, 0 where it did not happen."""
+        count = len(weights)
+        return cls(
+            float(weights.mean()), float(np.sum(weights**2)) / count**2, float(weights.max(initial=0.0)) / count, count
+        )
+
+    @property
+    def effective(self) -> float:
+        """Of how many equal weights the estimate is as sure (Kish's effective sample size, of those that count)."""
+        return self.estimate**2 / self.variance if self.variance > 0 else 0.0
+
+    @property
+    def lower(self) -> float:
+        """Lower end of the confidence interval; 0 where it never happened."""
+        return _gamma_quantile(self.estimate, self.variance, (1 - self.confidence) / 2) if self.variance > 0 else 0.0
+
+    @property
+    def upper(self) -> float:
+        """Upper end of the confidence interval; 1 where it never happened, for then nothing is known."""
+        if self.variance == 0:
+            return 1.0
+        mean, variance = self.estimate + self.largest, self.variance + self.largest**2
+        return min(_gamma_quantile(mean, variance, (1 + self.confidence) / 2), 1.0)
+
+    def __str__(self) -> str:
+        return f"{percent(self.estimate)} ({percent(self.lower)} to {percent(self.upper)})"
+
+
+Share: TypeAlias = Proportion | WeightedProportion
+"""How often systems do something, counted or weighted: both have `estimate`, `lower`, `upper` and `confidence`."""
+
+
+def _gamma_quantile(mean: float, variance: float, level: float) -> float:
+    return float(variance / mean * special.gammaincinv(mean**2 / variance, level))

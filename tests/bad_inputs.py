@@ -1,0 +1,682 @@
+"""A corpus of bad inputs: calls of the public language with one thing wrong, and what the refusal must name."""
+
+import functools
+import math
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+import aleator as al
+from tiny_models import Decay, Gain, gain_problem
+
+
+class Bad(NamedTuple):
+    """A call that has to be refused, and words of which the refusal has to hold one."""
+
+    call: Callable[[], Any]
+    received: tuple[str, ...]
+
+
+class Told(NamedTuple):
+    """A value, and by what word a message may name it."""
+
+    value: Any
+    word: str
+
+
+class Thing:
+    """An object of nobody's."""
+
+    def __repr__(self) -> str:
+        return "<a Thing>"
+
+
+NOT_NUMBERS: dict[str, Any] = {
+    "text": "1.0",
+    "dict": {"a": 1.0},
+    "bool": True,
+    "complex": 1.0 + 2.0j,
+    "function": math.sin,
+    "object": Thing(),
+    "masked": np.ma.masked,
+    "nan": math.nan,
+}
+ENDLESS: dict[str, Any] = {"inf": math.inf, "minus inf": -math.inf}
+MANY: dict[str, Any] = {"two numbers": [1.0, 2.0], "nothing in an array": np.zeros(0)}
+NUMBER = NOT_NUMBERS | ENDLESS | MANY
+POSITIVE = NUMBER | {"zero": 0.0, "negative": -1.5}
+WHOLE = NUMBER | {"nothing": None, "fraction": 2.5, "negative": -3}
+COUNT = WHOLE | {"zero": 0}
+OPTIONAL_COUNT = {name: value for name, value in COUNT.items() if name != "nothing"}
+SHARE = POSITIVE | {"one and a half": 1.5, "a per cent": "1%"}
+NAME: dict[str, Any] = {
+    "nothing": None,
+    "number": 3.5,
+    "list": ["x"],
+    "bytes": b"x",
+    "object": Thing(),
+    "function": math.sin,
+    "empty": "",
+}
+NO_OBJECT: dict[str, Any] = {
+    "text": "x",
+    "number": 3.5,
+    "list": [1.0],
+    "dict": {"a": 1.0},
+    "object": Thing(),
+    "bool": True,
+}
+REQUIRED = NO_OBJECT | {"nothing": None}
+MAPPING: dict[str, Any] = {"nothing": None, "text": "x", "number": 3.5, "list": [1.0], "object": Thing()}
+FUNCTION: dict[str, Any] = {"nothing": None, "text": "x", "number": 3.5, "list": [1.0]}
+VECTOR = NOT_NUMBERS | {"inf": math.inf, "number": 1.0, "four numbers": np.ones(4)}
+AXIS = VECTOR | {"zeros": Told(np.zeros(3), "zero")}
+
+
+def without(values: Mapping[str, Any], *names: str) -> dict[str, Any]:
+    """Values without those called `names`."""
+    return {name: value for name, value in values.items() if name not in names}
+
+
+def said(value: Any) -> tuple[str, ...]:
+    """The ways in which a message may name a value: as it is written, by its type, size or shape, or by its parts."""
+    words = [repr(value), str(value), type(value).__name__]
+    if isinstance(value, dict):
+        words += [word for part in (*value, *value.values()) for word in said(part)]
+    if isinstance(value, list | tuple):
+        words += ["none", *(word for part in value for word in said(part))]
+    if value is None:
+        words += ["none"]
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        words += [f"{value:g}", str(abs(value)), "shape ()", "received ()", "values ()", "times ()", "of shape ()"]
+    if isinstance(value, np.ndarray | list):
+        words += [str(np.shape(value)), f"{np.size(value)} "]
+    if isinstance(value, str) and not value:
+        words = ["''", '""', "empty"]
+    if isinstance(value, float) and math.isnan(value):
+        words += ["finite"]
+    return tuple(word for word in words if word)
+
+
+# --- What is declared ------------------------------------------------------------------------------------------------
+
+_LAWS: dict[str, tuple[Callable[..., Any], dict[str, Any], dict[str, Mapping[str, Any]]]] = {
+    "Normal": (al.Normal, {"mean": 1.0, "std": 0.1}, {"mean": NUMBER, "std": POSITIVE}),
+    "Uniform": (al.Uniform, {"mean": 1.0, "half_width": 0.1}, {"mean": NUMBER, "half_width": POSITIVE}),
+    "Uniform.bounds": (al.Uniform.bounds, {"lower": 0.0, "upper": 1.0}, {"lower": NUMBER, "upper": NUMBER}),
+    "Beta": (al.Beta, {"alpha": 2.0, "beta": 3.0}, {"alpha": POSITIVE, "beta": POSITIVE, "upper": NUMBER}),
+    "Gamma": (al.Gamma, {"shape": 2.0, "scale": 3.0}, {"shape": POSITIVE, "scale": POSITIVE}),
+    "LogNormal": (al.LogNormal, {"mean": 2.0, "std": 0.3}, {"mean": POSITIVE, "std": POSITIVE}),
+    "Exponential": (al.Exponential, {"mean": 2.0}, {"mean": POSITIVE, "lower": NUMBER}),
+    "Gumbel": (al.Gumbel, {"location": 2.0, "scale": 1.0}, {"location": NUMBER, "scale": POSITIVE}),
+    "Weibull": (al.Weibull, {"scale": 2.0, "shape": 1.5}, {"scale": POSITIVE, "shape": POSITIVE}),
+    "Triangular": (al.Triangular, {"lower": 0.0, "mode": 1.0, "upper": 2.0}, {"lower": NUMBER, "mode": NUMBER}),
+    "TruncatedNormal": (al.TruncatedNormal, {"location": 0.0, "scale": 1.0}, {"location": NUMBER, "scale": POSITIVE}),
+    "Toleranced": (al.Toleranced, {"nominal": 2.0, "tolerance": 0.1}, {"nominal": NUMBER, "tolerance": POSITIVE}),
+}
+
+_CONSTRUCTORS: dict[str, tuple[Callable[..., Any], dict[str, Any], dict[str, Mapping[str, Any]]]] = {
+    "Decision": (
+        al.Decision,
+        {"initial": 1.0, "lower": 0.0, "upper": 2.0},
+        {
+            "initial": without(NUMBER, "two numbers", "nothing in an array") | {"nothing": None, "beyond": 3.0},
+            "lower": without(NUMBER, "minus inf") | {"nothing": None},
+        },
+    ),
+    "Sample": (al.Sample, {"data": np.linspace(0.0, 1.0, 50)}, {"data": NOT_NUMBERS | {"one number": 1.0}}),
+    "Density": (
+        al.Density,
+        {"function": lambda x: 1.0 + 0.0 * x, "lower": 0.0, "upper": 1.0},
+        {"function": FUNCTION, "lower": NUMBER, "upper": NUMBER},
+    ),
+    "Grid": (al.Grid, {"t_final": 1.0, "steps": 4}, {"t_final": POSITIVE, "steps": COUNT, "t_start": NUMBER}),
+    "Expansion": (
+        al.Expansion,
+        {},
+        {
+            "order": OPTIONAL_COUNT,
+            "index_set": NO_OBJECT,
+            "points": without(OPTIONAL_COUNT, "nothing"),
+            "fit": NO_OBJECT,
+            "tolerance": POSITIVE,
+        },
+    ),
+    "Adaptive": (al.Adaptive, {}, {"error": POSITIVE, "budget": COUNT}),
+    "HyperbolicCross": (al.HyperbolicCross, {}, {"q": SHARE}),
+    "Anisotropic": (al.Anisotropic, {"weights": [1.0, 2.0]}, {"weights": without(NO_OBJECT, "list", "dict")}),
+    "MultiElement": (al.MultiElement, {}, {"order": COUNT, "error": POSITIVE, "budget": COUNT}),
+    "HammersleyPoints": (al.HammersleyPoints, {}, {"count": OPTIONAL_COUNT}),
+    "HaltonPoints": (al.HaltonPoints, {}, {"count": OPTIONAL_COUNT}),
+    "RandomPoints": (al.RandomPoints, {}, {"count": OPTIONAL_COUNT, "seed": WHOLE}),
+    "LatinHypercubePoints": (al.LatinHypercubePoints, {}, {"count": OPTIONAL_COUNT, "seed": WHOLE}),
+    "ChristoffelPoints": (al.ChristoffelPoints, {}, {"count": OPTIONAL_COUNT, "seed": WHOLE}),
+    "SquaredExponentialCovariance": (al.SquaredExponentialCovariance, {}, {"correlation_time": POSITIVE}),
+    "SobolPoints": (al.SobolPoints, {}, {"count": OPTIONAL_COUNT, "seed": WHOLE}),
+    "GaussPoints": (al.GaussPoints, {}, {"count": OPTIONAL_COUNT}),
+    "OptimalPoints": (al.OptimalPoints, {}, {"count": OPTIONAL_COUNT, "seed": WHOLE}),
+    "SmolyakPoints": (al.SmolyakPoints, {}, {"level": without(OPTIONAL_COUNT, "zero")}),
+    "Tabulated": (
+        al.Tabulated,
+        {"times": [0.0, 1.0], "values": [0.0, 1.0]},
+        {
+            "times": without(VECTOR, "four numbers")
+            | {"falling": Told([1.0, 0.0], "sample 1"), "three": np.arange(3.0)},
+            "values": without(VECTOR, "four numbers") | {"nothing": None},
+        },
+    ),
+    "BSpline": (
+        al.BSpline,
+        {"free": np.zeros(4)},
+        {"free": NOT_NUMBERS | {"inf": math.inf}, "start": NOT_NUMBERS, "degree": COUNT, "knots": NO_OBJECT},
+    ),
+    "PowerSeries": (
+        al.PowerSeries,
+        {"start": (0.0, 0.0), "end": (1.0, 0.0)},
+        {"start": NOT_NUMBERS, "end": NOT_NUMBERS, "middle": NOT_NUMBERS},
+    ),
+    "Kvaerno5": (al.Kvaerno5, {}, {"rtol": POSITIVE, "atol": POSITIVE, "max_steps": COUNT}),
+    "Tsit5": (al.Tsit5, {}, {"rtol": POSITIVE, "max_steps": COUNT}),
+    "FilterSQP": (al.FilterSQP, {}, {"tolerance": POSITIVE, "max_iterations": COUNT, "radius": POSITIVE}),
+    "Ipopt": (al.Ipopt, {}, {"tolerance": POSITIVE, "max_iterations": COUNT}),
+    "Slsqp": (al.Slsqp, {}, {"tolerance": POSITIVE, "max_iterations": COUNT, "max_rounds": COUNT}),
+    "ExponentialCovariance": (al.ExponentialCovariance, {"correlation_time": 1.0}, {"correlation_time": POSITIVE}),
+    "BandLimitedCovariance": (
+        al.BandLimitedCovariance,
+        {"f_low": 1.0, "f_high": 2.0},
+        {"f_low": without(POSITIVE, "zero"), "f_high": POSITIVE},
+    ),
+    "RandomProcess": (
+        al.RandomProcess,
+        {"covariance": al.ExponentialCovariance(1.0), "t_final": 1.0, "std": 1.0, "modes": 2},
+        {"covariance": REQUIRED, "t_final": POSITIVE, "std": NUMBER, "mean": NUMBER, "modes": OPTIONAL_COUNT},
+    ),
+    "Sphere": (al.Sphere, {"center": np.zeros(3)}, {"center": VECTOR, "radius": NUMBER | {"negative": -1.0}}),
+    "Capsule": (
+        al.Capsule,
+        {"start": np.zeros(3), "end": np.ones(3)},
+        {"start": VECTOR, "end": VECTOR, "radius": NUMBER | {"negative": -1.0}},
+    ),
+    "Box": (al.Box, {"center": np.zeros(3), "half_sizes": np.ones(3)}, {"center": VECTOR, "half_sizes": VECTOR}),
+    "HalfSpace": (al.HalfSpace, {"normal": np.ones(3), "offset": 0.0}, {"normal": AXIS, "offset": NUMBER}),
+    "Revolute": (al.Revolute, {"axis": (0.0, 0.0, 1.0)}, {"axis": AXIS, "damping": NUMBER, "stiffness": NUMBER}),
+    "Prismatic": (al.Prismatic, {"axis": (0.0, 0.0, 1.0)}, {"axis": AXIS, "rest": NUMBER}),
+    "Body": (
+        al.Body,
+        {"name": "arm", "joint": al.Fixed(), "mass": 1.0},
+        {
+            "name": NAME,
+            "parent": without(NAME, "nothing"),
+            "joint": REQUIRED,
+            "mass": NUMBER | {"negative": -1.0},
+            "center": VECTOR,
+            "inertia": VECTOR,
+        },
+    ),
+    "BodyLoad": (al.BodyLoad, {"body": "arm"}, {"body": NAME, "force": VECTOR, "at": VECTOR}),
+    "InverseDynamics": (
+        al.InverseDynamics,
+        {"model": None, "motion": {}},
+        {"model": NO_OBJECT | {"a system": Decay(1.0)}},
+    ),
+    "ForwardDynamics": (al.ForwardDynamics, {"model": None}, {"model": NO_OBJECT | {"a system": Decay(1.0)}}),
+    "HybridDynamics": (al.HybridDynamics, {"model": None, "motion": {}}, {"model": NO_OBJECT}),
+    "Assembly": (
+        al.Assembly,
+        {"dimensions": {"a": 1.0}, "features": {"gap": lambda d, u: d.a}},
+        {"dimensions": MAPPING, "unknowns": without(MAPPING, "nothing"), "features": without(MAPPING, "nothing")},
+    ),
+}
+
+_FUNCTIONALS = (al.path, al.terminal, al.integral, al.rms, al.peak, al.output, al.value)
+
+_LANGUAGE: dict[str, tuple[Callable[..., Any], dict[str, Any], dict[str, Mapping[str, Any]]]] = {
+    **{one.__name__: (one, {}, {"#0": NAME}) for one in _FUNCTIONALS},
+    "at_most": (
+        lambda bound, **a: al.path("x").at_most(bound, **a),
+        {"bound": 1.0},
+        {"bound": without(NUMBER, "inf"), "sigmas": without(POSITIVE, "zero")},
+    ),
+    "at_least": (
+        lambda bound, **a: al.path("x").at_least(bound, **a),
+        {"bound": 1.0},
+        {"bound": without(NUMBER, "minus inf"), "sigmas": without(POSITIVE, "zero")},
+    ),
+    "equals": (lambda value: al.terminal("x").mean.equals(value), {}, {"value": NUMBER}),
+    "compared": (
+        lambda value: al.terminal("x").mean <= value,
+        {},
+        {"value": without(NUMBER, "inf") | {"nothing": None}},
+    ),
+    "added": (lambda value: al.terminal("x").mean + value, {}, {"value": NUMBER | {"nothing": None}}),
+    "multiplied": (
+        lambda value: value * al.terminal("x").mean,
+        {},
+        {"value": without(NUMBER, "nothing in an array", "two numbers")},
+    ),
+    "divided": (lambda value: al.terminal("x").mean / value, {}, {"value": NUMBER | {"zero": 0.0}}),
+    "Constraint": (
+        al.Constraint,
+        {"expression": al.terminal("x").mean},
+        {"expression": without(REQUIRED, "number"), "upper": NOT_NUMBERS},
+    ),
+    "quantile": (lambda level: al.terminal("x").quantile(level), {}, {"level": SHARE}),
+    "covariance": (
+        al.covariance,
+        {"first": al.terminal("x"), "second": al.terminal("y")},
+        {"first": REQUIRED, "second": REQUIRED},
+    ),
+    "correlation": (al.correlation, {"first": al.terminal("x"), "second": al.terminal("y")}, {"second": REQUIRED}),
+    "norm": (al.norm, {}, {"#0": without(REQUIRED, "number", "bool")}),
+    "effort": (al.effort, {}, {"#0": NAME}),
+    "effort of weights": (lambda weights: al.effort("x", weights=weights), {}, {"weights": NOT_NUMBERS}),
+    "jerk": (al.jerk, {}, {"#0": NAME}),
+    "power": (al.power, {}, {"#0": MAPPING}),
+    "coefficient_power": (al.coefficient_power, {}, {"#0": MAPPING}),
+    "terminal_mean_error": (
+        al.terminal_mean_error,
+        {},
+        {"#0": MAPPING | {"texts": {"x": "y"}, "nan": {"x": math.nan}}},
+    ),
+    "terminal_variance": (al.terminal_variance, {}, {"#0": NAME}),
+    "time_integral": (al.time_integral, {}, {"#0": REQUIRED}),
+    "cost_curve": (al.cost_curve, {"name": "x", "curve": lambda x: x}, {"name": NAME, "curve": FUNCTION}),
+    "reciprocal": (
+        al.reciprocal,
+        {"name": "x", "bias": 0.0, "scale": 1.0},
+        {"name": NAME, "bias": NUMBER, "scale": NUMBER},
+    ),
+    "reciprocal_squared": (al.reciprocal_squared, {"name": "x", "bias": 0.0, "scale": 1.0}, {"name": NAME}),
+    "reciprocal_power": (
+        al.reciprocal_power,
+        {"name": "x", "bias": 0.0, "scale": 1.0, "power": 2.0},
+        {"power": NUMBER},
+    ),
+    "exponential": (al.exponential, {"name": "x", "bias": 0.0, "scale": 1.0, "rate": 1.0}, {"rate": NUMBER}),
+    "parameter": (al.parameter, {}, {"unit": without(NAME, "empty")}),
+    "toleranced": (al.toleranced, {}, {"#0": NAME | {"no tolerance": "a bolt"}}),
+    "correlated": (
+        al.correlated,
+        {"laws": {"a": al.Normal(0.0, 1.0), "b": al.Normal(0.0, 1.0)}, "correlations": {("a", "b"): 0.5}},
+        {
+            "laws": MAPPING | {"numbers": {"a": 1.0, "b": 2.0}},
+            "correlations": {
+                **MAPPING,
+                **{
+                    f"of {name}": {("a", "b"): value}
+                    for name, value in (SHARE | {"unknown": 0.5}).items()
+                    if name not in ("unknown", "zero")
+                },
+            },
+        },
+    ),
+    "total": (al.total, {}, {"#0": REQUIRED}),
+    "signal": (al.signal, {}, {"#0": FUNCTION}),
+    "fit_control_points": (
+        al.fit_control_points,
+        {"path": np.linspace(0.0, 1.0, 20), "free": 4},
+        {"path": without(NOT_NUMBERS, "function"), "free": COUNT, "duration": POSITIVE},
+    ),
+    "distance": (
+        al.distance,
+        {"first": al.Sphere(np.zeros(3)), "second": al.Sphere(np.ones(3))},
+        {"first": REQUIRED, "second": REQUIRED},
+    ),
+    "link_distances": (al.link_distances, {"links": [al.Sphere(np.zeros(3))] * 3}, {"links": REQUIRED, "apart": COUNT}),
+    "smallest": (
+        al.smallest,
+        {"distances": np.ones(3)},
+        {"distances": without(NOT_NUMBERS, "bool", "nan"), "sharpness": POSITIVE},
+    ),
+    "deterministic": (al.deterministic, {}, {"#0": REQUIRED}),
+    "uncertain": (al.uncertain, {}, {"#0": REQUIRED}),
+    "actuation_of": (al.actuation_of, {"q": np.zeros(1)}, {"model": REQUIRED}),
+}
+
+
+# --- What is asked of a problem or a solution ------------------------------------------------------------------------
+
+TWO = {"a": al.Normal(0.0, 1.0), "b": al.Uniform(0.0, half_width=1.0)}
+
+
+def product(at: Any) -> Any:
+    """A model of two inputs."""
+    return at["a"] * at["b"]
+
+
+problem = functools.cache(gain_problem)
+SAMPLING = {"samples": COUNT, "seed": WHOLE}
+
+
+@functools.cache
+def solution() -> al.Solution:
+    """A solution of a tiny problem."""
+    return al.solve(problem())
+
+
+class OfSolution:
+    """A function of the tiny problem's solution, which is solved at the first use."""
+
+    def __init__(self, function: Callable[..., Any]):
+        self.function = function
+
+    def __call__(self, *arguments: Any, **named: Any) -> Any:
+        return self.function(solution(), *arguments, **named)
+
+
+_STUDIES: dict[str, tuple[Callable[..., Any], dict[str, Any], dict[str, Mapping[str, Any]]]] = {
+    "solve": (
+        lambda **a: al.solve(problem(), **a),
+        {},
+        {
+            "solver": NO_OBJECT,
+            "warm_start": NO_OBJECT,
+            "start": without(NO_OBJECT, "dict")
+            | {
+                "unknown": {"nobody": 1.0},
+                "beyond": {"gain": 99.0},
+                "text in it": {"gain": "x"},
+                "shape": {"gain": [1.0, 2.0]},
+            },
+            "between": without(OPTIONAL_COUNT, "zero"),
+            "accuracy": POSITIVE,
+        },
+    ),
+    "solve itself": (al.solve, {}, {"#0": REQUIRED}),
+    "validate": (OfSolution(al.validate), {}, SAMPLING | {"batch": COUNT}),
+    "validate itself": (al.validate, {}, {"#0": REQUIRED}),
+    "rare_violation": (
+        OfSolution(al.rare_violation),
+        {},
+        SAMPLING | {"names": without(NAME, "nothing", "bytes") | {"unknown": "nobody"}},
+    ),
+    "rare_violation itself": (al.rare_violation, {}, {"#0": REQUIRED}),
+    "calibrate": (
+        lambda **a: al.calibrate(problem(), **({"names": "response"} | a)),
+        {},
+        SAMPLING
+        | {
+            "names": NAME | {"unknown": "nobody"},
+            "target": SHARE,
+            "precision": POSITIVE,
+            "max_trials": COUNT,
+            "solver": NO_OBJECT,
+        },
+    ),
+    "calibrate itself": (al.calibrate, {"names": "x"}, {"problem": REQUIRED}),
+    "pareto": (
+        lambda **a: al.pareto(problem(), **({"bound": "response", "values": [1.0]} | a)),
+        {},
+        {"bound": NAME | {"unknown": "nobody"}, "values": NOT_NUMBERS | {"none": []}, "solver": NO_OBJECT},
+    ),
+    "pareto itself": (al.pareto, {"bound": "x", "values": [1.0]}, {"problem": REQUIRED}),
+    "multistart": (
+        lambda **a: al.multistart(problem(), **a),
+        {},
+        {"starts": without(COUNT, "nothing"), "spread": POSITIVE, "seed": WHOLE, "solver": NO_OBJECT},
+    ),
+    "multistart itself": (al.multistart, {}, {"problem": REQUIRED}),
+    "with_bound": (lambda *a: problem().with_bound("response", *a), {}, {"#0": NOT_NUMBERS}),
+    "with_sigmas": (lambda *a: problem().with_sigmas("response", *a), {}, {"#0": POSITIVE}),
+    "expand": (
+        al.expand,
+        {"function": product, "model": TWO},
+        {
+            "function": FUNCTION,
+            "expansion": NO_OBJECT,
+            "model": {"no law": Told({"a": 1.0, "b": 2.0}, "nothing in the model is uncertain")},
+        },
+    ),
+    "monte_carlo": (
+        al.monte_carlo,
+        {"function": product, "model": TWO},
+        {"function": FUNCTION} | SAMPLING | {"batch": COUNT},
+    ),
+    "quasi_monte_carlo": (
+        al.quasi_monte_carlo,
+        {"function": product, "model": TWO},
+        {"function": FUNCTION, "replicates": COUNT} | SAMPLING,
+    ),
+    "sobol_indices": (al.sobol_indices, {"function": product, "model": TWO}, {"function": FUNCTION} | SAMPLING),
+    "linearise": (al.linearise, {"function": product, "model": TWO}, {"function": FUNCTION}),
+    "second_order": (al.second_order, {"function": product, "model": TWO}, {"function": FUNCTION}),
+    "tolerance_analysis": (
+        al.tolerance_analysis,
+        {"model": TWO, "output": product, "upper": 9.0},
+        {"output": {"nothing": None, "number": 3.5}, "lower": NOT_NUMBERS, "expansion": NO_OBJECT},
+    ),
+    "galerkin": (
+        al.galerkin,
+        {"system": Decay(al.Normal(1.0, 0.1)), "grid": al.Grid(1.0, 2)},
+        {
+            "system": REQUIRED,
+            "grid": REQUIRED,
+            "expansion": NO_OBJECT,
+            "inputs": without(NO_OBJECT, "dict"),
+            "integrator": NO_OBJECT,
+        },
+    ),
+    "simulate": (
+        al.simulate,
+        {"system": Decay(1.0), "grid": al.Grid(1.0, 2)},
+        {
+            "system": REQUIRED,
+            "grid": REQUIRED,
+            "inputs": NO_OBJECT,
+            "integrator": NO_OBJECT,
+            "only": {"number": 3.5, "unknown": ["nobody"], "text": "x"},
+        },
+    ),
+    "Problem": (
+        al.Problem,
+        {
+            "system": Gain(al.Decision(0.5, 0.0, 10.0), al.Normal(1.0, 0.1)),
+            "grid": al.Grid(1.0, 1),
+            "minimize": al.terminal("loss").mean,
+        },
+        {
+            "system": REQUIRED,
+            "grid": REQUIRED,
+            "minimize": without(REQUIRED, "number")
+            | {"unknown": Told(al.terminal("nobody").mean, "nobody"), "a path": al.path("loss").mean},
+            "subject_to": REQUIRED | {"unknown": Told([al.terminal("nobody").mean <= 1.0], "nobody")},
+            "inputs": without(NO_OBJECT, "dict") | {"unknown": {"nobody": al.Tabulated([0.0, 1.0], [0.0, 1.0])}},
+            "expansion": NO_OBJECT,
+            "integrator": NO_OBJECT,
+        },
+    ),
+    "report": (
+        lambda **a: al.report(**({"solutions": solution(), "path": "never.html"} | a)),
+        {},
+        {
+            "solutions": REQUIRED,
+            "evidence": NO_OBJECT,
+            "fronts": NO_OBJECT,
+            "path": {"nothing": None, "number": 3.5, "too long": Told("x" * 400 + ".html", "xxx…")},
+        },
+    ),
+}
+
+
+# --- Written ones ----------------------------------------------------------------------------------------------------
+
+
+def system(**methods: Any) -> Any:
+    """A system `x' = -x` with some methods or fields other than they should be."""
+    usual = {
+        "states": ("x",),
+        "rhs": lambda self, t, z: (-z.x,),
+        "outputs": lambda self, t, z: {"x": z.x},
+    }
+    return type("Odd", (al.System,), usual | methods)()
+
+
+def algebraic(**methods: Any) -> Any:
+    """An algebraic system `x = 1` with some methods other than they should be."""
+    usual = {
+        "unknowns": ("x",),
+        "guess": lambda self: {"x": 1.0},
+        "residual": lambda self, z: (z.x - 1.0,),
+        "outputs": lambda self, z: {"x": z.x},
+    }
+    return type("Odd", (al.AlgebraicSystem,), usual | methods)()
+
+
+_STATEFUL_BODIES: dict[str, tuple[Callable[[Any], Any], tuple[str, ...]]] = {
+    "np.sin": (np.sin, ("jnp",)),
+    "math.sin": (math.sin, ("jnp",)),
+    "float": (float, ("jnp", "float")),
+    "int": (int, ("jnp", "int")),
+    "item": (lambda x: x.item(), ("jnp", "item")),
+    "np.asarray": (np.asarray, ("jnp",)),
+    "tolist": (lambda x: x.tolist(), ("jnp",)),
+    "if": (lambda x: 1.0 if x > 0 else x, ("jnp.where",)),
+    "max": (lambda x: max(x, 0.0), ("jnp",)),
+    "range": (lambda x: sum(range(x)), ("Odd",)),
+    "format": (lambda x: float(f"{x:.3f}"), ("Odd",)),
+    "wrong name": (lambda x: x.nobody, ("nobody",)),
+    "unknown name": (lambda x: nobody, ("nobody",)),
+    "text": (lambda x: "fast", ("fast", "str")),
+    "nothing": (lambda x: None, ("None",)),
+    "complex": (lambda x: x * 1j, ("complex",)),
+    "masked": (lambda x: np.ma.masked, ("masked", "Masked")),
+    "index": (lambda x: x[3], ("Odd",)),
+    "division by zero": (lambda x: x * (1 / 0), ("zero",)),
+    "list": (lambda x: [x, "y"], ("list", "y")),
+    "shape": (lambda x: x * np.ones(2), ("(2,)", "received 2")),
+    "matrices": (lambda x: np.ones((2, 3)) @ (np.ones(2) * x), ("Odd",)),
+    "dict": (lambda x: {"x": x}, ("{'x':",)),
+    "function": (lambda x: math.sin, ("sin", "builtin_function_or_method")),
+}
+
+
+def _bodies() -> Iterator[tuple[str, Bad]]:
+    for name, (body, words) in _STATEFUL_BODIES.items():
+        yield (
+            f"rhs: {name}",
+            Bad(lambda body=body: al.simulate(system(rhs=lambda self, t, z: (body(z.x),)), al.Grid(1.0, 1)), words),
+        )
+        if name != "shape":  # an output may have any
+            yield (
+                f"outputs: {name}",
+                Bad(
+                    lambda body=body: al.simulate(system(outputs=lambda self, t, z: {"x": body(z.x)}), al.Grid(1.0, 1)),
+                    words,
+                ),
+            )
+        yield (
+            f"residual: {name}",
+            Bad(lambda body=body: al.simulate(algebraic(residual=lambda self, z: (body(z.x),))), words),
+        )
+        if name in ("np.sin", "float", "if", "item"):
+            yield (
+                f"declared: {name}",
+                Bad(
+                    lambda body=body: al.Problem(
+                        system(rhs=lambda self, t, z: (body(z.x),)),
+                        grid=al.Grid(1.0, 1),
+                        minimize=al.terminal("x").mean,
+                    ),
+                    words,
+                ),
+            )
+            yield (
+                f"expanded: {name}",
+                Bad(
+                    lambda body=body: al.expand(lambda at: body(at["a"]), TWO, al.Expansion(1)), (*words[:1], "traced")
+                ),
+            )
+
+
+def _simulated(**methods: Any) -> Callable[[], Any]:
+    return lambda: al.simulate(system(**methods), al.Grid(1.0, 1))
+
+
+_WRITTEN: dict[str, Bad] = {
+    "states: nothing": Bad(_simulated(states=None), ("None",)),
+    "states: text": Bad(_simulated(states="x"), ("'x'",)),
+    "states: twice": Bad(_simulated(states=("x", "x"), rhs=lambda self, t, z: (1.0, 1.0)), ("x",)),
+    "states: no name": Bad(_simulated(states=("2x",)), ("2x",)),
+    "states: keyword": Bad(_simulated(states=("class",)), ("class",)),
+    "states: underscore": Bad(_simulated(states=("_x",)), ("_x",)),
+    "states: number": Bad(_simulated(states=(1,)), ("1",)),
+    "rhs: too many rates": Bad(_simulated(rhs=lambda self, t, z: (z.x, z.x)), ("2",)),
+    "rhs: no tuple": Bad(_simulated(rhs=lambda self, t, z: -z.x), ("rhs",)),
+    "rhs: no arguments": Bad(_simulated(rhs=lambda self: (1.0,)), ("1 positional",)),
+    "rhs: an input not given": Bad(_simulated(rhs=lambda self, t, z, force: (force,)), ("force",)),
+    "outputs: no dict": Bad(_simulated(outputs=lambda self, t, z: z.x), ("outputs",)),
+    "outputs: named by a number": Bad(_simulated(outputs=lambda self, t, z: {1: z.x}), ("1",)),
+    "outputs: of no entries": Bad(_simulated(outputs=lambda self, t, z: {"x": np.zeros(0)}), ("(0,)",)),
+    "initial: unknown": Bad(_simulated(initial=lambda self: {"nobody": 1.0}), ("nobody",)),
+    "initial: text": Bad(_simulated(initial=lambda self: {"x": "fast"}), ("fast",)),
+    "initial: nothing": Bad(_simulated(initial=lambda self: {"x": None}), ("None",)),
+    "initial: no dict": Bad(_simulated(initial=lambda self: 3.0), ("3.0",)),
+    "initial: nan": Bad(_simulated(initial=lambda self: {"x": math.nan}), ("nan",)),
+    "initial: masked": Bad(_simulated(initial=lambda self: {"x": np.ma.masked}), ("masked", "Masked")),
+    "initial: complex": Bad(_simulated(initial=lambda self: {"x": 1j}), ("1j", "complex")),
+    "guess: text": Bad(lambda: al.simulate(algebraic(guess=lambda self: {"x": "fast"})), ("fast",)),
+    "guess: no dict": Bad(lambda: al.simulate(algebraic(guess=lambda self: 3.0)), ("3.0",)),
+    "guess: nan": Bad(lambda: al.simulate(algebraic(guess=lambda self: {"x": math.nan})), ("nan",)),
+    "field: text": Bad(lambda: al.simulate(Decay("fast"), al.Grid(1.0, 1)), ("'str'",)),
+    "field: nothing": Bad(lambda: al.simulate(Decay(None), al.Grid(1.0, 1)), ("None",)),
+    "field: masked": Bad(lambda: al.simulate(Decay(np.ma.masked), al.Grid(1.0, 1)), ("masked", "Masked")),
+    "field: of a problem: masked": Bad(lambda: gain_problem(theta=np.ma.masked), ("masked", "Masked")),
+    "field: of a problem: text": Bad(lambda: gain_problem(theta="fast"), ("Gain.outputs",)),
+    "field: of a problem: nan": Bad(lambda: gain_problem(theta=math.nan), ("nan",)),
+    "inverse dynamics: algebraic": Bad(lambda: al.InverseDynamics(algebraic(), motion={}), ("Odd",)),
+    "forward dynamics: algebraic": Bad(lambda: al.ForwardDynamics(algebraic()), ("Odd",)),
+    "a shared name": Bad(lambda: al.Normal(0.0, 1.0).shared(3), ("3",)),
+    "a shared name of a decision": Bad(lambda: al.Decision(0.0).shared(None), ("None",)),
+    "a misspelt argument": Bad(lambda: gain_problem().named("nobody"), ("nobody",)),
+    "a masked array of data": Bad(
+        lambda: al.Sample(np.ma.masked_array(np.linspace(0.0, 1.0, 50), [True] + [False] * 49)), ("masked", "Masked")
+    ),
+    "a masked table": Bad(
+        lambda: al.Tabulated([0.0, 1.0, 2.0], np.ma.masked_array([0.0, 1.0, 2.0], [0, 1, 0])), ("masked", "Masked")
+    ),
+}
+
+
+def _file(folder: Any, name: str, content: bytes) -> Any:
+    path = folder / name
+    path.write_bytes(content)
+    return path
+
+
+def files(folder: Any) -> dict[str, Bad]:
+    """Files that are no tables of a signal."""
+
+    def read(path: Any, time: Any = "t", value: Any = "x") -> Any:
+        return al.Tabulated.from_csv(path, time, value)
+
+    return {
+        "csv: missing": Bad(lambda: read(folder / "nobody.csv"), ("nobody.csv",)),
+        "csv: a folder": Bad(lambda: read(folder), (folder.name,)),
+        "csv: not UTF-8": Bad(lambda: read(_file(folder, "a.csv", b"t,h\xf6he\n0,1\n1,2\n")), ("UTF-8",)),
+        "csv: bytes": Bad(lambda: read(_file(folder, "b.csv", bytes(range(256)))), ("b.csv",)),
+        "csv: a column twice": Bad(lambda: read(_file(folder, "c.csv", b"t,x,x\n0,1,2\n1,2,3\n")), ("x",)),
+        "csv: empty": Bad(lambda: read(_file(folder, "d.csv", b"")), ("d.csv",)),
+        "csv: no rows": Bad(lambda: read(_file(folder, "e.csv", b"t,x\n")), ("e.csv",)),
+        "csv: words": Bad(lambda: read(_file(folder, "f.csv", b"t,x\n0,fast\n1,slow\n")), ("fast",)),
+        "csv: ragged": Bad(lambda: read(_file(folder, "g.csv", b"t,x\n0,1\n1\n")), ("g.csv",)),
+        "csv: a number": Bad(lambda: read(3.5), ("3.5",)),
+        "csv: nothing": Bad(lambda: read(None), ("None",)),
+    }
+
+
+def _generated() -> Iterator[tuple[str, Bad]]:
+    for who, (function, usual, arguments) in (_LAWS | _CONSTRUCTORS | _LANGUAGE | _STUDIES).items():
+        for argument, values in arguments.items():
+            for name, value in values.items():
+                value, words = (value.value, (value.word,)) if isinstance(value, Told) else (value, said(value))
+                if argument.startswith("#"):
+                    yield f"{who}: {name}", Bad(functools.partial(function, value, **usual), words)
+                else:
+                    yield (
+                        f"{who}({argument}): {name}",
+                        Bad(functools.partial(function, **usual | {argument: value}), words),
+                    )
+
+
+CORPUS: dict[str, Bad] = {**dict(_generated()), **dict(_bodies()), **_WRITTEN}

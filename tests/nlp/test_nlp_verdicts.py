@@ -1,0 +1,148 @@
+"""Solved means what was asked for, in the user's units: no scale of a program changes the verdict."""
+
+from dataclasses import replace
+
+import nlp_problems as problems
+import numpy as np
+import pytest
+from nlp_problems import INF, evaluation, program
+
+from aleator.nlp import FilterSQP, Ipopt, Magnitudes, Slsqp, Status
+
+FACTORS = [1e-9, 1e-4, 1e4, 1e9]
+
+
+def rescaled(inner, objective=1.0, rows=1.0, decisions=1.0):
+    """A program in other units, whose typical magnitudes are known."""
+
+    def evaluate(x):
+        found = inner.evaluate(x / decisions)
+        return evaluation(
+            objective * found.objective,
+            objective * found.gradient / decisions,
+            rows * found.constraints,
+            rows * found.jacobian / decisions,
+        )
+
+    return replace(
+        inner,
+        evaluate=evaluate,
+        start=inner.start * decisions,
+        lower=inner.lower * decisions,
+        upper=inner.upper * decisions,
+        constraint_lower=inner.constraint_lower * rows,
+        constraint_upper=inner.constraint_upper * rows,
+        constraint_scale=inner.constraint_scale * rows,
+        decision_scale=inner.decision_scale * decisions,
+    )
+
+
+@pytest.mark.parametrize("part", ["objective", "rows", "decisions"])
+@pytest.mark.parametrize("factor", FACTORS)
+def test_units_change_no_verdict(solver, part, factor):
+    solved = solver.solve(rescaled(problems.hs71(), **{part: factor}))
+    assert solved.ok
+    units = factor if part == "decisions" else 1.0
+    np.testing.assert_allclose(solved.decisions / units, [1, 4.7429994, 3.8211503, 1.3794082], rtol=1e-4)
+    # HS71 with a product of at least 1000, which numbers up to 5 whose squares sum to 40 do not have.
+    broken = solver.solve(rescaled(problems.hs71(product_at_least=1000.0), **{part: factor}))
+    assert broken.status is Status.INFEASIBLE
+
+
+def wild(scale, size):
+    """x = 1 is asked of a row whose scale is given by a wild gradient; its magnitude is `size`."""
+    declared = program(
+        lambda x: evaluation(x[0] ** 2, 2 * x, [x[0]], [[1.0]]),
+        [0.0],
+        [-2.0],
+        [2.0],
+        [(1, 1)],
+        constraint_scale=[scale],
+    )
+    return replace(declared, magnitudes=lambda x, found: Magnitudes(np.array([size]), np.array([100 * size])))
+
+
+@pytest.mark.parametrize("scale", [1e-9, 1.0, 1e4, 1e9, 1e14])
+def test_feasibility_is_judged_by_the_size_of_a_row_and_not_by_what_solvers_divide_by(solver, scale):
+    outcome = solver.solve(wild(scale, 1.0))
+    assert outcome.ok
+    assert outcome.decisions == pytest.approx(np.ones(1), abs=1e-6)
+    assert outcome.sizes == pytest.approx(np.ones(1))
+    assert outcome.multipliers == pytest.approx(np.array([-2.0]), rel=1e-5)
+
+
+@pytest.mark.parametrize("tolerance", [1e-4, 1e-6, 1e-8, 1e-10])
+@pytest.mark.parametrize("name", ["rosenbrock", "hs15", "hs35", "hs71", "coope_watson"])
+def test_what_is_called_solved_is_within_the_tolerance_asked_for(solver, name, tolerance):
+    outcome = replace(solver, tolerance=tolerance).solve(getattr(problems, name)())
+    residuals = outcome.violation, outcome.stationarity, outcome.complementarity
+    assert outcome.ok == (max(residuals) <= tolerance)
+    if not outcome.ok:
+        assert f"where {tolerance:.0e} is asked" in outcome.message
+    assert outcome.ok or tolerance < 1e-6
+
+
+@pytest.mark.parametrize("make", [FilterSQP, Ipopt, Slsqp])
+def test_a_tolerance_below_what_the_arithmetic_can_give_ends_soon_and_says_so(make):
+    # The gradient is known to 1e-10 only, whatever is asked for.
+    def evaluate(x):
+        noise = 1e-10 * np.sin(1e9 * x)
+        return evaluation(((x - 3) ** 2).sum() + 1e3, 2 * (x - 3) + noise)
+
+    outcome = make(tolerance=1e-15).solve(program(evaluate, [1.0, 2.0], [0.0, 0.0], [10.0, 10.0]))
+    assert outcome.status is Status.FAILED or outcome.stationarity <= 1e-15
+    if not outcome.ok:
+        assert "the arithmetic gives no more" in outcome.message
+    assert outcome.evaluations < 1000
+
+
+@pytest.mark.parametrize("make", [FilterSQP, Ipopt, Slsqp])
+def test_the_iteration_limit_is_given_as_the_reason_only_where_it_is_used_up(make):
+    # A chain of valleys takes more iterations the longer it is.
+    def evaluate(x):
+        gaps = x[1:] - x[:-1] ** 2
+        gradient = np.zeros(x.size)
+        gradient[1:] += 200 * gaps
+        gradient[:-1] += -400 * x[:-1] * gaps - 2 * (1 - x[:-1])
+        return evaluation(100 * (gaps**2).sum() + ((1 - x[:-1]) ** 2).sum(), gradient)
+
+    outcome = make(max_iterations=60).solve(program(evaluate, np.tile([-1.2, 1.0], 10)))
+    assert outcome.status is Status.ITERATION_LIMIT
+    assert outcome.iterations >= 60
+
+
+def test_a_minimum_at_a_kink_is_no_solution_unless_it_is_known_to_be_least(solver):
+    def evaluate(x):
+        away = np.array([1.0, 3.0]) * (x - 1)
+        size = np.linalg.norm(away)
+        return evaluation(size, np.array([1.0, 3.0]) * away / size if size else np.zeros(2))
+
+    declared = program(evaluate, [3.0, -1.0], [-5.0, -5.0], [5.0, 5.0])
+    outcome = solver.solve(replace(declared, least=0.0))
+    assert outcome.ok
+    np.testing.assert_allclose(outcome.decisions, 1.0, atol=1e-5)
+    # Where it lies higher than its least value there is a slope, and no kink to excuse it.
+    assert not replace(solver, max_iterations=1).solve(replace(declared, least=0.0)).ok
+
+
+@pytest.mark.parametrize("limit", [(-INF, 0.5), (0.5, INF), (0.5, 0.5)])
+def test_the_answer_to_an_infeasible_program_says_so_whatever_it_is_divided_by(solver, limit):
+    # A row of at least 1.2 for the first and the third, of at most -1.2 for the second.
+    sign = -1.0 if limit[1] == INF else 1.0
+    declared = program(
+        lambda x: evaluation(x[0], [1.0], [sign * (1.2 + x[0] ** 2)], [[sign * 2 * x[0]]]),
+        [1.5],
+        [-2.0],
+        [2.0],
+        [limit],
+    )
+    for scale in (1e-6, 1.0, 1e6):
+        outcome = solver.solve(
+            replace(
+                declared,
+                constraint_scale=np.array([scale]),
+                magnitudes=lambda x, found: Magnitudes(np.ones(1), np.array([10.0])),
+            )
+        )
+        assert outcome.status is Status.INFEASIBLE
+        assert outcome.violation == pytest.approx(0.7 if sign > 0 else 1.7, abs=1e-3)

@@ -1,0 +1,165 @@
+"""What is uncertain or decided is told by its type, and what only holds numbers says so itself: names mean nothing."""
+
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import aleator as al
+from aleator._core.leaves import highest, is_leaf, lowest, named_leaves
+from aleator.uncertainty import at_means, realise, survey
+
+HOLDERS = ("model", "system", "inputs", "grid", "dimensions", "t_final", "t_start")
+
+
+class Range(eqx.Module):
+    """A user's class whose fields are called like those of a decision."""
+
+    initial: Any
+    lower: Any
+    upper: Any
+
+
+class Oddity(eqx.Module):
+    """A user's class that has all that a distribution has, by name."""
+
+    distribution: Any = None
+    parameters: Any = None
+    shared_name: Any = None
+    shape: Any = None
+
+    def support(self):
+        return 0.0, 1.0
+
+    def germ(self):
+        return None
+
+
+class Box(eqx.Module):
+    """A user's class with every name under which a library might hold things."""
+
+    model: Any
+    system: Any
+    inputs: Any
+    grid: Any
+    dimensions: Any
+    t_final: Any
+    t_start: Any
+
+
+class Decay(al.System):
+    """x' = -rate x, with the rate in a user's class that looks like a decision."""
+
+    states = ("x",)
+    rates: Range
+    box: Any = 1.0
+    model: Any = 1.0
+    inputs: Any = 1.0
+    grid: Any = 1.0
+    t_final: Any = 1.0
+
+    def initial(self):
+        return {"x": 1.0}
+
+    def rhs(self, t, z, force):
+        return (-(self.rates.initial + self.rates.lower + self.rates.upper) * z.x + 0 * force,)
+
+    def outputs(self, t, z):
+        return {"x": z.x, "sum": self.model + self.inputs + self.grid + self.t_final + 0 * z.x}
+
+
+def test_no_class_of_a_user_is_taken_for_a_leaf():
+    for model in (Range(1.0, 0.0, 2.0), Oddity(), Oddity(distribution=Oddity())):
+        assert not is_leaf(model)
+        assert survey(model).entry_names() == ()
+        assert survey(model).germ_names == ()
+
+
+@pytest.mark.parametrize("wrap", [lambda one: one, lambda one: [one], lambda one: {"a": (1.0, one)}])
+def test_leaves_inside_of_classes_that_look_like_leaves_are_found(wrap):
+    model = wrap(Range(al.Normal(1.0, 0.1), al.Decision(0.5, 0.0, 1.0), Oddity(shape=al.Uniform.bounds(0.0, 1.0))))
+    found = survey(model)
+    assert [name.rpartition(".")[2] for name in found.germ_names] == ["initial", "shape"]
+    assert [name.rpartition(".")[2] for name in found.entry_names()] == ["lower"]
+    realised = realise(model, jnp.array([1.0, 1.0]), jnp.array([0.25]))
+    ((_, first), (_, second), (_, third)) = [pair for pair in named_leaves(realised) if eqx.is_array(pair[1])]
+    np.testing.assert_allclose([first, second, third], [1.1, 0.25, 1.0])
+
+
+@pytest.mark.parametrize("outer", HOLDERS)
+@pytest.mark.parametrize("inner", HOLDERS)
+def test_names_of_users_fields_are_kept_whatever_they_are(outer, inner):
+    leaf = al.Normal(1.0, 0.1)
+    fields = dict.fromkeys(HOLDERS, 0.0)
+    box = Box(**(fields | {outer: Box(**(fields | {inner: leaf}))}))
+    assert survey(box).germ_names == (f"{outer}.{inner}",)
+    assert survey({outer: {inner: leaf}}).germ_names == (f"{outer}.{inner}",)
+
+
+def test_numbers_that_would_have_one_name_go_by_their_whole_places():
+    box = Box(*(al.Normal(1.0, 0.1) for _ in HOLDERS))
+    system = Decay(Range(al.Normal(1.0, 0.05), 0.5, al.Decision(1.0, 0.5, 2.0)), box, *(al.Normal(1.0, 0.1),) * 4)
+    problem = al.Problem(
+        system,
+        grid=al.Grid(al.Decision(1.0, 0.5, 2.0), steps=10),
+        inputs={"force": al.Tabulated([0.0, 2.0], [al.Normal(0.0, 1.0), 0.0])},
+        minimize=al.terminal("x").mean,
+        expansion=al.Expansion(order=1),
+    )
+    # What would have one name goes by its whole place; the rest by its name in the system.
+    assert problem.survey.entry_names() == ("rates.upper", "grid.t_final")
+    assert {"box.model", "box.grid", "model", "inputs", "grid", "system.t_final"} <= set(problem.survey.germ_names)
+    assert any(name.startswith("inputs.force") for name in problem.survey.germ_names)
+    assert problem.survey.named(np.array([1.0, 1.5])) == {"rates.upper": 1.0, "grid.t_final": 1.5}
+
+
+def test_numbers_of_containers_that_say_so_go_by_their_own_names_at_any_depth():
+    stack = al.Assembly({"a": al.Normal(1.0, 0.1), "b": al.Normal(2.0, 0.1)}, features={"gap": "b - a"})
+    assert survey(stack).germ_names == ("a", "b")
+    assert survey({"left": stack, "right": [stack]}).germ_names == ("left.a", "left.b", "right.0.a", "right.0.b")
+    assert survey(al.Assembly({"dimensions": al.Normal(1.0, 0.1)}, features={"twice": "2*dimensions"})).germ_names == (
+        "dimensions",
+    )
+
+
+def test_names_stay_when_distributions_are_held_at_their_means():
+    system = Decay(Range(al.Normal(1.0, 0.05), 0.5, al.Decision(1.0, 0.5, 2.0)), t_final=al.Normal(1.0, 0.1))
+    names = [name for name, _ in named_leaves(system)]
+    assert [name for name, _ in named_leaves(at_means(system))] == names
+
+
+@pytest.mark.parametrize(
+    ("number", "least", "most"),
+    [
+        (2.0, 2.0, 2.0),
+        (np.array([1.0, 3.0]), 1.0, 3.0),
+        ([al.Uniform.bounds(1.0, 4.0), 2.0], 1.0, 4.0),
+        (al.Normal(1.0, 0.1), -np.inf, np.inf),
+        (al.Decision(np.ones(2), [0.0, 0.5], [3.0, 2.0]), 0.0, 3.0),
+        (al.Uniform(al.Decision(1.0, 0.0, 5.0), half_width=al.Decision(0.5, 0.0, 2.0)), -2.0, 7.0),
+        (al.Beta(alpha=2.0, beta=2.0, lower=-1.0, upper=2.0), -1.0, 2.0),
+        (al.Uniform.bounds(0.0, al.Decision(1.0, 0.5)), 0.0, np.inf),
+    ],
+    ids=str,
+)
+def test_every_number_tells_between_which_ends_it_lies(number, least, most):
+    np.testing.assert_allclose([lowest(number), highest(number)], [least, most], rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "place",
+    [
+        lambda odd: al.Sphere((0.0, 0.0), radius=odd),
+        lambda odd: al.PowerSeries(start=(odd,)),
+        lambda odd: al.BSpline(odd),
+        lambda odd: al.Grid(odd, steps=3),
+        lambda odd: al.Normal(odd, 1.0),
+    ],
+    ids=["shape", "power series", "spline", "grid", "distribution"],
+)
+@pytest.mark.parametrize("odd", [Range(1.0, 0.0, 2.0), Oddity()], ids=["like a decision", "like a distribution"])
+def test_look_alikes_are_refused_where_a_number_is_expected(place, odd):
+    with pytest.raises(al.ProblemError):
+        place(odd)

@@ -1,0 +1,144 @@
+from math import factorial
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy import stats
+
+import aleator as al
+from aleator.validation import WeightedProportion
+from aleator.validation._proposal import adapted, weighted
+from tiny_models import LOSS, ONE_STEP, RESPONSE, Gain, gain_problem
+
+RARE = 1e-4
+FAR = stats.norm.isf(RARE)
+
+
+def plane(variables):
+    """One limit, a plane in any direction."""
+    direction = np.arange(1.0, variables + 1)
+    direction /= np.linalg.norm(direction)
+    return variables, lambda normals: (normals @ direction - FAR)[None], RARE
+
+
+def corner(variables):
+    """The sum of uniform numbers near its largest value: the volume of a simplex."""
+    side = (RARE * factorial(variables)) ** (1 / variables)
+    return variables, lambda normals: (stats.norm.cdf(normals).sum(axis=1) - variables + side)[None], RARE
+
+
+CASES = {
+    "one": plane(1),
+    "plane of five": plane(5),
+    "plane of ten": plane(10),
+    "two limits": (2, lambda normals: np.stack([normals[:, 0] - FAR, -normals[:, 0] - FAR]), 2 * RARE),
+    "one limit on two sides": (2, lambda normals: (np.abs(normals[:, 0]) - FAR)[None], 2 * RARE),
+    "corner": corner(3),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_estimates_of_rare_violations_are_unbiased_and_their_intervals_hold(case):
+    variables, scores, truth = CASES[case]
+    found = []
+    for seed in range(30):
+        generator = np.random.default_rng(seed)
+        proposal = adapted(scores, variables, 3.7, 1000, generator)
+        found.append(weighted(scores, proposal, 4000, 2000, generator, lambda done: None))
+    estimates = np.array([one.estimate for one in found])
+    error = np.sqrt(np.mean([one.variance for one in found]) / len(found))
+    assert abs(estimates.mean() - truth) < 4 * error
+    # With an interval that holds in 95 % of all cases, more than five of thirty miss once in a hundred times.
+    assert np.sum([not one.lower <= truth <= one.upper for one in found]) <= 5
+    assert np.median([one.effective for one in found]) > 100
+    # A count of as many systems would have met less than one.
+    assert np.median([one.variance for one in found]) < truth / 4000 / 100
+
+
+def test_weights_are_the_given_density_over_that_of_the_proposal():
+    generator = np.random.default_rng(1)
+    variables, scores, _ = plane(3)
+    proposal = adapted(scores, variables, 3.7, 1000, generator)
+    points = proposal.draw(200_000, generator)
+    weights = proposal.weights(points)
+    assert weights.max() <= 10.0 + 1e-9
+    assert weights.mean() == pytest.approx(1.0, abs=5 * weights.std() / np.sqrt(len(weights)))
+    densities = [
+        share * stats.multivariate_normal(one.mean, one.factor @ one.factor.T).pdf(points[:50])
+        for share, one in zip(proposal.shares, proposal.components, strict=True)
+    ]
+    given = stats.multivariate_normal(np.zeros(3)).pdf(points[:50])
+    np.testing.assert_allclose(weights[:50], given / np.sum(densities, axis=0), rtol=1e-10)
+
+
+@pytest.mark.parametrize("count", [1, 7, 300])
+@pytest.mark.parametrize("confidence", [0.9, 0.95, 0.99])
+def test_of_equal_weights_the_interval_is_that_of_a_poisson_count(count, confidence):
+    weights = np.where(np.arange(10_000) < count, 0.01, 0.0)
+    share = WeightedProportion(*vars(WeightedProportion.of(weights)).values())
+    assert share.estimate == pytest.approx(count * 1e-6)
+    assert share.effective == pytest.approx(count)
+    share = WeightedProportion(share.estimate, share.variance, share.largest, share.samples, confidence)
+    tail = (1 - confidence) / 2
+    assert share.lower == pytest.approx(1e-6 * stats.gamma.ppf(tail, count), rel=1e-9)
+    assert share.upper == pytest.approx(1e-6 * stats.gamma.ppf(1 - tail, count + 1), rel=1e-9)
+
+
+def test_where_nothing_happened_nothing_is_known():
+    share = WeightedProportion.of(np.zeros(10))
+    assert (share.estimate, share.lower, share.upper, share.effective) == (0.0, 0.0, 1.0, 0.0)
+
+
+def test_a_design_that_one_system_in_thirty_thousand_breaks_is_told_by_two_thousand():
+    solution = al.solve(gain_problem(sigmas=4.0, theta=al.Normal(1.0, 0.2)))
+    share = al.rare_violation(solution, "response", 2000)
+    assert isinstance(share, WeightedProportion)
+    assert share.lower <= stats.norm.sf(4.0) <= share.upper < 1.3 * share.lower
+    assert al.rare_violation(solution, samples=2000) == share
+    assert al.rare_violation(solution, samples=2000, seed=1) != share
+
+
+def two_numbers(theta: Any, shift: Any) -> al.Solution:
+    return al.solve(
+        al.Problem(
+            Gain(al.Decision(0.5, 0.0, 10.0), theta, shift),
+            grid=ONE_STEP,
+            minimize=LOSS.mean,
+            subject_to=[RESPONSE.at_most(2.0, sigmas=2.0), RESPONSE.at_least(-2.0, sigmas=2.0).named("low")],
+        )
+    )
+
+
+def test_correlated_distributions_are_weighted_as_they_are_counted():
+    laws = al.correlated(
+        {"theta": al.Normal(1.0, 0.1), "shift": al.Gamma(mean=0.2, std=0.1)}, {("theta", "shift"): 0.6}
+    )
+    solution = two_numbers(laws["theta"], laws["shift"])
+    share = al.rare_violation(solution, ("response", "low"), 4000)
+    counted = al.validate(solution, 100_000, keep=0).violation("response", "low")
+    assert share.lower < counted.upper
+    assert counted.lower < share.upper
+    assert share.upper < 1.2 * share.lower
+
+
+def test_what_cannot_happen_is_counted_instead():
+    solution = al.solve(gain_problem(sigmas=2.0))
+    share = al.rare_violation(solution, samples=3000)
+    assert share == al.Proportion(0, 3000)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"solution": None}, "expected a Solution, from al.solve; received NoneType"),
+        ({"names": "travel"}, r"systems are counted against, \['response'\]; received \['travel'\]"),
+        ({"names": ()}, "expected names of constraints"),
+        ({"samples": 1.5}, "samples as a whole number of at least 2; received 1.5"),
+        ({"seed": -1}, "seed as a whole number of at least 0; received -1"),
+        ({"batch": 0}, "batch as a whole number of at least 1; received 0"),
+    ],
+)
+def test_rare_violations_that_make_no_sense_are_refused(options, message):
+    given = {"solution": al.solve(gain_problem())} | options
+    with pytest.raises(al.ProblemError, match=message):
+        al.rare_violation(**given)
