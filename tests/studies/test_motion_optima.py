@@ -55,8 +55,9 @@ def test_the_plan_of_least_effort_is_as_good_as_the_reference_and_keeps_its_dist
     means, stds = moments(solution, (*GAPS, "q1", "q2", "q1_rate", "q2_rate"))
     # Ten times as many steps also integrate better than the plan's did: by some 1e-4 rad at the end.
     assert min(np.min(means[name] - stds[name]) for name in GAPS) >= -3e-4
-    ends = [means[name][-1] for name in ("q1", "q2", "q1_rate", "q2_rate")]
-    np.testing.assert_allclose(ends, [-np.pi / 6, -np.pi / 6, 0.0, 0.0], atol=4e-4)
+    # The expansion's means of the ends are those of the model to a five-hundredth of their spreads.
+    for name, target in (("q1", -np.pi / 6), ("q2", -np.pi / 6), ("q1_rate", 0.0), ("q2_rate", 0.0)):
+        assert abs(means[name][-1] - target) <= stds[name][-1] / 500, name
 
 
 @pytest.mark.slow
