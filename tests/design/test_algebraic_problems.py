@@ -59,16 +59,24 @@ def test_an_algebraic_problem_that_does_not_fit_together_is_refused(declare, mes
         declare()
 
 
-def test_a_system_that_names_no_unknowns_is_refused():
-    class Nothing(al.AlgebraicSystem):
-        def guess(self):
-            return {}
+def test_a_problem_in_closed_form_says_so_and_is_solved():
+    """The least mean gap that leaves three sigmas: the variances of hole and pin add up."""
 
-        def residual(self, rho):
-            return ()
+    class Pin(al.AlgebraicSystem):
+        hole: al.Number
+        pin: al.Number
 
-    with pytest.raises(al.ProblemError, match="Nothing names no unknowns"):
-        al.Problem(Nothing(), minimize=X.mean)
+        def outputs(self):
+            return {"gap": self.hole - self.pin}
+
+    gap = al.output("gap")
+    problem = al.Problem(
+        Pin(al.Normal(10.0, 0.01), al.Normal(al.Decision(9.9, 9.0, 10.0), 0.01)),
+        minimize=gap.mean,
+        subject_to=[gap.at_least(0.0, sigmas=3.0)],
+    )
+    assert "equations   Pin, in closed form" in str(problem)
+    assert al.solve(problem).objective == pytest.approx(0.03 * np.sqrt(2), rel=1e-6)
 
 
 def test_a_margin_on_a_deflection_gives_the_tolerance_of_exact_quadrature():

@@ -230,6 +230,73 @@ def test_equations_that_do_not_fit_together_are_refused_in_words(wrong, message)
         al.simulate(algebraic(**wrong))
 
 
+class Area(al.AlgebraicSystem):
+    """A closed formula: outputs and nothing else."""
+
+    width: Any = 2.0
+    height: Any = 3.0
+
+    def outputs(self):
+        return {"area": self.width * self.height}
+
+
+def test_closed_formulas_take_outputs_alone():
+    assert float(al.simulate(Area())["area"][0]) == 6.0
+    assert float(jax.grad(lambda width: al.simulate(Area(width))["area"][0])(5.0)) == 3.0
+    solved = solve_algebraic(Area())
+    assert tuple(solved.unknowns) == ()
+    assert bool(solved.converged)
+    assert explain_failure(Area()) == ""
+    with pytest.raises(al.ProblemError, match=r"Odd\.outputs returns a dict"):
+        al.simulate(declared(outputs=lambda self: 1.0))
+
+
+def declared(**parts: Any) -> Any:
+    return type("Odd", (al.AlgebraicSystem,), parts)()
+
+
+GUESS, RESIDUAL = lambda self: {"x": 1.0}, lambda self, rho: (rho.x - 1.0,)
+
+
+@pytest.mark.parametrize(
+    ("parts", "message"),
+    [
+        ({}, r"Odd declares no outputs: expected outputs\(self\), or unknowns with guess and residual"),
+        (
+            {"unknowns": ("x",)},
+            "Odd declares unknowns, but not guess and residual: equations take all three; outputs in",
+        ),
+        ({"unknowns": ("x",), "residual": RESIDUAL}, "Odd declares unknowns and residual, but not guess:"),
+        ({"unknowns": ("x",), "guess": GUESS}, "Odd declares unknowns and guess, but not residual:"),
+        ({"unknowns": ("x",), "outputs": lambda self, rho: {}}, "Odd declares unknowns, but not guess and residual:"),
+        ({"guess": GUESS, "residual": RESIDUAL}, "Odd declares guess and residual, but not unknowns:"),
+        ({"unknowns": (), "guess": GUESS, "residual": RESIDUAL}, "Odd declares guess and residual, but not unknowns:"),
+        ({"outputs": lambda self, rho: {}}, r"expected outputs\(self\), for a class without unknowns; .*\(self, rho\)"),
+        (
+            {"unknowns": ("x",), "guess": GUESS, "residual": RESIDUAL, "outputs": lambda self: {}},
+            r"Odd\.outputs: expected outputs\(self, rho\), for a class with unknowns; received outputs\(self\)",
+        ),
+    ],
+)
+def test_half_a_declaration_is_refused_in_one_sentence(parts, message):
+    with pytest.raises(al.ProblemError, match=message):
+        declared(**parts)
+
+
+def test_unknowns_may_be_a_field_or_a_property():
+    class Many(al.AlgebraicSystem):
+        unknowns: tuple[str, ...]
+
+        def guess(self):
+            return dict.fromkeys(self.unknowns, 1.0)
+
+        def residual(self, rho):
+            return [value - 2.0 for value in rho]
+
+    found = al.simulate(Many(("x", "y")))
+    assert {name: float(value[0]) for name, value in found.items()} == {"x": 2.0, "y": 2.0}
+
+
 def test_a_system_of_equations_refuses_time_and_inputs():
     with pytest.raises(
         al.ProblemError, match=r"Parabola is algebraic and knows no time: expected al\.Instant\(\).*Grid"

@@ -25,16 +25,9 @@ class Driven(al.System):
 
 
 class Gap(al.AlgebraicSystem):
-    unknowns = ()
     width: al.Number = 1.0
 
-    def guess(self):
-        return {}
-
-    def residual(self, rho):
-        return []
-
-    def outputs(self, rho):
+    def outputs(self):
         return {"gap": 2 * self.width}
 
 

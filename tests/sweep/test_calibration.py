@@ -16,18 +16,13 @@ SPREAD = 0.2
 class Shifted(al.AlgebraicSystem):
     """Two numbers chosen, each with normal or other noise on it."""
 
-    unknowns = ("x", "y")
-
     place: Any
     noise: Any
     other: Any
     other_noise: Any
 
-    def guess(self):
-        return {"x": 0.0, "y": 0.0}
-
-    def residual(self, rho):
-        return rho.x - self.place - SPREAD * self.noise, rho.y - self.other - SPREAD * self.other_noise
+    def outputs(self):
+        return {"x": self.place + SPREAD * self.noise, "y": self.other + SPREAD * self.other_noise}
 
 
 X, Y = al.output("x"), al.output("y")

@@ -13,17 +13,9 @@ from aleator.transcription import EVALUATE
 class Wells(al.AlgebraicSystem):
     """`x⁴/4 - x³/3 - x²`, whose slope is `(x + 1) x (x - 2)`: minima -5/12 at -1 and -8/3 at 2. No number below -3."""
 
-    unknowns = ()
-
     x: Any
 
-    def guess(self):
-        return {}
-
-    def residual(self, rho):
-        return ()
-
-    def outputs(self, rho):
+    def outputs(self):
         x = self.x
         return {
             "depth": x**4 / 4 - x**3 / 3 - x**2 + 0.0 * jnp.sqrt(x + 3),

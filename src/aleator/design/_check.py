@@ -73,13 +73,13 @@ def _check_types(problem: AbstractProblem) -> None:
                 f"Problem: '{name}' must be a {' or '.join(kind.__name__ for kind in kinds)}; "
                 f"received {type(value).__name__} {value!r}.{remedy}"
             )
-    part = "unknowns" if is_algebraic else "states"
-    names = getattr(problem.system, part, None)
-    # Outputs without any unknown are explicit equations; a system without states moves only if a motion is given to it.
-    driven = is_algebraic or bool(problem.inputs) or bool(getattr(problem.system, "signals", dict)())
-    if names is None or not (names or driven):
+    if is_algebraic:
+        return
+    # A system without states moves only if a motion is given to it.
+    names = getattr(problem.system, "states", None)
+    if names is None or not (names or problem.inputs or problem.system.signals()):
         raise ProblemError(
-            f'{type(problem.system).__name__} names no {part}: expected `{part} = ("x", ...)` in the class.'
+            f'{type(problem.system).__name__} names no states: expected `states = ("x", ...)` in the class.'
         )
 
 

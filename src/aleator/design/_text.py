@@ -59,7 +59,9 @@ def _physics_row(problem: AbstractProblem) -> tuple[str, str]:
     grid, system = problem.grid, problem.system
     name = type(system).__name__
     if isinstance(system, AlgebraicSystem) or not isinstance(grid, Grid):
-        return "equations", f"{name}({', '.join(getattr(system, 'unknowns', ()))}), solved by Newton's method"
+        unknowns = getattr(system, "unknowns", ())
+        solved = f"{name}({', '.join(unknowns)}), solved by Newton's method"
+        return "equations", solved if unknowns else f"{name}, in closed form"
     free = isinstance(grid.t_final, Decision)
     steps = f"{grid.steps} steps to t_final" if free else f"{grid.steps} steps of {float(grid.step):g} s"
     who = f"{name} of {type(system.model).__name__}" if isinstance(system, AbstractFormulation) else name

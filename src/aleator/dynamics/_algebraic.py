@@ -1,6 +1,6 @@
-"""`AlgebraicSystem`: implicit equations between named unknowns, and their solution."""
+"""`AlgebraicSystem`: outputs in closed form, or by implicit equations between named unknowns, and their solution."""
 
-import abc
+import inspect
 from collections.abc import Callable, Mapping
 from typing import Any, ClassVar, NamedTuple
 
@@ -22,31 +22,51 @@ _GOLDEN = (5**0.5 - 1) / 2
 
 
 class AlgebraicSystem(eqx.Module):
-    """A system of implicit equations `residual(rho) = 0` with outputs: statics, equilibria, kinematic assemblies.
+    """A system without time: closed formulas, statics, equilibria, kinematic assemblies.
 
-    Dissertation, equations (17) and (24). Subclass it with the parameters as fields and the unknowns' names in
-    `unknowns`; any number in a field may then be replaced by a distribution or a decision. In `residual` and `outputs`
-    the unknowns are a named tuple (`rho.chi`, or unpacked). `units` may give the units of outputs, for reports.
+    Subclass it with the parameters as fields; any number in a field may then be replaced by a distribution or a
+    decision. Where the outputs follow from these in closed form, `def outputs(self)` is all that it takes:
 
-    The equations are solved by Newton's method from `guess`, and derivatives follow from the implicit function theorem.
-    Of several solutions it is the one that Newton reaches from the guess. To stay on one branch over a wide range of
-    parameters, let the guess depend on them.
+        class Pin(al.AlgebraicSystem):
+            hole: al.Number
+            pin: al.Number
+
+            def outputs(self):
+                return {"gap": self.hole - self.pin}
+
+    Where some numbers are only known by equations (dissertation, equations 17 and 24), name them in `unknowns` and
+    declare `guess` and `residual`; `residual(rho)` and `outputs(rho)` then get them as a named tuple (`rho.chi`, or
+    unpacked). The equations are solved by Newton's method from `guess`, and derivatives follow from the implicit
+    function theorem. Of several solutions it is the one that Newton reaches from the guess. To stay on one branch over
+    a wide range of parameters, let the guess depend on them.
+
+    `units` may give the units of outputs, for reports. Raises `ProblemError` for a class that declares only some of
+    `unknowns`, `guess` and `residual`, or whose `outputs` takes something else.
     """
 
-    unknowns: ClassVar[tuple[str, ...]]
+    unknowns: ClassVar[tuple[str, ...]] = ()
     units: ClassVar[Mapping[str, str]] = {}
 
-    @abc.abstractmethod
+    def __check_init__(self) -> None:
+        _check_declared(self)
+
     def guess(self) -> Mapping[str, Any]:
         """A number (or an array, for an unknown that is one) near the solution for each unknown, by name."""
+        return {}
 
-    @abc.abstractmethod
     def residual(self, rho: Any) -> Any:
         """The equations, as a sequence of numbers or arrays that vanish at the solution: as many as unknowns."""
+        del rho
+        return ()
 
-    def outputs(self, rho: Any) -> dict[str, Any]:
-        """Quantities of interest by name: the unknowns themselves, unless a subclass says otherwise."""
-        return dict(zip(self.unknowns, rho, strict=True))
+    def outputs(self, *args: Any, **kwargs: Any) -> dict[str, Any]:
+        """`outputs(self)`, or `outputs(self, rho)` of a system with unknowns: quantities of interest by name.
+
+        By default the unknowns themselves.
+        """
+        del kwargs
+        (rho,) = args
+        return rho._asdict()
 
 
 class Solved(NamedTuple):
@@ -85,7 +105,8 @@ def solve_algebraic(system: AlgebraicSystem) -> Solved:
 def algebraic_outputs(system: AlgebraicSystem) -> dict[str, Float[Array, "..."]]:
     """The outputs at the solution; not a number where there is none."""
     solved = solve_algebraic(system)
-    values = as_outputs(system, called(system, system.outputs, solved.unknowns))
+    given = (solved.unknowns,) if _is_implicit(system) else ()
+    values = as_outputs(system, called(system, system.outputs, *given))
     return {name: jnp.where(solved.converged, value, jnp.nan) for name, value in values.items()}
 
 
@@ -108,6 +129,45 @@ def explain_failure(system: AlgebraicSystem) -> str:
         f"residual of {float(root.residuals[worst]):.3g}{_remark(root)}. Look whether a solution exists there, and "
         "guess closer to it."
     )
+
+
+def _declares(system: AlgebraicSystem, part: str) -> bool:
+    """Whether the class of a system says something of its own of `part`."""
+    default = getattr(AlgebraicSystem, part)
+    own = getattr(type(system), part)
+    return own is not default and (part != "unknowns" or own != ())
+
+
+def _is_implicit(system: AlgebraicSystem) -> bool:
+    """Whether a system has equations to solve, be there unknowns in them or not."""
+    return _declares(system, "residual")
+
+
+def _check_declared(system: AlgebraicSystem) -> None:
+    """Refuse a class that is neither explicit, by `outputs` alone, nor implicit, by all that equations take."""
+    name = type(system).__name__
+    parts = {part: _declares(system, part) for part in ("unknowns", "guess", "residual")}
+    parts["unknowns"] |= bool(system.unknowns)
+    has, lacks = ([part for part, declared in parts.items() if declared is one] for one in (True, False))
+    if has and lacks:
+        raise ProblemError(
+            f"{name} declares {' and '.join(has)}, but not {' and '.join(lacks)}: equations take all three; outputs in "
+            "closed form take none of them, only outputs(self)."
+        )
+    if not (has or _declares(system, "outputs")):
+        raise ProblemError(
+            f"{name} declares no outputs: expected outputs(self), or unknowns with guess and residual for equations."
+        )
+    expected = ("rho",) if has else ()
+    signature = inspect.signature(system.outputs)
+    try:
+        signature.bind(*expected)
+    except TypeError:
+        received = ", ".join(("self", *map(str, signature.parameters.values())))
+        raise ProblemError(
+            f"{name}.outputs: expected outputs({', '.join(('self', *expected))}), for a class "
+            f"{'with' if has else 'without'} unknowns; received outputs({received})."
+        ) from None
 
 
 def _numbers(system: AlgebraicSystem) -> dict[str, Any]:
