@@ -9,7 +9,6 @@ from scipy import stats
 
 import aleator as al
 from aleator.collocation import GaussPoints, Projection
-from aleator.statistics import Sobol
 
 ANGLES = {name: al.Uniform(0.0, half_width=float(np.pi)) for name in ("x1", "x2", "x3")}
 
@@ -147,11 +146,6 @@ def test_extremes_of_one_expansion_and_of_elements_are_those_of_the_response():
     assert float(kink.infimum) == pytest.approx(0.0, abs=1e-4)
     with pytest.raises(al.ProblemError):
         _ = al.expand(lambda m: m["u"], {"u": al.Normal(0.0, 1.0)}).supremum
-
-
-def test_elements_have_no_sobol_indices_and_say_so(pieces):
-    with pytest.raises(al.ProblemError, match="no Sobol indices"):
-        pieces.statistic(Sobol("a"))
 
 
 STATISTICS = {

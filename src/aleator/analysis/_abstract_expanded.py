@@ -28,8 +28,10 @@ from aleator.statistics import (
     Probability,
     Quantile,
     Skewness,
+    Sobol,
     Std,
     Supremum,
+    TotalSobol,
     Variance,
 )
 from aleator.uncertainty import AbstractDistribution, AbstractGerm
@@ -139,6 +141,20 @@ class AbstractExpanded(eqx.Module):
     def infimum(self) -> Pytree:
         """The smallest value over the support of bounded laws. Raises `ProblemError` for unbounded ones."""
         return self.statistic(Infimum())
+
+    def sobol(self, *variables: str) -> Pytree:
+        """The share of the variance that is due to exactly these inputs acting together, from 0 to 1 (Sobol index).
+
+        One name gives the first-order index. Raises `ProblemError` for correlated inputs and unknown ones.
+        """
+        return self.statistic(Sobol(variables))
+
+    def total_sobol(self, variable: str) -> Pytree:
+        """The share of the variance to which an input contributes, alone or together with others, from 0 to 1.
+
+        Raises `ProblemError` for correlated inputs and unknown ones.
+        """
+        return self.statistic(TotalSobol(variable))
 
     @abc.abstractmethod
     def cdf(self, values: Float[Array, " n"]) -> Pytree:

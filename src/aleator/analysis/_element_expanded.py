@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import final
 
 import equinox as eqx
@@ -11,10 +12,10 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from aleator._core.arrays import Pytree
-from aleator._core.errors import ProblemError
 from aleator._core.tracing import evaluate
 from aleator.analysis import _sampled_law as sampled_law
 from aleator.analysis._abstract_expanded import AbstractExpanded, checked_points, paired, part, prepared
+from aleator.analysis._element_sobol import Rule, variance_part
 from aleator.analysis._expanded_text import as_lines, law_rows, nothing, output_rows
 from aleator.analysis._inputs import inputs_at
 from aleator.analysis._partition import Partition
@@ -32,6 +33,8 @@ from aleator.statistics import (
     Supremum,
     TotalSobol,
     Variance,
+    refuse_correlated,
+    varies,
 )
 from aleator.statistics._moments import root
 from aleator.uncertainty import AbstractDistribution, AbstractGerm
@@ -46,9 +49,9 @@ class ElementExpanded(AbstractExpanded):
     - `splits`: the variable of each split, in order; `calls`: how often the function was called;
     - `error`: estimated relative root mean square error of the piecewise expansion, at worst over the outputs.
 
-    Moments are sums over the elements, extremes the most extreme of theirs. All other statistics are those of a
-    low-discrepancy sample of the piecewise expansion, of 16 384 points; derivatives of probabilities and quantiles are
-    kernel estimates, good to about a percent. There are no Sobol indices.
+    Moments are sums over the elements, Sobol indices over pairs of them, extremes the most extreme of theirs. All
+    other statistics are those of a low-discrepancy sample of the piecewise expansion, of 16 384 points; derivatives of
+    probabilities and quantiles are kernel estimates, good to about a percent.
     """
 
     laws: dict[str, AbstractDistribution]
@@ -68,7 +71,8 @@ class ElementExpanded(AbstractExpanded):
         return ElementExpanded(self.laws, self.partition, both, self.splits, self.calls, self.error)
 
     def statistic(self, kind: AbstractStatistic) -> Pytree:
-        """See `AbstractExpanded.statistic`."""
+        """See `AbstractExpanded.statistic`. Raises `ProblemError` for Sobol indices of correlated inputs."""
+        refuse_correlated(self.laws, kind)
         return jax.tree.map(self._rule(kind), self.coefficients)
 
     def _rule(self, kind: AbstractStatistic) -> Callable[[Array], Array]:
@@ -86,10 +90,7 @@ class ElementExpanded(AbstractExpanded):
         if isinstance(kind, Covariance):
             return self._covariance
         if isinstance(kind, Sobol | TotalSobol):
-            raise ProblemError(
-                "There are no Sobol indices of an expansion in elements: take them from a single expansion, or by the "
-                "pick-and-freeze estimate of al.references."
-            )
+            return partial(self._share, of_part=variance_part(self.partition, kind))
         if isinstance(kind, Supremum):
             return lambda coefficients: jnp.max(self._in_each(kind, coefficients), axis=0)
         if isinstance(kind, Infimum):
@@ -141,6 +142,13 @@ class ElementExpanded(AbstractExpanded):
 
     def _std(self, coefficients: Float[Array, "elements terms *shape"]) -> Float[Array, "*shape"]:
         return root(self._variance(coefficients))
+
+    def _share(self, coefficients: Float[Array, "elements terms *shape"], of_part: Rule) -> Float[Array, "*shape"]:
+        """A part of the variance over the whole of it; zero, with derivative zero, where there is none."""
+        mean, variance = self._mean(coefficients), self._variance(coefficients)
+        spreads = varies(jnp.stack([mean, root(variance)]))
+        found = of_part(coefficients.at[:, 0].add(-mean)) / jnp.where(spreads, variance, 1.0)
+        return jnp.where(spreads, jnp.clip(found, 0.0, 1.0), 0.0)
 
     def _covariance(self, coefficients: Float[Array, "elements terms *shape 2"]) -> Float[Array, "*shape"]:
         away = coefficients[:, 0] - self._mean(coefficients)[None]

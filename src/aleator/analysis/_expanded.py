@@ -16,7 +16,7 @@ from aleator.analysis._expanded_text import as_lines, contributors, law_rows, no
 from aleator.analysis._inputs import concrete
 from aleator.analysis._shapley import shapley_matrix
 from aleator.collocation import UNRESOLVED, Basis, Collocation, leave_one_out, unseen
-from aleator.statistics import AbstractStatistic, Sobol, TotalSobol, cdf, lines_through, pdf, refuse_correlated, varies
+from aleator.statistics import AbstractStatistic, cdf, lines_through, pdf, refuse_correlated, varies
 from aleator.uncertainty import AbstractDistribution, AbstractGerm
 
 # Outputs that vary by less than this part of their size are constant, but for rounding.
@@ -69,14 +69,6 @@ class Expanded(AbstractExpanded):
         """See `AbstractExpanded.pdf`."""
         lines = prepared(lines_through, self.basis)
         return jax.tree.map(lambda terms: evaluate(pdf, jnp.asarray(values), terms, lines), self.coefficients)
-
-    def sobol(self, *variables: str) -> Pytree:
-        """The share of the variance that is due to exactly these inputs acting together, from 0 to 1 (Sobol index)."""
-        return self.statistic(Sobol(variables))
-
-    def total_sobol(self, variable: str) -> Pytree:
-        """The share of the variance to which an input contributes, alone or together with others, from 0 to 1."""
-        return self.statistic(TotalSobol(variable))
 
     def shapley(self, name: str) -> Pytree:
         """The share of the variance that an input contributes, correlated or not, from 0 to 1 (Shapley effect).

@@ -73,7 +73,7 @@ def _check_types(problem: AbstractProblem) -> None:
                 f"Problem: '{name}' must be a {' or '.join(kind.__name__ for kind in kinds)}; "
                 f"received {type(value).__name__} {value!r}.{remedy}"
             )
-    if is_algebraic:
+    if isinstance(problem.system, AlgebraicSystem):
         return
     # A system without states moves only if a motion is given to it.
     names = getattr(problem.system, "states", None)

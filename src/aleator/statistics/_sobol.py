@@ -109,7 +109,7 @@ class ExactlyOf:
         if not basis.variables:
             return jnp.zeros(basis.terms)  # nothing is uncertain: no variable has a share
         chosen = np.zeros(basis.variables, bool)
-        chosen[[_place(basis, name) for name in self.variables]] = True
+        chosen[[place_of(basis, name) for name in self.variables]] = True
         return jnp.asarray(np.all((basis.indices > 0) == chosen, axis=1), dtype=float)
 
 
@@ -124,7 +124,7 @@ class With:
         """The selection of a basis. Raises `ProblemError` for a name that it does not have."""
         if not basis.variables:
             return jnp.zeros(basis.terms)
-        return jnp.asarray(basis.indices[:, _place(basis, self.variable)] > 0, dtype=float)
+        return jnp.asarray(basis.indices[:, place_of(basis, self.variable)] > 0, dtype=float)
 
 
 def share(coefficients: Float[Array, "terms *shape"], selected: Float[Array, " terms"]) -> Float[Array, "*shape"]:
@@ -156,7 +156,8 @@ def refuse_correlated(laws: Mapping[str, AbstractDistribution], kind: AbstractSt
             )
 
 
-def _place(basis: Basis, name: str) -> int:
+def place_of(basis: Basis, name: str) -> int:
+    """Which germ variable has this name. Raises `ProblemError`, with names that are close, if none has."""
     if name in basis.names:
         return basis.names.index(name)
     close = get_close_matches(name, basis.names)

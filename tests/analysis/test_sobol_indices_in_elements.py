@@ -1,0 +1,147 @@
+"""Sobol indices of multi-element expansions against closed forms, single expansions and pick-and-freeze sampling."""
+
+from itertools import chain, combinations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import stats
+
+import aleator as al
+from aleator._core import memory
+
+BOTH = {"x": al.Uniform.bounds(-1.0, 1.0), "y": al.Uniform.bounds(-1.0, 1.0)}
+
+
+def indices(expanded, names):
+    """The index of every set of inputs."""
+    sets = chain.from_iterable(combinations(names, size) for size in range(1, len(names) + 1))
+    return {one: float(expanded.sobol(*one)) for one in sets}
+
+
+def test_a_kink_in_a_product():
+    """`x |y|`: its mean given x is x/2, given y zero; variances 1/12, 0 and 1/9 in all."""
+    pieces = al.expand(lambda m: m["x"] * jnp.abs(m["y"]), BOTH, al.MultiElement())
+    assert len(pieces.partition.boxes) > 1
+    assert indices(pieces, "xy") == pytest.approx({("x",): 3 / 4, ("y",): 0.0, ("x", "y"): 1 / 4}, abs=1e-12)
+    assert float(pieces.total_sobol("x")) == pytest.approx(1.0, abs=1e-12)
+    assert float(pieces.total_sobol("y")) == pytest.approx(1 / 4, abs=1e-12)
+
+
+def test_a_jump_and_a_kink_that_add_up():
+    """Var[2 1(x > 0)] = 1 and Var|y| = 1/12: nothing acts together."""
+    pieces = al.expand(lambda m: 2 * (m["x"] > 0) + jnp.abs(m["y"]), BOTH, al.MultiElement())
+    expected = {("x",): 12 / 13, ("y",): 1 / 13, ("x", "y"): 0.0}
+    assert indices(pieces, "xy") == pytest.approx(expected, abs=1e-12)
+    assert float(pieces.total_sobol("x")) == pytest.approx(12 / 13, abs=1e-12)
+    assert float(pieces.total_sobol("y")) == pytest.approx(1 / 13, abs=1e-12)
+
+
+def test_a_kink_under_laws_that_are_not_uniform():
+    """`|z| b` with z standard normal and b of Beta(2, 5): moments in closed form."""
+    beta = stats.beta(2, 5)
+    first, second = beta.mean(), beta.var() + beta.mean() ** 2
+    total = second - 2 / np.pi * first**2
+    model = {"z": al.Normal(0.0, 1.0), "b": al.Beta(alpha=2.0, beta=5.0, lower=0.0, upper=1.0)}
+    pieces = al.expand(lambda m: jnp.abs(m["z"]) * m["b"], model, al.MultiElement(2))
+    by_z, by_b = first**2 * (1 - 2 / np.pi) / total, 2 / np.pi * beta.var() / total
+    expected = {("z",): by_z, ("b",): by_b, ("z", "b"): 1 - by_z - by_b}
+    assert len(pieces.partition.boxes) > 1
+    assert indices(pieces, "zb") == pytest.approx(expected, abs=1e-7)
+    assert float(pieces.total_sobol("z")) == pytest.approx(1 - by_b, abs=1e-7)
+
+
+def test_ishigamis_function_has_its_published_indices_which_add_up_to_one():
+    model = {name: al.Uniform.bounds(-np.pi, np.pi) for name in ("x1", "x2", "x3")}
+    pieces = al.expand(
+        lambda m: jnp.sin(m["x1"]) + 7 * jnp.sin(m["x2"]) ** 2 + 0.1 * m["x3"] ** 4 * jnp.sin(m["x1"]),
+        model,
+        al.MultiElement(5, error=0.02),
+    )
+    assert len(pieces.partition.boxes) > 4
+    found = indices(pieces, ("x1", "x2", "x3"))
+    expected = {("x1",): 0.3139051912, ("x2",): 0.4424111448, ("x1", "x3"): 0.2436836641}
+    assert found == pytest.approx({one: expected.get(one, 0.0) for one in found}, abs=1e-3)
+    assert sum(found.values()) == pytest.approx(1.0, abs=1e-12)
+    with_x3 = sum(value for one, value in found.items() if "x3" in one)
+    assert float(pieces.total_sobol("x3")) == pytest.approx(with_x3, abs=1e-12)
+
+
+def test_a_jump_along_a_curve_has_the_indices_that_pick_and_freeze_samples():
+    """Of the expansion itself: Saltelli's (2010) and Jansen's (1999) estimates from the same exchanged points."""
+    model = {"a": al.Uniform.bounds(0.0, 1.0), "b": al.Normal(0.5, 0.3), "c": al.Uniform.bounds(0.0, 1.0)}
+    with pytest.warns(al.ExpansionWarning, match="Raise the budget"):
+        pieces = al.expand(
+            lambda m: jnp.where(m["a"] ** 2 + m["b"] ** 2 < 1, 1.0 + m["c"], 0.0),
+            model,
+            al.MultiElement(2, budget=700),
+        )
+    levels = np.random.default_rng(5).uniform(size=(2, 2**15, 3))
+    one, other = (
+        np.stack([germ.quantile(half[:, i]) for i, germ in enumerate(pieces.germs.values())], axis=1) for half in levels
+    )
+    y_one, y_other = (np.asarray(pieces.at_germ(points)) for points in (one, other))
+    variance = np.var(np.concatenate([y_one, y_other]))
+    for i, name in enumerate(pieces.germs):
+        exchanged = one.copy()
+        exchanged[:, i] = other[:, i]
+        y_exchanged = np.asarray(pieces.at_germ(exchanged))
+        for terms, found in (
+            (y_other * (y_exchanged - y_one), pieces.sobol(name)),
+            ((y_one - y_exchanged) ** 2 / 2, pieces.total_sobol(name)),
+        ):
+            error = terms.std() / np.sqrt(len(terms)) / variance
+            assert float(found) == pytest.approx(terms.mean() / variance, abs=4 * error)
+            assert error < 0.02
+
+
+def test_one_element_has_the_indices_of_a_single_expansion():
+    model = {"b": al.Uniform.bounds(0.1, 0.2), "u": al.Normal(1.5, 0.2)}
+
+    def decay(at):
+        return at["u"] * jnp.exp(-10 * at["b"])
+
+    pieces = al.expand(decay, model, al.MultiElement(order=6))
+    single = al.expand(decay, model, al.Expansion(order=6))
+    assert len(pieces.partition.boxes) == 1
+    assert indices(pieces, "bu") == pytest.approx(indices(single, "bu"), abs=1e-14)
+    assert float(pieces.total_sobol("u")) == pytest.approx(float(single.total_sobol("u")), abs=1e-14)
+
+
+def test_indices_have_the_structure_of_the_outputs_and_are_zero_where_nothing_varies():
+    pieces = al.expand(
+        lambda m: {"path": jnp.stack([jnp.abs(m["x"]), m["y"] + 0.0, 7.0]), "step": 1.0 * (m["y"] > 0)},
+        BOTH,
+        al.MultiElement(),
+    )
+    assert np.asarray(pieces.sobol("x")["path"]) == pytest.approx([1.0, 0.0, 0.0], abs=1e-12)
+    assert np.asarray(pieces.total_sobol("y")["path"]) == pytest.approx([0.0, 1.0, 0.0], abs=1e-12)
+    assert float(pieces["step"].sobol("y")) == pytest.approx(1.0, abs=1e-12)
+
+
+def test_an_index_is_differentiable_through_the_laws():
+    """`a + |b|` with b within h: Var|b| = h²/12 beside 1/3, so that the share of b is h²/(4 + h²)."""
+
+    def share(h):
+        laws = {"a": al.Uniform.bounds(-1.0, 1.0), "b": al.Uniform(0.0, half_width=h)}
+        return al.expand(lambda m: m["a"] + jnp.abs(m["b"]), laws, al.MultiElement()).sobol("b")
+
+    assert float(share(2.0)) == pytest.approx(1 / 2, rel=1e-12)
+    assert float(jax.grad(share)(2.0)) == pytest.approx(16 / 8**2, rel=1e-10)
+
+
+def test_indices_that_there_are_not_are_refused_as_those_of_a_single_expansion(monkeypatch):
+    laws = al.correlated({"x": al.Normal(0.0, 1.0), "y": al.Normal(0.0, 1.0)}, {("x", "y"): 0.5})
+    tied = al.expand(lambda m: jnp.abs(m["x"]) + m["y"], laws, al.MultiElement(2, error=0.3))
+    with pytest.raises(al.ProblemError, match=r"'x' belongs to the correlated group .*\.shapley\(name\)"):
+        tied.sobol("x")
+    with pytest.raises(al.ProblemError, match="'y' belongs to the correlated group"):
+        tied.total_sobol("y")
+    pieces = al.expand(lambda m: m["x"] * jnp.abs(m["y"]), BOTH, al.MultiElement())
+    for ask in (pieces.sobol, pieces.total_sobol):
+        with pytest.raises(al.ProblemError, match=r"no germ variable 'z'\. Expected one of \['x', 'y'\]"):
+            ask("z")
+    monkeypatch.setattr(memory, "memory", lambda: 1000)
+    with pytest.raises(al.ProblemError, match=r"pairs of 5 terms in 2 elements would need .*al\.sobol_indices"):
+        pieces.sobol("x")
