@@ -85,6 +85,15 @@ def test_several_limits_share_one_target_and_a_system_that_breaks_two_counts_onc
     assert "violates y or x" in str(found)
 
 
+def test_margins_of_several_limits_keep_the_ratio_in_which_they_were_given():
+    limits = [X.at_most(2.0, sigmas=0.8), Y.at_most(2.0, sigmas=1.6)]
+    found = al.calibrate(shifted_problem(limits=limits), ("x", "y"), 0.05, samples=2000)
+    margins = found.margins
+    assert margins["y"] == found.sigmas == pytest.approx(2 * margins["x"])
+    exact = 1 - stats.norm.cdf(margins["x"]) * stats.norm.cdf(margins["y"])
+    assert found.confirmation.lower <= exact <= found.confirmation.upper <= 0.05
+
+
 def test_fresh_systems_are_those_of_no_trial_and_of_no_evidence_with_the_same_seed():
     found = al.calibrate(shifted_problem(), "x", 0.05, samples=2000, seed=0)
     samples = found.evidence.samples

@@ -136,6 +136,7 @@ def calibration_dataset(calibration: Calibration) -> "xarray.Dataset":
         "constraint": calibration.name,
         "target": calibration.target,
         "chosen": calibration.sigmas,
+        **{f"chosen for {name}": sigmas for name, sigmas in calibration.margins.items()},
         "confirmed": int(calibration.confirmed),
         "verdict": calibration.sentence(),
         "interrupted": int(calibration.interrupted),

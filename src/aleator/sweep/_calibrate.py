@@ -42,8 +42,8 @@ def calibrate(
 ) -> Calibration:
     """Find the `sigmas` at which systems violate the constraints called `names` no more often than `target`.
 
-    Of several names, a system that breaks any counts once, and all get the same multiple (as `Problem.with_sigmas` sets
-    it). Each trial solves the problem, warm-started and compiled once, and counts violations of its design on the same
+    Of several names, a system that breaks any counts once; their multiples, of each name the largest that is given, keep
+    their ratios to each other, and all are set as `Problem.with_sigmas` sets them. `sigmas` is the largest. Each trial solves the problem, warm-started and compiled once, and counts violations of its design on the same
     `samples` random systems. The search is a secant on the normal quantile of the probability, which is nearly
     straight, kept inside a bracket; it ends within `precision` (relative) below an aim, which lies so far below the
     target that fresh systems are likely to confirm the design.
@@ -63,9 +63,8 @@ def calibrate(
     """
     names = _checked(problem, names, target, samples, seed, precision, max_trials)
     sampler = _Sampler(names, float(target), samples, seed)
-    # One multiple for all, the largest that is given.
-    first = max(max(one.expression.sigmas or 0.0 for one in problem.named(name)) for name in names)
-    search = MarginSearch(problem, names, first, sampler.trial, sampler.aim, precision, solver)
+    given = {name: max(one.expression.sigmas or 0.0 for one in problem.named(name)) for name in names}
+    search = MarginSearch(problem, given, sampler.trial, sampler.aim, precision, solver)
     run = _Run(search, sampler, max_trials, progress)
     interrupted = False
     try:

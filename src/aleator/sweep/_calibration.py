@@ -52,8 +52,14 @@ class Calibration:
 
     @property
     def sigmas(self) -> float:
-        """The calibrated multiple of the standard deviation."""
+        """The calibrated multiple of the standard deviation, of several limits the largest: see `margins`."""
         return self.chosen.sigmas
+
+    @property
+    def margins(self) -> dict[str, float]:
+        """The calibrated multiples of the limits, by their names."""
+        problem = self.solution.problem
+        return {name: max(one.expression.sigmas or 0.0 for one in problem.named(name)) for name in self.names}
 
     @property
     def solution(self) -> Solution:

@@ -1,6 +1,6 @@
 """The search of a calibration: margins tried one after another, and which to try next."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import final
 
 import numpy as np
@@ -22,6 +22,8 @@ _SAME = 1e-3
 class MarginSearch:
     """A bracketed secant on the normal quantile of the violation probability, which falls as the multiple grows.
 
+    - `given`: the multiples to start from, by the names of their constraints, whose ratios are kept: a margin that is
+      tried is the largest of them;
     - `measure`: how often a design is violated, on one random sample for all designs;
     - `aim`: how often it may be by such a measurement, so that fresh systems are likely to confirm it.
 
@@ -31,14 +33,14 @@ class MarginSearch:
     def __init__(
         self,
         problem: Problem,
-        names: tuple[str, ...],
-        first: float,
+        given: Mapping[str, float],
         measure: Callable[[Solution], Share],
         aim: Callable[[Share], float],
         precision: float,
         solver: AbstractSolver | None,
     ):
-        self._problem, self._names, self._next = current(problem), names, first
+        self._problem, self._next = current(problem), max(given.values())
+        self._shares = {name: sigmas / self._next for name, sigmas in given.items()}
         self._measure, self._aim, self._precision, self._solver = measure, aim, precision, solver
         self._lowered = self._tightened = 1.0
         self.trials: list[Trial] = []
@@ -98,8 +100,8 @@ class MarginSearch:
 
     def _solved(self, sigmas: float) -> Solution:
         problem = self._problem
-        for name in self._names:
-            problem = problem.with_sigmas(name, sigmas)
+        for name, share in self._shares.items():
+            problem = problem.with_sigmas(name, share * sigmas)
         nearest = min(self.trials, key=lambda one: abs(one.sigmas - sigmas), default=None)
         if nearest is None:
             return solve(problem, self._solver)
@@ -117,7 +119,7 @@ class MarginSearch:
     def _settles(self, trial: Trial) -> bool:
         low = max((sigmas for sigmas in self._too_small() if sigmas < trial.sigmas), default=0.0)
         # Where the constraints are not active, the margin does not shape the design.
-        idle = not set(self._names) & set(trial.solution.active)
+        idle = not set(self._shares) & set(trial.solution.active)
         closest = trial.sigmas - low < _SAME * trial.sigmas or trial.sigmas <= _SMALLEST
         return self._is_close(trial.violation) or idle or closest
 
