@@ -6,9 +6,13 @@ import report_problems as given
 
 import aleator as al
 from aleator.studies import suspension
-from aleator.studies._suspension_facts import box, cost, published_table
+from aleator.studies._suspension_built import built_table
+from aleator.studies._suspension_facts import box, cost
 from aleator.studies._suspension_page import suspension_page, write_page
+from aleator.studies._suspension_published import published_table
+from aleator.studies._suspension_run import BUILT, QUICK, Effort, finished, run_stage
 from aleator.studies._suspension_verdict import verdict
+from aleator.sweep import Trial
 
 
 @pytest.fixture(scope="module")
@@ -61,11 +65,94 @@ def test_the_page_of_designs_alone_shows_where_they_stand(study):
     assert page.verdict.word == "Incomplete"
 
 
-def test_the_verdict_names_the_design_its_cost_and_how_often_cars_violate(sampled):
+def calibrated(study, name, count=150, interrupted=False):
+    """A design's calibration of which `count` of 20 000 fresh cars break a limit."""
+    share = al.Proportion(count, 20_000, 0.975)
+    problem = study.designs[name].problem
+    for limit in BUILT[name]:
+        problem = problem.with_sigmas(limit, 2.4 if limit == "ride" else 1.6)
+    # uOpt is given another ride than that of the printed design.
+    solution = study.designs["dOpt" if name == "uOpt" else name]
+    trial = Trial(2.4, replace(solution, problem=problem), share)
+    missing = "" if share.upper <= 0.01 else "about 1e+05 fresh cars would tell"
+    return al.Calibration(BUILT[name], 0.01, (trial,), trial, share, None, missing, interrupted)
+
+
+def full(sampled, **options):
+    built = {name: calibrated(sampled, name, **options) for name in BUILT}
+    return replace(sampled, effort=Effort(), built=built)
+
+
+def test_the_verdict_names_the_designs_to_build_what_is_confirmed_and_the_price(sampled):
+    said = verdict(full(sampled))
+    headline = said.headline.replace("\u202f", " ")
+    assert (said.level, said.word) == ("good", "Build")
+    moments = (sampled.designs[name].moments["∫comfort dt"] for name in ("uOpt", "dOpt"))
+    before, after = (float(one.mean + one.std) for one in moments)
+    assert f"{after:.1f} m²/s³ instead of {before:.1f} m²/s³ (−{100 * (1 - after / before):.1f} %)" in headline
+    assert f"${cost(sampled.designs['aOpt']):.2f} instead of ${cost(sampled.designs['aOpt']):.2f}" in headline
+    assert "1.60 σ on travel and holding, 2.40 σ on ride" in headline
+    assert any("confirmed for the target of 1 %: 0.75 %" in one for one in said.sentences)
+    labels = [card.label for card in said.cards[:2]]
+    assert labels == [f"{name} to build: cars beyond a limit" for name in BUILT]
+
+
+def test_nothing_is_to_be_built_whose_interval_reaches_beyond_the_target(sampled):
+    assert al.Proportion(190, 20_000, 0.975).upper > 0.01
+    said = verdict(full(sampled, count=190))
+    assert (said.level, said.word) == ("caution", "Do not build yet")
+    assert "uOpt and aOpt" in said.headline
+    some = full(sampled)
+    some.built["aOpt"] = calibrated(sampled, "aOpt", count=190)
+    assert "For aOpt no margin" in verdict(some).headline
+
+
+@pytest.mark.parametrize("names", [(), ("uOpt",), ("uOpt", "aOpt")])
+def test_a_study_that_was_stopped_before_its_margins_recommends_nothing(sampled, names):
+    study = full(sampled)
+    stopped = {name: calibrated(sampled, name, interrupted=True) for name in names}
+    said = verdict(replace(study, built=stopped))
+    assert said.word == "Incomplete"
+    assert "break a limit" in said.headline
+
+
+def test_a_quick_run_leaves_the_margins_to_the_full_one_and_says_so(sampled):
+    assert not QUICK.calibration_samples
     said = verdict(sampled)
-    initial, apportioned = cost(sampled.designs["uOpt"]), cost(sampled.designs["aOpt"])
-    assert f"${apportioned:.2f} instead of ${initial:.2f}" in said.headline
-    assert [card.label[:4] for card in said.cards[:3]] == ["dOpt", "uOpt", "aOpt"]
+    assert said.word == "A first look"
+    assert "left to the full run" in said.headline
+    texts = [str(block) for one in suspension_page(sampled).sections for block in one.blocks if block.kind == "text"]
+    assert any("designs to build" in one for one in texts)
+
+
+def test_the_designs_to_build_stand_beside_the_printed_ones(sampled):
+    table = built_table(full(sampled))
+    assert table.header == ["", "uOpt, printed", "uOpt, to build", "aOpt, printed", "aOpt, to build"]
+    rows = {row[0]: row[1:] for row in table.rows}
+    assert rows["Margins"][:2] == ["1.00 σ on travel and holding", "1.60 σ on travel and holding"]
+    assert rows["Cost of the spreads"][:2] == ["$17.71", "$17.71"]
+
+
+def test_a_front_that_was_cut_short_is_shown_with_what_is_missing(sampled, tmp_path):
+    front = al.Front("travel", np.array([0.203]), (sampled.designs["uOpt"],), interrupted=True)
+    whole = al.Front("travel", np.array([0.203]), (sampled.designs["dOpt"],))
+    cut = replace(sampled, travel_fronts={"dOpt": whole, "uOpt": front})
+    text = write_page(cut, tmp_path / "page.html").read_text(encoding="utf-8")
+    assert f"Of the front over travel of uOpt, 1 of {QUICK.front_points} points are finished and shown." in text
+    assert "6.4" in numbers(suspension_page(cut))
+
+
+def test_an_interrupted_front_keeps_its_finished_points(study, monkeypatch):
+    def sweep(problem, bound, values, progress):
+        return al.Front(bound, np.array(values[:1]), (study.designs["uOpt"],), interrupted=True)
+
+    monkeypatch.setattr(al, "pareto", sweep)
+    for stage, fronts in (("fronts over travel", "travel_fronts"), ("fronts over holding", "holding_fronts")):
+        results = replace(study, travel_fronts={}, holding_fronts={}, boxes={})
+        with pytest.raises(KeyboardInterrupt):
+            run_stage(stage, results)
+        assert [len(one.solutions) for one in getattr(results, fronts).values()] == [1]
+        assert not finished(results)[stage]
 
 
 def test_the_cost_is_that_of_the_curves(study):
@@ -103,6 +190,27 @@ def test_every_figure_of_the_chapters_is_on_the_page(sampled):
 
 
 def test_published_numbers_stand_beside_ours_even_where_ours_are_missing(study):
-    rows = {row[0]: row[1:] for row in published_table(study).rows}
-    assert rows["Violate travel ±0.152 m: dOpt"] == ["59.6 %", "–"]
-    assert rows["Cost of the initial spreads"] == ["$17.70", "$17.71"]
+    table = published_table(study)
+    rows = {row[0]: row[1:] for row in table.rows}
+    assert rows["Violate travel ±0.152 m: dOpt"] == ["59.6\u202f%", "–", "–"]
+    assert rows["Cost of the initial spreads"] == ["$17.70", "$17.71", "×1.00"]
+    assert "order" not in table.note
+
+
+def counted(sampled, *counts):
+    """Evidence of the narrow designs in which so many of 1000 cars leave the travel."""
+    one = sampled.evidence["uOpt"]
+    shares = (al.Proportion(count, 1000) for count in counts)
+    evidence = (replace(one, violations={**one.violations, "travel": share}) for share in shares)
+    return replace(sampled, narrow_evidence=dict(zip(("dOpt", "uOpt, 1 σ", "uOpt, 1.25 σ"), evidence, strict=True)))
+
+
+def test_order_and_sizes_are_said_to_agree_only_where_they_do(sampled):
+    alike = published_table(counted(sampled, 600, 110, 36)).note
+    assert "stand in the printed order" in alike
+    assert "uOpt, a = 1" not in alike
+    other = published_table(counted(sampled, 600, 36, 110)).note
+    assert "stand not in the printed order" in other
+    assert "uOpt, a = 1 and uOpt, a = 1.25" in other
+    assert "Of 3 changes of a spread 3 have the printed sign." in other
+    assert "are held by exactly the printed limits" in other

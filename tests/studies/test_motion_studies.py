@@ -1,6 +1,7 @@
 """The studies of motion planning: the time-optimal one in small from stage to page, the others as a user runs them."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -33,7 +34,20 @@ def test_the_studies_are_listed_and_begin_with_nothing(name):
     begun = load(name, quick=True)
     assert begun.headline().startswith("Incomplete")
     assert begun.tables() == []
-    assert "Not reached: plans" in page_html(begun.page())
+    assert "Not reached, or not to its end: plans" in page_html(begun.page())
+
+
+def test_a_search_that_was_cut_short_keeps_its_finished_starts_and_the_page_says_so(study, monkeypatch):
+    begun = load("pick-and-place-time", quick=True)
+    finished = study.done.searches[MEAN]
+    monkeypatch.setattr(al, "multistart", lambda *arguments, **options: replace(finished, interrupted=True))
+    with pytest.raises(KeyboardInterrupt):
+        begun.run("plans")
+    assert begun.done.plans == {MEAN: finished.best}
+    html = page_html(begun.page())
+    assert "Not reached, or not to its end: plans" in html
+    assert f"{len(finished.solutions)} are finished and kept" in html
+    assert begun.headline().startswith("Incomplete")
 
 
 @pytest.mark.parametrize(("name", "reference"), [(MEAN, 1.4142), (ONE, 1.5938)])

@@ -11,6 +11,8 @@ import pytest
 import xarray
 
 import aleator as al
+from aleator._core.progress import silent
+from aleator.studies._suspension_run import BUILT, TARGET, Effort, SuspensionResults, calibrate_designs
 from aleator.studies.suspension import robust_problem
 
 pytestmark = pytest.mark.slow
@@ -36,6 +38,17 @@ def test_the_quick_run_writes_a_report_and_results_that_agree_with_the_library(t
     stored = xarray.open_datatree(tmp_path / "results.nc", engine="h5netcdf")
     assert float(stored["designs/uOpt"]["objective"]) == pytest.approx(al.solve(robust_problem()).objective, rel=1e-8)
     stored.close()
+
+
+def test_the_designs_to_build_keep_their_limits_on_cars_of_another_sample():
+    results = SuspensionResults(Effort(calibration_samples=5_000))
+    calibrate_designs(results, silent)
+    for name, limits in BUILT.items():
+        found = results.built[name]
+        assert found.confirmed
+        fresh = al.validate(found.solution, 20_000, seed=123)
+        assert fresh.violation(*limits).upper <= TARGET
+        assert fresh.joint == fresh.violation(*limits)
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="resource limits are read on Unix only")

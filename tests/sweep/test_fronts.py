@@ -125,3 +125,12 @@ def test_ctrl_c_ends_a_front_with_the_points_that_are_finished(monkeypatch):
 def test_fronts_that_make_no_sense_are_refused(name, values, message):
     with pytest.raises(al.ProblemError, match=message):
         al.pareto(gain_problem(), name, values)
+
+
+def test_ctrl_c_before_the_first_point_is_ctrl_c(monkeypatch):
+    def solve(*arguments, **options):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(front_module, "solve", solve)
+    with pytest.raises(KeyboardInterrupt):
+        al.pareto(gain_problem(), "response", [1.0, 2.0])

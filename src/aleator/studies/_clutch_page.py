@@ -110,10 +110,12 @@ def _unfinished(results: ClutchResults) -> list[Block]:
         "methods": any(one.name == "Monte Carlo" for one in results.methods),
         "tolerances": len(results.analyses) == 2,
         "allocation": results.evidence is not None,
-        "front": results.front is not None,
+        "front": results.front is not None and not results.front.interrupted,
     }
     missing = [name for name in STAGES if not done[name]]
-    return [Text([f"Not reached: {words(missing)}."], lead="The study was stopped early.")] if missing else []
+    if not missing:
+        return []
+    return [Text([f"Not reached, or not to its end: {words(missing)}."], lead="The study was stopped early.")]
 
 
 def _methods(results: ClutchResults) -> Iterator[Block]:
@@ -195,8 +197,20 @@ def _allocation(results: ClutchResults) -> Iterator[Block]:
     if results.front is not None:
         figure = front_figure({"cheapest": results.front}, x="Rejects allowed", y="Cost Σ 1/T", y_unit="1/mm")
         figure.update_xaxes(type="log", exponentformat="power", title="Rejects allowed (share)")
-        yield Drawing([figure], "What fewer rejects cost", "Each point is an optimum; hover for its tolerances.")
+        yield Drawing(
+            [figure],
+            "What fewer rejects cost",
+            f"Each point is an optimum; hover for its tolerances.{_cut_short(results)}",
+        )
     yield Code("The problem as mathematics", str(results.allocation.problem))
+
+
+def _cut_short(results: ClutchResults) -> str:
+    """How much of the front is there, where it was interrupted."""
+    front = results.front
+    if front is None or not front.interrupted:
+        return ""
+    return f" The sweep was stopped after {len(front.values)} of {results.effort.front_points} points."
 
 
 def _certificate(results: ClutchResults) -> Iterator[Block]:

@@ -1,7 +1,7 @@
 """What the studies of motion planning share: searches from several starts, evidence, families, files and the page."""
 
 import abc
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple, final
@@ -70,11 +70,13 @@ class MotionResults:
     def search(
         self, name: str, problem: al.Problem, starts: int | Sequence[Mapping[str, Any]], progress: Progress
     ) -> al.Solution:
-        """Solve for a plan from several starts and keep the best."""
+        """Solve for a plan from several starts and keep the best, of a search that Ctrl-C cut short, too."""
         found = al.multistart(problem, starts, progress=lambda _, done, total: progress(name, done, total))
+        self.searches[name] = found
+        if found.best.ok or not found.interrupted:
+            self.plans[name] = found.best
         if found.interrupted:
             raise KeyboardInterrupt
-        self.searches[name], self.plans[name] = found, found.best
         return found.best
 
     def solve_at_instants(self) -> None:
@@ -149,7 +151,7 @@ class AbstractMotionStudy(AbstractStudy):
         """All stages in order."""
         done, every = self.done, set(self.names)
         return {
-            "plans": Stage(self.find_plans, 0.5, lambda: every <= set(done.plans)),
+            "plans": Stage(self.find_plans, 0.5, lambda: every <= set(done.plans) and not list(self._cut_short())),
             "evidence": Stage(done.gather_evidence, 0.2, lambda: every <= set(done.evidence)),
             "families": Stage(done.fly_families, 0.1, lambda: every <= set(done.families)),
             **self.more(),
@@ -210,4 +212,13 @@ class AbstractMotionStudy(AbstractStudy):
 
     def _unfinished(self) -> list[Block]:
         missing = [name for name, stage in self.work().items() if not stage.reached()]
-        return [Text([f"Not reached: {words(missing)}."], lead="The study was stopped early.")] if missing else []
+        if not missing:
+            return []
+        said = f"Not reached, or not to its end: {words(missing)}."
+        return [Text([said, *self._cut_short()], lead="The study was stopped early.")]
+
+    def _cut_short(self) -> Iterator[str]:
+        """What is there of the searches that were interrupted."""
+        for name, one in self.done.searches.items():
+            if one.interrupted:
+                yield f"Of the starts of the search for '{name}', {len(one.solutions)} are finished and kept."

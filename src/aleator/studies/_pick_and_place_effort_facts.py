@@ -42,7 +42,7 @@ def published_table(done: MotionResults) -> Table:
         [f"Effort, {UNIT}, reference", *(number(REFERENCE[name], 5) for name in shown)],
         [
             "– ours, with limits at the instants",
-            *(_unless_least(name, done.coarse[name].objective) for name in shown),
+            *(_unless_least(name, done.coarse[name].objective) if name in done.coarse else "–" for name in shown),
         ],
         ["– ours, between the instants too", *(number(efforts[name], 5) for name in shown)],
         ["Norm of the tip's variances, m², reference", *(_only_least(name, LEAST_REFERENCE) for name in shown)],

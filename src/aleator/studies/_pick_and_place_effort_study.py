@@ -108,7 +108,7 @@ class PickAndPlaceEffort(AbstractMotionStudy):
     def more(self) -> Mapping[str, Stage]:
         """See `AbstractMotionStudy.more`."""
         return {
-            "front": Stage(self.sweep_effort, 0.2, lambda: self.front is not None),
+            "front": Stage(self.sweep_effort, 0.2, lambda: self.front is not None and not self.front.interrupted),
             "wider payload": Stage(self.widen_payload, 0.1, lambda: self.wide is not None),
         }
 
@@ -118,10 +118,9 @@ class PickAndPlaceEffort(AbstractMotionStudy):
         most = effort_of(self.done.families[LEAST])
         problem = named(terminal_variance_problem(effort=MOST, guess=plan.decisions["torque.free"]), TOGETHER)
         values = np.linspace(most, 1.01 * least, self.done.effort.front_points)
-        front = al.pareto(problem, "effort", values, progress=progress)
-        if front.interrupted:
+        self.front = al.pareto(problem, "effort", values, progress=progress)
+        if self.front.interrupted:
             raise KeyboardInterrupt
-        self.front = front
 
     def widen_payload(self, progress: Progress) -> None:
         """The robust plan on payloads that spread five times as much: sampled, and as the expansion sees it."""

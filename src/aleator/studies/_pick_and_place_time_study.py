@@ -119,7 +119,7 @@ class PickAndPlaceTime(AbstractMotionStudy):
                     name,
                     "–" if printed is None else given(printed, "s"),
                     "–" if reference is None else f"{reference:.4f} s",
-                    number(duration(self.done.coarse[name]), 5, "s"),
+                    number(duration(self.done.coarse[name]), 5, "s") if name in self.done.coarse else "–",
                     number(duration(plan), 5, "s"),
                 ]
             )

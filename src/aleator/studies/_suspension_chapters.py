@@ -24,6 +24,7 @@ from aleator.report import (
     trajectory_figure,
     words,
 )
+from aleator.studies._suspension_built import margins_text
 from aleator.studies._suspension_facts import (
     RIDE_UNIT,
     ROBUST_NARROW,
@@ -177,6 +178,13 @@ def violations(results: SuspensionResults) -> Iterator[Block]:
             figure = trajectory_figure(one, "travel", y="Travel", unit="m", who="cars")
             samples = f" Counted on {count(one.samples)} cars."
             yield Drawing([figure], f"{name}, travel within ±{NARROW_TRAVEL:g} m", caption + samples, label)
+    for name, one in results.built.items():
+        yield Drawing(
+            [calibration_figure(one, who="cars")],
+            f"The margin to build {name} with",
+            f"Each trial is a full design, counted on the same random cars: {margins_text(one.margins)} is"
+            f" {one.sentence('cars')}. Bars: 95 % intervals, on fresh cars at their own confidence.",
+        )
     if results.calibration is not None:
         yield Drawing(
             [calibration_figure(results.calibration, who="cars")],

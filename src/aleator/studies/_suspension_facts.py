@@ -1,13 +1,11 @@
 """What the suspension's page says of its designs: costs, boxes and tables, all computed from the results."""
 
-from collections.abc import Mapping
-
 import numpy as np
 
 import aleator as al
 from aleator.design import value_at
-from aleator.report import Box, Table, given, number, percent, share_text, words
-from aleator.studies._suspension_run import HOLDING, NARROW_TRAVEL, RIDE, TRAVEL, SuspensionResults
+from aleator.report import Box, Table, given, number, share_text, words
+from aleator.studies._suspension_run import HOLDING, RIDE, TRAVEL, SuspensionResults
 from aleator.studies.suspension import COST
 
 RIDE_TEXT, HOLDING_TEXT = "∫comfort dt", "rms(grip)"
@@ -17,11 +15,6 @@ SPREADS = {
     "k_s.half_width": "spring kₛ",
     "b_s.half_width": "damper bₛ",
     "eta.half_width": "damping ratio η",
-}
-PUBLISHED_CHANGE = {
-    "k_s.half_width": "11 250 N/m (300 %)",
-    "b_s.half_width": "423.08 N s/m (printed: 20.19 %)",
-    "eta.half_width": "0.5213 (300.12 %)",
 }
 UNITS = {"k_s": "N/m", "b_s": "N s/m", "eta": ""}
 
@@ -88,9 +81,9 @@ def designs_table(results: SuspensionResults) -> Table:
     boxes = [box(one, name) for name, one in results.designs.items()]
     rows = [["Status", *("solved" if one.ok else "not solved: see the verdict" for one in every)]]
     for key, text in {"k_s": "Spring, mean kₛ", "b_s": "Damper, mean bₛ"}.items():
-        rows.append([text, *(_decided(one, f"{key}.mean", UNITS[key]) for one in every)])
+        rows.append([text, *(decided(one, f"{key}.mean", UNITS[key]) for one in every)])
     for name, text in SPREADS.items():
-        rows.append([f"± half-width, {text}", *(_decided(one, name, UNITS[name.split(".")[0]]) for one in every)])
+        rows.append([f"± half-width, {text}", *(decided(one, name, UNITS[name.split(".")[0]]) for one in every)])
     rows.append([f"Ride, μ ± σ ({RIDE_UNIT})", *(_spread(one, "ride") for one in boxes)])
     rows.append(["Ride, μ + σ", *(number(one.centre["ride"] + one.half["ride"], 4) for one in boxes)])
     rows.append([f"Travel, μ ± σ (m), limit ±{TRAVEL:g}", *(_spread(one, "travel") for one in boxes)])
@@ -113,7 +106,8 @@ def designs_table(results: SuspensionResults) -> Table:
     return Table("Decisions, performance and violations", ["", *results.designs], rows, note)
 
 
-def _decided(solution: al.Solution, name: str, unit: str) -> str:
+def decided(solution: al.Solution, name: str, unit: str) -> str:
+    """A number of a design, and whether it was decided: `2.334e4 N/m (at its bound)`."""
     text = number(figure_of(solution, name), 4, unit)
     if name in solution.at_bounds:
         return f"{text} (at its bound)"
@@ -124,67 +118,3 @@ def _spread(one: Box, key: str) -> str:
     digits = 4 if key == "ride" else 3
     spread = f" ± {number(one.half[key], 3)}" if one.half[key] > 0 else ""
     return f"{number(one.centre[key], digits)}{spread}"
-
-
-def published_table(results: SuspensionResults) -> Table:
-    """What the dissertation prints beside what was computed here."""
-    rows = [
-        [f"Violate travel ±{NARROW_TRAVEL:g} m: dOpt", "59.6 %", _narrow(results, "dOpt")],
-        ["– uOpt, a = 1", "11.4 %", _narrow(results, ROBUST_NARROW)],
-        ["– uOpt, a = 1.25", "3.5 %", _narrow(results, WIDER_NARROW)],
-        [f"Held by, at R = {TRAVEL:g} m, H = {HOLDING:g} m: dOpt", "holding", _held(results, "dOpt")],
-        ["– uOpt", "travel", _held(results, "uOpt")],
-        ["– aOpt", "ride (in the text: ride and holding)", _held(results, "aOpt")],
-        ["Cost of the initial spreads", "$17.70", _initial_cost(results)],
-        ["Largest saving along figure 7.3", "up to 74 %", _largest_saving(results)],
-        [f"Saving at R = {TRAVEL:g} m", "not printed", "–" if (part := saving(results)) is None else percent(part)],
-        *(
-            [f"Table 7.4, wider by: {text}", PUBLISHED_CHANGE[name], _change(results, name)]
-            for name, text in SPREADS.items()
-        ),
-        ["Spring at its lower bound, figure 6.8", "most designs", _spring_at_bound(results)],
-    ]
-    note = (
-        "The dissertation's road is not printed; this study's road has the same bumps and another noise. So signs,"
-        " order and sizes compare, digits do not. Published violations are of 1000 samples. Erratum: 20.19 % in table"
-        " 7.4 is a misprint, for 423.08 N s/m are 169.2 % of the initial 250 N s/m."
-    )
-    return Table("Chapters 6 and 7, printed and recomputed", ["", "Dissertation", "This study"], rows, note)
-
-
-def _narrow(results: SuspensionResults, name: str) -> str:
-    one = results.narrow_evidence.get(name)
-    return share_text(one.violations.get("travel")) if one else "–"
-
-
-def _held(results: SuspensionResults, name: str) -> str:
-    one = solved(results, name)
-    return words(constraints_active(one), "nothing") if one else "–"
-
-
-def _initial_cost(results: SuspensionResults) -> str:
-    one = results.designs.get("uOpt") or results.designs.get("dOpt")
-    return dollars(cost(one)) if one else "–"
-
-
-def _largest_saving(results: SuspensionResults) -> str:
-    front, start = results.travel_fronts.get("aOpt"), results.designs.get("uOpt")
-    if front is None or start is None or not front.solved.any():
-        return "–"
-    best = int(np.nanargmin(front.objectives))
-    return f"{percent(1 - front.objectives[best] / cost(start))} at R = {number(front.values[best], 3, 'm')}"
-
-
-def _change(results: SuspensionResults, name: str) -> str:
-    one = solved(results, "aOpt")
-    if one is None:
-        return "–"
-    start = start_of(one, name)
-    change = float(one.decisions[name]) - start
-    return f"{number(change, 4, UNITS[name.split('.')[0]])} ({percent(change / start)})"
-
-
-def _spring_at_bound(results: SuspensionResults) -> str:
-    fronts: Mapping[str, al.Front] = results.holding_fronts
-    found = [one for front in fronts.values() for one in front.solutions if one.ok]
-    return f"{sum('k_s.mean' in one.at_bounds for one in found)} of {len(found)} designs" if found else "–"

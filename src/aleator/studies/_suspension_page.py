@@ -25,15 +25,25 @@ from aleator.report import (
     write_page as write_report_page,
 )
 from aleator.studies._car_drawing import car_drawing
+from aleator.studies._suspension_built import built_table
 from aleator.studies._suspension_chapters import apportionment, projections, robust_design, violations
 from aleator.studies._suspension_facts import (
     HOLDING_TEXT,
     RIDE_TEXT,
     RIDE_UNIT,
     designs_table,
-    published_table,
 )
-from aleator.studies._suspension_run import HOLDING, NARROW_TRAVEL, RIDE, STAGES, TRAVEL, SuspensionResults
+from aleator.studies._suspension_published import published_table
+from aleator.studies._suspension_run import (
+    CALIBRATIONS,
+    HOLDING,
+    HOLDING_BOXES,
+    NARROW_TRAVEL,
+    RIDE,
+    TRAVEL,
+    SuspensionResults,
+    finished,
+)
 from aleator.studies._suspension_verdict import verdict
 from aleator.studies.suspension import nominal, road
 
@@ -49,6 +59,10 @@ GLOSSARY = (
     ("Holding, H", "Root mean square of the tyre's deflection, m; at most H. Smaller keeps the wheel on the ground."),
     ("μ, σ", "Mean and standard deviation over all cars."),
     ("Margin a", "The limit is asked of μ + a·σ. It makes violations rare; only counting says how rare."),
+    (
+        "To build",
+        "With the smallest margins, in a given ratio, at which fresh cars confirm that at most 1 % break any limit.",
+    ),
     ("Half-width", "A uniform spread reaches from the mean minus to the mean plus its half-width."),
     ("Active", "A limit that the design touches: without it, the design would be better."),
     ("Price", "How much better the objective would be for each unit by which an active limit is relaxed."),
@@ -68,6 +82,7 @@ def suspension_page(results: SuspensionResults) -> Page:
     """The page as data; parts that were not reached are left out and named."""
     sections = [
         Section("The car", [_schematic(results)]),
+        Section("The designs to build", [built_table(results)] if results.built else []),
         Section("The three designs", [*_unfinished(results), *_designs(results)]),
         Section("Published beside ours", [published_table(results)] if results.designs else []),
         Section("Robust design (chapter 6)", list(robust_design(results))),
@@ -101,17 +116,28 @@ def _schematic(results: SuspensionResults) -> Schematic:
     return Schematic([drawing], "Quarter car on its road", caption, "6.1 and 6.3", beside)
 
 
-def _unfinished(results: SuspensionResults) -> list[Block]:
-    done = {
-        "designs": len(results.designs) == 3,
-        "narrow travel": len(results.narrow) == 3,
-        "evidence": len(results.evidence) == 3 and len(results.narrow_evidence) == 3,
-        "calibration": results.calibration is not None and not results.calibration.interrupted,
-        "fronts over travel": len(results.travel_fronts) == 3,
-        "fronts over holding": len(results.holding_fronts) == 2 and len(results.boxes) == 2,
-    }
-    missing = [name for name in STAGES if not done[name]]
-    return [Text([f"Not reached: {words(missing)}."], lead="The study was stopped early.")] if missing else []
+def _unfinished(results: SuspensionResults) -> Iterator[Block]:
+    """What the run did not come to, which fronts end early, and what a quick run leaves out."""
+    if missing := [name for name, done in finished(results).items() if not done]:
+        cut = list(_cut_short(results))
+        yield Text([f"Not reached, or not to its end: {words(missing)}.", *cut], lead="The study was stopped early.")
+    if not results.effort.calibration_samples:
+        said = f"Margins are calibrated in the full run only: {words(CALIBRATIONS)} are left out here."
+        yield Text([said], lead="A quick run.")
+
+
+def _cut_short(results: SuspensionResults) -> Iterator[str]:
+    """How much of each front that was interrupted is there."""
+    points = results.effort.front_points
+    groups = (
+        (results.travel_fronts, "over travel", points),
+        (results.holding_fronts, "over holding", points),
+        (results.boxes, "of boxes over holding", len(HOLDING_BOXES)),
+    )
+    for fronts, what, count in groups:
+        for name, front in fronts.items():
+            if front.interrupted:
+                yield f"Of the front {what} of {name}, {len(front.values)} of {count} points are finished and shown."
 
 
 def _designs(results: SuspensionResults) -> list[Block]:
@@ -138,12 +164,16 @@ def _evidence(results: SuspensionResults) -> Iterator[Block]:
             if label == "Ride":
                 caption += " The ride limit binds aOpt only."
             yield Drawing([figure], f"{label} over random cars", caption)
+    if built := {f"{name} to build": one.evidence for name, one in results.built.items() if one.evidence}:
+        yield evidence_table(built)
     if results.narrow_evidence:
         yield evidence_table({f"{name} (±{NARROW_TRAVEL:g} m)": one for name, one in results.narrow_evidence.items()})
 
 
 def _certificate(results: SuspensionResults) -> list[Block]:
     blocks: list[Block] = [certificate_table(results.designs)] if results.designs else []
+    if results.built:
+        blocks.append(certificate_table({f"{name} to build": one.solution for name, one in results.built.items()}))
     if results.narrow:
         blocks.append(
             certificate_table({f"{name} (±{NARROW_TRAVEL:g} m)": one for name, one in results.narrow.items()})

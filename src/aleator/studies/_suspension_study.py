@@ -7,9 +7,11 @@ from typing import final
 from aleator._core.progress import Progress
 from aleator.report import PAGE, Table, save_study
 from aleator.studies._study import AbstractStudy
-from aleator.studies._suspension_facts import designs_table, published_table
+from aleator.studies._suspension_built import built_table
+from aleator.studies._suspension_facts import designs_table
 from aleator.studies._suspension_page import write_page
-from aleator.studies._suspension_run import QUICK, STAGES, Effort, SuspensionResults, run_stage
+from aleator.studies._suspension_published import published_table
+from aleator.studies._suspension_run import QUICK, Effort, SuspensionResults, run_stage, stages_of
 from aleator.studies._suspension_verdict import verdict
 
 
@@ -23,7 +25,7 @@ class SuspensionStudy(AbstractStudy):
     @property
     def stages(self) -> Mapping[str, float]:
         """See `AbstractStudy.stages`."""
-        return {name: stage.share for name, stage in STAGES.items()}
+        return {name: stage.share for name, stage in stages_of(self._results.effort).items()}
 
     def run(self, stage: str, progress: Progress) -> None:
         """See `AbstractStudy.run`."""
@@ -36,11 +38,15 @@ class SuspensionStudy(AbstractStudy):
             folder,
             designs=done.designs,
             evidence=done.evidence,
+            built={name: one.solution for name, one in done.built.items()},
+            built_evidence={name: one.evidence for name, one in done.built.items() if one.evidence is not None},
+            margins=done.built,
             narrow=done.narrow,
             narrow_evidence=done.narrow_evidence,
             calibration=done.calibration,
             travel_fronts=done.travel_fronts,
             holding_fronts=done.holding_fronts,
+            boxes=done.boxes,
         )
         return list(paths)
 
@@ -50,7 +56,10 @@ class SuspensionStudy(AbstractStudy):
 
     def tables(self) -> list[Table]:
         """See `AbstractStudy.tables`."""
-        return [designs_table(self._results), published_table(self._results)] if self._results.designs else []
+        done = self._results
+        shown = [designs_table(done)] if done.designs else []
+        shown += [built_table(done)] if done.built else []
+        return [*shown, published_table(done)] if done.designs else shown
 
     def headline(self) -> str:
         """See `AbstractStudy.headline`."""

@@ -5,6 +5,9 @@ from collections.abc import Iterator
 import aleator as al
 from aleator.report import Card, Verdict, given, number, percent, unresolved, words
 from aleator.report import interval as interval_text
+from aleator.studies._suspension_built import WITHIN, confirmed, headline
+from aleator.studies._suspension_built import cards as built_cards
+from aleator.studies._suspension_built import sentences as built_sentences
 from aleator.studies._suspension_facts import (
     RIDE_TEXT,
     RIDE_UNIT,
@@ -18,7 +21,7 @@ from aleator.studies._suspension_facts import (
     solved,
     start_of,
 )
-from aleator.studies._suspension_run import HOLDING, NARROW_TRAVEL, RIDE, TARGET, TRAVEL, SuspensionResults
+from aleator.studies._suspension_run import BUILT, HOLDING, NARROW_TRAVEL, RIDE, TRAVEL, SuspensionResults
 
 
 def verdict(results: SuspensionResults) -> Verdict:
@@ -31,33 +34,34 @@ def verdict(results: SuspensionResults) -> Verdict:
             "bad", "Not solved", f"{words(failed)} could not be solved: no recommendation.", [*why, *sentences], cards
         )
     if not {"dOpt", "uOpt", "aOpt"} <= set(results.evidence):
-        return Verdict(
-            "caution",
-            "Incomplete",
-            "The study was stopped before its evidence: no recommendation yet.",
-            sentences,
-            cards,
-        )
-    if coarse := unresolved(results.designs):
+        said = "The study was stopped before its evidence: no recommendation yet."
+        return Verdict("caution", "Incomplete", said, sentences, cards)
+    if coarse := unresolved(
+        results.designs | {f"{name} to build": one.solution for name, one in results.built.items()}
+    ):
         return Verdict(
             "bad", "Not resolved", f"The expansion of {words(list(coarse))} is too coarse to trust.", sentences, cards
         )
-    if results.evidence["aOpt"].joint.upper <= TARGET:
-        return Verdict("good", "Build", _headline(results), sentences, cards)
-    return Verdict("caution", "Build, with a wider margin", _headline(results) + _reserve(results), sentences, cards)
+    if not results.effort.calibration_samples:
+        said = f"{_printed(results)} The margins to build with are left to the full run, without --quick."
+        return Verdict("caution", "A first look", said, sentences, cards)
+    if not set(BUILT) <= set(results.built) or any(one.interrupted for one in results.built.values()):
+        said = f"The study was stopped before its margins were found: no recommendation yet. {_printed(results)}"
+        return Verdict("caution", "Incomplete", said, sentences, cards)
+    if not confirmed(results):
+        doubtful = [name for name, one in results.built.items() if not one.confirmed]
+        said = f"For {words(doubtful)} no margin is confirmed to leave at most {WITHIN} of the cars beyond a limit."
+        return Verdict("caution", "Do not build yet", f"{said} {_printed(results)}", sentences, cards)
+    return Verdict("good", "Build", headline(results), sentences, cards)
 
 
-def _headline(results: SuspensionResults) -> str:
-    initial, apportioned = cost(results.designs["uOpt"]), cost(results.designs["aOpt"])
+def _printed(results: SuspensionResults) -> str:
+    """What the printed margins leave."""
+    shares = {name: percent(results.evidence[name].joint.estimate) for name in BUILT}
     return (
-        f"Build the apportioned design aOpt: it keeps the 1 σ margins for {dollars(apportioned)} instead of"
-        f" {dollars(initial)} (−{percent(1 - apportioned / initial)})."
+        f"At the printed margins of 1 σ, {shares['uOpt']} of the cars of uOpt and {shares['aOpt']} of those of aOpt"
+        " break a limit."
     )
-
-
-def _reserve(results: SuspensionResults) -> str:
-    share = results.evidence["aOpt"].joint.estimate
-    return f" Widen the margins first: at 1 σ, {percent(share)} of its cars still break a limit."
 
 
 def _cards(results: SuspensionResults) -> list[Card]:
@@ -73,13 +77,14 @@ def _cards(results: SuspensionResults) -> list[Card]:
             Card(
                 "Cost of the spreads, aOpt",
                 dollars(cost(apportioned)),
-                f"−{percent(part)} from {dollars(initial)} for dOpt and uOpt",
+                f"{'−' if part >= 0 else '+'}{percent(abs(part))} from {dollars(initial)} for dOpt and uOpt",
             )
         )
-    return cards
+    return [*built_cards(results), *cards]
 
 
 def _sentences(results: SuspensionResults) -> Iterator[str]:
+    yield from built_sentences(results)
     if (one := results.evidence.get("dOpt")) and "uOpt" in results.evidence:
         robust = results.evidence["uOpt"]
         yield (
@@ -92,8 +97,9 @@ def _sentences(results: SuspensionResults) -> Iterator[str]:
         ride = apportioned.moments[RIDE_TEXT]
         wider = [f"{text} ×{number(factor, 2)}" for text, factor in _factors(apportioned).items()]
         yield (
-            f"aOpt saves by allowing wider spreads ({words(wider)}), and pays in ride: its mean + σ is "
-            f"{number(float(ride.mean + ride.std), 4, RIDE_UNIT)}, at the limit of {given(RIDE)}." + _beside(results)
+            f"The printed aOpt has other spreads ({words(wider)}), for {dollars(cost(apportioned))}; the mean + σ of"
+            f" its ride is {number(float(ride.mean + ride.std), 4, RIDE_UNIT)} where {given(RIDE)} is allowed."
+            + _beside(results)
         )
     if narrow := results.narrow_evidence.get(ROBUST_NARROW):
         share = narrow.violations["travel"]

@@ -42,11 +42,12 @@ def calibrate(
 ) -> Calibration:
     """Find the `sigmas` at which systems violate the constraints called `names` no more often than `target`.
 
-    Of several names, a system that breaks any counts once; their multiples, of each name the largest that is given, keep
-    their ratios to each other, and all are set as `Problem.with_sigmas` sets them. `sigmas` is the largest. Each trial solves the problem, warm-started and compiled once, and counts violations of its design on the same
-    `samples` random systems. The search is a secant on the normal quantile of the probability, which is nearly
-    straight, kept inside a bracket; it ends within `precision` (relative) below an aim, which lies so far below the
-    target that fresh systems are likely to confirm the design.
+    Of several names, a system that breaks any counts once; their multiples, of each name the largest that is given,
+    keep their ratios, and are set as `Problem.with_sigmas` sets them. `sigmas` is the largest. Each trial solves the
+    problem, warm-started and compiled once, and counts violations of its design on the same `samples` random systems.
+    The search is a secant on the normal quantile of the probability, which is nearly straight, kept inside a bracket;
+    it ends within `precision` (relative) below an aim, which lies so far below the target that fresh systems are likely
+    to confirm the design.
 
     These are drawn then, twice as many: the design is confirmed if the upper end of their interval lies below the
     target. If it does not, up to four times as many again are drawn where that is likely to suffice, or the margin is

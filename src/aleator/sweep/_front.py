@@ -79,7 +79,8 @@ def pareto(
 
     The problem is compiled once: bounds are data. A point that fails is tried again from the problem's own start, and
     then kept with its status, its least violation and the reason. One that is refused, because no decision can meet the
-    bound, is kept as infeasible with what was said. Ctrl-C ends the sweep and returns the points that are finished.
+    bound, is kept as infeasible with what was said. Ctrl-C ends the sweep and returns the points that are finished, if
+    there are any.
 
     A value given twice is solved once. Raises `ProblemError` if there is no such constraint or no value, or if every
     point is refused.
@@ -105,7 +106,8 @@ def pareto(
         interrupted = False
         progress(f"front over {bound}", len(bounds), len(bounds))
     except KeyboardInterrupt:
-        pass
+        if not solutions:
+            raise
     if refused and not solutions:
         raise next(iter(refused.values()))
     for one, value in zip(problems, bounds, strict=True):
