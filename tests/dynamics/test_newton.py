@@ -227,3 +227,14 @@ def test_an_unknown_that_is_zero_up_to_rounding_is_found(a):
 def test_a_double_root_is_singular_however_close_the_guess(start):
     # Circles that touch, at y = 0.
     assert not solved(lambda x, y: [x**2 + y**2 - 1.0, (x - 2.0) ** 2 + y**2 - 1.0], [1.0, start]).converged
+
+
+def test_an_unknown_that_starts_at_rest_is_measured_by_its_kin():
+    """`x² = 4` and `y = (x - 1)²` from (1, 0): the first step leaves y at zero, where it has no size of its own."""
+
+    def equations(z):
+        return jnp.array([z[0] ** 2 - 4.0, z[1] - (z[0] - 1.0) ** 2])
+
+    root = newton(equations, jnp.array([1.0, 0.0]), kin=np.array([0, 0]))
+    assert bool(root.converged)
+    np.testing.assert_allclose(root.point, [2.0, 1.0], rtol=1e-14)

@@ -1,4 +1,4 @@
-"""Intrusive Galerkin projection (equation 22): the coefficients of all states are integrated together."""
+"""Intrusive Galerkin projection (equations 20 to 22): all coefficients are integrated, or solved for, together."""
 
 import warnings
 from collections.abc import Mapping
@@ -8,7 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
 from aleator._core.arrays import Pytree, numbers_to_arrays
 from aleator._core.errors import ExpansionWarning, ProblemError, SimulationError
@@ -16,30 +16,21 @@ from aleator._core.given import one_of, refusal
 from aleator._core.leaves import transparent
 from aleator._core.tracing import trace
 from aleator.analysis._expanded import Expanded
+from aleator.analysis._galerkin_equations import projected_outputs, unsolved_node
 from aleator.analysis._inputs import concrete
-from aleator.collocation import Adaptive, Basis, Expansion, GaussPoints, SmolyakPoints
-from aleator.dynamics import AbstractIntegrator, Grid, System, simulate
+from aleator.analysis._projection import Quadrature, quadrature_over
+from aleator.collocation import Adaptive, Basis, Expansion
+from aleator.dynamics import AbstractIntegrator, AlgebraicSystem, Grid, System, simulate
 from aleator.dynamics._system import check_inputs, derivative, initial_state, observation
 from aleator.trajectories import AbstractSignal
 from aleator.uncertainty import realise, survey
-
-# Beyond this many quadrature nodes in each evaluation of the right-hand side, collocation is the better method by far.
-_MOST_NODES = 20_000
-
-
-class _Quadrature(NamedTuple):
-    """Nodes of a quadrature over the germ, the polynomials there, and the projection onto them."""
-
-    points: Float[Array, "nodes variables"]
-    matrix: Float[Array, "nodes terms"]
-    projection: Float[Array, "terms nodes"]
 
 
 @transparent("system")
 class _Model(NamedTuple):
     """What may hold distributions."""
 
-    system: System
+    system: System | AlgebraicSystem
     inputs: dict[str, AbstractSignal]
 
 
@@ -53,7 +44,7 @@ class GalerkinSystem(System):
 
     states: tuple[str, ...] = eqx.field(static=True)  # type: ignore[assignment, misc]
     realised: Pytree
-    quadrature: _Quadrature
+    quadrature: Quadrature
 
     def rhs(self, t: Any, z: Any) -> tuple[Array, ...]:
         """The rates of the coefficients: `<Psi_n, f(sum_j x_j Psi_j, theta)>`, equation (22)."""
@@ -66,7 +57,7 @@ class GalerkinSystem(System):
     def initial(self) -> dict[str, Array]:
         """The coefficients of the initial state."""
         states = eqx.filter_vmap(lambda model: initial_state(model.system))(self.realised)
-        return jax.tree.map(self._project, states)._asdict()
+        return jax.tree.map(self.quadrature.project, states)._asdict()
 
     def _projected(self, function: Any, t: Any, z: Any) -> Any:
         """The coefficients of `function(system, t, z, inputs)`."""
@@ -74,32 +65,31 @@ class GalerkinSystem(System):
         def at_node(model: _Model, state: Any) -> Any:
             return function(model.system, t, state, {name: signal(t) for name, signal in model.inputs.items()})
 
-        states = jax.tree.map(lambda terms: jnp.tensordot(self.quadrature.matrix, terms, axes=1), z)
-        return jax.tree.map(self._project, eqx.filter_vmap(at_node)(self.realised, states))
-
-    def _project(self, values: Float[Array, "nodes *shape"]) -> Float[Array, "terms *shape"]:
-        return jnp.tensordot(self.quadrature.projection, values, axes=1)
+        states = jax.tree.map(self.quadrature.at_nodes, z)
+        return jax.tree.map(self.quadrature.project, eqx.filter_vmap(at_node)(self.realised, states))
 
 
 def galerkin(
-    system: System,
-    grid: Grid,
+    system: System | AlgebraicSystem,
+    grid: Grid | None = None,
     expansion: Expansion | None = None,
     inputs: Mapping[str, AbstractSignal] | None = None,
     integrator: AbstractIntegrator | None = None,
 ) -> Expanded:
-    """Expand the histories of all outputs of an uncertain system by intrusive Galerkin projection, equation (22).
+    """Expand all outputs of an uncertain system by intrusive Galerkin projection, equation (22).
 
-    The coefficients of all states are integrated as one large system, whose right-hand side is projected by quadrature
-    at each evaluation. It converges to what `expand` gives for the simulation, which is cheaper where there are many
-    variables: a second opinion that shares neither points nor fit.
+    Of a system that moves, they are the histories on `grid`: the coefficients of all states are integrated as one large
+    system, whose right-hand side (21) is projected by quadrature at each evaluation. Of an `AlgebraicSystem`, which
+    takes neither grid nor inputs, they are the outputs themselves: the coefficients of all unknowns solve the projected
+    equations (20), `<Psi_n, A(sum_j rho_j Psi_j, theta)> = 0`, by Newton's method. Either converges to what `expand`
+    gives, which is cheaper where there are many variables: a second opinion that shares neither points nor fit.
 
     `expansion` gives order and index set, and the quadrature if its points are `GaussPoints` or `SmolyakPoints`; the
     default is a full Gauss grid that integrates products of three polynomials of the basis.
 
     Raises `ProblemError` if nothing is uncertain or the quadrature is too large, `SimulationError` if the coefficients
-    do not stay finite. Warns with `ExpansionWarning` if the terms of the highest degrees carry a large part of an
-    output's variance.
+    are not finite: they did not stay so, or no solution of the projected equations was found. Warns with
+    `ExpansionWarning` if the terms of the highest degrees carry a large part of an output's variance.
     """
     if not isinstance(inputs, Mapping | None):
         raise refusal("galerkin: inputs", "signals by name, such as {'road': ...}", inputs)
@@ -107,39 +97,56 @@ def galerkin(
         one_of("galerkin: integrator", integrator, AbstractIntegrator, "al.RungeKutta4()")
     expansion = one_of("galerkin: expansion", Expansion() if expansion is None else expansion, Expansion)
     model = _Model(system, dict(inputs or {}))
-    _check(system, grid, model)
+    _check(system, grid, model, integrator)
     places = survey(model)
     if isinstance(expansion.index_set, Adaptive):
         raise ProblemError("galerkin: an Adaptive index set needs samples; expected a fixed one, such as TotalDegree.")
     basis = Basis(places.germs, expansion.index_set.indices(places.germ_names, expansion.order))
-    quadrature = _quadrature(basis, expansion)
+    quadrature = quadrature_over(basis, expansion)
     decisions = jnp.asarray(places.vector("initial"))
     numbers, rest = eqx.partition(numbers_to_arrays((model, grid)), eqx.is_array)
 
-    def histories(numbers: Pytree, quadrature: _Quadrature) -> dict[str, Array]:
+    def projected(numbers: Pytree, quadrature: Quadrature) -> dict[str, Array]:
         model, grid = eqx.combine(numbers, rest)
         realised = eqx.filter_vmap(lambda point: realise(model, point, decisions))(quadrature.points)
-        expanded = GalerkinSystem(system.states, realised, quadrature)
-        outputs = simulate(expanded, grid, {}, integrator)
+        if isinstance(system, AlgebraicSystem):
+            return projected_outputs(realised.system, quadrature)
+        outputs = simulate(GalerkinSystem(system.states, realised, quadrature), grid, {}, integrator)
         return {name: jnp.moveaxis(values, 1, 0) for name, values in outputs.items()}
 
-    coefficients = trace(histories, numbers, quadrature, code=(model, integrator), name=type(system).__name__)(
+    coefficients = trace(projected, numbers, quadrature, code=(model, integrator), name=type(system).__name__)(
         numbers, quadrature
     )
     laws = {name: law.initial() for name, law in places.distributions.items()}
     expanded = Expanded(laws, basis, coefficients, None, None, expansion.tolerance)
-    _judge(expanded, np.asarray(grid.times))
+    if isinstance(grid, Grid):
+        _refuse_diverged(expanded, np.asarray(grid.times))
+    else:
+        _refuse_unsolved(expanded, lambda point: realise(model, point, decisions).system, quadrature)
+    _warn_unresolved(expanded)
     return expanded
 
 
-def _check(system: System, grid: Grid, model: _Model) -> None:
-    if not isinstance(system, System):
+def _check(
+    system: System | AlgebraicSystem, grid: Grid | None, model: _Model, integrator: AbstractIntegrator | None
+) -> None:
+    if not isinstance(system, System | AlgebraicSystem):
         raise ProblemError(
-            f"galerkin: expected a System; received {type(system).__name__}. Use al.expand for functions."
+            f"galerkin: expected a System or an AlgebraicSystem; received {type(system).__name__}. Use al.expand for "
+            "functions."
         )
-    if not isinstance(grid, Grid):
-        raise ProblemError(f"galerkin: expected a Grid; received {type(grid).__name__} {grid!r}.")
-    check_inputs(system, model.inputs)
+    if isinstance(system, AlgebraicSystem):
+        given = {"grid": grid, "inputs": model.inputs or None, "integrator": integrator}
+        if any(one is not None for one in given.values()):
+            names = [name for name, one in given.items() if one is not None]
+            raise ProblemError(
+                f"galerkin: {type(system).__name__} is algebraic and knows no time: expected neither grid, inputs nor "
+                f"integrator, as in al.galerkin(system, expansion=al.Expansion(4)); received {' and '.join(names)}."
+            )
+    else:
+        if not isinstance(grid, Grid):
+            raise ProblemError(f"galerkin: expected a Grid; received {type(grid).__name__} {grid!r}.")
+        check_inputs(system, model.inputs)
     if not survey(model).distributions:
         raise ProblemError(
             "galerkin: nothing in the system is uncertain; put a distribution, such as al.Uniform.bounds(0.9, 1.1), in "
@@ -147,23 +154,8 @@ def _check(system: System, grid: Grid, model: _Model) -> None:
         )
 
 
-def _quadrature(basis: Basis, expansion: Expansion) -> _Quadrature:
-    """The quadrature that the expansion names, if it names one; else one exact for products of three polynomials."""
-    named = isinstance(expansion.points, GaussPoints | SmolyakPoints)
-    points = expansion.points if named else GaussPoints(3 * max(basis.degrees) // 2 + 2)
-    nodes = points.nodes(basis, 0)
-    if len(nodes.points) > _MOST_NODES:
-        raise ProblemError(
-            f"galerkin: the quadrature over {basis.variables} variables has {len(nodes.points)} nodes, at each of "
-            f"which every evaluation needs the right-hand side (limit {_MOST_NODES}). Lower the order, name "
-            "points=al.SmolyakPoints(), or use al.expand."
-        )
-    matrix = basis.matrix(nodes.points)
-    return _Quadrature(*map(jnp.asarray, (nodes.points, matrix, matrix.T * nodes.weights[None])))
-
-
-def _judge(expanded: Expanded, times: np.ndarray) -> None:
-    """Refuse coefficients that are not finite, and warn where the highest degrees still matter."""
+def _refuse_diverged(expanded: Expanded, times: np.ndarray) -> None:
+    """Refuse coefficients of histories that do not stay finite."""
     for name, terms in expanded.coefficients.items():
         known = concrete(terms)
         if known is None:
@@ -174,6 +166,26 @@ def _judge(expanded: Expanded, times: np.ndarray) -> None:
                 f"galerkin: output '{name}' is not finite from t = {times[np.argmin(finite)]:.4g} s on. Shorten the "
                 "time step, lower the order or use an implicit integrator (al.Kvaerno5)."
             )
+
+
+def _refuse_unsolved(expanded: Expanded, realised_at: Any, quadrature: Quadrature) -> None:
+    """Refuse coefficients that are none, since Newton found no solution of the projected equations."""
+    known = {name: concrete(terms) for name, terms in expanded.coefficients.items()}
+    bad = [name for name, terms in known.items() if terms is not None and not np.isfinite(terms).all()]
+    if bad:
+        why = unsolved_node(realised_at, quadrature.points)
+        raise SimulationError(
+            f"galerkin: no finite coefficients were found for {', '.join(bad)}. "
+            + (
+                why
+                or "The equations have a solution at each node of the quadrature, but not once projected: guess "
+                "closer to it, narrow the laws, change the order, or use al.expand."
+            )
+        )
+
+
+def _warn_unresolved(expanded: Expanded) -> None:
+    """Warn where the highest degrees still matter."""
     shares = {name: concrete(share) for name, share in expanded.error.items()}
     limit = expanded.tolerance
     bad = {name: float(share) for name, share in shares.items() if share is not None and not share <= limit}
@@ -181,7 +193,7 @@ def _judge(expanded: Expanded, times: np.ndarray) -> None:
         listed = ", ".join(f"{name} ({share:.2g})" for name, share in bad.items())
         warnings.warn(
             f"galerkin: the highest degrees carry a large part of the variance of {listed}: errors above {limit:g} "
-            "make means and spreads unreliable. Raise the order or shorten the time.",
+            "make means and spreads unreliable. Raise the order, shorten the time or narrow the laws.",
             ExpansionWarning,
             stacklevel=3,
         )

@@ -90,7 +90,7 @@ def solve_algebraic(system: AlgebraicSystem) -> Solved:
     Raises `ProblemError` if guess and equations do not fit the unknowns. Where Newton fails, the unknowns are not a
     number: see `explain_failure`.
     """
-    guess = _guess(system)
+    guess = first_guess(system)
     if not system.unknowns:
         return Solved(guess, jnp.asarray(True), jnp.zeros(()), jnp.zeros((), int))
     root, named = _root(system, guess)
@@ -105,9 +105,14 @@ def solve_algebraic(system: AlgebraicSystem) -> Solved:
 def algebraic_outputs(system: AlgebraicSystem) -> dict[str, Float[Array, "..."]]:
     """The outputs at the solution; not a number where there is none."""
     solved = solve_algebraic(system)
-    given = (solved.unknowns,) if _is_implicit(system) else ()
-    values = as_outputs(system, called(system, system.outputs, *given))
+    values = outputs_at(system, solved.unknowns)
     return {name: jnp.where(solved.converged, value, jnp.nan) for name, value in values.items()}
+
+
+def outputs_at(system: AlgebraicSystem, rho: Any) -> dict[str, Float[Array, "..."]]:
+    """`system.outputs` at any unknowns as arrays by name, checked to be a dict."""
+    given = (rho,) if _is_implicit(system) else ()
+    return as_outputs(system, called(system, system.outputs, *given))
 
 
 def explain_failure(system: AlgebraicSystem) -> str:
@@ -115,7 +120,7 @@ def explain_failure(system: AlgebraicSystem) -> str:
 
     Empty if it does not fail. Runs on the host: call it for the realisation at fault.
     """
-    guess = _guess(system)
+    guess = first_guess(system)
     if not system.unknowns:
         return ""
     root, named = _root(system, guess)
@@ -191,11 +196,11 @@ def _listed(numbers: Mapping[str, Any]) -> str:
 def _root(system: AlgebraicSystem, guess: Any) -> tuple[Root, Callable[[Array], Any]]:
     """The root over all unknowns as one vector, and what makes a named tuple of such a vector."""
     start, named = ravel_pytree(guess)
-    terms = _constant_terms(system, guess, start.size)
-    return newton(lambda vector: _equations(system, named(vector), start.size), start, terms), named
+    terms = constant_terms(system, guess, start.size)
+    return newton(lambda vector: equations(system, named(vector), start.size), start, terms), named
 
 
-def _constant_terms(system: AlgebraicSystem, guess: Any, expected: int) -> Float[Array, " n"]:
+def constant_terms(system: AlgebraicSystem, guess: Any, expected: int) -> Float[Array, " n"]:
     """The sizes of what the system's own numbers add to each equation: as they round, so do the unknowns.
 
     By derivatives along all numbers at once, with weights in which terms of opposite signs do not cancel.
@@ -207,14 +212,14 @@ def _constant_terms(system: AlgebraicSystem, guess: Any, expected: int) -> Float
     order = np.arange(1, numbers.size + 1)
     weights = np.stack([0.5 + order * _GOLDEN % 1, (-1.0) ** order * (0.5 + order * _GOLDEN**2 % 1)])
 
-    def equations(given: Float[Array, " numbers"]) -> Float[Array, " n"]:
-        return _equations(eqx.combine(combined(given), static), guess, expected)
+    def of(given: Float[Array, " numbers"]) -> Float[Array, " n"]:
+        return equations(eqx.combine(combined(given), static), guess, expected)
 
-    _, along = jax.vmap(lambda weight: jax.jvp(equations, (numbers,), (numbers * weight,)))(jnp.asarray(weights))
+    _, along = jax.vmap(lambda weight: jax.jvp(of, (numbers,), (numbers * weight,)))(jnp.asarray(weights))
     return jnp.nan_to_num(jnp.abs(along).max(axis=0), nan=0.0, posinf=0.0)
 
 
-def _guess(system: AlgebraicSystem) -> Any:
+def first_guess(system: AlgebraicSystem) -> Any:
     """The guess as a named tuple of arrays."""
     given = system.guess()
     if not isinstance(given, Mapping) or set(given) != set(system.unknowns):
@@ -225,7 +230,7 @@ def _guess(system: AlgebraicSystem) -> Any:
     return state_type(system.unknowns)(*starting(f"{type(system).__name__}.guess", system.unknowns, given))
 
 
-def _equations(system: AlgebraicSystem, rho: Any, expected: int) -> Float[Array, " n"]:
+def equations(system: AlgebraicSystem, rho: Any, expected: int) -> Float[Array, " n"]:
     """`system.residual` as one vector, checked (at trace time) to have as many entries as there are unknowns."""
     values = called(system, system.residual, rho)
     name = type(system).__name__

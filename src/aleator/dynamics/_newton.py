@@ -5,7 +5,8 @@ from typing import NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
 
 Vector: TypeAlias = Float[Array, " n"]
 Matrix: TypeAlias = Float[Array, "n n"]
@@ -77,15 +78,21 @@ class _State(NamedTuple):
     moving: Bool[Array, ""]
 
 
-def newton(function: Callable[[Vector], Vector], guess: Vector, terms: Vector | None = None) -> Root:
+def newton(
+    function: Callable[[Vector], Vector],
+    guess: Vector,
+    terms: Vector | None = None,
+    kin: Int[np.ndarray, " n"] | None = None,
+) -> Root:
     """Solve `function(unknowns) = 0` from a guess.
 
     Steps are shortened until they pass the natural monotonicity test of Deuflhard (*Newton Methods for Nonlinear
     Problems*, 2004, section 3.3), which does not depend on the scales of the equations. Unknowns are measured by
-    themselves, by the largest value that each has taken, guess included. One that is zero up to rounding has no such
-    size: steps no longer than rounding leaves open count as none. That is `|J⁻¹| m` times the unit of rounding (Skeel,
-    Journal of the ACM 26, 1979), where `m` are the sizes of the equations' terms: of unknowns and of `terms`, those
-    that do not depend on unknowns (default: none). It stops where rounding lets it go no further.
+    themselves, by the largest value that each has taken, guess included; those of one number in `kin`, such as the
+    coefficients of one expansion, by the largest that any of them has taken. One that is zero up to rounding has no
+    such size: steps no longer than rounding leaves open count as none. That is `|J⁻¹| m` times the unit of rounding
+    (Skeel, Journal of the ACM 26, 1979), where `m` are the sizes of the equations' terms: of unknowns and of `terms`,
+    those that do not depend on unknowns (default: none). It stops where rounding lets it go no further.
 
     `point` is differentiable in whatever `function` closes over, forwards, backwards and repeatedly, by the implicit
     function theorem at the solution; all else in the result has derivative zero. May be vectorised: each root is found
@@ -93,13 +100,20 @@ def newton(function: Callable[[Vector], Vector], guess: Vector, terms: Vector | 
     """
     constant = jnp.zeros_like(guess) if terms is None else jax.lax.stop_gradient(terms)
     point, account = jax.lax.custom_root(
-        function, guess, lambda f, start: _iterate(f, start, constant), _solve_tangent, has_aux=True
+        function, guess, lambda f, start: _iterate(f, start, constant, kin), _solve_tangent, has_aux=True
     )
     return Root(point, *account)
 
 
-def _iterate(function: Callable[[Vector], Vector], guess: Vector, terms: Vector) -> tuple[Vector, tuple[Array, ...]]:
+def _iterate(
+    function: Callable[[Vector], Vector], guess: Vector, terms: Vector, kin: Int[np.ndarray, " n"] | None
+) -> tuple[Vector, tuple[Array, ...]]:
     """The root and, as a tuple, the rest of `Root`."""
+
+    def sizes_of(values: Vector) -> Vector:
+        """By what each unknown is measured."""
+        sizes = jnp.abs(values)
+        return sizes if kin is None else jnp.zeros_like(sizes).at[kin].max(sizes)[kin]
 
     def advance(state: _State) -> _State:
         point = state.point
@@ -112,9 +126,9 @@ def _iterate(function: Callable[[Vector], Vector], guess: Vector, terms: Vector)
             return balanced.columns * (inverse @ (-function(at) / balanced.rows))
 
         direction = correction(point)
-        noise = _noise(jacobian, balanced, inverse, jnp.maximum(state.size, jnp.abs(point + direction)), terms)
+        noise = _noise(jacobian, balanced, inverse, jnp.maximum(state.size, sizes_of(point + direction)), terms)
         # What is zero up to rounding has no size of its own, as long as it is not known where it goes.
-        size = jnp.where(state.size > noise, state.size, jnp.maximum(noise, jnp.abs(direction)))
+        size = jnp.where(state.size > noise, state.size, jnp.maximum(noise, sizes_of(direction)))
         step = _length(direction, size, noise)
 
         def is_refused(damping: Array) -> Bool[Array, ""]:
@@ -133,7 +147,7 @@ def _iterate(function: Callable[[Vector], Vector], guess: Vector, terms: Vector)
         following = jnp.where(moved, point + damping * direction, point)
         return _State(
             point=following,
-            size=jnp.maximum(state.size, jnp.abs(following)),
+            size=jnp.maximum(state.size, sizes_of(following)),
             step=step,
             shrinkage=jnp.where(tells, jnp.maximum(state.shrinkage, step / state.step), state.shrinkage),
             steps=state.steps + moved,
@@ -141,7 +155,7 @@ def _iterate(function: Callable[[Vector], Vector], guess: Vector, terms: Vector)
         )
 
     zero = jnp.zeros(())
-    start = _State(guess, jnp.abs(guess), jnp.asarray(jnp.inf), zero, zero, jnp.asarray(True))
+    start = _State(guess, sizes_of(guess), jnp.asarray(jnp.inf), zero, zero, jnp.asarray(True))
     end = jax.lax.while_loop(lambda state: state.moving & (state.steps < _MOST_STEPS), advance, start)
     residuals = function(end.point)
     jacobian = jax.jacfwd(function)(end.point)

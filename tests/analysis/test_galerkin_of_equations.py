@@ -1,0 +1,206 @@
+"""Intrusive Galerkin projection of algebraic systems against closed forms and against collocation of high order."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import aleator as al
+from aleator.collocation import SmolyakPoints
+
+
+class Spring(al.AlgebraicSystem):
+    """The deflection `u` of a spring under a force: `k u = f`."""
+
+    unknowns = ("u",)
+    k: Any
+    f: Any = 2.0
+
+    def guess(self):
+        return {"u": 0.0}
+
+    def residual(self, rho):
+        return (self.k * rho.u - self.f,)
+
+
+class Root(al.AlgebraicSystem):
+    """`x² = a`."""
+
+    unknowns = ("x",)
+    a: Any
+    start: Any = 1.0
+
+    def guess(self):
+        return {"x": self.start}
+
+    def residual(self, rho):
+        return (rho.x**2 - self.a,)
+
+    def outputs(self, rho):
+        return {"x": rho.x, "square": rho.x**2}
+
+
+def test_a_stiffness_that_is_uniform_gives_the_moments_of_its_integrals():
+    """`E[f/k] = f/(2h) log((m + h)/(m - h))` and `E[(f/k)²] = f²/((m - h)(m + h))`, here for m = 1, h = 0.5, f = 2."""
+    expanded = al.galerkin(Spring(al.Uniform(1.0, half_width=0.5)), expansion=al.Expansion(14))
+    mean = 2.0 * np.log(3.0)
+    assert float(expanded.mean["u"]) == pytest.approx(mean, rel=1e-12)
+    assert float(expanded.variance["u"]) == pytest.approx(4 / 0.75 - mean**2, rel=1e-10)
+
+
+@pytest.mark.filterwarnings("ignore:galerkin:aleator.ExpansionWarning")
+@pytest.mark.parametrize("order", [1, 2, 5])
+def test_the_coefficients_of_a_linear_equation_solve_the_projected_one(order):
+    """`k u = f` with `k = m + h xi` projects to `(m I + h J) c = f e_0`, with Jacobi's matrix of Legendre's recurrence:
+    so far from converged, this is Galerkin's own answer and no other method's.
+    """
+    expanded = al.galerkin(Spring(al.Uniform(1.0, half_width=0.5)), expansion=al.Expansion(order))
+    n = np.arange(1, order + 1)
+    off = n / np.sqrt(4 * n**2 - 1)
+    projected = np.eye(order + 1) + 0.5 * (np.diag(off, 1) + np.diag(off, -1))
+    expected = np.linalg.solve(projected, 2.0 * np.eye(order + 1)[0])
+    assert np.asarray(expanded.coefficients["u"]) == pytest.approx(expected, rel=1e-13)
+
+
+@pytest.mark.filterwarnings("ignore:galerkin:aleator.ExpansionWarning")
+def test_a_quadratic_residual_of_order_one_has_the_coefficients_that_two_equations_give():
+    """`c0² + c1² = m` and `2 c0 c1 = h/sqrt(3)`: sum and difference are the roots of `m ± h/sqrt(3)`."""
+    expanded = al.galerkin(Root(al.Uniform(2.0, half_width=1.0)), expansion=al.Expansion(1))
+    plus, minus = np.sqrt(2 + 1 / np.sqrt(3)), np.sqrt(2 - 1 / np.sqrt(3))
+    expected = [(plus + minus) / 2, (plus - minus) / 2]
+    assert np.asarray(expanded.coefficients["x"]) == pytest.approx(expected, rel=1e-13)
+    # its square, projected: of equation (20) that is the given number itself
+    assert np.asarray(expanded.coefficients["square"]) == pytest.approx([2.0, 1 / np.sqrt(3)], rel=1e-13)
+
+
+def test_a_quadratic_residual_converges_exponentially_to_the_moments_of_its_root():
+    """`E[sqrt(a)] = (3^1.5 - 1)/3` for a uniform on (1, 3), and `E[x²] = 2`."""
+    mean = (3**1.5 - 1) / 3
+    orders = np.array([3, 5, 7, 9])
+    errors = []
+    for order in map(int, orders):
+        expanded = al.galerkin(Root(al.Uniform(2.0, half_width=1.0)), expansion=al.Expansion(order))
+        errors.append(abs(float(expanded.std["x"]) - np.sqrt(2 - mean**2)))
+        assert float(expanded.mean["x"]) == pytest.approx(mean, abs=1e-3 * 10.0 ** -(order - 3))
+    assert np.polyfit(orders, np.log10(errors), 1)[0] < -0.8
+    other = al.galerkin(Root(al.Uniform(2.0, half_width=1.0), start=-1.0), expansion=al.Expansion(9))
+    assert float(other.mean["x"]) == pytest.approx(-mean, abs=1e-8)
+
+
+def test_a_law_that_is_not_affine_in_the_germ_is_not_truncated():
+    """`E[f/k] = f exp(s²/2 - m)` and `E[(f/k)²] = f² exp(2 s² - 2 m)` for a lognormal stiffness."""
+    law = al.LogNormal(mean=1.0, std=0.2)
+    s = np.sqrt(np.log(1.04))
+    m = -(s**2) / 2
+    expanded = al.galerkin(Spring(law), expansion=al.Expansion(8, points=al.GaussPoints(20)))
+    mean = 2.0 * np.exp(s**2 / 2 - m)
+    assert float(expanded.mean["u"]) == pytest.approx(mean, rel=1e-9)
+    assert float(expanded.variance["u"]) == pytest.approx(4 * np.exp(2 * s**2 - 2 * m) - mean**2, rel=1e-7)
+
+
+class Chain(al.AlgebraicSystem):
+    """Masses between hardening springs: an unknown that is an array beside a number."""
+
+    unknowns = ("places", "force")
+    stiffness: Any
+    end: Any
+
+    def guess(self):
+        return {"places": self.end * jnp.array([0.3, 0.6]), "force": 1.0}
+
+    def residual(self, rho):
+        walls = jnp.concatenate([jnp.zeros(1), rho.places, jnp.reshape(jnp.asarray(self.end), (1,))])
+        stretch = jnp.diff(walls)
+        tension = self.stiffness * jnp.arange(1.0, 4.0) * (stretch + stretch**3)
+        return jnp.diff(tension), rho.force - tension[-1]
+
+    def outputs(self, rho):
+        return {"places": rho.places, "energy": rho.force * self.end}
+
+
+CHAIN = Chain(stiffness=al.Normal(3.0, 0.2), end=al.Uniform(2.0, half_width=0.4))
+
+
+@pytest.mark.parametrize("points", [None, SmolyakPoints(7)])
+def test_nonlinear_equations_with_arrays_agree_with_collocation_of_high_order(points):
+    intrusive = al.galerkin(CHAIN, expansion=al.Expansion(5, points=points))
+    other = al.expand(lambda m: {name: value[0] for name, value in al.simulate(m).items()}, CHAIN, al.Expansion(9))
+    assert intrusive.basis.names == ("stiffness", "end")
+    assert intrusive.coefficients["places"].shape == (intrusive.basis.terms, 2)
+    for name in ("places", "energy"):
+        assert np.asarray(intrusive.mean[name]) == pytest.approx(np.asarray(other.mean[name]), rel=1e-7)
+        assert np.asarray(intrusive.std[name]) == pytest.approx(np.asarray(other.std[name]), rel=1e-5)
+    share = float(other["energy"].sobol("end"))
+    assert float(intrusive["energy"].sobol("end")) == pytest.approx(share, abs=1e-6)
+
+
+def test_an_assembly_agrees_with_collocation():
+    clutch = al.Assembly(
+        dimensions={"a": al.Normal(27.645, 0.0167), "c": al.Normal(11.43, 0.0033), "e": al.Normal(50.8, 0.0042)},
+        unknowns={"b": 4.8, "chi": 7.0},
+        loops=[[("a", 90), ("b", 0), ("c", 90), ("c", "90 - chi"), ("-e", "90 - chi")]],
+    )
+    intrusive = al.galerkin(clutch)
+    other = al.expand(lambda m: {name: value[0] for name, value in al.simulate(m).items()}, clutch, al.Expansion(5))
+    for name in ("b", "chi"):
+        assert float(intrusive.mean[name]) == pytest.approx(float(other.mean[name]), rel=1e-7)
+        assert float(intrusive.std[name]) == pytest.approx(float(other.std[name]), rel=1e-4)
+
+
+class Power(al.AlgebraicSystem):
+    """In closed form: nothing to solve."""
+
+    w: Any
+
+    def outputs(self):
+        return {"power": self.w**3}
+
+
+def test_outputs_in_closed_form_are_projected():
+    """`E[w³] = m³ + 3 m s²` and `Var[w³] = 9 m⁴ s² + 36 m² s⁴ + 15 s⁶` of a normal law."""
+    m, s = 1.5, 0.3
+    expanded = al.galerkin(Power(al.Normal(m, s)), expansion=al.Expansion(3))
+    assert float(expanded.mean["power"]) == pytest.approx(m**3 + 3 * m * s**2, rel=1e-13)
+    expected = 9 * m**4 * s**2 + 36 * m**2 * s**4 + 15 * s**6
+    assert float(expanded.variance["power"]) == pytest.approx(expected, rel=1e-12)
+
+
+def test_projected_equations_are_differentiable_through_the_laws():
+    """`E[f/k]` by the half-width h: `f/(2h) (2m/(m² - h²) - log((m + h)/(m - h))/h)`."""
+
+    def mean(h):
+        return al.galerkin(Spring(al.Uniform(1.0, half_width=h)), expansion=al.Expansion(14)).mean["u"]
+
+    expected = 2.0 * (2 / 0.75 - np.log(3.0) / 0.5)
+    assert float(jax.grad(mean)(0.5)) == pytest.approx(expected, rel=1e-9)
+
+
+def test_too_low_an_order_warns():
+    with pytest.warns(al.ExpansionWarning, match="highest degrees carry a large part of the variance of u"):
+        al.galerkin(Spring(al.Uniform(1.0, half_width=0.9)), expansion=al.Expansion(2))
+
+
+def test_equations_without_a_solution_are_named_with_the_numbers_at_fault():
+    with pytest.raises(al.SimulationError, match=r"for square, x\. Root: Newton found no solution at a=-0\.\d+"):
+        al.galerkin(Root(al.Uniform(0.5, half_width=1.0)))
+
+
+@pytest.mark.parametrize(
+    ("options", "received"),
+    [
+        ({"grid": al.Grid(1.0, 2)}, "grid"),
+        ({"grid": al.Expansion(2)}, "grid"),
+        ({"inputs": {"road": al.Tabulated([0.0, 1.0], [0.0, 1.0])}}, "inputs"),
+        ({"grid": al.Grid(1.0, 2), "integrator": al.Tsit5()}, "grid and integrator"),
+    ],
+)
+def test_time_is_refused(options, received):
+    with pytest.raises(al.ProblemError, match=rf"Spring is algebraic .*expansion=.*; received {received}\."):
+        al.galerkin(Spring(al.Normal(5.0, 0.1)), **options)
+
+
+def test_equations_of_which_nothing_is_uncertain_are_refused():
+    with pytest.raises(al.ProblemError, match="nothing in the system is uncertain"):
+        al.galerkin(Spring(1.0))
