@@ -67,7 +67,7 @@ class DecayStudy(AbstractStudy):
 MADE = {
     "decay": lambda quick: DecayStudy(),
     "suspension": lambda quick: SuspensionStudy(_suspension_run.Effort(2, 500, 2_000)),
-    "pick-and-place-time": lambda quick: motion.PickAndPlaceTime(motion.Effort(1, 500, 50, 2, 1_000)),
+    "pick-and-place-time": lambda quick: motion.PickAndPlaceTime(motion.Effort(1, 500, 50, 2, 2_000)),
 }
 
 

@@ -167,6 +167,19 @@ def test_the_worst_instant_of_a_path_is_compared_with_a_correction_for_their_num
     assert told.time == 7.0
 
 
+def test_over_time_a_disagreement_counts_beside_the_largest_spread():
+    # A spread that starts from nothing: what an instant before misses is small beside what comes.
+    spread = np.array([0.0, 1e-6, 1e-3, 0.3, 1.0])
+    given = {"samples": 1000, "freedom": 1000, "times": np.arange(5.0)}
+    numbers = "σ[x(t)]", np.array([0.0, 0.0, 1e-3, 0.3, 1.0]), spread, spread / np.sqrt(2000)
+    assert worst_disagreement(*numbers, **given) is not None
+    assert worst_disagreement(*numbers, spread=1.0, **given) is None
+    off = "σ[x(t)]", np.array([0.0, 0.0, 1e-3, 0.27, 1.0]), *numbers[2:]
+    told = worst_disagreement(*off, spread=1.0, **given)
+    assert told is not None
+    assert told.time == 3.0
+
+
 def test_four_standard_errors_of_a_large_sample_are_the_reach_of_one_comparison():
     assert reach(10**7) == pytest.approx(4.0, rel=1e-5)
     assert stats.t.sf(reach(31, 10), 31) == pytest.approx(stats.norm.sf(4.0) / 10, rel=1e-8)

@@ -71,13 +71,13 @@ def plans_table(
         rows.append([f"Systems that break {limit}", *shares])
     if any(found):
         rows.append(["Systems that break any limit", *(share_text(one.joint) if one else "–" for one in found)])
-    samples = max((one.samples for one in found if one), default=0)
+        rows.append(["Fresh systems counted", *(count(one.samples) if one else "–" for one in found)])
     instants = words([count(one) for one in sorted({one.instants for one in found if one and one.instants})])
     note = (
-        f"Counted on {count(samples)} fresh random systems without the expansion, over time at {instants} instants; in"
-        " brackets 95 % confidence."
+        f"Counted on fresh random systems without the expansion, over time at {instants} instants; in brackets 95 %"
+        " confidence."
     )
-    return Table("Plans, limits and violations", ["", *plans], rows, note if samples else "")
+    return Table("Plans, limits and violations", ["", *plans], rows, note if any(found) else "")
 
 
 def optima_table(searches: Mapping[str, al.Starts]) -> Table:

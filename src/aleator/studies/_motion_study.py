@@ -26,11 +26,15 @@ from aleator.report import (
     write_page,
 )
 from aleator.studies._family import Family, fly
+from aleator.studies._motion_build import CALIBRATED, TARGET, margin_blocks, price_table
 from aleator.studies._motion_facts import optima_table, plans_table
 from aleator.studies._study import AbstractStudy
 from aleator.validation import finer_by
 
 KEPT = 25
+PRECISION = 0.2
+"""How closely below its aim a margin is sought: half a per cent of an objective is at stake between a = 1 and the worst
+case, and each trial is a search with its count."""
 
 
 @final
@@ -40,7 +44,8 @@ class Effort:
 
     - `starts`: of the search for each plan;
     - `samples`: Monte Carlo samples of the evidence; `family`: systems of which every output is kept;
-    - `front_points`: on a front; `calibration_samples`: of each trial of a margin.
+    - `front_points`: on a front; `calibration_samples`: of each trial of a margin;
+    - `whole`: whether what a first look can do without is computed too; what that is the study says (`left_out`).
     """
 
     starts: int
@@ -48,6 +53,7 @@ class Effort:
     family: int = 2_000
     front_points: int = 7
     calibration_samples: int = 10_000
+    whole: bool = True
 
 
 @final
@@ -57,6 +63,7 @@ class MotionResults:
 
     - `searches`: every start of each plan's search; `plans`: the best of each;
     - `coarse`: the plans whose limits hold at the instants of the grid alone, as in the reference;
+    - `calibration`: the margin at which as few systems as asked break a limit; its plan is one of the plans;
     - `evidence`: fresh systems counted; `families`: some of them whole, with every output.
     """
 
@@ -64,6 +71,7 @@ class MotionResults:
     searches: dict[str, al.Starts] = field(default_factory=dict)
     plans: dict[str, al.Solution] = field(default_factory=dict)
     coarse: dict[str, al.Solution] = field(default_factory=dict)
+    calibration: al.Calibration | None = None
     evidence: dict[str, al.Evidence] = field(default_factory=dict)
     families: dict[str, Family] = field(default_factory=dict)
 
@@ -81,13 +89,25 @@ class MotionResults:
 
     def solve_at_instants(self) -> None:
         """The same plans with limits at the instants of the grid alone, to compare with the reference."""
-        for name, plan in self.plans.items():
+        for name, plan in self.plans.items() if self.effort.whole else ():
             self.coarse[name] = al.solve(plan.problem, start=plan.decisions, between=1, throw=False)
 
+    def calibrate(self, problem: al.Problem, limits: Sequence[str], progress: Progress) -> None:
+        """Find the margin at which no more systems than `TARGET` break a limit, and keep its plan and its evidence."""
+        samples = self.effort.calibration_samples
+        found = al.calibrate(problem, limits, TARGET, samples=samples, precision=PRECISION, progress=progress)
+        self.calibration = found
+        if found.interrupted:
+            raise KeyboardInterrupt
+        self.plans[CALIBRATED] = found.solution
+        if found.evidence is not None:
+            self.evidence[CALIBRATED] = found.evidence
+
     def gather_evidence(self, progress: Progress) -> None:
-        """Count on fresh systems how often each plan breaks its limits."""
+        """Count on fresh systems how often each plan breaks its limits; of a calibrated one that is known."""
         for name, plan in self.plans.items():
-            self.evidence[name] = al.validate(plan, self.effort.samples, seed=1, keep=KEPT, progress=progress)
+            if name not in self.evidence:
+                self.evidence[name] = al.validate(plan, self.effort.samples, seed=1, keep=KEPT, progress=progress)
 
     def fly_families(self, progress: Progress) -> None:
         """Fly each plan on its family and keep every output."""
@@ -112,6 +132,16 @@ class AbstractMotionStudy(AbstractStudy):
     subtitle: ClassVar[str]
     names: ClassVar[tuple[str, ...]]
     """Its plans."""
+    spared: ClassVar[tuple[str, ...]] = ()
+    """Those of them that a quick run leaves out."""
+    left_out: ClassVar[str]
+    """All that a quick run leaves out, in words."""
+    sigmas: ClassVar[Mapping[str, float]]
+    """The margins of its robust plans that were given; the first is the one that is printed."""
+    limits: ClassVar[tuple[str, ...]]
+    """The limits that hold with a margin, which is calibrated for all of them."""
+    who: ClassVar[str]
+    """What its systems are called."""
     measures: ClassVar[Mapping[str, str]]
     """What each plan minimises, with its unit."""
     glossary: ClassVar[Sequence[tuple[str, str]]] = ()
@@ -122,6 +152,10 @@ class AbstractMotionStudy(AbstractStudy):
     @abc.abstractmethod
     def find_plans(self, progress: Progress) -> None:
         """Search for all plans."""
+
+    @abc.abstractmethod
+    def margin_problem(self) -> al.Problem:
+        """The problem whose margin is calibrated, to be solved from the printed plan."""
 
     @abc.abstractmethod
     def more(self) -> Mapping[str, Stage]:
@@ -149,13 +183,28 @@ class AbstractMotionStudy(AbstractStudy):
 
     def work(self) -> Mapping[str, Stage]:
         """All stages in order."""
-        done, every = self.done, set(self.names)
+        done, every = self.done, set(self.planned)
+        calibration = {"calibration": Stage(self.calibrate, 0.2, lambda: CALIBRATED in done.plans)}
         return {
-            "plans": Stage(self.find_plans, 0.5, lambda: every <= set(done.plans) and not list(self._cut_short())),
+            "plans": Stage(
+                self.find_plans,
+                0.5,
+                lambda: every - {CALIBRATED} <= set(done.plans) and not list(self._cut_short()),
+            ),
+            **(calibration if CALIBRATED in every else {}),
             "evidence": Stage(done.gather_evidence, 0.2, lambda: every <= set(done.evidence)),
             "families": Stage(done.fly_families, 0.1, lambda: every <= set(done.families)),
             **self.more(),
         }
+
+    @property
+    def planned(self) -> list[str]:
+        """The plans of this run."""
+        return [name for name in self.names if self.done.effort.whole or name not in self.spared]
+
+    def calibrate(self, progress: Progress) -> None:
+        """The margin for which fresh systems confirm the target, all limits counted jointly."""
+        self.done.calibrate(self.margin_problem(), self.limits, progress)
 
     @property
     def stages(self) -> Mapping[str, float]:
@@ -168,7 +217,9 @@ class AbstractMotionStudy(AbstractStudy):
 
     def save(self, folder: Path) -> list[Path]:
         """See `AbstractStudy.save`."""
-        return list(save_study(folder, plans=self.done.plans, evidence=self.done.evidence, **self.more_results()))
+        done = self.done
+        found = {"plans": done.plans, "evidence": done.evidence, "calibration": done.calibration}
+        return list(save_study(folder, **found, **self.more_results()))
 
     def write_page(self, folder: Path) -> Path:
         """See `AbstractStudy.write_page`."""
@@ -183,7 +234,10 @@ class AbstractMotionStudy(AbstractStudy):
     def headline(self) -> str:
         """See `AbstractStudy.headline`."""
         said = self.verdict()
-        return f"{said.word}: {said.headline}"
+        return " ".join([f"{said.word}: {said.headline}", *self._quick()])
+
+    def _quick(self) -> list[str]:
+        return [] if self.done.effort.whole else [f"A quick run: left out are {self.left_out}."]
 
     def plans_table(self) -> Table:
         """The plans side by side."""
@@ -198,6 +252,7 @@ class AbstractMotionStudy(AbstractStudy):
             Section("The system", [replace(self.schematic(), beside=texts)]),
             Section("The plans", [*self._unfinished(), *tables]),
             *self.chapters(),
+            Section("How wide a margin", list(self.margin())),
             Section("Local optima", [optima_table(self.done.searches)] if plans else []),
             Section("Certificate", [certificate_table(plans)] if plans else []),
             Section("How to read this", [Text(HOW_TO_READ), Table("Glossary", ["Term", "Meaning"], self.glossary)]),
@@ -210,12 +265,21 @@ class AbstractMotionStudy(AbstractStudy):
             footer=footer(),
         )
 
+    def margin(self) -> Iterator[Block]:
+        """The chapter about margins."""
+        done, printed = self.done, next(iter(self.sigmas))
+        calibrated = {CALIBRATED: done.calibration.sigmas} if done.calibration is not None else {}
+        margins = dict(self.sigmas) | calibrated
+        prices = price_table(done.plans, done.evidence, margins, printed, self.measures[printed])
+        yield from margin_blocks(done.calibration, prices, self.who)
+
     def _unfinished(self) -> list[Block]:
         missing = [name for name, stage in self.work().items() if not stage.reached()]
+        quick: list[Block] = [Text([sentence]) for sentence in self._quick()]
         if not missing:
-            return []
+            return quick
         said = f"Not reached, or not to its end: {words(missing)}."
-        return [Text([said, *self._cut_short()], lead="The study was stopped early.")]
+        return [Text([said, *self._cut_short()], lead="The study was stopped early."), *quick]
 
     def _cut_short(self) -> Iterator[str]:
         """What is there of the searches that were interrupted."""

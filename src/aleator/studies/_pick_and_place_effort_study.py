@@ -24,6 +24,7 @@ from aleator.report import (
     share_text,
 )
 from aleator.studies._family import Family, fly
+from aleator.studies._motion_build import CALIBRATED, TRIED, build_verdict
 from aleator.studies._motion_facts import SHADES, animations, named, no_recommendation, tip_paths, violation_cards
 from aleator.studies._motion_study import AbstractMotionStudy, Effort, Stage
 from aleator.studies._pick_and_place_effort_facts import (
@@ -61,7 +62,8 @@ BENDS = (1.2, 0.6, 2.5)
 MOST = 2 * TORQUE**2 * DURATION
 """The effort of both torques at their limits throughout: no plan takes more."""
 
-FULL, QUICK = Effort(starts=4), Effort(starts=1, samples=4_000, family=400, front_points=3)
+FULL = Effort(starts=4)
+QUICK = Effort(starts=1, samples=4_000, family=400, calibration_samples=2_000, whole=False)
 
 
 @final
@@ -73,11 +75,17 @@ class PickAndPlaceEffort(AbstractMotionStudy):
         f"Two-link arm, payload in kg: {PAYLOAD}; {given(DURATION)} s, torques within ±{given(TORQUE)} N m;"
         " dissertation, section 5.5.1"
     )
-    names = (MEAN, ROBUST, LEAST)
+    names = (MEAN, ROBUST, LEAST, CALIBRATED)
+    spared = (LEAST,)
+    left_out = "the plan of least variance, its front, and plans with limits at the instants alone"
+    sigmas: ClassVar = {ROBUST: 1.0}
+    limits = ("obstacle", "wall")
+    who = "payloads"
     measures: ClassVar = {
         MEAN: f"effort, {UNIT}",
         ROBUST: f"effort, {UNIT}",
         LEAST: "norm of variances, m²",
+        CALIBRATED: f"effort, {UNIT}",
     }
     glossary = (
         ("Deterministic plan", "The least effort that brings the mean payload to its target (72)."),
@@ -101,16 +109,20 @@ class PickAndPlaceEffort(AbstractMotionStudy):
         # An empty start is the problem's own.
         bent = [{}, *({"torque.free": start_torques(bend)} for bend in BENDS)][: done.effort.starts]
         plan = done.search(MEAN, named(deterministic_problem(), TOGETHER), bent, progress)
-        for name, problem in {ROBUST: robust_problem(), LEAST: terminal_variance_problem(effort=MOST)}.items():
-            plan = done.search(name, named(problem, TOGETHER), [dict(plan.decisions), *bent[1:]], progress)
+        problems = {ROBUST: robust_problem(), LEAST: terminal_variance_problem(effort=MOST)}
+        for name in (name for name in problems if name in self.planned):
+            plan = done.search(name, named(problems[name], TOGETHER), [dict(plan.decisions), *bent[1:]], progress)
         done.solve_at_instants()
+
+    def margin_problem(self) -> al.Problem:
+        """See `AbstractMotionStudy.margin_problem`."""
+        return named(robust_problem(TRIED, guess=self.done.plans[ROBUST].decisions["torque.free"]), TOGETHER)
 
     def more(self) -> Mapping[str, Stage]:
         """See `AbstractMotionStudy.more`."""
-        return {
-            "front": Stage(self.sweep_effort, 0.2, lambda: self.front is not None and not self.front.interrupted),
-            "wider payload": Stage(self.widen_payload, 0.1, lambda: self.wide is not None),
-        }
+        front = Stage(self.sweep_effort, 0.2, lambda: self.front is not None and not self.front.interrupted)
+        wider = Stage(self.widen_payload, 0.1, lambda: self.wide is not None)
+        return ({"front": front} if LEAST in self.planned else {}) | {"wider payload": wider}
 
     def sweep_effort(self, progress: Progress) -> None:
         """The least terminal variance for each effort, from where more effort helps no more down to the robust plan."""
@@ -148,15 +160,24 @@ class PickAndPlaceEffort(AbstractMotionStudy):
         """See `AbstractMotionStudy.verdict`."""
         done = self.done
         sentences, cards = list(self._sentences()), list(self._cards())
-        if said := no_recommendation(done.plans, done.evidence, self.names, sentences, cards):
+        if said := no_recommendation(done.plans, done.evidence, self.planned, sentences, cards):
             return said
-        before, after = (done.evidence[name].violations["obstacle"].estimate for name in (MEAN, ROBUST))
-        more = percent(done.plans[ROBUST].objective / done.plans[MEAN].objective - 1)
-        headline = (
-            f"Torques alone do not place this payload. {more} more effort brings the arms that hit the obstacle from"
-            f" {percent(before)} down to {percent(after)}; feedback has to do the rest."
+        return build_verdict(
+            done.calibration,
+            done.plans[ROBUST],
+            unit=UNIT,
+            who=self.who,
+            beside=self._beside(),
+            sentences=sentences,
+            cards=cards,
         )
-        return Verdict("caution", "Not open loop", headline, sentences, cards)
+
+    def _beside(self) -> str:
+        """What clearance does not do: it does not bring every payload to its place."""
+        if CALIBRATED not in self.done.families:
+            return ""
+        spread = pair_text(terminal_spread(self.done.families[CALIBRATED]))
+        return f" At the end its tip spreads by σ = {spread} m in x and y: feedback has to do the rest."
 
     def _sentences(self) -> Iterator[str]:
         done, families = self.done, self.done.families
@@ -164,8 +185,9 @@ class PickAndPlaceEffort(AbstractMotionStudy):
             mean, robust = (done.evidence[name].violations["obstacle"] for name in (MEAN, ROBUST))
             yield (
                 "The deterministic plan grazes the obstacle with the mean payload, so that"
-                f" {share_text(mean)} of all payloads hit it. One σ of clearance leaves {share_text(robust)}: the share"
-                " of payloads that a uniform law has beyond one σ on one side is 21.1 %."
+                f" {share_text(mean)} of all payloads hit it. One σ of clearance, as printed, leaves"
+                f" {share_text(robust)}: the share of payloads that a uniform law has beyond one σ on one side is"
+                " 21.1 %."
             )
         if {ROBUST, LEAST} <= set(families):
             robust, least = (terminal_spread(families[name]) for name in (ROBUST, LEAST))
@@ -189,7 +211,10 @@ class PickAndPlaceEffort(AbstractMotionStudy):
         for name in (MEAN, ROBUST):
             if name in plans:
                 yield Card(f"Effort, {name}", number(plans[name].objective, 4, UNIT), f"reference {REFERENCE[name]}")
-        yield from violation_cards(self.done.evidence, (MEAN, ROBUST), "a limit")
+        if CALIBRATED in plans and self.done.calibration is not None:
+            note = f"margin a = {number(self.done.calibration.sigmas, 3)}"
+            yield Card(f"Effort, {CALIBRATED}", number(plans[CALIBRATED].objective, 4, UNIT), note)
+        yield from violation_cards(self.done.evidence, (MEAN, ROBUST, CALIBRATED), "a limit")
 
     def schematic(self) -> Schematic:
         """See `AbstractMotionStudy.schematic`."""
@@ -222,7 +247,7 @@ class PickAndPlaceEffort(AbstractMotionStudy):
 
     def _histories(self) -> Iterator[Block]:
         numbers = {MEAN: "5.2", ROBUST: "5.3", LEAST: "5.4"}
-        for name, family in self.done.families.items():
+        for name, family in ((name, self.done.families[name]) for name in numbers if name in self.done.families):
             systems = family.systems
             targets = {"q₁": TARGET[0], "q₂": TARGET[1], "x": float(TIP[0]), "y": float(TIP[1])}
             angles = {"q₁": systems["q1"], "q₂": systems["q2"]}

@@ -1,15 +1,18 @@
 """Where the searches of the swing-up study start."""
 
+from collections.abc import Collection
+
 import numpy as np
 
 import aleator as al
 from aleator._core.progress import Progress
+from aleator.studies._motion_build import CALIBRATED, TRIED
 from aleator.studies._motion_facts import named
 from aleator.studies._motion_study import MotionResults
 from aleator.studies.swing_up import DEGREE, ENDS, FREE, deterministic_problem, robust_problem
 
 MEAN, EXPECTED, ENERGY = "deterministic", "robust, expected torque", "robust, expected energy"
-NAMES = (MEAN, ENERGY, EXPECTED)
+NAMES = (MEAN, ENERGY, EXPECTED, CALIBRATED)
 _TOGETHER = {"q1_torque": "torque", "q2": "upright", "q2_rate": "upright"}
 
 Swing = tuple[float, int, float, int]
@@ -28,18 +31,25 @@ FAMILY_SWINGS: tuple[Swing, ...] = ((3.0, 4, -0.8, 2), (3.0, 5, -0.8, 2), (4.0, 
 """The swings from which plans for the whole family are reached: late and wide ones spread it too far."""
 
 
-def search_plans(results: MotionResults, progress: Progress) -> None:
-    """All three plans, each from its problem's own start and several swings; the last from the optimum before it,
-    too.
+def search_plans(results: MotionResults, names: Collection[str], progress: Progress) -> None:
+    """The plans of these names, each from its problem's own start and several swings; the last from the optimum before
+    it, too.
     """
     count = results.effort.starts
     # An empty start is the problem's own.
     starts = [{}, *(_start(*one) for one in SWINGS)][:count]
     family_starts = [{}, *(_start(*one) for one in FAMILY_SWINGS)][:count]
     results.search(MEAN, named(deterministic_problem(), _TOGETHER), starts, progress)
-    plan = results.search(ENERGY, named(robust_problem(expected="energy"), _TOGETHER), family_starts, progress)
-    torque = named(robust_problem(expected="torque"), _TOGETHER)
-    results.search(EXPECTED, torque, [dict(plan.decisions), *family_starts], progress)
+    if ENERGY in names:
+        plan = results.search(ENERGY, named(robust_problem(expected="energy"), _TOGETHER), family_starts, progress)
+        family_starts = [dict(plan.decisions), *family_starts]
+    results.search(EXPECTED, named(robust_problem(expected="torque"), _TOGETHER), family_starts, progress)
+
+
+def margin_problem(plan: al.Solution) -> al.Problem:
+    """The problem of least energy of the expected torque, to be solved from a plan."""
+    duration = float(plan.decisions["t_final"])
+    return named(robust_problem(TRIED, guess=plan.decisions["motion.q1.free"], duration=duration), _TOGETHER)
 
 
 def _start(duration: float, halves: int, width: float, late: int) -> dict[str, np.ndarray | float]:

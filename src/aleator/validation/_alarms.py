@@ -67,12 +67,13 @@ def _moments(found: Found) -> Iterator[Disagreement]:
         one = found.functionals[text]
         when = times if np.ndim(one.mean) else None
         size = float(np.max(np.abs(one.mean)))
+        spread = 0.0 if when is None else float(np.max(one.std))
         parts = (
             (f"μ[{text}]", one.expanded_mean, one.mean, one.standard_error),
             (f"σ[{text}]", one.expanded_std, one.std, one.std_error),
         )
         for part in parts:
-            told = worst_disagreement(*part, samples=samples, freedom=samples - 1, size=size, times=when)
+            told = worst_disagreement(*part, samples=samples, freedom=samples - 1, size=size, spread=spread, times=when)
             if told is not None:
                 yield told
 

@@ -4,6 +4,10 @@ Two numbers disagree if they differ by more than four standard errors of the sam
 of what one system adds to it (its standard error times the root of the number of samples): a larger sample sees more,
 but does not call a thousandth a disagreement. Where many instants are compared, the worst of them by chance is allowed
 for (Bonferroni's correction).
+
+Over time, what is off by less than a hundredth of the largest spread at any instant is none either, as in the second
+opinion on a solution. Where a distance is to begin with that to a part which does not move, its spread starts from zero
+with a kink: there all points of an expansion may agree to rounding, where one system in a thousand has moved by a hair.
 """
 
 from dataclasses import dataclass
@@ -20,7 +24,7 @@ from aleator.validation._proportion import Proportion
 _RARE = 2 * float(special.ndtr(-4.0))
 
 _RELATIVE = 0.01
-"""Differences up to this part of what one system adds to a statistic are none."""
+"""Differences up to this part of what one system adds to a statistic, or of the largest spread over time, are none."""
 
 _ROUNDING = 1e-9
 
@@ -62,15 +66,18 @@ def worst_disagreement(
     samples: int,
     freedom: int,
     size: float = 0.0,
+    spread: float = 0.0,
     times: Float[np.ndarray, " instants"] | None = None,
 ) -> Disagreement | None:
     """Where a sampled number, or one number an instant, disagrees most with what was expected; None if it agrees.
 
-    `size` is a magnitude to which rounding is relative, besides those of the numbers themselves.
+    `size` is a magnitude to which rounding is relative, besides those of the numbers themselves; `spread`, of a
+    functional over time, its largest standard deviation at any instant.
     """
     expected, estimate, standard_error = (np.asarray(one, float) for one in (expected, estimate, standard_error))
     expected = np.broadcast_to(expected, estimate.shape)
-    floor = _ROUNDING * max(float(np.max(np.abs(expected))), float(np.max(np.abs(estimate))), size)
+    rounding = _ROUNDING * max(float(np.max(np.abs(expected))), float(np.max(np.abs(estimate))), size)
+    floor = max(rounding, _RELATIVE * spread)
     limit = max(reach(freedom, estimate.size), _RELATIVE * np.sqrt(samples)) * standard_error
     allowed = np.maximum(limit, floor)
     difference = np.abs(estimate - expected)
