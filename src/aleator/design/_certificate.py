@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import final
+from typing import NamedTuple, final
 
 import numpy as np
 from jaxtyping import Float
@@ -97,6 +97,14 @@ class Times:
     solve: float
 
 
+class Tangent(NamedTuple):
+    """The derivative of a functional by a parameter of a distribution, and the leave-one-out error of its expansion."""
+
+    functional: str
+    parameter: str
+    error: float
+
+
 @final
 @dataclass(frozen=True)
 class ExpansionQuality:
@@ -109,6 +117,9 @@ class ExpansionQuality:
     - `unresolved_from`: for each path that is followed only so far, the instant (s) from which on that error is too
       large: polynomials of one order do not follow a long simulation for ever;
     - `tolerance`: the relative error up to which a functional counts as resolved, that of the `Expansion`;
+    - `tangents`: for each functional, the leave-one-out error of its derivative by each decision that is a parameter of
+      a distribution: how far the derivatives of its statistics by them, and prices that follow from these, are those
+      of the model;
     - `unseen`: the largest corner of the uncertainty that holds no point, so that nothing is known of it; None where
       nothing is uncertain.
     """
@@ -120,12 +131,19 @@ class ExpansionQuality:
     leave_one_out: Mapping[str, float] = field(default_factory=dict)
     unresolved_from: Mapping[str, float] = field(default_factory=dict)
     tolerance: float = UNRESOLVED
+    tangents: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     unseen: Unseen | None = None
 
     @property
     def worst(self) -> float:
         """The largest leave-one-out error."""
         return max(self.leave_one_out.values(), default=0.0)
+
+    @property
+    def worst_tangent(self) -> "Tangent | None":
+        """The derivative by a distribution's parameter that is resolved worst; None where there is none."""
+        every = [Tangent(text, name, error) for text, one in self.tangents.items() for name, error in one.items()]
+        return max(every, key=lambda one: np.inf if np.isnan(one.error) else one.error, default=None)
 
     @property
     def unresolved(self) -> tuple[str, ...]:

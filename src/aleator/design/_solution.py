@@ -148,6 +148,7 @@ def _solution_text(solution: Solution) -> str:
         *(("worst case", row) for row in (solution.worst_case.rows() if solution.worst_case else ())),
         ("certificate", _certificate_text(solution)),
         ("expansion", _expansion_text(solution)),
+        *([("derivatives", _tangent_text(solution.expansion))] if solution.expansion.worst_tangent else []),
         *([("fresh", solution.opinion.sentence())] if solution.opinion else []),
         *([("not seen", solution.expansion.unseen.sentence())] if solution.expansion.unseen else []),
         ("effort", _effort_text(solution)),
@@ -189,6 +190,21 @@ def _expansion_text(solution: Solution) -> str:
     return (
         f"order {quality.order}, {quality.terms} terms, {quality.points} points, condition number "
         f"{quality.condition_number:.3g}, worst leave-one-out error {quality.worst:.2e}"
+    )
+
+
+def _tangent_text(quality: ExpansionQuality) -> str:
+    """How well the derivatives by distribution parameters are resolved, and what follows where they are not."""
+    worst = quality.worst_tangent
+    assert worst is not None
+    said = (
+        f"by distribution parameters: worst leave-one-out error {worst.error:.2e} "
+        f"({worst.functional} by {worst.parameter})"
+    )
+    if worst.error <= quality.tolerance:
+        return said
+    return (
+        f"{said}: not resolved, so prices and stationarity are those of the expansion; raise the order for the model's"
     )
 
 

@@ -131,6 +131,7 @@ def solution_document(solution: Solution, evidence: Evidence | None = None) -> d
             "points": quality.points,
             "condition_number": quality.condition_number,
             "leave_one_out": quality.leave_one_out,
+            "leave_one_out_of_derivatives": quality.tangents,
         },
         "seconds": {"compile": solution.times.compile_, "solve": solution.times.solve},
         "problem": str(problem).splitlines(),

@@ -127,6 +127,8 @@ def certificate_table(solutions: Mapping[str, Solution]) -> Table:
     ]
     for text in _union([list(one.expansion.leave_one_out) for one in every if _expanded(one)]):
         rows.append([f"Leave-one-out error, {text}", *(_leave_one_out(one, text) for one in every)])
+    if any(one.expansion.tangents for one in every):
+        rows.append(["Worst leave-one-out error of a derivative by a distribution's parameter", *map(_tangent, every)])
     note = (
         "Residuals are computed from the point and its multipliers, not taken from the solver. The leave-one-out error"
         " is the rms error of predicting each collocation point from all others, relative to the standard deviation:"
@@ -154,6 +156,11 @@ def _expansion(solution: Solution) -> str:
 def _leave_one_out(solution: Solution, text: str) -> str:
     error = solution.expansion.leave_one_out.get(text)
     return "–" if error is None or not _expanded(solution) else residual(error)
+
+
+def _tangent(solution: Solution) -> str:
+    worst = solution.expansion.worst_tangent
+    return "–" if worst is None else f"{residual(worst.error)} ({worst.functional} by {worst.parameter})"
 
 
 def evidence_table(evidence: Mapping[str, Evidence]) -> Table:

@@ -34,6 +34,11 @@ def quality_of(
             if one.history is not None and (late := ~(np.asarray(one.history) <= tolerance)).any()
         },
         tolerance=tolerance,
+        tangents={
+            text: dict(zip(transcription.places.of_laws, np.asarray(one.tangents).tolist(), strict=True))
+            for text, one in resolved.items()
+            if one.tangents is not None
+        },
         unseen=unseen(basis, np.asarray(collocation.points)),
     )
 

@@ -34,7 +34,7 @@ from aleator.transcription._magnitudes import (
     spread,
 )
 from aleator.transcription._oracle import REACHED
-from aleator.transcription._resolution import RESOLVE, Resolved
+from aleator.transcription._resolution import RESOLVE, Resolved, seen
 from aleator.transcription._rows import row_bounds, rows_of
 from aleator.transcription._scenarios import Scenarios, first_scenarios
 from aleator.transcription._scope import scope_of
@@ -52,7 +52,9 @@ class Blocks(NamedTuple):
     - `sizes`: how many rows each of them has;
     - `samples`: each functional at the collocation points;
     - `statistics`: each that stands in the expressions, in the order of `statistics_in`;
-    - `times`: the instants of the grid.
+    - `times`: the instants of the grid;
+    - `tangents`: the derivatives of each functional's samples (of a path at a few instants) by the decisions that are
+      parameters of distributions; None where they are not taken.
     """
 
     values: Float[np.ndarray, " rows"]
@@ -61,6 +63,7 @@ class Blocks(NamedTuple):
     samples: tuple[Float[np.ndarray, "points ..."], ...]
     statistics: tuple[Float[np.ndarray, "..."], ...]
     times: Float[np.ndarray, " instants"]
+    tangents: tuple[Float[np.ndarray, "points ... parameters"] | None, ...]
 
     def by_constraint(self, rows: np.ndarray) -> list[np.ndarray]:
         """The rows of each constraint among all, such as those of `derivatives`."""
@@ -84,14 +87,17 @@ def _evaluate(
     """
     which = instantaneous(problem)
     rest = tuple(i for i in range(len(problem.expressions)) if i not in which)
+    parameters = tuple(problem.survey.of_laws.values())
     expressions = tuple(problem.expressions[i] for i in rest)
 
-    def values(x: Array) -> tuple[tuple[Array, ...], tuple]:
+    def values(x: Array) -> tuple[tuple[tuple[Array, ...], tuple[Array, ...]], tuple]:
         scope = scope_of(problem, functionals_of(expressions), collocation, constants, x)
         blocks, taken = scope.evaluated(expressions)
-        return blocks, (blocks, tuple(scope.samples.values()), taken)
+        looked_at = tuple(seen(of, one.is_path) for one, of in scope.samples.items()) if parameters else ()
+        return (blocks, looked_at), (blocks, tuple(scope.samples.values()), taken)
 
-    derivatives, (blocks, values_at_points, taken) = jax.jacfwd(values, has_aux=True)(decisions)
+    (derivatives, slopes), (blocks, values_at_points, taken) = jax.jacfwd(values, has_aux=True)(decisions)
+    tangents = dict(zip(functionals_of(expressions), slopes, strict=False))
     samples = dict(zip(functionals_of(expressions), values_at_points, strict=True))
     found = dict(zip(rest, zip(blocks, derivatives, taken, strict=True), strict=True))
     if which:
@@ -106,7 +112,11 @@ def _evaluate(
     finite = jnp.array([jnp.isfinite(one).all() for one in ordered]).all()
     every = jnp.where(finite, jnp.concatenate(blocks), jnp.nan)
     times = grid_at(problem, decisions).times
-    return every, jnp.concatenate(derivatives), sizes, ordered, statistics, times
+    looked_at = tuple(
+        tangents[one][..., jnp.array(parameters)] if one in tangents else None
+        for one in functionals_of(problem.expressions)
+    )
+    return every, jnp.concatenate(derivatives), sizes, ordered, statistics, times, looked_at
 
 
 def _outputs_at_points(
@@ -204,8 +214,8 @@ class Sequential:
 
     def resolve(self, decisions: Float[np.ndarray, " n"]) -> dict[str, Resolved]:
         """The moments and the quality of each functional's expansion, by its text."""
-        functionals = functionals_of(self.problem.expressions)
-        found = RESOLVE(functionals, self.collocation, self.evaluator(decisions).samples)
+        blocks, functionals = self.evaluator(decisions), functionals_of(self.problem.expressions)
+        found = RESOLVE(functionals, self.collocation, blocks.samples, blocks.tangents)
         return dict(zip(self.texts.functionals, found, strict=True))
 
 

@@ -80,6 +80,13 @@ class Survey(NamedTuple):
         """Length of the decision vector."""
         return sum(np.size(place.decision.initial) for place in self.decisions.values())
 
+    @property
+    def of_laws(self) -> dict[str, int]:
+        """Where the decisions that are parameters of distributions stand in the decision vector, by `entry_names`."""
+        owned = {name for place, law in self.distributions.items() for name, _ in _decisions_in(place, law)}
+        every = self.entry_names()
+        return {every[i]: i for name in owned for i in range(self.size)[self.decisions[name].where]}
+
     def vector(self, attribute: str) -> Float[np.ndarray, " n"]:
         """One attribute of all decisions, `initial`, `lower` or `upper`, as a vector of length `size`."""
         parts = [np.ravel(getattr(place.decision, attribute)) for place in self.decisions.values()]
