@@ -23,7 +23,7 @@ from aleator.design import (
     expanded_functionals,
     is_over_time,
 )
-from aleator.nlp import AbstractSolver, Outcome, Status, default_solver
+from aleator.nlp import AbstractSolver, Outcome, Status, default_solver, moved_on
 from aleator.transcription import (
     Reference,
     Sequential,
@@ -34,9 +34,11 @@ from aleator.transcription import (
     grid_error,
     held_at_worst,
     held_between,
+    probed,
     quality_of,
     reference_factor,
     refinement,
+    refuse_blind,
     second_opinion,
     started_from,
     transcribe,
@@ -128,7 +130,12 @@ class _Stages(NamedTuple):
             raise KeyboardInterrupt
         if outcome.failed_at is not None:
             outcome = replace(outcome, message=diagnose(transcription, outcome.failed_at))
-        error = None if finer is None else grid_error(transcription, outcome.decisions, finer, self.accuracy)
+        error = None
+        if finer is not None:
+            elsewhere = probed(transcription, outcome.decisions, finer)
+            error = grid_error(transcription, outcome.decisions, finer, self.accuracy, elsewhere.numbers)
+            if between is not None and elsewhere.worst > between.worst:
+                between = replace(between, worst=elsewhere.worst, name=elsewhere.where, time=elsewhere.when)
         if error is not None and not error.is_usable:
             outcome = replace(outcome, status=Status.COARSE)
         if between is not None and between.worst > TOLERATED:
@@ -138,7 +145,14 @@ class _Stages(NamedTuple):
     def _attempt(
         self, transcription: Sequential, start: np.ndarray | None, multipliers: np.ndarray | None
     ) -> tuple[Outcome, tuple[Between | None, Reference | None]]:
-        outcome = _optimise(transcription, self.solver, start, multipliers)
+        def optimise(first: np.ndarray | None) -> Outcome:
+            return _optimise(transcription, self.solver, first, multipliers)
+
+        outcome = optimise(start)
+        if multipliers is None:
+            begun = transcription.program.start if start is None else start
+            outcome = moved_on(transcription.program, outcome, begun, optimise)
+            refuse_blind(outcome, transcription.places.entry_names())
         outcome, between, finer = held_between(transcription, self.solver, outcome, self.between)
         return outcome, (between, finer)
 
@@ -229,6 +243,7 @@ def _report(
         constraints=_constraint_results(transcription, outcome, times),
         moments={text: Moments(np.asarray(one.mean), np.asarray(one.std)) for text, one in resolved.items()},
         statistics=transcription.statistics(outcome.decisions),
+        idle=tuple(places.entry_names()[i] for i in outcome.idle),
         at_bounds=tuple(np.array(places.entry_names())[outcome.active_bounds].tolist()),
         bound_multipliers=_plain(places.named(outcome.bound_multipliers)),
         multipliers=outcome.multipliers,

@@ -34,6 +34,7 @@ class Solution:
     - `moments`: mean and standard deviation of each functional in the problem, by its text (`"∫comfort dt"`);
     - `statistics`: every statistic that stands in the problem, by its text (`"Q0.99[rms(x)]"`);
     - `at_bounds`: names of the decisions that stand at one of their own bounds;
+    - `idle`: names of the decisions, left at their start, on which nothing in the problem was seen to depend;
     - `bound_multipliers`: of the decisions' own bounds, by name;
     - `violation`, `stationarity`, `complementarity`: residuals of the optimality conditions, scaled, computed from the
       point and its multipliers and not taken from the solver;
@@ -68,6 +69,7 @@ class Solution:
     expansion: ExpansionQuality
     between: Between | None = None
     grid_error: GridError | None = None
+    idle: tuple[str, ...] = ()
     opinion: SecondOpinion | None = None
     worst_case: WorstCase | None = None
 
@@ -161,6 +163,9 @@ def _shown(value: Any) -> str:
 
 
 def _at_bound(solution: Solution, name: str) -> str:
+    idle = [entry for entry in solution.idle if entry.split("[")[0] == name]
+    if idle:
+        return f" (at its start: nothing asked here was seen to depend on {', '.join(idle)})"
     return " (at its bound)" if solution.is_at_bound(name) else ""
 
 

@@ -56,7 +56,9 @@ class Outcome:
     - `sizes`: the magnitudes of the constraints at `decisions` to which a violation is relative, in their units,
       shape (m,);
     - `failed_at`: the last point at which the model was not finite, shape (n,), where the status is EVALUATION_FAILED;
-      None otherwise.
+      None otherwise;
+    - `idle`: decisions left at their start by which nothing changes, as far as was looked; `blind`: those by which
+      something does, though its derivative is zero everywhere.
     """
 
     status: Status
@@ -76,6 +78,8 @@ class Outcome:
     active_bounds: np.ndarray
     sizes: np.ndarray
     failed_at: np.ndarray | None = None
+    idle: tuple[int, ...] = ()
+    blind: tuple[int, ...] = ()
 
     @property
     def ok(self) -> bool:

@@ -3,6 +3,7 @@
 from aleator.transcription._between import excess_between as excess_between
 from aleator.transcription._diagnosis import diagnose as diagnose
 from aleator.transcription._held import held_between as held_between
+from aleator.transcription._probe import probed as probed
 from aleator.transcription._quality import doubts as doubts
 from aleator.transcription._quality import quality_of as quality_of
 from aleator.transcription._reference import Reference as Reference
@@ -18,5 +19,6 @@ from aleator.transcription._sequential import EVALUATE as EVALUATE
 from aleator.transcription._sequential import Sequential as Sequential
 from aleator.transcription._sequential import compile_seconds as compile_seconds
 from aleator.transcription._sequential import transcribe as transcribe
+from aleator.transcription._settled import refuse_blind as refuse_blind
 from aleator.transcription._warm_start import started_from as started_from
 from aleator.transcription._worst_case import held_at_worst as held_at_worst

@@ -1,12 +1,14 @@
 """A problem on a finer grid and by an integrator of another order: what its own grid is judged by."""
 
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from aleator._core.arrays import numbers_to_arrays
 from aleator._core.compilation import Compiled
@@ -27,6 +29,7 @@ from aleator.design import (
 from aleator.dynamics import Grid
 from aleator.statistics import Constants, Mean, Std, Variance
 from aleator.trajectories import AbstractTrajectory
+from aleator.transcription._alone import Alone, alone, middle
 from aleator.transcription._jumps import splines_in
 from aleator.transcription._scope import scope_of
 from aleator.transcription._sequential import Sequential
@@ -47,6 +50,7 @@ class Reference(NamedTuple):
 
     - `values`: the objective, then the constraints, those of paths at every instant of that grid;
     - `means`, `stds`: of each functional; `reaches`: how large each could be, see `AbstractFunctional.reach`;
+    - `alone`: one system of the family, the one at the collocation point in their middle;
     - `factor`: how many times as many steps that grid has; `integrator`: its name.
     """
 
@@ -54,12 +58,17 @@ class Reference(NamedTuple):
     means: tuple[Float[np.ndarray, "..."], ...]
     stds: tuple[Float[np.ndarray, "..."], ...]
     reaches: tuple[float, ...]
+    alone: Alone
     factor: int
     integrator: str
 
 
 def _referenced(
-    problem: Problem, collocation: Collocation, constants: Constants, decisions: Float[Array, " n"]
+    problem: Problem,
+    collocation: Collocation,
+    constants: Constants,
+    which: Int[Array, ""],
+    decisions: Float[Array, " n"],
 ) -> tuple[Any, ...]:
     functionals = functionals_of(problem.expressions)
     names = dict.fromkeys(name for one in functionals for name in one.outputs)
@@ -70,7 +79,9 @@ def _referenced(
     means, stds = (tuple(kind.of(one, ()) for one in terms) for kind in (Mean(), Std()))
     highest = {name: jnp.max(scope.samples[peak]) for name, peak in zip(names, peaks, strict=True)}
     grid = grid_at(problem, decisions)
-    return values, means, stds, tuple(one.reach(highest, grid) for one in functionals)
+    reaches = tuple(one.reach(highest, grid) for one in functionals)
+    one_system = {one: scope.samples[one][which] for one in functionals}
+    return values, means, stds, reaches, alone(problem, one_system, decisions)
 
 
 REFERENCE = Compiled(_referenced, unchanged=refuse_changed_code)
@@ -108,16 +119,26 @@ def reference(transcription: Sequential, decisions: Float[np.ndarray, " n"], fac
     grid, integrator = problem.grid, problem.integrator.reference()
     assert isinstance(grid, Grid)
     finer = eqx.tree_at(lambda tree: (tree.grid, tree.integrator), problem, (grid.finer(factor), integrator))
-    arguments = numbers_to_arrays(finer), transcription.collocation, transcription.constants
-    values, means, stds, reaches = jax.tree.map(np.asarray, REFERENCE(*arguments, jnp.asarray(decisions)))
+    collocation = transcription.collocation
+    which = middle(*map(np.asarray, (collocation.points, collocation.weights)))
+    arguments = numbers_to_arrays(finer), collocation, transcription.constants, jnp.asarray(which)
+    values, means, stds, reaches, one = jax.tree.map(np.asarray, REFERENCE(*arguments, jnp.asarray(decisions)))
     named = type(integrator).__name__ if problem.system.states else "Simpson's rule"  # type: ignore[union-attr]
-    return Reference(values, means, stds, tuple(float(np.max(one)) for one in reaches), factor, named)
+    return Reference(values, means, stds, tuple(float(np.max(one)) for one in reaches), Alone(*one), factor, named)
 
 
 def grid_error(
-    transcription: Sequential, decisions: Float[np.ndarray, " n"], finer: Reference, accuracy: float
+    transcription: Sequential,
+    decisions: Float[np.ndarray, " n"],
+    finer: Reference,
+    accuracy: float,
+    shown: Mapping[str, float] = MappingProxyType({}),
 ) -> GridError:
-    """The error of a problem's own grid at some decisions, by what a finer one gives there."""
+    """The error of a problem's own grid at some decisions, by what a finer one gives there.
+
+    `shown`: by how much functionals differ at instants that the finer one does not have either; the objective's under
+    "".
+    """
     problem, resolved = transcription.problem, transcription.resolve(decisions)
     assert isinstance(problem.grid, Grid)
     times = transcription.times(decisions)
@@ -135,9 +156,10 @@ def grid_error(
         alone = value if value > _NEGLIGIBLE_VALUE * reach else reach
         size = max(min(sizes, default=alone), _ROUNDING * reach / accuracy, _TINY / accuracy)
         when = float(times[int(np.argmax(change.reshape(len(times), -1).max(axis=1)))]) if one.is_path else np.nan
-        deviations[one.text()] = Deviation(_OWN_ERROR * float(np.max(change)), accuracy * size, when)
+        largest = max(float(np.max(change)), shown.get(one.text(), 0.0))
+        deviations[one.text()] = Deviation(_OWN_ERROR * largest, accuracy * size, when)
     objective = float(transcription.program.evaluate(decisions).objective)
-    away = _OWN_ERROR * abs(objective - float(finer.values[0]))
+    away = _OWN_ERROR * max(abs(objective - float(finer.values[0])), shown.get("", 0.0))
     floor = _NEGLIGIBLE_VALUE * _reach_of(problem.objective, reaches)
     return GridError(
         steps=problem.grid.steps,

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from aleator.design import Problem, Solution, functionals_of, history
+from aleator.design import TOLERATED, Problem, Solution, functionals_of, history
 from aleator.dynamics import Grid
 from aleator.nlp import Status
 from aleator.transcription._reference import pieces
@@ -27,7 +27,7 @@ def refinement(solutions: Sequence[Solution]) -> Problem | None:
     """
     last, problem = solutions[-1], solutions[-1].problem
     error = last.grid_error
-    if error is None or error.is_met or last.status not in _SOLVED:
+    if error is None or (error.is_met and last.status is not Status.NOT_HELD) or last.status not in _SOLVED:
         return None
     grid, begun = problem.grid, solutions[0].problem.grid
     assert isinstance(grid, Grid)
@@ -47,8 +47,16 @@ def _does_not_help(solutions: Sequence[Solution]) -> bool:
 
     A finer grid may lead to another design, whose error is another one: only two in a row that do not help tell.
     """
-    ratios = [np.inf if (error := one.grid_error) is None else error.ratio for one in solutions[-3:]]
+    ratios = [_ratio(one) for one in solutions[-3:]]
     return len(ratios) == 3 and min(ratios[1:]) > _FALLS * ratios[0]
+
+
+def _ratio(solution: Solution) -> float:
+    """The error of the grid, or what is beyond a limit between its instants, over what is tolerated."""
+    if solution.grid_error is None:
+        return np.inf
+    beyond = solution.between.worst / TOLERATED if solution.status is Status.NOT_HELD and solution.between else 0.0
+    return max(solution.grid_error.ratio, beyond)
 
 
 def unconverged(solutions: Sequence[Solution]) -> str:

@@ -7,6 +7,7 @@ from jaxtyping import Float
 
 from aleator._core.errors import ProblemError
 from aleator.design import HELD, Constraint, Problem
+from aleator.nlp import Outcome
 from aleator.transcription._magnitudes import Values
 
 
@@ -37,6 +38,18 @@ def refuse_settled(
     for i, row in suspects:
         if all(other[i][row] == values[i][row] for other in others):
             raise ProblemError(_sentence(problem.constraints[i], float(values[i][row]), len(values[i]), row, times()))
+
+
+def refuse_blind(outcome: Outcome, names: Sequence[str]) -> None:
+    """Raise `ProblemError` for decisions that change values but have no derivative wherever they were tried."""
+    if not outcome.blind:
+        return
+    blind = " and ".join(f"'{names[i]}'" for i in outcome.blind)
+    raise ProblemError(
+        f"What is asked changes with {blind}, but its derivative is zero wherever it "
+        "was tried, so that no solver can choose: the model rounds, floors, casts to whole numbers or stops gradients. "
+        "Make the effect smooth, or fix the number and compare its values one by one."
+    )
 
 
 def _excess(constraint: Constraint, value: np.ndarray) -> np.ndarray:

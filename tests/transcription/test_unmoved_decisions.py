@@ -1,0 +1,100 @@
+"""Answers at which decisions have not moved: maxima, saddles, flat starts, and models without derivatives."""
+
+import warnings
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import aleator as al
+from tiny_models import ONE_STEP
+
+
+class Choice(al.System):
+    """No dynamics: responses of two numbers, each of which traps a search by slopes somewhere."""
+
+    states = ("nothing",)
+    a: Any
+    b: Any = 0.0
+    kind: str = "maximum"
+
+    def rhs(self, t, z):
+        return (0.0 * z.nothing,)
+
+    def outputs(self, t, z):
+        a, b = self.a, self.b
+        responses = {
+            "maximum": lambda: (a**2 - 0.25) ** 2,
+            "falling": lambda: -(a**2),
+            "cosine": lambda: jnp.cos(a),
+            "symmetric": lambda: (a - 1.0) ** 2 + (b**2 - 1.0) ** 2,
+            "dead": lambda: 1.0 - jnp.maximum(0.0, a - 0.4),
+            "minimum": lambda: (a - 0.25) ** 2,
+            "round": lambda: (jnp.round(a) - 7.0) ** 2,
+            "stopped": lambda: (jax.lax.stop_gradient(a) - 7.0) ** 2,
+            "whole": lambda: (a.astype(int) - 7.0) ** 2,
+        }
+        return {"y": responses[self.kind]() * 1.0, "a": a * 1.0}
+
+
+Y = al.terminal("y").mean
+
+
+def answer(kind, a, *limits, b=0.0, solver=None):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        problem = al.Problem(Choice(a, b, kind), grid=ONE_STEP, minimize=Y, subject_to=list(limits))
+        return al.solve(problem, solver)
+
+
+SOLVERS = pytest.mark.parametrize("solver", [al.FilterSQP(), al.Ipopt(), al.Slsqp()], ids=["sqp", "ipopt", "slsqp"])
+
+
+@SOLVERS
+@pytest.mark.parametrize(
+    ("kind", "bounds", "best"),
+    [("maximum", (-2.0, 2.0), 0.0), ("falling", (-1.0, 1.0), -1.0), ("cosine", (-3.0, 3.0), np.cos(3.0))],
+)
+def test_a_start_at_a_maximum_is_left(kind, bounds, best, solver):
+    solution = answer(kind, al.Decision(0.0, *bounds), solver=solver)
+    assert solution.ok
+    assert solution.objective == pytest.approx(best, abs=1e-6)
+
+
+def test_a_start_at_a_bound_that_holds_nothing_is_left():
+    assert answer("falling", al.Decision(0.0, 0.0, 1.0)).objective == pytest.approx(-1.0)
+
+
+def test_a_start_on_a_line_of_symmetry_is_left():
+    solution = answer("symmetric", al.Decision(0.3, -2.0, 2.0), b=al.Decision(0.0, -2.0, 2.0))
+    assert solution.objective == pytest.approx(0.0, abs=1e-8)
+    assert abs(solution.decisions["b"]) == pytest.approx(1.0, rel=1e-4)
+
+
+def test_a_maximum_under_a_limit_is_left_as_far_as_the_limit_lets():
+    solution = answer("falling", al.Decision(0.0, -1.0, 1.0), al.terminal("a").within(-0.2, 0.3))
+    assert solution.objective in (pytest.approx(-0.09, rel=1e-6), pytest.approx(-0.04, rel=1e-6))
+
+
+def test_a_start_where_the_model_is_flat_is_left():
+    assert answer("dead", al.Decision(0.0, -1.0, 1.0)).objective == pytest.approx(0.4)
+
+
+def test_a_start_at_the_minimum_stays_there():
+    solution = answer("minimum", al.Decision(0.25, -1.0, 1.0))
+    assert solution.decisions["a"] == 0.25
+    assert "nothing asked here" not in str(solution)
+
+
+@pytest.mark.parametrize("kind", ["round", "stopped", "whole"])
+def test_a_decision_whose_derivative_was_lost_is_refused_by_name(kind):
+    with pytest.raises(al.ProblemError, match=r"changes with 'a', but its derivative is zero"):
+        answer(kind, al.Decision(2.0, 0.0, 10.0))
+
+
+def test_a_decision_that_nothing_depends_on_is_named():
+    solution = answer("minimum", al.Decision(0.1, -1.0, 1.0), b=al.Decision(0.3, 0.0, 1.0))
+    assert solution.idle == ("b",)
+    assert "decision     b = 0.3 (at its start: nothing asked here was seen to depend on b)" in str(solution)
