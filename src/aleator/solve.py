@@ -23,7 +23,7 @@ from aleator.design import (
     expanded_functionals,
     is_over_time,
 )
-from aleator.nlp import AbstractSolver, Outcome, Status, default_solver, moved_on
+from aleator.nlp import AbstractSolver, Outcome, Status, default_solver, feasible_elsewhere, moved_on
 from aleator.transcription import (
     Reference,
     Sequential,
@@ -43,6 +43,7 @@ from aleator.transcription import (
     started_from,
     transcribe,
     unconverged,
+    untrusted,
 )
 
 # The finest accuracy of a grid that may be asked for.
@@ -80,8 +81,10 @@ def solve(
 
     Raises `SolveError` (which carries the unfinished solution), `SimulationError` if the model gives numbers that are
     not finite, `ProblemError` if there is nothing to decide. Warns with `ExpansionWarning` if an expansion is not
-    resolved, or if a few fresh simulations at the answer contradict it (where that breaks a limit, the solution has
-    failed: see `SecondOpinion`), with `GridWarning` if the grid is too coarse.
+    resolved (where it is too coarse for a statistic that is asked of it, the solution has failed: a tail beyond the
+    expansion's tolerance, a spread by more than a third of itself), or if a few fresh simulations at the answer
+    contradict it (where that breaks a limit, the solution has failed: see `SecondOpinion`), with `GridWarning` if the
+    grid is too coarse.
     """
     solver = solver or default_solver()
     _check_arguments(problem, solver, warm_start, between, accuracy)
@@ -145,14 +148,9 @@ class _Stages(NamedTuple):
     def _attempt(
         self, transcription: Sequential, start: np.ndarray | None, multipliers: np.ndarray | None
     ) -> tuple[Outcome, tuple[Between | None, Reference | None]]:
-        def optimise(first: np.ndarray | None) -> Outcome:
-            return _optimise(transcription, self.solver, first, multipliers)
-
-        outcome = optimise(start)
+        outcome = _optimise(transcription, self.solver, start, multipliers)
         if multipliers is None:
-            begun = transcription.program.start if start is None else start
-            outcome = moved_on(transcription.program, outcome, begun, optimise)
-            refuse_blind(outcome, transcription.places.entry_names())
+            outcome = _looked_around(transcription, self.solver, outcome, start)
         outcome, between, finer = held_between(transcription, self.solver, outcome, self.between)
         return outcome, (between, finer)
 
@@ -167,13 +165,18 @@ def _refined(stages: _Stages, solution: Solution) -> Solution:
 
 
 def _with_opinion(stages: _Stages, solution: Solution) -> Solution:
-    """The solution with what a few fresh simulations say of its expansions, and failed where they break a limit."""
+    """The solution with what a few fresh simulations say of its expansions, and failed where they break a limit, or
+    where an expansion is too coarse for what is asked of it.
+    """
     if not solution.ok:
         return solution
     opinion = second_opinion(transcribe(solution.problem), solution.vector)
-    status = Status.CONTRADICTED if opinion is not None and opinion.broken else solution.status
+    coarse = untrusted(solution.problem, solution.expansion)
+    status = Status.UNRESOLVED if coarse else solution.status
+    if opinion is not None and opinion.broken:
+        status = Status.CONTRADICTED
     times = replace(solution.times, compile_=compile_seconds() - stages.compiled_before)
-    return replace(solution, opinion=opinion, status=status, times=times)
+    return replace(solution, opinion=opinion, status=status, times=times, message=coarse or solution.message)
 
 
 def _check_arguments(
@@ -218,6 +221,18 @@ def _optimise(
     # Multipliers at the instants of another grid say nothing here.
     known = multipliers if multipliers is not None and multipliers.shape == rows else None
     return solver.solve(transcription.program, start=start, multipliers=known)
+
+
+def _looked_around(
+    transcription: Sequential, solver: AbstractSolver, outcome: Outcome, start: np.ndarray | None
+) -> Outcome:
+    """The outcome of a start of which nothing is known, or a better one found by points elsewhere."""
+    program = transcription.program
+    begun = program.start if start is None else start
+    outcome = feasible_elsewhere(program, outcome, begun, lambda other, first: solver.solve(other, start=first))
+    outcome = moved_on(program, outcome, begun, lambda first: solver.solve(program, start=first))
+    refuse_blind(outcome, transcription.places.entry_names())
+    return outcome
 
 
 def _report(

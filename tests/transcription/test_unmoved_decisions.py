@@ -98,3 +98,47 @@ def test_a_decision_that_nothing_depends_on_is_named():
     solution = answer("minimum", al.Decision(0.1, -1.0, 1.0), b=al.Decision(0.3, 0.0, 1.0))
     assert solution.idle == ("b",)
     assert "decision     b = 0.3 (at its start: nothing asked here was seen to depend on b)" in str(solution)
+
+
+@pytest.mark.parametrize("size", [1e8, 1e9, 1e10])
+@pytest.mark.parametrize("start", [0.0, 1.0])
+def test_a_decision_that_has_to_grow_by_orders_of_magnitude_is_no_proof_that_nothing_is_feasible(size, start):
+    class Far(al.System):
+        states = ("nothing",)
+        d: Any
+
+        def rhs(self, t, z):
+            return (0.0 * z.nothing,)
+
+        def outputs(self, t, z):
+            return {"y": self.d / size, "loss": (self.d / size - 3.0) ** 2}
+
+    problem = al.Problem(
+        Far(al.Decision(start)),
+        grid=ONE_STEP,
+        minimize=al.terminal("loss").mean,
+        subject_to=[al.terminal("y").mean <= 2.0],
+    )
+    assert al.solve(problem).decisions["d"] == pytest.approx(2 * size, rel=1e-5)
+
+
+@pytest.mark.parametrize("shape", [lambda a: jnp.tanh(5 * a), lambda a: jnp.clip(a, 0.0, 1.0)], ids=["tanh", "clip"])
+def test_a_start_where_a_constraint_saturates_is_no_proof_that_nothing_is_feasible(shape):
+    class Saturated(al.System):
+        states = ("nothing",)
+        a: Any
+
+        def rhs(self, t, z):
+            return (0.0 * z.nothing,)
+
+        def outputs(self, t, z):
+            return {"y": shape(self.a), "loss": (self.a - 9.0) ** 2}
+
+    problem = al.Problem(
+        Saturated(al.Decision(8.0, 0.0, 10.0)),
+        grid=ONE_STEP,
+        minimize=al.terminal("loss").mean,
+        subject_to=[al.terminal("y").mean <= 0.5],
+    )
+    solution = al.solve(problem)
+    assert shape(solution.decisions["a"]) == pytest.approx(0.5, rel=1e-5)

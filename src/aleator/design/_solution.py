@@ -123,6 +123,11 @@ class Solution:
                 f"{self.solver}: solved for the expansion, but {self.opinion.samples} fresh simulations contradict it: "
                 f"{self.opinion.broken}. Raise the order of the expansion."
             )
+        if self.status is Status.UNRESOLVED:
+            return (
+                f"{self.solver}: solved for the expansion of order {self.expansion.order}, but {self.message}. Raise "
+                "the order; or say that you accept it, al.Expansion(order, tolerance=...), and trust al.validate alone."
+            )
         broken = "; ".join(one.sentence() + self._realisation(one) for one in self.violated)
         return f"{self.solver}: {self.status.value}. {broken or self.message}."
 

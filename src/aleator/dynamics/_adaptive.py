@@ -25,6 +25,9 @@ _STUCK = 0.01
 class AbstractAdaptive(AbstractIntegrator):
     """Adaptive integration by diffrax, to relative and absolute tolerances.
 
+    No step is longer than one of the grid, for smooth states would carry it past whatever outputs, integrals and loads
+    do meanwhile.
+
     Where the solver gives up (more than `max_steps` steps between start and end) the outputs are not a number, which
     the caller reports with the realisation at fault and what `explain` says of it. Loose tolerances give wrong
     derivatives.
@@ -119,7 +122,7 @@ class AbstractAdaptive(AbstractIntegrator):
             dt0=None,
             y0=start,
             saveat=saved,
-            stepsize_controller=diffrax.PIDController(rtol=self.rtol, atol=self.atol),
+            stepsize_controller=diffrax.PIDController(rtol=self.rtol, atol=self.atol, dtmax=grid.step),
             # Forward sensitivities: few decisions, many outputs.
             adjoint=diffrax.ForwardMode(),
             max_steps=most,

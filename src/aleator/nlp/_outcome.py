@@ -17,6 +17,7 @@ class Status(enum.Enum):
     NOT_HELD = "solved at the instants of the grid, but limits break between them"
     COARSE = "solved on this grid, which is too coarse: a finer one gives something else"
     CONTRADICTED = "solved for the expansion, but fresh simulations contradict it"
+    UNRESOLVED = "solved for the expansion, which is too coarse for what is asked of it"
     WORST_CASE_BROKEN = "solved for the realisations found so far, but others break a limit on the worst case"
     INFEASIBLE = "infeasible: the constraints cannot all be met near here"
     ITERATION_LIMIT = "stopped at the iteration limit"

@@ -15,6 +15,7 @@ from aleator.validation import Checked, Evidence
 STATUS_WORDS = {
     Status.NOT_HELD: "limits break between the instants",
     Status.COARSE: "the grid is too coarse",
+    Status.UNRESOLVED: "the expansion is too coarse for what is asked of it",
     Status.CONTRADICTED: "fresh simulations contradict the expansion",
     Status.WORST_CASE_BROKEN: "the worst case breaks a limit",
     Status.SOLVED: "solved",

@@ -6,6 +6,7 @@ from aleator.transcription._held import held_between as held_between
 from aleator.transcription._probe import probed as probed
 from aleator.transcription._quality import doubts as doubts
 from aleator.transcription._quality import quality_of as quality_of
+from aleator.transcription._quality import untrusted as untrusted
 from aleator.transcription._reference import Reference as Reference
 from aleator.transcription._reference import grid_error as grid_error
 from aleator.transcription._reference import reference as reference

@@ -7,9 +7,13 @@ import numpy as np
 from jaxtyping import Float
 
 from aleator.collocation import ILL_CONDITIONED, unseen
-from aleator.design import ExpansionQuality, SecondOpinion, sizes
+from aleator.design import ExpansionQuality, Problem, SecondOpinion, sizes, statistics_in
+from aleator.statistics import Covariance, Mean, Std, Variance
 from aleator.transcription._resolution import Resolved
 from aleator.transcription._sequential import Sequential
+
+# The part of a standard deviation that an expansion may miss where moments are asked of it.
+_TRUSTED = {Mean: 1.0, Std: 1 / 3, Variance: 1 / 3, Covariance: 1 / 3}
 
 # A spread below this part of what a functional is made of is rounding.
 _ROUNDING = 1e-11
@@ -63,6 +67,28 @@ def _rounding(
         for text, size in zip(transcription.texts.functionals, magnitudes, strict=True)
         if text in suspects and float(resolved[text].std) <= _ROUNDING * float(size)
     }
+
+
+def untrusted(problem: Problem, quality: ExpansionQuality) -> str:
+    """A sentence on the statistic that an expansion is least fit for, where it cannot be acted on; empty for none.
+
+    What an expansion misses adds to a variance by its square: a third of the standard deviation is a ninth of it. Tails
+    know no such mercy, and are trusted up to the expansion's tolerance alone; a mean is less delicate. A higher
+    tolerance is the user's own word for all of them.
+    """
+    worst, sentence = 1.0, ""
+    for one in statistics_in(problem.expressions):
+        most = max(quality.tolerance, _TRUSTED.get(type(one.kind), 0.0))
+        for functional in one.functionals:
+            error = quality.leave_one_out.get(functional.text(), 0.0)
+            # Where nothing is left to check it by, the error is infinite, and fresh simulations are the judge.
+            if not np.isinf(error) and not error <= worst * most:
+                worst = error / most
+                sentence = (
+                    f"it misses {functional.text()} by {error:.2g} of its standard deviation, where {one.text()} asks "
+                    f"for {most:.2g} at most"
+                )
+    return sentence
 
 
 def doubts(quality: ExpansionQuality, opinion: SecondOpinion | None) -> list[str]:

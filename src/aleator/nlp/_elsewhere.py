@@ -1,0 +1,63 @@
+"""Infeasible near one point, feasible at another: what is tried before a program is called infeasible.
+
+Solvers prove that no small step from where they stand meets all constraints. Where a model saturates, or where a
+decision has to grow by many orders of magnitude from a start that says nothing of it, that is not the whole truth.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from aleator.nlp._outcome import Outcome, Status
+from aleator.nlp._program import NonlinearProgram
+
+# How many points all over the range of the decisions are looked at, and how far from the start where that has no end,
+# in typical magnitudes.
+_POINTS, _FAR = 8, 3.0
+# A point is less violated if its violation is lower by more than this part of it.
+_LESS = 1e-2
+
+
+def feasible_elsewhere(
+    program: NonlinearProgram,
+    outcome: Outcome,
+    start: np.ndarray,
+    again: Callable[[NonlinearProgram, np.ndarray], Outcome],
+) -> Outcome:
+    """The outcome, or that of another start if it is called infeasible although some point violates less.
+
+    `again` solves a program from a start: from the least violated of those looked at, `start` (shape (n,)) among them,
+    with decisions scaled by what they have come to be.
+    """
+    if outcome.status is not Status.INFEASIBLE:
+        return outcome
+    points = [start, *_points(program, start)]
+    violations = [_violation(program, outcome, point) for point in points]
+    best = int(np.argmin(violations))
+    if not violations[best] < (1 - _LESS) * outcome.violation:
+        return outcome
+    scale = np.max(np.abs([program.decision_scale, outcome.decisions, points[best]]), axis=0)
+    found = again(replace(program, decision_scale=scale), points[best])
+    chosen = found if found.status in (Status.SOLVED, Status.INTERRUPTED) else outcome
+    return replace(
+        chosen,
+        iterations=outcome.iterations + found.iterations,
+        evaluations=outcome.evaluations + found.evaluations,
+        seconds=outcome.seconds + found.seconds,
+    )
+
+
+def _points(program: NonlinearProgram, start: np.ndarray) -> list[np.ndarray]:
+    """The corners of least and greatest decisions, the middle between them, and points all over."""
+    far = _FAR * program.decision_scale
+    lower = np.where(np.isfinite(program.lower), program.lower, start - far)
+    upper = np.where(np.isfinite(program.upper), program.upper, start + far)
+    generator = np.random.default_rng(0)
+    return [lower, upper, (lower + upper) / 2, *generator.uniform(lower, upper, (_POINTS, len(start)))]
+
+
+def _violation(program: NonlinearProgram, outcome: Outcome, point: np.ndarray) -> float:
+    values = program.evaluate(point).constraints
+    beyond = np.maximum(values - program.constraint_upper, program.constraint_lower - values) / outcome.sizes
+    return float(np.max(beyond, initial=0.0)) if np.isfinite(values).all() else np.inf
