@@ -34,6 +34,7 @@ from aleator.transcription import (
     grid_error,
     held_at_worst,
     held_between,
+    misled,
     probed,
     quality_of,
     reference_factor,
@@ -137,6 +138,9 @@ class _Stages(NamedTuple):
         if finer is not None:
             elsewhere = probed(transcription, outcome.decisions, finer)
             error = grid_error(transcription, outcome.decisions, finer, self.accuracy, elsewhere.numbers)
+            if multipliers is None:
+                begun = transcription.program.start if start is None else start
+                error = replace(error, at_start=misled(transcription, begun))
             if between is not None and elsewhere.worst > between.worst:
                 between = replace(between, worst=elsewhere.worst, name=elsewhere.where, time=elsewhere.when)
         if error is not None and not error.is_usable:

@@ -177,3 +177,67 @@ def test_a_jump_in_time_is_named_with_its_instant_where_refining_does_not_help()
 def test_an_accuracy_that_no_arithmetic_gives_is_refused(accuracy):
     with pytest.raises(al.ProblemError, match="expected `accuracy` as a number from 1e-09"):
         al.solve(least_effort(4, 20), accuracy=accuracy)
+
+
+class Fast(al.System):
+    """An oscillator that is known in closed form, too fast for a coarse grid."""
+
+    states = ("x", "v")
+    d: Any
+    frequency: float = 50.0
+
+    def initial(self):
+        return {"x": self.d}
+
+    def rhs(self, t, z):
+        return z.v, -((2 * jnp.pi * self.frequency) ** 2) * z.x
+
+    def outputs(self, t, z):
+        return {"y": z.x, "loss": (self.d - 3.0) ** 2}
+
+
+def swinging(frequency, steps):
+    return al.Problem(
+        Fast(al.Decision(1.0, 0.0, 10.0), frequency),
+        grid=al.Grid(1.0, steps),
+        minimize=al.terminal("loss").mean,
+        subject_to=[al.path("y").at_least(-1.0)],
+    )
+
+
+@pytest.mark.parametrize("frequency", [50.0, 100.0])
+def test_a_search_that_flees_from_an_unstable_grid_is_warned_of(frequency):
+    with pytest.warns(al.GridWarning, match=r"at the start of the search 100 steps give y\(t\) as .* where 1 is right"):
+        solution = al.solve(swinging(frequency, 100))
+    # Where it fled to nothing moves, and every grid is exact.
+    assert solution.decisions["d"] == pytest.approx(0.0, abs=1e-9)
+    assert al.solve(swinging(frequency, 100 * int(frequency))).decisions["d"] == pytest.approx(1.0, rel=2e-3)
+
+
+def test_a_finer_grid_on_which_a_limit_is_not_a_number_is_no_grid_to_be_solved_on():
+    solution = al.solve(swinging(200.0, 100), throw=False)
+    assert not solution.ok
+    assert "is not a number" in solution.why()
+
+
+@pytest.mark.parametrize("residual", [lambda d: jnp.cos(d) - 0.3 * d, lambda d: (d - 2) ** 2, lambda d: d * 7.3 - 11.0])
+def test_what_does_not_depend_on_time_has_no_error_of_the_grid(residual):
+    class Still(al.System):
+        states = ("nothing",)
+        d: Any
+
+        def rhs(self, t, z):
+            return (0.0 * z.nothing,)
+
+        def outputs(self, t, z):
+            return {"y": residual(self.d), "loss": (self.d - 3.0) ** 2}
+
+    problem = al.Problem(
+        Still(al.Decision(1.0, 0.0, 10.0)),
+        grid=al.Grid(1.0, 100),
+        minimize=al.terminal("loss").mean,
+        subject_to=[al.terminal("y").mean.equals(0.0)],
+    )
+    solution = al.solve(problem, refine=True)
+    assert solution.ok
+    assert solution.problem.grid.steps == 100

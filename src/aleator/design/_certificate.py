@@ -194,6 +194,8 @@ class Between:
         if self.holds:
             return f"limits over time hold on {self.factor} times as many steps too"
         when = "" if np.isnan(self.time) else f" after t = {self.time:.4g} s"
+        if np.isinf(self.worst):
+            return f"between the instants of the grid '{self.name}' is not a number{when}: use more steps"
         return (
             f"between the instants of the grid '{self.name}' exceeds its bound by {self.worst:.2g} of it{when}: "
             "use more steps"

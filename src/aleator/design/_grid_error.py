@@ -38,7 +38,9 @@ class GridError:
     - `accuracy`: the part of a limit or of a spread, whichever is smaller, that is tolerated;
     - `objective`: its deviation, of which `accuracy` of its own magnitude is tolerated;
     - `functionals`: by their texts;
-    - `broken`: a sentence on the constraint that does not hold on the finer grid; empty if all do.
+    - `broken`: a sentence on the constraint that does not hold on the finer grid; empty if all do;
+    - `at_start`: a sentence on what the grid is far off at the design that the search began with, so that it may have
+      been led astray; empty where it is not, or where that was not looked at.
     """
 
     steps: int
@@ -48,6 +50,7 @@ class GridError:
     objective: Deviation
     functionals: Mapping[str, Deviation]
     broken: str = ""
+    at_start: str = ""
 
     @property
     def worst(self) -> str:
@@ -62,23 +65,29 @@ class GridError:
     @property
     def is_met(self) -> bool:
         """Whether all deviations are tolerated."""
-        return self.ratio <= 1 and not self.broken
+        return self.ratio <= 1 and not self.broken and not self.at_start
 
     @property
     def is_usable(self) -> bool:
-        """Whether the solution stands on the finer grid too: no limit breaks there, and it costs what it says."""
-        return self.objective.ratio <= 1 and not self.broken
+        """Whether the solution stands on the finer grid too: no limit breaks there, it costs what it says, and nothing
+        is not a number.
+        """
+        finite = all(np.isfinite(one.error) for one in self.functionals.values())
+        return self.objective.ratio <= 1 and not self.broken and finite
 
     @property
     def steps_needed(self) -> int:
         """How many steps bring the error down to what is tolerated, if it falls with the fourth power of a step."""
         ratio = self.ratio if np.isfinite(self.ratio) else 1e4
-        return int(np.ceil(self.steps * max(1.0, _AHEAD * ratio**0.25)))
+        least = 1.0 if self.is_met else 2.0
+        return int(np.ceil(self.steps * max(least, _AHEAD * ratio**0.25)))
 
     def sentence(self) -> str:
         """What deviates most, by how much, and how much is tolerated."""
         if self.broken:
             return self.broken
+        if self.at_start and self.ratio <= 1:
+            return self.at_start
         if self.objective.ratio > 1 or not self.functionals:
             what, one = "the objective", self.objective
         else:

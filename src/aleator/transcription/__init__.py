@@ -3,6 +3,7 @@
 from aleator.transcription._between import excess_between as excess_between
 from aleator.transcription._diagnosis import diagnose as diagnose
 from aleator.transcription._held import held_between as held_between
+from aleator.transcription._probe import misled as misled
 from aleator.transcription._probe import probed as probed
 from aleator.transcription._quality import doubts as doubts
 from aleator.transcription._quality import quality_of as quality_of

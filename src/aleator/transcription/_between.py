@@ -50,7 +50,8 @@ def excess_between(transcription: Sequential, decisions: Float[np.ndarray, " n"]
         ]
         shifts.append(_shifts(rows, factor, sides) if one.is_path else rows)
         candidates = [(float(rows.max()), int(np.argmax(rows))), *((max(side[1:]), int(side[0])) for side in sides)]
-        largest, place = max(candidates)
+        # A number that is none is beyond all.
+        largest, place = max((np.inf if np.isnan(excess) else excess, place) for excess, place in candidates)
         if largest / scale > worst[0]:
             worst = largest / scale, one.name, float(times[place // factor]) if one.is_path else np.nan
         if float(one.lower) == float(one.upper):

@@ -3,6 +3,8 @@
 from dataclasses import replace
 from typing import NamedTuple
 
+import numpy as np
+
 from aleator.design import HELD, Between, is_over_time
 from aleator.nlp import AbstractSolver, Outcome, Status
 from aleator.transcription._between import excess_between, margins_for, no_margins, tightened
@@ -37,7 +39,7 @@ def held_between(transcription: Sequential, solver: AbstractSolver, outcome: Out
         return Held(outcome, None, finer)
     excess = excess_between(transcription, outcome.decisions, finer)
     margins, done = no_margins(excess), 0
-    while excess.worst > HELD and done < _MOST_TIGHTENINGS:
+    while HELD < excess.worst < np.inf and done < _MOST_TIGHTENINGS:
         # At first nothing is given away; then it must come to an end.
         margins = margins_for(margins, excess, relax=done < _MOST_TIGHTENINGS // 2)
         again = solver.solve(

@@ -23,7 +23,7 @@ from aleator.design import (
     refuse_changed_code,
     responses,
 )
-from aleator.dynamics import Grid
+from aleator.dynamics import Grid, System
 from aleator.transcription._alone import Alone, alone, middle
 from aleator.transcription._magnitudes import bound_size
 from aleator.transcription._reference import Reference
@@ -34,6 +34,8 @@ _STEPS, _BEYOND = 4099, 1.5
 # What one system shows beside the instants of the finer grid counts from this part of a limit on: less is the error of
 # its integration. Of an integral more, for a grid is better than this one where it has the instants of a jump.
 _SHOWS, _SHOWS_OF_NUMBERS = 5e-3, 2e-2
+# A grid is far off where it makes something so many times as large as it is.
+_FAR_OFF = 10.0
 
 
 class Probed(NamedTuple):
@@ -65,19 +67,49 @@ def probed(transcription: Sequential, decisions: Float[np.ndarray, " n"], finer:
     problem = transcription.problem
     assert isinstance(problem.grid, Grid)
     steps = _prime_from(max(_STEPS, int(_BEYOND * finer.factor * problem.grid.steps)))
-    grid = Grid(problem.grid.t_final, steps, float(problem.grid.t_start))
-    elsewhere = eqx.tree_at(lambda tree: tree.grid, problem, grid)
     points, weights = map(np.asarray, (transcription.collocation.points, transcription.collocation.weights))
-    germ = jnp.asarray(points[middle(points, weights)])
-    seen = Alone(*jax.tree.map(np.asarray, PROBE(numbers_to_arrays(elsewhere), germ, jnp.asarray(decisions))))
+    seen = _seen(problem, steps, points[middle(points, weights)], decisions)
     times = transcription.times(decisions)
     worst = (0.0, "", np.nan)
-    for beyond, name, fraction in _exceeded(transcription, finer, seen, grid.fractions):
+    for beyond, name, fraction in _exceeded(transcription, finer, seen, np.linspace(0.0, 1.0, steps + 1)):
         if not beyond <= worst[0]:
             worst = beyond, name, float(times[0] + fraction * (times[-1] - times[0]))
     functionals = zip(functionals_of(problem.expressions), finer.alone.functionals, seen.functionals, strict=True)
     numbers = {one.text(): _shown(own, other) for one, own, other in functionals if not one.is_path}
     return Probed(*worst, numbers | {"": _shown(finer.alone.expressions[0], seen.expressions[0])})
+
+
+def misled(transcription: Sequential, start: Float[np.ndarray, " n"]) -> str:
+    """A sentence on a functional that a problem's grid is far off at the start of a search; empty if there is none.
+
+    A step that is too long for a design makes it look unstable, and a search flees to one that does nothing: there the
+    grid is found to be exact.
+    """
+    problem = transcription.problem
+    if not (isinstance(problem.grid, Grid) and isinstance(problem.system, System) and problem.system.states):
+        return ""
+    points, weights = map(np.asarray, (transcription.collocation.points, transcription.collocation.weights))
+    which = middle(points, weights)
+    seen = _seen(problem, _prime_from(max(_STEPS, problem.grid.steps)), points[which], start)
+    parts = zip(
+        functionals_of(problem.expressions), transcription.evaluator(start).samples, seen.functionals, strict=True
+    )
+    for one, samples, other in parts:
+        own, true = (float(np.max(np.abs(part))) for part in (samples[which], other))
+        if not own <= _FAR_OFF * true:
+            return (
+                f"at the start of the search {problem.grid.steps} steps give {one.text()} as {own:.3g}, where "
+                f"{true:.3g} is right: a search may flee from good designs"
+            )
+    return ""
+
+
+def _seen(problem: Problem, steps: int, point: Float[np.ndarray, " variables"], decisions: np.ndarray) -> Alone:
+    """One system of a problem on another number of steps."""
+    assert isinstance(problem.grid, Grid)
+    grid = Grid(problem.grid.t_final, steps, float(problem.grid.t_start))
+    elsewhere = numbers_to_arrays(eqx.tree_at(lambda tree: tree.grid, problem, grid))
+    return Alone(*jax.tree.map(np.asarray, PROBE(elsewhere, jnp.asarray(point), jnp.asarray(decisions))))
 
 
 def _shown(own: np.ndarray, other: np.ndarray) -> float:

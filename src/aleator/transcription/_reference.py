@@ -37,6 +37,8 @@ from aleator.transcription._sequential import Sequential
 # How many times as many steps: for systems that follow trajectories, whose limits are held between instants, for
 # others; and the least number of steps in all, and of steps from knot to knot.
 _FOLLOWING, _PLAIN, _FEWEST, _BY_PIECE = 10, 2, 100, 4
+# A bound is missed on a finer grid because of the grid if so much of it comes from there.
+_OF_THE_GRID = 0.1
 # The other grid has an error of its own, much smaller than what it is asked about.
 _OWN_ERROR = 1.25
 # A magnitude smaller than this part of what it could be is zero up to the errors of integration.
@@ -168,7 +170,7 @@ def grid_error(
         accuracy=accuracy,
         objective=Deviation(away, max(accuracy * max(abs(objective), floor), _TINY)),
         functionals=deviations,
-        broken=_broken(problem, finer, reaches, accuracy),
+        broken=_broken(transcription, decisions, finer, reaches, accuracy),
     )
 
 
@@ -205,15 +207,32 @@ def _reach(atom: Any, reaches: dict[Any, float]) -> float:
     return reach if atom.kind.speaks_of_one_system or isinstance(atom.kind, Std) else 0.0
 
 
-def _broken(problem: Problem, finer: Reference, reaches: dict[Any, float], accuracy: float) -> str:
-    """A sentence on the constraint, no limit over time, that is broken most on the finer grid; empty if all hold."""
+def _broken(
+    transcription: Sequential,
+    decisions: Float[np.ndarray, " n"],
+    finer: Reference,
+    reaches: dict[Any, float],
+    accuracy: float,
+) -> str:
+    """A sentence on the constraint, no limit over time, that is broken most on the finer grid; empty if all hold.
+
+    What is the same on both grids is none of their error, however small what it is compared with.
+    """
+    problem, program = transcription.problem, transcription.program
+    evaluation = program.evaluate(decisions)
+    sizes = np.ones(len(evaluation.constraints)) * program.constraint_scale
+    if program.magnitudes is not None:
+        sizes = program.magnitudes(decisions, evaluation).size
     worst, sentence = accuracy, ""
-    for one, value in zip(problem.constraints, finer.values[1:], strict=True):
+    for one, rows, value in zip(problem.constraints, transcription.rows, finer.values[1:], strict=True):
         if is_over_time(one):
             continue
+        if not np.isfinite(value).all():
+            return f"on a finer grid '{one.name}' ({one}) is not a number"
         excess = float(np.max(np.maximum(value - float(one.upper), float(one.lower) - value)))
-        size = bound_size(one) or _reach_of(one.expression, reaches)
-        if excess > worst * size > 0:
+        changed = float(np.max(np.abs(np.ravel(value) - evaluation.constraints[rows])))
+        size = bound_size(one) or max(_reach_of(one.expression, reaches), float(np.max(sizes[rows])))
+        if excess > worst * size > 0 and changed > _OF_THE_GRID * excess:
             worst = excess / size
             sentence = f"on a finer grid '{one.name}' ({one}) misses its bound by {excess:.2g}"
     return sentence
