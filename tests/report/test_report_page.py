@@ -126,3 +126,13 @@ def test_where_no_limit_is_counted_the_verdict_says_so_and_why_and_claims_no_sha
     assert "of systems break" not in said.headline
     assert any("σ[response(t_f)] ≤ 0.3: a statistic of all systems together" in one for one in said.sentences)
     assert not any("violate" in card.label for card in said.cards)
+
+
+def test_evidence_on_another_design_is_refused(tmp_path):
+    other = al.solve(gain_problem(upper=1.5))
+    strange = al.validate(other, samples=100)
+    with pytest.raises(ProblemError, match="evidence on 'design' was sampled from another design"):
+        report(al.solve(gain_problem()), strange, path=tmp_path / "page.html")
+    with pytest.raises(ProblemError, match="evidence on 'b', but no design of that name"):
+        report({"a": other}, {"b": strange}, path=tmp_path / "page.html")
+    assert not list(tmp_path.iterdir())

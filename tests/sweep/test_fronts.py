@@ -1,3 +1,6 @@
+import contextlib
+import signal
+
 import numpy as np
 import pytest
 
@@ -134,3 +137,18 @@ def test_ctrl_c_before_the_first_point_is_ctrl_c(monkeypatch):
     monkeypatch.setattr(front_module, "solve", solve)
     with pytest.raises(KeyboardInterrupt):
         al.pareto(gain_problem(), "response", [1.0, 2.0])
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGINT"), reason="no signals here")
+def test_a_ctrl_c_that_a_callback_swallows_ends_the_front_after_the_point():
+    def swallow(task, done, total):
+        # So do destructors and callbacks of the garbage collector, which Python lets no exception out of.
+        if done == 1:
+            with contextlib.suppress(KeyboardInterrupt):
+                signal.raise_signal(signal.SIGINT)
+
+    before = signal.getsignal(signal.SIGINT)
+    front = al.pareto(gain_problem(), "response", [1.0, 2.0, 3.0, 4.0], progress=swallow)
+    assert front.interrupted
+    assert front.values.tolist() == [1.0, 2.0]
+    assert signal.getsignal(signal.SIGINT) is before

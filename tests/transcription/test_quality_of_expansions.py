@@ -9,6 +9,7 @@ import pytest
 
 import aleator as al
 from aleator.collocation import collocate
+from aleator.nlp import Status
 from aleator.transcription import EVALUATE
 from aleator.uncertainty import LegendreGerm
 
@@ -52,7 +53,9 @@ def lost_variance():
 def test_a_long_simulation_is_followed_until_an_instant_that_the_warning_names():
     expected = float(np.asarray(GRID.times)[1 + np.argmax(lost_variance() > 0.05**2)])
     with pytest.warns(al.ExpansionWarning, match=r"order 4 does not resolve x\(t\) .* from t = 1\d.* s on"):
-        solution = al.solve(phase_problem())
+        solution = al.solve(phase_problem(), throw=False)
+    assert solution.status is Status.UNRESOLVED
+    assert "misses x(t) by" in solution.why()
     # A sample is predicted from the others a little worse than the best approximation.
     assert 0.75 * expected <= solution.expansion.unresolved_from["x(t)"] <= expected
     assert solution.expansion.unresolved == ("x(t)",)

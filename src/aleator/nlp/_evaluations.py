@@ -1,8 +1,6 @@
 """One call of the model per point, whatever a solver asks for and however it goes wrong."""
 
 import contextlib
-import signal
-import threading
 from collections import OrderedDict, deque
 from collections.abc import Callable, Iterator
 from typing import final
@@ -10,6 +8,7 @@ from typing import final
 import numpy as np
 
 from aleator._core.errors import ProblemError
+from aleator._core.heard import noting
 from aleator.nlp._program import Evaluation
 
 
@@ -120,20 +119,12 @@ class Evaluations:
     @contextlib.contextmanager
     def noting_interrupts(self) -> Iterator[None]:
         """Keep a Ctrl-C that arrives inside a solver's own code, where the exception itself would be swallowed."""
-        previous = signal.getsignal(signal.SIGINT)
-        if threading.current_thread() is not threading.main_thread() or not callable(previous):
-            yield
-            return
 
-        def note(number: int, frame: object) -> None:
+        def note() -> None:
             self.halt = self.halt or KeyboardInterrupt()
-            previous(number, frame)  # type: ignore[arg-type]
 
-        signal.signal(signal.SIGINT, note)
-        try:
+        with noting(note):
             yield
-        finally:
-            signal.signal(signal.SIGINT, previous)
 
     def _remember(self, key: bytes, evaluation: Evaluation) -> None:
         # Failures must not push out finite points, to which a solver that steps back returns.

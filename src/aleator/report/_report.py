@@ -69,6 +69,8 @@ def report(
         raise ProblemError("report: expected at least one solution; received none.")
     first = next(iter(designs))
     sampled, swept = _named(evidence, Evidence, first), _named(fronts, Front, first)
+    for name, one in sampled.items():
+        _check_belongs(name, one, designs)
     check_writable(as_path(path).parent)
     return write_page(_page(designs, sampled, {name: one for name, one in swept.items() if one.solutions}, title), path)
 
@@ -85,6 +87,19 @@ def _named(given: Result | Mapping[str, Result] | None, kind: type[Result], name
         if not isinstance(one, kind):
             raise ProblemError(f"report: expected a {kind.__name__} as '{key}'; received {type(one).__name__}.")
     return cast("dict[str, Result]", {str(key): one for key, one in given.items()})
+
+
+def _check_belongs(name: str, evidence: Evidence, designs: Mapping[str, Solution]) -> None:
+    """Raise `ProblemError` for evidence on no design, or on another than the one under its name."""
+    if name not in designs:
+        raise ProblemError(
+            f"report: there is evidence on '{name}', but no design of that name; expected one of {list(designs)}."
+        )
+    own, other = designs[name], evidence.solution
+    if own.vector.shape != other.vector.shape or not np.array_equal(own.vector, other.vector):
+        raise ProblemError(
+            f"report: the evidence on '{name}' was sampled from another design than the one shown: validate that one."
+        )
 
 
 def _page(designs: dict[str, Solution], evidence: dict[str, Evidence], fronts: dict[str, Front], title: str) -> Page:

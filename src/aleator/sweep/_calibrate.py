@@ -2,7 +2,7 @@
 
 import bisect
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, final
 
@@ -10,6 +10,7 @@ import numpy as np
 from scipy import special
 
 from aleator._core.errors import CalibrationWarning, ProblemError
+from aleator._core.heard import heeding
 from aleator._core.progress import Progress, silent
 from aleator.design import Problem, Solution, uncertain
 from aleator.nlp import AbstractSolver
@@ -69,7 +70,8 @@ def calibrate(
     run = _Run(search, sampler, max_trials, progress)
     interrupted = False
     try:
-        run.finish()
+        with heeding() as run.heed:
+            run.finish()
     except KeyboardInterrupt:
         if not search.trials:
             raise
@@ -99,6 +101,7 @@ class _Run:
         self.fresh: Share | None = None
         self.evidence: Evidence | None = None
         self.missing = ""
+        self.heed: Callable[[], None] = lambda: None
 
     def finish(self) -> None:
         """Search and confirm until a design is confirmed, or nothing is left to try."""
@@ -126,12 +129,14 @@ class _Run:
             self._progress(self._task, self._tried, self._max_trials)
             self._search.step()
             self._tried += 1
+            self.heed()
 
     def _confirm(self, trial: Trial) -> bool:
         """Whether fresh systems confirm a design: more of them as long as that is likely."""
         self.chosen, self.fresh, self.evidence = trial, None, None
         for times in _FRESH:
             self.fresh, self.evidence = self._sampler.fresh(trial.solution, times)
+            self.heed()
             if self.fresh.upper <= self._sampler.target:
                 return True
             if self._sampler.hoped(self.fresh, 2).upper > self._sampler.target:

@@ -9,6 +9,7 @@ from jaxtyping import Float
 
 from aleator._core.errors import ProblemError
 from aleator._core.given import a_name, one_of, real_array
+from aleator._core.heard import heeding
 from aleator._core.progress import Progress, silent
 from aleator.design import Problem, Solution, Times, current, refuse_changed
 from aleator.nlp import AbstractSolver, Status
@@ -96,13 +97,15 @@ def pareto(
     refused: dict[float, ProblemError] = {}
     interrupted = True
     try:
-        for done, (one, value) in enumerate(zip(problems, bounds, strict=True)):
-            progress(f"front over {bound}", done, len(bounds))
-            refuse_changed("pareto", one, "when the front was begun")
-            try:
-                solutions[value] = _point(one, _nearest(solutions, value), solver)
-            except ProblemError as error:
-                refused[value] = error
+        with heeding() as heed:
+            for done, (one, value) in enumerate(zip(problems, bounds, strict=True)):
+                progress(f"front over {bound}", done, len(bounds))
+                refuse_changed("pareto", one, "when the front was begun")
+                try:
+                    solutions[value] = _point(one, _nearest(solutions, value), solver)
+                except ProblemError as error:
+                    refused[value] = error
+                heed()
         interrupted = False
         progress(f"front over {bound}", len(bounds), len(bounds))
     except KeyboardInterrupt:

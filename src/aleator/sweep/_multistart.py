@@ -9,6 +9,7 @@ from jaxtyping import Float
 
 from aleator._core.errors import ProblemError
 from aleator._core.given import one_of, positive, whole
+from aleator._core.heard import heeding
 from aleator._core.progress import Progress, silent
 from aleator.design import Problem, Solution, current, refuse_changed
 from aleator.nlp import AbstractSolver
@@ -107,10 +108,12 @@ def multistart(
     solutions: list[Solution] = []
     interrupted = True
     try:
-        for done, start in enumerate(given):
-            progress("starts", done, len(given))
-            refuse_changed("multistart", problem, "at the first start")
-            solutions.append(solve(problem, solver, start=start, throw=False))
+        with heeding() as heed:
+            for done, start in enumerate(given):
+                progress("starts", done, len(given))
+                refuse_changed("multistart", problem, "at the first start")
+                solutions.append(solve(problem, solver, start=start, throw=False))
+                heed()
         interrupted = False
         progress("starts", len(given), len(given))
     except KeyboardInterrupt:
