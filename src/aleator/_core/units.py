@@ -1,11 +1,13 @@
-"""Units as text: what becomes of them in products, squares, rates and integrals over time.
+"""Units as text: what becomes of them in sums, products, squares, rates and integrals over time.
 
-A unit is what a model declares, such as `N m` or `m²/s⁴`, and is read no further than these need. An empty text is an
-unknown unit, of which nothing follows; `-` is that of a pure number.
+A unit is what a model declares, such as `N m` or `m²/s⁴`, and is read no further than these need (`_core.dimensions`
+reads what it measures). An empty text is an unknown unit, of which nothing follows; `-` is that of a pure number.
 """
 
 import re
 from collections.abc import Iterable
+
+from aleator._core.dimensions import all_same
 
 PURE = "-"
 
@@ -17,9 +19,9 @@ _RATES = {"": "", PURE: "1/s", "J": "W"}
 
 
 def common(units: Iterable[str]) -> str:
-    """The unit of a sum: the one that all terms share; unknown if they differ."""
-    found = set(units)
-    return found.pop() if len(found) == 1 else ""
+    """The unit of a sum: the one that all terms share, as the first writes it; unknown if they differ."""
+    found = list(dict.fromkeys(units))
+    return found[0] if len(found) == 1 or (found and all_same(found)) else ""
 
 
 def product(first: str, second: str) -> str:

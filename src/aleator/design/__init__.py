@@ -73,6 +73,9 @@ from aleator.design._statistic import functionals_of as functionals_of
 from aleator.design._statistic import integrated_paths as integrated_paths
 from aleator.design._statistic import joined as joined
 from aleator.design._statistic import statistics_in as statistics_in
+from aleator.design._units import number_unit as number_unit
+from aleator.design._units import output_units as output_units
+from aleator.design._units import units_of as units_of
 from aleator.design._worst_case import WorstCase as WorstCase
 from aleator.design._worst_case import WorstRealisation as WorstRealisation
 from aleator.nlp import HELD as HELD

@@ -22,6 +22,7 @@ from aleator.design._realisations import refuse_trouble
 from aleator.design._response import grid_at, history
 from aleator.design._scope import AbstractScope, Value
 from aleator.design._statistic import AbstractFunctional, Taken, functionals_of, joined, statistics_in
+from aleator.design._units import refuse_clashes
 from aleator.dynamics import AbstractIntegrator, AlgebraicSystem, Grid, Instant, System, check_signals
 from aleator.statistics import AbstractStatistic, Sobol, TotalSobol, refuse_correlated
 from aleator.uncertainty import Survey, named_numbers, refuse_nonpositive
@@ -35,6 +36,7 @@ def check(problem: AbstractProblem) -> str:
     refuse_nonpositive(problem.model)
     _check_values(problem)
     _check_germs(problem)
+    refuse_clashes(problem)
     refuse_trouble(problem)
     return equations_now(problem)
 

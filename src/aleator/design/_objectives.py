@@ -100,6 +100,11 @@ class Norm(AbstractComposite):
         return common(one.unit(units) for one in self.expressions)
 
     @property
+    def inner(self) -> tuple[Expression, ...]:
+        """See `AbstractAtom.inner`."""
+        return self.expressions
+
+    @property
     def parts(self) -> tuple[AbstractAtom, ...]:
         """See `AbstractAtom.parts`."""
         return tuple(part for one in self.expressions for part in one.leaves)
@@ -132,6 +137,11 @@ class TimeIntegral(AbstractComposite):
     def unit(self, units: Units) -> str:
         """See `AbstractAtom.unit`."""
         return integrated(self.expression.unit(units))
+
+    @property
+    def inner(self) -> tuple[Expression, ...]:
+        """See `AbstractAtom.inner`."""
+        return (self.expression,)
 
     @property
     def parts(self) -> tuple[AbstractAtom, ...]:

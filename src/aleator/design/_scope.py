@@ -68,6 +68,11 @@ class AbstractAtom(eqx.Module):
         return (self,)
 
     @property
+    def inner(self) -> tuple[Any, ...]:
+        """The expressions that it is made of."""
+        return ()
+
+    @property
     def integrated(self) -> "tuple[AbstractAtom, ...]":
         """Those of its parts that are integrated over time: their paths are asked for between the instants too."""
         return ()

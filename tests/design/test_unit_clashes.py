@@ -1,0 +1,192 @@
+"""What is added, compared or shared must be in one unit, where units are known."""
+
+from typing import Any, ClassVar
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import aleator as al
+
+UNITS = {
+    **{"place": "m", "other_place": "m", "long": "mm", "acceleration": "m/s²", "torque": "N m", "moment": "N·m"},
+    **{"energy": "J", "turned": "deg", "angle": "rad", "speed": "m/s", "rate": "m s^-1", "share": "-", "percent": "%"},
+    **{"odd": "furlong", "two_ways": "W/m² K", "none": "", "wrong": 3.0, "warm": "°C", "heat": "K"},
+}
+
+
+class Mixed(al.AlgebraicSystem):
+    """One number, called by many units; `bare` has none."""
+
+    units: ClassVar[Any] = UNITS
+    x: Any = al.parameter("N")
+    y: Any = al.parameter("mm")
+
+    def outputs(self):
+        return dict.fromkeys((*UNITS, "bare"), self.x + self.y)
+
+
+def declared(objective=None, constraint=None):
+    y = al.Uniform(al.Decision(1.0, 0.5, 2.0), half_width=0.1)
+    objective = al.output("bare").mean if objective is None else objective
+    return al.Problem(Mixed(x=2.0, y=y), minimize=objective, subject_to=[] if constraint is None else [constraint])
+
+
+def out(name):
+    return al.output(name)
+
+
+PLACE, ACCELERATION = out("place"), out("acceleration")
+
+
+@pytest.mark.parametrize(
+    ("expression", "words"),
+    [
+        (PLACE.mean + ACCELERATION.mean, r"'μ\[place\]' is in m and 'μ\[acceleration\]' in m/s², which measure diff"),
+        (PLACE.mean + ACCELERATION.std, "is in m and .* in m/s², which measure different things: bring both to one"),
+        (PLACE.mean - ACCELERATION.quantile(0.9), "is in m and .* in m/s², which measure"),
+        (0.5 * (PLACE.mean + ACCELERATION.mean), "is in m and .* in m/s², which measure"),
+        (out("bare").mean + PLACE.mean + 3.0 + ACCELERATION.mean, "is in m and .* in m/s²"),
+        (PLACE.mean - PLACE.variance, "is in m and .* in m², which measure"),
+        (PLACE.std + al.covariance(PLACE, ACCELERATION), "is in m and .* in m"),
+        (PLACE.mean + PLACE.probability(above=1.0), "is in m and .* in -, which measure"),
+        (PLACE.mean + PLACE.skewness, "is in m and .* in -, which measure"),
+        (PLACE.mean + al.value("x"), "is in m and 'x' in N, which measure"),
+        (
+            PLACE.mean + al.value("y.half_width"),
+            r"is in m and 'y\.half_width' in mm, which differ in size, for 1 mm is 0\.",
+        ),
+        (PLACE.mean + out("long").mean, "which differ in size, for 1 mm is 0.001 m: bring both to one unit, or mult"),
+        (out("angle").mean - out("turned").mean, "is in rad and .* in deg, .* 1 deg is 0.0174533 rad"),
+        (out("turned").mean + out("angle").std, "is in deg and .* in rad, .* 1 rad is 57.2958 deg"),
+        (out("share").mean + out("percent").mean, r"is in - and .* in %, .* 1 % is 0\.01 \(-\)"),
+        (out("torque").mean + out("speed").mean, "is in N m and .* in m/s"),
+        (al.norm(PLACE.mean + ACCELERATION.mean, PLACE.std), "is in m and .* in m/s²"),
+        (al.norm(PLACE.mean, PLACE.std) + ACCELERATION.mean, "'‖.*‖' is in m and .* in m/s²"),
+    ],
+)
+def test_known_units_that_differ_are_refused_in_one_sentence_that_names_both(expression, words):
+    with pytest.raises(al.ProblemError, match=rf"The objective: .*{words}"):
+        declared(expression)
+    with pytest.raises(al.ProblemError, match=rf"Constraint 'limit': .*{words}") as refused:
+        declared(constraint=(expression <= 1.0).named("limit"))
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    "constraint",
+    [
+        PLACE.mean <= ACCELERATION.mean,
+        PLACE.quantile(0.99) >= ACCELERATION.mean,
+        (PLACE.mean - ACCELERATION.mean).equals(0.0),
+        PLACE.mean + 1.25 * ACCELERATION.std <= 0.034,
+        PLACE.mean - 2 * out("long").std >= 0.0,
+    ],
+)
+def test_comparisons_and_margins_of_another_unit_are_refused(constraint):
+    with pytest.raises(al.ProblemError, match=r"Constraint '.*' is in m and .* in m+(/s²)?, which"):
+        declared(constraint=constraint)
+
+
+@pytest.mark.parametrize(
+    "expression",
+    [
+        PLACE.mean + 2 * out("other_place").std + 3.0,
+        out("torque").mean + out("moment").std + out("energy").quantile(0.9),
+        out("speed").mean - out("rate").mean,
+        out("share").mean + PLACE.probability(above=1.0) + PLACE.sobol("y") + out("angle").mean,
+        out("warm").mean - out("heat").std,
+        # what is not known, or can be read in two ways
+        PLACE.mean + out("odd").mean + out("none").mean + out("bare").mean,
+        ACCELERATION.mean + out("two_ways").mean,
+        out("heat").mean + out("wrong").mean,
+        # factors that bring one unit to the other, or weigh one against the other
+        PLACE.mean + 1e-3 * out("long").mean,
+        out("angle").mean - np.pi / 180 * out("turned").mean,
+        PLACE.mean + 0.1 * ACCELERATION.mean,
+        PLACE.mean + 0 * ACCELERATION.mean,
+        # norms and cost curves are sums that nobody wrote as such
+        al.norm(PLACE.mean, ACCELERATION.mean) + out("energy").mean,
+        al.reciprocal("y.half_width", bias=0.0, scale=1.0) + PLACE.mean,
+        al.value("y.half_width") + al.value("y.mean"),
+    ],
+)
+def test_units_that_agree_or_are_not_known_are_not_refused(expression):
+    assert declared(expression, expression <= 1e6)
+
+
+class Moving(al.System):
+    states = ("x",)
+    units: ClassVar[Any] = {"x": "m", "speed": "m/s", "force": "N", "drive": "W", "energy": "N m"}
+    target: Any = al.parameter("m")
+
+    def rhs(self, t, z):
+        return (self.target - z.x,)
+
+    def outputs(self, t, z):
+        speed = self.target - z.x
+        return {"x": z.x, "speed": speed, "force": speed, "drive": speed, "energy": z.x}
+
+
+def moving(objective):
+    target = al.Uniform(1.0, half_width=0.1)
+    return al.Problem(Moving(target), grid=al.Grid(al.Decision(1.0, 0.5, 2.0), 4), minimize=objective)
+
+
+@pytest.mark.parametrize(
+    "objective",
+    [
+        al.integral("speed").mean + al.terminal("x").std,
+        al.integral("drive").mean + al.terminal("energy").mean,
+        al.time_integral(al.path("speed").std) + al.terminal("x").mean,
+        # the usual compromise of time and effort: weights are one unless others are given
+        al.final_time() + al.effort("force") + al.power({"force": "speed"}),
+        al.effort("force", "x"),
+        al.terminal_variance("x", "speed"),
+    ],
+)
+def test_integrals_over_time_have_units_of_their_own(objective):
+    assert moving(objective)
+
+
+@pytest.mark.parametrize(
+    ("objective", "words"),
+    [
+        (al.integral("x").mean + al.terminal("x").std, "is in m s and .* in m,"),
+        (al.final_time() + al.terminal("x").mean, "'t_final' is in s and .* in m,"),
+        (al.time_integral(al.path("x").mean + al.path("speed").std), r"is in m and .* in m/s,"),
+        (al.rms("force").mean + al.peak("speed").mean, "is in N and .* in m/s,"),
+    ],
+)
+def test_clashes_over_time_are_refused(objective, words):
+    with pytest.raises(al.ProblemError, match=words):
+        moving(objective)
+
+
+class Wheels(al.AlgebraicSystem):
+    front: Any = al.parameter("mm")
+    rear: Any = al.parameter("m")
+    axle: Any = al.parameter("mm")
+
+    def outputs(self):
+        return {"gap": jnp.asarray(self.front - self.rear + self.axle)}
+
+
+def test_one_number_shared_by_fields_of_different_units_is_refused():
+    radius = al.Normal(300.0, 1.0).shared("radius")
+    with pytest.raises(
+        al.ProblemError, match=r"'radius' is shared by 'front', in mm, and 'rear', in m, .* 1000 mm: give"
+    ):
+        al.Problem(Wheels(radius, radius, 1.0), minimize=al.output("gap").mean)
+    wide = al.Decision(300.0, 200.0, 400.0).shared("wide")
+    with pytest.raises(al.ProblemError, match=r"'wide' is shared by 'front\.mean', in mm, and 'rear\.mean', in m,"):
+        al.Problem(Wheels(al.Normal(wide, 1.0), al.Normal(wide, 1.0), 1.0), minimize=al.output("gap").mean)
+    assert al.Problem(Wheels(radius, 0.3, radius), minimize=al.output("gap").mean)
+
+
+def test_units_that_are_no_dict_are_refused():
+    class Odd(Wheels):
+        units: ClassVar[Any] = "mm"
+
+    with pytest.raises(al.ProblemError, match=r"Odd\.units: expected units of outputs by name, .* received 'mm'"):
+        al.Problem(Odd(1.0, 2.0, 3.0), minimize=al.output("gap").mean)

@@ -1,0 +1,125 @@
+"""What units written as text measure, against SciPy's table of constants and dimensional analysis on paper."""
+
+import re
+from pathlib import Path
+
+import pytest
+from scipy import constants
+
+from aleator._core.dimensions import is_same, measure
+from aleator._core.units import common
+
+ROOT = Path(__file__).parents[1]
+
+
+def known(unit):
+    found = measure(unit)
+    assert found is not None, unit
+    return found
+
+
+@pytest.mark.parametrize(
+    ("first", "second"),
+    [
+        ("N m", "N·m"),
+        ("N m", "N*m"),
+        ("N m", "Nm"),
+        ("J", "N m"),
+        ("J", "kg m²/s²"),
+        ("J", "kg m^2 s^-2"),
+        ("J", "kg*m**2/s**2"),
+        ("m/s", "m s^-1"),
+        ("m/s", "m s⁻¹"),
+        ("m/s", "m s-1"),
+        ("m/s", "(m/s)"),
+        ("N/(m s)", "N/m/s"),
+        ("W/(m² K)", "W m^(-2) K^-1"),
+        ("N m s/rad", "N m s"),
+        ("(N m)² s", "N² m² s"),
+        ("W", "J/s"),
+        ("V", "W/A"),
+        ("\u2126", "V/A"),
+        ("\u03a9", "ohm"),
+        ("T", "Wb/m2"),
+        ("H", "Wb/A"),
+        ("MPa", "N/mm²"),
+        ("\u00b5m", "\u03bcm"),
+        ("um", "\u03bcm"),
+        ("L", "dm³"),
+        ("Hz", "1/s"),
+        ("°", "deg"),
+        ("-", "rad"),
+        ("-", "1"),
+        ("kWh", "kW h"),
+        ("km/h", "1/(h/km)"),
+        ("°C", "K"),
+    ],
+)
+def test_one_unit_may_be_written_in_several_ways(first, second):
+    assert is_same(known(first), known(second))
+
+
+@pytest.mark.parametrize(
+    ("unit", "si", "size"),
+    [
+        ("deg", "rad", constants.degree),
+        ("min", "s", constants.minute),
+        ("h", "s", constants.hour),
+        ("d", "s", constants.day),
+        ("in", "m", constants.inch),
+        ("ft", "m", constants.foot),
+        ("yd", "m", constants.yard),
+        ("mi", "m", constants.mile),
+        ("mph", "m/s", constants.mph),
+        ("km/h", "m/s", constants.kmh),
+        ("lb", "kg", constants.lb),
+        ("lbf", "N", constants.lbf),
+        ("psi", "Pa", constants.psi),
+        ("bar", "Pa", constants.bar),
+        ("eV", "J", constants.eV),
+        ("L", "m³", constants.liter),
+        ("t", "kg", constants.metric_ton),
+        ("degF", "K", constants.degree_Fahrenheit),
+        ("daN", "N", constants.deka),
+        ("mm", "m", constants.milli),
+        ("nm", "m", constants.nano),
+        ("MN", "N", constants.mega),
+        ("kg", "kg", 1.0),
+        ("mg", "kg", 1e-6),
+        ("%", "-", 1e-2),
+        ("mm²", "m²", 1e-6),
+        ("kN/mm", "N/m", 1e6),
+    ],
+)
+def test_sizes_are_those_of_scipys_constants(unit, si, size):
+    assert known(unit).powers == known(si).powers
+    assert known(unit).scale / known(si).scale == pytest.approx(size, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    "unit",
+    [
+        *("", "W/m² K", "g", "C", "F", "rpm", "furlong", "$", "m^0.5", "N m)", "(N", "kg-m", "10 N", "CO2", "N2", "/s"),
+        *("m/", "m//s", "m + s", "dB", "pH", "metres", "m^", "²", "m²³⁻"),
+    ],
+)
+def test_what_can_be_read_in_two_ways_or_in_none_is_not_known(unit):
+    assert measure(unit) is None
+
+
+def test_the_unit_of_a_sum_is_that_of_its_first_term_however_the_others_write_it():
+    assert common(["N m", "J", "N·m"]) == "N m"
+    assert common(["furlong", "furlong"]) == "furlong"
+    assert common(["m", "mm"]) == common(["m", ""]) == common(["m", "furlong"]) == common([]) == ""
+
+
+def test_every_unit_of_the_studies_examples_and_documents_is_known():
+    """Else what is refused there, and what is not, would hang on how a unit is written."""
+    sources = [*ROOT.glob("src/aleator/studies/*.py"), *ROOT.glob("examples/*.py"), *ROOT.glob("docs/*.md")]
+    texts = [path.read_text(encoding="utf-8") for path in [*sources, ROOT / "README.md"]]
+    fields = [unit for text in texts for unit in re.findall(r'parameter\("([^"]+)"', text)]
+    tables = [table for text in texts for table in re.findall(r"\bunits(?:: ClassVar)? ?= ?(\{.*?\})", text, re.DOTALL)]
+    outputs = [unit for table in tables for unit in re.findall(r': "([^"]+)"', table)]
+    assert len(fields) > 10
+    assert len(outputs) > 10
+    assert [unit for unit in fields + outputs if measure(unit) is None] == []
