@@ -49,6 +49,23 @@ def test_the_fastest_robust_plan_keeps_its_limits_between_the_instants():
     assert solution.objective <= 1.5939 * 1.001
 
 
+@pytest.mark.slow
+def test_the_plan_at_the_root_of_three_is_that_of_the_worst_case():
+    # Of the model, found by a search over payloads: no standard deviation is in it.
+    plan = al.solve(pick_and_place_time.robust_problem(np.sqrt(3.0)), between=1)
+    problem = plan.problem
+    limits = [al.path(name).within(-10.0, 10.0, worst_case=True) for name in TORQUES]
+    worst = al.Problem(
+        problem.system,
+        grid=problem.grid,
+        minimize=al.final_time(),
+        subject_to=[*limits, *(al.path(name).at_least(0.0) for name in ("elbow_x", "tip_x", "gap_1", "gap_2"))],
+        expansion=problem.expansion,
+    )
+    found = al.solve(worst, start=plan.decisions, between=1)
+    assert found.objective == pytest.approx(plan.objective, rel=1e-6)
+
+
 def test_the_plan_of_least_effort_is_as_good_as_the_reference_and_keeps_its_distances():
     solution = al.solve(pick_and_place_effort.robust_problem(1.0))
     assert solution.objective <= 112.125

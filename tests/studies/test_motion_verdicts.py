@@ -91,7 +91,8 @@ def test_the_table_of_margins_shows_those_that_were_reached(found, printed):
     plans = {"robust": printed, "calibrated": found.solution}
     evidence = {"calibrated": found.evidence}
     margins = {"robust": 1.0, "worst": 1.7, "calibrated": found.sigmas}
-    table = price_table(plans, evidence, margins, "robust", "rate, 1/s")
+    table = price_table(plans, evidence, margins, "robust", "energy, N m")
+    assert "Energy, N m" in table.header
     assert [row[0] for row in table.rows] == ["robust", "calibrated"]
     assert [row[-1] == "–" for row in table.rows] == [True, False]
     _, drawing = margin_blocks(found, table, "samples")

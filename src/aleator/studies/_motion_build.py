@@ -86,7 +86,7 @@ def price_table(
                     share_text(found.joint) if found else "–",
                 ]
             )
-    header = ["Plan", "Margin a", measure.capitalize(), "Beside a = 1", "Systems that break any limit"]
+    header = ["Plan", "Margin a", measure[:1].upper() + measure[1:], "Beside a = 1", "Systems that break any limit"]
     return Table("What a margin costs", header, rows)
 
 

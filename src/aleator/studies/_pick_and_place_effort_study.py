@@ -208,13 +208,13 @@ class PickAndPlaceEffort(AbstractMotionStudy):
 
     def _cards(self) -> Iterator[Card]:
         plans = self.done.plans
-        for name in (MEAN, ROBUST):
-            if name in plans:
-                yield Card(f"Effort, {name}", number(plans[name].objective, 4, UNIT), f"reference {REFERENCE[name]}")
+        if ROBUST in plans:
+            note = f"margin a = 1; reference {REFERENCE[ROBUST]}"
+            yield Card(f"Effort, {ROBUST}", number(plans[ROBUST].objective, 4, UNIT), note)
         if CALIBRATED in plans and self.done.calibration is not None:
             note = f"margin a = {number(self.done.calibration.sigmas, 3)}"
             yield Card(f"Effort, {CALIBRATED}", number(plans[CALIBRATED].objective, 4, UNIT), note)
-        yield from violation_cards(self.done.evidence, (MEAN, ROBUST, CALIBRATED), "a limit")
+        yield from violation_cards(self.done.evidence, (ROBUST, CALIBRATED), "a limit")
 
     def schematic(self) -> Schematic:
         """See `AbstractMotionStudy.schematic`."""

@@ -217,10 +217,10 @@ class SwingUp(AbstractMotionStudy):
             )
 
     def _cards(self) -> Iterator[Card]:
-        for name in (MEAN, EXPECTED, CALIBRATED):
+        for name in (EXPECTED, CALIBRATED):
             if plan := self.done.plans.get(name):
                 yield Card(f"Energy, {name}", number(plan.objective, 4, "J"), f"in {number(duration(plan), 3, 's')}")
-        yield from violation_cards(self.done.evidence, (MEAN, EXPECTED, CALIBRATED), "the torque limit")
+        yield from violation_cards(self.done.evidence, (EXPECTED, CALIBRATED), "the torque limit")
 
     def schematic(self) -> Schematic:
         """See `AbstractMotionStudy.schematic`."""
