@@ -55,7 +55,7 @@ def build_verdict(
     cost = price(found.solution.objective, printed.objective, unit)
     plan = f"the calibrated plan, a = {number(found.sigmas, 3)}, for {cost}"
     if meets(found):
-        headline = f"Build {plan}: {found.sentence(who)}.{beside}"
+        headline = f"{plan[0].upper()}{plan[1:]}: {found.sentence(who)}.{beside}"
         return Verdict("good", "Build", headline, sentences, cards)
     why = found.sentence(who)
     if found.confirmed and found.evidence is not None:

@@ -140,7 +140,7 @@ class PickAndPlaceTime(AbstractMotionStudy):
                 done.calibration, one, unit="s", who=self.who, beside=said, sentences=sentences, cards=cards
             )
         headline = (
-            f"Build the worst-case plan, a = √3, for {price(duration(plan), duration(one), 's')}: none of"
+            f"The worst-case plan, a = √3, for {price(duration(plan), duration(one), 's')}: none of"
             f" {count(found.samples)} payloads breaks a limit [{interval(found)}, target {given(100 * TARGET)} %]."
         )
         return Verdict("good", "Build", headline + self._saving(), sentences, cards)
