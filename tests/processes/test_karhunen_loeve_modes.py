@@ -15,6 +15,9 @@ import aleator as al
 from aleator.processes._karhunen_loeve import legendre
 from aleator.uncertainty import realise
 
+# Few modes, on purpose: what they leave out is what these tests ask about.
+pytestmark = pytest.mark.filterwarnings("ignore:RandomProcess:aleator.ExpansionWarning")
+
 T = 2.0
 TIMES = np.array([0.0, 0.13, 0.5, 0.999, 1.37, 1.8, 2.0])
 EXPONENTIAL = al.ExponentialCovariance(0.8)
@@ -216,3 +219,14 @@ def test_a_table_of_density_keeps_its_numbers_when_the_arrays_it_was_made_from_c
     covariance = al.BandLimitedCovariance.from_psd(frequencies, psd)
     frequencies[:], psd[:] = 9.0, 9.0
     assert covariance.std == pytest.approx(np.sqrt(2.0))
+
+
+@pytest.mark.filterwarnings("default::aleator.ExpansionWarning")
+def test_modes_that_leave_out_a_tenth_of_the_variance_are_warned_of(recwarn):
+    few = al.RandomProcess(al.ExponentialCovariance(0.5), t_final=10.0, std=0.2, modes=3)
+    (warned,) = recwarn
+    assert warned.category is al.ExpansionWarning
+    assert "3 modes" in str(warned.message)
+    assert f"{100 * few.share:.4g}% of the variance" in str(warned.message)
+    al.RandomProcess(al.SquaredExponentialCovariance(0.5), t_final=5.0, std=0.2)
+    assert len(recwarn) == 1

@@ -14,6 +14,9 @@ from aleator.dynamics import simulate
 from aleator.uncertainty import at_means, named_numbers, realise, survey
 from tiny_models import Oscillator
 
+# Few modes, on purpose: what they leave out is what these tests ask about.
+pytestmark = pytest.mark.filterwarnings("ignore:RandomProcess:aleator.ExpansionWarning")
+
 T = 2.0
 SMOOTH = al.SquaredExponentialCovariance(0.4)
 

@@ -6,6 +6,7 @@ from typing import final
 
 import numpy as np
 
+_MANY = 100  # times as many steps: what an unstable integration is off by says nothing of how many it takes
 _AHEAD = 1.2  # more steps than an error of fourth order asks for
 
 
@@ -99,7 +100,9 @@ class GridError:
         where = f"seen on {self.factor} times as many steps"
         if self.is_met:
             return f"objective off by {self.objective.error:.1e}, {self._worst_text()}; {where}"
-        return f"{self.sentence()}; {where}: use about {self.steps_needed} steps, or refine=True"
+        many = self.steps_needed > _MANY * self.steps
+        steps = "many more" if many else f"about {self.steps_needed}"
+        return f"{self.sentence()}; {where}: use {steps} steps, or refine=True"
 
     def _worst_text(self) -> str:
         if not self.worst:

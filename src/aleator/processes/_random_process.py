@@ -1,5 +1,6 @@
 """`RandomProcess`: a random process as a signal, through its Karhunen-Loève expansion."""
 
+import warnings
 from typing import Any, ClassVar, final
 
 import jax
@@ -7,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from aleator._core.errors import ProblemError
+from aleator._core.errors import ExpansionWarning, ProblemError
 from aleator.processes._checks import number_or_law, plain_number
 from aleator.processes._covariance import AbstractCovariance
 from aleator.processes._karhunen_loeve import karhunen_loeve, legendre
@@ -17,6 +18,8 @@ from aleator.uncertainty import Decision, Normal
 
 # Share of the variance that is kept where the user does not say.
 _ENERGY = 0.99
+# Modes that carry less than this share are warned of.
+_LITTLE = 0.9
 
 
 @final
@@ -36,7 +39,8 @@ class RandomProcess(AbstractSignal):
       `modes`, another correlation time seldom compiles anything anew.
 
     What the truncation leaves out is known: `share` is the part of the variance kept on average over time, and
-    `deficit` what is missing at each instant. Evidence of `validate` samples the truncated process.
+    `deficit` what is missing at each instant. Evidence of `validate` samples the truncated process, so that modes which
+    carry less than nine tenths of the variance are warned of with `ExpansionWarning`.
 
     Raises `ProblemError` for impossible numbers, and for modes that the covariance does not have or that are too fast
     to be resolved.
@@ -80,6 +84,11 @@ class RandomProcess(AbstractSignal):
         self.eigenvalues = found.shares * duration
         self.functions = found.functions
         self.span()
+        if self.share < _LITTLE:
+            said = (
+                "what they leave out is in no statistic, limit or sample. Ask for more modes, or a smoother covariance."
+            )
+            warnings.warn(f"{self}: {said}", ExpansionWarning, stacklevel=3)
 
     def __call__(self, t: Float[Array, ""]) -> Float[Array, ""]:
         """See `AbstractSignal.__call__`."""

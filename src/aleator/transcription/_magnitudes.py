@@ -64,7 +64,9 @@ def constraint_size(
     else:
         size = max(largest, min(change, _BEYOND * away) if away > 0 else change)
         size = size if max(size, change, away) > _NOISE else _NOISE / HELD
-    size = max(size, _ROUNDINGS * np.finfo(float).eps / HELD * rounding) or 1.0
+    rounded = _ROUNDINGS * np.finfo(float).eps / HELD * rounding
+    # One row that is steep beyond reason excuses no other.
+    size = max(size, min(rounded, _MOST_BOUNDS * bound) if bound else rounded) or 1.0
     return Size(size, min(max(bound or size, change), _MOST_SIZES * size))
 
 
