@@ -190,3 +190,25 @@ def test_endless_structures_are_read_to_an_end():
     NUMBERS_OF_MANY = [[i] for i in range(30_000)]
     assert read_code([lambda: chain]).reads
     assert read_code([lambda: NUMBERS_OF_MANY]).doubts
+
+
+gain = 1.0
+
+
+class Gained:
+    """Has an attribute of a global's name."""
+
+    gain = 2.0
+
+    def own(self):
+        return self.gain
+
+    def both(self):
+        return self.gain + gain
+
+
+@pytest.mark.parametrize(("method", "follows"), [(Gained.own, False), (Gained.both, True)])
+def test_an_attribute_of_the_name_of_a_global_is_not_the_global(monkeypatch, method, follows):
+    before = read_code(method)
+    monkeypatch.setitem(globals(), "gain", 5.0)
+    assert (read_code(method).reads != before.reads) is follows

@@ -229,6 +229,36 @@ def test_a_deterministic_twin_follows_the_code_too():
         al.validate(solution, 100)
 
 
+class Certain(al.AlgebraicSystem):
+    """Nothing is uncertain, and the code reads a global."""
+
+    a: al.Number = al.Decision(0.0, -9.0, 9.0)
+
+    def outputs(self):
+        return {"x": (self.a - GOAL) ** 2}
+
+
+@pytest.mark.parametrize("solved_again", [False, True])
+@pytest.mark.parametrize("moving", [False, True])
+def test_evidence_of_a_design_without_uncertainty_refuses_other_code_too(monkeypatch, moving, solved_again):
+    if moving:
+        kind = type("Moves", (Toward,), {"target": lambda self: GOAL, "__module__": __name__})
+        one = al.Problem(kind(a=al.Decision(0.0, -9.0, 9.0)), grid=al.Grid(1.0, 2), minimize=al.terminal("x").mean)
+    else:
+        one = al.Problem(Certain(), minimize=al.output("x").mean)
+    solution = al.solve(one)
+    monkeypatch.setitem(globals(), "GOAL", 4.0)
+    if solved_again:
+        al.solve(one)
+    for _ in range(2):
+        with pytest.raises(
+            al.ProblemError, match=r"validate: the code of \w+ is not what it was when the design .*GOAL"
+        ):
+            al.validate(solution)
+    monkeypatch.setitem(globals(), "GOAL", 1.0)
+    assert al.validate(solution).agrees
+
+
 def test_what_does_not_change_the_equations_is_no_change():
     """A global that is read and left unused, and one that is replaced by its equal."""
     unused = 1.0

@@ -33,6 +33,8 @@ _MOST = 5_000
 _MOODY_NAMES = {"rvs"}
 # What these read, no name in the code tells.
 _HIDDEN = {"eval", "exec", "compile", "globals", "locals", "vars", "getattr", "open", "input", "__import__"}
+# Instructions that end so look a name up in an object, not among globals.
+_OF_OBJECTS = ("_ATTR", "_METHOD")
 _JITTED = type(jax.jit(lambda: None))
 _PLAIN = (str, bytes, int, bool, complex, type(None), type(Ellipsis), range, Decimal, Fraction, np.dtype)
 _WITHOUT_CODE = (float, *_PLAIN)
@@ -73,18 +75,25 @@ def told_apart(function: Callable[..., Pytree], *arguments: Pytree) -> Hashable:
 
 
 class _Names(NamedTuple):
-    """What a function's code names, inner functions included, and the modules that it imports itself."""
+    """What a function's code names, inner functions included, and the modules that it imports itself.
+
+    Some `names` are looked up in attributes alone, as in `self.gain`; `bare` are those that may be globals.
+    """
 
     names: tuple[str, ...]
+    bare: tuple[str, ...]
     imports: tuple[str, ...]
 
 
 @functools.lru_cache(maxsize=4096)
 def _names(code: types.CodeType) -> _Names:
     inner = [_names(one) for one in code.co_consts if isinstance(one, types.CodeType)]
-    imports = [one.argval for one in dis.get_instructions(code) if one.opname == "IMPORT_NAME"]
+    instructions = list(dis.get_instructions(code))
+    imports = [one.argval for one in instructions if one.opname == "IMPORT_NAME"]
+    bare = [one.argval for one in instructions if one.opcode in dis.hasname and not one.opname.endswith(_OF_OBJECTS)]
     return _Names(
         tuple(dict.fromkeys([*code.co_names, *(name for one in inner for name in one.names)])),
+        tuple(dict.fromkeys([*bare, *(name for one in inner for name in one.bare)])),
         tuple(dict.fromkeys([*imports, *(name for one in inner for name in one.imports)])),
     )
 
@@ -252,10 +261,10 @@ class _Reader:
             self._globals(it, who)
 
     def _globals(self, it: types.FunctionType, who: str) -> None:
-        names, imports = _names(it.__code__)
+        names, bare, imports = _names(it.__code__)
         known, builtins, modules = it.__globals__, it.__builtins__, set[int]()  # type: ignore[attr-defined]
         for name in names:
-            if name in known:
+            if name in known and name in bare:
                 self._named(known[name], Place(who, "global", name), names, modules)
             elif (name in _HIDDEN and name in builtins) or name in _MOODY_NAMES:
                 self.doubts.append(Place(who, "name", name))

@@ -99,10 +99,14 @@ def changes(problem: AbstractProblem) -> str:
 
 
 def refuse_changed_code(problem: AbstractProblem, *_: Any) -> None:
-    """Raise `ProblemError` if a problem's code has changed while it was compiled."""
+    """Raise `ProblemError` if a problem's code is not what its equations were taken from, once it is compiled.
+
+    That may have happened at any time since then; whoever uses a solution asks beforehand (`refuse_changed`).
+    """
     if found := changes(problem):
         raise ProblemError(
-            f"The code of {type(problem.system).__name__} has changed while it was compiled: {found}. Run it again."
+            f"The code of {type(problem.system).__name__} is not what it was when its problem was last solved or "
+            f"declared: {found}. Solve it again, or put back what has changed."
         )
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from aleator._core.arrays import numbers_to_arrays
 from aleator._core.errors import ProblemError
-from aleator.design import HELD, Solution, functionals_of
+from aleator.design import HELD, Solution, functionals_of, refuse_changed
 from aleator.dynamics import Grid
 from aleator.validation._counted import is_counted, tolerances, uncounted
 from aleator.validation._disagreement import Disagreement
@@ -24,7 +24,11 @@ _RELATIVE = 1e-3
 
 
 def alone(solution: Solution, started: float) -> Evidence:
-    """Simulate the one system that a design without uncertainty has, on a finer grid where it moves in time."""
+    """Simulate the one system that a design without uncertainty has, on a finer grid where it moves in time.
+
+    Raises `ProblemError` if its code is not what it was when the design was solved, or if there is nothing to simulate.
+    """
+    refuse_changed("validate", solution.problem, "when the design was solved")
     problem, factor = solution.problem, 1
     functionals = functionals_of(problem.expressions)
     if not functionals:
