@@ -30,3 +30,7 @@ def _end(number: int, frame: FrameType | None) -> None:
     del frame
     os.write(2, b"Interrupted.\n")
     os._exit(128 + number)
+
+
+if __name__ == "__main__":
+    main()

@@ -199,3 +199,11 @@ def test_work_that_takes_too_much_memory_ends_a_run_with_one_and_keeps_what_was_
     assert result.exit_code == 1
     assert "48 GiB" in result.output
     assert (tmp_path / "report.html").exists()
+
+
+@pytest.mark.parametrize("module", ["aleator", "aleator_command"])
+def test_the_modules_run_as_the_command_does(module):
+    for arguments, code, said in ((["--help"], 0, "COMMAND"), (["run", "misspelt"], 2, "no study 'misspelt'")):
+        ended = subprocess.run([sys.executable, "-m", module, *arguments], capture_output=True, text=True, check=False)
+        assert ended.returncode == code
+        assert said in ended.stdout + ended.stderr
