@@ -91,11 +91,11 @@ def misled(transcription: Sequential, start: Float[np.ndarray, " n"]) -> str:
     points, weights = map(np.asarray, (transcription.collocation.points, transcription.collocation.weights))
     which = middle(points, weights)
     seen = _seen(problem, _prime_from(max(_STEPS, problem.grid.steps)), points[which], start)
-    parts = zip(
-        functionals_of(problem.expressions), transcription.evaluator(start).samples, seen.functionals, strict=True
-    )
-    for one, samples, other in parts:
-        own, true = (float(np.max(np.abs(part))) for part in (samples[which], other))
+    begun = transcription.begun
+    if not np.array_equal(start, transcription.program.start):
+        begun = tuple(one[which] for one in transcription.evaluator(start).samples)
+    for one, own, true in zip(functionals_of(problem.expressions), begun, seen.functionals, strict=True):
+        own, true = float(np.max(np.abs(own))), float(np.max(np.abs(true)))
         if not own <= _FAR_OFF * true:
             return (
                 f"at the start of the search {problem.grid.steps} steps give {one.text()} as {own:.3g}, where "

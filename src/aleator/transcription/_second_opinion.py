@@ -4,7 +4,7 @@ Optimisers go where an expansion is wrong. What it misses of a few fresh systems
 variate: the expansion's own number, plus the mean of what it misses), with a standard error by the jackknife.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple, final
 
 import jax.numpy as jnp
@@ -84,12 +84,13 @@ class _Fresh(NamedTuple):
 class _Replicated(AbstractScope):
     """Statistics with a last axis of replicates: those of `_Fresh.means`, then one for each statistic that is moved."""
 
-    def __init__(self, known: Mapping[str, np.ndarray], numbers: Mapping[str, Array], step: float):
+    def __init__(self, known: Mapping[str, np.ndarray], numbers: Callable[[], Mapping[str, Array]], step: float):
+        # The model's numbers take longer than all the rest, and few problems ask for any.
         self._known, self._numbers, self._step = known, numbers, step
 
     def statistic(self, functionals: tuple, kind: AbstractStatistic) -> Array:
         """See `AbstractScope.statistic`."""
-        return jnp.asarray(self._known[Statistic(functionals, kind).text()])
+        return self._known[Statistic(functionals, kind).text()]  # type: ignore[return-value]
 
     def realised(self, functional: Any) -> Array:
         """See `AbstractScope.realised`: limits on the worst case ask no expansion, and are left out."""
@@ -101,7 +102,7 @@ class _Replicated(AbstractScope):
 
     def value(self, name: str) -> Array:
         """See `AbstractScope.value`."""
-        return self._numbers[name]
+        return self._numbers()[name]
 
 
 def second_opinion(transcription: Sequential, decisions: Float[np.ndarray, " n"]) -> SecondOpinion | None:
@@ -152,15 +153,13 @@ def _fresh(
     values: list[np.ndarray],
     decisions: Float[np.ndarray, " n"],
 ) -> dict[str, _Fresh]:
-    collocation, samples = transcription.collocation, transcription.evaluator(decisions).samples
-    fit = np.asarray(collocation.pseudo_inverse)
-    predict = transcription.basis.matrix(points) @ fit
+    samples, resolved = transcription.evaluator(decisions).samples, transcription.resolve(decisions)
+    predict = transcription.basis.matrix(points) @ np.asarray(transcription.collocation.pseudo_inverse)
     found = {}
     for text, seen, known in zip(transcription.texts.functionals, values, samples, strict=True):
-        flat = np.asarray(known).reshape(len(known), -1)
-        terms = fit @ flat
-        parts = predict @ flat, terms[0], np.sum(terms[1:] ** 2, axis=0)
-        found[text] = _Fresh(seen, *(part.reshape((*part.shape[:-1], *seen.shape[1:])) for part in parts))
+        predicted = (predict @ np.asarray(known).reshape(len(known), -1)).reshape(seen.shape)
+        moments = resolved[text]
+        found[text] = _Fresh(seen, predicted, np.asarray(moments.mean), np.asarray(moments.std) ** 2)
     return found
 
 
@@ -213,10 +212,9 @@ def _judged(
         moved = np.repeat(values[..., :1], len(spreads), axis=-1)
         moved[..., i] += spreads[text]
         known[text] = np.concatenate([values, moved], axis=-1)
-    at = jnp.asarray(decisions)
     times = transcription.times(decisions)
     step = float(times[1] - times[0]) if len(times) > 1 else 1.0
-    scope = _Replicated(known, named_numbers(problem.model, at), step)
+    scope = _Replicated(known, lambda: named_numbers(problem.model, jnp.asarray(decisions)), step)
     told, broken = [], ""
     for which, expression in enumerate(problem.expressions):
         if not any(isinstance(leaf, Statistic) for leaf in expression.leaves):

@@ -22,6 +22,7 @@ from aleator.design import Problem, current, functionals_of, grid_at, history, r
 from aleator.nlp import Evaluation, NonlinearProgram
 from aleator.statistics import Constants
 from aleator.transcription._affine import Anchors
+from aleator.transcription._alone import middle
 from aleator.transcription._discretisation import RESPOND, discretised
 from aleator.transcription._instantaneous import FEATURES, anchors_of, instantaneous, instantaneous_rows
 from aleator.transcription._magnitudes import (
@@ -145,6 +146,7 @@ class _Evaluator:
         self._parts = traced, collocation, anchors
         self._evaluate = EVALUATE.bound(traced, collocation, constants, anchors)
         self._memory: dict[bytes, Blocks] = {}
+        self._resolved: tuple[bytes, tuple[Resolved, ...]] | None = None
         self._lock = threading.Lock()
 
     def with_constants(self, constants: Constants) -> "_Evaluator":
@@ -164,13 +166,24 @@ class _Evaluator:
                 self._memory[key] = found
         return found
 
+    def resolved(self, decisions: Float[np.ndarray, " n"]) -> tuple[Resolved, ...]:
+        """How well each functional is resolved at a point; the latest one is remembered."""
+        key, known = decisions.tobytes(), self._resolved
+        if known is not None and known[0] == key:
+            return known[1]
+        blocks, (traced, collocation, _) = self(decisions), self._parts
+        found = RESOLVE(functionals_of(traced.expressions), collocation, blocks.samples, blocks.tangents)
+        self._resolved = key, found
+        return found
+
 
 @final
 @dataclass(frozen=True)
 class Sequential:
     """A problem transcribed: its nonlinear program, and what leads back from the program's rows to the problem.
 
-    `rows` and `scales` (magnitudes at the start) are those of each constraint; `texts`: how the problem is written;
+    `rows` and `scales` (magnitudes at the start) are those of each constraint; `begun`: each functional at the start
+    for the system in the middle of the family; `texts`: how the problem is written;
     `sizing`: how large its constraints are anywhere; `scenarios`: where its limits on the worst case are held, if it
     has any.
     """
@@ -184,6 +197,7 @@ class Sequential:
     program: NonlinearProgram
     rows: tuple[slice, ...]
     scales: tuple[float, ...]
+    begun: tuple[Float[np.ndarray, "..."], ...]
     evaluator: _Evaluator
     texts: Texts
     sizing: Sizing
@@ -214,9 +228,7 @@ class Sequential:
 
     def resolve(self, decisions: Float[np.ndarray, " n"]) -> dict[str, Resolved]:
         """The moments and the quality of each functional's expansion, by its text."""
-        blocks, functionals = self.evaluator(decisions), functionals_of(self.problem.expressions)
-        found = RESOLVE(functionals, self.collocation, blocks.samples, blocks.tangents)
-        return dict(zip(self.texts.functionals, found, strict=True))
+        return dict(zip(self.texts.functionals, self.evaluator.resolved(decisions), strict=True))
 
 
 _RECENT: deque[tuple[list[Any], Sequential]] = deque(maxlen=_KEPT)
@@ -302,7 +314,9 @@ def _transcribed(problem: Problem) -> Sequential:
         least=least_objective(problem),
     )
     discretisation = basis, collocation, constants
-    back = program, rows, tuple(scales), evaluator, Texts.of(problem), sizing, scenarios
+    which = middle(*map(np.asarray, (collocation.points, collocation.weights)))
+    begun = tuple(np.array(one[which]) for one in at_start.samples)
+    back = program, rows, tuple(scales), begun, evaluator, Texts.of(problem), sizing, scenarios
     return Sequential(problem, traced, places, *discretisation, *back)
 
 
