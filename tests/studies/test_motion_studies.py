@@ -119,6 +119,7 @@ def test_extremes_of_a_family_are_those_of_a_finer_flight(study):
     for name in ("q2_torque", "gap_2"):
         rows = finer.systems[name]
         np.testing.assert_allclose(family.extremes[name], np.stack([rows.min(axis=1), rows.max(axis=1)], axis=1))
+        np.testing.assert_allclose(family.extremes[name], finer.extremes[name])
         assert np.all(family.extremes[name][:, 0] <= family.systems[name].min(axis=1) + 1e-12)
     assert np.any(family.extremes["q2_torque"][:, 1] > family.systems["q2_torque"].max(axis=1) + 1e-6)
 

@@ -69,11 +69,15 @@ def fly(problem: al.Problem, decisions: Any, count: int, *, seed: int = 0, finer
     drawn = np.stack([germ.quantile(levels[:, i]) for i, germ in enumerate(germs)], axis=1)
     x = jnp.asarray(decisions)
     found = HISTORIES(numbers_to_arrays(bare), jnp.asarray(drawn), x)
-    extremes = EXTREMES(numbers_to_arrays(_bare(problem, finer * between)), jnp.asarray(drawn[1:]), x)
+    systems = {name: np.asarray(rows)[1:] for name, rows in found.items()}
+    if between == 1:
+        extremes = {name: np.stack([rows.min(axis=1), rows.max(axis=1)], axis=1) for name, rows in systems.items()}
+    else:
+        extremes = EXTREMES(numbers_to_arrays(_bare(problem, finer * between)), jnp.asarray(drawn[1:]), x)
     return Family(
         times=np.asarray(grid_at(bare, x).times),
         nominal={name: np.asarray(rows)[0] for name, rows in found.items()},
-        systems={name: np.asarray(rows)[1:] for name, rows in found.items()},
+        systems=systems,
         extremes={name: np.asarray(rows) for name, rows in extremes.items()},
     )
 

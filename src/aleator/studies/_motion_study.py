@@ -113,8 +113,12 @@ class MotionResults:
         """Fly each plan on its family and keep every output."""
         for i, (name, plan) in enumerate(self.plans.items()):
             progress(f"family, {name}", i, len(self.plans))
-            between = finer_by(plan)
-            self.families[name] = fly(plan.problem, plan.vector, self.effort.family, seed=2, between=between)
+            self.families[name] = self.flown(plan, plan.problem, seed=2)
+
+    def flown(self, plan: al.Solution, problem: al.Problem, *, seed: int) -> Family:
+        """A plan on the systems of a problem; its extremes between the instants too, but for a quick run."""
+        between = finer_by(plan) if self.effort.whole else 1
+        return fly(problem, plan.vector, self.effort.family, seed=seed, between=between)
 
 
 class Stage(NamedTuple):

@@ -23,7 +23,7 @@ from aleator.report import (
     percent,
     share_text,
 )
-from aleator.studies._family import Family, fly
+from aleator.studies._family import Family
 from aleator.studies._motion_build import CALIBRATED, TRIED, build_verdict
 from aleator.studies._motion_facts import SHADES, animations, named, no_recommendation, tip_paths, violation_cards
 from aleator.studies._motion_study import AbstractMotionStudy, Effort, Stage
@@ -53,7 +53,6 @@ from aleator.studies.pick_and_place_effort import (
 )
 from aleator.studies.two_link_arm import TARGET, TORQUE
 from aleator.transcription import transcribe
-from aleator.validation import finer_by
 
 WIDE = al.Uniform(1.0, std=0.5)
 BENDS = (1.2, 0.6, 2.5)
@@ -77,7 +76,10 @@ class PickAndPlaceEffort(AbstractMotionStudy):
     )
     names = (MEAN, ROBUST, LEAST, CALIBRATED)
     spared = (LEAST,)
-    left_out = "the plan of least variance, its front, and plans with limits at the instants alone"
+    left_out = (
+        "the plan of least variance, its front, plans with limits at the instants alone, and what the systems drawn do"
+        " between instants"
+    )
     sigmas: ClassVar = {ROBUST: 1.0}
     limits = ("obstacle", "wall")
     who = "payloads"
@@ -136,11 +138,11 @@ class PickAndPlaceEffort(AbstractMotionStudy):
 
     def widen_payload(self, progress: Progress) -> None:
         """The robust plan on payloads that spread five times as much: sampled, and as the expansion sees it."""
-        plan, effort = self.done.plans[ROBUST], self.done.effort
+        plan = self.done.plans[ROBUST]
         for i, payload in enumerate((PAYLOAD, WIDE)):
             progress(f"payload {payload}", i, 2)
             problem = named(robust_problem(payload=payload), TOGETHER)
-            self.wide = fly(problem, plan.vector, effort.family, seed=3, between=finer_by(plan))
+            self.wide = self.done.flown(plan, problem, seed=3)
             resolved = transcribe(problem).resolve(plan.vector)
             ends = {name: resolved[f"{name}(t_f)"] for name in ("q1", "q2")}
             self.spreads[str(payload)] = {

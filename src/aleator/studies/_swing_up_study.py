@@ -69,7 +69,10 @@ class SwingUp(AbstractMotionStudy):
     )
     names = NAMES
     spared = (ENERGY, CALIBRATED)
-    left_out = "the calibration of the margin, the plan of least expected energy, finer steps and what friction does"
+    left_out = (
+        "the calibration of the margin, the plan of least expected energy, finer steps, what friction does, and what"
+        " the systems drawn do between instants"
+    )
     sigmas: ClassVar = {EXPECTED: 1.0}
     limits = ("torque",)
     who = "pendulums"
