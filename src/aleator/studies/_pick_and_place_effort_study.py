@@ -62,7 +62,7 @@ MOST = 2 * TORQUE**2 * DURATION
 """The effort of both torques at their limits throughout: no plan takes more."""
 
 FULL = Effort(starts=4)
-QUICK = Effort(starts=1, samples=4_000, family=400, calibration_samples=2_000, whole=False)
+QUICK = Effort(starts=1, samples=2_000, family=400, calibration_samples=2_000, whole=False)
 
 
 @final
