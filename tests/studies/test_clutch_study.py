@@ -25,7 +25,7 @@ from aleator.studies._clutch_run import STAGES, ClutchResults, Effort, exact_var
 from aleator.studies._clutch_verdict import verdict
 from aleator.studies.clutch import MEANS, TOLERANCES, allocation_problem, clutch, pressure_angle
 
-SMALL = Effort(samples=20_000, quasi_samples=2**11, evidence_samples=20_000, counted=200_000, front_points=3)
+SMALL = Effort(samples=20_000, quasi_samples=2**11, evidence_samples=20_000, counted=200_000, front_points=3, repeats=1)
 
 
 @pytest.fixture(scope="module")

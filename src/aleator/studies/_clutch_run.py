@@ -31,16 +31,15 @@ from aleator.studies.clutch import (
 from aleator.uncertainty import HermiteGerm
 
 TABLE_ORDERS = (2, 3, 5)
-ORDERS = (1, 2, 3, 4, 5, 6, 7)
 EXACT_NODES = 24
-REPEATS = 5
 
 
 @final
 @dataclass(frozen=True)
 class Effort:
     """How much is computed: Monte Carlo samples of table 7.2 and of the evidence, assemblies counted in closed form for
-    each set of tolerances, and points on the front.
+    each set of tolerances, points on the front, orders of the expansions compared, whether an expansion in Taylor's
+    series is compared too, and how often each is timed warm.
     """
 
     samples: int = 2_500_000
@@ -48,9 +47,21 @@ class Effort:
     evidence_samples: int = 1_000_000
     counted: int = 20_000_000
     front_points: int = 11
+    orders: tuple[int, ...] = (1, 2, 3, 4, 5, 6, 7)
+    second_order: bool = True
+    repeats: int = 5
 
 
-QUICK = Effort(samples=250_000, quasi_samples=2**13, evidence_samples=100_000, counted=2_000_000, front_points=5)
+QUICK = Effort(
+    samples=250_000,
+    quasi_samples=2**13,
+    evidence_samples=100_000,
+    counted=2_000_000,
+    front_points=4,
+    orders=TABLE_ORDERS,
+    second_order=False,
+    repeats=1,
+)
 
 
 class Method(NamedTuple):
@@ -121,22 +132,23 @@ def compare_methods(results: ClutchResults, progress: Progress) -> None:
     results.exact = exact_variation()
     model, effort = clutch(), results.effort
     progress("linearisation", 0, 4)
-    linear, seconds = _timed(lambda: al.linearise(_angle, model))
+    linear, seconds = _timed(lambda: al.linearise(_angle, model), effort.repeats)
     results.methods.append(Method("DLM", 3 * float(linear.std), None, 1, seconds))
-    second, seconds = _timed(lambda: al.second_order(_angle, model))
-    results.methods.append(Method("second order", 3 * float(second.std), None, 1, seconds))
+    if effort.second_order:
+        second, seconds = _timed(lambda: al.second_order(_angle, model), effort.repeats)
+        results.methods.append(Method("second order", 3 * float(second.std), None, 1, seconds))
     progress("expansions", 1, 4)
-    for order in ORDERS:
-        expanded, seconds = _timed(lambda order=order: al.expand(_angle, model, al.Expansion(order)))
+    for order in effort.orders:
+        expanded, seconds = _timed(lambda order=order: al.expand(_angle, model, al.Expansion(order)), effort.repeats)
         count = len(expanded.collocation.points)
         results.methods.append(Method(f"gPC, order {order}", 3 * float(expanded.std), None, count, seconds))
     progress("quasi-Monte Carlo", 2, 4)
     samples = effort.quasi_samples
-    drawn, seconds = _timed(lambda: al.quasi_monte_carlo(_angle, model, samples), repeats=1)
+    drawn, seconds = _timed(lambda: al.quasi_monte_carlo(_angle, model, samples))
     results.methods.append(_sampled("quasi-Monte Carlo", drawn, samples, seconds))
     progress("Monte Carlo", 3, 4)
     samples = effort.samples
-    drawn, seconds = _timed(lambda: al.monte_carlo(_angle, model, samples), repeats=1)
+    drawn, seconds = _timed(lambda: al.monte_carlo(_angle, model, samples))
     results.methods.append(_sampled("Monte Carlo", drawn, samples, seconds))
 
 
@@ -149,13 +161,14 @@ def _sampled(name: str, drawn: al.RandomSample, samples: int, seconds: float) ->
     return Method(name, 3 * float(std.value), 3 * float(std.standard_error), samples, seconds)
 
 
-def _timed(work: Callable[[], Any], repeats: int = REPEATS) -> tuple[Any, float]:
-    """What some work gives, and its shortest time, s, after a first run that compiles where that is repeated."""
+def _timed(work: Callable[[], Any], repeats: int = 0) -> tuple[Any, float]:
+    """What some work gives, and its shortest time, s: of `repeats` runs after a first one that compiles, if any."""
     result, times = None, []
-    for _ in range(repeats + (repeats > 1)):
+    for done in range(repeats + 1):
         start = time.perf_counter()
         result = work()
-        times.append(time.perf_counter() - start)
+        if done or not repeats:
+            times.append(time.perf_counter() - start)
     return result, min(times)
 
 
