@@ -1,4 +1,4 @@
-"""`aleator run STUDY` for three small studies, two of them those of the package at least effort.
+"""`aleator run STUDY` for three studies: a small one, and two of the package with cheap problems, every stage of them.
 
 `python interrupted_studies.py run STUDY --out FOLDER`.
 """
@@ -15,14 +15,18 @@ print("begun", flush=True)
 from collections.abc import Mapping  # noqa: E402
 from pathlib import Path  # noqa: E402
 
+import numpy as np  # noqa: E402
+
 import aleator as al  # noqa: E402
 from aleator import cli  # noqa: E402
 from aleator._core.progress import Progress  # noqa: E402
 from aleator.report import PAGE, Table, report, save_study  # noqa: E402
-from aleator.studies import STUDIES, AbstractStudy, Entry, _suspension_run  # noqa: E402
-from aleator.studies import _pick_and_place_time_study as motion  # noqa: E402
+from aleator.studies import STUDIES, AbstractStudy, Entry, _clutch_run, _suspension_run, suspension  # noqa: E402
+from aleator.studies._clutch_study import ClutchStudy  # noqa: E402
 from aleator.studies._suspension_study import SuspensionStudy  # noqa: E402
 from tiny_models import Decay  # noqa: E402
+
+T_FINAL = 0.5
 
 
 class DecayStudy(AbstractStudy):
@@ -64,16 +68,38 @@ class DecayStudy(AbstractStudy):
         return "Done."
 
 
-MADE = {
-    "decay": lambda quick: DecayStudy(),
-    "suspension": lambda quick: SuspensionStudy(_suspension_run.Effort(2, 500, 2_000)),
-    "pick-and-place-time": lambda quick: motion.PickAndPlaceTime(motion.Effort(1, 500, 50, 2, 2_000)),
-}
+def smooth_road() -> al.Tabulated:
+    """One low bump, so that few steps are exact enough."""
+    times = np.linspace(0.0, T_FINAL, 61)
+    return al.Tabulated(times, 0.04 * np.sin(np.pi * np.minimum(times / 0.2, 1.0)) ** 2)
+
+
+def small_suspension() -> SuspensionStudy:
+    """The suspension study as it is, every stage of it, over a bump of half a second."""
+    suspension.GRID, suspension.road = al.Grid(T_FINAL, steps=100), smooth_road
+    _suspension_run.TARGET = 0.2
+    return SuspensionStudy(_suspension_run.Effort(front_points=2, samples=100, calibration_samples=200))
+
+
+def small_clutch() -> ClutchStudy:
+    """The clutch study as it is, every stage of it, with few assemblies."""
+    effort = _clutch_run.Effort(
+        samples=2_000,
+        quasi_samples=2**8,
+        evidence_samples=2_000,
+        counted=2_000,
+        front_points=2,
+        orders=(3,),
+        second_order=False,
+        repeats=0,
+    )
+    return ClutchStudy(effort)
+
+
+MADE = {"decay": DecayStudy, "suspension": small_suspension, "clutch": small_clutch}
 
 
 if __name__ == "__main__":
-    for stage in ("calibration", "fronts over travel", "fronts over holding"):
-        del _suspension_run.STAGES[stage]
     STUDIES["decay"] = Entry("A decay", "")
-    cli.load = lambda name, *, quick: MADE[name](quick)
+    cli.load = lambda name, *, quick: MADE[name]()
     aleator_command.main()

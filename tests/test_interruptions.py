@@ -1,6 +1,6 @@
 """SIGINT, SIGTERM and SIGKILL at any moment of `aleator run`: what was finished is kept, and said."""
 
-import functools
+import contextlib
 import json
 import os
 import re
@@ -8,7 +8,9 @@ import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -69,8 +71,30 @@ def test_a_signal_leaves_every_finished_stage_and_a_word(runs, moment, name):
 # What stands in `results.nc` once a stage is finished.
 GROUPS = {
     "decay": {"design": "design", "evidence": "evidence", "front": "front"},
+    "suspension": {
+        "designs": "designs",
+        "narrow travel": "narrow",
+        "evidence": "narrow_evidence",
+        "designs to build": "margins",
+        "calibration": "calibration",
+        "fronts over travel": "travel_fronts",
+        "fronts over holding": "boxes",
+    },
+    "clutch": {"methods": "methods", "tolerances": "analyses", "allocation": "allocation", "front": "front"},
 }
-TIMES = 9
+# How often each study is interrupted: forty times in all.
+TIMES = {"decay": 16, "suspension": 12, "clutch": 12}
+MOMENTS_AT_RANDOM = [(study, time_) for study, times in TIMES.items() for time_ in range(times)]
+STOPS = [*SIGNALS.values(), (signal.SIGKILL, -9)]
+
+
+class Ended(NamedTuple):
+    """What became of an interrupted run."""
+
+    code: int
+    output: str
+    errors: str
+    folder: Path
 
 
 def begun(study: str, folder: Path, cache: Path) -> subprocess.Popen:
@@ -86,47 +110,63 @@ def begun(study: str, folder: Path, cache: Path) -> subprocess.Popen:
     return run
 
 
+def lifetime(study: str, folder: Path, cache: Path) -> float:
+    """How long a study takes that is run to its end with compiled programs at hand, s."""
+    started = 0.0
+    for name in ("first", "again"):
+        started = time.perf_counter()
+        run = begun(study, folder / name, cache)
+        output, errors = run.communicate(timeout=900)
+        assert run.returncode == 0, output + errors
+    return time.perf_counter() - started
+
+
+def interrupted(study: str, time_: int, folder: Path, cache: Path, lasts: float) -> Ended:
+    """A run that is sent a signal at a moment anywhere between its first import and its last word."""
+    run = begun(study, folder, cache)
+    stratum = np.random.default_rng([len(study), time_]).uniform(time_, time_ + 1.0) / TIMES[study]
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        run.wait(stratum * lasts)
+    run.send_signal(STOPS[time_ % 3][0])
+    output, errors = run.communicate(timeout=120)
+    return Ended(run.returncode, output, errors, folder)
+
+
 @pytest.fixture(scope="module")
-def undisturbed(tmp_path_factory):
-    """Where compiled programs are kept, and how long a study takes that is run to its end with those at hand."""
-    cache = tmp_path_factory.mktemp("cache")
-
-    @functools.cache
-    def lasts(study: str) -> float:
-        for _ in range(2):
-            started = time.perf_counter()
-            run = begun(study, tmp_path_factory.mktemp("whole"), cache)
-            output, errors = run.communicate(timeout=300)
-            assert run.returncode == 0, output + errors
-        return time.perf_counter() - started
-
-    return cache, lasts
+def random_runs(tmp_path_factory):
+    """Forty interrupted runs, two at a time."""
+    cache, folder = tmp_path_factory.mktemp("cache"), tmp_path_factory.mktemp("interrupted")
+    with ThreadPoolExecutor(2) as pool:
+        lasts = {study: pool.submit(lifetime, study, folder / study, cache) for study in reversed(TIMES)}
+        lives = {study: one.result() for study, one in lasts.items()}
+        runs = {
+            one: pool.submit(interrupted, *one, folder / f"{one[0]} {one[1]}", cache, lives[one[0]])
+            for one in MOMENTS_AT_RANDOM
+        }
+        return {one: run.result() for one, run in runs.items()}
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("time_", range(TIMES))
-def test_an_interruption_at_a_random_moment_loses_no_finished_stage(undisturbed, tmp_path, time_):
-    cache, lasts = undisturbed
-    (study,) = GROUPS
-    number, code = [*SIGNALS.values(), (signal.SIGKILL, -9)][time_ % 3]
-    wait = lasts(study)
-    run = begun(study, tmp_path, cache)
-    time.sleep(np.random.default_rng(time_).uniform(0.0, wait))
-    run.send_signal(number)
-    output, errors = run.communicate(timeout=120)
-    assert run.returncode in (code, 0), output + errors
+@pytest.mark.parametrize(("study", "time_"), MOMENTS_AT_RANDOM)
+def test_an_interruption_at_a_random_moment_loses_no_finished_stage(random_runs, study, time_):
+    code, output, errors, folder = random_runs[study, time_]
+    number, expected = STOPS[time_ % 3]
+    assert code in (expected, 0), output + errors
     assert "Traceback" not in output + errors
-    if run.returncode > 0:
+    if code > 0:
         assert "Interrupted" in errors
     finished = re.findall(r"^([a-z ]+): [0-9.]+ s *$", output, re.MULTILINE)
+    if code == 0:
+        assert finished == list(GROUPS[study])
     if not finished:
         return
-    with xarray.open_datatree(tmp_path / "results.nc", engine="h5netcdf") as stored:
+    with xarray.open_datatree(folder / "results.nc", engine="h5netcdf") as stored:
         kept, generation = set(stored.load().children), stored.attrs["generation"]
-    assert {GROUPS[study][stage] for stage in finished if stage in GROUPS[study]} <= kept
-    designs = tmp_path / "designs.json"
+    assert {GROUPS[study][stage] for stage in finished} <= kept
+    designs = folder / "designs.json"
     # A process that is killed between two moves leaves the first file alone; a run that ends itself, never.
-    assert designs.exists() or number == signal.SIGKILL
+    with_design = kept & {"design", "designs", "allocation"}
+    assert designs.exists() or not with_design or number == signal.SIGKILL
     if designs.exists():
         document = json.loads(designs.read_text(encoding="utf-8"))
         assert {one["generation"] for one in document.values()} == {generation}

@@ -5,6 +5,7 @@ import json
 
 import numpy as np
 import pytest
+import xarray
 from scipy import optimize
 
 import aleator as al
@@ -21,7 +22,7 @@ from aleator.studies._clutch_counts import (
 )
 from aleator.studies._clutch_facts import counted, counts_table, method, rejects_of, times_cheaper
 from aleator.studies._clutch_page import clutch_page
-from aleator.studies._clutch_run import STAGES, ClutchResults, Effort, exact_variation, run_stage
+from aleator.studies._clutch_run import STAGES, ClutchResults, Effort, Method, exact_variation, run_stage
 from aleator.studies._clutch_verdict import verdict
 from aleator.studies.clutch import MEANS, TOLERANCES, allocation_problem, clutch, pressure_angle
 
@@ -198,6 +199,26 @@ def test_the_study_writes_its_files_and_tables(results, tmp_path):
     )
     assert next(iter(study.tables())).caption.split(":")[0] == "Table 7.2 and more"
     assert study.headline().startswith("Build")
+    with xarray.open_datatree(tmp_path / "results.nc", engine="h5netcdf") as stored:
+        total = results.analyses["limits"].contributions["e"].total
+        assert float(stored["analyses/limits"]["total_share"].sel(dimension="e")) == total
+
+
+def test_what_the_first_stages_find_is_stored_before_there_is_a_design(tmp_path):
+    """Table 7.2 and the counts are no designs; a run that is killed after their stages keeps them as well."""
+    study = load("clutch", quick=True)
+    study._results.methods = [Method("DLM", 0.65, None, 1, 0.1), Method("Monte Carlo", 0.66, 0.01, 200, 0.2)]
+    study._results.counts = {GIVEN: count_rejects(TOLERANCES, 1000)}
+    study.save(tmp_path)
+    with xarray.open_datatree(tmp_path / "results.nc", engine="h5netcdf") as stored:
+        found = stored["methods"].to_dataset().sel(row="Monte Carlo")
+        assert [float(found[name]) for name in ("three_sigma", "standard_error", "points")] == [0.66, 0.01, 200]
+        counted = stored["counts"].to_dataset().sel(tolerances=GIVEN)
+        assert (
+            int(counted["rejects"].sel(specification="deviation"))
+            == study._results.counts[GIVEN].deviation.either.count
+        )
+        assert counted["worst_case"].values.tolist() == list(worst_case(TOLERANCES))
 
 
 def test_a_limit_on_rejects_that_no_tolerance_meets_is_said_in_words():

@@ -147,13 +147,15 @@ def calibration_dataset(calibration: Calibration) -> "xarray.Dataset":
     return xarray.Dataset(data, coords={"sigmas": sigmas}, attrs=attributes)
 
 
-def dataset(result: Solution | Evidence | Front | Calibration) -> "xarray.Dataset":
-    """Any result as a dataset."""
+def dataset(result: "Solution | Evidence | Front | Calibration | xarray.Dataset") -> "xarray.Dataset":
+    """Any result as a dataset; one that is a dataset already stays as it is."""
     if isinstance(result, Solution):
         return solution_dataset(result)
     if isinstance(result, Evidence):
         return evidence_dataset(result)
-    return front_dataset(result) if isinstance(result, Front) else calibration_dataset(result)
+    if isinstance(result, Front):
+        return front_dataset(result)
+    return calibration_dataset(result) if isinstance(result, Calibration) else result
 
 
 def _variable(axes: Any, values: Any, long_name: str, unit: str, **more: str) -> Variable:

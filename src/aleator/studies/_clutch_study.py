@@ -15,6 +15,7 @@ from aleator.studies._clutch_facts import (
 )
 from aleator.studies._clutch_page import write_page
 from aleator.studies._clutch_run import QUICK, STAGES, ClutchResults, Effort, run_stage
+from aleator.studies._clutch_store import analysis_dataset, counts_dataset, methods_dataset
 from aleator.studies._clutch_verdict import verdict
 from aleator.studies._study import AbstractStudy
 
@@ -38,7 +39,16 @@ class ClutchStudy(AbstractStudy):
     def save(self, folder: Path) -> list[Path]:
         """See `AbstractStudy.save`."""
         done = self._results
-        return list(save_study(folder, allocation=done.allocation, evidence=done.evidence, front=done.front))
+        paths = save_study(
+            folder,
+            methods=methods_dataset(done.methods) if done.methods else None,
+            analyses={name: analysis_dataset(one) for name, one in done.analyses.items()},
+            counts=counts_dataset(done.counts) if done.counts else None,
+            allocation=done.allocation,
+            evidence=done.evidence,
+            front=done.front,
+        )
+        return list(paths)
 
     def write_page(self, folder: Path) -> Path:
         """See `AbstractStudy.write_page`."""
