@@ -5,7 +5,7 @@ import math
 import uuid
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
@@ -16,16 +16,19 @@ from aleator.report._files import write_together
 from aleator.sweep import Calibration, Front
 from aleator.validation import Evidence, Proportion
 
-Result = Solution | Evidence | Front | Calibration
+if TYPE_CHECKING:
+    import xarray
+
+Result: TypeAlias = "Solution | Evidence | Front | Calibration | xarray.Dataset"
 
 PAGE = "report.html"
 """The page of a study, beside its results."""
 
 
-def save(folder: str | Path, **results: Result | Mapping[str, Any] | None) -> tuple[Path, ...]:
+def save(folder: str | Path, **results: "Result | Mapping[str, Any] | None") -> tuple[Path, ...]:
     """Write results into a folder and return the paths: `results.nc`, and `designs.json` if there is a solution.
 
-    Each keyword is a result or a mapping of results by name, nested as needed: a group of the netCDF file.
+    Each keyword is a result, a dataset, or a mapping of these by name, nested as needed: a group of the netCDF file.
     Solutions become entries of the JSON file, with the violations of the evidence that speaks of them. Both files are
     of one generation, whose name they carry: what an earlier run left stays until the new ones are complete.
 
@@ -34,7 +37,7 @@ def save(folder: str | Path, **results: Result | Mapping[str, Any] | None) -> tu
     return _write(folder, results, ())
 
 
-def save_study(folder: str | Path, **results: Result | Mapping[str, Any] | None) -> tuple[Path, ...]:
+def save_study(folder: str | Path, **results: "Result | Mapping[str, Any] | None") -> tuple[Path, ...]:
     """Write results as `save` does, and take away the page of earlier ones: it would show other numbers than these."""
     return _write(folder, results, (PAGE,))
 
