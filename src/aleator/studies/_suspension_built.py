@@ -40,8 +40,8 @@ def price_text(results: SuspensionResults, name: str) -> str:
     """What the margin of a design to build costs: `192.5 m²/s³ instead of 185.3 m²/s³ (+3.9 %)`."""
     before, after = measure(name, results.designs[name]), measure(name, results.built[name].solution)
     change = after / before - 1
-    sign = "+" if change >= 0 else "−"
-    return f"{measure_text(name, after)} instead of {measure_text(name, before)} ({sign}{percent(abs(change))})"
+    said = f"×{number(after / before, 3)}" if change > 1 else f"{'+' if change >= 0 else '−'}{percent(abs(change))}"
+    return f"{measure_text(name, after)} instead of {measure_text(name, before)} ({said})"
 
 
 def margins_text(margins: dict[str, float]) -> str:

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 import aleator as al
-from aleator.report import Table, number, percent, share_text, words
+from aleator.report import Table, given, number, percent, share_text, words
 from aleator.studies._suspension_facts import (
     ROBUST_NARROW,
     SPREADS,
@@ -90,7 +90,7 @@ def agreement(results: SuspensionResults, shares: list[Pair], others: list[Pair]
         exceptions = f"; not: {words([one.text.lstrip('– ') for one in unlike])}" if unlike else ""
         yield (
             f"Of {len(known)} printed numbers {len(known) - len(unlike)} are met within a factor of"
-            f" {number(ALIKE)}{exceptions}."
+            f" {given(ALIKE)}{exceptions}."
         )
     if reached := [name for name in HELD if solved(results, name)]:
         same_held = [name for name in reached if set(constraints_active(results.designs[name])) == HELD[name]]
