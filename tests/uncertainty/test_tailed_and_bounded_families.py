@@ -164,16 +164,30 @@ def test_a_sample_has_the_moments_and_the_range_of_its_data():
     assert tuple(map(float, law.support())) == pytest.approx((1 + 2 * data.min(), 1 + 2 * data.max()), rel=1e-15)
 
 
-def test_quantiles_of_a_sample_are_hazens_and_keep_its_mean():
-    data = np.random.default_rng(4).normal(size=40)
+def test_quantiles_of_a_sample_are_those_of_the_empirical_law():
+    data = np.random.default_rng(4).normal(size=40).round(1)  # some of them alike
     germ = Sample(data).germ()
     levels = np.linspace(0.001, 0.999, 77)
-    assert germ.quantile(levels) == pytest.approx(np.quantile(data, levels, method="hazen"), rel=1e-13, abs=1e-13)
-    inside = np.linspace(data.min(), data.max(), 31)[1:-1]
-    assert germ.quantile(germ.cumulative(inside)) == pytest.approx(inside, rel=1e-12)
-    assert germ.cumulative(np.array([data.min() - 1, data.max() + 1])).tolist() == [0.0, 1.0]
-    edges = (np.arange(40_000) + 0.5) / 40_000  # the midpoint rule is exact: levels of the data fall between its points
-    assert germ.quantile(edges).mean() == pytest.approx(data.mean(), abs=1e-12)
+    assert np.array_equal(germ.quantile(levels), np.quantile(data, levels, method="inverted_cdf"))
+    between = np.linspace(-4.03, 4.03, 31)
+    assert germ.cumulative(between) == pytest.approx(stats.ecdf(data).cdf.evaluate(between), abs=1e-15)
+    at = np.unique(data)
+    middle = [np.mean(data < one) + np.mean(data == one) / 2 for one in at]
+    assert germ.cumulative(at) == pytest.approx(middle, abs=1e-15)
+    assert np.array_equal(germ.quantile(germ.cumulative(at)), at)
+
+
+@pytest.mark.parametrize("data", [[1.02, 0.97, 1.05, 0.99, 1.01], [0.0, 1.0], [1.0, 1.0, 1.0, 5.0]])
+def test_what_is_drawn_from_a_sample_has_its_moments_and_is_of_the_data(data):
+    law = Sample(data, location=1.0, scale=2.0)
+    count = 1000 * len(data)
+    levels = (np.arange(count) + 0.5) / count  # each of the data at the same number of levels
+    drawn = 1 + 2 * law.germ().quantile(levels)
+    assert set(drawn) == set(1 + 2 * np.array(data))
+    assert drawn.mean() == pytest.approx(float(law.mean()), rel=1e-12)
+    assert drawn.std() == pytest.approx(float(law.std()), rel=1e-12)
+    by_normal = [float(law.from_normal(normal, ())) for normal in stats.norm.ppf(levels[:: len(levels) // 50])]
+    assert np.array_equal(by_normal, law.germ().quantile(levels[:: len(levels) // 50]))
 
 
 def test_repeated_data_count_as_often_as_they_occur():

@@ -215,3 +215,12 @@ def test_a_probability_that_agrees_is_judged_by_its_exact_interval():
     solution = al.solve(al.Problem(gain_problem().system, grid=ONE_STEP, minimize=LOSS.mean, subject_to=[limit]))
     for seed in range(5):
         assert al.validate(solution, 300, seed=seed).agrees
+
+
+@pytest.mark.parametrize("order", [1, 3])
+def test_the_law_of_data_is_one_law_in_expansions_and_in_evidence(order):
+    data = np.array([1.02, 0.97, 1.05, 0.99, 1.01])
+    solution = solved("smooth", al.Sample(data), al.Uniform(0.0, half_width=1e-3), order=order)
+    evidence = alarmed(solution)
+    assert evidence.agrees
+    assert evidence.functionals["x(t_f)"].std == pytest.approx(2 * data.std(), rel=0.02)

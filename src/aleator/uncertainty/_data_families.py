@@ -124,11 +124,12 @@ def _cubic(x: Array, values: np.ndarray, slopes: np.ndarray) -> Array:
 
 @final
 class Sample(AbstractDistribution):
-    """The law of measured data: the number is `location + scale * xi`, and `xi` is distributed as the `data`.
+    """The law of measured data: the number is `location + scale * xi`, and `xi` is one of the `data`, each as likely.
 
-    Polynomials, mean and standard deviation (that of the data themselves: divided by n, not by n - 1) are those of the
-    data (arbitrary polynomial chaos); the order of an expansion must be less than the number of distinct values. Drawn
-    values lie on the piecewise linear quantile through the data: see `SampleGerm`.
+    It is the empirical law, in every respect: polynomials (arbitrary polynomial chaos), mean, standard deviation (that
+    of the data themselves: divided by n, not by n - 1), quantiles and drawn values are those of the data, with nothing
+    between them or beyond. The order of an expansion must be less than the number of distinct values. Where values
+    between the data are wanted, fit a law, or give a `Density`.
 
     Raises `ProblemError` unless the data are at least two distinct, finite numbers.
     """
@@ -149,7 +150,7 @@ class Sample(AbstractDistribution):
     def from_normal(self, normal: Float[Array, ""], shape: tuple) -> Float[Array, ""]:
         """See `AbstractDistribution.from_normal`."""
         del shape
-        return jnp.interp(special.ndtr(normal), self.xi.levels, self.xi.values)
+        return jnp.asarray(self.xi.values)[jnp.searchsorted(jnp.asarray(self.xi.levels), special.ndtr(normal))]
 
     def mean(self) -> Scalar:
         """See `AbstractDistribution.mean`."""

@@ -124,14 +124,15 @@ class SampleGerm(AbstractGerm):
     """The measure of a data sample: polynomials orthonormal under the data (arbitrary polynomial chaos).
 
     Source: Oladyshkin and Nowak, Reliability Engineering & System Safety 106 (2012). A sample of n distinct values
-    carries polynomials up to order n - 1. Between the values, probability is linear (Hazen's quantile: the value of
-    rank i of n stands at the level (i - 1/2) / n), which keeps the sample's mean exactly.
+    carries polynomials up to order n - 1. The law is that of drawing one of the data: its quantile is the value at
+    which the empirical distribution function reaches a level, a step function, so that what is drawn has the moments
+    of the data. `levels` are those at which the quantile steps, from one value to the next.
     """
 
     def __init__(self, data: Float[np.ndarray, " n"]):
         self.values, counts = np.unique(data, return_counts=True)
         self.weights = counts / counts.sum()
-        self.levels = np.cumsum(self.weights) - self.weights / 2
+        self.levels = np.cumsum(counts)[:-1] / counts.sum()
         # The data are structure where a model is compiled: two samples are equal if their values are.
         self._digest = hashlib.sha256(self.values.tobytes() + counts.tobytes()).hexdigest()
 
@@ -155,11 +156,13 @@ class SampleGerm(AbstractGerm):
 
     def quantile(self, level: np.ndarray) -> np.ndarray:
         """See `AbstractGerm.quantile`."""
-        return np.interp(level, self.levels, self.values)
+        return self.values[np.searchsorted(self.levels, level, side="left")]
 
     def cumulative(self, germ: np.ndarray) -> np.ndarray:
-        """See `AbstractGerm.cumulative`."""
-        return np.interp(germ, self.values, self.levels, left=0.0, right=1.0)
+        """See `AbstractGerm.cumulative`. At one of the data itself, half of its probability counts as below."""
+        reached = np.concatenate([[0.0], self.levels, [1.0]])
+        below, up_to = (reached[np.searchsorted(self.values, germ, side=side)] for side in ("left", "right"))
+        return (below + up_to) / 2
 
     def support(self) -> tuple[float, float]:
         """See `AbstractGerm.support`."""
