@@ -141,7 +141,9 @@ class AbstractFunctional(AbstractRandom):
     ) -> Constraint:
         """`mean + sigmas * std <= upper`, or in its place one of two limits that need no normal law.
 
-        - `probability`: at most `upper` with this probability (`quantile(probability) <= upper`);
+        - `probability`: at most `upper` with this probability (`quantile(probability) <= upper`); of a path at each
+          instant by itself, so that other systems may be beyond it at other instants: for whole systems, limit its
+          `peak`, or use `calibrate`;
         - `worst_case`: at most `upper` on the worst realisation that `solve` finds, for bounded distributions.
 
         Raises `ProblemError` if more than one of the three is given.
