@@ -18,12 +18,13 @@ from aleator.design import (
     is_worst_case,
 )
 from aleator.nlp import Outcome, Status
+from aleator.transcription._evaluator import evaluation_of
 from aleator.transcription._magnitudes import spread
 from aleator.transcription._oracle import Oracle, worst_case_limits
 from aleator.transcription._rows import row_bounds, rows_of
 from aleator.transcription._scenarios import Scenarios
 from aleator.transcription._search import Points, candidates, search
-from aleator.transcription._sequential import Sequential, evaluation_of
+from aleator.transcription._sequential import Sequential
 from aleator.uncertainty import uncertain_numbers
 
 # How often scenarios are added and the program is solved again.
