@@ -148,6 +148,7 @@ _CONSTRUCTORS: dict[str, tuple[Callable[..., Any], dict[str, Any], dict[str, Map
     "Anisotropic": (al.Anisotropic, {"weights": [1.0, 2.0]}, {"weights": without(NO_OBJECT, "list", "dict")}),
     "MultiElement": (al.MultiElement, {}, {"order": COUNT, "error": POSITIVE, "budget": COUNT}),
     "HammersleyPoints": (al.HammersleyPoints, {}, {"count": OPTIONAL_COUNT}),
+    "InducedPoints": (al.InducedPoints, {}, {"count": OPTIONAL_COUNT}),
     "HaltonPoints": (al.HaltonPoints, {}, {"count": OPTIONAL_COUNT}),
     "RandomPoints": (al.RandomPoints, {}, {"count": OPTIONAL_COUNT, "seed": WHOLE}),
     "LatinHypercubePoints": (al.LatinHypercubePoints, {}, {"count": OPTIONAL_COUNT, "seed": WHOLE}),

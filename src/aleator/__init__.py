@@ -34,6 +34,7 @@ from aleator.collocation import GaussPoints as GaussPoints  # noqa: E402
 from aleator.collocation import HaltonPoints as HaltonPoints  # noqa: E402
 from aleator.collocation import HammersleyPoints as HammersleyPoints  # noqa: E402
 from aleator.collocation import HyperbolicCross as HyperbolicCross  # noqa: E402
+from aleator.collocation import InducedPoints as InducedPoints  # noqa: E402
 from aleator.collocation import Interpolation as Interpolation  # noqa: E402
 from aleator.collocation import LatinHypercubePoints as LatinHypercubePoints  # noqa: E402
 from aleator.collocation import LeastSquares as LeastSquares  # noqa: E402

@@ -210,4 +210,6 @@ def test_wishes_that_do_not_go_together_are_refused_with_a_remedy(wish, message)
 
 
 def test_a_growing_set_prints_its_limit():
-    assert Expansion(index_set=Adaptive()).text(3).startswith("order up to 20 in 3 variables, Adaptive index set")
+    assert (
+        Expansion(index_set=Adaptive()).text(uniform(3)).startswith("order up to 20 in 3 variables, Adaptive index set")
+    )

@@ -14,7 +14,7 @@ from aleator.uncertainty import HermiteGerm, JacobiGerm, LaguerreGerm, LegendreG
 GERMS = {"a": LegendreGerm(), "b": HermiteGerm(), "c": JacobiGerm(2.0, 5.0), "d": LaguerreGerm(3.0)}
 LAWS = (stats.uniform(-1, 2), stats.norm(), stats.beta(2, 5, -1, 2), stats.gamma(3))
 CHAOSPY = (chaospy.Uniform(-1, 1), chaospy.Normal(0, 1), chaospy.Beta(2, 5, -1, 1), chaospy.Gamma(3))
-EXPANSION = Expansion(3)
+EXPANSION = Expansion(3, points=HammersleyPoints())
 
 
 @pytest.fixture(scope="module")
@@ -167,12 +167,19 @@ def test_an_expansion_counts_in_whole_numbers_only(wrong):
             make()
 
 
-def test_the_default_points_fit_and_terms_are_those_of_the_dissertation_to_the_last_bit(collocation):
+def test_hammersley_points_fit_and_terms_are_those_of_the_dissertation_to_the_last_bit(collocation):
     # written out: QR of the matrix at three Hammersley points for each term, no weight in sight
     matrix = Basis(GERMS, TotalDegree().indices(tuple(GERMS), 3)).matrix(np.asarray(collocation.points))
     orthogonal, triangular = np.linalg.qr(matrix)
     assert np.array_equal(collocation.matrix, matrix)
     assert np.array_equal(collocation.pseudo_inverse, np.linalg.solve(triangular, orthogonal.T))
+
+
+def test_hammersley_points_are_the_default_where_every_germ_is_bounded():
+    germs = {"a": LegendreGerm(), "c": JacobiGerm(2.0, 5.0)}
+    usual, even = (collocate(germs, Expansion(3, points=points)).collocation for points in (None, HammersleyPoints()))
+    assert np.array_equal(usual.points, even.points)
+    assert np.array_equal(usual.pseudo_inverse, even.pseudo_inverse)
 
 
 @pytest.fixture(scope="module")
@@ -209,4 +216,7 @@ def test_a_discretisation_says_what_it_holds():
 
 
 def test_an_expansion_says_what_is_wished():
-    assert Expansion(4).text(2) == "order 4 in 2 variables, TotalDegree index set, HammersleyPoints, LeastSquares fit"
+    germs = {"u": LegendreGerm(), "v": LegendreGerm()}
+    assert (
+        Expansion(4).text(germs) == "order 4 in 2 variables, TotalDegree index set, HammersleyPoints, LeastSquares fit"
+    )

@@ -10,6 +10,7 @@ from aleator.collocation import (
     ChristoffelPoints,
     Expansion,
     GaussPoints,
+    HammersleyPoints,
     LeastSquares,
     Projection,
     SmolyakPoints,
@@ -58,7 +59,7 @@ def histories(points):
 @pytest.mark.parametrize(("order", "points"), [(1, None), (3, None), (4, 40), (3, 11)])
 @pytest.mark.parametrize("output", [scalar, histories])
 def test_the_error_is_that_of_refitting_without_each_point(order, points, output):
-    collocation = collocate(GERMS, Expansion(order, points=points))
+    collocation = collocate(GERMS, Expansion(order, points=HammersleyPoints(points)))
     samples = output(collocation.points)
     refitted = errors_by_refitting(np.asarray(collocation.matrix), np.asarray(samples))
     expected = np.sqrt(np.mean(refitted**2, axis=0).sum() / np.var(np.asarray(samples), axis=0).sum())
@@ -66,7 +67,7 @@ def test_the_error_is_that_of_refitting_without_each_point(order, points, output
 
 
 def test_the_error_is_that_of_openturns():
-    collocation = collocate(GERMS, Expansion(3))
+    collocation = collocate(GERMS, Expansion(3, points=HammersleyPoints()))
     samples = np.asarray(scalar(collocation.points))
     inputs, outputs = ot.Sample(np.asarray(collocation.points).tolist()), ot.Sample(samples[:, None].tolist())
     law = ot.JointDistribution([ot.Uniform(-1.0, 1.0), ot.Normal()])
@@ -174,7 +175,7 @@ def test_the_error_of_each_entry_is_that_of_the_entry_alone(expansion):
 
 
 def test_the_squared_error_is_the_mean_of_those_of_the_entries_weighted_by_variance():
-    collocation = collocate(GERMS, Expansion(3))
+    collocation = collocate(GERMS, Expansion(3, points=HammersleyPoints()))
     samples = histories(collocation.points)
     each = leave_one_out_by_entry(collocation, samples, collocation.coefficients(samples))
     variance = np.var(np.asarray(samples), axis=0)

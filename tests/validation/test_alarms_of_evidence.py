@@ -40,7 +40,7 @@ class Response(al.System):
         return {"x": responses[self.kind] * (1 + t), "gain": self.gain, "loss": (self.gain - 1.0) ** 2}
 
 
-def solved(kind, a, b, *limits, order=3, tolerance=10.0, objective=X.mean):
+def solved(kind, a, b, *limits, order=3, points=None, tolerance=10.0, objective=X.mean):
     """A design at the bound of a decision that nothing depends on; its expansion is trusted whatever it misses."""
     system = Response(al.Decision(0.5, 0.0, 2.0), a, b, kind)
     return al.solve(
@@ -49,7 +49,7 @@ def solved(kind, a, b, *limits, order=3, tolerance=10.0, objective=X.mean):
             grid=ONE_STEP,
             minimize=al.terminal("loss").mean + 0.0 * objective,
             subject_to=[one.named(f"limit {i}") for i, one in enumerate(limits)],
-            expansion=al.Expansion(order, tolerance=tolerance),
+            expansion=al.Expansion(order, points=points, tolerance=tolerance),
         ),
         throw=False,
     )
@@ -94,7 +94,7 @@ def test_a_spike_in_a_corner_without_points_is_found():
 def test_waves_that_an_order_misses_are_found_with_their_closed_form():
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        solution = solved("waves", al.Normal(0.0, 1.0), UNIFORM)
+        solution = solved("waves", al.Normal(0.0, 1.0), UNIFORM, points=al.HammersleyPoints())
     evidence = alarmed(solution)
     first = np.cos(10) * np.exp(-0.5)
     variance = 4 * ((1 + np.cos(20) * np.exp(-2.0)) / 2 - first**2)

@@ -12,6 +12,7 @@ from aleator._core.arrays import Pytree
 from aleator._core.errors import ExpansionWarning, ProblemError
 from aleator.analysis._element_expanded import ElementExpanded
 from aleator.analysis._expanded import Expanded
+from aleator.analysis._expanded_text import extrapolates
 from aleator.analysis._inputs import concrete
 from aleator.analysis._multi_element import MultiElement
 from aleator.analysis._partition import Partition
@@ -137,12 +138,16 @@ def _warn_of_doubts(expanded: Expanded, collocation: Collocation, times: Any) ->
     """
     errors = jax.tree_util.tree_leaves_with_path(expanded.error)
     until = [None] * len(errors) if times is None else _resolved_until(expanded, np.asarray(times))
-    bad = []
-    for (path, error), last in zip(errors, until, strict=True):
+    checks = zip(jax.tree.leaves(expanded.leave_one_out), jax.tree.leaves(expanded.jackknife), strict=True)
+    bad, open_ended = [], []
+    for (path, error), last, (loo, left) in zip(errors, until, checks, strict=True):
         known = concrete(error)
         if known is None or (known <= expanded.tolerance and last is None):
             continue
         name = jax.tree_util.keystr(path, simple=True, separator=".") or "the output"
+        if last is None and extrapolates(concrete(loo), concrete(left), expanded.tolerance):
+            open_ended.append(f"{name} (error {float(known):.2g})")
+            continue
         since = "" if last is None else f", resolved until t = {last:.4g} only"
         bad.append(f"{name} (error {float(known):.2g}{since})")
     said = []
@@ -158,6 +163,12 @@ def _warn_of_doubts(expanded: Expanded, collocation: Collocation, times: Any) ->
             f"The expansion of order {expanded.basis.order} does not resolve {', '.join(bad)}: errors above "
             f"{expanded.tolerance:g} make means and spreads unreliable. Raise the order, shorten the time, or expand "
             "by al.MultiElement()."
+        )
+    if open_ended:
+        said.append(
+            f"The expansion of order {expanded.basis.order} extrapolates {', '.join(open_ended)} into the tails of the "
+            "laws, beyond the outermost points, which predict each other only: means and spreads are unreliable. Take "
+            "points that cover the tails, al.InducedPoints() or al.GaussPoints(); a higher order makes it worse."
         )
     if said:
         warnings.warn(" ".join(said), ExpansionWarning, stacklevel=3)

@@ -15,7 +15,7 @@ from aleator.analysis._abstract_expanded import AbstractExpanded, checked_points
 from aleator.analysis._expanded_text import as_lines, contributors, law_rows, nothing, output_rows, trust
 from aleator.analysis._inputs import concrete
 from aleator.analysis._shapley import shapley_matrix
-from aleator.collocation import UNRESOLVED, Basis, Collocation, leave_one_out, unseen
+from aleator.collocation import UNRESOLVED, Basis, Collocation, jackknife, leave_one_out, unseen
 from aleator.statistics import AbstractStatistic, cdf, lines_through, pdf, refuse_correlated, varies
 from aleator.uncertainty import AbstractDistribution, AbstractGerm
 
@@ -91,16 +91,26 @@ class Expanded(AbstractExpanded):
         return self.checked(leave_one_out)
 
     @property
+    def jackknife(self) -> Pytree:
+        """The relative error that the choice of the points leaves in each output, by the law of its inputs.
+
+        Far above `leave_one_out`, it says that the expansion is extrapolated, as into tails that no point reaches.
+        """
+        return self.checked(jackknife)
+
+    @property
     def error(self) -> Pytree:
-        """How far each output is from resolved: its leave-one-out error or, where nothing can be left out, what the
-        decay of its degrees leads to. Sparse grids, interpolation and Galerkin projection leave nothing to check.
+        """How far each output is from resolved: its leave-one-out error, or its jackknife error where that is larger;
+        where nothing can be left out, what the decay of its degrees leads to. Sparse grids, interpolation and Galerkin
+        projection leave nothing to check.
 
         If each degree is a fraction `r` of the one before, `highest_degree_share` is `r**(2 (order - step))`, and what
         is beyond the order about `r**order`, both relative to the spread (`step` is 1 up to order 2, 2 from then on).
         """
         order = self.basis.order
         exponent = order / (2 * max(order - _step(self.basis), 1))
-        pairs = self.leave_one_out, self.highest_degree_share
+        worst = jax.tree.map(jnp.maximum, self.leave_one_out, self.jackknife)
+        pairs = worst, self.highest_degree_share
         return jax.tree.map(lambda error, share: jnp.where(jnp.isfinite(error), error, share**exponent), *pairs)
 
     def checked(self, check: Callable[..., Any]) -> Pytree:
@@ -130,7 +140,8 @@ class Expanded(AbstractExpanded):
         return jax.tree.map(lambda terms: jnp.tensordot(matrix, terms, axes=1), self.coefficients)
 
     def __str__(self) -> str:
-        remarks = jax.tree.map(self._remark, self.coefficients, self.leave_one_out, self.error)
+        checks = self.leave_one_out, self.jackknife, self.error
+        remarks = jax.tree.map(self._remark, self.coefficients, *checks)
         rows = [("expansion", self._how()), *law_rows(self.laws), *output_rows(self.mean, self.std, remarks)]
         points = None if self.collocation is None else concrete(self.collocation.points)
         corner = None if points is None else unseen(self.basis, points)
@@ -145,12 +156,12 @@ class Expanded(AbstractExpanded):
         told = "" if condition is None else f", condition number {float(condition):.3g}"
         return f"{how}, {len(self.collocation.points)} points{told}"
 
-    def _remark(self, terms: Array, checked: Array, error: Array) -> Callable[[tuple], str]:
+    def _remark(self, terms: Array, checked: Array, jackknife: Array, error: Array) -> Callable[[tuple], str]:
         """What is said of one entry of an output beside its moments: where its spread comes from, and trust."""
-        known, loo, missed = map(concrete, (terms, checked, error))
+        known, loo, left, missed = map(concrete, (terms, checked, jackknife, error))
         if known is None:
             return nothing
-        trusted = trust(loo, missed, self.tolerance)
+        trusted = trust(loo, left, missed, self.tolerance)
         return lambda entry: f"; {contributors(self.laws, self.basis, known[(slice(None), *entry)])}; {trusted}"
 
 

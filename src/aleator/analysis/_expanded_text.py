@@ -81,8 +81,18 @@ def contributors(laws: Mapping[str, AbstractDistribution], basis: Basis, terms: 
     return ", ".join(f"{name} {100 * share:.3g} %" for name, share in largest if share > _LEAST_SHARE)
 
 
-def trust(leave_one_out: Any, error: Any, tolerance: float) -> str:
+def extrapolates(leave_one_out: Any, jackknife: Any, tolerance: float) -> bool:
+    """Whether points that predict each other leave an expansion open where there are none, as in tails."""
+    return bool(np.isfinite(leave_one_out) and leave_one_out <= tolerance < jackknife)
+
+
+def trust(leave_one_out: Any, jackknife: Any, error: Any, tolerance: float) -> str:
     """How well the expansion is known to hold: by its leave-one-out error or, without samples, by its last terms."""
-    by = "leave-one-out error" if np.isfinite(leave_one_out) else "error by the decay of its degrees"
+    if extrapolates(leave_one_out, jackknife, tolerance):
+        return f"jackknife error {float(jackknife):.1e} (EXTRAPOLATED, take al.InducedPoints())"
+    if not np.isfinite(leave_one_out):
+        by, shown = "error by the decay of its degrees", error
+    else:
+        by, shown = "leave-one-out error", leave_one_out
     verdict = "resolved" if float(error) <= tolerance else "NOT RESOLVED, raise the order"
-    return f"{by} {float(error):.1e} ({verdict})"
+    return f"{by} {float(shown):.1e} ({verdict})"

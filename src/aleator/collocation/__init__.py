@@ -3,6 +3,7 @@
 from aleator.collocation._adaptive import Adaptive as Adaptive
 from aleator.collocation._basis import Basis as Basis
 from aleator.collocation._collocation import Collocation as Collocation
+from aleator.collocation._collocation import jackknife as jackknife
 from aleator.collocation._collocation import leave_one_out as leave_one_out
 from aleator.collocation._collocation import leave_one_out_by_entry as leave_one_out_by_entry
 from aleator.collocation._expansion import Discretisation as Discretisation
@@ -19,6 +20,7 @@ from aleator.collocation._index_set import HyperbolicCross as HyperbolicCross
 from aleator.collocation._index_set import TensorProduct as TensorProduct
 from aleator.collocation._index_set import TotalDegree as TotalDegree
 from aleator.collocation._optimal_points import ChristoffelPoints as ChristoffelPoints
+from aleator.collocation._optimal_points import InducedPoints as InducedPoints
 from aleator.collocation._optimal_points import OptimalPoints as OptimalPoints
 from aleator.collocation._points import AbstractPoints as AbstractPoints
 from aleator.collocation._points import HaltonPoints as HaltonPoints

@@ -7,7 +7,7 @@ from typing import final
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 # What is left of one minus the leverage by rounding, where it is zero in exact arithmetic.
 _LEAST_REMAINDER = 1e-8
@@ -56,6 +56,26 @@ def leave_one_out(
     return relative_error(*(part.sum() for part in mean_squares(collocation, samples, coefficients)))
 
 
+def jackknife(
+    collocation: Collocation,
+    samples: Float[Array, "points *shape"],
+    coefficients: Float[Array, "terms *shape"],
+) -> Float[Array, ""]:
+    """What the choice of the points makes of an expansion: an rms error under the germ's law over the spread.
+
+    It is the root of the sum of squares by which coefficients change as each point is left out, which for orthonormal
+    polynomials is a mean square under the law, and over the variance of the samples. The leave-one-out error asks how
+    points predict each other; this asks what their errors become where there are none, as in the tails of unbounded
+    laws, into which powers are extrapolated. Infinite and zero where `leave_one_out` is.
+    Source: MacKinnon and White (1985), Some heteroskedasticity-consistent covariance matrix estimators (HC3).
+    """
+    flat, terms = samples.reshape(len(samples), -1), coefficients.reshape(len(coefficients), -1)
+    missed, predictable = _missed(collocation, flat, terms)
+    change = jnp.sum(collocation.pseudo_inverse**2, axis=0) @ missed**2
+    _, variance, square = mean_squares(collocation, samples, coefficients)
+    return relative_error(jnp.where(predictable, change.sum(), jnp.inf), variance.sum(), square.sum())
+
+
 def leave_one_out_by_entry(
     collocation: Collocation,
     samples: Float[Array, "points *shape"],
@@ -74,16 +94,23 @@ def mean_squares(
 ) -> tuple[Float[Array, " entries"], Float[Array, " entries"], Float[Array, " entries"]]:
     """Of each entry: the mean square of the leave-one-out residuals, the variance, and the mean square."""
     flat, terms = samples.reshape(len(samples), -1), coefficients.reshape(len(coefficients), -1)
-    residual = flat - collocation.matrix @ terms
-    remainder = 1 - collocation.leverage
-    predictable = remainder > _LEAST_REMAINDER
-    error = collocation.weights @ (residual / jnp.where(predictable, remainder, 1.0)[:, None]) ** 2
+    missed, predictable = _missed(collocation, flat, terms)
     mean = collocation.weights @ flat
     return (
-        jnp.where(predictable.all(), error, jnp.inf),
+        jnp.where(predictable, collocation.weights @ missed**2, jnp.inf),
         collocation.weights @ (flat - mean[None, :]) ** 2,
         collocation.weights @ flat**2,
     )
+
+
+def _missed(
+    collocation: Collocation, flat: Float[Array, "points entries"], terms: Float[Array, "terms entries"]
+) -> tuple[Float[Array, "points entries"], Bool[Array, ""]]:
+    """By how much each sample is missed by all others; and whether others predict every one."""
+    remainder = 1 - collocation.leverage
+    predictable = remainder > _LEAST_REMAINDER
+    residual = flat - collocation.matrix @ terms
+    return residual / jnp.where(predictable, remainder, 1.0)[:, None], predictable.all()
 
 
 def relative_error(

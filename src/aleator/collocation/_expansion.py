@@ -13,6 +13,7 @@ from aleator.collocation._basis import Basis
 from aleator.collocation._collocation import Collocation
 from aleator.collocation._fit import AbstractFit, LeastSquares
 from aleator.collocation._index_set import AbstractIndexSet, TotalDegree
+from aleator.collocation._optimal_points import UsualPoints
 from aleator.collocation._points import AbstractCountedPoints, AbstractPoints, HammersleyPoints, Nodes, SobolPoints
 from aleator.collocation._resolution import UNRESOLVED
 from aleator.collocation._respond import Respond
@@ -32,8 +33,9 @@ class Expansion(eqx.Module):
 
     - `order`: by default 3; the limit of an `Adaptive` index set, there by default 20;
     - `index_set`: which products, by default all up to that total degree; `Adaptive(error, budget)` finds them;
-    - `points`: where the model is solved: a number of Hammersley points, by default three for each term, as the
-      dissertation advises after equation (29), or another point set; `Adaptive` takes Sobol points;
+    - `points`: where the model is solved: a point set, or a number of points, by default three for each term, as the
+      dissertation advises after equation (29). Numbers stand for Hammersley points where every germ is bounded; where
+      one is not, least squares takes `InducedPoints`, which cover its tails. `Adaptive` takes Sobol points;
     - `fit`: how the coefficients are found, by default by least squares;
     - `tolerance`: the relative leave-one-out error up to which an output counts as resolved, by default 0.05: a new
       sample is then predicted to a twentieth of the standard deviation, and all but 1/400 of the variance is explained.
@@ -67,12 +69,13 @@ class Expansion(eqx.Module):
         )
         if not isinstance(points, AbstractPoints | None):
             points = given.whole("Expansion: points", points)
-        if not isinstance(points, AbstractPoints):
-            points = SobolPoints(points) if adaptive else HammersleyPoints(points)
-        self.points = points
         self.fit = given.one_of(
             "Expansion: fit", LeastSquares() if fit is None else fit, AbstractFit, "al.LeastSquares()"
         )
+        if not isinstance(points, AbstractPoints):
+            even = UsualPoints if isinstance(self.fit, LeastSquares) else HammersleyPoints
+            points = SobolPoints(points) if adaptive else even(points)
+        self.points = points
         self.tolerance = _checked_tolerance(tolerance)
         if adaptive and not isinstance(self.fit, LeastSquares):
             raise ProblemError(
@@ -80,12 +83,12 @@ class Expansion(eqx.Module):
                 "the fit out, or take a fixed index set."
             )
 
-    def text(self, variables: int) -> str:
-        """What is wished for, in words, for a number of germ variables."""
+    def text(self, germs: Mapping[str, AbstractGerm]) -> str:
+        """What is wished for, in words, for the laws of the germ variables."""
         order = f"order up to {self.order}" if isinstance(self.index_set, Adaptive) else f"order {self.order}"
         return (
-            f"{order} in {variables} variables, {type(self.index_set).__name__} index set, "
-            f"{type(self.points).__name__}, {type(self.fit).__name__} fit"
+            f"{order} in {len(germs)} variables, {type(self.index_set).__name__} index set, "
+            f"{type(self.points.of(germs)).__name__}, {type(self.fit).__name__} fit"
         )
 
 

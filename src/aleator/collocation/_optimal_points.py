@@ -1,5 +1,6 @@
-"""Points for a basis: drawn by its Christoffel function, or the best of those for the determinant."""
+"""Points for a basis: by its Christoffel function, evenly or at random, or the best of those for the determinant."""
 
+from collections.abc import Mapping
 from typing import final
 
 import equinox as eqx
@@ -9,15 +10,45 @@ from scipy import linalg
 
 from aleator._core.errors import ProblemError
 from aleator.collocation._basis import Basis
-from aleator.collocation._points import AbstractCountedPoints, Nodes, seed_given
+from aleator.collocation._points import AbstractCountedPoints, AbstractPoints, HammersleyPoints, Nodes, seed_given
 from aleator.uncertainty import AbstractGerm
 
 # How many candidates there are for each point chosen among them.
 _CANDIDATES = 10
 
-
 # How many roots a rule has beyond twice the degree, so that a law is nearly even between two of them.
 _FINE = 60
+
+
+@final
+class InducedPoints(AbstractCountedPoints):
+    """Hammersley points brought to the germ by the laws `Psi_j^2 f` of the terms in turn, weighted by `1 / K`.
+
+    They cover what `ChristoffelPoints` cover, whose density theirs is, but evenly and without chance: the tails of
+    unbounded laws too, where polynomials are large. Quantiles of even points end where the outermost of them is, and
+    powers fitted there are extrapolated into the tails, which no point checks. Source: Cohen and Migliorati (2017),
+    Optimal weighted least-squares methods; Narayan (2018), Computation of induced orthogonal polynomial distributions.
+    """
+
+    def nodes(self, basis: Basis, usual: int) -> Nodes:
+        """See `AbstractPoints.nodes`."""
+        count = self.count or usual
+        levels = HammersleyPoints().levels(count, basis.variables)
+        return _weighted(basis, np.arange(count) % basis.terms, levels)
+
+
+@final
+class UsualPoints(AbstractCountedPoints):
+    """The default: `HammersleyPoints` where every germ is bounded, `InducedPoints` where one is not."""
+
+    def of(self, germs: Mapping[str, AbstractGerm]) -> AbstractPoints:
+        """See `AbstractPoints.of`."""
+        bounded = all(np.all(np.isfinite(germ.support())) for germ in germs.values())
+        return HammersleyPoints(self.count) if bounded else InducedPoints(self.count)
+
+    def nodes(self, basis: Basis, usual: int) -> Nodes:
+        """See `AbstractPoints.nodes`."""
+        return self.of(basis.germs).nodes(basis, usual)
 
 
 class AbstractBasisPoints(AbstractCountedPoints):
@@ -68,7 +99,11 @@ def _drawn(basis: Basis, count: int, seed: int) -> Nodes:
     """Points drawn from the mixture of the laws `Psi_j^2 f`, the same number from each but for the remainder."""
     rng = np.random.default_rng(seed)
     terms = rng.permutation(np.arange(count) % basis.terms)
-    levels = rng.random((count, basis.variables))
+    return _weighted(basis, terms, rng.random((count, basis.variables)))
+
+
+def _weighted(basis: Basis, terms: np.ndarray, levels: Float[np.ndarray, "n variables"]) -> Nodes:
+    """The points of given levels in the laws `Psi_j^2 f` of given terms, weighted by the Christoffel function."""
     columns = [
         _induced(germ, degree, basis.indices[terms, i], levels[:, i])
         for i, (germ, degree) in enumerate(zip(basis.germs.values(), basis.degrees, strict=True))

@@ -1,6 +1,7 @@
 """Point sets: where in germ space a model is solved. Here those that cover it evenly."""
 
 import abc
+from collections.abc import Mapping
 from typing import ClassVar, NamedTuple, final
 
 import equinox as eqx
@@ -9,6 +10,7 @@ from jaxtyping import Float
 
 from aleator._core import given
 from aleator.collocation._basis import Basis
+from aleator.uncertainty import AbstractGerm
 
 _SOBOL_BITS = 30
 
@@ -45,6 +47,11 @@ class AbstractPoints(eqx.Module):
     @abc.abstractmethod
     def nodes(self, basis: Basis, usual: int) -> Nodes:
         """The points and their weights; `usual` many in sets that can have any number and were given none."""
+
+    def of(self, germs: Mapping[str, AbstractGerm]) -> "AbstractPoints":
+        """The point set that is taken for a germ: itself, but for one that chooses by it."""
+        del germs
+        return self
 
 
 class AbstractCountedPoints(AbstractPoints):

@@ -10,7 +10,7 @@ from aleator.design._statistic import statistics_in
 from aleator.dynamics import AlgebraicSystem, Grid
 from aleator.mechanics import AbstractFormulation
 from aleator.statistics import Mean
-from aleator.uncertainty import AbstractDistribution, Decision
+from aleator.uncertainty import AbstractDistribution, AbstractGerm, Decision
 
 
 def problem_text(problem: AbstractProblem) -> str:
@@ -22,7 +22,7 @@ def problem_text(problem: AbstractProblem) -> str:
     rows += _labelled("where", list(_law_texts(places.distributions)))
     rows += [
         _physics_row(problem),
-        ("expansion", _expansion_text(problem, places.germ_names)),
+        ("expansion", _expansion_text(problem, places.germs)),
     ]
     return "\n".join(f"{label:<11} {text}" for label, text in rows)
 
@@ -70,10 +70,10 @@ def _physics_row(problem: AbstractProblem) -> tuple[str, str]:
     return "dynamics", f"{who}({', '.join(system.states)}), {steps}, {type(problem.integrator).__name__}"
 
 
-def _expansion_text(problem: AbstractProblem, variables: tuple[str, ...]) -> str:
-    if not variables:
+def _expansion_text(problem: AbstractProblem, germs: Mapping[str, AbstractGerm]) -> str:
+    if not germs:
         return "none: nothing is uncertain, every σ is 0" if _has_std(problem) else "none: nothing is uncertain"
-    return problem.expansion.text(len(variables))
+    return problem.expansion.text(germs)
 
 
 def _has_std(problem: AbstractProblem) -> bool:

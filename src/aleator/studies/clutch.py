@@ -50,6 +50,11 @@ def pressure_angle(
     return np.rad2deg(np.arccos((a + c) / (e - c)))
 
 
+def published_expansion(order: int) -> al.Expansion:
+    """An expansion at the points of the dissertation, which those of normal laws by default are not."""
+    return al.Expansion(order, points=al.HammersleyPoints())
+
+
 def allocation_problem(rejects: float = 0.0065) -> al.Problem:
     """Optimal uncertainty apportionment (122): the tolerances that cost least, `Σ 1/T`, at a limit on the rejects.
 
@@ -62,5 +67,5 @@ def allocation_problem(rejects: float = 0.0065) -> al.Problem:
         clutch(decisions),
         minimize=hub + roller + ring,
         subject_to=[(chi.probability(below=lower) + chi.probability(above=upper) <= rejects).named("rejects")],
-        expansion=al.Expansion(order=3),
+        expansion=published_expansion(3),
     )

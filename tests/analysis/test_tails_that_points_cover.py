@@ -1,0 +1,111 @@
+"""Expansions of unbounded germs against closed forms: default points cover the tails, and others are told of."""
+
+import warnings
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import stats
+
+import aleator as al
+
+NORMAL = al.Normal(0.0, 1.0)
+
+
+def correlated(correlation):
+    law = al.Uniform.bounds(0.0, 1.0)
+    return al.correlated({"x": law, "y": law}, {("x", "y"): correlation})
+
+
+def expanded_and_warnings(function, laws, expansion):
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        expanded = al.expand(function, laws, expansion)
+    return expanded, " ".join(str(one.message) for one in told)
+
+
+# The standard deviation of each output in closed form, but for the logistic's, by a rule of 200 points.
+NODES, MASSES = np.polynomial.hermite_e.hermegauss(200)
+LOGISTIC = MASSES @ (1 / (1 + np.exp(-2 * NODES)) - 0.5) ** 2 / np.sqrt(2 * np.pi)
+CASES = {
+    "y of correlated laws": (lambda m: m["y"], correlated(0.5), np.sqrt(1 / 12)),
+    "sum of correlated laws": (lambda m: m["x"] + m["y"], correlated(0.5), np.sqrt(3 / 12)),
+    "difference of correlated laws": (lambda m: m["x"] - m["y"], correlated(0.8), np.sqrt(0.4 / 12)),
+    "sine of a sum": (lambda m: jnp.sin(m["x"] + m["y"]), {"x": NORMAL, "y": NORMAL}, np.sqrt((1 - np.exp(-4)) / 2)),
+    "logistic": (lambda m: jax.nn.sigmoid(2 * m["x"]), {"x": NORMAL}, np.sqrt(LOGISTIC)),
+    "decay": (
+        lambda m: jnp.exp(-m["x"]) * m["y"],
+        {"x": al.Gamma(shape=2.0, scale=1.0), "y": al.Normal(1.0, 0.3)},
+        np.sqrt(1.09 / 9 - 1 / 16),
+    ),
+    "root": (lambda m: jnp.sqrt(m["x"]), {"x": al.Exponential(mean=1.0)}, np.sqrt(1 - np.pi / 4)),
+}
+
+
+@pytest.mark.parametrize("order", [3, 6, 10])
+@pytest.mark.parametrize("case", CASES)
+def test_spreads_by_default_points_are_those_of_the_closed_form_or_warned_of(case, order):
+    function, laws, std = CASES[case]
+    expanded, told = expanded_and_warnings(function, laws, al.Expansion(order))
+    assert float(expanded.std) == pytest.approx(std, rel=0.03 if not told else 0.15)
+    assert order < 10 or not told
+
+
+@pytest.mark.parametrize("order", [6, 8, 10])
+@pytest.mark.parametrize("case", CASES)
+def test_even_points_that_extrapolate_are_told_of_with_the_points_to_take(case, order):
+    function, laws, std = CASES[case]
+    try:
+        expanded, told = expanded_and_warnings(function, laws, al.Expansion(order, points=al.HammersleyPoints()))
+    except al.ProblemError:
+        return  # the matrix is refused, which is no silence
+    assert told or float(expanded.std) == pytest.approx(std, rel=0.03)
+    if float(expanded.leave_one_out) <= 0.05 < float(expanded.jackknife):
+        assert "into the tails" in told
+        assert "al.InducedPoints() or al.GaussPoints()" in told
+        assert "EXTRAPOLATED" in str(expanded)
+
+
+def test_the_jackknife_error_is_how_far_refits_without_each_point_move_the_coefficients():
+    function = lambda m: jnp.tanh(m["x"]) * m["y"]  # noqa: E731
+    expanded = al.expand(function, {"x": NORMAL, "y": NORMAL}, al.Expansion(4, tolerance=9.0))
+    points = expanded.collocation
+    roots, samples = np.sqrt(np.asarray(points.weights)), np.asarray(expanded.samples)
+    matrix, moved = np.asarray(points.matrix) * roots[:, None], 0.0
+    for k in range(len(samples)):
+        rest = np.arange(len(samples)) != k
+        refit = np.linalg.lstsq(matrix[rest], (roots * samples)[rest], rcond=None)[0]
+        moved += np.sum((refit - np.asarray(expanded.coefficients)) ** 2)
+    variance = np.average((samples - np.average(samples, weights=roots**2)) ** 2, weights=roots**2)
+    assert float(expanded.jackknife) == pytest.approx(np.sqrt(moved / variance), rel=1e-8)
+
+
+def test_points_of_the_induced_laws_are_even_in_probability():
+    # of one variable each term has its own share of points, whose levels in its own law are those of a sequence
+    expanded = al.expand(lambda m: m["x"], {"x": NORMAL}, al.Expansion(3, points=al.InducedPoints(4000)))
+    points = np.sort(np.asarray(expanded.collocation.points)[:, 0])
+    polynomials = np.polynomial.hermite_e.hermevander(NODES, 3) / np.sqrt([1.0, 1.0, 2.0, 6.0])
+    density = np.mean(polynomials**2, axis=1) * MASSES / np.sqrt(2 * np.pi)
+    for end in (-2.0, -1.0, 0.5, 2.5):
+        below = density[end > NODES].sum()
+        assert np.mean(points < end) == pytest.approx(below, abs=0.03)
+    assert stats.norm.sf(points[-1]) < 1e-4
+
+
+def test_a_bound_on_a_spread_of_correlated_laws_holds_in_the_closed_form():
+    class Gap(al.AlgebraicSystem):
+        d: al.Number
+        x: al.Number
+        y: al.Number
+
+        def outputs(self):
+            return {"gap": self.d * self.y, "cost": (self.d - 3.0) ** 2}
+
+    problem = al.Problem(
+        Gap(d=al.Decision(0.1, 0.0, 10.0), **correlated(0.5)),
+        minimize=al.output("cost").mean,
+        subject_to=[al.output("gap").std <= 0.3],
+        expansion=al.Expansion(order=8),
+    )
+    assert al.solve(problem).decisions["d"] == pytest.approx(0.3 * np.sqrt(12), rel=0.005)
