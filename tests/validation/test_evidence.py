@@ -1,5 +1,6 @@
 import dataclasses
 import warnings
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -270,3 +271,38 @@ def test_progress_is_told(solution):
     told = []
     al.validate(solution, 100, batch=40, progress=lambda *words: told.append(words))
     assert told == [("Monte Carlo", done, 100) for done in (0, 40, 80, 100)]
+
+
+def test_systems_are_simulated_on_a_grid_whose_error_is_an_order_below_what_is_tolerated():
+    class Fading(al.System):
+        states = ("x",)
+        k: Any
+        a: Any
+
+        def initial(self):
+            return {"x": self.a}
+
+        def rhs(self, t, z):
+            return (-self.k * z.x,)
+
+        def outputs(self, t, z):
+            return {"x": z.x, "loss": (self.a - 1.0) ** 2}
+
+    problem = al.Problem(
+        Fading(al.Uniform(2.0, half_width=0.01), al.Decision(0.5, 0.1, 2.0)),
+        grid=al.Grid(2.0, 4),
+        minimize=al.terminal("loss").mean,
+        subject_to=[al.terminal("x").mean <= 1.0, al.path("x").at_most(3.0, sigmas=1.0)],
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        solution = al.solve(problem)
+        evidence = al.validate(solution, 2000)
+    low, high = 1.99, 2.01
+    exact = (np.exp(-2 * low) - np.exp(-2 * high)) / (2 * (high - low))
+    sampled = evidence.functionals["x(t_f)"]
+    # Four steps of RK4 are off by two per cent; what is sampled, by chance alone.
+    assert abs(float(solution.moments["x(t_f)"].mean) - exact) > 20 * float(sampled.standard_error)
+    assert abs(float(sampled.mean) - exact) < 4 * float(sampled.standard_error)
+    assert evidence.functionals["x(t)"].mean.shape == (5,)
+    assert evidence.instants == 4 * solution.grid_error.factor + 1

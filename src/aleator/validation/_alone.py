@@ -36,7 +36,9 @@ def alone(solution: Solution, started: float) -> Evidence:
     if isinstance(problem.grid, Grid):
         factor = _FINER
         problem = eqx.tree_at(lambda tree: tree.grid, problem, problem.grid.finer(factor))
-    batch = SIMULATE_BATCH(numbers_to_arrays(problem), jnp.zeros((1, 0)), jnp.asarray(solution.vector), jnp.asarray(1))
+    batch = SIMULATE_BATCH(
+        numbers_to_arrays(problem), jnp.zeros((1, 0)), jnp.asarray(solution.vector), jnp.asarray(1), 1
+    )
     sampled, told = {}, []
     for i, one in enumerate(functionals):
         text = one.text()

@@ -38,16 +38,22 @@ def why_uncounted(problem: Problem, name: str) -> str:
     return "" if "" in reasons else reasons[0]
 
 
+def sampled_by(solution: Solution) -> int:
+    """How many times finer than a solution's own grid that is on which systems are sampled.
+
+    1 if the error of its own is an order below what is tolerated; otherwise the grid that its error was told by.
+    """
+    error = solution.grid_error
+    return 1 if error is None or error.ratio <= _AN_ORDER_BELOW else error.factor
+
+
 def finer_by(solution: Solution) -> int:
     """How many times finer than a solution's own grid that is on which systems are counted against limits over time.
 
-    That is the grid on which these were held between instants, where they were. Otherwise it is the solution's own if
-    its error is an order below what is tolerated, and the one that its error was told by if not.
+    That is the grid on which these were held between instants, where they were; otherwise that of all samples.
     """
-    between, error = solution.between, solution.grid_error
-    if between is not None and between.is_strict:
-        return between.factor
-    return 1 if error is None or error.ratio <= _AN_ORDER_BELOW else error.factor
+    between = solution.between
+    return between.factor if between is not None and between.is_strict else sampled_by(solution)
 
 
 def _reason(constraint: Constraint) -> str:

@@ -41,9 +41,16 @@ class Batch(NamedTuple):
 
 
 def _simulate_batch(
-    problem: Problem, germ: Float[Array, "systems variables"], decisions: Float[Array, " n"], count: Int[Array, ""]
+    problem: Problem,
+    germ: Float[Array, "systems variables"],
+    decisions: Float[Array, " n"],
+    count: Int[Array, ""],
+    finer: int,
 ) -> Batch:
-    """Simulate as many systems as germ points. Those after the first `count` fill up the batch and do not count."""
+    """Simulate as many systems as germ points. Those after the first `count` fill up the batch and do not count.
+
+    Of paths, every `finer`th instant is kept: where the grid is so many times finer than that of the design.
+    """
     functionals = functionals_of(problem.expressions)
     samples = responses(problem, functionals, germ, decisions)
     numbers = named_numbers(problem.model, decisions)
@@ -52,7 +59,7 @@ def _simulate_batch(
     def judge(values: tuple[Array, ...]) -> tuple[list[Array], dict[int, Array]]:
         scope = OneSystem(dict(zip(functionals, values, strict=True)), numbers, step)
         judged = [_judge(constraint, scope) for constraint in problem.constraints]
-        paths = {i: value for i, (_, value) in enumerate(judged) if problem.constraints[i].is_path}
+        paths = {i: value[::finer] for i, (_, value) in enumerate(judged) if problem.constraints[i].is_path}
         return [excess for excess, _ in judged], paths
 
     excess, values = jax.vmap(judge)(samples)
@@ -62,7 +69,7 @@ def _simulate_batch(
     def total(one: Array) -> Array:
         return jnp.sum(jnp.where(wanted.reshape(systems, *(1,) * (one.ndim - 1)), one, 0.0), axis=0)
 
-    paths = {i: one for i, one in enumerate(samples) if one.ndim > 1}
+    paths = {i: one[:, ::finer] for i, one in enumerate(samples) if one.ndim > 1}
     means = {i: total(one) / count for i, one in paths.items()}
     finite = [jnp.isfinite(one).reshape(systems, -1).all(axis=1) for one in samples]
     return Batch(

@@ -12,7 +12,7 @@ from aleator._core.errors import ProblemError, SimulationError
 from aleator.design import Problem, Solution, functionals_of, is_over_time, refuse_changed, uncertain, unsolved
 from aleator.dynamics import Grid
 from aleator.uncertainty import uncertain_numbers
-from aleator.validation._counted import finer_by, is_counted
+from aleator.validation._counted import finer_by, is_counted, sampled_by
 from aleator.validation._sampling import EXCESS_OVER_TIME, SIMULATE_BATCH, Batch
 
 
@@ -20,7 +20,9 @@ from aleator.validation._sampling import EXCESS_OVER_TIME, SIMULATE_BATCH, Batch
 class Systems:
     """The uncertain systems of a solution, at its decisions: a batch of them for a batch of germ points.
 
-    - `problem`: with its distributions, which a deterministic design holds at their means; `germs`: their variables.
+    - `problem`: with its distributions, which a deterministic design holds at their means; `germs`: their variables;
+    - `sampled`: the problem on the grid that its systems are simulated on, whose error is an order below what is
+      tolerated.
 
     Raises `ProblemError`, in the name of `who` asks, where nothing is uncertain or nothing can be sampled, and
     where the code of the system is not what it was when the design was solved.
@@ -35,15 +37,18 @@ class Systems:
         if not functionals_of(self.problem.expressions):
             raise ProblemError(f"{who}: no functional of an output stands in this problem: there is nothing to sample.")
         self._vector = solution.vector
-        self._traced, self._decisions = numbers_to_arrays(self.problem), jnp.asarray(solution.vector)
-        self._finer = _finer(self.problem, finer_by(solution))
+        self._decisions, self._factor = jnp.asarray(solution.vector), sampled_by(solution)
+        self.sampled = _on_finer(self.problem, self._factor)
+        self._traced = numbers_to_arrays(self.sampled)
+        counted = finer_by(solution)
+        self._finer = None if counted == self._factor else _for_limits(self.problem, counted)
 
     def simulate(self, germ: Float[np.ndarray, "systems variables"], count: int) -> Batch:
         """The systems at some germ points. Those after the first `count` fill up the batch and do not count.
 
         Raises `SimulationError` if a system gives numbers that are not finite, naming its parameter values.
         """
-        result = SIMULATE_BATCH(self._traced, jnp.asarray(germ), self._decisions, jnp.asarray(count))
+        result = SIMULATE_BATCH(self._traced, jnp.asarray(germ), self._decisions, jnp.asarray(count), self._factor)
         if self._finer is not None:
             beyond = EXCESS_OVER_TIME(self._finer, jnp.asarray(germ), self._decisions)
             result = _with_limits(self.problem, result, beyond)
@@ -51,12 +56,17 @@ class Systems:
         return result
 
 
-def _finer(problem: Problem, factor: int) -> Problem | None:
+def _on_finer(problem: Problem, factor: int) -> Problem:
+    """The problem on a grid `factor` times finer, where time plays a part."""
+    if factor == 1 or not isinstance(problem.grid, Grid):
+        return problem
+    return eqx.tree_at(lambda tree: tree.grid, problem, problem.grid.finer(factor))
+
+
+def _for_limits(problem: Problem, factor: int) -> Problem | None:
     """The problem on a grid `factor` times finer; None where no limit over time is counted there."""
     limits = any(is_over_time(one) and is_counted(one) for one in problem.constraints)
-    if factor == 1 or not limits or not isinstance(problem.grid, Grid):
-        return None
-    return numbers_to_arrays(eqx.tree_at(lambda tree: tree.grid, problem, problem.grid.finer(factor)))
+    return numbers_to_arrays(_on_finer(problem, factor)) if limits and isinstance(problem.grid, Grid) else None
 
 
 def _with_limits(problem: Problem, batch: Batch, beyond: Float[Array, "limits systems"]) -> Batch:

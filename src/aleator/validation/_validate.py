@@ -33,8 +33,9 @@ def validate(
     so that memory does not grow with their number; `keep` of them are kept whole, for drawing. `seed` makes it
     repeatable.
 
-    Where the design holds its limits over time between the instants of its grid too, systems are counted against them
-    on that finer grid. All else is taken on the design's own grid, as the expansion beside it is.
+    Systems are simulated on the design's own grid if its error is an order below what is tolerated (see
+    `Solution.grid_error`), and otherwise on the finer one that told it. Where the design holds its limits over time
+    between the instants of its grid too, systems are counted against them on that finer grid.
 
     Every sampled statistic is compared with the expansion's (see `Disagreement`), and limits on statistics are compared
     with their bounds. Where nothing at all is uncertain, the one system is simulated on a grid ten times finer.
@@ -77,4 +78,4 @@ def _refuse_large(systems: Systems, samples: int, batch: int) -> None:
     columns = 2 * len(problem.constraints) + len(functionals_of(problem.expressions))
     what = f"validate: {columns} numbers of each of {samples} systems"
     refuse_beyond_memory(what, NUMBER * columns * samples, "Ask for fewer samples.")
-    refuse_large_histories(problem, batch, 0, "Take a smaller batch.")
+    refuse_large_histories(systems.sampled, batch, 0, "Take a smaller batch.")
