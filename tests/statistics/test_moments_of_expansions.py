@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy import integrate, stats
 
-from aleator.collocation import Expansion, collocate
+from aleator.collocation import Expansion, HammersleyPoints, collocate
 from aleator.statistics import Mean, Std, Variance
 from aleator.uncertainty import Beta, Decision, Gamma, Normal, Uniform, realise, survey
 
@@ -82,7 +82,8 @@ def test_moments_of_histories_are_taken_entry_by_entry():
 
 def test_moments_agree_with_chaospys_of_its_own_regression():
     model = {"a": Uniform(0.0, half_width=1.0), "b": Normal(0.0, 1.0)}
-    collocation = collocate(survey(model).germs, Expansion(4)).collocation
+    # Of equal weights, as those of its regression are.
+    collocation = collocate(survey(model).germs, Expansion(4, points=HammersleyPoints())).collocation
     joint = chaospy.J(chaospy.Uniform(-1, 1), chaospy.Normal(0, 1))
     samples = np.exp(0.5 * np.asarray(collocation.points).sum(axis=1))
     fitted = chaospy.fit_regression(
@@ -205,4 +206,4 @@ def test_derivatives_of_the_mean_and_std_are_those_of_the_exact_moments(moments)
     assert values(jnp.array(x)) == pytest.approx([exact_mean, np.sqrt(exact_variance)], rel=1e-4)
     expected = [central_difference(lambda y: exact_moments(y)[0], x)]
     expected.append(central_difference(lambda y: np.sqrt(exact_moments(y)[1]), x))
-    assert np.asarray(jacobian(jnp.array(x))) == pytest.approx(np.array(expected), rel=2e-3, abs=1e-4)
+    assert np.asarray(jacobian(jnp.array(x))) == pytest.approx(np.array(expected), rel=4e-3, abs=1e-4)
