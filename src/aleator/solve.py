@@ -40,6 +40,8 @@ from aleator.transcription import (
     untrusted,
 )
 
+# Ends of a search that a grid which is far off may have led astray.
+_UNSOLVED = (Status.INFEASIBLE, Status.FAILED, Status.ITERATION_LIMIT)
 # The finest accuracy of a grid that may be asked for.
 _FINEST = 1e-9
 
@@ -127,20 +129,21 @@ class _Stages(NamedTuple):
             raise KeyboardInterrupt
         if outcome.failed_at is not None:
             outcome = replace(outcome, message=diagnose(transcription, outcome.failed_at))
-        error = None
+        error, astray = None, ""
+        if multipliers is None and (finer is not None or outcome.status in _UNSOLVED):
+            astray = misled(transcription, transcription.program.start if start is None else start)
         if finer is not None:
             elsewhere = probed(transcription, outcome.decisions, finer)
             error = grid_error(transcription, outcome.decisions, finer, self.accuracy, elsewhere.numbers)
-            if multipliers is None:
-                begun = transcription.program.start if start is None else start
-                error = replace(error, at_start=misled(transcription, begun))
+            error = replace(error, at_start=astray)
             if between is not None and elsewhere.worst > between.worst:
                 between = replace(between, worst=elsewhere.worst, name=elsewhere.where, time=elsewhere.when)
         if error is not None and not error.is_usable:
             outcome = replace(outcome, status=Status.COARSE)
         if between is not None and between.worst > TOLERATED:
             outcome = replace(outcome, status=Status.NOT_HELD)
-        return solution_of(transcription, outcome, between, error, worst_case, self.compiled_before)
+        found = solution_of(transcription, outcome, between, error, worst_case, self.compiled_before)
+        return replace(found, misled=astray if found.status in _UNSOLVED else "")
 
     def _attempt(
         self, transcription: Sequential, start: np.ndarray | None, multipliers: np.ndarray | None

@@ -44,7 +44,8 @@ class Solution:
     - `grid_error`: how far a finer grid and an integrator of another order differ; None where time plays no part;
     - `opinion`: what a few fresh simulations at the answer say of the expansions; None where nothing is uncertain, or
       nothing was solved;
-    - `worst_case`: the worst realisations of limits on the worst case; None where there are none.
+    - `worst_case`: the worst realisations of limits on the worst case; None where there are none;
+    - `misled`: where nothing was solved, a sentence on what the grid is far off at the start of the search; else empty.
     """
 
     problem: Problem
@@ -72,6 +73,7 @@ class Solution:
     idle: tuple[str, ...] = ()
     opinion: SecondOpinion | None = None
     worst_case: WorstCase | None = None
+    misled: str = ""
 
     @property
     def ok(self) -> bool:
@@ -129,7 +131,8 @@ class Solution:
                 "the order; or say that you accept it, al.Expansion(order, tolerance=...), and trust al.validate alone."
             )
         broken = "; ".join(one.sentence() + self._realisation(one) for one in self.violated)
-        return f"{self.solver}: {self.status.value}. {broken or self.message}."
+        coarse = f" Perhaps for its grid: {self.misled}. Use more steps." if self.misled else ""
+        return f"{self.solver}: {self.status.value}. {broken or self.message}.{coarse}"
 
     def _realisation(self, one: ConstraintResult) -> str:
         """By which system a limit on the worst case is broken, in words; nothing for other constraints."""
