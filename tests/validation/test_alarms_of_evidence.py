@@ -224,3 +224,32 @@ def test_the_law_of_data_is_one_law_in_expansions_and_in_evidence(order):
     evidence = alarmed(solution)
     assert evidence.agrees
     assert evidence.functionals["x(t_f)"].std == pytest.approx(2 * data.std(), rel=0.02)
+
+
+def test_what_is_certain_differs_by_the_error_of_its_grid_and_that_is_no_alarm():
+    class Pushed(al.System):
+        """Only the mass is uncertain, and the work of the push knows nothing of it."""
+
+        states = ("x", "v")
+        mass: Any
+
+        def rhs(self, t, z, u):
+            return z.v, u / self.mass
+
+        def outputs(self, t, z, u):
+            return {"x": z.x, "u2": jnp.sin(9 * t) * u**2}
+
+    problem = al.Problem(
+        Pushed(al.Uniform(1.0, half_width=0.05)),
+        grid=al.Grid(1.0, 12),
+        inputs={"u": al.BSpline(al.Decision(np.ones(4), -20.0, 20.0))},
+        minimize=al.integral("u2").mean,
+        subject_to=[al.terminal("x").mean.equals(1.0)],
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        solution = al.solve(problem, throw=False)
+    assert solution.grid_error.functionals["∫u2 dt"].error > 0
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert al.validate(solution, 500).agrees

@@ -67,17 +67,18 @@ def worst_disagreement(
     freedom: int,
     size: float = 0.0,
     spread: float = 0.0,
+    known: float = 0.0,
     times: Float[np.ndarray, " instants"] | None = None,
 ) -> Disagreement | None:
     """Where a sampled number, or one number an instant, disagrees most with what was expected; None if it agrees.
 
     `size` is a magnitude to which rounding is relative, besides those of the numbers themselves; `spread`, of a
-    functional over time, its largest standard deviation at any instant.
+    functional over time, its largest standard deviation at any instant; `known`: a difference that is told elsewhere.
     """
     expected, estimate, standard_error = (np.asarray(one, float) for one in (expected, estimate, standard_error))
     expected = np.broadcast_to(expected, estimate.shape)
     rounding = _ROUNDING * max(float(np.max(np.abs(expected))), float(np.max(np.abs(estimate))), size)
-    floor = max(rounding, _RELATIVE * spread)
+    floor = max(rounding, _RELATIVE * spread, known)
     limit = max(reach(freedom, estimate.size), _RELATIVE * np.sqrt(samples)) * standard_error
     allowed = np.maximum(limit, floor)
     difference = np.abs(estimate - expected)
