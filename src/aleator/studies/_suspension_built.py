@@ -59,9 +59,9 @@ def headline(results: SuspensionResults) -> str:
     today, apportioned = cost(results.built["uOpt"].solution), cost(results.built["aOpt"].solution)
     against = "more" if apportioned > today else "less"
     return (
-        f"Build uOpt with {margins_text(results.built['uOpt'].margins)}: {shares['uOpt']} of its cars break a limit,"
+        f"uOpt with {margins_text(results.built['uOpt'].margins)}: {shares['uOpt']} of its cars break a limit,"
         f" not {before['uOpt']} as of the printed one, for a ride of {price_text(results, 'uOpt')}. Where ride has to"
-        f" stay within {given(RIDE, RIDE_UNIT)} as well, build aOpt with {margins_text(results.built['aOpt'].margins)}:"
+        f" stay within {given(RIDE, RIDE_UNIT)} as well, aOpt with {margins_text(results.built['aOpt'].margins)}:"
         f" {shares['aOpt']}, not {before['aOpt']}, for {price_text(results, 'aOpt')}; that is"
         f" {percent(abs(apportioned / today - 1))} {against} than today's spreads cost."
     )
