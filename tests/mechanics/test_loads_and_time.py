@@ -1,28 +1,15 @@
 """External loads, explicit time and parameters that change with time, in all three dynamics, against closed forms."""
 
-from functools import partial
-
 import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
+from double_pendulum import G, simulate
 from mujoco_trees import orders, random_tree
 from scipy.integrate import solve_ivp
 
 import aleator as al
-
-G = 9.81
-compiled = partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
-
-
-@compiled
-def run(system, grid):
-    return al.simulate(system, grid)
-
-
-def simulate(system, grid):
-    return {name: np.asarray(values) for name, values in run(system, grid).items()}
 
 
 class Cart(al.Mechanical):

@@ -61,6 +61,7 @@ from aleator.design._response import value_at as value_at
 from aleator.design._room import refuse_large_histories as refuse_large_histories
 from aleator.design._scope import AbstractAtom as AbstractAtom
 from aleator.design._scope import AbstractScope as AbstractScope
+from aleator.design._scope import AbstractScopeOfInstants as AbstractScopeOfInstants
 from aleator.design._scope import Units as Units
 from aleator.design._sizes import sizes as sizes
 from aleator.design._solution import Solution as Solution

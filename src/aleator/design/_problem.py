@@ -16,6 +16,7 @@ from aleator.design._expression import Constraint, Expression, as_expression, or
 from aleator.design._physics import changes
 from aleator.design._text import problem_text
 from aleator.dynamics import (
+    AbstractGrid,
     AbstractIntegrator,
     AlgebraicSystem,
     Grid,
@@ -62,6 +63,10 @@ class Problem(AbstractProblem):
         self.integrator = RungeKutta4() if integrator is None else integrator
         self.physics = ""
         self.physics = check(self)
+
+    def on_grid(self, grid: AbstractGrid) -> "Problem":
+        """The same problem on another grid. It is not checked again."""
+        return eqx.tree_at(lambda tree: tree.grid, self, grid)
 
     def with_bound(self, name: str, bound: float | tuple[float, float]) -> Self:
         """The same problem with the bound of the constraints called `name` at `bound`.

@@ -11,7 +11,7 @@ from aleator._core.errors import ProblemError
 from aleator.design._declaration import AbstractProblem
 from aleator.design._expression import Expression
 from aleator.design._functionals import AbstractIntegral
-from aleator.design._scope import AbstractScope
+from aleator.design._scope import AbstractScope, AbstractScopeOfInstants
 from aleator.design._statistic import AbstractFunctional, Statistic, Taken
 from aleator.dynamics import AbstractGrid, AlgebraicSystem, Asked, Grid, History, explain_failure, record, simulate
 from aleator.statistics import AbstractStatistic
@@ -97,11 +97,11 @@ def unsolved(problem: AbstractProblem, germ: Float[Array, " variables"], decisio
 
 
 @final
-class OneSystem(AbstractScope):
+class OneSystem(AbstractScopeOfInstants):
     """A single system: its mean, its quantiles and its extremes are its value, and nothing spreads."""
 
     def __init__(self, values: Mapping[AbstractFunctional, Array], numbers: Mapping[str, Array], step: Array):
-        self._values, self._numbers, self._step = values, numbers, step
+        self._values, self._numbers, self.step = values, numbers, step
 
     def statistic(self, functionals: tuple[AbstractFunctional, ...], kind: AbstractStatistic) -> Array:
         """See `AbstractScope.statistic`."""
@@ -111,10 +111,6 @@ class OneSystem(AbstractScope):
     def realised(self, functional: AbstractFunctional) -> Array:
         """See `AbstractScope.realised`."""
         return self._values[functional]
-
-    def time_integral(self, expression: Expression) -> Array:
-        """See `AbstractScope.time_integral`: to the trapezoidal rule, for no system is counted by it."""
-        return self._step * jnp.trapezoid(expression.evaluate(self), axis=0)
 
     def value(self, name: str) -> Array:
         """See `AbstractScope.value`."""

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple, final
 
 import equinox as eqx
+import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from aleator._core.errors import ProblemError
@@ -18,9 +19,12 @@ class AbstractScope(abc.ABC):
     def statistic(self, functionals: tuple[Any, ...], kind: AbstractStatistic) -> Float[Array, "..."]:
         """A statistic of a functional, or of several jointly (a covariance)."""
 
-    @abc.abstractmethod
     def realised(self, functional: Any) -> Float[Array, "..."]:
-        """A functional on single realisations, along a new last axis where there are several."""
+        """A functional on single realisations, along a new last axis where there are several.
+
+        Raises `ProblemError` where none are known: there, limits on the worst case are left out.
+        """
+        raise ProblemError(f"No single realisations are known here; received {functional.text()}.")
 
     @abc.abstractmethod
     def time_integral(self, expression: Any) -> Float[Array, ""]:
@@ -29,6 +33,18 @@ class AbstractScope(abc.ABC):
     @abc.abstractmethod
     def value(self, name: str) -> Float[Array, ""]:
         """A number of the model itself, by name."""
+
+
+class AbstractScopeOfInstants(AbstractScope):
+    """Paths at instants `step` seconds apart, whose integrals over time are taken by the trapezoidal rule: for what is
+    compared or counted, and not optimised.
+    """
+
+    step: Any
+
+    def time_integral(self, expression: Any) -> Float[Array, "..."]:
+        """See `AbstractScope.time_integral`."""
+        return self.step * jnp.trapezoid(expression.evaluate(self), axis=0)
 
 
 class Units(NamedTuple):

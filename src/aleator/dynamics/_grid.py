@@ -59,7 +59,11 @@ class Grid(AbstractGrid):
 
     def finer(self, factor: int) -> "Grid":
         """The same time in `factor` times as many steps."""
-        return Grid(self.t_final, factor * self.steps, float(self.t_start))
+        return self.divided(factor * self.steps)
+
+    def divided(self, steps: int) -> "Grid":
+        """The same time in so many steps."""
+        return Grid(self.t_final, steps, float(self.t_start))
 
     @property
     def step(self) -> Scalar:

@@ -39,20 +39,22 @@ def feasible_elsewhere(
         return outcome
     scale = np.max(np.abs([program.decision_scale, outcome.decisions, points[best]]), axis=0)
     found = again(replace(program, decision_scale=scale), points[best])
-    chosen = found if found.status in (Status.SOLVED, Status.INTERRUPTED) else outcome
-    return replace(
-        chosen,
-        iterations=outcome.iterations + found.iterations,
-        evaluations=outcome.evaluations + found.evaluations,
-        seconds=outcome.seconds + found.seconds,
-    )
+    if found.status in (Status.SOLVED, Status.INTERRUPTED):
+        return found.with_effort_of(outcome)
+    return outcome.with_effort_of(found)
+
+
+def decision_range(
+    start: np.ndarray, lower: np.ndarray, upper: np.ndarray, scale: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """The least and the greatest decisions, or three typical magnitudes from the start where their range has no end."""
+    far = _FAR * scale
+    return np.where(np.isfinite(lower), lower, start - far), np.where(np.isfinite(upper), upper, start + far)
 
 
 def _points(program: NonlinearProgram, start: np.ndarray) -> list[np.ndarray]:
     """The corners of least and greatest decisions, the middle between them, and points all over."""
-    far = _FAR * program.decision_scale
-    lower = np.where(np.isfinite(program.lower), program.lower, start - far)
-    upper = np.where(np.isfinite(program.upper), program.upper, start + far)
+    lower, upper = decision_range(start, program.lower, program.upper, program.decision_scale)
     generator = np.random.default_rng(0)
     return [lower, upper, (lower + upper) / 2, *generator.uniform(lower, upper, (_POINTS, len(start)))]
 

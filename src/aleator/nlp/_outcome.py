@@ -1,7 +1,7 @@
 """How a solve ended: the point, its multipliers and the certificate."""
 
 import enum
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import final
 
 import numpy as np
@@ -86,3 +86,13 @@ class Outcome:
     def ok(self) -> bool:
         """Whether the program was solved."""
         return self.status is Status.SOLVED
+
+    def with_effort_of(self, *others: "Outcome") -> "Outcome":
+        """The same with what other solves on the way to it have cost as well."""
+        every = (*others, self)
+        return replace(
+            self,
+            iterations=sum(one.iterations for one in every),
+            evaluations=sum(one.evaluations for one in every),
+            seconds=sum(one.seconds for one in every),
+        )

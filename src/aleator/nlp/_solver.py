@@ -41,7 +41,7 @@ class AbstractSolver(abc.ABC):
     """
 
     tolerance: float = 1e-6
-    max_iterations: int = 200
+    max_iterations: int = 500
 
     def __post_init__(self) -> None:
         who = type(self).__name__

@@ -107,10 +107,4 @@ def _better(before: Outcome, after: Outcome) -> Outcome:
     gain = before.evaluation.objective - after.evaluation.objective
     lower = after.status is Status.SOLVED and gain > _LOWER * abs(before.evaluation.objective)
     interrupted = after.status is Status.INTERRUPTED
-    chosen = after if lower or interrupted else before
-    return replace(
-        chosen,
-        iterations=before.iterations + after.iterations,
-        evaluations=before.evaluations + after.evaluations,
-        seconds=before.seconds + after.seconds,
-    )
+    return after.with_effort_of(before) if lower or interrupted else before.with_effort_of(after)

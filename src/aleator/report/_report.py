@@ -95,8 +95,7 @@ def _check_belongs(name: str, evidence: Evidence, designs: Mapping[str, Solution
         raise ProblemError(
             f"report: there is evidence on '{name}', but no design of that name; expected one of {list(designs)}."
         )
-    own, other = designs[name], evidence.solution
-    if own.vector.shape != other.vector.shape or not np.array_equal(own.vector, other.vector):
+    if not np.array_equal(designs[name].vector, evidence.solution.vector):
         raise ProblemError(
             f"report: the evidence on '{name}' was sampled from another design than the one shown: validate that one."
         )

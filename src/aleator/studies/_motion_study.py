@@ -12,6 +12,7 @@ from aleator.report import (
     HOW_TO_READ,
     PAGE,
     Block,
+    Card,
     Code,
     Page,
     Schematic,
@@ -27,7 +28,7 @@ from aleator.report import (
 )
 from aleator.studies._family import Family, fly
 from aleator.studies._motion_build import CALIBRATED, TARGET, margin_blocks, price_table
-from aleator.studies._motion_facts import optima_table, plans_table
+from aleator.studies._motion_facts import no_recommendation, optima_table, plans_table
 from aleator.studies._study import AbstractStudy
 from aleator.validation import finer_by
 
@@ -170,8 +171,16 @@ class AbstractMotionStudy(AbstractStudy):
         """What these stages found that can be saved."""
 
     @abc.abstractmethod
-    def verdict(self) -> Verdict:
-        """The first screen, as far as the study has come."""
+    def sentences(self) -> Iterator[str]:
+        """What the first screen says of the plans there are."""
+
+    @abc.abstractmethod
+    def cards(self) -> Iterator[Card]:
+        """The numbers of the first screen, of the plans there are."""
+
+    @abc.abstractmethod
+    def recommendation(self, sentences: Sequence[str], cards: Sequence[Card]) -> Verdict:
+        """What to build; called once all plans and their evidence are there."""
 
     @abc.abstractmethod
     def published(self) -> Table:
@@ -184,6 +193,12 @@ class AbstractMotionStudy(AbstractStudy):
     @abc.abstractmethod
     def chapters(self) -> Sequence[Section]:
         """The figures; called with whatever there is."""
+
+    def verdict(self) -> Verdict:
+        """The first screen, as far as the study has come."""
+        done, sentences, cards = self.done, list(self.sentences()), list(self.cards())
+        missing = no_recommendation(done.plans, done.evidence, self.planned, sentences, cards)
+        return missing or self.recommendation(sentences, cards)
 
     def work(self) -> Mapping[str, Stage]:
         """All stages in order."""

@@ -25,7 +25,7 @@ from aleator.report import (
 )
 from aleator.studies._family import Family
 from aleator.studies._motion_build import CALIBRATED, TRIED, build_verdict
-from aleator.studies._motion_facts import SHADES, animations, named, no_recommendation, tip_paths, violation_cards
+from aleator.studies._motion_facts import SHADES, animations, named, tip_paths, violation_cards
 from aleator.studies._motion_study import AbstractMotionStudy, Effort, Stage
 from aleator.studies._pick_and_place_effort_facts import (
     LEAST,
@@ -158,12 +158,9 @@ class PickAndPlaceEffort(AbstractMotionStudy):
         """See `AbstractMotionStudy.published`."""
         return published_table(self.done)
 
-    def verdict(self) -> Verdict:
-        """See `AbstractMotionStudy.verdict`."""
+    def recommendation(self, sentences: Sequence[str], cards: Sequence[Card]) -> Verdict:
+        """See `AbstractMotionStudy.recommendation`."""
         done = self.done
-        sentences, cards = list(self._sentences()), list(self._cards())
-        if said := no_recommendation(done.plans, done.evidence, self.planned, sentences, cards):
-            return said
         return build_verdict(
             done.calibration,
             done.plans[ROBUST],
@@ -181,7 +178,8 @@ class PickAndPlaceEffort(AbstractMotionStudy):
         spread = pair_text(terminal_spread(self.done.families[CALIBRATED]))
         return f" At the end its tip spreads by σ = {spread} m in x and y: feedback has to do the rest."
 
-    def _sentences(self) -> Iterator[str]:
+    def sentences(self) -> Iterator[str]:
+        """See `AbstractMotionStudy.sentences`."""
         done, families = self.done, self.done.families
         if {MEAN, ROBUST} <= set(done.evidence):
             mean, robust = (done.evidence[name].violations["obstacle"] for name in (MEAN, ROBUST))
@@ -208,7 +206,8 @@ class PickAndPlaceEffort(AbstractMotionStudy):
                 f" order 5 misses a new payload by {percent(error)} of it: there the expansion must not be trusted."
             )
 
-    def _cards(self) -> Iterator[Card]:
+    def cards(self) -> Iterator[Card]:
+        """See `AbstractMotionStudy.cards`."""
         plans = self.done.plans
         if ROBUST in plans:
             note = f"margin a = 1; reference {REFERENCE[ROBUST]}"

@@ -32,7 +32,6 @@ from aleator.studies._motion_facts import (
     animations,
     duration,
     named,
-    no_recommendation,
     violation_cards,
 )
 from aleator.studies._motion_study import AbstractMotionStudy, Effort, Stage
@@ -127,12 +126,9 @@ class PickAndPlaceTime(AbstractMotionStudy):
         header = ["t_f", "Published", "Reference", "Ours, at the instants", "Ours, between them too"]
         return Table("Published and reference values beside ours", header, rows, note)
 
-    def verdict(self) -> Verdict:
-        """See `AbstractMotionStudy.verdict`."""
+    def recommendation(self, sentences: Sequence[str], cards: Sequence[Card]) -> Verdict:
+        """See `AbstractMotionStudy.recommendation`."""
         done = self.done
-        sentences, cards = list(self._sentences()), list(self._cards())
-        if said := no_recommendation(done.plans, done.evidence, self.planned, sentences, cards):
-            return said
         plan, one, found = done.plans[WORST], done.plans[ONE], done.evidence[WORST].joint
         if found.upper > TARGET or found.count:
             said = f" The plan with a = √3 is none: {share_text(found)} of the payloads break a limit of it."
@@ -152,7 +148,8 @@ class PickAndPlaceTime(AbstractMotionStudy):
         less = duration(self.done.plans[WORST]) - duration(found.solution)
         return f" A margin of a = {number(found.sigmas, 4)} would save {number(1000 * less, 2, 'ms')}."
 
-    def _sentences(self) -> Iterator[str]:
+    def sentences(self) -> Iterator[str]:
+        """See `AbstractMotionStudy.sentences`."""
         evidence = self.done.evidence
         if one := evidence.get(MEAN):
             yield (
@@ -170,7 +167,8 @@ class PickAndPlaceTime(AbstractMotionStudy):
                 f" {number(duration(found.solution), 4, 's')}, is {found.sentence('payloads')}."
             )
 
-    def _cards(self) -> Iterator[Card]:
+    def cards(self) -> Iterator[Card]:
+        """See `AbstractMotionStudy.cards`."""
         notes = {ONE: "the printed margin", WORST: "fastest for all payloads"}
         for name, note in notes.items():
             if plan := self.done.plans.get(name):

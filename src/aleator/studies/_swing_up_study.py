@@ -29,7 +29,6 @@ from aleator.studies._motion_facts import (
     SHADES,
     animations,
     duration,
-    no_recommendation,
     tip_paths,
     violation_cards,
 )
@@ -164,12 +163,9 @@ class SwingUp(AbstractMotionStudy):
         ]
         return Table("Published and reference values beside ours", header, rows, note)
 
-    def verdict(self) -> Verdict:
-        """See `AbstractMotionStudy.verdict`."""
+    def recommendation(self, sentences: Sequence[str], cards: Sequence[Card]) -> Verdict:
+        """See `AbstractMotionStudy.recommendation`."""
         done = self.done
-        sentences, cards = list(self._sentences()), list(self._cards())
-        if said := no_recommendation(done.plans, done.evidence, self.planned, sentences, cards):
-            return said
         return build_verdict(
             done.calibration,
             done.plans[EXPECTED],
@@ -187,7 +183,8 @@ class SwingUp(AbstractMotionStudy):
         share = share_text(missed(self.done.families[CALIBRATED]))
         return f" Of the pendulums flown with it {share} end more than {given(FAR, 'm')} from upright."
 
-    def _sentences(self) -> Iterator[str]:
+    def sentences(self) -> Iterator[str]:
+        """See `AbstractMotionStudy.sentences`."""
         done = self.done
         if MEAN in done.evidence and MEAN in done.families:
             yield (
@@ -219,7 +216,8 @@ class SwingUp(AbstractMotionStudy):
                 " uncertain but the torque."
             )
 
-    def _cards(self) -> Iterator[Card]:
+    def cards(self) -> Iterator[Card]:
+        """See `AbstractMotionStudy.cards`."""
         for name in (EXPECTED, CALIBRATED):
             if plan := self.done.plans.get(name):
                 yield Card(f"Energy, {name}", number(plan.objective, 4, "J"), f"in {number(duration(plan), 3, 's')}")

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from aleator.collocation import Collocation
 from aleator.design import AbstractFunctional, OneSystem, Problem, functionals_of, step_at
 from aleator.uncertainty import named_numbers
 
@@ -18,8 +19,9 @@ class Alone(NamedTuple):
     functionals: tuple[Float[np.ndarray, "..."], ...]
 
 
-def middle(points: Float[np.ndarray, "points variables"], weights: Float[np.ndarray, " points"]) -> int:
-    """The collocation point that is closest to the mean of all."""
+def middle(collocation: Collocation) -> int:
+    """Which collocation point is closest to the mean of all."""
+    points, weights = np.asarray(collocation.points), np.asarray(collocation.weights)
     away = points - weights @ points
     size = np.sqrt(weights @ away**2)
     return int(np.argmin(np.sum((away / np.where(size > 0, size, 1.0)) ** 2, axis=1)))

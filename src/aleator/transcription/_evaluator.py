@@ -126,12 +126,15 @@ class Evaluator:
 
     def resolved(self, decisions: Float[np.ndarray, " n"]) -> tuple[Resolved, ...]:
         """How well each functional is resolved at a point; the latest one is remembered."""
-        key, known = decisions.tobytes(), self._resolved
+        key = decisions.tobytes()
+        with self._lock:
+            known = self._resolved
         if known is not None and known[0] == key:
             return known[1]
         blocks, (traced, collocation, _) = self(decisions), self._parts
         found = RESOLVE(functionals_of(traced.expressions), collocation, blocks.samples, blocks.tangents)
-        self._resolved = key, found
+        with self._lock:
+            self._resolved = key, found
         return found
 
 

@@ -1,6 +1,5 @@
 """A solution whose limits over time hold between the instants too."""
 
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -50,18 +49,8 @@ def held_between(transcription: Sequential, solver: AbstractSolver, outcome: Out
         if again.status is not Status.SOLVED:
             break
         done += 1
-        outcome = _continued(outcome, again)
+        outcome = again.with_effort_of(outcome)
         finer = reference(transcription, outcome.decisions, factor)
         excess = excess_between(transcription, outcome.decisions, finer)
     is_strict = between is not None or done > 0 or follows_trajectories(problem)
     return Held(outcome, Between(factor, excess.worst, excess.where, excess.when, is_strict), finer)
-
-
-def _continued(before: Outcome, after: Outcome) -> Outcome:
-    """The later outcome with the effort of both."""
-    return replace(
-        after,
-        seconds=before.seconds + after.seconds,
-        iterations=before.iterations + after.iterations,
-        evaluations=before.evaluations + after.evaluations,
-    )

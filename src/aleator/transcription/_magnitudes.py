@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from aleator.design import HELD, AbstractAtom, Constraint, Norm, Peak, Problem, Rms, Statistic
-from aleator.nlp import Evaluation, Magnitudes
+from aleator.nlp import Evaluation, Magnitudes, decision_range
 from aleator.statistics import Mean, Std, Variance
 
 Values: TypeAlias = Sequence[Float[np.ndarray, "..."]]
@@ -170,7 +170,6 @@ def elsewhere(start: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> list[F
     """Decisions near the start and all over their range: what is the same at all of them is moved by none."""
     rng = np.random.default_rng(0)
     size = decision_scales(start, lower, upper)
-    low, high = np.maximum(lower, start - 3 * size), np.minimum(upper, start + 3 * size)
-    low, high = np.where(np.isfinite(lower), lower, low), np.where(np.isfinite(upper), upper, high)
+    low, high = decision_range(start, lower, upper, size)
     near = np.clip(start + 1e-2 * rng.choice([-1.0, 1.0], start.shape), lower, upper)
     return [near, *rng.uniform(low, high, (_TRIED, len(start)))]

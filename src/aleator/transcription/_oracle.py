@@ -2,7 +2,6 @@
 
 from typing import NamedTuple, final
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -83,7 +82,7 @@ class Oracle:
 
     def __init__(self, problem: Problem, factor: int):
         if factor > 1 and isinstance(problem.grid, Grid):
-            problem = eqx.tree_at(lambda tree: tree.grid, problem, problem.grid.finer(factor))
+            problem = problem.on_grid(problem.grid.finer(factor))
         self._traced = numbers_to_arrays(problem)
         self.low, self.high = germ_box(problem).T
         self.asked = 0

@@ -7,7 +7,6 @@ number at all of them, and a shock between two of them was never there. Instants
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -67,8 +66,7 @@ def probed(transcription: Sequential, decisions: Float[np.ndarray, " n"], finer:
     problem = transcription.problem
     assert isinstance(problem.grid, Grid)
     steps = _prime_from(max(_STEPS, int(_BEYOND * finer.factor * problem.grid.steps)))
-    points, weights = map(np.asarray, (transcription.collocation.points, transcription.collocation.weights))
-    seen = _seen(problem, steps, points[middle(points, weights)], decisions)
+    seen = _seen(transcription, steps, decisions)
     times = transcription.times(decisions)
     worst = (0.0, "", np.nan)
     for beyond, name, fraction in _exceeded(transcription, finer, seen, np.linspace(0.0, 1.0, steps + 1)):
@@ -88,11 +86,10 @@ def misled(transcription: Sequential, start: Float[np.ndarray, " n"]) -> str:
     problem = transcription.problem
     if not (isinstance(problem.grid, Grid) and isinstance(problem.system, System) and problem.system.states):
         return ""
-    points, weights = map(np.asarray, (transcription.collocation.points, transcription.collocation.weights))
-    which = middle(points, weights)
-    seen = _seen(problem, _prime_from(max(_STEPS, problem.grid.steps)), points[which], start)
+    seen = _seen(transcription, _prime_from(max(_STEPS, problem.grid.steps)), start)
     begun = transcription.begun
     if not np.array_equal(start, transcription.program.start):
+        which = middle(transcription.collocation)
         begun = tuple(one[which] for one in transcription.evaluator(start).samples)
     for one, own, true in zip(functionals_of(problem.expressions), begun, seen.functionals, strict=True):
         own, true = float(np.max(np.abs(own))), float(np.max(np.abs(true)))
@@ -104,11 +101,12 @@ def misled(transcription: Sequential, start: Float[np.ndarray, " n"]) -> str:
     return ""
 
 
-def _seen(problem: Problem, steps: int, point: Float[np.ndarray, " variables"], decisions: np.ndarray) -> Alone:
-    """One system of a problem on another number of steps."""
+def _seen(transcription: Sequential, steps: int, decisions: np.ndarray) -> Alone:
+    """The system in the middle of a problem's family, on another number of steps."""
+    problem, collocation = transcription.problem, transcription.collocation
     assert isinstance(problem.grid, Grid)
-    grid = Grid(problem.grid.t_final, steps, float(problem.grid.t_start))
-    elsewhere = numbers_to_arrays(eqx.tree_at(lambda tree: tree.grid, problem, grid))
+    elsewhere = numbers_to_arrays(problem.on_grid(problem.grid.divided(steps)))
+    point = collocation.points[middle(collocation)]
     return Alone(*jax.tree.map(np.asarray, PROBE(elsewhere, jnp.asarray(point), jnp.asarray(decisions))))
 
 

@@ -120,9 +120,9 @@ def reference(transcription: Sequential, decisions: Float[np.ndarray, " n"], fac
     problem = transcription.problem
     grid, integrator = problem.grid, problem.integrator.reference()
     assert isinstance(grid, Grid)
-    finer = eqx.tree_at(lambda tree: (tree.grid, tree.integrator), problem, (grid.finer(factor), integrator))
+    finer = eqx.tree_at(lambda tree: tree.integrator, problem.on_grid(grid.finer(factor)), integrator)
     collocation = transcription.collocation
-    which = middle(*map(np.asarray, (collocation.points, collocation.weights)))
+    which = middle(collocation)
     arguments = numbers_to_arrays(finer), collocation, transcription.constants, jnp.asarray(which)
     values, means, stds, reaches, one = jax.tree.map(np.asarray, REFERENCE(*arguments, jnp.asarray(decisions)))
     named = type(integrator).__name__ if problem.system.states else "Simpson's rule"  # type: ignore[union-attr]

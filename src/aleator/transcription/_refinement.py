@@ -38,8 +38,8 @@ def refinement(solutions: Sequence[Solution]) -> Problem | None:
     steps = parts * -(-steps // parts)
     if steps > _FINEST * begun.steps or _does_not_help(solutions):
         return None
-    finer = Grid(grid.t_final, steps, float(grid.t_start))
-    return eqx.tree_at(lambda tree: (tree.grid, tree.integrator), problem, (finer, problem.integrator.refined()))
+    finer = problem.on_grid(grid.divided(steps))
+    return eqx.tree_at(lambda tree: tree.integrator, finer, problem.integrator.refined())
 
 
 def _does_not_help(solutions: Sequence[Solution]) -> bool:
@@ -76,7 +76,7 @@ def _when(solution: Solution) -> float:
     problem = solution.problem
     grid = problem.grid
     assert isinstance(grid, Grid)
-    finer = eqx.tree_at(lambda tree: tree.grid, problem, grid.finer(2))
+    finer = problem.on_grid(grid.finer(2))
     germ, decisions = jnp.zeros(len(problem.survey.germ_names)), jnp.asarray(solution.vector)
     coarse, fine = (jax.jit(lambda x, one=one: history(one, germ, x))(decisions) for one in (problem, finer))
     changes = np.zeros(grid.steps)

@@ -5,7 +5,7 @@ variate: the expansion's own number, plus the mean of what it misses), with a st
 """
 
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple, final
+from typing import NamedTuple, final
 
 import jax.numpy as jnp
 import numpy as np
@@ -13,8 +13,7 @@ from jaxtyping import Array, Float
 from scipy import special
 
 from aleator.design import (
-    AbstractScope,
-    Expression,
+    AbstractScopeOfInstants,
     SecondOpinion,
     Statistic,
     expanded_functionals,
@@ -81,24 +80,16 @@ class _Fresh(NamedTuple):
 
 
 @final
-class _Replicated(AbstractScope):
+class _Replicated(AbstractScopeOfInstants):
     """Statistics with a last axis of replicates: those of `_Fresh.means`, then one for each statistic that is moved."""
 
     def __init__(self, known: Mapping[str, np.ndarray], numbers: Callable[[], Mapping[str, Array]], step: float):
         # The model's numbers take longer than all the rest, and few problems ask for any.
-        self._known, self._numbers, self._step = known, numbers, step
+        self._known, self._numbers, self.step = known, numbers, step
 
     def statistic(self, functionals: tuple, kind: AbstractStatistic) -> Array:
         """See `AbstractScope.statistic`."""
         return self._known[Statistic(functionals, kind).text()]  # type: ignore[return-value]
-
-    def realised(self, functional: Any) -> Array:
-        """See `AbstractScope.realised`: limits on the worst case ask no expansion, and are left out."""
-        raise NotImplementedError
-
-    def time_integral(self, expression: Expression) -> Array:
-        """See `AbstractScope.time_integral`: to the trapezoidal rule, for what is wanted is how it changes."""
-        return self._step * jnp.trapezoid(expression.evaluate(self), axis=0)
 
     def value(self, name: str) -> Array:
         """See `AbstractScope.value`."""

@@ -198,7 +198,7 @@ def _transcribed(problem: Problem) -> Sequential:
         least=least_objective(problem),
     )
     discretisation = basis, collocation, constants
-    which = middle(*map(np.asarray, (collocation.points, collocation.weights)))
+    which = middle(collocation)
     begun = tuple(np.array(one[which]) for one in at_start.samples)
     back = program, rows, tuple(scales), begun, evaluator, Texts.of(problem), sizing, scenarios
     return Sequential(problem, traced, places, *discretisation, *back)

@@ -76,7 +76,7 @@ def held_at_worst(
         assert transcription.scenarios is not None
         transcription = at_scenarios(transcription, transcription.scenarios.joined(new, idle))
         outcome, beside = attempt(transcription, before.decisions, before.multipliers)
-        outcome = _added(before, outcome)
+        outcome = outcome.with_effort_of(before)
         rounds += 1
     return transcription, outcome, beside, _told(transcription, outcome, oracle, worst, rounds)
 
@@ -212,13 +212,3 @@ def _idle(transcription: Sequential, decisions: np.ndarray) -> Bool[np.ndarray, 
             beyond = np.maximum(values - float(one.upper), float(one.lower) - values).reshape(-1, len(close))
             close |= beyond.max(axis=0) > -_IDLE * scale
     return ~close
-
-
-def _added(before: Outcome, after: Outcome) -> Outcome:
-    """The later outcome, with what both have cost."""
-    return replace(
-        after,
-        seconds=before.seconds + after.seconds,
-        iterations=before.iterations + after.iterations,
-        evaluations=before.evaluations + after.evaluations,
-    )

@@ -2,7 +2,6 @@
 
 import time
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
@@ -35,7 +34,7 @@ def alone(solution: Solution, started: float) -> Evidence:
         raise ProblemError("validate: no functional of an output stands in this problem: there is nothing to simulate.")
     if isinstance(problem.grid, Grid):
         factor = _FINER
-        problem = eqx.tree_at(lambda tree: tree.grid, problem, problem.grid.finer(factor))
+        problem = problem.on_grid(problem.grid.finer(factor))
     batch = SIMULATE_BATCH(
         numbers_to_arrays(problem), jnp.zeros((1, 0)), jnp.asarray(solution.vector), jnp.asarray(1), 1
     )

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from aleator.design import AbstractScope, Constraint, Expression, Problem, Statistic, grid_at, step_at
+from aleator.design import AbstractScopeOfInstants, Constraint, Problem, Statistic, grid_at, step_at
 from aleator.references import pair
 from aleator.statistics import AbstractStatistic
 from aleator.uncertainty import named_numbers
@@ -63,25 +63,17 @@ class Compared:
 
 
 @final
-class _SampledScope(AbstractScope):
+class _SampledScope(AbstractScopeOfInstants):
     """Takes statistics from the samples, one of them moved by its standard error where it is `moved`."""
 
     def __init__(self, known: Mapping[Any, Estimated], numbers: Mapping[str, Array], step: Array, moved: Any = None):
-        self._known, self._numbers, self._step, self._moved = known, numbers, step, moved
+        self._known, self._numbers, self.step, self._moved = known, numbers, step, moved
 
     def statistic(self, functionals: tuple[Any, ...], kind: AbstractStatistic) -> Array:
         """See `AbstractScope.statistic`."""
         key = Statistic(functionals, kind).text()
         one = self._known[key]
         return jnp.asarray(one.value + one.standard_error if key == self._moved else one.value)
-
-    def realised(self, functional: Any) -> Array:
-        """See `AbstractScope.realised`: samples have none, for limits on the worst case are counted."""
-        raise NotImplementedError
-
-    def time_integral(self, expression: Expression) -> Array:
-        """See `AbstractScope.time_integral`: to the trapezoidal rule, of sampled statistics."""
-        return self._step * jnp.trapezoid(expression.evaluate(self), axis=0)
 
     def value(self, name: str) -> Array:
         """See `AbstractScope.value`."""

@@ -2,7 +2,6 @@
 
 from typing import final
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -60,7 +59,7 @@ def _on_finer(problem: Problem, factor: int) -> Problem:
     """The problem on a grid `factor` times finer, where time plays a part."""
     if factor == 1 or not isinstance(problem.grid, Grid):
         return problem
-    return eqx.tree_at(lambda tree: tree.grid, problem, problem.grid.finer(factor))
+    return problem.on_grid(problem.grid.finer(factor))
 
 
 def _for_limits(problem: Problem, factor: int) -> Problem | None:
