@@ -1,12 +1,14 @@
 """`solve`: the stages of a solution, in order."""
 
+import functools
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from aleator._core.beside import beside
 from aleator._core.errors import ExpansionWarning, GridWarning, ProblemError, SimulationError, SolveError
 from aleator._core.given import whole
 from aleator.design import (
@@ -28,6 +30,7 @@ from aleator.transcription import (
     held_at_worst,
     held_between,
     misled,
+    prepare_judges,
     probed,
     reference_factor,
     refinement,
@@ -117,25 +120,22 @@ class _Stages(NamedTuple):
     ) -> Solution:
         """Optimise, hold limits between the instants and in the worst case, find the error of the grid, report."""
         is_between = self.between != 1 and any(map(is_over_time, problem.constraints))
+        factor = reference_factor(problem, self.between)
+        transcription = transcribe(problem, functools.partial(prepare_judges, factor))
+        astray = self._astray(transcription, start, factor) if multipliers is None else lambda: ""
         transcription, outcome, (between, finer), worst_case = held_at_worst(
-            transcribe(problem),
-            self._attempt,
-            start,
-            multipliers,
-            factor=reference_factor(problem, self.between) if is_between else 1,
-            known=known,
+            transcription, self._attempt, start, multipliers, factor=factor if is_between else 1, known=known
         )
         if outcome.status is Status.INTERRUPTED:
             raise KeyboardInterrupt
         if outcome.failed_at is not None:
             outcome = replace(outcome, message=diagnose(transcription, outcome.failed_at))
-        error, astray = None, ""
-        if multipliers is None and (finer is not None or outcome.status in _UNSOLVED):
-            astray = misled(transcription, transcription.program.start if start is None else start)
+        error = None
+        at_start = astray() if finer is not None or outcome.status in _UNSOLVED else ""
         if finer is not None:
             elsewhere = probed(transcription, outcome.decisions, finer)
             error = grid_error(transcription, outcome.decisions, finer, self.accuracy, elsewhere.numbers)
-            error = replace(error, at_start=astray)
+            error = replace(error, at_start=at_start)
             if between is not None and elsewhere.worst > between.worst:
                 between = replace(between, worst=elsewhere.worst, name=elsewhere.where, time=elsewhere.when)
         if error is not None and not error.is_usable:
@@ -143,7 +143,14 @@ class _Stages(NamedTuple):
         if between is not None and between.worst > TOLERATED:
             outcome = replace(outcome, status=Status.NOT_HELD)
         found = solution_of(transcription, outcome, between, error, worst_case, self.compiled_before)
-        return replace(found, misled=astray if found.status in _UNSOLVED else "")
+        return replace(found, misled=at_start if found.status in _UNSOLVED else "")
+
+    @staticmethod
+    def _astray(transcription: Sequential, start: np.ndarray | None, factor: int) -> Callable[[], str]:
+        """Whether the search begins where the grid is far off, found out while it runs."""
+        begun = transcription.program.start if start is None else start
+        transcription.evaluator.prepare_resolution(begun)
+        return beside(misled, transcription, begun, factor)
 
     def _attempt(
         self, transcription: Sequential, start: np.ndarray | None, multipliers: np.ndarray | None

@@ -9,6 +9,7 @@ import pytest
 from scipy import stats
 
 import aleator as al
+from aleator._core import beside
 from aleator.uncertainty import LegendreGerm
 from aleator.validation import PERCENTILES, Proportion
 from aleator.validation._sampling import SIMULATE_BATCH, draw
@@ -84,6 +85,17 @@ def test_the_same_seed_gives_the_same_evidence_whatever_the_batch():
         np.testing.assert_allclose(ours.values, theirs.values, rtol=1e-12, atol=1e-15)
         np.testing.assert_array_equal(ours.violating, theirs.violating)
     assert float(different.functionals["rms(v)"].mean) != float(one.functionals["rms(v)"].mean)
+
+
+def test_one_core_finds_the_same_to_the_last_digit(monkeypatch):
+    solved = al.solve(oscillator_problem())
+    ours = al.validate(solved, 230, seed=5, batch=32)
+    monkeypatch.setattr(beside, "CORES", 1)
+    theirs = al.validate(solved, 230, seed=5, batch=32)
+    assert ours.violations == theirs.violations
+    for name, sampled in ours.functionals.items():
+        np.testing.assert_array_equal(sampled.mean, theirs.functionals[name].mean)
+        np.testing.assert_array_equal(sampled.std, theirs.functionals[name].std)
 
 
 def test_moments_of_paths_and_kept_systems_are_those_of_the_samples_themselves():

@@ -58,14 +58,23 @@ class Compiled:
         self.seconds = 0.0
 
     def __call__(self, *arguments: Any) -> Any:
+        found, leaves = self._found(arguments)
+        return found(*leaves)
+
+    def prepare(self, *arguments: Any) -> None:
+        """Compile what a call with arguments of this structure needs. Their numbers do not matter."""
+        self._found(arguments)
+
+    def _found(self, arguments: tuple[Any, ...]) -> tuple[Callable[..., Any], list[Any]]:
+        """What is called for some arguments, and their arrays, which it is given."""
         dynamic, static = eqx.partition(arguments, eqx.is_array)
         leaves, structure = jax.tree.flatten(dynamic)
 
         def flat(*leaves: jax.Array) -> Any:
             return self._function(*eqx.combine(jax.tree.unflatten(structure, leaves), static))
 
-        found = self._known(arguments, "leaves", leaves, structure, static, lambda: self._compile(flat, *leaves))
-        return found(*leaves)
+        build = functools.partial(self._compile, flat, *leaves)
+        return self._known(arguments, "leaves", leaves, structure, static, build), leaves
 
     def bound(self, *fixed: Any) -> Callable[[Float[np.ndarray, " n"]], Any]:
         """The function with all arguments but the last fixed, for many calls that differ in that one: an array.

@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 from jaxtyping import Float
-from scipy import optimize
 
 from aleator._core.arrays import Pytree
 from aleator._core.errors import ProblemError
@@ -74,4 +73,6 @@ def _inverted(name: str, law: AbstractDistribution, germ: AbstractGerm, value: f
         raise ProblemError(f"'{name}' = {value:g} lies outside its law {law}.")
     if excess(low) >= 0 or excess(high) <= 0:
         return low if excess(low) >= 0 else high
+    from scipy import optimize  # late: it takes a while to import
+
     return float(optimize.brentq(excess, low, high, xtol=1e-14))  # type: ignore[arg-type]

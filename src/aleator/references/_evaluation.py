@@ -10,11 +10,12 @@ import numpy as np
 from jaxtyping import Float
 
 from aleator._core.arrays import Pytree
+from aleator._core.beside import in_order
 from aleator._core.errors import ProblemError, SimulationError
 from aleator._core.given import whole as whole_given
 from aleator._core.memory import NUMBER, refuse_beyond_memory
 from aleator._core.progress import Progress
-from aleator._core.tracing import Traced, trace
+from aleator._core.tracing import trace
 from aleator.references._outputs import UNTRACEABLE, Function, real_array
 from aleator.uncertainty import Survey, realise, survey, uncertain_numbers
 
@@ -68,17 +69,23 @@ def evaluate(
     places, total = survey(model), len(levels)
     decisions, batch = jnp.asarray(places.vector("initial")), min(batch, total)
     outputs = _traced(function, model, decisions, batch) if traced else _called(function, model, decisions)
-    kept = None
-    for done in range(0, total, batch):
-        progress("Monte Carlo", done, total)
+    begins, kept = range(0, total, batch), None
+
+    def values_at(done: int) -> Pytree:
         germ = map_to_germ(places, levels[done : done + batch])
         values = outputs(germ)
         _refuse_nonfinite(values, germ, places, decisions)
+        return values
+
+    # Only what JAX has traced may be called by several threads at once.
+    found = in_order(values_at, begins) if traced else map(values_at, begins)
+    progress("Monte Carlo", 0, total)
+    for done, values in zip(begins, found, strict=True):
         kept = _room(total, values) if kept is None else kept
         _refuse_change(kept, values)
         for whole, part in zip(jax.tree.leaves(kept), jax.tree.leaves(values), strict=True):
             whole[done : done + batch] = part
-    progress("Monte Carlo", total, total)
+        progress("Monte Carlo", min(done + batch, total), total)
     return kept
 
 
@@ -109,21 +116,20 @@ def _traced(function: Function, model: Pytree, decisions: jax.Array, batch: int)
     def one(germ: jax.Array) -> Pytree:
         return jax.tree.map(lambda value: real_array(value, jnp), function(realise(model, germ, decisions)))
 
-    found: list[Traced] = []
+    variables = len(survey(model).germs)
+    name = f"'{getattr(function, '__name__', type(function).__name__)}'"
+    try:
+        found = trace(jax.vmap(one), jnp.zeros((batch, variables)), code=function, name=name)
+    except UNTRACEABLE as error:
+        raise ProblemError(
+            f"The function cannot be traced by JAX ({str(error).splitlines()[0]}) Write it with jax.numpy, or say "
+            "traced=False: it is then called with plain numbers, point by point."
+        ) from error
 
     def outputs(germ: np.ndarray) -> Pytree:
         # The last batch is filled up, so that one compiled size serves all.
-        filled = jnp.asarray(np.resize(germ, (batch, germ.shape[1])))
-        try:
-            if not found:
-                name = f"'{getattr(function, '__name__', type(function).__name__)}'"
-                found.append(trace(jax.vmap(one), filled, code=function, name=name))
-        except UNTRACEABLE as error:
-            raise ProblemError(
-                f"The function cannot be traced by JAX ({str(error).splitlines()[0]}) Write it with jax.numpy, or say "
-                "traced=False: it is then called with plain numbers, point by point."
-            ) from error
-        return jax.tree.map(lambda leaf: np.asarray(leaf)[: len(germ)], found[0](filled))
+        filled = jnp.asarray(np.resize(germ, (batch, variables)))
+        return jax.tree.map(lambda leaf: np.asarray(leaf)[: len(germ)], found(filled))
 
     return outputs
 

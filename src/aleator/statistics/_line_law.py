@@ -12,7 +12,6 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
-from scipy.interpolate import CubicSpline
 
 from aleator.uncertainty import AbstractGerm
 
@@ -98,6 +97,8 @@ def _table(germ: AbstractGerm, low: float, high: float, orders: int) -> Float[np
     By parts, `G_k = p_k F - integral of F p_k'` for the distribution function `F`, and so for `1 - F` from above. The
     integral is taken by Gauss quadrature in each cell.
     """
+    from scipy.interpolate import CubicSpline  # late: it takes a while to import
+
     roots = np.linspace(0.0, 1.0, _CELLS + 1)
     nodes, weights = np.polynomial.legendre.leggauss(4)
     inner = (roots[:-1, None] + (nodes + 1) / (2 * _CELLS)).ravel()

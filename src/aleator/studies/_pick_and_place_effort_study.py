@@ -77,8 +77,8 @@ class PickAndPlaceEffort(AbstractMotionStudy):
     names = (MEAN, ROBUST, LEAST, CALIBRATED)
     spared = (LEAST,)
     left_out = (
-        "the plan of least variance, its front, plans with limits at the instants alone, and what the systems drawn do"
-        " between instants"
+        "the plan of least variance, its front, plans with limits at the instants alone, what the systems drawn do"
+        " between instants, and a wider payload"
     )
     sigmas: ClassVar = {ROBUST: 1.0}
     limits = ("obstacle", "wall")
@@ -124,7 +124,7 @@ class PickAndPlaceEffort(AbstractMotionStudy):
         """See `AbstractMotionStudy.more`."""
         front = Stage(self.sweep_effort, 0.2, lambda: self.front is not None and not self.front.interrupted)
         wider = Stage(self.widen_payload, 0.1, lambda: self.wide is not None)
-        return ({"front": front} if LEAST in self.planned else {}) | {"wider payload": wider}
+        return {"front": front, "wider payload": wider} if self.done.effort.whole else {}
 
     def sweep_effort(self, progress: Progress) -> None:
         """The least terminal variance for each effort, from where more effort helps no more down to the robust plan."""

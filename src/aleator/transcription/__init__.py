@@ -1,5 +1,6 @@
 """From a declared problem to a nonlinear program."""
 
+from aleator.transcription._ahead import prepare_judges as prepare_judges
 from aleator.transcription._between import excess_between as excess_between
 from aleator.transcription._diagnosis import diagnose as diagnose
 from aleator.transcription._evaluator import EVALUATE as EVALUATE

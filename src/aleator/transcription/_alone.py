@@ -3,13 +3,28 @@
 from collections.abc import Mapping
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from aleator._core.arrays import numbers_to_arrays
+from aleator._core.compilation import Compiled
 from aleator.collocation import Collocation
-from aleator.design import AbstractFunctional, OneSystem, Problem, functionals_of, step_at
+from aleator.design import (
+    AbstractFunctional,
+    OneSystem,
+    Problem,
+    functionals_of,
+    refuse_changed_code,
+    responses,
+    step_at,
+)
+from aleator.dynamics import Grid
 from aleator.uncertainty import named_numbers
+
+# Elsewhere is a prime number of steps: the first from here on, and from so many times those of the finer grid.
+_STEPS, _BEYOND = 4099, 1.5
 
 
 class Alone(NamedTuple):
@@ -34,3 +49,32 @@ def alone(
     scope = OneSystem(values, named_numbers(problem.model, decisions), step_at(problem, decisions))
     expressions = tuple(jnp.asarray(one.evaluate(scope)) for one in problem.expressions)
     return expressions, tuple(values[one] for one in functionals_of(problem.expressions))
+
+
+def _elsewhere(problem: Problem, germ: Float[Array, " variables"], decisions: Float[Array, " n"]) -> tuple:
+    functionals = functionals_of(problem.expressions)
+    found = responses(problem, functionals, germ[None], decisions)
+    return alone(problem, dict(zip(functionals, (one[0] for one in found), strict=True)), decisions)
+
+
+ELSEWHERE = Compiled(_elsewhere, unchanged=refuse_changed_code)
+
+
+def alone_elsewhere(
+    problem: Problem, collocation: Collocation, decisions: Float[np.ndarray, " n"], factor: int
+) -> Alone:
+    """The system in the middle of a problem's family, at a few thousand instants that no grid of the problem has.
+
+    A grid and those with a whole multiple of its steps share their instants. A ripple whose period is a step is the
+    same number at all of them, and a shock between two of them was never there. Instants whose number is prime fall
+    elsewhere, and there are more of them than on the grid of `factor` times as many steps.
+    """
+    assert isinstance(problem.grid, Grid)
+    steps = _prime_from(max(_STEPS, int(_BEYOND * factor * problem.grid.steps)))
+    there = numbers_to_arrays(problem.on_grid(problem.grid.divided(steps)))
+    point = jnp.asarray(collocation.points)[middle(collocation)]
+    return Alone(*jax.tree.map(np.asarray, ELSEWHERE(there, point, jnp.asarray(decisions))))
+
+
+def _prime_from(number: int) -> int:
+    return next(one for one in range(number, 2 * number) if all(one % k for k in range(2, int(one**0.5) + 1)))

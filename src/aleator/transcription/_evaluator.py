@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from aleator._core.beside import beside
 from aleator._core.compilation import Compiled
 from aleator.collocation import Collocation
 from aleator.design import Problem, functionals_of, grid_at, refuse_changed_code
@@ -131,11 +132,18 @@ class Evaluator:
             known = self._resolved
         if known is not None and known[0] == key:
             return known[1]
-        blocks, (traced, collocation, _) = self(decisions), self._parts
-        found = RESOLVE(functionals_of(traced.expressions), collocation, blocks.samples, blocks.tangents)
+        found = RESOLVE(*self._resolution(decisions))
         with self._lock:
             self._resolved = key, found
         return found
+
+    def prepare_resolution(self, decisions: Float[np.ndarray, " n"]) -> None:
+        """Compile what `resolved` will need, beside what is done next."""
+        beside(RESOLVE.prepare, *self._resolution(decisions))
+
+    def _resolution(self, decisions: Float[np.ndarray, " n"]) -> tuple[Any, ...]:
+        blocks, (traced, collocation, _) = self(decisions), self._parts
+        return functionals_of(traced.expressions), collocation, blocks.samples, blocks.tangents
 
 
 def evaluation_of(blocks: Blocks) -> Evaluation:

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from aleator._core.arrays import numbers_to_arrays
+from aleator._core.beside import beside
 from aleator._core.compilation import Compiled
 from aleator.collocation import Collocation
 from aleator.design import (
@@ -29,7 +30,7 @@ from aleator.design import (
 from aleator.dynamics import Grid
 from aleator.statistics import Constants, Mean, Std, Variance
 from aleator.trajectories import AbstractTrajectory
-from aleator.transcription._alone import Alone, alone, middle
+from aleator.transcription._alone import Alone, alone, alone_elsewhere, middle
 from aleator.transcription._jumps import splines_in
 from aleator.transcription._scope import scope_of
 from aleator.transcription._sequential import Sequential
@@ -52,7 +53,8 @@ class Reference(NamedTuple):
 
     - `values`: the objective, then the constraints, those of paths at every instant of that grid;
     - `means`, `stds`: of each functional; `reaches`: how large each could be, see `AbstractFunctional.reach`;
-    - `alone`: one system of the family, the one at the collocation point in their middle;
+    - `alone`: one system of the family, the one at the collocation point in their middle; `elsewhere`: the same system
+      at other instants, see `alone_elsewhere`;
     - `factor`: how many times as many steps that grid has; `integrator`: its name.
     """
 
@@ -61,6 +63,7 @@ class Reference(NamedTuple):
     stds: tuple[Float[np.ndarray, "..."], ...]
     reaches: tuple[float, ...]
     alone: Alone
+    elsewhere: Alone
     factor: int
     integrator: str
 
@@ -117,16 +120,32 @@ def pieces(problem: Problem) -> int:
 
 def reference(transcription: Sequential, decisions: Float[np.ndarray, " n"], factor: int) -> Reference:
     """A problem's numbers on a grid of `factor` times as many steps, by another integrator."""
-    problem = transcription.problem
+    problem, collocation = transcription.problem, transcription.collocation
+    elsewhere = beside(alone_elsewhere, problem, collocation, decisions, factor)
+    arguments = _arguments(problem, collocation, transcription.constants, factor, decisions)
+    values, means, stds, reaches, one = jax.tree.map(np.asarray, REFERENCE(*arguments))
+    named = type(arguments[0].integrator).__name__ if problem.system.states else "Simpson's rule"  # type: ignore[union-attr]
+    reaches = tuple(float(np.max(one)) for one in reaches)
+    return Reference(values, means, stds, reaches, Alone(*one), elsewhere(), factor, named)
+
+
+def prepare_reference(problem: Problem, collocation: Collocation, constants: Constants, factor: int) -> None:
+    """Compile what `reference` will need."""
+    REFERENCE.prepare(*_arguments(problem, collocation, constants, factor, problem.survey.vector("initial")))
+
+
+def _arguments(
+    problem: Problem,
+    collocation: Collocation,
+    constants: Constants,
+    factor: int,
+    decisions: Float[np.ndarray, " n"],
+) -> tuple[Problem, Collocation, Constants, Array, Array]:
     grid, integrator = problem.grid, problem.integrator.reference()
     assert isinstance(grid, Grid)
     finer = eqx.tree_at(lambda tree: tree.integrator, problem.on_grid(grid.finer(factor)), integrator)
-    collocation = transcription.collocation
-    which = middle(collocation)
-    arguments = numbers_to_arrays(finer), collocation, transcription.constants, jnp.asarray(which)
-    values, means, stds, reaches, one = jax.tree.map(np.asarray, REFERENCE(*arguments, jnp.asarray(decisions)))
-    named = type(integrator).__name__ if problem.system.states else "Simpson's rule"  # type: ignore[union-attr]
-    return Reference(values, means, stds, tuple(float(np.max(one)) for one in reaches), Alone(*one), factor, named)
+    which = jnp.asarray(middle(collocation))
+    return numbers_to_arrays(finer), collocation, constants, which, jnp.asarray(decisions)
 
 
 def grid_error(

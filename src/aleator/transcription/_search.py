@@ -5,7 +5,6 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Float
-from scipy.stats import qmc
 
 Points: TypeAlias = Float[np.ndarray, "points variables"]
 """Points of the box, scaled to between 0 and 1 in each variable."""
@@ -34,6 +33,8 @@ def candidates(variables: int, seed: int, rank: Callable[[Points], np.ndarray]) 
 
     - `rank`: which of many points are the worst by a model that costs nothing, the expansion: their numbers.
     """
+    from scipy.stats import qmc  # late: it takes a second to import
+
     generator = np.random.default_rng(seed)
     middle = np.full((1, variables), 0.5)
     ends = np.repeat(middle, 2 * variables, axis=0)

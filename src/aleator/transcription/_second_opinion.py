@@ -12,8 +12,10 @@ import numpy as np
 from jaxtyping import Array, Float
 from scipy import special
 
+from aleator._core.arrays import numbers_to_arrays
 from aleator.design import (
     AbstractScopeOfInstants,
+    Problem,
     SecondOpinion,
     Statistic,
     expanded_functionals,
@@ -72,16 +74,32 @@ class _Fresh(NamedTuple):
         """Whether a number spreads by no more than rounding of what it is made of, which has the magnitude `size`."""
         return self.values.ndim == 1 and bool(np.sqrt(self.variance) <= _ROUNDING * size)
 
-    def means(self, missed: Float[np.ndarray, "fresh ..."]) -> Float[np.ndarray, "... replicates"]:
-        """The mean of what is missed: zero, of all, and of all but one (the jackknife), as a last axis."""
-        every, count = missed.mean(axis=0), len(missed)
-        rest = (count * every[None] - missed) / (count - 1)
-        return np.moveaxis(np.concatenate([0 * every[None], every[None], rest]), 0, -1)
+    def corrections(self) -> "_Corrections":
+        """What the fresh systems make of mean and variance."""
+        shift = _means(self.values - self.predicted)
+        squares = _means((self.values - self.mean) ** 2 - (self.predicted - self.mean) ** 2) - shift**2
+        wider = np.sqrt(np.maximum(self.variance[..., None] + squares, 0.0)) - np.sqrt(self.variance)[..., None]
+        return _Corrections(shift, squares, wider)
+
+
+class _Corrections(NamedTuple):
+    """By how much mean, variance and standard deviation of a functional are off, in all replicates."""
+
+    mean: Float[np.ndarray, "... replicates"]
+    variance: Float[np.ndarray, "... replicates"]
+    std: Float[np.ndarray, "... replicates"]
+
+
+def _means(missed: Float[np.ndarray, "fresh ..."]) -> Float[np.ndarray, "... replicates"]:
+    """The mean of what is missed: zero, of all, and of all but one (the jackknife), as a last axis."""
+    every, count = missed.mean(axis=0), len(missed)
+    rest = (count * every[None] - missed) / (count - 1)
+    return np.moveaxis(np.concatenate([0 * every[None], every[None], rest]), 0, -1)
 
 
 @final
 class _Replicated(AbstractScopeOfInstants):
-    """Statistics with a last axis of replicates: those of `_Fresh.means`, then one for each statistic that is moved."""
+    """Statistics with a last axis of replicates: those of `_means`, then one for each statistic that is moved."""
 
     def __init__(self, known: Mapping[str, np.ndarray], numbers: Callable[[], Mapping[str, Array]], step: float):
         # The model's numbers take longer than all the rest, and few problems ask for any.
@@ -122,6 +140,14 @@ def second_opinion(transcription: Sequential, decisions: Float[np.ndarray, " n"]
     return _opinion(transcription, settled, decisions)
 
 
+def prepare_opinion(problem: Problem) -> None:
+    """Compile what `second_opinion` will need."""
+    germs = problem.survey.germs
+    if germs and functionals_of(problem.expressions):
+        decisions = jnp.asarray(problem.survey.vector("initial"))
+        RESPOND.prepare(numbers_to_arrays(problem), jnp.zeros((_FRESH, len(germs))), decisions)
+
+
 def _opinion(
     transcription: Sequential, fresh: Mapping[str, _Fresh], decisions: Float[np.ndarray, " n"]
 ) -> SecondOpinion:
@@ -154,29 +180,27 @@ def _fresh(
     return found
 
 
-def _corrected(kind: AbstractStatistic, expanded: np.ndarray, one: _Fresh) -> tuple[np.ndarray, np.ndarray]:
+def _corrected(
+    kind: AbstractStatistic, expanded: np.ndarray, one: _Fresh, off: _Corrections
+) -> tuple[np.ndarray, np.ndarray]:
     """A statistic in all replicates, and how far one spread of its functional would move it.
 
     Quantiles and their like are moved and stretched with mean and spread; those of several functionals are left alone.
     """
-    shift = one.means(one.values - one.predicted)
-    squares = one.means((one.values - one.mean) ** 2 - (one.predicted - one.mean) ** 2) - shift**2
-    std = np.sqrt(one.variance)
-    wider = np.sqrt(np.maximum(one.variance[..., None] + squares, 0.0))
-    base = np.asarray(expanded)[..., None]
+    std, base = np.sqrt(one.variance), np.asarray(expanded)[..., None]
     if isinstance(kind, Mean):
-        return base + shift, std
+        return base + off.mean, std
     if isinstance(kind, Variance):
-        return base + squares, one.variance
+        return base + off.variance, one.variance
     if isinstance(kind, Std):
-        return base + wider - std[..., None], std
+        return base + off.std, std
     if isinstance(kind, _FOLLOW_THE_SPREAD):
         safe = np.where(std > 0, std, 1.0)[..., None]
-        return base + shift + (base - one.mean[..., None]) / safe * (wider - std[..., None]), std
+        return base + off.mean + (base - one.mean[..., None]) / safe * off.std, std
     if isinstance(kind, Probability):
         inside = [_inside(kind, part) for part in (one.values, one.predicted)]
-        return base + one.means(inside[0] - inside[1]), np.sqrt(np.clip(base[..., 0] * (1 - base[..., 0]), 0.0, None))
-    return base + 0 * shift, 0 * std
+        return base + _means(inside[0] - inside[1]), np.sqrt(np.clip(base[..., 0] * (1 - base[..., 0]), 0.0, None))
+    return base + 0 * off.mean, 0 * std
 
 
 def _inside(kind: Probability, values: np.ndarray) -> np.ndarray:
@@ -191,14 +215,16 @@ def _judged(
     """The expressions that shift beyond chance, a sentence each; and what is broken by it, if anything."""
     problem, expanded = transcription.problem, transcription.statistics(decisions)
     known, spreads = {}, {}
-    for atom in statistics_in(problem.expressions):
-        text = atom.text()
-        one = fresh[atom.functionals[0].text()]
-        alone = len(atom.functionals) == 1
+    corrections = {text: one.corrections() for text, one in fresh.items()}
+    # Those that stand in several expressions are the same in all.
+    atoms = dict(zip(transcription.texts.statistics, statistics_in(problem.expressions), strict=True))
+    for text, atom in atoms.items():
         base = np.asarray(expanded[text])
-        known[text], spreads[text] = (
-            _corrected(atom.kind, base, one) if alone else (np.repeat(base[..., None], _FRESH + 2, axis=-1), 0 * base)
-        )
+        if len(atom.functionals) == 1:
+            one = atom.functionals[0].text()
+            known[text], spreads[text] = _corrected(atom.kind, base, fresh[one], corrections[one])
+        else:
+            known[text], spreads[text] = np.repeat(base[..., None], _FRESH + 2, axis=-1), 0 * base
     for i, (text, values) in enumerate(known.items()):
         moved = np.repeat(values[..., :1], len(spreads), axis=-1)
         moved[..., i] += spreads[text]

@@ -6,6 +6,7 @@ values and the Jacobian of the objective and of all constraints come from one co
 
 import threading
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, final
 
@@ -119,8 +120,13 @@ _RECENT: deque[tuple[list[Any], Sequential]] = deque(maxlen=_KEPT)
 _LOCK = threading.Lock()
 
 
-def transcribe(problem: Problem) -> Sequential:
+Meanwhile = Callable[[Problem, Collocation, Constants], object]
+
+
+def transcribe(problem: Problem, meanwhile: Meanwhile = lambda *_: None) -> Sequential:
     """Turn a declared problem into a nonlinear program, compiling it if no problem of its structure has been before.
+
+    `meanwhile` is called just before that, to begin what can be done beside it.
 
     A problem that was transcribed a short while ago, such as by a solution from another start, is not again. One whose
     code has changed since it was declared is transcribed as it is now. Raises `ProblemError` if the problem has no
@@ -133,7 +139,7 @@ def transcribe(problem: Problem) -> Sequential:
     for known, found in recent:
         if found.problem is problem and _same(known, numbers):
             return found
-    found = _transcribed(problem)
+    found = _transcribed(problem, meanwhile)
     with _LOCK:
         _RECENT.append(([leaf.copy() if isinstance(leaf, np.ndarray) else leaf for leaf in numbers], found))
     return found
@@ -147,7 +153,7 @@ def _same(first: list[Any], second: list[Any]) -> bool:
     )
 
 
-def _transcribed(problem: Problem) -> Sequential:
+def _transcribed(problem: Problem, meanwhile: Meanwhile) -> Sequential:
     places = problem.survey
     if places.size == 0:
         raise ProblemError(
@@ -157,6 +163,7 @@ def _transcribed(problem: Problem) -> Sequential:
     basis, collocation, constants = discretised(problem)
     if scenarios is not None:
         constants = replace(constants, scenarios=jnp.asarray(scenarios.points))
+    meanwhile(problem, collocation, constants)
     traced = numbers_to_arrays(problem)
     start, lower, upper = (places.vector(name) for name in ("initial", "lower", "upper"))
     evaluator = Evaluator(traced, collocation, constants, anchors_of(traced, collocation, start))

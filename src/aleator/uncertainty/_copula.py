@@ -14,7 +14,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
-from scipy import optimize
 
 from aleator._core.errors import ProblemError
 from aleator._core.given import real, real_array, refusal
@@ -171,4 +170,6 @@ def _normal_correlation(wanted: float, first: np.ndarray, second: np.ndarray, *,
             f"'{names[0]}' and '{names[1]}' cannot be correlated by {wanted:g}: with these laws a correlation lies "
             f"between {lowest:.4g} and {highest:.4g}. Choose one in between."
         )
+    from scipy import optimize  # late: it takes a while to import
+
     return optimize.root_scalar(lambda rho: correlation(rho) - wanted, bracket=(-1.0, 1.0), xtol=1e-15).root

@@ -9,7 +9,6 @@ import jax.numpy as jnp
 import numpy as np
 from jax.scipy import special
 from jaxtyping import Array, Float
-from scipy import interpolate
 from scipy.special import ndtr
 
 from aleator._core.arrays import Scalar
@@ -105,6 +104,8 @@ _NORMALS = np.linspace(-8.2, 8.2, 4101)
 def _quantiles_by_normal(germ: DensityGerm) -> tuple[np.ndarray, np.ndarray]:
     """The germ's quantiles at the probabilities of `_NORMALS`, and their slopes."""
     quantiles = germ.quantile(ndtr(_NORMALS))
+    from scipy import interpolate  # late: it takes a while to import
+
     return quantiles, interpolate.PchipInterpolator(_NORMALS, quantiles).derivative()(_NORMALS)
 
 

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy import special
 
+from aleator._core.beside import in_order
 from aleator._core.errors import ProblemError
 from aleator._core.given import refusal
 from aleator._core.progress import Progress, silent
@@ -30,7 +31,7 @@ def rare_violation(
     samples: int = 20_000,
     *,
     seed: int = 0,
-    batch: int = 500,
+    batch: int = 250,
     progress: Progress = silent,
 ) -> Share:
     """How often systems of a design break any of the limits called `names` (all by default), for rare violations.
@@ -96,10 +97,11 @@ class _Limits:
         """The excess over each limit, positive where it is broken; in batches of one size, compiled once."""
         levels = np.clip(special.ndtr(normals), np.finfo(float).tiny, 1 - np.finfo(float).epsneg)
         germ = at_levels(self.systems.germs, levels)
-        found = []
-        for start in range(0, len(germ), self.batch):
-            part = germ[start : start + self.batch]
+
+        def excess(part: Float[np.ndarray, "some variables"]) -> Float[np.ndarray, "limits some"]:
             filled = np.concatenate([part, np.repeat(part[:1], self.batch - len(part), axis=0)])
             batch = self.systems.simulate(filled, len(part))
-            found.append(np.asarray(batch.excess)[self._rows, : len(part)])
-        return np.concatenate(found, axis=1) - self._tolerances[:, None]
+            return np.asarray(batch.excess)[self._rows, : len(part)]
+
+        parts = (germ[start : start + self.batch] for start in range(0, len(germ), self.batch))
+        return np.concatenate(list(in_order(excess, parts)), axis=1) - self._tolerances[:, None]

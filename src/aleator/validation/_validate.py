@@ -5,6 +5,7 @@ import warnings
 
 import numpy as np
 
+from aleator._core.beside import CORES, in_order
 from aleator._core.errors import ExpansionWarning, ProblemError
 from aleator._core.given import whole
 from aleator._core.memory import NUMBER, refuse_beyond_memory
@@ -23,15 +24,15 @@ def validate(
     samples: int = 100_000,
     *,
     seed: int = 0,
-    batch: int = 500,
+    batch: int = 250,
     keep: int = 200,
     progress: Progress = silent,
 ) -> Evidence:
     """Simulate `samples` fresh random systems at a solution's decisions, with the distributions the problem declared.
 
-    A deterministic design is validated on the uncertain systems it stands for. Systems are simulated `batch` at a time,
-    so that memory does not grow with their number; `keep` of them are kept whole, for drawing. `seed` makes it
-    repeatable.
+    A deterministic design is validated on the uncertain systems it stands for. Systems are simulated `batch` at a time
+    on each core, so that memory does not grow with their number; `keep` of them are kept whole, for drawing. `seed`
+    makes it repeatable.
 
     Systems are simulated on the design's own grid if its error is an order below what is tolerated (see
     `Solution.grid_error`), and otherwise on the finer one that told it. Where the design holds its limits over time
@@ -56,12 +57,14 @@ def validate(
     generator = np.random.default_rng(seed)
     tally = Tally(systems.problem, tolerances(solution), samples, min(keep, samples))
     batch = min(batch, samples)
-    for done in range(0, samples, batch):
-        progress("Monte Carlo", done, samples)
-        # The last batch is drawn in full too, so that one compiled size serves all; what is left over is dropped.
-        germ, count = draw(systems.germs, batch, generator), min(batch, samples - done)
-        tally.add(systems.simulate(germ, count), done, count)
-    progress("Monte Carlo", samples, samples)
+    begins = range(0, samples, batch)
+    # The last batch is drawn in full too, so that one compiled size serves all; what is left over is dropped.
+    drawn = ((draw(systems.germs, batch, generator), min(batch, samples - done)) for done in begins)
+    progress("Monte Carlo", 0, samples)
+    for done, found in zip(begins, in_order(lambda one: systems.simulate(*one), drawn), strict=True):
+        count = min(batch, samples - done)
+        tally.add(found, done, count)
+        progress("Monte Carlo", done + count, samples)
     return _told(tally.evidence(solution, seed, time.perf_counter() - started))
 
 
@@ -78,4 +81,4 @@ def _refuse_large(systems: Systems, samples: int, batch: int) -> None:
     columns = 2 * len(problem.constraints) + len(functionals_of(problem.expressions))
     what = f"validate: {columns} numbers of each of {samples} systems"
     refuse_beyond_memory(what, NUMBER * columns * samples, "Ask for fewer samples.")
-    refuse_large_histories(systems.sampled, batch, 0, "Take a smaller batch.")
+    refuse_large_histories(systems.sampled, CORES * batch, 0, "Take a smaller batch.")

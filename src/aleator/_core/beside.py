@@ -1,0 +1,37 @@
+"""Work on all cores: Python's threads, for Python runs on while XLA computes or compiles."""
+
+import contextvars
+import os
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from itertools import islice
+from typing import TypeVar
+
+_Item = TypeVar("_Item")
+_Result = TypeVar("_Result")
+
+CORES = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+"""How many cores this process may use."""
+
+# Whoever waits for these works as well.
+_OTHERS = ThreadPoolExecutor(max(1, CORES - 1), thread_name_prefix="aleator")
+
+
+def beside(function: Callable[..., _Result], *arguments: object) -> Callable[[], _Result]:
+    """Begin `function(*arguments)` on another core. What is returned waits for the result, or raises what it raised.
+
+    Not for functions that begin others in this way: with all cores waiting, none of them would end.
+    """
+    return _OTHERS.submit(contextvars.copy_context().run, function, *arguments).result
+
+
+def in_order(work: Callable[[_Item], _Result], items: Iterable[_Item]) -> Iterator[_Result]:
+    """What `work` gives for each item, in their order, of which as many are worked on at once as there are cores.
+
+    Results are those of a plain loop, to the last digit. What `work` raises is raised in its turn.
+    """
+    items = iter(items)
+    while some := list(islice(items, CORES)):
+        others = [beside(work, one) for one in some[1:]]
+        yield work(some[0])
+        yield from (other() for other in others)
