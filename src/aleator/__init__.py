@@ -18,6 +18,7 @@ from aleator._core.errors import MissingExtraError as MissingExtraError  # noqa:
 from aleator._core.errors import ProblemError as ProblemError  # noqa: E402
 from aleator._core.errors import SimulationError as SimulationError  # noqa: E402
 from aleator._core.errors import SolveError as SolveError  # noqa: E402
+from aleator._core.kept_programs import compilation_cache as compilation_cache  # noqa: E402
 from aleator.analysis import Contribution as Contribution  # noqa: E402
 from aleator.analysis import ElementExpanded as ElementExpanded  # noqa: E402
 from aleator.analysis import Expanded as Expanded  # noqa: E402

@@ -1,0 +1,119 @@
+"""Compiled programs are kept between runs: found again, bounded, and never in the way."""
+
+import math
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import aleator as al
+from aleator._core import kept_programs
+
+# Compiles a function and says how often a program was found, and what it gives.
+SCRIPT = """
+import resource, sys
+import jax
+found = []
+jax.monitoring.register_event_listener(lambda name, **_: found.append(name.endswith("cache_hits")))
+{before}
+import aleator as al
+import jax.numpy as jnp
+print(sum(found), float(jax.jit(lambda x: jnp.sum(jnp.sin(x) ** 2))(jnp.arange(4.0))), sum(found))
+"""
+VALUE = 1.5548  # the sum of the squared sines of 0, 1, 2 and 3 to four digits
+
+
+def environment(**more):
+    kept = {name: value for name, value in os.environ.items() if not name.startswith(("JAX_", "ALEATOR_"))}
+    return kept | more
+
+
+def began(folder, before="", **more):
+    script = SCRIPT.format(before=before)
+    own = environment(ALEATOR_CACHE=str(folder), **more)
+    return subprocess.Popen(
+        [sys.executable, "-c", script], env=own, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+
+
+def ended(process):
+    """How often a program was found, and what was said beside it."""
+    out, said = process.communicate(timeout=120)
+    assert process.returncode == 0, said
+    _, value, hits = out.split()
+    assert float(value) == pytest.approx(VALUE, abs=1e-3)
+    return int(hits), said
+
+
+def entries(folder):
+    return sorted(Path(folder).glob("*/*-cache"))
+
+
+def test_the_sum_is_what_it_should_be():
+    assert sum(math.sin(k) ** 2 for k in range(4)) == pytest.approx(VALUE, abs=1e-3)
+
+
+def test_another_run_finds_what_one_has_compiled(tmp_path):
+    assert ended(began(tmp_path)) == (0, "")
+    assert entries(tmp_path)
+    hits, said = ended(began(tmp_path))
+    assert hits >= 1
+    assert said == ""
+
+
+def test_damaged_programs_are_compiled_again_without_a_word(tmp_path):
+    ended(began(tmp_path))
+    for i, path in enumerate(entries(tmp_path)):
+        whole = path.read_bytes()
+        path.write_bytes([whole[: len(whole) // 2], b"", b"another program's file", whole[::-1]][i % 4])
+    assert ended(began(tmp_path)) == (0, "")
+
+
+def test_two_runs_at_once_do_not_disturb_one_another(tmp_path):
+    both = [began(tmp_path) for _ in range(2)]
+    assert [ended(one)[1] for one in both] == ["", ""]
+    assert ended(began(tmp_path))[0] >= 1
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="files of limited size are known to POSIX systems")
+def test_a_full_disk_keeps_nothing_and_stops_nothing(tmp_path):
+    limited = "resource.setrlimit(resource.RLIMIT_FSIZE, (100, 100))"
+    assert ended(began(tmp_path, limited)) == (0, "")
+    assert ended(began(tmp_path)) == (0, "")
+
+
+def test_it_can_be_turned_off(tmp_path):
+    for off in ("off", "0", ""):
+        own = {"XDG_CACHE_HOME": str(tmp_path), "HOME": str(tmp_path), "LOCALAPPDATA": str(tmp_path)}
+        assert ended(began(off, **own)) == (0, "")
+    assert not list(tmp_path.rglob("*-cache"))
+
+
+def test_a_folder_that_jax_was_given_stays(tmp_path):
+    own = environment(JAX_COMPILATION_CACHE_DIR=str(tmp_path / "jax"), XDG_CACHE_HOME=str(tmp_path / "own"))
+    script = "import jax, aleator; print(jax.config.jax_compilation_cache_dir)"
+    found = subprocess.run([sys.executable, "-c", script], env=own, capture_output=True, text=True, timeout=120)
+    assert found.stdout.strip() == str(tmp_path / "jax")
+    assert not (tmp_path / "own").exists()
+
+
+def test_a_folder_that_cannot_be_made_is_warned_of_in_one_sentence(tmp_path):
+    (tmp_path / "file").write_text("no folder")
+    hits, said = ended(began(tmp_path / "file"))
+    assert hits == 0
+    assert "ALEATOR_CACHE: Compiled programs cannot be kept in" in said
+    assert "Not a directory" in said
+    with pytest.raises(al.ProblemError, match=r"cannot be kept in .*file: Not a directory"):
+        al.compilation_cache(tmp_path / "file")
+
+
+def test_the_programs_unused_for_longest_are_forgotten(tmp_path, monkeypatch):
+    monkeypatch.setattr(kept_programs, "_MOST_BYTES", 250)
+    for age, name in enumerate(("newest", "new", "old", "oldest")):
+        path = tmp_path / f"{name}-cache"
+        path.write_bytes(bytes(100))
+        os.utime(path, (1e9 - age, 1e9 - age))
+    kept_programs._forget_oldest(tmp_path)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["new-cache", "newest-cache"]
