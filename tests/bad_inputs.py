@@ -181,6 +181,7 @@ _CONSTRUCTORS: dict[str, tuple[Callable[..., Any], dict[str, Any], dict[str, Map
     "Tsit5": (al.Tsit5, {}, {"rtol": POSITIVE, "max_steps": COUNT}),
     "FilterSQP": (al.FilterSQP, {}, {"tolerance": POSITIVE, "max_iterations": COUNT, "radius": POSITIVE}),
     "Ipopt": (al.Ipopt, {}, {"tolerance": POSITIVE, "max_iterations": COUNT}),
+    "InteriorPoint": (al.InteriorPoint, {}, {"tolerance": POSITIVE, "max_iterations": COUNT}),
     "Slsqp": (al.Slsqp, {}, {"tolerance": POSITIVE, "max_iterations": COUNT, "max_rounds": COUNT}),
     "ExponentialCovariance": (al.ExponentialCovariance, {"correlation_time": 1.0}, {"correlation_time": POSITIVE}),
     "BandLimitedCovariance": (

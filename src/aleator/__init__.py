@@ -110,6 +110,7 @@ from aleator.mechanics import Prismatic as Prismatic  # noqa: E402
 from aleator.mechanics import Revolute as Revolute  # noqa: E402
 from aleator.mechanics import actuation_of as actuation_of  # noqa: E402
 from aleator.nlp import FilterSQP as FilterSQP  # noqa: E402
+from aleator.nlp import InteriorPoint as InteriorPoint  # noqa: E402
 from aleator.nlp import Ipopt as Ipopt  # noqa: E402
 from aleator.nlp import Slsqp as Slsqp  # noqa: E402
 from aleator.nlp import Status as Status  # noqa: E402

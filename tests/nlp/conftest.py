@@ -1,10 +1,10 @@
 import pytest
 
-from aleator.nlp import FilterSQP, Ipopt, Slsqp
+from aleator.nlp import FilterSQP, InteriorPoint, Ipopt, Slsqp
 
 
-@pytest.fixture(params=[FilterSQP, Ipopt, Slsqp], ids=lambda solver: solver.__name__)
+@pytest.fixture(params=[FilterSQP, InteriorPoint, Ipopt, Slsqp], ids=lambda solver: solver.__name__)
 def solver(request):
-    if request.param is FilterSQP:
+    if request.param in (FilterSQP, InteriorPoint):
         pytest.importorskip("unopy")
     return request.param()

@@ -25,6 +25,16 @@ def noting(note: Callable[[], None]) -> Iterator[None]:
         signal.signal(signal.SIGINT, previous)
 
 
+def take_back() -> None:
+    """Let Python hear SIGINT again, where a library has put a handler of its own in front of Python's.
+
+    Does nothing outside the main thread, and nothing that lasts: the library puts back what it found.
+    """
+    present = signal.getsignal(signal.SIGINT)
+    if threading.current_thread() is threading.main_thread() and callable(present):
+        signal.signal(signal.SIGINT, present)
+
+
 @contextmanager
 def heeding() -> Iterator[Callable[[], None]]:
     """Gives what raises `KeyboardInterrupt`, between two steps of some work, for a Ctrl-C that was lost in one."""

@@ -4,10 +4,12 @@ from aleator.nlp._elsewhere import decision_range as decision_range
 from aleator.nlp._elsewhere import feasible_elsewhere as feasible_elsewhere
 from aleator.nlp._filtersqp import FilterSQP as FilterSQP
 from aleator.nlp._filtersqp import default_solver as default_solver
+from aleator.nlp._interior_point import InteriorPoint as InteriorPoint
 from aleator.nlp._ipopt import Ipopt as Ipopt
 from aleator.nlp._outcome import Outcome as Outcome
 from aleator.nlp._outcome import Status as Status
 from aleator.nlp._program import Evaluation as Evaluation
+from aleator.nlp._program import Hessian as Hessian
 from aleator.nlp._program import Magnitudes as Magnitudes
 from aleator.nlp._program import NonlinearProgram as NonlinearProgram
 from aleator.nlp._slsqp import Slsqp as Slsqp

@@ -5,6 +5,16 @@ from typing import final
 
 import numpy as np
 
+from aleator.nlp._matrices import (
+    Matrix,
+    bounded_fit,
+    gradients,
+    largest_term,
+    nonnegative_fit,
+    side_by_side,
+    unit_columns,
+    with_last_row,
+)
 from aleator.nlp._program import Evaluation
 from aleator.nlp._scaling import Multipliers, ScaledProgram
 
@@ -46,11 +56,8 @@ def certify(scaled: ScaledProgram, z: np.ndarray, evaluation: Evaluation, multip
 
     largest = max(1.0, _largest(multipliers.rows), _largest(multipliers.bounds))
     gradient = lagrangian_gradient(evaluation, multipliers)
-    pushing = np.flatnonzero(multipliers.rows)
     # Terms, and not multipliers: these grow with whatever a constraint is divided by.
-    terms = max(
-        1.0, _largest(multipliers.bounds), _largest(multipliers.rows[pushing, None] * evaluation.jacobian[pushing])
-    )
+    terms = max(1.0, _largest(multipliers.bounds), largest_term(multipliers.rows, evaluation.jacobian))
     return Certificate(
         violation=float(np.maximum(values - upper, lower - values).max(initial=0.0)),
         stationarity=float(np.abs(gradient).max(initial=0.0)) / terms,
@@ -103,10 +110,12 @@ def fit_multipliers(scaled: ScaledProgram, z: np.ndarray, evaluation: Evaluation
     """
     rows, row_signs = _active(evaluation.constraints, scaled.constraint_lower, scaled.constraint_upper)
     bounds, bound_signs = _active(z, scaled.lower, scaled.upper)
-    columns = np.concatenate([evaluation.jacobian[rows].T * row_signs, np.eye(z.size)[:, bounds] * bound_signs], axis=1)
+    columns = side_by_side(
+        gradients(evaluation.jacobian, rows, row_signs), unit_columns(evaluation.jacobian, bounds, bound_signs)
+    )
     row_multipliers, bound_multipliers = np.zeros(scaled.rows), np.zeros(scaled.size)
-    if columns.size:
-        weights = _nonnegative_fit(columns, -evaluation.gradient)
+    if rows.size + bounds.size:
+        weights = nonnegative_fit(columns, -evaluation.gradient)
         # An equality appears twice, once with each sign.
         np.add.at(row_multipliers, rows, row_signs * weights[: rows.size])
         np.add.at(bound_multipliers, bounds, bound_signs * weights[rows.size :])
@@ -134,34 +143,29 @@ def _sum_is_stationary(scaled: ScaledProgram, z: np.ndarray, evaluation: Evaluat
 
     A row at its kink counts with any weight in [0, 1].
     """
-    from scipy.optimize import lsq_linear
-
     close = _close(outside)
     violated = outside > close
-    sides = _sides(scaled, evaluation, violated)
-    steepest = (sides[:, None] * evaluation.jacobian[violated]).sum(axis=0)
+    steepest = _sides(scaled, evaluation, violated) @ evaluation.jacobian[violated]
     rows, row_signs = _active(evaluation.constraints, scaled.constraint_lower, scaled.constraint_upper, close)
-    kinks = evaluation.jacobian[rows].T * row_signs
-    cone = _bound_cone(scaled, z)
-    columns = np.concatenate([kinks, cone], axis=1)
+    cone = _bound_cone(scaled, z, evaluation)
+    columns = side_by_side(gradients(evaluation.jacobian, rows, row_signs), cone)
     remainder = steepest
-    if columns.size:
+    if columns.shape[1]:
         ceiling = np.concatenate([np.ones(rows.size), np.full(cone.shape[1], np.inf)])
-        fit = lsq_linear(columns, -steepest, (np.zeros(ceiling.size), ceiling), method="bvls")
-        remainder = steepest + columns @ fit.x
+        remainder = steepest + columns @ bounded_fit(columns, -steepest, ceiling)
     return float(np.linalg.norm(remainder)) <= _STATIONARY_FRACTION * float(outside[violated].sum())
 
 
 def _maximum_is_stationary(scaled: ScaledProgram, z: np.ndarray, evaluation: Evaluation, outside: np.ndarray) -> bool:
     """Whether zero is in the subdifferential of `max violation`, the convex hull of the worst rows' gradients."""
     worst = outside >= outside.max() * (1 - _STATIONARY_FRACTION) - _close(outside)
-    gradients = _sides(scaled, evaluation, worst) * evaluation.jacobian[worst].T
-    cone = _bound_cone(scaled, z)
+    steep = gradients(evaluation.jacobian, np.flatnonzero(worst), _sides(scaled, evaluation, worst))
+    cone = _bound_cone(scaled, z, evaluation)
     # The last equation makes the weights of the worst rows sum to one.
-    sums = np.concatenate([np.ones(gradients.shape[1]), np.zeros(cone.shape[1])])
-    system = np.vstack([np.concatenate([gradients, cone], axis=1), sums])
+    sums = np.concatenate([np.ones(steep.shape[1]), np.zeros(cone.shape[1])])
+    system = with_last_row(side_by_side(steep, cone), sums)
     target = np.append(np.zeros(z.size), 1.0)
-    residual = np.linalg.norm(system @ _nonnegative_fit(system, target) - target)
+    residual = np.linalg.norm(system @ nonnegative_fit(system, target) - target)
     return float(residual) <= _STATIONARY_FRACTION * float(outside.max())
 
 
@@ -170,27 +174,15 @@ def _close(outside: np.ndarray) -> float:
     return min(_ACTIVE, _ACTIVE_FRACTION * float(outside.max()))
 
 
-def _nonnegative_fit(columns: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """Find the weights `w >= 0` that minimise `|columns @ w - target|`; zeros, which prove nothing, if not found."""
-    from scipy.optimize import nnls
-
-    try:
-        return nnls(columns, target)[0]
-    except RuntimeError:
-        # SciPy's way of saying that its iterations are used up.
-        return np.zeros(columns.shape[1])
-
-
 def _sides(scaled: ScaledProgram, evaluation: Evaluation, rows: np.ndarray) -> np.ndarray:
     """+1 for rows above their range and -1 for rows below it."""
     middle_excess = evaluation.constraints - scaled.constraint_upper
     return np.where(middle_excess >= scaled.constraint_lower - evaluation.constraints, 1.0, -1.0)[rows]
 
 
-def _bound_cone(scaled: ScaledProgram, z: np.ndarray) -> np.ndarray:
+def _bound_cone(scaled: ScaledProgram, z: np.ndarray, evaluation: Evaluation) -> Matrix:
     """Outward unit normals of the active bounds of the decisions, as columns."""
-    bounds, signs = _active(z, scaled.lower, scaled.upper)
-    return np.eye(z.size)[:, bounds] * signs
+    return unit_columns(evaluation.jacobian, *_active(z, scaled.lower, scaled.upper))
 
 
 def _active(

@@ -3,12 +3,13 @@
 import contextlib
 from collections import OrderedDict, deque
 from collections.abc import Callable, Iterator
-from typing import final
+from typing import Any, final
 
 import numpy as np
 
 from aleator._core.errors import ProblemError
 from aleator._core.heard import noting
+from aleator.nlp._matrices import Matrix, checked_sparse, with_entries
 from aleator.nlp._program import Evaluation
 
 
@@ -43,7 +44,7 @@ class Evaluations:
     It is made from
 
     - `evaluate`: the user's function of `x`, shape (n,);
-    - `decisions`, `constraints`: n and m, checked at every call;
+    - `decisions`, `constraints`: n and m, and the `structure` of the Jacobian, checked at every call;
     - `remembered`: number of finite and of failed points kept;
 
     and tells
@@ -59,10 +60,12 @@ class Evaluations:
         evaluate: Callable[[np.ndarray], Evaluation],
         decisions: int,
         constraints: int,
+        structure: Matrix | None = None,
         remembered: int = 16,
     ):
         self._evaluate = evaluate
         self._shapes = ((decisions,), (constraints,), (constraints, decisions))
+        self._sparsity = None if structure is None or isinstance(structure, np.ndarray) else structure
         self._remembered = remembered
         self._points: OrderedDict[bytes, Evaluation] = OrderedDict()
         self._failed_points: OrderedDict[bytes, Evaluation] = OrderedDict()
@@ -71,12 +74,12 @@ class Evaluations:
         self.count = 0
         self.halt: BaseException | None = None
         self.failed_at: np.ndarray | None = None
-        self.last = Evaluation(
-            np.nan,
-            np.full(decisions, np.nan),
-            np.full(constraints, np.nan),
-            np.full((constraints, decisions), np.nan),
+        unknown = (
+            np.full((constraints, decisions), np.nan)
+            if self._sparsity is None
+            else with_entries(self._sparsity, np.full(self._sparsity.nnz, np.nan))
         )
+        self.last = Evaluation(np.nan, np.full(decisions, np.nan), np.full(constraints, np.nan), unknown)
 
     def at(self, x: np.ndarray) -> Evaluation:
         """Evaluate `x`, whether the result is finite or not.
@@ -99,6 +102,16 @@ class Evaluations:
         if key in self._failed_points:
             self.failed_at = x.copy()
         return self.last
+
+    def asked(self, question: Callable[[], Any]) -> Any:
+        """What else a model is asked, such as its second derivatives. Raises `HaltedError` as `at` does."""
+        if self.halt is not None:
+            raise HaltedError from self.halt
+        try:
+            return question()
+        except BaseException as error:
+            self.halt = error
+            raise HaltedError from error
 
     @property
     def failed_recently(self) -> bool:
@@ -140,8 +153,11 @@ class Evaluations:
 
     def _checked(self, evaluation: Evaluation) -> Evaluation:
         # Copies, because a model may use its arrays again, unless nobody can write to them.
-        given = [np.asarray(part, dtype=float) for part in evaluation[1:]]
-        arrays = [array.copy() if array.flags.writeable else array for array in given]
+        dense = evaluation[1:] if self._sparsity is None else evaluation[1:3]
+        given = [np.asarray(part, dtype=float) for part in dense]
+        arrays: list[Any] = [array.copy() if array.flags.writeable else array for array in given]
+        if self._sparsity is not None:
+            arrays.append(checked_sparse("Jacobian", evaluation.jacobian, self._sparsity))
         shapes = tuple(array.shape for array in arrays)
         if shapes != self._shapes:
             raise ProblemError(

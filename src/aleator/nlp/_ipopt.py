@@ -5,7 +5,7 @@ from typing import Any, final
 
 import numpy as np
 
-from aleator.nlp._evaluations import HaltedError, NotFiniteError
+from aleator.nlp._casadi import callbacks_of
 from aleator.nlp._outcome import Status
 from aleator.nlp._scaling import Multipliers, ScaledProgram
 from aleator.nlp._solver import AbstractSolver
@@ -16,12 +16,15 @@ _CLAIMS = {
     "Infeasible_Problem_Detected": Status.INFEASIBLE,
     "Maximum_Iterations_Exceeded": Status.ITERATION_LIMIT,
 }
+# MUMPS's number for it.
+_APPROXIMATE_MINIMUM_DEGREE = 0
 
 
 @final
 @dataclass(frozen=True)
 class Ipopt(AbstractSolver):
-    """Primal-dual interior points with a filter line search, limited-memory BFGS Hessian.
+    """Primal-dual interior points with a filter line search. The Hessian is the program's own if it has one, else of
+    limited memory (BFGS).
 
     Wächter and Biegler 2006, "On the implementation of an interior-point filter line-search algorithm for
     large-scale nonlinear programming". Points that cannot be evaluated shorten the step.
@@ -37,13 +40,15 @@ class Ipopt(AbstractSolver):
 
         z = casadi.MX.sym("z", scaled.size)
         # The callbacks die with their last Python reference, so this list must outlive the solver.
-        callbacks = _callbacks(casadi, scaled)
+        callbacks = callbacks_of(casadi, scaled)
         program = {"x": z, "f": callbacks["f"](z)}
-        options = self._options(warm=multipliers is not None)
+        options = self._options(scaled, warm=multipliers is not None)
         options["grad_f"] = callbacks["grad_f"]
         if scaled.rows:
             program["g"] = callbacks["g"](z)
             options["jac_g"] = callbacks["jac_g"]
+        if "hess_lag" in callbacks:
+            options["hess_lag"] = callbacks["hess_lag"]
         solver = casadi.nlpsol("ipopt", "ipopt", program, options)
         arguments = {"x0": scaled.start, "lbx": scaled.lower, "ubx": scaled.upper}
         if scaled.rows:
@@ -58,16 +63,16 @@ class Ipopt(AbstractSolver):
         equal = scaled.constraint_lower == scaled.constraint_upper
         return np.where(equal, self.aim, 0.0) if equal.sum() > scaled.size else 0.0
 
-    def _options(self, warm: bool) -> dict[str, Any]:
+    def _options(self, scaled: ScaledProgram, warm: bool) -> dict[str, Any]:
         options = {
-            # The Hessian is approximated, so CasADi needs no derivatives beyond those handed over.
+            # CasADi needs no derivatives beyond those handed over.
             "no_nlp_grad": True,
             "print_time": False,
             "show_eval_warnings": False,
             "error_on_fail": False,
             "ipopt.print_level": 0,
             "ipopt.sb": "yes",
-            "ipopt.hessian_approximation": "limited-memory",
+            "ipopt.hessian_approximation": "limited-memory" if scaled.curved is None else "exact",
             "ipopt.mu_strategy": "adaptive",
             "ipopt.tol": self.aim,
             "ipopt.constr_viol_tol": self.aim,
@@ -76,6 +81,9 @@ class Ipopt(AbstractSolver):
             "ipopt.nlp_scaling_method": "none",
             "ipopt.bound_relax_factor": 0.0,
         }
+        if scaled.curved is not None:
+            # MUMPS's own choice of an ordering takes most of the time where many rows share a decision.
+            options["ipopt.mumps_pivot_order"] = _APPROXIMATE_MINIMUM_DEGREE
         if warm:
             options |= {"ipopt.warm_start_init_point": "yes", "ipopt.mu_init": 1e-6}
             pushes = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac", "mult_bound_push")
@@ -105,55 +113,3 @@ def _answer(solution: Any, stats: dict[str, Any]) -> Answer:
 
 def _vector(matrix: Any) -> np.ndarray:
     return np.array(matrix.full(), dtype=float).ravel()
-
-
-def _callbacks(casadi: Any, scaled: ScaledProgram) -> dict[str, Any]:
-    """Make the functions that IPOPT asks for; each writes parts of the cached evaluation into CasADi's buffers."""
-
-    class Values(casadi.Callback):
-        """CasADi asks for the shapes of a subclass while it constructs it, so they are set before `construct`."""
-
-        def __init__(self, name: str, inputs: list[tuple[int, int]], outputs: dict[str, tuple[int, int]]):
-            super().__init__()
-            self._inputs, self._outputs = inputs, outputs
-            self.construct(name, {})
-
-        def get_n_in(self) -> int:
-            return len(self._inputs)
-
-        def get_n_out(self) -> int:
-            return len(self._outputs)
-
-        def get_sparsity_in(self, index: int) -> Any:
-            return casadi.Sparsity.dense(*self._inputs[index])
-
-        def get_sparsity_out(self, index: int) -> Any:
-            return casadi.Sparsity.dense(*list(self._outputs.values())[index])
-
-        def has_eval_buffer(self) -> bool:
-            return True
-
-        def eval_buffer(self, arguments: tuple[Any, ...], results: tuple[Any, ...]) -> int:
-            try:
-                evaluation = scaled.evaluate(np.frombuffer(arguments[0]))
-            except (NotFiniteError, HaltedError):
-                # A nonzero code is what IPOPT takes as "cannot be evaluated here".
-                return 1
-            for part, buffer in zip(self._outputs, results, strict=True):
-                # CasADi passes None for an output that nobody needs.
-                if buffer is not None:
-                    np.frombuffer(buffer)[:] = np.ravel(getattr(evaluation, part), order="F")
-            return 0
-
-    n, m = scaled.size, scaled.rows
-    point, with_parameters = [(n, 1)], [(n, 1), (0, 0)]
-    value, gradient = {"objective": (1, 1)}, {"gradient": (n, 1)}
-    callbacks = {
-        "f": Values("objective", point, value),
-        "grad_f": Values("gradient", with_parameters, value | gradient),
-    }
-    if m:
-        rows, jacobian = {"constraints": (m, 1)}, {"jacobian": (m, n)}
-        callbacks["g"] = Values("constraints", point, rows)
-        callbacks["jac_g"] = Values("jacobian", with_parameters, rows | jacobian)
-    return callbacks

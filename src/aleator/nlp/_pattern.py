@@ -4,9 +4,11 @@ from typing import final
 
 import numpy as np
 
+from aleator.nlp._matrices import Matrix, SparseMatrix, rows_of_entries
+
 # Beyond this share of entries other than zero, keeping them apart saves nothing.
 _DENSE = 0.7
-# A pattern that was outgrown so often is none.
+# After this many extensions the Jacobian counts as dense.
 _MOST_WIDENINGS = 2
 
 
@@ -39,3 +41,26 @@ class Pattern:
     def widened(self) -> "Pattern":
         """The pattern with the entries that outgrew it; of all entries when that happens again and again."""
         return Pattern(self._nonzero, self._widenings + 1)
+
+
+@final
+class DeclaredPattern:
+    """The sparsity that every Jacobian of a program has. It is never outgrown; see `Pattern`."""
+
+    outgrown = False
+
+    def __init__(self, sparsity: SparseMatrix):
+        self.rows, self.columns = rows_of_entries(sparsity), sparsity.indices
+
+    def entries(self, jacobian: SparseMatrix) -> np.ndarray:
+        """The entries of a Jacobian, shape (entries,)."""
+        return jacobian.data
+
+    def widened(self) -> "DeclaredPattern":
+        """The same: there is nothing beside it."""
+        return self
+
+
+def pattern_of(structure: Matrix) -> Pattern | DeclaredPattern:
+    """What a solver is told of where a program's Jacobian may be other than zero."""
+    return Pattern(structure) if isinstance(structure, np.ndarray) else DeclaredPattern(structure)

@@ -7,6 +7,7 @@ from typing import NamedTuple, final
 import numpy as np
 
 from aleator._core.errors import ProblemError
+from aleator.nlp._matrices import Matrix, SparseMatrix, check_sparsity, entries, rows_of_entries
 
 
 class Evaluation(NamedTuple):
@@ -15,18 +16,31 @@ class Evaluation(NamedTuple):
     - `objective`: `f(x)`, a number;
     - `gradient`: `∂f/∂x`, shape (n,);
     - `constraints`: `c(x)`, shape (m,);
-    - `jacobian`: `∂c/∂x`, dense, shape (m, n).
+    - `jacobian`: `∂c/∂x`, shape (m, n): dense, or a `scipy.sparse.csr_array` where a program declares its sparsity.
     """
 
     objective: float
     gradient: np.ndarray
     constraints: np.ndarray
-    jacobian: np.ndarray
+    jacobian: Matrix
 
     @property
     def is_finite(self) -> bool:
         """Whether every number is finite: a solver can use nothing less."""
-        return bool(np.isfinite(self.objective) and all(np.isfinite(part).all() for part in self[1:]))
+        numbers = self.gradient, self.constraints, entries(self.jacobian)
+        return bool(np.isfinite(self.objective) and all(np.isfinite(part).all() for part in numbers))
+
+
+class Hessian(NamedTuple):
+    """The second derivatives of the Lagrangian `w f(x) + λᵀ c(x)`, of which the lower triangle is given.
+
+    - `evaluate`: gives them as a `scipy.sparse.csr_array` at `x` of shape (n,), for a weight `w` of the objective and
+      multipliers `λ` of shape (m,), in the user's units;
+    - `sparsity`: which entries may be other than zero: a `csr_array` of shape (n, n), which each of them has.
+    """
+
+    evaluate: Callable[[np.ndarray, float, np.ndarray], SparseMatrix]
+    sparsity: SparseMatrix
 
 
 class Magnitudes(NamedTuple):
@@ -55,8 +69,10 @@ class NonlinearProgram:
       equal for an equality;
     - `constraint_scale`: what solvers divide the constraints by at first, shape (m,), positive: typical magnitudes;
     - `decision_scale`: typical magnitudes of the decisions, shape (n,), positive;
-    - `structure`: which entries of the Jacobian may be other than zero, shape (m, n); all by default. Solvers that use
-      it notice where it was too narrow;
+    - `structure`: which entries of the Jacobian may be other than zero, shape (m, n); all by default. As dense truth
+      values it is a guess: solvers that use it notice where it was too narrow. As a `scipy.sparse.csr_array` it is the
+      sparsity that every Jacobian has, which then is one too: nothing of the size m x n is ever made;
+    - `hessian`: second derivatives, where they are known; `Ipopt` and `InteriorPoint` use them;
     - `magnitudes`: those of the constraints at a point `x` with its evaluation: by them, and not by what a solver
       divided by, an answer is judged feasible. By default `constraint_scale`, as size and as scale, at every point;
     - `least`: a value below which the objective cannot fall, such as 0 for a norm: there it is optimal, even if it
@@ -73,7 +89,8 @@ class NonlinearProgram:
     constraint_upper: np.ndarray
     constraint_scale: np.ndarray
     decision_scale: np.ndarray
-    structure: np.ndarray | None = None
+    structure: Matrix | None = None
+    hessian: Hessian | None = None
     magnitudes: Callable[[np.ndarray, Evaluation], Magnitudes] | None = None
     least: float = -np.inf
 
@@ -84,8 +101,12 @@ class NonlinearProgram:
                 raise ProblemError(f"Expected `{name}` of shape ({length},). Received shape {array.shape}.")
             object.__setattr__(self, name, array)
         shape = (self.constraint_lower.size, self.start.size)
-        if self.structure is not None and self.structure.shape != shape:
+        if isinstance(self.structure, np.ndarray) and self.structure.shape != shape:
             raise ProblemError(f"Expected `structure` of shape {shape}. Received shape {self.structure.shape}.")
+        if self.structure is not None and not isinstance(self.structure, np.ndarray):
+            check_sparsity("structure", self.structure, shape)
+        if self.hessian is not None:
+            _check_lower_triangle(self.hessian, self.start.size)
         _check_bounds("lower", "upper", self.lower, self.upper)
         _check_bounds("constraint_lower", "constraint_upper", self.constraint_lower, self.constraint_upper)
         _check_positive("decision_scale", self.decision_scale)
@@ -105,6 +126,13 @@ def _expected_lengths(program: NonlinearProgram) -> dict[str, int]:
         "constraint_upper": constraints,
         "constraint_scale": constraints,
     }
+
+
+def _check_lower_triangle(hessian: Hessian, size: int) -> None:
+    sparsity = hessian.sparsity
+    check_sparsity("hessian", sparsity, (size, size))
+    if np.any(sparsity.indices > rows_of_entries(sparsity)):
+        raise ProblemError("Expected the lower triangle of `hessian` alone; received entries above its diagonal.")
 
 
 def _check_bounds(lower_name: str, upper_name: str, lower: np.ndarray, upper: np.ndarray) -> None:

@@ -5,7 +5,8 @@ from typing import NamedTuple, final
 
 import numpy as np
 
-from aleator.nlp._evaluations import Evaluations
+from aleator.nlp._evaluations import Evaluations, NotFiniteError
+from aleator.nlp._matrices import Block, Matrix, checked_sparse
 from aleator.nlp._program import Evaluation, Magnitudes, NonlinearProgram
 
 # The steepest scaled slope at the start. Solvers begin without curvature, so it is also the length of their first
@@ -58,7 +59,8 @@ class ScaledProgram:
     model is never asked outside the bounds.
 
     - `size`, `rows`: n_free and m_useful;
-    - `structure`: which entries of the Jacobian may be other than zero, shape (m_useful, n_free);
+    - `structure`: which entries of the Jacobian may be other than zero, shape (m_useful, n_free): dense, or sparse as
+      the Jacobians are; `curved`: those of the Hessian's lower triangle, None where there is no Hessian;
     - `start`: scaled start, clipped to the bounds, shape (n_free,);
     - `lower`, `upper`: scaled bounds, shape (n_free,);
     - `constraint_lower`, `constraint_upper`: scaled bounds, shape (m_useful,);
@@ -79,11 +81,19 @@ class ScaledProgram:
         self._last: tuple[bytes, Evaluation] | None = None
         self._best_rank = (np.inf, np.inf)
 
-        self.evaluations = Evaluations(program.evaluate, start.size, program.constraint_lower.size)
+        self.evaluations = Evaluations(program.evaluate, start.size, program.constraint_lower.size, program.structure)
         self.size, self.rows = int(self._free.sum()), int(self._useful.sum())
-        every = np.ones((self._useful.size, self._free.size), dtype=bool)
-        structure = every if program.structure is None else program.structure
-        self.structure = structure[np.ix_(self._useful, self._free)]
+        self._block = self._hessian_block = None
+        if program.structure is None or isinstance(program.structure, np.ndarray):
+            every = np.ones((self._useful.size, self._free.size), dtype=bool)
+            structure = every if program.structure is None else program.structure
+            self.structure: Matrix = structure[np.ix_(self._useful, self._free)]
+        else:
+            self._block = Block(program.structure, self._useful, self._free)
+            self.structure = self._block.sparsity
+        if program.hessian is not None:
+            self._hessian_block = Block(program.hessian.sparsity, self._free, self._free)
+        self.curved = None if self._hessian_block is None else self._hessian_block.sparsity
         self.lower = program.lower[self._free] / self._decision_scale
         self.upper = program.upper[self._free] / self._decision_scale
         self.start = np.clip(self._fixed_decisions[self._free] / self._decision_scale, self.lower, self.upper)
@@ -122,7 +132,8 @@ class ScaledProgram:
 
     def _scale_constraints(self, scale: np.ndarray) -> None:
         self._constraint_scale = scale
-        self._jacobian_factor = self._decision_scale / scale[:, None]
+        if self._block is None:
+            self._jacobian_factor = self._decision_scale / scale[:, None]
         self.constraint_lower = self._program.constraint_lower[self._useful] / scale
         self.constraint_upper = self._program.constraint_upper[self._useful] / scale
 
@@ -169,13 +180,37 @@ class ScaledProgram:
 
     def scale(self, user: Evaluation) -> Evaluation:
         """Scale an evaluation in user units: free decisions and useful rows only."""
-        jacobian = user.jacobian if self._is_whole else user.jacobian[np.ix_(self._useful, self._free)]
         return Evaluation(
             (user.objective - self._objective_origin) / self.objective_scale,
             user.gradient[self._free] * self._decision_scale / self.objective_scale,
             user.constraints[self._useful] / self._constraint_scale,
-            jacobian * self._jacobian_factor,
+            self._scaled_jacobian(user.jacobian),
         )
+
+    def _scaled_jacobian(self, jacobian: Matrix) -> Matrix:
+        if self._block is not None:
+            return self._block.of(jacobian, 1 / self._constraint_scale, self._decision_scale)  # type: ignore[arg-type]
+        return (jacobian if self._is_whole else jacobian[np.ix_(self._useful, self._free)]) * self._jacobian_factor
+
+    def hessian(self, z: np.ndarray, weight: float, multipliers: np.ndarray) -> np.ndarray:
+        """The entries of the scaled Hessian's lower triangle in the order of `curved`, shape (entries,).
+
+        `weight` is of the scaled objective, `multipliers` of the useful scaled rows. Raises `NotFiniteError` if some
+        are not finite, `HaltedError` if the solve is to end.
+        """
+        program = self._program
+        assert program.hessian is not None
+        assert self._hessian_block is not None
+        rows = np.zeros(self._useful.size)
+        rows[self._useful] = multipliers / self._constraint_scale
+        given = self.decisions(z), weight / self.objective_scale, rows
+        found = self.evaluations.asked(lambda: program.hessian.evaluate(*given))  # type: ignore[union-attr]
+        scale = self._decision_scale
+        whole = checked_sparse("Hessian", found, program.hessian.sparsity)
+        numbers = self._hessian_block.of(whole, scale, scale).data
+        if not np.isfinite(numbers).all():
+            raise NotFiniteError
+        return numbers
 
     def terms(self, evaluation: Evaluation, multipliers: Multipliers) -> float:
         """The magnitude of what is added up in the Lagrangian, of which its rounding is a part; scaled."""

@@ -8,7 +8,9 @@ from typing import Any, NamedTuple, final
 import numpy as np
 
 from aleator._core import given
+from aleator._core.errors import ProblemError
 from aleator.nlp._evaluations import NotFiniteError
+from aleator.nlp._matrices import dense_rows
 from aleator.nlp._outcome import Status
 from aleator.nlp._program import Evaluation
 from aleator.nlp._scaling import ScaledProgram
@@ -25,6 +27,8 @@ _REACH = 10.0
 _CHANGE_PER_TOLERANCE = 1e-4
 # Searches for a feasible point, before the program counts as one that SLSQP cannot solve.
 _MOST_RESTARTS = 5
+# SLSQP's dense matrices grow with the square of the decisions, and its time with their cube.
+_MOST_DECISIONS = 2000
 
 
 class _Round(NamedTuple):
@@ -63,6 +67,11 @@ class Slsqp(AbstractSolver):
 
     def _minimise(self, scaled: ScaledProgram, multipliers: np.ndarray | None) -> Answer:
         del multipliers  # SLSQP cannot use any.
+        if scaled.size > _MOST_DECISIONS:
+            raise ProblemError(
+                f"Slsqp keeps dense matrices: expected at most {_MOST_DECISIONS} decisions; received {scaled.size}. "
+                "Use Ipopt() or InteriorPoint()."
+            )
         rows = np.flatnonzero(scaled.constraint_lower == scaled.constraint_upper)
         point, iterations, search, restarts = scaled.start, 0, _least_objective, 0
         for _ in range(self.max_rounds):
@@ -121,7 +130,7 @@ def _least_objective(
         {
             "type": "eq",
             "fun": lambda z: at(z).constraints[equalities] - target,
-            "jac": lambda z: at(z).jacobian[equalities],
+            "jac": lambda z: dense_rows(at(z).jacobian, equalities),
         },
         {"type": "ineq", "fun": lambda z: sides.slack(at(z)), "jac": lambda z: sides.slopes(at(z))},
     ]
@@ -174,7 +183,7 @@ class _Sides(NamedTuple):
         return self.signs * (evaluation.constraints[self.rows] - self.bounds)
 
     def slopes(self, evaluation: Evaluation) -> np.ndarray:
-        return self.signs[:, None] * evaluation.jacobian[self.rows]
+        return self.signs[:, None] * dense_rows(evaluation.jacobian, self.rows)
 
 
 def _sides(scaled: ScaledProgram, rows: np.ndarray) -> _Sides:

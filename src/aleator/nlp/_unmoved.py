@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from aleator.nlp._matrices import column_is_zero
 from aleator.nlp._outcome import Outcome, Status
 from aleator.nlp._program import Evaluation, NonlinearProgram
 
@@ -88,7 +89,7 @@ def _probes(program: NonlinearProgram, outcome: Outcome, which: int) -> list[_Pr
 
 
 def _is_flat(evaluation: Evaluation, which: int) -> bool:
-    return evaluation.gradient[which] == 0 and not evaluation.jacobian[:, which].any()
+    return evaluation.gradient[which] == 0 and column_is_zero(evaluation.jacobian, which)
 
 
 def _differs(one: Evaluation, other: Evaluation) -> bool:

@@ -1,0 +1,157 @@
+"""Jacobians and Hessians, dense or of a declared sparsity: what solvers and certificates ask of either.
+
+A sparse matrix is a `scipy.sparse.csr_array` in canonical form. SciPy's sparse module is imported late: programs of few
+decisions never need it.
+"""
+
+from typing import Any, TypeAlias, final
+
+import numpy as np
+
+from aleator._core.errors import ProblemError
+
+# SciPy says little of the types of its sparse arrays.
+SparseMatrix: TypeAlias = Any
+Matrix: TypeAlias = np.ndarray | SparseMatrix
+
+
+def entries(matrix: Matrix) -> np.ndarray:
+    """The numbers of a matrix, those that its sparsity leaves out apart."""
+    return matrix if isinstance(matrix, np.ndarray) else matrix.data
+
+
+def rows_of_entries(matrix: SparseMatrix) -> np.ndarray:
+    """The row of each entry, shape (entries,)."""
+    return np.repeat(np.arange(matrix.shape[0]), np.diff(matrix.indptr))
+
+
+def with_entries(sparsity: SparseMatrix, numbers: np.ndarray) -> SparseMatrix:
+    """The matrix with these entries, in the order of a sparsity."""
+    from scipy.sparse import csr_array
+
+    return csr_array((numbers, sparsity.indices, sparsity.indptr), shape=sparsity.shape)
+
+
+def largest_term(weights: np.ndarray, matrix: Matrix) -> float:
+    """The largest `|w_i A_ij|`, zero where there is none."""
+    if isinstance(matrix, np.ndarray):
+        used = np.flatnonzero(weights)
+        return float(np.abs(weights[used, None] * matrix[used]).max(initial=0.0))
+    return float(np.abs(weights[rows_of_entries(matrix)] * matrix.data).max(initial=0.0))
+
+
+def column_is_zero(matrix: Matrix, column: int) -> bool:
+    """Whether a column holds nothing but zeros."""
+    return not entries(matrix[:, [column]]).any()
+
+
+def dense_rows(matrix: Matrix, rows: np.ndarray) -> np.ndarray:
+    """Some rows as a dense array."""
+    return matrix[rows] if isinstance(matrix, np.ndarray) else matrix[rows].toarray()
+
+
+def gradients(matrix: Matrix, rows: np.ndarray, signs: np.ndarray) -> Matrix:
+    """Some rows as columns, each with a sign: shape (n, rows)."""
+    if isinstance(matrix, np.ndarray):
+        return matrix[rows].T * signs
+    return (matrix[rows].T * signs).tocsr()
+
+
+def unit_columns(like: Matrix, places: np.ndarray, signs: np.ndarray) -> Matrix:
+    """Signed unit vectors as columns, dense or sparse as a matrix with as many columns as they are long."""
+    size = like.shape[1]
+    if isinstance(like, np.ndarray):
+        return np.eye(size)[:, places] * signs
+    from scipy.sparse import csr_array
+
+    return csr_array((signs, (places, np.arange(places.size))), shape=(size, places.size))
+
+
+def side_by_side(*columns: Matrix) -> Matrix:
+    """Matrices beside one another, all dense or all sparse."""
+    if isinstance(columns[0], np.ndarray):
+        return np.concatenate(columns, axis=1)
+    from scipy.sparse import hstack
+
+    return hstack(columns, format="csr")
+
+
+def with_last_row(matrix: Matrix, row: np.ndarray) -> Matrix:
+    """A matrix with one more row."""
+    if isinstance(matrix, np.ndarray):
+        return np.vstack([matrix, row])
+    from scipy.sparse import csr_array, vstack
+
+    return vstack([matrix, csr_array(row[None])], format="csr")
+
+
+def bounded_fit(columns: Matrix, target: np.ndarray, ceiling: np.ndarray) -> np.ndarray:
+    """Weights between 0 and a ceiling, shape (columns,), for which `columns @ weights` is closest to a target."""
+    from scipy.optimize import lsq_linear
+
+    method = "bvls" if isinstance(columns, np.ndarray) else "trf"
+    return lsq_linear(columns, target, (np.zeros(ceiling.size), ceiling), method=method).x
+
+
+def nonnegative_fit(columns: Matrix, target: np.ndarray) -> np.ndarray:
+    """Weights `w >= 0` for which `columns @ w` is closest to a target; zeros, which prove nothing, if not found."""
+    if not isinstance(columns, np.ndarray):
+        return bounded_fit(columns, target, np.full(columns.shape[1], np.inf))
+    from scipy.optimize import nnls
+
+    try:
+        return nnls(columns, target)[0]
+    except RuntimeError:
+        # SciPy's way of saying that its iterations are used up.
+        return np.zeros(columns.shape[1])
+
+
+@final
+class Block:
+    """Some rows and columns of matrices that share a sparsity, times a factor for each row and each column.
+
+    - `sparsity`: of the block.
+    """
+
+    def __init__(self, sparsity: SparseMatrix, rows: np.ndarray, columns: np.ndarray):
+        numbered = with_entries(sparsity, np.arange(1, sparsity.nnz + 1))[rows][:, columns]
+        numbered.sort_indices()
+        self._places = numbered.data - 1
+        self.sparsity = with_entries(numbered, np.ones(numbered.nnz, dtype=bool))
+        self._rows = rows_of_entries(numbered)
+
+    def of(self, matrix: SparseMatrix, row_factors: np.ndarray, column_factors: np.ndarray) -> SparseMatrix:
+        """The block of one of these matrices, times its factors."""
+        factors = row_factors[self._rows] * column_factors[self.sparsity.indices]
+        return with_entries(self.sparsity, matrix.data[self._places] * factors)
+
+
+def check_sparsity(name: str, sparsity: SparseMatrix, shape: tuple[int, int]) -> None:
+    """Refuse what is no sparsity of this shape: a `csr_array` with sorted columns and no entry twice."""
+    from scipy.sparse import csr_array
+
+    if not isinstance(sparsity, csr_array) or sparsity.shape != shape:
+        raise ProblemError(
+            f"Expected `{name}` as a scipy.sparse.csr_array of shape {shape}. Received {type(sparsity).__name__} of "
+            f"shape {getattr(sparsity, 'shape', None)}."
+        )
+    if not sparsity.has_canonical_format:
+        raise ProblemError(f"Expected `{name}` with its columns in order and no entry twice: call sum_duplicates().")
+
+
+def checked_sparse(name: str, matrix: object, sparsity: SparseMatrix) -> SparseMatrix:
+    """A matrix with the declared sparsity, its numbers copied. Raises `ProblemError` for another."""
+    from scipy.sparse import csr_array
+
+    if not isinstance(matrix, csr_array):
+        raise ProblemError(f"Expected the {name} as the scipy.sparse.csr_array declared; received {type(matrix)}.")
+    same = matrix.shape == sparsity.shape and all(
+        one is other or np.array_equal(one, other)
+        for one, other in ((matrix.indptr, sparsity.indptr), (matrix.indices, sparsity.indices))
+    )
+    if not same:
+        raise ProblemError(
+            f"Expected the {name} with the sparsity declared, {sparsity.nnz} entries in shape {sparsity.shape}; "
+            f"received {matrix.nnz} in shape {matrix.shape}, or others. Keep zeros in place."
+        )
+    return with_entries(sparsity, np.array(matrix.data, dtype=float))

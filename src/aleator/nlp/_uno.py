@@ -1,0 +1,101 @@
+"""Programs as Uno knows them, and its answers: what its presets share.
+
+Vanaret and Leyffer 2026, Uno, https://github.com/cvanaret/Uno.
+"""
+
+from typing import Any, Protocol
+
+import numpy as np
+
+from aleator._core.errors import MissingExtraError
+from aleator._core.heard import take_back
+from aleator.nlp._matrices import rows_of_entries
+from aleator.nlp._outcome import Status
+from aleator.nlp._program import Evaluation
+from aleator.nlp._scaling import Multipliers, ScaledProgram
+from aleator.nlp._verdict import Answer
+
+_CLAIMS = {
+    "FEASIBLE_KKT_POINT": Status.SOLVED,
+    "INFEASIBLE_STATIONARY_POINT": Status.INFEASIBLE,
+    "ITERATION_LIMIT": Status.ITERATION_LIMIT,
+    # In another thread than the main one, Uno alone hears of Ctrl-C.
+    "USER_INTERRUPTION": Status.INTERRUPTED,
+}
+
+
+class Entries(Protocol):
+    """Which entries of a Jacobian Uno is told of, and their numbers: see `Pattern`."""
+
+    rows: np.ndarray
+    columns: np.ndarray
+
+    def entries(self, jacobian: Any) -> np.ndarray:
+        """The entries of a Jacobian, shape (entries,)."""
+        ...
+
+
+def load_unopy(who: str) -> Any:
+    """The library, imported late. Raises `MissingExtraError` where it is not installed."""
+    try:
+        import unopy
+    except ImportError as error:
+        raise MissingExtraError(
+            f"`{who}` needs the library unopy: install it with `pip install unopy`, or use `Ipopt()` instead."
+        ) from error
+    return unopy
+
+
+def model_of(
+    unopy: Any, scaled: ScaledProgram, pattern: Entries, start: np.ndarray, multipliers: np.ndarray | None
+) -> Any:
+    """The scaled program, with second derivatives where it has them."""
+    def at(z: np.ndarray) -> Evaluation:
+        # Uno puts a handler of Ctrl-C in front of Python's, and ends the process at the second one.
+        take_back()
+        return scaled.evaluate(z)
+
+    def gradient(z: np.ndarray, out: np.ndarray) -> None:
+        out[:] = at(z).gradient
+
+    def constraints(z: np.ndarray, out: np.ndarray) -> None:
+        out[:] = at(z).constraints
+
+    def jacobian(z: np.ndarray, out: np.ndarray) -> None:
+        out[:] = pattern.entries(at(z).jacobian)
+
+    def hessian(z: np.ndarray, weight: float, multipliers: np.ndarray, out: np.ndarray) -> None:
+        out[:] = scaled.hessian(z, weight, np.array(multipliers))
+
+    n, m = scaled.size, scaled.rows
+    model = unopy.Model(
+        unopy.PROBLEM_NONLINEAR, n, scaled.lower.tolist(), scaled.upper.tolist(), unopy.ZERO_BASED_INDEXING
+    )
+    model.set_objective(unopy.MINIMIZE, lambda z: at(z).objective, gradient)
+    model.set_lagrangian_sign_convention(unopy.MULTIPLIER_POSITIVE)
+    if m:
+        rows, columns = pattern.rows.tolist(), pattern.columns.tolist()
+        lower, upper = scaled.constraint_lower.tolist(), scaled.constraint_upper.tolist()
+        model.set_constraints(m, constraints, lower, upper, len(rows), rows, columns, jacobian)
+    if scaled.curved is not None:
+        rows, columns = rows_of_entries(scaled.curved).tolist(), scaled.curved.indices.tolist()
+        model.set_lagrangian_hessian(len(rows), unopy.LOWER_TRIANGLE, rows, columns, hessian)
+    model.set_initial_primal_iterate(start.tolist())
+    if m and multipliers is not None:
+        model.set_initial_dual_iterate(multipliers.tolist())
+    return model
+
+
+def answer_of(result: Any) -> Answer:
+    """What Uno says of where it ended."""
+    # unopy's constants are plain integers, which its results never equal; only the names can be compared.
+    ended, solution = result.optimization_status.name, result.solution_status.name
+    claim = _CLAIMS.get(solution if ended == "SUCCESS" else ended, Status.FAILED)
+    bounds = np.array(result.lower_bound_dual_solution) + np.array(result.upper_bound_dual_solution)
+    return Answer(
+        claim=claim,
+        point=np.array(result.primal_solution),
+        multipliers=Multipliers(np.array(result.constraint_dual_solution), bounds),
+        iterations=int(result.number_iterations),
+        message=f"{ended}, {solution}".lower().replace("_", " "),
+    )

@@ -1,0 +1,202 @@
+"""Programs with declared sparse Jacobians and Hessians: the answers of the dense ones, and sizes these cannot have."""
+
+import tracemalloc
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+from scipy.sparse import csr_array
+
+from aleator._core.errors import ProblemError
+from aleator.nlp import Evaluation, FilterSQP, Hessian, InteriorPoint, Ipopt, NonlinearProgram, Slsqp, Status
+
+INTERIOR = [Ipopt(), InteriorPoint()]
+named = pytest.mark.parametrize("solver", INTERIOR, ids=lambda one: type(one).__name__)
+
+
+def targets(count):
+    return 1.0 + 0.5 * np.sin(np.arange(count))
+
+
+def arrow(count, *, sparse=True, hessian=True, scale=1.0):
+    """`½ Σ (x_i - t_i)² + ½ count (y - 2)²` with `x_i² = y` for all i: every row shares the last decision."""
+    t, size = targets(count), count + 1
+    every = np.arange(count)
+    columns = np.stack([every, np.full(count, count)], axis=1).ravel()
+    sparsity = csr_array((np.ones(2 * count, dtype=bool), (np.repeat(every, 2), columns)), shape=(count, size))
+    sparsity.sort_indices()
+    diagonal = csr_array((np.ones(size, dtype=bool), (np.arange(size), np.arange(size))), shape=(size, size))
+
+    def evaluate(z):
+        x, y = z[:-1] * scale, z[-1]
+        numbers = np.stack([2 * x * scale, np.full(count, -1.0)], axis=1).ravel()
+        jacobian = csr_array((numbers, sparsity.indices, sparsity.indptr), shape=sparsity.shape)
+        return Evaluation(
+            0.5 * float(np.sum((x - t) ** 2) + count * (y - 2.0) ** 2),
+            np.append(scale * (x - t), count * (y - 2.0)),
+            x**2 - y,
+            jacobian if sparse else jacobian.toarray(),
+        )
+
+    def curvature(z, weight, multipliers):
+        del z
+        numbers = np.append(scale**2 * (weight + 2 * multipliers), weight * count)
+        return csr_array((numbers, diagonal.indices, diagonal.indptr), shape=diagonal.shape)
+
+    return NonlinearProgram(
+        evaluate=evaluate,
+        start=np.append(np.ones(count) / scale, 1.0),
+        lower=np.append(np.full(count, 0.1 / scale), 0.05),
+        upper=np.append(np.full(count, 10.0 / scale), 10.0),
+        constraint_lower=np.zeros(count),
+        constraint_upper=np.zeros(count),
+        constraint_scale=np.ones(count),
+        decision_scale=np.append(np.full(count, 1 / scale), 1.0),
+        structure=sparsity if sparse else None,
+        hessian=Hessian(curvature, diagonal) if hessian else None,
+    )
+
+
+def optimum(count):
+    """The last decision at the optimum: all others are its root, so that one equation is left."""
+    t = targets(count)
+    return brentq(lambda y: count * (y - 2.0) + np.sum((np.sqrt(y) - t) / (2 * np.sqrt(y))), 0.5, 5.0, xtol=1e-13)
+
+
+@named
+def test_a_hundred_thousand_decisions_that_share_one_are_solved_without_a_dense_matrix(solver):
+    count = 100_000
+    program = arrow(count)
+    tracemalloc.start()
+    outcome = solver.solve(program)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert outcome.ok, outcome.message
+    assert outcome.decisions[-1] == pytest.approx(optimum(count), rel=1e-4)
+    np.testing.assert_allclose(outcome.decisions[:-1], np.sqrt(outcome.decisions[-1]), rtol=1e-6)
+    # The certificate, taken apart: no smaller than what the point and its multipliers leave of the conditions.
+    found, y = outcome.evaluation, outcome.decisions[-1]
+    left = found.gradient + outcome.multipliers @ found.jacobian + outcome.bound_multipliers
+    assert np.abs(left).max() <= 1e-6 * count * abs(y - 2.0)
+    assert np.abs(found.constraints).max() <= outcome.violation * max(1.0, y) + 1e-12
+    # A dense Jacobian has 80 GB; memory of the solvers' own code is not counted here.
+    assert peak < 300e6
+
+
+@named
+@pytest.mark.parametrize("scale", [1.0, 1e-3, 200.0])
+def test_derivatives_of_either_kind_lead_to_the_same_optimum(solver, scale):
+    expected = optimum(30)
+    for sparse, hessian in ((True, True), (True, False), (False, True), (False, False)):
+        outcome = solver.solve(arrow(30, sparse=sparse, hessian=hessian, scale=scale))
+        assert outcome.ok, (sparse, hessian, outcome.message)
+        assert outcome.decisions[-1] == pytest.approx(expected, rel=1e-5)
+
+
+@named
+def test_second_derivatives_save_iterations(solver):
+    own, limited = (solver.solve(arrow(200, hessian=hessian)) for hessian in (True, False))
+    assert own.ok
+    assert own.iterations <= 15
+    assert limited.iterations > own.iterations
+
+
+@pytest.mark.parametrize("solver", [FilterSQP(), Slsqp()], ids=lambda one: type(one).__name__)
+def test_solvers_of_few_decisions_take_sparse_programs_too(solver):
+    for hessian in (True, False):
+        outcome = solver.solve(arrow(12, hessian=hessian))
+        assert outcome.ok, outcome.message
+        assert outcome.decisions[-1] == pytest.approx(optimum(12), rel=1e-5)
+
+
+@pytest.mark.parametrize("solver", [*INTERIOR, FilterSQP()], ids=lambda one: type(one).__name__)
+def test_fixed_decisions_and_rows_that_bind_nothing_are_left_out(solver):
+    program = arrow(20)
+    upper, free = program.upper.copy(), program.constraint_upper.copy()
+    upper[3] = program.lower[3] = 1.2
+    free[3], program.constraint_lower[3] = np.inf, -np.inf
+    outcome = solver.solve(replace(program, upper=upper, constraint_upper=free))
+    assert outcome.ok, outcome.message
+    assert outcome.decisions[3] == 1.2
+    assert outcome.multipliers[3] == 0.0
+    rest = np.delete(targets(20), 3)
+    expected = brentq(lambda y: 20 * (y - 2.0) + np.sum((np.sqrt(y) - rest) / (2 * np.sqrt(y))), 0.5, 5.0, xtol=1e-13)
+    assert outcome.decisions[-1] == pytest.approx(expected, rel=1e-5)
+    # What holds the fixed decision makes the Lagrangian stationary there.
+    assert outcome.bound_multipliers[3] == pytest.approx(targets(20)[3] - 1.2)
+
+
+@named
+def test_a_sparse_program_without_a_feasible_point_is_told(solver):
+    program = arrow(10)
+    # All are to be at least 3 in square, and the one they share at most 2.
+    program.lower[:-1] = np.sqrt(3.0)
+    program.upper[-1] = 2.0
+    outcome = solver.solve(program)
+    assert outcome.status is Status.INFEASIBLE, outcome.message
+    assert outcome.violation == pytest.approx(1.0, rel=1e-6)
+
+
+@named
+def test_second_derivatives_that_are_not_finite_do_not_pass_for_an_answer(solver):
+    program = arrow(5)
+    sparsity = program.hessian.sparsity
+    lost = csr_array((np.full(sparsity.nnz, np.nan), sparsity.indices, sparsity.indptr), shape=sparsity.shape)
+    assert not solver.solve(replace(program, hessian=Hessian(lambda *_: lost, sparsity))).ok
+
+
+@named
+def test_what_a_hessian_raises_reaches_the_caller(solver):
+    def fails(*_):
+        raise LookupError("no curvature")
+
+    program = arrow(5)
+    with pytest.raises(LookupError, match="no curvature"):
+        solver.solve(replace(program, hessian=Hessian(fails, program.hessian.sparsity)))
+
+
+def test_a_jacobian_of_another_sparsity_is_refused():
+    program = arrow(4)
+    other = csr_array(np.ones((4, 5)))
+    for wrong in (other, other.toarray(), None):
+
+        def evaluate(x, wrong=wrong):
+            return program.evaluate(x)._replace(jacobian=wrong)
+
+        with pytest.raises(ProblemError, match="Expected the Jacobian"):
+            Ipopt().solve(replace(program, evaluate=evaluate))
+
+
+WRONG = {
+    "another shape": (lambda one: replace(one, structure=csr_array(np.ones((2, 2)))), "`structure`.*shape"),
+    "entries in disorder": (lambda one: replace(one, structure=_disordered(one.structure)), "columns in order"),
+    "a Hessian of another shape": (
+        lambda one: replace(one, hessian=one.hessian._replace(sparsity=csr_array(np.eye(2)))),
+        "`hessian`.*shape",
+    ),
+    "a whole Hessian": (
+        lambda one: replace(one, hessian=one.hessian._replace(sparsity=csr_array(np.ones((5, 5))))),
+        "lower triangle",
+    ),
+}
+
+
+def _disordered(sparsity):
+    found = csr_array((sparsity.data, sparsity.indices[::-1].copy(), sparsity.indptr), shape=sparsity.shape)
+    found.has_canonical_format = False
+    return found
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_what_is_no_sparsity_is_refused(name):
+    change, message = WRONG[name]
+    with pytest.raises(ProblemError, match=message):
+        change(arrow(4))
+
+
+def test_slsqp_refuses_what_its_dense_matrices_cannot_hold():
+    with pytest.raises(
+        ProblemError, match="Slsqp keeps dense matrices: expected at most 2000 decisions; received 3001"
+    ):
+        Slsqp().solve(arrow(3000))
