@@ -50,6 +50,7 @@ def model_of(
     unopy: Any, scaled: ScaledProgram, pattern: Entries, start: np.ndarray, multipliers: np.ndarray | None
 ) -> Any:
     """The scaled program, with second derivatives where it has them."""
+
     def at(z: np.ndarray) -> Evaluation:
         # Uno puts a handler of Ctrl-C in front of Python's, and ends the process at the second one.
         take_back()
