@@ -27,7 +27,7 @@ CHECKED = [
         "design",
         "nlp",
         "transcription",
-        "solve",
+        "solving",
         "validation",
         "sweep",
     )

@@ -20,7 +20,7 @@ import numpy as np  # noqa: E402
 import aleator as al  # noqa: E402
 from aleator import cli  # noqa: E402
 from aleator._core.progress import Progress  # noqa: E402
-from aleator.report import PAGE, Table, report, save_study  # noqa: E402
+from aleator.reporting import PAGE, Table, report, save_study  # noqa: E402
 from aleator.studies import STUDIES, AbstractStudy, Entry, _clutch_run, _suspension_run, suspension  # noqa: E402
 from aleator.studies._clutch_study import ClutchStudy  # noqa: E402
 from aleator.studies._suspension_study import SuspensionStudy  # noqa: E402

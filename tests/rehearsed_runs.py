@@ -19,8 +19,8 @@ import aleator_command
 from aleator import cli
 from aleator._core import interruption
 from aleator._core.progress import Progress
-from aleator.report import PAGE, Table
-from aleator.report._files import write_text, write_together
+from aleator.reporting import PAGE, Table
+from aleator.reporting._files import write_text, write_together
 from aleator.studies import AbstractStudy
 
 STAGES = ("first", "second", "third")

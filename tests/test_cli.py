@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 import aleator as al
 from aleator import cli
 from aleator._core.progress import Progress
-from aleator.report import Table, _lock
+from aleator.reporting import Table, _lock
 from aleator.studies import AbstractStudy
 
 
@@ -174,7 +174,7 @@ def test_a_folder_that_another_run_writes_to_is_refused_before_any_work(monkeypa
 HOLDER = """
 import sys
 from pathlib import Path
-from aleator.report import only_writer
+from aleator.reporting import only_writer
 with only_writer(Path(sys.argv[1])):
     print("held", flush=True)
     sys.stdin.read()

@@ -9,7 +9,7 @@ import pytest
 
 import aleator as al
 from aleator._core import memory
-from aleator.collocation import Basis, collocate
+from aleator.expansion import Basis, collocate
 from aleator.uncertainty import LegendreGerm
 from tiny_models import Decay
 

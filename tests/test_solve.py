@@ -7,7 +7,7 @@ import pytest
 from scipy import optimize
 
 import aleator as al
-from aleator.collocation import HammersleyPoints
+from aleator.expansion import HammersleyPoints
 from tiny_models import LOSS, ONE_STEP, RESPONSE, SPREAD, Gain, gain_problem, oscillator_problem
 
 SOLVERS = pytest.mark.parametrize(

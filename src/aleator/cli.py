@@ -18,7 +18,7 @@ from rich.text import Text
 
 from aleator._core.errors import AleatorError, ProblemError
 from aleator._core.interruption import Interruptions
-from aleator.report import PAGE, Table, check_writable, only_writer, words
+from aleator.reporting import PAGE, Table, check_writable, only_writer, words
 from aleator.studies import STUDIES, AbstractStudy, load
 
 FAILED, USAGE = 1, 2

@@ -9,7 +9,7 @@ from scipy import integrate, stats
 
 import aleator as al
 from aleator._core import tracing
-from aleator.collocation import Adaptive, GaussPoints, Projection, SmolyakPoints
+from aleator.expansion import Adaptive, GaussPoints, Projection, SmolyakPoints
 
 DECAY = {"b": al.Uniform.bounds(0.1, 0.2), "u": al.Normal(1.5, 0.2)}
 DECAY_MEAN, DECAY_VARIANCE = 0.348816236902, 0.012314725652

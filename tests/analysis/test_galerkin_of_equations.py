@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import aleator as al
-from aleator.collocation import SmolyakPoints
+from aleator.expansion import SmolyakPoints
 
 
 class Spring(al.AlgebraicSystem):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import aleator as al
-from aleator.collocation import Adaptive, SmolyakPoints
+from aleator.expansion import Adaptive, SmolyakPoints
 from tiny_models import Decay, Oscillator
 
 GRID = al.Grid(10.0, 800)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import aleator as al
-from aleator.collocation import leave_one_out, leave_one_out_history, resolved_instants
+from aleator.expansion import leave_one_out, leave_one_out_history, resolved_instants
 
 TIMES = np.linspace(0.0, 50.0, 501)
 FREQUENCY = {"w": al.Uniform.bounds(0.7, 1.3)}

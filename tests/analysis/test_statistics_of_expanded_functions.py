@@ -8,7 +8,7 @@ import pytest
 from scipy import stats
 
 import aleator as al
-from aleator.collocation import GaussPoints, Projection
+from aleator.expansion import GaussPoints, Projection
 
 ANGLES = {name: al.Uniform(0.0, half_width=float(np.pi)) for name in ("x1", "x2", "x3")}
 

@@ -79,7 +79,7 @@ def test_functionals_of_different_shapes_have_no_covariance():
 
 def test_the_unit_of_a_statistic_follows_from_what_it_is():
     from aleator.design import statistics_in
-    from aleator.report._units import of_statistic
+    from aleator.reporting._units import of_statistic
 
     class Spring(Gain):
         units: ClassVar = {"response": "N", "loss": "m"}

@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 import numpy as np
 
-from aleator.collocation import Basis, TotalDegree
+from aleator.expansion import Basis, TotalDegree
 
 
 def basis_of(germs, order):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy import integrate, stats
 
-from aleator.collocation import Expansion, HammersleyPoints, collocate
+from aleator.expansion import Expansion, HammersleyPoints, collocate
 from aleator.statistics import Mean, Std, Variance
 from aleator.uncertainty import Beta, Decision, Gamma, Normal, Uniform, realise, survey
 

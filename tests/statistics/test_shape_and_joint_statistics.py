@@ -9,7 +9,7 @@ from scipy import stats
 from small_expansions import basis_of, coefficients_of_polynomial, random_coefficients
 
 from aleator._core.errors import ProblemError
-from aleator.collocation import Basis
+from aleator.expansion import Basis
 from aleator.statistics import CornishFisher, Correlation, Covariance, Kurtosis, Skewness, prepare
 from aleator.statistics import _square as square_module
 from aleator.statistics._square import square

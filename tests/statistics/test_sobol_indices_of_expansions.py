@@ -7,7 +7,7 @@ import pytest
 from small_expansions import basis_of, coefficients_of_polynomial, random_coefficients
 
 from aleator._core.errors import ProblemError
-from aleator.collocation import Expansion, collocate
+from aleator.expansion import Expansion, collocate
 from aleator.statistics import Sobol, TotalSobol, prepare
 from aleator.uncertainty import HermiteGerm, LegendreGerm
 

@@ -8,7 +8,7 @@ from scipy import optimize
 from small_expansions import basis_of, coefficients_of_polynomial, random_coefficients
 
 from aleator._core.errors import ProblemError
-from aleator.collocation import Basis
+from aleator.expansion import Basis
 from aleator.statistics import Infimum, Supremum, _branch_and_bound, _enclosure, prepare
 from aleator.uncertainty import HermiteGerm, JacobiGerm, LaguerreGerm, LegendreGerm
 

@@ -10,7 +10,7 @@ from scipy import integrate, special, stats
 from small_expansions import basis_of, coefficients_of_polynomial, random_coefficients
 
 from aleator._core.errors import ProblemError
-from aleator.collocation import Basis
+from aleator.expansion import Basis
 from aleator.statistics import ConditionalValueAtRisk, Probability, Quantile, cdf, lines_through, pdf, prepare
 from aleator.statistics._crossings import bracketed_roots, extrema, horner
 from aleator.statistics._line_law import finite_ends, line_law

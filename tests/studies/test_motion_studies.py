@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 import aleator as al
 from aleator import cli
-from aleator.report import page_html
+from aleator.reporting import page_html
 from aleator.studies import STUDIES, load
 from aleator.studies._family import Family, fly
 from aleator.studies._motion_build import TARGET as TOLERATED

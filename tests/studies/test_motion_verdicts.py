@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import aleator as al
-from aleator.report import Table
+from aleator.reporting import Table
 from aleator.studies._motion_build import TARGET, build_verdict, margin_blocks, meets, price, price_table
 from aleator.studies._printed import compared
 from tiny_models import Decay

@@ -7,8 +7,8 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from aleator.report import Schematic, sketch
-from aleator.report._page import Page, Section, Verdict, page_html
+from aleator.reporting import Schematic, sketch
+from aleator.reporting._page import Page, Section, Verdict, page_html
 from aleator.studies._car_drawing import car_drawing
 from aleator.studies._clutch_drawing import clutch_drawing
 from aleator.studies._pendulum_drawing import pendulum_drawing

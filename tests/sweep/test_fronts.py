@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 import aleator as al
-from aleator.report import front_figure
-from aleator.report._datasets import front_dataset
+from aleator.reporting import front_figure
+from aleator.reporting._datasets import front_dataset
 from aleator.sweep import _front as front_module
 from aleator.transcription import EVALUATE
 from tiny_models import LOSS, ONE_STEP, RESPONSE, SPREAD, Gain, gain_problem, oscillator_problem

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import aleator as al
-from aleator.collocation import Adaptive, HyperbolicCross, Sparse
+from aleator.expansion import Adaptive, HyperbolicCross, Sparse
 from aleator.transcription import transcribe
 from aleator.transcription._discretisation import _collocated
 from tiny_models import ONE_STEP

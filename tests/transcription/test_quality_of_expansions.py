@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import aleator as al
-from aleator.collocation import collocate
+from aleator.expansion import collocate
 from aleator.nlp import Status
 from aleator.transcription import EVALUATE
 from aleator.uncertainty import LegendreGerm

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import optimize, special, stats
 
-from aleator.collocation import Expansion, collocate
+from aleator.expansion import Expansion, collocate
 from aleator.uncertainty import (
     Beta,
     Decision,

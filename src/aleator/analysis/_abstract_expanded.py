@@ -15,7 +15,7 @@ from jaxtyping import Array, Float
 from aleator._core.arrays import Pytree, Scalar
 from aleator._core.errors import ProblemError
 from aleator.analysis._inputs import germ_of
-from aleator.collocation import Basis
+from aleator.expansion import Basis
 from aleator.statistics import (
     AbstractStatistic,
     ConditionalValueAtRisk,

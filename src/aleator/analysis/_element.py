@@ -13,7 +13,7 @@ from aleator._core.arrays import Pytree
 from aleator.analysis._box import Box
 from aleator.analysis._inputs import plain
 from aleator.analysis._sampling import AbstractSampler
-from aleator.collocation import Basis, Expansion, collocate, leave_one_out
+from aleator.expansion import Basis, Expansion, collocate, leave_one_out
 from aleator.uncertainty import AbstractGerm
 
 

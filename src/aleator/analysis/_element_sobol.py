@@ -17,7 +17,7 @@ from jaxtyping import Array, Float, Int
 from aleator._core.memory import NUMBER, refuse_beyond_memory
 from aleator.analysis._partition import Partition
 from aleator.analysis._restricted_germ import restricted
-from aleator.collocation import Basis
+from aleator.expansion import Basis
 from aleator.statistics import Sobol, TotalSobol
 from aleator.statistics._sobol import place_of
 

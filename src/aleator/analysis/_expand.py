@@ -18,7 +18,7 @@ from aleator.analysis._multi_element import MultiElement
 from aleator.analysis._partition import Partition
 from aleator.analysis._refinement import Refinement
 from aleator.analysis._sampling import AbstractSampler, CalledSampler, Function, TracedSampler
-from aleator.collocation import (
+from aleator.expansion import (
     ILL_CONDITIONED,
     Adaptive,
     Collocation,

@@ -15,7 +15,7 @@ from aleator.analysis._abstract_expanded import AbstractExpanded, checked_points
 from aleator.analysis._expanded_text import as_lines, contributors, law_rows, nothing, output_rows, trust
 from aleator.analysis._inputs import concrete
 from aleator.analysis._shapley import shapley_matrix
-from aleator.collocation import UNRESOLVED, Basis, Collocation, jackknife, leave_one_out, unseen
+from aleator.expansion import UNRESOLVED, Basis, Collocation, jackknife, leave_one_out, unseen
 from aleator.statistics import AbstractStatistic, cdf, lines_through, pdf, refuse_correlated, varies
 from aleator.uncertainty import AbstractDistribution, AbstractGerm
 

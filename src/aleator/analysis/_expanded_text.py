@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from aleator._core.arrays import Pytree
 from aleator.analysis._inputs import concrete
-from aleator.collocation import Basis
+from aleator.expansion import Basis
 from aleator.uncertainty import AbstractDistribution
 
 _CONTRIBUTORS = 4

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from aleator.analysis._box import Box
-from aleator.collocation import Basis, GaussPoints, HammersleyPoints
+from aleator.expansion import Basis, GaussPoints, HammersleyPoints
 from aleator.uncertainty import AbstractGerm
 
 # Points of the piecewise expansion behind a statistic that no sum over elements gives.

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from aleator._core.errors import ProblemError
-from aleator.collocation import Basis, Expansion, GaussPoints, SmolyakPoints
+from aleator.expansion import Basis, Expansion, GaussPoints, SmolyakPoints
 
 # Beyond this many quadrature nodes in each evaluation of the equations, collocation is the better method by far.
 _MOST_NODES = 20_000

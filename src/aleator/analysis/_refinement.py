@@ -11,7 +11,7 @@ from aleator.analysis._box import Box
 from aleator.analysis._element import Element, element, flat
 from aleator.analysis._multi_element import MultiElement
 from aleator.analysis._sampling import AbstractSampler
-from aleator.collocation import Basis, Expansion
+from aleator.expansion import Basis, Expansion
 
 # Fresh points at which elements that look good are tried: a jump between the samples of an element is invisible to it.
 _FRESH_POINTS = 128

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from aleator._core.errors import ProblemError
-from aleator.collocation import Basis
+from aleator.expansion import Basis
 from aleator.uncertainty import AbstractDistribution
 
 Matrix: TypeAlias = Float[np.ndarray, "terms terms"]

@@ -15,8 +15,8 @@ from aleator._core.given import one_of, real_array
 from aleator.analysis._expand import expand, sampler_of
 from aleator.analysis._expanded import Expanded
 from aleator.analysis._zones import Zone, in_zones, zones_of
-from aleator.collocation import Expansion
 from aleator.dynamics import AlgebraicSystem, explain_failure, simulate
+from aleator.expansion import Expansion
 from aleator.references import Linearised, linearise
 from aleator.statistics import Infimum, Kurtosis, Mean, Probability, Skewness, Std, Supremum, TotalSobol
 from aleator.uncertainty import at_means, realise, survey

@@ -7,7 +7,7 @@ from typing import NamedTuple, final
 import numpy as np
 from jaxtyping import Float
 
-from aleator.collocation import ILL_CONDITIONED, UNRESOLVED, Unseen
+from aleator.expansion import ILL_CONDITIONED, UNRESOLVED, Unseen
 from aleator.nlp import HELD
 
 TOLERATED = 1e-3

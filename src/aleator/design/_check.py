@@ -12,7 +12,6 @@ import jax.numpy as jnp
 from aleator._core.arrays import numbers_to_arrays
 from aleator._core.equations import array_digest, equations_text
 from aleator._core.errors import ProblemError
-from aleator.collocation import Expansion
 from aleator.design._cost import CostCurve
 from aleator.design._declaration import AbstractProblem
 from aleator.design._expression import Expression
@@ -24,6 +23,7 @@ from aleator.design._scope import AbstractScope, Value
 from aleator.design._statistic import AbstractFunctional, Taken, functionals_of, joined, statistics_in
 from aleator.design._units import refuse_clashes
 from aleator.dynamics import AbstractIntegrator, AlgebraicSystem, Grid, Instant, System, check_signals
+from aleator.expansion import Expansion
 from aleator.statistics import AbstractStatistic, Sobol, TotalSobol, refuse_correlated
 from aleator.uncertainty import Survey, named_numbers, refuse_nonpositive
 

@@ -6,9 +6,9 @@ import equinox as eqx
 
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import transparent
-from aleator.collocation import Expansion
 from aleator.design._expression import Constraint, Expression
 from aleator.dynamics import AbstractGrid, AbstractIntegrator, AlgebraicSystem, System
+from aleator.expansion import Expansion
 from aleator.trajectories import AbstractSignal
 from aleator.uncertainty import Survey, survey
 

@@ -9,7 +9,6 @@ import numpy as np
 
 from aleator._core.errors import ProblemError
 from aleator._core.given import one_of, positive, real
-from aleator.collocation import Expansion
 from aleator.design._check import check, equations_now
 from aleator.design._declaration import AbstractProblem, Model
 from aleator.design._expression import Constraint, Expression, as_expression, ordered
@@ -24,6 +23,7 @@ from aleator.dynamics import (
     RungeKutta4,
     System,
 )
+from aleator.expansion import Expansion
 from aleator.trajectories import AbstractSignal
 from aleator.uncertainty import at_means, uncertain_again
 

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from aleator._core.errors import ProblemError
-from aleator.collocation import Basis
+from aleator.expansion import Basis
 from aleator.uncertainty import AbstractGerm
 
 # An evaluation works on a few tensors of that many numbers.

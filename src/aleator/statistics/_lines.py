@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from aleator.collocation import Basis
+from aleator.expansion import Basis
 from aleator.statistics._line_law import LineLaw, line_law
 from aleator.statistics._moments import root
 from aleator.uncertainty import HermiteGerm, LegendreGerm

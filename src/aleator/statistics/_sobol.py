@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 
 from aleator._core.errors import ProblemError
 from aleator._core.units import PURE
-from aleator.collocation import Basis
+from aleator.expansion import Basis
 from aleator.statistics._moments import varies
 from aleator.statistics._statistic import AbstractStatistic
 from aleator.uncertainty import AbstractDistribution

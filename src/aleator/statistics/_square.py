@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from aleator._core.errors import ProblemError
-from aleator.collocation import Basis
+from aleator.expansion import Basis
 from aleator.uncertainty import AbstractGerm
 
 # Beyond this many products the constants take gigabytes and an evaluation more than a second.

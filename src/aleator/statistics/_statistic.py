@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from aleator._core.arrays import Pytree
-from aleator.collocation import Basis
+from aleator.expansion import Basis
 
 Preparation: TypeAlias = Callable[[Basis], Pytree]
 """What a statistic needs of a basis: a hashable function from the basis to constant arrays. Equal ones are shared."""

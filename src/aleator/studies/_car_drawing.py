@@ -10,8 +10,8 @@ import numpy as np
 from jaxtyping import Float
 
 import aleator as al
-from aleator.report import given, sketch
-from aleator.report.sketch import Point
+from aleator.reporting import given, sketch
+from aleator.reporting.sketch import Point
 from aleator.studies.suspension import QuarterCar
 
 WIDTH, HEIGHT = 420.0, 410.0

@@ -5,8 +5,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from aleator.report import sketch
-from aleator.report.sketch import View
+from aleator.reporting import sketch
+from aleator.reporting.sketch import View
 from aleator.studies.clutch import MEANS, pressure_angle
 
 WIDTH, HEIGHT = 420.0, 372.0

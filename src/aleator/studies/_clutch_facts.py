@@ -4,7 +4,7 @@ import math
 from typing import NamedTuple
 
 import aleator as al
-from aleator.report import Table, count, given, number, percent, share_text, words
+from aleator.reporting import Table, count, given, number, percent, share_text, words
 from aleator.studies._clutch_counts import CHEAPEST, GIVEN, SAFE, Counts, exact_rejects, tolerances_of
 from aleator.studies._clutch_run import ClutchResults, Method
 from aleator.studies.clutch import COST, DEVIATION, LIMITS, NAMES, TOLERANCES

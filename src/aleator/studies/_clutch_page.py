@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import jax.numpy as jnp
 import numpy as np
 
-from aleator.report import (
+from aleator.reporting import (
     HOW_TO_READ,
     Block,
     Code,
@@ -27,7 +27,7 @@ from aleator.report import (
     given,
     words,
 )
-from aleator.report import write_page as write_report_page
+from aleator.reporting import write_page as write_report_page
 from aleator.studies._clutch_counts import CHEAPEST, GIVEN, SAFE, tolerances_of
 from aleator.studies._clutch_drawing import clutch_drawing
 from aleator.studies._clutch_facts import (

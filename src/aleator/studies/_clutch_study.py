@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import final
 
 from aleator._core.progress import Progress
-from aleator.report import PAGE, Table, save_study
+from aleator.reporting import PAGE, Table, save_study
 from aleator.studies._clutch_facts import (
     allocation_table,
     analysis_table,

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 
-from aleator.report import Card, Verdict, count, given, number, percent, words
+from aleator.reporting import Card, Verdict, count, given, number, percent, words
 from aleator.studies._clutch_counts import CHEAPEST, GIVEN, SAFE, tolerances_of
 from aleator.studies._clutch_facts import (
     REFERENCE_ORDER,

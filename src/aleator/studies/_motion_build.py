@@ -7,7 +7,18 @@ study goes on until fresh systems confirm a margin for `TARGET`, all limits of t
 from collections.abc import Iterator, Mapping, Sequence
 
 import aleator as al
-from aleator.report import Block, Card, Drawing, Table, Verdict, calibration_figure, given, number, percent, share_text
+from aleator.reporting import (
+    Block,
+    Card,
+    Drawing,
+    Table,
+    Verdict,
+    calibration_figure,
+    given,
+    number,
+    percent,
+    share_text,
+)
 
 TARGET = 0.01
 """How many systems may break a limit, any of them."""

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 import aleator as al
-from aleator.report import (
+from aleator.reporting import (
     Card,
     Drawing,
     Scene,

@@ -8,7 +8,7 @@ from typing import Any, ClassVar, NamedTuple, final
 
 import aleator as al
 from aleator._core.progress import Progress, silent
-from aleator.report import (
+from aleator.reporting import (
     HOW_TO_READ,
     PAGE,
     Block,

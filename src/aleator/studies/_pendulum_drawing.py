@@ -2,8 +2,8 @@
 
 import math
 
-from aleator.report import given, sketch
-from aleator.report.sketch import Point, View
+from aleator.reporting import given, sketch
+from aleator.reporting.sketch import Point, View
 from aleator.studies.swing_up import DoublePendulum
 
 WIDTH, HEIGHT = 420.0, 470.0

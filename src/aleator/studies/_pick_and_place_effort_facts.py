@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import integrate
 
-from aleator.report import Table, given, number, percent
+from aleator.reporting import Table, given, number, percent
 from aleator.studies._family import Family
 from aleator.studies._motion_study import MotionResults
 from aleator.studies._printed import compared

@@ -7,7 +7,7 @@ import numpy as np
 
 import aleator as al
 from aleator._core.progress import Progress
-from aleator.report import (
+from aleator.reporting import (
     Block,
     Card,
     Drawing,

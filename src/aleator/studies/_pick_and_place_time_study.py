@@ -8,7 +8,7 @@ from scipy import stats
 
 import aleator as al
 from aleator._core.progress import Progress
-from aleator.report import (
+from aleator.reporting import (
     Block,
     Card,
     Drawing,

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from aleator.report import percent, words
+from aleator.reporting import percent, words
 
 SAME_SIZE = 0.1
 """Changes that differ by at most this part of the printed one are of one size."""

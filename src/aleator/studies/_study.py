@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from aleator._core.progress import Progress
-from aleator.report import Table
+from aleator.reporting import Table
 
 
 class AbstractStudy(abc.ABC):

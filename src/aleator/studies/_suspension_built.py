@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 
 import aleator as al
-from aleator.report import Card, Table, given, number, percent, share_text, words
+from aleator.reporting import Card, Table, given, number, percent, share_text, words
 from aleator.studies._suspension_facts import (
     RIDE_TEXT,
     RIDE_UNIT,

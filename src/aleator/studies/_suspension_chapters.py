@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 import aleator as al
-from aleator.report import (
+from aleator.reporting import (
     DASHES,
     Axis,
     Block,

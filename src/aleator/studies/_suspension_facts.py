@@ -4,7 +4,7 @@ import numpy as np
 
 import aleator as al
 from aleator.design import value_at
-from aleator.report import Box, Table, given, number, share_text, words
+from aleator.reporting import Box, Table, given, number, share_text, words
 from aleator.studies._suspension_run import HOLDING, RIDE, TRAVEL, SuspensionResults
 from aleator.studies.suspension import COST
 

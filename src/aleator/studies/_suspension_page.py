@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from aleator.report import (
+from aleator.reporting import (
     HOW_TO_READ,
     Block,
     Code,
@@ -21,7 +21,7 @@ from aleator.report import (
     percentile_figure,
     words,
 )
-from aleator.report import (
+from aleator.reporting import (
     write_page as write_report_page,
 )
 from aleator.studies._car_drawing import car_drawing

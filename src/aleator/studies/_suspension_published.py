@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 import aleator as al
-from aleator.report import Table, given, number, percent, share_text, words
+from aleator.reporting import Table, given, number, percent, share_text, words
 from aleator.studies._suspension_facts import (
     ROBUST_NARROW,
     SPREADS,

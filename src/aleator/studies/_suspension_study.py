@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import final
 
 from aleator._core.progress import Progress
-from aleator.report import PAGE, Table, save_study
+from aleator.reporting import PAGE, Table, save_study
 from aleator.studies._study import AbstractStudy
 from aleator.studies._suspension_built import built_table
 from aleator.studies._suspension_facts import designs_table

@@ -3,8 +3,8 @@
 from collections.abc import Iterator
 
 import aleator as al
-from aleator.report import Card, Verdict, given, number, percent, unresolved, words
-from aleator.report import interval as interval_text
+from aleator.reporting import Card, Verdict, given, number, percent, unresolved, words
+from aleator.reporting import interval as interval_text
 from aleator.studies._suspension_built import WITHIN, confirmed, headline
 from aleator.studies._suspension_built import cards as built_cards
 from aleator.studies._suspension_built import sentences as built_sentences

@@ -7,8 +7,8 @@ from typing import Any
 import jax.numpy as jnp
 
 import aleator as al
-from aleator.report import Schematic, given, sketch
-from aleator.report.sketch import Point, View
+from aleator.reporting import Schematic, given, sketch
+from aleator.reporting.sketch import Point, View
 from aleator.studies.two_link_arm import OBSTACLE, START, TARGET, TwoLinkArm
 
 WIDTH, MARGIN = 420.0, 34.0

@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Bool, Float
 
-from aleator.report import Scene
+from aleator.reporting import Scene
 from aleator.studies._family import Family
 from aleator.studies._motion_facts import Outputs
 from aleator.studies.two_link_arm import OBSTACLE, TARGET

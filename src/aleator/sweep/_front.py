@@ -13,7 +13,7 @@ from aleator._core.heard import heeding
 from aleator._core.progress import Progress, silent
 from aleator.design import Problem, Solution, Times, current, refuse_changed
 from aleator.nlp import AbstractSolver, Status
-from aleator.solve import solve
+from aleator.solving import solve
 
 
 @final

@@ -13,7 +13,7 @@ from aleator._core.heard import heeding
 from aleator._core.progress import Progress, silent
 from aleator.design import Problem, Solution, current, refuse_changed
 from aleator.nlp import AbstractSolver
-from aleator.solve import solve
+from aleator.solving import solve
 
 # Objectives that differ by less, relatively, are those of one local optimum, and so are decisions.
 _SAME = 1e-4

@@ -1,8 +1,8 @@
 """What judges an answer, compiled on another core beside the program and the search for it."""
 
 from aleator._core.beside import beside
-from aleator.collocation import Collocation
 from aleator.design import Problem
+from aleator.expansion import Collocation
 from aleator.statistics import Constants
 from aleator.transcription._reference import prepare_reference
 from aleator.transcription._second_opinion import prepare_opinion

@@ -10,7 +10,6 @@ from jaxtyping import Array, Float
 
 from aleator._core.arrays import numbers_to_arrays
 from aleator._core.compilation import Compiled
-from aleator.collocation import Collocation
 from aleator.design import (
     AbstractFunctional,
     OneSystem,
@@ -21,6 +20,7 @@ from aleator.design import (
     step_at,
 )
 from aleator.dynamics import Grid
+from aleator.expansion import Collocation
 from aleator.uncertainty import named_numbers
 
 # Elsewhere is a prime number of steps: the first from here on, and from so many times those of the finer grid.

@@ -13,7 +13,6 @@ from jaxtyping import Array, Float
 
 from aleator._core.arrays import numbers_to_arrays
 from aleator._core.compilation import Compiled
-from aleator.collocation import Adaptive, Basis, Collocation, Discretisation, Expansion, Sparse, collocate
 from aleator.design import (
     Problem,
     functionals_of,
@@ -23,6 +22,7 @@ from aleator.design import (
     statistics_in,
 )
 from aleator.dynamics import System
+from aleator.expansion import Adaptive, Basis, Collocation, Discretisation, Expansion, Sparse, collocate
 from aleator.statistics import Constants, Preparation
 from aleator.uncertainty import AbstractGerm
 

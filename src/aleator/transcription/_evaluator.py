@@ -10,8 +10,8 @@ from jaxtyping import Array, Float, Int
 
 from aleator._core.beside import beside
 from aleator._core.compilation import Compiled
-from aleator.collocation import Collocation
 from aleator.design import Problem, functionals_of, grid_at, refuse_changed_code
+from aleator.expansion import Collocation
 from aleator.nlp import Evaluation
 from aleator.statistics import Constants
 from aleator.transcription._affine import Anchors

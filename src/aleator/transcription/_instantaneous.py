@@ -17,7 +17,6 @@ from jaxtyping import Array, Float
 
 from aleator._core.compilation import Compiled
 from aleator._core.leaves import is_leaf
-from aleator.collocation import Collocation
 from aleator.design import (
     AbstractFunctional,
     Expression,
@@ -31,6 +30,7 @@ from aleator.design import (
     refuse_changed_code,
 )
 from aleator.dynamics import Grid, Known, System, known_at, observed_at
+from aleator.expansion import Collocation
 from aleator.statistics import Constants
 from aleator.trajectories import AbstractSignal
 from aleator.transcription._affine import Anchors, affine_features, anchored

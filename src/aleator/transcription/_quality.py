@@ -6,8 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from aleator.collocation import ILL_CONDITIONED, unseen
 from aleator.design import ExpansionQuality, Problem, SecondOpinion, sizes, statistics_in
+from aleator.expansion import ILL_CONDITIONED, unseen
 from aleator.statistics import Covariance, Mean, Std, Variance
 from aleator.transcription._resolution import Resolved
 from aleator.transcription._sequential import Sequential

@@ -13,7 +13,6 @@ from jaxtyping import Array, Float, Int
 from aleator._core.arrays import numbers_to_arrays
 from aleator._core.beside import beside
 from aleator._core.compilation import Compiled
-from aleator.collocation import Collocation
 from aleator.design import (
     Constraint,
     Deviation,
@@ -28,6 +27,7 @@ from aleator.design import (
     refuse_changed_code,
 )
 from aleator.dynamics import Grid
+from aleator.expansion import Collocation
 from aleator.statistics import Constants, Mean, Std, Variance
 from aleator.trajectories import AbstractTrajectory
 from aleator.transcription._alone import Alone, alone, alone_elsewhere, middle

@@ -7,8 +7,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from aleator._core.compilation import Compiled
-from aleator.collocation import Collocation, leave_one_out, leave_one_out_history
 from aleator.design import AbstractFunctional
+from aleator.expansion import Collocation, leave_one_out, leave_one_out_history
 from aleator.statistics import Mean, Std
 
 

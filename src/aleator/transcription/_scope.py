@@ -7,7 +7,6 @@ from typing import Any, NamedTuple, final
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from aleator.collocation import Collocation
 from aleator.design import (
     AbstractFunctional,
     AbstractScope,
@@ -20,6 +19,7 @@ from aleator.design import (
     sampled,
 )
 from aleator.dynamics import Grid
+from aleator.expansion import Collocation
 from aleator.statistics import AbstractStatistic, Constants
 from aleator.uncertainty import named_numbers
 

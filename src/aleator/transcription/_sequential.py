@@ -18,8 +18,8 @@ from jaxtyping import Array, Float
 from aleator._core.arrays import numbers_to_arrays
 from aleator._core.compilation import Compiled
 from aleator._core.errors import ProblemError
-from aleator.collocation import Basis, Collocation
 from aleator.design import Problem, current, history, refuse_changed_code
+from aleator.expansion import Basis, Collocation
 from aleator.nlp import NonlinearProgram
 from aleator.statistics import Constants
 from aleator.transcription._alone import middle

@@ -1,0 +1,233 @@
+"""`Adaptive`: an index set that grows, term by term, where the model's outputs need it."""
+
+import math
+import warnings
+from collections.abc import Mapping
+from typing import final
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float, Int
+
+from aleator._core import given
+from aleator._core.errors import ExpansionWarning, ProblemError
+from aleator.expansion._basis import Basis
+from aleator.expansion._fit import WORST_CONDITION
+from aleator.expansion._index_set import TotalDegree, sorted_terms
+from aleator.expansion._points import AbstractCountedPoints, AbstractPoints, Nodes
+from aleator.expansion._respond import Respond, components, responses
+from aleator.uncertainty import AbstractGerm
+
+# Points for each term, as the dissertation advises after equation (29).
+_PER_TERM = 3
+
+# The part by which a set grows at a time: few solves of the model, each for many points.
+_GROWTH = 0.3
+
+# What is left of one minus the leverage by rounding, where it is zero in exact arithmetic.
+_LEAST_REMAINDER = 1e-8
+
+# Candidates whose polynomials are held in memory at a time.
+_CHUNK = 2000
+
+
+@final
+class Adaptive(eqx.Module):
+    """An index set grown by the leave-one-out error, up to a budget of points: in the place of a fixed one.
+
+    From total degree 1 on, terms one or two degrees above the set are added where they explain most of what is left of
+    the outputs, each with all its divisors; where nothing stands out, those of least degree. Points are added to keep
+    three for each term, none of the earlier ones in vain. It ends where the error is below `error` for every output (a
+    path has one error), or with `ExpansionWarning` where `budget` points or the expansion's order do not suffice; then
+    the set of the least error is kept. The terms stay as they are from then on, whatever the decisions.
+
+    - `error`: relative leave-one-out error to reach, that of an rms over the standard deviation;
+    - `budget`: the largest number of points.
+
+    Source: Gerstner and Griebel (2003), Dimension-adaptive tensor-product quadrature, for the growth of downward closed
+    sets; Blatman and Sudret (2010) for the error that drives it.
+    """
+
+    error: float = eqx.field(static=True)
+    budget: int = eqx.field(static=True)
+
+    def __init__(self, error: float = 1e-2, budget: int = 1000):
+        self.error = given.positive("Adaptive: the error to reach", error, below=1.0)
+        self.budget = given.whole("Adaptive: the budget of points", budget)
+
+
+def grow(
+    germs: Mapping[str, AbstractGerm], order: int, wish: Adaptive, points: AbstractPoints, respond: Respond | None
+) -> tuple[Basis, Nodes]:
+    """The basis that was grown, up to a total degree of `order`, and the points that were solved for it.
+
+    Raises `ProblemError` if the budget does not suffice for degree 1, or if the points are not nested.
+    """
+    if respond is None:
+        raise ProblemError(
+            "Adaptive grows the index set by the model's outputs, which are not at hand here. Take al.TotalDegree() or "
+            "al.HyperbolicCross()."
+        )
+    basis = Basis(germs, TotalDegree().indices(tuple(germs), 1))
+    _check(wish, points, basis)
+    samples = _Samples(points, respond, basis)
+    count = _PER_TERM * basis.terms
+    best, least = basis, np.inf
+    while True:
+        samples.extend(count)
+        state = _State(basis, samples)
+        if state.error > least and count < wish.budget:
+            # A larger set that predicts worse has too few points.
+            count = min(wish.budget, math.ceil((1 + _GROWTH) * count))
+            samples.extend(count)
+            state = _State(basis, samples)
+        if state.error < least:
+            best, least = basis, state.error
+        if least <= wish.error:
+            return best, samples.nodes
+        larger = state.enlarged(order, wish)
+        if larger is None:
+            more = len(_candidates(basis.indices, order)) > 0
+            _warn(best, samples.nodes, least, wish, f"budget of {wish.budget} points" if more else f"order {order}")
+            return best, samples.nodes
+        basis = larger
+        count = max(count, _PER_TERM * basis.terms)
+
+
+@final
+class _Samples:
+    """A model solved at the first so many points of a sequence."""
+
+    def __init__(self, points: AbstractPoints, respond: Respond, basis: Basis):
+        self._points, self._respond, self._basis = points, respond, basis
+        self.nodes = Nodes(np.zeros((0, basis.variables)), np.zeros(0))
+        self._outputs: tuple[Float[np.ndarray, "points entries"], ...] = ()
+
+    def extend(self, count: int) -> None:
+        """Solve the model at the points that are missing to `count`."""
+        known = len(self.nodes.points)
+        if count == known:
+            return
+        self.nodes = self._points.nodes(self._basis, count)
+        new = responses(self._respond, self._basis.names, self.nodes.points[known:], known)
+        self._outputs = tuple(map(np.concatenate, zip(self._outputs, new, strict=True))) if known else new
+
+    @property
+    def outputs(self) -> tuple[Float[np.ndarray, "points components"], ...]:
+        """Each output that varies; see `components`."""
+        return components(self._outputs, self.nodes.weights)
+
+
+@final
+class _State:
+    """The least-squares fit of all outputs in one basis: its error, and what is left of the outputs."""
+
+    def __init__(self, basis: Basis, samples: _Samples):
+        self._basis, self._points = basis, samples.nodes.points
+        outputs = samples.outputs
+        self._orthogonal, triangular = np.linalg.qr(basis.matrix(self._points))
+        remainder = 1 - np.sum(self._orthogonal**2, axis=1)
+        self._residuals = [one - self._orthogonal @ (self._orthogonal.T @ one) for one in outputs]
+        sound = remainder.min() > _LEAST_REMAINDER and np.linalg.cond(triangular) < WORST_CONDITION
+        self._errors = [
+            float(np.sqrt(np.sum((one / remainder[:, None]) ** 2) / len(one))) if sound else np.inf
+            for one in self._residuals
+        ]
+        self.error = max(self._errors, default=0.0)
+
+    def enlarged(self, order: int, wish: Adaptive) -> Basis | None:
+        """The basis with further terms; None if order or budget leave no room for any."""
+        present = set(map(tuple, self._basis.indices.tolist()))
+        candidates = _candidates(self._basis.indices, order)
+        capacity = wish.budget // _PER_TERM - self._basis.terms
+        room = min(capacity, math.ceil(_GROWTH * self._basis.terms))
+        added: set[tuple[int, ...]] = set()
+        for k in self._ranking(candidates, wish.error).tolist() if capacity > 0 else ():
+            missing = _missing_divisors(tuple(candidates[k].tolist()), present | added)
+            if len(added) + len(missing) <= (room if added else capacity):
+                added |= missing
+            if len(added) >= room:
+                break
+        if not added:
+            return None
+        indices = np.concatenate([self._basis.indices, np.array(sorted(added), dtype=int)])
+        return Basis(self._basis.germs, sorted_terms(indices))
+
+    def _ranking(self, candidates: Int[np.ndarray, "n variables"], error: float) -> Int[np.ndarray, " ranked"]:
+        """Candidates that stand out against noise, the best first; if none does, all by their degree."""
+        if len(candidates) == 0:
+            return np.zeros(0, dtype=int)
+        pending = [one for one, e in zip(self._residuals, self._errors, strict=True) if e > error]
+        chunks = np.split(candidates, range(_CHUNK, len(candidates), _CHUNK))
+        statistic = np.concatenate([self._explained(chunk, pending) for chunk in chunks])
+        by_statistic = np.argsort(-statistic, kind="stable")
+        outstanding = statistic[by_statistic] > 2 * math.log(len(candidates) + 1)
+        if outstanding.any():
+            return by_statistic[outstanding]
+        return np.lexsort((-statistic, candidates.sum(axis=1)))
+
+    def _explained(self, candidates: np.ndarray, residuals: list[np.ndarray]) -> Float[np.ndarray, " n"]:
+        """The F statistic of each candidate: squares it explains over those it leaves, the largest of all outputs."""
+        columns = Basis(self._basis.germs, candidates).matrix(self._points)
+        columns -= self._orthogonal @ (self._orthogonal.T @ columns)
+        sizes = np.sum(columns**2, axis=0)
+        freedom = len(columns) - self._basis.terms - 1
+        statistics = []
+        for one in residuals:
+            gain = np.sum((columns.T @ one) ** 2, axis=1) / np.where(sizes > 0, sizes, np.inf)
+            statistics.append(freedom * gain / np.maximum(np.sum(one**2) - gain, np.finfo(float).tiny))
+        return np.max(statistics, axis=0)
+
+
+def _candidates(indices: np.ndarray, order: int) -> Int[np.ndarray, "n variables"]:
+    """Terms one or two degrees above one of the set in one variable, up to a total degree.
+
+    Two, since of an even or odd output every other coefficient is zero.
+    """
+    steps = np.concatenate([np.eye(indices.shape[1], dtype=int), 2 * np.eye(indices.shape[1], dtype=int)])
+    above = np.unique((indices[:, None, :] + steps[None, :, :]).reshape(-1, indices.shape[1]), axis=0)
+    above = above[above.sum(axis=1) <= order]
+    present = set(map(tuple, indices.tolist()))
+    return above[[tuple(row) not in present for row in above.tolist()]]
+
+
+def _missing_divisors(term: tuple[int, ...], present: set[tuple[int, ...]]) -> set[tuple[int, ...]]:
+    """The term and its divisors that are not present, in a set that is downward closed."""
+    missing: set[tuple[int, ...]] = set()
+    waiting = [term]
+    while waiting:
+        one = waiting.pop()
+        if one in present or one in missing:
+            continue
+        missing.add(one)
+        waiting += [(*one[:i], degree - 1, *one[i + 1 :]) for i, degree in enumerate(one) if degree]
+    return missing
+
+
+def _check(wish: Adaptive, points: AbstractPoints, basis: Basis) -> None:
+    """Refuse points with which an index set cannot be grown."""
+    if not points.nested:
+        raise ProblemError(
+            f"Adaptive adds points to those it has, which {type(points).__name__} do not allow. Take al.SobolPoints(), "
+            "al.HaltonPoints() or al.RandomPoints()."
+        )
+    if isinstance(points, AbstractCountedPoints) and points.count is not None:
+        raise ProblemError(
+            f"Adaptive takes its number of points from its budget; received {points.count} points. Leave their number "
+            f"out and write al.Adaptive(budget={points.count})."
+        )
+    if wish.budget < _PER_TERM * basis.terms:
+        raise ProblemError(
+            f"Adaptive: {basis.variables} variables need a budget of at least {_PER_TERM * basis.terms} points for "
+            f"their {basis.terms} terms of degree 1; received {wish.budget}."
+        )
+
+
+def _warn(basis: Basis, nodes: Nodes, error: float, wish: Adaptive, limit: str) -> None:
+    warnings.warn(
+        f"Adaptive: {basis.terms} terms of order {basis.order} at {len(nodes.points)} points leave a leave-one-out "
+        f"error of {error:.1e} where {wish.error:.1e} is asked, at the limit of its {limit}. Raise that limit, ask for "
+        "less, or narrow the laws.",
+        ExpansionWarning,
+        stacklevel=4,
+    )

@@ -1,0 +1,172 @@
+"""Fits: the map from samples at the collocation points to coefficients."""
+
+import abc
+from typing import ClassVar, final
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from aleator._core.errors import ProblemError
+from aleator.expansion._basis import Basis
+from aleator.expansion._collocation import Collocation
+from aleator.expansion._points import Nodes
+from aleator.expansion._respond import Respond
+
+# Beyond this, least squares loses more than half of the digits of double precision.
+WORST_CONDITION = 1e8
+
+ILL_CONDITIONED = 1e6
+"""Beyond this condition number coefficients lose so many digits, and points count so unevenly, that it is warned of."""
+
+# Germ values that agree to so many decimals are one value of a grid.
+_DIGITS = 10
+
+# How far the products of polynomials may be from orthonormal under a rule that is said to integrate them.
+_ORTHONORMAL = 1e-8
+
+
+class AbstractFit(eqx.Module):
+    """How coefficients are found from samples: a linear map that depends on the germ alone, once the terms are chosen.
+
+    `points_per_term` is how many points it takes where a point set was given no number.
+    """
+
+    points_per_term: ClassVar[int] = 3
+
+    def select(self, basis: Basis, nodes: Nodes, respond: Respond | None) -> Basis:
+        """The terms to keep of a basis: all of them, except for fits that choose by the model's outputs."""
+        del nodes, respond
+        return basis
+
+    @abc.abstractmethod
+    def collocation(self, basis: Basis, nodes: Nodes) -> Collocation:
+        """The collocation matrix and the map from samples to coefficients."""
+
+
+@final
+class LeastSquares(AbstractFit):
+    """Least squares through the QR factors of the collocation matrix (equation 29).
+
+    Squares are weighted by the weights of the points: all alike, except for points drawn from another law than the
+    germ's (`ChristoffelPoints`, `OptimalPoints`) and for the roots of polynomials.
+    """
+
+    def collocation(self, basis: Basis, nodes: Nodes) -> Collocation:
+        """See `AbstractFit.collocation`.
+
+        Raises `ProblemError` if there are fewer points than terms, if the matrix is singular to working precision, or
+        if a weight is not positive.
+        """
+        _refuse_too_few(basis, len(nodes.points))
+        if not np.all(nodes.weights > 0):
+            raise ProblemError(
+                "LeastSquares: some points have weights that are not positive, so that squares cannot be weighted by "
+                "them. Take al.Projection() with sparse grids."
+            )
+        # Relative to the largest one: equal weights leave the matrix as it is, to the last bit.
+        scale = np.sqrt(nodes.weights / nodes.weights.max())
+        matrix = basis.matrix(nodes.points)
+        orthogonal, triangular = np.linalg.qr(matrix * scale[:, None])
+        condition = _checked_condition(triangular, len(matrix))
+        return _collocation(
+            basis,
+            nodes,
+            matrix,
+            np.linalg.solve(triangular, orthogonal.T) * scale[None, :],
+            np.sum(orthogonal**2, axis=1),
+            condition,
+        )
+
+
+@final
+class Interpolation(AbstractFit):
+    """The polynomial through all samples, at as many points as terms: the fewest simulations (equation 29).
+
+    Nothing is left to check it by: its leave-one-out error is infinite. Points as they come often make a nearly
+    singular matrix; those of `OptimalPoints` do not.
+    """
+
+    points_per_term: ClassVar[int] = 1
+
+    def collocation(self, basis: Basis, nodes: Nodes) -> Collocation:
+        """See `AbstractFit.collocation`.
+
+        Raises `ProblemError` unless there are as many points as terms and the matrix is regular to working precision.
+        """
+        count, terms = len(nodes.points), basis.terms
+        if count != terms:
+            raise ProblemError(
+                f"Interpolation takes as many points as terms, {terms}; received {count}. Leave their number out, or "
+                "take al.LeastSquares()."
+            )
+        return LeastSquares().collocation(basis, nodes)
+
+
+@final
+class Projection(AbstractFit):
+    """Coefficients as integrals of output times polynomial, by the quadrature rule of `GaussPoints` or `SmolyakPoints`.
+
+    With positive weights it is least squares weighted by them, and has its leave-one-out error. With the weights of
+    both signs of a sparse grid it is not: its leave-one-out error is infinite, for nothing is known of it.
+    Source: Xiu and Hesthaven (2005); Constantine, Eldred and Phipps (2012) on the products that a rule must integrate.
+    """
+
+    def collocation(self, basis: Basis, nodes: Nodes) -> Collocation:
+        """See `AbstractFit.collocation`.
+
+        Raises `ProblemError` if the rule does not integrate the products of the polynomials, naming one that does.
+        """
+        matrix = basis.matrix(nodes.points)
+        weighted = matrix * nodes.weights[:, None]
+        error = float(np.abs(weighted.T @ matrix - np.eye(basis.terms)).max())
+        if not error < _ORTHONORMAL:
+            raise ProblemError(
+                f"Projection: the weights of the {len(matrix)} points do not integrate the products of the polynomials "
+                f"(error {error:.1e}, limit {_ORTHONORMAL:.0e}). Take al.GaussPoints({max(basis.degrees) + 1}) or "
+                f"al.SmolyakPoints({basis.order}), which do for this basis, or al.LeastSquares()."
+            )
+        positive = np.all(nodes.weights > 0)
+        leverage = np.sum(weighted * matrix, axis=1) if positive else np.ones(len(matrix))
+        return _collocation(basis, nodes, matrix, weighted.T, leverage, float(np.linalg.cond(matrix)))
+
+
+def _collocation(
+    basis: Basis, nodes: Nodes, matrix: np.ndarray, pseudo_inverse: np.ndarray, leverage: np.ndarray, condition: float
+) -> Collocation:
+    checked = np.ones(len(matrix)) if _is_blind(basis, nodes) else leverage
+    parts = (nodes.points, nodes.weights, matrix, pseudo_inverse, checked, condition)
+    return Collocation(*(jnp.asarray(part) for part in parts))
+
+
+def _is_blind(basis: Basis, nodes: Nodes) -> bool:
+    """Whether some variable takes no more values than its polynomials have coefficients, as on a Gauss grid.
+
+    What depends on that variable alone is then interpolated, so that no point checks it, whatever the leverage says.
+    """
+    return any(
+        len(np.unique(values.round(_DIGITS))) <= degree + 1 < len(values) and degree > 0
+        for values, degree in zip(nodes.points.T, basis.degrees, strict=True)
+    )
+
+
+def _refuse_too_few(basis: Basis, count: int) -> None:
+    terms = basis.terms
+    if count < terms:
+        raise ProblemError(
+            f"Expansion: {terms} terms in {basis.variables} variables need at least as many points; "
+            f"received {count}. Use 3 * {terms} = {3 * terms} points or a lower order."
+        )
+
+
+def _checked_condition(triangular: Float[np.ndarray, "terms terms"], count: int) -> float:
+    """The condition number. Raises `ProblemError` where the matrix is singular to working precision."""
+    condition = float(np.linalg.cond(triangular))
+    if not condition < WORST_CONDITION:
+        raise ProblemError(
+            f"The collocation matrix of {count} points and {len(triangular)} terms has condition number "
+            f"{condition:.1e}, too large for least squares (limit {WORST_CONDITION:.0e}). Use more points or a lower "
+            "order, or al.OptimalPoints()."
+        )
+    return condition

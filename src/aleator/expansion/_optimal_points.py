@@ -1,0 +1,145 @@
+"""Points for a basis: by its Christoffel function, evenly or at random, or the best of those for the determinant."""
+
+from collections.abc import Mapping
+from typing import final
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float
+from scipy import linalg
+
+from aleator._core.errors import ProblemError
+from aleator.expansion._basis import Basis
+from aleator.expansion._points import AbstractCountedPoints, AbstractPoints, HammersleyPoints, Nodes, seed_given
+from aleator.uncertainty import AbstractGerm
+
+# How many candidates there are for each point chosen among them.
+_CANDIDATES = 10
+
+# How many roots a rule has beyond twice the degree, so that a law is nearly even between two of them.
+_FINE = 60
+
+
+@final
+class InducedPoints(AbstractCountedPoints):
+    """Hammersley points brought to the germ by the laws `Psi_j^2 f` of the terms in turn, weighted by `1 / K`.
+
+    They cover what `ChristoffelPoints` cover, whose density theirs is, but evenly and without chance: the tails of
+    unbounded laws too, where polynomials are large. Quantiles of even points end where the outermost of them is, and
+    powers fitted there are extrapolated into the tails, which no point checks. Source: Cohen and Migliorati (2017),
+    Optimal weighted least-squares methods; Narayan (2018), Computation of induced orthogonal polynomial distributions.
+    """
+
+    def nodes(self, basis: Basis, usual: int) -> Nodes:
+        """See `AbstractPoints.nodes`."""
+        count = self.count or usual
+        levels = HammersleyPoints().levels(count, basis.variables)
+        return _weighted(basis, np.arange(count) % basis.terms, levels)
+
+
+@final
+class UsualPoints(AbstractCountedPoints):
+    """The default: `HammersleyPoints` where every germ is bounded, `InducedPoints` where one is not."""
+
+    def of(self, germs: Mapping[str, AbstractGerm]) -> AbstractPoints:
+        """See `AbstractPoints.of`."""
+        bounded = all(np.all(np.isfinite(germ.support())) for germ in germs.values())
+        return HammersleyPoints(self.count) if bounded else InducedPoints(self.count)
+
+    def nodes(self, basis: Basis, usual: int) -> Nodes:
+        """See `AbstractPoints.nodes`."""
+        return self.of(basis.germs).nodes(basis, usual)
+
+
+class AbstractBasisPoints(AbstractCountedPoints):
+    """Points that depend on the polynomials, with weights; the same ones for the same `seed`."""
+
+    seed: int = eqx.field(static=True, default=0, converter=seed_given)
+
+
+@final
+class ChristoffelPoints(AbstractBasisPoints):
+    """Random points of density `f K / n_b` with the Christoffel function `K = sum of Psi_j^2`, weighted by `1 / K`.
+
+    Where polynomials are large, as they are in the tails of a normal law, points are frequent and light: the weighted
+    collocation matrix stays well conditioned at any order, which quantiles of even points do not manage. Each term has
+    its share of the points. Source: Cohen and Migliorati (2017), Optimal weighted least-squares methods.
+    """
+
+    def nodes(self, basis: Basis, usual: int) -> Nodes:
+        """See `AbstractPoints.nodes`."""
+        return _drawn(basis, self.count or usual, self.seed)
+
+
+@final
+class OptimalPoints(AbstractBasisPoints):
+    """The best of ten times as many Christoffel points, for a large determinant of the weighted collocation matrix.
+
+    They are found by a QR factorisation with column pivoting, which chooses as many points as terms; further ones are
+    chosen the same way among the rest. Source: Bos, De Marchi, Sommariva and Vianello (2010), Computing multivariate
+    Fekete and Leja points by numerical linear algebra; Diaz, Doostan and Hampton (2018) with weights.
+    """
+
+    def nodes(self, basis: Basis, usual: int) -> Nodes:
+        """See `AbstractPoints.nodes`."""
+        count = self.count or usual
+        points, weights = _drawn(basis, _CANDIDATES * count, self.seed)
+        rows = basis.matrix(points) * np.sqrt(weights)[:, None]
+        chosen: list[int] = []
+        left = np.arange(len(points))
+        while len(chosen) < count:
+            pivots = linalg.qr(rows[left].T, mode="r", pivoting=True)[-1]
+            best = pivots[: min(basis.terms, count - len(chosen))]
+            chosen += left[best].tolist()
+            left = np.delete(left, best)
+        return Nodes(points[chosen], weights[chosen] / weights[chosen].sum())
+
+
+def _drawn(basis: Basis, count: int, seed: int) -> Nodes:
+    """Points drawn from the mixture of the laws `Psi_j^2 f`, the same number from each but for the remainder."""
+    rng = np.random.default_rng(seed)
+    terms = rng.permutation(np.arange(count) % basis.terms)
+    return _weighted(basis, terms, rng.random((count, basis.variables)))
+
+
+def _weighted(basis: Basis, terms: np.ndarray, levels: Float[np.ndarray, "n variables"]) -> Nodes:
+    """The points of given levels in the laws `Psi_j^2 f` of given terms, weighted by the Christoffel function."""
+    columns = [
+        _induced(germ, degree, basis.indices[terms, i], levels[:, i])
+        for i, (germ, degree) in enumerate(zip(basis.germs.values(), basis.degrees, strict=True))
+    ]
+    points = np.stack(columns, axis=1)
+    weights = 1 / np.sum(basis.matrix(points) ** 2, axis=1)
+    return Nodes(points, weights / weights.sum())
+
+
+def _induced(
+    germ: AbstractGerm, highest: int, degrees: np.ndarray, levels: Float[np.ndarray, " n"]
+) -> Float[np.ndarray, " n"]:
+    """Quantiles of the laws `p_degree^2 f` of one variable, each at its own degree and level.
+
+    Their masses about the roots of a Gauss rule are exact sums of it; within each cell a law is taken as even. The
+    weights of the points make up for what little that changes.
+    """
+    roots = _roots(germ, highest)
+    polynomials = germ.polynomials(len(roots) - 1, roots)
+    # Gauss weights by the Christoffel function of the rule itself: exact far out too, where eigenvectors are rounding.
+    masses = polynomials[:, : highest + 1] ** 2 / np.sum(polynomials**2, axis=1)[:, None]
+    low, high = germ.support()
+    gaps = np.diff(roots)
+    inner = roots[:-1] + gaps / 2
+    edges = np.concatenate([[max(low, roots[0] - gaps[0] / 2)], inner, [min(high, roots[-1] + gaps[-1] / 2)]])
+    values = np.empty(len(levels))
+    for degree in np.unique(degrees).tolist():
+        cumulative = np.append(0.0, np.cumsum(masses[:, degree]))
+        mine = degrees == degree
+        values[mine] = np.interp(levels[mine] * cumulative[-1], cumulative, edges)
+    return values
+
+
+def _roots(germ: AbstractGerm, highest: int) -> Float[np.ndarray, " roots"]:
+    """The roots of a fine Gauss rule; of one that just integrates the polynomials, if a data sample bears no finer."""
+    try:
+        return germ.gauss(2 * highest + _FINE)[0]
+    except ProblemError:
+        return germ.gauss(max(highest, 1) + 1)[0]

@@ -1,0 +1,185 @@
+"""Point sets: where in germ space a model is solved. Here those that cover it evenly."""
+
+import abc
+from collections.abc import Mapping
+from typing import ClassVar, NamedTuple, final
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float
+
+from aleator._core import given
+from aleator.expansion._basis import Basis
+from aleator.uncertainty import AbstractGerm
+
+_SOBOL_BITS = 30
+
+
+class Nodes(NamedTuple):
+    """Collocation points with weights that add up to one: equal ones, unless the set says otherwise.
+
+    - `points`: germ values, shape (n_cp, variables);
+    - `weights`: shape (n_cp,). Least squares and the leave-one-out error weigh squares by them.
+    """
+
+    points: Float[np.ndarray, "points variables"]
+    weights: Float[np.ndarray, " points"]
+
+
+def count_given(count: int | None) -> int | None:
+    """A number of points or roots, or none where it follows from the basis."""
+    return None if count is None else given.whole("The number of points", count)
+
+
+def seed_given(seed: int) -> int:
+    """A seed of random numbers."""
+    return given.whole("The seed of random points", seed, least=0)
+
+
+class AbstractPoints(eqx.Module):
+    """How collocation points are chosen for a basis.
+
+    `nested` says whether a set of more points holds those of every smaller one, as growing an index set needs.
+    """
+
+    nested: ClassVar[bool] = False
+
+    @abc.abstractmethod
+    def nodes(self, basis: Basis, usual: int) -> Nodes:
+        """The points and their weights; `usual` many in sets that can have any number and were given none."""
+
+    def of(self, germs: Mapping[str, AbstractGerm]) -> "AbstractPoints":
+        """The point set that is taken for a germ: itself, but for one that chooses by it."""
+        del germs
+        return self
+
+
+class AbstractCountedPoints(AbstractPoints):
+    """A point set of any size: by default as many as the fit takes, for least squares three for each term."""
+
+    count: int | None = eqx.field(static=True, default=None, converter=count_given)
+
+    @abc.abstractmethod
+    def nodes(self, basis: Basis, usual: int) -> Nodes:
+        """See `AbstractPoints.nodes`."""
+
+
+class AbstractEvenPoints(AbstractCountedPoints):
+    """Points that cover the unit cube evenly, brought to the germ by its quantile functions; equal weights."""
+
+    def nodes(self, basis: Basis, usual: int) -> Nodes:
+        """See `AbstractPoints.nodes`."""
+        count = self.count or usual
+        return Nodes(basis.map_to_germ(self.levels(count, basis.variables)), np.full(count, 1 / count))
+
+    @abc.abstractmethod
+    def levels(self, count: int, variables: int) -> Float[np.ndarray, "count variables"]:
+        """`count` points in the open unit cube."""
+
+
+@final
+class HammersleyPoints(AbstractEvenPoints):
+    """The Hammersley set: `(i - 1/2)/count` beside the radical inverses of `i = 1 .. count` in the prime bases.
+
+    The half and the start at 1 keep every coordinate off 0 and 1, where unbounded laws are infinite.
+    Source: Hammersley (1960), Annals of the New York Academy of Sciences 86.
+    """
+
+    def levels(self, count: int, variables: int) -> Float[np.ndarray, "count variables"]:
+        """See `AbstractEvenPoints.levels`."""
+        index = np.arange(1, count + 1)
+        return np.column_stack([(index - 0.5) / count, _halton(index, variables - 1)])[:, :variables]
+
+
+@final
+class HaltonPoints(AbstractEvenPoints):
+    """The Halton sequence from `i = 1` on: the radical inverses of `i` in the prime bases. Nested.
+
+    Beyond about ten variables its columns are alike until there are very many points: take `SobolPoints` there.
+    Source: Halton (1960), Numerische Mathematik 2.
+    """
+
+    nested: ClassVar[bool] = True
+
+    def levels(self, count: int, variables: int) -> Float[np.ndarray, "count variables"]:
+        """See `AbstractEvenPoints.levels`."""
+        return _halton(np.arange(1, count + 1), variables)
+
+
+class AbstractDrawnPoints(AbstractEvenPoints):
+    """Random points in the unit cube, the same ones for the same `seed`."""
+
+    seed: int = eqx.field(static=True, default=0, converter=seed_given)
+
+    @abc.abstractmethod
+    def levels(self, count: int, variables: int) -> Float[np.ndarray, "count variables"]:
+        """See `AbstractEvenPoints.levels`."""
+
+
+@final
+class SobolPoints(AbstractDrawnPoints):
+    """The Sobol sequence with Owen's scrambling. Nested; most even where the count is a power of two.
+
+    Source: Owen (1998), Scrambling Sobol' and Niederreiter-Xing points; directions by Joe and Kuo (2008), by SciPy.
+    """
+
+    nested: ClassVar[bool] = True
+
+    def levels(self, count: int, variables: int) -> Float[np.ndarray, "count variables"]:
+        """See `AbstractEvenPoints.levels`."""
+        from scipy.stats import qmc  # late: it takes a second to import
+
+        engine = qmc.Sobol(variables, scramble=True, bits=_SOBOL_BITS, rng=np.random.default_rng(self.seed))
+        # Half a step off the lattice of the sequence: 0 would be infinite under an unbounded law.
+        return engine.random_base2(int(count - 1).bit_length())[:count] + 0.5 ** (_SOBOL_BITS + 1)
+
+
+@final
+class LatinHypercubePoints(AbstractDrawnPoints):
+    """A Latin hypercube: one random point in each of `count` slices of equal probability of every variable.
+
+    Source: McKay, Beckman and Conover (1979), Technometrics 21; by SciPy.
+    """
+
+    def levels(self, count: int, variables: int) -> Float[np.ndarray, "count variables"]:
+        """See `AbstractEvenPoints.levels`."""
+        from scipy.stats import qmc  # late: it takes a second to import
+
+        return qmc.LatinHypercube(variables, rng=np.random.default_rng(self.seed)).random(count)
+
+
+@final
+class RandomPoints(AbstractDrawnPoints):
+    """Independent random points, as Monte Carlo takes them. Nested."""
+
+    nested: ClassVar[bool] = True
+
+    def levels(self, count: int, variables: int) -> Float[np.ndarray, "count variables"]:
+        """See `AbstractEvenPoints.levels`."""
+        return np.random.default_rng(self.seed).random((count, variables))
+
+
+def _halton(index: np.ndarray, variables: int) -> Float[np.ndarray, "count variables"]:
+    columns = [radical_inverse(index, base) for base in _primes(variables)]
+    return np.stack(columns, axis=1) if columns else np.zeros((len(index), 0))
+
+
+def radical_inverse(index: np.ndarray, base: int) -> Float[np.ndarray, " count"]:
+    """The digits of each index in `base`, mirrored at the point (van der Corput)."""
+    remaining, factor = index.copy(), 1.0 / base
+    value = np.zeros(index.shape)
+    while remaining.any():
+        remaining, digit = np.divmod(remaining, base)
+        value += factor * digit
+        factor /= base
+    return value
+
+
+def _primes(count: int) -> list[int]:
+    primes: list[int] = []
+    candidate = 2
+    while len(primes) < count:
+        if all(candidate % prime for prime in primes):
+            primes.append(candidate)
+        candidate += 1
+    return primes

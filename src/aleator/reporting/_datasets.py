@@ -1,0 +1,222 @@
+"""Results as labelled arrays with units: one dataset for a solution, evidence, a front, a calibration."""
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from aleator.design import Solution, statistics_in
+from aleator.reporting import _units
+from aleator.statistics import Mean, Std
+from aleator.sweep import Calibration, Front
+from aleator.validation import PERCENTILES, Evidence, Share
+
+if TYPE_CHECKING:
+    import xarray
+
+Variable = tuple[Any, Any, dict[str, str], dict[str, Any]]
+# Time histories shrink to about half; stronger compression takes longer and saves little more.
+_PACKED = {"zlib": True, "complevel": 1, "shuffle": True}
+
+
+def solution_dataset(solution: Solution) -> "xarray.Dataset":
+    """Decisions, constraints with their bounds, multipliers and activity, and the moments of a solution."""
+    import xarray
+
+    problem = solution.problem
+    data: dict[str, Variable] = {
+        "objective": _variable((), solution.objective, str(problem.objective), _objective_unit(solution))
+    }
+    for name, value in solution.decisions.items():
+        data[f"decision {_key(name)}"] = _variable(
+            _entries(name, value), value, name, _units.of_decision(name, problem)
+        )
+        price = solution.bound_multipliers.get(name, np.nan)
+        data[f"multiplier {_key(name)}"] = _variable(
+            _entries(name, value), price, f"multiplier of the bounds of {name}", ""
+        )
+    for i, (one, declared) in enumerate(zip(solution.constraints, problem.constraints, strict=True)):
+        unit, label = _units.of_expression(declared.expression, problem), f"constraint {i} {_key(one.name)}"
+        axes = _axes(one.values, one.times is not None)
+        data[label] = _variable(axes, one.values, one.text, unit, lower=f"{one.lower:g}", upper=f"{one.upper:g}")
+        data[f"{label} multiplier"] = _variable(axes, one.multipliers, "minus the objective per bound", "")
+        data[f"{label} active"] = _variable(axes, np.asarray(one.active, dtype=np.int8), "1 where active", "")
+    units = _units.of_moments(problem)
+    for text, one in solution.moments.items():
+        axes = _axes(one.mean, np.ndim(one.mean) > 0)
+        data[f"mean {_key(text)}"] = _variable(axes, one.mean, f"mean of {text} by the expansion", units.get(text, ""))
+        data[f"std {_key(text)}"] = _variable(
+            axes, one.std, f"standard deviation of {text} by the expansion", units.get(text, "")
+        )
+    for one in statistics_in(problem.expressions):
+        if not isinstance(one.kind, Mean | Std):
+            values = solution.statistics[one.text()]
+            axes, unit = _axes(values, one.is_path), _units.of_statistic(one, problem)
+            data[f"statistic {_key(one.text())}"] = _variable(axes, values, f"{one.text()} by the expansion", unit)
+    attributes = {
+        "status": solution.status.value,
+        "solver": solution.solver,
+        "violation": solution.violation,
+        "stationarity": solution.stationarity,
+        "complementarity": solution.complementarity,
+        "problem": str(problem),
+    }
+    return _with_time(xarray.Dataset(data, attrs=attributes), solution)
+
+
+def evidence_dataset(evidence: Evidence) -> "xarray.Dataset":
+    """Violations with their intervals, sampled statistics, percentiles and the trajectories that were kept."""
+    import xarray
+
+    problem = evidence.solution.problem
+    units = _units.of_moments(problem)
+    shares = {**evidence.violations, "any": evidence.joint}
+    data = _share_variables("limit", list(shares.values()))
+    for text, one in evidence.functionals.items():
+        axes = _axes(one.mean, one.percentiles is None)
+        parts = {"sampled mean": one.mean, "sampled std": one.std, "standard error": one.standard_error}
+        for part, values in parts.items():
+            data[f"{part} {_key(text)}"] = _variable(axes, values, f"{part} of {text}", units.get(text, ""))
+        if one.percentiles is not None:
+            data[f"percentiles {_key(text)}"] = _variable(
+                "percent", one.percentiles, f"percentiles of {text}", units.get(text, "")
+            )
+    for text, one in evidence.statistics.items():
+        unit = _units.of_statistic(one.statistic, problem)
+        data[f"sampled {_key(text)}"] = _variable((), one.estimate, f"{text} of the samples", unit)
+        data[f"standard error {_key(text)}"] = _variable((), one.standard_error, f"standard error of {text}", unit)
+    for i, one in enumerate(evidence.trajectories):
+        unit = _units.of_expression(problem.named(one.name)[0].expression, problem)
+        bounds = {"lower": f"{one.lower:g}", "upper": f"{one.upper:g}"}
+        axes = ("system", *_axes(one.values[0], True))
+        data[f"trajectory {i} {_key(one.name)}"] = _variable(
+            axes, one.values, f"sampled systems: {one.name}", unit, **bounds
+        )
+        broken = np.asarray(one.violating, dtype=np.int8)
+        data[f"trajectory {i} violating"] = _variable("system", broken, f"1 if the system violates {one.name}", "")
+    coordinates = {"limit": list(shares), "percent": list(PERCENTILES)}
+    attributes = {"samples": evidence.samples, "seed": evidence.seed, "seconds": evidence.seconds}
+    if evidence.instants is not None:
+        attributes["instants"] = evidence.instants
+    return _with_time(xarray.Dataset(data, coords=coordinates, attrs=attributes), evidence.solution)
+
+
+def front_dataset(front: Front) -> "xarray.Dataset":
+    """Objective, price, status and decisions along the values of a bound."""
+    import xarray
+
+    first = front.solutions[0]
+    bound_unit = _units.of_expression(first.problem.named(front.bound)[0].expression, first.problem)
+    unit = _objective_unit(first)
+    data: dict[str, Variable] = {
+        "objective": _variable("bound", front.objectives, str(first.problem.objective), unit),
+        "price": _variable("bound", front.prices, f"price of {front.bound}", f"{unit or '1'} per {bound_unit or '1'}"),
+        "violation": _variable("bound", front.violations, "scaled violation", "1"),
+        "status": _variable("bound", [one.status.name for one in front.solutions], "how each solve ended", ""),
+        "active": _variable("bound", [", ".join(one.active) for one in front.solutions], "active constraints", ""),
+    }
+    for name, value in first.decisions.items():
+        values = np.stack([np.asarray(one.decisions[name], dtype=float) for one in front.solutions])
+        axes = ("bound", *_entries(name, value))
+        data[f"decision {_key(name)}"] = _variable(axes, values, name, _units.of_decision(name, first.problem))
+    bound = _variable("bound", front.values, f"limit of {front.bound}", bound_unit)
+    return xarray.Dataset(data, coords={"bound": bound}, attrs={"interrupted": int(front.interrupted)})
+
+
+def calibration_dataset(calibration: Calibration) -> "xarray.Dataset":
+    """Objective and violation for each margin tried; what was chosen, and its violation on fresh samples."""
+    import xarray
+
+    trials = sorted(calibration.trials, key=lambda one: one.sigmas)
+    data = _share_variables("sigmas", [one.violation for one in trials])
+    objectives = [one.solution.objective for one in trials]
+    data["objective"] = _variable("sigmas", objectives, "optimum at this margin", _objective_unit(trials[0].solution))
+    sigmas = _variable("sigmas", [one.sigmas for one in trials], "multiple of the standard deviation", "1")
+    attributes = {
+        "constraint": calibration.name,
+        "target": calibration.target,
+        "chosen": calibration.sigmas,
+        **{f"chosen for {name}": sigmas for name, sigmas in calibration.margins.items()},
+        "confirmed": int(calibration.confirmed),
+        "verdict": calibration.sentence(),
+        "interrupted": int(calibration.interrupted),
+    }
+    if (fresh := calibration.confirmation) is not None:
+        attributes |= {"fresh": fresh.estimate, "fresh_lower": fresh.lower, "fresh_upper": fresh.upper}
+        attributes |= {"fresh_samples": fresh.samples, "fresh_confidence": fresh.confidence}
+    return xarray.Dataset(data, coords={"sigmas": sigmas}, attrs=attributes)
+
+
+def dataset(result: "Solution | Evidence | Front | Calibration | xarray.Dataset") -> "xarray.Dataset":
+    """Any result as a dataset; one that is a dataset already stays as it is."""
+    if isinstance(result, Solution):
+        return solution_dataset(result)
+    if isinstance(result, Evidence):
+        return evidence_dataset(result)
+    if isinstance(result, Front):
+        return front_dataset(result)
+    return calibration_dataset(result) if isinstance(result, Calibration) else result
+
+
+def _variable(axes: Any, values: Any, long_name: str, unit: str, **more: str) -> Variable:
+    array = np.asarray(values)
+    return axes, array, {"long_name": long_name, "units": unit or "1", **more}, _PACKED if array.size > 1000 else {}
+
+
+def _objective_unit(solution: Solution) -> str:
+    return _units.of_expression(solution.problem.objective, solution.problem)
+
+
+def _key(text: str) -> str:
+    """A name that netCDF takes: a slash would open a group."""
+    return text.replace("/", "∕")
+
+
+def _entries(name: str, value: Any) -> tuple[str, ...]:
+    return tuple(f"{_key(name)} axis {i}" for i in range(np.ndim(value)))
+
+
+def _axes(values: Any, is_path: bool) -> tuple[str, ...]:
+    """`time` first for a path; further axes are named by their length, so that equal ones are shared."""
+    shape = np.shape(values)
+    rest = tuple(f"component of {size}, {i}" for i, size in enumerate(shape[1:] if is_path else shape))
+    return ("time", *rest) if is_path else rest
+
+
+def _share_variables(axis: str, shares: list[Share]) -> dict[str, Variable]:
+    level = f"{100 * shares[0].confidence:g} %" if shares else ""
+    return {
+        "violation": _variable(axis, [one.estimate for one in shares], "share of systems that violate", "1"),
+        "violation_lower": _variable(axis, [one.lower for one in shares], f"lower end of its {level} interval", "1"),
+        "violation_upper": _variable(axis, [one.upper for one in shares], f"upper end of its {level} interval", "1"),
+    }
+
+
+def _with_time(data: "xarray.Dataset", solution: Solution) -> "xarray.Dataset":
+    if "time" not in data.dims:
+        return data
+    times = solution.instants
+    return data.assign_coords(time=("time", times, {"long_name": "time", "units": "s"}))
+
+
+def tree(results: Mapping[str, Any]) -> "xarray.DataTree":
+    """Nested mappings of results as a tree of datasets; empty branches are left out."""
+    import xarray
+
+    nodes: dict[str, xarray.Dataset] = {}
+    _fill(nodes, "", results)
+    return xarray.DataTree.from_dict(nodes)
+
+
+def _is_empty(one: Any) -> bool:
+    """Whether a sweep was interrupted before its first point."""
+    return isinstance(one, Front) and not one.solutions
+
+
+def _fill(nodes: "dict[str, xarray.Dataset]", place: str, results: Mapping[str, Any]) -> None:
+    for name, one in results.items():
+        here = f"{place}/{_key(str(name))}"
+        if isinstance(one, Mapping):
+            _fill(nodes, here, one)
+        elif one is not None and not _is_empty(one):
+            nodes[here] = dataset(one)

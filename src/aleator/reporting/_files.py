@@ -1,0 +1,187 @@
+"""Files that are either whole or not there, and files that belong together: written beside their place, then moved."""
+
+import contextlib
+import os
+import tempfile
+import uuid
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from aleator._core.errors import ProblemError
+from aleator.reporting._lock import only_writer
+
+# Names of what is on its way into a folder, or out of it. What a process that was killed has left is removed by the
+# next one that writes there.
+_STAGED = ".aleator-staged-"
+
+# As much of a path as a message shows.
+_SHOWN = 200
+
+
+def check_writable(folder: str | Path) -> Path:
+    """Create a folder if it is missing and try to write in it, before work begins whose results belong there.
+
+    Raises `ProblemError`, naming the folder, if nothing can be written.
+    """
+    folder = as_path(folder)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile(dir=folder, prefix=".aleator-try-"):
+            pass
+    except (OSError, ValueError) as error:
+        raise ProblemError(
+            f"The folder '{folder}' cannot be written to ({_reason(error)}): name another folder for the results."
+        ) from error
+    return folder
+
+
+def write_whole(path: str | Path, write: Callable[[Path], object]) -> Path:
+    """Let `write` fill a temporary file in the folder of `path`, then move it to `path` in one step.
+
+    A process killed in between leaves what was at `path` before. Raises `ProblemError` if the file cannot be written.
+    """
+    path = as_path(path)
+    folder = check_writable(path.parent)
+    temporary = None
+    try:
+        _refuse_folder(path)
+        temporary = _temporary(folder, ".aleator-file-", path.suffix)
+        write(temporary)
+        _finish(temporary)
+        temporary.replace(path)
+        _sync(folder)
+    except (OSError, ValueError) as error:
+        raise ProblemError(f"'{_brief(path)}' cannot be written ({_reason(error)}): {_ADVICE}") from error
+    finally:
+        if temporary is not None:
+            temporary.unlink(missing_ok=True)
+    return path
+
+
+def write_text(path: str | Path, text: str) -> Path:
+    """Write a text file whole, in UTF-8."""
+    return write_whole(path, lambda file: file.write_bytes(text.encode("utf-8")))
+
+
+def write_together(folder: str | Path, files: Mapping[str, bytes | None]) -> tuple[Path, ...]:
+    """Replace files of a folder that belong together by new ones, by name; None takes one away. Returns the new paths.
+
+    Never do files of two calls stand side by side, whatever ends the process in between and whoever else writes: all
+    are written before the first is moved, the old ones but for the first go before it is replaced, and the new ones
+    come after it. A process killed between these moves leaves the first file, whole, without the others. Where
+    something cannot be written, all stays as it was.
+
+    Raises `ProblemError` if the folder cannot be written to, or if another process keeps writing into it.
+    """
+    folder = check_writable(folder)
+    with only_writer(folder):
+        _clear(folder)
+        try:
+            for name in files:
+                _refuse_folder(folder / name)
+            staged = {name: _staged(folder, content) for name, content in files.items() if content is not None}
+            _exchange(folder, list(files), staged)
+        except OSError as error:
+            raise ProblemError(f"No results can be written into '{folder}' ({_reason(error)}): {_ADVICE}") from error
+        finally:
+            _clear(folder)
+    return tuple(folder / name for name in staged)
+
+
+_ADVICE = "what was there before is kept. Make room, or name another place."
+
+
+def _exchange(folder: Path, names: list[str], staged: Mapping[str, Path]) -> None:
+    """Move the old files but for the first out of the way, then the new ones into their places, the first one first."""
+    first, *others = names
+    aside: dict[str, Path] = {}
+    try:
+        for name in others:
+            if (folder / name).exists():
+                aside[name] = (folder / name).replace(_place_beside(folder))
+        _sync(folder)
+        staged[first].replace(folder / first)
+    except BaseException:
+        for name, kept in aside.items():
+            kept.replace(folder / name)
+        raise
+    _sync(folder)
+    for name in others:
+        if name in staged:
+            staged[name].replace(folder / name)
+    _sync(folder)
+
+
+def _staged(folder: Path, content: bytes) -> Path:
+    temporary = _temporary(folder, _STAGED, "")
+    temporary.write_bytes(content)
+    _finish(temporary)
+    return temporary
+
+
+def _temporary(folder: Path, prefix: str, suffix: str) -> Path:
+    handle, name = tempfile.mkstemp(dir=folder, prefix=prefix, suffix=suffix)
+    os.close(handle)
+    return Path(name)
+
+
+def _place_beside(folder: Path) -> Path:
+    return folder / f"{_STAGED}{uuid.uuid4().hex}"
+
+
+def _finish(file: Path) -> None:
+    """Give a temporary file the rights of an ordinary one, and have all of it on the disk before it gets its name."""
+    file.chmod(0o666 & ~_umask())
+    handle = os.open(file, os.O_RDWR)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def _sync(folder: Path) -> None:
+    """Have the names in a folder on the disk before anything that follows."""
+    if os.name != "posix":  # elsewhere a folder cannot be opened
+        return
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def _clear(folder: Path) -> None:
+    """Remove what is on its way: nobody else's, for only one process writes at a time."""
+    for one in folder.glob(f"{_STAGED}*"):
+        with contextlib.suppress(OSError):
+            one.unlink()
+
+
+def _refuse_folder(path: Path) -> None:
+    if path.is_dir():
+        raise ProblemError(f"'{path}' is a folder; expected the path of a file.")
+
+
+def as_path(path: Any) -> Path:
+    """The path of a file or a folder. Raises `ProblemError` for what is none."""
+    try:
+        return Path(path)
+    except TypeError:
+        raise ProblemError(f"Expected the path of a file or a folder. Received {path!r}.") from None
+
+
+def _brief(path: Path) -> str:
+    text = str(path)
+    return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}…"
+
+
+def _reason(error: Exception) -> str:
+    return getattr(error, "strerror", None) or str(error)
+
+
+def _umask() -> int:
+    """The process's mask for new files, which `mkstemp` does not follow; it can only be read by setting it."""
+    mask = os.umask(0o022)
+    os.umask(mask)
+    return mask

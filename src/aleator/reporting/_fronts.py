@@ -1,0 +1,275 @@
+"""Figures of fronts: the optimum, its price, its decisions and its spreads along a bound."""
+
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from aleator.design import Solution
+from aleator.reporting._numbers import given, number
+from aleator.reporting._style import (
+    LIMIT,
+    MUTED,
+    SIZE,
+    Look,
+    blank,
+    label,
+    legend_entry,
+    limit_line,
+    looks,
+    padded,
+    plain,
+)
+from aleator.sweep import Front
+
+if TYPE_CHECKING:
+    from plotly.graph_objects import Figure
+
+Measure = Callable[[Solution], float]
+
+
+def front_figure(
+    fronts: Mapping[str, Front],
+    *,
+    x: str,
+    y: str,
+    x_unit: str = "",
+    y_unit: str = "",
+    measure: Measure | None = None,
+    limits: Mapping[str, float] | None = None,
+    infeasible: Mapping[str, Front] | None = None,
+    title: str = "",
+) -> "Figure":
+    """The optimum (or another `measure` of each design) against the bound, one line for each front.
+
+    A marker is filled where the swept bound is active and open where something else holds the design. Points without
+    a solution stand as crosses on the axis; their hover text says what cannot be met. `limits` are drawn as lines;
+    `infeasible` shades the bounds at which another design does not exist.
+    """
+    figure = blank(label(x, x_unit), label(y, y_unit), title=title)
+    shown = measure or (lambda solution: solution.objective)
+    low, high = _range(fronts, shown, tuple((limits or {}).values()))
+    step = 0.07 * (high - low)
+    for row, (name, front) in enumerate(fronts.items()):
+        look = looks(fronts)[name]
+        _add_solved(figure, name, front, look, shown, (x_unit, y_unit))
+        _add_infeasible(figure, name, front, look, low - step * (row + 1), x_unit)
+    rows = 1 + max((i + 1 for i, one in enumerate(fronts.values()) if not one.solved.all()), default=0)
+    # The name of the shaded band stands below the data, too.
+    rows += 1 if infeasible else 0
+    figure.update_yaxes(range=[low - step * rows, high + step])
+    for text, value in (limits or {}).items():
+        limit_line(figure, value, text)
+    for name, front in (infeasible or {}).items():
+        _shade_infeasible(figure, name, front)
+    return figure
+
+
+def _range(fronts: Mapping[str, Front], measure: Measure, extra: tuple[float, ...]) -> tuple[float, float]:
+    values = [measure(one) for front in fronts.values() for one in front.solutions if one.ok] + list(extra)
+    low, high = (min(values), max(values)) if values else (0.0, 1.0)
+    return (low, high) if high > low else (low - 0.5 * abs(low or 1.0), high + 0.5 * abs(high or 1.0))
+
+
+def _add_solved(
+    figure: "Figure", name: str, front: Front, look: Look, measure: Measure, units: tuple[str, str]
+) -> None:
+    """The solved points as one line; it is broken where a point between them has no solution."""
+    values = [measure(one) if one.ok else None for one in front.solutions]
+    legend_entry(figure, name, look)
+    figure.add_scatter(
+        x=front.values,
+        y=values,
+        mode="lines+markers",
+        name=plain(name),
+        legendgroup=plain(name),
+        showlegend=False,
+        line={"color": look.colour, "width": 2},
+        marker={
+            "symbol": [f"{look.symbol}{'' if _holds(one, front.bound) else '-open'}" for one in front.solutions],
+            "size": 9,
+            "color": look.colour,
+            "line": {"color": look.colour, "width": 2},
+        },
+        text=[_hover(front, i) for i in range(len(front.solutions))],
+        hovertemplate=f"<b>{plain(name)}</b>: %{{y:.4~g}} {plain(units[1])}<br>%{{text}}<extra></extra>",
+    )
+
+
+def _holds(solution: Solution, bound: str) -> bool:
+    return solution.multiplier(bound) > 0
+
+
+def _hover(front: Front, i: int) -> str:
+    solution = front.solutions[i]
+    price = f"<br>price of the bound {number(solution.multiplier(front.bound), 3)} per unit"
+    active = ", ".join(dict.fromkeys(name.split("[")[0] for name in solution.active)) or "nothing"
+    decisions = "".join(
+        f"<br>{plain(key)} = {number(float(value))}" for key, value in solution.decisions.items() if not np.ndim(value)
+    )
+    return f"{plain(front.bound)} limit {number(front.values[i])}<br>active: {plain(active)}{price}{decisions}"
+
+
+def _add_infeasible(figure: "Figure", name: str, front: Front, look: Look, height: float, unit: str) -> None:
+    """Points without a solution, on the axis: where, and by how little the limits are missed."""
+    missing = [i for i, one in enumerate(front.solutions) if not one.ok]
+    if not missing:
+        return
+    last = max(missing, key=lambda i: front.values[i])
+    figure.add_scatter(
+        x=front.values[missing],
+        y=[height] * len(missing),
+        mode="markers+text",
+        name=plain(f"{name}: no design exists"),
+        showlegend=False,
+        marker={"symbol": "x", "size": 10, "color": look.colour},
+        text=[f" {plain(name)} infeasible" if i == last else "" for i in missing],
+        textposition="middle right" if 2 * front.values[last] < sum(_ends(front)) else "middle left",
+        textfont={"size": SIZE - 1, "color": look.colour},
+        customdata=[_why(front.solutions[i]) for i in missing],
+        hovertemplate=(
+            f"<b>{plain(name)}</b>: not solved at %{{x:.4~g}} {plain(unit)}<br>%{{customdata}}<extra></extra>"
+        ),
+        cliponaxis=False,
+    )
+
+
+def _ends(front: Front) -> tuple[float, float]:
+    return float(front.values.min()), float(front.values.max())
+
+
+def _why(solution: Solution) -> str:
+    """Status and the least violations, one a line, for hovering."""
+    lines = [plain(solution.status.value), *(plain(one.sentence()) for one in solution.violated)]
+    if np.isnan(solution.violation):
+        return "<br>".join([*lines, plain(solution.message)])
+    return "<br>".join([*lines, f"least scaled violation {number(solution.violation, 3)}"])
+
+
+def _shade_infeasible(figure: "Figure", name: str, front: Front) -> None:
+    """A band over the bounds at which a design does not exist, out to the middle of the next interval."""
+    missing = front.values[~front.solved]
+    if not len(missing):
+        return
+    gap = float(np.min(np.abs(np.diff(np.sort(front.values))))) / 2 if len(front.values) > 1 else 0.0
+    figure.add_vrect(
+        x0=float(missing.min()) - gap, x1=float(missing.max()) + gap, fillcolor=MUTED, opacity=0.13, line_width=0
+    )
+    figure.add_annotation(
+        x=float(missing.max()) + gap,
+        y=0.02,
+        yref="paper",
+        ax=28,
+        ay=0,
+        xanchor="left",
+        yanchor="bottom",
+        text=f"◄ no {plain(name)} exists here",
+        showarrow=False,
+        font={"size": SIZE - 1, "color": LIMIT},
+    )
+
+
+def price_figure(
+    fronts: Mapping[str, Front], *, x: str, y: str, x_unit: str = "", y_unit: str = "", scale: float = 1.0
+) -> "Figure":
+    """What a relaxed bound is worth: the multiplier along each front, times `scale`."""
+    figure = blank(label(x, x_unit), label(y, y_unit), height=360)
+    for name, front in fronts.items():
+        look = looks(fronts)[name]
+        figure.add_scatter(
+            x=front.values,
+            y=[scale * one.multiplier(front.bound) if one.ok else None for one in front.solutions],
+            mode="lines+markers",
+            name=plain(name),
+            line={"color": look.colour, "width": 2},
+            marker={"symbol": look.symbol, "size": 8, "color": look.colour},
+            cliponaxis=False,
+            hovertemplate=(
+                f"<b>{plain(name)}</b>: %{{y:.4~g}} {plain(y_unit)}<br>limit %{{x:.4~g}} {plain(x_unit)}<extra></extra>"
+            ),
+        )
+    figure.update_yaxes(rangemode="tozero")
+    return figure
+
+
+def decision_path_figure(
+    fronts: Mapping[str, Front],
+    across: str,
+    up: str,
+    *,
+    x: str,
+    y: str,
+    bound_unit: str = "",
+    lower: float | None = None,
+    lower_text: str = "",
+) -> "Figure":
+    """Two decisions against each other along each front (figure 6.8); the end furthest right carries its bound."""
+    figure = blank(plain(x), plain(y))
+    for name, front in fronts.items():
+        look = looks(fronts)[name]
+        points = [i for i, one in enumerate(front.solutions) if one.ok]
+        places = [float(front.solutions[i].decisions[across]) for i in points]
+        bounds = [given(float(f"{front.values[i]:.4g}"), bound_unit) for i in points]
+        figure.add_scatter(
+            x=places,
+            y=[float(front.solutions[i].decisions[up]) for i in points],
+            mode="lines+markers+text",
+            name=plain(name),
+            line={"color": look.colour, "width": 1.5},
+            marker={"symbol": f"{look.symbol}-open", "size": 10, "color": look.colour, "line": {"width": 2}},
+            text=_last_label(places, bounds),
+            textposition="middle left",
+            textfont={"size": SIZE - 2, "color": look.colour},
+            customdata=bounds,
+            hovertemplate=(
+                f"<b>{plain(name)}</b>, {plain(front.bound)} limit %{{customdata}}"
+                f"<br>{plain(across)} = %{{x:.5~g}}<br>{plain(up)} = %{{y:.5~g}}<extra></extra>"
+            ),
+            cliponaxis=False,
+        )
+    if lower is not None:
+        limit_line(figure, lower, lower_text, dash="dot", under=True)
+        reached = [float(one.decisions[up]) for front in fronts.values() for one in front.solutions if one.ok]
+        figure.update_yaxes(range=padded([lower, *reached], 0.12))
+    figure.update_yaxes(tickformat=",d")
+    return figure
+
+
+def _last_label(places: list[float], texts: list[str]) -> list[str]:
+    """The text of the point furthest right alone: labels at both ends of several fronts would overlap."""
+    return [text if place == max(places) else "" for place, text in zip(places, texts, strict=True)]
+
+
+def relative_figure(
+    front: Front, names: Mapping[str, str], *, x: str, y: str, x_unit: str = "", reference: str = "initial value"
+) -> "Figure":
+    """Decisions along a front in percent of where they started (figure 7.5); `names` are their labels."""
+    figure = blank(label(x, x_unit), plain(y))
+    starts = {name: front.solutions[0].problem.survey.decisions[name].decision.initial for name in names}
+    styles: dict[str, dict[str, Any]] = {
+        name: {"colour": colour, "symbol": symbol, "dash": dash}
+        for (name, colour, symbol, dash) in zip(
+            names,
+            ("#0072b2", "#a3508a", "#b07400", "#5b5b5b"),
+            ("square", "triangle-up", "circle", "diamond"),
+            ("solid", "dash", "dot", "dashdot"),
+            strict=False,
+        )
+    }
+    for name, style in styles.items():
+        figure.add_scatter(
+            x=front.values,
+            y=[100 * float(one.decisions[name]) / float(starts[name]) if one.ok else None for one in front.solutions],
+            mode="lines+markers",
+            name=plain(names[name]),
+            line={"color": style["colour"], "width": 2, "dash": style["dash"]},
+            marker={"symbol": style["symbol"], "size": 9, "color": style["colour"]},
+            customdata=[number(float(one.decisions[name])) for one in front.solutions],
+            hovertemplate=(
+                f"<b>{plain(names[name])}</b>: %{{customdata}}, %{{y:.4~g}} % of the {reference}<extra></extra>"
+            ),
+        )
+    limit_line(figure, 100.0, f"{reference} (100 %)")
+    _shade_infeasible(figure, "design", front)
+    figure.update_yaxes(rangemode="tozero")
+    return figure

@@ -1,0 +1,196 @@
+"""A page: verdict first, then sections of text, tables and figures, in one HTML file that needs no network."""
+
+import html
+import json
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, final
+
+from aleator.reporting._files import write_text
+
+if TYPE_CHECKING:
+    from plotly.graph_objects import Figure
+
+Level = Literal["good", "caution", "bad"]
+
+
+@final
+@dataclass(frozen=True)
+class Card:
+    """A key number: what it is, the number, and what to make of it."""
+
+    label: str
+    value: str
+    note: str = ""
+
+
+@final
+@dataclass(frozen=True)
+class Verdict:
+    """The first screen: a mark and its word, one headline, a few sentences, three or four key numbers."""
+
+    level: Level
+    word: str
+    headline: str
+    sentences: Sequence[str] = ()
+    cards: Sequence[Card] = ()
+
+
+@final
+@dataclass(frozen=True)
+class Text:
+    """Paragraphs of plain text; `lead` is set in bold before the first."""
+
+    paragraphs: Sequence[str]
+    lead: str = ""
+    kind: str = "text"
+
+
+@final
+@dataclass(frozen=True)
+class Code:
+    """Text in fixed width, such as a problem printed as mathematics, folded away unless `opened`."""
+
+    heading: str
+    text: str
+    opened: bool = False
+    kind: str = "code"
+
+
+@final
+@dataclass(frozen=True)
+class Table:
+    """A table of text; the first column names the rows."""
+
+    caption: str
+    header: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    note: str = ""
+    kind: str = "table"
+
+
+@final
+@dataclass(frozen=True)
+class Drawing:
+    """One figure, or several in a row that shares a caption: its number, what it shows and what to see in it."""
+
+    figures: "Sequence[Figure]"
+    heading: str
+    caption: str = ""
+    number: str = ""
+    kind: str = "drawing"
+
+
+@final
+@dataclass(frozen=True)
+class Schematic:
+    """Drawings of a system as SVG made by `sketch`, and beside them its mathematics."""
+
+    drawings: Sequence[str]
+    heading: str
+    caption: str = ""
+    number: str = ""
+    beside: Sequence[Code] = ()
+    kind: str = "schematic"
+
+    def __html__(self) -> str:
+        """The drawings as markup, for the template: `sketch` escapes what it is given."""
+        return "".join(f'<div class="sketch">{one}</div>' for one in self.drawings)
+
+
+Block = Text | Code | Table | Drawing | Schematic
+
+
+@final
+@dataclass(frozen=True)
+class Section:
+    """A heading and what stands under it."""
+
+    heading: str
+    blocks: Sequence[Block]
+
+    @property
+    def anchor(self) -> str:
+        """The heading as a place to link to."""
+        return re.sub(r"[^a-z0-9]+", "-", self.heading.lower()).strip("-") or "section"
+
+
+@final
+@dataclass(frozen=True)
+class Page:
+    """Everything on a page, as text: the template escapes it."""
+
+    title: str
+    subtitle: str
+    verdict: Verdict
+    sections: Sequence[Section]
+    footer: str = ""
+
+
+def page_html(page: Page) -> str:
+    """The page as one HTML document: styles, scripts and data are inside."""
+    import jinja2
+    from plotly.offline import get_plotlyjs
+
+    folder = resources.files("aleator.reporting") / "templates"
+    source = {one: (folder / one).read_text(encoding="utf-8") for one in ("page.html.j2", "page.css", "page.js")}
+    environment = jinja2.Environment(
+        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    drawings = [_panels(block, i) for i, block in enumerate(_drawings(page))]
+    return environment.from_string(source["page.html.j2"]).render(
+        page=page,
+        anchors=_anchors(page),
+        next_panels=iter(drawings).__next__,
+        css=_raw(source["page.css"]),
+        script=_raw(source["page.js"]),
+        plotly=_raw(get_plotlyjs()) if drawings else "",
+    )
+
+
+def write_page(page: Page, path: str | Path) -> Path:
+    """Write the page; see `page_html`. A page that was at `path` before stays whole until the new one is."""
+    return write_text(path, page_html(page))
+
+
+def _anchors(page: Page) -> list[str]:
+    """One anchor a section, each once."""
+    found: list[str] = []
+    for section in page.sections:
+        repeats = sum(re.fullmatch(rf"{re.escape(section.anchor)}(-\d+)?", one) is not None for one in found)
+        found.append(f"{section.anchor}-{repeats + 1}" if repeats else section.anchor)
+    return found
+
+
+def _drawings(page: Page) -> list[Drawing]:
+    return [block for section in page.sections for block in section.blocks if isinstance(block, Drawing)]
+
+
+def _panels(drawing: Drawing, place: int) -> list[dict[str, Any]]:
+    """What the template needs of each figure of a drawing. Titles become HTML, which wraps on narrow screens."""
+    panels = []
+    for i, figure in enumerate(drawing.figures):
+        content = json.loads(figure.to_json() or "{}")
+        title = html.unescape((content["layout"].pop("title", None) or {}).get("text", ""))
+        if title:
+            content["layout"]["margin"]["t"] = 40
+        panels.append(
+            {
+                "id": f"figure-{place}-{i}",
+                "title": title,
+                "height": content["layout"].get("height", 420),
+                "alt": ". ".join(part for part in (drawing.heading, title, drawing.caption) if part),
+                "json": _raw(json.dumps(content, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")),
+            }
+        )
+    return panels
+
+
+def _raw(text: str) -> Any:
+    """Trusted text that the template puts in as it is: our own styles and scripts, and JSON without any `<`."""
+    from markupsafe import Markup
+
+    return Markup(text)

@@ -1,0 +1,279 @@
+"""`report`: the results of any problem as one page, verdict first."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeVar, cast
+
+import numpy as np
+
+from aleator._core.errors import ProblemError
+from aleator.design import Solution
+from aleator.reporting import _units
+from aleator.reporting._files import as_path, check_writable
+from aleator.reporting._fronts import front_figure, price_figure
+from aleator.reporting._numbers import count, interval, number, percent, words
+from aleator.reporting._page import Block, Card, Code, Drawing, Page, Section, Text, Verdict, write_page
+from aleator.reporting._samples import percentile_figure, trajectory_figure
+from aleator.reporting._tables import (
+    certificate_table,
+    designs_table,
+    evidence_table,
+    statistics_table,
+    unresolved,
+)
+from aleator.sweep import Front
+from aleator.validation import Evidence
+
+if TYPE_CHECKING:
+    from plotly.graph_objects import Figure
+
+Result = TypeVar("Result", Solution, Evidence, Front)
+
+OFTEN = 0.05
+"""A share of violating systems above which a page does not show green."""
+
+HOW_TO_READ = (
+    (
+        "The decisions are the numbers the optimiser chose. μ and σ are mean and standard deviation over the declared "
+        "uncertainty, found by a polynomial chaos expansion."
+    ),
+    (
+        "A limit on mean ± a·σ is a margin, not a promise: how often single systems break the limit is counted on fresh"
+        " random systems, without the expansion, and given with its 95 % confidence interval."
+    ),
+    (
+        "An active limit is one that holds the design where it is. Its price says how much the objective would fall for"
+        " each unit by which the limit is relaxed; a limit that is not active has price zero."
+    ),
+    "In the figures, hover over a point for its numbers. Drag to zoom, double-click to return.",
+)
+
+
+def report(
+    solutions: Solution | Mapping[str, Solution],
+    evidence: Evidence | Mapping[str, Evidence] | None = None,
+    fronts: Front | Mapping[str, Front] | None = None,
+    *,
+    path: str | Path,
+    title: str = "Design under uncertainty",
+) -> Path:
+    """Write the results of any problem as one HTML page that works offline, and return its path.
+
+    One solution, its evidence and its front may be given as they are; several by name, evidence and fronts under the
+    names of their designs. What is missing is left out; a design that was not solved is reported as such, first.
+
+    Raises `ProblemError` if there is no solution or the file cannot be written.
+    """
+    designs = _named(solutions, Solution)
+    if not designs:
+        raise ProblemError("report: expected at least one solution; received none.")
+    first = next(iter(designs))
+    sampled, swept = _named(evidence, Evidence, first), _named(fronts, Front, first)
+    for name, one in sampled.items():
+        _check_belongs(name, one, designs)
+    check_writable(as_path(path).parent)
+    return write_page(_page(designs, sampled, {name: one for name, one in swept.items() if one.solutions}, title), path)
+
+
+def _named(given: Result | Mapping[str, Result] | None, kind: type[Result], name: str = "design") -> dict[str, Result]:
+    """One or several results by name; anything else is refused."""
+    if given is None:
+        return {}
+    if isinstance(given, kind):
+        return {name: given}
+    if not isinstance(given, Mapping):
+        raise ProblemError(f"report: expected a {kind.__name__} or several by name; received {type(given).__name__}.")
+    for key, one in given.items():
+        if not isinstance(one, kind):
+            raise ProblemError(f"report: expected a {kind.__name__} as '{key}'; received {type(one).__name__}.")
+    return cast("dict[str, Result]", {str(key): one for key, one in given.items()})
+
+
+def _check_belongs(name: str, evidence: Evidence, designs: Mapping[str, Solution]) -> None:
+    """Raise `ProblemError` for evidence on no design, or on another than the one under its name."""
+    if name not in designs:
+        raise ProblemError(
+            f"report: there is evidence on '{name}', but no design of that name; expected one of {list(designs)}."
+        )
+    if not np.array_equal(designs[name].vector, evidence.solution.vector):
+        raise ProblemError(
+            f"report: the evidence on '{name}' was sampled from another design than the one shown: validate that one."
+        )
+
+
+def _page(designs: dict[str, Solution], evidence: dict[str, Evidence], fronts: dict[str, Front], title: str) -> Page:
+    sections = [
+        Section("Designs", _design_blocks(designs, evidence)),
+        Section("Trajectories", _trajectory_blocks(evidence)),
+        Section("Trade-offs", _front_blocks(fronts)),
+        Section("Evidence", _evidence_blocks(evidence)),
+        Section("Certificate", [certificate_table(designs)]),
+        Section("The problem as mathematics", [Code(name, str(one.problem), True) for name, one in designs.items()]),
+        Section("How to read this", [Text(HOW_TO_READ)]),
+    ]
+    return Page(
+        title=title,
+        subtitle=f"{words([str(name) for name in designs])}: result and evidence",
+        verdict=verdict(designs, evidence),
+        sections=[one for one in sections if one.blocks],
+        footer=footer(),
+    )
+
+
+def footer() -> str:
+    """Which program wrote the page, and when."""
+    import datetime
+
+    import aleator
+
+    now = datetime.datetime.now().astimezone()
+    return (
+        f"Written by aleator {aleator.__version__} on {now:%Y-%m-%d at %H:%M}. This page is one file and needs no"
+        " network."
+    )
+
+
+def verdict(designs: Mapping[str, Solution], evidence: Mapping[str, Evidence]) -> Verdict:
+    """What the results allow to say: is all solved, how often are limits violated, can the moments be trusted?"""
+    failed = {name: one for name, one in designs.items() if not one.ok}
+    coarse = unresolved(designs)
+    sentences = [f"{name}: {one.why()}" for name, one in failed.items()]
+    contradicted = {name: one for name, one in evidence.items() if not one.agrees}
+    sentences += [f"{name}: {one.alarm()}" for name, one in contradicted.items()]
+    sentences += [_violation_sentence(name, one) for name, one in evidence.items()]
+    sentences += [
+        f"The expansion of {name} misses new samples of {text} by {percent(error)} of their standard deviation: "
+        "raise its order before trusting its means and spreads."
+        for name, (text, error) in coarse.items()
+    ]
+    if not evidence:
+        sentences.append("No Monte Carlo evidence is given: how often single systems violate the limits is not known.")
+    cards = [*_solution_cards(designs), *_violation_cards(evidence)][:4]
+    if failed:
+        headline = f"{words(list(failed))} {'is' if len(failed) == 1 else 'are'} not solved: do not use as a design."
+        return Verdict("bad", "Not solved", headline, sentences, cards)
+    solved = "The design is solved" if len(designs) == 1 else f"All {len(designs)} designs are solved"
+    if coarse:
+        return Verdict("bad", "Not resolved", f"{solved}, but the expansion is too coarse to trust.", sentences, cards)
+    if contradicted:
+        headline = f"{solved}, but fresh simulations contradict {words(list(contradicted))}: do not trust the numbers."
+        return Verdict("bad", "Contradicted", headline, sentences, cards)
+    unchecked = [name for name in designs if name not in evidence]
+    if unchecked:
+        headline = f"{solved} to tolerance; no Monte Carlo evidence is given for {words(unchecked)}."
+        return Verdict("caution", "Solved, not checked", headline, sentences, cards)
+    if not any(one.violations for one in evidence.values()):
+        headline = f"{solved} to tolerance; no limit speaks of single systems, so that none was counted."
+        return Verdict("good", "Solved", headline, sentences, cards)
+    worst = max(evidence.values(), key=lambda one: one.joint.estimate).joint
+    share = f"{percent(worst.estimate)} [{interval(worst)}]"
+    if worst.estimate > OFTEN:
+        headline = f"{solved} to tolerance, but up to {share} of systems break a limit: check the margin."
+        return Verdict("caution", "Solved, limits often broken", headline, sentences, cards)
+    headline = f"{solved} to tolerance; at most {share} of systems break a limit."
+    return Verdict("good", "Solved and checked", headline, sentences, cards)
+
+
+def _violation_sentence(name: str, evidence: Evidence) -> str:
+    if not evidence.violations:
+        why = "; ".join(f"{text}: {reason}" for text, reason in evidence.uncounted.items())
+        return f"{name}: no limit speaks of single systems, so there is nothing to count{f' ({why})' if why else ''}."
+    parts = [f"{limit} {percent(share.estimate)}" for limit, share in evidence.violations.items()]
+    over_time = f", limits over time counted at {count(evidence.instants)} instants" if evidence.instants else ""
+    return (
+        f"{name}: of {count(evidence.samples)} random systems {percent(evidence.joint.estimate)}"
+        f" [{interval(evidence.joint)}] violate at least one limit ({words(parts)}){over_time}."
+    )
+
+
+def _solution_cards(designs: Mapping[str, Solution]) -> list[Card]:
+    cards = []
+    for name, one in list(designs.items())[:2]:
+        unit = _units.of_expression(one.problem.objective, one.problem)
+        note = f"held by {words(one.active, 'nothing')}" if one.ok else "not solved"
+        cards.append(Card(f"Objective of {name}", number(one.objective, 4, unit), note))
+    return cards
+
+
+def _violation_cards(evidence: Mapping[str, Evidence]) -> list[Card]:
+    return [
+        Card(
+            f"Systems of {name} that violate a limit",
+            percent(one.joint.estimate),
+            f"95 % confidence: {interval(one.joint)}",
+        )
+        for name, one in list(evidence.items())[:2]
+        if one.violations
+    ]
+
+
+def _design_blocks(designs: Mapping[str, Solution], evidence: Mapping[str, Evidence]) -> list[Block]:
+    failed = [Text([one.why()], lead=f"{name} is not solved.") for name, one in designs.items() if not one.ok]
+    return [*failed, designs_table(designs, evidence)]
+
+
+def _trajectory_blocks(evidence: Mapping[str, Evidence]) -> list[Block]:
+    """One drawing for each design and path constraint."""
+    blocks: list[Block] = []
+    for name, one in evidence.items():
+        problem = one.solution.problem
+        for limit in dict.fromkeys(kept.name for kept in one.trajectories):
+            unit = _units.of_expression(problem.named(limit)[0].expression, problem)
+            figure = trajectory_figure(one, limit, unit=unit)
+            blocks.append(
+                Drawing(
+                    [figure], f"{limit} of {name}", "Sampled systems over time; those that leave the limits stand out."
+                )
+            )
+    return blocks
+
+
+def _front_blocks(fronts: Mapping[str, Front]) -> list[Block]:
+    """For each bound that was swept: the optimum along it, and the price of the bound."""
+    blocks: list[Block] = []
+    for bound in dict.fromkeys(one.bound for one in fronts.values()):
+        group = {name: one for name, one in fronts.items() if one.bound == bound}
+        problem = next(iter(group.values())).solutions[0].problem
+        x_unit = _units.of_expression(problem.named(bound)[0].expression, problem)
+        y_unit = _units.of_expression(problem.objective, problem)
+        x = f"Limit of {bound}"
+        per = f"{y_unit or '1'} per {x_unit}" if x_unit else ""
+        caption = (
+            f"Filled markers: {bound} is active; open markers: something else holds the design. "
+            "Crosses on the axis: no design meets all limits there; hover to see what is missed."
+        )
+        figures: list[Figure] = [front_figure(group, y="Objective", y_unit=y_unit, x=x, x_unit=x_unit)]
+        blocks.append(Drawing(figures, f"Optimum against the limit of {bound}", caption))
+        price = price_figure(group, y="Price of the bound", y_unit=per, x=x, x_unit=x_unit)
+        blocks.append(Drawing([price], f"What relaxing {bound} is worth", "Zero where the limit is not active."))
+    return blocks
+
+
+def _evidence_blocks(evidence: Mapping[str, Evidence]) -> list[Block]:
+    if not evidence:
+        return []
+    blocks: list[Block] = [
+        Text([one.alarm()], lead=f"{name}: samples and solution disagree.")
+        for name, one in evidence.items()
+        if not one.agrees
+    ]
+    blocks += [
+        Text([one.sentence() for one in each.compared], lead=f"{name}: limits on statistics, by the samples.")
+        for name, each in evidence.items()
+        if each.compared
+    ]
+    blocks += [one for one in (evidence_table(evidence), statistics_table(evidence)) if one is not None]
+    for text in dict.fromkeys(text for one in evidence.values() for text in one.functionals):
+        group = {name: one.functionals[text] for name, one in evidence.items() if text in one.functionals}
+        if any(np.ndim(one.mean) or one.percentiles is None for one in group.values()):
+            continue
+        unit = _units.of_moments(next(iter(evidence.values())).solution.problem).get(text, "")
+        figure = percentile_figure(group, x=text, unit=unit)
+        blocks.append(
+            Drawing(
+                [figure],
+                f"Spread of {text} over random systems",
+                "Bars: 1 to 99 %, 5 to 95 % and 25 to 75 % of the systems.",
+            )
+        )
+    return blocks

@@ -1,0 +1,210 @@
+"""Figures of evidence: sampled trajectories, percentiles, the calibration of a margin. And of input signals."""
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from aleator.reporting._numbers import given, number, share_text
+from aleator.reporting._style import ALARM, INK, blank, label, limit_line, looks, padded, plain
+from aleator.sweep import Calibration
+from aleator.validation import Evidence, Sampled, Trajectories
+
+if TYPE_CHECKING:
+    from plotly.graph_objects import Figure
+
+DRAWN, EVERY = 60, 4
+
+
+def signal_figure(
+    times: np.ndarray, values: np.ndarray, *, name: str, unit: str = "", x: str = "Time", x_unit: str = "s"
+) -> "Figure":
+    """An input over time (figure 6.2)."""
+    figure = blank(label(x, x_unit), label(name, unit), height=300)
+    figure.add_scatter(
+        x=_short(times),
+        y=_short(values),
+        mode="lines",
+        line={"color": "#0072b2", "width": 1.5},
+        name=plain(name),
+        hovertemplate=f"%{{y:.4~g}} {plain(unit)} at %{{x:.3f}} {plain(x_unit)}<extra></extra>",
+    )
+    return figure
+
+
+def trajectory_figure(
+    evidence: Evidence,
+    name: str,
+    *,
+    y: str = "",
+    unit: str = "",
+    who: str = "systems",
+    drawn: int = DRAWN,
+    every: int = EVERY,
+) -> "Figure":
+    """Sampled systems over time against the bounds of the constraints called `name` (figures 6.9 and 6.10).
+
+    Those that violate any of them stand out. The title says how often that happens, over all samples.
+    """
+    share = evidence.violations.get(name)
+    figure = blank(label("Time", "s"), label(y or name, unit), title=_violation_title(share, who), height=380)
+    kept = [one for one in evidence.trajectories if one.name == name]
+    times = evidence.solution.instants[::every]
+    distinct = _distinct(kept)
+    for one, first in zip(distinct, [True] + [False] * len(distinct), strict=False):
+        rows, broken = _curves(one.values[:drawn, ::every], one.violating[:drawn])
+        inside, outside = rows[~broken], rows[broken]
+        _add_lines(
+            figure, times, inside, f"within the limits ({len(inside)} of {len(rows)} drawn)", "#a9b4bf", 0.8, first
+        )
+        _add_lines(figure, times, outside, f"violating ({len(outside)} of {len(rows)} drawn)", ALARM, 0.9, first)
+    for bound in dict.fromkeys(value for one in kept for value in (one.upper, one.lower) if np.isfinite(value)):
+        limit_line(figure, bound, f"limit {given(bound, unit)}")
+    if kept:
+        bounds = [value for one in kept for value in (one.upper, one.lower) if np.isfinite(value)]
+        extremes = [edge(one.values[:drawn]) for one in kept for edge in (np.min, np.max)]
+        figure.update_yaxes(range=padded([*extremes, *bounds], 0.1))
+    return figure
+
+
+def _curves(values: np.ndarray, violating: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """One row a curve, and whether its system violates; a vector over time is one curve for each component."""
+    broken = np.asarray(violating, dtype=bool)
+    if values.ndim == 2:
+        return values, broken
+    flat = values.reshape(*values.shape[:2], -1)
+    return np.moveaxis(flat, 2, 1).reshape(-1, values.shape[1]), np.repeat(broken, flat.shape[2])
+
+
+def _violation_title(share: object, who: str) -> str:
+    from aleator.validation import Proportion
+
+    return f"{share_text(share)} of {plain(who)} violate" if isinstance(share, Proportion) else ""
+
+
+def _distinct(kept: list[Trajectories]) -> list[Trajectories]:
+    """Without those whose values repeat: the two sides of a pair of bounds measure the same quantity."""
+    found: list[Trajectories] = []
+    for one in kept:
+        if not any(np.array_equal(one.values, other.values) for other in found):
+            found.append(one)
+    return found
+
+
+def _add_lines(
+    figure: "Figure", times: np.ndarray, rows: np.ndarray, name: str, colour: str, width: float, legend: bool
+) -> None:
+    """Many curves as one trace, separated by gaps."""
+    if not len(rows):
+        return
+    if legend:
+        # Thick enough to tell the colour by.
+        figure.add_scatter(x=[None], y=[None], mode="lines", name=name, line={"color": colour, "width": 4})
+    gap = np.full((len(rows), 1), np.nan)
+    figure.add_scatter(
+        x=_short(np.hstack([np.tile(times, (len(rows), 1)), gap]).ravel()),
+        y=_short(np.hstack([rows.reshape(len(rows), -1), gap]).ravel()),
+        mode="lines",
+        name=name,
+        showlegend=False,
+        line={"color": colour, "width": width},
+        opacity=0.7,
+        hoverinfo="skip",
+        connectgaps=False,
+    )
+
+
+def _short(values: np.ndarray) -> np.ndarray:
+    """Single precision: more than a screen shows, half the size on the page."""
+    return np.asarray(values, dtype=np.float32)
+
+
+def percentile_figure(
+    sampled: Mapping[str, Sampled], *, x: str, unit: str = "", limit: float | None = None
+) -> "Figure":
+    """The sampled spread of one quantity for several designs: 1-99 %, 5-95 %, 25-75 %, the median and the mean."""
+    figure = blank(label(x, unit), "", height=120 + 64 * len(sampled))
+    bars = ((0, 6, 2, "1 to 99 %"), (1, 5, 7, "5 to 95 %"), (2, 4, 16, "25 to 75 %"))
+    for row, (name, one) in enumerate(sampled.items()):
+        levels, look = one.percentiles, looks(sampled)[name]
+        if levels is None:
+            continue
+        for low, high, width, text in bars:
+            figure.add_scatter(
+                x=[levels[low], levels[high]],
+                y=[plain(name)] * 2,
+                mode="lines",
+                line={"color": look.colour, "width": width},
+                opacity=0.55,
+                showlegend=False,
+                hovertemplate=(
+                    f"<b>{plain(name)}</b>, {text}: {number(levels[low])} to {number(levels[high], 4)}"
+                    f" {plain(unit)}<extra></extra>"
+                ),
+            )
+        for value, symbol, text in ((levels[3], "line-ns", "median"), (float(one.mean), "circle", "mean")):
+            figure.add_scatter(
+                x=[value],
+                y=[plain(name)],
+                mode="markers",
+                name=text,
+                legendgroup=text,
+                showlegend=row == 0,
+                marker={
+                    "symbol": symbol,
+                    "size": 16 if text == "median" else 8,
+                    "color": INK,
+                    "line": {"width": 2, "color": INK},
+                },
+                hovertemplate=f"<b>{plain(name)}</b>, {text}: {number(value)} {plain(unit)}<extra></extra>",
+            )
+    if limit is not None:
+        limit_line(figure, limit, f" limit {given(limit, unit)}", axis="x", upright=True)
+    ends = [one.percentiles[i] for one in sampled.values() if one.percentiles is not None for i in (0, -1)]
+    figure.update_xaxes(range=padded([*ends, *([] if limit is None else [limit])]))
+    figure.update_yaxes(
+        type="category", range=[len(sampled) - (0.2 if limit is not None else 0.5), -0.5], showgrid=False
+    )
+    return figure
+
+
+def calibration_figure(calibration: Calibration, *, who: str = "systems") -> "Figure":
+    """How often a design violates against its margin, with intervals; the target; the choice on fresh samples."""
+    figure = blank(
+        "Margin a (multiples of σ)", plain(f"{who.capitalize()} that violate {calibration.name} (%)"), height=380
+    )
+    trials = sorted(calibration.trials, key=lambda one: one.sigmas)
+    fresh = [] if calibration.confirmation is None else [calibration.confirmation]
+    groups = (
+        (
+            "trials, one sample for all",
+            [one.sigmas for one in trials],
+            [one.violation for one in trials],
+            "#0072b2",
+            "circle",
+        ),
+        ("the choice, on fresh samples", [calibration.sigmas for _ in fresh], fresh, ALARM, "star"),
+    )
+    for name, sigmas, shares, colour, symbol in groups:
+        figure.add_scatter(
+            x=sigmas,
+            y=[100 * one.estimate for one in shares],
+            error_y={
+                "type": "data",
+                "symmetric": False,
+                "array": [100 * (one.upper - one.estimate) for one in shares],
+                "arrayminus": [100 * (one.estimate - one.lower) for one in shares],
+                "color": colour,
+                "thickness": 1.5,
+                "width": 4,
+            },
+            mode="markers+lines" if len(sigmas) > 1 else "markers",
+            line={"color": colour, "width": 1, "dash": "dot"},
+            marker={"color": colour, "symbol": symbol, "size": 8 if symbol == "circle" else 14},
+            name=name,
+            text=[share_text(one) for one in shares],
+            hovertemplate="a = %{x:.4~g}: %{text}<extra></extra>",
+        )
+    limit_line(figure, 100 * calibration.target, f"target {given(100 * calibration.target)} %")
+    figure.update_yaxes(rangemode="tozero")
+    return figure

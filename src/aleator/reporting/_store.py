@@ -1,0 +1,181 @@
+"""Results on disk: labelled arrays as netCDF for programs, designs as JSON for people."""
+
+import json
+import math
+import uuid
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import numpy as np
+
+from aleator.design import ConstraintResult, Solution
+from aleator.reporting import _units
+from aleator.reporting._datasets import tree
+from aleator.reporting._files import write_together
+from aleator.sweep import Calibration, Front
+from aleator.validation import Evidence, Proportion
+
+if TYPE_CHECKING:
+    import xarray
+
+Result: TypeAlias = "Solution | Evidence | Front | Calibration | xarray.Dataset"
+
+PAGE = "report.html"
+"""The page of a study, beside its results."""
+
+
+def save(folder: str | Path, **results: "Result | Mapping[str, Any] | None") -> tuple[Path, ...]:
+    """Write results into a folder and return the paths: `results.nc`, and `designs.json` if there is a solution.
+
+    Each keyword is a result, a dataset, or a mapping of these by name, nested as needed: a group of the netCDF file.
+    Solutions become entries of the JSON file, with the violations of the evidence that speaks of them. Both files are
+    of one generation, whose name they carry: what an earlier run left stays until the new ones are complete.
+
+    Raises `ProblemError` if the folder cannot be written, or if another process keeps writing into it.
+    """
+    return _write(folder, results, ())
+
+
+def save_study(folder: str | Path, **results: "Result | Mapping[str, Any] | None") -> tuple[Path, ...]:
+    """Write results as `save` does, and take away the page of earlier ones: it would show other numbers than these."""
+    return _write(folder, results, (PAGE,))
+
+
+def _write(folder: str | Path, results: Mapping[str, Any], outdated: Sequence[str]) -> tuple[Path, ...]:
+    """Write one generation of results, and take outdated files away with the earlier one."""
+    generation = uuid.uuid4().hex
+    nodes = tree(results)
+    nodes.attrs["generation"] = generation
+    document = {place: {**one, "generation": generation} for place, one in designs_document(results).items()}
+    files = {
+        # In memory: on a full disk HDF5 ends the process, failing to close its file.
+        "results.nc": bytes(nodes.to_netcdf(engine="h5netcdf")),
+        "designs.json": json_text(document).encode("utf-8") if document else None,
+    }
+    return write_together(folder, {**files, **dict.fromkeys(outdated)})
+
+
+def json_text(document: Any) -> str:
+    """Strict JSON, readable: numbers that are not finite become null."""
+    return json.dumps(strict(document), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def strict(value: Any) -> Any:
+    """A value in JSON's own types."""
+    if isinstance(value, Mapping):
+        return {str(key): strict(one) for key, one in value.items()}
+    if isinstance(value, np.ndarray):
+        return strict(value.tolist())
+    if isinstance(value, list | tuple):
+        return [strict(one) for one in value]
+    if isinstance(value, np.generic):
+        return strict(value.item())
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    if value is None or isinstance(value, bool | int | float | str):
+        return value
+    return strict(np.asarray(value))
+
+
+def designs_document(results: Mapping[str, Any]) -> dict[str, Any]:
+    """Every solution among the results by its place, in a form to be read by people."""
+    found = dict(_leaves("", results))
+    judged = {id(one.solution): one for one in found.values() if isinstance(one, Evidence)}
+    return {
+        place: solution_document(one, judged.get(id(one))) for place, one in found.items() if isinstance(one, Solution)
+    }
+
+
+def _leaves(place: str, results: Mapping[str, Any]) -> "list[tuple[str, Any]]":
+    leaves = []
+    for name, one in results.items():
+        here = f"{place}/{name}".lstrip("/")
+        leaves += _leaves(here, one) if isinstance(one, Mapping) else [(here, one)]
+    return leaves
+
+
+def solution_document(solution: Solution, evidence: Evidence | None = None) -> dict[str, Any]:
+    """One design: decisions, objective, constraints, certificate and, where it was sampled, violations."""
+    problem, quality = solution.problem, solution.expansion
+    document: dict[str, Any] = {
+        "status": solution.status.value,
+        "decisions": {
+            name: {
+                "value": value,
+                "unit": _units.of_decision(name, problem),
+                "multiplier": solution.bound_multipliers.get(name),
+                "at_bound": solution.is_at_bound(name),
+            }
+            for name, value in solution.decisions.items()
+        },
+        "objective": {
+            "value": solution.objective,
+            "unit": _units.of_expression(problem.objective, problem),
+            "expression": str(problem.objective),
+        },
+        "active": solution.active,
+        "constraints": [
+            _constraint(one, _units.of_expression(declared.expression, problem))
+            for one, declared in zip(solution.constraints, problem.constraints, strict=True)
+        ],
+        "certificate": {
+            "violation": solution.violation,
+            "stationarity": solution.stationarity,
+            "complementarity": solution.complementarity,
+            "iterations": solution.iterations,
+            "evaluations": solution.evaluations,
+            "solver": solution.solver,
+            "message": solution.message,
+        },
+        "expansion": {
+            "order": quality.order,
+            "terms": quality.terms,
+            "points": quality.points,
+            "condition_number": quality.condition_number,
+            "leave_one_out": quality.leave_one_out,
+            "leave_one_out_of_derivatives": quality.tangents,
+        },
+        "seconds": {"compile": solution.times.compile_, "solve": solution.times.solve},
+        "problem": str(problem).splitlines(),
+    }
+    if not solution.ok:
+        document["why"] = solution.why()
+    if evidence is not None:
+        shares = {name: _share(one) for name, one in evidence.violations.items()}
+        document["evidence"] = {
+            "samples": evidence.samples,
+            "seed": evidence.seed,
+            "instants": evidence.instants,
+            "agrees": evidence.agrees,
+            "disagreements": [one.sentence() for one in evidence.disagreements],
+            "compared": [one.sentence() for one in evidence.compared],
+            "violations": {**shares, "any": _share(evidence.joint)},
+        }
+    return document
+
+
+def _constraint(one: ConstraintResult, unit: str) -> dict[str, Any]:
+    """A constraint by its worst instant: histories are in the netCDF file."""
+    return {
+        "name": one.name,
+        "text": one.text,
+        "unit": unit,
+        "lower": one.lower,
+        "upper": one.upper,
+        "worst_value": one.worst,
+        "worst_time_s": one.worst_time,
+        "violation": one.violation,
+        "active": bool(np.any(one.active)),
+        "price": one.price,
+    }
+
+
+def _share(share: Proportion) -> dict[str, float]:
+    return {
+        "estimate": share.estimate,
+        "lower": share.lower,
+        "upper": share.upper,
+        "confidence": share.confidence,
+        "count": share.count,
+    }

@@ -1,0 +1,229 @@
+"""Tables of designs, certificates and evidence, from result objects."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from aleator.design import ConstraintResult, Solution
+from aleator.nlp import Status
+from aleator.reporting import _units
+from aleator.reporting._numbers import count, given, number, residual, seconds, share_text, values_text, words
+from aleator.reporting._page import Table
+from aleator.statistics import Mean, Std
+from aleator.validation import Checked, Evidence
+
+STATUS_WORDS = {
+    Status.NOT_HELD: "limits break between the instants",
+    Status.COARSE: "the grid is too coarse",
+    Status.UNRESOLVED: "the expansion is too coarse for what is asked of it",
+    Status.CONTRADICTED: "fresh simulations contradict the expansion",
+    Status.WORST_CASE_BROKEN: "the worst case breaks a limit",
+    Status.SOLVED: "solved",
+    Status.INFEASIBLE: "infeasible",
+    Status.ITERATION_LIMIT: "iteration limit",
+    Status.EVALUATION_FAILED: "model failed",
+    Status.INTERRUPTED: "interrupted",
+    Status.FAILED: "not solved",
+}
+
+
+def _union(groups: Sequence[Sequence[str]]) -> list[str]:
+    return list(dict.fromkeys(name for group in groups for name in group))
+
+
+def designs_table(solutions: Mapping[str, Solution], evidence: Mapping[str, Evidence]) -> Table:
+    """The designs side by side: decisions, objective, constraints, what holds them, and violations by Monte Carlo."""
+    every = list(solutions.values())
+    rows: list[list[str]] = [["Status", *(STATUS_WORDS[one.status] for one in every)]]
+    for name in _union([list(one.decisions) for one in every]):
+        rows.append([name, *(_decision(one, name) for one in every)])
+    rows.append(["Objective", *(_objective(one) for one in every)])
+    for name in _union([[part.name for part in one.constraints] for one in every]):
+        rows.append([f"{name}: worst value", *(_worst(one, name) for one in every)])
+        rows.append([f"{name}: price of the bound", *(_price(one, name) for one in every)])
+    rows.append(["Active", *(words(one.active, "nothing") for one in every)])
+    rows += _violation_rows(list(solutions), evidence)
+    return Table(
+        "Decisions, limits and violations",
+        ["", *solutions],
+        rows,
+        "Prices: how much the objective falls for each unit the bound is relaxed.",
+    )
+
+
+def _violation_rows(names: Sequence[str], evidence: Mapping[str, Evidence]) -> list[list[str]]:
+    if not evidence:
+        return []
+    found = [evidence.get(name) for name in names]
+    limits = _union([list(one.violations) for one in found if one])
+    rows = [
+        [f"Systems that violate {limit}", *(share_text(one.violations.get(limit)) if one else "–" for one in found)]
+        for limit in limits
+    ]
+    if not limits:
+        return []
+    return [*rows, ["Systems that violate any limit", *(share_text(one.joint) if one else "–" for one in found)]]
+
+
+def _decision(solution: Solution, name: str) -> str:
+    if name not in solution.decisions:
+        return "–"
+    text = values_text(solution.decisions[name], 5, _units.of_decision(name, solution.problem))
+    return f"{text} (at its bound)" if solution.is_at_bound(name) else text
+
+
+def _objective(solution: Solution) -> str:
+    return number(solution.objective, 5, _units.of_expression(solution.problem.objective, solution.problem))
+
+
+def _parts(solution: Solution, name: str) -> list[tuple[ConstraintResult, str]]:
+    """The constraints of one name with their units."""
+    pairs = zip(solution.constraints, solution.problem.constraints, strict=True)
+    return [
+        (one, _units.of_expression(declared.expression, solution.problem))
+        for one, declared in pairs
+        if one.name == name
+    ]
+
+
+def _worst(solution: Solution, name: str) -> str:
+    """The value closest to or furthest beyond a bound, and that bound."""
+    parts = _parts(solution, name)
+    if not parts:
+        return "–"
+    one, unit = max(parts, key=lambda part: float(np.max(part[0].excess)))
+    worst = one.worst
+    upper = worst - one.upper >= one.lower - worst
+    relation, bound = ("≤", one.upper) if upper else ("≥", one.lower)
+    when = "" if one.worst_time is None else f" at {number(one.worst_time, 4, 's')}"
+    broken = ", violated" if one in solution.violated else ""
+    return f"{number(worst, 5)} {relation} {given(bound, unit)}{when}{broken}"
+
+
+def _price(solution: Solution, name: str) -> str:
+    return number(solution.multiplier(name), 4) if any(one.name == name for one in solution.constraints) else "–"
+
+
+def certificate_table(solutions: Mapping[str, Solution]) -> Table:
+    """What certifies each design: residuals of the optimality conditions, effort, quality of the expansion."""
+    every = list(solutions.values())
+    rows = [
+        ["Status", *(STATUS_WORDS[one.status] for one in every)],
+        ["Solver", *(one.solver for one in every)],
+        ["Violation (scaled)", *(residual(one.violation) for one in every)],
+        ["Stationarity (scaled)", *(residual(one.stationarity) for one in every)],
+        ["Complementarity (scaled)", *(residual(one.complementarity) for one in every)],
+        *(
+            [["Limits between the instants", *(_between(one) for one in every)]]
+            if any(one.between for one in every)
+            else []
+        ),
+        ["Iterations / evaluations", *(f"{one.iterations} / {one.evaluations}" for one in every)],
+        [
+            "Time to compile / to solve",
+            *(f"{seconds(one.times.compile_)} / {seconds(one.times.solve)}" for one in every),
+        ],
+        ["Expansion: order, terms, points", *(_expansion(one) for one in every)],
+        ["Condition number", *(number(one.expansion.condition_number, 3) if _expanded(one) else "–" for one in every)],
+    ]
+    for text in _union([list(one.expansion.leave_one_out) for one in every if _expanded(one)]):
+        rows.append([f"Leave-one-out error, {text}", *(_leave_one_out(one, text) for one in every)])
+    if any(one.expansion.tangents for one in every):
+        rows.append(["Worst leave-one-out error of a derivative by a distribution's parameter", *map(_tangent, every)])
+    note = (
+        "Residuals are computed from the point and its multipliers, not taken from the solver. The leave-one-out error"
+        " is the rms error of predicting each collocation point from all others, relative to the standard deviation:"
+        f" up to {words(sorted({f'{given(100 * one.expansion.tolerance)} %' for one in every}))} it counts as resolved."
+    )
+    return Table("Certificate", ["", *solutions], rows, note)
+
+
+def _between(solution: Solution) -> str:
+    one = solution.between
+    if one is None:
+        return "–"
+    return "hold" if one.holds else f"{one.name} exceeded by {number(one.worst, 2)} of its scale"
+
+
+def _expanded(solution: Solution) -> bool:
+    return solution.expansion.points > 1
+
+
+def _expansion(solution: Solution) -> str:
+    one = solution.expansion
+    return f"{one.order}, {one.terms}, {one.points}" if _expanded(solution) else "nothing is uncertain"
+
+
+def _leave_one_out(solution: Solution, text: str) -> str:
+    error = solution.expansion.leave_one_out.get(text)
+    return "–" if error is None or not _expanded(solution) else residual(error)
+
+
+def _tangent(solution: Solution) -> str:
+    worst = solution.expansion.worst_tangent
+    return "–" if worst is None else f"{residual(worst.error)} ({worst.functional} by {worst.parameter})"
+
+
+def evidence_table(evidence: Mapping[str, Evidence]) -> Table:
+    """Sampled statistics beside what the expansion said of them, and percentiles."""
+    rows = []
+    for name, one in evidence.items():
+        units = _units.of_moments(one.solution.problem)
+        for text, sampled in one.functionals.items():
+            if np.ndim(sampled.mean) or sampled.percentiles is None:
+                continue
+            p5, p50, p95 = (sampled.percentiles[i] for i in (1, 3, 5))
+            rows.append(
+                [
+                    f"{name}, {text}" + (f" ({units[text]})" if units.get(text) else ""),
+                    f"{number(float(sampled.mean), 5)} ± {number(float(sampled.standard_error), 2)}",
+                    number(float(sampled.expanded_mean), 5),
+                    number(float(sampled.std), 4),
+                    number(float(sampled.expanded_std), 4),
+                    number(p5, 4),
+                    number(p50, 4),
+                    number(p95, 4),
+                ]
+            )
+    header = ["", "Mean, sampled", "Mean, expansion", "σ, sampled", "σ, expansion", "5 %", "Median", "95 %"]
+    samples = words(sorted({count(one.samples) for one in evidence.values()}))
+    note = (
+        f"{samples} fresh random systems for each design, independent of the expansion; ± is one standard error of the"
+        " mean."
+    )
+    return Table("Monte Carlo beside the expansion", header, rows, note)
+
+
+def statistics_table(evidence: Mapping[str, Evidence]) -> Table | None:
+    """The other statistics in the problems, sampled, beside what the expansion said of them; None without any."""
+    rows = []
+    for name, one in evidence.items():
+        for text, checked in one.statistics.items():
+            if isinstance(checked.statistic.kind, Mean | Std):
+                continue
+            unit = _units.of_statistic(checked.statistic, one.solution.problem)
+            rows.append(
+                [
+                    f"{name}, {text}" + (f" ({unit})" if unit else ""),
+                    _estimated(checked),
+                    number(checked.expanded, 5),
+                ]
+            )
+    note = "± is one standard error of the sampled number."
+    return Table("Other statistics", ["", "Sampled", "Expansion"], rows, note) if rows else None
+
+
+def _estimated(one: Checked) -> str:
+    error = "" if np.isnan(one.standard_error) else f" ± {number(one.standard_error, 2)}"
+    return f"{number(one.estimate, 5)}{error}"
+
+
+def unresolved(solutions: Mapping[str, Solution]) -> dict[str, tuple[str, float]]:
+    """The designs whose expansion misses too much of a functional's variance: which, from when on, and how much."""
+    found = {}
+    for name, one in solutions.items():
+        if _expanded(one) and one.expansion.unresolved:
+            errors = one.expansion.leave_one_out
+            worst = max(one.expansion.unresolved, key=lambda text: errors[text])
+            found[name] = (f"{worst}{one.expansion.since(worst)}", errors[worst])
+    return found

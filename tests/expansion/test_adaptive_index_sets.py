@@ -1,0 +1,215 @@
+"""Index sets that grow: published Sobol indices, sets known in closed form, budgets and bad input."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from aleator._core.errors import ExpansionWarning, ProblemError, SimulationError
+from aleator.expansion import (
+    Adaptive,
+    Expansion,
+    HaltonPoints,
+    HammersleyPoints,
+    Interpolation,
+    RandomPoints,
+    SobolPoints,
+    collocate,
+    leave_one_out,
+)
+from aleator.uncertainty import HermiteGerm, LegendreGerm
+
+
+def uniform(variables):
+    return {f"x{i + 1}": LegendreGerm() for i in range(variables)}
+
+
+class Recorded:
+    """A model that counts the points it was solved at."""
+
+    def __init__(self, model):
+        self.model, self.points = model, []
+
+    def __call__(self, points):
+        self.points.append(points)
+        return self.model(points)
+
+
+def expanded(model, germs, expansion):
+    basis, collocation = collocate(germs, expansion, model)
+    samples = jnp.asarray(model(np.asarray(collocation.points)))
+    return basis, collocation, collocation.coefficients(samples), samples
+
+
+def share(basis, coefficients, *variables):
+    """The part of the variance in terms of exactly these variables."""
+    inside = np.zeros(basis.variables, dtype=bool)
+    inside[list(variables)] = True
+    own = np.all((basis.indices > 0) == inside[None, :], axis=1)
+    squares = np.asarray(coefficients) ** 2
+    return squares[own].sum() / squares[1:].sum()
+
+
+def ishigami(points):
+    x = np.pi * points.T
+    return np.sin(x[0]) + 7 * np.sin(x[1]) ** 2 + 0.1 * x[2] ** 4 * np.sin(x[0])
+
+
+def test_ishigamis_moments_and_sobol_indices_are_the_published_ones():
+    expansion = Expansion(index_set=Adaptive(error=3e-7, budget=1500))
+    basis, collocation, coefficients, _ = expanded(ishigami, uniform(3), expansion)
+    assert len(collocation.points) < 1000
+    assert float(coefficients[0]) == pytest.approx(3.5, abs=1e-6)
+    assert float(jnp.sum(coefficients[1:] ** 2)) == pytest.approx(13.8445879407, abs=1e-6)
+    assert share(basis, coefficients, 0) == pytest.approx(0.3139051912, abs=1e-6)
+    assert share(basis, coefficients, 1) == pytest.approx(0.4424111448, abs=1e-6)
+    assert share(basis, coefficients, 0, 2) == pytest.approx(0.2436836641, abs=1e-6)
+
+
+@pytest.mark.parametrize("points", [None, SobolPoints(seed=4), HaltonPoints(), RandomPoints(seed=2)])
+def test_a_sparse_polynomial_is_found_exactly_with_few_points(points):
+    # order 7 in six variables: 1716 terms of total degree
+    def model(xi):
+        return 1 + xi[:, 0] ** 7 + xi[:, 1] * xi[:, 2] + 0.5 * xi[:, 3] ** 2 * xi[:, 4] ** 2
+
+    expansion = Expansion(index_set=Adaptive(error=1e-10, budget=400), points=points)
+    basis, collocation, _, samples = expanded(model, uniform(6), expansion)
+    rows = {tuple(row) for row in basis.indices.tolist()}
+    assert {(7, 0, 0, 0, 0, 0), (0, 1, 1, 0, 0, 0), (0, 0, 0, 2, 2, 0)} <= rows
+    assert np.asarray(collocation.matrix) @ np.asarray(collocation.coefficients(samples)) == pytest.approx(samples)
+    assert basis.order == 7
+
+
+@pytest.mark.parametrize("budget", [60, 200])
+def test_sets_are_downward_closed_sorted_and_within_budget_and_order(budget):
+    with pytest.warns(ExpansionWarning, match="limit of its budget"):
+        basis, collocation, _, _ = expanded(
+            ishigami, uniform(3), Expansion(9, index_set=Adaptive(error=1e-6, budget=budget))
+        )
+    rows = basis.indices.tolist()
+    present = {tuple(row) for row in rows}
+    for row in rows:
+        for i, degree in enumerate(row):
+            assert degree == 0 or (*row[:i], degree - 1, *row[i + 1 :]) in present
+    assert rows == sorted(rows, key=lambda row: (sum(row), [-degree for degree in row]))
+    assert basis.order <= 9
+    assert len(collocation.points) <= budget
+    assert 3 * basis.terms <= len(collocation.points)
+
+
+def test_variables_that_matter_are_refined_and_others_are_not():
+    def model(xi):
+        return np.exp(2 * xi[:, 0]) + 0.01 * xi[:, 1]
+
+    basis, _, _, _ = expanded(model, uniform(4), Expansion(index_set=Adaptive(error=1e-5)))
+    assert basis.degrees[0] >= 8
+    assert max(basis.degrees[1:]) <= 3
+
+
+def test_no_point_is_solved_twice_and_none_is_lost():
+    model = Recorded(ishigami)
+    _, collocation = collocate(uniform(3), Expansion(index_set=Adaptive(error=1e-3)), model)
+    solved = np.concatenate(model.points)
+    assert len(model.points) > 2
+    assert np.array_equal(solved, collocation.points)
+
+
+def test_the_error_asked_for_is_the_leave_one_out_error_of_every_output():
+    def model(xi):
+        return {"small": 1e-6 * np.exp(2 * xi[:, 0]), "path": np.sin(np.outer(1 + xi[:, 1], np.arange(1, 6)))}
+
+    _, collocation = collocate(uniform(2), Expansion(index_set=Adaptive(error=3e-4)), model)
+    for values in model(np.asarray(collocation.points)).values():
+        samples = jnp.asarray(values)
+        assert float(leave_one_out(collocation, samples, collocation.coefficients(samples))) <= 3e-4
+
+
+def test_a_smaller_error_takes_more_points_and_gives_it():
+    counts, deviations = [], []
+    check = np.random.default_rng(0).uniform(-1, 1, (500, 3))
+    for error in (1e-1, 1e-2, 1e-3):
+        basis, collocation, coefficients, _ = expanded(ishigami, uniform(3), Expansion(index_set=Adaptive(error=error)))
+        counts.append(len(collocation.points))
+        deviations.append(np.mean((basis.matrix(check) @ np.asarray(coefficients) - ishigami(check)) ** 2) / 13.84)
+        assert deviations[-1] < 10 * error**2
+    assert counts == sorted(counts)
+
+
+def test_a_constant_output_needs_no_more_than_the_first_points():
+    basis, collocation, _, _ = expanded(lambda xi: np.full(len(xi), 0.3), uniform(5), Expansion(index_set=Adaptive()))
+    assert basis.terms == 6
+    assert len(collocation.points) == 18
+
+
+def test_normal_variables_grow_too():
+    def model(xi):
+        return np.exp(0.5 * xi[:, 0]) + xi[:, 1] ** 2
+
+    germs = {"a": HermiteGerm(), "b": HermiteGerm()}
+    _, _, coefficients, _ = expanded(model, germs, Expansion(index_set=Adaptive(error=1e-4)))
+    assert float(coefficients[0]) == pytest.approx(np.exp(0.125) + 1, abs=1e-4)
+
+
+def test_nothing_uncertain_needs_no_model():
+    basis, _ = collocate({}, Expansion(index_set=Adaptive()))
+    assert basis.terms == 1
+
+
+def test_an_error_out_of_reach_within_the_order_is_warned_of_with_what_was_reached():
+    with pytest.warns(ExpansionWarning, match=r"of order 4 at \d+ points leave .* at the limit of its order 4"):
+        collocate(uniform(2), Expansion(4, index_set=Adaptive(error=1e-6)), lambda xi: np.exp(3 * xi[:, 0]))
+
+
+def test_an_output_with_a_jump_is_warned_of_and_the_best_set_kept():
+    with pytest.warns(ExpansionWarning, match=r"at the limit of its budget of 150 points\. Raise that limit"):
+        _, collocation = collocate(
+            uniform(2), Expansion(index_set=Adaptive(error=1e-2, budget=150)), lambda xi: np.sign(xi[:, 0] + 0.3)
+        )
+    assert np.isfinite(collocation.pseudo_inverse).all()
+
+
+def test_an_output_that_is_not_finite_is_named_with_its_point():
+    def model(xi):
+        return {"force": np.where(np.arange(len(xi)) == 4, np.nan, xi[:, 0])}
+
+    with pytest.raises(SimulationError, match=r"output 'force' is not finite at 1 of 9 .* point 5 \(germ x1=.*, x2="):
+        collocate(uniform(2), Expansion(index_set=Adaptive()), model)
+
+
+def test_points_are_counted_on_when_the_set_has_grown():
+    def model(xi):
+        return np.where(len(xi) == 9, np.exp(3 * xi[:, 0]), np.where(np.arange(len(xi)) == 1, np.inf, xi[:, 0]))
+
+    with pytest.raises(SimulationError, match=r"not finite at 1 of \d+ .* point 11 \(germ x1="):
+        collocate(uniform(2), Expansion(index_set=Adaptive()), model)
+
+
+def test_an_output_without_an_axis_for_the_points_is_refused():
+    with pytest.raises(ProblemError, match=r"output of the model to have a leading axis of 9 points; received shape"):
+        collocate(uniform(2), Expansion(index_set=Adaptive()), lambda xi: xi[:2])
+
+
+def test_growing_without_a_model_is_refused():
+    with pytest.raises(ProblemError, match=r"outputs, which are not at hand.*TotalDegree"):
+        collocate(uniform(2), Expansion(index_set=Adaptive()))
+
+
+@pytest.mark.parametrize(
+    ("wish", "message"),
+    [
+        (lambda: Expansion(index_set=Adaptive(), points=HammersleyPoints()), "HammersleyPoints do not allow"),
+        (lambda: Expansion(index_set=Adaptive(), points=200), r"al\.Adaptive\(budget=200\)"),
+        (lambda: Expansion(index_set=Adaptive(budget=8)), "budget of at least 9 points"),
+        (lambda: Expansion(index_set=Adaptive(), fit=Interpolation()), "fitted by least squares; received Interpol"),
+        (lambda: Adaptive(error=0), "expected a positive number below 1; received 0"),
+        (lambda: Adaptive(budget=0), "budget of points is a whole number of at least 1"),
+    ],
+)
+def test_wishes_that_do_not_go_together_are_refused_with_a_remedy(wish, message):
+    with pytest.raises(ProblemError, match=message):
+        collocate(uniform(2), wish(), ishigami)
+
+
+def test_a_growing_set_prints_its_limit():
+    assert (
+        Expansion(index_set=Adaptive()).text(uniform(3)).startswith("order up to 20 in 3 variables, Adaptive index set")
+    )

@@ -1,0 +1,194 @@
+"""Full and sparse grids of Gauss points: exactness on monomials, chaospy's rules, and projection by them."""
+
+import math
+
+import chaospy
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from aleator._core.errors import ProblemError
+from aleator.expansion import (
+    Basis,
+    Expansion,
+    GaussPoints,
+    HammersleyPoints,
+    HyperbolicCross,
+    Interpolation,
+    Projection,
+    SmolyakPoints,
+    TensorProduct,
+    TotalDegree,
+    collocate,
+)
+from aleator.uncertainty import HermiteGerm, JacobiGerm, LaguerreGerm, LegendreGerm
+
+GERMS = {"u": LegendreGerm(), "n": HermiteGerm(), "b": JacobiGerm(2.0, 5.0), "g": LaguerreGerm(3.0)}
+CHAOSPY = (chaospy.Uniform(-1, 1), chaospy.Normal(0, 1), chaospy.Beta(2, 5, -1, 1), chaospy.Gamma(3))
+
+
+def beta_moment(d):
+    """Of `2 B - 1`, where the moments of `B` with parameters 2 and 5 are products of `(2 + k) / (7 + k)`."""
+    moments = [math.prod((2 + k) / (7 + k) for k in range(j)) for j in range(d + 1)]
+    return sum(math.comb(d, j) * 2**j * (-1) ** (d - j) * moments[j] for j in range(d + 1))
+
+
+MOMENTS = (
+    lambda d: (d + 1) % 2 / (d + 1),
+    lambda d: (d + 1) % 2 * math.prod(range(1, d, 2)),
+    beta_moment,
+    lambda d: math.factorial(d + 2) / 2,
+)
+
+
+def constant_basis(order):
+    return Basis(GERMS, TotalDegree().indices(tuple(GERMS), order))
+
+
+def integral_errors(nodes, degrees):
+    """Errors of the rule on monomials against the laws' moments in closed form, relative to the terms of its sum."""
+    errors = []
+    for row in degrees:
+        expected = math.prod(moment(d) for moment, d in zip(MOMENTS, row.tolist(), strict=True))
+        values = np.prod(nodes.points**row, axis=1)
+        size = max(abs(expected), np.abs(nodes.weights) @ np.abs(values), 1.0)
+        errors.append(abs(nodes.weights @ values - expected) / size)
+    return np.array(errors)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_a_full_grid_integrates_every_monomial_up_to_degree_2n_minus_1_in_each_variable_and_no_further(count):
+    nodes = GaussPoints(count).nodes(constant_basis(1), 0)
+    assert len(nodes.points) == count**4
+    inside = np.indices((2 * count,) * 4).reshape(4, -1).T
+    assert integral_errors(nodes, inside).max() < 1e-12
+    assert integral_errors(nodes, 2 * count * np.eye(4, dtype=int)).min() > 1e-3
+
+
+@pytest.mark.parametrize("level", [1, 2, 3])
+def test_a_sparse_grid_integrates_every_monomial_up_to_total_degree_2l_plus_1_and_no_further(level):
+    nodes = SmolyakPoints(level).nodes(constant_basis(1), 0)
+    inside = TotalDegree().indices(tuple(GERMS), 2 * level + 1)
+    assert integral_errors(nodes, inside).max() < 1e-12
+    beyond = (2 * level + 2) * np.eye(4, dtype=int)
+    assert integral_errors(nodes, beyond).min() > 1e-4
+
+
+@pytest.mark.parametrize("count", [2, 5, 9])
+def test_roots_and_weights_are_those_of_chaospy(count):
+    for (name, germ), law in zip(GERMS.items(), CHAOSPY, strict=True):
+        nodes = GaussPoints(count).nodes(Basis({name: germ}, np.array([[0], [1]])), 0)
+        (theirs,), weights = chaospy.generate_quadrature(count - 1, law, rule="gaussian")
+        assert nodes.points[:, 0] == pytest.approx(theirs, rel=1e-8, abs=1e-8)
+        assert nodes.weights == pytest.approx(weights, rel=1e-7, abs=1e-12)
+
+
+def test_a_sparse_grid_shares_its_points_and_has_far_fewer_than_the_full_one():
+    germs = {name: HermiteGerm() for name in "abcde"}
+    basis = Basis(germs, TotalDegree().indices(tuple(germs), 3))
+    nodes = SmolyakPoints().nodes(basis, 0)
+    assert len(np.unique(nodes.points, axis=0)) == len(nodes.points) < 4**5 / 4
+    assert (nodes.weights < 0).any()
+    assert nodes.weights.sum() == pytest.approx(1, rel=1e-12)
+
+
+def test_in_one_variable_a_sparse_grid_is_the_full_one():
+    basis = Basis({"u": LegendreGerm()}, np.arange(5)[:, None])
+    sparse, full = SmolyakPoints().nodes(basis, 0), GaussPoints().nodes(basis, 0)
+    assert sparse.points == pytest.approx(full.points, abs=1e-14)
+    assert sparse.weights == pytest.approx(full.weights, rel=1e-12)
+
+
+def smooth(points):
+    x = np.asarray(points).T
+    return np.exp(0.3 * x[0]) * np.sin(0.5 * x[1] + x[2]) + 1 / (2 + x[3])
+
+
+def test_projected_coefficients_are_those_of_chaospys_quadrature():
+    germs, laws = {"u": LegendreGerm(), "n": HermiteGerm()}, CHAOSPY[:2]
+
+    def model(points):
+        return np.exp(0.3 * points[0]) * np.sin(0.5 * points[1])
+
+    basis, collocation = collocate(germs, Expansion(3, points=GaussPoints(4), fit=Projection()))
+    nodes, weights = chaospy.generate_quadrature(3, chaospy.J(*laws), rule="gaussian")
+    q = chaospy.variable(2)
+    univariate = [chaospy.expansion.stieltjes(3, law, normed=True) for law in laws]
+    left, right = (one(q[i]) for i, one in enumerate(univariate))
+    polynomials = [left[i] * right[j] for i, j in basis.indices.tolist()]
+    _, theirs = chaospy.fit_quadrature(chaospy.polynomial(polynomials), nodes, weights, model(nodes), retall=1)
+    ours = collocation.coefficients(jnp.asarray(model(np.asarray(collocation.points).T)))
+    assert ours == pytest.approx(theirs, rel=1e-8, abs=1e-8)
+
+
+@pytest.mark.parametrize("index_set", [TotalDegree(), HyperbolicCross(0.6)])
+@pytest.mark.parametrize("points", [GaussPoints(), SmolyakPoints()])
+def test_projection_recovers_polynomials_of_the_span(points, index_set):
+    basis, collocation = collocate(GERMS, Expansion(3, index_set=index_set, points=points, fit=Projection()))
+    coefficients = np.random.default_rng(3).normal(size=(basis.terms, 2))
+    again = collocation.coefficients(jnp.asarray(collocation.matrix @ coefficients))
+    assert again == pytest.approx(coefficients, abs=1e-9)
+
+
+def test_projection_converges_exponentially_in_the_order():
+    exact = np.sinh(1.0)  # the mean of exp under the uniform law on [-1, 1]
+    errors = []
+    for order in range(1, 6):
+        _, one = collocate({"u": LegendreGerm()}, Expansion(order, points=GaussPoints(), fit=Projection()))
+        errors.append(abs(float(one.coefficients(jnp.exp(one.points[:, 0]))[0]) - exact))
+    assert np.polyfit(range(1, 6), np.log10(errors), 1)[0] < -1.5
+
+
+@pytest.mark.parametrize("points", [SmolyakPoints(2), GaussPoints(3), HammersleyPoints()])
+def test_a_rule_that_does_not_integrate_the_products_is_refused_with_one_that_does(points):
+    with pytest.raises(ProblemError, match=r"GaussPoints\(4\) or al\.SmolyakPoints\(3\)"):
+        collocate(GERMS, Expansion(3, points=points, fit=Projection()))
+    for better in (GaussPoints(4), SmolyakPoints(3)):
+        collocate(GERMS, Expansion(3, points=better, fit=Projection()))
+
+
+def test_a_sparse_grid_for_a_tensor_product_needs_the_level_that_is_named():
+    germs = {"u": LegendreGerm(), "n": HermiteGerm()}
+    with pytest.raises(ProblemError, match=r"al\.SmolyakPoints\(4\)"):
+        collocate(germs, Expansion(2, index_set=TensorProduct(), points=SmolyakPoints(2), fit=Projection()))
+    collocate(germs, Expansion(2, index_set=TensorProduct(), points=SmolyakPoints(4), fit=Projection()))
+
+
+def test_least_squares_refuses_weights_of_both_signs():
+    with pytest.raises(ProblemError, match=r"weights that are not positive.*Projection"):
+        collocate(GERMS, Expansion(2, points=SmolyakPoints()))
+
+
+def test_a_grid_of_millions_of_points_is_refused_with_a_remedy():
+    germs = {name: LegendreGerm() for name in "abcdefghijkl"}
+    with pytest.raises(ProblemError, match=r"GaussPoints: a grid of 4 x .* more than 1000000 points.*SmolyakPoints"):
+        collocate(germs, Expansion(3, points=GaussPoints(), fit=Projection()))
+
+
+def test_interpolation_goes_through_all_samples():
+    basis, collocation = collocate(GERMS, Expansion(2, fit=Interpolation()))
+    samples = smooth(collocation.points)
+    assert len(samples) == basis.terms
+    again = np.asarray(collocation.matrix) @ np.asarray(collocation.coefficients(jnp.asarray(samples)))
+    assert again == pytest.approx(samples, rel=1e-10)
+
+
+def test_interpolation_on_a_full_grid_is_the_projection():
+    parts = [
+        collocate({"u": LegendreGerm(), "n": HermiteGerm()}, Expansion(3, index_set=TensorProduct(), points=p, fit=fit))
+        for p, fit in ((GaussPoints(), Interpolation()), (GaussPoints(), Projection()))
+    ]
+    interpolated, projected = (np.asarray(one.collocation.pseudo_inverse) for one in parts)
+    assert interpolated == pytest.approx(projected, abs=1e-10)
+
+
+def test_interpolation_with_another_number_of_points_is_refused():
+    with pytest.raises(ProblemError, match=r"as many points as terms, 15; received 16"):
+        collocate(GERMS, Expansion(2, points=16, fit=Interpolation()))
+
+
+@pytest.mark.parametrize("kind", [GaussPoints, SmolyakPoints])
+@pytest.mark.parametrize("number", [0, -1, True])
+def test_sizes_of_grids_are_positive_whole_numbers(kind, number):
+    with pytest.raises(ProblemError, match="is a whole number of at least 1; received"):
+        kind(number)

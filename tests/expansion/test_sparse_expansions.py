@@ -1,0 +1,153 @@
+"""Sparse expansions: published Sobol indices, sparse polynomials, OpenTURNS' corrected error and its sparse fit."""
+
+import sys
+
+import jax.numpy as jnp
+import numpy as np
+import openturns as ot
+import pytest
+
+from aleator._core.errors import MissingExtraError, ProblemError
+from aleator.expansion import (
+    ChristoffelPoints,
+    Expansion,
+    HyperbolicCross,
+    LatinHypercubePoints,
+    SmolyakPoints,
+    SobolPoints,
+    Sparse,
+    TotalDegree,
+    collocate,
+    leave_one_out,
+)
+from aleator.expansion._sparse import corrected_errors
+from aleator.uncertainty import HermiteGerm, LegendreGerm
+
+SOBOL_G = np.array([0, 1, 4.5, 9, 99, 99, 99, 99])
+
+
+def uniform(variables):
+    return {f"x{i + 1}": LegendreGerm() for i in range(variables)}
+
+
+def sobol_g(points):
+    return np.prod((np.abs(2 * points) + SOBOL_G) / (1 + SOBOL_G), axis=1)
+
+
+def first_order(basis, coefficients):
+    squares = np.asarray(coefficients) ** 2
+    alone = (basis.indices > 0).sum(axis=1) == 1
+    own = [squares[alone & (basis.indices[:, i] > 0)].sum() for i in range(basis.variables)]
+    return np.array(own) / squares[1:].sum()
+
+
+def test_sobols_g_function_has_its_indices_by_the_sparse_route():
+    expansion = Expansion(10, index_set=HyperbolicCross(0.6), points=SobolPoints(400), fit=Sparse())
+    basis, collocation = collocate(uniform(8), expansion, sobol_g)
+    coefficients = collocation.coefficients(jnp.asarray(sobol_g(np.asarray(collocation.points))))
+    partial = 1 / (3 * (1 + SOBOL_G) ** 2)
+    exact = partial / (np.prod(1 + partial) - 1)
+    assert exact[0] == pytest.approx(0.716, abs=5e-4)
+    assert first_order(basis, coefficients) == pytest.approx(exact, abs=0.02)
+
+
+@pytest.mark.parametrize("points", [SobolPoints(90), LatinHypercubePoints(90, seed=1), ChristoffelPoints(90)])
+def test_a_sparse_polynomial_among_hundreds_of_candidates_is_found_with_fewer_points_than_candidates(points):
+    chosen = {(0,) * 10, (1, 0, 0, 0, 0, 0, 0, 0, 0, 0), (0, 0, 2, 0, 0, 0, 0, 0, 0, 1), (0, 1, 0, 0, 1, 0, 0, 0, 0, 0)}
+    germs = uniform(9) | {"n": HermiteGerm()}
+
+    def model(xi):
+        return 1 + xi[:, 0] + (3 * xi[:, 2] ** 2 - 1) * xi[:, 9] + xi[:, 1] * xi[:, 4]
+
+    basis, collocation = collocate(germs, Expansion(3, points=points, fit=Sparse()), model)
+    coefficients = collocation.coefficients(jnp.asarray(model(np.asarray(collocation.points))))
+    large = basis.indices[np.abs(np.asarray(coefficients)) > 1e-9]
+    assert {tuple(row) for row in large.tolist()} == chosen
+    assert len(TotalDegree().indices(basis.names, 3)) == 286
+    assert basis.terms <= 45
+
+
+def test_the_corrected_error_is_that_of_openturns():
+    xi = np.random.default_rng(2).uniform(-1, 1, (40, 2))
+    output = np.exp(xi[:, 0]) * (1 + xi[:, 1] ** 3)
+    inputs, outputs = ot.Sample(xi.tolist()), ot.Sample(output[:, None].tolist())
+    product = ot.OrthogonalProductPolynomialFactory([ot.LegendreFactory()] * 2)
+    terms = [product.build(k) for k in range(9)]
+    matrix = np.stack([np.asarray(term(inputs)).ravel() for term in terms], axis=1)
+    # OpenTURNS divides by the variance with n - 1
+    ours = corrected_errors(matrix, (output / output.std(ddof=1))[:, None])
+    for count in (1, 4, 9):
+        method = ot.QRMethod(ot.DesignProxy(inputs, terms), list(range(count)))
+        theirs = ot.CorrectedLeaveOneOut().run(method, outputs)
+        assert ours[count - 1] == pytest.approx(theirs, rel=1e-8)
+
+
+def test_it_predicts_as_well_as_openturns_sparse_fit():
+    variables, count = 6, 120
+    expansion = Expansion(4, points=SobolPoints(count), fit=Sparse())
+
+    def model(xi):
+        return np.exp(0.5 * xi[:, 0] + 0.3 * xi[:, 1]) / (2 + xi[:, 2]) + 0.1 * xi[:, 3] * xi[:, 4]
+
+    basis, collocation = collocate(uniform(variables), expansion, model)
+    points = np.asarray(collocation.points)
+    coefficients = np.asarray(collocation.coefficients(jnp.asarray(model(points))))
+    law = ot.JointDistribution([ot.Uniform(-1.0, 1.0)] * variables)
+    product = ot.OrthogonalProductPolynomialFactory([ot.LegendreFactory()] * variables)
+    selection = ot.LeastSquaresMetaModelSelectionFactory(ot.LARS(), ot.CorrectedLeaveOneOut())
+    algorithm = ot.FunctionalChaosAlgorithm(
+        ot.Sample(points.tolist()),
+        ot.Sample(model(points)[:, None].tolist()),
+        law,
+        ot.FixedStrategy(product, 210),
+        ot.LeastSquaresStrategy(selection),
+    )
+    algorithm.run()
+    check = np.random.default_rng(0).uniform(-1, 1, (1000, variables))
+    theirs = np.asarray(algorithm.getResult().getMetaModel()(ot.Sample(check.tolist()))).ravel()
+    ours = basis.matrix(check) @ coefficients
+    wrong = [np.mean((one - model(check)) ** 2) / model(check).var() for one in (ours, theirs)]
+    assert wrong[0] < 1e-3
+    assert wrong[0] < 1.2 * wrong[1]
+
+
+def test_all_entries_of_a_path_and_all_outputs_share_one_choice_that_resolves_each():
+    times = np.linspace(0.1, 2.0, 40)
+
+    def model(xi):
+        path = np.exp(-times[None, :] * (1 + 0.3 * xi[:, :1])) * (1 + 0.2 * xi[:, 1:2])
+        return {"path": path, "tiny": 1e-9 * xi[:, 5] ** 3, "constant": np.full(len(xi), 2.0)}
+
+    basis, collocation = collocate(uniform(8), Expansion(4, points=SobolPoints(150), fit=Sparse()), model)
+    assert basis.terms < 75 < len(TotalDegree().indices(basis.names, 4)) == 495
+    for values in model(np.asarray(collocation.points)).values():
+        samples = jnp.asarray(values)
+        assert float(leave_one_out(collocation, samples, collocation.coefficients(samples))) < 1e-3
+
+
+def test_terms_keep_their_order_and_the_constant_comes_first():
+    basis, _ = collocate(uniform(4), Expansion(5, points=SobolPoints(60), fit=Sparse()), lambda xi: np.exp(xi.sum(1)))
+    rows = basis.indices.tolist()
+    assert not any(rows[0])
+    assert rows == sorted(rows, key=lambda row: (sum(row), [-degree for degree in row]))
+
+
+def test_a_constant_output_keeps_only_the_constant():
+    basis, _ = collocate(uniform(3), Expansion(2, fit=Sparse()), lambda xi: np.full(len(xi), -4.0))
+    assert basis.indices.tolist() == [[0, 0, 0]]
+
+
+def test_without_outputs_there_is_nothing_to_choose_by():
+    with pytest.raises(ProblemError, match=r"outputs, which are not at hand.*LeastSquares"):
+        collocate(uniform(2), Expansion(fit=Sparse()))
+
+
+def test_weights_of_both_signs_are_refused():
+    with pytest.raises(ProblemError, match=r"Sparse: some points have weights that are not positive"):
+        collocate(uniform(2), Expansion(3, points=SmolyakPoints(), fit=Sparse()), lambda xi: xi)
+
+
+def test_without_scikit_learn_the_extra_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "sklearn", None)
+    with pytest.raises(MissingExtraError, match=r'scikit-learn: install it with `pip install "aleator\[sparse\]"`'):
+        collocate(uniform(2), Expansion(fit=Sparse()), lambda xi: xi)

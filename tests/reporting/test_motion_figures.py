@@ -1,0 +1,96 @@
+"""Figures of motion: a linkage, paths in the plane and bands, from arrays alone."""
+
+import json
+
+import numpy as np
+import pytest
+
+from aleator.reporting import (
+    Drawing,
+    Page,
+    Scene,
+    Section,
+    Verdict,
+    bands_figure,
+    linkage_animation,
+    looks,
+    page_html,
+    plane_figure,
+)
+
+LOOK = looks(["robust"])["robust"]
+TIMES = np.linspace(0.0, 2.0, 201)
+RATES = np.linspace(0.8, 1.2, 40)
+SCENE = Scene(((1.0, 1.0, 0.25),), wall=-1.5)
+
+
+def turning(rates):
+    """Two links of lengths 1 and 0.5 that turn together, at each rate: base, elbow and tip."""
+    angles = rates[:, None] * TIMES[None]
+    ray = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    return np.stack([0 * ray, ray, 1.5 * ray], axis=-2)
+
+
+@pytest.fixture(scope="module")
+def animation():
+    joints = turning(RATES)
+    return linkage_animation(TIMES, joints, turning(np.ones(1))[0], look=LOOK, scene=SCENE, target=(0.0, 1.5))
+
+
+def test_links_keep_their_lengths_in_every_frame(animation):
+    for frame in animation.frames:
+        cloud, nominal = frame.data
+        points = np.array([nominal.x, nominal.y], dtype=float).T
+        np.testing.assert_allclose(np.linalg.norm(np.diff(points, axis=0), axis=1), [1.0, 0.5], atol=2e-3)
+        assert sum(x is None for x in cloud.x) == 25
+
+
+def test_frames_go_from_the_first_instant_to_the_last_and_have_a_step_each(animation):
+    assert len(animation.frames) == 60
+    assert [animation.frames[0].name, animation.frames[-1].name] == ["0.00", "2.00"]
+    steps = animation.layout.sliders[0].steps
+    assert [step.args[0][0] for step in steps] == [frame.name for frame in animation.frames]
+    assert {trace for frame in animation.frames for trace in frame.traces} == {1, 2}
+    assert [animation.data[1].name, animation.data[2].name] == ["25 systems", "nominal system"]
+
+
+def test_an_animation_is_small_enough_for_a_page(animation):
+    assert len(animation.to_json()) < 200_000
+
+
+def test_the_page_plays_the_frames(animation):
+    page = Page("Motion", "", Verdict("good", "Go", "It moves."), [Section("S", [Drawing([animation], "Linkage")])])
+    html = page_html(page)
+    found = html.split('<script type="application/json"')[1].split(">", 1)[1].split("</script>")[0]
+    assert len(json.loads(found)["frames"]) == 60
+    assert "frames" in html.split("Plotly.newPlot(plot,")[1].split("\n")[0]
+
+
+def test_scales_are_equal_and_everything_that_stands_still_is_in_sight(animation):
+    assert animation.layout.yaxis.scaleanchor == "x"
+    disc, wall = animation.layout.shapes
+    assert [disc.type, disc.x1 - disc.x0, disc.y1 - disc.y0] == ["circle", 0.5, 0.5]
+    assert wall.x1 == -1.5
+    assert animation.layout.xaxis.range[0] < -1.5
+
+
+def test_systems_that_violate_stand_out_in_the_plane():
+    joints = turning(RATES)
+    broken = RATES > 1.1
+    figure = plane_figure(joints[..., -1, :], joints[0, :, -1], look=LOOK, broken=broken)
+    names = [trace.name for trace in figure.data]
+    assert f"within the limits ({int((~broken).sum())} of 40 drawn)" in names
+    assert f"violating ({int(broken.sum())} of 40 drawn)" in names
+
+
+def test_the_bands_reach_one_sigma_and_the_whole_range():
+    rows = RATES[:, None] * np.sin(TIMES)[None]
+    figure = bands_figure(TIMES, {"q": rows}, y="Angle", unit="rad", limits=(-1.0, 1.0), targets={"q": 0.0})
+    top = int(np.argmax(np.sin(TIMES)))
+    wide, narrow, mean = figure.data[:3]
+    assert wide.y[top] == pytest.approx(1.2, rel=1e-4)
+    # The standard deviation of 40 equidistant numbers over a width of 0.4.
+    sigma = 0.4 * np.sqrt((40 + 1) / (12 * (40 - 1)))
+    assert narrow.y[top] - mean.y[top] == pytest.approx(sigma, rel=1e-3)
+    assert len(figure.layout.shapes) == 2
+    assert figure.data[3].y == (0.0,)

@@ -1,0 +1,174 @@
+import dataclasses
+import html
+
+import numpy as np
+import pytest
+import report_problems as given
+
+from aleator.reporting import (
+    Axis,
+    Box,
+    calibration_figure,
+    density_figure,
+    front_figure,
+    interval,
+    number,
+    percent,
+    percentile_figure,
+    price_figure,
+    projection_figure,
+    relative_figure,
+    signal_figure,
+    trajectory_figure,
+)
+from aleator.reporting._samples import _curves
+
+
+def traces(figure, mode):
+    return [one for one in figure.data if one.mode == mode and one.x is not None and one.x[0] is not None]
+
+
+def test_a_front_is_drawn_at_its_values_and_optima():
+    front = given.front()
+    figure = front_figure({"uOpt": front}, x="Reach", x_unit="m", y="Effort", y_unit="m²/s³")
+    (line,) = traces(figure, "lines+markers")
+    np.testing.assert_allclose(line.x, front.values)
+    solved = front.solved
+    np.testing.assert_allclose(np.array(line.y, dtype=float)[solved], front.objectives[solved])
+    assert all(value is None or np.isnan(value) for value, ok in zip(line.y, solved, strict=True) if not ok)
+    assert figure.layout.xaxis.title.text == "Reach (m)"
+    assert figure.layout.yaxis.title.text == "Effort (m²/s³)"
+
+
+def test_a_front_shows_where_its_bound_is_active_by_filled_markers():
+    front = given.front()
+    (line,) = traces(front_figure({"uOpt": front}, x="", y=""), "lines+markers")
+    filled = [not symbol.endswith("-open") for symbol in line.marker.symbol]
+    assert filled[:3] == [one.multiplier(given.NAME) > 0 for one in front.solutions][:3] == [False, True, True]
+
+
+def test_infeasible_points_stand_on_the_axis_and_say_why():
+    front = given.front()
+    figure = front_figure({"uOpt": front}, x="Reach", y="Effort")
+    (crosses,) = traces(figure, "markers+text")
+    np.testing.assert_allclose(crosses.x, front.values[~front.solved])
+    assert "infeasible" in crosses.text[0]
+    assert html.escape(front.solutions[-1].violated[0].sentence(), quote=False) in crosses.customdata[0]
+    assert figure.layout.yaxis.range[0] < crosses.y[0] < np.nanmin(front.objectives)
+
+
+def test_prices_are_the_multipliers_in_the_unit_asked():
+    front = given.front()
+    (line,) = price_figure({"uOpt": front}, x="Reach", y="Price", scale=0.01).data
+    np.testing.assert_allclose(np.array(line.y[:3], dtype=float), 0.01 * front.prices[:3])
+
+
+def test_the_same_design_has_the_same_colour_and_marker_everywhere():
+    front = given.front()
+    (line,) = traces(front_figure({"aOpt": front, "uOpt": front}, x="", y=""), "lines+markers")[:1]
+    axes = {key: Axis(key) for key in ("a", "b")}
+    box = Box("aOpt", {"a": 1.0, "b": 2.0}, {"a": 0.0, "b": 0.0})
+    (point,) = projection_figure([box], "a", "b", axes).data
+    assert point.marker.color == line.marker.color
+    assert line.marker.symbol[1] == point.marker.symbol
+
+
+def test_a_projection_draws_the_mean_the_box_and_the_limits():
+    axes = {"a": Axis("Holding", "m", {"H": 3.0}), "b": Axis("Travel", "m", {"R": 5.0})}
+    boxes = [
+        Box("uOpt", {"a": 1.0, "b": 2.0}, {"a": 0.5, "b": 0.25}),
+        Box("dOpt", {"a": 2.0, "b": 2.0}, {"a": 0, "b": 0}),
+    ]
+    figure = projection_figure(boxes, "a", "b", axes)
+    (outline,) = traces(figure, "lines")
+    assert (min(outline.x), max(outline.x), min(outline.y), max(outline.y)) == (0.5, 1.5, 1.75, 2.25)
+    assert [(point.x[0], point.y[0]) for point in traces(figure, "markers")] == [(1.0, 2.0), (2.0, 2.0)]
+    assert sorted(shape.x0 for shape in figure.layout.shapes) == [0, 3.0]
+    assert figure.layout.xaxis.range[1] > 3.0
+
+
+def test_trajectories_are_those_kept_and_the_title_gives_the_share_with_its_interval():
+    evidence = given.evidence()
+    figure = trajectory_figure(evidence, given.NAME, unit="m", every=1)
+    (kept,) = evidence.trajectories
+    drawn = np.concatenate([np.array(one.y, dtype=float) for one in traces(figure, "lines")])
+    drawn = drawn[np.isfinite(drawn)]
+    np.testing.assert_allclose(np.sort(drawn), np.sort(kept.values.ravel()), rtol=1e-6)
+    share = evidence.violations[given.NAME]
+    assert figure.layout.title.text.startswith(f"{percent(share.estimate)} [{interval(share)}]")
+    assert sum("violating" in (one.name or "") for one in traces(figure, "lines")) == 1
+    assert [shape.y0 for shape in figure.layout.shapes] == [0.2]
+
+
+def test_a_calibration_shows_every_trial_with_its_interval_and_the_target():
+    calibration = given.calibration()
+    figure = calibration_figure(calibration)
+    trials = sorted(calibration.trials, key=lambda one: one.sigmas)
+    np.testing.assert_allclose(figure.data[0].x, [one.sigmas for one in trials])
+    np.testing.assert_allclose(figure.data[0].y, [100 * one.violation.estimate for one in trials])
+    upper = np.array(figure.data[0].y) + np.array(figure.data[0].error_y.array)
+    np.testing.assert_allclose(upper, [100 * one.violation.upper for one in trials])
+    assert figure.layout.shapes[0].y0 == pytest.approx(10.0)
+    assert figure.data[1].y == (100 * calibration.confirmation.estimate,)
+    unconfirmed = dataclasses.replace(calibration, confirmation=None, missing="it was interrupted")
+    assert len(calibration_figure(unconfirmed).data[1].x) == 0
+
+
+def test_percentiles_and_means_are_those_sampled():
+    sampled = given.evidence().functionals["∫effort dt"]
+    figure = percentile_figure({"design": sampled}, x="Effort", unit="m²/s³", limit=15.0)
+    bars = traces(figure, "lines")
+    np.testing.assert_allclose(bars[0].x, sampled.percentiles[[0, -1]])
+    assert float(sampled.mean) in [one.x[0] for one in traces(figure, "markers")]
+
+
+def test_decisions_are_drawn_relative_to_their_start():
+    front = given.front()
+    (line,) = relative_figure(front, {"c.mean": "damper"}, x="Reach", y="Share").data
+    chosen = [float(one.decisions["c.mean"]) for one in front.solutions[:3]]
+    np.testing.assert_allclose(np.array(line.y[:3], dtype=float), 100 * np.array(chosen))
+
+
+@pytest.mark.parametrize("logarithmic", [False, True])
+def test_a_density_shows_its_limits_and_what_is_rejected_beyond_them(logarithmic):
+    values = np.linspace(-4.0, 4.0, 81)
+    density = np.exp(-0.5 * values**2) / np.sqrt(2 * np.pi)
+    tails = ("22 800\nppm", "1 350\nppm")
+    figure = density_figure(
+        values, {"normal": density}, x="Angle", unit="°", limits=(-2.0, 3.0), tails=tails, logarithmic=logarithmic
+    )
+    assert [line.x0 for line in figure.layout.shapes] == [-2.0, 3.0]
+    shaded = [np.array(one.x) for one in figure.data if one.fill == "tozeroy"]
+    assert shaded[0].max() == pytest.approx(-2.0)
+    assert shaded[1].min() == pytest.approx(3.0)
+    said = {one.text: one.x for one in figure.layout.annotations if "ppm" in one.text}
+    assert said == {"22 800<br>ppm": -2.0, "1 350<br>ppm": 3.0}
+    assert figure.layout.yaxis.type == ("log" if logarithmic else None)
+
+
+def test_a_signal_is_drawn_as_given():
+    figure = signal_figure(np.arange(3.0), np.array([0.0, 1.0, 0.5]), name="Road", unit="m")
+    np.testing.assert_allclose(figure.data[0].y, [0.0, 1.0, 0.5])
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (0.0, "0"),
+        (23339.0, "23 339"),
+        (-0.0322, "−0.03220"),
+        (1e-6, "1.00·10⁻⁶"),
+        (np.nan, "–"),
+        (np.inf, "∞"),
+        (220.0, "220.0"),
+    ],
+)
+def test_numbers_are_written_with_four_significant_digits(value, text):
+    assert number(value).replace("\u202f", " ") == text
+
+
+def test_a_vector_over_time_is_drawn_component_by_component():
+    values = np.arange(12.0).reshape(2, 3, 2)
+    curves, violating = _curves(values, np.array([True, False]))
+    np.testing.assert_array_equal(curves, [[0, 2, 4], [1, 3, 5], [6, 8, 10], [7, 9, 11]])
+    np.testing.assert_array_equal(violating, [True, True, False, False])

@@ -1,0 +1,116 @@
+"""Units of functionals, statistics and expressions, by dimensional analysis on paper."""
+
+from typing import Any, ClassVar
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import aleator as al
+from aleator._core.units import integrated, product, rate, squared
+from aleator.reporting._units import of_decision, of_expression, of_moments
+
+ENDS = {"start": ((0.0, 0.0), 0), "end": ((1.0, 1.0), 0)}
+
+
+class Crane(al.Mechanical):
+    """A trolley and a winch: one joint that slides and one that turns; `temperature` has no unit."""
+
+    names = ("x", "q")
+    units: ClassVar = {
+        **{"x": "m", "x_rate": "m/s", "x_torque": "N", "q": "rad", "q_rate": "rad/s", "q_torque": "N m"},
+        **{"drive": "W", "stored": "J", "jolt": "m/s³", "share": "-"},
+    }
+    mass: al.Number = al.parameter("kg", positive=True)
+
+    def mass_matrix(self, q: Any) -> Any:
+        return self.mass * jnp.eye(2)
+
+    def coriolis(self, q: Any, v: Any) -> Any:
+        return jnp.zeros((2, 2))
+
+    def outputs(self, motion: Any) -> dict[str, Any]:
+        one = motion.q[0]
+        return dict.fromkeys(("drive", "stored", "jolt", "share", "temperature"), one)
+
+
+def problem(objective: Any) -> al.Problem:
+    motion = al.BSpline(al.Decision(np.full((4, 2), 0.5), -5.0, 5.0), **ENDS)
+    mass = al.Gamma(shape=al.Decision(4.0, 3.0, 5.0), scale=al.Decision(0.5, 0.1, 1.0), lower=0.1)
+    grid = al.Grid(al.Decision(2.0, 1.0, 3.0), 4)
+    return al.Problem(al.InverseDynamics(Crane(mass=mass), motion=motion), grid=grid, minimize=objective)
+
+
+X, Q = al.path("x_torque"), al.path("q_torque")
+
+
+@pytest.mark.parametrize(
+    ("expression", "unit"),
+    [
+        (al.effort("x_torque"), "N² s"),
+        (al.effort("q_torque", weights=[0.5]), "(N m)² s"),
+        (al.effort("x_torque", "q_torque"), ""),
+        (al.power({"x_torque": "x_rate"}), "J"),
+        (al.power({"q_torque": "q_rate", "x_torque": "x_rate"}), "J"),
+        (al.power({"q_torque": "x_rate"}), "N m (m/s) s"),
+        (al.coefficient_power({"q_torque": "q_rate"}), "J"),
+        (al.jerk("x_torque"), "(N/s)² s"),
+        (al.jerk("q_torque"), "(N m/s)² s"),
+        (al.path("q_acceleration").mean, "rad/s²"),
+        (al.path("q_torque_rate").std, "N m/s"),
+        (al.terminal_variance("x"), "m²"),
+        (al.terminal_variance("x", "x_rate"), ""),
+        (al.terminal_mean_error({"x": 1.0}), "m"),
+        (al.final_time(), "s"),
+        (al.effort("x_torque") + al.final_time(), ""),
+        (al.effort("x_torque") + 0 * al.final_time(), "N² s"),
+        (al.time_integral(X.std), "N s"),
+        (al.time_integral(al.correlation(X, Q)), "s"),
+        (al.time_integral(al.covariance(X, al.path("x_rate"))), "J"),
+        (al.rms("x_torque").mean + 2 * al.rms("x_torque").std - 1.0, "N"),
+        (al.rms("x_torque").variance, "N²"),
+        (al.peak("x_rate").quantile(0.9), "m/s"),
+        (al.integral("drive").mean, "J"),
+        (al.integral("stored").mean, "J s"),
+        (al.integral("jolt").mean, "m/s²"),
+        (al.integral("share").mean, "s"),
+        (al.integral("temperature").mean, ""),
+        (al.effort("temperature"), ""),
+        (al.power({"x_torque": "temperature"}), ""),
+        (al.terminal("share").mean, ""),
+        (al.value("mass.mean"), "kg"),
+        (al.value("mass.scale") + al.value("mass.std"), "kg"),
+        (al.value("mass.shape"), ""),
+        (al.reciprocal("mass.std", bias=0.0, scale=1.0), ""),
+        (al.terminal("x").mean + al.reciprocal("mass.std", bias=0.0, scale=1.0), ""),
+    ],
+    ids=str,
+)
+def test_units_follow_from_those_of_outputs(expression, unit, crane):
+    assert of_expression(expression, crane) == unit
+
+
+@pytest.fixture(scope="module")
+def crane():
+    return problem(al.effort("x_torque") + al.power({"q_torque": "q_rate"}))
+
+
+def test_functionals_and_decisions_have_their_units(crane):
+    assert of_moments(crane) == {"∫x_torque² dt": "N² s", "∫|q_torque q_rate| dt": "J"}
+    found = {name: of_decision(name, crane) for name in crane.survey.decisions}
+    assert found == {"mass.shape": "", "mass.scale": "kg", "motion.free": "", "t_final": "s"}
+
+
+def test_integrals_and_rates_over_time_are_inverse_where_both_are_simple():
+    for unit, integral in (("-", "s"), ("", ""), ("W", "J"), ("m/s", "m"), ("rad/s²", "rad/s"), ("N m/s", "N m")):
+        assert integrated(unit) == integral
+        assert rate(integral) == unit or unit == "-"
+
+
+def test_what_divides_is_set_in_brackets_where_it_is_multiplied():
+    assert product("N/m", "m") == "(N/m) m"
+    assert integrated("kg/m³") == "(kg/m³) s"
+    assert squared("m/s²") == "(m/s²)²"
+    assert squared("-") == "-"
+    assert integrated("1/s") == "-"
+    assert rate("N s/m") == "(N s/m)/s"
