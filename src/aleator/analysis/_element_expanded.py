@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+from typing_extensions import override
 
 from aleator._core.arrays import Pytree
 from aleator._core.tracing import evaluate
@@ -61,8 +62,8 @@ class ElementExpanded(AbstractExpanded):
     calls: int = eqx.field(static=True)
     error: float = eqx.field(static=True)
 
+    @override
     def __getitem__(self, name: str) -> "ElementExpanded":
-        """See `AbstractExpanded.__getitem__`."""
         one = part(self.coefficients, name)
         return ElementExpanded(self.laws, self.partition, one, self.splits, self.calls, self.error)
 
@@ -70,8 +71,9 @@ class ElementExpanded(AbstractExpanded):
         both = paired(self.coefficients, first, second)
         return ElementExpanded(self.laws, self.partition, both, self.splits, self.calls, self.error)
 
+    @override
     def statistic(self, kind: AbstractStatistic) -> Pytree:
-        """See `AbstractExpanded.statistic`. Raises `ProblemError` for Sobol indices of correlated inputs."""
+        """Raises `ProblemError` for Sobol indices of correlated inputs."""
         refuse_correlated(self.laws, kind)
         return jax.tree.map(self._rule(kind), self.coefficients)
 
@@ -101,12 +103,13 @@ class ElementExpanded(AbstractExpanded):
             return lambda coefficients: sampled_law.quantile(kind, self._sample(coefficients))
         return lambda coefficients: kind.of_sample(self._sample(coefficients))
 
+    @override
     def cdf(self, values: Float[Array, " n"]) -> Pytree:
-        """See `AbstractExpanded.cdf`."""
         return self._at_each(sampled_law.cdf, values)
 
+    @override
     def pdf(self, values: Float[Array, " n"]) -> Pytree:
-        """See `AbstractExpanded.pdf`: by a kernel estimate."""
+        """By a kernel estimate."""
         return self._at_each(sampled_law.pdf, values)
 
     def _at_each(self, function: Callable[[Array, Array], Array], values: Float[Array, " n"]) -> Pytree:
@@ -167,14 +170,14 @@ class ElementExpanded(AbstractExpanded):
         ]
         return jnp.tensordot(self.partition.probability, jnp.stack(moments), axes=1)
 
+    @override
     def at_germ(self, points: Float[np.ndarray, "n variables"]) -> Pytree:
-        """See `AbstractExpanded.at_germ`."""
         scattered = self.partition.scatter(checked_points(points, self.germs))
         return jax.tree.map(scattered.evaluate, self.coefficients)
 
     @property
+    @override
     def germs(self) -> Mapping[str, AbstractGerm]:
-        """See `AbstractExpanded.germs`."""
         return self.partition.germs
 
     def __str__(self) -> str:

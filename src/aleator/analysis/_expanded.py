@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
+from typing_extensions import override
 
 from aleator._core.arrays import Pytree, numbers_to_arrays
 from aleator._core.tracing import evaluate
@@ -41,16 +42,17 @@ class Expanded(AbstractExpanded):
     samples: Pytree | None
     tolerance: float = UNRESOLVED
 
+    @override
     def __getitem__(self, name: str) -> "Expanded":
-        """See `AbstractExpanded.__getitem__`."""
         samples = None if self.samples is None else part(self.samples, name)
         return Expanded(self.laws, self.basis, part(self.coefficients, name), self.collocation, samples, self.tolerance)
 
     def _both(self, first: str, second: str) -> "Expanded":
         return Expanded(self.laws, self.basis, paired(self.coefficients, first, second), None, None)
 
+    @override
     def statistic(self, kind: AbstractStatistic) -> Pytree:
-        """See `AbstractExpanded.statistic`. Raises `ProblemError` for Sobol indices of correlated inputs."""
+        """Raises `ProblemError` for Sobol indices of correlated inputs."""
         refuse_correlated(self.laws, kind)
         numbers, rest = eqx.partition(numbers_to_arrays(kind), eqx.is_array)
 
@@ -60,13 +62,13 @@ class Expanded(AbstractExpanded):
         constants = prepared(kind.preparation, self.basis)
         return jax.tree.map(lambda terms: evaluate(of, numbers, constants, terms), self.coefficients)
 
+    @override
     def cdf(self, values: Float[Array, " n"]) -> Pytree:
-        """See `AbstractExpanded.cdf`."""
         lines = prepared(lines_through, self.basis)
         return jax.tree.map(lambda terms: evaluate(cdf, jnp.asarray(values), terms, lines), self.coefficients)
 
+    @override
     def pdf(self, values: Float[Array, " n"]) -> Pytree:
-        """See `AbstractExpanded.pdf`."""
         lines = prepared(lines_through, self.basis)
         return jax.tree.map(lambda terms: evaluate(pdf, jnp.asarray(values), terms, lines), self.coefficients)
 
@@ -130,12 +132,12 @@ class Expanded(AbstractExpanded):
         return jax.tree.map(lambda terms: _share(terms, highest), self.coefficients)
 
     @property
+    @override
     def germs(self) -> Mapping[str, AbstractGerm]:
-        """See `AbstractExpanded.germs`."""
         return self.basis.germs
 
+    @override
     def at_germ(self, points: Float[np.ndarray, "n variables"]) -> Pytree:
-        """See `AbstractExpanded.at_germ`."""
         matrix = self.basis.matrix(checked_points(points, self.germs))
         return jax.tree.map(lambda terms: jnp.tensordot(matrix, terms, axes=1), self.coefficients)
 

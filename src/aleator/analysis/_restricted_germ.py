@@ -5,6 +5,7 @@ from typing import final
 
 import numpy as np
 from jaxtyping import Float
+from typing_extensions import override
 
 from aleator.uncertainty import AbstractGerm, LegendreGerm
 from aleator.uncertainty._stieltjes import recurrence_of
@@ -29,24 +30,24 @@ class RestrictedGerm(AbstractGerm):
     low: float
     high: float
 
+    @override
     def recurrence(self, order: int) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-        """See `AbstractGerm.recurrence`."""
         if isinstance(self.germ, LegendreGerm):
             a, b = self.germ.recurrence(order)
             return a + (self.low + self.high - 1), b * (self.high - self.low)
         a, b, _ = recurrence_of(*self._quadrature(), order)
         return a, b
 
+    @override
     def quantile(self, level: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
-        """See `AbstractGerm.quantile`."""
         return self.germ.quantile(self.low + level * (self.high - self.low))
 
+    @override
     def cumulative(self, germ: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
-        """See `AbstractGerm.cumulative`."""
         return np.clip((self.germ.cumulative(germ) - self.low) / (self.high - self.low), 0.0, 1.0)
 
+    @override
     def support(self) -> tuple[float, float]:
-        """See `AbstractGerm.support`."""
         first, last = self.germ.support()
         low = first if self.low == 0 else float(self.germ.quantile(np.array(self.low)))
         high = last if self.high == 1 else float(self.germ.quantile(np.array(self.high)))

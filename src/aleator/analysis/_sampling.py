@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
+from typing_extensions import override
 
 from aleator._core.arrays import Pytree, numbers_to_arrays
 from aleator._core.errors import ProblemError, SimulationError
@@ -87,8 +88,8 @@ class TracedSampler(AbstractSampler):
         self._numbers, self._rest = eqx.partition(numbers_to_arrays(model), eqx.is_array)
         self._traced: dict[int, Traced] = {}
 
+    @override
     def _at(self, points: Float[Array, "points variables"]) -> Pytree:
-        """See `AbstractSampler._at`."""
         if len(points) not in self._traced:
             self._traced[len(points)] = self._trace(points)
         return self._traced[len(points)](self._numbers, points)
@@ -123,8 +124,8 @@ class CalledSampler(AbstractSampler):
                 "compiled through it. Write it with jax.numpy and leave traced=False away."
             )
 
+    @override
     def _at(self, points: Float[Array, "points variables"]) -> Pytree:
-        """See `AbstractSampler._at`."""
         outputs = [self._call(point) for point in points]
         shapes = [(jax.tree.structure(one), [leaf.shape for leaf in jax.tree.leaves(one)]) for one in outputs]
         if any(shape != shapes[0] for shape in shapes):

@@ -6,6 +6,7 @@ from typing import final
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
+from typing_extensions import override
 
 from aleator._core.arrays import Scalar
 from aleator._core.given import a_name, refusal
@@ -24,23 +25,24 @@ class CostCurve(AbstractAtom):
     shown: str = eqx.field(static=True)
     coefficients: tuple[Scalar, ...] = ()
 
+    @override
     def evaluate(self, scope: AbstractScope) -> Array:
-        """See `AbstractAtom.evaluate`."""
         return self.curve(scope.value(self.name), *self.coefficients)
 
+    @override
     def text(self) -> str:
-        """See `AbstractAtom.text`."""
         numbers = (f"{float(number):g}" for number in self.coefficients)
         return self.shown.format(*numbers, spread=self.name).replace("(0 + ", "(")
 
+    @override
     def unit(self, units: Units) -> str:
-        """See `AbstractAtom.unit`: a curve does not say."""
+        """A curve does not say."""
         del units
         return ""
 
     @property
+    @override
     def subjects(self) -> tuple[str, ...]:
-        """See `AbstractAtom.subjects`."""
         return (self.name,)
 
 

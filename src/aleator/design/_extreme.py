@@ -4,6 +4,7 @@ from typing import Any, final
 
 import equinox as eqx
 from jaxtyping import Array
+from typing_extensions import override
 
 from aleator.design._expression import Constraint, Expression
 from aleator.design._scope import AbstractAtom, AbstractScope, Units
@@ -19,21 +20,21 @@ class Extreme(AbstractAtom):
     functional: Any
     side: int = eqx.field(static=True)
 
+    @override
     def evaluate(self, scope: AbstractScope) -> Array:
-        """See `AbstractAtom.evaluate`."""
         return scope.realised(self.functional)
 
+    @override
     def text(self) -> str:
-        """See `AbstractAtom.text`."""
         return f"{'max' if self.side > 0 else 'min'}[{self.functional.text()}]"
 
+    @override
     def unit(self, units: Units) -> str:
-        """See `AbstractAtom.unit`."""
         return self.functional.unit(units.outputs)
 
     @property
+    @override
     def subjects(self) -> tuple[str, ...]:
-        """See `AbstractAtom.subjects`."""
         return self.functional.outputs
 
     @property
@@ -42,13 +43,13 @@ class Extreme(AbstractAtom):
         return (self.functional,)
 
     @property
+    @override
     def measures(self) -> tuple[str, ...]:
-        """See `AbstractAtom.measures`."""
         return (self.functional.text(),)
 
     @property
+    @override
     def is_path(self) -> bool:
-        """See `AbstractAtom.is_path`."""
         return self.functional.is_path
 
 

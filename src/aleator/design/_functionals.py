@@ -6,6 +6,7 @@ from typing import Any, final
 
 import jax.numpy as jnp
 from jaxtyping import Array
+from typing_extensions import override
 
 from aleator._core.units import integrated
 from aleator.design._expression import Constraint, Expression
@@ -26,12 +27,12 @@ class AbstractIntegral(AbstractFunctional):
         del grid
         return integral
 
+    @override
     def evaluate(self, taken: Taken, grid: Any) -> Array:
-        """See `AbstractFunctional.evaluate`."""
         return self.total(taken.integrals[self], grid)
 
+    @override
     def reach(self, peaks: Mapping[str, Array], grid: Any) -> Array:
-        """See `AbstractFunctional.reach`."""
         return self.total(grid.duration * jnp.abs(self.integrand(peaks)), grid)
 
 
@@ -39,16 +40,16 @@ class AbstractIntegral(AbstractFunctional):
 class Integral(AbstractIntegral):
     """The time integral of an output."""
 
+    @override
     def integrand(self, now: Mapping[str, Array]) -> Array:
-        """See `AbstractIntegral.integrand`."""
         return now[self.output]
 
+    @override
     def text(self) -> str:
-        """See `AbstractFunctional.text`."""
         return f"∫{self.output} dt"
 
+    @override
     def unit(self, outputs: Mapping[str, str]) -> str:
-        """See `AbstractFunctional.unit`."""
         return integrated(outputs.get(self.output, ""))
 
 
@@ -56,17 +57,17 @@ class Integral(AbstractIntegral):
 class Rms(AbstractIntegral):
     """The root of an output's mean square over time, equations (109) and (110)."""
 
+    @override
     def integrand(self, now: Mapping[str, Array]) -> Array:
-        """See `AbstractIntegral.integrand`."""
         return now[self.output] ** 2
 
+    @override
     def total(self, integral: Array, grid: Grid) -> Array:
-        """See `AbstractIntegral.total`."""
         # An output that is zero throughout has rms zero, with derivative zero (its smallest subgradient).
         return root(integral / grid.duration)
 
+    @override
     def text(self) -> str:
-        """See `AbstractFunctional.text`."""
         return f"rms({self.output})"
 
 
@@ -74,13 +75,13 @@ class Rms(AbstractIntegral):
 class Terminal(AbstractFunctional):
     """An output at the final time."""
 
+    @override
     def evaluate(self, taken: Taken, grid: AbstractGrid) -> Array:
-        """See `AbstractFunctional.evaluate`."""
         del grid
         return taken.history[self.output][-1]
 
+    @override
     def text(self) -> str:
-        """See `AbstractFunctional.text`."""
         return f"{self.output}(t_f)"
 
 
@@ -89,17 +90,17 @@ class Path(AbstractFunctional):
     """An output at every instant of the grid."""
 
     @property
+    @override
     def is_path(self) -> bool:
-        """See `AbstractFunctional.is_path`."""
         return True
 
+    @override
     def evaluate(self, taken: Taken, grid: AbstractGrid) -> Array:
-        """See `AbstractFunctional.evaluate`."""
         del grid
         return taken.history[self.output]
 
+    @override
     def text(self) -> str:
-        """See `AbstractFunctional.text`."""
         return f"{self.output}(t)"
 
 
@@ -107,13 +108,13 @@ class Path(AbstractFunctional):
 class Peak(AbstractFunctional):
     """The largest magnitude of an output over time. Not smooth where the instant of the peak jumps: prefer `path`."""
 
+    @override
     def evaluate(self, taken: Taken, grid: AbstractGrid) -> Array:
-        """See `AbstractFunctional.evaluate`."""
         del grid
         return jnp.max(jnp.abs(taken.history[self.output]), axis=0)
 
+    @override
     def text(self) -> str:
-        """See `AbstractFunctional.text`."""
         return f"max|{self.output}(t)|"
 
 
@@ -122,17 +123,17 @@ class Output(AbstractFunctional):
     """An output of an algebraic system."""
 
     @property
+    @override
     def needs_time(self) -> bool:
-        """See `AbstractFunctional.needs_time`."""
         return False
 
+    @override
     def evaluate(self, taken: Taken, grid: AbstractGrid) -> Array:
-        """See `AbstractFunctional.evaluate`."""
         del grid
         return taken.history[self.output][0]
 
+    @override
     def text(self) -> str:
-        """See `AbstractFunctional.text`."""
         return self.output
 
 

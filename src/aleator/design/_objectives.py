@@ -8,6 +8,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
+from typing_extensions import override
 
 from aleator._core.errors import ProblemError
 from aleator._core.units import common, integrated, product, squared
@@ -25,16 +26,16 @@ Weights: TypeAlias = float | Sequence[float] | Array | None
 class SquareIntegral(AbstractIntegral):
     """The time integral of an output's square."""
 
+    @override
     def integrand(self, now: Mapping[str, Array]) -> Array:
-        """See `AbstractIntegral.integrand`."""
         return now[self.output] ** 2
 
+    @override
     def text(self) -> str:
-        """See `AbstractFunctional.text`."""
         return f"∫{self.output}² dt"
 
+    @override
     def unit(self, outputs: Mapping[str, str]) -> str:
-        """See `AbstractFunctional.unit`."""
         return integrated(squared(outputs.get(self.output, "")))
 
 
@@ -47,18 +48,18 @@ class Work(AbstractIntegral):
 
     smoothing: float = eqx.field(static=True, default=0.0)
 
+    @override
     def integrand(self, now: Mapping[str, Array]) -> Array:
-        """See `AbstractIntegral.integrand`."""
         force, rate = (now[name] for name in self.outputs)
         exchanged, s = force * rate, self.smoothing
         return jnp.sqrt(exchanged**2 + s**2) - s if s else jnp.abs(exchanged)
 
+    @override
     def text(self) -> str:
-        """See `AbstractFunctional.text`."""
         return f"∫|{' '.join(self.outputs)}| dt"
 
+    @override
     def unit(self, outputs: Mapping[str, str]) -> str:
-        """See `AbstractFunctional.unit`."""
         return integrated(product(*(outputs.get(name, "") for name in self.outputs)))
 
 
@@ -71,13 +72,13 @@ class AbstractComposite(AbstractAtom):
         """See `AbstractAtom.parts`."""
 
     @property
+    @override
     def subjects(self) -> tuple[str, ...]:
-        """See `AbstractAtom.subjects`."""
         return tuple(name for part in self.parts for name in part.subjects)
 
     @property
+    @override
     def measures(self) -> tuple[str, ...]:
-        """See `AbstractAtom.measures`."""
         return tuple(text for part in self.parts for text in part.measures)
 
 
@@ -87,36 +88,36 @@ class Norm(AbstractComposite):
 
     expressions: tuple[Expression, ...]
 
+    @override
     def evaluate(self, scope: AbstractScope) -> Array:
-        """See `AbstractAtom.evaluate`."""
         return root(sum((one.evaluate(scope) ** 2 for one in self.expressions), start=jnp.zeros(())))
 
+    @override
     def text(self) -> str:
-        """See `AbstractAtom.text`."""
         return f"‖{', '.join(map(str, self.expressions))}‖"
 
+    @override
     def unit(self, units: Units) -> str:
-        """See `AbstractAtom.unit`."""
         return common(one.unit(units) for one in self.expressions)
 
     @property
+    @override
     def inner(self) -> tuple[Expression, ...]:
-        """See `AbstractAtom.inner`."""
         return self.expressions
 
     @property
+    @override
     def parts(self) -> tuple[AbstractAtom, ...]:
-        """See `AbstractAtom.parts`."""
         return tuple(part for one in self.expressions for part in one.leaves)
 
     @property
+    @override
     def integrated(self) -> tuple[AbstractAtom, ...]:
-        """See `AbstractAtom.integrated`."""
         return tuple(part for one in self.expressions for atom in one.atoms for part in atom.integrated)
 
     @property
+    @override
     def is_path(self) -> bool:
-        """See `AbstractAtom.is_path`."""
         return any(one.is_path for one in self.expressions)
 
 
@@ -126,31 +127,31 @@ class TimeIntegral(AbstractComposite):
 
     expression: Expression
 
+    @override
     def evaluate(self, scope: AbstractScope) -> Array:
-        """See `AbstractAtom.evaluate`."""
         return scope.time_integral(self.expression)
 
+    @override
     def text(self) -> str:
-        """See `AbstractAtom.text`."""
         return f"∫{self.expression} dt"
 
+    @override
     def unit(self, units: Units) -> str:
-        """See `AbstractAtom.unit`."""
         return integrated(self.expression.unit(units))
 
     @property
+    @override
     def inner(self) -> tuple[Expression, ...]:
-        """See `AbstractAtom.inner`."""
         return (self.expression,)
 
     @property
+    @override
     def parts(self) -> tuple[AbstractAtom, ...]:
-        """See `AbstractAtom.parts`."""
         return self.expression.leaves
 
     @property
+    @override
     def integrated(self) -> tuple[AbstractAtom, ...]:
-        """See `AbstractAtom.integrated`."""
         return self.parts
 
 

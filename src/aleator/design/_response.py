@@ -6,6 +6,7 @@ from typing import Any, NamedTuple, final
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
+from typing_extensions import override
 
 from aleator._core.errors import ProblemError
 from aleator.design._declaration import AbstractProblem
@@ -103,17 +104,17 @@ class OneSystem(AbstractScopeOfInstants):
     def __init__(self, values: Mapping[AbstractFunctional, Array], numbers: Mapping[str, Array], step: Array):
         self._values, self._numbers, self.step = values, numbers, step
 
+    @override
     def statistic(self, functionals: tuple[AbstractFunctional, ...], kind: AbstractStatistic) -> Array:
-        """See `AbstractScope.statistic`."""
         value = self._values[functionals[0]]
         return value if kind.speaks_of_one_system else jnp.zeros_like(value)
 
+    @override
     def realised(self, functional: AbstractFunctional) -> Array:
-        """See `AbstractScope.realised`."""
         return self._values[functional]
 
+    @override
     def value(self, name: str) -> Array:
-        """See `AbstractScope.value`."""
         return self._numbers[name]
 
 

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple, final
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
+from typing_extensions import override
 
 from aleator._core.errors import ProblemError
 from aleator.statistics import AbstractStatistic
@@ -42,8 +43,8 @@ class AbstractScopeOfInstants(AbstractScope):
 
     step: Any
 
+    @override
     def time_integral(self, expression: Any) -> Float[Array, "..."]:
-        """See `AbstractScope.time_integral`."""
         return self.step * jnp.trapezoid(expression.evaluate(self), axis=0)
 
 
@@ -115,21 +116,21 @@ class Value(AbstractAtom):
 
     name: str = eqx.field(static=True)
 
+    @override
     def evaluate(self, scope: AbstractScope) -> Array:
-        """See `AbstractAtom.evaluate`."""
         return scope.value(self.name)
 
+    @override
     def text(self) -> str:
-        """See `AbstractAtom.text`."""
         return self.name
 
+    @override
     def unit(self, units: Units) -> str:
-        """See `AbstractAtom.unit`."""
         return units.numbers.get(self.name, "")
 
     @property
+    @override
     def subjects(self) -> tuple[str, ...]:
-        """See `AbstractAtom.subjects`."""
         return (self.name,)
 
 

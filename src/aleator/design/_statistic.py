@@ -7,6 +7,7 @@ from typing import Any, NamedTuple, final
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
+from typing_extensions import override
 
 from aleator._core.errors import ProblemError
 from aleator.design._expression import Constraint, Expression, number_given, ordered
@@ -209,36 +210,36 @@ class Statistic(AbstractAtom):
     functionals: tuple[AbstractFunctional, ...]
     kind: AbstractStatistic
 
+    @override
     def evaluate(self, scope: AbstractScope) -> Array:
-        """See `AbstractAtom.evaluate`."""
         return scope.statistic(self.functionals, self.kind)
 
+    @override
     def text(self) -> str:
-        """See `AbstractAtom.text`."""
         return self.kind.text(", ".join(self.measures))
 
+    @override
     def unit(self, units: Units) -> str:
-        """See `AbstractAtom.unit`."""
         return self.kind.unit(*(one.unit(units.outputs) for one in self.functionals))
 
     @property
+    @override
     def subjects(self) -> tuple[str, ...]:
-        """See `AbstractAtom.subjects`."""
         return tuple(name for one in self.functionals for name in one.outputs)
 
     @property
+    @override
     def measures(self) -> tuple[str, ...]:
-        """See `AbstractAtom.measures`."""
         return tuple(one.text() for one in self.functionals)
 
     @property
+    @override
     def is_path(self) -> bool:
-        """See `AbstractAtom.is_path`."""
         return any(one.is_path for one in self.functionals)
 
     @property
+    @override
     def is_spread(self) -> bool:
-        """See `AbstractAtom.is_spread`."""
         return isinstance(self.kind, Std)
 
 

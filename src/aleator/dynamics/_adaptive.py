@@ -8,6 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array
+from typing_extensions import override
 
 from aleator._core import given
 from aleator.dynamics._grid import Grid
@@ -46,8 +47,8 @@ class AbstractAdaptive(AbstractIntegrator):
     def solver(self) -> Any:
         """The method of diffrax."""
 
+    @override
     def record(self, system: System, grid: Grid, inputs: Inputs, asked: Asked) -> Record:
-        """See `AbstractIntegrator.record`."""
         import diffrax  # late: it takes as long to import as all the rest
 
         stretched = {name: signal.over(grid.t_start, grid.t_final) for name, signal in inputs.items()}
@@ -81,8 +82,8 @@ class AbstractAdaptive(AbstractIntegrator):
             history = {name: values[::2] for name, values in history.items()}
         return Record(history, nodes, tuple(one[-1] for one in integrals))
 
+    @override
     def explain(self, system: System, grid: Grid, inputs: Inputs) -> str:
-        """See `AbstractIntegrator.explain`."""
         import diffrax
 
         stretched = {name: signal.over(grid.t_start, grid.t_final) for name, signal in inputs.items()}
@@ -129,8 +130,8 @@ class AbstractAdaptive(AbstractIntegrator):
             throw=False,
         )
 
+    @override
     def refined(self) -> AbstractIntegrator:
-        """See `AbstractIntegrator.refined`."""
         return type(self)(**self.tighter())
 
     def tighter(self) -> dict[str, Any]:
@@ -161,14 +162,14 @@ def _slopes(rates: tuple[Array], slopes: tuple[Array]) -> tuple[Array, Array]:
 class Tsit5(AbstractAdaptive):
     """Adaptive explicit Runge-Kutta of order 5 (Tsitouras, 2011), for smooth systems that are not stiff."""
 
+    @override
     def solver(self) -> Any:
-        """See `AbstractAdaptive.solver`."""
         import diffrax
 
         return diffrax.Tsit5()
 
+    @override
     def reference(self) -> AbstractIntegrator:
-        """See `AbstractIntegrator.reference`."""
         return Dopri8(**self.tighter())
 
 
@@ -176,14 +177,14 @@ class Tsit5(AbstractAdaptive):
 class Dopri8(AbstractAdaptive):
     """Adaptive explicit Runge-Kutta of order 8 (Dormand and Prince, 1981)."""
 
+    @override
     def solver(self) -> Any:
-        """See `AbstractAdaptive.solver`."""
         import diffrax
 
         return diffrax.Dopri8()
 
+    @override
     def reference(self) -> AbstractIntegrator:
-        """See `AbstractIntegrator.reference`."""
         return Tsit5(**self.tighter())
 
 
@@ -191,14 +192,15 @@ class Dopri8(AbstractAdaptive):
 class Kvaerno5(AbstractAdaptive):
     """Adaptive implicit Runge-Kutta of order 5 (Kvaerno, 2004), for stiff systems."""
 
+    @override
     def solver(self) -> Any:
-        """See `AbstractAdaptive.solver`."""
         import diffrax
 
         return diffrax.Kvaerno5()
 
+    @override
     def reference(self) -> AbstractIntegrator:
-        """See `AbstractIntegrator.reference`: the method of order 4, to tolerances that it is held to as well."""
+        """The method of order 4, to tolerances that it is held to as well."""
         return Kvaerno4(**self.tighter())
 
 
@@ -206,12 +208,12 @@ class Kvaerno5(AbstractAdaptive):
 class Kvaerno4(AbstractAdaptive):
     """Adaptive implicit Runge-Kutta of order 4 (Kvaerno, 2004)."""
 
+    @override
     def solver(self) -> Any:
-        """See `AbstractAdaptive.solver`."""
         import diffrax
 
         return diffrax.Kvaerno4()
 
+    @override
     def reference(self) -> AbstractIntegrator:
-        """See `AbstractIntegrator.reference`."""
         return Kvaerno5(**self.tighter())

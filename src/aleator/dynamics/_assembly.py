@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+from typing_extensions import override
 
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import AbstractLeaf, transparent
@@ -92,8 +93,8 @@ class Assembly(AlgebraicSystem):
         """The units of outputs, as far as they were given."""
         return dict(self.description.units)
 
+    @override
     def guess(self) -> dict[str, float]:
-        """See `AlgebraicSystem.guess`."""
         return dict(self.description.guesses)
 
     def residual(self, rho: Any) -> list[Float[Array, "..."]]:

@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+from typing_extensions import override
 
 from aleator._core.arrays import Pytree
 from aleator.dynamics._grid import Grid
@@ -62,8 +63,8 @@ class AbstractFixedStep(AbstractIntegrator):
 
     tableau: ClassVar[Tableau]
 
+    @override
     def record(self, system: System, grid: Grid, inputs: Inputs, asked: Asked) -> Record:
-        """See `AbstractIntegrator.record`."""
         nodes, couplings, weights = self.tableau
         h, start = grid.step, initial_state(system)
         at_instants = sampled(inputs, grid, grid.fractions)
@@ -139,8 +140,8 @@ class RungeKutta4(AbstractFixedStep):
         weights=(1 / 6, 1 / 3, 1 / 3, 1 / 6),
     )
 
+    @override
     def reference(self) -> AbstractIntegrator:
-        """See `AbstractIntegrator.reference`."""
         return DormandPrince5()
 
 
@@ -164,8 +165,8 @@ class DormandPrince5(AbstractFixedStep):
         weights=(35 / 384, 0.0, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84),
     )
 
+    @override
     def reference(self) -> AbstractIntegrator:
-        """See `AbstractIntegrator.reference`."""
         return RungeKutta4()
 
 

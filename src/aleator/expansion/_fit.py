@@ -7,6 +7,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
+from typing_extensions import override
 
 from aleator._core.errors import ProblemError
 from aleator.expansion._basis import Basis
@@ -53,12 +54,9 @@ class LeastSquares(AbstractFit):
     germ's (`ChristoffelPoints`, `OptimalPoints`) and for the roots of polynomials.
     """
 
+    @override
     def collocation(self, basis: Basis, nodes: Nodes) -> Collocation:
-        """See `AbstractFit.collocation`.
-
-        Raises `ProblemError` if there are fewer points than terms, if the matrix is singular to working precision, or
-        if a weight is not positive.
-        """
+        """Raises `ProblemError` for fewer points than terms, a singular matrix, or a weight that is not positive."""
         _refuse_too_few(basis, len(nodes.points))
         if not np.all(nodes.weights > 0):
             raise ProblemError(
@@ -90,11 +88,9 @@ class Interpolation(AbstractFit):
 
     points_per_term: ClassVar[int] = 1
 
+    @override
     def collocation(self, basis: Basis, nodes: Nodes) -> Collocation:
-        """See `AbstractFit.collocation`.
-
-        Raises `ProblemError` unless there are as many points as terms and the matrix is regular to working precision.
-        """
+        """Raises `ProblemError` unless there are as many points as terms and the matrix is regular."""
         count, terms = len(nodes.points), basis.terms
         if count != terms:
             raise ProblemError(
@@ -113,11 +109,9 @@ class Projection(AbstractFit):
     Source: Xiu and Hesthaven (2005); Constantine, Eldred and Phipps (2012) on the products that a rule must integrate.
     """
 
+    @override
     def collocation(self, basis: Basis, nodes: Nodes) -> Collocation:
-        """See `AbstractFit.collocation`.
-
-        Raises `ProblemError` if the rule does not integrate the products of the polynomials, naming one that does.
-        """
+        """Raises `ProblemError` if the rule does not integrate products of the polynomials, and names one that does."""
         matrix = basis.matrix(nodes.points)
         weighted = matrix * nodes.weights[:, None]
         error = float(np.abs(weighted.T @ matrix - np.eye(basis.terms)).max())

@@ -8,6 +8,7 @@ from typing import final
 import equinox as eqx
 import numpy as np
 from jaxtyping import Float, Int
+from typing_extensions import override
 
 from aleator._core import given
 from aleator._core.errors import ProblemError
@@ -41,8 +42,8 @@ class AbstractIndexSet(eqx.Module):
 class TotalDegree(AbstractIndexSet):
     """All multi-indices whose sum is at most the order: `(n_p + order)! / (n_p! order!)` terms."""
 
+    @override
     def indices(self, names: tuple[str, ...], order: int) -> Int[np.ndarray, "terms variables"]:
-        """See `AbstractIndexSet.indices`."""
         _refuse_too_many(comb(len(names) + order, order), len(names))
         return _within(np.tile(np.arange(order + 1.0), (len(names), 1)), order)
 
@@ -51,8 +52,8 @@ class TotalDegree(AbstractIndexSet):
 class TensorProduct(AbstractIndexSet):
     """All multi-indices whose every degree is at most the order: `(order + 1)^n_p` terms, for few variables."""
 
+    @override
     def indices(self, names: tuple[str, ...], order: int) -> Int[np.ndarray, "terms variables"]:
-        """See `AbstractIndexSet.indices`."""
         _refuse_too_many((order + 1) ** len(names), len(names))
         return _within(np.zeros((len(names), order + 1)), 0.0)
 
@@ -70,8 +71,8 @@ class HyperbolicCross(AbstractIndexSet):
     def __init__(self, q: float = 0.5):
         self.q = given.positive("HyperbolicCross: q, where 1 keeps the total degree,", q, most=1.0)
 
+    @override
     def indices(self, names: tuple[str, ...], order: int) -> Int[np.ndarray, "terms variables"]:
-        """See `AbstractIndexSet.indices`."""
         _refuse_too_many(1 + len(names) * order, len(names))  # the powers of single variables alone
         return _within(np.tile(np.arange(order + 1.0) ** self.q, (len(names), 1)), order**self.q)
 
@@ -95,8 +96,9 @@ class Anisotropic(AbstractIndexSet):
         numbers = tuple(given.positive("Anisotropic: weights", one) for one in each)
         self.weights, self.names = numbers, tuple(weights) if named else None
 
+    @override
     def indices(self, names: tuple[str, ...], order: int) -> Int[np.ndarray, "terms variables"]:
-        """See `AbstractIndexSet.indices`. Raises `ProblemError` if the weights are not those of the variables."""
+        """Raises `ProblemError` if the weights are not those of the variables."""
         weights = self._of(names)
         _refuse_too_many(1 - len(names) + sum(order / one for one in weights.tolist()), len(names))
         return _within(weights[:, None] * np.arange(int(order / min(weights) + _ROUNDING) + 1), order)

@@ -7,6 +7,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 from scipy import linalg
+from typing_extensions import override
 
 from aleator._core.errors import ProblemError
 from aleator.expansion._basis import Basis
@@ -30,8 +31,8 @@ class InducedPoints(AbstractCountedPoints):
     Optimal weighted least-squares methods; Narayan (2018), Computation of induced orthogonal polynomial distributions.
     """
 
+    @override
     def nodes(self, basis: Basis, usual: int) -> Nodes:
-        """See `AbstractPoints.nodes`."""
         count = self.count or usual
         levels = HammersleyPoints().levels(count, basis.variables)
         return _weighted(basis, np.arange(count) % basis.terms, levels)
@@ -41,13 +42,13 @@ class InducedPoints(AbstractCountedPoints):
 class UsualPoints(AbstractCountedPoints):
     """The default: `HammersleyPoints` where every germ is bounded, `InducedPoints` where one is not."""
 
+    @override
     def of(self, germs: Mapping[str, AbstractGerm]) -> AbstractPoints:
-        """See `AbstractPoints.of`."""
         bounded = all(np.all(np.isfinite(germ.support())) for germ in germs.values())
         return HammersleyPoints(self.count) if bounded else InducedPoints(self.count)
 
+    @override
     def nodes(self, basis: Basis, usual: int) -> Nodes:
-        """See `AbstractPoints.nodes`."""
         return self.of(basis.germs).nodes(basis, usual)
 
 
@@ -66,8 +67,8 @@ class ChristoffelPoints(AbstractBasisPoints):
     its share of the points. Source: Cohen and Migliorati (2017), Optimal weighted least-squares methods.
     """
 
+    @override
     def nodes(self, basis: Basis, usual: int) -> Nodes:
-        """See `AbstractPoints.nodes`."""
         return _drawn(basis, self.count or usual, self.seed)
 
 
@@ -80,8 +81,8 @@ class OptimalPoints(AbstractBasisPoints):
     Fekete and Leja points by numerical linear algebra; Diaz, Doostan and Hampton (2018) with weights.
     """
 
+    @override
     def nodes(self, basis: Basis, usual: int) -> Nodes:
-        """See `AbstractPoints.nodes`."""
         count = self.count or usual
         points, weights = _drawn(basis, _CANDIDATES * count, self.seed)
         rows = basis.matrix(points) * np.sqrt(weights)[:, None]

@@ -7,6 +7,7 @@ from typing import ClassVar, NamedTuple, final
 import equinox as eqx
 import numpy as np
 from jaxtyping import Float
+from typing_extensions import override
 
 from aleator._core import given
 from aleator.expansion._basis import Basis
@@ -67,8 +68,8 @@ class AbstractCountedPoints(AbstractPoints):
 class AbstractEvenPoints(AbstractCountedPoints):
     """Points that cover the unit cube evenly, brought to the germ by its quantile functions; equal weights."""
 
+    @override
     def nodes(self, basis: Basis, usual: int) -> Nodes:
-        """See `AbstractPoints.nodes`."""
         count = self.count or usual
         return Nodes(basis.map_to_germ(self.levels(count, basis.variables)), np.full(count, 1 / count))
 
@@ -85,8 +86,8 @@ class HammersleyPoints(AbstractEvenPoints):
     Source: Hammersley (1960), Annals of the New York Academy of Sciences 86.
     """
 
+    @override
     def levels(self, count: int, variables: int) -> Float[np.ndarray, "count variables"]:
-        """See `AbstractEvenPoints.levels`."""
         index = np.arange(1, count + 1)
         return np.column_stack([(index - 0.5) / count, _halton(index, variables - 1)])[:, :variables]
 
@@ -101,8 +102,8 @@ class HaltonPoints(AbstractEvenPoints):
 
     nested: ClassVar[bool] = True
 
+    @override
     def levels(self, count: int, variables: int) -> Float[np.ndarray, "count variables"]:
-        """See `AbstractEvenPoints.levels`."""
         return _halton(np.arange(1, count + 1), variables)
 
 
@@ -125,8 +126,8 @@ class SobolPoints(AbstractDrawnPoints):
 
     nested: ClassVar[bool] = True
 
+    @override
     def levels(self, count: int, variables: int) -> Float[np.ndarray, "count variables"]:
-        """See `AbstractEvenPoints.levels`."""
         from scipy.stats import qmc  # late: it takes a second to import
 
         engine = qmc.Sobol(variables, scramble=True, bits=_SOBOL_BITS, rng=np.random.default_rng(self.seed))
@@ -141,8 +142,8 @@ class LatinHypercubePoints(AbstractDrawnPoints):
     Source: McKay, Beckman and Conover (1979), Technometrics 21; by SciPy.
     """
 
+    @override
     def levels(self, count: int, variables: int) -> Float[np.ndarray, "count variables"]:
-        """See `AbstractEvenPoints.levels`."""
         from scipy.stats import qmc  # late: it takes a second to import
 
         return qmc.LatinHypercube(variables, rng=np.random.default_rng(self.seed)).random(count)
@@ -154,8 +155,8 @@ class RandomPoints(AbstractDrawnPoints):
 
     nested: ClassVar[bool] = True
 
+    @override
     def levels(self, count: int, variables: int) -> Float[np.ndarray, "count variables"]:
-        """See `AbstractEvenPoints.levels`."""
         return np.random.default_rng(self.seed).random((count, variables))
 
 

@@ -6,6 +6,7 @@ from typing import final
 import equinox as eqx
 import numpy as np
 from jaxtyping import Int
+from typing_extensions import override
 
 from aleator._core import given
 from aleator._core.errors import ProblemError
@@ -36,8 +37,9 @@ class GaussPoints(AbstractPoints):
 
     count: int | None = eqx.field(static=True, default=None, converter=count_given)
 
+    @override
     def nodes(self, basis: Basis, usual: int) -> Nodes:
-        """See `AbstractPoints.nodes`. Raises `ProblemError` if the grid has more than a million points."""
+        """Raises `ProblemError` if the grid has more than a million points."""
         del usual
         counts = [self.count or degree + 1 for degree in basis.degrees]
         if np.prod([float(count) for count in counts]) > _MOST_POINTS:
@@ -64,8 +66,9 @@ class SmolyakPoints(AbstractPoints):
 
     level: int | None = eqx.field(static=True, default=None, converter=_level_given)
 
+    @override
     def nodes(self, basis: Basis, usual: int) -> Nodes:
-        """See `AbstractPoints.nodes`. Raises `ProblemError` if the grid has more than a million points."""
+        """Raises `ProblemError` if the grid has more than a million points."""
         del usual
         level = self.level or basis.order
         levels = TotalDegree().indices(basis.names, level)

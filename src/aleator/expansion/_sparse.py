@@ -5,6 +5,7 @@ from typing import Any, final
 
 import numpy as np
 from jaxtyping import Float, Int
+from typing_extensions import override
 
 from aleator._core.errors import MissingExtraError, ProblemError
 from aleator.expansion._basis import Basis
@@ -37,11 +38,9 @@ class Sparse(AbstractFit):
     Source: Blatman and Sudret (2011), Adaptive sparse polynomial chaos expansion based on least angle regression.
     """
 
+    @override
     def select(self, basis: Basis, nodes: Nodes, respond: Respond | None) -> Basis:
-        """See `AbstractFit.select`.
-
-        Raises `MissingExtraError` without scikit-learn, `ProblemError` without outputs or with weights of both signs.
-        """
+        """Raises `MissingExtraError` without scikit-learn, `ProblemError` without outputs or for negative weights."""
         linear_model = _linear_model()
         if respond is None:
             raise ProblemError(
@@ -61,8 +60,9 @@ class Sparse(AbstractFit):
         count = 1 + int(np.argmin(corrected_errors(matrix[:, ranking], everything)))
         return Basis(basis.germs, basis.indices[np.sort(ranking[:count])])
 
+    @override
     def collocation(self, basis: Basis, nodes: Nodes) -> Collocation:
-        """See `AbstractFit.collocation`: least squares on the terms that were kept."""
+        """Least squares on the terms that were kept."""
         return LeastSquares().collocation(basis, nodes)
 
 

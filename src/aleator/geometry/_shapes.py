@@ -7,6 +7,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+from typing_extensions import override
 
 from aleator._core.arrays import Number
 from aleator._core.errors import ProblemError
@@ -59,8 +60,8 @@ class Sphere(AbstractBounded):
         check_point("Sphere", "center", self.center)
         check_radius("Sphere", self.radius)
 
+    @override
     def body(self) -> Body:
-        """See `AbstractBounded.body`."""
         center = realised_point("Sphere", "center", self.center)
         radius = realised("Sphere", "radius", self.radius)
         return Body(center, jnp.zeros((0, center.size)), jnp.zeros(0), radius)
@@ -89,8 +90,8 @@ class Capsule(AbstractBounded):
         check_same_size("Capsule", start=self.start, end=self.end)
         check_radius("Capsule", self.radius)
 
+    @override
     def body(self) -> Body:
-        """See `AbstractBounded.body`."""
         start = realised_point("Capsule", "start", self.start)
         end = realised_point("Capsule", "end", self.end)
         direction, half_length, is_long = unit((end - start) / 2, TINY)
@@ -125,8 +126,8 @@ class Box(AbstractBounded):
         if self.orientation is not None:
             _check_orientation(self.orientation, shape_of(self.center)[0])
 
+    @override
     def body(self) -> Body:
-        """See `AbstractBounded.body`."""
         center = realised_point("Box", "center", self.center)
         half_sizes = realised("Box", "half_sizes", self.half_sizes)
         return Body(center, self._directions(center.size), half_sizes, jnp.zeros(()))

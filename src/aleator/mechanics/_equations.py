@@ -6,6 +6,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
+from typing_extensions import override
 
 from aleator.mechanics._instant import along_time
 from aleator.mechanics._mechanical import AbstractNamed, actuation_map, bias_of, mass_of, shaped
@@ -33,8 +34,8 @@ class Mechanical(AbstractNamed):
         del q
         return jnp.zeros(len(v))
 
+    @override
     def bias(self, q: Float[Array, " coordinates"], v: Float[Array, " speeds"]) -> Float[Array, " speeds"]:
-        """See `AbstractMechanical.bias`."""
         n = len(self.speeds)
         along = shaped(self, "coriolis", (q, v), (n, n)) @ v
         return along + shaped(self, "forces", (q, v), (n,))
@@ -77,8 +78,9 @@ class Lagrangian(AbstractNamed):
         across = jnp.einsum("ikj,k->ij", slope, v)
         return 0.5 * (along + across - across.T)
 
+    @override
     def bias(self, q: Float[Array, " n"], v: Float[Array, " n"]) -> Float[Array, " n"]:
-        """See `AbstractMechanical.bias`: `d/dt(dT/dv) - dT/dq` without acceleration, `dV/dq` and `dR/dv`.
+        """`d/dt(dT/dv) - dT/dq` without acceleration, `dV/dq` and `dR/dv`.
 
         The momentum `dT/dv` changes with the coordinates, with the time, and with the parameters that depend on it.
         """
@@ -89,8 +91,9 @@ class Lagrangian(AbstractNamed):
         change = along_time(momentum, self, (q,), (v,))[1]
         return change - jax.grad(self._kinetic)(q, v) + self._forces(q, v)
 
+    @override
     def trouble(self, q: Float[Array, " n"]) -> str:
-        """See `AbstractMechanical.trouble`: a kinetic energy that is not quadratic in the velocities."""
+        """A kinetic energy that is not quadratic in the velocities."""
         at_rest, moving = (self._inertia(q, v) for v in (jnp.zeros_like(q), jnp.linspace(0.4, 0.7, len(q))))
         slack = 1e-9 * float(jnp.abs(at_rest).max(initial=0.0))
         if jnp.allclose(moving, at_rest, rtol=1e-6, atol=slack, equal_nan=True):
@@ -127,17 +130,19 @@ class Accelerations(AbstractNamed):
         del q
         return jnp.eye(len(self.speeds))
 
+    @override
     def bias(self, q: Float[Array, " coordinates"], v: Float[Array, " speeds"]) -> Float[Array, " speeds"]:
-        """See `AbstractMechanical.bias`."""
         return -self._rates(q, v, jnp.zeros(len(self.actuators)))
 
+    @override
     def actuation(self, q: Float[Array, " coordinates"]) -> Float[Array, "speeds actuators"]:
-        """See `AbstractMechanical.actuation`: how the accelerations change with the torques, at rest."""
+        """How the accelerations change with the torques, at rest."""
         at_rest = jnp.zeros(len(self.speeds))
         return jax.jacfwd(lambda torque: self._rates(q, at_rest, torque))(jnp.zeros(len(self.actuators)))
 
+    @override
     def trouble(self, q: Float[Array, " coordinates"]) -> str:
-        """See `AbstractMechanical.trouble`: accelerations that are not affine in the torques."""
+        """Accelerations that are not affine in the torques."""
         v, torque = jnp.linspace(0.4, 0.7, len(self.speeds)), jnp.linspace(0.6, 1.3, len(self.actuators))
         expected = actuation_map(self, q) @ torque - bias_of(self, q, v)
         if jnp.allclose(self._rates(q, v, torque), expected, rtol=1e-6, atol=1e-9, equal_nan=True):

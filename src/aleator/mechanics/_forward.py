@@ -5,6 +5,7 @@ from typing import Any, ClassVar, final
 
 import jax.numpy as jnp
 from jaxtyping import Array
+from typing_extensions import override
 
 from aleator._core.errors import ProblemError
 from aleator.dynamics import Grid
@@ -47,8 +48,8 @@ class ForwardDynamics(AbstractFormulation):
         """The units that the model declares, and those that its kind tells."""
         return {**self.model.standard_units, **self.model.units}
 
+    @override
     def signals(self) -> Mapping[str, AbstractSignal]:
-        """See `System.signals`."""
         found = course(self.model, 2)
         if not self.model.actuators:
             return found
@@ -56,29 +57,29 @@ class ForwardDynamics(AbstractFormulation):
         rate = {"torque_rate": torque.derivative()} if isinstance(torque, AbstractTrajectory) else {}
         return {"torque": torque, **rate, **found}
 
+    @override
     def initial(self) -> Mapping[str, Any]:
-        """See `System.initial`."""
         q = self.model.normalised(coordinates_at(self.model, self.start))
         return {"q": q, "v": vector(self.model.speeds, self.start)}
 
+    @override
     def rhs(self, t: Any, z: Any, torque: Any = None, parameters: Any = None) -> tuple[Array, Array]:
-        """See `System.rhs`."""
         model = at(self.model, t, parameters)
         q = model.normalised(z.q)
         return rates(model, q, z.v), _accelerated(model, q, z.v, self._given(torque))
 
+    @override
     def outputs(
         self, t: Any, z: Any, torque: Any = None, torque_rate: Any = None, parameters: Any = None
     ) -> dict[str, Any]:
-        """See `System.outputs`."""
         model, torque = at(self.model, t, parameters), self._given(torque)
         q = model.normalised(z.q)
         v_dot = _accelerated(model, q, z.v, torque)
         motion = Motion(t, q, rates(model, q, z.v), accelerations(model, q, z.v, v_dot), z.v, v_dot, torque)
         return standard_outputs(model, motion, torque_rate)
 
+    @override
     def trouble(self, grid: Grid) -> str:
-        """See `System.trouble`."""
         start = self.initial()
         first = instants_of(self.model, grid).at(0)
         return trouble_at(first, start["q"], "at the start") or trouble_along(self, grid)

@@ -6,6 +6,7 @@ from typing import Any, final
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+from typing_extensions import override
 
 from aleator._core.errors import ProblemError
 from aleator.mechanics._mechanical import AbstractMechanical
@@ -19,20 +20,20 @@ class Columns(AbstractSignal):
 
     parts: tuple[AbstractSignal, ...]
 
+    @override
     def __call__(self, t: Float[Array, ""]) -> Float[Array, " parts"]:
-        """See `AbstractSignal.__call__`."""
         return jnp.stack([part(t) for part in self.parts])
 
+    @override
     def over(self, t_start: Any, t_final: Any) -> "Columns":
-        """See `AbstractSignal.over`."""
         return Columns(tuple(part.over(t_start, t_final) for part in self.parts))
 
+    @override
     def sampled(self, fractions: Float[np.ndarray, " n"], t_start: Any, t_final: Any) -> Float[Array, "n parts"]:
-        """See `AbstractSignal.sampled`."""
         return jnp.stack([part.sampled(fractions, t_start, t_final) for part in self.parts], axis=-1)
 
+    @override
     def span(self) -> tuple[float, float]:
-        """See `AbstractSignal.span`."""
         first, last = zip(*(part.span() for part in self.parts), strict=True)
         return max(first), min(last)
 

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+from typing_extensions import override
 
 from aleator._core.code import told_apart
 from aleator._core.compilation import Compiled
@@ -93,8 +94,8 @@ class HybridDynamics(AbstractFormulation):
         """The units that the model declares, and those that its kind tells."""
         return {**self.model.standard_units, **self.model.units}
 
+    @override
     def signals(self) -> Mapping[str, AbstractSignal]:
-        """See `System.signals`."""
         found = followed(combined_motion(self._followed(), self.motion), self.torque_rates)
         found |= course(self.model, 2 + self.torque_rates)
         if self.known:
@@ -103,17 +104,19 @@ class HybridDynamics(AbstractFormulation):
                 found["known_rate"] = known.derivative()
         return found
 
+    @override
     def focused(self, only: Collection[str]) -> "HybridDynamics":
-        """See `System.focused`: torque rates take a further derivative of everything."""
+        """Torque rates take a further derivative of everything."""
         asked = asks_torque_rates(self.model, only)
         given = {"motion": self.motion, "torque": self.torque, "start": self.start}
         return HybridDynamics(self.model, **given, torque_rates=asked)  # type: ignore[arg-type]
 
+    @override
     def initial(self) -> Mapping[str, Any]:
-        """See `System.initial`."""
         q = self.model.normalised(coordinates_at(self.model, self.start))
         return {"q": q[self._others()], "v": vector(self._loose_speeds(), self.start)}
 
+    @override
     def rhs(
         self,
         t: Any,
@@ -124,11 +127,11 @@ class HybridDynamics(AbstractFormulation):
         known: Any = None,
         parameters: Any = None,
     ) -> tuple[Array, Array]:
-        """See `System.rhs`."""
         model = at(self.model, t, parameters)
         solved = self._solve(model, Prescribed(position, velocity, acceleration, self._known(known)), z.q, z.v)
         return rates(model, solved.q, solved.v)[self._others()], solved.v_dot[self._undriven()]
 
+    @override
     def outputs(
         self,
         t: Any,
@@ -141,7 +144,6 @@ class HybridDynamics(AbstractFormulation):
         known_rate: Any = None,
         parameters: Any = None,
     ) -> dict[str, Any]:
-        """See `System.outputs`."""
         given, model = Prescribed(position, velocity, acceleration, self._known(known)), at(self.model, t, parameters)
         solved = self._solve(model, given, z.q, z.v)
         q_dot = rates(model, solved.q, solved.v)
@@ -154,8 +156,8 @@ class HybridDynamics(AbstractFormulation):
         motion = Motion(t, solved.q, q_dot, q_ddot, solved.v, solved.v_dot, solved.torque)
         return standard_outputs(model, motion, torque_rate)
 
+    @override
     def trouble(self, grid: Grid) -> str:
-        """See `System.trouble`."""
         motion = combined_motion(self._followed(), self.motion).sampled(grid.fractions, grid.t_start, grid.t_final)
         others = self.initial()["q"]
         given = jax.vmap(lambda position: self._merged(position, others))(motion)

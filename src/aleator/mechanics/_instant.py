@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+from typing_extensions import override
 
 from aleator._core.errors import ProblemError
 from aleator.dynamics import Grid
@@ -42,26 +43,25 @@ class Course(AbstractSignal):
 
     parts: tuple[tuple[AbstractSignal, ...], ...]
 
+    @override
     def __call__(self, t: Float[Array, ""]) -> Float[Array, "orders numbers"]:
-        """See `AbstractSignal.__call__`."""
         return jnp.stack([jnp.concatenate([jnp.ravel(part(t)) for part in order]) for order in self.parts])
 
+    @override
     def over(self, t_start: Any, t_final: Any) -> "Course":
-        """See `AbstractSignal.over`."""
         return Course(tuple(tuple(part.over(t_start, t_final) for part in order) for order in self.parts))
 
+    @override
     def sampled(
         self, fractions: Float[np.ndarray, " n"], t_start: Any, t_final: Any
     ) -> Float[Array, "n orders numbers"]:
-        """See `AbstractSignal.sampled`."""
-
         def rows(part: AbstractSignal) -> Array:
             return part.sampled(fractions, t_start, t_final).reshape(len(fractions), -1)
 
         return jnp.stack([jnp.concatenate([rows(part) for part in order], axis=1) for order in self.parts], axis=1)
 
+    @override
     def span(self) -> tuple[float, float]:
-        """See `AbstractSignal.span`."""
         first, last = zip(*(part.span() for part in self.parts[0]), strict=True)
         return max(first), min(last)
 
@@ -72,16 +72,16 @@ class Rate(AbstractSignal):
 
     signal: AbstractSignal
 
+    @override
     def __call__(self, t: Float[Array, ""]) -> Float[Array, "..."]:
-        """See `AbstractSignal.__call__`."""
         return jax.jvp(self.signal, (t,), (jnp.ones_like(t),))[1]
 
+    @override
     def over(self, t_start: Any, t_final: Any) -> "Rate":
-        """See `AbstractSignal.over`."""
         return Rate(self.signal.over(t_start, t_final))
 
+    @override
     def span(self) -> tuple[float, float]:
-        """See `AbstractSignal.span`."""
         return self.signal.span()
 
 

@@ -7,6 +7,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
+from typing_extensions import override
 
 from aleator._core.errors import ProblemError
 from aleator.dynamics import Grid
@@ -54,20 +55,23 @@ class InverseDynamics(AbstractFormulation):
         """The units that the model declares, and those that its kind tells."""
         return {**self.model.standard_units, **self.model.units}
 
+    @override
     def signals(self) -> Mapping[str, AbstractSignal]:
-        """See `System.signals`."""
         return {**followed(self._motion(), self.torque_rates), **course(self.model, 2 + self.torque_rates)}
 
+    @override
     def focused(self, only: Collection[str]) -> "InverseDynamics":
-        """See `System.focused`: torque rates take a further derivative of everything."""
+        """Torque rates take a further derivative of everything."""
         asked = asks_torque_rates(self.model, only)
         return InverseDynamics(self.model, motion=self.motion, torque_rates=asked)
 
+    @override
     def rhs(self, t: Any, z: Any) -> tuple[()]:
-        """See `System.rhs`: nothing is integrated."""
+        """Nothing is integrated."""
         del t, z
         return ()
 
+    @override
     def outputs(
         self,
         t: Any,
@@ -78,7 +82,6 @@ class InverseDynamics(AbstractFormulation):
         jolt: Array | None = None,
         parameters: Array | None = None,
     ) -> dict[str, Any]:
-        """See `System.outputs`."""
         del z
         model, curve = at(self.model, t, parameters), (position, velocity, acceleration)
         if jolt is None:
@@ -88,8 +91,8 @@ class InverseDynamics(AbstractFormulation):
         torque, torque_rate, path = along_time(_torques, model, curve, along, has_aux=True)
         return standard_outputs(model, _motion_at(t, path, torque), torque_rate)
 
+    @override
     def trouble(self, grid: Grid) -> str:
-        """See `System.trouble`."""
         now, path = instants_of(self.model, grid), self._motion().sampled(grid.fractions, grid.t_start, grid.t_final)
         model = now.at(0)
         q = model.normalised(path[0])
@@ -101,8 +104,9 @@ class InverseDynamics(AbstractFormulation):
         effects = None if model.acts_directly else now.each(lambda one, q: actuation_map(one, one.normalised(q)), path)
         return trouble_of_path(now, path, effects)
 
+    @override
     def holding(self, grid: Grid) -> Mapping[str, Any]:
-        """See `System.holding`: the torques, where the motion starts at rest and without acceleration."""
+        """The torques, where the motion starts at rest and without acceleration."""
         curve = [self._motion().derivative(k).sampled(np.zeros(1), grid.t_start, grid.t_final)[0] for k in range(3)]
         torque, start = _torques(instants_of(self.model, grid).at(0), *curve)
         if jnp.any(jnp.abs(jnp.stack([start.v, start.v_dot])) > 1e-9):

@@ -7,6 +7,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+from typing_extensions import override
 
 from aleator._core.errors import ProblemError
 from aleator.mechanics._spatial import (
@@ -106,8 +107,9 @@ class AbstractAxial(AbstractJoint):
             raise ProblemError(f"{name}: expected an axis of finite length, and not zero; received {self.axis}.")
         return unit(axis)
 
+    @override
     def passive(self, q: Float[Array, " 1"], v: Float[Array, " 1"]) -> Float[Array, " 1"]:
-        """See `AbstractJoint.passive`. Raises `ProblemError` for a negative damping."""
+        """Raises `ProblemError` for a negative damping."""
         if is_known(self.damping) and np.any(np.asarray(self.damping) < 0):
             raise ProblemError(
                 f"{type(self).__name__}: expected a damping that is not negative; received {self.damping}. A "
@@ -115,8 +117,8 @@ class AbstractAxial(AbstractJoint):
             )
         return -self.damping * v - self.stiffness * (q - self.rest)
 
+    @override
     def energy(self, q: Float[Array, " 1"]) -> Float[Array, ""]:
-        """See `AbstractJoint.energy`."""
         return 0.5 * self.stiffness * (q[0] - self.rest) ** 2
 
     def velocity_map(self, q: Float[Array, " 1"]) -> Float[Array, "1 1"]:
@@ -132,17 +134,17 @@ class Revolute(AbstractAxial):
     units: ClassVar[tuple[str, ...]] = ("rad",)
     speed_units: ClassVar[tuple[str, ...]] = ("rad/s",)
 
+    @override
     def pose(self, placement: Pose, q: Float[Array, " 1"]) -> Pose:
-        """See `AbstractJoint.pose`."""
         return Pose(about(self.direction(), q[0], placement.rotation), placement.position)
 
+    @override
     def subspace(self, q: Float[Array, " 1"]) -> Twist:
-        """See `AbstractJoint.subspace`."""
         del q
         return Twist(self.direction()[:, None], None)
 
+    @override
     def twist(self, q: Float[Array, " 1"], v: Float[Array, " 1"]) -> Twist:
-        """See `AbstractJoint.twist`."""
         del q
         return Twist(self.direction() * v[0], None)
 
@@ -154,18 +156,18 @@ class Prismatic(AbstractAxial):
     units: ClassVar[tuple[str, ...]] = ("m",)
     speed_units: ClassVar[tuple[str, ...]] = ("m/s",)
 
+    @override
     def pose(self, placement: Pose, q: Float[Array, " 1"]) -> Pose:
-        """See `AbstractJoint.pose`."""
         along = placement.rotation @ self.direction()
         return Pose(placement.rotation, placement.position + along * q[0])
 
+    @override
     def subspace(self, q: Float[Array, " 1"]) -> Twist:
-        """See `AbstractJoint.subspace`."""
         del q
         return Twist(None, self.direction()[:, None])
 
+    @override
     def twist(self, q: Float[Array, " 1"], v: Float[Array, " 1"]) -> Twist:
-        """See `AbstractJoint.twist`."""
         del q
         return Twist(None, self.direction() * v[0])
 
@@ -182,26 +184,26 @@ class Ball(AbstractJoint):
     units: ClassVar[tuple[str, ...]] = ()
     speed_units: ClassVar[tuple[str, ...]] = ("rad/s",) * 3
 
+    @override
     def pose(self, placement: Pose, q: Float[Array, " 4"]) -> Pose:
-        """See `AbstractJoint.pose`."""
         return Pose(placement.rotation @ from_quaternion(q), placement.position)
 
+    @override
     def subspace(self, q: Float[Array, " 4"]) -> Twist:
-        """See `AbstractJoint.subspace`."""
         del q
         return Twist(np.eye(3), None)
 
+    @override
     def twist(self, q: Float[Array, " 4"], v: Float[Array, " 3"]) -> Twist:
-        """See `AbstractJoint.twist`."""
         del q
         return Twist(v, None)
 
+    @override
     def velocity_map(self, q: Float[Array, " 4"]) -> Float[Array, "4 3"]:
-        """See `AbstractJoint.velocity_map`."""
         return quaternion_rates(q)
 
+    @override
     def normalised(self, q: Float[Array, " 4"]) -> Float[Array, " 4"]:
-        """See `AbstractJoint.normalised`."""
         return unit_quaternion(q)
 
 
@@ -217,30 +219,30 @@ class Free(AbstractJoint):
     units: ClassVar[tuple[str, ...]] = ("m",) * 3
     speed_units: ClassVar[tuple[str, ...]] = ("m/s",) * 3 + ("rad/s",) * 3
 
+    @override
     def pose(self, placement: Pose, q: Float[Array, " 7"]) -> Pose:
-        """See `AbstractJoint.pose`."""
         rotation = placement.rotation @ from_quaternion(q[3:])
         return Pose(rotation, placement.position + placement.rotation @ q[:3])
 
+    @override
     def subspace(self, q: Float[Array, " 7"]) -> Twist:
-        """See `AbstractJoint.subspace`."""
         zero = np.zeros((3, 3))
         return Twist(np.hstack([zero, np.eye(3)]), jnp.hstack([from_quaternion(q[3:]).T, zero]))
 
+    @override
     def twist(self, q: Float[Array, " 7"], v: Float[Array, " 6"]) -> Twist:
-        """See `AbstractJoint.twist`."""
         return Twist(v[3:], from_quaternion(q[3:]).T @ v[:3])
 
+    @override
     def drift(self, q: Float[Array, " 7"], v: Float[Array, " 6"]) -> Twist:
-        """See `AbstractJoint.drift`."""
         return Twist(None, -jnp.cross(v[3:], from_quaternion(q[3:]).T @ v[:3]))
 
+    @override
     def velocity_map(self, q: Float[Array, " 7"]) -> Float[Array, "7 6"]:
-        """See `AbstractJoint.velocity_map`."""
         return jnp.zeros((7, 6)).at[:3, :3].set(jnp.eye(3)).at[3:, 3:].set(quaternion_rates(q[3:]))
 
+    @override
     def normalised(self, q: Float[Array, " 7"]) -> Float[Array, " 7"]:
-        """See `AbstractJoint.normalised`."""
         return jnp.concatenate([q[:3], unit_quaternion(q[3:])])
 
 

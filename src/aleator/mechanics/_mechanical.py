@@ -8,6 +8,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+from typing_extensions import override
 
 from aleator._core.errors import ProblemError
 from aleator.dynamics import called
@@ -187,19 +188,19 @@ class AbstractNamed(AbstractMechanical):
                 )
 
     @property
+    @override
     def coordinates(self) -> tuple[str, ...]:
-        """See `AbstractMechanical.coordinates`."""
         return tuple(self.names)
 
     @property
+    @override
     def speeds(self) -> tuple[str, ...]:
-        """See `AbstractMechanical.speeds`."""
         given = self.velocity_names
         return tuple(f"{name}_rate" for name in self.names) if given is None else tuple(given)
 
     @property
+    @override
     def actuators(self) -> tuple[str, ...]:
-        """See `AbstractMechanical.actuators`."""
         given = self.actuator_names
         return tuple(f"{name.removesuffix('_rate')}_torque" for name in self.speeds) if given is None else tuple(given)
 

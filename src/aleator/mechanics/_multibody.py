@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+from typing_extensions import override
 
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import is_leaf
@@ -74,8 +75,9 @@ class Multibody(AbstractMechanical):
         return tuple(name + end for name, joint in self._joints() for end in joint.coordinates)
 
     @property
+    @override
     def moves_directly(self) -> bool:
-        """See `AbstractMechanical.moves_directly`: so of joints with one degree of freedom each."""
+        """So of joints with one degree of freedom each."""
         own = type(self).velocity_map is Multibody.velocity_map
         return own and all(joint.coordinates == ("",) for _, joint in self._joints())
 
@@ -85,8 +87,9 @@ class Multibody(AbstractMechanical):
         return tuple(name + end for name, joint in self._joints() for end in joint.speeds)
 
     @property
+    @override
     def standard_units(self) -> Mapping[str, str]:
-        """See `AbstractMechanical.standard_units`: as the joints tell. Those of torques go by their names."""
+        """As the joints tell. Those of torques go by their names."""
         found = {}
         for name, joint in self._joints():
             found |= {name + end: unit for end, unit in zip(joint.coordinates, joint.units, strict=False)}
@@ -129,12 +132,13 @@ class Multibody(AbstractMechanical):
         return ()
 
     @property
+    @override
     def is_loaded(self) -> bool:
-        """See `AbstractMechanical.is_loaded`."""
         return super().is_loaded or type(self).body_loads is not Multibody.body_loads
 
+    @override
     def external(self, q: Float[Array, " coordinates"], v: Float[Array, " speeds"]) -> Float[Array, " speeds"]:
-        """See `AbstractMechanical.external`: the load, and what pushes the bodies."""
+        """The load, and what pushes the bodies."""
         tree = self._tree()
         wrenches = wrenches_of(type(self).__name__, tree, q, evaluated(self, "body_loads", q, v))
         return super().external(q, v) + generalised(tree, q, wrenches)
@@ -152,8 +156,9 @@ class Multibody(AbstractMechanical):
         parts = [joint.normalised(q[i:j]) for joint, i, j in zip(joints, ends[:-1], ends[1:], strict=True)]
         return jnp.concatenate([jnp.zeros(0), *parts])
 
+    @override
     def speeds_along(self, coordinates: Collection[str]) -> tuple[int, ...]:
-        """See `AbstractMechanical.speeds_along`: those of the joints, of which all coordinates are needed."""
+        """Those of the joints, of which all coordinates are needed."""
         found: list[int] = []
         first = 0
         for name, joint in self._joints():

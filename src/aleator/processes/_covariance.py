@@ -7,6 +7,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 from scipy.special import spherical_jn
+from typing_extensions import override
 
 from aleator._core.errors import ProblemError
 from aleator.processes._checks import plain_number, positive_number
@@ -41,8 +42,8 @@ class ExponentialCovariance(AbstractCovariance):
     def __init__(self, correlation_time: float):
         self.correlation_time = positive_number("ExponentialCovariance", "correlation_time", correlation_time)
 
+    @override
     def correlation(self, lag: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
-        """See `AbstractCovariance.correlation`."""
         return np.exp(-lag / self.correlation_time)
 
     def __str__(self) -> str:
@@ -58,8 +59,8 @@ class SquaredExponentialCovariance(AbstractCovariance):
     def __init__(self, correlation_time: float):
         self.correlation_time = positive_number("SquaredExponentialCovariance", "correlation_time", correlation_time)
 
+    @override
     def correlation(self, lag: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
-        """See `AbstractCovariance.correlation`."""
         return np.exp(-0.5 * (lag / self.correlation_time) ** 2)
 
     def __str__(self) -> str:
@@ -123,8 +124,9 @@ class BandLimitedCovariance(AbstractCovariance):
         """The root of the integral of the power spectral density: the standard deviation that the table implies."""
         return float(np.sqrt(np.trapezoid(self.psd, self.frequencies)))
 
+    @override
     def correlation(self, lag: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
-        """See `AbstractCovariance.correlation`: the cosine transform of the density, segment by segment."""
+        """The cosine transform of the density, segment by segment."""
         omega = 2 * np.pi * lag
         total = np.zeros_like(omega)
         for left, right, start, end in zip(

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+from typing_extensions import override
 
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import AbstractLeaf
@@ -31,12 +32,12 @@ class Parametrised(AbstractSignal):
         self.function = function
         self.p = {name: _parameter(name, value) for name, value in parameters.items()}
 
+    @override
     def __call__(self, t: Float[Array, ""]) -> Float[Array, "..."]:
-        """See `AbstractSignal.__call__`."""
         return jnp.asarray(self.function(t, SimpleNamespace(**self.p)), dtype=float)
 
+    @override
     def span(self) -> tuple[float, float]:
-        """See `AbstractSignal.span`."""
         return -np.inf, np.inf
 
 

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+from typing_extensions import override
 
 from aleator._core.errors import ExpansionWarning, ProblemError
 from aleator.processes._checks import number_or_law, plain_number
@@ -90,8 +91,8 @@ class RandomProcess(AbstractSignal):
             )
             warnings.warn(f"{self}: {said}", ExpansionWarning, stacklevel=3)
 
+    @override
     def __call__(self, t: Float[Array, ""]) -> Float[Array, ""]:
-        """See `AbstractSignal.__call__`."""
         coefficients = jnp.asarray(self.functions) @ jnp.stack([jnp.asarray(one, dtype=float) for one in self.xi])
         mean = self.mean(t) if isinstance(self.mean, AbstractSignal) else self.mean
         return mean + self.std * (self._polynomials(t) @ coefficients)
@@ -100,8 +101,8 @@ class RandomProcess(AbstractSignal):
         x = (2 * t - self.t_start - self.t_final) / (self.t_final - self.t_start)
         return legendre(x, len(self.functions))
 
+    @override
     def span(self) -> tuple[float, float]:
-        """See `AbstractSignal.span`."""
         own = (float(self.t_start), float(self.t_final))
         return common_span([own, self.mean.span()]) if isinstance(self.mean, AbstractSignal) else own
 

@@ -5,6 +5,7 @@ from typing import Any, final
 
 import numpy as np
 from jaxtyping import Array, Float
+from typing_extensions import override
 
 from aleator._core.errors import ProblemError
 from aleator.trajectories import AbstractSignal
@@ -28,22 +29,22 @@ class Total(AbstractSignal):
             raise ProblemError("total: expected at least one signal; received none.")
         self.span()
 
+    @override
     def __call__(self, t: Float[Array, ""]) -> Float[Array, "..."]:
-        """See `AbstractSignal.__call__`."""
         first, *others = (part(t) for part in self.parts)
         return sum(others, start=first)
 
+    @override
     def over(self, t_start: Any, t_final: Any) -> "Total":
-        """See `AbstractSignal.over`."""
         return Total(part.over(t_start, t_final) for part in self.parts)
 
+    @override
     def sampled(self, fractions: Float[np.ndarray, " n"], t_start: Any, t_final: Any) -> Float[Array, "n ..."]:
-        """See `AbstractSignal.sampled`."""
         first, *others = (part.sampled(fractions, t_start, t_final) for part in self.parts)
         return sum(others, start=first)
 
+    @override
     def span(self) -> tuple[float, float]:
-        """See `AbstractSignal.span`."""
         return common_span(part.span() for part in self.parts)
 
 

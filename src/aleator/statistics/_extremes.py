@@ -6,6 +6,7 @@ from typing import ClassVar, final
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
+from typing_extensions import override
 
 from aleator.statistics._branch_and_bound import bound, difficulty
 from aleator.statistics._enclosure import Enclosure, enclosure
@@ -29,25 +30,26 @@ class Supremum(AbstractStatistic):
     symbol: ClassVar[str] = "sup"
 
     @property
+    @override
     def preparation(self) -> Callable[..., Enclosure]:
-        """See `AbstractStatistic.preparation`."""
         return enclosure
 
+    @override
     def of(self, coefficients: Float[Array, "terms *shape"], constants: Enclosure) -> Float[Array, "*shape"]:
-        """See `AbstractStatistic.of`."""
         return _searched(bound, coefficients, constants)
 
     def attained(self, coefficients: Float[Array, "terms *shape"], constants: Enclosure) -> Float[Array, "*shape"]:
         """A value that the expansion takes, found by local search: the supremum lies between it and the bound."""
         return _searched(climbed, coefficients, constants)
 
+    @override
     def of_sample(self, values: Float[Array, "samples *shape"]) -> Float[Array, "*shape"]:
-        """See `AbstractStatistic.of_sample`: the largest of the sample, which is never more than the supremum."""
+        """The largest of the sample, which is never more than the supremum."""
         return jnp.max(values, axis=0)
 
     @property
+    @override
     def speaks_of_one_system(self) -> bool:
-        """See `AbstractStatistic.speaks_of_one_system`."""
         return True
 
 
@@ -58,25 +60,26 @@ class Infimum(AbstractStatistic):
     symbol: ClassVar[str] = "inf"
 
     @property
+    @override
     def preparation(self) -> Callable[..., Enclosure]:
-        """See `AbstractStatistic.preparation`."""
         return enclosure
 
+    @override
     def of(self, coefficients: Float[Array, "terms *shape"], constants: Enclosure) -> Float[Array, "*shape"]:
-        """See `AbstractStatistic.of`."""
         return -Supremum().of(-coefficients, constants)
 
     def attained(self, coefficients: Float[Array, "terms *shape"], constants: Enclosure) -> Float[Array, "*shape"]:
-        """See `Supremum.attained`: the infimum lies between the bound and it."""
+        """The infimum lies between the bound and this value."""
         return -Supremum().attained(-coefficients, constants)
 
+    @override
     def of_sample(self, values: Float[Array, "samples *shape"]) -> Float[Array, "*shape"]:
-        """See `AbstractStatistic.of_sample`: the smallest of the sample, which is never less than the infimum."""
+        """The smallest of the sample, which is never less than the infimum."""
         return jnp.min(values, axis=0)
 
     @property
+    @override
     def speaks_of_one_system(self) -> bool:
-        """See `AbstractStatistic.speaks_of_one_system`."""
         return True
 
 

@@ -5,6 +5,7 @@ from typing import ClassVar, final
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
+from typing_extensions import override
 
 from aleator._core.arrays import Pytree
 from aleator._core.errors import ProblemError
@@ -22,19 +23,19 @@ class Covariance(AbstractStatistic):
 
     symbol: ClassVar[str] = "Cov"
 
+    @override
     def of(self, coefficients: Float[Array, "terms *shape 2"], constants: Pytree) -> Float[Array, "*shape"]:
-        """See `AbstractStatistic.of`."""
         del constants
         first, second = _both(coefficients[1:])
         return jnp.sum(first * second, axis=0)
 
+    @override
     def of_sample(self, values: Float[Array, "samples *shape 2"]) -> Float[Array, "*shape"]:
-        """See `AbstractStatistic.of_sample`."""
         first, second = _both(values - jnp.mean(values, axis=0)[None])
         return jnp.sum(first * second, axis=0) / (len(values) - 1)
 
+    @override
     def unit(self, *of: str) -> str:
-        """See `AbstractStatistic.unit`."""
         return product(*of)
 
 
@@ -49,8 +50,8 @@ class CoefficientProduct(AbstractStatistic):
     symbol: ClassVar[str] = "Σ|·|"
     smoothing: float = eqx.field(static=True, default=0.0)
 
+    @override
     def of(self, coefficients: Float[Array, "terms *shape 2"], constants: Pytree) -> Float[Array, "*shape"]:
-        """See `AbstractStatistic.of`."""
         del constants
         first, second = _both(coefficients)
         products, s = first * second, self.smoothing
@@ -60,8 +61,8 @@ class CoefficientProduct(AbstractStatistic):
         """No sample estimates it: not a number."""
         return jnp.full(values.shape[1:-1], jnp.nan)
 
+    @override
     def unit(self, *of: str) -> str:
-        """See `AbstractStatistic.unit`."""
         return product(*of)
 
 
@@ -74,17 +75,17 @@ class Correlation(AbstractStatistic):
 
     symbol: ClassVar[str] = "Corr"
 
+    @override
     def of(self, coefficients: Float[Array, "terms *shape 2"], constants: Pytree) -> Float[Array, "*shape"]:
-        """See `AbstractStatistic.of`."""
         del constants
         return _cosine(coefficients[1:])
 
+    @override
     def of_sample(self, values: Float[Array, "samples *shape 2"]) -> Float[Array, "*shape"]:
-        """See `AbstractStatistic.of_sample`."""
         return _cosine(values - jnp.mean(values, axis=0)[None])
 
+    @override
     def unit(self, *of: str) -> str:
-        """See `AbstractStatistic.unit`."""
         del of
         return PURE
 

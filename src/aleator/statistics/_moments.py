@@ -4,6 +4,7 @@ from typing import ClassVar, final
 
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
+from typing_extensions import override
 
 from aleator._core.arrays import Pytree
 from aleator._core.units import squared
@@ -16,18 +17,18 @@ class Mean(AbstractStatistic):
 
     symbol: ClassVar[str] = "μ"
 
+    @override
     def of(self, coefficients: Float[Array, "terms *shape"], constants: Pytree) -> Float[Array, "*shape"]:
-        """See `AbstractStatistic.of`."""
         del constants
         return coefficients[0]
 
+    @override
     def of_sample(self, values: Float[Array, "samples *shape"]) -> Float[Array, "*shape"]:
-        """See `AbstractStatistic.of_sample`."""
         return jnp.mean(values, axis=0)
 
     @property
+    @override
     def speaks_of_one_system(self) -> bool:
-        """See `AbstractStatistic.speaks_of_one_system`."""
         return True
 
 
@@ -37,17 +38,17 @@ class Variance(AbstractStatistic):
 
     symbol: ClassVar[str] = "Var"
 
+    @override
     def of(self, coefficients: Float[Array, "terms *shape"], constants: Pytree) -> Float[Array, "*shape"]:
-        """See `AbstractStatistic.of`."""
         del constants
         return jnp.sum(coefficients[1:] ** 2, axis=0)
 
+    @override
     def of_sample(self, values: Float[Array, "samples *shape"]) -> Float[Array, "*shape"]:
-        """See `AbstractStatistic.of_sample`."""
         return jnp.var(values, axis=0, ddof=1)
 
+    @override
     def unit(self, *of: str) -> str:
-        """See `AbstractStatistic.unit`."""
         return squared(*of)
 
 
@@ -61,12 +62,12 @@ class Std(AbstractStatistic):
 
     symbol: ClassVar[str] = "σ"
 
+    @override
     def of(self, coefficients: Float[Array, "terms *shape"], constants: Pytree) -> Float[Array, "*shape"]:
-        """See `AbstractStatistic.of`."""
         return root(Variance().of(coefficients, constants))
 
+    @override
     def of_sample(self, values: Float[Array, "samples *shape"]) -> Float[Array, "*shape"]:
-        """See `AbstractStatistic.of_sample`."""
         return root(Variance().of_sample(values))
 
 

@@ -6,6 +6,7 @@ from typing import ClassVar, final
 import jax.numpy as jnp
 from jax.scipy.special import ndtri
 from jaxtyping import Array, Float
+from typing_extensions import override
 
 from aleator._core.arrays import Pytree, Scalar
 from aleator._core.units import PURE
@@ -24,20 +25,20 @@ class Skewness(AbstractStatistic):
     symbol: ClassVar[str] = "Skew"
 
     @property
+    @override
     def preparation(self) -> Callable[..., Square]:
-        """See `AbstractStatistic.preparation`."""
         return square
 
+    @override
     def of(self, coefficients: Float[Array, "terms *shape"], constants: Square) -> Float[Array, "*shape"]:
-        """See `AbstractStatistic.of`."""
         return shape_of(coefficients, constants)[0]
 
+    @override
     def of_sample(self, values: Float[Array, "samples *shape"]) -> Float[Array, "*shape"]:
-        """See `AbstractStatistic.of_sample`."""
         return jnp.mean(_standard(values) ** 3, axis=0)
 
+    @override
     def unit(self, *of: str) -> str:
-        """See `AbstractStatistic.unit`."""
         del of
         return PURE
 
@@ -49,20 +50,20 @@ class Kurtosis(AbstractStatistic):
     symbol: ClassVar[str] = "Kurt"
 
     @property
+    @override
     def preparation(self) -> Callable[..., Square]:
-        """See `AbstractStatistic.preparation`."""
         return square
 
+    @override
     def of(self, coefficients: Float[Array, "terms *shape"], constants: Square) -> Float[Array, "*shape"]:
-        """See `AbstractStatistic.of`."""
         return shape_of(coefficients, constants)[1]
 
+    @override
     def of_sample(self, values: Float[Array, "samples *shape"]) -> Float[Array, "*shape"]:
-        """See `AbstractStatistic.of_sample`."""
         return jnp.mean(_standard(values) ** 4, axis=0)
 
+    @override
     def unit(self, *of: str) -> str:
-        """See `AbstractStatistic.unit`."""
         del of
         return PURE
 
@@ -80,17 +81,17 @@ class CornishFisher(AbstractStatistic):
         self.level = level_given("CornishFisher", level)
 
     @property
+    @override
     def preparation(self) -> Callable[..., Square]:
-        """See `AbstractStatistic.preparation`."""
         return square
 
+    @override
     def of(self, coefficients: Float[Array, "terms *shape"], constants: Square) -> Float[Array, "*shape"]:
-        """See `AbstractStatistic.of`."""
         skewness, kurtosis = shape_of(coefficients, constants)
         return self._quantile(Mean().of(coefficients, ()), Std().of(coefficients, ()), skewness, kurtosis)
 
+    @override
     def of_sample(self, values: Float[Array, "samples *shape"]) -> Float[Array, "*shape"]:
-        """See `AbstractStatistic.of_sample`."""
         kinds = (Mean(), Std(), Skewness(), Kurtosis())
         return self._quantile(*(kind.of_sample(values) for kind in kinds))
 
@@ -100,12 +101,12 @@ class CornishFisher(AbstractStatistic):
         return mean + std * (normal - (2 * z**3 - 5 * z) * skewness**2 / 36)
 
     @property
+    @override
     def speaks_of_one_system(self) -> bool:
-        """See `AbstractStatistic.speaks_of_one_system`."""
         return True
 
+    @override
     def text(self, inside: str) -> str:
-        """See `AbstractStatistic.text`."""
         return f"CF{float(self.level):g}[{inside}]"
 
 

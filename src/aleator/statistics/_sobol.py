@@ -11,6 +11,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+from typing_extensions import override
 
 from aleator._core.errors import ProblemError
 from aleator._core.units import PURE
@@ -37,27 +38,27 @@ class Sobol(AbstractStatistic):
         self.variables = names
 
     @property
+    @override
     def preparation(self) -> Callable[[Basis], Float[Array, " terms"]]:
-        """See `AbstractStatistic.preparation`."""
         return ExactlyOf(self.variables)
 
+    @override
     def of(
         self, coefficients: Float[Array, "terms *shape"], constants: Float[Array, " terms"]
     ) -> Float[Array, "*shape"]:
-        """See `AbstractStatistic.of`."""
         return share(coefficients, constants)
 
     def of_sample(self, values: Float[Array, "samples *shape"]) -> NoReturn:
         """Not to be had from one sample."""
         _refuse_sample(values)
 
+    @override
     def unit(self, *of: str) -> str:
-        """See `AbstractStatistic.unit`."""
         del of
         return PURE
 
+    @override
     def text(self, inside: str) -> str:
-        """See `AbstractStatistic.text`."""
         return f"S({', '.join(self.variables)})[{inside}]"
 
 
@@ -73,27 +74,27 @@ class TotalSobol(AbstractStatistic):
         self.variable = variable
 
     @property
+    @override
     def preparation(self) -> Callable[[Basis], Float[Array, " terms"]]:
-        """See `AbstractStatistic.preparation`."""
         return With(self.variable)
 
+    @override
     def of(
         self, coefficients: Float[Array, "terms *shape"], constants: Float[Array, " terms"]
     ) -> Float[Array, "*shape"]:
-        """See `AbstractStatistic.of`."""
         return share(coefficients, constants)
 
     def of_sample(self, values: Float[Array, "samples *shape"]) -> NoReturn:
         """Not to be had from one sample."""
         _refuse_sample(values)
 
+    @override
     def unit(self, *of: str) -> str:
-        """See `AbstractStatistic.unit`."""
         del of
         return PURE
 
+    @override
     def text(self, inside: str) -> str:
-        """See `AbstractStatistic.text`."""
         return f"ST({self.variable})[{inside}]"
 
 

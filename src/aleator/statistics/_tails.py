@@ -17,6 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+from typing_extensions import override
 
 from aleator._core.arrays import Scalar
 from aleator._core.errors import ProblemError
@@ -36,12 +37,12 @@ class AbstractTail(AbstractStatistic):
     """
 
     @property
+    @override
     def preparation(self) -> Callable[..., Lines]:
-        """See `AbstractStatistic.preparation`."""
         return lines_through
 
+    @override
     def of(self, coefficients: Float[Array, "terms *shape"], constants: Lines) -> Float[Array, "*shape"]:
-        """See `AbstractStatistic.of`."""
         return by_lines(self.of_law, coefficients, constants)
 
     @abc.abstractmethod
@@ -58,21 +59,22 @@ class Quantile(AbstractTail):
     def __init__(self, level: Scalar):
         self.level = level_given("Quantile", level)
 
+    @override
     def of_law(self, law: OutputLaw) -> Float[Array, ""]:
-        """See `AbstractTail.of_law`."""
         return law.mean + law.quantile(self.level)
 
+    @override
     def of_sample(self, values: Float[Array, "samples *shape"]) -> Float[Array, "*shape"]:
-        """See `AbstractStatistic.of_sample`: linear between the sorted values."""
+        """Linear between the sorted values."""
         return jnp.quantile(values, jnp.asarray(self.level, dtype=float), axis=0)
 
     @property
+    @override
     def speaks_of_one_system(self) -> bool:
-        """See `AbstractStatistic.speaks_of_one_system`."""
         return True
 
+    @override
     def text(self, inside: str) -> str:
-        """See `AbstractStatistic.text`."""
         return f"Q{float(self.level):g}[{inside}]"
 
 
@@ -90,16 +92,16 @@ class ConditionalValueAtRisk(AbstractTail):
     def __init__(self, level: Scalar, *, lower: bool = False):
         self.level, self.lower = level_given("ConditionalValueAtRisk", level), bool(lower)
 
+    @override
     def of_law(self, law: OutputLaw) -> Float[Array, ""]:
-        """See `AbstractTail.of_law`."""
         # The quantile is where this is extreme: its own derivative has no part in it.
         quantile = law.nearly_quantile(self.level)
         if self.lower:
             return law.mean + quantile - law.shortfall(quantile) / self.level
         return law.mean + quantile + law.excess(quantile) / (1 - self.level)
 
+    @override
     def of_sample(self, values: Float[Array, "samples *shape"]) -> Float[Array, "*shape"]:
-        """See `AbstractStatistic.of_sample`."""
         quantile = Quantile(self.level).of_sample(values)
         beyond = values - quantile[None]
         if self.lower:
@@ -107,12 +109,12 @@ class ConditionalValueAtRisk(AbstractTail):
         return quantile + jnp.mean(jnp.maximum(beyond, 0.0), axis=0) / (1 - self.level)
 
     @property
+    @override
     def speaks_of_one_system(self) -> bool:
-        """See `AbstractStatistic.speaks_of_one_system`."""
         return True
 
+    @override
     def text(self, inside: str) -> str:
-        """See `AbstractStatistic.text`."""
         return f"{'lower ' * self.lower}CVaR{float(self.level):g}[{inside}]"
 
 
@@ -138,14 +140,15 @@ class Probability(AbstractTail):
                 "probability outside of an interval is one minus that inside."
             )
 
+    @override
     def of_law(self, law: OutputLaw) -> Float[Array, ""]:
-        """See `AbstractTail.of_law`."""
         upper = jnp.ones(()) if self.below is None else law.below(self.below - law.mean)
         lower = jnp.zeros(()) if self.above is None else law.below(self.above - law.mean)
         return upper - lower
 
+    @override
     def of_sample(self, values: Float[Array, "samples *shape"]) -> Float[Array, "*shape"]:
-        """See `AbstractStatistic.of_sample`: the share of the sample."""
+        """The share of the sample."""
         inside = jnp.ones(values.shape, bool)
         if self.above is not None:
             inside = inside & (values > self.above)
@@ -153,13 +156,14 @@ class Probability(AbstractTail):
             inside = inside & (values < self.below)
         return jnp.mean(jnp.where(jnp.isnan(values), jnp.nan, inside), axis=0)
 
+    @override
     def unit(self, *of: str) -> str:
-        """See `AbstractStatistic.unit`."""
         del of
         return PURE
 
+    @override
     def text(self, inside: str) -> str:
-        """See `AbstractStatistic.text`: `P[x > 3]`."""
+        """`P[x > 3]`."""
         if self.above is None or self.below is None:
             sign, threshold = (">", self.above) if self.below is None else ("<", self.below)
             return f"P[{inside} {sign} {_brief(threshold)}]"

@@ -4,6 +4,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import final
 
+from typing_extensions import override
+
 from aleator._core.progress import Progress
 from aleator.reporting import PAGE, Table, save_study
 from aleator.studies._clutch_facts import (
@@ -28,16 +30,16 @@ class ClutchStudy(AbstractStudy):
         self._results = ClutchResults(effort)
 
     @property
+    @override
     def stages(self) -> Mapping[str, float]:
-        """See `AbstractStudy.stages`."""
         return {name: stage.share for name, stage in STAGES.items()}
 
+    @override
     def run(self, stage: str, progress: Progress) -> None:
-        """See `AbstractStudy.run`."""
         run_stage(stage, self._results, progress)
 
+    @override
     def save(self, folder: Path) -> list[Path]:
-        """See `AbstractStudy.save`."""
         done = self._results
         paths = save_study(
             folder,
@@ -50,20 +52,20 @@ class ClutchStudy(AbstractStudy):
         )
         return list(paths)
 
+    @override
     def write_page(self, folder: Path) -> Path:
-        """See `AbstractStudy.write_page`."""
         return write_page(self._results, folder / PAGE)
 
+    @override
     def tables(self) -> list[Table]:
-        """See `AbstractStudy.tables`."""
         done = self._results
         shown = [methods_table(done)] if done.methods else []
         shown += [contributions_table(done), analysis_table(done)] if done.analyses else []
         shown += [allocation_table(done)] if done.allocation is not None else []
         return [*shown, counts_table(done)] if done.counts else shown
 
+    @override
     def headline(self) -> str:
-        """See `AbstractStudy.headline`."""
         said = verdict(self._results)
         return f"{said.word}: {said.headline}"
 

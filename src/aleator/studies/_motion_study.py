@@ -6,6 +6,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple, final
 
+from typing_extensions import override
+
 import aleator as al
 from aleator._core.progress import Progress, silent
 from aleator.reporting import (
@@ -226,32 +228,32 @@ class AbstractMotionStudy(AbstractStudy):
         self.done.calibrate(self.margin_problem(), self.limits, progress)
 
     @property
+    @override
     def stages(self) -> Mapping[str, float]:
-        """See `AbstractStudy.stages`."""
         return {name: stage.share for name, stage in self.work().items()}
 
+    @override
     def run(self, stage: str, progress: Progress = silent) -> None:
-        """See `AbstractStudy.run`."""
         self.work()[stage].work(progress)
 
+    @override
     def save(self, folder: Path) -> list[Path]:
-        """See `AbstractStudy.save`."""
         done = self.done
         found = {"plans": done.plans, "evidence": done.evidence, "calibration": done.calibration}
         return list(save_study(folder, **found, **self.more_results()))
 
+    @override
     def write_page(self, folder: Path) -> Path:
-        """See `AbstractStudy.write_page`."""
         return write_page(self.page(), folder / PAGE)
 
+    @override
     def tables(self) -> list[Table]:
-        """See `AbstractStudy.tables`."""
         if not self.done.plans:
             return []
         return [self.plans_table(), self.published(), optima_table(self.done.searches)]
 
+    @override
     def headline(self) -> str:
-        """See `AbstractStudy.headline`."""
         said = self.verdict()
         return " ".join([f"{said.word}: {said.headline}", *self._quick()])
 

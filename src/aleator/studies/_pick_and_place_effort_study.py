@@ -4,6 +4,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, ClassVar, final
 
 import numpy as np
+from typing_extensions import override
 
 import aleator as al
 from aleator._core.progress import Progress
@@ -116,12 +117,12 @@ class PickAndPlaceEffort(AbstractMotionStudy):
             plan = done.search(name, named(problems[name], TOGETHER), [dict(plan.decisions), *bent[1:]], progress)
         done.solve_at_instants()
 
+    @override
     def margin_problem(self) -> al.Problem:
-        """See `AbstractMotionStudy.margin_problem`."""
         return named(robust_problem(TRIED, guess=self.done.plans[ROBUST].decisions["torque.free"]), TOGETHER)
 
+    @override
     def more(self) -> Mapping[str, Stage]:
-        """See `AbstractMotionStudy.more`."""
         front = Stage(self.sweep_effort, 0.2, lambda: self.front is not None and not self.front.interrupted)
         wider = Stage(self.widen_payload, 0.1, lambda: self.wide is not None)
         return {"front": front, "wider payload": wider} if self.done.effort.whole else {}
@@ -150,16 +151,16 @@ class PickAndPlaceEffort(AbstractMotionStudy):
                 for name, one in ends.items()
             }
 
+    @override
     def more_results(self) -> Mapping[str, Any]:
-        """See `AbstractMotionStudy.more_results`."""
         return {"front": self.front}
 
+    @override
     def published(self) -> Table:
-        """See `AbstractMotionStudy.published`."""
         return published_table(self.done)
 
+    @override
     def recommendation(self, sentences: Sequence[str], cards: Sequence[Card]) -> Verdict:
-        """See `AbstractMotionStudy.recommendation`."""
         done = self.done
         return build_verdict(
             done.calibration,
@@ -178,8 +179,8 @@ class PickAndPlaceEffort(AbstractMotionStudy):
         spread = pair_text(terminal_spread(self.done.families[CALIBRATED]))
         return f" At the end its tip spreads by σ = {spread} m in x and y: feedback has to do the rest."
 
+    @override
     def sentences(self) -> Iterator[str]:
-        """See `AbstractMotionStudy.sentences`."""
         done, families = self.done, self.done.families
         if {MEAN, ROBUST} <= set(done.evidence):
             mean, robust = (done.evidence[name].violations["obstacle"] for name in (MEAN, ROBUST))
@@ -206,8 +207,8 @@ class PickAndPlaceEffort(AbstractMotionStudy):
                 f" order 5 misses a new payload by {percent(error)} of it: there the expansion must not be trusted."
             )
 
+    @override
     def cards(self) -> Iterator[Card]:
-        """See `AbstractMotionStudy.cards`."""
         plans = self.done.plans
         if ROBUST in plans:
             note = f"margin a = 1; reference {REFERENCE[ROBUST]}"
@@ -217,12 +218,12 @@ class PickAndPlaceEffort(AbstractMotionStudy):
             yield Card(f"Effort, {CALIBRATED}", number(plans[CALIBRATED].objective, 4, UNIT), note)
         yield from violation_cards(self.done.evidence, (ROBUST, CALIBRATED), "a limit")
 
+    @override
     def schematic(self) -> Schematic:
-        """See `AbstractMotionStudy.schematic`."""
         return arm_schematic(PAYLOAD)
 
+    @override
     def chapters(self) -> Sequence[Section]:
-        """See `AbstractMotionStudy.chapters`."""
         return [
             Section("The motion", list(self._motion())),
             Section("Where the arm goes", list(self._histories())),

@@ -5,6 +5,7 @@ from typing import Any, ClassVar, final
 
 import numpy as np
 from scipy import stats
+from typing_extensions import override
 
 import aleator as al
 from aleator._core.progress import Progress
@@ -91,20 +92,21 @@ class PickAndPlaceTime(AbstractMotionStudy):
             plan = done.search(name, problem, earlier, progress)
         done.solve_at_instants()
 
+    @override
     def more(self) -> Mapping[str, Stage]:
-        """See `AbstractMotionStudy.more`."""
         return {}
 
+    @override
     def margin_problem(self) -> al.Problem:
-        """See `AbstractMotionStudy.margin_problem`: section 5.6."""
+        """Section 5.6."""
         return named(robust_problem(TRIED, guess=self.done.plans[ONE].decisions["motion.free"]), TOGETHER)
 
+    @override
     def more_results(self) -> Mapping[str, Any]:
-        """See `AbstractMotionStudy.more_results`."""
         return {}
 
+    @override
     def published(self) -> Table:
-        """See `AbstractMotionStudy.published`."""
         rows, ours = [], {name: duration(plan) for name, plan in self.done.plans.items()}
         for name, plan in self.done.plans.items():
             printed, reference = PUBLISHED.get(name), REFERENCE.get(name)
@@ -126,8 +128,8 @@ class PickAndPlaceTime(AbstractMotionStudy):
         header = ["t_f", "Published", "Reference", "Ours, at the instants", "Ours, between them too"]
         return Table("Published and reference values beside ours", header, rows, note)
 
+    @override
     def recommendation(self, sentences: Sequence[str], cards: Sequence[Card]) -> Verdict:
-        """See `AbstractMotionStudy.recommendation`."""
         done = self.done
         plan, one, found = done.plans[WORST], done.plans[ONE], done.evidence[WORST].joint
         if found.upper > TARGET or found.count:
@@ -148,8 +150,8 @@ class PickAndPlaceTime(AbstractMotionStudy):
         less = duration(self.done.plans[WORST]) - duration(found.solution)
         return f" A margin of a = {number(found.sigmas, 4)} would save {number(1000 * less, 2, 'ms')}."
 
+    @override
     def sentences(self) -> Iterator[str]:
-        """See `AbstractMotionStudy.sentences`."""
         evidence = self.done.evidence
         if one := evidence.get(MEAN):
             yield (
@@ -167,20 +169,20 @@ class PickAndPlaceTime(AbstractMotionStudy):
                 f" {number(duration(found.solution), 4, 's')}, is {found.sentence('payloads')}."
             )
 
+    @override
     def cards(self) -> Iterator[Card]:
-        """See `AbstractMotionStudy.cards`."""
         notes = {ONE: "the printed margin", WORST: "fastest for all payloads"}
         for name, note in notes.items():
             if plan := self.done.plans.get(name):
                 yield Card(f"Duration, {name}", number(duration(plan), 4, "s"), note)
         yield from violation_cards(self.done.evidence, (ONE, WORST), "a limit")
 
+    @override
     def schematic(self) -> Schematic:
-        """See `AbstractMotionStudy.schematic`."""
         return arm_schematic(PAYLOAD)
 
+    @override
     def chapters(self) -> Sequence[Section]:
-        """See `AbstractMotionStudy.chapters`."""
         return [
             Section("Torques against their limits", list(self._torques())),
             Section("The motion", list(self._motion())),
@@ -226,8 +228,9 @@ class PickAndPlaceTime(AbstractMotionStudy):
             "5.7",
         )
 
+    @override
     def margin(self) -> Iterator[Block]:
-        """See `AbstractMotionStudy.margin`: why one σ leaves so many outside, too."""
+        """Why one σ leaves so many outside, too."""
         if self.done.evidence:
             yield Text(_WHY, lead="Why one σ leaves four payloads in ten outside.")
             yield self._shares()

@@ -4,6 +4,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import final
 
+from typing_extensions import override
+
 from aleator._core.progress import Progress
 from aleator.reporting import PAGE, Table, save_study
 from aleator.studies._study import AbstractStudy
@@ -23,16 +25,16 @@ class SuspensionStudy(AbstractStudy):
         self._results = SuspensionResults(effort)
 
     @property
+    @override
     def stages(self) -> Mapping[str, float]:
-        """See `AbstractStudy.stages`."""
         return {name: stage.share for name, stage in stages_of(self._results.effort).items()}
 
+    @override
     def run(self, stage: str, progress: Progress) -> None:
-        """See `AbstractStudy.run`."""
         run_stage(stage, self._results, progress)
 
+    @override
     def save(self, folder: Path) -> list[Path]:
-        """See `AbstractStudy.save`."""
         done = self._results
         paths = save_study(
             folder,
@@ -50,19 +52,19 @@ class SuspensionStudy(AbstractStudy):
         )
         return list(paths)
 
+    @override
     def write_page(self, folder: Path) -> Path:
-        """See `AbstractStudy.write_page`."""
         return write_page(self._results, folder / PAGE)
 
+    @override
     def tables(self) -> list[Table]:
-        """See `AbstractStudy.tables`."""
         done = self._results
         shown = [designs_table(done)] if done.designs else []
         shown += [built_table(done)] if done.built else []
         return [*shown, published_table(done)] if done.designs else shown
 
+    @override
     def headline(self) -> str:
-        """See `AbstractStudy.headline`."""
         said = verdict(self._results)
         return f"{said.word}: {said.headline}"
 

@@ -4,6 +4,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, ClassVar, final
 
 import equinox as eqx
+from typing_extensions import override
 
 import aleator as al
 from aleator._core.progress import Progress
@@ -100,12 +101,12 @@ class SwingUp(AbstractMotionStudy):
         """See `search_plans`."""
         search_plans(self.done, self.planned, progress)
 
+    @override
     def margin_problem(self) -> al.Problem:
-        """See `AbstractMotionStudy.margin_problem`."""
         return margin_problem(self.done.plans[EXPECTED])
 
+    @override
     def more(self) -> Mapping[str, Stage]:
-        """See `AbstractMotionStudy.more`."""
         if not self.done.effort.whole:
             return {}
         return {"finer steps": Stage(self.refine, 0.1, lambda: set(self.names) <= set(self.frictionless))}
@@ -119,12 +120,12 @@ class SwingUp(AbstractMotionStudy):
             bare: Any = eqx.tree_at(lambda tree: tree.system.model.damping, plan.problem, 0.0)
             self.frictionless[name] = fly(bare, plan.vector, count, seed=2)
 
+    @override
     def more_results(self) -> Mapping[str, Any]:
-        """See `AbstractMotionStudy.more_results`."""
         return {}
 
+    @override
     def published(self) -> Table:
-        """See `AbstractMotionStudy.published`."""
         done = self.done
         printed = {name: float(energy) for name, (energy, _) in PUBLISHED.items()}
         rows, ours = [], {name: plan.objective for name, plan in done.plans.items()}
@@ -163,8 +164,8 @@ class SwingUp(AbstractMotionStudy):
         ]
         return Table("Published and reference values beside ours", header, rows, note)
 
+    @override
     def recommendation(self, sentences: Sequence[str], cards: Sequence[Card]) -> Verdict:
-        """See `AbstractMotionStudy.recommendation`."""
         done = self.done
         return build_verdict(
             done.calibration,
@@ -183,8 +184,8 @@ class SwingUp(AbstractMotionStudy):
         share = share_text(missed(self.done.families[CALIBRATED]))
         return f" Of the pendulums flown with it {share} end more than {given(FAR, 'm')} from upright."
 
+    @override
     def sentences(self) -> Iterator[str]:
-        """See `AbstractMotionStudy.sentences`."""
         done = self.done
         if MEAN in done.evidence and MEAN in done.families:
             yield (
@@ -216,23 +217,23 @@ class SwingUp(AbstractMotionStudy):
                 " uncertain but the torque."
             )
 
+    @override
     def cards(self) -> Iterator[Card]:
-        """See `AbstractMotionStudy.cards`."""
         for name in (EXPECTED, CALIBRATED):
             if plan := self.done.plans.get(name):
                 yield Card(f"Energy, {name}", number(plan.objective, 4, "J"), f"in {number(duration(plan), 3, 's')}")
         yield from violation_cards(self.done.evidence, (EXPECTED, CALIBRATED), "the torque limit")
 
+    @override
     def schematic(self) -> Schematic:
-        """See `AbstractMotionStudy.schematic`."""
         caption = (
             f"To scale, hanging at the start and upright at the target. The mass of the second link in kg: {MASS_2}."
             " Only the first joint is driven; both have friction."
         )
         return Schematic([pendulum_drawing(DoublePendulum())], "Double pendulum", caption, "5.8")
 
+    @override
     def chapters(self) -> Sequence[Section]:
-        """See `AbstractMotionStudy.chapters`."""
         return [
             Section("The motion", list(self._motion())),
             Section("The deterministic plan on the family", list(self._histories(MEAN, "5.10", "5.11"))),

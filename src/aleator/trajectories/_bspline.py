@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
+from typing_extensions import override
 
 from aleator._core import given as check
 from aleator._core.errors import ProblemError
@@ -82,8 +83,8 @@ class BSpline(AbstractTrajectory):
         self.knots = None if spans is not None else _checked_knots(knots, interior)
 
     @property
+    @override
     def shape(self) -> tuple[int, ...]:
-        """See `AbstractTrajectory.shape`."""
         return shape_of(self.free)[1:]
 
     @property
@@ -103,8 +104,9 @@ class BSpline(AbstractTrajectory):
         ends = jnp.cumsum(as_array(self.spans))
         return clamped(ends[:-1] / ends[-1], self.degree)
 
+    @override
     def breaks(self) -> Float[np.ndarray, " ends"]:
-        """See `AbstractTrajectory.breaks`: its knots."""
+        """Its knots."""
         return np.unique(np.asarray(self.all_knots()))
 
     def control_points(self, duration: Any = 1.0, order: int = 0) -> Float[Array, "n ..."]:

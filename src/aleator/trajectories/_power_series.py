@@ -5,6 +5,7 @@ from typing import Any, ClassVar, final
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
+from typing_extensions import override
 
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import highest, lowest
@@ -46,12 +47,12 @@ class PowerSeries(AbstractTrajectory):
         _check_inside(self.middle_time)
 
     @property
+    @override
     def shape(self) -> tuple[int, ...]:
-        """See `AbstractTrajectory.shape`."""
         return shape_of(self.start[0])
 
+    @override
     def values(self, fractions: Fractions, duration: Any = 1.0, order: int = 0) -> Float[Array, "n ..."]:
-        """See `AbstractTrajectory.values`."""
         coefficients = self.coefficients(duration)
         powers = _powers(jnp.asarray(fractions, dtype=float), len(coefficients), order)
         return jnp.tensordot(powers, coefficients, axes=1) / duration**order

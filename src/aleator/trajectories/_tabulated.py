@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+from typing_extensions import override
 
 from aleator._core.errors import ProblemError
 from aleator._core.given import real_array
@@ -61,15 +62,15 @@ class Tabulated(AbstractSignal):
         except ValueError as error:
             raise ProblemError(f"{path}: {error}") from error
 
+    @override
     def __call__(self, t: Float[Array, ""]) -> Float[Array, ""]:
-        """See `AbstractSignal.__call__`."""
         values = (
             jnp.stack([jnp.asarray(value) for value in self.values]) if isinstance(self.values, tuple) else self.values
         )
         return jnp.interp(t, self.times, values)
 
+    @override
     def span(self) -> tuple[float, float]:
-        """See `AbstractSignal.span`."""
         return float(self.times[0]), float(self.times[-1])
 
 

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
+from typing_extensions import override
 
 from aleator._core.errors import ProblemError
 from aleator._core.given import is_masked
@@ -46,20 +47,22 @@ class AbstractTrajectory(AbstractSignal):
             raise ProblemError(f"derivative: expected an order of 0, 1, 2, ...; received {order!r}.")
         return Derivative(self, order)
 
+    @override
     def __call__(self, t: Float[Array, ""]) -> Float[Array, "..."]:
-        """See `AbstractSignal.__call__`."""
         return self.values(jnp.asarray(t)[None])[0]
 
+    @override
     def span(self) -> tuple[float, float]:
-        """See `AbstractSignal.span`: it fills any."""
+        """It fills any."""
         return -np.inf, np.inf
 
+    @override
     def over(self, t_start: Any, t_final: Any) -> AbstractSignal:
-        """See `AbstractSignal.over`."""
         return _Stretched(self, t_start, t_final)
 
+    @override
     def sampled(self, fractions: Float[np.ndarray, " n"], t_start: Any, t_final: Any) -> Float[Array, "n ..."]:
-        """See `AbstractSignal.sampled`: at fixed fractions, what depends on them alone is computed once."""
+        """At fixed fractions, what depends on them alone is computed once."""
         return self.values(fractions, t_final - t_start)
 
 
@@ -70,13 +73,13 @@ class Derivative(AbstractTrajectory):
     trajectory: AbstractTrajectory
     order: int = eqx.field(static=True)
 
+    @override
     def values(self, fractions: Fractions, duration: Any = 1.0, order: int = 0) -> Float[Array, "n ..."]:
-        """See `AbstractTrajectory.values`."""
         return self.trajectory.values(fractions, duration, self.order + order)
 
     @property
+    @override
     def shape(self) -> tuple[int, ...]:
-        """See `AbstractTrajectory.shape`."""
         return self.trajectory.shape
 
 
@@ -86,13 +89,13 @@ class Stack(AbstractTrajectory):
 
     parts: tuple[AbstractTrajectory, ...]
 
+    @override
     def values(self, fractions: Fractions, duration: Any = 1.0, order: int = 0) -> Float[Array, "n parts"]:
-        """See `AbstractTrajectory.values`."""
         return jnp.stack([part.values(fractions, duration, order) for part in self.parts], axis=-1)
 
     @property
+    @override
     def shape(self) -> tuple[int, ...]:
-        """See `AbstractTrajectory.shape`."""
         return (len(self.parts),)
 
 

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple, final
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
+from typing_extensions import override
 
 from aleator.design import (
     AbstractFunctional,
@@ -60,14 +61,14 @@ class ExpansionScope(AbstractScope):
             taken.append(tuple(self.taken[before:]))
         return tuple(blocks), tuple(taken)
 
+    @override
     def statistic(self, functionals: tuple[AbstractFunctional, ...], kind: AbstractStatistic) -> Float[Array, "..."]:
-        """See `AbstractScope.statistic`."""
         found = kind.of(joined([self._coefficients[one] for one in functionals]), self._constants.of(kind))
         self.taken.append(found)
         return found
 
+    @override
     def time_integral(self, expression: Expression) -> Float[Array, ""]:
-        """See `AbstractScope.time_integral`."""
         assert self._between is not None
         nodes, weights = self._between
         inner = ExpansionScope({}, {**self._coefficients, **nodes}, self._constants, self._numbers)
@@ -76,12 +77,12 @@ class ExpansionScope(AbstractScope):
         self.taken += [one if one.ndim == 0 else one[::2] for one in inner.taken]
         return integral
 
+    @override
     def realised(self, functional: AbstractFunctional) -> Float[Array, "... scenarios"]:
-        """See `AbstractScope.realised`."""
         return jnp.moveaxis(self._realised[functional], 0, -1)
 
+    @override
     def value(self, name: str) -> Float[Array, ""]:
-        """See `AbstractScope.value`."""
         return self._numbers[name]
 
 

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 from scipy import special
+from typing_extensions import override
 
 from aleator._core.arrays import numbers_to_arrays
 from aleator.design import (
@@ -105,12 +106,12 @@ class _Replicated(AbstractScopeOfInstants):
         # The model's numbers take longer than all the rest, and few problems ask for any.
         self._known, self._numbers, self.step = known, numbers, step
 
+    @override
     def statistic(self, functionals: tuple, kind: AbstractStatistic) -> Array:
-        """See `AbstractScope.statistic`."""
         return self._known[Statistic(functionals, kind).text()]  # type: ignore[return-value]
 
+    @override
     def value(self, name: str) -> Array:
-        """See `AbstractScope.value`."""
         return self._numbers()[name]
 
 

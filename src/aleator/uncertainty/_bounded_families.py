@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.scipy import special
 from jaxtyping import Array, Float
+from typing_extensions import override
 
 from aleator._core.arrays import Scalar
 from aleator.uncertainty._density_germs import TriangularGerm, TruncatedNormalGerm
@@ -58,12 +59,12 @@ class Triangular(AbstractDistribution):
         del parameters
         return 0 <= shape[0] <= 1
 
+    @override
     def germ(self) -> AbstractGerm:
-        """See `AbstractDistribution.germ`."""
         return TriangularGerm(*self.concrete_shape())
 
+    @override
     def transport(self, germ: Float[Array, ""], source: tuple, target: tuple) -> Float[Array, ""]:
-        """See `AbstractDistribution.transport`."""
         (mode,) = source
         left = germ < 2 * mode - 1
         side = jnp.where(left, mode, 1 - mode)
@@ -71,22 +72,22 @@ class Triangular(AbstractDistribution):
         below, above = jnp.where(left, mass, 1 - mass), jnp.where(left, 1 - mass, mass)
         return _triangular_quantile(below, above, *target)
 
+    @override
     def from_normal(self, normal: Float[Array, ""], shape: tuple) -> Float[Array, ""]:
-        """See `AbstractDistribution.from_normal`."""
         return _triangular_quantile(special.ndtr(normal), special.ndtr(-normal), *shape)
 
+    @override
     def mean(self) -> Scalar:
-        """See `AbstractDistribution.mean`."""
         location, scale, (mode,) = self.canonical()
         return location + scale * (2 * mode - 1) / 3
 
+    @override
     def std(self) -> Scalar:
-        """See `AbstractDistribution.std`."""
         _, scale, (mode,) = self.canonical()
         return scale * jnp.sqrt((1 - mode + mode**2) * 2 / 9)
 
+    @override
     def support(self) -> tuple[Scalar, Scalar]:
-        """See `AbstractDistribution.support`."""
         location, scale, _ = self.canonical()
         return location - scale, location + scale
 
@@ -168,30 +169,30 @@ class TruncatedNormal(AbstractDistribution):
         low, high = shape
         return low < high and low < 37 and high > -37
 
+    @override
     def germ(self) -> AbstractGerm:
-        """See `AbstractDistribution.germ`."""
         return TruncatedNormalGerm(*self.concrete_shape())
 
+    @override
     def transport(self, germ: Float[Array, ""], source: tuple, target: tuple) -> Float[Array, ""]:
-        """See `AbstractDistribution.transport`."""
         low, high = source
         mass = _mass(low, high)
         return _truncated_quantile(_mass(low, germ) / mass, _mass(germ, high) / mass, *target)
 
+    @override
     def from_normal(self, normal: Float[Array, ""], shape: tuple) -> Float[Array, ""]:
-        """See `AbstractDistribution.from_normal`."""
         return _truncated_quantile(special.ndtr(normal), special.ndtr(-normal), *shape)
 
+    @override
     def mean(self) -> Scalar:
-        """See `AbstractDistribution.mean`."""
         location, scale, shape = self.canonical()
         return location + scale * _truncated_moments(*shape)[0]
 
+    @override
     def std(self) -> Scalar:
-        """See `AbstractDistribution.std`."""
         _, scale, shape = self.canonical()
         return scale * _truncated_moments(*shape)[1]
 
+    @override
     def support(self) -> tuple[Scalar, Scalar]:
-        """See `AbstractDistribution.support`."""
         return self.parameters["lower"], self.parameters["upper"]

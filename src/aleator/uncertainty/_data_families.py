@@ -10,6 +10,7 @@ import numpy as np
 from jax.scipy import special
 from jaxtyping import Array, Float
 from scipy.special import ndtr
+from typing_extensions import override
 
 from aleator._core.arrays import Scalar
 from aleator._core.errors import ProblemError
@@ -58,26 +59,26 @@ class Density(AbstractDistribution):
         self.xi.recurrence(1)
         self._take({"location": location, "scale": scale}, shared_name)
 
+    @override
     def germ(self) -> AbstractGerm:
-        """See `AbstractDistribution.germ`."""
         return self.xi
 
+    @override
     def from_normal(self, normal: Float[Array, ""], shape: tuple) -> Float[Array, ""]:
-        """See `AbstractDistribution.from_normal`."""
         del shape
         return _cubic(normal, *_quantiles_by_normal(self.xi))
 
+    @override
     def mean(self) -> Scalar:
-        """See `AbstractDistribution.mean`."""
         location, scale, _ = self.canonical()
         return location + scale * self.xi.recurrence(1)[0][0]
 
+    @override
     def std(self) -> Scalar:
-        """See `AbstractDistribution.std`."""
         return self.canonical().scale * self.xi.recurrence(1)[1][1]
 
+    @override
     def support(self) -> tuple[Scalar, Scalar]:
-        """See `AbstractDistribution.support`."""
         location, scale, _ = self.canonical()
         return location + scale * self.xi.low, location + scale * self.xi.high
 
@@ -144,26 +145,26 @@ class Sample(AbstractDistribution):
         self.xi = SampleGerm(_data(data))
         self._take({"location": location, "scale": scale}, shared_name)
 
+    @override
     def germ(self) -> AbstractGerm:
-        """See `AbstractDistribution.germ`."""
         return self.xi
 
+    @override
     def from_normal(self, normal: Float[Array, ""], shape: tuple) -> Float[Array, ""]:
-        """See `AbstractDistribution.from_normal`."""
         del shape
         return jnp.asarray(self.xi.values)[jnp.searchsorted(jnp.asarray(self.xi.levels), special.ndtr(normal))]
 
+    @override
     def mean(self) -> Scalar:
-        """See `AbstractDistribution.mean`."""
         location, scale, _ = self.canonical()
         return location + scale * self.xi.recurrence(1)[0][0]
 
+    @override
     def std(self) -> Scalar:
-        """See `AbstractDistribution.std`."""
         return self.canonical().scale * self.xi.recurrence(1)[1][1]
 
+    @override
     def support(self) -> tuple[Scalar, Scalar]:
-        """See `AbstractDistribution.support`."""
         location, scale, _ = self.canonical()
         low, high = self.xi.support()
         return location + scale * low, location + scale * high

@@ -7,6 +7,7 @@ from typing import final
 
 import numpy as np
 from jaxtyping import Float
+from typing_extensions import override
 
 from aleator._core.errors import ProblemError
 from aleator.uncertainty._polynomials import AbstractGerm
@@ -20,19 +21,19 @@ class TriangularGerm(AbstractDensityGerm):
 
     mode: float
 
+    @override
     def density(self, germ: np.ndarray) -> np.ndarray:
-        """See `AbstractDensityGerm.density`."""
         rise, fall = self.mode or 1.0, 1 - self.mode or 1.0  # a side of length 0 has no points
         return np.where(germ < 2 * self.mode - 1, (1 + germ) / rise, (1 - germ) / fall)
 
+    @override
     def quantile(self, level: np.ndarray) -> np.ndarray:
-        """See `AbstractGerm.quantile`."""
         level = np.asarray(level, dtype=float)
         rising, falling = 2 * np.sqrt(self.mode * level) - 1, 1 - 2 * np.sqrt((1 - self.mode) * (1 - level))
         return np.where(level < self.mode, rising, falling)
 
+    @override
     def support(self) -> tuple[float, float]:
-        """See `AbstractGerm.support`."""
         return -1.0, 1.0
 
 
@@ -44,13 +45,14 @@ class TruncatedNormalGerm(AbstractDensityGerm):
     low: float
     high: float
 
+    @override
     def density(self, germ: np.ndarray) -> np.ndarray:
-        """See `AbstractDensityGerm.density`. Equal to 1 at the peak, however far in the tail the interval lies."""
+        """Equal to 1 at the peak, however far in the tail the interval lies."""
         peak = np.clip(0.0, self.low, self.high)
         return np.exp(-(germ - peak) * (germ + peak) / 2)
 
+    @override
     def support(self) -> tuple[float, float]:
-        """See `AbstractGerm.support`."""
         return self.low, self.high
 
 
@@ -61,20 +63,20 @@ class WeibullGerm(AbstractDensityGerm):
 
     shape: float
 
+    @override
     def density(self, germ: np.ndarray) -> np.ndarray:
-        """See `AbstractDensityGerm.density`."""
         return np.exp((self.shape - 1) * np.log(germ) - germ**self.shape)
 
+    @override
     def quantile(self, level: np.ndarray) -> np.ndarray:
-        """See `AbstractGerm.quantile`."""
         return (-np.log1p(-np.asarray(level))) ** (1 / self.shape)
 
+    @override
     def cumulative(self, germ: np.ndarray) -> np.ndarray:
-        """See `AbstractGerm.cumulative`."""
         return -np.expm1(-(np.maximum(germ, 0) ** self.shape))
 
+    @override
     def support(self) -> tuple[float, float]:
-        """See `AbstractGerm.support`."""
         return 0.0, np.inf
 
 
@@ -83,21 +85,21 @@ class WeibullGerm(AbstractDensityGerm):
 class GumbelGerm(AbstractDensityGerm):
     """Standard Gumbel law of maxima: `F(xi) = exp(-exp(-xi))`."""
 
+    @override
     def density(self, germ: np.ndarray) -> np.ndarray:
-        """See `AbstractDensityGerm.density`."""
         return np.exp(-germ - np.exp(-germ))
 
+    @override
     def quantile(self, level: np.ndarray) -> np.ndarray:
-        """See `AbstractGerm.quantile`."""
         return -np.log(-np.log(level))
 
+    @override
     def cumulative(self, germ: np.ndarray) -> np.ndarray:
-        """See `AbstractGerm.cumulative`."""
         with np.errstate(over="ignore"):
             return np.exp(-np.exp(-np.asarray(germ)))
 
+    @override
     def support(self) -> tuple[float, float]:
-        """See `AbstractGerm.support`."""
         return -np.inf, np.inf
 
 
@@ -110,12 +112,12 @@ class DensityGerm(AbstractDensityGerm):
     low: float
     high: float
 
+    @override
     def density(self, germ: np.ndarray) -> np.ndarray:
-        """See `AbstractDensityGerm.density`."""
         return self.function(germ)
 
+    @override
     def support(self) -> tuple[float, float]:
-        """See `AbstractGerm.support`."""
         return self.low, self.high
 
 
@@ -144,8 +146,9 @@ class SampleGerm(AbstractGerm):
         """Hash of the data."""
         return hash(self._digest)
 
+    @override
     def recurrence(self, order: int) -> tuple[np.ndarray, np.ndarray]:
-        """See `AbstractGerm.recurrence`. Raises `ProblemError` if the order is too high for the data."""
+        """Raises `ProblemError` if the order is too high for the data."""
         if order >= self.values.size:
             raise ProblemError(
                 f"A sample of {self.values.size} distinct values carries polynomials up to order "
@@ -154,16 +157,17 @@ class SampleGerm(AbstractGerm):
         a, b, _ = recurrence_of(self.values, self.weights, order)
         return a, b
 
+    @override
     def quantile(self, level: np.ndarray) -> np.ndarray:
-        """See `AbstractGerm.quantile`."""
         return self.values[np.searchsorted(self.levels, level, side="left")]
 
+    @override
     def cumulative(self, germ: np.ndarray) -> np.ndarray:
-        """See `AbstractGerm.cumulative`. At one of the data itself, half of its probability counts as below."""
+        """At one of the data itself, half of its probability counts as below."""
         reached = np.concatenate([[0.0], self.levels, [1.0]])
         below, up_to = (reached[np.searchsorted(self.values, germ, side=side)] for side in ("left", "right"))
         return (below + up_to) / 2
 
+    @override
     def support(self) -> tuple[float, float]:
-        """See `AbstractGerm.support`."""
         return float(self.values[0]), float(self.values[-1])

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.scipy import special
 from jaxtyping import Array, Float
+from typing_extensions import override
 
 from aleator._core.arrays import Scalar
 from aleator._core.errors import ProblemError
@@ -54,25 +55,25 @@ class Uniform(AbstractDistribution):
         """Uniform between two bounds."""
         return cls(lower=lower, upper=upper)
 
+    @override
     def germ(self) -> AbstractGerm:
-        """See `AbstractDistribution.germ`."""
         return LegendreGerm()
 
+    @override
     def from_normal(self, normal: Float[Array, ""], shape: tuple) -> Float[Array, ""]:
-        """See `AbstractDistribution.from_normal`."""
         del shape
         return special.erf(normal / np.sqrt(2.0))
 
+    @override
     def mean(self) -> Scalar:
-        """See `AbstractDistribution.mean`."""
         return self.canonical().location
 
+    @override
     def std(self) -> Scalar:
-        """See `AbstractDistribution.std`."""
         return self.canonical().scale / np.sqrt(3.0)
 
+    @override
     def support(self) -> tuple[Scalar, Scalar]:
-        """See `AbstractDistribution.support`."""
         location, scale, _ = self.canonical()
         return location - scale, location + scale
 
@@ -86,25 +87,25 @@ class Normal(AbstractDistribution):
     def __init__(self, mean: Any = None, std: Any = None, *, shared_name: str | None = None):
         self._take({"mean": mean, "std": std}, shared_name)
 
+    @override
     def germ(self) -> AbstractGerm:
-        """See `AbstractDistribution.germ`."""
         return HermiteGerm()
 
+    @override
     def from_normal(self, normal: Float[Array, ""], shape: tuple) -> Float[Array, ""]:
-        """See `AbstractDistribution.from_normal`."""
         del shape
         return normal
 
+    @override
     def mean(self) -> Scalar:
-        """See `AbstractDistribution.mean`."""
         return self.canonical().location
 
+    @override
     def std(self) -> Scalar:
-        """See `AbstractDistribution.std`."""
         return self.canonical().scale
 
+    @override
     def support(self) -> tuple[Scalar, Scalar]:
-        """See `AbstractDistribution.support`."""
         return -np.inf, np.inf
 
 
@@ -144,36 +145,36 @@ class Beta(AbstractDistribution):
         given = {"alpha": alpha, "beta": beta, "mean": mean, "std": std, "lower": lower, "upper": upper}
         self._take(given, shared_name)
 
+    @override
     def germ(self) -> AbstractGerm:
-        """See `AbstractDistribution.germ`."""
         return JacobiGerm(*self.concrete_shape())
 
+    @override
     def transport(self, germ: Float[Array, ""], source: tuple, target: tuple) -> Float[Array, ""]:
-        """See `AbstractDistribution.transport`."""
         alpha, beta = source
         below, above = special.betainc(alpha, beta, (1 + germ) / 2), special.betainc(beta, alpha, (1 - germ) / 2)
         return 2 * beta_quantile(below, above, *target) - 1
 
+    @override
     def anchor(self, germ: Float[Array, ""], shape: tuple) -> Float[Array, ""]:
-        """See `AbstractDistribution.anchor`."""
         return 2 * beta_anchor((1 + germ) / 2, *shape) - 1
 
+    @override
     def from_normal(self, normal: Float[Array, ""], shape: tuple) -> Float[Array, ""]:
-        """See `AbstractDistribution.from_normal`."""
         return 2 * beta_quantile(special.ndtr(normal), special.ndtr(-normal), *shape) - 1
 
+    @override
     def mean(self) -> Scalar:
-        """See `AbstractDistribution.mean`."""
         location, scale, (alpha, beta) = self.canonical()
         return location + scale * (alpha - beta) / (alpha + beta)
 
+    @override
     def std(self) -> Scalar:
-        """See `AbstractDistribution.std`."""
         _, scale, (alpha, beta) = self.canonical()
         return 2 * scale * jnp.sqrt(alpha * beta / (alpha + beta + 1)) / (alpha + beta)
 
+    @override
     def support(self) -> tuple[Scalar, Scalar]:
-        """See `AbstractDistribution.support`."""
         return self.parameters["lower"], self.parameters["upper"]
 
 
@@ -207,32 +208,32 @@ class Gamma(AbstractDistribution):
     ):
         self._take({"shape": shape, "scale": scale, "mean": mean, "std": std, "lower": lower}, shared_name)
 
+    @override
     def germ(self) -> AbstractGerm:
-        """See `AbstractDistribution.germ`."""
         return LaguerreGerm(*self.concrete_shape())
 
+    @override
     def transport(self, germ: Float[Array, ""], source: tuple, target: tuple) -> Float[Array, ""]:
-        """See `AbstractDistribution.transport`."""
         return gamma_quantile(special.gammainc(source[0], germ), special.gammaincc(source[0], germ), *target)
 
+    @override
     def anchor(self, germ: Float[Array, ""], shape: tuple) -> Float[Array, ""]:
-        """See `AbstractDistribution.anchor`."""
         return gamma_anchor(germ, *shape)
 
+    @override
     def from_normal(self, normal: Float[Array, ""], shape: tuple) -> Float[Array, ""]:
-        """See `AbstractDistribution.from_normal`."""
         return gamma_quantile(special.ndtr(normal), special.ndtr(-normal), *shape)
 
+    @override
     def mean(self) -> Scalar:
-        """See `AbstractDistribution.mean`."""
         lower, scale, (shape,) = self.canonical()
         return lower + scale * shape
 
+    @override
     def std(self) -> Scalar:
-        """See `AbstractDistribution.std`."""
         _, scale, (shape,) = self.canonical()
         return scale * jnp.sqrt(shape)
 
+    @override
     def support(self) -> tuple[Scalar, Scalar]:
-        """See `AbstractDistribution.support`."""
         return self.parameters["lower"], np.inf

@@ -12,6 +12,7 @@ from typing import final
 import numpy as np
 from jaxtyping import Float
 from scipy import special
+from typing_extensions import override
 
 
 class AbstractGerm(abc.ABC):
@@ -55,21 +56,21 @@ class AbstractGerm(abc.ABC):
 class LegendreGerm(AbstractGerm):
     """Uniform on [-1, 1]: Legendre polynomials."""
 
+    @override
     def recurrence(self, order: int) -> tuple[np.ndarray, np.ndarray]:
-        """See `AbstractGerm.recurrence`."""
         n = np.arange(order + 1.0)
         return np.zeros(order + 1), n / np.sqrt(np.abs(4 * n**2 - 1))
 
+    @override
     def quantile(self, level: np.ndarray) -> np.ndarray:
-        """See `AbstractGerm.quantile`."""
         return 2 * level - 1
 
+    @override
     def cumulative(self, germ: np.ndarray) -> np.ndarray:
-        """See `AbstractGerm.cumulative`."""
         return np.clip((1 + germ) / 2, 0, 1)
 
+    @override
     def support(self) -> tuple[float, float]:
-        """See `AbstractGerm.support`."""
         return -1.0, 1.0
 
 
@@ -78,20 +79,20 @@ class LegendreGerm(AbstractGerm):
 class HermiteGerm(AbstractGerm):
     """Standard normal: probabilists' Hermite polynomials."""
 
+    @override
     def recurrence(self, order: int) -> tuple[np.ndarray, np.ndarray]:
-        """See `AbstractGerm.recurrence`."""
         return np.zeros(order + 1), np.sqrt(np.arange(order + 1.0))
 
+    @override
     def quantile(self, level: np.ndarray) -> np.ndarray:
-        """See `AbstractGerm.quantile`."""
         return special.ndtri(level)
 
+    @override
     def cumulative(self, germ: np.ndarray) -> np.ndarray:
-        """See `AbstractGerm.cumulative`."""
         return special.ndtr(germ)
 
+    @override
     def support(self) -> tuple[float, float]:
-        """See `AbstractGerm.support`."""
         return -np.inf, np.inf
 
 
@@ -103,8 +104,8 @@ class JacobiGerm(AbstractGerm):
     alpha: float
     beta: float
 
+    @override
     def recurrence(self, order: int) -> tuple[np.ndarray, np.ndarray]:
-        """See `AbstractGerm.recurrence`."""
         left, right = self.alpha - 1, self.beta - 1
         total = left + right
         n = np.arange(1.0, order + 1)
@@ -120,16 +121,16 @@ class JacobiGerm(AbstractGerm):
         b[2:] = 2 * np.sqrt(n * (n + left) * (n + right) * (n + total) / (pole**2 * (pole**2 - 1)))
         return a, b
 
+    @override
     def quantile(self, level: np.ndarray) -> np.ndarray:
-        """See `AbstractGerm.quantile`."""
         return 2 * special.betaincinv(self.alpha, self.beta, level) - 1
 
+    @override
     def cumulative(self, germ: np.ndarray) -> np.ndarray:
-        """See `AbstractGerm.cumulative`."""
         return special.betainc(self.alpha, self.beta, np.clip((1 + germ) / 2, 0, 1))
 
+    @override
     def support(self) -> tuple[float, float]:
-        """See `AbstractGerm.support`."""
         return -1.0, 1.0
 
 
@@ -140,19 +141,19 @@ class LaguerreGerm(AbstractGerm):
 
     shape: float
 
+    @override
     def recurrence(self, order: int) -> tuple[np.ndarray, np.ndarray]:
-        """See `AbstractGerm.recurrence`."""
         n = np.arange(order + 1.0)
         return 2 * n + self.shape, np.sqrt(n * (n + self.shape - 1))
 
+    @override
     def quantile(self, level: np.ndarray) -> np.ndarray:
-        """See `AbstractGerm.quantile`."""
         return special.gammaincinv(self.shape, level)
 
+    @override
     def cumulative(self, germ: np.ndarray) -> np.ndarray:
-        """See `AbstractGerm.cumulative`."""
         return special.gammainc(self.shape, np.maximum(germ, 0))
 
+    @override
     def support(self) -> tuple[float, float]:
-        """See `AbstractGerm.support`."""
         return 0.0, np.inf

@@ -10,6 +10,7 @@ import functools
 
 import numpy as np
 from jaxtyping import Float
+from typing_extensions import override
 
 from aleator._core.errors import ProblemError
 from aleator.uncertainty._measure import Measure
@@ -52,16 +53,17 @@ class AbstractDensityGerm(AbstractGerm):
     def density(self, germ: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
         """The density inside the support, up to a constant factor."""
 
+    @override
     def recurrence(self, order: int) -> tuple[np.ndarray, np.ndarray]:
-        """See `AbstractGerm.recurrence`. Raises `ProblemError` if moments of the density do not exist."""
+        """Raises `ProblemError` if moments of the density do not exist."""
         return _recurrence(self, order)
 
+    @override
     def quantile(self, level: np.ndarray) -> np.ndarray:
-        """See `AbstractGerm.quantile`."""
         return _measure(self).quantile(level)
 
+    @override
     def cumulative(self, germ: np.ndarray) -> np.ndarray:
-        """See `AbstractGerm.cumulative`."""
         return _measure(self).cumulative(germ)
 
 

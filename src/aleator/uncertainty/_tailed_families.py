@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.scipy import special
 from jaxtyping import Array, Float
+from typing_extensions import override
 
 from aleator._core.arrays import Scalar
 from aleator.uncertainty._density_germs import GumbelGerm, WeibullGerm
@@ -32,26 +33,26 @@ class Exponential(AbstractDistribution):
     def __init__(self, *, mean: Any = None, rate: Any = None, lower: Any = 0.0, shared_name: str | None = None):
         self._take({"mean": mean, "rate": rate, "lower": lower}, shared_name)
 
+    @override
     def germ(self) -> AbstractGerm:
-        """See `AbstractDistribution.germ`."""
         return LaguerreGerm(1.0)
 
+    @override
     def from_normal(self, normal: Float[Array, ""], shape: tuple) -> Float[Array, ""]:
-        """See `AbstractDistribution.from_normal`."""
         del shape
         return -special.log_ndtr(-normal)
 
+    @override
     def mean(self) -> Scalar:
-        """See `AbstractDistribution.mean`."""
         lower, scale, _ = self.canonical()
         return lower + scale
 
+    @override
     def std(self) -> Scalar:
-        """See `AbstractDistribution.std`."""
         return self.canonical().scale
 
+    @override
     def support(self) -> tuple[Scalar, Scalar]:
-        """See `AbstractDistribution.support`."""
         return self.parameters["lower"], np.inf
 
 
@@ -96,31 +97,32 @@ class LogNormal(AbstractDistribution):
         given = {"mean": mean, "std": std, "median": median, "log_mean": log_mean, "log_std": log_std, "lower": lower}
         self._take(given, shared_name)
 
+    @override
     def value(self, germ: Float[Array, ""], reference: tuple[Scalar, ...] | None = None) -> Float[Array, ""]:
-        """See `AbstractDistribution.value`. Every shape has the same, normal germ."""
+        """Every shape has the same, normal germ."""
         del reference
         return self.value_at_normal(germ)
 
+    @override
     def germ(self) -> AbstractGerm:
-        """See `AbstractDistribution.germ`."""
         return HermiteGerm()
 
     def from_normal(self, normal: Float[Array, ""], shape: tuple) -> Float[Array, ""]:
         """The number above `lower`, in medians: see `AbstractDistribution.from_normal`."""
         return jnp.exp(shape[0] * normal)
 
+    @override
     def mean(self) -> Scalar:
-        """See `AbstractDistribution.mean`."""
         lower, median, (log_std,) = self.canonical()
         return lower + median * jnp.exp(log_std**2 / 2)
 
+    @override
     def std(self) -> Scalar:
-        """See `AbstractDistribution.std`."""
         _, median, (log_std,) = self.canonical()
         return median * jnp.exp(log_std**2 / 2) * jnp.sqrt(jnp.expm1(log_std**2))
 
+    @override
     def support(self) -> tuple[Scalar, Scalar]:
-        """See `AbstractDistribution.support`."""
         return self.parameters["lower"], np.inf
 
 
@@ -158,31 +160,31 @@ class Weibull(AbstractDistribution):
     ):
         self._take({"scale": scale, "shape": shape, "mean": mean, "std": std, "lower": lower}, shared_name)
 
+    @override
     def germ(self) -> AbstractGerm:
-        """See `AbstractDistribution.germ`."""
         return WeibullGerm(*self.concrete_shape())
 
+    @override
     def transport(self, germ: Float[Array, ""], source: tuple, target: tuple) -> Float[Array, ""]:
-        """See `AbstractDistribution.transport`."""
         return germ ** (source[0] / target[0])
 
+    @override
     def from_normal(self, normal: Float[Array, ""], shape: tuple) -> Float[Array, ""]:
-        """See `AbstractDistribution.from_normal`."""
         return (-special.log_ndtr(-normal)) ** (1 / shape[0])
 
+    @override
     def mean(self) -> Scalar:
-        """See `AbstractDistribution.mean`."""
         lower, scale, (shape,) = self.canonical()
         return lower + scale * jnp.exp(special.gammaln(1 + 1 / shape))
 
+    @override
     def std(self) -> Scalar:
-        """See `AbstractDistribution.std`."""
         _, scale, (shape,) = self.canonical()
         first, second = special.gammaln(1 + 1 / shape), special.gammaln(1 + 2 / shape)
         return scale * jnp.exp(first) * jnp.sqrt(jnp.expm1(second - 2 * first))
 
+    @override
     def support(self) -> tuple[Scalar, Scalar]:
-        """See `AbstractDistribution.support`."""
         return self.parameters["lower"], np.inf
 
 
@@ -216,24 +218,24 @@ class Gumbel(AbstractDistribution):
     ):
         self._take({"location": location, "scale": scale, "mean": mean, "std": std}, shared_name)
 
+    @override
     def germ(self) -> AbstractGerm:
-        """See `AbstractDistribution.germ`."""
         return GumbelGerm()
 
+    @override
     def from_normal(self, normal: Float[Array, ""], shape: tuple) -> Float[Array, ""]:
-        """See `AbstractDistribution.from_normal`."""
         del shape
         return -jnp.log(-special.log_ndtr(normal))
 
+    @override
     def mean(self) -> Scalar:
-        """See `AbstractDistribution.mean`."""
         location, scale, _ = self.canonical()
         return location + np.euler_gamma * scale
 
+    @override
     def std(self) -> Scalar:
-        """See `AbstractDistribution.std`."""
         return _GUMBEL_STD * self.canonical().scale
 
+    @override
     def support(self) -> tuple[Scalar, Scalar]:
-        """See `AbstractDistribution.support`."""
         return -np.inf, np.inf

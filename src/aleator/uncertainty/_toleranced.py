@@ -7,6 +7,7 @@ from typing import Any, ClassVar, Literal, NamedTuple, final
 import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Float
+from typing_extensions import override
 
 from aleator._core.arrays import Scalar
 from aleator._core.errors import ProblemError
@@ -91,8 +92,8 @@ class Toleranced(AbstractDistribution):
         zone = {"nominal": nominal, "tolerance": tolerance, "plus": plus, "minus": minus}
         self._take(zone | {"cp": cp, "sigmas": sigmas, "cpk": cpk}, shared_name)
 
+    @override
     def canonical(self) -> Canonical:
-        """See `AbstractDistribution.canonical`."""
         location, scale, _ = super().canonical()
         middle = _zone(self.parameters).middle
         return Canonical(location if self.towards == "upper" else middle - (location - middle), scale)
@@ -108,25 +109,25 @@ class Toleranced(AbstractDistribution):
         is_capable = 0 < capability < np.inf and parameters.get("cpk", -np.inf) <= capability
         return is_capable and float(_zone(parameters).half_width) >= 0
 
+    @override
     def germ(self) -> AbstractGerm:
-        """See `AbstractDistribution.germ`."""
         return HermiteGerm()
 
+    @override
     def from_normal(self, normal: Float[Array, ""], shape: tuple) -> Float[Array, ""]:
-        """See `AbstractDistribution.from_normal`."""
         del shape
         return normal
 
+    @override
     def mean(self) -> Scalar:
-        """See `AbstractDistribution.mean`."""
         return self.canonical().location
 
+    @override
     def std(self) -> Scalar:
-        """See `AbstractDistribution.std`."""
         return self.canonical().scale
 
+    @override
     def support(self) -> tuple[Scalar, Scalar]:
-        """See `AbstractDistribution.support`."""
         return -np.inf, np.inf
 
 

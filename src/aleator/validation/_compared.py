@@ -7,6 +7,7 @@ from typing import Any, NamedTuple, final
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+from typing_extensions import override
 
 from aleator.design import AbstractScopeOfInstants, Constraint, Problem, Statistic, grid_at, step_at
 from aleator.references import pair
@@ -69,14 +70,14 @@ class _SampledScope(AbstractScopeOfInstants):
     def __init__(self, known: Mapping[Any, Estimated], numbers: Mapping[str, Array], step: Array, moved: Any = None):
         self._known, self._numbers, self.step, self._moved = known, numbers, step, moved
 
+    @override
     def statistic(self, functionals: tuple[Any, ...], kind: AbstractStatistic) -> Array:
-        """See `AbstractScope.statistic`."""
         key = Statistic(functionals, kind).text()
         one = self._known[key]
         return jnp.asarray(one.value + one.standard_error if key == self._moved else one.value)
 
+    @override
     def value(self, name: str) -> Array:
-        """See `AbstractScope.value`."""
         return self._numbers[name]
 
 
