@@ -1,14 +1,16 @@
 """Work on all cores: the results of a plain loop, in order, and what fails does so in its turn."""
 
 import threading
+from concurrent.futures import CancelledError
 from itertools import count, islice
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import aleator as al
 from aleator._core import beside as cores
-from aleator._core.beside import CORES, beside, in_order
+from aleator._core.beside import CORES, beside, dropped_on_failure, in_order
 from aleator._core.compilation import Compiled
 
 
@@ -68,8 +70,66 @@ def test_one_core_does_it_all_by_itself(monkeypatch):
 def test_what_is_prepared_is_not_compiled_again():
     compiled = Compiled(lambda scale, x: scale["by"] * x)
     compiled.prepare({"by": jnp.asarray(1.0)}, jnp.zeros(3))
-    assert compiled.compilations == 1
     np.testing.assert_array_equal(compiled({"by": jnp.asarray(2.0)}, jnp.arange(3.0)), [0.0, 2.0, 4.0])
     assert compiled.compilations == 1
     compiled({"by": jnp.asarray(2.0)}, jnp.arange(4.0))
     assert compiled.compilations == 2
+
+
+RUN_BY = set()
+
+
+class Spring(al.System):
+    """A mass on a spring that notes who runs its code: nobody's code need bear two threads at once."""
+
+    states = ("x", "v")
+    stiffness: al.Number
+    speed: al.Number
+
+    def initial(self):
+        return {"v": self.speed}
+
+    def rhs(self, t, z):
+        RUN_BY.add(threading.get_ident())
+        return z.v, -self.stiffness * z.x - 0.5 * z.v
+
+    def outputs(self, t, z):
+        RUN_BY.add(threading.get_ident())
+        return {"x": z.x, "pull": self.stiffness * z.x}
+
+
+def test_the_code_of_a_model_is_run_by_the_thread_that_solves_and_no_other():
+    RUN_BY.clear()
+    model = Spring(al.Uniform(al.Decision(5.0, 1.0, 20.0), half_width=0.5), al.Normal(1.0, 0.05))
+    solution = al.solve(
+        al.Problem(
+            model,
+            grid=al.Grid(2.0, 60),
+            minimize=al.rms("pull").mean,
+            subject_to=[al.path("x").at_most(0.5, sigmas=2.0)],
+        )
+    )
+    assert solution.ok
+    assert {threading.get_ident()} == RUN_BY
+
+
+def test_what_waits_for_a_core_is_dropped_where_its_work_has_failed():
+    running, released, done = threading.Event(), threading.Event(), []
+    blocking = [beside(lambda: (running.set(), released.wait(10))) for _ in range(max(1, CORES - 1))]
+    running.wait(10)
+    waiting = []
+
+    def interrupted():
+        with dropped_on_failure():
+            waiting.append(beside(done.append, 1))
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    released.set()
+    for one in blocking:
+        one()
+    with pytest.raises(CancelledError):
+        waiting[0]()
+    assert done == []
+    assert beside(lambda: 2)() == 2

@@ -105,8 +105,40 @@ def test_a_folder_that_cannot_be_made_is_warned_of_in_one_sentence(tmp_path):
     assert hits == 0
     assert "ALEATOR_CACHE: Compiled programs cannot be kept in" in said
     assert "Not a directory" in said
-    with pytest.raises(al.ProblemError, match=r"cannot be kept in .*file: Not a directory"):
+    with pytest.raises(al.ProblemError, match=r"cannot be kept in .*file': Not a directory"):
         al.compilation_cache(tmp_path / "file")
+
+
+@pytest.mark.parametrize("folder", ["~nobody-of-this-name/programs", "zero\0byte"])
+def test_a_folder_that_cannot_be_is_refused_in_one_sentence(folder):
+    with pytest.raises(al.ProblemError, match="cannot be kept in"):
+        al.compilation_cache(folder)
+
+
+def test_where_nobody_knows_the_home_nothing_is_kept(monkeypatch):
+    def unknown(name):
+        raise RuntimeError(f"no home, and so no {name}")
+
+    monkeypatch.delenv("JAX_COMPILATION_CACHE_DIR", raising=False)
+    monkeypatch.delenv(kept_programs.VARIABLE, raising=False)
+    monkeypatch.setattr(kept_programs.platformdirs, "user_cache_path", unknown)
+    before = kept_programs.jax.config.jax_compilation_cache_dir
+    kept_programs.jax.config.update("jax_compilation_cache_dir", None)
+    try:
+        kept_programs.keep_by_default()
+        assert kept_programs.jax.config.jax_compilation_cache_dir is None
+    finally:
+        kept_programs.jax.config.update("jax_compilation_cache_dir", before)
+
+
+def test_a_relative_folder_stays_where_it_was(tmp_path):
+    moved = f"import os; os.chdir({str(tmp_path / 'b')!r})\nimport jax.numpy"
+    script = SCRIPT.format(before="").replace("import jax.numpy", moved)
+    (tmp_path / "b").mkdir()
+    own = environment(ALEATOR_CACHE="programs")
+    subprocess.run([sys.executable, "-c", script], env=own, cwd=tmp_path, check=True, capture_output=True, timeout=120)
+    assert entries(tmp_path / "programs")
+    assert not list((tmp_path / "b").iterdir())
 
 
 def test_the_programs_unused_for_longest_are_forgotten(tmp_path, monkeypatch):

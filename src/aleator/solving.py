@@ -8,9 +8,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from aleator._core.beside import beside
+from aleator._core.beside import dropped_on_failure
 from aleator._core.errors import ExpansionWarning, GridWarning, ProblemError, SimulationError, SolveError
 from aleator._core.given import whole
+from aleator._core.heard import heeding
 from aleator.design import (
     TOLERATED,
     Between,
@@ -29,7 +30,6 @@ from aleator.transcription import (
     grid_error,
     held_at_worst,
     held_between,
-    misled,
     prepare_judges,
     probed,
     reference_factor,
@@ -41,6 +41,7 @@ from aleator.transcription import (
     transcribe,
     unconverged,
     untrusted,
+    whether_misled,
 )
 
 # Ends of a search that a grid which is far off may have led astray.
@@ -87,13 +88,16 @@ def solve(
     """
     solver = solver or default_solver()
     _check_arguments(problem, solver, warm_start, between, accuracy)
-    stages = _Stages(solver, between, float(accuracy), compile_seconds())
     first = _first(problem, warm_start, start)
     known = (None, None) if warm_start is None else (warm_start.multipliers, warm_start.worst_case)
-    solution = stages.solution(problem, first, *known)
-    if refine:
-        solution = _refined(stages, solution)
-    solution = _with_opinion(stages, solution)
+    # Ctrl-C may be lost where Python cannot raise: in a callback of the garbage collector, of which JAX has one.
+    with heeding() as heed, dropped_on_failure():
+        stages = _Stages(solver, between, float(accuracy), compile_seconds(), heed)
+        solution = stages.solution(problem, first, *known)
+        if refine:
+            solution = _refined(stages, solution)
+        solution = _with_opinion(stages, solution)
+        heed()
     if throw and solution.status is Status.EVALUATION_FAILED:
         raise SimulationError(solution.message)
     if throw and not solution.ok:
@@ -110,6 +114,7 @@ class _Stages(NamedTuple):
     between: int | None
     accuracy: float
     compiled_before: float
+    heed: Callable[[], None]
 
     def solution(
         self,
@@ -122,6 +127,7 @@ class _Stages(NamedTuple):
         is_between = self.between != 1 and any(map(is_over_time, problem.constraints))
         factor = reference_factor(problem, self.between)
         transcription = transcribe(problem, functools.partial(prepare_judges, factor))
+        self.heed()
         astray = self._astray(transcription, start, factor) if multipliers is None else lambda: ""
         transcription, outcome, (between, finer), worst_case = held_at_worst(
             transcription, self._attempt, start, multipliers, factor=factor if is_between else 1, known=known
@@ -150,14 +156,16 @@ class _Stages(NamedTuple):
         """Whether the search begins where the grid is far off, found out while it runs."""
         begun = transcription.program.start if start is None else start
         transcription.evaluator.prepare_resolution(begun)
-        return beside(misled, transcription, begun, factor)
+        return whether_misled(transcription, begun, factor)
 
     def _attempt(
         self, transcription: Sequential, start: np.ndarray | None, multipliers: np.ndarray | None
     ) -> tuple[Outcome, tuple[Between | None, Reference | None]]:
+        self.heed()
         outcome = _optimise(transcription, self.solver, start, multipliers)
         if multipliers is None:
             outcome = _looked_around(transcription, self.solver, outcome, start)
+        self.heed()
         outcome, between, finer = held_between(transcription, self.solver, outcome, self.between)
         return outcome, (between, finer)
 

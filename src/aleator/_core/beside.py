@@ -2,8 +2,10 @@
 
 import contextvars
 import os
+import threading
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import CancelledError, ThreadPoolExecutor
+from contextlib import contextmanager
 from itertools import islice
 from typing import TypeVar
 
@@ -15,6 +17,7 @@ CORES = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os
 
 # Whoever waits for these works as well.
 _OTHERS = ThreadPoolExecutor(max(1, CORES - 1), thread_name_prefix="aleator")
+_DROPPED: contextvars.ContextVar[tuple[threading.Event, ...]] = contextvars.ContextVar("dropped", default=())
 
 
 def beside(function: Callable[..., _Result], *arguments: object) -> Callable[[], _Result]:
@@ -22,7 +25,27 @@ def beside(function: Callable[..., _Result], *arguments: object) -> Callable[[],
 
     Not for functions that begin others in this way: with all cores waiting, none of them would end.
     """
-    return _OTHERS.submit(contextvars.copy_context().run, function, *arguments).result
+    return _OTHERS.submit(contextvars.copy_context().run, _unless_dropped, function, *arguments).result
+
+
+def _unless_dropped(function: Callable[..., _Result], *arguments: object) -> _Result:
+    if any(one.is_set() for one in _DROPPED.get()):
+        raise CancelledError
+    return function(*arguments)
+
+
+@contextmanager
+def dropped_on_failure() -> Iterator[None]:
+    """What is begun inside, and waits for a core still, is dropped where the inside raises: Ctrl-C is to end soon."""
+    own = threading.Event()
+    before = _DROPPED.set((*_DROPPED.get(), own))
+    try:
+        yield
+    except BaseException:
+        own.set()
+        raise
+    finally:
+        _DROPPED.reset(before)
 
 
 def in_order(work: Callable[[_Item], _Result], items: Iterable[_Item]) -> Iterator[_Result]:

@@ -17,6 +17,7 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
+from aleator._core.beside import beside
 from aleator._core.errors import ProblemError
 
 # Enough for a session's problems; beyond, the one unused for longest is dropped, with the classes it holds.
@@ -52,21 +53,27 @@ class Compiled:
         unchanged: Callable[..., None] | None = None,
     ):
         self._function, self._code, self._unchanged = function, code, unchanged
-        self._executables: OrderedDict[Any, Future[Callable[..., Any]]] = OrderedDict()
+        self._programs: OrderedDict[Any, _Program] = OrderedDict()
         self._lock = threading.Lock()
         self.compilations = 0
         self.seconds = 0.0
 
     def __call__(self, *arguments: Any) -> Any:
-        found, leaves = self._found(arguments)
-        return found(*leaves)
+        program, leaves = self._found(arguments)
+        return program()(*leaves)
 
     def prepare(self, *arguments: Any) -> None:
-        """Compile what a call with arguments of this structure needs. Their numbers do not matter."""
-        self._found(arguments)
+        """Begin to compile, on another core, what a call with arguments of this structure needs.
 
-    def _found(self, arguments: tuple[Any, ...]) -> tuple[Callable[..., Any], list[Any]]:
-        """What is called for some arguments, and their arrays, which it is given."""
+        The function is traced here and now: a user's code is never run by two threads of ours at once, which it need
+        not bear. The numbers of the arguments do not matter.
+        """
+        program, _ = self._found(arguments)
+        if not program.is_ready:
+            beside(program)
+
+    def _found(self, arguments: tuple[Any, ...]) -> tuple["_Program", list[Any]]:
+        """The program for some arguments, and their arrays, which it is given."""
         dynamic, static = eqx.partition(arguments, eqx.is_array)
         leaves, structure = jax.tree.flatten(dynamic)
 
@@ -97,7 +104,7 @@ class Compiled:
             if not found:
                 parts = [*jax.tree.leaves(reals), *others, last], (jax.tree.structure(reals), structure), static
                 build = functools.partial(self._compile_packed, result, *given)
-                found.append(self._known((*fixed, last), "packed", *parts, build))
+                found.append(self._known((*fixed, last), "packed", *parts, build)())
             return found[0](*given)
 
         return call
@@ -109,54 +116,60 @@ class Compiled:
         leaves: list[Any],
         structure: Any,
         static: Any,
-        build: Callable[[], Callable[..., Any]],
-    ) -> Callable[..., Any]:
-        """What is called for arguments of this structure, built where none has been before."""
+        build: Callable[[], Callable[[], Callable[..., Any]]],
+    ) -> "_Program":
+        """The program for arguments of this structure, traced by `build` where there has been none before."""
         static_leaves, static_structure = jax.tree.flatten(static)
         shapes = tuple((leaf.shape, leaf.dtype) for leaf in leaves)
         kinds = tuple(type(leaf) for leaf in static_leaves)  # 1 and True are equal, but not the same structure
         code = self._code(*arguments) if self._code else None
         key = (way, structure, static_structure, tuple(static_leaves), kinds, shapes, code)
         with self._lock:
-            known = self._executables.get(key)
-            future = self._executables.setdefault(key, Future()) if known is None else known
-            self._executables.move_to_end(key)
-            while len(self._executables) > _KEPT:
-                self._executables.popitem(last=False)
+            known = self._programs.get(key)
+            program = self._programs.setdefault(key, _Program(lambda: self._forget(key, program)))
+            self._programs.move_to_end(key)
+            while len(self._programs) > _KEPT:
+                self._programs.popitem(last=False)
         if known is None:
-            self._build(key, future, arguments, build)
-        elif isinstance(future.exception(), KeyboardInterrupt):  # of the thread that was building
+            program.trace(functools.partial(self._checked, key, arguments, build))
+        elif program.was_interrupted():  # in the thread that was tracing
             return self._known(arguments, way, leaves, structure, static, build)
-        return future.result()
+        return program
 
-    def _build(
-        self, key: Any, future: Future[Callable[..., Any]], arguments: tuple[Any, ...], build: Callable[[], Any]
-    ) -> None:
-        """Build what others may be waiting for already. What fails is not kept, and fails for them too."""
-        try:
-            built = build()
-            if self._code and self._code(*arguments) != key[-1]:
-                raise ProblemError("The code of the system has changed while it was compiled. Run it again.")
-            if self._unchanged:
-                self._unchanged(*arguments)
-        except BaseException as error:
-            with self._lock:
-                if self._executables.get(key) is future:
-                    del self._executables[key]
-            future.set_exception(error)
-        else:
-            future.set_result(built)
+    def _checked(
+        self, key: Any, arguments: tuple[Any, ...], build: Callable[[], Callable[[], Callable[..., Any]]]
+    ) -> Callable[[], Callable[..., Any]]:
+        """What compiles, once it is sure that what was traced is the code that it is kept for."""
+        built = build()
+        if self._code and self._code(*arguments) != key[-1]:
+            raise ProblemError("The code of the system has changed while it was compiled. Run it again.")
+        if self._unchanged:
+            self._unchanged(*arguments)
+        return built
 
-    def _compile(self, function: Callable[..., Any], *arguments: Any) -> Callable[..., Any]:
-        start = time.perf_counter()
-        options = _OPTIONS.get(jax.default_backend(), {})
-        executable = jax.jit(function).lower(*arguments).compile(compiler_options=options)
+    def _forget(self, key: Any, program: "_Program") -> None:
         with self._lock:
-            self.seconds += time.perf_counter() - start
-            self.compilations += 1
-        return functools.partial(_run, executable)
+            if self._programs.get(key) is program:
+                del self._programs[key]
 
-    def _compile_packed(self, function: Callable[..., Any], *arguments: Any) -> Callable[..., Any]:
+    def _compile(self, function: Callable[..., Any], *arguments: Any) -> Callable[[], Callable[..., Any]]:
+        """Trace a function; what is returned compiles it."""
+        started = time.perf_counter()
+        lowered = jax.jit(function).lower(*arguments)
+        traced = time.perf_counter() - started
+
+        def finish() -> Callable[..., Any]:
+            started = time.perf_counter()
+            options = _OPTIONS.get(jax.default_backend(), {})
+            executable = lowered.compile(compiler_options=options)
+            with self._lock:
+                self.seconds += traced + time.perf_counter() - started
+                self.compilations += 1
+            return functools.partial(_run, executable)
+
+        return finish
+
+    def _compile_packed(self, function: Callable[..., Any], *arguments: Any) -> Callable[[], Callable[..., Any]]:
         layout: list[_Layout] = []
 
         def packed(*arguments: Any) -> tuple[Array, list[Array]]:
@@ -166,8 +179,60 @@ class Compiled:
             reals = [jnp.ravel(leaf) for leaf in leaves if _is_real(leaf)]
             return jnp.concatenate([jnp.zeros(0), *reals]), [leaf for leaf in leaves if not _is_real(leaf)]
 
-        executable = self._compile(packed, *arguments)
-        return lambda *given: layout[0].unpacked(*executable(*given))
+        finish = self._compile(packed, *arguments)
+
+        def finished() -> Callable[..., Any]:
+            executable = finish()
+            return lambda *given: layout[0].unpacked(*executable(*given))
+
+        return finished
+
+
+@final
+class _Program:
+    """What one thread traces, and the first that needs it compiles, while others wait.
+
+    Nobody waits for a core here: a program that is begun on another one, and not there yet, is compiled by its caller.
+    What fails is forgotten, by `forget`, and fails for all that wait.
+    """
+
+    def __init__(self, forget: Callable[[], None]):
+        self._forget = forget
+        self._finish: Future[Callable[[], Callable[..., Any]]] = Future()
+        self._executable: Callable[..., Any] | None = None
+        self._lock = threading.Lock()
+
+    @property
+    def is_ready(self) -> bool:
+        """Whether it has been compiled."""
+        return self._executable is not None
+
+    def trace(self, build: Callable[[], Callable[[], Callable[..., Any]]]) -> None:
+        """Trace it, by the one thread that is to."""
+        try:
+            finish = build()
+        except BaseException as error:
+            self._forget()
+            self._finish.set_exception(error)
+            raise
+        self._finish.set_result(finish)
+
+    def was_interrupted(self) -> bool:
+        """Whether Ctrl-C ended the tracing. Waits for its end."""
+        return isinstance(self._finish.exception(), KeyboardInterrupt)
+
+    def __call__(self) -> Callable[..., Any]:
+        """The executable, compiled now if it has not been."""
+        if self._executable is None:
+            finish = self._finish.result()
+            with self._lock:
+                if self._executable is None:
+                    try:
+                        self._executable = finish()
+                    except BaseException:
+                        self._forget()
+                        raise
+        return self._executable
 
 
 def _run(executable: Callable[..., Any], *arguments: Any) -> Any:

@@ -22,7 +22,8 @@ VARIABLE = "ALEATOR_CACHE"
 
 # Beyond so many bytes the programs unused for longest go, when a process begins.
 _MOST_BYTES = 500 * 2**20
-_OFF = ("off", "none", "0", "false", "")
+_ON = ("on", "yes", "1", "true")
+_OFF = ("off", "no", "none", "0", "false", "")
 
 
 def compilation_cache(folder: str | os.PathLike[str] | None) -> None:
@@ -51,10 +52,18 @@ def keep_by_default() -> None:
     if wanted is not None and wanted.strip().lower() in _OFF:
         return
     try:
-        _keep_in(_made(platformdirs.user_cache_path("aleator") if wanted is None else Path(wanted)))
+        _keep_in(_made(_usual() if wanted is None or wanted.strip().lower() in _ON else Path(wanted)))
     except ProblemError as error:
         if wanted is not None:
             warnings.warn(f"{VARIABLE}: {error} Nothing is kept.", stacklevel=2)
+
+
+def _usual() -> Path:
+    """The user's cache folder. Raises `ProblemError` where nobody knows the user's home."""
+    try:
+        return platformdirs.user_cache_path("aleator")
+    except RuntimeError as error:
+        raise ProblemError(f"There is no folder to keep compiled programs in: {error}.") from error
 
 
 def _keep_in(folder: Path | None) -> None:
@@ -71,16 +80,18 @@ def _keep_in(folder: Path | None) -> None:
 
 def _made(folder: Path) -> Path:
     """The part of a folder that belongs to machines of this kind. Raises `ProblemError` if it cannot be written to."""
-    own = folder.expanduser() / _kind()
     try:
+        # Absolute, for a program may go to another folder later.
+        own = folder.expanduser().absolute() / _kind()
         own.mkdir(mode=0o700, parents=True, exist_ok=True)
         trial = own / f".{os.getpid()}"
         trial.touch()
         trial.unlink()
-    except OSError as error:
+    except (OSError, RuntimeError, ValueError) as error:
+        reason = (error.strerror if isinstance(error, OSError) else "") or str(error).rstrip(".")
         raise ProblemError(
-            f"Compiled programs cannot be kept in {folder}: {error.strerror or error}. Give a folder that can be "
-            f"written to, or turn keeping off with {VARIABLE}=off."
+            f"Compiled programs cannot be kept in {str(folder)!r}: {reason}. Give a folder that can be written to, or "
+            f"turn keeping off with {VARIABLE}=off."
         ) from error
     return own
 

@@ -5,8 +5,8 @@ from aleator.transcription._between import excess_between as excess_between
 from aleator.transcription._diagnosis import diagnose as diagnose
 from aleator.transcription._evaluator import EVALUATE as EVALUATE
 from aleator.transcription._held import held_between as held_between
-from aleator.transcription._probe import misled as misled
 from aleator.transcription._probe import probed as probed
+from aleator.transcription._probe import whether_misled as whether_misled
 from aleator.transcription._quality import doubts as doubts
 from aleator.transcription._quality import untrusted as untrusted
 from aleator.transcription._reference import Reference as Reference

@@ -1,6 +1,5 @@
 """What judges an answer, compiled on another core beside the program and the search for it."""
 
-from aleator._core.beside import beside
 from aleator.design import Problem
 from aleator.expansion import Collocation
 from aleator.statistics import Constants
@@ -11,5 +10,5 @@ from aleator.transcription._second_opinion import prepare_opinion
 def prepare_judges(factor: int, problem: Problem, collocation: Collocation, constants: Constants) -> None:
     """Begin to compile the grid of `factor` times as many steps, if there is one, and the second opinion."""
     if factor > 1:
-        beside(prepare_reference, problem, collocation, constants, factor)
-    beside(prepare_opinion, problem)
+        prepare_reference(problem, collocation, constants, factor)
+    prepare_opinion(problem)

@@ -69,11 +69,23 @@ def alone_elsewhere(
     same number at all of them, and a shock between two of them was never there. Instants whose number is prime fall
     elsewhere, and there are more of them than on the grid of `factor` times as many steps.
     """
+    return Alone(*jax.tree.map(np.asarray, ELSEWHERE(*_arguments(problem, collocation, decisions, factor))))
+
+
+def prepare_elsewhere(
+    problem: Problem, collocation: Collocation, decisions: Float[np.ndarray, " n"], factor: int
+) -> None:
+    """Trace what `alone_elsewhere` will need, which may then be called beside other work, and begin to compile it."""
+    ELSEWHERE.prepare(*_arguments(problem, collocation, decisions, factor))
+
+
+def _arguments(
+    problem: Problem, collocation: Collocation, decisions: Float[np.ndarray, " n"], factor: int
+) -> tuple[Problem, Array, Array]:
     assert isinstance(problem.grid, Grid)
     steps = _prime_from(max(_STEPS, int(_BEYOND * factor * problem.grid.steps)))
     there = numbers_to_arrays(problem.on_grid(problem.grid.divided(steps)))
-    point = jnp.asarray(collocation.points)[middle(collocation)]
-    return Alone(*jax.tree.map(np.asarray, ELSEWHERE(there, point, jnp.asarray(decisions))))
+    return there, jnp.asarray(collocation.points)[middle(collocation)], jnp.asarray(decisions)
 
 
 def _prime_from(number: int) -> int:

@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from aleator._core.beside import beside
 from aleator._core.compilation import Compiled
 from aleator.design import Problem, functionals_of, grid_at, refuse_changed_code
 from aleator.expansion import Collocation
@@ -139,7 +138,7 @@ class Evaluator:
 
     def prepare_resolution(self, decisions: Float[np.ndarray, " n"]) -> None:
         """Compile what `resolved` will need, beside what is done next."""
-        beside(RESOLVE.prepare, *self._resolution(decisions))
+        RESOLVE.prepare(*self._resolution(decisions))
 
     def _resolution(self, decisions: Float[np.ndarray, " n"]) -> tuple[Any, ...]:
         blocks, (traced, collocation, _) = self(decisions), self._parts

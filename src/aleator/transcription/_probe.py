@@ -1,14 +1,15 @@
 """What happens where nobody looked: one system at other instants than those of a problem's grids."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
 
+from aleator._core.beside import beside
 from aleator.design import Constraint, functionals_of, is_over_time
 from aleator.dynamics import Grid, System
-from aleator.transcription._alone import alone_elsewhere, middle
+from aleator.transcription._alone import alone_elsewhere, middle, prepare_elsewhere
 from aleator.transcription._magnitudes import bound_size
 from aleator.transcription._reference import Reference
 from aleator.transcription._sequential import Sequential
@@ -49,6 +50,15 @@ def probed(transcription: Sequential, decisions: Float[np.ndarray, " n"], finer:
     return Probed(*worst, numbers | {"": _shown(finer.alone.expressions[0], seen.expressions[0])})
 
 
+def whether_misled(transcription: Sequential, start: Float[np.ndarray, " n"], factor: int) -> Callable[[], str]:
+    """Begin to find out, beside the search, whether it is `misled`; what is returned waits for that."""
+    problem = transcription.problem
+    if not (isinstance(problem.grid, Grid) and isinstance(problem.system, System) and problem.system.states):
+        return lambda: ""
+    prepare_elsewhere(problem, transcription.collocation, start, factor)
+    return beside(misled, transcription, start, factor)
+
+
 def misled(transcription: Sequential, start: Float[np.ndarray, " n"], factor: int) -> str:
     """A sentence on a functional that a problem's grid is far off at the start of a search; empty if there is none.
 
@@ -58,8 +68,7 @@ def misled(transcription: Sequential, start: Float[np.ndarray, " n"], factor: in
     grid is found to be exact.
     """
     problem = transcription.problem
-    if not (isinstance(problem.grid, Grid) and isinstance(problem.system, System) and problem.system.states):
-        return ""
+    assert isinstance(problem.grid, Grid)
     seen = alone_elsewhere(problem, transcription.collocation, start, factor)
     begun = transcription.begun
     if not np.array_equal(start, transcription.program.start):

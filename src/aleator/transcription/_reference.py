@@ -30,7 +30,7 @@ from aleator.dynamics import Grid
 from aleator.expansion import Collocation
 from aleator.statistics import Constants, Mean, Std, Variance
 from aleator.trajectories import AbstractTrajectory
-from aleator.transcription._alone import Alone, alone, alone_elsewhere, middle
+from aleator.transcription._alone import Alone, alone, alone_elsewhere, middle, prepare_elsewhere
 from aleator.transcription._jumps import splines_in
 from aleator.transcription._scope import scope_of
 from aleator.transcription._sequential import Sequential
@@ -121,6 +121,7 @@ def pieces(problem: Problem) -> int:
 def reference(transcription: Sequential, decisions: Float[np.ndarray, " n"], factor: int) -> Reference:
     """A problem's numbers on a grid of `factor` times as many steps, by another integrator."""
     problem, collocation = transcription.problem, transcription.collocation
+    prepare_elsewhere(problem, collocation, decisions, factor)
     elsewhere = beside(alone_elsewhere, problem, collocation, decisions, factor)
     arguments = _arguments(problem, collocation, transcription.constants, factor, decisions)
     values, means, stds, reaches, one = jax.tree.map(np.asarray, REFERENCE(*arguments))

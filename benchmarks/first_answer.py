@@ -1,0 +1,74 @@
+"""How long a person waits for the first answer: fresh processes, from import to answer, compiled anew and found again.
+
+    python benchmarks/first_answer.py [--repeats 3]
+
+Each line is the median over fresh processes of its kind. The first run of a problem has an empty folder of compiled
+programs; the second has what the first one left. JAX alone is the peer of the import.
+"""
+
+import argparse
+import os
+import subprocess
+import sys
+import tempfile
+from statistics import median
+
+IMPORTS = {
+    "JAX alone": "import jax",
+    "NumPy and SciPy alone": "import numpy, scipy.special",
+    "aleator": "import aleator",
+}
+STUDIES = {
+    "suspension": "aleator.studies.suspension",
+    "two-link arm, least effort": "aleator.studies.pick_and_place_effort",
+    "two-link arm, least time": "aleator.studies.pick_and_place_time",
+    "six-axis arm": "aleator.studies.six_axis_arm",
+}
+TIMED = """
+import time; started = time.perf_counter()
+{work}
+print(time.perf_counter() - started)
+"""
+SOLVED = """
+import time, warnings; started = time.perf_counter()
+import aleator as al
+from {module} import robust_problem
+imported, cpu = time.perf_counter(), time.process_time()
+problem = robust_problem()
+declared = time.process_time() - cpu
+warnings.simplefilter("ignore")
+al.solve(problem)
+print(imported - started, declared, time.perf_counter() - started)
+"""
+
+
+def ran(script: str, folder: str) -> list[float]:
+    """The numbers that a fresh process prints, with compiled programs kept in a folder."""
+    own = {name: value for name, value in os.environ.items() if not name.startswith("JAX_")} | {"ALEATOR_CACHE": folder}
+    done = subprocess.run([sys.executable, "-c", script], env=own, capture_output=True, text=True, check=True)
+    return [float(word) for word in done.stdout.split()]
+
+
+def main() -> None:
+    """Print the table."""
+    options = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    options.add_argument("--repeats", type=int, default=3)
+    repeats = options.parse_args().repeats
+    print(f"{os.cpu_count()} cores, Python {sys.version.split()[0]}, medians of {repeats} processes")
+    with tempfile.TemporaryDirectory() as folder:
+        for name, work in IMPORTS.items():
+            ran(TIMED.format(work=work), folder)
+            seconds = median(ran(TIMED.format(work=work), folder)[0] for _ in range(repeats))
+            print(f"import, {name:<28} {seconds:6.2f} s", flush=True)
+    for name, module in STUDIES.items():
+        runs = []
+        for _ in range(repeats):
+            with tempfile.TemporaryDirectory() as folder:
+                runs.append([ran(SOLVED.format(module=module), folder) for _ in range(2)])
+        first, second = (median(run[k][2] for run in runs) for k in range(2))
+        declared = median(run[0][1] for run in runs)
+        print(f"{name:<28} first {first:6.2f} s, again {second:6.2f} s; declared in {declared:.2f} CPU s", flush=True)
+
+
+if __name__ == "__main__":
+    main()
