@@ -6,7 +6,7 @@ import threading
 import time
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
-from concurrent.futures import Future
+from concurrent.futures import Future, ThreadPoolExecutor
 from itertools import accumulate, pairwise
 from typing import Any, NamedTuple, final
 
@@ -27,6 +27,8 @@ _KEPT = 32
 # this name left out, barriers last.
 _OPTIONS: dict[str, dict[str, str | bool]] = {"cpu": {"xla_disable_hlo_passes": "cse_barrier_expander"}}
 
+# What the main thread compiles is compiled here, where no signal arrives.
+_COMPILERS = ThreadPoolExecutor(1, thread_name_prefix="aleator compiles")
 # By this name the checks of Equinox, and of what is built on it, are known among the errors of XLA.
 _CHECKED = "_EquinoxRuntimeError"
 
@@ -223,16 +225,23 @@ class _Program:
 
     def __call__(self) -> Callable[..., Any]:
         """The executable, compiled now if it has not been."""
-        if self._executable is None:
-            finish = self._finish.result()
-            with self._lock:
-                if self._executable is None:
-                    try:
-                        self._executable = finish()
-                    except BaseException:
-                        self._forget()
-                        raise
-        return self._executable
+        if self._executable is not None:
+            return self._executable
+        if threading.current_thread() is threading.main_thread():
+            # Ctrl-C leaves XLA compiling by itself, and a process that ends meanwhile is aborted: this is waited for.
+            return _COMPILERS.submit(self._compiled).result()
+        return self._compiled()
+
+    def _compiled(self) -> Callable[..., Any]:
+        finish = self._finish.result()
+        with self._lock:
+            if self._executable is None:
+                try:
+                    self._executable = finish()
+                except BaseException:
+                    self._forget()
+                    raise
+            return self._executable
 
 
 def _run(executable: Callable[..., Any], *arguments: Any) -> Any:
