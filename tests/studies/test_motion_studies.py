@@ -15,7 +15,7 @@ from aleator.studies import STUDIES, load
 from aleator.studies._family import Family, fly
 from aleator.studies._motion_build import TARGET as TOLERATED
 from aleator.studies._motion_build import price
-from aleator.studies._motion_study import Effort
+from aleator.studies._motion_results import Effort
 from aleator.studies._pick_and_place_time_study import MEAN, ONE, WORST, PickAndPlaceTime
 from aleator.studies._swing_up_facts import terminal_norm
 from aleator.studies.two_link_arm import START, TARGET, TwoLinkArm

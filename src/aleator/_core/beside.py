@@ -15,6 +15,8 @@ _Result = TypeVar("_Result")
 CORES = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 """How many cores this process may use."""
 
+# What the main thread must not be torn from by a signal.
+_UNDISTURBED = ThreadPoolExecutor(1, thread_name_prefix="aleator, undisturbed")
 # Whoever waits for these works as well.
 _OTHERS = ThreadPoolExecutor(max(1, CORES - 1), thread_name_prefix="aleator")
 _DROPPED: contextvars.ContextVar[tuple[threading.Event, ...]] = contextvars.ContextVar("dropped", default=())
@@ -46,6 +48,16 @@ def dropped_on_failure() -> Iterator[None]:
         raise
     finally:
         _DROPPED.reset(before)
+
+
+def undisturbed(function: Callable[[], _Result]) -> _Result:
+    """The result of a function that no signal tears apart: Ctrl-C ends the waiting, and the process waits for the rest.
+
+    Signals arrive in the main thread alone; in others the function is just called.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        return function()
+    return _UNDISTURBED.submit(function).result()
 
 
 def in_order(work: Callable[[_Item], _Result], items: Iterable[_Item]) -> Iterator[_Result]:

@@ -6,7 +6,7 @@ import threading
 import time
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future
 from itertools import accumulate, pairwise
 from typing import Any, NamedTuple, final
 
@@ -17,7 +17,7 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
-from aleator._core.beside import beside
+from aleator._core.beside import beside, undisturbed
 from aleator._core.errors import ProblemError
 
 # Enough for a session's problems; beyond, the one unused for longest is dropped, with the classes it holds.
@@ -27,8 +27,6 @@ _KEPT = 32
 # this name left out, barriers last.
 _OPTIONS: dict[str, dict[str, str | bool]] = {"cpu": {"xla_disable_hlo_passes": "cse_barrier_expander"}}
 
-# What the main thread compiles is compiled here, where no signal arrives.
-_COMPILERS = ThreadPoolExecutor(1, thread_name_prefix="aleator compiles")
 # By this name the checks of Equinox, and of what is built on it, are known among the errors of XLA.
 _CHECKED = "_EquinoxRuntimeError"
 
@@ -73,6 +71,11 @@ class Compiled:
         program, _ = self._found(arguments)
         if not program.is_ready:
             beside(program)
+
+    def begin(self, *arguments: Any) -> Callable[[], Any]:
+        """Begin a call on another core; what is returned waits for its result. Traced here and now, as by `prepare`."""
+        program, leaves = self._found(arguments)
+        return beside(lambda: program()(*leaves))
 
     def _found(self, arguments: tuple[Any, ...]) -> tuple["_Program", list[Any]]:
         """The program for some arguments, and their arrays, which it is given."""
@@ -195,12 +198,14 @@ class _Program:
     """What one thread traces, and the first that needs it compiles, while others wait.
 
     Nobody waits for a core here: a program that is begun on another one, and not there yet, is compiled by its caller.
-    What fails is forgotten, by `forget`, and fails for all that wait.
+    What fails is forgotten, by `forget`; tracing that fails does so for all that wait.
     """
 
     def __init__(self, forget: Callable[[], None]):
         self._forget = forget
-        self._finish: Future[Callable[[], Callable[..., Any]]] = Future()
+        self._traced: Future[None] = Future()
+        # What was traced is held no longer than until it is compiled.
+        self._finish: Callable[[], Callable[..., Any]] | None = None
         self._executable: Callable[..., Any] | None = None
         self._lock = threading.Lock()
 
@@ -212,35 +217,33 @@ class _Program:
     def trace(self, build: Callable[[], Callable[[], Callable[..., Any]]]) -> None:
         """Trace it, by the one thread that is to."""
         try:
-            finish = build()
+            self._finish = build()
         except BaseException as error:
             self._forget()
-            self._finish.set_exception(error)
+            self._traced.set_exception(error)
             raise
-        self._finish.set_result(finish)
+        self._traced.set_result(None)
 
     def was_interrupted(self) -> bool:
         """Whether Ctrl-C ended the tracing. Waits for its end."""
-        return isinstance(self._finish.exception(), KeyboardInterrupt)
+        return isinstance(self._traced.exception(), KeyboardInterrupt)
 
     def __call__(self) -> Callable[..., Any]:
         """The executable, compiled now if it has not been."""
-        if self._executable is not None:
-            return self._executable
-        if threading.current_thread() is threading.main_thread():
-            # Ctrl-C leaves XLA compiling by itself, and a process that ends meanwhile is aborted: this is waited for.
-            return _COMPILERS.submit(self._compiled).result()
-        return self._compiled()
+        # Ctrl-C would leave XLA compiling by itself, and a process that ends meanwhile is aborted.
+        return self._executable or undisturbed(self._compiled)
 
     def _compiled(self) -> Callable[..., Any]:
-        finish = self._finish.result()
+        self._traced.result()
         with self._lock:
             if self._executable is None:
+                assert self._finish is not None
                 try:
-                    self._executable = finish()
+                    self._executable = self._finish()
                 except BaseException:
                     self._forget()
                     raise
+                self._finish = None
             return self._executable
 
 

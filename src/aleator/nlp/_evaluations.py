@@ -86,25 +86,16 @@ class Evaluations:
 
         Raises `HaltedError` if an exception ended the solve, now or before.
         """
-        if self.halt is not None:
-            raise HaltedError from self.halt
         key = x.tobytes()
-        if key not in self._points and key not in self._failed_points:
-            try:
-                self.count += 1
-                self._remember(key, self._checked(self._evaluate(x.copy())))
-            except BaseException as error:
-                if isinstance(error, NowhereFiniteError):
-                    self.failed_at = x.copy()
-                self.halt = error
-                raise HaltedError from error
+        if self.halt is not None or (key not in self._points and key not in self._failed_points):
+            self.asked(lambda: self._compute(key, x))
         self.last = self._points[key] if key in self._points else self._failed_points[key]
         if key in self._failed_points:
             self.failed_at = x.copy()
         return self.last
 
     def asked(self, question: Callable[[], Any]) -> Any:
-        """What else a model is asked, such as its second derivatives. Raises `HaltedError` as `at` does."""
+        """What a model is asked, such as its second derivatives. Raises `HaltedError` as `at` does."""
         if self.halt is not None:
             raise HaltedError from self.halt
         try:
@@ -138,6 +129,13 @@ class Evaluations:
 
         with noting(note):
             yield
+
+    def _compute(self, key: bytes, x: np.ndarray) -> None:
+        self.count += 1
+        evaluation = self._checked(self._evaluate(x.copy()))
+        if not evaluation.is_finite:
+            self.failed_at = x.copy()
+        self._remember(key, evaluation)
 
     def _remember(self, key: bytes, evaluation: Evaluation) -> None:
         # Failures must not push out finite points, to which a solver that steps back returns.

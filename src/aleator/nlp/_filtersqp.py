@@ -1,17 +1,17 @@
 """Uno's filterSQP: few decisions, many dense rows, costly values."""
 
 from dataclasses import dataclass
-from typing import Any, final
+from typing import final
 
 import numpy as np
 
 from aleator._core import given
 from aleator._core.errors import MissingExtraError
 from aleator.nlp._ipopt import Ipopt
-from aleator.nlp._pattern import DeclaredPattern, Pattern, pattern_of
+from aleator.nlp._pattern import AnyPattern, pattern_of
 from aleator.nlp._scaling import ScaledProgram
 from aleator.nlp._solver import AbstractSolver
-from aleator.nlp._uno import answer_of, load_unopy, model_of
+from aleator.nlp._uno import load_unopy, run_uno, uno_version
 from aleator.nlp._verdict import Answer
 
 # Beyond this many pairs, the limited memory costs more than the curvature it remembers is worth.
@@ -41,7 +41,7 @@ class FilterSQP(AbstractSolver):
         load_unopy("FilterSQP")
 
     def _name(self) -> str:
-        return f"filterSQP (Uno {load_unopy('FilterSQP').current_uno_version()})"
+        return f"filterSQP (Uno {uno_version('FilterSQP')})"
 
     def _minimise(self, scaled: ScaledProgram, multipliers: np.ndarray | None) -> Answer:
         pattern = pattern_of(scaled.structure)
@@ -57,32 +57,26 @@ class FilterSQP(AbstractSolver):
     def _solved(
         self,
         scaled: ScaledProgram,
-        pattern: Pattern | DeclaredPattern,
+        pattern: AnyPattern,
         start: np.ndarray,
         multipliers: np.ndarray | None,
         iterations: int,
     ) -> Answer:
-        """Run Uno until it ends, or until derivatives are not zero where `pattern` has none."""
-        unopy = load_unopy("FilterSQP")
-        solver = unopy.UnoSolver()
-        solver.set_preset("filtersqp")
-        for option, value in (self._options(scaled) | {"max_iterations": iterations}).items():
-            solver.set_option(option, value)
-        solver.set_termination_callback(lambda *_: scaled.evaluations.halt is not None or pattern.outgrown)
-        return answer_of(solver.optimize(model_of(unopy, scaled, pattern, start, multipliers)))
-
-    def _options(self, scaled: ScaledProgram) -> dict[str, Any]:
-        return {
+        options = {
             "QP_solver": "BQPD",
-            "hessian_model": "LBFGS" if scaled.curved is None else "exact",
             "quasi_newton_memory_size": int(np.clip(2 * scaled.size, 6, _LARGEST_MEMORY)),
-            "primal_tolerance": self.aim,
-            "dual_tolerance": self.aim,
-            # The preset's L2 norm would demand more of a row, the more rows a grid has.
-            "residual_norm": "INF",
             "TR_radius": float(self.radius),
-            "logger": "SILENT",
         }
+        return run_uno(
+            "filtersqp",
+            scaled,
+            pattern,
+            start,
+            multipliers,
+            aim=self.aim,
+            max_iterations=iterations,
+            options=options,
+        )
 
 
 def default_solver() -> AbstractSolver:

@@ -1,6 +1,6 @@
 """Where a Jacobian may be other than zero: solvers work less on rows that depend on few decisions."""
 
-from typing import final
+from typing import TypeAlias, final
 
 import numpy as np
 
@@ -61,6 +61,9 @@ class DeclaredPattern:
         return self
 
 
-def pattern_of(structure: Matrix) -> Pattern | DeclaredPattern:
+AnyPattern: TypeAlias = Pattern | DeclaredPattern
+
+
+def pattern_of(structure: Matrix) -> AnyPattern:
     """What a solver is told of where a program's Jacobian may be other than zero."""
     return Pattern(structure) if isinstance(structure, np.ndarray) else DeclaredPattern(structure)

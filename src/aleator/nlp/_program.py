@@ -72,7 +72,7 @@ class NonlinearProgram:
     - `structure`: which entries of the Jacobian may be other than zero, shape (m, n); all by default. As dense truth
       values it is a guess: solvers that use it notice where it was too narrow. As a `scipy.sparse.csr_array` it is the
       sparsity that every Jacobian has, which then is one too: nothing of the size m x n is ever made;
-    - `hessian`: second derivatives, where they are known; `Ipopt` and `InteriorPoint` use them;
+    - `hessian`: second derivatives, where they are known; all solvers but `Slsqp` use them;
     - `magnitudes`: those of the constraints at a point `x` with its evaluation: by them, and not by what a solver
       divided by, an answer is judged feasible. By default `constraint_scale`, as size and as scale, at every point;
     - `least`: a value below which the objective cannot fall, such as 0 for a norm: there it is optimal, even if it

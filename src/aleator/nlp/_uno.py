@@ -3,7 +3,9 @@
 Vanaret and Leyffer 2026, Uno, https://github.com/cvanaret/Uno.
 """
 
-from typing import Any, Protocol
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
@@ -11,6 +13,7 @@ from aleator._core.errors import MissingExtraError
 from aleator._core.heard import take_back
 from aleator.nlp._matrices import rows_of_entries
 from aleator.nlp._outcome import Status
+from aleator.nlp._pattern import AnyPattern
 from aleator.nlp._program import Evaluation
 from aleator.nlp._scaling import Multipliers, ScaledProgram
 from aleator.nlp._verdict import Answer
@@ -24,17 +27,6 @@ _CLAIMS = {
 }
 
 
-class Entries(Protocol):
-    """Which entries of a Jacobian Uno is told of, and their numbers: see `Pattern`."""
-
-    rows: np.ndarray
-    columns: np.ndarray
-
-    def entries(self, jacobian: Any) -> np.ndarray:
-        """The entries of a Jacobian, shape (entries,)."""
-        ...
-
-
 def load_unopy(who: str) -> Any:
     """The library, imported late. Raises `MissingExtraError` where it is not installed."""
     try:
@@ -46,14 +38,55 @@ def load_unopy(who: str) -> Any:
     return unopy
 
 
-def model_of(
-    unopy: Any, scaled: ScaledProgram, pattern: Entries, start: np.ndarray, multipliers: np.ndarray | None
+def run_uno(
+    preset: str,
+    scaled: ScaledProgram,
+    pattern: AnyPattern,
+    start: np.ndarray,
+    multipliers: np.ndarray | None,
+    *,
+    aim: float,
+    max_iterations: int,
+    options: Mapping[str, Any] = MappingProxyType({}),
+) -> Answer:
+    """Run one of Uno's presets until it ends, the solve is to end, or derivatives are not zero beside `pattern`.
+
+    - `aim`: the tolerance that Uno is given; `options`: those of the preset alone.
+    """
+    unopy = load_unopy(preset)
+    solver = unopy.UnoSolver()
+    solver.set_preset(preset)
+    common = {
+        "hessian_model": "LBFGS" if scaled.curved is None else "exact",
+        "primal_tolerance": aim,
+        "dual_tolerance": aim,
+        # The L2 norm of presets would demand more of a row, the more rows a grid has.
+        "residual_norm": "INF",
+        "max_iterations": max_iterations,
+        "logger": "SILENT",
+    }
+    for option, value in (common | dict(options)).items():
+        solver.set_option(option, value)
+    solver.set_termination_callback(lambda *_: scaled.evaluations.halt is not None or pattern.outgrown)
+    return _answer(solver.optimize(_model(unopy, scaled, pattern, start, multipliers)))
+
+
+def uno_version(who: str) -> str:
+    """The version of the library, for the solver called `who`."""
+    return load_unopy(who).current_uno_version()
+
+
+def _model(
+    unopy: Any, scaled: ScaledProgram, pattern: AnyPattern, start: np.ndarray, multipliers: np.ndarray | None
 ) -> Any:
     """The scaled program, with second derivatives where it has them."""
+    latest: list[bytes] = []
 
     def at(z: np.ndarray) -> Evaluation:
-        # Uno puts a handler of Ctrl-C in front of Python's, and ends the process at the second one.
-        take_back()
+        if latest != [key := z.tobytes()]:
+            # Uno puts a handler of Ctrl-C in front of Python's, and ends the process at the second one.
+            take_back()
+            latest[:] = [key]
         return scaled.evaluate(z)
 
     def gradient(z: np.ndarray, out: np.ndarray) -> None:
@@ -87,7 +120,7 @@ def model_of(
     return model
 
 
-def answer_of(result: Any) -> Answer:
+def _answer(result: Any) -> Answer:
     """What Uno says of where it ended."""
     # unopy's constants are plain integers, which its results never equal; only the names can be compared.
     ended, solution = result.optimization_status.name, result.solution_status.name

@@ -133,18 +133,18 @@ def _place_beside(folder: Path) -> Path:
 def _finish(file: Path) -> None:
     """Give a temporary file the rights of an ordinary one, and have all of it on the disk before it gets its name."""
     file.chmod(0o666 & ~_umask())
-    handle = os.open(file, os.O_RDWR)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
+    _flush(file, os.O_RDWR)
 
 
 def _sync(folder: Path) -> None:
     """Have the names in a folder on the disk before anything that follows."""
     if os.name != "posix":  # elsewhere a folder cannot be opened
         return
-    handle = os.open(folder, os.O_RDONLY)
+    _flush(folder, os.O_RDONLY)
+
+
+def _flush(path: Path, how: int) -> None:
+    handle = os.open(path, how)
     try:
         os.fsync(handle)
     finally:

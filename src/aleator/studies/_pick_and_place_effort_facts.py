@@ -8,7 +8,7 @@ from scipy import integrate
 
 from aleator.reporting import Table, given, number, percent
 from aleator.studies._family import Family
-from aleator.studies._motion_study import MotionResults
+from aleator.studies._motion_results import MotionResults
 from aleator.studies._printed import compared
 from aleator.studies.pick_and_place_effort import TOLERANCE
 

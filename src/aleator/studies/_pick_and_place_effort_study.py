@@ -27,7 +27,8 @@ from aleator.reporting import (
 from aleator.studies._family import Family
 from aleator.studies._motion_build import CALIBRATED, TRIED, build_verdict
 from aleator.studies._motion_facts import SHADES, animations, named, tip_paths, violation_cards
-from aleator.studies._motion_study import AbstractMotionStudy, Effort, Stage
+from aleator.studies._motion_results import Effort
+from aleator.studies._motion_study import AbstractMotionStudy, Stage
 from aleator.studies._pick_and_place_effort_facts import (
     LEAST,
     LESSON,

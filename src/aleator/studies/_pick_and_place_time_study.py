@@ -35,7 +35,8 @@ from aleator.studies._motion_facts import (
     named,
     violation_cards,
 )
-from aleator.studies._motion_study import AbstractMotionStudy, Effort, Stage
+from aleator.studies._motion_results import Effort
+from aleator.studies._motion_study import AbstractMotionStudy, Stage
 from aleator.studies._printed import compared
 from aleator.studies._two_link_drawing import arm_schematic
 from aleator.studies._two_link_views import SCENE, TIP, TOGETHER, joints

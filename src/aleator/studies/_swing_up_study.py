@@ -33,7 +33,8 @@ from aleator.studies._motion_facts import (
     tip_paths,
     violation_cards,
 )
-from aleator.studies._motion_study import AbstractMotionStudy, Effort, Stage
+from aleator.studies._motion_results import Effort
+from aleator.studies._motion_study import AbstractMotionStudy, Stage
 from aleator.studies._pendulum_drawing import pendulum_drawing
 from aleator.studies._printed import compared
 from aleator.studies._swing_up_facts import (

@@ -1,6 +1,6 @@
 """One system of a problem's family by itself: what its expressions and functionals are for it."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 import jax
@@ -62,30 +62,21 @@ ELSEWHERE = Compiled(_elsewhere, unchanged=refuse_changed_code)
 
 def alone_elsewhere(
     problem: Problem, collocation: Collocation, decisions: Float[np.ndarray, " n"], factor: int
-) -> Alone:
+) -> Callable[[], Alone]:
     """The system in the middle of a problem's family, at a few thousand instants that no grid of the problem has.
+
+    It is simulated on another core; what is returned waits for that.
 
     A grid and those with a whole multiple of its steps share their instants. A ripple whose period is a step is the
     same number at all of them, and a shock between two of them was never there. Instants whose number is prime fall
     elsewhere, and there are more of them than on the grid of `factor` times as many steps.
     """
-    return Alone(*jax.tree.map(np.asarray, ELSEWHERE(*_arguments(problem, collocation, decisions, factor))))
-
-
-def prepare_elsewhere(
-    problem: Problem, collocation: Collocation, decisions: Float[np.ndarray, " n"], factor: int
-) -> None:
-    """Trace what `alone_elsewhere` will need, which may then be called beside other work, and begin to compile it."""
-    ELSEWHERE.prepare(*_arguments(problem, collocation, decisions, factor))
-
-
-def _arguments(
-    problem: Problem, collocation: Collocation, decisions: Float[np.ndarray, " n"], factor: int
-) -> tuple[Problem, Array, Array]:
     assert isinstance(problem.grid, Grid)
     steps = _prime_from(max(_STEPS, int(_BEYOND * factor * problem.grid.steps)))
     there = numbers_to_arrays(problem.on_grid(problem.grid.divided(steps)))
-    return there, jnp.asarray(collocation.points)[middle(collocation)], jnp.asarray(decisions)
+    point = jnp.asarray(collocation.points)[middle(collocation)]
+    found = ELSEWHERE.begin(there, point, jnp.asarray(decisions))
+    return lambda: Alone(*jax.tree.map(np.asarray, found()))
 
 
 def _prime_from(number: int) -> int:

@@ -137,7 +137,7 @@ class Evaluator:
         return found
 
     def prepare_resolution(self, decisions: Float[np.ndarray, " n"]) -> None:
-        """Compile what `resolved` will need, beside what is done next."""
+        """Begin to compile what `resolved` will need, beside what is done next."""
         RESOLVE.prepare(*self._resolution(decisions))
 
     def _resolution(self, decisions: Float[np.ndarray, " n"]) -> tuple[Any, ...]:

@@ -6,10 +6,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from aleator._core.beside import beside
-from aleator.design import Constraint, functionals_of, is_over_time
+from aleator.design import Constraint, Problem, functionals_of, is_over_time
 from aleator.dynamics import Grid, System
-from aleator.transcription._alone import alone_elsewhere, middle, prepare_elsewhere
+from aleator.transcription._alone import Alone, alone_elsewhere, middle
 from aleator.transcription._magnitudes import bound_size
 from aleator.transcription._reference import Reference
 from aleator.transcription._sequential import Sequential
@@ -51,16 +50,9 @@ def probed(transcription: Sequential, decisions: Float[np.ndarray, " n"], finer:
 
 
 def whether_misled(transcription: Sequential, start: Float[np.ndarray, " n"], factor: int) -> Callable[[], str]:
-    """Begin to find out, beside the search, whether it is `misled`; what is returned waits for that."""
-    problem = transcription.problem
-    if not (isinstance(problem.grid, Grid) and isinstance(problem.system, System) and problem.system.states):
-        return lambda: ""
-    prepare_elsewhere(problem, transcription.collocation, start, factor)
-    return beside(misled, transcription, start, factor)
-
-
-def misled(transcription: Sequential, start: Float[np.ndarray, " n"], factor: int) -> str:
     """A sentence on a functional that a problem's grid is far off at the start of a search; empty if there is none.
+
+    It is found out beside the search; what is returned waits for that.
 
     `factor`: how many times as many steps the finer grid has that the answer will be judged by.
 
@@ -68,12 +60,18 @@ def misled(transcription: Sequential, start: Float[np.ndarray, " n"], factor: in
     grid is found to be exact.
     """
     problem = transcription.problem
-    assert isinstance(problem.grid, Grid)
-    seen = alone_elsewhere(problem, transcription.collocation, start, factor)
+    if not (isinstance(problem.grid, Grid) and isinstance(problem.system, System) and problem.system.states):
+        return lambda: ""
     begun = transcription.begun
     if not np.array_equal(start, transcription.program.start):
         which = middle(transcription.collocation)
         begun = tuple(one[which] for one in transcription.evaluator(start).samples)
+    seen = alone_elsewhere(problem, transcription.collocation, start, factor)
+    return lambda: _misled(problem, begun, seen())
+
+
+def _misled(problem: Problem, begun: tuple[np.ndarray, ...], seen: Alone) -> str:
+    assert isinstance(problem.grid, Grid)
     for one, own, true in zip(functionals_of(problem.expressions), begun, seen.functionals, strict=True):
         own, true = float(np.max(np.abs(own))), float(np.max(np.abs(true)))
         if not own <= _FAR_OFF * true:

@@ -11,7 +11,6 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from aleator._core.arrays import numbers_to_arrays
-from aleator._core.beside import beside
 from aleator._core.compilation import Compiled
 from aleator.design import (
     Constraint,
@@ -30,7 +29,7 @@ from aleator.dynamics import Grid
 from aleator.expansion import Collocation
 from aleator.statistics import Constants, Mean, Std, Variance
 from aleator.trajectories import AbstractTrajectory
-from aleator.transcription._alone import Alone, alone, alone_elsewhere, middle, prepare_elsewhere
+from aleator.transcription._alone import Alone, alone, alone_elsewhere, middle
 from aleator.transcription._jumps import splines_in
 from aleator.transcription._scope import scope_of
 from aleator.transcription._sequential import Sequential
@@ -121,8 +120,7 @@ def pieces(problem: Problem) -> int:
 def reference(transcription: Sequential, decisions: Float[np.ndarray, " n"], factor: int) -> Reference:
     """A problem's numbers on a grid of `factor` times as many steps, by another integrator."""
     problem, collocation = transcription.problem, transcription.collocation
-    prepare_elsewhere(problem, collocation, decisions, factor)
-    elsewhere = beside(alone_elsewhere, problem, collocation, decisions, factor)
+    elsewhere = alone_elsewhere(problem, collocation, decisions, factor)
     arguments = _arguments(problem, collocation, transcription.constants, factor, decisions)
     values, means, stds, reaches, one = jax.tree.map(np.asarray, REFERENCE(*arguments))
     named = type(arguments[0].integrator).__name__ if problem.system.states else "Simpson's rule"  # type: ignore[union-attr]
@@ -131,7 +129,7 @@ def reference(transcription: Sequential, decisions: Float[np.ndarray, " n"], fac
 
 
 def prepare_reference(problem: Problem, collocation: Collocation, constants: Constants, factor: int) -> None:
-    """Compile what `reference` will need."""
+    """Begin to compile what `reference` will need."""
     REFERENCE.prepare(*_arguments(problem, collocation, constants, factor, problem.survey.vector("initial")))
 
 

@@ -142,7 +142,7 @@ def second_opinion(transcription: Sequential, decisions: Float[np.ndarray, " n"]
 
 
 def prepare_opinion(problem: Problem) -> None:
-    """Compile what `second_opinion` will need."""
+    """Begin to compile what `second_opinion` will need."""
     germs = problem.survey.germs
     if germs and functionals_of(problem.expressions):
         decisions = jnp.asarray(problem.survey.vector("initial"))
