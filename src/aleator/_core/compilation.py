@@ -4,9 +4,7 @@ import functools
 import math
 import threading
 import time
-from collections import OrderedDict
 from collections.abc import Callable, Hashable
-from concurrent.futures import Future
 from itertools import accumulate, pairwise
 from typing import Any, NamedTuple, final
 
@@ -17,11 +15,10 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
-from aleator._core.beside import beside, undisturbed
+from aleator._core.beside import beside
 from aleator._core.errors import ProblemError
+from aleator._core.programs import PROGRAMS, Executable, Program
 
-# Enough for a session's problems; beyond, the one unused for longest is dropped, with the classes it holds.
-_KEPT = 32
 # On a CPU, XLA takes `jax.lax.optimization_barrier` away before it fuses loops, and then computes an intermediate
 # result again wherever it is used: the sine of an angle for each derivative that it takes part in. With its pass of
 # this name left out, barriers last.
@@ -53,7 +50,6 @@ class Compiled:
         unchanged: Callable[..., None] | None = None,
     ):
         self._function, self._code, self._unchanged = function, code, unchanged
-        self._programs: OrderedDict[Any, _Program] = OrderedDict()
         self._lock = threading.Lock()
         self.compilations = 0
         self.seconds = 0.0
@@ -77,7 +73,7 @@ class Compiled:
         program, leaves = self._found(arguments)
         return beside(lambda: program()(*leaves))
 
-    def _found(self, arguments: tuple[Any, ...]) -> tuple["_Program", list[Any]]:
+    def _found(self, arguments: tuple[Any, ...]) -> tuple[Program, list[Any]]:
         """The program for some arguments, and their arrays, which it is given."""
         dynamic, static = eqx.partition(arguments, eqx.is_array)
         leaves, structure = jax.tree.flatten(dynamic)
@@ -86,9 +82,9 @@ class Compiled:
             return self._function(*eqx.combine(jax.tree.unflatten(structure, leaves), static))
 
         build = functools.partial(self._compile, flat, *leaves)
-        return self._known(arguments, "leaves", leaves, structure, static, build), leaves
+        return self._known(self._key(arguments, "leaves", leaves, structure, static), arguments, build), leaves
 
-    def bound(self, *fixed: Any) -> Callable[[Float[np.ndarray, " n"]], Any]:
+    def bound(self, *fixed: Any) -> "Bound":
         """The function with all arguments but the last fixed, for many calls that differ in that one: an array.
 
         At every call, each array that an executable is given or gives takes its time. So all real numbers of the fixed
@@ -99,51 +95,42 @@ class Compiled:
         arrays, static = eqx.partition(rest, eqx.is_array)
         # Leaves in the place of trees, which would be taken apart at every call.
         others, structure = jax.tree.flatten(arrays)
-        found: list[Callable[..., Any]] = []
 
         def result(vector: jax.Array, others: list[jax.Array], last: jax.Array) -> Any:
             return self._function(*eqx.combine(unpacked(vector), jax.tree.unflatten(structure, others), static), last)
 
-        def call(last: Float[np.ndarray, " n"]) -> Any:
-            given = vector, others, last
-            if not found:
-                parts = [*jax.tree.leaves(reals), *others, last], (jax.tree.structure(reals), structure), static
-                build = functools.partial(self._compile_packed, result, *given)
-                found.append(self._known((*fixed, last), "packed", *parts, build)())
-            return found[0](*given)
+        def key(last: np.ndarray) -> Hashable:
+            parts = [*jax.tree.leaves(reals), *others, last], (jax.tree.structure(reals), structure), static
+            return self._key((*fixed, last), "packed", *parts)
 
-        return call
+        def program(key: Hashable, last: np.ndarray) -> Program:
+            build = functools.partial(self._compile_packed, result, vector, others, last)
+            return self._known(key, (*fixed, last), build)
 
-    def _known(
-        self,
-        arguments: tuple[Any, ...],
-        way: str,
-        leaves: list[Any],
-        structure: Any,
-        static: Any,
-        build: Callable[[], Callable[[], Callable[..., Any]]],
-    ) -> "_Program":
-        """The program for arguments of this structure, traced by `build` where there has been none before."""
+        return Bound(key, program, (vector, others))
+
+    def _key(self, arguments: tuple[Any, ...], way: str, leaves: list[Any], structure: Any, static: Any) -> Hashable:
+        """What arguments of one structure have in common."""
         static_leaves, static_structure = jax.tree.flatten(static)
         shapes = tuple((leaf.shape, leaf.dtype) for leaf in leaves)
         kinds = tuple(type(leaf) for leaf in static_leaves)  # 1 and True are equal, but not the same structure
         code = self._code(*arguments) if self._code else None
-        key = (way, structure, static_structure, tuple(static_leaves), kinds, shapes, code)
-        with self._lock:
-            known = self._programs.get(key)
-            program = self._programs.setdefault(key, _Program(lambda: self._forget(key, program)))
-            self._programs.move_to_end(key)
-            while len(self._programs) > _KEPT:
-                self._programs.popitem(last=False)
-        if known is None:
+        return self, way, structure, static_structure, tuple(static_leaves), kinds, shapes, code
+
+    def _known(
+        self, key: Hashable, arguments: tuple[Any, ...], build: Callable[[], Callable[[], Executable]]
+    ) -> Program:
+        """The program of a key, traced by `build` where there has been none before."""
+        program, is_new = PROGRAMS.found(key)
+        if is_new:
             program.trace(functools.partial(self._checked, key, arguments, build))
         elif program.was_interrupted():  # in the thread that was tracing
-            return self._known(arguments, way, leaves, structure, static, build)
+            return self._known(key, arguments, build)
         return program
 
     def _checked(
-        self, key: Any, arguments: tuple[Any, ...], build: Callable[[], Callable[[], Callable[..., Any]]]
-    ) -> Callable[[], Callable[..., Any]]:
+        self, key: Any, arguments: tuple[Any, ...], build: Callable[[], Callable[[], Executable]]
+    ) -> Callable[[], Executable]:
         """What compiles, once it is sure that what was traced is the code that it is kept for."""
         built = build()
         if self._code and self._code(*arguments) != key[-1]:
@@ -152,18 +139,13 @@ class Compiled:
             self._unchanged(*arguments)
         return built
 
-    def _forget(self, key: Any, program: "_Program") -> None:
-        with self._lock:
-            if self._programs.get(key) is program:
-                del self._programs[key]
-
-    def _compile(self, function: Callable[..., Any], *arguments: Any) -> Callable[[], Callable[..., Any]]:
+    def _compile(self, function: Callable[..., Any], *arguments: Any) -> Callable[[], Executable]:
         """Trace a function; what is returned compiles it."""
         started = time.perf_counter()
         lowered = jax.jit(function).lower(*arguments)
         traced = time.perf_counter() - started
 
-        def finish() -> Callable[..., Any]:
+        def finish() -> Executable:
             started = time.perf_counter()
             options = _OPTIONS.get(jax.default_backend(), {})
             executable = lowered.compile(compiler_options=options)
@@ -174,7 +156,7 @@ class Compiled:
 
         return finish
 
-    def _compile_packed(self, function: Callable[..., Any], *arguments: Any) -> Callable[[], Callable[..., Any]]:
+    def _compile_packed(self, function: Callable[..., Any], *arguments: Any) -> Callable[[], Executable]:
         layout: list[_Layout] = []
 
         def packed(*arguments: Any) -> tuple[Array, list[Array]]:
@@ -186,7 +168,7 @@ class Compiled:
 
         finish = self._compile(packed, *arguments)
 
-        def finished() -> Callable[..., Any]:
+        def finished() -> Executable:
             executable = finish()
             return lambda *given: layout[0].unpacked(*executable(*given))
 
@@ -194,60 +176,32 @@ class Compiled:
 
 
 @final
-class _Program:
-    """What one thread traces, and the first that needs it compiles, while others wait.
+class Bound:
+    """A function of one array, the rest of its arguments being fixed; see `Compiled.bound`."""
 
-    Nobody waits for a core here: a program that is begun on another one, and not there yet, is compiled by its caller.
-    What fails is forgotten, by `forget`; tracing that fails does so for all that wait.
-    """
+    def __init__(
+        self,
+        key: Callable[[np.ndarray], Hashable],
+        program: Callable[[Hashable, np.ndarray], Program],
+        given: tuple[jax.Array, list[jax.Array]],
+    ):
+        self._find_key, self._program, self._given = key, program, given
+        self._key: Hashable | None = None
+        self._executable: Executable | None = None
 
-    def __init__(self, forget: Callable[[], None]):
-        self._forget = forget
-        self._traced: Future[None] = Future()
-        # What was traced is held no longer than until it is compiled.
-        self._finish: Callable[[], Callable[..., Any]] | None = None
-        self._executable: Callable[..., Any] | None = None
-        self._lock = threading.Lock()
+    def is_known(self, last: Float[np.ndarray, " n"]) -> bool:
+        """Whether a program of this structure has been made before."""
+        self._key = self._find_key(last)
+        return self._key in PROGRAMS
 
-    @property
-    def is_ready(self) -> bool:
-        """Whether it has been compiled."""
-        return self._executable is not None
-
-    def trace(self, build: Callable[[], Callable[[], Callable[..., Any]]]) -> None:
-        """Trace it, by the one thread that is to."""
-        try:
-            self._finish = build()
-        except BaseException as error:
-            self._forget()
-            self._traced.set_exception(error)
-            raise
-        self._traced.set_result(None)
-
-    def was_interrupted(self) -> bool:
-        """Whether Ctrl-C ended the tracing. Waits for its end."""
-        return isinstance(self._traced.exception(), KeyboardInterrupt)
-
-    def __call__(self) -> Callable[..., Any]:
-        """The executable, compiled now if it has not been."""
-        # Ctrl-C would leave XLA compiling by itself, and a process that ends meanwhile is aborted.
-        return self._executable or undisturbed(self._compiled)
-
-    def _compiled(self) -> Callable[..., Any]:
-        self._traced.result()
-        with self._lock:
-            if self._executable is None:
-                assert self._finish is not None
-                try:
-                    self._executable = self._finish()
-                except BaseException:
-                    self._forget()
-                    raise
-                self._finish = None
-            return self._executable
+    def __call__(self, last: Float[np.ndarray, " n"]) -> Any:
+        """The function's value."""
+        if self._executable is None:
+            self._executable = self._program(self._key or self._find_key(last), last)()
+        return self._executable(*self._given, last)
 
 
-def _run(executable: Callable[..., Any], *arguments: Any) -> Any:
+def _run(executable: Executable, *arguments: Any) -> Any:
     """What an executable gives; numbers that are none where the checks of a library inside stop it.
 
     The linear solvers of stiff integrators do so where they meet derivatives that are not finite. Given no numbers at

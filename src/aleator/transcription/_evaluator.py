@@ -107,6 +107,10 @@ class Evaluator:
         self._resolved: tuple[bytes, tuple[Resolved, ...]] | None = None
         self._lock = threading.Lock()
 
+    def is_known(self, decisions: Float[np.ndarray, " n"]) -> bool:
+        """Whether a problem of the same structure has been compiled before."""
+        return self._evaluate.is_known(decisions)
+
     def with_constants(self, constants: Constants) -> "Evaluator":
         """The same problem with other constants, such as other scenarios."""
         traced, collocation, anchors = self._parts

@@ -126,7 +126,7 @@ Meanwhile = Callable[[Problem, Collocation, Constants], object]
 def transcribe(problem: Problem, meanwhile: Meanwhile = lambda *_: None) -> Sequential:
     """Turn a declared problem into a nonlinear program, compiling it if no problem of its structure has been before.
 
-    `meanwhile` is called just before that, to begin what can be done beside it.
+    `meanwhile` is called just before it is compiled, to begin what can be done beside that.
 
     A problem that was transcribed a short while ago, such as by a solution from another start, is not again. One whose
     code has changed since it was declared is transcribed as it is now. Raises `ProblemError` if the problem has no
@@ -163,10 +163,11 @@ def _transcribed(problem: Problem, meanwhile: Meanwhile) -> Sequential:
     basis, collocation, constants = discretised(problem)
     if scenarios is not None:
         constants = replace(constants, scenarios=jnp.asarray(scenarios.points))
-    meanwhile(problem, collocation, constants)
     traced = numbers_to_arrays(problem)
     start, lower, upper = (places.vector(name) for name in ("initial", "lower", "upper"))
     evaluator = Evaluator(traced, collocation, constants, anchors_of(traced, collocation, start))
+    if not evaluator.is_known(start):
+        meanwhile(problem, collocation, constants)
     decision_scale = decision_scales(start, lower, upper)
     around = nearby(start, lower, upper, decision_scale)
     beside = [evaluator(one) for one in around] if instantaneous(problem) else []
