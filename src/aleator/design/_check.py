@@ -55,7 +55,7 @@ def _digest(problem: AbstractProblem) -> Digest:
     whole = eqx.tree_at(lambda one: (one.system, one.inputs, one.grid), problem, uncertain_parts(problem))
     physics, outputs = _trace(whole, _outputs_of, whole.survey)
     _check_outputs(whole, outputs)
-    texts = [physics, *(_check_shape(whole, i, outputs) for i in range(len(whole.expressions)))]
+    texts = [physics, _check_shapes(whole, outputs)]
     told = "\n".join(text or "" for text in texts)
     return Digest(hashlib.sha256(told.encode()).hexdigest(), None not in texts)
 
@@ -161,24 +161,32 @@ def _check_outputs(problem: AbstractProblem, outputs: dict[str, jax.ShapeDtypeSt
                 raise ProblemError(_unknown(f"output of {type(problem.system).__name__}", name, list(outputs)))
 
 
-def _check_shape(problem: AbstractProblem, which: int, outputs: dict[str, jax.ShapeDtypeStruct]) -> str | None:
-    """Check that an expression's terms go together, and that the objective is one number; its equations as text."""
-    expression = problem.expressions[which]
+def _check_shapes(problem: AbstractProblem, outputs: dict[str, jax.ShapeDtypeStruct]) -> str | None:
+    """Check that the terms of expressions go together, and that the objective is one number; the equations as text."""
     zeros = {name: jnp.zeros(one.shape) for name, one in outputs.items()}
 
-    def value(traced: AbstractProblem) -> jax.Array:
-        return jnp.asarray(traced.expressions[which].evaluate(_ShapeScope(traced, zeros)))
+    def values(traced: AbstractProblem) -> list[jax.Array]:
+        scope = _ShapeScope(traced, zeros)
+        return [
+            _evaluated(one, scope, written)
+            for one, written in zip(traced.expressions, problem.expressions, strict=True)
+        ]
 
-    try:
-        text, shaped = _trace(problem, value)
-    except (TypeError, ValueError) as error:
-        raise ProblemError(f"The terms of '{expression}' have shapes that do not go together: {error}") from error
-    if which == 0 and shaped.shape != ():
+    text, shaped = _trace(problem, values)
+    if shaped[0].shape != ():
         raise ProblemError(
-            f"The objective must be one number, but '{expression}' has shape {shaped.shape}: "
+            f"The objective must be one number, but '{problem.objective}' has shape {shaped[0].shape}: "
             "use integral, rms, peak or terminal in the place of path."
         )
     return text
+
+
+def _evaluated(expression: Expression, scope: AbstractScope, written: Expression) -> jax.Array:
+    """The value of a traced expression, which cannot be printed; `written` can."""
+    try:
+        return jnp.asarray(expression.evaluate(scope))
+    except (TypeError, ValueError) as error:
+        raise ProblemError(f"The terms of '{written}' have shapes that do not go together: {error}") from error
 
 
 class _ShapeScope(AbstractScope):

@@ -155,13 +155,13 @@ class AbstractMechanical(eqx.Module):
 
     def _named_map(self) -> Float[np.ndarray, "speeds actuators"]:
         """Which torque acts along which velocity, by their names."""
-        along = [f"{name.removesuffix('_rate')}_torque" for name in self.speeds]
-        if unknown := [name for name in self.actuators if name not in along]:
+        along, actuators = [f"{name.removesuffix('_rate')}_torque" for name in self.speeds], self.actuators
+        if unknown := [name for name in actuators if name not in along]:
             raise ProblemError(
                 f"{type(self).__name__}: along which velocity {unknown} act is not told by their names, which are none "
                 f"of {along}. Rename them, or write actuation(q)."
             )
-        return np.array([[float(name == one) for one in self.actuators] for name in along]).reshape(len(along), -1)
+        return np.array([[float(name == one) for one in actuators] for name in along]).reshape(len(along), -1)
 
     def outputs(self, motion: Motion) -> Mapping[str, Any]:
         """Further quantities of interest by name: positions, distances. `motion` knows `q`, `v`, `torque` and more."""

@@ -157,6 +157,14 @@ class Multibody(AbstractMechanical):
         return jnp.concatenate([jnp.zeros(0), *parts])
 
     @override
+    def trouble(self, q: Float[Array, " coordinates"]) -> str:
+        """Nothing beside what joints refuse by themselves, such as a negative damping."""
+        tree = self._tree()
+        for link in tree.links:
+            link.joint.passive(q[link.q], jnp.zeros(link.v.stop - link.v.start))
+        return ""
+
+    @override
     def speeds_along(self, coordinates: Collection[str]) -> tuple[int, ...]:
         """Those of the joints, of which all coordinates are needed."""
         found: list[int] = []

@@ -14,7 +14,7 @@ from aleator._core.code import told_apart
 from aleator._core.compilation import Compiled
 from aleator.dynamics import Grid, RungeKutta4, System, simulate
 from aleator.mechanics._instant import Instants, instants_of, is_timed
-from aleator.mechanics._mechanical import AbstractMechanical, actuation_map, bias_of, load_on, mass_of, rate_map
+from aleator.mechanics._mechanical import AbstractMechanical, mass_of, rate_map
 
 # Reciprocal condition numbers below this are rounding of zero: answers would have no correct digit left.
 _SINGULAR = 1e-12
@@ -29,14 +29,9 @@ _ABSURD = 1e4
 def trouble_at(model: AbstractMechanical, q: Any, when: str) -> str:
     """What is wrong in one posture: a mass matrix that is not positive definite, a singular velocity map.
 
-    Raises `ProblemError` for a matrix of another shape than expected, and for what is no body.
+    Raises `ProblemError` for a mass matrix of another shape than expected, and for what is no body.
     """
     M = np.asarray(mass_of(model, q))
-    # Their shapes are looked at.
-    at_rest = jnp.zeros(len(model.speeds))
-    bias_of(model, q, at_rest)
-    load_on(model, q, at_rest)
-    actuation_map(model, q)
     return model.trouble(q) or _mass_trouble(model, M, q, when) or _map_trouble(model, q, when)
 
 
