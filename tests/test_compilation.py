@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from aleator._core.compilation import Compiled
+from aleator._core.compilation import Compiled, Use
 
 
 def _results(tree, kind, x):
@@ -76,3 +76,42 @@ def test_results_of_bound_functions_cannot_be_written_to():
     found = Compiled(_results).bound(TREE, jnp.asarray(7))(np.ones(2))
     with pytest.raises(ValueError, match="read-only"):
         found[0]["a"][0, 0] = 1.0
+
+
+def _far(x):
+    """Sines that several derivatives take, behind barriers."""
+    sines = jax.lax.optimization_barrier(jnp.sin(x))
+    return sines * jnp.roll(sines, 1) + jnp.cumsum(sines)
+
+
+@pytest.mark.skipif(jax.default_backend() != "cpu", reason="options of XLA on CPUs")
+@pytest.mark.parametrize("use", Use)
+def test_this_xla_knows_the_options_and_lets_barriers_last(use):
+    lowered = jax.jit(_far).lower(jnp.ones(4))
+    assert "opt-barrier" in str(lowered.compile(compiler_options=use.value).as_text())
+    assert "opt-barrier" not in str(lowered.compile().as_text())
+
+
+def test_an_xla_that_knows_other_options_goes_by_its_own(monkeypatch):
+    monkeypatch.setitem(Use.ONCE.value, "xla_of_another_year", "true")
+    compiled = Compiled(_far, use=Use.ONCE)
+    x = np.linspace(0.0, 1.0, 4)
+    np.testing.assert_allclose(compiled(jnp.asarray(x)), np.sin(x) * np.roll(np.sin(x), 1) + np.cumsum(np.sin(x)))
+
+
+def test_however_little_a_program_is_optimised_its_numbers_are_the_same():
+    x = jnp.linspace(-3.0, 3.0, 50)
+    few, rows, loops = (np.asarray(Compiled(jax.jacfwd(_far), use=use)(x)) for use in Use)
+    np.testing.assert_allclose(few, rows, rtol=1e-13, atol=1e-14)
+    np.testing.assert_allclose(rows, loops, rtol=1e-13, atol=1e-14)
+
+
+def test_what_a_program_is_for_may_depend_on_what_it_is_given():
+    seen = []
+
+    def use(x):
+        seen.append(x.shape)
+        return Use.ROWS
+
+    assert float(Compiled(jnp.sum, use=use)(jnp.ones(3))) == 3.0
+    assert seen == [(3,)]

@@ -1,5 +1,6 @@
 """Ahead-of-time compilation, once per structure of the arguments, with its time on record."""
 
+import enum
 import functools
 import math
 import threading
@@ -22,7 +23,22 @@ from aleator._core.programs import PROGRAMS, Executable, Program
 # On a CPU, XLA takes `jax.lax.optimization_barrier` away before it fuses loops, and then computes an intermediate
 # result again wherever it is used: the sine of an angle for each derivative that it takes part in. With its pass of
 # this name left out, barriers last.
-_OPTIONS: dict[str, dict[str, str | bool]] = {"cpu": {"xla_disable_hlo_passes": "cse_barrier_expander"}}
+_BARRIERS: dict[str, str | bool] = {"xla_disable_hlo_passes": "cse_barrier_expander"}
+
+
+class Use(enum.Enum):
+    """What a program is compiled for, and by which options of XLA on a CPU: compiling takes longer than most runs.
+
+    - `LOOPS`: steps in time, again and again;
+    - `ROWS`: large equations without loops, again and again. Code for each operation by itself, in the place of the
+      emitters for several that are fused, is ready in two thirds of the time and no slower, but for loops (a fifth);
+    - `ONCE`: a few runs in all. Hardly optimised, it is ready in a quarter of the time.
+    """
+
+    LOOPS = _BARRIERS
+    ROWS = _BARRIERS | {"xla_cpu_use_fusion_emitters": False}
+    ONCE = ROWS | {"xla_backend_optimization_level": "0"}
+
 
 # By this name the checks of Equinox, and of what is built on it, are known among the errors of XLA.
 _CHECKED = "_EquinoxRuntimeError"
@@ -36,6 +52,8 @@ class Compiled:
     `seconds` count what has been compiled so far. Several threads may call it: what one of them is compiling, the
     others wait for.
 
+    - `use`: what programs are compiled for, or what tells it from the arguments.
+
     Where the arguments hold code, such as the methods of a system, what that reads beside them must be told apart too:
 
     - `code(*arguments)`: equal for code that computes the same, if the arguments do not say it themselves;
@@ -46,10 +64,11 @@ class Compiled:
         self,
         function: Callable[..., Any],
         *,
+        use: Use | Callable[..., Use] = Use.LOOPS,
         code: Callable[..., Hashable] | None = None,
         unchanged: Callable[..., None] | None = None,
     ):
-        self._function, self._code, self._unchanged = function, code, unchanged
+        self._function, self._use, self._code, self._unchanged = function, use, code, unchanged
         self._lock = threading.Lock()
         self.compilations = 0
         self.seconds = 0.0
@@ -81,7 +100,7 @@ class Compiled:
         def flat(*leaves: jax.Array) -> Any:
             return self._function(*eqx.combine(jax.tree.unflatten(structure, leaves), static))
 
-        build = functools.partial(self._compile, flat, *leaves)
+        build = functools.partial(self._compile, self._use_of(arguments), flat, *leaves)
         return self._known(self._key(arguments, "leaves", leaves, structure, static), arguments, build), leaves
 
     def bound(self, *fixed: Any) -> "Bound":
@@ -104,7 +123,7 @@ class Compiled:
             return self._key((*fixed, last), "packed", *parts)
 
         def program(key: Hashable, last: np.ndarray) -> Program:
-            build = functools.partial(self._compile_packed, result, vector, others, last)
+            build = functools.partial(self._compile_packed, self._use_of((*fixed, last)), result, vector, others, last)
             return self._known(key, (*fixed, last), build)
 
         return Bound(key, program, (vector, others))
@@ -139,7 +158,10 @@ class Compiled:
             self._unchanged(*arguments)
         return built
 
-    def _compile(self, function: Callable[..., Any], *arguments: Any) -> Callable[[], Executable]:
+    def _use_of(self, arguments: tuple[Any, ...]) -> Use:
+        return self._use if isinstance(self._use, Use) else self._use(*arguments)
+
+    def _compile(self, use: Use, function: Callable[..., Any], *arguments: Any) -> Callable[[], Executable]:
         """Trace a function; what is returned compiles it."""
         started = time.perf_counter()
         lowered = jax.jit(function).lower(*arguments)
@@ -147,8 +169,7 @@ class Compiled:
 
         def finish() -> Executable:
             started = time.perf_counter()
-            options = _OPTIONS.get(jax.default_backend(), {})
-            executable = lowered.compile(compiler_options=options)
+            executable = compiled_for(use, lowered)
             with self._lock:
                 self.seconds += traced + time.perf_counter() - started
                 self.compilations += 1
@@ -156,7 +177,7 @@ class Compiled:
 
         return finish
 
-    def _compile_packed(self, function: Callable[..., Any], *arguments: Any) -> Callable[[], Executable]:
+    def _compile_packed(self, use: Use, function: Callable[..., Any], *arguments: Any) -> Callable[[], Executable]:
         layout: list[_Layout] = []
 
         def packed(*arguments: Any) -> tuple[Array, list[Array]]:
@@ -166,13 +187,23 @@ class Compiled:
             reals = [jnp.ravel(leaf) for leaf in leaves if _is_real(leaf)]
             return jnp.concatenate([jnp.zeros(0), *reals]), [leaf for leaf in leaves if not _is_real(leaf)]
 
-        finish = self._compile(packed, *arguments)
+        finish = self._compile(use, packed, *arguments)
 
         def finished() -> Executable:
             executable = finish()
             return lambda *given: layout[0].unpacked(*executable(*given))
 
         return finished
+
+
+def compiled_for(use: Use, lowered: jax.stages.Lowered) -> jax.stages.Compiled:
+    """Compile what was traced. An XLA that does not know our options goes by its own."""
+    try:
+        return lowered.compile(compiler_options=use.value if jax.default_backend() == "cpu" else {})
+    except jax.errors.JaxRuntimeError as error:
+        if "No such compile option" not in str(error):
+            raise
+        return lowered.compile()
 
 
 @final

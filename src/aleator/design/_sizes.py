@@ -4,7 +4,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from aleator._core.arrays import numbers_to_arrays
-from aleator._core.compilation import Compiled
+from aleator._core.compilation import Compiled, Use
 from aleator.design._declaration import AbstractProblem
 from aleator.design._functionals import Integral
 from aleator.design._physics import refuse_changed_code
@@ -33,4 +33,4 @@ def _sizes(
     )
 
 
-_SIZES = Compiled(_sizes, unchanged=refuse_changed_code)
+_SIZES = Compiled(_sizes, use=Use.ONCE, unchanged=refuse_changed_code)

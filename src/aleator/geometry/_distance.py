@@ -1,5 +1,6 @@
 """`distance`: the signed distance of two shapes."""
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -49,6 +50,7 @@ def distance(first: AbstractShape, second: AbstractShape) -> Float[Array, ""]:
     )
 
 
+@jax.jit  # traced once for each pair of kinds, however often a model asks for it
 def between_bodies(first: Body, second: Body) -> Float[Array, ""]:
     """The signed distance of two bodies of the same dimension."""
     overlap = separation(first, second)

@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 from typing_extensions import override
 
 from aleator._core.code import told_apart
-from aleator._core.compilation import Compiled
+from aleator._core.compilation import Compiled, Use
 from aleator._core.errors import ProblemError
 from aleator.dynamics import Grid
 from aleator.mechanics._formulation import AbstractFormulation, model_given
@@ -275,7 +275,7 @@ def _effects(system: HybridDynamics, now: Instants, path: Array) -> Array:
     return now.each(system._effect, path)
 
 
-_EFFECTS = Compiled(_effects, code=functools.partial(told_apart, _effects))
+_EFFECTS = Compiled(_effects, use=Use.ONCE, code=functools.partial(told_apart, _effects))
 
 
 def _check_names(model: AbstractMechanical, motion: Any, torque: Any) -> None:

@@ -5,6 +5,8 @@ several as its columns; `None` stands for a part that is always zero and costs n
 traced stays in NumPy, so that it is computed once and not at every point.
 """
 
+import functools
+from collections.abc import Callable
 from typing import Any, NamedTuple, TypeAlias
 
 import jax
@@ -65,6 +67,19 @@ def library(*values: Any) -> Any:
     return jnp if any(isinstance(value, jax.Array) for value in values) else np
 
 
+def _either(function: Callable[..., Block], *blocks: Block) -> Block:
+    """`function`, a program of many small operations, of NumPy where all is known; else traced once for all its uses.
+
+    Tracing its operations anew at every use would take longer than all the rest of a model.
+    """
+    return _jitted(function)(*blocks) if library(*blocks) is jnp else function(*blocks)
+
+
+@functools.lru_cache(maxsize=16)
+def _jitted(function: Callable[..., Block]) -> Callable[..., Block]:
+    return jax.jit(function)
+
+
 def is_known(value: Any) -> bool:
     """Whether numbers can be looked at (through NumPy: within a trace JAX would trace what it computes of them)."""
     return not isinstance(value, Tracer)
@@ -118,8 +133,10 @@ def times(matrix: Block, block: Block) -> Block:
 
 def cross(a: Block, b: Block) -> Block:
     """`a × b` of a vector and a vector, or each of several columns."""
-    if a is None or b is None:
-        return None
+    return None if a is None or b is None else _either(_cross, a, b)
+
+
+def _cross(a: Block, b: Block) -> Block:
     parts = [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
     return library(a, b).stack(parts)
 
@@ -131,6 +148,10 @@ def dot(a: Block, b: Block) -> Block:
 
 def skew(a: Block) -> Block:
     """The matrix whose product with `b` is `a × b`."""
+    return _either(_skew, a)
+
+
+def _skew(a: Block) -> Block:
     x, y, z = a
     zero = 0 * x
     xp = library(a)
@@ -143,7 +164,12 @@ def about(axis: Block, angle: Any, before: Block) -> Float[Array, "3 3"]:
     The products with the axis are known beforehand, so that turning costs no product of matrices.
     """
     across = before @ skew(axis)
-    return before + jnp.sin(angle) * across + (1 - jnp.cos(angle)) * (across @ skew(axis))
+    return _turned(angle, before, across, across @ skew(axis))
+
+
+@jax.jit
+def _turned(angle: Any, before: Block, across: Block, twice: Block) -> Float[Array, "3 3"]:
+    return before + jnp.sin(angle) * across + (1 - jnp.cos(angle)) * twice
 
 
 def from_angles(angles: Block) -> Block:

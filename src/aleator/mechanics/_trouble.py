@@ -11,7 +11,7 @@ from jaxtyping import Array
 
 from aleator._core.arrays import numbers_to_arrays
 from aleator._core.code import told_apart
-from aleator._core.compilation import Compiled
+from aleator._core.compilation import Compiled, Use
 from aleator.dynamics import Grid, RungeKutta4, System, simulate
 from aleator.mechanics._instant import Instants, instants_of, is_timed
 from aleator.mechanics._mechanical import AbstractMechanical, mass_of, rate_map
@@ -207,7 +207,7 @@ def _followed(system: System, grid: Grid) -> Array:
 
 
 # Once for all systems of a family: each is asked.
-_FOLLOWED = Compiled(_followed, code=functools.partial(told_apart, _followed))
+_FOLLOWED = Compiled(_followed, use=Use.ONCE, code=functools.partial(told_apart, _followed))
 
 
 def _posture(model: AbstractMechanical, q: Any) -> str:

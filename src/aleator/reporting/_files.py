@@ -89,7 +89,7 @@ def write_together(folder: str | Path, files: Mapping[str, bytes | None]) -> tup
     return tuple(folder / name for name in staged)
 
 
-_ADVICE = "what was there before is kept. Make room, or name another place."
+_ADVICE = "what was last written there is kept. Make room, or name another place."
 
 
 def _exchange(folder: Path, names: list[str], staged: Mapping[str, Path]) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from aleator._core.arrays import numbers_to_arrays
-from aleator._core.compilation import Compiled
+from aleator._core.compilation import Compiled, Use
 from aleator.design import (
     AbstractFunctional,
     OneSystem,
@@ -57,7 +57,7 @@ def _elsewhere(problem: Problem, germ: Float[Array, " variables"], decisions: Fl
     return alone(problem, dict(zip(functionals, (one[0] for one in found), strict=True)), decisions)
 
 
-ELSEWHERE = Compiled(_elsewhere, unchanged=refuse_changed_code)
+ELSEWHERE = Compiled(_elsewhere, use=Use.ONCE, unchanged=refuse_changed_code)
 
 
 def alone_elsewhere(

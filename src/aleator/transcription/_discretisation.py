@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from aleator._core.arrays import numbers_to_arrays
-from aleator._core.compilation import Compiled
+from aleator._core.compilation import Compiled, Use
 from aleator.design import (
     Problem,
     functionals_of,
@@ -119,4 +119,4 @@ def _respond(
     return responses(problem, functionals_of(problem.expressions), germ, decisions)
 
 
-RESPOND = Compiled(_respond, unchanged=refuse_changed_code)
+RESPOND = Compiled(_respond, use=Use.ONCE, unchanged=refuse_changed_code)

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from aleator._core.compilation import Compiled
+from aleator._core.compilation import Compiled, Use
 from aleator.design import Problem, functionals_of, grid_at, refuse_changed_code
 from aleator.expansion import Collocation
 from aleator.nlp import Evaluation
@@ -90,7 +90,11 @@ def _evaluate(
     return every, jnp.concatenate(derivatives), sizes, ordered, statistics, times, looked_at
 
 
-EVALUATE = Compiled(_evaluate, unchanged=refuse_changed_code)
+def _use(problem: Problem, *_: Any) -> Use:
+    return Use.LOOPS if getattr(problem.system, "states", ()) else Use.ROWS
+
+
+EVALUATE = Compiled(_evaluate, use=_use, unchanged=refuse_changed_code)
 
 
 @final

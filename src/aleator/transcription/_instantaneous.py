@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from aleator._core.compilation import Compiled
+from aleator._core.compilation import Compiled, Use
 from aleator._core.leaves import is_leaf
 from aleator.design import (
     AbstractFunctional,
@@ -156,7 +156,7 @@ def _features(
     return jax.vmap(found)(points), jnp.array(affine)
 
 
-FEATURES = Compiled(_features, unchanged=refuse_changed_code)
+FEATURES = Compiled(_features, use=Use.ONCE, unchanged=refuse_changed_code)
 
 
 @final

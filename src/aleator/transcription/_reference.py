@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from aleator._core.arrays import numbers_to_arrays
-from aleator._core.compilation import Compiled
+from aleator._core.compilation import Compiled, Use
 from aleator.design import (
     Constraint,
     Deviation,
@@ -88,7 +88,7 @@ def _referenced(
     return values, means, stds, reaches, alone(problem, one_system, decisions)
 
 
-REFERENCE = Compiled(_referenced, unchanged=refuse_changed_code)
+REFERENCE = Compiled(_referenced, use=Use.ROWS, unchanged=refuse_changed_code)
 
 
 def reference_factor(problem: Problem, between: int | None) -> int:

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from aleator._core.compilation import Compiled
+from aleator._core.compilation import Compiled, Use
 from aleator.design import AbstractFunctional
 from aleator.expansion import Collocation, leave_one_out, leave_one_out_history
 from aleator.statistics import Mean, Std
@@ -73,4 +73,4 @@ def _errors_of(
     return jax.vmap(lambda one: leave_one_out(collocation, one, collocation.coefficients(one)))(each)
 
 
-RESOLVE = Compiled(_resolve)
+RESOLVE = Compiled(_resolve, use=Use.ONCE)

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from aleator._core.arrays import numbers_to_arrays
-from aleator._core.compilation import Compiled
+from aleator._core.compilation import Compiled, Use
 from aleator._core.errors import ProblemError
 from aleator.design import Problem, current, history, refuse_changed_code
 from aleator.expansion import Basis, Collocation
@@ -54,7 +54,7 @@ def _outputs_at_points(
     return jax.vmap(lambda germ: history(problem, germ, decisions))(points)
 
 
-OUTPUTS_AT_POINTS = Compiled(_outputs_at_points, unchanged=refuse_changed_code)
+OUTPUTS_AT_POINTS = Compiled(_outputs_at_points, use=Use.ONCE, unchanged=refuse_changed_code)
 
 
 def compile_seconds() -> float:
