@@ -26,7 +26,13 @@ def run(program: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
 
 @pytest.mark.parametrize(
     "document",
-    ["README.md", "docs/guide.md", pytest.param("docs/uncertainty.md", marks=pytest.mark.slow), "docs/motion.md"],
+    [
+        "README.md",
+        "docs/guide.md",
+        "docs/extending.md",
+        pytest.param("docs/uncertainty.md", marks=pytest.mark.slow),
+        "docs/motion.md",
+    ],
 )
 def test_code_shown_in_documents_runs(document: str, tmp_path: Path):
     (tmp_path / "shown.py").write_text(code_of(document), encoding="utf-8")

@@ -44,24 +44,35 @@ def run(
     out: Annotated[Path | None, typer.Option(help="Folder for the results.", show_default="results/STUDY")] = None,
 ) -> None:
     """Run a case study: solve, check by Monte Carlo, sweep, and write the report."""
+    raise typer.Exit(_run(lambda: load(study, quick=quick), out if out is not None else Path("results") / study))
+
+
+def run_study(study: AbstractStudy, folder: str | Path) -> int:
+    """Run a study of one's own as `aleator run` runs ours; returns the exit code.
+
+    Stages are run in order, with progress; whatever is finished is saved into `folder` after each of them, also on
+    Ctrl-C; then the page is written and the tables are printed.
+    """
+    return _run(lambda: study, Path(folder))
+
+
+def _run(loaded: Callable[[], AbstractStudy], out: Path) -> int:
     course = _Run()
     with ExitStack() as held:
         held.enter_context(course.interruptions)
         try:
-            job = load(study, quick=quick)
-            folder = check_writable(out if out is not None else Path("results") / study)
+            job, folder = loaded(), check_writable(out)
             held.enter_context(only_writer(folder))
         except ProblemError as error:
             course.complain("error", error)
-            raise typer.Exit(USAGE) from None
+            return USAGE
         try:
-            code = course.execute(job, folder)
+            return course.execute(job, folder)
         except BrokenPipeError:
             raise
         except OSError as error:
             course.complain("error", error)
-            code = FAILED
-        raise typer.Exit(code)
+            return FAILED
 
 
 @final

@@ -11,29 +11,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+from typing_extensions import override
 
-from aleator._core.arrays import Pytree, Scalar
+from aleator._core.arrays import Pytree
 from aleator._core.errors import ProblemError
 from aleator.analysis._inputs import germ_of
 from aleator.expansion import Basis
-from aleator.statistics import (
-    AbstractStatistic,
-    ConditionalValueAtRisk,
-    CornishFisher,
-    Correlation,
-    Covariance,
-    Infimum,
-    Kurtosis,
-    Mean,
-    Probability,
-    Quantile,
-    Skewness,
-    Sobol,
-    Std,
-    Supremum,
-    TotalSobol,
-    Variance,
-)
+from aleator.statistics import AbstractMeasured, AbstractStatistic, Correlation, Covariance
 from aleator.uncertainty import AbstractDistribution, AbstractGerm
 
 _PREPARED: "WeakKeyDictionary[Basis, dict[Any, Pytree]]" = WeakKeyDictionary()
@@ -53,7 +37,7 @@ def prepared(preparation: Callable[[Basis], Pytree] | None, basis: Basis) -> Pyt
     return known[preparation]
 
 
-class AbstractExpanded(eqx.Module):
+class AbstractExpanded(eqx.Module, AbstractMeasured[Pytree]):
     """An uncertain output, or a dict of them, in polynomials of the uncertain inputs.
 
     Every statistic has the structure of the outputs: of an array it is an array, entry by entry; of a dict it is a
@@ -69,6 +53,7 @@ class AbstractExpanded(eqx.Module):
         """The law of each germ variable by name, in the order of a germ vector."""
 
     @abc.abstractmethod
+    @override
     def statistic(self, kind: AbstractStatistic) -> Pytree:
         """Any statistic of each output."""
 
@@ -95,67 +80,6 @@ class AbstractExpanded(eqx.Module):
         point = germ_of(self.laws, inputs)
         return jax.tree.map(lambda values: values[0], self.at_germ(np.array([[point[name] for name in self.germs]])))
 
-    @property
-    def mean(self) -> Pytree:
-        """The expected value."""
-        return self.statistic(Mean())
-
-    @property
-    def variance(self) -> Pytree:
-        """The variance."""
-        return self.statistic(Variance())
-
-    @property
-    def std(self) -> Pytree:
-        """The standard deviation."""
-        return self.statistic(Std())
-
-    @property
-    def skewness(self) -> Pytree:
-        """The skewness: zero for a normal law."""
-        return self.statistic(Skewness())
-
-    @property
-    def kurtosis(self) -> Pytree:
-        """The kurtosis: 3 for a normal law."""
-        return self.statistic(Kurtosis())
-
-    def quantile(self, level: Scalar) -> Pytree:
-        """The value that the output stays below with the probability `level`."""
-        return self.statistic(Quantile(level))
-
-    def conditional_value_at_risk(self, level: Scalar, *, lower: bool = False) -> Pytree:
-        """The mean of the cases beyond the quantile at `level`; with `lower`, of those below it."""
-        return self.statistic(ConditionalValueAtRisk(level, lower=lower))
-
-    def probability(self, *, above: Scalar | None = None, below: Scalar | None = None) -> Pytree:
-        """The probability of more than `above`, of less than `below`, or of both at once."""
-        return self.statistic(Probability(above=above, below=below))
-
-    @property
-    def supremum(self) -> Pytree:
-        """The largest value over the support of bounded laws. Raises `ProblemError` for unbounded ones."""
-        return self.statistic(Supremum())
-
-    @property
-    def infimum(self) -> Pytree:
-        """The smallest value over the support of bounded laws. Raises `ProblemError` for unbounded ones."""
-        return self.statistic(Infimum())
-
-    def sobol(self, *variables: str) -> Pytree:
-        """The share of the variance that is due to exactly these inputs acting together, from 0 to 1 (Sobol index).
-
-        One name gives the first-order index. Raises `ProblemError` for correlated inputs and unknown ones.
-        """
-        return self.statistic(Sobol(variables))
-
-    def total_sobol(self, variable: str) -> Pytree:
-        """The share of the variance to which an input contributes, alone or together with others, from 0 to 1.
-
-        Raises `ProblemError` for correlated inputs and unknown ones.
-        """
-        return self.statistic(TotalSobol(variable))
-
     @abc.abstractmethod
     def cdf(self, values: Float[Array, " n"]) -> Pytree:
         """The distribution function: the probability of less than each value, shape (n, *shape) of each output."""
@@ -163,10 +87,6 @@ class AbstractExpanded(eqx.Module):
     @abc.abstractmethod
     def pdf(self, values: Float[Array, " n"]) -> Pytree:
         """The probability density at each value, per unit of the output: shape (n, *shape) of each output."""
-
-    def cornish_fisher(self, level: Scalar) -> Pytree:
-        """An approximate quantile from the first four moments, good if the law is not far from normal."""
-        return self.statistic(CornishFisher(level))
 
     def covariance(self, first: str, second: str) -> Array:
         """The covariance of two outputs of one shape, entry by entry."""

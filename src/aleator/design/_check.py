@@ -11,7 +11,8 @@ import jax.numpy as jnp
 
 from aleator._core.arrays import numbers_to_arrays
 from aleator._core.equations import array_digest, equations_text
-from aleator._core.errors import ProblemError
+from aleator._core.errors import AleatorError, ProblemError
+from aleator._core.given import traceable
 from aleator.design._cost import CostCurve
 from aleator.design._declaration import AbstractProblem
 from aleator.design._expression import Expression
@@ -185,6 +186,8 @@ def _evaluated(expression: Expression, scope: AbstractScope, written: Expression
     """The value of a traced expression, which cannot be printed; `written` can."""
     try:
         return jnp.asarray(expression.evaluate(scope))
+    except AleatorError:
+        raise
     except (TypeError, ValueError) as error:
         raise ProblemError(f"The terms of '{written}' have shapes that do not go together: {error}") from error
 
@@ -206,7 +209,8 @@ class _ShapeScope(AbstractScope):
         integrals: dict[AbstractFunctional, jax.Array] = {}
         if isinstance(functional, AbstractIntegral):
             integrals[functional] = functional.integrand({name: one[0] for name, one in self._outputs.items()})
-        return functional.evaluate(Taken(self._outputs, integrals), self._grid)
+        value = functional.evaluate(Taken(self._outputs, integrals), self._grid)
+        return traceable(f"{type(functional).__name__}.evaluate", value)
 
     def time_integral(self, expression: Expression) -> jax.Array:
         return expression.evaluate(self)[0]

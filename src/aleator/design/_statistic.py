@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, final
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 from typing_extensions import override
@@ -14,27 +15,10 @@ from aleator.design._expression import Constraint, Expression, number_given, ord
 from aleator.design._extreme import Extreme
 from aleator.design._scope import AbstractAtom, AbstractRandom, AbstractScope, Units
 from aleator.dynamics import AbstractGrid, History
-from aleator.statistics import (
-    AbstractStatistic,
-    ConditionalValueAtRisk,
-    CornishFisher,
-    Correlation,
-    Covariance,
-    Infimum,
-    Kurtosis,
-    Mean,
-    Probability,
-    Quantile,
-    Skewness,
-    Sobol,
-    Std,
-    Supremum,
-    TotalSobol,
-    Variance,
-)
+from aleator.statistics import AbstractMeasured, AbstractStatistic, Correlation, Covariance, Std
 
 
-class AbstractFunctional(AbstractRandom):
+class AbstractFunctional(AbstractRandom, AbstractMeasured[Expression]):
     """A quantity of an output, or of several, taken on each realisation. Made by `integral`, `rms`, `terminal`, ...
 
     Its statistics over the uncertainty (`mean`, `std`, `quantile(0.99)`, `supremum`, ...) are to be added, multiplied
@@ -46,6 +30,11 @@ class AbstractFunctional(AbstractRandom):
     def __check_init__(self) -> None:
         for name in self.outputs:
             name_given(name)
+        if found := [jax.tree_util.keystr(path) for path, _ in jax.tree_util.tree_leaves_with_path(self)]:
+            raise ProblemError(
+                f"{type(self).__name__}: expected numbers that tell one functional from another, such as "
+                f"`target: float = eqx.field(static=True)`; received {', '.join(found)} without it."
+            )
 
     @property
     def output(self) -> str:
@@ -78,64 +67,9 @@ class AbstractFunctional(AbstractRandom):
         """Whether it is taken over time, of which algebraic systems have none."""
         return True
 
-    @property
-    def mean(self) -> Expression:
-        """The expected value, equation (98)."""
-        return statistic(Mean(), self)
-
-    @property
-    def std(self) -> Expression:
-        """The standard deviation, equation (99)."""
-        return statistic(Std(), self)
-
-    @property
-    def variance(self) -> Expression:
-        """The variance, equation (97)."""
-        return statistic(Variance(), self)
-
-    @property
-    def skewness(self) -> Expression:
-        """The third central moment over `std**3`: positive where the upper tail is the longer one."""
-        return statistic(Skewness(), self)
-
-    @property
-    def kurtosis(self) -> Expression:
-        """The fourth central moment over `std**4`: 3 for a normal law."""
-        return statistic(Kurtosis(), self)
-
-    @property
-    def supremum(self) -> Expression:
-        """The largest value of its expansion, for bounded distributions (equation 88): the model's may be larger."""
-        return statistic(Supremum(), self)
-
-    @property
-    def infimum(self) -> Expression:
-        """The smallest value of its expansion, for bounded distributions (equation 88): the model's may be smaller."""
-        return statistic(Infimum(), self)
-
-    def quantile(self, level: float) -> Expression:
-        """The value that is not exceeded with probability `level`, between 0 and 1."""
-        return statistic(Quantile(level), self)
-
-    def cornish_fisher(self, level: float) -> Expression:
-        """The quantile at `level` from the first four moments: smooth, and good close to a normal law."""
-        return statistic(CornishFisher(level), self)
-
-    def probability(self, *, above: float | None = None, below: float | None = None) -> Expression:
-        """The probability that it lies above a threshold, below one, or between the two."""
-        return statistic(Probability(above=above, below=below), self)
-
-    def conditional_value_at_risk(self, level: float, *, lower: bool = False) -> Expression:
-        """The mean of what lies above the quantile at `level`, or with `lower` below it."""
-        return statistic(ConditionalValueAtRisk(level, lower=lower), self)
-
-    def sobol(self, *variables: str) -> Expression:
-        """The share of the variance that a germ variable explains, or that several explain by acting together."""
-        return statistic(Sobol(variables), self)
-
-    def total_sobol(self, variable: str) -> Expression:
-        """The share of the variance that a germ variable takes part in, alone or with others."""
-        return statistic(TotalSobol(variable), self)
+    @override
+    def statistic(self, kind: AbstractStatistic) -> Expression:
+        return statistic(kind, self)
 
     def at_most(
         self, upper: float, *, sigmas: float = 0.0, probability: float | None = None, worst_case: bool = False

@@ -12,7 +12,9 @@ from aleator.nlp._program import Evaluation as Evaluation
 from aleator.nlp._program import Hessian as Hessian
 from aleator.nlp._program import Magnitudes as Magnitudes
 from aleator.nlp._program import NonlinearProgram as NonlinearProgram
+from aleator.nlp._scaling import ScaledProgram as ScaledProgram
 from aleator.nlp._slsqp import Slsqp as Slsqp
 from aleator.nlp._solver import AbstractSolver as AbstractSolver
 from aleator.nlp._unmoved import moved_on as moved_on
 from aleator.nlp._verdict import HELD as HELD
+from aleator.nlp._verdict import Answer as Answer

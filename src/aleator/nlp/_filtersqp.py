@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import final
 
 import numpy as np
+from typing_extensions import override
 
 from aleator._core import given
 from aleator._core.errors import MissingExtraError
@@ -37,13 +38,17 @@ class FilterSQP(AbstractSolver):
         super().__post_init__()
         given.positive("FilterSQP: radius", self.radius)
 
-    def _require(self) -> None:
+    @override
+    def require(self) -> None:
         load_unopy("FilterSQP")
 
-    def _name(self) -> str:
+    @property
+    @override
+    def name(self) -> str:
         return f"filterSQP (Uno {uno_version('FilterSQP')})"
 
-    def _minimise(self, scaled: ScaledProgram, multipliers: np.ndarray | None) -> Answer:
+    @override
+    def minimise(self, scaled: ScaledProgram, multipliers: np.ndarray | None) -> Answer:
         pattern = pattern_of(scaled.structure)
         answer = self._solved(scaled, pattern, scaled.start, multipliers, self.max_iterations)
         while pattern.outgrown and scaled.evaluations.halt is None and answer.iterations < self.max_iterations:

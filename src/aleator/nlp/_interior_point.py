@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import final
 
 import numpy as np
+from typing_extensions import override
 
 from aleator.nlp._pattern import pattern_of
 from aleator.nlp._scaling import ScaledProgram
@@ -22,13 +23,17 @@ class InteriorPoint(AbstractSolver):
     MUMPS.
     """
 
-    def _require(self) -> None:
+    @override
+    def require(self) -> None:
         load_unopy("InteriorPoint")
 
-    def _name(self) -> str:
+    @property
+    @override
+    def name(self) -> str:
         return f"interior points (Uno {uno_version('InteriorPoint')})"
 
-    def _minimise(self, scaled: ScaledProgram, multipliers: np.ndarray | None) -> Answer:
+    @override
+    def minimise(self, scaled: ScaledProgram, multipliers: np.ndarray | None) -> Answer:
         return run_uno(
             "ipopt",
             scaled,

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import Any, final
 
 import numpy as np
+from typing_extensions import override
 
 from aleator.nlp._casadi import callbacks_of
 from aleator.nlp._outcome import Status
@@ -30,12 +31,15 @@ class Ipopt(AbstractSolver):
     large-scale nonlinear programming". Points that cannot be evaluated shorten the step.
     """
 
-    def _name(self) -> str:
+    @property
+    @override
+    def name(self) -> str:
         import casadi
 
         return f"IPOPT (CasADi {casadi.CasadiMeta.version()})"
 
-    def _minimise(self, scaled: ScaledProgram, multipliers: np.ndarray | None) -> Answer:
+    @override
+    def minimise(self, scaled: ScaledProgram, multipliers: np.ndarray | None) -> Answer:
         import casadi
 
         z = casadi.MX.sym("z", scaled.size)

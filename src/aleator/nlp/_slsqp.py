@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple, final
 
 import numpy as np
+from typing_extensions import override
 
 from aleator._core import given
 from aleator._core.errors import ProblemError
@@ -60,12 +61,15 @@ class Slsqp(AbstractSolver):
         super().__post_init__()
         given.whole("Slsqp: max_rounds", self.max_rounds)
 
-    def _name(self) -> str:
+    @property
+    @override
+    def name(self) -> str:
         import scipy
 
         return f"SLSQP (SciPy {scipy.__version__})"
 
-    def _minimise(self, scaled: ScaledProgram, multipliers: np.ndarray | None) -> Answer:
+    @override
+    def minimise(self, scaled: ScaledProgram, multipliers: np.ndarray | None) -> Answer:
         del multipliers  # SLSQP cannot use any.
         if scaled.size > _MOST_DECISIONS:
             raise ProblemError(

@@ -70,7 +70,7 @@ class AbstractSolver(abc.ABC):
         which ends the solve with `Status.INTERRUPTED`.
         """
         began = time.perf_counter()
-        self._require()
+        self.require()
         start = program.start if start is None else _checked("start", start, program.start.shape)
         if multipliers is not None:
             multipliers = _checked("multipliers", multipliers, program.constraint_lower.shape)
@@ -78,21 +78,22 @@ class AbstractSolver(abc.ABC):
         with scaled.evaluations.noting_interrupts():
             answer = self._answer(scaled, multipliers)
             verdict = judge(scaled, answer, self.tolerance)
-        return _outcome(scaled, answer, verdict, self._name(), time.perf_counter() - began)
+        return _outcome(scaled, answer, verdict, self.name, time.perf_counter() - began)
 
     @abc.abstractmethod
-    def _minimise(self, scaled: ScaledProgram, multipliers: np.ndarray | None) -> Answer:
+    def minimise(self, scaled: ScaledProgram, multipliers: np.ndarray | None) -> Answer:
         """Run the library from `scaled.start`.
 
         `multipliers` are scaled, shape (m_useful,), or None for a cold start. May raise
         `HaltedError` and `KeyboardInterrupt`.
         """
 
+    @property
     @abc.abstractmethod
-    def _name(self) -> str:
+    def name(self) -> str:
         """Name and version."""
 
-    def _require(self) -> None:  # noqa: B027 -- most solvers need nothing beyond the package's own dependencies
+    def require(self) -> None:  # noqa: B027 -- most solvers need nothing beyond the package's own dependencies
         """Raise `MissingExtraError` if the library is not installed."""
 
     def _answer(self, scaled: ScaledProgram, multipliers: np.ndarray | None) -> Answer:
@@ -142,7 +143,7 @@ class AbstractSolver(abc.ABC):
             left = self.max_iterations - spent
             share = left - left // _LEFT_OVER if rounds == 1 and left >= _WORTH_SHARING else left
             ran_in = scaled.scales
-            answer = dataclasses.replace(self, max_iterations=share)._minimise(scaled, multipliers)
+            answer = dataclasses.replace(self, max_iterations=share)._claimed(scaled, multipliers)
             spent += answer.iterations
             answer = answer._replace(iterations=spent)
             if scaled.evaluations.halt is not None or not scaled.is_finite(answer.point):
@@ -158,6 +159,22 @@ class AbstractSolver(abc.ABC):
             scaled.rescale(answer.point, better)
             known = judged_in.converted(answer.multipliers, better)
             multipliers = None if known is None else known.rows
+
+    def _claimed(self, scaled: ScaledProgram, multipliers: np.ndarray | None) -> Answer:
+        """What the library claims. Raises `ProblemError` for what is no answer to this program."""
+        try:
+            answer = self.minimise(scaled, multipliers)
+        except NotFiniteError:
+            return Answer(Status.EVALUATION_FAILED, scaled.start, None, 0, "a point that the model cannot be asked at")
+        who = f"{type(self).__name__}.minimise"
+        if not isinstance(answer, Answer):
+            raise ProblemError(f"{who}: expected an Answer; received {type(answer).__name__} {answer!r}.")
+        if np.shape(answer.point) != scaled.start.shape:
+            raise ProblemError(
+                f"{who}: expected a point of shape {scaled.start.shape}, that of `scaled.start`; "
+                f"received shape {np.shape(answer.point)}."
+            )
+        return answer
 
 
 def _outcome(scaled: ScaledProgram, answer: Answer, verdict: Verdict, solver: str, seconds: float) -> Outcome:

@@ -4,31 +4,20 @@ from typing import Any, TypeAlias, final
 
 import jax
 import numpy as np
+from typing_extensions import override
 
 from aleator._core.arrays import Pytree
 from aleator._core.errors import ProblemError
 from aleator.references._estimate import Estimate, estimate
 from aleator.references._outputs import Function, part
-from aleator.statistics import (
-    AbstractStatistic,
-    ConditionalValueAtRisk,
-    Correlation,
-    Covariance,
-    Kurtosis,
-    Mean,
-    Probability,
-    Quantile,
-    Skewness,
-    Std,
-    Variance,
-)
+from aleator.statistics import AbstractMeasured, AbstractStatistic, Correlation, Covariance
 
 Estimates: TypeAlias = Any
 """An `Estimate`, or a dict of them where the outputs are a dict."""
 
 
 @final
-class RandomSample:
+class RandomSample(AbstractMeasured[Estimates]):
     """Outputs of a function at random inputs: `sample.mean` prints as `0.65923 ± 0.00030`.
 
     - `values`: of each output, shape (samples, *shape), in the structure that the function gives;
@@ -57,45 +46,13 @@ class RandomSample:
         of_sample = statistic.of_sample if isinstance(statistic, AbstractStatistic) else statistic
         return jax.tree.map(lambda values: estimate(of_sample, values, self.groups), self.values)
 
-    @property
-    def mean(self) -> Estimates:
-        """The expected value."""
-        return self.estimate(Mean())
+    @override
+    def statistic(self, kind: AbstractStatistic) -> Estimates:
+        """An estimate of each output.
 
-    @property
-    def variance(self) -> Estimates:
-        """The variance."""
-        return self.estimate(Variance())
-
-    @property
-    def std(self) -> Estimates:
-        """The standard deviation."""
-        return self.estimate(Std())
-
-    @property
-    def skewness(self) -> Estimates:
-        """The skewness, 0 of a normal law."""
-        return self.estimate(Skewness())
-
-    @property
-    def kurtosis(self) -> Estimates:
-        """The kurtosis, 3 of a normal law."""
-        return self.estimate(Kurtosis())
-
-    def quantile(self, level: float) -> Estimates:
-        """The value that an output stays below with the probability `level`."""
-        return self.estimate(Quantile(level))
-
-    def probability(self, *, above: float | None = None, below: float | None = None) -> Estimates:
-        """The probability of lying above a threshold, below one, or between both.
-
-        Its standard error says nothing if the sample has no value, or all of them, there: it is then 0.
+        The standard error of a probability is 0, and says nothing, where all values of the sample lie there, or none.
         """
-        return self.estimate(Probability(above=above, below=below))
-
-    def conditional_value_at_risk(self, level: float, *, lower: bool = False) -> Estimates:
-        """The mean of the values beyond the quantile at `level`, or below it."""
-        return self.estimate(ConditionalValueAtRisk(level, lower=lower))
+        return self.estimate(kind)
 
     def covariance(self, first: str, second: str) -> Estimate:
         """The covariance of two outputs of one shape, by their names."""

@@ -6,6 +6,7 @@ from aleator.statistics._joint import CoefficientProduct as CoefficientProduct
 from aleator.statistics._joint import Correlation as Correlation
 from aleator.statistics._joint import Covariance as Covariance
 from aleator.statistics._lines import lines_through as lines_through
+from aleator.statistics._measured import AbstractMeasured as AbstractMeasured
 from aleator.statistics._moments import Mean as Mean
 from aleator.statistics._moments import Std as Std
 from aleator.statistics._moments import Variance as Variance

@@ -50,7 +50,8 @@ class Sobol(AbstractStatistic):
 
     def of_sample(self, values: Float[Array, "samples *shape"]) -> NoReturn:
         """Not to be had from one sample."""
-        _refuse_sample(values)
+        del values
+        _refuse_sample()
 
     @override
     def unit(self, *of: str) -> str:
@@ -86,7 +87,8 @@ class TotalSobol(AbstractStatistic):
 
     def of_sample(self, values: Float[Array, "samples *shape"]) -> NoReturn:
         """Not to be had from one sample."""
-        _refuse_sample(values)
+        del values
+        _refuse_sample()
 
     @override
     def unit(self, *of: str) -> str:
@@ -166,8 +168,8 @@ def place_of(basis: Basis, name: str) -> int:
     raise ProblemError(f"Sobol index: there is no germ variable '{name}'. {hint}")
 
 
-def _refuse_sample(values: Float[Array, "samples *shape"]) -> NoReturn:
+def _refuse_sample() -> NoReturn:
     raise ProblemError(
-        f"A Sobol index cannot be estimated from one sample of an output (here {len(values)} values), which does not "
-        "say where they come from: take it from an expansion, or by the pick-and-freeze estimate of the references."
+        "A Sobol index cannot be estimated from one sample of an output, which does not say which inputs its "
+        "values come from: take it from al.expand, or use al.sobol_indices."
     )

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 from typing_extensions import override
 
+from aleator._core.errors import ProblemError
 from aleator.design import (
     AbstractFunctional,
     AbstractScope,
@@ -63,7 +64,15 @@ class ExpansionScope(AbstractScope):
 
     @override
     def statistic(self, functionals: tuple[AbstractFunctional, ...], kind: AbstractStatistic) -> Float[Array, "..."]:
-        found = kind.of(joined([self._coefficients[one] for one in functionals]), self._constants.of(kind))
+        terms = joined([self._coefficients[one] for one in functionals])
+        found = jnp.asarray(kind.of(terms, self._constants.of(kind)))
+        # Those of several taken jointly stand along a last axis.
+        expected = terms.shape[1:] if len(functionals) == 1 else terms.shape[1:-1]
+        if found.shape != expected:
+            raise ProblemError(
+                f"{type(kind).__name__}.of: expected shape {expected} from coefficients of shape {terms.shape}, the "
+                f"first axis being that of the terms; received shape {found.shape}."
+            )
         self.taken.append(found)
         return found
 

@@ -17,6 +17,8 @@ from aleator.uncertainty._families import Beta as Beta
 from aleator.uncertainty._families import Gamma as Gamma
 from aleator.uncertainty._families import Normal as Normal
 from aleator.uncertainty._families import Uniform as Uniform
+from aleator.uncertainty._parameters import Canonical as Canonical
+from aleator.uncertainty._parameters import Form as Form
 from aleator.uncertainty._polynomials import AbstractGerm as AbstractGerm
 from aleator.uncertainty._polynomials import HermiteGerm as HermiteGerm
 from aleator.uncertainty._polynomials import JacobiGerm as JacobiGerm

@@ -53,7 +53,7 @@ class Triangular(AbstractDistribution):
         shared_name: str | None = None,
     ):
         given = {"lower": lower, "mode": mode, "upper": upper, "mean": mean, "half_width": half_width}
-        self._take(given, shared_name)
+        self.set_parameters(given, shared_name)
 
     def _is_possible(self, parameters: dict[str, float], shape: tuple[float, ...]) -> bool:
         del parameters
@@ -162,7 +162,7 @@ class TruncatedNormal(AbstractDistribution):
         upper: Any = np.inf,
         shared_name: str | None = None,
     ):
-        self._take({"location": location, "scale": scale, "lower": lower, "upper": upper}, shared_name)
+        self.set_parameters({"location": location, "scale": scale, "lower": lower, "upper": upper}, shared_name)
 
     def _is_possible(self, parameters: dict[str, float], shape: tuple[float, ...]) -> bool:
         del parameters

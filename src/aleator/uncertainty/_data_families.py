@@ -57,7 +57,7 @@ class Density(AbstractDistribution):
         ends = _ends(lower, upper)
         self.xi = DensityGerm(function, *ends)
         self.xi.recurrence(1)
-        self._take({"location": location, "scale": scale}, shared_name)
+        self.set_parameters({"location": location, "scale": scale}, shared_name)
 
     @override
     def germ(self) -> AbstractGerm:
@@ -143,7 +143,7 @@ class Sample(AbstractDistribution):
 
     def __init__(self, data: Any, *, location: Any = 0.0, scale: Any = 1.0, shared_name: str | None = None):
         self.xi = SampleGerm(_data(data))
-        self._take({"location": location, "scale": scale}, shared_name)
+        self.set_parameters({"location": location, "scale": scale}, shared_name)
 
     @override
     def germ(self) -> AbstractGerm:

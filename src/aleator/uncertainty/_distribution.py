@@ -43,7 +43,7 @@ class AbstractDistribution(AbstractLeaf):
     REACHES_ENDS: ClassVar[bool] = True
     """Whether values come so close to a finite end of the support that physics must stand the end itself."""
 
-    def _take(self, given: dict[str, Any], shared_name: str | None) -> None:
+    def set_parameters(self, given: dict[str, Any], shared_name: str | None) -> None:
         """Store the parameters that were given, after checking that they make a law."""
         parameters = {name: plain(name, value, type(self)) for name, value in given.items() if value is not None}
         self.parameters = parameters

@@ -48,7 +48,7 @@ class Uniform(AbstractDistribution):
                 f"received a second number without a name, {unnamed!r}."
             )
         given = {"mean": mean, "half_width": half_width, "std": std, "lower": lower, "upper": upper}
-        self._take(given, shared_name)
+        self.set_parameters(given, shared_name)
 
     @classmethod
     def bounds(cls, lower: Any, upper: Any) -> Self:
@@ -85,7 +85,7 @@ class Normal(AbstractDistribution):
     FORMS: ClassVar[dict[tuple[str, ...], Form]] = {("mean", "std"): Form(lambda mean, std: Canonical(mean, std))}
 
     def __init__(self, mean: Any = None, std: Any = None, *, shared_name: str | None = None):
-        self._take({"mean": mean, "std": std}, shared_name)
+        self.set_parameters({"mean": mean, "std": std}, shared_name)
 
     @override
     def germ(self) -> AbstractGerm:
@@ -143,7 +143,7 @@ class Beta(AbstractDistribution):
         shared_name: str | None = None,
     ):
         given = {"alpha": alpha, "beta": beta, "mean": mean, "std": std, "lower": lower, "upper": upper}
-        self._take(given, shared_name)
+        self.set_parameters(given, shared_name)
 
     @override
     def germ(self) -> AbstractGerm:
@@ -206,7 +206,7 @@ class Gamma(AbstractDistribution):
         lower: Any = 0.0,
         shared_name: str | None = None,
     ):
-        self._take({"shape": shape, "scale": scale, "mean": mean, "std": std, "lower": lower}, shared_name)
+        self.set_parameters({"shape": shape, "scale": scale, "mean": mean, "std": std, "lower": lower}, shared_name)
 
     @override
     def germ(self) -> AbstractGerm:

@@ -31,7 +31,7 @@ class Exponential(AbstractDistribution):
     REQUIRES: ClassVar[str] = "a finite mean above lower, or a finite rate above 0"
 
     def __init__(self, *, mean: Any = None, rate: Any = None, lower: Any = 0.0, shared_name: str | None = None):
-        self._take({"mean": mean, "rate": rate, "lower": lower}, shared_name)
+        self.set_parameters({"mean": mean, "rate": rate, "lower": lower}, shared_name)
 
     @override
     def germ(self) -> AbstractGerm:
@@ -95,7 +95,7 @@ class LogNormal(AbstractDistribution):
         shared_name: str | None = None,
     ):
         given = {"mean": mean, "std": std, "median": median, "log_mean": log_mean, "log_std": log_std, "lower": lower}
-        self._take(given, shared_name)
+        self.set_parameters(given, shared_name)
 
     @override
     def value(self, germ: Float[Array, ""], reference: tuple[Scalar, ...] | None = None) -> Float[Array, ""]:
@@ -158,7 +158,7 @@ class Weibull(AbstractDistribution):
         lower: Any = 0.0,
         shared_name: str | None = None,
     ):
-        self._take({"scale": scale, "shape": shape, "mean": mean, "std": std, "lower": lower}, shared_name)
+        self.set_parameters({"scale": scale, "shape": shape, "mean": mean, "std": std, "lower": lower}, shared_name)
 
     @override
     def germ(self) -> AbstractGerm:
@@ -216,7 +216,7 @@ class Gumbel(AbstractDistribution):
         std: Any = None,
         shared_name: str | None = None,
     ):
-        self._take({"location": location, "scale": scale, "mean": mean, "std": std}, shared_name)
+        self.set_parameters({"location": location, "scale": scale, "mean": mean, "std": std}, shared_name)
 
     @override
     def germ(self) -> AbstractGerm:

@@ -90,7 +90,7 @@ class Toleranced(AbstractDistribution):
         if cp is None and sigmas is None:
             cp = 1.0
         zone = {"nominal": nominal, "tolerance": tolerance, "plus": plus, "minus": minus}
-        self._take(zone | {"cp": cp, "sigmas": sigmas, "cpk": cpk}, shared_name)
+        self.set_parameters(zone | {"cp": cp, "sigmas": sigmas, "cpk": cpk}, shared_name)
 
     @override
     def canonical(self) -> Canonical:

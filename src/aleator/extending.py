@@ -1,0 +1,29 @@
+"""What you write your own distributions, statistics, functionals, solvers and studies from; see `docs/extending.md`.
+
+    from aleator import extending as ext
+
+Signals, trajectories and covariances of your own derive from `al.AbstractSignal`, `al.AbstractTrajectory` and
+`al.AbstractCovariance`.
+"""
+
+from aleator._core.progress import Progress as Progress
+from aleator.cli import run_study as run_study
+from aleator.design import AbstractFunctional as AbstractFunctional
+from aleator.design import AbstractIntegral as AbstractIntegral
+from aleator.design import Taken as Taken
+from aleator.expansion import Basis as Basis
+from aleator.nlp import AbstractSolver as AbstractSolver
+from aleator.nlp import Answer as Answer
+from aleator.nlp import ScaledProgram as ScaledProgram
+from aleator.reporting import Table as Table
+from aleator.reporting import save as save
+from aleator.statistics import AbstractStatistic as AbstractStatistic
+from aleator.studies import AbstractStudy as AbstractStudy
+from aleator.uncertainty import AbstractDistribution as AbstractDistribution
+from aleator.uncertainty import AbstractGerm as AbstractGerm
+from aleator.uncertainty import Canonical as Canonical
+from aleator.uncertainty import Form as Form
+from aleator.uncertainty import HermiteGerm as HermiteGerm
+from aleator.uncertainty import JacobiGerm as JacobiGerm
+from aleator.uncertainty import LaguerreGerm as LaguerreGerm
+from aleator.uncertainty import LegendreGerm as LegendreGerm

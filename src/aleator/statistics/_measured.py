@@ -1,0 +1,98 @@
+"""`AbstractMeasured`: what has statistics, the same by name wherever they come from."""
+
+import abc
+from typing import Generic, TypeVar
+
+from aleator._core.arrays import Scalar
+from aleator.statistics._extremes import Infimum, Supremum
+from aleator.statistics._moments import Mean, Std, Variance
+from aleator.statistics._shape import CornishFisher, Kurtosis, Skewness
+from aleator.statistics._sobol import Sobol, TotalSobol
+from aleator.statistics._statistic import AbstractStatistic
+from aleator.statistics._tails import ConditionalValueAtRisk, Probability, Quantile
+
+_Result = TypeVar("_Result", covariant=True)
+
+
+class AbstractMeasured(abc.ABC, Generic[_Result]):
+    """What differs from one realisation to the next: a functional of a problem, an expanded function, a sample.
+
+    Each says what `statistic` gives: an expression, numbers, estimates with their standard errors.
+    """
+
+    @abc.abstractmethod
+    def statistic(self, kind: AbstractStatistic) -> _Result:
+        """Any statistic, such as one of your own."""
+
+    @property
+    def mean(self) -> _Result:
+        """The expected value, equation (98)."""
+        return self.statistic(Mean())
+
+    @property
+    def std(self) -> _Result:
+        """The standard deviation, equation (99)."""
+        return self.statistic(Std())
+
+    @property
+    def variance(self) -> _Result:
+        """The variance, equation (97)."""
+        return self.statistic(Variance())
+
+    @property
+    def skewness(self) -> _Result:
+        """The third central moment over `std**3`: zero for a normal law, positive where the upper tail is the longer
+        one.
+        """
+        return self.statistic(Skewness())
+
+    @property
+    def kurtosis(self) -> _Result:
+        """The fourth central moment over `std**4`: 3 for a normal law."""
+        return self.statistic(Kurtosis())
+
+    @property
+    def supremum(self) -> _Result:
+        """The largest value: of an expansion, for bounded distributions (equation 88); the model's may be larger.
+
+        Raises `ProblemError` for an expansion in unbounded distributions.
+        """
+        return self.statistic(Supremum())
+
+    @property
+    def infimum(self) -> _Result:
+        """The smallest value: of an expansion, for bounded distributions (equation 88); the model's may be smaller.
+
+        Raises `ProblemError` for an expansion in unbounded distributions.
+        """
+        return self.statistic(Infimum())
+
+    def quantile(self, level: Scalar) -> _Result:
+        """The value that is not exceeded with probability `level`, between 0 and 1."""
+        return self.statistic(Quantile(level))
+
+    def cornish_fisher(self, level: Scalar) -> _Result:
+        """The quantile at `level` from the first four moments: smooth, and good close to a normal law."""
+        return self.statistic(CornishFisher(level))
+
+    def probability(self, *, above: Scalar | None = None, below: Scalar | None = None) -> _Result:
+        """The probability of more than `above`, of less than `below`, or of both at once."""
+        return self.statistic(Probability(above=above, below=below))
+
+    def conditional_value_at_risk(self, level: Scalar, *, lower: bool = False) -> _Result:
+        """The mean of what lies above the quantile at `level`, or with `lower` below it."""
+        return self.statistic(ConditionalValueAtRisk(level, lower=lower))
+
+    def sobol(self, *variables: str) -> _Result:
+        """The share of the variance that a germ variable explains, or that several explain by acting together.
+
+        Raises `ProblemError` for correlated and for unknown variables, and of a sample, which does not tell it.
+        """
+        return self.statistic(Sobol(variables))
+
+    def total_sobol(self, variable: str) -> _Result:
+        """The share of the variance that a germ variable takes part in, alone or with others.
+
+        Raises `ProblemError` for correlated and for unknown variables, and of a sample, which does not tell it.
+        """
+        return self.statistic(TotalSobol(variable))

@@ -1,0 +1,201 @@
+"""Distributions, statistics, functionals, solvers of one's own are used like ours; what is amiss is told in words."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax.scipy.special import ndtr
+
+import aleator as al
+from aleator import extending as ext
+from tiny_models import Decay
+
+
+class Arcsine(ext.AbstractDistribution):
+    FORMS: ClassVar = {("center", "amplitude"): ext.Form(lambda center, amplitude: ext.Canonical(center, amplitude))}
+
+    def __init__(self, center=None, amplitude=None, *, shared_name=None):
+        self.set_parameters({"center": center, "amplitude": amplitude}, shared_name)
+
+    def germ(self):
+        return ext.JacobiGerm(0.5, 0.5)
+
+    def from_normal(self, normal, shape):
+        return jnp.sin(jnp.pi * (ndtr(normal) - 0.5))
+
+    def mean(self):
+        return self.canonical().location
+
+    def std(self):
+        return self.canonical().scale / np.sqrt(2)
+
+    def support(self):
+        location, scale, _ = self.canonical()
+        return location - scale, location + scale
+
+
+class Spread(ext.AbstractStatistic):
+    """The standard deviation once more."""
+
+    symbol = "spread"
+
+    def of(self, coefficients, constants):
+        return jnp.sqrt(jnp.sum(coefficients[1:] ** 2, axis=0))
+
+    def of_sample(self, values):
+        return values.std(axis=0)
+
+
+class Misshapen(Spread):
+    def of(self, coefficients, constants):
+        return coefficients
+
+
+class Middle(ext.AbstractFunctional):
+    """An output in the middle of the time."""
+
+    def evaluate(self, taken, grid):
+        values = taken.history[self.output]
+        return values[len(values) // 2]
+
+    def text(self):
+        return f"{self.output} in the middle"
+
+
+class Worded(Middle):
+    def evaluate(self, taken, grid):
+        return "a number"
+
+
+class Traced(Middle):
+    weight: float = 1.0
+
+
+class Told(Middle):
+    weight: float = eqx.field(static=True, default=1.0)
+
+
+@dataclass(frozen=True)
+class Claiming(ext.AbstractSolver):
+    """Says that the start is the solution, whatever it is."""
+
+    shape: tuple[int, ...] | None = None
+    answers: bool = True
+
+    @property
+    def name(self):
+        return "claims"
+
+    def minimise(self, scaled, multipliers):
+        point = scaled.start if self.shape is None else np.zeros(self.shape)
+        return ext.Answer(al.Status.SOLVED, point, None, 1, "solved, I say") if self.answers else "done"
+
+
+def problem(minimize, rate=None, **more):
+    law = al.Uniform(al.Decision(1.0, 0.5, 2.0), half_width=0.1)
+    return al.Problem(Decay(law if rate is None else rate), grid=al.Grid(1.0, 20), minimize=minimize, **more)
+
+
+def test_moments_of_a_distribution_of_ones_own_are_those_of_its_closed_form():
+    expanded = al.expand(lambda at: jnp.stack([at["x"], at["x"] ** 2]), {"x": Arcsine(0.3, 0.2)})
+    # The square of an arcsine variable a + b s has the variance 4 a² b² / 2 + b⁴ / 8.
+    np.testing.assert_allclose(expanded.mean, [0.3, 0.3**2 + 0.2**2 / 2], rtol=1e-12)
+    np.testing.assert_allclose(expanded.variance, [0.2**2 / 2, 2 * 0.3**2 * 0.2**2 + 0.2**4 / 8], rtol=1e-12)
+
+
+def test_a_decision_in_a_distribution_of_ones_own_is_optimised():
+    found = al.solve(problem(al.terminal("x").std, rate=Arcsine(1.0, al.Decision(0.2, 0.05, 0.4))))
+    assert found.decisions["rate.amplitude"] == pytest.approx(0.05, abs=1e-6)
+
+
+def test_a_statistic_of_ones_own_is_that_of_functionals_of_expansions_and_of_samples():
+    laws = {"u": al.Normal(1.0, 0.3)}
+    expanded = al.expand(lambda at: at["u"] ** 2, laws)
+    assert float(expanded.statistic(Spread())) == pytest.approx(float(expanded.std), rel=1e-12)
+    sample = al.monte_carlo(lambda at: at["u"] ** 2, laws, 400, seed=0)
+    assert sample.statistic(Spread()).value == pytest.approx(np.asarray(sample.values).std(), rel=1e-9)
+    own, usual = (al.solve(problem(one)) for one in (al.terminal("x").statistic(Spread()), al.terminal("x").std))
+    assert own.objective == pytest.approx(usual.objective, rel=1e-9)
+    evidence = al.validate(own, 2000, seed=1)
+    assert evidence.agrees
+
+
+def test_a_statistic_of_another_shape_is_refused_with_the_shape():
+    with pytest.raises(al.ProblemError, match=r"Misshapen\.of: expected shape \(\) .* received shape"):
+        al.solve(problem(al.terminal("x").statistic(Misshapen())))
+
+
+def test_a_functional_of_ones_own_is_what_it_is_by_hand():
+    found = al.solve(problem(Middle(("x",)).mean))
+    # x(t) = exp(-rate t), the mean over rate ∈ [2 - 0.1, 2 + 0.1] at t = 0.5.
+    exact = (np.exp(-1.9 * 0.5) - np.exp(-2.1 * 0.5)) / (0.2 * 0.5)
+    assert found.objective == pytest.approx(exact, rel=1e-6)
+    assert "μ[x in the middle]" in str(found)
+
+
+def test_a_functional_that_gives_no_number_is_refused():
+    with pytest.raises(al.ProblemError, match=r"Worded\.evaluate: expected real numbers; received 'a number'"):
+        problem(Worded(("x",)).mean)
+
+
+def test_numbers_of_a_functional_are_to_tell_it_from_others():
+    assert Told(("x",), weight=2.0) != Told(("x",), weight=3.0)
+    with pytest.raises(al.ProblemError, match=r"Traced: expected .*static=True.*; received \.weight without it"):
+        Traced(("x",), weight=2.0)
+
+
+def test_what_a_solver_claims_is_not_believed():
+    found = al.solve(problem(al.terminal("x").mean), Claiming(), throw=False)
+    assert not found.ok
+    assert found.stationarity > 1e-3
+
+
+@pytest.mark.parametrize(
+    ("solver", "words"),
+    [
+        (Claiming(shape=(3,)), r"Claiming\.minimise: expected a point of shape \(1,\).*; received shape \(3,\)"),
+        (Claiming(answers=False), r"Claiming\.minimise: expected an Answer; received str 'done'"),
+    ],
+)
+def test_no_answer_is_refused_in_words(solver, words):
+    with pytest.raises(al.ProblemError, match=words):
+        al.solve(problem(al.terminal("x").mean), solver)
+
+
+@pytest.mark.parametrize(
+    "base", [ext.AbstractDistribution, ext.AbstractStatistic, ext.AbstractSolver, ext.AbstractStudy]
+)
+def test_a_method_that_is_forgotten_is_named(base):
+    forgetful = type("Forgetful", (base,), {})
+    with pytest.raises(TypeError, match=r"Forgetful.*abstract method"):
+        forgetful()
+
+
+def test_a_study_that_fails_keeps_what_it_has_and_says_why(tmp_path, capsys):
+    class Half(ext.AbstractStudy):
+        stages: ClassVar = {"first": 1.0, "second": 1.0}
+        design = None
+
+        def run(self, stage, progress):
+            if stage == "second":
+                raise al.ProblemError("There is no second.")
+            self.design = al.solve(problem(al.terminal("x").mean))
+
+        def save(self, folder):
+            return ext.save(folder, design=self.design)
+
+        def write_page(self, folder):
+            return al.report(self.design, path=folder / "report.html")
+
+        def tables(self):
+            return []
+
+        def headline(self):
+            return "Half of it."
+
+    assert ext.run_study(Half(), tmp_path) == 1
+    assert {path.name for path in tmp_path.iterdir()} >= {"results.nc", "designs.json", "report.html"}
+    assert "error during 'second': There is no second." in capsys.readouterr().err
