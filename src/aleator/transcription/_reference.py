@@ -1,6 +1,6 @@
 """A problem on a finer grid and by an integrator of another order: what its own grid is judged by."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -164,6 +164,7 @@ def grid_error(
     times = transcription.times(decisions)
     functionals = functionals_of(problem.expressions)
     reaches = dict(zip(functionals, finer.reaches, strict=True))
+    around = magnitudes_around(transcription, decisions)
     deviations = {}
     for i, one in enumerate(functionals):
         own = resolved[one.text()]
@@ -174,7 +175,7 @@ def grid_error(
         sizes = [*limits, *([spread] if spread > _NEGLIGIBLE_SPREAD * reach else [])]
         # What is to be zero, and is, has no magnitude of its own.
         alone = value if value > _NEGLIGIBLE_VALUE * reach else reach
-        size = max(min(sizes, default=alone), _ROUNDING * reach / accuracy, _TINY / accuracy)
+        size = max(min(sizes, default=alone), _ROUNDING * max(reach, around.get(one, 0.0)) / accuracy, _TINY / accuracy)
         when = float(times[int(np.argmax(change.reshape(len(times), -1).max(axis=1)))]) if one.is_path else np.nan
         largest = max(float(np.max(change)), shown.get(one.text(), 0.0))
         deviations[one.text()] = Deviation(_OWN_ERROR * largest, accuracy * size, when)
@@ -192,6 +193,35 @@ def grid_error(
     )
 
 
+def magnitudes_around(transcription: Sequential, decisions: Float[np.ndarray, " n"]) -> dict[Any, float]:
+    """How large functionals are around some decisions, as far as constraints on them tell.
+
+    What meets a bound of zero is there a difference of such numbers, with their rounding.
+    """
+    sizes = _row_sizes(transcription, decisions)
+    found: dict[Any, float] = {}
+    for one, rows in zip(transcription.problem.constraints, transcription.rows, strict=True):
+        size = float(np.max(sizes[rows], initial=0.0))
+        for functional, factor in _bounded_by(one):
+            found[functional] = max(found.get(functional, 0.0), size / factor)
+    return found
+
+
+def _row_sizes(transcription: Sequential, decisions: Float[np.ndarray, " n"]) -> Float[np.ndarray, " rows"]:
+    """The magnitude of each row of the constraints around some decisions."""
+    program = transcription.program
+    if program.magnitudes is None:
+        return np.ones(len(program.constraint_lower)) * program.constraint_scale
+    return program.magnitudes(decisions, program.evaluate(decisions)).size
+
+
+def _bounded_by(constraint: Constraint) -> Iterator[tuple[Any, float]]:
+    """The functionals that a constraint bounds in their own unit, and the magnitudes of their factors."""
+    for factor, atom in zip(constraint.expression.factors, constraint.expression.atoms, strict=True):
+        if isinstance(atom, Statistic) and atom.kind.speaks_of_one_system and float(factor) != 0:
+            yield from ((one, abs(float(factor))) for one in atom.functionals)
+
+
 def _at_least_1d(finer: Reference, which: int) -> tuple[np.ndarray, np.ndarray]:
     return np.atleast_1d(finer.means[which]), np.atleast_1d(finer.stds[which])
 
@@ -200,10 +230,9 @@ def _limits(problem: Problem, functional: Any) -> list[float]:
     """The bounds other than zero that a functional is held to, in its own unit."""
     found = []
     for one in problem.constraints:
-        for factor, atom in zip(one.expression.factors, one.expression.atoms, strict=True):
-            if isinstance(atom, Statistic) and functional in atom.functionals and atom.kind.speaks_of_one_system:
-                sizes = (abs(float(bound)) for bound in (one.lower, one.upper))
-                found += [size / abs(float(factor)) for size in sizes if 0 < size < np.inf and float(factor) != 0]
+        sizes = [abs(float(bound)) for bound in (one.lower, one.upper)]
+        for bounded, factor in _bounded_by(one):
+            found += [size / factor for size in sizes if bounded == functional and 0 < size < np.inf]
     return found
 
 
@@ -236,11 +265,8 @@ def _broken(
 
     What is the same on both grids is none of their error, however small what it is compared with.
     """
-    problem, program = transcription.problem, transcription.program
-    evaluation = program.evaluate(decisions)
-    sizes = np.ones(len(evaluation.constraints)) * program.constraint_scale
-    if program.magnitudes is not None:
-        sizes = program.magnitudes(decisions, evaluation).size
+    problem, evaluation = transcription.problem, transcription.program.evaluate(decisions)
+    sizes = _row_sizes(transcription, decisions)
     worst, sentence = accuracy, ""
     for one, rows, value in zip(problem.constraints, transcription.rows, finer.values[1:], strict=True):
         if is_over_time(one):
