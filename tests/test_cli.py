@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+import warnings
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -207,3 +208,23 @@ def test_the_modules_run_as_the_command_does(module):
         ended = subprocess.run([sys.executable, "-m", module, *arguments], capture_output=True, text=True, check=False)
         assert ended.returncode == code
         assert said in ended.stdout + ended.stderr
+
+
+class Doubtful(Rehearsal):
+    """A study whose first stage has doubts, of ours and of a library."""
+
+    def run(self, stage: str, progress: Progress) -> None:
+        super().run(stage, progress)
+        if stage == "first":
+            warnings.warn("On 10 steps 'x(t_f)' is off by 1.", al.GridWarning, stacklevel=2)
+            warnings.warn("a library's own", RuntimeWarning, stacklevel=2)
+
+
+def test_a_warning_is_a_sentence_without_the_place_in_the_code(monkeypatch, tmp_path):
+    with warnings.catch_warnings(record=True) as others:
+        warnings.simplefilter("always")
+        result = invoke(monkeypatch, Doubtful(), "--out", str(tmp_path))
+    assert result.exit_code == 0
+    assert "warning: On 10 steps 'x(t_f)' is off by 1." in result.output
+    assert "GridWarning" not in result.output
+    assert [str(one.message) for one in others] == ["a library's own"]

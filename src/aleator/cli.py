@@ -5,10 +5,11 @@ results are written in every case.
 """
 
 import time
+import warnings
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Annotated, final
+from typing import Annotated, Any, final
 
 import typer
 from rich.console import Console
@@ -16,7 +17,7 @@ from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, T
 from rich.table import Table as RichTable
 from rich.text import Text
 
-from aleator._core.errors import AleatorError, ProblemError
+from aleator._core.errors import AleatorError, AleatorWarning, ProblemError
 from aleator._core.interruption import Interruptions
 from aleator.reporting import PAGE, Table, check_writable, only_writer, words
 from aleator.studies import STUDIES, AbstractStudy, load
@@ -86,7 +87,23 @@ class _Run:
         self._finished, self._paths, self._refused = list[str](), list[Path](), False
 
     def execute(self, job: AbstractStudy, folder: Path) -> int:
-        """Run all stages, saving after each, write the page, and print the tables; returns the exit code."""
+        """Run all stages, saving after each, write the page, and print the tables; returns the exit code.
+
+        Warnings of ours are sentences for whoever runs a study: without the place in the code that they come from.
+        """
+        with warnings.catch_warnings():
+            elsewhere = warnings.showwarning
+
+            def show(message: Warning | str, category: type[Warning], *place: Any) -> None:
+                if issubclass(category, AleatorWarning):
+                    self._errors.print(Text.assemble(("warning", "bold yellow"), f": {message}"), soft_wrap=True)
+                else:
+                    elsewhere(message, category, *place)
+
+            warnings.showwarning = show
+            return self._executed(job, folder)
+
+    def _executed(self, job: AbstractStudy, folder: Path) -> int:
         self._folder = folder
         code = self._attempt(lambda: self._run_stages(job))
         code = self._attempt(lambda: self._write_page(job)) or code

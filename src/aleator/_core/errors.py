@@ -28,13 +28,17 @@ class MissingExtraError(AleatorError, ImportError):
     """An optional library is not installed; the message names the command that installs it."""
 
 
-class ExpansionWarning(UserWarning):
+class AleatorWarning(UserWarning):
+    """Base of every warning of `aleator`'s own."""
+
+
+class ExpansionWarning(AleatorWarning):
     """The expansion does not resolve an output well enough for its statistics to be trusted."""
 
 
-class GridWarning(UserWarning):
+class GridWarning(AleatorWarning):
     """The time grid is too coarse for the accuracy that is asked for."""
 
 
-class CalibrationWarning(UserWarning):
+class CalibrationWarning(AleatorWarning):
     """A calibration ended without a design that is confirmed to be violated no more often than asked."""
