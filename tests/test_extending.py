@@ -165,6 +165,163 @@ def test_no_answer_is_refused_in_words(solver, words):
         al.solve(problem(al.terminal("x").mean), solver)
 
 
+def margin(spread):
+    return 1.0 * spread
+
+
+SHARE = 1.0
+
+
+def share_of(basis):
+    return jnp.asarray(SHARE)
+
+
+class Kept(ext.AbstractStatistic):
+    """A margin that global code says."""
+
+    symbol = "kept"
+
+    def of(self, coefficients, constants):
+        return coefficients[0] - margin(jnp.sqrt(jnp.sum(coefficients[1:] ** 2, axis=0)))
+
+    def of_sample(self, values):
+        return values.mean(axis=0) - margin(values.std(axis=0))
+
+
+class Prepared(Kept):
+    @property
+    def preparation(self):
+        return share_of
+
+    def of(self, coefficients, constants):
+        return coefficients[0] - constants * jnp.sqrt(jnp.sum(coefficients[1:] ** 2, axis=0))
+
+    def of_sample(self, values):
+        return values.mean(axis=0) * jnp.nan
+
+
+def held(kind):
+    """The least mean of a normal number with deviation 0.1 whose statistic is one."""
+    law = al.Normal(al.Decision(2.0, 0.1, 3.0), 0.1)
+    limits = [al.output("y").statistic(kind) >= 1.0]
+    return al.solve(al.Problem(Plain(law), minimize=al.output("y").mean, subject_to=limits))
+
+
+class Plain(al.AlgebraicSystem):
+    x: al.Number
+
+    def outputs(self):
+        return {"y": self.x}
+
+
+def test_a_statistic_whose_code_or_preparation_has_changed_is_compiled_anew(monkeypatch):
+    assert held(Kept()).objective == pytest.approx(1.1, abs=1e-6)
+    monkeypatch.setitem(globals(), "margin", lambda spread: 3.0 * spread)
+    assert held(Kept()).objective == pytest.approx(1.3, abs=1e-6)
+    monkeypatch.setattr(Kept, "of", lambda self, c, k: c[0] - 5 * jnp.sqrt(jnp.sum(c[1:] ** 2, axis=0)))
+    assert held(Kept()).objective == pytest.approx(1.5, abs=1e-6)
+    assert held(Prepared()).objective == pytest.approx(1.1, abs=1e-6)
+    monkeypatch.setitem(globals(), "SHARE", 3.0)
+    assert held(Prepared()).objective == pytest.approx(1.3, abs=1e-6)
+
+
+def test_what_the_sample_gives_no_number_of_does_not_agree():
+    with pytest.warns(al.ExpansionWarning, match="nan"):
+        evidence = al.validate(held(Prepared()), 500, seed=0)
+    assert not evidence.agrees
+
+
+class Shaped(Arcsine):
+    FORMS: ClassVar = {
+        ("center", "amplitude"): ext.Form(lambda center, amplitude: ext.Canonical(center, amplitude, (2.0,)))
+    }
+
+
+CONTRADICTIONS = {
+    "germ": lambda self: ext.LegendreGerm(),
+    "from_normal": lambda self, normal, shape: normal,
+    "mean": lambda self: self.canonical().location + 5,
+    "std": lambda self: self.canonical().scale * 10,
+    "support": lambda self: (5.0, 6.0),
+}
+
+
+@pytest.mark.parametrize("name", CONTRADICTIONS)
+def test_a_distribution_that_contradicts_itself_is_refused(name):
+    wrong = type("Wrong", (Arcsine,), {name: CONTRADICTIONS[name], "__module__": __name__})
+    with pytest.raises(al.ProblemError, match=r"Wrong: its germ and its .* contradict each other"):
+        wrong(0.0, 1.0)
+
+
+def test_a_shape_without_transport_is_refused():
+    with pytest.raises(al.ProblemError, match=r"Shaped has a shape \(2\.0,\) and no transport"):
+        Shaped(0.0, 1.0)
+
+
+class Paths(Middle):
+    @property
+    def is_path(self):
+        return True
+
+
+class Raising(Middle):
+    def evaluate(self, taken, grid):
+        raise ValueError("bad thing")
+
+
+class Asking(Middle):
+    def evaluate(self, taken, grid):
+        return taken.history["foo"][-1]
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: problem(Raising(("x",)).mean), r"Raising\.evaluate raised ValueError: bad thing"),
+        (lambda: problem(Asking(("x",)).mean), r"Asking\.evaluate raised KeyError: 'foo'"),
+        (
+            lambda: problem(al.terminal("x").mean, subject_to=[Paths(("x",)).mean <= 1.0]),
+            r"Paths\.evaluate: expected one number an instant, 21 of them; received \(\)",
+        ),
+        (lambda: Middle("x"), r"Middle: expected the names of outputs as a tuple, .*; received 'x'"),
+        (lambda: al.terminal("x").statistic(3), r"expected a statistic, .*; received 3"),
+        (lambda: al.terminal("x").statistic(Spread), r"expected a statistic, .*Make one of the class first"),
+    ],
+)
+def test_misuse_is_told_in_words(make, words):
+    with pytest.raises(al.ProblemError, match=words):
+        make()
+
+
+@dataclass(frozen=True)
+class Meddling(Claiming):
+    """Moves the bounds to where it is."""
+
+    def minimise(self, scaled, multipliers):
+        scaled.lower[:] = scaled.start
+        return super().minimise(scaled, multipliers)
+
+
+@dataclass(frozen=True)
+class Listing(Claiming):
+    """Gives multipliers as it likes."""
+
+    def minimise(self, scaled, multipliers):
+        return super().minimise(scaled, multipliers)._replace(multipliers=[0.0])
+
+
+@pytest.mark.parametrize(
+    ("solver", "words"),
+    [
+        (Meddling(), r"Meddling\.minimise: expected the program as it was; received another `scaled\.lower`"),
+        (Listing(), r"Listing\.minimise: expected `multipliers` as Multipliers, or None; received \[0\.0\]"),
+    ],
+)
+def test_a_solver_neither_meddles_nor_answers_as_it_likes(solver, words):
+    with pytest.raises(al.ProblemError, match=words):
+        al.solve(problem(al.terminal("x").mean), solver)
+
+
 @pytest.mark.parametrize(
     "base", [ext.AbstractDistribution, ext.AbstractStatistic, ext.AbstractSolver, ext.AbstractStudy]
 )
@@ -174,14 +331,17 @@ def test_a_method_that_is_forgotten_is_named(base):
         forgetful()
 
 
-def test_a_study_that_fails_keeps_what_it_has_and_says_why(tmp_path, capsys):
+@pytest.mark.parametrize(
+    "mistake", [al.ProblemError("There is no second."), ValueError("a slip")], ids=["said", "slip"]
+)
+def test_a_study_that_fails_keeps_what_it_has_and_says_why(mistake, tmp_path, capsys):
     class Half(ext.AbstractStudy):
         stages: ClassVar = {"first": 1.0, "second": 1.0}
         design = None
 
         def run(self, stage, progress):
             if stage == "second":
-                raise al.ProblemError("There is no second.")
+                raise mistake
             self.design = al.solve(problem(al.terminal("x").mean))
 
         def save(self, folder):
@@ -196,6 +356,13 @@ def test_a_study_that_fails_keeps_what_it_has_and_says_why(tmp_path, capsys):
         def headline(self):
             return "Half of it."
 
-    assert ext.run_study(Half(), tmp_path) == 1
+    if isinstance(mistake, al.AleatorError):
+        assert ext.run_study(Half(), tmp_path) == 1
+    else:
+        # The place of a slip in a study's own code is worth a traceback, once everything is written.
+        with pytest.raises(ValueError, match="a slip"):
+            ext.run_study(Half(), tmp_path)
     assert {path.name for path in tmp_path.iterdir()} >= {"results.nc", "designs.json", "report.html"}
-    assert "error during 'second': There is no second." in capsys.readouterr().err
+    assert f"error during 'second': {'' if isinstance(mistake, al.AleatorError) else 'ValueError: '}{mistake}" in (
+        capsys.readouterr().err
+    )

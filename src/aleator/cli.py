@@ -85,6 +85,7 @@ class _Run:
         self.interruptions = Interruptions(self._last_words)
         self._stage, self._folder = "", Path()
         self._finished, self._paths, self._refused = list[str](), list[Path](), False
+        self._mistake: Exception | None = None
 
     def execute(self, job: AbstractStudy, folder: Path) -> int:
         """Run all stages, saving after each, write the page, and print the tables; returns the exit code.
@@ -109,8 +110,10 @@ class _Run:
         code = self._attempt(lambda: self._write_page(job)) or code
         if not self._interrupted(code):
             self.interruptions.rest()
-            self._print_results(job)
+            code = self._attempt(lambda: self._print_results(job)) or code
         if not self._interrupted(code):
+            if self._mistake is not None:
+                raise self._mistake
             return code
         self.interruptions.conclude()
         self._errors.print(self._last_words(), soft_wrap=True)
@@ -129,16 +132,21 @@ class _Run:
             # On its way through libraries, an interrupt may have become another exception.
             if self.interruptions.received is not None:
                 return self.interruptions.exit_code
-            if not isinstance(error, AleatorError | MemoryError):
+            if isinstance(error, OSError):
                 raise
-            self.complain(f"error{self._during()}", error)
+            if isinstance(error, AleatorError | MemoryError):
+                self.complain(f"error{self._during()}", error)
+                return FAILED
+            # A mistake in a study's own code: what it has finished is written before its place is told.
+            self._mistake = self._mistake or error
+            self.complain(f"error{self._during()}", f"{type(error).__name__}: {error}")
             return FAILED
         return 0
 
     def _during(self) -> str:
         return f" during '{self._stage}'" if self._stage else ""
 
-    def complain(self, what: str, error: Exception) -> None:
+    def complain(self, what: str, error: Exception | str) -> None:
         """Say what went wrong."""
         self._errors.print(Text.assemble((what, "bold red"), f": {error}"))
 
@@ -206,7 +214,7 @@ def _rich(table: Table) -> RichTable:
     """A report's table for the terminal."""
     shown = RichTable(*table.header, title=table.caption, caption=table.note, caption_justify="left")
     for row in table.rows:
-        shown.add_row(*row)
+        shown.add_row(*map(str, row))
     return shown
 
 

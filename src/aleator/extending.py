@@ -14,6 +14,7 @@ from aleator.design import Taken as Taken
 from aleator.expansion import Basis as Basis
 from aleator.nlp import AbstractSolver as AbstractSolver
 from aleator.nlp import Answer as Answer
+from aleator.nlp import Multipliers as Multipliers
 from aleator.nlp import ScaledProgram as ScaledProgram
 from aleator.reporting import Table as Table
 from aleator.reporting import save as save

@@ -2,7 +2,7 @@
 
 import hashlib
 from collections.abc import Iterator
-from functools import lru_cache, partial
+from functools import partial
 from pathlib import Path
 from types import FunctionType
 from typing import Any
@@ -15,7 +15,8 @@ from jax.extend.core import ClosedJaxpr
 # What equations that call Python code name it: `jax.pure_callback` and its like, and the rules of `jax.custom_vjp`.
 _OPAQUE = {"callback", "bwd", "fwd_jaxpr_thunk"}
 
-_OURS, _OF_JAX = Path(__file__).parents[1], Path(jax.__file__).parent
+# By its name and place: what JAX and decorators wrap around a user's rule passes for a function of theirs.
+_DERIVED = f"tangent_at_each_instant at {Path(__file__).parents[1] / 'dynamics' / '_instantaneous.py'}:"
 
 
 def equations_text(closed: ClosedJaxpr) -> str | None:
@@ -69,12 +70,12 @@ def _opaque() -> None:
 def _forward_rule(equation: Any) -> Iterator[Any]:
     """The rule of a `jax.custom_jvp` function, traced: it may hold numbers that do not show in the source.
 
-    Not so our own rules and those of JAX, which differentiate what stands in the equations. Tracing them would take
-    longer than tracing all the rest.
+    Not so the rule of functions of one instant, which differentiates what stands in the equations: tracing it would
+    take longer than tracing all the rest.
     """
     traced = equation.params["jvp_jaxpr_fun"]
     source = "" if traced.debug_info is None else traced.debug_info.func_src_info or ""
-    if _is_known(source):
+    if source.startswith(_DERIVED):
         yield source
         return
     variables = len(equation.invars) - equation.params["num_consts"]
@@ -82,14 +83,3 @@ def _forward_rule(equation: Any) -> Iterator[Any]:
     yield str(rule)
     yield from held
     yield from _hidden(rule, rules=False)
-
-
-@lru_cache(maxsize=256)
-def _is_known(source: str) -> bool:
-    """Whether a function, described as `name at file:line`, is our own or one of JAX.
-
-    Not what JAX wraps around a user's rules, nor a study's, which are written as a user's are.
-    """
-    file = Path(source.rpartition(" at ")[2].rpartition(":")[0])
-    ours, theirs = file.is_relative_to(_OURS), file.is_relative_to(_OF_JAX)
-    return (ours and not file.is_relative_to(_OURS / "studies")) or (theirs and file.name != "custom_derivatives.py")

@@ -17,7 +17,7 @@ from aleator.analysis._expanded_text import as_lines, contributors, law_rows, no
 from aleator.analysis._inputs import concrete
 from aleator.analysis._shapley import shapley_matrix
 from aleator.expansion import UNRESOLVED, Basis, Collocation, jackknife, leave_one_out, unseen
-from aleator.statistics import AbstractStatistic, cdf, lines_through, pdf, refuse_correlated, varies
+from aleator.statistics import AbstractStatistic, a_statistic, cdf, lines_through, pdf, refuse_correlated, varies
 from aleator.uncertainty import AbstractDistribution, AbstractGerm
 
 # Outputs that vary by less than this part of their size are constant, but for rounding.
@@ -53,7 +53,7 @@ class Expanded(AbstractExpanded):
     @override
     def statistic(self, kind: AbstractStatistic) -> Pytree:
         """Raises `ProblemError` for Sobol indices of correlated inputs."""
-        refuse_correlated(self.laws, kind)
+        refuse_correlated(self.laws, a_statistic(kind))
         numbers, rest = eqx.partition(numbers_to_arrays(kind), eqx.is_array)
 
         def of(numbers: Pytree, constants: Pytree, terms: Array) -> Array:

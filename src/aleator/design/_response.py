@@ -78,8 +78,8 @@ def sampled(
         taken = Taken(found.history, dict(zip(integrals, found.integrals, strict=True)))
         between = Taken(found.nodes, {})
         return Sampled(
-            tuple(functional.evaluate(taken, grid) for functional in functionals),
-            tuple(path.evaluate(between, grid) for path in paths),
+            tuple(jnp.asarray(functional.evaluate(taken, grid), dtype=float) for functional in functionals),
+            tuple(jnp.asarray(path.evaluate(between, grid), dtype=float) for path in paths),
         )
 
     return jax.vmap(one)(germ)

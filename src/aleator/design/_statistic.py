@@ -15,7 +15,7 @@ from aleator.design._expression import Constraint, Expression, number_given, ord
 from aleator.design._extreme import Extreme
 from aleator.design._scope import AbstractAtom, AbstractRandom, AbstractScope, Units
 from aleator.dynamics import AbstractGrid, History
-from aleator.statistics import AbstractMeasured, AbstractStatistic, Correlation, Covariance, Std
+from aleator.statistics import AbstractMeasured, AbstractStatistic, Correlation, Covariance, Std, a_statistic
 
 
 class AbstractFunctional(AbstractRandom, AbstractMeasured[Expression]):
@@ -28,6 +28,11 @@ class AbstractFunctional(AbstractRandom, AbstractMeasured[Expression]):
     outputs: tuple[str, ...] = eqx.field(static=True)
 
     def __check_init__(self) -> None:
+        if not isinstance(self.outputs, tuple):
+            raise ProblemError(
+                f"{type(self).__name__}: expected the names of outputs as a tuple, such as ('x',); "
+                f"received {self.outputs!r}."
+            )
         for name in self.outputs:
             name_given(name)
         if found := [jax.tree_util.keystr(path) for path, _ in jax.tree_util.tree_leaves_with_path(self)]:
@@ -69,7 +74,7 @@ class AbstractFunctional(AbstractRandom, AbstractMeasured[Expression]):
 
     @override
     def statistic(self, kind: AbstractStatistic) -> Expression:
-        return statistic(kind, self)
+        return statistic(a_statistic(kind), self)
 
     def at_most(
         self, upper: float, *, sigmas: float = 0.0, probability: float | None = None, worst_case: bool = False

@@ -95,7 +95,7 @@ def at_each_instant(
     def evaluated(given: Pytree, rows: Array) -> Pytree:
         return every(given, rows)
 
-    def tangent(primals: tuple[Pytree, Array], tangents: tuple[Pytree, Any]) -> tuple[Pytree, Pytree]:
+    def tangent_at_each_instant(primals: tuple[Pytree, Array], tangents: tuple[Pytree, Any]) -> tuple[Pytree, Pytree]:
         given, rows = primals
         given_dot, rows_dot = tangents
         values = every(given, rows)
@@ -108,7 +108,7 @@ def at_each_instant(
             change = jax.tree.map(jnp.add, change, direct)
         return values, change
 
-    evaluated.defjvp(tangent, symbolic_zeros=True)
+    evaluated.defjvp(tangent_at_each_instant, symbolic_zeros=True)
     return evaluated(numbers, known)
 
 

@@ -12,6 +12,7 @@ from aleator.nlp._program import Evaluation as Evaluation
 from aleator.nlp._program import Hessian as Hessian
 from aleator.nlp._program import Magnitudes as Magnitudes
 from aleator.nlp._program import NonlinearProgram as NonlinearProgram
+from aleator.nlp._scaling import Multipliers as Multipliers
 from aleator.nlp._scaling import ScaledProgram as ScaledProgram
 from aleator.nlp._slsqp import Slsqp as Slsqp
 from aleator.nlp._solver import AbstractSolver as AbstractSolver

@@ -13,7 +13,7 @@ from aleator.nlp._evaluations import HaltedError, NotFiniteError, NowhereFiniteE
 from aleator.nlp._outcome import Outcome, Status
 from aleator.nlp._program import NonlinearProgram
 from aleator.nlp._scaling import ScaledProgram
-from aleator.nlp._verdict import Answer, Verdict, better_scales, judge, settle
+from aleator.nlp._verdict import Answer, Verdict, better_scales, checked_answer, judge, settle
 
 # Each round of a steep start makes the objective flatter by many orders of magnitude.
 _MOST_ROUNDS = 4
@@ -22,6 +22,8 @@ _MOST_ROUNDS = 4
 _LEFT_OVER, _WORTH_SHARING = 4, 50
 # Solvers aim at this part of the tolerance: the scale in which they run is not yet that in which they are judged.
 _AIM = 1e-2
+# What a solver is given of a program.
+_GIVEN = ("start", "lower", "upper", "constraint_lower", "constraint_upper")
 # No solver arrives closer than this.
 _LEAST_AIM = 1e-13
 # A scale that differs from another by no more than this is no better.
@@ -162,19 +164,16 @@ class AbstractSolver(abc.ABC):
 
     def _claimed(self, scaled: ScaledProgram, multipliers: np.ndarray | None) -> Answer:
         """What the library claims. Raises `ProblemError` for what is no answer to this program."""
+        before = {name: getattr(scaled, name).copy() for name in _GIVEN}
         try:
             answer = self.minimise(scaled, multipliers)
         except NotFiniteError:
             return Answer(Status.EVALUATION_FAILED, scaled.start, None, 0, "a point that the model cannot be asked at")
         who = f"{type(self).__name__}.minimise"
-        if not isinstance(answer, Answer):
-            raise ProblemError(f"{who}: expected an Answer; received {type(answer).__name__} {answer!r}.")
-        if np.shape(answer.point) != scaled.start.shape:
-            raise ProblemError(
-                f"{who}: expected a point of shape {scaled.start.shape}, that of `scaled.start`; "
-                f"received shape {np.shape(answer.point)}."
-            )
-        return answer
+        # An answer is judged by them.
+        if changed := [name for name, kept in before.items() if not np.array_equal(getattr(scaled, name), kept)]:
+            raise ProblemError(f"{who}: expected the program as it was; received another `scaled.{changed[0]}`.")
+        return checked_answer(who, answer, scaled)
 
 
 def _outcome(scaled: ScaledProgram, answer: Answer, verdict: Verdict, solver: str, seconds: float) -> Outcome:

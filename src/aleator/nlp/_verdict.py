@@ -1,9 +1,12 @@
 """The verdict on a solver's answer: from what the point proves rather than from what the solver claims."""
 
-from typing import NamedTuple
+from numbers import Integral
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from aleator._core.errors import ProblemError
+from aleator._core.given import real_array
 from aleator.nlp._certificate import (
     Certificate,
     certify,
@@ -41,6 +44,28 @@ class Answer(NamedTuple):
     multipliers: Multipliers | None
     iterations: int
     message: str
+
+
+def checked_answer(who: str, answer: Any, scaled: ScaledProgram) -> Answer:
+    """An answer to a program. Raises `ProblemError` in the name of `who` for what is none."""
+    if not isinstance(answer, Answer):
+        raise ProblemError(f"{who}: expected an Answer; received {type(answer).__name__} {answer!r}.")
+    point = real_array(f"{who}: point", answer.point)
+    if point.shape != scaled.start.shape:
+        raise ProblemError(
+            f"{who}: expected a point of shape {scaled.start.shape}, that of `scaled.start`; "
+            f"received shape {point.shape}."
+        )
+    expected: tuple[tuple[str, Any, type], ...] = (
+        ("claim", answer.claim, Status),
+        ("multipliers", answer.multipliers, Multipliers | None),  # type: ignore[arg-type]
+        ("iterations", answer.iterations, Integral),
+    )
+    for name, value, kind in expected:
+        if not isinstance(value, kind):
+            what = getattr(kind, "__name__", "Multipliers, or None")
+            raise ProblemError(f"{who}: expected `{name}` as {what}; received {value!r}.")
+    return answer._replace(point=point)
 
 
 class Verdict(NamedTuple):

@@ -10,7 +10,7 @@ from aleator._core.arrays import Pytree
 from aleator._core.errors import ProblemError
 from aleator.references._estimate import Estimate, estimate
 from aleator.references._outputs import Function, part
-from aleator.statistics import AbstractMeasured, AbstractStatistic, Correlation, Covariance
+from aleator.statistics import AbstractMeasured, AbstractStatistic, Correlation, Covariance, a_statistic
 
 Estimates: TypeAlias = Any
 """An `Estimate`, or a dict of them where the outputs are a dict."""
@@ -52,7 +52,7 @@ class RandomSample(AbstractMeasured[Estimates]):
 
         The standard error of a probability is 0, and says nothing, where all values of the sample lie there, or none.
         """
-        return self.estimate(kind)
+        return self.estimate(a_statistic(kind))
 
     def covariance(self, first: str, second: str) -> Estimate:
         """The covariance of two outputs of one shape, by their names."""

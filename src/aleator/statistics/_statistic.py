@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from aleator._core.arrays import Pytree
+from aleator._core.errors import ProblemError
 from aleator.expansion import Basis
 
 Preparation: TypeAlias = Callable[[Basis], Pytree]
@@ -53,6 +54,14 @@ class AbstractStatistic(eqx.Module):
     def text(self, inside: str) -> str:
         """As mathematics: `μ[x]`."""
         return f"{self.symbol}[{inside}]"
+
+
+def a_statistic(given: Any) -> AbstractStatistic:
+    """A statistic as it is. Raises `ProblemError` for anything else."""
+    if isinstance(given, AbstractStatistic):
+        return given
+    made = " Make one of the class first." if isinstance(given, type) else ""
+    raise ProblemError(f"statistic: expected a statistic, such as al.extending's; received {given!r}.{made}")
 
 
 def entry_by_entry(

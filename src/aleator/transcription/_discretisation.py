@@ -13,6 +13,7 @@ from jaxtyping import Array, Float
 
 from aleator._core.arrays import numbers_to_arrays
 from aleator._core.compilation import Compiled, Use
+from aleator._core.libraries import is_library
 from aleator.design import (
     Problem,
     functionals_of,
@@ -56,7 +57,10 @@ def discretised(problem: Problem) -> Discretised:
     chooses = isinstance(expansion.index_set, Adaptive) or isinstance(expansion.fit, Sparse)
     needed = (one.kind.preparation for one in statistics_in(problem.expressions))
     preparations = tuple(dict.fromkeys(one for one in needed if one is not None))
-    found = _discretised(germs, expansion, preparations, _Outputs.of(problem) if chooses and germs else None)
+    outputs = _Outputs.of(problem) if chooses and germs else None
+    # What a preparation of one's own reads may have changed: then the problem's code has, and what stands for it.
+    own = problem.physics if not all(is_library(getattr(one, "__module__", "")) for one in preparations) else ""
+    found = _discretised(germs, expansion, preparations, outputs, own)
     # Outputs that follow from one instant are differentiated there, by the few numbers that are known.
     moves = isinstance(problem.system, System) and problem.system.states
     decided = problem.survey.vector("initial").size if moves else 0
@@ -71,8 +75,9 @@ Germs = tuple[tuple[str, AbstractGerm], ...]
 
 @lru_cache(maxsize=_KEPT)
 def _discretised(
-    germs: Germs, expansion: Expansion, preparations: tuple[Preparation, ...], outputs: "_Outputs | None"
+    germs: Germs, expansion: Expansion, preparations: tuple[Preparation, ...], outputs: "_Outputs | None", own: str
 ) -> Discretised:
+    del own
     basis, collocation = _collocated(germs, expansion, outputs)
     return Discretised(basis, collocation, Constants(preparations, tuple(one(basis) for one in preparations)))
 

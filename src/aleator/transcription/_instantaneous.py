@@ -192,7 +192,7 @@ class _Instant:
         now, chosen = jnp.split(numbers, [self.known.rows.shape[1]])
         system = realise(self.frozen.model, point, chosen).system.focused(_needed(functionals))
         taken = Taken(observed_at(system, self.known, now), {})
-        return tuple(one.evaluate(taken, self.problem.grid) for one in functionals)
+        return tuple(jnp.asarray(one.evaluate(taken, self.problem.grid), dtype=float) for one in functionals)
 
     def realised(
         self,

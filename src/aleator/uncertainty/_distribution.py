@@ -16,6 +16,8 @@ from aleator._core.arrays import Scalar
 from aleator._core.errors import ProblemError
 from aleator._core.given import a_name
 from aleator._core.leaves import AbstractLeaf, is_traced
+from aleator._core.libraries import is_library
+from aleator.uncertainty._contradictions import refuse_contradictions
 from aleator.uncertainty._decision import Decision
 from aleator.uncertainty._dependence import Dependence
 from aleator.uncertainty._parameters import Canonical, Form, brief, constant, plain
@@ -86,8 +88,16 @@ class AbstractDistribution(AbstractLeaf):
         location, spread, shape = self._numbers(start)
         if not (np.all(np.isfinite([location, spread])) and spread > 0 and self._is_possible(start, shape)):
             raise ProblemError(f"{type(self).__name__} needs {self.REQUIRES}; received {self}.")
+        own = type(self)
+        if shape and own.transport is AbstractDistribution.transport and own.value is AbstractDistribution.value:
+            raise ProblemError(
+                f"{type(self).__name__} has a shape {shape} and no transport(germ, source, target), by which values "
+                "move between shapes at equal probability: derivatives by the shape would be lost. Write one."
+            )
         for corner in self.corners():
             self._check_corner(start | corner, corner)
+        if not is_library(type(self).__module__):
+            refuse_contradictions(self.initial())
 
     def _is_possible(self, parameters: dict[str, float], shape: tuple[float, ...]) -> bool:
         """Whether a law of these parameters and this shape exists, whatever its location and spread."""

@@ -51,7 +51,8 @@ class Compared:
     @property
     def meets(self) -> bool | None:
         """Whether the limit is met, with 95 % confidence; None where the samples do not tell."""
-        if self.beyond > self.tolerance + self.reach * self.standard_error:
+        # What is no number meets nothing; the standard error of an extreme is none.
+        if np.isnan(self.beyond) or self.beyond > self.tolerance + self.reach * self.standard_error:
             return False
         return True if self.beyond + _CONFIDENT * self.standard_error <= self.tolerance else None
 

@@ -1,0 +1,42 @@
+"""What the methods of a distribution of one's own say must go together: its germ, its numbers and its normal values."""
+
+from typing import Any
+
+import jax
+import numpy as np
+from scipy import special
+
+from aleator._core.errors import ProblemError
+
+# Levels that are compared, and the part of a spread up to which numbers are the same.
+_LEVELS = np.array([0.02, 0.16, 0.5, 0.84, 0.98])
+_SAME = 1e-6
+
+
+def refuse_contradictions(distribution: Any) -> None:
+    """Raise `ProblemError` where a distribution of plain numbers says two things of itself, naming the method."""
+    with jax.ensure_compile_time_eval():
+        location, scale, shape = distribution.canonical()
+        germ = distribution.germ()
+        a, b = germ.recurrence(1)
+        low, high = germ.support()
+        quantiles = np.asarray(germ.quantile(_LEVELS), dtype=float)
+        normal = [float(distribution.from_normal(np.asarray(one), shape)) for one in special.ndtri(_LEVELS)]
+        said = {
+            f"from_normal at the levels {_LEVELS.tolist()}": (normal, quantiles),
+            "mean": (distribution.mean(), location + scale * a[0]),
+            "std": (distribution.std(), scale * b[1]),
+            "support": (distribution.support(), (location + scale * low, location + scale * high)),
+        }
+    for name, (given, expected) in said.items():
+        given, expected = np.asarray(given, dtype=float), np.asarray(expected, dtype=float)
+        size = 1.0 if name.startswith("from_normal") else abs(float(scale))
+        if not (given.shape == expected.shape and np.allclose(given, expected, rtol=_SAME, atol=_SAME * size)):
+            raise ProblemError(
+                f"{type(distribution).__name__}: its germ and its {name} contradict each other: expected "
+                f"{_brief(expected)} by germ(); received {_brief(given)}."
+            )
+
+
+def _brief(values: np.ndarray) -> str:
+    return ", ".join(f"{one:.6g}" for one in np.ravel(values))
