@@ -21,6 +21,7 @@ NOT_CALLED = {
     "Accelerations",
     "Actuation",
     "AleatorError",
+    "AleatorWarning",
     "AlgebraicSystem",
     "Ball",
     "Calibration",
