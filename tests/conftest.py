@@ -14,7 +14,7 @@ if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
 import jax
 from jaxtyping import install_import_hook
 
-# The hook rewrites modules as they are imported: it must come first. Uncertainty, collocation and statistics are left
+# The hook rewrites modules as they are imported: it must come first. Uncertainty, expansion and statistics are left
 # out: written for JAX arrays, they rightly work on plain floats and NumPy arrays too, on which their tests call them,
 # and a check of array types would refuse those.
 CHECKED = [

@@ -45,7 +45,7 @@ def run(
     out: Annotated[Path | None, typer.Option(help="Folder for the results.", show_default="results/STUDY")] = None,
 ) -> None:
     """Run a case study: solve, check by Monte Carlo, sweep, and write the report."""
-    raise typer.Exit(_run(lambda: load(study, quick=quick), out if out is not None else Path("results") / study))
+    raise typer.Exit(_executed(lambda: load(study, quick=quick), out if out is not None else Path("results") / study))
 
 
 def run_study(study: AbstractStudy, folder: str | Path) -> int:
@@ -54,10 +54,11 @@ def run_study(study: AbstractStudy, folder: str | Path) -> int:
     Stages are run in order, with progress; whatever is finished is saved into `folder` after each of them, also on
     Ctrl-C; then the page is written and the tables are printed.
     """
-    return _run(lambda: study, Path(folder))
+    return _executed(lambda: study, Path(folder))
 
 
-def _run(loaded: Callable[[], AbstractStudy], out: Path) -> int:
+def _executed(loaded: Callable[[], AbstractStudy], out: Path) -> int:
+    """Load a study and run it, with no other run writing into its folder; returns the exit code."""
     course = _Run()
     with ExitStack() as held:
         held.enter_context(course.interruptions)
@@ -102,9 +103,9 @@ class _Run:
                     elsewhere(message, category, *place)
 
             warnings.showwarning = show
-            return self._executed(job, folder)
+            return self._run_through(job, folder)
 
-    def _executed(self, job: AbstractStudy, folder: Path) -> int:
+    def _run_through(self, job: AbstractStudy, folder: Path) -> int:
         self._folder = folder
         code = self._attempt(lambda: self._run_stages(job))
         code = self._attempt(lambda: self._write_page(job)) or code

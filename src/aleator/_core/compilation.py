@@ -30,9 +30,9 @@ class Use(enum.Enum):
     """What a program is compiled for, and by which options of XLA on a CPU: compiling takes longer than most runs.
 
     - `LOOPS`: steps in time, again and again;
-    - `ROWS`: large equations without loops, again and again. Code for each operation by itself, in the place of the
-      emitters for several that are fused, is ready in two thirds of the time and no slower, but for loops (a fifth);
-    - `ONCE`: a few runs in all. Hardly optimised, it is ready in a quarter of the time.
+    - `ROWS`: large equations without loops, again and again. Without the emitters for fused operations, which make
+      loops faster and nothing else, it is ready sooner;
+    - `ONCE`: a few runs in all. Hardly optimised, it is ready much sooner.
     """
 
     LOOPS = _BARRIERS

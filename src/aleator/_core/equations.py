@@ -1,9 +1,9 @@
 """What traced code computes, as a text: two functions of the same text compute, and differentiate, the same."""
 
 import hashlib
+import inspect
 from collections.abc import Iterator
 from functools import partial
-from pathlib import Path
 from types import FunctionType
 from typing import Any
 
@@ -15,8 +15,9 @@ from jax.extend.core import ClosedJaxpr
 # What equations that call Python code name it: `jax.pure_callback` and its like, and the rules of `jax.custom_vjp`.
 _OPAQUE = {"callback", "bwd", "fwd_jaxpr_thunk"}
 
-# By its name and place: what JAX and decorators wrap around a user's rule passes for a function of theirs.
-_DERIVED = f"tangent_at_each_instant at {Path(__file__).parents[1] / 'dynamics' / '_instantaneous.py'}:"
+# Rules that say nothing beyond the equations, as JAX describes functions. Each is told by its very place: what JAX or a
+# decorator wraps around a user's rule passes for a function of theirs.
+_DERIVED: set[str] = set()
 
 
 def equations_text(closed: ClosedJaxpr) -> str | None:
@@ -33,6 +34,13 @@ def equations_text(closed: ClosedJaxpr) -> str | None:
             return None
         digest.update(part.encode() if isinstance(part, str) else array_digest(part).encode())
     return f"{closed.jaxpr}\n{digest.hexdigest()}"
+
+
+def derived(rule: FunctionType) -> FunctionType:
+    """A rule of a `jax.custom_jvp` function that holds nothing but what the function's own equations show."""
+    code = inspect.unwrap(rule).__code__
+    _DERIVED.add(f"{rule.__name__} at {code.co_filename}:{code.co_firstlineno}")
+    return rule
 
 
 def array_digest(array: Any) -> str:
@@ -70,12 +78,11 @@ def _opaque() -> None:
 def _forward_rule(equation: Any) -> Iterator[Any]:
     """The rule of a `jax.custom_jvp` function, traced: it may hold numbers that do not show in the source.
 
-    Not so the rule of functions of one instant, which differentiates what stands in the equations: tracing it would
-    take longer than tracing all the rest.
+    One that is `derived` does not, and tracing it may take longer than tracing all the rest.
     """
     traced = equation.params["jvp_jaxpr_fun"]
     source = "" if traced.debug_info is None else traced.debug_info.func_src_info or ""
-    if source.startswith(_DERIVED):
+    if source in _DERIVED:
         yield source
         return
     variables = len(equation.invars) - equation.params["num_consts"]

@@ -13,7 +13,6 @@ from aleator._core.arrays import numbers_to_arrays
 from aleator._core.equations import array_digest, equations_text
 from aleator._core.errors import AleatorError, ProblemError
 from aleator._core.given import traceable
-from aleator._core.libraries import is_library
 from aleator.design._cost import CostCurve
 from aleator.design._declaration import AbstractProblem
 from aleator.design._expression import Expression
@@ -22,7 +21,14 @@ from aleator.design._physics import Digest, physics_of, uncertain_parts
 from aleator.design._realisations import refuse_trouble
 from aleator.design._response import grid_at, history
 from aleator.design._scope import AbstractScope, Value
-from aleator.design._statistic import AbstractFunctional, Taken, functionals_of, joined, statistics_in
+from aleator.design._statistic import (
+    AbstractFunctional,
+    Taken,
+    functionals_of,
+    has_own_statistics,
+    joined,
+    statistics_in,
+)
 from aleator.design._units import refuse_clashes
 from aleator.dynamics import AbstractIntegrator, AlgebraicSystem, Grid, Instant, System, called, check_signals
 from aleator.expansion import Expansion
@@ -60,8 +66,9 @@ def _digest(problem: AbstractProblem) -> Digest:
     texts = [physics, _check_shapes(whole, outputs)]
     told = "\n".join(text or "" for text in texts)
     # Statistics of one's own are not in these equations: problems with such are told apart by what their code reads.
-    whole = all(is_library(type(one.kind).__module__) for one in statistics_in(problem.expressions))
-    return Digest(hashlib.sha256(told.encode()).hexdigest(), whole and None not in texts)
+    return Digest(
+        hashlib.sha256(told.encode()).hexdigest(), None not in texts and not has_own_statistics(whole.expressions)
+    )
 
 
 def _check_types(problem: AbstractProblem) -> None:

@@ -44,6 +44,11 @@ class AbstractProblem(eqx.Module):
         return Model(self.system, self.inputs, self.grid)
 
     @property
+    def is_integrated(self) -> bool:
+        """Whether its system has states, which are integrated over time."""
+        return isinstance(self.system, System) and bool(self.system.states)
+
+    @property
     def survey(self) -> Survey:
         """Its distributions and decisions."""
         return survey(self.model)

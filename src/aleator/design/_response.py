@@ -13,7 +13,7 @@ from aleator.design._declaration import AbstractProblem
 from aleator.design._expression import Expression
 from aleator.design._functionals import AbstractIntegral
 from aleator.design._scope import AbstractScope, AbstractScopeOfInstants
-from aleator.design._statistic import AbstractFunctional, Statistic, Taken
+from aleator.design._statistic import AbstractFunctional, Statistic, Taken, numbers_of
 from aleator.dynamics import AbstractGrid, AlgebraicSystem, Asked, Grid, History, explain_failure, record, simulate
 from aleator.statistics import AbstractStatistic
 from aleator.uncertainty import at_means, named_numbers, realise
@@ -78,8 +78,8 @@ def sampled(
         taken = Taken(found.history, dict(zip(integrals, found.integrals, strict=True)))
         between = Taken(found.nodes, {})
         return Sampled(
-            tuple(jnp.asarray(functional.evaluate(taken, grid), dtype=float) for functional in functionals),
-            tuple(jnp.asarray(path.evaluate(between, grid), dtype=float) for path in paths),
+            numbers_of(functionals, taken, grid),
+            numbers_of(paths, between, grid),
         )
 
     return jax.vmap(one)(germ)

@@ -1,7 +1,7 @@
 """Functionals have statistics: `AbstractFunctional`, what each of its kinds shares, and `Statistic`, an atom."""
 
 import abc
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple, final
 
 import equinox as eqx
@@ -11,6 +11,7 @@ from jaxtyping import Array, Float
 from typing_extensions import override
 
 from aleator._core.errors import ProblemError
+from aleator._core.libraries import is_library
 from aleator.design._expression import Constraint, Expression, number_given, ordered
 from aleator.design._extreme import Extreme
 from aleator.design._scope import AbstractAtom, AbstractRandom, AbstractScope, Units
@@ -237,6 +238,18 @@ def integrated_paths(expressions: tuple[Expression, ...]) -> tuple[AbstractFunct
 def statistics_in(expressions: tuple[Expression, ...]) -> tuple[Statistic, ...]:
     """All statistics that stand in some expressions, in order of appearance."""
     return tuple(atom for one in expressions for atom in one.leaves if isinstance(atom, Statistic))
+
+
+def has_own_statistics(expressions: tuple[Expression, ...]) -> bool:
+    """Whether statistics stand in some expressions that are a user's own code."""
+    return not all(is_library(type(one.kind).__module__) for one in statistics_in(expressions))
+
+
+def numbers_of(
+    functionals: Iterable[AbstractFunctional], taken: Taken, grid: AbstractGrid
+) -> tuple[Float[Array, "..."], ...]:
+    """What functionals give of one realisation, as arrays of real numbers."""
+    return tuple(jnp.asarray(one.evaluate(taken, grid), dtype=float) for one in functionals)
 
 
 def _multiple(functional: AbstractFunctional, sigmas: Any) -> float:

@@ -12,6 +12,7 @@ from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Float
 
 from aleator._core.arrays import Pytree
+from aleator._core.equations import derived
 from aleator.dynamics._grid import Grid
 from aleator.dynamics._integrators import Inputs, sampled
 from aleator.dynamics._record import Asked, Record
@@ -95,7 +96,7 @@ def at_each_instant(
     def evaluated(given: Pytree, rows: Array) -> Pytree:
         return every(given, rows)
 
-    def tangent_at_each_instant(primals: tuple[Pytree, Array], tangents: tuple[Pytree, Any]) -> tuple[Pytree, Pytree]:
+    def tangent(primals: tuple[Pytree, Array], tangents: tuple[Pytree, Any]) -> tuple[Pytree, Pytree]:
         given, rows = primals
         given_dot, rows_dot = tangents
         values = every(given, rows)
@@ -108,7 +109,7 @@ def at_each_instant(
             change = jax.tree.map(jnp.add, change, direct)
         return values, change
 
-    evaluated.defjvp(tangent_at_each_instant, symbolic_zeros=True)
+    evaluated.defjvp(derived(tangent), symbolic_zeros=True)
     return evaluated(numbers, known)
 
 

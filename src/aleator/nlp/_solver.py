@@ -22,10 +22,10 @@ _MOST_ROUNDS = 4
 _LEFT_OVER, _WORTH_SHARING = 4, 50
 # Solvers aim at this part of the tolerance: the scale in which they run is not yet that in which they are judged.
 _AIM = 1e-2
-# What a solver is given of a program.
-_GIVEN = ("start", "lower", "upper", "constraint_lower", "constraint_upper")
 # No solver arrives closer than this.
 _LEAST_AIM = 1e-13
+# What a solver is given of a program, and what its answer is judged by.
+_GIVEN = ("start", "lower", "upper", "constraint_lower", "constraint_upper")
 # A scale that differs from another by no more than this is no better.
 _SAME_SCALE = 10.0
 
@@ -170,7 +170,6 @@ class AbstractSolver(abc.ABC):
         except NotFiniteError:
             return Answer(Status.EVALUATION_FAILED, scaled.start, None, 0, "a point that the model cannot be asked at")
         who = f"{type(self).__name__}.minimise"
-        # An answer is judged by them.
         if changed := [name for name, kept in before.items() if not np.array_equal(getattr(scaled, name), kept)]:
             raise ProblemError(f"{who}: expected the program as it was; received another `scaled.{changed[0]}`.")
         return checked_answer(who, answer, scaled)

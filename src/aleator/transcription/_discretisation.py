@@ -13,16 +13,15 @@ from jaxtyping import Array, Float
 
 from aleator._core.arrays import numbers_to_arrays
 from aleator._core.compilation import Compiled, Use
-from aleator._core.libraries import is_library
 from aleator.design import (
     Problem,
     functionals_of,
+    has_own_statistics,
     refuse_changed_code,
     refuse_large_histories,
     responses,
     statistics_in,
 )
-from aleator.dynamics import System
 from aleator.expansion import Adaptive, Basis, Collocation, Discretisation, Expansion, Sparse, collocate
 from aleator.statistics import Constants, Preparation
 from aleator.uncertainty import AbstractGerm
@@ -58,12 +57,11 @@ def discretised(problem: Problem) -> Discretised:
     needed = (one.kind.preparation for one in statistics_in(problem.expressions))
     preparations = tuple(dict.fromkeys(one for one in needed if one is not None))
     outputs = _Outputs.of(problem) if chooses and germs else None
-    # What a preparation of one's own reads may have changed: then the problem's code has, and what stands for it.
-    own = problem.physics if not all(is_library(getattr(one, "__module__", "")) for one in preparations) else ""
-    found = _discretised(germs, expansion, preparations, outputs, own)
+    # What a preparation of one's own reads may have changed: then what stands for the problem's code has as well.
+    code = problem.physics if has_own_statistics(problem.expressions) else ""
+    found = _discretised(germs, expansion, preparations, outputs, code)
     # Outputs that follow from one instant are differentiated there, by the few numbers that are known.
-    moves = isinstance(problem.system, System) and problem.system.states
-    decided = problem.survey.vector("initial").size if moves else 0
+    decided = problem.survey.vector("initial").size if problem.is_integrated else 0
     refuse_large_histories(
         problem, len(found.collocation.points), decided, "Take fewer steps, fewer points or a lower order."
     )
@@ -75,9 +73,9 @@ Germs = tuple[tuple[str, AbstractGerm], ...]
 
 @lru_cache(maxsize=_KEPT)
 def _discretised(
-    germs: Germs, expansion: Expansion, preparations: tuple[Preparation, ...], outputs: "_Outputs | None", own: str
+    germs: Germs, expansion: Expansion, preparations: tuple[Preparation, ...], outputs: "_Outputs | None", code: str
 ) -> Discretised:
-    del own
+    del code  # tells constants apart that the preparations themselves do not
     basis, collocation = _collocated(germs, expansion, outputs)
     return Discretised(basis, collocation, Constants(preparations, tuple(one(basis) for one in preparations)))
 

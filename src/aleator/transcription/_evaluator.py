@@ -91,7 +91,7 @@ def _evaluate(
 
 
 def _use(problem: Problem, *_: Any) -> Use:
-    return Use.LOOPS if getattr(problem.system, "states", ()) else Use.ROWS
+    return Use.LOOPS if problem.is_integrated else Use.ROWS
 
 
 EVALUATE = Compiled(_evaluate, use=_use, unchanged=refuse_changed_code)

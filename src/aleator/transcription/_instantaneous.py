@@ -27,6 +27,7 @@ from aleator.design import (
     Taken,
     extreme_functionals,
     functionals_of,
+    numbers_of,
     refuse_changed_code,
 )
 from aleator.dynamics import Grid, Known, System, known_at, observed_at
@@ -192,7 +193,7 @@ class _Instant:
         now, chosen = jnp.split(numbers, [self.known.rows.shape[1]])
         system = realise(self.frozen.model, point, chosen).system.focused(_needed(functionals))
         taken = Taken(observed_at(system, self.known, now), {})
-        return tuple(jnp.asarray(one.evaluate(taken, self.problem.grid), dtype=float) for one in functionals)
+        return numbers_of(functionals, taken, self.problem.grid)
 
     def realised(
         self,

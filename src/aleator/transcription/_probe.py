@@ -7,10 +7,10 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from aleator.design import Constraint, Problem, functionals_of, is_over_time
-from aleator.dynamics import Grid, System
+from aleator.dynamics import Grid
 from aleator.transcription._alone import Alone, alone_elsewhere, middle
 from aleator.transcription._magnitudes import bound_size
-from aleator.transcription._reference import Reference, magnitudes_around
+from aleator.transcription._reference import Reference, rounding_of, row_sizes
 from aleator.transcription._sequential import Sequential
 
 # What one system shows beside the instants of the finer grid counts from this part of a limit on: less is the error of
@@ -18,8 +18,6 @@ from aleator.transcription._sequential import Sequential
 _SHOWS, _SHOWS_OF_NUMBERS = 5e-3, 2e-2
 # A grid is far off where it makes something so many times as large as it is.
 _FAR_OFF = 10.0
-# Below this part of what a number is a difference of, it is rounding.
-_ROUNDING = 1e-9
 
 
 class Probed(NamedTuple):
@@ -62,22 +60,23 @@ def whether_misled(transcription: Sequential, start: Float[np.ndarray, " n"], fa
     grid is found to be exact.
     """
     problem = transcription.problem
-    if not (isinstance(problem.grid, Grid) and isinstance(problem.system, System) and problem.system.states):
+    if not problem.is_integrated:
         return lambda: ""
     begun = transcription.begun
     if not np.array_equal(start, transcription.program.start):
         which = middle(transcription.collocation)
         begun = tuple(one[which] for one in transcription.evaluator(start).samples)
     seen = alone_elsewhere(problem, transcription.collocation, start, factor)
-    around = magnitudes_around(transcription, start)
-    return lambda: _misled(problem, begun, seen(), around)
+    return lambda: _misled(problem, begun, seen(), lambda: rounding_of(transcription, row_sizes(transcription, start)))
 
 
-def _misled(problem: Problem, begun: tuple[np.ndarray, ...], seen: Alone, around: dict[Any, float]) -> str:
+def _misled(
+    problem: Problem, begun: tuple[np.ndarray, ...], seen: Alone, rounding: Callable[[], dict[Any, float]]
+) -> str:
     assert isinstance(problem.grid, Grid)
     for one, own, true in zip(functionals_of(problem.expressions), begun, seen.functionals, strict=True):
         own, true = float(np.max(np.abs(own))), float(np.max(np.abs(true)))
-        if not own <= max(_FAR_OFF * true, _ROUNDING * around.get(one, 0.0)):
+        if not (own <= _FAR_OFF * true or own <= rounding().get(one, 0.0)):
             return (
                 f"at the start of the search {problem.grid.steps} steps give {one.text()} as {own:.3g}, where "
                 f"{true:.3g} is right: a search may flee from good designs"

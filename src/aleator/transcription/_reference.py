@@ -123,7 +123,7 @@ def reference(transcription: Sequential, decisions: Float[np.ndarray, " n"], fac
     elsewhere = alone_elsewhere(problem, collocation, decisions, factor)
     arguments = _arguments(problem, collocation, transcription.constants, factor, decisions)
     values, means, stds, reaches, one = jax.tree.map(np.asarray, REFERENCE(*arguments))
-    named = type(arguments[0].integrator).__name__ if problem.system.states else "Simpson's rule"  # type: ignore[union-attr]
+    named = type(arguments[0].integrator).__name__ if problem.is_integrated else "Simpson's rule"
     reaches = tuple(float(np.max(one)) for one in reaches)
     return Reference(values, means, stds, reaches, Alone(*one), elsewhere(), factor, named)
 
@@ -164,7 +164,8 @@ def grid_error(
     times = transcription.times(decisions)
     functionals = functionals_of(problem.expressions)
     reaches = dict(zip(functionals, finer.reaches, strict=True))
-    around = magnitudes_around(transcription, decisions)
+    sizes_of_rows = row_sizes(transcription, decisions)
+    rounding = rounding_of(transcription, sizes_of_rows)
     deviations = {}
     for i, one in enumerate(functionals):
         own = resolved[one.text()]
@@ -175,7 +176,7 @@ def grid_error(
         sizes = [*limits, *([spread] if spread > _NEGLIGIBLE_SPREAD * reach else [])]
         # What is to be zero, and is, has no magnitude of its own.
         alone = value if value > _NEGLIGIBLE_VALUE * reach else reach
-        size = max(min(sizes, default=alone), _ROUNDING * max(reach, around.get(one, 0.0)) / accuracy, _TINY / accuracy)
+        size = max(min(sizes, default=alone), max(_ROUNDING * reach, rounding.get(one, 0.0), _TINY) / accuracy)
         when = float(times[int(np.argmax(change.reshape(len(times), -1).max(axis=1)))]) if one.is_path else np.nan
         largest = max(float(np.max(change)), shown.get(one.text(), 0.0))
         deviations[one.text()] = Deviation(_OWN_ERROR * largest, accuracy * size, when)
@@ -189,25 +190,24 @@ def grid_error(
         accuracy=accuracy,
         objective=Deviation(away, max(accuracy * max(abs(objective), floor), _TINY)),
         functionals=deviations,
-        broken=_broken(transcription, decisions, finer, reaches, accuracy),
+        broken=_broken(transcription, decisions, finer, reaches, sizes_of_rows, accuracy),
     )
 
 
-def magnitudes_around(transcription: Sequential, decisions: Float[np.ndarray, " n"]) -> dict[Any, float]:
-    """How large functionals are around some decisions, as far as constraints on them tell.
+def rounding_of(transcription: Sequential, sizes: Float[np.ndarray, " rows"]) -> dict[Any, float]:
+    """What is rounding of functionals, as far as constraints on them tell, whose rows have the magnitudes `sizes`.
 
-    What meets a bound of zero is there a difference of such numbers, with their rounding.
+    What meets a bound of zero is a difference of numbers of that magnitude.
     """
-    sizes = _row_sizes(transcription, decisions)
     found: dict[Any, float] = {}
     for one, rows in zip(transcription.problem.constraints, transcription.rows, strict=True):
         size = float(np.max(sizes[rows], initial=0.0))
         for functional, factor in _bounded_by(one):
-            found[functional] = max(found.get(functional, 0.0), size / factor)
+            found[functional] = max(found.get(functional, 0.0), _ROUNDING * size / factor)
     return found
 
 
-def _row_sizes(transcription: Sequential, decisions: Float[np.ndarray, " n"]) -> Float[np.ndarray, " rows"]:
+def row_sizes(transcription: Sequential, decisions: Float[np.ndarray, " n"]) -> Float[np.ndarray, " rows"]:
     """The magnitude of each row of the constraints around some decisions."""
     program = transcription.program
     if program.magnitudes is None:
@@ -259,6 +259,7 @@ def _broken(
     decisions: Float[np.ndarray, " n"],
     finer: Reference,
     reaches: dict[Any, float],
+    sizes: Float[np.ndarray, " rows"],
     accuracy: float,
 ) -> str:
     """A sentence on the constraint, no limit over time, that is broken most on the finer grid; empty if all hold.
@@ -266,7 +267,6 @@ def _broken(
     What is the same on both grids is none of their error, however small what it is compared with.
     """
     problem, evaluation = transcription.problem, transcription.program.evaluate(decisions)
-    sizes = _row_sizes(transcription, decisions)
     worst, sentence = accuracy, ""
     for one, rows, value in zip(problem.constraints, transcription.rows, finer.values[1:], strict=True):
         if is_over_time(one):

@@ -91,12 +91,12 @@ class AbstractDistribution(AbstractLeaf):
         own = type(self)
         if shape and own.transport is AbstractDistribution.transport and own.value is AbstractDistribution.value:
             raise ProblemError(
-                f"{type(self).__name__} has a shape {shape} and no transport(germ, source, target), by which values "
+                f"{own.__name__} has a shape {shape} and no transport(germ, source, target), by which values "
                 "move between shapes at equal probability: derivatives by the shape would be lost. Write one."
             )
         for corner in self.corners():
             self._check_corner(start | corner, corner)
-        if not is_library(type(self).__module__):
+        if not is_library(own.__module__):
             refuse_contradictions(self.initial())
 
     def _is_possible(self, parameters: dict[str, float], shape: tuple[float, ...]) -> bool:
