@@ -85,8 +85,8 @@ def main() -> None:
             case.name,
             "aleator, filterSQP",
             f"{solution.objective:.8f}",
-            str(solution.iterations),
-            str(solution.evaluations),
+            str(solution.effort.iterations),
+            str(solution.effort.evaluations),
             f"{first - warm:.2f}",
             f"{warm:.3f}",
         )

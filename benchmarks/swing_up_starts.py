@@ -16,8 +16,7 @@ import numpy as np
 import aleator as al
 from aleator.design import functionals_of
 from aleator.studies import swing_up
-from aleator.transcription import Sequential, transcribe
-from aleator.transcription._scope import scope_of
+from aleator.transcription import AbstractTranscribed, scope_of, transcribe
 
 CANDIDATES, KEPT, TOGETHER = 20_000, 1000, 500
 
@@ -37,7 +36,7 @@ def swings(count: int, generator: np.random.Generator) -> np.ndarray:
     return np.column_stack([np.clip(points, -12, 12), generator.uniform(2.0, 7.9, count)])
 
 
-def screened(transcription: Sequential, candidates: np.ndarray) -> np.ndarray:
+def screened(transcription: AbstractTranscribed, candidates: np.ndarray) -> np.ndarray:
     """The candidates in order of how far they are from what is asked."""
     problem = transcription.problem
 
@@ -70,7 +69,7 @@ def main() -> None:
                 break
             start = {"motion.q1.free": x[:-1], "t_final": x[-1]}
             found = al.solve(problem, al.FilterSQP(max_iterations=120), start=start, between=1, throw=False)
-            if found.violation < 1e-6 and found.objective < best:
+            if found.certificate.violation < 1e-6 and found.objective < best:
                 best = found.objective
                 print(f"{name}: {best:.4f} J ({found.status.value})", np.round(found.vector, 4).tolist(), flush=True)
 

@@ -150,7 +150,7 @@ def test_numbers_of_a_functional_are_to_tell_it_from_others():
 def test_what_a_solver_claims_is_not_believed():
     found = al.solve(problem(al.terminal("x").mean), Claiming(), throw=False)
     assert not found.ok
-    assert found.stationarity > 1e-3
+    assert found.certificate.stationarity > 1e-3
 
 
 @pytest.mark.parametrize(

@@ -100,7 +100,7 @@ def test_weighted_sum_and_constraint_form_give_the_same_design():
 def test_a_problem_without_uncertainty_is_solved_all_the_same():
     solution = al.solve(gain_problem(theta=1.0, sigmas=2.0))
     assert solution.decisions["gain"] == pytest.approx(2.0, rel=1e-8)
-    assert solution.expansion.points == 1
+    assert solution.certificate.expansion.points == 1
     assert all(float(one.std) == 0 for one in solution.moments.values())
     assert "nothing is uncertain" in str(solution)
 
@@ -246,19 +246,19 @@ def test_an_expansion_that_does_not_resolve_an_output_warns():
 
     with pytest.warns(al.ExpansionWarning, match=r"order 2 does not resolve x\(t_f\) \(0\.\d+\).*Raise the order"):
         solution = solve(al.Expansion(2))
-    assert solution.expansion.worst > 0.05
+    assert solution.certificate.expansion.worst > 0.05
 
 
 def test_a_resolved_expansion_does_not_warn():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert al.solve(gain_problem()).expansion.worst < 1e-10
+        assert al.solve(gain_problem()).certificate.expansion.worst < 1e-10
 
 
 def test_a_warm_start_needs_fewer_evaluations():
     cold = al.solve(oscillator_problem())
     moved = oscillator_problem().with_bound("x", 0.138)
-    assert al.solve(moved, warm_start=cold).evaluations < al.solve(moved).evaluations
+    assert al.solve(moved, warm_start=cold).effort.evaluations < al.solve(moved).effort.evaluations
     assert al.solve(moved, warm_start=cold).objective == pytest.approx(al.solve(moved).objective, rel=1e-8)
 
 

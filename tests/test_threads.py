@@ -9,7 +9,7 @@ import pytest
 
 import aleator as al
 from aleator._core.compilation import Compiled
-from aleator.transcription import EVALUATE
+from aleator.transcription.sequential import EVALUATE
 
 
 class Gap(al.System):

@@ -31,7 +31,6 @@ from aleator.analysis import tolerance_analysis as tolerance_analysis  # noqa: E
 from aleator.design import Constraint as Constraint  # noqa: E402
 from aleator.design import Expression as Expression  # noqa: E402
 from aleator.design import Problem as Problem  # noqa: E402
-from aleator.design import Solution as Solution  # noqa: E402
 from aleator.design import coefficient_power as coefficient_power  # noqa: E402
 from aleator.design import correlation as correlation  # noqa: E402
 from aleator.design import cost_curve as cost_curve  # noqa: E402
@@ -133,6 +132,7 @@ from aleator.references import quasi_monte_carlo as quasi_monte_carlo  # noqa: E
 from aleator.references import second_order as second_order  # noqa: E402
 from aleator.references import sobol_indices as sobol_indices  # noqa: E402
 from aleator.reporting import report as report  # noqa: E402
+from aleator.solution import Solution as Solution  # noqa: E402
 from aleator.solving import solve as solve  # noqa: E402
 from aleator.sweep import Calibration as Calibration  # noqa: E402
 from aleator.sweep import Front as Front  # noqa: E402

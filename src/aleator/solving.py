@@ -10,21 +10,11 @@ import numpy as np
 
 from aleator._core.beside import dropped_on_failure
 from aleator._core.errors import ExpansionWarning, GridWarning, ProblemError, SimulationError, SolveError
-from aleator._core.given import whole
+from aleator._core.given import one_of, whole
 from aleator._core.heard import heeding
-from aleator.design import (
-    TOLERATED,
-    Between,
-    Problem,
-    Solution,
-    WorstCase,
-    is_over_time,
-)
-from aleator.nlp import AbstractSolver, Outcome, Status, default_solver, feasible_elsewhere, moved_on
-from aleator.transcription import (
+from aleator.certification import (
+    REACHED,
     Reference,
-    Sequential,
-    compile_seconds,
     diagnose,
     doubts,
     grid_error,
@@ -34,14 +24,22 @@ from aleator.transcription import (
     probed,
     reference_factor,
     refinement,
-    refuse_blind,
     second_opinion,
     solution_of,
-    started_from,
-    transcribe,
     unconverged,
     untrusted,
     whether_misled,
+)
+from aleator.design import Problem, is_over_time
+from aleator.nlp import AbstractSolver, Outcome, Status, default_solver, feasible_elsewhere, moved_on
+from aleator.solution import TOLERATED, Between, Solution, WorstCase
+from aleator.transcription import (
+    DEFAULT,
+    AbstractTranscribed,
+    AbstractTranscription,
+    refuse_blind,
+    started_from,
+    transcribe,
 )
 
 # Ends of a search that a grid which is far off may have led astray.
@@ -54,6 +52,7 @@ def solve(
     problem: Problem,
     solver: AbstractSolver | None = None,
     *,
+    transcription: AbstractTranscription = DEFAULT,
     warm_start: Solution | None = None,
     start: Mapping[str, Any] | None = None,
     between: int | None = None,
@@ -64,6 +63,7 @@ def solve(
     """Solve a design problem: transcribe, compile once, optimise with exact derivatives, certify.
 
     - `solver`: `FilterSQP()` by default; `Ipopt()` or `Slsqp()` for a second opinion;
+    - `transcription`: how the problem becomes a nonlinear program: `Sequential()` by default;
     - `warm_start`: a solution of the same problem to start from, on the same grid or another, with as many control
       points of its trajectories or others: curves are refitted over the fraction of time, other decisions are taken
       over by name;
@@ -87,16 +87,16 @@ def solve(
     grid is too coarse.
     """
     solver = solver or default_solver()
-    _check_arguments(problem, solver, warm_start, between, accuracy)
+    _check_arguments(problem, solver, transcription, warm_start, between, accuracy)
     first = _first(problem, warm_start, start)
-    known = (None, None) if warm_start is None else (warm_start.multipliers, warm_start.worst_case)
+    known = (None, None) if warm_start is None else (warm_start.multipliers, warm_start.certificate.worst_case)
     # Ctrl-C may be lost where Python cannot raise: in a callback of the garbage collector, of which JAX has one.
     with heeding() as heed, dropped_on_failure():
-        stages = _Stages(solver, between, float(accuracy), compile_seconds(), heed)
-        solution = stages.solution(problem, first, *known)
+        stages = _Stages(transcription, solver, between, float(accuracy), _compile_seconds(transcription), heed)
+        answer = stages.answer(problem, first, *known)
         if refine:
-            solution = _refined(stages, solution)
-        solution = _with_opinion(stages, solution)
+            answer = _refined(stages, answer)
+        solution = _with_opinion(stages, answer)
         heed()
     if throw and solution.status is Status.EVALUATION_FAILED:
         raise SimulationError(solution.message)
@@ -107,40 +107,58 @@ def solve(
     return solution
 
 
+class _Answer(NamedTuple):
+    """A solution, the program that it was found by, and the point of that program that it stands for."""
+
+    solution: Solution
+    transcribed: AbstractTranscribed
+    point: np.ndarray
+
+
 class _Stages(NamedTuple):
     """The stages of one solution, the same on each grid."""
 
+    transcription: AbstractTranscription
     solver: AbstractSolver
     between: int | None
     accuracy: float
     compiled_before: float
     heed: Callable[[], None]
 
-    def solution(
+    @property
+    def compiled(self) -> float:
+        """How long compilations have taken since the first stage, s."""
+        return _compile_seconds(self.transcription) - self.compiled_before
+
+    def answer(
         self,
         problem: Problem,
         start: np.ndarray | None,
         multipliers: np.ndarray | None,
         known: WorstCase | None = None,
-    ) -> Solution:
-        """Optimise, hold limits between the instants and in the worst case, find the error of the grid, report."""
+    ) -> _Answer:
+        """Optimise, hold limits between the instants and in the worst case, find the error of the grid, report.
+
+        `start`: decisions, None for their own initial values.
+        """
         is_between = self.between != 1 and any(map(is_over_time, problem.constraints))
         factor = reference_factor(problem, self.between)
-        transcription = transcribe(problem, functools.partial(prepare_judges, factor))
+        transcribed = transcribe(problem, self.transcription, functools.partial(prepare_judges, factor))
         self.heed()
-        astray = self._astray(transcription, start, factor) if multipliers is None else lambda: ""
-        transcription, outcome, (between, finer), worst_case = held_at_worst(
-            transcription, self._attempt, start, multipliers, factor=factor if is_between else 1, known=known
+        begun = None if start is None else transcribed.point(start)
+        astray = self._astray(transcribed, begun, factor) if multipliers is None else lambda: ""
+        transcribed, outcome, (between, finer), worst_case = held_at_worst(
+            transcribed, self._attempt, begun, multipliers, factor=factor if is_between else 1, known=known
         )
         if outcome.status is Status.INTERRUPTED:
             raise KeyboardInterrupt
         if outcome.failed_at is not None:
-            outcome = replace(outcome, message=diagnose(transcription, outcome.failed_at))
+            outcome = replace(outcome, message=diagnose(transcribed, transcribed.decisions(outcome.failed_at)))
         error = None
         at_start = astray() if finer is not None or outcome.status in _UNSOLVED else ""
         if finer is not None:
-            elsewhere = probed(transcription, outcome.decisions, finer)
-            error = grid_error(transcription, outcome.decisions, finer, self.accuracy, elsewhere.numbers)
+            elsewhere = probed(transcribed, outcome.decisions, finer)
+            error = grid_error(transcribed, outcome.decisions, finer, self.accuracy, elsewhere.numbers)
             error = replace(error, at_start=at_start)
             if between is not None and elsewhere.worst > between.worst:
                 between = replace(between, worst=elsewhere.worst, name=elsewhere.where, time=elsewhere.when)
@@ -148,59 +166,78 @@ class _Stages(NamedTuple):
             outcome = replace(outcome, status=Status.COARSE)
         if between is not None and between.worst > TOLERATED:
             outcome = replace(outcome, status=Status.NOT_HELD)
-        found = solution_of(transcription, outcome, between, error, worst_case, self.compiled_before)
-        return replace(found, misled=at_start if found.status in _UNSOLVED else "")
+        misled = at_start if outcome.status in _UNSOLVED else ""
+        found = solution_of(transcribed, outcome, between, error, worst_case, misled, self.compiled)
+        return _Answer(found, transcribed, outcome.decisions)
 
     @staticmethod
-    def _astray(transcription: Sequential, start: np.ndarray | None, factor: int) -> Callable[[], str]:
+    def _astray(transcribed: AbstractTranscribed, start: np.ndarray | None, factor: int) -> Callable[[], str]:
         """Whether the search begins where the grid is far off, found out while it runs."""
-        begun = transcription.program.start if start is None else start
-        transcription.evaluator.prepare_resolution(begun)
-        return whether_misled(transcription, begun, factor)
+        begun = transcribed.program.start if start is None else start
+        transcribed.prepare_resolution(begun)
+        return whether_misled(transcribed, begun, factor)
 
     def _attempt(
-        self, transcription: Sequential, start: np.ndarray | None, multipliers: np.ndarray | None
+        self, transcribed: AbstractTranscribed, start: np.ndarray | None, multipliers: np.ndarray | None
     ) -> tuple[Outcome, tuple[Between | None, Reference | None]]:
         self.heed()
-        outcome = _optimise(transcription, self.solver, start, multipliers)
+        outcome = _optimise(transcribed, self.solver, start, multipliers)
         if multipliers is None:
-            outcome = _looked_around(transcription, self.solver, outcome, start)
+            outcome = _looked_around(transcribed, self.solver, outcome, start)
         self.heed()
-        outcome, between, finer = held_between(transcription, self.solver, outcome, self.between)
+        outcome, between, finer = held_between(transcribed, self.solver, outcome, self.between)
         return outcome, (between, finer)
 
 
-def _refined(stages: _Stages, solution: Solution) -> Solution:
-    """The solution on finer grids, until the error is tolerated or does not fall any more."""
-    solutions = [solution]
+def _compile_seconds(transcription: AbstractTranscription) -> float:
+    """How long all compilations that a solution waits for have taken so far, s."""
+    return transcription.compile_seconds() + REACHED.seconds
+
+
+def _refined(stages: _Stages, answer: _Answer) -> _Answer:
+    """The answer on finer grids, until the error is tolerated or does not fall any more."""
+    solutions = [answer.solution]
     while (plan := refinement(solutions)) is not None:
-        solutions.append(stages.solution(plan, solutions[-1].vector, None))
+        answer = stages.answer(plan, solutions[-1].vector, None)
+        solutions.append(answer.solution)
     reason = unconverged(solutions)
-    return replace(solutions[-1], message=reason) if reason else solutions[-1]
+    return answer._replace(solution=replace(answer.solution, message=reason)) if reason else answer
 
 
-def _with_opinion(stages: _Stages, solution: Solution) -> Solution:
+def _with_opinion(stages: _Stages, answer: _Answer) -> Solution:
     """The solution with what a few fresh simulations say of its expansions, and failed where they break a limit, or
     where an expansion is too coarse for what is asked of it.
     """
+    solution = answer.solution
     if not solution.ok:
         return solution
-    opinion = second_opinion(transcribe(solution.problem), solution.vector)
-    coarse = untrusted(solution.problem, solution.expansion)
+    opinion = second_opinion(answer.transcribed, answer.point)
+    coarse = untrusted(solution.problem, solution.certificate.expansion)
     status = Status.UNRESOLVED if coarse else solution.status
     if opinion is not None and opinion.broken:
         status = Status.CONTRADICTED
-    times = replace(solution.times, compile_=compile_seconds() - stages.compiled_before)
-    return replace(solution, opinion=opinion, status=status, times=times, message=coarse or solution.message)
+    return replace(
+        solution,
+        status=status,
+        message=coarse or solution.message,
+        certificate=replace(solution.certificate, opinion=opinion),
+        effort=replace(solution.effort, times=replace(solution.effort.times, compile_=stages.compiled)),
+    )
 
 
 def _check_arguments(
-    problem: Problem, solver: AbstractSolver, warm_start: Solution | None, between: int | None, accuracy: float
+    problem: Problem,
+    solver: AbstractSolver,
+    transcription: AbstractTranscription,
+    warm_start: Solution | None,
+    between: int | None,
+    accuracy: float,
 ) -> None:
     if not isinstance(problem, Problem):
         raise ProblemError(f"solve: expected a Problem; received {type(problem).__name__}.")
     if not isinstance(solver, AbstractSolver):
         raise ProblemError(f"solve: expected a solver, such as al.Ipopt(); received {solver!r}.")
+    one_of("solve: transcription", transcription, AbstractTranscription, "al.Sequential()")
     if between is not None:
         whole("solve: between", between)
     if isinstance(accuracy, bool) or not isinstance(accuracy, int | float) or not _FINEST <= accuracy < 1:
@@ -230,32 +267,34 @@ def _first(problem: Problem, warm_start: Solution | None, start: Mapping[str, An
 
 
 def _optimise(
-    transcription: Sequential, solver: AbstractSolver, start: np.ndarray | None, multipliers: np.ndarray | None
+    transcribed: AbstractTranscribed, solver: AbstractSolver, start: np.ndarray | None, multipliers: np.ndarray | None
 ) -> Outcome:
-    rows = transcription.program.constraint_lower.shape
+    rows = transcribed.program.constraint_lower.shape
     # Multipliers at the instants of another grid say nothing here.
     known = multipliers if multipliers is not None and multipliers.shape == rows else None
-    return solver.solve(transcription.program, start=start, multipliers=known)
+    return solver.solve(transcribed.program, start=start, multipliers=known)
 
 
 def _looked_around(
-    transcription: Sequential, solver: AbstractSolver, outcome: Outcome, start: np.ndarray | None
+    transcribed: AbstractTranscribed, solver: AbstractSolver, outcome: Outcome, start: np.ndarray | None
 ) -> Outcome:
     """The outcome of a start of which nothing is known, or a better one found by points elsewhere."""
-    program = transcription.program
+    program = transcribed.program
     begun = program.start if start is None else start
     outcome = feasible_elsewhere(program, outcome, begun, lambda other, first: solver.solve(other, start=first))
     outcome = moved_on(program, outcome, begun, lambda first: solver.solve(program, start=first))
-    refuse_blind(outcome, transcription.places.entry_names())
+    refuse_blind(outcome, transcribed)
     return outcome
 
 
 def _warn_of_doubts(solution: Solution) -> None:
-    sentences = [] if solution.status is Status.EVALUATION_FAILED else doubts(solution.expansion, solution.opinion)
+    found = solution.certificate
+    sentences = [] if solution.status is Status.EVALUATION_FAILED else doubts(found.expansion, found.opinion)
     if sentences:
         warnings.warn(f"{'. '.join(sentences)}, and compare with al.validate.", ExpansionWarning, stacklevel=3)
 
 
 def _warn_if_coarse(solution: Solution) -> None:
-    if solution.grid_error is not None and solution.ok and not solution.grid_error.is_met:
-        warnings.warn(f"On {solution.grid_error.steps} steps {solution.grid_error}.", GridWarning, stacklevel=3)
+    error = solution.certificate.grid_error
+    if error is not None and solution.ok and not error.is_met:
+        warnings.warn(f"On {error.steps} steps {error}.", GridWarning, stacklevel=3)

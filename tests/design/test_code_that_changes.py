@@ -10,7 +10,7 @@ import pytest
 
 import aleator as al
 import changing_physics
-from aleator.transcription import EVALUATE
+from aleator.transcription.sequential import EVALUATE
 from changing_physics import goal
 
 GOAL = 1.0

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 import aleator as al
-from aleator.transcription import _instantaneous as instantaneous
 from aleator.transcription import transcribe
+from aleator.transcription.sequential import _instantaneous as instantaneous
 
 MOTION = {"x": al.BSpline(al.Decision(np.array([0.3, 0.6]), -3, 3), start=((0.0), 0.0), end=((1.0), 0.0))}
 WIND = al.RandomProcess(al.SquaredExponentialCovariance(1.0), t_final=2.0, std=0.4, mean=1.0, modes=3)

@@ -127,4 +127,4 @@ def test_the_six_axis_arm_with_its_mean_payload_is_faster_and_keeps_its_limits_b
     solution = al.solve(six_axis_arm.deterministic_problem())
     # The best of searches from many starts; for all payloads it takes 0.7871 s.
     assert solution.objective == pytest.approx(0.78213, abs=1e-4)
-    assert solution.between.holds
+    assert solution.certificate.between.holds

@@ -7,7 +7,7 @@ from scipy import stats
 
 import aleator as al
 from aleator.sweep import _calibrate, _margins
-from aleator.transcription import EVALUATE
+from aleator.transcription.sequential import EVALUATE
 from tiny_models import HALF_WIDTH, LOSS, ONE_STEP, RESPONSE, Gain, gain_problem
 
 SPREAD = 0.2

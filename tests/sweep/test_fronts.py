@@ -8,7 +8,7 @@ import aleator as al
 from aleator.reporting import front_figure
 from aleator.reporting._datasets import front_dataset
 from aleator.sweep import _front as front_module
-from aleator.transcription import EVALUATE
+from aleator.transcription.sequential import EVALUATE
 from tiny_models import LOSS, ONE_STEP, RESPONSE, SPREAD, Gain, gain_problem, oscillator_problem
 
 
@@ -20,7 +20,7 @@ def test_a_front_equals_independent_cold_solves():
     assert not front.interrupted
     np.testing.assert_allclose(front.objectives, [one.objective for one in cold], rtol=1e-7)
     np.testing.assert_array_equal(front.values, bounds)
-    assert sum(one.evaluations for one in front.solutions) < sum(one.evaluations for one in cold)
+    assert sum(one.effort.evaluations for one in front.solutions) < sum(one.effort.evaluations for one in cold)
 
 
 def test_a_front_is_compiled_once_and_follows_its_closed_form():
@@ -78,10 +78,12 @@ def test_a_refused_point_is_kept_with_what_was_said_and_the_others_are_solved(bo
     assert not front.interrupted
     cold = [al.solve(pushed_problem().with_bound("x", bound)).objective for bound in bounds if bound < 0]
     np.testing.assert_allclose(front.objectives[front.solved], cold, rtol=1e-7)
-    (refused,) = (one for one in front.solutions if not one.ok)
+    (refused,) = (one for one in front.points if not one.ok)
+    assert refused not in front.solutions
     assert "whatever the decisions are" in refused.why()
     assert "whatever the decisions are" in str(front)
-    assert np.isnan([refused.objective, refused.violation, refused.decisions["c"]]).all()
+    where = bounds.index(0.1)
+    assert np.isnan([front.objectives[where], front.violations[where], front.prices[where]]).all()
     assert float(refused.problem.named("x")[0].lower) == 0.1
 
 

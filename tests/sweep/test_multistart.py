@@ -7,7 +7,7 @@ import pytest
 
 import aleator as al
 from aleator.sweep import _multistart as multistart_module
-from aleator.transcription import EVALUATE
+from aleator.transcription.sequential import EVALUATE
 
 
 class Wells(al.AlgebraicSystem):
@@ -73,7 +73,7 @@ def test_where_all_fail_the_least_violated_is_the_best():
     starts = al.multistart(impossible, [{"x": -3.9}, {"x": 2.2}])
     assert not any(one.ok for one in starts.solutions)
     assert starts.optima == ()
-    assert starts.best.violation == min(one.violation for one in starts.solutions)
+    assert starts.best.certificate.violation == min(one.certificate.violation for one in starts.solutions)
 
 
 def test_solutions_at_one_place_are_one_optimum_even_where_the_objective_is_zero():

@@ -8,9 +8,9 @@ import pytest
 import aleator as al
 from aleator.studies import pick_and_place_time
 from aleator.studies.two_link_arm import START, TARGET, TwoLinkArm
-from aleator.transcription import _instantaneous as instantaneous
 from aleator.transcription import transcribe
-from aleator.transcription._affine import affine_features, anchored
+from aleator.transcription.sequential import _instantaneous as instantaneous
+from aleator.transcription.sequential._affine import affine_features, anchored
 
 GERM, MOVED = jnp.array([0.3, 0.4]), jnp.array([1.1, 2.0])
 
@@ -142,7 +142,7 @@ def test_rows_and_derivatives_are_those_of_all_points(monkeypatch, declared, anc
         assert all(reached.affine)
     found = few.program.evaluate(x)
     resolved = few.resolve(x)
-    monkeypatch.setattr("aleator.transcription._sequential.anchors_of", lambda *_: None)
+    monkeypatch.setattr("aleator.transcription.sequential._transcribed.anchors_of", lambda *_: None)
     again = declared()
     every = transcribe(again)
     expected = every.program.evaluate(x)

@@ -7,7 +7,7 @@ import aleator as al
 from aleator.studies import pick_and_place_effort, pick_and_place_time, swing_up
 from aleator.studies.two_link_arm import START, TARGET, TwoLinkArm
 from aleator.transcription import transcribe
-from aleator.transcription._instantaneous import instantaneous
+from aleator.transcription.sequential._instantaneous import instantaneous
 
 REST = {"start": (START, 0.0), "end": (TARGET, 0.0)}
 

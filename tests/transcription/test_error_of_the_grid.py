@@ -60,7 +60,7 @@ def flown(solution):
 def test_the_cost_of_a_plan_is_what_it_says_to_the_error_that_it_states(points, steps):
     solution = al.solve(least_effort(points, steps), throw=False)
     end, _, cost = flown(solution)
-    stated = solution.grid_error
+    stated = solution.certificate.grid_error
     assert abs(solution.objective - cost) <= stated.objective.error + SCIPY * cost
     assert abs(1.0 - end) <= stated.functionals["x(t_f)"].error + SCIPY
     if solution.ok:
@@ -120,7 +120,7 @@ def test_a_coarse_grid_is_said_to_be_one(steps):
     mean = weights @ values / 2
     std = np.sqrt(weights @ (values - mean) ** 2 / 2)
     error = abs(solution.objective - mean - std)
-    assert error <= 1.05 * solution.grid_error.objective.error + 1e-9 * mean
+    assert error <= 1.05 * solution.certificate.grid_error.objective.error + 1e-9 * mean
     assert solution.ok == (steps == 120)
     if not solution.ok:
         assert error > 1e-4 * mean / 2
@@ -131,7 +131,7 @@ def test_an_error_beyond_a_thousandth_of_the_spread_is_warned_of():
     with pytest.warns(al.GridWarning, match=r"'rms\(v\)' is off by .* where .* is tolerated"):
         solution = al.solve(swing(25, subject_to=[]))
     assert solution.ok
-    tolerated = solution.grid_error.functionals["rms(v)"].tolerated
+    tolerated = solution.certificate.grid_error.functionals["rms(v)"].tolerated
     assert tolerated == pytest.approx(1e-3 * float(solution.moments["rms(v)"].std), rel=1e-2)
     assert "is off by" in str(solution)
 
@@ -151,7 +151,7 @@ def test_loose_tolerances_of_adaptive_integrators_are_seen_too(integrator):
     loose = swing(20, integrator=integrator, minimize=al.rms("v").mean, subject_to=[])
     solution = al.solve(loose, throw=False, accuracy=1e-6)
     assert not solution.ok
-    assert solution.grid_error.objective.error > 0
+    assert solution.certificate.grid_error.objective.error > 0
 
 
 class Switched(al.System):

@@ -70,7 +70,7 @@ def test_a_chosen_expansion_gives_the_design_of_the_exact_moments(expansion):
         pytest.importorskip("sklearn")
     solution = al.solve(many_problem(expansion))
     assert solution.decisions["gain"] == pytest.approx(exact_design(3.0), rel=1e-3)
-    quality = solution.expansion
+    quality = solution.certificate.expansion
     assert 3 <= quality.order <= 20
     # All terms of that order in ten variables would be 286 at least.
     assert 11 <= quality.terms < 150
@@ -101,7 +101,7 @@ def test_a_deterministic_problem_has_no_terms_to_choose():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         solution = al.solve(al.deterministic(many_problem(ADAPTIVE)))
-    assert solution.expansion.points == 1
+    assert solution.certificate.expansion.points == 1
     assert solution.decisions["gain"] == pytest.approx((3.0 - 0.01 * 6) / np.exp(0.36), rel=1e-6)
 
 

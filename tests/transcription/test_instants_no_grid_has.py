@@ -53,8 +53,8 @@ def test_a_ripple_that_all_instants_share_breaks_the_limit(frequency):
     assert solution.status is Status.NOT_HELD
     # At the instants the level reaches the limit; at its peaks the middle system exceeds it by half.
     assert solution.decisions["level"] == pytest.approx(1.5, rel=1e-6)
-    assert solution.between.worst == pytest.approx(0.5, abs=0.03)
-    assert solution.between.time * frequency % 1 == pytest.approx(0.25, abs=0.1)
+    assert solution.certificate.between.worst == pytest.approx(0.5, abs=0.03)
+    assert solution.certificate.between.time * frequency % 1 == pytest.approx(0.25, abs=0.1)
     assert "use more steps" in solution.why()
 
 
@@ -63,7 +63,7 @@ def test_a_trough_breaks_a_lower_limit_too():
     assert answer(ripple=100.0, sign=-1.0, best=3.0).ok
     solution = answer(ripple=100.0, sign=-1.0, best=1.2)
     assert solution.status is Status.NOT_HELD
-    assert solution.between.worst == pytest.approx(0.4, abs=0.03)
+    assert solution.certificate.between.worst == pytest.approx(0.4, abs=0.03)
 
 
 @pytest.mark.parametrize("width", [2e-3, 5e-4])
@@ -72,7 +72,7 @@ def test_a_pulse_between_instants_breaks_the_limit_of_a_path_and_of_its_peak(wid
     solution = answer(pulse=width, peak=peak)
     assert solution.status is Status.NOT_HELD
     if not peak:
-        assert solution.between.time == pytest.approx(0.3375, abs=2 * width)
+        assert solution.certificate.between.time == pytest.approx(0.3375, abs=2 * width)
 
 
 def test_more_steps_see_the_ripple_and_hold_the_limit():

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import aleator as al
-from aleator.transcription._jumps import jumps
+from aleator.certification._jumps import jumps
 
 
 class Swing(al.Lagrangian):

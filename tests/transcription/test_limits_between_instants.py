@@ -5,9 +5,11 @@ import numpy as np
 import pytest
 
 import aleator as al
+from aleator.certification._between import excess_between
+from aleator.certification._reference import reference
 from aleator.design import is_over_time
 from aleator.nlp import FilterSQP, Status
-from aleator.transcription import excess_between, reference, transcribe
+from aleator.transcription import transcribe
 
 
 class Cart(al.Mechanical):
@@ -47,15 +49,15 @@ def test_a_plan_that_breaks_its_limits_between_too_few_instants_is_no_solution()
     kept = al.solve(coarse, throw=False)
     assert kept.status is Status.NOT_HELD
     assert not kept.ok
-    assert kept.between.worst > 1e-3
+    assert kept.certificate.between.worst > 1e-3
     assert al.solve(coarse, between=1).ok
 
 
 def test_a_plan_that_holds_says_on_how_many_steps():
     solution = al.solve(problem(), between=5)
-    assert solution.between.factor >= 5
-    assert solution.between.holds
-    assert f"hold on {solution.between.factor} times as many steps" in str(solution)
+    assert solution.certificate.between.factor >= 5
+    assert solution.certificate.between.holds
+    assert f"hold on {solution.certificate.between.factor} times as many steps" in str(solution)
 
 
 def test_peaks_are_looked_at_between_instants_too():
@@ -78,7 +80,7 @@ def test_an_equality_along_a_path_that_breaks_between_instants_is_reported():
     exact = problem(al.path("speed").mean.equals(0.0), minimize=al.effort("x_torque"), steps=1)
     solution = al.solve(exact, throw=False)
     assert not solution.ok
-    assert solution.between.name == "speed"
+    assert solution.certificate.between.name == "speed"
 
 
 def test_an_interruption_while_limits_are_tightened_is_not_swallowed(monkeypatch):

@@ -10,7 +10,7 @@ import pytest
 import aleator as al
 from aleator.expansion import collocate
 from aleator.nlp import Status
-from aleator.transcription import EVALUATE
+from aleator.transcription.sequential import EVALUATE
 from aleator.uncertainty import LegendreGerm
 
 GRID = al.Grid(30.0, 300)
@@ -57,22 +57,22 @@ def test_a_long_simulation_is_followed_until_an_instant_that_the_warning_names()
     assert solution.status is Status.UNRESOLVED
     assert "misses x(t) by" in solution.why()
     # A sample is predicted from the others a little worse than the best approximation.
-    assert 0.75 * expected <= solution.expansion.unresolved_from["x(t)"] <= expected
-    assert solution.expansion.unresolved == ("x(t)",)
+    assert 0.75 * expected <= solution.certificate.expansion.unresolved_from["x(t)"] <= expected
+    assert solution.certificate.expansion.unresolved == ("x(t)",)
 
 
 def test_the_same_simulation_cut_short_is_resolved():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         solution = al.solve(phase_problem(al.Grid(6.0, 60)))
-    assert solution.expansion.unresolved_from == {}
-    assert solution.expansion.unresolved == ()
+    assert solution.certificate.expansion.unresolved_from == {}
+    assert solution.certificate.expansion.unresolved == ()
 
 
 def test_as_many_points_as_terms_leave_nothing_to_check_by():
     with pytest.warns(al.ExpansionWarning, match="5 points for 5 terms leave nothing to check the expansion"):
         solution = al.solve(phase_problem(al.Grid(6.0, 60), points=5))
-    assert not solution.expansion.can_be_checked
+    assert not solution.certificate.expansion.can_be_checked
 
 
 class Glider(al.System):
@@ -105,7 +105,7 @@ def test_a_rate_that_is_zero_at_the_end_of_every_motion_is_not_called_unresolved
         warnings.simplefilter("error")
         solution = al.solve(problem)
     assert float(solution.moments["v(t_f)"].std) < 1e-10
-    assert solution.expansion.unresolved == ()
+    assert solution.certificate.expansion.unresolved == ()
 
 
 def test_the_tolerance_compiles_nothing_anew():
@@ -115,13 +115,13 @@ def test_the_tolerance_compiles_nothing_anew():
     with pytest.warns(al.ExpansionWarning, match="exceeds 1e-06"):
         solution = al.solve(phase_problem(short, tolerance=1e-6))
     assert EVALUATE.compilations == before
-    assert solution.expansion.tolerance == 1e-6
+    assert solution.certificate.expansion.tolerance == 1e-6
 
 
 def test_a_solution_says_which_corner_no_point_lies_in():
     solution = al.solve(phase_problem(al.Grid(6.0, 60)))
     levels = np.sort((1 + np.asarray(solution_points(solution))[:, 0]) / 2)
-    corner = solution.expansion.unseen
+    corner = solution.certificate.expansion.unseen
     assert corner is not None
     assert corner.probability == pytest.approx(max(levels[0], 1 - levels[-1]), rel=1e-9)
     assert "the largest corner without a point (w " in str(solution)

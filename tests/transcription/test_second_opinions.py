@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import aleator as al
-from aleator.transcription import EVALUATE
 from aleator.transcription._discretisation import RESPOND
+from aleator.transcription.sequential import EVALUATE
 from tiny_models import LOSS, ONE_STEP, gain_problem, oscillator_problem
 
 Y, BOUND = al.terminal("y"), 2.0
@@ -47,8 +47,8 @@ def test_a_smooth_design_is_confirmed_and_told_so():
         with warnings.catch_warnings():
             warnings.simplefilter("error")
             solution = al.solve(problem)
-        assert solution.opinion is not None
-        assert solution.opinion.agrees
+        assert solution.certificate.opinion is not None
+        assert solution.certificate.opinion.agrees
         assert "32 fresh simulations agree" in str(solution)
 
 
@@ -56,7 +56,7 @@ def test_a_limit_that_only_the_expansion_meets_is_no_solution():
     with pytest.warns(al.ExpansionWarning, match="fresh simulations disagree"):
         solution = al.solve(comb_problem(0.6), throw=False)
     # No point sees the teeth: by the expansion all is well.
-    assert solution.expansion.worst < 1e-6
+    assert solution.certificate.expansion.worst < 1e-6
     assert solution.decisions["gain"] == pytest.approx(BOUND, rel=1e-6)
     assert not solution.ok
     assert "contradict" in solution.status.value
@@ -67,7 +67,7 @@ def test_a_limit_that_only_the_expansion_meets_is_no_solution():
 def test_the_correction_is_that_of_the_closed_form():
     with pytest.warns(al.ExpansionWarning, match="fresh simulations disagree"):
         solution = al.solve(comb_problem(0.6, Y.mean <= 50.0))
-    (told,) = (one for one in solution.opinion.contradictions if one.startswith("μ[y(t_f)]"))
+    (told,) = (one for one in solution.certificate.opinion.contradictions if one.startswith("μ[y(t_f)]"))
     by, error = (float(part) for part in told.split(" is ")[1].split(" off")[0].split(" ± "))
     # The teeth's mean, and its standard error over 32 systems: cos² spreads by 1 / sqrt(8).
     gain = solution.decisions["gain"]
@@ -79,15 +79,15 @@ def test_small_teeth_are_warned_of_and_leave_a_design_a_solution():
     with pytest.warns(al.ExpansionWarning, match="fresh simulations disagree"):
         solution = al.solve(comb_problem(0.05))
     assert solution.ok
-    assert not solution.opinion.agrees
-    assert solution.opinion.broken == ""
+    assert not solution.certificate.opinion.agrees
+    assert solution.certificate.opinion.broken == ""
 
 
 def test_limits_over_time_and_norms_are_judged_with_the_rest():
     limits = al.path("y").std <= 5.0, al.norm(Y.mean, Y.skewness) <= 50.0, al.time_integral(al.path("y").mean) <= 9.0
     with pytest.warns(al.ExpansionWarning, match="fresh simulations disagree"):
         solution = al.solve(comb_problem(0.6, limits))
-    told = " ".join(solution.opinion.contradictions)
+    told = " ".join(solution.certificate.opinion.contradictions)
     assert "‖μ[y(t_f)], Skew[y(t_f)]‖" in told
     assert "∫μ[y(t)] dt" in told
     # Far from their bounds, they break nothing.
@@ -95,7 +95,7 @@ def test_limits_over_time_and_norms_are_judged_with_the_rest():
 
 
 def test_nothing_is_asked_where_nothing_is_uncertain():
-    assert al.solve(gain_problem(theta=1.0)).opinion is None
+    assert al.solve(gain_problem(theta=1.0)).certificate.opinion is None
 
 
 def test_another_bound_and_another_tolerance_compile_nothing_for_it():

@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 import aleator as al
-from aleator.transcription import EVALUATE, transcribe
+from aleator.transcription import transcribe
+from aleator.transcription.sequential import EVALUATE
 from tiny_models import ONE_STEP, RESPONSE, SPREAD, Gain, derivative_error, gain_problem, oscillator_problem
 
 

@@ -8,7 +8,8 @@ import pytest
 from scipy import stats
 
 import aleator as al
-from aleator.transcription import EVALUATE, transcribe
+from aleator.transcription import transcribe
+from aleator.transcription.sequential import EVALUATE
 from tiny_models import HALF_WIDTH, LOSS, ONE_STEP, RESPONSE, Gain, derivative_error, gain_problem, oscillator_problem
 
 GAIN = 1.7

@@ -4,7 +4,7 @@ import numpy as np
 
 from aleator.studies import pick_and_place_time
 from aleator.transcription import transcribe
-from aleator.transcription._structure import structure_of
+from aleator.transcription.sequential._structure import structure_of
 
 
 def test_what_was_felt_at_some_instant_is_counted_wherever_the_decision_is_felt():

@@ -63,7 +63,7 @@ def missed(tangent, solution, order):
 @pytest.mark.parametrize("order", [2, 3, 4, 5])
 def test_the_figure_is_the_error_of_the_derivatives_own_expansion(order):
     solution = solved("smooth", order)
-    errors = solution.expansion.tangents["smooth(t_f)"]
+    errors = solution.certificate.expansion.tangents["smooth(t_f)"]
     exact = {
         "a.mean": missed(lambda _, a: 2 * np.exp(2 * a), solution, order),
         "a.half_width": missed(lambda germ, a: 2 * germ * np.exp(2 * a), solution, order),
@@ -76,7 +76,7 @@ def test_the_figure_is_the_error_of_the_derivatives_own_expansion(order):
 
 def test_a_kink_in_the_slope_spoils_the_derivatives_before_the_values_and_that_is_said():
     solution = solved("kink", 5)
-    quality = solution.expansion
+    quality = solution.certificate.expansion
     assert quality.worst <= quality.tolerance < quality.worst_tangent.error
     assert "not resolved, so prices" in str(solution)
     assert "not resolved" not in str(solved("smooth", 5))
@@ -84,17 +84,17 @@ def test_a_kink_in_the_slope_spoils_the_derivatives_before_the_values_and_that_i
 
 def test_paths_are_told_too_and_decisions_that_are_no_parameters_are_not():
     solution = solved("smooth", 4, al.path("path").mean <= 100.0)
-    errors = solution.expansion.tangents
+    errors = solution.certificate.expansion.tangents
     assert errors["path(t)"] == pytest.approx(errors["smooth(t_f)"], rel=1e-6)
     law = al.Uniform(MEAN, half_width=WIDTH)
     problem = al.Problem(
         Response(law, gain=al.Decision(1.0, 0.5, 2.0)), grid=ONE_STEP, minimize=al.terminal("smooth").std
     )
-    assert solution_of(problem).expansion.worst_tangent is None
+    assert solution_of(problem).certificate.expansion.worst_tangent is None
 
 
 def test_nothing_uncertain_has_no_such_figure():
     problem = al.deterministic(solved("smooth", 4).problem)
-    quality = solution_of(problem).expansion
+    quality = solution_of(problem).certificate.expansion
     assert quality.worst_tangent is None
     assert "by distribution parameters" not in str(solution_of(problem))

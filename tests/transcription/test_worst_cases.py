@@ -9,7 +9,9 @@ import pytest
 from scipy import optimize, signal
 
 import aleator as al
-from aleator.transcription import EVALUATE, _worst_case, transcribe
+from aleator.certification import _worst_case
+from aleator.transcription import transcribe
+from aleator.transcription.sequential import EVALUATE
 from tiny_models import ONE_STEP, gain_problem, oscillator_problem, sine
 
 Y = al.terminal("y")
@@ -64,7 +66,7 @@ def test_the_design_is_that_of_the_true_worst_case_wherever_it_lies(case):
     solution = al.solve(largest_gain(rule, Y.at_most(1.0, worst_case=True)))
     assert solution.decisions["gain"] == pytest.approx(gain, rel=2e-6)
     assert al.validate(solution, 50_000, batch=5000).violations["y"].count == 0
-    (worst,) = solution.worst_case.realisations
+    (worst,) = solution.certificate.worst_case.realisations
     assert worst.value == pytest.approx(1.0, rel=1e-5)
     assert rule(gain, worst.numbers["a"], worst.numbers["b"]) == pytest.approx(1.0, rel=1e-5)
 
@@ -101,7 +103,7 @@ def test_a_lower_limit_is_held_from_below_and_both_limits_at_once():
     low = optimize.minimize_scalar(least, bounds=(-1, 0), method="bounded", options={"xatol": 1e-12}).fun
     solution = al.solve(largest_gain(rule, Y.within(-1.0, 1.0, worst_case=True)))
     assert solution.decisions["gain"] == pytest.approx(-1.0 / low, rel=1e-6)
-    assert len(solution.worst_case.realisations) == 2
+    assert len(solution.certificate.worst_case.realisations) == 2
 
 
 def test_the_worst_of_many_variables_is_found_at_its_corner():
@@ -152,7 +154,7 @@ def test_a_limit_over_time_holds_between_instants_for_the_worst_system():
     assert worst_reach(solution.decisions["c"]) == pytest.approx(0.16, rel=3e-3)
     evidence = al.validate(solution, 5000)
     assert evidence.violations["x"].count == 0
-    worst = solution.worst_case.realisations[0]
+    worst = solution.certificate.worst_case.realisations[0]
     assert worst.time not in solution.instants
     assert "k = 8 " in f"{worst.sentence()} "
 
@@ -169,7 +171,7 @@ def test_more_scenarios_and_other_bounds_compile_nothing():
     al.solve(problem)
     before = EVALUATE.compilations
     solution = al.solve(problem.with_bound("y", 0.5))
-    assert solution.worst_case.rounds > 1
+    assert solution.certificate.worst_case.rounds > 1
     assert EVALUATE.compilations == before
 
 
@@ -178,7 +180,7 @@ def test_a_solution_hands_its_scenarios_to_the_next_as_a_start():
     problem = largest_gain(rule, Y.at_most(1.0, worst_case=True))
     first = al.solve(problem)
     again = al.solve(problem, warm_start=first)
-    assert again.worst_case.rounds == 1
+    assert again.certificate.worst_case.rounds == 1
     assert again.decisions["gain"] == pytest.approx(first.decisions["gain"], rel=1e-7)
 
 
@@ -203,7 +205,7 @@ def test_the_worst_case_of_what_is_certain_is_its_value():
     )
     solution = al.solve(certain)
     assert solution.decisions["gain"] == pytest.approx(2.0, rel=1e-7)
-    assert solution.worst_case is None
+    assert solution.certificate.worst_case is None
 
 
 @pytest.mark.parametrize(

@@ -79,7 +79,7 @@ def test_a_spike_in_a_corner_without_points_is_found():
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         solution = solved("spike", UNIFORM, UNIFORM)
-    assert solution.expansion.unseen is not None
+    assert solution.certificate.expansion.unseen is not None
     evidence = alarmed(solution)
     assert not evidence.agrees
     assert str(evidence).startswith("DISAGREES: fresh simulations contradict the solution:")
@@ -249,7 +249,7 @@ def test_what_is_certain_differs_by_the_error_of_its_grid_and_that_is_no_alarm()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         solution = al.solve(problem, throw=False)
-    assert solution.grid_error.functionals["∫u2 dt"].error > 0
+    assert solution.certificate.grid_error.functionals["∫u2 dt"].error > 0
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert al.validate(solution, 500).agrees

@@ -317,4 +317,4 @@ def test_systems_are_simulated_on_a_grid_whose_error_is_an_order_below_what_is_t
     assert abs(float(solution.moments["x(t_f)"].mean) - exact) > 20 * float(sampled.standard_error)
     assert abs(float(sampled.mean) - exact) < 4 * float(sampled.standard_error)
     assert evidence.functionals["x(t)"].mean.shape == (5,)
-    assert evidence.instants == 4 * solution.grid_error.factor + 1
+    assert evidence.instants == 4 * solution.certificate.grid_error.factor + 1

@@ -1,11 +1,5 @@
-"""The declared problem: functionals of outputs, statistics of them, bounds, cost curves. And its answer."""
+"""The declared problem: functionals of outputs, statistics of them, bounds, cost curves."""
 
-from aleator.design._certificate import TOLERATED as TOLERATED
-from aleator.design._certificate import Between as Between
-from aleator.design._certificate import ConstraintResult as ConstraintResult
-from aleator.design._certificate import ExpansionQuality as ExpansionQuality
-from aleator.design._certificate import Moments as Moments
-from aleator.design._certificate import Times as Times
 from aleator.design._cost import cost_curve as cost_curve
 from aleator.design._cost import exponential as exponential
 from aleator.design._cost import reciprocal as reciprocal
@@ -30,8 +24,6 @@ from aleator.design._functionals import path as path
 from aleator.design._functionals import peak as peak
 from aleator.design._functionals import rms as rms
 from aleator.design._functionals import terminal as terminal
-from aleator.design._grid_error import Deviation as Deviation
-from aleator.design._grid_error import GridError as GridError
 from aleator.design._objectives import Norm as Norm
 from aleator.design._objectives import coefficient_power as coefficient_power
 from aleator.design._objectives import effort as effort
@@ -42,7 +34,6 @@ from aleator.design._objectives import power as power
 from aleator.design._objectives import terminal_mean_error as terminal_mean_error
 from aleator.design._objectives import terminal_variance as terminal_variance
 from aleator.design._objectives import time_integral as time_integral
-from aleator.design._opinion import SecondOpinion as SecondOpinion
 from aleator.design._physics import refuse_changed_code as refuse_changed_code
 from aleator.design._problem import Problem as Problem
 from aleator.design._problem import current as current
@@ -64,7 +55,6 @@ from aleator.design._scope import AbstractScope as AbstractScope
 from aleator.design._scope import AbstractScopeOfInstants as AbstractScopeOfInstants
 from aleator.design._scope import Units as Units
 from aleator.design._sizes import sizes as sizes
-from aleator.design._solution import Solution as Solution
 from aleator.design._statistic import AbstractFunctional as AbstractFunctional
 from aleator.design._statistic import Statistic as Statistic
 from aleator.design._statistic import Taken as Taken
@@ -79,6 +69,3 @@ from aleator.design._statistic import statistics_in as statistics_in
 from aleator.design._units import number_unit as number_unit
 from aleator.design._units import output_units as output_units
 from aleator.design._units import units_of as units_of
-from aleator.design._worst_case import WorstCase as WorstCase
-from aleator.design._worst_case import WorstRealisation as WorstRealisation
-from aleator.nlp import HELD as HELD

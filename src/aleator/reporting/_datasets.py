@@ -5,8 +5,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from aleator.design import Solution, statistics_in
+from aleator.design import statistics_in
 from aleator.reporting import _units
+from aleator.solution import Solution
 from aleator.statistics import Mean, Std
 from aleator.sweep import Calibration, Front
 from aleator.validation import PERCENTILES, Evidence, Share
@@ -55,10 +56,10 @@ def solution_dataset(solution: Solution) -> "xarray.Dataset":
             data[f"statistic {_key(one.text())}"] = _variable(axes, values, f"{one.text()} by the expansion", unit)
     attributes = {
         "status": solution.status.value,
-        "solver": solution.solver,
-        "violation": solution.violation,
-        "stationarity": solution.stationarity,
-        "complementarity": solution.complementarity,
+        "solver": solution.effort.solver,
+        "violation": solution.certificate.violation,
+        "stationarity": solution.certificate.stationarity,
+        "complementarity": solution.certificate.complementarity,
         "problem": str(problem),
     }
     return _with_time(xarray.Dataset(data, attrs=attributes), solution)
@@ -108,15 +109,18 @@ def front_dataset(front: Front) -> "xarray.Dataset":
     first = front.solutions[0]
     bound_unit = _units.of_expression(first.problem.named(front.bound)[0].expression, first.problem)
     unit = _objective_unit(first)
+    active = [", ".join(one.active) if isinstance(one, Solution) else "" for one in front.points]
     data: dict[str, Variable] = {
         "objective": _variable("bound", front.objectives, str(first.problem.objective), unit),
         "price": _variable("bound", front.prices, f"price of {front.bound}", f"{unit or '1'} per {bound_unit or '1'}"),
         "violation": _variable("bound", front.violations, "scaled violation", "1"),
-        "status": _variable("bound", [one.status.name for one in front.solutions], "how each solve ended", ""),
-        "active": _variable("bound", [", ".join(one.active) for one in front.solutions], "active constraints", ""),
+        "status": _variable("bound", [one.status.name for one in front.points], "how each solve ended", ""),
+        "active": _variable("bound", active, "active constraints", ""),
     }
     for name, value in first.decisions.items():
-        values = np.stack([np.asarray(one.decisions[name], dtype=float) for one in front.solutions])
+        unknown = np.full(np.shape(value), np.nan)
+        each = [one.decisions[name] if isinstance(one, Solution) else unknown for one in front.points]
+        values = np.stack([np.asarray(one, dtype=float) for one in each])
         axes = ("bound", *_entries(name, value))
         data[f"decision {_key(name)}"] = _variable(axes, values, name, _units.of_decision(name, first.problem))
     bound = _variable("bound", front.values, f"limit of {front.bound}", bound_unit)

@@ -5,7 +5,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from aleator.design import Solution
 from aleator.reporting._numbers import given, number
 from aleator.reporting._style import (
     LIMIT,
@@ -20,7 +19,8 @@ from aleator.reporting._style import (
     padded,
     plain,
 )
-from aleator.sweep import Front
+from aleator.solution import Solution
+from aleator.sweep import Front, Refused
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
@@ -66,7 +66,7 @@ def front_figure(
 
 
 def _range(fronts: Mapping[str, Front], measure: Measure, extra: tuple[float, ...]) -> tuple[float, float]:
-    values = [measure(one) for front in fronts.values() for one in front.solutions if one.ok] + list(extra)
+    values = [measure(one) for front in fronts.values() for one in front.optima if one] + list(extra)
     low, high = (min(values), max(values)) if values else (0.0, 1.0)
     return (low, high) if high > low else (low - 0.5 * abs(low or 1.0), high + 0.5 * abs(high or 1.0))
 
@@ -75,7 +75,7 @@ def _add_solved(
     figure: "Figure", name: str, front: Front, look: Look, measure: Measure, units: tuple[str, str]
 ) -> None:
     """The solved points as one line; it is broken where a point between them has no solution."""
-    values = [measure(one) if one.ok else None for one in front.solutions]
+    values = [measure(one) if one else None for one in front.optima]
     legend_entry(figure, name, look)
     figure.add_scatter(
         x=front.values,
@@ -86,22 +86,24 @@ def _add_solved(
         showlegend=False,
         line={"color": look.colour, "width": 2},
         marker={
-            "symbol": [f"{look.symbol}{'' if _holds(one, front.bound) else '-open'}" for one in front.solutions],
+            "symbol": [f"{look.symbol}{'' if _holds(one, front.bound) else '-open'}" for one in front.points],
             "size": 9,
             "color": look.colour,
             "line": {"color": look.colour, "width": 2},
         },
-        text=[_hover(front, i) for i in range(len(front.solutions))],
+        text=[_hover(front, i) for i in range(len(front.points))],
         hovertemplate=f"<b>{plain(name)}</b>: %{{y:.4~g}} {plain(units[1])}<br>%{{text}}<extra></extra>",
     )
 
 
-def _holds(solution: Solution, bound: str) -> bool:
-    return solution.multiplier(bound) > 0
+def _holds(point: Solution | Refused, bound: str) -> bool:
+    return isinstance(point, Solution) and point.multiplier(bound) > 0
 
 
 def _hover(front: Front, i: int) -> str:
-    solution = front.solutions[i]
+    solution = front.points[i]
+    if isinstance(solution, Refused):
+        return ""
     price = f"<br>price of the bound {number(solution.multiplier(front.bound), 3)} per unit"
     active = ", ".join(dict.fromkeys(name.split("[")[0] for name in solution.active)) or "nothing"
     decisions = "".join(
@@ -112,7 +114,7 @@ def _hover(front: Front, i: int) -> str:
 
 def _add_infeasible(figure: "Figure", name: str, front: Front, look: Look, height: float, unit: str) -> None:
     """Points without a solution, on the axis: where, and by how little the limits are missed."""
-    missing = [i for i, one in enumerate(front.solutions) if not one.ok]
+    missing = [i for i, one in enumerate(front.points) if not one.ok]
     if not missing:
         return
     last = max(missing, key=lambda i: front.values[i])
@@ -126,7 +128,7 @@ def _add_infeasible(figure: "Figure", name: str, front: Front, look: Look, heigh
         text=[f" {plain(name)} infeasible" if i == last else "" for i in missing],
         textposition="middle right" if 2 * front.values[last] < sum(_ends(front)) else "middle left",
         textfont={"size": SIZE - 1, "color": look.colour},
-        customdata=[_why(front.solutions[i]) for i in missing],
+        customdata=[_why(front.points[i]) for i in missing],
         hovertemplate=(
             f"<b>{plain(name)}</b>: not solved at %{{x:.4~g}} {plain(unit)}<br>%{{customdata}}<extra></extra>"
         ),
@@ -138,12 +140,12 @@ def _ends(front: Front) -> tuple[float, float]:
     return float(front.values.min()), float(front.values.max())
 
 
-def _why(solution: Solution) -> str:
+def _why(solution: Solution | Refused) -> str:
     """Status and the least violations, one a line, for hovering."""
+    if isinstance(solution, Refused):
+        return f"{plain(solution.status.value)}<br>{plain(solution.reason)}"
     lines = [plain(solution.status.value), *(plain(one.sentence()) for one in solution.violated)]
-    if np.isnan(solution.violation):
-        return "<br>".join([*lines, plain(solution.message)])
-    return "<br>".join([*lines, f"least scaled violation {number(solution.violation, 3)}"])
+    return "<br>".join([*lines, f"least scaled violation {number(solution.certificate.violation, 3)}"])
 
 
 def _shade_infeasible(figure: "Figure", name: str, front: Front) -> None:
@@ -178,7 +180,7 @@ def price_figure(
         look = looks(fronts)[name]
         figure.add_scatter(
             x=front.values,
-            y=[scale * one.multiplier(front.bound) if one.ok else None for one in front.solutions],
+            y=[scale * one.multiplier(front.bound) if one else None for one in front.optima],
             mode="lines+markers",
             name=plain(name),
             line={"color": look.colour, "width": 2},
@@ -207,12 +209,12 @@ def decision_path_figure(
     figure = blank(plain(x), plain(y))
     for name, front in fronts.items():
         look = looks(fronts)[name]
-        points = [i for i, one in enumerate(front.solutions) if one.ok]
-        places = [float(front.solutions[i].decisions[across]) for i in points]
-        bounds = [given(float(f"{front.values[i]:.4g}"), bound_unit) for i in points]
+        found = [(value, one) for value, one in zip(front.values, front.optima, strict=True) if one]
+        places = [float(one.decisions[across]) for _, one in found]
+        bounds = [given(float(f"{value:.4g}"), bound_unit) for value, _ in found]
         figure.add_scatter(
             x=places,
-            y=[float(front.solutions[i].decisions[up]) for i in points],
+            y=[float(one.decisions[up]) for _, one in found],
             mode="lines+markers+text",
             name=plain(name),
             line={"color": look.colour, "width": 1.5},
@@ -229,7 +231,7 @@ def decision_path_figure(
         )
     if lower is not None:
         limit_line(figure, lower, lower_text, dash="dot", under=True)
-        reached = [float(one.decisions[up]) for front in fronts.values() for one in front.solutions if one.ok]
+        reached = [float(one.decisions[up]) for front in fronts.values() for one in front.optima if one]
         figure.update_yaxes(range=padded([lower, *reached], 0.12))
     figure.update_yaxes(tickformat=",d")
     return figure
@@ -259,12 +261,12 @@ def relative_figure(
     for name, style in styles.items():
         figure.add_scatter(
             x=front.values,
-            y=[100 * float(one.decisions[name]) / float(starts[name]) if one.ok else None for one in front.solutions],
+            y=[100 * float(one.decisions[name]) / float(starts[name]) if one else None for one in front.optima],
             mode="lines+markers",
             name=plain(names[name]),
             line={"color": style["colour"], "width": 2, "dash": style["dash"]},
             marker={"symbol": style["symbol"], "size": 9, "color": style["colour"]},
-            customdata=[number(float(one.decisions[name])) for one in front.solutions],
+            customdata=[number(float(one.decisions[name])) if one else "" for one in front.optima],
             hovertemplate=(
                 f"<b>{plain(names[name])}</b>: %{{customdata}}, %{{y:.4~g}} % of the {reference}<extra></extra>"
             ),

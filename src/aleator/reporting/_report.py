@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, TypeVar, cast
 import numpy as np
 
 from aleator._core.errors import ProblemError
-from aleator.design import Solution
 from aleator.reporting import _units
 from aleator.reporting._files import as_path, check_writable
 from aleator.reporting._fronts import front_figure, price_figure
@@ -21,6 +20,7 @@ from aleator.reporting._tables import (
     statistics_table,
     unresolved,
 )
+from aleator.solution import Solution
 from aleator.sweep import Front
 from aleator.validation import Evidence
 

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-from aleator.design import ConstraintResult, Solution
 from aleator.reporting import _units
 from aleator.reporting._datasets import tree
 from aleator.reporting._files import write_together
+from aleator.solution import ConstraintResult, Solution
 from aleator.sweep import Calibration, Front
 from aleator.validation import Evidence, Proportion
 
@@ -97,7 +97,7 @@ def _leaves(place: str, results: Mapping[str, Any]) -> "list[tuple[str, Any]]":
 
 def solution_document(solution: Solution, evidence: Evidence | None = None) -> dict[str, Any]:
     """One design: decisions, objective, constraints, certificate and, where it was sampled, violations."""
-    problem, quality = solution.problem, solution.expansion
+    problem, quality = solution.problem, solution.certificate.expansion
     document: dict[str, Any] = {
         "status": solution.status.value,
         "decisions": {
@@ -120,12 +120,12 @@ def solution_document(solution: Solution, evidence: Evidence | None = None) -> d
             for one, declared in zip(solution.constraints, problem.constraints, strict=True)
         ],
         "certificate": {
-            "violation": solution.violation,
-            "stationarity": solution.stationarity,
-            "complementarity": solution.complementarity,
-            "iterations": solution.iterations,
-            "evaluations": solution.evaluations,
-            "solver": solution.solver,
+            "violation": solution.certificate.violation,
+            "stationarity": solution.certificate.stationarity,
+            "complementarity": solution.certificate.complementarity,
+            "iterations": solution.effort.iterations,
+            "evaluations": solution.effort.evaluations,
+            "solver": solution.effort.solver,
             "message": solution.message,
         },
         "expansion": {
@@ -136,7 +136,7 @@ def solution_document(solution: Solution, evidence: Evidence | None = None) -> d
             "leave_one_out": quality.leave_one_out,
             "leave_one_out_of_derivatives": quality.tangents,
         },
-        "seconds": {"compile": solution.times.compile_, "solve": solution.times.solve},
+        "seconds": {"compile": solution.effort.times.compile_, "solve": solution.effort.times.solve},
         "problem": str(problem).splitlines(),
     }
     if not solution.ok:

@@ -4,11 +4,11 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from aleator.design import ConstraintResult, Solution
 from aleator.nlp import Status
 from aleator.reporting import _units
 from aleator.reporting._numbers import count, given, number, residual, seconds, share_text, values_text, words
 from aleator.reporting._page import Table
+from aleator.solution import Certificate, ConstraintResult, Effort, Solution
 from aleator.statistics import Mean, Std
 from aleator.validation import Checked, Evidence
 
@@ -107,60 +107,69 @@ def _price(solution: Solution, name: str) -> str:
 def certificate_table(solutions: Mapping[str, Solution]) -> Table:
     """What certifies each design: residuals of the optimality conditions, effort, quality of the expansion."""
     every = list(solutions.values())
+    certificates, efforts = [one.certificate for one in every], [one.effort for one in every]
+    expanded = [one.expansion for one in certificates if _expanded(one)]
     rows = [
         ["Status", *(STATUS_WORDS[one.status] for one in every)],
-        ["Solver", *(one.solver for one in every)],
-        ["Violation (scaled)", *(residual(one.violation) for one in every)],
-        ["Stationarity (scaled)", *(residual(one.stationarity) for one in every)],
-        ["Complementarity (scaled)", *(residual(one.complementarity) for one in every)],
+        ["Solver", *(one.solver for one in efforts)],
+        ["Violation (scaled)", *(residual(one.violation) for one in certificates)],
+        ["Stationarity (scaled)", *(residual(one.stationarity) for one in certificates)],
+        ["Complementarity (scaled)", *(residual(one.complementarity) for one in certificates)],
         *(
-            [["Limits between the instants", *(_between(one) for one in every)]]
-            if any(one.between for one in every)
+            [["Limits between the instants", *map(_between, certificates)]]
+            if any(one.between for one in certificates)
             else []
         ),
-        ["Iterations / evaluations", *(f"{one.iterations} / {one.evaluations}" for one in every)],
-        [
-            "Time to compile / to solve",
-            *(f"{seconds(one.times.compile_)} / {seconds(one.times.solve)}" for one in every),
-        ],
-        ["Expansion: order, terms, points", *(_expansion(one) for one in every)],
-        ["Condition number", *(number(one.expansion.condition_number, 3) if _expanded(one) else "–" for one in every)],
+        ["Iterations / evaluations", *(f"{one.iterations} / {one.evaluations}" for one in efforts)],
+        ["Time to compile / to solve", *map(_times, efforts)],
+        ["Expansion: order, terms, points", *map(_expansion, certificates)],
+        ["Condition number", *map(_condition_number, certificates)],
     ]
-    for text in _union([list(one.expansion.leave_one_out) for one in every if _expanded(one)]):
-        rows.append([f"Leave-one-out error, {text}", *(_leave_one_out(one, text) for one in every)])
-    if any(one.expansion.tangents for one in every):
-        rows.append(["Worst leave-one-out error of a derivative by a distribution's parameter", *map(_tangent, every)])
+    for text in _union([list(one.leave_one_out) for one in expanded]):
+        rows.append([f"Leave-one-out error, {text}", *(_leave_one_out(one, text) for one in certificates)])
+    if any(one.expansion.tangents for one in certificates):
+        each = map(_tangent, certificates)
+        rows.append(["Worst leave-one-out error of a derivative by a distribution's parameter", *each])
+    tolerances = words(sorted({f"{given(100 * one.expansion.tolerance)} %" for one in certificates}))
     note = (
         "Residuals are computed from the point and its multipliers, not taken from the solver. The leave-one-out error"
         " is the rms error of predicting each collocation point from all others, relative to the standard deviation:"
-        f" up to {words(sorted({f'{given(100 * one.expansion.tolerance)} %' for one in every}))} it counts as resolved."
+        f" up to {tolerances} it counts as resolved."
     )
     return Table("Certificate", ["", *solutions], rows, note)
 
 
-def _between(solution: Solution) -> str:
-    one = solution.between
+def _times(effort: Effort) -> str:
+    return f"{seconds(effort.times.compile_)} / {seconds(effort.times.solve)}"
+
+
+def _between(certificate: Certificate) -> str:
+    one = certificate.between
     if one is None:
         return "–"
     return "hold" if one.holds else f"{one.name} exceeded by {number(one.worst, 2)} of its scale"
 
 
-def _expanded(solution: Solution) -> bool:
-    return solution.expansion.points > 1
+def _expanded(certificate: Certificate) -> bool:
+    return certificate.expansion.points > 1
 
 
-def _expansion(solution: Solution) -> str:
-    one = solution.expansion
-    return f"{one.order}, {one.terms}, {one.points}" if _expanded(solution) else "nothing is uncertain"
+def _expansion(certificate: Certificate) -> str:
+    one = certificate.expansion
+    return f"{one.order}, {one.terms}, {one.points}" if _expanded(certificate) else "nothing is uncertain"
 
 
-def _leave_one_out(solution: Solution, text: str) -> str:
-    error = solution.expansion.leave_one_out.get(text)
-    return "–" if error is None or not _expanded(solution) else residual(error)
+def _condition_number(certificate: Certificate) -> str:
+    return number(certificate.expansion.condition_number, 3) if _expanded(certificate) else "–"
 
 
-def _tangent(solution: Solution) -> str:
-    worst = solution.expansion.worst_tangent
+def _leave_one_out(certificate: Certificate, text: str) -> str:
+    error = certificate.expansion.leave_one_out.get(text)
+    return "–" if error is None or not _expanded(certificate) else residual(error)
+
+
+def _tangent(certificate: Certificate) -> str:
+    worst = certificate.expansion.worst_tangent
     return "–" if worst is None else f"{residual(worst.error)} ({worst.functional} by {worst.parameter})"
 
 
@@ -222,8 +231,8 @@ def unresolved(solutions: Mapping[str, Solution]) -> dict[str, tuple[str, float]
     """The designs whose expansion misses too much of a functional's variance: which, from when on, and how much."""
     found = {}
     for name, one in solutions.items():
-        if _expanded(one) and one.expansion.unresolved:
-            errors = one.expansion.leave_one_out
-            worst = max(one.expansion.unresolved, key=lambda text: errors[text])
-            found[name] = (f"{worst}{one.expansion.since(worst)}", errors[worst])
+        quality = one.certificate.expansion
+        if _expanded(one.certificate) and quality.unresolved:
+            worst = max(quality.unresolved, key=lambda text: quality.leave_one_out[text])
+            found[name] = (f"{worst}{quality.since(worst)}", quality.leave_one_out[worst])
     return found

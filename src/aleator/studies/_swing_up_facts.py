@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from aleator.design import HELD
+from aleator.nlp import HELD
 from aleator.references import estimate, group_count
 from aleator.reporting import Table, count, given, number
 from aleator.studies._family import Family

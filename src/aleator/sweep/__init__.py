@@ -4,6 +4,7 @@ from aleator.sweep._calibrate import calibrate as calibrate
 from aleator.sweep._calibration import Calibration as Calibration
 from aleator.sweep._calibration import Trial as Trial
 from aleator.sweep._front import Front as Front
+from aleator.sweep._front import Refused as Refused
 from aleator.sweep._front import pareto as pareto
 from aleator.sweep._multistart import Starts as Starts
 from aleator.sweep._multistart import multistart as multistart

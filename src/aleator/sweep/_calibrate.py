@@ -12,8 +12,9 @@ from scipy import special
 from aleator._core.errors import CalibrationWarning, ProblemError
 from aleator._core.heard import heeding
 from aleator._core.progress import Progress, silent
-from aleator.design import Problem, Solution, uncertain
+from aleator.design import Problem, uncertain
 from aleator.nlp import AbstractSolver
+from aleator.solution import Solution
 from aleator.sweep._calibration import Calibration, Trial
 from aleator.sweep._margins import MarginSearch
 from aleator.validation import Evidence, Proportion, Share, rare_violation, validate, why_uncounted

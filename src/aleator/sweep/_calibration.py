@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import final
 
-from aleator.design import Solution
+from aleator.solution import Solution
 from aleator.validation import Evidence, Proportion, Share
 
 

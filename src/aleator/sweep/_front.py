@@ -1,7 +1,7 @@
 """`pareto`: one problem for many values of a bound (the constraint form of multi-objective design, section 3.5.1)."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import final
 
 import numpy as np
@@ -11,9 +11,36 @@ from aleator._core.errors import ProblemError
 from aleator._core.given import a_name, one_of, real_array
 from aleator._core.heard import heeding
 from aleator._core.progress import Progress, silent
-from aleator.design import Problem, Solution, Times, current, refuse_changed
+from aleator.design import Problem, current, refuse_changed
 from aleator.nlp import AbstractSolver, Status
+from aleator.solution import Solution
 from aleator.solving import solve
+
+
+@final
+@dataclass(frozen=True)
+class Refused:
+    """A point of a front that was refused before it was solved, because no decision can meet the bound.
+
+    - `problem`: with that bound; `reason`: what was said.
+    """
+
+    problem: Problem
+    reason: str
+
+    @property
+    def ok(self) -> bool:
+        """Whether there is a certified optimum: never."""
+        return False
+
+    @property
+    def status(self) -> Status:
+        """How it ended: no design exists there."""
+        return Status.INFEASIBLE
+
+    def why(self) -> str:
+        """Why there is no design."""
+        return f"{self.status.value}. {self.reason}"
 
 
 @final
@@ -22,30 +49,40 @@ class Front:
     """Optimal designs along a bound. `print(front)` shows them.
 
     - `bound`: the name of the constraint; `values`: its bounds, shape (points,);
-    - `solutions`: one a point, also where the problem is infeasible: see `Solution.status` and `Solution.why()`. Where
-      it was refused before it was solved, because no decision can meet the bound, all numbers are not a number;
+    - `points`: what was found at each: a solution, also where the problem is infeasible (see `Solution.status` and
+      `Solution.why()`), or that the bound was `Refused`;
     - `interrupted`: whether the sweep was stopped early; the points finished by then are all here.
     """
 
     bound: str
     values: Float[np.ndarray, " points"]
-    solutions: tuple[Solution, ...]
+    points: tuple[Solution | Refused, ...]
     interrupted: bool = False
+
+    @property
+    def solutions(self) -> tuple[Solution, ...]:
+        """The points that were solved, or tried to."""
+        return tuple(one for one in self.points if isinstance(one, Solution))
+
+    @property
+    def optima(self) -> tuple[Solution | None, ...]:
+        """The certified optimum at each point; None where there is none."""
+        return tuple(one if isinstance(one, Solution) and one.ok else None for one in self.points)
 
     @property
     def solved(self) -> np.ndarray:
         """Which points have a certified optimum."""
-        return np.array([solution.ok for solution in self.solutions], dtype=bool)
+        return np.array([one.ok for one in self.points], dtype=bool)
 
     @property
     def objectives(self) -> Float[np.ndarray, " points"]:
         """The optimum at each point, not a number where there is none."""
-        return np.array([solution.objective if solution.ok else np.nan for solution in self.solutions])
+        return self._numbers(lambda one: one.objective if one.ok else np.nan)
 
     @property
     def prices(self) -> Float[np.ndarray, " points"]:
         """How much the optimum falls for each unit by which the bound is relaxed; not a number where there is none."""
-        return np.array([one.multiplier(self.bound) if one.ok else np.nan for one in self.solutions])
+        return self._numbers(lambda one: one.multiplier(self.bound) if one.ok else np.nan)
 
     @property
     def violations(self) -> Float[np.ndarray, " points"]:
@@ -53,16 +90,20 @@ class Front:
 
         Not a number where it was refused.
         """
-        return np.array([solution.violation for solution in self.solutions])
+        return self._numbers(lambda one: one.certificate.violation)
+
+    def _numbers(self, measure: Callable[[Solution], float]) -> Float[np.ndarray, " points"]:
+        """A number of each point, not a number where it was refused."""
+        return np.array([measure(one) if isinstance(one, Solution) else np.nan for one in self.points])
 
     def __str__(self) -> str:
         rows = [f"{self.bound:>10} {'objective':>12} {'price':>10}  active"]
-        rows += [_row(self, *point) for point in zip(self.values, self.solutions, strict=True)]
+        rows += [_row(self, *point) for point in zip(self.values, self.points, strict=True)]
         return "\n".join(rows)
 
 
-def _row(front: Front, value: float, solution: Solution) -> str:
-    if not solution.ok:
+def _row(front: Front, value: float, solution: Solution | Refused) -> str:
+    if isinstance(solution, Refused) or not solution.ok:
         return f"{value:10.5g} {solution.status.name.lower().replace('_', ' '):>12}  {solution.why()}"
     price = solution.multiplier(front.bound)
     return f"{value:10.5g} {solution.objective:12.6g} {price:10.4g}  {', '.join(solution.active)}"
@@ -80,7 +121,7 @@ def pareto(
 
     The problem is compiled once: bounds are data. A point that fails is tried again from the problem's own start, and
     then kept with its status, its least violation and the reason. One that is refused, because no decision can meet the
-    bound, is kept as infeasible with what was said. Ctrl-C ends the sweep and returns the points that are finished, if
+    bound, is kept as `Refused` with what was said. Ctrl-C ends the sweep and returns the points that are finished, if
     there are any.
 
     A value given twice is solved once. Raises `ProblemError` if there is no such constraint or no value, or if every
@@ -94,7 +135,8 @@ def pareto(
     problem = current(problem)
     problems = [problem.with_bound(bound, value) for value in bounds]
     solutions: dict[float, Solution] = {}
-    refused: dict[float, ProblemError] = {}
+    refused: dict[float, Refused] = {}
+    first: ProblemError | None = None
     interrupted = True
     try:
         with heeding() as heed:
@@ -104,49 +146,19 @@ def pareto(
                 try:
                     solutions[value] = _point(one, _nearest(solutions, value), solver)
                 except ProblemError as error:
-                    refused[value] = error
+                    first = first or error
+                    refused[value] = Refused(one, str(error))
                 heed()
         interrupted = False
         progress(f"front over {bound}", len(bounds), len(bounds))
     except KeyboardInterrupt:
         if not solutions:
             raise
-    if refused and not solutions:
-        raise next(iter(refused.values()))
-    for one, value in zip(problems, bounds, strict=True):
-        if value in refused:
-            solutions[value] = _without_design(one, refused[value], next(iter(solutions.values())))
-    finished = [value for value in bounds if value in solutions]
-    return Front(bound, np.array(finished), tuple(solutions[value] for value in finished), interrupted)
-
-
-def _without_design(problem: Problem, error: ProblemError, other: Solution) -> Solution:
-    """A point that was refused: as `other`, a finished one, without its numbers, and with what was said."""
-    nothing = np.full(other.vector.shape, np.nan)
-    named = problem.survey.named(nothing)
-    return replace(
-        other,
-        problem=problem,
-        status=Status.INFEASIBLE,
-        decisions=named,
-        vector=nothing,
-        objective=np.nan,
-        constraints=(),
-        moments={},
-        statistics={},
-        at_bounds=(),
-        bound_multipliers=named,
-        multipliers=np.full(other.multipliers.shape, np.nan),
-        violation=np.nan,
-        stationarity=np.nan,
-        complementarity=np.nan,
-        iterations=0,
-        evaluations=0,
-        times=Times(0.0, 0.0, 0.0),
-        solver="refused before it was solved",
-        message=str(error).removesuffix("."),
-        between=None,
-    )
+    if first is not None and not solutions:
+        raise first
+    points = solutions | refused
+    finished = [value for value in bounds if value in points]
+    return Front(bound, np.array(finished), tuple(points[value] for value in finished), interrupted)
 
 
 def _nearest(solutions: Mapping[float, Solution], value: float) -> Solution | None:
@@ -161,4 +173,4 @@ def _point(problem: Problem, neighbour: Solution | None, solver: AbstractSolver 
     if first.ok or neighbour is None:
         return first
     second = solve(problem, solver, throw=False)
-    return second if second.ok or second.violation < first.violation else first
+    return second if second.ok or second.certificate.violation < first.certificate.violation else first

@@ -7,8 +7,9 @@ import numpy as np
 from scipy import special
 
 from aleator._core.errors import AleatorError, SolveError
-from aleator.design import Problem, Solution, current, refuse_changed
+from aleator.design import Problem, current, refuse_changed
 from aleator.nlp import AbstractSolver
+from aleator.solution import Solution
 from aleator.solving import solve
 from aleator.sweep._calibration import Trial
 from aleator.validation import Proportion, Share

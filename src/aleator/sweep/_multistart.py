@@ -11,8 +11,9 @@ from aleator._core.errors import ProblemError
 from aleator._core.given import one_of, positive, whole
 from aleator._core.heard import heeding
 from aleator._core.progress import Progress, silent
-from aleator.design import Problem, Solution, current, refuse_changed
+from aleator.design import Problem, current, refuse_changed
 from aleator.nlp import AbstractSolver
+from aleator.solution import Solution
 from aleator.solving import solve
 
 # Objectives that differ by less, relatively, are those of one local optimum, and so are decisions.
@@ -37,7 +38,7 @@ class Starts:
         solved = [one for one in self.solutions if one.ok]
         if solved:
             return min(solved, key=lambda one: one.objective)
-        return min(self.solutions, key=lambda one: np.nan_to_num(one.violation, nan=np.inf))
+        return min(self.solutions, key=lambda one: np.nan_to_num(one.certificate.violation, nan=np.inf))
 
     @property
     def optima(self) -> tuple[tuple[Solution, int], ...]:

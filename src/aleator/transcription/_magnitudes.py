@@ -7,8 +7,8 @@ from typing import NamedTuple, TypeAlias, final
 import numpy as np
 from jaxtyping import Float
 
-from aleator.design import HELD, AbstractAtom, Constraint, Norm, Peak, Problem, Rms, Statistic
-from aleator.nlp import Evaluation, Magnitudes, decision_range
+from aleator.design import AbstractAtom, Constraint, Norm, Peak, Problem, Rms, Statistic
+from aleator.nlp import HELD, Evaluation, Magnitudes, decision_range
 from aleator.statistics import Mean, Std, Variance
 
 Values: TypeAlias = Sequence[Float[np.ndarray, "..."]]

@@ -12,7 +12,8 @@ from jaxtyping import Array, Float
 from aleator._core.arrays import Pytree
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import is_leaf
-from aleator.design import Problem, Solution
+from aleator.design import Problem
+from aleator.solution import Solution
 from aleator.trajectories import AbstractTrajectory
 from aleator.uncertainty import Decision, at_means, realise
 

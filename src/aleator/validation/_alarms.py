@@ -7,16 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from aleator.design import (
-    Problem,
-    Solution,
-    Statistic,
-    expanded_functionals,
-    functionals_of,
-    is_worst_case,
-    sizes,
-)
+from aleator.design import Problem, Statistic, expanded_functionals, functionals_of, is_worst_case, sizes
 from aleator.references import group_count
+from aleator.solution import Solution
 from aleator.statistics import (
     Correlation,
     Covariance,
@@ -89,7 +82,7 @@ def _moments(found: Found) -> Iterator[Disagreement]:
 
 def _of_the_grid(solution: Solution, text: str) -> float:
     """How far a functional is known to be off by its grid: what is sampled on a finer one differs by that."""
-    error = solution.grid_error
+    error = solution.certificate.grid_error
     deviation = None if error is None else error.functionals.get(text)
     return 0.0 if deviation is None or np.isnan(deviation.error) else deviation.error
 

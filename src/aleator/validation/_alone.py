@@ -7,8 +7,10 @@ import numpy as np
 
 from aleator._core.arrays import numbers_to_arrays
 from aleator._core.errors import ProblemError
-from aleator.design import HELD, Solution, functionals_of, refuse_changed
+from aleator.design import functionals_of, refuse_changed
 from aleator.dynamics import Grid
+from aleator.nlp import HELD
+from aleator.solution import Solution
 from aleator.validation._counted import is_counted, tolerances, uncounted
 from aleator.validation._disagreement import Disagreement
 from aleator.validation._evidence import Evidence, Sampled

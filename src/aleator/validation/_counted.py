@@ -3,16 +3,9 @@
 import numpy as np
 from jaxtyping import Float
 
-from aleator.design import (
-    HELD,
-    AbstractFunctional,
-    Constraint,
-    Expression,
-    Extreme,
-    Problem,
-    Solution,
-    Statistic,
-)
+from aleator.design import AbstractFunctional, Constraint, Expression, Extreme, Problem, Statistic
+from aleator.nlp import HELD
+from aleator.solution import Solution
 
 _AN_ORDER_BELOW = 0.1
 
@@ -43,7 +36,7 @@ def sampled_by(solution: Solution) -> int:
 
     1 if the error of its own is an order below what is tolerated; otherwise the grid that its error was told by.
     """
-    error = solution.grid_error
+    error = solution.certificate.grid_error
     return 1 if error is None or error.ratio <= _AN_ORDER_BELOW else error.factor
 
 
@@ -52,7 +45,7 @@ def finer_by(solution: Solution) -> int:
 
     That is the grid on which these were held between instants, where they were; otherwise that of all samples.
     """
-    between = solution.between
+    between = solution.certificate.between
     return between.factor if between is not None and between.is_strict else sampled_by(solution)
 
 

@@ -8,8 +8,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from aleator._core.errors import ProblemError
-from aleator.design import Solution, Statistic
+from aleator.design import Statistic
 from aleator.references import pair
+from aleator.solution import Solution
 from aleator.statistics import Mean, Std
 from aleator.validation._compared import Compared
 from aleator.validation._disagreement import Disagreement

@@ -11,7 +11,7 @@ from aleator._core.beside import in_order
 from aleator._core.errors import ProblemError
 from aleator._core.given import refusal
 from aleator._core.progress import Progress, silent
-from aleator.design import Solution
+from aleator.solution import Solution
 from aleator.validation._counted import is_counted, tolerances
 from aleator.validation._proposal import adapted, weighted
 from aleator.validation._sampling import at_levels

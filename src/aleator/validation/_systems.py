@@ -8,8 +8,9 @@ from jaxtyping import Array, Float
 
 from aleator._core.arrays import numbers_to_arrays
 from aleator._core.errors import ProblemError, SimulationError
-from aleator.design import Problem, Solution, functionals_of, is_over_time, refuse_changed, uncertain, unsolved
+from aleator.design import Problem, functionals_of, is_over_time, refuse_changed, uncertain, unsolved
 from aleator.dynamics import Grid
+from aleator.solution import Solution
 from aleator.uncertainty import uncertain_numbers
 from aleator.validation._counted import finer_by, is_counted, sampled_by
 from aleator.validation._sampling import EXCESS_OVER_TIME, SIMULATE_BATCH, Batch

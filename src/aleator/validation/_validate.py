@@ -10,7 +10,8 @@ from aleator._core.errors import ExpansionWarning, ProblemError
 from aleator._core.given import whole
 from aleator._core.memory import NUMBER, refuse_beyond_memory
 from aleator._core.progress import Progress, silent
-from aleator.design import Solution, functionals_of, refuse_large_histories, uncertain
+from aleator.design import functionals_of, refuse_large_histories, uncertain
+from aleator.solution import Solution
 from aleator.validation._alone import alone
 from aleator.validation._counted import tolerances
 from aleator.validation._evidence import Evidence

@@ -34,8 +34,8 @@ from aleator.dynamics import Grid, Known, System, known_at, observed_at
 from aleator.expansion import Collocation
 from aleator.statistics import Constants
 from aleator.trajectories import AbstractSignal
-from aleator.transcription._affine import Anchors, affine_features, anchored
 from aleator.transcription._scope import ExpansionScope
+from aleator.transcription.sequential._affine import Anchors, affine_features, anchored
 from aleator.uncertainty import Decision, named_numbers, realise, survey
 
 

@@ -17,13 +17,13 @@ from aleator._core.arrays import numbers_to_arrays
 from aleator.design import (
     AbstractScopeOfInstants,
     Problem,
-    SecondOpinion,
     Statistic,
     expanded_functionals,
     functionals_of,
     sizes,
     statistics_in,
 )
+from aleator.solution import SecondOpinion
 from aleator.statistics import (
     AbstractStatistic,
     ConditionalValueAtRisk,
@@ -36,8 +36,7 @@ from aleator.statistics import (
     Supremum,
     Variance,
 )
-from aleator.transcription._discretisation import RESPOND
-from aleator.transcription._sequential import Sequential
+from aleator.transcription import RESPOND, AbstractTranscribed, Meaning
 from aleator.uncertainty import named_numbers
 
 # Fresh systems: enough for a standard error, and few beside the points of one evaluation with derivatives.
@@ -115,30 +114,31 @@ class _Replicated(AbstractScopeOfInstants):
         return self._numbers()[name]
 
 
-def second_opinion(transcription: Sequential, decisions: Float[np.ndarray, " n"]) -> SecondOpinion | None:
-    """What fresh simulations say of the expansions at given decisions; None where nothing is uncertain.
+def second_opinion(transcribed: AbstractTranscribed, point: Float[np.ndarray, " variables"]) -> SecondOpinion | None:
+    """What fresh simulations say of the expansions at a point; None where nothing is uncertain.
 
     The fresh systems are the same at every call, so that a solution is repeatable; no solver has seen them.
     """
-    problem, basis = transcription.problem, transcription.basis
+    problem, basis, meaning = transcribed.problem, transcribed.basis, transcribed.at(point)
     if basis.variables == 0 or not functionals_of(problem.expressions):
         return None
     levels = np.random.default_rng(2).uniform(np.finfo(float).tiny, 1.0, (_FRESH, basis.variables))
     points = basis.map_to_germ(levels)
-    values = RESPOND(transcription.traced, jnp.asarray(points), jnp.asarray(decisions))
-    fresh = _fresh(transcription, points, [np.asarray(one) for one in values], decisions)
+    decisions = jnp.asarray(meaning.decisions)
+    values = RESPOND(transcribed.traced, jnp.asarray(points), decisions)
+    fresh = _fresh(transcribed, points, [np.asarray(one) for one in values], point)
     bad = [text for text, one in fresh.items() if not np.isfinite(one.values).all()]
     if bad:
         return SecondOpinion(_FRESH, {}, (f"fresh simulations of {bad[0]} are not finite",), "")
-    found = _opinion(transcription, fresh, decisions)
+    found = _opinion(transcribed, fresh, point)
     if found.agrees:
         return found
-    magnitudes = sizes(problem, jnp.asarray(points[0]), jnp.asarray(decisions))
+    magnitudes = sizes(problem, jnp.asarray(points[0]), decisions)
     settled = {
         text: one._replace(values=one.predicted) if one.is_rounding(float(size)) else one
         for (text, one), size in zip(fresh.items(), magnitudes, strict=True)
     }
-    return _opinion(transcription, settled, decisions)
+    return _opinion(transcribed, settled, point)
 
 
 def prepare_opinion(problem: Problem) -> None:
@@ -150,31 +150,31 @@ def prepare_opinion(problem: Problem) -> None:
 
 
 def _opinion(
-    transcription: Sequential, fresh: Mapping[str, _Fresh], decisions: Float[np.ndarray, " n"]
+    transcribed: AbstractTranscribed, fresh: Mapping[str, _Fresh], point: Float[np.ndarray, " variables"]
 ) -> SecondOpinion:
     # Nobody relies on the expansion of what only a worst case is asked of.
-    asked = {one.text() for one in expanded_functionals(transcription.problem.expressions)}
+    asked = {one.text() for one in expanded_functionals(transcribed.problem.expressions)}
     fresh = {text: one for text, one in fresh.items() if text in asked}
     misses = {text: one.miss() for text, one in fresh.items()}
     told = [
         f"the expansion misses fresh simulations of {text} by {miss:.2g} of their standard deviation"
         for text, miss in misses.items()
-        if not miss <= 2 * transcription.problem.expansion.tolerance
+        if not miss <= 2 * transcribed.problem.expansion.tolerance
     ]
-    shifts, broken = _judged(transcription, fresh, decisions)
+    shifts, broken = _judged(transcribed, fresh, point)
     return SecondOpinion(_FRESH, misses, (*told, *shifts), broken)
 
 
 def _fresh(
-    transcription: Sequential,
+    transcribed: AbstractTranscribed,
     points: Float[np.ndarray, "fresh variables"],
     values: list[np.ndarray],
-    decisions: Float[np.ndarray, " n"],
+    point: Float[np.ndarray, " variables"],
 ) -> dict[str, _Fresh]:
-    samples, resolved = transcription.evaluator(decisions).samples, transcription.resolve(decisions)
-    predict = transcription.basis.matrix(points) @ np.asarray(transcription.collocation.pseudo_inverse)
+    samples, resolved = transcribed.at(point).samples, transcribed.resolve(point)
+    predict = transcribed.basis.matrix(points) @ np.asarray(transcribed.collocation.pseudo_inverse)
     found = {}
-    for text, seen, known in zip(transcription.texts.functionals, values, samples, strict=True):
+    for text, seen, known in zip(transcribed.texts.functionals, values, samples, strict=True):
         predicted = (predict @ np.asarray(known).reshape(len(known), -1)).reshape(seen.shape)
         moments = resolved[text]
         found[text] = _Fresh(seen, predicted, np.asarray(moments.mean), np.asarray(moments.std) ** 2)
@@ -211,14 +211,14 @@ def _inside(kind: Probability, values: np.ndarray) -> np.ndarray:
 
 
 def _judged(
-    transcription: Sequential, fresh: Mapping[str, _Fresh], decisions: Float[np.ndarray, " n"]
+    transcribed: AbstractTranscribed, fresh: Mapping[str, _Fresh], point: Float[np.ndarray, " variables"]
 ) -> tuple[list[str], str]:
     """The expressions that shift beyond chance, a sentence each; and what is broken by it, if anything."""
-    problem, expanded = transcription.problem, transcription.statistics(decisions)
+    problem, meaning, expanded = transcribed.problem, transcribed.at(point), transcribed.statistics(point)
     known, spreads = {}, {}
     corrections = {text: one.corrections() for text, one in fresh.items()}
     # Those that stand in several expressions are the same in all.
-    atoms = dict(zip(transcription.texts.statistics, statistics_in(problem.expressions), strict=True))
+    atoms = dict(zip(transcribed.texts.statistics, statistics_in(problem.expressions), strict=True))
     for text, atom in atoms.items():
         base = np.asarray(expanded[text])
         if len(atom.functionals) == 1:
@@ -230,9 +230,9 @@ def _judged(
         moved = np.repeat(values[..., :1], len(spreads), axis=-1)
         moved[..., i] += spreads[text]
         known[text] = np.concatenate([values, moved], axis=-1)
-    times = transcription.times(decisions)
+    times = meaning.times
     step = float(times[1] - times[0]) if len(times) > 1 else 1.0
-    scope = _Replicated(known, lambda: named_numbers(problem.model, jnp.asarray(decisions)), step)
+    scope = _Replicated(known, lambda: named_numbers(problem.model, jnp.asarray(meaning.decisions)), step)
     told, broken = [], ""
     for which, expression in enumerate(problem.expressions):
         if not any(isinstance(leaf, Statistic) for leaf in expression.leaves):
@@ -241,7 +241,7 @@ def _judged(
         if shift is None:
             continue
         told.append(f"{expression} is {shift.by:+.3g} ± {shift.error:.2g} off by fresh simulations")
-        broken = broken or _break(transcription, which, shift, decisions)
+        broken = broken or _break(transcribed, which, shift, meaning)
     return told, broken
 
 
@@ -268,17 +268,16 @@ def _shift(values: Float[np.ndarray, "... replicates"]) -> _Shift | None:
     return _Shift(float(by[i]), float(error[i]), scale, i) if ratio[i] > 1 else None
 
 
-def _break(transcription: Sequential, which: int, shift: _Shift, decisions: Float[np.ndarray, " n"]) -> str:
+def _break(transcribed: AbstractTranscribed, which: int, shift: _Shift, meaning: Meaning) -> str:
     """What a shift breaks: a limit, by a twentieth of a spread, or all that was gained; empty for nothing."""
-    problem, margin = transcription.problem, _BREAKS * shift.scale
+    problem, margin = transcribed.problem, _BREAKS * shift.scale
     if which == 0:
-        reached = transcription.evaluator(decisions).values[0]
-        gained = abs(float(transcription.evaluator(problem.survey.vector("initial")).values[0] - reached))
+        gained = abs(transcribed.at(transcribed.program.start).objective - meaning.objective)
         if abs(shift.by) <= max(gained, margin):
             return ""
         return f"the objective is {shift.by:+.3g} ± {shift.error:.2g} off, more than was gained ({gained:.3g})"
     limit = problem.constraints[which - 1]
-    value = float(transcription.constraints(decisions)[which - 1][shift.where]) + shift.by
+    value = float(meaning.constraints[which - 1][shift.where]) + shift.by
     beyond = max(value - float(limit.upper), float(limit.lower) - value)
     if beyond <= margin:
         return ""

@@ -4,11 +4,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from aleator.design import HELD, Between, is_over_time
-from aleator.nlp import AbstractSolver, Outcome, Status
-from aleator.transcription._between import excess_between, margins_for, no_margins, tightened
-from aleator.transcription._reference import Reference, follows_trajectories, reference, reference_factor
-from aleator.transcription._sequential import Sequential
+from aleator.certification._between import excess_between, margins_for, no_margins, tightened
+from aleator.certification._reference import Reference, follows_trajectories, reference, reference_factor
+from aleator.design import is_over_time
+from aleator.nlp import HELD, AbstractSolver, Outcome, Status
+from aleator.solution import Between
+from aleator.transcription import AbstractTranscribed
 
 # How often limits between instants are tightened, until they hold or it is given up.
 _MOST_TIGHTENINGS = 12
@@ -24,33 +25,33 @@ class Held(NamedTuple):
     finer: Reference | None
 
 
-def held_between(transcription: Sequential, solver: AbstractSolver, outcome: Outcome, between: int | None) -> Held:
+def held_between(
+    transcribed: AbstractTranscribed, solver: AbstractSolver, outcome: Outcome, between: int | None
+) -> Held:
     """Tighten the bounds beside the instants between which limits are exceeded, and solve again, until they hold.
 
     `between`: see `solve`. An outcome that is not solved is left as it is.
     """
-    problem = transcription.problem
+    problem = transcribed.problem
     factor = reference_factor(problem, between)
     if factor == 1 or outcome.status is not Status.SOLVED:
         return Held(outcome, None, None)
-    finer = reference(transcription, outcome.decisions, factor)
+    finer = reference(transcribed, outcome.decisions, factor)
     if between == 1 or not any(map(is_over_time, problem.constraints)):
         return Held(outcome, None, finer)
-    excess = excess_between(transcription, outcome.decisions, finer)
+    excess = excess_between(transcribed, outcome.decisions, finer)
     margins, done = no_margins(excess), 0
     while HELD < excess.worst < np.inf and done < _MOST_TIGHTENINGS:
         # At first nothing is given away; then it must come to an end.
         margins = margins_for(margins, excess, relax=done < _MOST_TIGHTENINGS // 2)
-        again = solver.solve(
-            tightened(transcription, margins), start=outcome.decisions, multipliers=outcome.multipliers
-        )
+        again = solver.solve(tightened(transcribed, margins), start=outcome.decisions, multipliers=outcome.multipliers)
         if again.status is Status.INTERRUPTED:
             return Held(again, None, None)
         if again.status is not Status.SOLVED:
             break
         done += 1
         outcome = again.with_effort_of(outcome)
-        finer = reference(transcription, outcome.decisions, factor)
-        excess = excess_between(transcription, outcome.decisions, finer)
+        finer = reference(transcribed, outcome.decisions, factor)
+        excess = excess_between(transcribed, outcome.decisions, finer)
     is_strict = between is not None or done > 0 or follows_trajectories(problem)
     return Held(outcome, Between(factor, excess.worst, excess.where, excess.when, is_strict), finer)

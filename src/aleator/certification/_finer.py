@@ -7,10 +7,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from aleator.design import TOLERATED, Problem, Solution, functionals_of, history
+from aleator.certification._reference import pieces
+from aleator.design import Problem, functionals_of, history
 from aleator.dynamics import Grid
 from aleator.nlp import Status
-from aleator.transcription._reference import pieces
+from aleator.solution import TOLERATED, Solution
 
 # A grid has at least twice and at most eight times as many steps as the one before, and at most so many times as many
 # as the first.
@@ -26,7 +27,7 @@ def refinement(solutions: Sequence[Solution]) -> Problem | None:
     They are those on the grids so far, the coarsest first.
     """
     last, problem = solutions[-1], solutions[-1].problem
-    error = last.grid_error
+    error = last.certificate.grid_error
     if error is None or (error.is_met and last.status is not Status.NOT_HELD) or last.status not in _SOLVED:
         return None
     grid, begun = problem.grid, solutions[0].problem.grid
@@ -53,19 +54,21 @@ def _does_not_help(solutions: Sequence[Solution]) -> bool:
 
 def _ratio(solution: Solution) -> float:
     """The error of the grid, or what is beyond a limit between its instants, over what is tolerated."""
-    if solution.grid_error is None:
+    error, between = solution.certificate.grid_error, solution.certificate.between
+    if error is None:
         return np.inf
-    beyond = solution.between.worst / TOLERATED if solution.status is Status.NOT_HELD and solution.between else 0.0
-    return max(solution.grid_error.ratio, beyond)
+    beyond = between.worst / TOLERATED if solution.status is Status.NOT_HELD and between else 0.0
+    return max(error.ratio, beyond)
 
 
 def unconverged(solutions: Sequence[Solution]) -> str:
     """Why finer grids do not bring the error down to what is asked, with the instant; empty if they do."""
     last = solutions[-1]
-    if len(solutions) == 1 or last.grid_error is None or last.grid_error.is_met or last.status not in _SOLVED:
+    error = last.certificate.grid_error
+    if len(solutions) == 1 or error is None or error.is_met or last.status not in _SOLVED:
         return ""
     return (
-        f"As far as {last.grid_error.steps} steps the "
+        f"As far as {error.steps} steps the "
         f"error does not fall to what is asked: the model seems to jump in time, near t = {_when(last):.4g} s. Let the "
         "jump fall on an instant of the grid, make it smooth, or ask for less accuracy"
     )

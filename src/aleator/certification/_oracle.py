@@ -9,6 +9,7 @@ from jaxtyping import Array, Float
 
 from aleator._core.arrays import numbers_to_arrays
 from aleator._core.compilation import Compiled
+from aleator.certification._search import Points
 from aleator.design import (
     Constraint,
     OneSystem,
@@ -21,8 +22,7 @@ from aleator.design import (
     step_at,
 )
 from aleator.dynamics import Grid
-from aleator.transcription._scenarios import germ_box
-from aleator.transcription._search import Points
+from aleator.transcription import germ_box
 from aleator.uncertainty import named_numbers
 
 # Realisations that are simulated together: one compiled size serves all.

@@ -12,11 +12,11 @@ from jaxtyping import Array, Float, Int
 
 from aleator._core.arrays import numbers_to_arrays
 from aleator._core.compilation import Compiled, Use
+from aleator.certification._alone import Alone, alone, alone_elsewhere, middle
+from aleator.certification._jumps import splines_in
 from aleator.design import (
     Constraint,
-    Deviation,
     Expression,
-    GridError,
     Peak,
     Problem,
     Statistic,
@@ -27,12 +27,10 @@ from aleator.design import (
 )
 from aleator.dynamics import Grid
 from aleator.expansion import Collocation
+from aleator.solution import Deviation, GridError
 from aleator.statistics import Constants, Mean, Std, Variance
 from aleator.trajectories import AbstractTrajectory
-from aleator.transcription._alone import Alone, alone, alone_elsewhere, middle
-from aleator.transcription._jumps import splines_in
-from aleator.transcription._scope import scope_of
-from aleator.transcription._sequential import Sequential
+from aleator.transcription import AbstractTranscribed, Discretised, scope_of
 
 # How many times as many steps: for systems that follow trajectories, whose limits are held between instants, for
 # others; and the least number of steps in all, and of steps from knot to knot.
@@ -117,55 +115,53 @@ def pieces(problem: Problem) -> int:
     return max([followed, *(one.count - one.degree for one in splines_in(parts))])
 
 
-def reference(transcription: Sequential, decisions: Float[np.ndarray, " n"], factor: int) -> Reference:
+def reference(transcribed: AbstractTranscribed, point: Float[np.ndarray, " variables"], factor: int) -> Reference:
     """A problem's numbers on a grid of `factor` times as many steps, by another integrator."""
-    problem, collocation = transcription.problem, transcription.collocation
+    problem, collocation, decisions = transcribed.problem, transcribed.collocation, transcribed.decisions(point)
     elsewhere = alone_elsewhere(problem, collocation, decisions, factor)
-    arguments = _arguments(problem, collocation, transcription.constants, factor, decisions)
+    arguments = _arguments(problem, transcribed.discretised, factor, decisions)
     values, means, stds, reaches, one = jax.tree.map(np.asarray, REFERENCE(*arguments))
     named = type(arguments[0].integrator).__name__ if problem.is_integrated else "Simpson's rule"
     reaches = tuple(float(np.max(one)) for one in reaches)
     return Reference(values, means, stds, reaches, Alone(*one), elsewhere(), factor, named)
 
 
-def prepare_reference(problem: Problem, collocation: Collocation, constants: Constants, factor: int) -> None:
+def prepare_reference(problem: Problem, discretised: Discretised, factor: int) -> None:
     """Begin to compile what `reference` will need."""
-    REFERENCE.prepare(*_arguments(problem, collocation, constants, factor, problem.survey.vector("initial")))
+    REFERENCE.prepare(*_arguments(problem, discretised, factor, problem.survey.vector("initial")))
 
 
 def _arguments(
-    problem: Problem,
-    collocation: Collocation,
-    constants: Constants,
-    factor: int,
-    decisions: Float[np.ndarray, " n"],
+    problem: Problem, discretised: Discretised, factor: int, decisions: Float[np.ndarray, " n"]
 ) -> tuple[Problem, Collocation, Constants, Array, Array]:
     grid, integrator = problem.grid, problem.integrator.reference()
     assert isinstance(grid, Grid)
     finer = eqx.tree_at(lambda tree: tree.integrator, problem.on_grid(grid.finer(factor)), integrator)
+    _, collocation, constants = discretised
     which = jnp.asarray(middle(collocation))
     return numbers_to_arrays(finer), collocation, constants, which, jnp.asarray(decisions)
 
 
 def grid_error(
-    transcription: Sequential,
-    decisions: Float[np.ndarray, " n"],
+    transcribed: AbstractTranscribed,
+    point: Float[np.ndarray, " variables"],
     finer: Reference,
     accuracy: float,
     shown: Mapping[str, float] = MappingProxyType({}),
 ) -> GridError:
-    """The error of a problem's own grid at some decisions, by what a finer one gives there.
+    """The error of a problem's own grid at a point, by what a finer one gives there.
 
     `shown`: by how much functionals differ at instants that the finer one does not have either; the objective's under
     "".
     """
-    problem, resolved = transcription.problem, transcription.resolve(decisions)
+    problem, resolved = transcribed.problem, transcribed.resolve(point)
     assert isinstance(problem.grid, Grid)
-    times = transcription.times(decisions)
+    meaning = transcribed.at(point)
+    times = meaning.times
     functionals = functionals_of(problem.expressions)
     reaches = dict(zip(functionals, finer.reaches, strict=True))
-    sizes_of_rows = row_sizes(transcription, decisions)
-    rounding = rounding_of(transcription, sizes_of_rows)
+    sizes_of_rows = row_sizes(transcribed, point)
+    rounding = rounding_of(transcribed, sizes_of_rows)
     deviations = {}
     for i, one in enumerate(functionals):
         own = resolved[one.text()]
@@ -180,7 +176,7 @@ def grid_error(
         when = float(times[int(np.argmax(change.reshape(len(times), -1).max(axis=1)))]) if one.is_path else np.nan
         largest = max(float(np.max(change)), shown.get(one.text(), 0.0))
         deviations[one.text()] = Deviation(_OWN_ERROR * largest, accuracy * size, when)
-    objective = float(transcription.program.evaluate(decisions).objective)
+    objective = meaning.objective
     away = _OWN_ERROR * max(abs(objective - float(finer.values[0])), shown.get("", 0.0))
     floor = _NEGLIGIBLE_VALUE * _reach_of(problem.objective, reaches)
     return GridError(
@@ -190,29 +186,29 @@ def grid_error(
         accuracy=accuracy,
         objective=Deviation(away, max(accuracy * max(abs(objective), floor), _TINY)),
         functionals=deviations,
-        broken=_broken(transcription, decisions, finer, reaches, sizes_of_rows, accuracy),
+        broken=_broken(transcribed, meaning.constraints, finer, reaches, sizes_of_rows, accuracy),
     )
 
 
-def rounding_of(transcription: Sequential, sizes: Float[np.ndarray, " rows"]) -> dict[Any, float]:
+def rounding_of(transcribed: AbstractTranscribed, sizes: Float[np.ndarray, " rows"]) -> dict[Any, float]:
     """What is rounding of functionals, as far as constraints on them tell, whose rows have the magnitudes `sizes`.
 
     What meets a bound of zero is a difference of numbers of that magnitude.
     """
     found: dict[Any, float] = {}
-    for one, rows in zip(transcription.problem.constraints, transcription.rows, strict=True):
+    for one, rows in zip(transcribed.problem.constraints, transcribed.rows, strict=True):
         size = float(np.max(sizes[rows], initial=0.0))
         for functional, factor in _bounded_by(one):
             found[functional] = max(found.get(functional, 0.0), _ROUNDING * size / factor)
     return found
 
 
-def row_sizes(transcription: Sequential, decisions: Float[np.ndarray, " n"]) -> Float[np.ndarray, " rows"]:
-    """The magnitude of each row of the constraints around some decisions."""
-    program = transcription.program
+def row_sizes(transcribed: AbstractTranscribed, point: Float[np.ndarray, " variables"]) -> Float[np.ndarray, " rows"]:
+    """The magnitude of each row of the constraints around a point."""
+    program = transcribed.program
     if program.magnitudes is None:
         return np.ones(len(program.constraint_lower)) * program.constraint_scale
-    return program.magnitudes(decisions, program.evaluate(decisions)).size
+    return program.magnitudes(point, program.evaluate(point)).size
 
 
 def _bounded_by(constraint: Constraint) -> Iterator[tuple[Any, float]]:
@@ -255,8 +251,8 @@ def _reach(atom: Any, reaches: dict[Any, float]) -> float:
 
 
 def _broken(
-    transcription: Sequential,
-    decisions: Float[np.ndarray, " n"],
+    transcribed: AbstractTranscribed,
+    own: list[Float[np.ndarray, " rows"]],
     finer: Reference,
     reaches: dict[Any, float],
     sizes: Float[np.ndarray, " rows"],
@@ -266,15 +262,15 @@ def _broken(
 
     What is the same on both grids is none of their error, however small what it is compared with.
     """
-    problem, evaluation = transcription.problem, transcription.program.evaluate(decisions)
+    problem = transcribed.problem
     worst, sentence = accuracy, ""
-    for one, rows, value in zip(problem.constraints, transcription.rows, finer.values[1:], strict=True):
+    for one, rows, before, value in zip(problem.constraints, transcribed.rows, own, finer.values[1:], strict=True):
         if is_over_time(one):
             continue
         if not np.isfinite(value).all():
             return f"on a finer grid '{one.name}' ({one}) is not a number"
         excess = float(np.max(np.maximum(value - float(one.upper), float(one.lower) - value)))
-        changed = float(np.max(np.abs(np.ravel(value) - evaluation.constraints[rows])))
+        changed = float(np.max(np.abs(np.ravel(value) - before)))
         size = bound_size(one) or max(_reach_of(one.expression, reaches), float(np.max(sizes[rows])))
         if excess > worst * size > 0 and changed > _OF_THE_GRID * excess:
             worst = excess / size

@@ -6,11 +6,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from aleator.design import ExpansionQuality, Problem, SecondOpinion, sizes, statistics_in
+from aleator.design import Problem, sizes, statistics_in
 from aleator.expansion import ILL_CONDITIONED, unseen
+from aleator.solution import ExpansionQuality, SecondOpinion
 from aleator.statistics import Covariance, Mean, Std, Variance
-from aleator.transcription._resolution import Resolved
-from aleator.transcription._sequential import Sequential
+from aleator.transcription import AbstractTranscribed, Resolved
 
 # The part of a standard deviation that an expansion may miss where moments are asked of it.
 _TRUSTED = {Mean: 1.0, Std: 1 / 3, Variance: 1 / 3, Covariance: 1 / 3}
@@ -20,26 +20,26 @@ _ROUNDING = 1e-11
 
 
 def quality_of(
-    transcription: Sequential, resolved: Mapping[str, Resolved], decisions: Float[np.ndarray, " n"]
+    transcribed: AbstractTranscribed, resolved: Mapping[str, Resolved], point: Float[np.ndarray, " variables"]
 ) -> ExpansionQuality:
-    """The quality of the expansions at given decisions, where `resolved` was taken."""
-    basis, collocation = transcription.basis, transcription.collocation
-    tolerance, times = transcription.problem.expansion.tolerance, transcription.times(decisions)
+    """The quality of the expansions at a point, where `resolved` was taken."""
+    basis, collocation = transcribed.basis, transcribed.collocation
+    tolerance, meaning = transcribed.problem.expansion.tolerance, transcribed.at(point)
     errors = {text: float(one.leave_one_out) for text, one in resolved.items()}
     return ExpansionQuality(
         order=basis.order,
         terms=basis.terms,
         points=len(collocation.points),
         condition_number=float(collocation.condition_number),
-        leave_one_out=errors | _rounding(transcription, resolved, errors, decisions),
+        leave_one_out=errors | _rounding(transcribed, resolved, errors, meaning.decisions),
         unresolved_from={
-            text: float(times[int(np.argmax(late))])
+            text: float(meaning.times[int(np.argmax(late))])
             for text, one in resolved.items()
             if one.history is not None and (late := ~(np.asarray(one.history) <= tolerance)).any()
         },
         tolerance=tolerance,
         tangents={
-            text: dict(zip(transcription.places.of_laws, np.asarray(one.tangents).tolist(), strict=True))
+            text: dict(zip(transcribed.places.of_laws, np.asarray(one.tangents).tolist(), strict=True))
             for text, one in resolved.items()
             if one.tangents is not None
         },
@@ -48,7 +48,7 @@ def quality_of(
 
 
 def _rounding(
-    transcription: Sequential,
+    transcribed: AbstractTranscribed,
     resolved: Mapping[str, Resolved],
     errors: Mapping[str, float],
     decisions: Float[np.ndarray, " n"],
@@ -57,14 +57,14 @@ def _rounding(
 
     The rate at the end of a motion that comes to rest is zero in every system, up to rounding of the rates before.
     """
-    tolerance = transcription.problem.expansion.tolerance
+    tolerance = transcribed.problem.expansion.tolerance
     suspects = {text for text, error in errors.items() if not error <= tolerance and np.ndim(resolved[text].std) == 0}
     if not suspects:
         return {}
-    magnitudes = sizes(transcription.problem, transcription.collocation.points[0], jnp.asarray(decisions))
+    magnitudes = sizes(transcribed.problem, transcribed.collocation.points[0], jnp.asarray(decisions))
     return {
         text: 0.0
-        for text, size in zip(transcription.texts.functionals, magnitudes, strict=True)
+        for text, size in zip(transcribed.texts.functionals, magnitudes, strict=True)
         if text in suspects and float(resolved[text].std) <= _ROUNDING * float(size)
     }
 

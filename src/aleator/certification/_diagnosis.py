@@ -4,21 +4,21 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from aleator.design import unsolved
+from aleator.design import grid_at, unsolved
 from aleator.dynamics import Grid
-from aleator.transcription._sequential import Sequential
+from aleator.transcription import AbstractTranscribed
 from aleator.uncertainty import uncertain_numbers
 
 # As many numbers as are read at a glance.
 _MOST_NUMBERS = 5
 
 
-def diagnose(transcription: Sequential, decisions: Float[np.ndarray, " n"]) -> str:
+def diagnose(transcribed: AbstractTranscribed, decisions: Float[np.ndarray, " n"]) -> str:
     """The first point, output and instant whose value is not finite: the reason, then a few numbers."""
-    outputs = {name: np.asarray(values) for name, values in transcription.outputs(decisions).items()}
-    times = transcription.times(decisions)
+    outputs = {name: np.asarray(values) for name, values in transcribed.outputs(decisions).items()}
+    times = grid_at(transcribed.problem, jnp.asarray(decisions)).times
     broken = {name: _first(values) for name, values in outputs.items() if not np.isfinite(values).all()}
-    numbers = dict(zip(transcription.places.entry_names(), decisions.tolist(), strict=True))
+    numbers = dict(zip(transcribed.places.entry_names(), decisions.tolist(), strict=True))
     if not broken:
         return (
             "Where the solver stopped every simulation is finite, but the objective, a constraint or its derivative is "
@@ -26,18 +26,18 @@ def diagnose(transcription: Sequential, decisions: Float[np.ndarray, " n"]) -> s
             f"decisions are {_few(numbers, _MOST_NUMBERS)}."
         )
     name, (point, instant) = min(broken.items(), key=lambda item: item[1][1])
-    uncertain = _realisation(transcription, decisions, point)
+    uncertain = _realisation(transcribed, decisions, point)
     # Most of them are of the realisation: one of many is wrong, all of them have the same decisions.
     realised = min(len(uncertain), _MOST_NUMBERS - min(len(numbers), 2))
-    count = len(transcription.collocation.points)
+    count = len(transcribed.collocation.points)
     place = f"collocation point {point + 1} of {count}" if point < count else "a scenario of the worst case"
     who = f"{place} ({_few(uncertain, realised)})" if uncertain else ""
     where = f"The decisions are {_few(numbers, _MOST_NUMBERS - realised)}."
-    germ = jnp.asarray(transcription.points[point])
-    if reason := unsolved(transcription.problem, germ, jnp.asarray(decisions)):
+    germ = jnp.asarray(transcribed.points[point])
+    if reason := unsolved(transcribed.problem, germ, jnp.asarray(decisions)):
         return f"{reason.rstrip('.')}.{who and f' This is {who}.'} {where}"
     what = f"The simulation{who and ' of ' + who} is not finite: output '{name}'"
-    if not isinstance(transcription.problem.grid, Grid):
+    if not isinstance(transcribed.problem.grid, Grid):
         return f"{what}. Look for a root or logarithm of zero, or a division by zero. {where}"
     remedy = "Shorten the time step, tighten the decisions' bounds or use an implicit integrator (al.Kvaerno5)."
     return f"{what} from t = {times[instant]:.4g} s on. {remedy} {where}"
@@ -56,8 +56,8 @@ def _first(values: np.ndarray) -> tuple[int, int]:
     return int(np.argmax(bad.take(instant, axis=1))), instant
 
 
-def _realisation(transcription: Sequential, decisions: np.ndarray, point: int) -> dict[str, float]:
+def _realisation(transcribed: AbstractTranscribed, decisions: np.ndarray, point: int) -> dict[str, float]:
     """The uncertain numbers at one of its points."""
-    germ = jnp.asarray(transcription.points[point])
-    numbers = uncertain_numbers(transcription.places, germ, jnp.asarray(decisions))
+    germ = jnp.asarray(transcribed.points[point])
+    numbers = uncertain_numbers(transcribed.places, germ, jnp.asarray(decisions))
     return {name: float(number) for name, number in numbers.items()}

@@ -6,12 +6,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
+from aleator.certification._alone import Alone, alone_elsewhere, middle
+from aleator.certification._reference import Reference, rounding_of, row_sizes
 from aleator.design import Constraint, Problem, functionals_of, is_over_time
 from aleator.dynamics import Grid
-from aleator.transcription._alone import Alone, alone_elsewhere, middle
-from aleator.transcription._magnitudes import bound_size
-from aleator.transcription._reference import Reference, rounding_of, row_sizes
-from aleator.transcription._sequential import Sequential
+from aleator.transcription import AbstractTranscribed, bound_size
 
 # What one system shows beside the instants of the finer grid counts from this part of a limit on: less is the error of
 # its integration. Of an integral more, for a grid is better than this one where it has the instants of a jump.
@@ -35,13 +34,13 @@ class Probed(NamedTuple):
     numbers: dict[str, float]
 
 
-def probed(transcription: Sequential, decisions: Float[np.ndarray, " n"], finer: Reference) -> Probed:
-    """What one system of a problem shows beside the instants of its finer grid at some decisions."""
-    problem = transcription.problem
+def probed(transcribed: AbstractTranscribed, point: Float[np.ndarray, " variables"], finer: Reference) -> Probed:
+    """What one system of a problem shows beside the instants of its finer grid at a point."""
+    problem = transcribed.problem
     seen = finer.elsewhere
-    times = transcription.times(decisions)
+    times = transcribed.at(point).times
     worst = (0.0, "", np.nan)
-    for beyond, name, fraction in _exceeded(transcription, finer):
+    for beyond, name, fraction in _exceeded(transcribed, finer):
         if not beyond <= worst[0]:
             worst = beyond, name, float(times[0] + fraction * (times[-1] - times[0]))
     functionals = zip(functionals_of(problem.expressions), finer.alone.functionals, seen.functionals, strict=True)
@@ -49,7 +48,9 @@ def probed(transcription: Sequential, decisions: Float[np.ndarray, " n"], finer:
     return Probed(*worst, numbers | {"": _shown(finer.alone.expressions[0], seen.expressions[0])})
 
 
-def whether_misled(transcription: Sequential, start: Float[np.ndarray, " n"], factor: int) -> Callable[[], str]:
+def whether_misled(
+    transcribed: AbstractTranscribed, start: Float[np.ndarray, " variables"], factor: int
+) -> Callable[[], str]:
     """A sentence on a functional that a problem's grid is far off at the start of a search; empty if there is none.
 
     It is found out beside the search; what is returned waits for that.
@@ -59,15 +60,13 @@ def whether_misled(transcription: Sequential, start: Float[np.ndarray, " n"], fa
     A step that is too long for a design makes it look unstable, and a search flees to one that does nothing: there the
     grid is found to be exact.
     """
-    problem = transcription.problem
+    problem = transcribed.problem
     if not problem.is_integrated:
         return lambda: ""
-    begun = transcription.begun
-    if not np.array_equal(start, transcription.program.start):
-        which = middle(transcription.collocation)
-        begun = tuple(one[which] for one in transcription.evaluator(start).samples)
-    seen = alone_elsewhere(problem, transcription.collocation, start, factor)
-    return lambda: _misled(problem, begun, seen(), lambda: rounding_of(transcription, row_sizes(transcription, start)))
+    meaning, which = transcribed.at(start), middle(transcribed.collocation)
+    begun = tuple(np.array(one[which]) for one in meaning.samples)
+    seen = alone_elsewhere(problem, transcribed.collocation, meaning.decisions, factor)
+    return lambda: _misled(problem, begun, seen(), lambda: rounding_of(transcribed, row_sizes(transcribed, start)))
 
 
 def _misled(
@@ -90,11 +89,11 @@ def _shown(own: np.ndarray, other: np.ndarray) -> float:
     return 0.0 if difference <= _SHOWS_OF_NUMBERS * size else difference
 
 
-def _exceeded(transcription: Sequential, finer: Reference) -> Iterator[tuple[float, str, float]]:
+def _exceeded(transcribed: AbstractTranscribed, finer: Reference) -> Iterator[tuple[float, str, float]]:
     """How far each limit over time is exceeded, relative to its bound; its name; and at what fraction of the time."""
     parts = zip(
-        transcription.problem.constraints,
-        transcription.scales,
+        transcribed.problem.constraints,
+        transcribed.scales,
         finer.values[1:],
         finer.alone.expressions[1:],
         finer.elsewhere.expressions[1:],

@@ -6,12 +6,13 @@ import numpy as np
 from jaxtyping import Float
 
 from aleator._core.errors import ProblemError
-from aleator.design import HELD, Constraint, Problem
-from aleator.nlp import Outcome
+from aleator.design import Constraint, Problem
+from aleator.nlp import HELD, Outcome
+from aleator.transcription._abstract import AbstractTranscribed
 from aleator.transcription._magnitudes import Values
 
 
-def refuse_settled(
+def refuse_unsatisfiable(
     problem: Problem,
     values: Values,
     derivatives: Values,
@@ -40,11 +41,12 @@ def refuse_settled(
             raise ProblemError(_sentence(problem.constraints[i], float(values[i][row]), len(values[i]), row, times()))
 
 
-def refuse_blind(outcome: Outcome, names: Sequence[str]) -> None:
+def refuse_blind(outcome: Outcome, transcribed: AbstractTranscribed) -> None:
     """Raise `ProblemError` for decisions that change values but have no derivative wherever they were tried."""
-    if not outcome.blind:
+    names = dict(zip(transcribed.decided.tolist(), transcribed.places.entry_names(), strict=True))
+    blind = " and ".join(f"'{names[i]}'" for i in outcome.blind if i in names)
+    if not blind:
         return
-    blind = " and ".join(f"'{names[i]}'" for i in outcome.blind)
     raise ProblemError(
         f"What is asked changes with {blind}, but its derivative is zero wherever it "
         "was tried, so that no solver can choose: the model rounds, floors, casts to whole numbers or stops gradients. "

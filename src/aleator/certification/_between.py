@@ -6,11 +6,11 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from aleator.certification._jumps import jumps, knots, one_sided
+from aleator.certification._reference import Reference, bound_size
 from aleator.design import Constraint, is_over_time
 from aleator.nlp import NonlinearProgram
-from aleator.transcription._jumps import jumps, knots, one_sided
-from aleator.transcription._reference import Reference, bound_size
-from aleator.transcription._sequential import Sequential
+from aleator.transcription import AbstractTranscribed
 
 Margins = tuple[Float[np.ndarray, " instants"] | None, ...]
 
@@ -30,14 +30,16 @@ class Excess(NamedTuple):
     when: float
 
 
-def excess_between(transcription: Sequential, decisions: Float[np.ndarray, " n"], finer: Reference) -> Excess:
+def excess_between(
+    transcribed: AbstractTranscribed, point: Float[np.ndarray, " variables"], finer: Reference
+) -> Excess:
     """How far a problem's limits over time are exceeded on a finer grid."""
-    problem, factor = transcription.problem, finer.factor
-    times = transcription.times(decisions)
+    problem, factor = transcribed.problem, finer.factor
+    meaning = transcribed.at(point)
     shifts: list[Float[np.ndarray, " instants"] | None] = []
     worst = (0.0, "", 0.0)
-    at = knots(problem, decisions)
-    for one, value, scale in zip(problem.constraints, finer.values[1:], transcription.scales, strict=True):
+    at = knots(problem, meaning.decisions)
+    for one, value, scale in zip(problem.constraints, finer.values[1:], transcribed.scales, strict=True):
         scale = bound_size(one) or scale
         if not is_over_time(one):
             shifts.append(None)
@@ -53,7 +55,7 @@ def excess_between(transcription: Sequential, decisions: Float[np.ndarray, " n"]
         # A number that is none is beyond all.
         largest, place = max((np.inf if np.isnan(excess) else excess, place) for excess, place in candidates)
         if largest / scale > worst[0]:
-            worst = largest / scale, one.name, float(times[place // factor]) if one.is_path else np.nan
+            worst = largest / scale, one.name, float(meaning.times[place // factor]) if one.is_path else np.nan
         if float(one.lower) == float(one.upper):
             shifts[-1] = None  # no margin makes both sides hold
     return Excess(tuple(shifts), *worst)
@@ -96,11 +98,11 @@ def margins_for(margins: Margins, excess: Excess, *, relax: bool) -> Margins:
     )
 
 
-def tightened(transcription: Sequential, margins: Margins) -> NonlinearProgram:
+def tightened(transcribed: AbstractTranscribed, margins: Margins) -> NonlinearProgram:
     """The program with the bounds of path constraints moved inwards by margins."""
-    program = transcription.program
+    program = transcribed.program
     lower, upper = program.constraint_lower.copy(), program.constraint_upper.copy()
-    for rows, margin in zip(transcription.rows, margins, strict=True):
+    for rows, margin in zip(transcribed.rows, margins, strict=True):
         if margin is not None:
             moved = np.repeat(margin, (rows.stop - rows.start) // len(margin))
             lower[rows], upper[rows] = lower[rows] + moved, upper[rows] - moved

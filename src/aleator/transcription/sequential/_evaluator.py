@@ -13,10 +13,10 @@ from aleator.design import Problem, functionals_of, grid_at, refuse_changed_code
 from aleator.expansion import Collocation
 from aleator.nlp import Evaluation
 from aleator.statistics import Constants
-from aleator.transcription._affine import Anchors
-from aleator.transcription._instantaneous import instantaneous, instantaneous_rows
-from aleator.transcription._resolution import RESOLVE, Resolved, seen
+from aleator.transcription._resolution import seen
 from aleator.transcription._scope import scope_of
+from aleator.transcription.sequential._affine import Anchors
+from aleator.transcription.sequential._instantaneous import instantaneous, instantaneous_rows
 
 
 class Blocks(NamedTuple):
@@ -108,7 +108,6 @@ class Evaluator:
         self._parts = traced, collocation, anchors
         self._evaluate = EVALUATE.bound(traced, collocation, constants, anchors)
         self._memory: dict[bytes, Blocks] = {}
-        self._resolved: tuple[bytes, tuple[Resolved, ...]] | None = None
         self._lock = threading.Lock()
 
     def is_known(self, decisions: Float[np.ndarray, " n"]) -> bool:
@@ -131,26 +130,6 @@ class Evaluator:
                     del self._memory[next(iter(self._memory))]
                 self._memory[key] = found
         return found
-
-    def resolved(self, decisions: Float[np.ndarray, " n"]) -> tuple[Resolved, ...]:
-        """How well each functional is resolved at a point; the latest one is remembered."""
-        key = decisions.tobytes()
-        with self._lock:
-            known = self._resolved
-        if known is not None and known[0] == key:
-            return known[1]
-        found = RESOLVE(*self._resolution(decisions))
-        with self._lock:
-            self._resolved = key, found
-        return found
-
-    def prepare_resolution(self, decisions: Float[np.ndarray, " n"]) -> None:
-        """Begin to compile what `resolved` will need, beside what is done next."""
-        RESOLVE.prepare(*self._resolution(decisions))
-
-    def _resolution(self, decisions: Float[np.ndarray, " n"]) -> tuple[Any, ...]:
-        blocks, (traced, collocation, _) = self(decisions), self._parts
-        return functionals_of(traced.expressions), collocation, blocks.samples, blocks.tangents
 
 
 def evaluation_of(blocks: Blocks) -> Evaluation:

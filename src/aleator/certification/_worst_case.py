@@ -1,0 +1,185 @@
+"""Limits on the worst case: the model's own, found by a search over its realisations, not its expansion's."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import TypeAlias, TypeVar
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float
+
+from aleator.certification._oracle import Oracle, worst_case_limits
+from aleator.certification._search import Points, candidates, search
+from aleator.design import AbstractFunctional, Constraint, functionals_of, is_worst_case
+from aleator.nlp import HELD, Outcome, Status
+from aleator.solution import WorstCase, WorstRealisation
+from aleator.transcription import AbstractTranscribed, Scenarios
+from aleator.uncertainty import uncertain_numbers
+
+# How often scenarios are added and the program is solved again.
+_MOST_ROUNDS = 20
+# At most so many new ones a limit and round, none that breaks it by less than this part of the worst.
+_NEW, _WORTH = 2, 0.3
+# Slack beyond this part of the scale makes a scenario idle.
+_IDLE = 1e-3
+# Instants at which the expansion ranks realisations, and how many of these it names.
+_RANKED_INSTANTS, _RANKED = 200, 16
+
+T = TypeVar("T")
+
+Attempt: TypeAlias = Callable[[AbstractTranscribed, np.ndarray | None, np.ndarray | None], tuple[Outcome, T]]
+"""Solves a transcribed problem from a start with multipliers, where they fit; what else it found comes along."""
+
+
+def held_at_worst(
+    transcribed: AbstractTranscribed,
+    attempt: Attempt[T],
+    start: np.ndarray | None,
+    multipliers: np.ndarray | None,
+    *,
+    factor: int,
+    known: WorstCase | None,
+) -> tuple[AbstractTranscribed, Outcome, T, WorstCase | None]:
+    """Solve, look for realisations that break a limit on the worst case, hold the limits there too, and solve again.
+
+    - `factor`: how many times as fine the grid is on which realisations are judged; `known`: the worst case of an
+      earlier solution, whose scenarios are the first.
+
+    Returns the program as it was solved last, its outcome with what `attempt` found beside it, and the worst case; None
+    where no limit is on the worst case, or nothing is uncertain.
+    """
+    if transcribed.scenarios is None or not transcribed.problem.survey.germs:
+        return transcribed, *attempt(transcribed, start, multipliers), None
+    oracle = Oracle(transcribed.problem, factor)
+    transcribed = transcribed.at_scenarios(_first(transcribed, oracle, start, known))
+    outcome, beside = attempt(transcribed, start, multipliers)
+    rounds, worst = 1, np.zeros((0, len(oracle.low)))
+    while outcome.status is Status.SOLVED:
+        new, worst = _searched(transcribed, oracle, outcome, rounds)
+        if not len(new):
+            break
+        if rounds == _MOST_ROUNDS:
+            outcome = replace(outcome, status=Status.WORST_CASE_BROKEN)
+            break
+        before, idle = outcome, _idle(transcribed, outcome.decisions)
+        assert transcribed.scenarios is not None
+        transcribed = transcribed.at_scenarios(transcribed.scenarios.joined(new, idle))
+        outcome, beside = attempt(transcribed, before.decisions, before.multipliers)
+        outcome = outcome.with_effort_of(before)
+        rounds += 1
+    return transcribed, outcome, beside, _told(transcribed, outcome, oracle, worst, rounds)
+
+
+def _first(
+    transcribed: AbstractTranscribed, oracle: Oracle, start: np.ndarray | None, known: WorstCase | None
+) -> Scenarios:
+    """The scenarios to begin with: those of an earlier solution, or else what breaks each limit most at the start."""
+    box = np.stack([oracle.low, oracle.high], axis=1)
+    if known is not None and known.scenarios.shape[1] == len(box):
+        return Scenarios.of(np.clip(known.scenarios, *box.T))
+    point = transcribed.program.start if start is None else start
+    germ = oracle.germ(_candidates(transcribed, oracle, point, 0))
+    # Realisations that have no value here may have one elsewhere.
+    beyond = np.nan_to_num(oracle(germ, transcribed.decisions(point)).beyond, nan=-np.inf)
+    return Scenarios.of(np.unique(germ[np.argmax(beyond, axis=0)], axis=0))
+
+
+def _candidates(transcribed: AbstractTranscribed, oracle: Oracle, point: np.ndarray, seed: int) -> Points:
+    """Where a worst case is looked for first: see `candidates`; the collocation points; the scenarios at hand."""
+    assert transcribed.scenarios is not None
+    germ = np.concatenate([transcribed.scenarios.held, np.asarray(transcribed.collocation.points)])
+    expanded = _expansions(transcribed, point)
+
+    def rank(points: Points) -> np.ndarray:
+        matrix = transcribed.basis.matrix(oracle.germ(points))
+        worst = [np.argsort(-_largest(np.tensordot(matrix, terms, axes=1)))[:_RANKED] for terms in expanded]
+        return np.unique(np.concatenate(worst))
+
+    return np.concatenate([oracle.unit(germ), candidates(germ.shape[1], seed, rank)])
+
+
+def _largest(values: Float[np.ndarray, "points ..."]) -> Float[np.ndarray, " points"]:
+    return np.nan_to_num(values.reshape(len(values), -1), nan=-np.inf).max(axis=1)
+
+
+def _expansions(transcribed: AbstractTranscribed, point: np.ndarray) -> list[Float[np.ndarray, "terms ..."]]:
+    """The coefficients of how far each limit on the worst case is exceeded, at some of its instants."""
+    functionals = functionals_of(transcribed.problem.expressions)
+    samples = transcribed.at(point).samples
+    found = []
+    for limit in worst_case_limits(transcribed.problem):
+        values = samples[functionals.index(_functional(limit))]
+        if limit.is_path:
+            values = values[:, :: max(1, values.shape[1] // _RANKED_INSTANTS)]
+        side = 1.0 if np.isfinite(float(limit.upper)) else -1.0
+        found.append(side * np.asarray(transcribed.collocation.coefficients(jnp.asarray(values))))
+    return found
+
+
+def _functional(limit: Constraint) -> AbstractFunctional:
+    (functional,) = functionals_of((limit.expression,))
+    return functional
+
+
+def _searched(
+    transcribed: AbstractTranscribed, oracle: Oracle, outcome: Outcome, seed: int
+) -> tuple[Float[np.ndarray, "new variables"], Float[np.ndarray, "limits variables"]]:
+    """Realisations that break a limit on the worst case by more than those at hand do, and the worst of each limit."""
+    assert transcribed.scenarios is not None
+    decisions = transcribed.decisions(outcome.decisions)
+    points = _candidates(transcribed, oracle, outcome.decisions, seed)
+    beyond = oracle(oracle.germ(points), decisions).beyond
+    found = search(lambda places: oracle(oracle.germ(places), decisions).beyond, points, beyond, seed)
+    # Between instants, where those at hand may exceed a limit too, margins have to hold it.
+    at_hand = beyond[: len(transcribed.scenarios.held)].max(axis=0)
+    allowed = np.maximum(at_hand, 0.0) + HELD / 2 * _sizes(transcribed, outcome)
+    new = [
+        some[(excess > allowance) & (excess >= _WORTH * excess[0])][:_NEW]
+        for some, excess, allowance in zip(*found, allowed, strict=True)
+    ]
+    worst = np.stack([some[0] for some in found.points])
+    return oracle.germ(np.unique(np.concatenate(new), axis=0)), oracle.germ(worst)
+
+
+def _told(
+    transcribed: AbstractTranscribed, outcome: Outcome, oracle: Oracle, worst: np.ndarray, rounds: int
+) -> WorstCase:
+    """What is said of the worst realisations: those of the last search, or the scenarios where they are worse."""
+    assert transcribed.scenarios is not None
+    germ = np.concatenate([worst, transcribed.scenarios.held])
+    decisions = transcribed.decisions(outcome.decisions)
+    reached = oracle(germ, decisions)
+    realisations = []
+    for i, limit in enumerate(worst_case_limits(transcribed.problem)):
+        k = int(np.argmax(np.nan_to_num(reached.beyond[:, i], nan=-np.inf)))
+        numbers = uncertain_numbers(transcribed.places, jnp.asarray(germ[k]), jnp.asarray(decisions))
+        time = float(reached.time[k, i])
+        realisations.append(
+            WorstRealisation(
+                name=limit.name,
+                text=str(limit),
+                value=float(reached.value[k, i]),
+                beyond=float(reached.beyond[k, i]),
+                time=None if np.isnan(time) else time,
+                numbers={name: float(number) for name, number in numbers.items()},
+            )
+        )
+    return WorstCase(tuple(realisations), transcribed.scenarios.held, rounds, oracle.asked)
+
+
+def _sizes(transcribed: AbstractTranscribed, outcome: Outcome) -> Float[np.ndarray, " limits"]:
+    """The magnitudes of the limits on the worst case, to which their violations are relative."""
+    pairs = zip(transcribed.problem.constraints, transcribed.rows, strict=True)
+    return np.array([outcome.sizes[rows].max() for one, rows in pairs if is_worst_case(one)])
+
+
+def _idle(transcribed: AbstractTranscribed, point: np.ndarray) -> Bool[np.ndarray, " slots"]:
+    """The slots whose realisations are far from all limits on the worst case."""
+    assert transcribed.scenarios is not None
+    close = np.zeros(len(transcribed.scenarios.used), dtype=bool)
+    parts = transcribed.problem.constraints, transcribed.at(point).constraints, transcribed.scales
+    for one, values, scale in zip(*parts, strict=True):
+        if is_worst_case(one):
+            beyond = np.maximum(values - float(one.upper), float(one.lower) - values).reshape(-1, len(close))
+            close |= beyond.max(axis=0) > -_IDLE * scale
+    return ~close

@@ -1,0 +1,16 @@
+"""The answer to a problem: its design, and what certifies it."""
+
+from aleator.solution._between import TOLERATED as TOLERATED
+from aleator.solution._between import Between as Between
+from aleator.solution._certificate import Certificate as Certificate
+from aleator.solution._constraint import ConstraintResult as ConstraintResult
+from aleator.solution._effort import Effort as Effort
+from aleator.solution._effort import Times as Times
+from aleator.solution._expansion import ExpansionQuality as ExpansionQuality
+from aleator.solution._expansion import Moments as Moments
+from aleator.solution._grid_error import Deviation as Deviation
+from aleator.solution._grid_error import GridError as GridError
+from aleator.solution._opinion import SecondOpinion as SecondOpinion
+from aleator.solution._solution import Solution as Solution
+from aleator.solution._worst_case import WorstCase as WorstCase
+from aleator.solution._worst_case import WorstRealisation as WorstRealisation

@@ -1,0 +1,112 @@
+"""`ExpansionQuality`: how far the expansions of a solution can be trusted; `Moments`: what they say of a functional."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import NamedTuple, final
+
+import numpy as np
+from jaxtyping import Float
+
+from aleator.expansion import ILL_CONDITIONED, UNRESOLVED, Unseen
+
+
+@final
+@dataclass(frozen=True)
+class Moments:
+    """Mean and standard deviation of one functional by the expansion: numbers, or one number an instant."""
+
+    mean: Float[np.ndarray, "*shape"]
+    std: Float[np.ndarray, "*shape"]
+
+
+class Tangent(NamedTuple):
+    """The derivative of a functional by a parameter of a distribution, and the leave-one-out error of its expansion."""
+
+    functional: str
+    parameter: str
+    error: float
+
+
+@final
+@dataclass(frozen=True)
+class ExpansionQuality:
+    """How far the expansion can be trusted at the solution.
+
+    - `order`, `terms`, `points`: those of the expansion, as far as they were reached where it adapts to the problem;
+    - `condition_number`: that of the collocation matrix;
+    - `leave_one_out`: for each functional, the rms error of predicting a collocation point from all others, relative
+      to the standard deviation; zero where it spreads by no more than rounding;
+    - `unresolved_from`: for each path that is followed only so far, the instant (s) from which on that error is too
+      large: polynomials of one order do not follow a long simulation for ever;
+    - `tolerance`: the relative error up to which a functional counts as resolved, that of the `Expansion`;
+    - `tangents`: for each functional, the leave-one-out error of its derivative by each decision that is a parameter of
+      a distribution: how far the derivatives of its statistics by them, and prices that follow from these, are those
+      of the model;
+    - `unseen`: the largest corner of the uncertainty that holds no point, so that nothing is known of it; None where
+      nothing is uncertain.
+    """
+
+    order: int
+    terms: int
+    points: int
+    condition_number: float
+    leave_one_out: Mapping[str, float] = field(default_factory=dict)
+    unresolved_from: Mapping[str, float] = field(default_factory=dict)
+    tolerance: float = UNRESOLVED
+    tangents: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    unseen: Unseen | None = None
+
+    @property
+    def worst(self) -> float:
+        """The largest leave-one-out error."""
+        return max(self.leave_one_out.values(), default=0.0)
+
+    @property
+    def worst_tangent(self) -> "Tangent | None":
+        """The derivative by a distribution's parameter that is resolved worst; None where there is none."""
+        every = [Tangent(text, name, error) for text, one in self.tangents.items() for name, error in one.items()]
+        return max(every, key=lambda one: np.inf if np.isnan(one.error) else one.error, default=None)
+
+    @property
+    def unresolved(self) -> tuple[str, ...]:
+        """The functionals whose statistics cannot be trusted, because their error is too large, at least at the end."""
+        errors = self.leave_one_out.items()
+        return tuple(text for text, error in errors if not error <= self.tolerance or text in self.unresolved_from)
+
+    @property
+    def can_be_checked(self) -> bool:
+        """Whether points are left to check it by: interpolation and sparse quadrature have none."""
+        return not any(np.isposinf(error) for error in self.leave_one_out.values())
+
+    @property
+    def is_conditioned(self) -> bool:
+        """Whether the collocation matrix leaves the coefficients enough digits."""
+        return self.condition_number <= ILL_CONDITIONED
+
+    def since(self, text: str) -> str:
+        """From when on a path is not resolved, in words; nothing for other functionals."""
+        return f" from t = {self.unresolved_from[text]:.4g} s on" if text in self.unresolved_from else ""
+
+    def tangent_sentence(self) -> str:
+        """How well the derivatives by distribution parameters are resolved, and what follows where they are not."""
+        worst = self.worst_tangent
+        if worst is None:
+            return ""
+        said = (
+            f"by distribution parameters: worst leave-one-out error {worst.error:.2e} "
+            f"({worst.functional} by {worst.parameter})"
+        )
+        if worst.error <= self.tolerance:
+            return said
+        return (
+            f"{said}: not resolved, so prices and stationarity are those of the expansion; raise the order for the "
+            "model's"
+        )
+
+    def __str__(self) -> str:
+        if self.points == 1:
+            return "nothing is uncertain"
+        return (
+            f"order {self.order}, {self.terms} terms, {self.points} points, condition number "
+            f"{self.condition_number:.3g}, worst leave-one-out error {self.worst:.2e}"
+        )

@@ -1,0 +1,141 @@
+"""`Solution`: the answer to a problem, with what certifies it."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, final
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from aleator.design import Problem, grid_at
+from aleator.nlp import Status
+from aleator.solution._certificate import Certificate, lines
+from aleator.solution._constraint import ConstraintResult
+from aleator.solution._effort import Effort
+from aleator.solution._expansion import Moments
+
+
+@final
+@dataclass(frozen=True)
+class Solution:
+    """An optimal design and its certificate. `print(solution)` shows both.
+
+    - `status`: how it ended; `message`: what the solver said of that, or what was objected;
+    - `decisions`: by name, in user units; `vector`: the same as one vector, in the order of `problem.survey`;
+    - `objective`: its value in user units;
+    - `constraints`: values, activity and multipliers, in the order of `problem.constraints`;
+    - `moments`: mean and standard deviation of each functional in the problem, by its text (`"∫comfort dt"`);
+    - `statistics`: every statistic that stands in the problem, by its text (`"Q0.99[rms(x)]"`);
+    - `at_bounds`: names of the decisions that stand at one of their own bounds;
+    - `idle`: names of the decisions, left at their start, on which nothing in the problem was seen to depend;
+    - `multipliers`: of all rows of constraints in one vector, for warm starts; `bound_multipliers`: of the decisions'
+      own bounds, by name;
+    - `certificate`: what the answer is worth; `effort`: what it took.
+    """
+
+    problem: Problem
+    status: Status
+    message: str
+    decisions: Mapping[str, Any]
+    vector: Float[np.ndarray, " n"]
+    objective: float
+    constraints: tuple[ConstraintResult, ...]
+    moments: Mapping[str, Moments]
+    statistics: Mapping[str, Float[np.ndarray, "..."]]
+    at_bounds: tuple[str, ...]
+    idle: tuple[str, ...]
+    multipliers: Float[np.ndarray, " m"]
+    bound_multipliers: Mapping[str, Any]
+    certificate: Certificate
+    effort: Effort
+
+    @property
+    def ok(self) -> bool:
+        """Whether it was solved to tolerance, and limits hold between instants too where that was checked."""
+        return self.status is Status.SOLVED
+
+    @property
+    def instants(self) -> Float[np.ndarray, " instants"]:
+        """The instants of the grid, s."""
+        return np.asarray(grid_at(self.problem, jnp.asarray(self.vector)).times)
+
+    @property
+    def active(self) -> tuple[str, ...]:
+        """Names of the active constraints, then of the decisions that stand at a bound."""
+        names = [one.name for one in self.constraints if np.any(one.active)]
+        return tuple(dict.fromkeys([*names, *self.at_bounds]))
+
+    def is_at_bound(self, name: str) -> bool:
+        """Whether a decision, or an entry of one that is an array, stands at one of its own bounds."""
+        return any(entry.split("[")[0] == name for entry in self.at_bounds)
+
+    @property
+    def violated(self) -> tuple[ConstraintResult, ...]:
+        """The constraints that do not hold, worst first."""
+        broken = [one for one in self.constraints if not one.holds]
+        return tuple(sorted(broken, key=lambda one: -one.violation / one.scale))
+
+    def multiplier(self, name: str) -> float:
+        """The price of the bound called `name`: see `ConstraintResult.price`."""
+        return sum(one.price for one in self.constraints if one.name == name)
+
+    def why(self) -> str:
+        """Why it is not solved: the constraints that do not hold, where and by how much."""
+        if self.ok:
+            return "The problem is solved."
+        return f"{self.effort.solver}: {self._reason()}"
+
+    def _reason(self) -> str:
+        found = self.certificate
+        if self.status is Status.NOT_HELD and found.between is not None:
+            return (
+                f"solved at the instants of the grid, but {found.between.sentence()}, or between=1 to look at the "
+                "instants alone."
+            )
+        if self.status is Status.WORST_CASE_BROKEN and found.worst_case is not None:
+            return f"{self.status.value}. {found.worst_case.broken()}"
+        if self.status is Status.COARSE and found.grid_error is not None:
+            return f"solved on {found.grid_error.steps} steps, but {found.grid_error}. {self.message}".strip()
+        if self.status is Status.CONTRADICTED and found.opinion is not None:
+            return (
+                f"solved for the expansion, but {found.opinion.samples} fresh simulations contradict it: "
+                f"{found.opinion.broken}. Raise the order of the expansion."
+            )
+        if self.status is Status.UNRESOLVED:
+            return (
+                f"solved for the expansion of order {found.expansion.order}, but {self.message}. Raise the order; or "
+                "say that you accept it, al.Expansion(order, tolerance=...), and trust al.validate alone."
+            )
+        broken = "; ".join(one.sentence() + self._realisation(one) for one in self.violated)
+        coarse = f" Perhaps for its grid: {found.misled}. Use more steps." if found.misled else ""
+        return f"{self.status.value}. {broken or self.message}.{coarse}"
+
+    def _realisation(self, one: ConstraintResult) -> str:
+        """By which system a limit on the worst case is broken, in words; nothing for other constraints."""
+        worst_case = self.certificate.worst_case
+        worst = None if worst_case is None else worst_case.of(one.text)
+        return "" if worst is None else f" (with {worst.system})"
+
+    def __str__(self) -> str:
+        decisions = (f"{name} = {_shown(value)}{self._at_bound(name)}" for name, value in self.decisions.items())
+        return lines(
+            [
+                ("status", f"{self.status.value} by {self.effort.solver}"),
+                ("objective", f"{self.objective:.8g} = {self.problem.objective}"),
+                *(("decision", text) for text in decisions),
+                *(("constraint", str(one)) for one in self.constraints),
+                *self.certificate.rows(),
+                ("effort", str(self.effort)),
+            ]
+        )
+
+    def _at_bound(self, name: str) -> str:
+        idle = [entry for entry in self.idle if entry.split("[")[0] == name]
+        if idle:
+            return f" (at its start: nothing asked here was seen to depend on {', '.join(idle)})"
+        return " (at its bound)" if self.is_at_bound(name) else ""
+
+
+def _shown(value: Any) -> str:
+    return np.array2string(np.asarray(value), precision=7, separator=", ")

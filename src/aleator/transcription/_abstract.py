@@ -1,0 +1,173 @@
+"""What a transcription gives: a problem's nonlinear program, and what the points of that program mean."""
+
+import abc
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import ClassVar, NamedTuple, Self
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from aleator._core.compilation import Compiled, Use
+from aleator.design import Problem, functionals_of, history, refuse_changed_code
+from aleator.expansion import Basis, Collocation
+from aleator.nlp import NonlinearProgram
+from aleator.statistics import Constants
+from aleator.transcription._discretisation import RESPOND, Discretised
+from aleator.transcription._resolution import RESOLVE, Resolved
+from aleator.transcription._scenarios import Scenarios
+from aleator.transcription._texts import Texts
+from aleator.uncertainty import Survey
+
+
+class Meaning(NamedTuple):
+    """What a point of a program means in the words of its problem.
+
+    - `decisions`: in the order of the problem's survey, shape (n,);
+    - `objective`: its value; `constraints`: the rows of each, in order;
+    - `samples`: each functional at the collocation points, in the order of `functionals_of`;
+    - `tangents`: the derivatives of these (of a path at a few instants, see `seen`) by the decisions that are
+      parameters of distributions; None where they are not taken;
+    - `statistics`: each that stands in the expressions, in the order of `statistics_in`;
+    - `times`: the instants of the grid, s.
+    """
+
+    decisions: Float[np.ndarray, " n"]
+    objective: float
+    constraints: list[Float[np.ndarray, " rows"]]
+    samples: tuple[Float[np.ndarray, "points ..."], ...]
+    tangents: tuple[Float[np.ndarray, "points ... parameters"] | None, ...]
+    statistics: tuple[Float[np.ndarray, "..."], ...]
+    times: Float[np.ndarray, " instants"]
+
+
+def _outputs_at_points(
+    problem: Problem, points: Float[Array, "points variables"], decisions: Float[Array, " n"]
+) -> dict[str, Array]:
+    return jax.vmap(lambda germ: history(problem, germ, decisions))(points)
+
+
+OUTPUTS_AT_POINTS = Compiled(_outputs_at_points, use=Use.ONCE, unchanged=refuse_changed_code)
+
+
+@dataclass(frozen=True)
+class AbstractTranscribed(abc.ABC):
+    """A problem as a nonlinear program. All that solves, certifies or reports speaks to it alone.
+
+    - `problem`; `traced`: the same with its numbers as arrays;
+    - `discretised`: what its statistics are taken with;
+    - `program`: in the user's units, its variables the decisions and whatever the transcription adds to them;
+    - `rows`: those of each constraint of the problem among the program's, which may have others;
+    - `scales`: the magnitude of each constraint at the start;
+    - `texts`: how the problem is written;
+    - `scenarios`: the realisations at which limits on the worst case are held; None where there are none.
+    """
+
+    problem: Problem
+    traced: Problem
+    discretised: Discretised
+    program: NonlinearProgram
+    rows: tuple[slice, ...]
+    scales: tuple[float, ...]
+    texts: Texts
+    scenarios: Scenarios | None
+    _latest: list[tuple[bytes, tuple[Resolved, ...]]] = field(default_factory=list, repr=False, compare=False)
+
+    @property
+    @abc.abstractmethod
+    def decided(self) -> Int[np.ndarray, " n"]:
+        """Which of the program's variables are the problem's decisions, in the order of its survey."""
+
+    @abc.abstractmethod
+    def point(self, decisions: Float[np.ndarray, " n"]) -> Float[np.ndarray, " variables"]:
+        """The point of the program to start from where the decisions are given."""
+
+    @abc.abstractmethod
+    def at(self, point: Float[np.ndarray, " variables"]) -> Meaning:
+        """What a point means. The latest points are remembered."""
+
+    @abc.abstractmethod
+    def at_scenarios(self, scenarios: Scenarios) -> Self:
+        """The same, its limits on the worst case held at other scenarios."""
+
+    def decisions(self, point: Float[np.ndarray, " variables"]) -> Float[np.ndarray, " n"]:
+        """The problem's decisions at a point, or their part of any vector of the program's variables."""
+        return point[self.decided]
+
+    @property
+    def places(self) -> Survey:
+        """The problem's decisions and distributions."""
+        return self.problem.survey
+
+    @property
+    def basis(self) -> Basis:
+        """The polynomials of the expansion."""
+        return self.discretised.basis
+
+    @property
+    def collocation(self) -> Collocation:
+        """The collocation points, and the least squares on them."""
+        return self.discretised.collocation
+
+    @property
+    def constants(self) -> Constants:
+        """What the problem's statistics need of the basis."""
+        return self.discretised.constants
+
+    @property
+    def points(self) -> Float[np.ndarray, "points variables"]:
+        """All germ points at which the model is simulated: the collocation points, then the scenarios."""
+        points = np.asarray(self.collocation.points)
+        return points if self.scenarios is None else np.concatenate([points, self.scenarios.points])
+
+    def outputs(self, decisions: Float[np.ndarray, " n"]) -> dict[str, Array]:
+        """Histories of all outputs at all `points`, simulated."""
+        return OUTPUTS_AT_POINTS(self.traced, jnp.asarray(self.points), jnp.asarray(decisions))
+
+    def statistics(self, point: Float[np.ndarray, " variables"]) -> dict[str, Float[np.ndarray, "..."]]:
+        """Every statistic that stands in the problem, by its text."""
+        return dict(zip(self.texts.statistics, self.at(point).statistics, strict=True))
+
+    def resolve(self, point: Float[np.ndarray, " variables"]) -> dict[str, Resolved]:
+        """The moments and the quality of each functional's expansion, by its text. The latest are remembered."""
+        key = point.tobytes()
+        known = next((found for where, found in self._latest if where == key), None)
+        if known is None:
+            known = RESOLVE(*self._resolution(point))
+            self._latest[:] = [(key, known)]
+        return dict(zip(self.texts.functionals, known, strict=True))
+
+    def prepare_resolution(self, point: Float[np.ndarray, " variables"]) -> None:
+        """Begin to compile what `resolve` will need, beside what is done next."""
+        RESOLVE.prepare(*self._resolution(point))
+
+    def _resolution(self, point: Float[np.ndarray, " variables"]) -> tuple:
+        meaning = self.at(point)
+        return functionals_of(self.traced.expressions), self.collocation, meaning.samples, meaning.tangents
+
+
+Meanwhile = Callable[[Problem, Discretised], object]
+"""What is called just before a problem is compiled, to begin what can be done beside that."""
+
+
+@dataclass(frozen=True)
+class AbstractTranscription(abc.ABC):
+    """A way from a problem to a nonlinear program. Equal ones give the same program.
+
+    `programs`: the compiled functions that its user waits for.
+    """
+
+    programs: ClassVar[tuple[Compiled, ...]] = ()
+
+    @abc.abstractmethod
+    def transcribed(self, problem: Problem, meanwhile: Meanwhile) -> AbstractTranscribed:
+        """A problem transcribed: compiled, unless one of its structure has been before.
+
+        Raises `ProblemError` for what it cannot transcribe.
+        """
+
+    def compile_seconds(self) -> float:
+        """How long all compilations that users of it have waited for have taken so far, s."""
+        return sum(one.seconds for one in (RESOLVE, RESPOND, *self.programs))

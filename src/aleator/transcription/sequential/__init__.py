@@ -1,0 +1,4 @@
+"""Sequential transcription: the decisions are the program's variables, and every evaluation simulates the model."""
+
+from aleator.transcription.sequential._evaluator import EVALUATE as EVALUATE
+from aleator.transcription.sequential._transcribed import Sequential as Sequential

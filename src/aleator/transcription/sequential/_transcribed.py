@@ -1,0 +1,161 @@
+"""Sequential transcription: simulate inside, optimise outside (SeqNLP, equations 93, 95 and 122).
+
+The decisions are the only variables of the nonlinear program; the dynamics are solved exactly at every evaluation. The
+values and the Jacobian of the objective and of all constraints come from one compiled function.
+"""
+
+from dataclasses import dataclass, replace
+from typing import ClassVar, final
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, Int
+from typing_extensions import override
+
+from aleator._core.arrays import numbers_to_arrays
+from aleator._core.compilation import Compiled
+from aleator.design import Problem
+from aleator.nlp import NonlinearProgram
+from aleator.transcription._abstract import AbstractTranscribed, AbstractTranscription, Meaning, Meanwhile
+from aleator.transcription._discretisation import discretised
+from aleator.transcription._magnitudes import (
+    Sizing,
+    decision_scales,
+    elsewhere,
+    largest_of,
+    least_objective,
+    needs_more,
+    spread,
+)
+from aleator.transcription._rows import row_bounds, rows_of
+from aleator.transcription._scenarios import Scenarios, first_scenarios
+from aleator.transcription._texts import Texts
+from aleator.transcription._unsatisfiable import refuse_unsatisfiable
+from aleator.transcription.sequential._evaluator import EVALUATE, Evaluator, evaluation_of
+from aleator.transcription.sequential._instantaneous import FEATURES, anchors_of, instantaneous
+from aleator.transcription.sequential._structure import nearby, structure_of
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class SequentiallyTranscribed(AbstractTranscribed):
+    """A problem as a program in its decisions alone. `sizing`: how large its constraints are anywhere."""
+
+    evaluator: Evaluator
+    sizing: Sizing
+
+    @property
+    @override
+    def decided(self) -> Int[np.ndarray, " n"]:
+        return np.arange(self.program.start.size)
+
+    @override
+    def point(self, decisions: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+        return decisions
+
+    @override
+    def at(self, point: Float[np.ndarray, " n"]) -> Meaning:
+        blocks = self.evaluator(point)
+        return Meaning(
+            decisions=point,
+            objective=float(blocks.values[0]),
+            constraints=blocks.by_constraint(blocks.values),
+            samples=blocks.samples,
+            tangents=blocks.tangents,
+            statistics=blocks.statistics,
+            times=blocks.times,
+        )
+
+    @override
+    def at_scenarios(self, scenarios: Scenarios) -> "SequentiallyTranscribed":
+        """The same program, its limits on the worst case held at other scenarios. More slots compile it anew."""
+        constants = replace(self.constants, scenarios=jnp.asarray(scenarios.points))
+        evaluator, program = self.evaluator.with_constants(constants), self.program
+        same = self.scenarios is not None and len(scenarios.used) == len(self.scenarios.used)
+        rows = self.rows if same else rows_of(evaluator(program.start).sizes[1:])
+        lower, upper = row_bounds(self.problem.constraints, rows, scenarios)
+        scales = [float(program.constraint_scale[one.start]) for one in self.rows]
+        sizing = replace(self.sizing, rows=rows)
+        program = replace(
+            program,
+            evaluate=lambda decisions: evaluation_of(evaluator(decisions)),
+            constraint_lower=lower,
+            constraint_upper=upper,
+            constraint_scale=spread(rows, scales),
+            structure=program.structure if same else None,
+            magnitudes=sizing.at,
+        )
+        discretised = self.discretised._replace(constants=constants)
+        own = {"discretised": discretised, "evaluator": evaluator, "sizing": sizing, "_latest": []}
+        return replace(self, rows=rows, program=program, scenarios=scenarios, **own)
+
+
+@final
+@dataclass(frozen=True)
+class Sequential(AbstractTranscription):
+    """Simulate inside, optimise outside: few decisions, thousands of rows, dynamics that hold at every iterate.
+
+    The way for systems that can be simulated from their start to their end, whatever the decisions (SeqNLP, equations
+    93, 95 and 122).
+    """
+
+    programs: ClassVar[tuple[Compiled, ...]] = (EVALUATE, FEATURES)
+
+    @override
+    def transcribed(self, problem: Problem, meanwhile: Meanwhile) -> SequentiallyTranscribed:
+        scenarios, found, traced = first_scenarios(problem), discretised(problem), numbers_to_arrays(problem)
+        if scenarios is not None:
+            found = found._replace(constants=replace(found.constants, scenarios=jnp.asarray(scenarios.points)))
+        start, lower, upper = (problem.survey.vector(name) for name in ("initial", "lower", "upper"))
+        anchors = anchors_of(traced, found.collocation, start)
+        evaluator = Evaluator(traced, found.collocation, found.constants, anchors)
+        if not evaluator.is_known(start):
+            meanwhile(problem, found)
+        decision_scale = decision_scales(start, lower, upper)
+        around = nearby(start, lower, upper, decision_scale)
+        beside = [evaluator(one) for one in around] if instantaneous(problem) else []
+        # The start comes last, for it is asked for again: the evaluator remembers it.
+        at_start = evaluator(start)
+        rows = rows_of(at_start.sizes[1:])
+        values, derivatives = map(at_start.by_constraint, (at_start.values, at_start.derivatives))
+        unknown = not beside and needs_more(problem.constraints, values, derivatives, decision_scale)
+        seen = [at_start, *beside, *([evaluator(around[0])] if unknown else [])]
+        away = largest_of([one.by_constraint(one.values) for one in seen])
+        sizing = Sizing(problem.constraints, rows, decision_scale, away)
+        sizes = sizing.each(start, values, derivatives)
+        refuse_unsatisfiable(
+            problem,
+            values,
+            derivatives,
+            [one.size for one in sizes],
+            lambda: at_start.times,
+            lambda: [(found := evaluator(one)).by_constraint(found.values) for one in elsewhere(start, lower, upper)],
+        )
+        paths = [where for where, one in zip(rows, problem.constraints, strict=True) if one.is_path]
+        nonzero = [one.derivatives[1:] != 0 for one in (at_start, *beside)]
+        constraint_lower, constraint_upper = row_bounds(problem.constraints, rows, scenarios)
+        program = NonlinearProgram(
+            evaluate=lambda decisions: evaluation_of(evaluator(decisions)),
+            start=start,
+            lower=lower,
+            upper=upper,
+            constraint_lower=constraint_lower,
+            constraint_upper=constraint_upper,
+            constraint_scale=spread(rows, [one.scale for one in sizes]),
+            decision_scale=decision_scale,
+            structure=structure_of(np.any(nonzero, axis=0), paths, len(at_start.times)) if beside else None,
+            magnitudes=sizing.at,
+            least=least_objective(problem),
+        )
+        return SequentiallyTranscribed(
+            problem,
+            traced,
+            found,
+            program,
+            rows,
+            tuple(one.size for one in sizes),
+            Texts.of(problem),
+            scenarios,
+            evaluator=evaluator,
+            sizing=sizing,
+        )
