@@ -1,6 +1,5 @@
 """The optima of the motion studies, and their limits on finer grids by another quadrature than the plans used."""
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -14,12 +13,13 @@ from aleator.uncertainty import realise
 def moments(solution, names, finer=10):
     """Mean and standard deviation of outputs over a uniform law, by Gauss-Legendre nodes on a finer grid."""
     problem = al.uncertain(solution.problem)
-    problem = eqx.tree_at(lambda tree: tree.grid, problem, problem.grid.finer(finer))
+    problem = problem.on_grid(problem.grid.finer(finer))
     nodes, weights = np.polynomial.legendre.leggauss(9)
 
     @jax.jit
     def histories(germ):
-        system, inputs, grid = realise(problem.model, germ, jnp.asarray(solution.vector))
+        realised = realise(problem.simulation, germ, jnp.asarray(solution.vector))
+        system, inputs, grid = realised.system, realised.inputs, realised.grid
         return al.simulate(system, grid, inputs, only=names)
 
     found = [histories(jnp.array([node])) for node in nodes]

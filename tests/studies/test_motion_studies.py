@@ -82,7 +82,8 @@ def test_the_design_to_build_holds_at_both_ends_of_the_law_and_its_price_is_told
     problem = plan.problem
     # Torques are straight lines in the payload, so that the ends of its law are their worst case.
     for end in (-1.0, 1.0):
-        system, inputs, grid = realise(problem.model, jnp.array([end]), jnp.asarray(plan.vector))
+        realised = realise(problem.simulation, jnp.array([end]), jnp.asarray(plan.vector))
+        system, inputs, grid = realised.system, realised.inputs, realised.grid
         torques = al.simulate(system, grid.finer(10), inputs, only=("q1_torque", "q2_torque"))
         assert max(np.max(np.abs(rows)) for rows in torques.values()) <= 10 * (1 + 2e-6)
     said = study.verdict()

@@ -46,7 +46,7 @@ def alone(
     problem: Problem, values: Mapping[AbstractFunctional, Array], decisions: Float[Array, " n"]
 ) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
     """The parts of `Alone` from the functionals of one system."""
-    scope = OneSystem(values, named_numbers(problem.model, decisions), step_at(problem, decisions))
+    scope = OneSystem(values, named_numbers(problem.simulation, decisions), step_at(problem, decisions))
     expressions = tuple(jnp.asarray(one.evaluate(scope)) for one in problem.expressions)
     return expressions, tuple(values[one] for one in functionals_of(problem.expressions))
 

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -39,8 +38,7 @@ def refinement(solutions: Sequence[Solution]) -> Problem | None:
     steps = parts * -(-steps // parts)
     if steps > _FINEST * begun.steps or _does_not_help(solutions):
         return None
-    finer = problem.on_grid(grid.divided(steps))
-    return eqx.tree_at(lambda tree: tree.integrator, finer, problem.integrator.refined())
+    return problem.on_grid(grid.divided(steps), problem.integrator.refined())
 
 
 def _does_not_help(solutions: Sequence[Solution]) -> bool:

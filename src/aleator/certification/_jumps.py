@@ -39,7 +39,7 @@ def splines_in(tree: Any) -> list[BSpline]:
 
 def knots(problem: Problem, decisions: Float[np.ndarray, " n"]) -> Float[np.ndarray, " knots"]:
     """The interior knots of all splines of a problem at some decisions, as fractions of its time."""
-    model = realise(at_means(problem.model), jnp.zeros(0), jnp.asarray(decisions))
+    model = realise(at_means(problem.simulation), jnp.zeros(0), jnp.asarray(decisions))
     ends = (one.breaks() for one in splines_in((model.system, model.inputs)))
     found = np.concatenate([np.zeros(0), *ends])
     return np.unique(found[(found > 0) & (found < 1)])

@@ -21,7 +21,6 @@ from aleator.design import (
     responses,
     step_at,
 )
-from aleator.dynamics import Grid
 from aleator.transcription import germ_box
 from aleator.uncertainty import named_numbers
 
@@ -53,7 +52,7 @@ def _reached(
     limits = worst_case_limits(problem)
     functionals = functionals_of(tuple(one.expression for one in limits))
     times, step = grid_at(problem, decisions).times, step_at(problem, decisions)
-    numbers = named_numbers(problem.model, decisions)
+    numbers = named_numbers(problem.simulation, decisions)
 
     def one(values: tuple[Array, ...]) -> tuple[Array, Array, Array]:
         scope = OneSystem(dict(zip(functionals, values, strict=True)), numbers, step)
@@ -81,9 +80,7 @@ class Oracle:
     """
 
     def __init__(self, problem: Problem, factor: int):
-        if factor > 1 and isinstance(problem.grid, Grid):
-            problem = problem.on_grid(problem.grid.finer(factor))
-        self._traced = numbers_to_arrays(problem)
+        self._traced = numbers_to_arrays(problem.on_grid(problem.grid.finer(factor)))
         self.low, self.high = germ_box(problem).T
         self.asked = 0
 

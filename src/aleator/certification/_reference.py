@@ -4,7 +4,6 @@ from collections.abc import Iterator, Mapping
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -136,7 +135,7 @@ def _arguments(
 ) -> tuple[Problem, Collocation, Constants, Array, Array]:
     grid, integrator = problem.grid, problem.integrator.reference()
     assert isinstance(grid, Grid)
-    finer = eqx.tree_at(lambda tree: tree.integrator, problem.on_grid(grid.finer(factor)), integrator)
+    finer = problem.on_grid(grid.finer(factor), integrator)
     _, collocation, constants = discretised
     which = jnp.asarray(middle(collocation))
     return numbers_to_arrays(finer), collocation, constants, which, jnp.asarray(decisions)

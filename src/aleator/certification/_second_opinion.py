@@ -232,7 +232,7 @@ def _judged(
         known[text] = np.concatenate([values, moved], axis=-1)
     times = meaning.times
     step = float(times[1] - times[0]) if len(times) > 1 else 1.0
-    scope = _Replicated(known, lambda: named_numbers(problem.model, jnp.asarray(meaning.decisions)), step)
+    scope = _Replicated(known, lambda: named_numbers(problem.simulation, jnp.asarray(meaning.decisions)), step)
     told, broken = [], ""
     for which, expression in enumerate(problem.expressions):
         if not any(isinstance(leaf, Statistic) for leaf in expression.leaves):

@@ -17,7 +17,7 @@ from aleator.design._cost import CostCurve
 from aleator.design._declaration import AbstractProblem
 from aleator.design._expression import Expression
 from aleator.design._functionals import AbstractIntegral
-from aleator.design._physics import Digest, physics_of, uncertain_parts
+from aleator.design._physics import Digest, physics_of
 from aleator.design._realisations import refuse_trouble
 from aleator.design._response import grid_at, history
 from aleator.design._scope import AbstractScope, Value
@@ -30,10 +30,19 @@ from aleator.design._statistic import (
     statistics_in,
 )
 from aleator.design._units import refuse_clashes
-from aleator.dynamics import AbstractIntegrator, AlgebraicSystem, Grid, Instant, System, called, check_signals
+from aleator.dynamics import (
+    AbstractIntegrator,
+    AbstractSystem,
+    AlgebraicSystem,
+    Grid,
+    Instant,
+    System,
+    called,
+    check_signals,
+)
 from aleator.expansion import Expansion
 from aleator.statistics import AbstractStatistic, Sobol, TotalSobol, refuse_correlated
-from aleator.uncertainty import Survey, named_numbers, refuse_nonpositive
+from aleator.uncertainty import Survey, named_numbers, refuse_nonpositive, uncertain_again
 
 
 def check(problem: AbstractProblem) -> str:
@@ -41,7 +50,7 @@ def check(problem: AbstractProblem) -> str:
     _check_types(problem)
     _check_inputs(problem)
     _check_time(problem)
-    refuse_nonpositive(problem.model)
+    refuse_nonpositive(problem.simulation)
     _check_values(problem)
     _check_germs(problem)
     refuse_clashes(problem)
@@ -60,7 +69,7 @@ def equations_now(problem: AbstractProblem) -> str:
 
 
 def _digest(problem: AbstractProblem) -> Digest:
-    whole = eqx.tree_at(lambda one: (one.system, one.inputs, one.grid), problem, uncertain_parts(problem))
+    whole = eqx.tree_at(lambda one: one.simulation, problem, uncertain_again(problem.simulation))
     physics, outputs = _trace(whole, _outputs_of, whole.survey)
     _check_outputs(whole, outputs)
     texts = [physics, _check_shapes(whole, outputs)]
@@ -72,10 +81,11 @@ def _digest(problem: AbstractProblem) -> Digest:
 
 
 def _check_types(problem: AbstractProblem) -> None:
-    is_algebraic = isinstance(problem.system, AlgebraicSystem)
+    system: Any = problem.system
+    has_no_time = isinstance(system, AbstractSystem) and not system.has_time
     expected: tuple[tuple[str, Any, tuple[type, ...]], ...] = (
-        ("system", problem.system, (System, AlgebraicSystem)),
-        ("grid", problem.grid, (Instant,) if is_algebraic else (Grid,)),
+        ("system", system, (System, AlgebraicSystem)),
+        ("grid", problem.grid, (Instant,) if has_no_time else (Grid,)),
         ("expansion", problem.expansion, (Expansion,)),
         ("integrator", problem.integrator, (AbstractIntegrator,)),
     )
@@ -86,14 +96,12 @@ def _check_types(problem: AbstractProblem) -> None:
                 f"Problem: '{name}' must be a {' or '.join(kind.__name__ for kind in kinds)}; "
                 f"received {type(value).__name__} {value!r}.{remedy}"
             )
-    if isinstance(problem.system, AlgebraicSystem):
+    if has_no_time:
         return
     # A system without states moves only if a motion is given to it.
-    names = getattr(problem.system, "states", None)
-    if names is None or not (names or problem.inputs or problem.system.signals()):
-        raise ProblemError(
-            f'{type(problem.system).__name__} names no states: expected `states = ("x", ...)` in the class.'
-        )
+    names = getattr(system, "states", None)
+    if names is None or not (names or problem.inputs or system.signals()):
+        raise ProblemError(f'{type(system).__name__} names no states: expected `states = ("x", ...)` in the class.')
 
 
 def _check_inputs(problem: AbstractProblem) -> None:
@@ -107,7 +115,7 @@ def _check_inputs(problem: AbstractProblem) -> None:
 
 def _check_time(problem: AbstractProblem) -> None:
     """Refuse what is taken over time of a system that has none, and the other way round."""
-    has_time, name = isinstance(problem.grid, Grid), type(problem.system).__name__
+    has_time, name = problem.system.has_time, type(problem.system).__name__
     for functional in functionals_of(problem.expressions):
         if functional.needs_time and not has_time:
             raise ProblemError(
@@ -122,7 +130,7 @@ def _check_time(problem: AbstractProblem) -> None:
 
 
 def _check_values(problem: AbstractProblem) -> None:
-    numbers = named_numbers(problem.model, jnp.asarray(problem.survey.vector("initial")))
+    numbers = named_numbers(problem.simulation, jnp.asarray(problem.survey.vector("initial")))
     for expression in problem.expressions:
         for atom in expression.leaves:
             if isinstance(atom, Value | CostCurve) and atom.name not in numbers:

@@ -1,25 +1,13 @@
 """What a problem is made of, for all that reads problems: checks, responses, texts."""
 
-from typing import NamedTuple
-
 import equinox as eqx
 
 from aleator._core.errors import ProblemError
-from aleator._core.leaves import transparent
 from aleator.design._expression import Constraint, Expression
-from aleator.dynamics import AbstractGrid, AbstractIntegrator, AlgebraicSystem, System
+from aleator.dynamics import AbstractGrid, AbstractIntegrator, AbstractSystem, Simulation
 from aleator.expansion import Expansion
 from aleator.trajectories import AbstractSignal
 from aleator.uncertainty import Survey, survey
-
-
-@transparent("system", "grid")
-class Model(NamedTuple):
-    """Everything that may hold distributions and decisions: the system, its inputs and the grid's final time."""
-
-    system: System | AlgebraicSystem
-    inputs: dict[str, AbstractSignal]
-    grid: AbstractGrid
 
 
 class AbstractProblem(eqx.Module):
@@ -29,29 +17,41 @@ class AbstractProblem(eqx.Module):
     closures are told apart where their fields are alike. It is that of the time of declaration: see `current`.
     """
 
-    system: System | AlgebraicSystem
-    grid: AbstractGrid
-    inputs: dict[str, AbstractSignal]
+    simulation: Simulation
     objective: Expression
     constraints: tuple[Constraint, ...]
     expansion: Expansion
-    integrator: AbstractIntegrator
     physics: str = eqx.field(static=True)
 
     @property
-    def model(self) -> Model:
-        """The part of the problem that realisation acts on."""
-        return Model(self.system, self.inputs, self.grid)
+    def system(self) -> AbstractSystem:
+        """The physics."""
+        return self.simulation.system
+
+    @property
+    def inputs(self) -> dict[str, AbstractSignal]:
+        """A signal for each input of the system, by name."""
+        return self.simulation.inputs
+
+    @property
+    def grid(self) -> AbstractGrid:
+        """The instants."""
+        return self.simulation.grid
+
+    @property
+    def integrator(self) -> AbstractIntegrator:
+        """How states are carried forward."""
+        return self.simulation.integrator
 
     @property
     def is_integrated(self) -> bool:
         """Whether its system has states, which are integrated over time."""
-        return isinstance(self.system, System) and bool(self.system.states)
+        return self.system.is_integrated
 
     @property
     def survey(self) -> Survey:
         """Its distributions and decisions."""
-        return survey(self.model)
+        return survey(self.simulation)
 
     @property
     def expressions(self) -> tuple[Expression, ...]:

@@ -110,18 +110,13 @@ def refuse_changed_code(problem: AbstractProblem, *_: Any) -> None:
         )
 
 
-def uncertain_parts(problem: AbstractProblem) -> tuple[Any, ...]:
-    """System, inputs and grid with their distributions, also of a deterministic problem."""
-    return tuple(uncertain_again(problem.model))
-
-
 def _code_of(problem: AbstractProblem) -> tuple[Any, ...]:
     """The parts of a problem that hold a user's code, with their distributions: the same for its deterministic twin.
 
     Grid and integrator are none: the same problem on a finer grid, by which its own is judged, has the same code.
     """
-    system, inputs, _ = uncertain_parts(problem)
-    return system, inputs, problem.objective, problem.constraints
+    simulation = uncertain_again(problem.simulation)
+    return simulation.system, simulation.inputs, problem.objective, problem.constraints
 
 
 def _structure(parts: Any) -> Hashable:

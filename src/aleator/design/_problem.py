@@ -10,18 +10,18 @@ import numpy as np
 from aleator._core.errors import ProblemError
 from aleator._core.given import one_of, positive, real
 from aleator.design._check import check, equations_now
-from aleator.design._declaration import AbstractProblem, Model
+from aleator.design._declaration import AbstractProblem
 from aleator.design._expression import Constraint, Expression, as_expression, ordered
 from aleator.design._physics import changes
 from aleator.design._text import problem_text
 from aleator.dynamics import (
     AbstractGrid,
     AbstractIntegrator,
-    AlgebraicSystem,
+    AbstractSystem,
     Grid,
     Instant,
     RungeKutta4,
-    System,
+    Simulation,
 )
 from aleator.expansion import Expansion
 from aleator.trajectories import AbstractSignal
@@ -43,7 +43,7 @@ class Problem(AbstractProblem):
 
     def __init__(
         self,
-        system: System | AlgebraicSystem,
+        system: AbstractSystem,
         *,
         minimize: Expression,
         subject_to: Iterable[Constraint | tuple[Constraint, ...]] = (),
@@ -52,21 +52,21 @@ class Problem(AbstractProblem):
         expansion: Expansion | None = None,
         integrator: AbstractIntegrator | None = None,
     ):
-        self.system = _copied(system)
-        self.grid: Any = Instant() if grid is None and isinstance(system, AlgebraicSystem) else _copied(grid)
         if inputs is not None and not isinstance(inputs, Mapping):
             raise ProblemError(f"inputs: expected signals by name, such as {{'road': ...}}; received {type(inputs)}.")
-        self.inputs = _copied(dict(inputs or {}))
+        has_time = not isinstance(system, AbstractSystem) or system.has_time
+        instants: Any = Instant() if grid is None and not has_time else _copied(grid)
+        how = RungeKutta4() if integrator is None else integrator
+        self.simulation = Simulation(_copied(system), _copied(dict(inputs or {})), instants, how)
         self.objective = as_expression(minimize)
         self.constraints = _told_apart(tuple(_flatten(subject_to)))
         self.expansion = Expansion() if expansion is None else expansion
-        self.integrator = RungeKutta4() if integrator is None else integrator
         self.physics = ""
         self.physics = check(self)
 
-    def on_grid(self, grid: AbstractGrid) -> "Problem":
-        """The same problem on another grid. It is not checked again."""
-        return eqx.tree_at(lambda tree: tree.grid, self, grid)
+    def on_grid(self, grid: AbstractGrid, integrator: AbstractIntegrator | None = None) -> "Problem":
+        """The same problem on another grid, by another integrator if one is given. It is not checked again."""
+        return _with_simulation(self, self.simulation.on(grid, integrator))
 
     def with_bound(self, name: str, bound: float | tuple[float, float]) -> Self:
         """The same problem with the bound of the constraints called `name` at `bound`.
@@ -164,7 +164,7 @@ def current(problem: Problem) -> Problem:
         problem.system,
         minimize=problem.objective,
         subject_to=problem.constraints,
-        grid=problem.grid,
+        grid=problem.grid if isinstance(problem.grid, Grid) else None,
         inputs=problem.inputs,
         expansion=problem.expansion,
         integrator=problem.integrator,
@@ -184,14 +184,14 @@ def refuse_changed(verb: str, problem: Problem, since: str) -> None:
 
 def deterministic(problem: Problem) -> Problem:
     """The same problem with every distribution at its mean and no spread (dOpt, equations 93 and 113)."""
-    return _with_model(one_of("deterministic", problem, Problem), at_means(problem.model))
+    return _with_simulation(one_of("deterministic", problem, Problem), at_means(problem.simulation))
 
 
 def uncertain(problem: Problem) -> Problem:
     """The problem with its distributions again: the inverse of `deterministic`."""
     one_of("uncertain", problem, Problem)
-    return _with_model(problem, uncertain_again(problem.model))
+    return _with_simulation(problem, uncertain_again(problem.simulation))
 
 
-def _with_model(problem: Problem, model: Model) -> Problem:
-    return eqx.tree_at(lambda tree: (tree.system, tree.inputs, tree.grid), problem, tuple(model))
+def _with_simulation(problem: Problem, simulation: Simulation) -> Problem:
+    return eqx.tree_at(lambda tree: tree.simulation, problem, simulation)

@@ -8,11 +8,11 @@ import numpy as np
 from jaxtyping import Float
 
 from aleator._core.errors import ProblemError
-from aleator.design._declaration import AbstractProblem, Model
+from aleator.design._declaration import AbstractProblem
 from aleator.design._expression import Constraint, Expression
 from aleator.design._functionals import Path
 from aleator.design._statistic import Statistic
-from aleator.dynamics import System
+from aleator.dynamics import AbstractSystem, Simulation
 from aleator.mechanics import AbstractFormulation
 from aleator.statistics import Mean
 from aleator.uncertainty import AbstractGerm, at_means, realise, survey, uncertain_numbers
@@ -27,30 +27,30 @@ def refuse_trouble(problem: AbstractProblem) -> None:
     It is asked at the means, then with each uncertain number at either end of its law, the others at their medians, and
     with each decided number of the system itself (not of the motion that it is made for) at either of its bounds.
     """
-    if not isinstance(problem.system, System) or not _speaks(problem.system):
+    if not _speaks(problem.system):
         return
     start = jnp.asarray(problem.survey.vector("initial"))
     _refuse(_at_means(problem, start), "")
     for germ in _extremes(list(problem.survey.germs.values())):
         numbers = uncertain_numbers(problem.survey, jnp.asarray(germ), start)
         where = ", ".join(f"{name} = {float(number):.4g}" for name, number in numbers.items())
-        _refuse(realise(problem.model, jnp.asarray(germ), start), f" In the system with {where}.")
+        _refuse(realise(problem.simulation, jnp.asarray(germ), start), f" In the system with {where}.")
     for name, decisions in _bounds(problem):
         _refuse(_at_means(problem, decisions), f" In the system with {name}.")
     _refuse_unheld(problem)
 
 
-def _speaks(system: System) -> bool:
-    return type(system).trouble is not System.trouble
+def _speaks(system: AbstractSystem) -> bool:
+    return type(system).trouble is not AbstractSystem.trouble
 
 
-def _at_means(problem: AbstractProblem, decisions: Any) -> Model:
-    return realise(at_means(problem.model), jnp.zeros(0), jnp.asarray(decisions))
+def _at_means(problem: AbstractProblem, decisions: Any) -> Simulation:
+    return realise(at_means(problem.simulation), jnp.zeros(0), jnp.asarray(decisions))
 
 
-def _refuse(model: Model, who: str) -> None:
+def _refuse(simulation: Simulation, who: str) -> None:
     try:
-        trouble = model.system.trouble(model.grid)  # type: ignore[union-attr]
+        trouble = simulation.system.trouble(simulation.grid)
     except ProblemError as error:
         trouble = str(error)
     if trouble:
@@ -136,9 +136,9 @@ def _held(problem: AbstractProblem) -> dict[str, float]:
 
 
 def _holding(problem: AbstractProblem, decisions: Float[np.ndarray, " n"]) -> dict[str, float]:
-    model = _at_means(problem, decisions)
+    simulation = _at_means(problem, decisions)
     try:
-        held = model.system.holding(model.grid)  # type: ignore[union-attr]
+        held = simulation.system.holding(simulation.grid)
     except ProblemError:
         # What cannot be built there is held by nothing.
         return {}

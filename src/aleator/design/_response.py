@@ -14,26 +14,24 @@ from aleator.design._expression import Expression
 from aleator.design._functionals import AbstractIntegral
 from aleator.design._scope import AbstractScope, AbstractScopeOfInstants
 from aleator.design._statistic import AbstractFunctional, Statistic, Taken, numbers_of
-from aleator.dynamics import AbstractGrid, AlgebraicSystem, Asked, Grid, History, explain_failure, record, simulate
+from aleator.dynamics import AbstractGrid, Asked, History
 from aleator.statistics import AbstractStatistic
 from aleator.uncertainty import at_means, named_numbers, realise
 
 
 def history(problem: AbstractProblem, germ: Float[Array, " variables"], decisions: Float[Array, " n"]) -> History:
     """Time histories of all outputs of one realisation."""
-    system, inputs, grid = realise(problem.model, germ, decisions)
-    return simulate(system, grid, inputs, problem.integrator)
+    return realise(problem.simulation, germ, decisions).history()
 
 
 def grid_at(problem: AbstractProblem, decisions: Float[Array, " n"]) -> AbstractGrid:
     """The problem's grid, its final time as decided."""
-    return realise(at_means(problem.model), jnp.zeros(0), decisions).grid
+    return realise(at_means(problem.simulation), jnp.zeros(0), decisions).grid
 
 
 def step_at(problem: AbstractProblem, decisions: Float[Array, " n"]) -> Array:
     """The time between two instants, s; one where there is no time."""
-    grid = grid_at(problem, decisions)
-    return jnp.asarray(grid.step if isinstance(grid, Grid) else 1.0)
+    return jnp.asarray(grid_at(problem, decisions).step)
 
 
 def responses(
@@ -73,13 +71,13 @@ def sampled(
     )
 
     def one(point: Float[Array, " variables"]) -> Sampled:
-        system, inputs, grid = realise(problem.model, point, decisions)
-        found = record(system, grid, inputs, problem.integrator, asked)
+        realised = realise(problem.simulation, point, decisions)
+        found = realised.record(asked)
         taken = Taken(found.history, dict(zip(integrals, found.integrals, strict=True)))
         between = Taken(found.nodes, {})
         return Sampled(
-            numbers_of(functionals, taken, grid),
-            numbers_of(paths, between, grid),
+            numbers_of(functionals, taken, realised.grid),
+            numbers_of(paths, between, realised.grid),
         )
 
     return jax.vmap(one)(germ)
@@ -91,10 +89,7 @@ def _outputs(functionals: Iterable[AbstractFunctional]) -> frozenset[str]:
 
 def unsolved(problem: AbstractProblem, germ: Float[Array, " variables"], decisions: Float[Array, " n"]) -> str:
     """Why one realisation has no solution, as far as its equations or its integrator can tell; empty if it has one."""
-    system, inputs, grid = realise(problem.model, germ, decisions)
-    if isinstance(system, AlgebraicSystem):
-        return explain_failure(system)
-    return problem.integrator.explain(system, grid, {**system.signals(), **inputs}) if system.states else ""
+    return realise(problem.simulation, germ, decisions).explain()
 
 
 @final
@@ -123,7 +118,7 @@ class _Numbers(AbstractScope):
     """The model's own numbers, and no statistics."""
 
     def __init__(self, problem: AbstractProblem, decisions: Any):
-        self._numbers = named_numbers(problem.model, jnp.asarray(decisions))
+        self._numbers = named_numbers(problem.simulation, jnp.asarray(decisions))
 
     def statistic(self, functionals: tuple[Any, ...], kind: AbstractStatistic) -> Array:
         received = Statistic(functionals, kind).text()

@@ -4,7 +4,6 @@ from aleator._core.memory import NUMBER, refuse_beyond_memory
 from aleator.design._declaration import AbstractProblem
 from aleator.design._functionals import AbstractIntegral
 from aleator.design._statistic import functionals_of
-from aleator.dynamics import Grid
 
 
 def refuse_large_histories(problem: AbstractProblem, systems: int, derivatives: int, advice: str) -> None:
@@ -14,7 +13,7 @@ def refuse_large_histories(problem: AbstractProblem, systems: int, derivatives: 
     """
     histories = [one for one in functionals_of(problem.expressions) if not isinstance(one, AbstractIntegral)]
     outputs = len({name for one in histories for name in one.outputs})
-    instants = problem.grid.steps + 1 if isinstance(problem.grid, Grid) else 1
+    instants = problem.grid.steps + 1
     what = f"{systems} systems with {outputs} outputs at {instants} instants"
     what += f" and their derivatives by {derivatives} decisions" if derivatives else ""
     refuse_beyond_memory(what, NUMBER * systems * outputs * instants * (1 + derivatives), advice)

@@ -7,7 +7,7 @@ import numpy as np
 
 from aleator.design._declaration import AbstractProblem
 from aleator.design._statistic import statistics_in
-from aleator.dynamics import AlgebraicSystem, Grid
+from aleator.dynamics import Grid, System
 from aleator.mechanics import AbstractFormulation
 from aleator.statistics import Mean
 from aleator.uncertainty import AbstractDistribution, AbstractGerm, Decision
@@ -58,7 +58,7 @@ def _range(values: object) -> str:
 def _physics_row(problem: AbstractProblem) -> tuple[str, str]:
     grid, system = problem.grid, problem.system
     name = type(system).__name__
-    if isinstance(system, AlgebraicSystem) or not isinstance(grid, Grid):
+    if not (isinstance(system, System) and isinstance(grid, Grid)):
         unknowns = getattr(system, "unknowns", ())
         solved = f"{name}({', '.join(unknowns)}), solved by Newton's method"
         return "equations", solved if unknowns else f"{name}, in closed form"

@@ -1,5 +1,6 @@
 """Dynamical and algebraic systems and their simulation. Knows no randomness."""
 
+from aleator.dynamics._abstract_system import AbstractSystem as AbstractSystem
 from aleator.dynamics._adaptive import Kvaerno5 as Kvaerno5
 from aleator.dynamics._adaptive import Tsit5 as Tsit5
 from aleator.dynamics._algebraic import AlgebraicSystem as AlgebraicSystem
@@ -20,8 +21,9 @@ from aleator.dynamics._record import Asked as Asked
 from aleator.dynamics._record import History as History
 from aleator.dynamics._record import Record as Record
 from aleator.dynamics._refusals import check_signals as check_signals
-from aleator.dynamics._simulate import record as record
-from aleator.dynamics._simulate import simulate as simulate
+from aleator.dynamics._simulation import Simulation as Simulation
+from aleator.dynamics._simulation import simulate as simulate
+from aleator.dynamics._simulation import simulation_of as simulation_of
 from aleator.dynamics._system import System as System
 from aleator.dynamics._system import called as called
 from aleator.dynamics._system import check_inputs as check_inputs

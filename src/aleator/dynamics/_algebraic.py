@@ -10,18 +10,20 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, Int
+from typing_extensions import override
 
 from aleator._core.arrays import is_number, numbers_to_arrays
 from aleator._core.errors import ProblemError
 from aleator._core.given import traceable
 from aleator._core.leaves import named_leaves
+from aleator.dynamics._abstract_system import AbstractSystem
 from aleator.dynamics._newton import Root, newton
 from aleator.dynamics._system import as_outputs, called, starting, state_type
 
 _GOLDEN = (5**0.5 - 1) / 2
 
 
-class AlgebraicSystem(eqx.Module):
+class AlgebraicSystem(AbstractSystem):
     """A system without time: closed formulas, statics, equilibria, kinematic assemblies.
 
     Subclass it with the parameters as fields; any number in a field may then be replaced by a distribution or a
@@ -44,8 +46,13 @@ class AlgebraicSystem(eqx.Module):
     `unknowns`, `guess` and `residual`, or whose `outputs` takes something else.
     """
 
+    has_time: ClassVar[bool] = False
     unknowns: ClassVar[tuple[str, ...]] = ()
-    units: ClassVar[Mapping[str, str]] = {}
+
+    @property
+    @override
+    def is_integrated(self) -> bool:
+        return False
 
     def __check_init__(self) -> None:
         _check_declared(self)
@@ -59,6 +66,7 @@ class AlgebraicSystem(eqx.Module):
         del rho
         return ()
 
+    @override
     def outputs(self, *args: Any, **kwargs: Any) -> dict[str, Any]:
         """`outputs(self)`, or `outputs(self, rho)` of a system with unknowns: quantities of interest by name.
 

@@ -1,7 +1,7 @@
 """The instants at which a simulation is recorded: a `Grid` of them or, without time, one `Instant`."""
 
 import abc
-from typing import Any, final
+from typing import Any, Self, final
 
 import equinox as eqx
 import jax
@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
+from typing_extensions import override
 
 from aleator._core.arrays import Scalar
 from aleator._core.errors import ProblemError
@@ -18,7 +19,18 @@ from aleator.trajectories import instants
 
 
 class AbstractGrid(eqx.Module):
-    """The instants at which outputs are known: the leading axis of every history."""
+    """The instants at which outputs are known: the leading axis of every history. `steps` lie between them."""
+
+    steps: eqx.AbstractVar[int]
+
+    @abc.abstractmethod
+    def finer(self, factor: int) -> Self:
+        """The same time in `factor` times as many steps."""
+
+    @property
+    @abc.abstractmethod
+    def step(self) -> Scalar:
+        """Length of one step, s; one where there is no time, so that a sum over instants is a value."""
 
     @property
     @abc.abstractmethod
@@ -57,8 +69,8 @@ class Grid(AbstractGrid):
         """The final time, or the largest one that may be chosen, s."""
         return float(self.t_final if (latest := highest(self.t_final)) is None else latest)
 
+    @override
     def finer(self, factor: int) -> "Grid":
-        """The same time in `factor` times as many steps."""
         return self.divided(factor * self.steps)
 
     def divided(self, steps: int) -> "Grid":
@@ -66,8 +78,8 @@ class Grid(AbstractGrid):
         return Grid(self.t_final, steps, float(self.t_start))
 
     @property
+    @override
     def step(self) -> Scalar:
-        """Length of one step."""
         return (self.t_final - self.t_start) / self.steps
 
     @property
@@ -76,8 +88,8 @@ class Grid(AbstractGrid):
         return np.linspace(0.0, 1.0, self.steps + 1)
 
     @property
+    @override
     def times(self) -> Float[Array, " instants"]:
-        """All instants."""
         return instants(self.fractions, self.t_start, self.t_final)
 
     @property
@@ -107,9 +119,20 @@ class Grid(AbstractGrid):
 class Instant(AbstractGrid):
     """No time: the one instant, `t = 0`, of a system of algebraic equations. A sum over it is the value itself."""
 
+    steps: int = eqx.field(static=True, default=0)
+
+    @override
+    def finer(self, factor: int) -> "Instant":
+        return self
+
     @property
+    @override
+    def step(self) -> Scalar:
+        return 1.0
+
+    @property
+    @override
     def times(self) -> Float[Array, " instants"]:
-        """The one instant."""
         return jnp.zeros(1)
 
 

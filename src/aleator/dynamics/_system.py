@@ -13,16 +13,18 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array
+from typing_extensions import override
 
 from aleator._core.errors import AleatorError, ProblemError
 from aleator._core.given import traceable
+from aleator.dynamics._abstract_system import AbstractSystem
 from aleator.trajectories import AbstractSignal
 
 # As much of the text of another library's error as a sentence quotes.
 _LONGEST = 160
 
 
-class System(eqx.Module):
+class System(AbstractSystem):
     """A dynamical system `dz/dt = rhs(t, z, inputs)` with outputs: ordinary physics, written once.
 
     Subclass it with the parameters as fields and the states' names in `states`; any number in a field may then be
@@ -34,15 +36,21 @@ class System(eqx.Module):
     of outputs, for reports.
     """
 
+    has_time: ClassVar[bool] = True
     states: ClassVar[tuple[str, ...]]
     signal_fields: ClassVar[tuple[str, ...]] = ()
-    units: ClassVar[Mapping[str, str]] = {}
+
+    @property
+    @override
+    def is_integrated(self) -> bool:
+        return bool(self.states)
 
     @abc.abstractmethod
     def rhs(self, *args: Any, **kwargs: Any) -> Any:
         """`rhs(self, t, z, ...)`: time derivatives of the states, as a sequence in the order of `states`."""
 
     @abc.abstractmethod
+    @override
     def outputs(self, *args: Any, **kwargs: Any) -> dict[str, Any]:
         """`outputs(self, t, z, ...)`: quantities of interest by name: accelerations, distances, forces."""
 
@@ -58,22 +66,6 @@ class System(eqx.Module):
         """The same system for those who ask for some outputs `only`: it may spare itself the work of others."""
         del only
         return self
-
-    def trouble(self, grid: Any) -> str:
-        """What is wrong with the realised system on a grid, in a sentence with its remedy; empty if nothing.
-
-        It is asked before anything is compiled.
-        """
-        del grid
-        return ""
-
-    def holding(self, grid: Any) -> Mapping[str, Any]:
-        """What it takes to stay at the start, by the names of outputs such as torques, where it is made to rest there.
-
-        None by default, nor where it starts on the move or may begin to move.
-        """
-        del grid
-        return {}
 
 
 def state_type(names: tuple[str, ...]) -> Any:

@@ -96,7 +96,7 @@ class _Outputs:
     @classmethod
     def of(cls, problem: Problem) -> "_Outputs":
         """Those of a problem, told apart by its equations, its numbers and its functionals, not by its bounds."""
-        parts = numbers_to_arrays((problem.model, problem.grid, problem.integrator))
+        parts = numbers_to_arrays((problem.simulation, problem.grid, problem.integrator))
         numbers, rest = eqx.partition(parts, eqx.is_array)
         leaves, structure = jax.tree.flatten(numbers)
         static, static_structure = jax.tree.flatten(rest)

@@ -125,7 +125,7 @@ def scope_of(
     nodes = {one: collocation.coefficients(values[:count]) for one, values in zip(paths, found.nodes, strict=True)}
     grid = grid_at(problem, decisions)
     between = Between(nodes, grid.node_weights) if isinstance(grid, Grid) else None
-    numbers = named_numbers(problem.model, decisions)
+    numbers = named_numbers(problem.simulation, decisions)
     return ExpansionScope(samples, coefficients, constants, numbers, between, realised)
 
 

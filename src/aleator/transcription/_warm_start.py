@@ -33,7 +33,7 @@ def started_from(problem: Problem, solution: Solution, given: Collection[str] = 
     Raises `ProblemError` for a decision that the solution says nothing of.
     """
     places, old = problem.survey, solution.problem
-    curves, known = _curves(problem.model), _curves(old.model)
+    curves, known = _curves(problem.simulation), _curves(old.simulation)
     both = [path for path in curves if path in known and curves[path].shape == known[path].shape]
     changed = [path for path in both if not _is_alike(curves[path], known[path])]
     sought, framed = _sought(problem, [curves[path] for path in changed])
@@ -119,7 +119,7 @@ def _refitted(
 
 def _realised(problem: Problem, vector: Array, paths: list[str]) -> tuple[list[AbstractTrajectory], Any]:
     """The trajectories in some places at the means, and the duration that they fill, s."""
-    model = realise(at_means(problem.model), jnp.zeros(0), vector)
+    model = realise(at_means(problem.simulation), jnp.zeros(0), vector)
     curves = _curves(model)
     return [curves[path] for path in paths], model.grid.t_final - model.grid.t_start
 

@@ -8,7 +8,6 @@ import numpy as np
 from aleator._core.arrays import numbers_to_arrays
 from aleator._core.errors import ProblemError
 from aleator.design import functionals_of, refuse_changed
-from aleator.dynamics import Grid
 from aleator.nlp import HELD
 from aleator.solution import Solution
 from aleator.validation._counted import is_counted, tolerances, uncounted
@@ -34,7 +33,7 @@ def alone(solution: Solution, started: float) -> Evidence:
     functionals = functionals_of(problem.expressions)
     if not functionals:
         raise ProblemError("validate: no functional of an output stands in this problem: there is nothing to simulate.")
-    if isinstance(problem.grid, Grid):
+    if problem.system.has_time:
         factor = _FINER
         problem = problem.on_grid(problem.grid.finer(factor))
     batch = SIMULATE_BATCH(

@@ -96,7 +96,7 @@ def compared(
     if not needed or not needed <= set(known):
         return None
     at = jnp.asarray(decisions)
-    numbers, step = named_numbers(problem.model, at), step_at(problem, at)
+    numbers, step = named_numbers(problem.simulation, at), step_at(problem, at)
     times = np.asarray(grid_at(problem, at).times)
 
     def evaluated(moved: str | None = None) -> np.ndarray:

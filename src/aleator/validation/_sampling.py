@@ -53,7 +53,7 @@ def _simulate_batch(
     """
     functionals = functionals_of(problem.expressions)
     samples = responses(problem, functionals, germ, decisions)
-    numbers = named_numbers(problem.model, decisions)
+    numbers = named_numbers(problem.simulation, decisions)
     step = step_at(problem, decisions)
 
     def judge(values: tuple[Array, ...]) -> tuple[list[Array], dict[int, Array]]:
@@ -99,7 +99,7 @@ def _excess_over_time(
     """
     limits = tuple(one for one in problem.constraints if is_over_time(one))
     functionals = functionals_of(tuple(one.expression for one in limits))
-    numbers = named_numbers(problem.model, decisions)
+    numbers = named_numbers(problem.simulation, decisions)
     step = step_at(problem, decisions)
 
     def judge(point: Float[Array, " variables"]) -> Float[Array, " limits"]:

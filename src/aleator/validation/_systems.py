@@ -9,7 +9,6 @@ from jaxtyping import Array, Float
 from aleator._core.arrays import numbers_to_arrays
 from aleator._core.errors import ProblemError, SimulationError
 from aleator.design import Problem, functionals_of, is_over_time, refuse_changed, uncertain, unsolved
-from aleator.dynamics import Grid
 from aleator.solution import Solution
 from aleator.uncertainty import uncertain_numbers
 from aleator.validation._counted import finer_by, is_counted, sampled_by
@@ -58,15 +57,13 @@ class Systems:
 
 def _on_finer(problem: Problem, factor: int) -> Problem:
     """The problem on a grid `factor` times finer, where time plays a part."""
-    if factor == 1 or not isinstance(problem.grid, Grid):
-        return problem
-    return problem.on_grid(problem.grid.finer(factor))
+    return problem if factor == 1 else problem.on_grid(problem.grid.finer(factor))
 
 
 def _for_limits(problem: Problem, factor: int) -> Problem | None:
     """The problem on a grid `factor` times finer; None where no limit over time is counted there."""
     limits = any(is_over_time(one) and is_counted(one) for one in problem.constraints)
-    return numbers_to_arrays(_on_finer(problem, factor)) if limits and isinstance(problem.grid, Grid) else None
+    return numbers_to_arrays(_on_finer(problem, factor)) if limits else None
 
 
 def _with_limits(problem: Problem, batch: Batch, beyond: Float[Array, "limits systems"]) -> Batch:

@@ -30,7 +30,7 @@ from aleator.design import (
     numbers_of,
     refuse_changed_code,
 )
-from aleator.dynamics import Grid, Known, System, known_at, observed_at
+from aleator.dynamics import Grid, Known, Simulation, System, known_at, observed_at
 from aleator.expansion import Collocation
 from aleator.statistics import Constants
 from aleator.trajectories import AbstractSignal
@@ -56,7 +56,7 @@ class Rows(NamedTuple):
 def instantaneous(problem: Problem) -> tuple[int, ...]:
     """Which of a problem's expressions depend on one instant a row."""
     system = problem.system
-    if not (isinstance(system, System) and isinstance(problem.grid, Grid)) or system.states:
+    if not isinstance(system, System) or system.is_integrated:
         return ()
     # Also those in the place of numbers: what is known at an instant is then not the same for all systems.
     signals = [one for one in jax.tree.leaves(system, is_leaf=_is_signal) if _is_signal(one)]
@@ -93,7 +93,7 @@ def instantaneous_rows(
         """All expressions at one instant, from what is known there and the decisions that act on the model itself."""
         samples, coefficients = instant.expanded(collocation, anchors, numbers)
         realised = instant.realised(held, constants.scenarios, numbers)
-        named = named_numbers(problem.model, decisions)
+        named = named_numbers(problem.simulation, decisions)
         scope = ExpansionScope(samples, coefficients, constants, named, realised=realised)
         found, taken = scope.evaluated(expressions)
         sizes[:] = [one.size for one in found]
@@ -191,7 +191,9 @@ class _Instant:
     ) -> tuple[Array, ...]:
         """Some functionals of one system of the family."""
         now, chosen = jnp.split(numbers, [self.known.rows.shape[1]])
-        system = realise(self.frozen.model, point, chosen).system.focused(_needed(functionals))
+        system = realise(self.frozen.simulation, point, chosen).system
+        assert isinstance(system, System)
+        system = system.focused(_needed(functionals))
         taken = Taken(observed_at(system, self.known, now), {})
         return numbers_of(functionals, taken, self.problem.grid)
 
@@ -232,8 +234,11 @@ class _Instant:
 
 
 def _known(problem: Problem, functionals: Sequence[AbstractFunctional], decisions: Float[Array, " n"]) -> Known:
-    system, inputs, grid = realise(problem.model, jnp.zeros(len(problem.survey.germ_names)), decisions)
-    return known_at(system.focused(_needed(functionals)), grid, inputs)
+    simulation = realise(problem.simulation, jnp.zeros(len(problem.survey.germ_names)), decisions)
+    system, grid = simulation.system, simulation.grid
+    assert isinstance(system, System)
+    assert isinstance(grid, Grid)
+    return known_at(system.focused(_needed(functionals)), grid, simulation.inputs)
 
 
 def _needed(functionals: Sequence[AbstractFunctional]) -> set[str]:
@@ -252,8 +257,8 @@ def _frozen(problem: Problem) -> tuple[Problem, np.ndarray]:
     system = problem.system
     for name in system.signal_fields:  # type: ignore[union-attr]
         system = eqx.tree_at(lambda tree, name=name: getattr(tree, name), system, still(getattr(system, name)))
-    parts = system, still(problem.inputs), still(problem.grid)
-    frozen = eqx.tree_at(lambda tree: (tree.system, tree.inputs, tree.grid), problem, parts)
+    simulation = Simulation(system, still(problem.inputs), still(problem.grid), problem.integrator)
+    frozen = eqx.tree_at(lambda tree: tree.simulation, problem, simulation)
     places = problem.survey.decisions
     where = [np.arange(places[name].where.start, places[name].where.stop) for name in frozen.survey.decisions]
     return frozen, np.concatenate([np.zeros(0, dtype=int), *where])

@@ -1,0 +1,129 @@
+"""`Simulation`: what is simulated, all in one place. `simulate`: the same for one system by itself."""
+
+from collections.abc import Collection, Mapping
+from typing import final
+
+import equinox as eqx
+
+from aleator._core.errors import ProblemError
+from aleator._core.given import one_of, refusal
+from aleator._core.leaves import transparent
+from aleator.dynamics._abstract_system import AbstractSystem
+from aleator.dynamics._algebraic import AlgebraicSystem, algebraic_outputs, explain_failure
+from aleator.dynamics._grid import AbstractGrid, Grid, Instant
+from aleator.dynamics._instantaneous import observed
+from aleator.dynamics._integrators import AbstractIntegrator, Inputs, RungeKutta4
+from aleator.dynamics._record import Asked, History, Record, chosen
+from aleator.dynamics._refusals import check_signals, refuse_unrealised
+from aleator.dynamics._system import System, state_type
+from aleator.trajectories import AbstractSignal
+
+
+@final
+@transparent("system", "grid")
+class Simulation(eqx.Module):
+    """What is simulated: a system with its inputs on a grid, and how its states are carried forward.
+
+    Any of its numbers may be a distribution or a decision; realised, it can be recorded. Kinds of systems are told
+    apart here alone.
+    """
+
+    system: AbstractSystem
+    inputs: dict[str, AbstractSignal]
+    grid: AbstractGrid
+    integrator: AbstractIntegrator
+
+    def record(self, asked: Asked) -> Record:
+        """What is asked of it, once its numbers are known. Raises `ProblemError` where its parts do not fit."""
+        refuse_unrealised(system=self.system, grid=self.grid, inputs=self.inputs)
+        if isinstance(self.system, AlgebraicSystem):
+            return Record(chosen(self.system, self._solved(self.system), asked.instants), {}, ())
+        assert isinstance(self.system, System)
+        grid = self._grid(self.system)
+        state_type(self.system.states)
+        check_signals(self.system, grid, self.inputs)
+        system = self.system
+        if asked.instants is not None:
+            system = system.focused(asked.instants | asked.nodes | asked.integrated)
+        if not system.states:
+            return observed(system, grid, self.inputs, asked)
+        return self.integrator.record(system, grid, {**system.signals(), **self.inputs}, asked)
+
+    def history(self) -> History:
+        """All outputs at every instant, by name, once its numbers are known: shape (instants, ...)."""
+        return self.record(Asked()).history
+
+    def explain(self) -> str:
+        """Why it has no solution, as far as its equations or its integrator can tell; empty if it has one."""
+        if isinstance(self.system, AlgebraicSystem):
+            return explain_failure(self.system)
+        if not (isinstance(self.system, System) and isinstance(self.grid, Grid) and self.system.states):
+            return ""
+        return self.integrator.explain(self.system, self.grid, {**self.system.signals(), **self.inputs})
+
+    def on(self, grid: AbstractGrid, integrator: AbstractIntegrator | None = None) -> "Simulation":
+        """The same on another grid, by another integrator if one is given."""
+        return Simulation(self.system, self.inputs, grid, integrator or self.integrator)
+
+    def _grid(self, system: System) -> Grid:
+        if not isinstance(self.grid, Grid):
+            raise ProblemError(
+                f"{type(system).__name__} moves in time: expected a grid, such as al.Grid(t_final, steps); "
+                f"received {type(self.grid).__name__}."
+            )
+        return self.grid
+
+    def _solved(self, system: AlgebraicSystem) -> History:
+        name = type(system).__name__
+        if not isinstance(self.grid, Instant):
+            raise ProblemError(
+                f"{name} is algebraic and knows no time: expected al.Instant() as its grid; received "
+                f"{type(self.grid).__name__}."
+            )
+        if self.inputs:
+            raise ProblemError(f"{name} is algebraic and takes no inputs; received {sorted(self.inputs)}.")
+        return {output: value[None] for output, value in algebraic_outputs(system).items()}
+
+
+def simulate(
+    system: AbstractSystem,
+    grid: AbstractGrid | None = None,
+    inputs: Inputs | None = None,
+    integrator: AbstractIntegrator | None = None,
+    *,
+    only: Collection[str] | None = None,
+) -> History:
+    """Outputs of one realised system (plain numbers in its fields) at every instant, by name: shape (instants, ...).
+
+    The default integrator is `RungeKutta4`. An `AlgebraicSystem` knows one instant, takes no inputs and needs no
+    integrator: `simulate(system)`. A system without states is not integrated either: its outputs follow from its inputs
+    at each instant. `only` lists the outputs that are asked for, by name. Where its equations are not solved, or an
+    adaptive integrator gives up, the outputs are not a number.
+
+    Raises `ProblemError` if a distribution or a decision is left in system, grid or inputs, if grid or inputs do not
+    fit the system, if a signal is not known on the whole grid (unless it is traced), or outputs are asked for that the
+    system does not have.
+    """
+    one_of("simulate: system", system, (System, AlgebraicSystem))
+    if not isinstance(inputs, Mapping | None):
+        raise refusal("simulate: inputs", "signals by name, such as {'road': ...}", inputs)
+    if integrator is not None:
+        one_of("simulate: integrator", integrator, AbstractIntegrator, "al.RungeKutta4()")
+    if only is not None and (isinstance(only, str) or not isinstance(only, Collection)):
+        raise refusal("simulate: only", "a list of outputs by name, such as ['x']", only)
+    return simulation_of(system, grid, inputs, integrator).record(_asked(only)).history
+
+
+def simulation_of(
+    system: AbstractSystem,
+    grid: AbstractGrid | None,
+    inputs: Inputs | None,
+    integrator: AbstractIntegrator | None,
+) -> Simulation:
+    """A simulation, what is left out being that of its kind of system: one instant, no inputs, `RungeKutta4`."""
+    instants = Instant() if grid is None and not system.has_time else grid
+    return Simulation(system, dict(inputs or {}), instants, integrator or RungeKutta4())  # type: ignore[arg-type]
+
+
+def _asked(only: Collection[str] | None) -> Asked:
+    return Asked(None if only is None else frozenset(only))
