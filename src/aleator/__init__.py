@@ -136,6 +136,7 @@ from aleator.solution import Solution as Solution  # noqa: E402
 from aleator.solving import solve as solve  # noqa: E402
 from aleator.sweep import Calibration as Calibration  # noqa: E402
 from aleator.sweep import Front as Front  # noqa: E402
+from aleator.sweep import Refused as Refused  # noqa: E402
 from aleator.sweep import Starts as Starts  # noqa: E402
 from aleator.sweep import calibrate as calibrate  # noqa: E402
 from aleator.sweep import multistart as multistart  # noqa: E402
@@ -146,6 +147,7 @@ from aleator.trajectories import BSpline as BSpline  # noqa: E402
 from aleator.trajectories import PowerSeries as PowerSeries  # noqa: E402
 from aleator.trajectories import Tabulated as Tabulated  # noqa: E402
 from aleator.trajectories import fit_control_points as fit_control_points  # noqa: E402
+from aleator.transcription import Sequential as Sequential  # noqa: E402
 from aleator.uncertainty import Beta as Beta  # noqa: E402
 from aleator.uncertainty import Decision as Decision  # noqa: E402
 from aleator.uncertainty import Density as Density  # noqa: E402

@@ -1,4 +1,4 @@
-"""What you write your own distributions, statistics, functionals, solvers and studies from; see `docs/extending.md`.
+"""What you write your own distributions, statistics, functionals, solvers, transcriptions and studies from; see `docs/extending.md`.
 
     from aleator import extending as ext
 
@@ -14,12 +14,19 @@ from aleator.design import Taken as Taken
 from aleator.expansion import Basis as Basis
 from aleator.nlp import AbstractSolver as AbstractSolver
 from aleator.nlp import Answer as Answer
+from aleator.nlp import Evaluation as Evaluation
+from aleator.nlp import Magnitudes as Magnitudes
 from aleator.nlp import Multipliers as Multipliers
+from aleator.nlp import NonlinearProgram as NonlinearProgram
 from aleator.nlp import ScaledProgram as ScaledProgram
 from aleator.reporting import Table as Table
 from aleator.reporting import save as save
 from aleator.statistics import AbstractStatistic as AbstractStatistic
 from aleator.studies import AbstractStudy as AbstractStudy
+from aleator.transcription import AbstractTranscribed as AbstractTranscribed
+from aleator.transcription import AbstractTranscription as AbstractTranscription
+from aleator.transcription import Meaning as Meaning
+from aleator.transcription import Scenarios as Scenarios
 from aleator.uncertainty import AbstractDistribution as AbstractDistribution
 from aleator.uncertainty import AbstractGerm as AbstractGerm
 from aleator.uncertainty import Canonical as Canonical

@@ -100,6 +100,7 @@ def _check_types(problem: AbstractProblem) -> None:
         return
     # A system without states moves only if a motion is given to it.
     names = getattr(system, "states", None)
+    assert isinstance(system, System)
     if names is None or not (names or problem.inputs or system.signals()):
         raise ProblemError(f'{type(system).__name__} names no states: expected `states = ("x", ...)` in the class.')
 

@@ -1,0 +1,137 @@
+"""A transcription from outside of the package: `solve`, its certificate and its report speak to the seam alone."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from tiny_models import oscillator_problem
+from typing_extensions import override
+
+import aleator as al
+from aleator import extending as ext
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lifted(ext.AbstractTranscribed):
+    """Minimise t over (t, x), subject to f(x) - t <= 0 and to the constraints of a problem transcribed sequentially."""
+
+    inner: ext.AbstractTranscribed
+
+    @classmethod
+    def of(cls, inner):
+        program = inner.program
+        first = program.evaluate(program.start).objective
+        size = max(abs(first), 1.0)
+
+        def lifted(point):
+            found = program.evaluate(point[1:])
+            rows = np.vstack([found.gradient, found.jacobian])
+            return ext.Evaluation(
+                objective=point[0],
+                gradient=np.eye(len(point))[0],
+                constraints=np.append(found.objective - point[0], found.constraints),
+                jacobian=np.column_stack([np.append(-1.0, np.zeros(len(rows) - 1)), rows]),
+            )
+
+        def magnitudes(point, evaluation):
+            found = program.magnitudes(point[1:], program.evaluate(point[1:]))
+            return ext.Magnitudes(np.append(size, found.size), np.append(size, found.scale))
+
+        whole = ext.NonlinearProgram(
+            evaluate=lifted,
+            start=np.append(first, program.start),
+            lower=np.append(-np.inf, program.lower),
+            upper=np.append(np.inf, program.upper),
+            constraint_lower=np.append(-np.inf, program.constraint_lower),
+            constraint_upper=np.append(0.0, program.constraint_upper),
+            constraint_scale=np.append(size, program.constraint_scale),
+            decision_scale=np.append(size, program.decision_scale),
+            magnitudes=magnitudes,
+        )
+        return cls(
+            problem=inner.problem,
+            traced=inner.traced,
+            discretised=inner.discretised,
+            program=whole,
+            rows=tuple(slice(1 + one.start, 1 + one.stop) for one in inner.rows),
+            scales=inner.scales,
+            texts=inner.texts,
+            scenarios=inner.scenarios,
+            inner=inner,
+        )
+
+    @property
+    @override
+    def decided(self):
+        return np.arange(1, self.program.start.size)
+
+    @override
+    def point(self, decisions):
+        return np.append(self.inner.program.evaluate(decisions).objective, decisions)
+
+    @override
+    def at(self, point):
+        return self.inner.at(point[1:])
+
+    @override
+    def at_scenarios(self, scenarios):
+        return Lifted.of(self.inner.at_scenarios(scenarios))
+
+
+@dataclass(frozen=True)
+class Epigraph(ext.AbstractTranscription):
+    """The epigraph form of a sequential program."""
+
+    @override
+    def transcribed(self, problem, meanwhile):
+        return Lifted.of(al.Sequential().transcribed(problem, meanwhile))
+
+
+PROBLEMS = {
+    "a spread within a limit": lambda: oscillator_problem(),
+    "a limit over time": lambda: oscillator_problem(subject_to=[al.path("x").at_least(-0.14, sigmas=2.0)]),
+    "a worst case": lambda: oscillator_problem(
+        grid=al.Grid(4.0, 400), subject_to=[al.peak("x").at_most(0.3, worst_case=True)]
+    ),
+}
+
+
+@pytest.mark.parametrize("name", PROBLEMS)
+def test_a_problem_has_the_same_answer_and_certificate_by_another_transcription(name):
+    problem = PROBLEMS[name]()
+    usual, other = al.solve(problem), al.solve(problem, transcription=Epigraph())
+    assert other.ok
+    assert other.vector.shape == usual.vector.shape
+    np.testing.assert_allclose(other.vector, usual.vector, rtol=2e-4)
+    assert other.objective == pytest.approx(usual.objective, rel=1e-6)
+    assert other.decisions.keys() == usual.decisions.keys()
+    assert other.bound_multipliers.keys() == usual.bound_multipliers.keys()
+    for one, same in zip(other.constraints, usual.constraints, strict=True):
+        assert (one.name, one.text, np.shape(one.values)) == (same.name, same.text, np.shape(same.values))
+        assert one.price == pytest.approx(same.price, rel=1e-3, abs=1e-6)
+    assert other.moments.keys() == usual.moments.keys()
+    found, expected = other.certificate, usual.certificate
+    assert found.grid_error.objective.error == pytest.approx(expected.grid_error.objective.error, rel=0.1, abs=1e-12)
+    assert found.expansion.worst == pytest.approx(expected.expansion.worst, rel=0.1)
+    assert (found.worst_case is None) == (expected.worst_case is None)
+
+
+def test_a_solution_by_one_transcription_starts_another():
+    problem = PROBLEMS["a spread within a limit"]()
+    usual = al.solve(problem)
+    one_step = al.FilterSQP(max_iterations=1)
+    again = al.solve(problem, one_step, transcription=Epigraph(), warm_start=usual, throw=False)
+    np.testing.assert_allclose(again.vector, usual.vector, rtol=1e-3)
+
+
+def test_what_is_no_transcription_is_refused():
+    with pytest.raises(al.ProblemError, match=r"solve: transcription: expected .*al\.Sequential\(\)"):
+        al.solve(PROBLEMS["a spread within a limit"](), transcription="sequential")
+
+
+def test_a_transcription_of_ones_own_is_kept_apart_from_others():
+    problem = PROBLEMS["a spread within a limit"]()
+    first = al.solve(problem, transcription=Epigraph())
+    second = al.solve(problem)
+    assert len(first.multipliers) == len(second.multipliers) + 1
+    assert replace(first, multipliers=second.multipliers).vector.shape == second.vector.shape
