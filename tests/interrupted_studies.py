@@ -21,9 +21,11 @@ import aleator as al  # noqa: E402
 from aleator import cli  # noqa: E402
 from aleator._core.progress import Progress  # noqa: E402
 from aleator.reporting import PAGE, Table, report, save_study  # noqa: E402
-from aleator.studies import STUDIES, AbstractStudy, Entry, _clutch_run, _suspension_run, suspension  # noqa: E402
-from aleator.studies._clutch_study import ClutchStudy  # noqa: E402
-from aleator.studies._suspension_study import SuspensionStudy  # noqa: E402
+from aleator.studies import STUDIES, AbstractStudy, Entry, suspension  # noqa: E402
+from aleator.studies.clutch import _run as clutch_run  # noqa: E402
+from aleator.studies.clutch._study import ClutchStudy  # noqa: E402
+from aleator.studies.suspension import _run as suspension_run  # noqa: E402
+from aleator.studies.suspension._study import SuspensionStudy  # noqa: E402
 from tiny_models import Decay  # noqa: E402
 
 T_FINAL = 0.5
@@ -77,13 +79,13 @@ def smooth_road() -> al.Tabulated:
 def small_suspension() -> SuspensionStudy:
     """The suspension study as it is, every stage of it, over a bump of half a second."""
     suspension.GRID, suspension.road = al.Grid(T_FINAL, steps=100), smooth_road
-    _suspension_run.TARGET = 0.2
-    return SuspensionStudy(_suspension_run.Effort(front_points=2, samples=100, calibration_samples=200))
+    suspension_run.TARGET = 0.2
+    return SuspensionStudy(suspension_run.Effort(front_points=2, samples=100, calibration_samples=200))
 
 
 def small_clutch() -> ClutchStudy:
     """The clutch study as it is, every stage of it, with few assemblies."""
-    effort = _clutch_run.Effort(
+    effort = clutch_run.Effort(
         samples=2_000,
         quasi_samples=2**8,
         evidence_samples=2_000,

@@ -6,12 +6,12 @@ import report_problems as given
 
 import aleator as al
 from aleator.studies import suspension
-from aleator.studies._suspension_built import built_table
-from aleator.studies._suspension_facts import box, cost
-from aleator.studies._suspension_page import suspension_page, write_page
-from aleator.studies._suspension_published import published_table
-from aleator.studies._suspension_run import BUILT, QUICK, Effort, finished, run_stage
-from aleator.studies._suspension_verdict import verdict
+from aleator.studies.suspension._built import built_table
+from aleator.studies.suspension._facts import box, cost
+from aleator.studies.suspension._page import suspension_page, write_page
+from aleator.studies.suspension._published import published_table
+from aleator.studies.suspension._run import BUILT, QUICK, Effort, finished, run_stage
+from aleator.studies.suspension._verdict import verdict
 from aleator.sweep import Trial
 
 

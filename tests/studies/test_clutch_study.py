@@ -10,7 +10,8 @@ from scipy import optimize
 
 import aleator as al
 from aleator.studies import STUDIES, load
-from aleator.studies._clutch_counts import (
+from aleator.studies.clutch import MEANS, TOLERANCES, allocation_problem, clutch, pressure_angle
+from aleator.studies.clutch._counts import (
     CHEAPEST,
     GIVEN,
     SAFE,
@@ -20,11 +21,10 @@ from aleator.studies._clutch_counts import (
     worst_case,
     worst_case_tolerances,
 )
-from aleator.studies._clutch_facts import counted, counts_table, method, rejects_of, times_cheaper
-from aleator.studies._clutch_page import clutch_page
-from aleator.studies._clutch_run import STAGES, ClutchResults, Effort, Method, exact_variation, run_stage
-from aleator.studies._clutch_verdict import verdict
-from aleator.studies.clutch import MEANS, TOLERANCES, allocation_problem, clutch, pressure_angle
+from aleator.studies.clutch._facts import counted, counts_table, method, rejects_of, times_cheaper
+from aleator.studies.clutch._page import clutch_page
+from aleator.studies.clutch._run import STAGES, ClutchResults, Effort, Method, exact_variation, run_stage
+from aleator.studies.clutch._verdict import verdict
 
 SMALL = Effort(samples=20_000, quasi_samples=2**11, evidence_samples=20_000, counted=200_000, front_points=3, repeats=1)
 

@@ -18,23 +18,23 @@ class Entry(NamedTuple):
 STUDIES = {
     "suspension": Entry(
         "Quarter car: deterministic, robust and apportioned suspension (sections 6.4 and 7.4)",
-        "aleator.studies._suspension_study",
+        "aleator.studies.suspension._study",
     ),
     "clutch": Entry(
         "One-way clutch: tolerance analysis by every method, and the cheapest tolerances (section 7.2)",
-        "aleator.studies._clutch_study",
+        "aleator.studies.clutch._study",
     ),
     "pick-and-place-effort": Entry(
         "Two-link arm with an uncertain payload: least effort, least spread at the end (section 5.5.1)",
-        "aleator.studies._pick_and_place_effort_study",
+        "aleator.studies.pick_and_place_effort._study",
     ),
     "pick-and-place-time": Entry(
         "Two-link arm with an uncertain payload: least time, and the margin that it takes (section 5.5.2)",
-        "aleator.studies._pick_and_place_time_study",
+        "aleator.studies.pick_and_place_time._study",
     ),
     "swing-up": Entry(
         "Double pendulum of uncertain mass, driven at one joint: swing-up of least energy (section 5.5.3)",
-        "aleator.studies._swing_up_study",
+        "aleator.studies.swing_up._study",
     ),
 }
 

@@ -7,8 +7,8 @@ import numpy as np
 from aleator.design import HELD
 from aleator.references import estimate, group_count
 from aleator.reporting import Table, count, given, number
-from aleator.studies._family import Family
-from aleator.studies._motion_facts import Outputs
+from aleator.studies._motion.facts import Outputs
+from aleator.studies._motion.family import Family
 from aleator.studies.swing_up import STEPS, TORQUE, VARIANCE
 from aleator.validation import Proportion
 

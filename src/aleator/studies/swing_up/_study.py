@@ -24,20 +24,21 @@ from aleator.reporting import (
     percent,
     share_text,
 )
-from aleator.studies._family import Family, fly
-from aleator.studies._motion_build import CALIBRATED, build_verdict
-from aleator.studies._motion_facts import (
+from aleator.studies._motion.build import CALIBRATED, build_verdict
+from aleator.studies._motion.facts import (
     SHADES,
     animations,
     duration,
     tip_paths,
     violation_cards,
 )
-from aleator.studies._motion_results import Effort
-from aleator.studies._motion_study import AbstractMotionStudy, Stage
-from aleator.studies._pendulum_drawing import pendulum_drawing
-from aleator.studies._printed import compared
-from aleator.studies._swing_up_facts import (
+from aleator.studies._motion.family import Family, fly
+from aleator.studies._motion.printed import compared
+from aleator.studies._motion.results import Effort
+from aleator.studies._motion.study import AbstractMotionStudy, Stage
+from aleator.studies.swing_up import MASS_2, SMOOTHING, TORQUE, VARIANCE, DoublePendulum
+from aleator.studies.swing_up._drawing import pendulum_drawing
+from aleator.studies.swing_up._facts import (
     FAR,
     FINER,
     FRICTION,
@@ -48,8 +49,7 @@ from aleator.studies._swing_up_facts import (
     steps_table,
     terminal_norm,
 )
-from aleator.studies._swing_up_plans import ENERGY, EXPECTED, MEAN, NAMES, margin_problem, search_plans
-from aleator.studies.swing_up import MASS_2, SMOOTHING, TORQUE, VARIANCE, DoublePendulum
+from aleator.studies.swing_up._plans import ENERGY, EXPECTED, MEAN, NAMES, margin_problem, search_plans
 
 REFERENCE = {MEAN: 27.8, EXPECTED: 30.6}
 PUBLISHED = {MEAN: ("1060", "5.66"), EXPECTED: ("310", "4.46")}

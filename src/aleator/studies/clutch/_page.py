@@ -28,9 +28,10 @@ from aleator.reporting import (
     words,
 )
 from aleator.reporting import write_page as write_report_page
-from aleator.studies._clutch_counts import CHEAPEST, GIVEN, SAFE, tolerances_of
-from aleator.studies._clutch_drawing import clutch_drawing
-from aleator.studies._clutch_facts import (
+from aleator.studies.clutch import LIMITS, MEANS, NAMES, TOLERANCES, clutch
+from aleator.studies.clutch._counts import CHEAPEST, GIVEN, SAFE, tolerances_of
+from aleator.studies.clutch._drawing import clutch_drawing
+from aleator.studies.clutch._facts import (
     allocation_table,
     analysis_table,
     contributions_table,
@@ -38,9 +39,8 @@ from aleator.studies._clutch_facts import (
     methods_table,
     rejected_tails,
 )
-from aleator.studies._clutch_run import STAGES, ClutchResults
-from aleator.studies._clutch_verdict import verdict
-from aleator.studies.clutch import LIMITS, MEANS, NAMES, TOLERANCES, clutch
+from aleator.studies.clutch._run import STAGES, ClutchResults
+from aleator.studies.clutch._verdict import verdict
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure

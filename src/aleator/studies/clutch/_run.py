@@ -10,15 +10,6 @@ import numpy as np
 
 import aleator as al
 from aleator._core.progress import Progress, silent
-from aleator.studies._clutch_counts import (
-    CHEAPEST,
-    GIVEN,
-    SAFE,
-    Counts,
-    count_rejects,
-    tolerances_of,
-    worst_case_tolerances,
-)
 from aleator.studies.clutch import (
     DEVIATION,
     LIMITS,
@@ -28,6 +19,15 @@ from aleator.studies.clutch import (
     clutch,
     pressure_angle,
     published_expansion,
+)
+from aleator.studies.clutch._counts import (
+    CHEAPEST,
+    GIVEN,
+    SAFE,
+    Counts,
+    count_rejects,
+    tolerances_of,
+    worst_case_tolerances,
 )
 from aleator.uncertainty import HermiteGerm
 

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import aleator as al
 from aleator.reporting import Card, Table, given, number, percent, share_text, words
-from aleator.studies._suspension_facts import (
+from aleator.studies.suspension._facts import (
     RIDE_TEXT,
     RIDE_UNIT,
     SPREADS,
@@ -13,7 +13,7 @@ from aleator.studies._suspension_facts import (
     decided,
     dollars,
 )
-from aleator.studies._suspension_run import BUILT, RIDE, TARGET, SuspensionResults
+from aleator.studies.suspension._run import BUILT, RIDE, TARGET, SuspensionResults
 
 WITHIN = f"{given(100 * TARGET)} %"
 

@@ -6,8 +6,8 @@ from typing import Any, final
 
 import aleator as al
 from aleator._core.progress import Progress
-from aleator.studies._family import Family, fly
-from aleator.studies._motion_build import CALIBRATED, TARGET
+from aleator.studies._motion.build import CALIBRATED, TARGET
+from aleator.studies._motion.family import Family, fly
 from aleator.validation import finer_by
 
 KEPT = 25

@@ -3,8 +3,9 @@
 from collections.abc import Iterator
 
 from aleator.reporting import Card, Verdict, count, given, number, percent, words
-from aleator.studies._clutch_counts import CHEAPEST, GIVEN, SAFE, tolerances_of
-from aleator.studies._clutch_facts import (
+from aleator.studies.clutch import LIMITS, NAMES, TOLERANCES
+from aleator.studies.clutch._counts import CHEAPEST, GIVEN, SAFE, tolerances_of
+from aleator.studies.clutch._facts import (
     REFERENCE_ORDER,
     counted,
     given_cost,
@@ -14,8 +15,7 @@ from aleator.studies._clutch_facts import (
     times_cheaper,
     worst_text,
 )
-from aleator.studies._clutch_run import ClutchResults
-from aleator.studies.clutch import LIMITS, NAMES, TOLERANCES
+from aleator.studies.clutch._run import ClutchResults
 
 SURPRISE = 4.0
 """Standard errors between a count and its prediction that are no accident."""

@@ -8,18 +8,18 @@ from typing_extensions import override
 
 from aleator._core.progress import Progress
 from aleator.reporting import PAGE, Table, save_study
-from aleator.studies._clutch_facts import (
+from aleator.studies._study import AbstractStudy
+from aleator.studies.clutch._facts import (
     allocation_table,
     analysis_table,
     contributions_table,
     counts_table,
     methods_table,
 )
-from aleator.studies._clutch_page import write_page
-from aleator.studies._clutch_run import QUICK, STAGES, ClutchResults, Effort, run_stage
-from aleator.studies._clutch_store import analysis_dataset, counts_dataset, methods_dataset
-from aleator.studies._clutch_verdict import verdict
-from aleator.studies._study import AbstractStudy
+from aleator.studies.clutch._page import write_page
+from aleator.studies.clutch._run import QUICK, STAGES, ClutchResults, Effort, run_stage
+from aleator.studies.clutch._store import analysis_dataset, counts_dataset, methods_dataset
+from aleator.studies.clutch._verdict import verdict
 
 
 @final

@@ -26,22 +26,22 @@ from aleator.reporting import (
     percent,
     share_text,
 )
-from aleator.studies._family import Family
-from aleator.studies._motion_build import CALIBRATED, TARGET, TRIED, build_verdict, price
-from aleator.studies._motion_facts import (
+from aleator.studies._motion.build import CALIBRATED, TARGET, TRIED, build_verdict, price
+from aleator.studies._motion.facts import (
     SHADES,
     animations,
     duration,
     named,
     violation_cards,
 )
-from aleator.studies._motion_results import Effort
-from aleator.studies._motion_study import AbstractMotionStudy, Stage
-from aleator.studies._printed import compared
-from aleator.studies._two_link_drawing import arm_schematic
-from aleator.studies._two_link_views import SCENE, TIP, TOGETHER, joints
+from aleator.studies._motion.family import Family
+from aleator.studies._motion.printed import compared
+from aleator.studies._motion.results import Effort
+from aleator.studies._motion.study import AbstractMotionStudy, Stage
 from aleator.studies.pick_and_place_time import PAYLOAD, deterministic_problem, robust_problem
 from aleator.studies.two_link_arm import TORQUE
+from aleator.studies.two_link_arm._drawing import arm_schematic
+from aleator.studies.two_link_arm._views import SCENE, TIP, TOGETHER, joints
 
 MEAN, ONE, WORST = "deterministic", "robust, a = 1", "robust, a = √3"
 SIGMAS = {ONE: 1.0, WORST: float(np.sqrt(3.0))}

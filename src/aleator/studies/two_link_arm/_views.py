@@ -4,8 +4,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from aleator.reporting import Scene
-from aleator.studies._family import Family
-from aleator.studies._motion_facts import Outputs
+from aleator.studies._motion.facts import Outputs
+from aleator.studies._motion.family import Family
 from aleator.studies.two_link_arm import OBSTACLE, TARGET
 
 TIP = (np.cos(TARGET[0]) + np.cos(sum(TARGET)), np.sin(TARGET[0]) + np.sin(sum(TARGET)))

@@ -7,9 +7,9 @@ import numpy as np
 from scipy import integrate
 
 from aleator.reporting import Table, given, number, percent
-from aleator.studies._family import Family
-from aleator.studies._motion_results import MotionResults
-from aleator.studies._printed import compared
+from aleator.studies._motion.family import Family
+from aleator.studies._motion.printed import compared
+from aleator.studies._motion.results import MotionResults
 from aleator.studies.pick_and_place_effort import TOLERANCE
 
 MEAN, ROBUST, LEAST = "deterministic", "robust", "least variance"

@@ -24,8 +24,9 @@ from aleator.reporting import (
     trajectory_figure,
     words,
 )
-from aleator.studies._suspension_built import margins_text
-from aleator.studies._suspension_facts import (
+from aleator.studies.suspension import GRID, road
+from aleator.studies.suspension._built import margins_text
+from aleator.studies.suspension._facts import (
     RIDE_UNIT,
     ROBUST_NARROW,
     SPREADS,
@@ -35,8 +36,7 @@ from aleator.studies._suspension_facts import (
     cost,
     start_of,
 )
-from aleator.studies._suspension_run import HOLDING, NARROW_TRAVEL, RIDE, TRAVEL, SuspensionResults
-from aleator.studies.suspension import GRID, road
+from aleator.studies.suspension._run import HOLDING, NARROW_TRAVEL, RIDE, TRAVEL, SuspensionResults
 
 RIDE_NAME, TRAVEL_NAME, HOLDING_NAME = "Ride ∫ z̈ₛ² dt, μ + σ", "Travel limit R", "Holding limit H"
 HOW_TO_SEE = "Filled markers: the swept limit holds the design; open markers: another limit does."

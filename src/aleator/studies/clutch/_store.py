@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 import aleator as al
-from aleator.studies._clutch_counts import Counts
-from aleator.studies._clutch_run import Method
+from aleator.studies.clutch._counts import Counts
+from aleator.studies.clutch._run import Method
 
 if TYPE_CHECKING:
     import xarray

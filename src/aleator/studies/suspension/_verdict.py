@@ -5,10 +5,10 @@ from collections.abc import Iterator
 import aleator as al
 from aleator.reporting import Card, Verdict, given, number, percent, unresolved, words
 from aleator.reporting import interval as interval_text
-from aleator.studies._suspension_built import WITHIN, confirmed, headline
-from aleator.studies._suspension_built import cards as built_cards
-from aleator.studies._suspension_built import sentences as built_sentences
-from aleator.studies._suspension_facts import (
+from aleator.studies.suspension._built import WITHIN, confirmed, headline
+from aleator.studies.suspension._built import cards as built_cards
+from aleator.studies.suspension._built import sentences as built_sentences
+from aleator.studies.suspension._facts import (
     RIDE_TEXT,
     RIDE_UNIT,
     ROBUST_NARROW,
@@ -21,7 +21,7 @@ from aleator.studies._suspension_facts import (
     solved,
     start_of,
 )
-from aleator.studies._suspension_run import BUILT, HOLDING, NARROW_TRAVEL, RIDE, TRAVEL, SuspensionResults
+from aleator.studies.suspension._run import BUILT, HOLDING, NARROW_TRAVEL, RIDE, TRAVEL, SuspensionResults
 
 
 def verdict(results: SuspensionResults) -> Verdict:

@@ -28,9 +28,9 @@ from aleator.reporting import (
     words,
     write_page,
 )
-from aleator.studies._motion_build import CALIBRATED, margin_blocks, price_table
-from aleator.studies._motion_facts import no_recommendation, optima_table, plans_table
-from aleator.studies._motion_results import Effort, MotionResults
+from aleator.studies._motion.build import CALIBRATED, margin_blocks, price_table
+from aleator.studies._motion.facts import no_recommendation, optima_table, plans_table
+from aleator.studies._motion.results import Effort, MotionResults
 from aleator.studies._study import AbstractStudy
 
 

@@ -6,9 +6,9 @@ import numpy as np
 
 import aleator as al
 from aleator._core.progress import Progress
-from aleator.studies._motion_build import CALIBRATED, TRIED
-from aleator.studies._motion_facts import named
-from aleator.studies._motion_results import MotionResults
+from aleator.studies._motion.build import CALIBRATED, TRIED
+from aleator.studies._motion.facts import named
+from aleator.studies._motion.results import MotionResults
 from aleator.studies.swing_up import DEGREE, ENDS, FREE, deterministic_problem, robust_problem
 
 MEAN, EXPECTED, ENERGY = "deterministic", "robust, expected torque", "robust, expected energy"

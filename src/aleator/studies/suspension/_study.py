@@ -9,12 +9,12 @@ from typing_extensions import override
 from aleator._core.progress import Progress
 from aleator.reporting import PAGE, Table, save_study
 from aleator.studies._study import AbstractStudy
-from aleator.studies._suspension_built import built_table
-from aleator.studies._suspension_facts import designs_table
-from aleator.studies._suspension_page import write_page
-from aleator.studies._suspension_published import published_table
-from aleator.studies._suspension_run import QUICK, Effort, SuspensionResults, run_stage, stages_of
-from aleator.studies._suspension_verdict import verdict
+from aleator.studies.suspension._built import built_table
+from aleator.studies.suspension._facts import designs_table
+from aleator.studies.suspension._page import write_page
+from aleator.studies.suspension._published import published_table
+from aleator.studies.suspension._run import QUICK, Effort, SuspensionResults, run_stage, stages_of
+from aleator.studies.suspension._verdict import verdict
 
 
 @final

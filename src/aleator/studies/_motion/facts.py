@@ -25,7 +25,7 @@ from aleator.reporting import (
     unresolved,
     words,
 )
-from aleator.studies._family import Family
+from aleator.studies._motion.family import Family
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure

@@ -24,12 +24,20 @@ from aleator.reporting import (
     percent,
     share_text,
 )
-from aleator.studies._family import Family
-from aleator.studies._motion_build import CALIBRATED, TRIED, build_verdict
-from aleator.studies._motion_facts import SHADES, animations, named, tip_paths, violation_cards
-from aleator.studies._motion_results import Effort
-from aleator.studies._motion_study import AbstractMotionStudy, Stage
-from aleator.studies._pick_and_place_effort_facts import (
+from aleator.studies._motion.build import CALIBRATED, TRIED, build_verdict
+from aleator.studies._motion.facts import SHADES, animations, named, tip_paths, violation_cards
+from aleator.studies._motion.family import Family
+from aleator.studies._motion.results import Effort
+from aleator.studies._motion.study import AbstractMotionStudy, Stage
+from aleator.studies.pick_and_place_effort import (
+    DURATION,
+    PAYLOAD,
+    deterministic_problem,
+    robust_problem,
+    start_torques,
+    terminal_variance_problem,
+)
+from aleator.studies.pick_and_place_effort._facts import (
     LEAST,
     LESSON,
     MEAN,
@@ -43,17 +51,9 @@ from aleator.studies._pick_and_place_effort_facts import (
     spreads_table,
     terminal_spread,
 )
-from aleator.studies._two_link_drawing import arm_schematic
-from aleator.studies._two_link_views import SCENE, TIP, TOGETHER, joints, touches
-from aleator.studies.pick_and_place_effort import (
-    DURATION,
-    PAYLOAD,
-    deterministic_problem,
-    robust_problem,
-    start_torques,
-    terminal_variance_problem,
-)
 from aleator.studies.two_link_arm import TARGET, TORQUE
+from aleator.studies.two_link_arm._drawing import arm_schematic
+from aleator.studies.two_link_arm._views import SCENE, TIP, TOGETHER, joints, touches
 from aleator.transcription import transcribe
 
 WIDE = al.Uniform(1.0, std=0.5)

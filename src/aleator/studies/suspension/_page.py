@@ -24,17 +24,18 @@ from aleator.reporting import (
 from aleator.reporting import (
     write_page as write_report_page,
 )
-from aleator.studies._car_drawing import car_drawing
-from aleator.studies._suspension_built import built_table
-from aleator.studies._suspension_chapters import apportionment, projections, robust_design, violations
-from aleator.studies._suspension_facts import (
+from aleator.studies.suspension import nominal, road
+from aleator.studies.suspension._built import built_table
+from aleator.studies.suspension._chapters import apportionment, projections, robust_design, violations
+from aleator.studies.suspension._drawing import car_drawing
+from aleator.studies.suspension._facts import (
     HOLDING_TEXT,
     RIDE_TEXT,
     RIDE_UNIT,
     designs_table,
 )
-from aleator.studies._suspension_published import published_table
-from aleator.studies._suspension_run import (
+from aleator.studies.suspension._published import published_table
+from aleator.studies.suspension._run import (
     CALIBRATIONS,
     HOLDING,
     HOLDING_BOXES,
@@ -44,8 +45,7 @@ from aleator.studies._suspension_run import (
     SuspensionResults,
     finished,
 )
-from aleator.studies._suspension_verdict import verdict
-from aleator.studies.suspension import nominal, road
+from aleator.studies.suspension._verdict import verdict
 
 GLOSSARY = (
     ("dOpt", "Deterministic optimum: the nominal spring and damper that ride best, for the nominal car only."),

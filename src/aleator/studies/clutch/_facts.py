@@ -5,9 +5,9 @@ from typing import NamedTuple
 
 import aleator as al
 from aleator.reporting import Table, count, given, number, percent, share_text, words
-from aleator.studies._clutch_counts import CHEAPEST, GIVEN, SAFE, Counts, exact_rejects, tolerances_of
-from aleator.studies._clutch_run import ClutchResults, Method
 from aleator.studies.clutch import COST, DEVIATION, LIMITS, NAMES, TOLERANCES
+from aleator.studies.clutch._counts import CHEAPEST, GIVEN, SAFE, Counts, exact_rejects, tolerances_of
+from aleator.studies.clutch._run import ClutchResults, Method
 
 PUBLISHED = {
     "DLM": (0.65788, "0.06"),

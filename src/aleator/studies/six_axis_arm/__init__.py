@@ -1,6 +1,6 @@
 """The fastest pick and place of an industrial six-axis arm with a payload of uncertain mass and centre.
 
-The arm is a UR5e (its masses, inertias and frames are public: see the head of `data/ur5e.csv`). Its joints follow
+The arm is a UR5e (its masses, inertias and frames are public: see the head of `ur5e.csv`). Its joints follow
 B-splines; torques follow by recursive inverse dynamics, and their means and spreads stay within limits that hold the
 heaviest payload just so. The straight way in joint space would hit a pillar.
 """
@@ -45,7 +45,7 @@ not end."""
 
 def _table() -> list[dict[str, Any]]:
     """One row a joint and the link behind it, from public data."""
-    text = (resources.files("aleator.studies") / "data" / "ur5e.csv").read_text(encoding="utf-8")
+    text = (resources.files("aleator.studies.six_axis_arm") / "ur5e.csv").read_text(encoding="utf-8")
     rows = csv.DictReader(line for line in text.splitlines() if not line.startswith("#"))
     return [{key: value if key == "joint" else float(value) for key, value in row.items()} for row in rows]
 

@@ -7,7 +7,7 @@ import numpy as np
 
 import aleator as al
 from aleator.reporting import Table, given, number, percent, share_text, words
-from aleator.studies._suspension_facts import (
+from aleator.studies.suspension._facts import (
     ROBUST_NARROW,
     SPREADS,
     UNITS,
@@ -19,7 +19,7 @@ from aleator.studies._suspension_facts import (
     solved,
     start_of,
 )
-from aleator.studies._suspension_run import HOLDING, NARROW_TRAVEL, TRAVEL, SuspensionResults
+from aleator.studies.suspension._run import HOLDING, NARROW_TRAVEL, TRAVEL, SuspensionResults
 
 VIOLATIONS = {"dOpt": 0.596, ROBUST_NARROW: 0.114, WIDER_NARROW: 0.035}
 HELD = {"dOpt": {"holding"}, "uOpt": {"travel"}, "aOpt": {"ride"}}

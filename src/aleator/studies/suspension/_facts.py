@@ -5,8 +5,8 @@ import numpy as np
 import aleator as al
 from aleator.design import value_at
 from aleator.reporting import Box, Table, given, number, share_text, words
-from aleator.studies._suspension_run import HOLDING, RIDE, TRAVEL, SuspensionResults
 from aleator.studies.suspension import COST
+from aleator.studies.suspension._run import HOLDING, RIDE, TRAVEL, SuspensionResults
 
 RIDE_TEXT, HOLDING_TEXT = "∫comfort dt", "rms(grip)"
 RIDE_UNIT = "m²/s³"

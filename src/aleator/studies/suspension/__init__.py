@@ -50,7 +50,7 @@ class QuarterCar(al.System):
 
 def road() -> al.Tabulated:
     """Height of the ground (m) over time (s): four bumps and noise (figure 6.2)."""
-    with resources.as_file(resources.files("aleator.studies") / "data" / "road.csv") as path:
+    with resources.as_file(resources.files("aleator.studies.suspension") / "road.csv") as path:
         return al.Tabulated.from_csv(path, time="time_s", value="height_m")
 
 
