@@ -10,15 +10,14 @@ import aleator as al
 from aleator.reporting import (
     Block,
     Card,
-    Drawing,
     Table,
     Verdict,
-    calibration_figure,
     given,
     number,
     percent,
     share_text,
 )
+from aleator.studies._designs import margin_drawing, signed
 
 TARGET = 0.01
 """How many systems may break a limit, any of them."""
@@ -93,7 +92,7 @@ def price_table(
                     name,
                     number(margin, 4),
                     number(plans[name].objective, 5),
-                    "–" if name == printed else f"{'+' if change >= 0 else '−'}{percent(abs(change))}",
+                    "–" if name == printed else signed(change),
                     share_text(found.joint) if found else "–",
                 ]
             )
@@ -106,9 +105,4 @@ def margin_blocks(found: al.Calibration | None, prices: Table, who: str) -> Iter
     if prices.rows:
         yield prices
     if found is not None:
-        caption = (
-            f"Margins tried until at most {given(100 * found.target)} % of the {who} break any limit, each counted on"
-            f" one and the same sample. The one chosen, a = {number(found.sigmas, 4)}, is {found.sentence(who)}."
-        )
-        figure = calibration_figure(found, who=who)
-        yield Drawing([figure], "The margin that a tolerated share asks for", caption)
+        yield margin_drawing(found, "The margin that a tolerated share asks for", who)

@@ -4,7 +4,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from aleator.reporting import percent, words
+from aleator.reporting import words
+from aleator.studies._designs import signed
 
 SAME_SIZE = 0.1
 """Changes that differ by at most this part of the printed one are of one size."""
@@ -28,7 +29,7 @@ def compared(printed: Mapping[str, float], ours: Mapping[str, float], what: str)
     yes, no = ([one for one in said if said[one] is told] for told in (True, False))
     parts = [f"{words(yes)} compare"] * bool(yes) + [f"{words(no)} do not{'' if yes else ' compare'}"] * bool(no)
     changes = [
-        f"{name} {_signed(one)} (printed {_signed(other)})"
+        f"{name} {signed(one)} (printed {signed(other)})"
         for name, one, other in zip(names[1:], found, theirs, strict=True)
     ]
     return f"Of {what}, {', '.join(parts)}: beside {names[0]}, {words(changes)}."
@@ -40,7 +41,3 @@ def _changes(values: Sequence[float]) -> np.ndarray:
 
 def _order(values: Mapping[str, float], names: Sequence[str]) -> list[str]:
     return sorted(names, key=lambda name: values[name])
-
-
-def _signed(change: float) -> str:
-    return f"{'+' if change >= 0 else '−'}{percent(abs(change))}"

@@ -8,6 +8,7 @@ import aleator as al
 from aleator._core.progress import Progress
 from aleator.studies._motion.build import CALIBRATED, TARGET
 from aleator.studies._motion.family import Family, fly
+from aleator.studies._study import stop_if_interrupted
 from aleator.validation import finer_by
 
 KEPT = 25
@@ -62,8 +63,7 @@ class MotionResults:
         self.searches[name] = found
         if found.best.ok or not found.interrupted:
             self.plans[name] = found.best
-        if found.interrupted:
-            raise KeyboardInterrupt
+        stop_if_interrupted(found)
         return found.best
 
     def solve_at_instants(self) -> None:
@@ -76,8 +76,7 @@ class MotionResults:
         samples = self.effort.calibration_samples
         found = al.calibrate(problem, limits, TARGET, samples=samples, precision=PRECISION, progress=progress)
         self.calibration = found
-        if found.interrupted:
-            raise KeyboardInterrupt
+        stop_if_interrupted(found)
         self.plans[CALIBRATED] = found.solution
         if found.evidence is not None:
             self.evidence[CALIBRATED] = found.evidence

@@ -1,33 +1,25 @@
-"""The clutch study as one page: the verdict, the methods against the truth, the tolerances, their allocation."""
+"""The chapters of the clutch's page: the methods against the truth, the tolerances, their allocation."""
 
 from collections.abc import Iterator
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import jax.numpy as jnp
 import numpy as np
 
 from aleator.reporting import (
-    HOW_TO_READ,
     Block,
     Code,
     Drawing,
-    Page,
     Schematic,
     Section,
-    Table,
-    Text,
     Trial,
     bars_figure,
     certificate_table,
     density_figure,
     effort_figure,
-    footer,
     front_figure,
     given,
-    words,
 )
-from aleator.reporting import write_page as write_report_page
 from aleator.studies.clutch import LIMITS, MEANS, NAMES, TOLERANCES, clutch
 from aleator.studies.clutch._counts import CHEAPEST, GIVEN, SAFE, tolerances_of
 from aleator.studies.clutch._drawing import clutch_drawing
@@ -39,8 +31,7 @@ from aleator.studies.clutch._facts import (
     methods_table,
     rejected_tails,
 )
-from aleator.studies.clutch._run import STAGES, ClutchResults
-from aleator.studies.clutch._verdict import verdict
+from aleator.studies.clutch._run import ClutchResults
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
@@ -68,31 +59,22 @@ so that
 The clutch works between χ = {given(LIMITS[0])}° and {given(LIMITS[1])}°."""
 
 
-def write_page(results: ClutchResults, path: str | Path) -> Path:
-    """Write the study's page from whatever it has finished, and return its path.
-
-    Raises `ProblemError` if the file cannot be written.
-    """
-    return write_report_page(clutch_page(results), path)
-
-
-def clutch_page(results: ClutchResults) -> Page:
-    """The page as data; parts that were not reached are left out and named."""
-    sections = [
+def sections(results: ClutchResults) -> list[Section]:
+    """What was found, as far as the study has come."""
+    return [
         Section("The clutch", [_schematic()]),
-        Section("Table 7.2", [*_unfinished(results), *_methods(results)]),
+        Section("Table 7.2", list(_methods(results))),
         Section("The given tolerances", list(_analyses(results))),
         Section("Allocation", list(_allocation(results))),
         Section("Certificate", list(_certificate(results))),
-        Section("How to read this", [Text(HOW_TO_READ), Table("Glossary", ["Term", "Meaning"], GLOSSARY)]),
     ]
-    return Page(
-        title="One-way clutch: tolerance analysis and allocation",
-        subtitle="Pressure angle of a roller clutch from its vector loop; dissertation, section 7.2",
-        verdict=verdict(results),
-        sections=[one for one in sections if one.blocks],
-        footer=footer(),
-    )
+
+
+def cut_short(results: ClutchResults) -> Iterator[str]:
+    """How much of the front is there, where it was interrupted."""
+    front = results.front
+    if front is not None and front.interrupted:
+        yield f"Of the front {len(front.values)} of {results.effort.front_points} points are finished and shown."
 
 
 def _schematic() -> Schematic:
@@ -103,19 +85,6 @@ def _schematic() -> Schematic:
         Code("The assembly", str(clutch())),
     ]
     return Schematic([clutch_drawing()], "The vector loop", caption, "7.1", beside)
-
-
-def _unfinished(results: ClutchResults) -> list[Block]:
-    done = {
-        "methods": any(one.name == "Monte Carlo" for one in results.methods),
-        "tolerances": len(results.analyses) == 2,
-        "allocation": results.evidence is not None,
-        "front": results.front is not None and not results.front.interrupted,
-    }
-    missing = [name for name in STAGES if not done[name]]
-    if not missing:
-        return []
-    return [Text([f"Not reached, or not to its end: {words(missing)}."], lead="The study was stopped early.")]
 
 
 def _methods(results: ClutchResults) -> Iterator[Block]:
@@ -197,20 +166,8 @@ def _allocation(results: ClutchResults) -> Iterator[Block]:
     if results.front is not None:
         figure = front_figure({"cheapest": results.front}, x="Rejects allowed", y="Cost Σ 1/T", y_unit="1/mm")
         figure.update_xaxes(type="log", exponentformat="power", title="Rejects allowed (share)")
-        yield Drawing(
-            [figure],
-            "What fewer rejects cost",
-            f"Each point is an optimum; hover for its tolerances.{_cut_short(results)}",
-        )
+        yield Drawing([figure], "What fewer rejects cost", "Each point is an optimum; hover for its tolerances.")
     yield Code("The problem as mathematics", str(results.allocation.problem))
-
-
-def _cut_short(results: ClutchResults) -> str:
-    """How much of the front is there, where it was interrupted."""
-    front = results.front
-    if front is None or not front.interrupted:
-        return ""
-    return f" The sweep was stopped after {len(front.values)} of {results.effort.front_points} points."
 
 
 def _certificate(results: ClutchResults) -> Iterator[Block]:

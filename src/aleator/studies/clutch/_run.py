@@ -3,13 +3,15 @@
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import product
 from typing import Any, NamedTuple, final
 
 import numpy as np
 
 import aleator as al
-from aleator._core.progress import Progress, silent
+from aleator._core.progress import Progress
+from aleator.studies._study import Stage, stop_if_interrupted
 from aleator.studies.clutch import (
     DEVIATION,
     LIMITS,
@@ -53,6 +55,7 @@ class Effort:
     repeats: int = 5
 
 
+FULL = Effort()
 QUICK = Effort(
     samples=250_000,
     quasi_samples=2**13,
@@ -107,13 +110,6 @@ class ClutchResults:
     def given(self) -> float:
         """The share of rejects that the given tolerances leave under the second specification."""
         return self.analyses["deviation"].rejects / 1e6
-
-
-class Stage(NamedTuple):
-    """A part of the study, and roughly which share of the whole time it takes."""
-
-    work: Callable[[ClutchResults, Progress], None]
-    share: float
 
 
 def exact_variation() -> float:
@@ -197,18 +193,14 @@ def sweep_rejects(results: ClutchResults, progress: Progress) -> None:
     """The least cost over the rejects allowed."""
     values = np.geomspace(0.05, 1e-6, results.effort.front_points)
     results.front = al.pareto(allocation_problem(), "rejects", values, progress=progress)
-    if results.front.interrupted:
-        raise KeyboardInterrupt
+    stop_if_interrupted(results.front)
 
 
-STAGES: dict[str, Stage] = {
-    "methods": Stage(compare_methods, 0.4),
-    "tolerances": Stage(analyse_tolerances, 0.1),
-    "allocation": Stage(allocate, 0.2),
-    "front": Stage(sweep_rejects, 0.3),
-}
-
-
-def run_stage(name: str, results: ClutchResults, progress: Progress = silent) -> None:
-    """Run one stage into `results`."""
-    STAGES[name].work(results, progress)
+def stages(results: ClutchResults) -> dict[str, Stage]:
+    """All that is computed, in order of usefulness."""
+    return {
+        "methods": Stage(partial(compare_methods, results), 0.4),
+        "tolerances": Stage(partial(analyse_tolerances, results), 0.1),
+        "allocation": Stage(partial(allocate, results), 0.2),
+        "front": Stage(partial(sweep_rejects, results), 0.3),
+    }

@@ -1,14 +1,13 @@
 """The clutch study as the command line runs it."""
 
-from collections.abc import Mapping
-from pathlib import Path
-from typing import final
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, final
 
 from typing_extensions import override
 
-from aleator._core.progress import Progress
-from aleator.reporting import PAGE, Table, save_study
-from aleator.studies._study import AbstractStudy
+from aleator.reporting import Section, Table, Verdict
+from aleator.studies._study import AbstractStudy, Stage
+from aleator.studies.clutch import _page, _run
 from aleator.studies.clutch._facts import (
     allocation_table,
     analysis_table,
@@ -16,8 +15,7 @@ from aleator.studies.clutch._facts import (
     counts_table,
     methods_table,
 )
-from aleator.studies.clutch._page import write_page
-from aleator.studies.clutch._run import QUICK, STAGES, ClutchResults, Effort, run_stage
+from aleator.studies.clutch._run import ClutchResults, Effort
 from aleator.studies.clutch._store import analysis_dataset, counts_dataset, methods_dataset
 from aleator.studies.clutch._verdict import verdict
 
@@ -26,50 +24,47 @@ from aleator.studies.clutch._verdict import verdict
 class ClutchStudy(AbstractStudy):
     """Table 7.2, the tolerance analysis and the allocation of the one-way clutch."""
 
+    title = "One-way clutch: tolerance analysis and allocation"
+    subtitle = "Pressure angle of a roller clutch from its vector loop; dissertation, section 7.2"
+    glossary = _page.GLOSSARY
+    full, quick = _run.FULL, _run.QUICK
+
     def __init__(self, effort: Effort):
-        self._results = ClutchResults(effort)
+        self.found = ClutchResults(effort)
 
     @property
     @override
-    def stages(self) -> Mapping[str, float]:
-        return {name: stage.share for name, stage in STAGES.items()}
+    def stages(self) -> Mapping[str, Stage]:
+        return _run.stages(self.found)
 
     @override
-    def run(self, stage: str, progress: Progress) -> None:
-        run_stage(stage, self._results, progress)
+    def results(self) -> Mapping[str, Any]:
+        found = self.found
+        return {
+            "methods": methods_dataset(found.methods) if found.methods else None,
+            "analyses": {name: analysis_dataset(one) for name, one in found.analyses.items()},
+            "counts": counts_dataset(found.counts) if found.counts else None,
+            "allocation": found.allocation,
+            "evidence": found.evidence,
+            "front": found.front,
+        }
 
     @override
-    def save(self, folder: Path) -> list[Path]:
-        done = self._results
-        paths = save_study(
-            folder,
-            methods=methods_dataset(done.methods) if done.methods else None,
-            analyses={name: analysis_dataset(one) for name, one in done.analyses.items()},
-            counts=counts_dataset(done.counts) if done.counts else None,
-            allocation=done.allocation,
-            evidence=done.evidence,
-            front=done.front,
-        )
-        return list(paths)
+    def verdict(self) -> Verdict:
+        return verdict(self.found)
 
     @override
-    def write_page(self, folder: Path) -> Path:
-        return write_page(self._results, folder / PAGE)
+    def sections(self) -> Sequence[Section]:
+        return _page.sections(self.found)
+
+    @override
+    def cut_short(self) -> Iterator[str]:
+        return _page.cut_short(self.found)
 
     @override
     def tables(self) -> list[Table]:
-        done = self._results
-        shown = [methods_table(done)] if done.methods else []
-        shown += [contributions_table(done), analysis_table(done)] if done.analyses else []
-        shown += [allocation_table(done)] if done.allocation is not None else []
-        return [*shown, counts_table(done)] if done.counts else shown
-
-    @override
-    def headline(self) -> str:
-        said = verdict(self._results)
-        return f"{said.word}: {said.headline}"
-
-
-def make(quick: bool) -> ClutchStudy:
-    """The study, at full or at quick effort."""
-    return ClutchStudy(QUICK if quick else Effort())
+        found = self.found
+        shown = [methods_table(found)] if found.methods else []
+        shown += [contributions_table(found), analysis_table(found)] if found.analyses else []
+        shown += [allocation_table(found)] if found.allocation is not None else []
+        return [*shown, counts_table(found)] if found.counts else shown

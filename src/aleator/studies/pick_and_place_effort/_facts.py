@@ -1,7 +1,6 @@
 """What the page of the effort-optimal study says in numbers: published and reference values, spreads, a lesson."""
 
 from collections.abc import Mapping
-from typing import NamedTuple
 
 import numpy as np
 from scipy import integrate
@@ -11,21 +10,13 @@ from aleator.studies._motion.family import Family
 from aleator.studies._motion.printed import compared
 from aleator.studies._motion.results import MotionResults
 from aleator.studies.pick_and_place_effort import TOLERANCE
+from aleator.studies.pick_and_place_effort._run import LEAST, MEAN, ROBUST, Spread
 
-MEAN, ROBUST, LEAST = "deterministic", "robust", "least variance"
 REFERENCE = {MEAN: 106.34, ROBUST: 112.12, LEAST: 200.4}
 PUBLISHED = {MEAN: 2770.0, ROBUST: 3530.0, LEAST: 5910.0}
 SPREADS = {ROBUST: (0.191, 0.133), LEAST: (0.144, 0.114)}
 LEAST_REFERENCE = 0.02533
 UNIT = "(N m)² s"
-
-
-class Spread(NamedTuple):
-    """The spread of a joint at the end: sampled, by the expansion, and its leave-one-out error."""
-
-    sampled: float
-    expanded: float
-    error: float
 
 
 def published_table(done: MotionResults) -> Table:
@@ -94,6 +85,7 @@ def _only_least(name: str, value: float) -> str:
 
 
 def pair_text(values: tuple[float, float] | None) -> str:
+    """Two numbers: `0.191 and 0.133`."""
     return "–" if values is None else " and ".join(number(one, 3) for one in values)
 
 

@@ -3,14 +3,13 @@
 from collections.abc import Iterator
 
 import aleator as al
-from aleator.reporting import Card, Table, given, number, percent, share_text, words
+from aleator.reporting import Card, Table, given, number, percent, words
+from aleator.studies._designs import signed, violation_rows
 from aleator.studies.suspension._facts import (
     RIDE_TEXT,
     RIDE_UNIT,
-    SPREADS,
-    UNITS,
     cost,
-    decided,
+    decision_rows,
     dollars,
 )
 from aleator.studies.suspension._run import BUILT, RIDE, TARGET, SuspensionResults
@@ -40,7 +39,7 @@ def price_text(results: SuspensionResults, name: str) -> str:
     """What the margin of a design to build costs: `192.5 m²/s³ instead of 185.3 m²/s³ (+3.9 %)`."""
     before, after = measure(name, results.designs[name]), measure(name, results.built[name].solution)
     change = after / before - 1
-    said = f"×{number(after / before, 3)}" if change > 1 else f"{'+' if change >= 0 else '−'}{percent(abs(change))}"
+    said = f"×{number(after / before, 3)}" if change > 1 else signed(change)
     return f"{measure_text(name, after)} instead of {measure_text(name, before)} ({said})"
 
 
@@ -97,16 +96,10 @@ def built_table(results: SuspensionResults) -> Table:
         columns[f"{name}, to build"] = (one.solution, one.evidence, one.margins)
     every = list(columns.values())
     rows = [["Margins", *(margins_text(margins) for _, _, margins in every)]]
-    for key, text in {"k_s": "Spring, mean kₛ", "b_s": "Damper, mean bₛ"}.items():
-        rows.append([text, *(decided(one, f"{key}.mean", UNITS[key]) for one, _, _ in every)])
-    for key, text in SPREADS.items():
-        rows.append([f"± half-width, {text}", *(decided(one, key, UNITS[key.split(".")[0]]) for one, _, _ in every)])
+    rows += decision_rows([one for one, _, _ in every])
     rows.append([f"Ride, μ + σ ({RIDE_UNIT})", *(number(measure("uOpt", one), 4) for one, _, _ in every)])
     rows.append(["Cost of the spreads", *(dollars(cost(one)) for one, _, _ in every)])
-    for limit in ("travel", "holding", "ride"):
-        counted = [share_text(one.violations.get(limit)) if one else "–" for _, one, _ in every]
-        rows.append([f"Cars beyond {limit}", *counted])
-    rows.append(["Cars beyond any limit", *(share_text(one.joint) if one else "–" for _, one, _ in every)])
+    rows += violation_rows([one for _, one, _ in every], "Cars beyond")
     note = (
         f"The margins to build with are the smallest, in their ratio, at which fresh cars confirm that at most {WITHIN}"
         " of them break any limit of their design. Intervals are 95 % confidence."

@@ -11,7 +11,6 @@ from aleator.reporting import (
     Axis,
     Block,
     Drawing,
-    calibration_figure,
     count,
     decision_path_figure,
     front_figure,
@@ -24,6 +23,7 @@ from aleator.reporting import (
     trajectory_figure,
     words,
 )
+from aleator.studies._designs import margin_drawing
 from aleator.studies.suspension import GRID, road
 from aleator.studies.suspension._built import margins_text
 from aleator.studies.suspension._facts import (
@@ -179,20 +179,9 @@ def violations(results: SuspensionResults) -> Iterator[Block]:
             samples = f" Counted on {count(one.samples)} cars."
             yield Drawing([figure], f"{name}, travel within ±{NARROW_TRAVEL:g} m", caption + samples, label)
     for name, one in results.built.items():
-        yield Drawing(
-            [calibration_figure(one, who="cars")],
-            f"The margin to build {name} with",
-            f"Each trial is a full design, counted on the same random cars: {margins_text(one.margins)} is"
-            f" {one.sentence('cars')}. Bars: 95 % intervals, on fresh cars at their own confidence.",
-        )
+        yield margin_drawing(one, f"The margin to build {name} with", "cars", margins_text(one.margins))
     if results.calibration is not None:
-        yield Drawing(
-            [calibration_figure(results.calibration, who="cars")],
-            "The margin that makes violations as rare as asked",
-            "Each trial is a full design, counted on the same random cars. The margin a ="
-            f" {number(results.calibration.sigmas, 4)} is {results.calibration.sentence('cars')}. Bars: 95 % intervals,"
-            " on fresh cars at their own confidence.",
-        )
+        yield margin_drawing(results.calibration, "The margin that makes violations as rare as asked", "cars")
 
 
 def apportionment(results: SuspensionResults) -> Iterator[Block]:

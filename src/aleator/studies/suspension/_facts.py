@@ -1,10 +1,13 @@
 """What the suspension's page says of its designs: costs, boxes and tables, all computed from the results."""
 
+from collections.abc import Iterator, Sequence
+
 import numpy as np
 
 import aleator as al
 from aleator.design import value_at
-from aleator.reporting import Box, Table, given, number, share_text, words
+from aleator.reporting import Box, Table, given, number, words
+from aleator.studies._designs import violation_rows
 from aleator.studies.suspension import COST
 from aleator.studies.suspension._run import HOLDING, RIDE, TRAVEL, SuspensionResults
 
@@ -80,24 +83,14 @@ def designs_table(results: SuspensionResults) -> Table:
     every = list(results.designs.values())
     boxes = [box(one, name) for name, one in results.designs.items()]
     rows = [["Status", *("solved" if one.ok else "not solved: see the verdict" for one in every)]]
-    for key, text in {"k_s": "Spring, mean kₛ", "b_s": "Damper, mean bₛ"}.items():
-        rows.append([text, *(decided(one, f"{key}.mean", UNITS[key]) for one in every)])
-    for name, text in SPREADS.items():
-        rows.append([f"± half-width, {text}", *(decided(one, name, UNITS[name.split(".")[0]]) for one in every)])
+    rows += decision_rows(every)
     rows.append([f"Ride, μ ± σ ({RIDE_UNIT})", *(_spread(one, "ride") for one in boxes)])
     rows.append(["Ride, μ + σ", *(number(one.centre["ride"] + one.half["ride"], 4) for one in boxes)])
     rows.append([f"Travel, μ ± σ (m), limit ±{TRAVEL:g}", *(_spread(one, "travel") for one in boxes)])
     rows.append([f"Holding, μ ± σ (m), limit {HOLDING:g}", *(_spread(one, "holding") for one in boxes)])
     rows.append(["Cost of the spreads", *(dollars(cost(one)) for one in every)])
     rows.append(["Held by", *(words(constraints_active(one), "nothing") for one in every)])
-    found = [results.evidence.get(name) for name in results.designs]
-    for limit in ("travel", "holding", "ride"):
-        if any(one and limit in one.violations for one in found):
-            rows.append(
-                [f"Cars beyond {limit}", *(share_text(one.violations.get(limit)) if one else "–" for one in found)]
-            )
-    if any(found):
-        rows.append(["Cars beyond any limit", *(share_text(one.joint) if one else "–" for one in found)])
+    rows += violation_rows([results.evidence.get(name) for name in results.designs], "Cars beyond")
     note = (
         "dOpt is judged at the nominal car, so its σ is 0. Travel is at its most critical instant, with the spread as"
         " equation (119) adds it, σ of z_s plus σ of z_u. Intervals are 95 % confidence (Clopper and Pearson). Ride is"
@@ -106,7 +99,14 @@ def designs_table(results: SuspensionResults) -> Table:
     return Table("Decisions, performance and violations", ["", *results.designs], rows, note)
 
 
-def decided(solution: al.Solution, name: str, unit: str) -> str:
+def decision_rows(designs: Sequence[al.Solution]) -> Iterator[list[str]]:
+    """Means and spreads of spring, damper and damping ratio: rows of a table whose columns are designs."""
+    means = {"k_s.mean": "Spring, mean kₛ", "b_s.mean": "Damper, mean bₛ"}
+    for name, text in (means | {name: f"± half-width, {text}" for name, text in SPREADS.items()}).items():
+        yield [text, *(_decided(one, name, UNITS[name.split(".")[0]]) for one in designs)]
+
+
+def _decided(solution: al.Solution, name: str, unit: str) -> str:
     """A number of a design, and whether it was decided: `2.334e4 N/m (at its bound)`."""
     text = number(figure_of(solution, name), 4, unit)
     if name in solution.at_bounds:

@@ -1,28 +1,18 @@
-"""The suspension study as one page: the verdict first, then every figure of chapters 6 and 7 that it recomputes."""
+"""The chapters of the suspension's page: the designs, and every figure of chapters 6 and 7 that is recomputed."""
 
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 
 from aleator.reporting import (
-    HOW_TO_READ,
     Block,
     Code,
     Drawing,
-    Page,
     Schematic,
     Section,
-    Table,
-    Text,
     certificate_table,
     evidence_table,
-    footer,
     percentile_figure,
-    words,
-)
-from aleator.reporting import (
-    write_page as write_report_page,
 )
 from aleator.studies.suspension import nominal, road
 from aleator.studies.suspension._built import built_table
@@ -36,16 +26,12 @@ from aleator.studies.suspension._facts import (
 )
 from aleator.studies.suspension._published import published_table
 from aleator.studies.suspension._run import (
-    CALIBRATIONS,
     HOLDING,
     HOLDING_BOXES,
     NARROW_TRAVEL,
     RIDE,
-    TRAVEL,
     SuspensionResults,
-    finished,
 )
-from aleator.studies.suspension._verdict import verdict
 
 GLOSSARY = (
     ("dOpt", "Deterministic optimum: the nominal spring and damper that ride best, for the nominal car only."),
@@ -70,38 +56,33 @@ GLOSSARY = (
 )
 
 
-def write_page(results: SuspensionResults, path: str | Path) -> Path:
-    """Write the study's page from whatever it has finished, and return its path.
-
-    Raises `ProblemError` if the file cannot be written.
-    """
-    return write_report_page(suspension_page(results), path)
-
-
-def suspension_page(results: SuspensionResults) -> Page:
-    """The page as data; parts that were not reached are left out and named."""
-    sections = [
+def sections(results: SuspensionResults) -> list[Section]:
+    """What was found, as far as the study has come."""
+    return [
         Section("The car", [_schematic(results)]),
         Section("The designs to build", [built_table(results)] if results.built else []),
-        Section("The three designs", [*_unfinished(results), *_designs(results)]),
+        Section("The three designs", _designs(results)),
         Section("Published beside ours", [published_table(results)] if results.designs else []),
         Section("Robust design (chapter 6)", list(robust_design(results))),
         Section("How often cars violate", list(violations(results))),
         Section("Apportionment (chapter 7)", list(apportionment(results))),
         Section("Evidence", list(_evidence(results))),
         Section("Certificate", _certificate(results)),
-        Section("How to read this", [Text(HOW_TO_READ), Table("Glossary", ["Term", "Meaning"], GLOSSARY)]),
     ]
-    return Page(
-        title="Suspension of a quarter car: robust design and apportioned spreads",
-        subtitle=(
-            f"Travel within ±{TRAVEL:g} m, holding at most {HOLDING:g} m, ride at most {RIDE:g} m²/s³ (aOpt); "
-            "five uncertain parameters; dissertation, sections 6.4 and 7.4"
-        ),
-        verdict=verdict(results),
-        sections=[one for one in sections if one.blocks],
-        footer=footer(),
+
+
+def cut_short(results: SuspensionResults) -> Iterator[str]:
+    """How much of each front that was interrupted is there."""
+    points = results.effort.front_points
+    groups = (
+        (results.travel_fronts, "over travel", points),
+        (results.holding_fronts, "over holding", points),
+        (results.boxes, "of boxes over holding", len(HOLDING_BOXES)),
     )
+    for fronts, what, count in groups:
+        for name, front in fronts.items():
+            if front.interrupted:
+                yield f"Of the front {what} of {name}, {len(front.values)} of {count} points are finished and shown."
 
 
 def _schematic(results: SuspensionResults) -> Schematic:
@@ -114,30 +95,6 @@ def _schematic(results: SuspensionResults) -> Schematic:
     )
     beside = [Code(f"The problem of {name} as mathematics", str(one.problem)) for name, one in results.designs.items()]
     return Schematic([drawing], "Quarter car on its road", caption, "6.1 and 6.3", beside)
-
-
-def _unfinished(results: SuspensionResults) -> Iterator[Block]:
-    """What the run did not come to, which fronts end early, and what a quick run leaves out."""
-    if missing := [name for name, done in finished(results).items() if not done]:
-        cut = list(_cut_short(results))
-        yield Text([f"Not reached, or not to its end: {words(missing)}.", *cut], lead="The study was stopped early.")
-    if not results.effort.calibration_samples:
-        said = f"Margins are calibrated in the full run only: {words(CALIBRATIONS)} are left out here."
-        yield Text([said], lead="A quick run.")
-
-
-def _cut_short(results: SuspensionResults) -> Iterator[str]:
-    """How much of each front that was interrupted is there."""
-    points = results.effort.front_points
-    groups = (
-        (results.travel_fronts, "over travel", points),
-        (results.holding_fronts, "over holding", points),
-        (results.boxes, "of boxes over holding", len(HOLDING_BOXES)),
-    )
-    for fronts, what, count in groups:
-        for name, front in fronts.items():
-            if front.interrupted:
-                yield f"Of the front {what} of {name}, {len(front.values)} of {count} points are finished and shown."
 
 
 def _designs(results: SuspensionResults) -> list[Block]:

@@ -1,13 +1,15 @@
 """The suspension study, run: all designs, their evidence and their fronts, in order of usefulness."""
 
-from collections.abc import Callable, Collection
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import NamedTuple, final
+from functools import partial
+from typing import final
 
 import numpy as np
 
 import aleator as al
-from aleator._core.progress import Progress, silent
+from aleator._core.progress import Progress
+from aleator.studies._study import Stage, stop_if_interrupted
 from aleator.studies.suspension import apportionment_problem, deterministic_problem, robust_problem
 
 TRAVEL, HOLDING, RIDE = 0.203, 0.034, 220.0
@@ -22,6 +24,7 @@ Equation (119) adds the spreads of both masses, which is more than that of their
 so ride takes more multiples of σ for the same share. With one margin for all, no spreads keep the limits in 99 of 100
 cars; of the ratios between 1.3 and 1.7, this one costs least, to a tenth.
 """
+DESIGNS = ("dOpt", "uOpt", "aOpt")
 BUILT = {"uOpt": ("travel", "holding"), "aOpt": ("travel", "holding", "ride")}
 """The designs to build, and their limits, which no more than `TARGET` of the cars may break."""
 
@@ -39,6 +42,10 @@ class Effort:
     calibration_samples: int = 20_000
 
 
+CALIBRATIONS = ("designs to build", "calibration")
+"""The stages that find margins."""
+
+FULL = Effort()
 QUICK = Effort(front_points=4, samples=4_000, calibration_samples=0)
 
 
@@ -68,13 +75,6 @@ class SuspensionResults:
     calibration: al.Calibration | None = None
 
 
-class Stage(NamedTuple):
-    """A part of the study, and roughly which share of the whole time it takes."""
-
-    work: Callable[[SuspensionResults, Progress], None]
-    share: float
-
-
 def solve_designs(results: SuspensionResults, progress: Progress) -> None:
     """The three designs side by side."""
     problems = {
@@ -82,9 +82,7 @@ def solve_designs(results: SuspensionResults, progress: Progress) -> None:
         "uOpt": robust_problem(TRAVEL, HOLDING),
         "aOpt": apportionment_problem(TRAVEL, HOLDING, RIDE),
     }
-    for i, (name, problem) in enumerate(problems.items()):
-        progress(f"design {name}", i, len(problems))
-        results.designs[name] = al.solve(problem)
+    _solve(problems, results.designs, "design", progress)
 
 
 def solve_narrow(results: SuspensionResults, progress: Progress) -> None:
@@ -94,9 +92,13 @@ def solve_narrow(results: SuspensionResults, progress: Progress) -> None:
         "uOpt, 1 σ": robust_problem(NARROW_TRAVEL, HOLDING, sigmas=1.0),
         "uOpt, 1.25 σ": robust_problem(NARROW_TRAVEL, HOLDING, sigmas=1.25),
     }
+    _solve(problems, results.narrow, "narrow travel,", progress)
+
+
+def _solve(problems: Mapping[str, al.Problem], designs: dict[str, al.Solution], kind: str, progress: Progress) -> None:
     for i, (name, problem) in enumerate(problems.items()):
-        progress(f"narrow travel, {name}", i, len(problems))
-        results.narrow[name] = al.solve(problem)
+        progress(f"{kind} {name}", i, len(problems))
+        designs[name] = al.solve(problem)
 
 
 def sample_designs(results: SuspensionResults, progress: Progress) -> None:
@@ -115,8 +117,7 @@ def calibrate_designs(results: SuspensionResults, progress: Progress) -> None:
     for name, problem in problems.items():
         samples = results.effort.calibration_samples
         results.built[name] = al.calibrate(problem, BUILT[name], TARGET, samples=samples, progress=progress)
-        if results.built[name].interrupted:
-            raise KeyboardInterrupt
+        stop_if_interrupted(results.built[name])
 
 
 def calibrate_margin(results: SuspensionResults, progress: Progress) -> None:
@@ -124,8 +125,7 @@ def calibrate_margin(results: SuspensionResults, progress: Progress) -> None:
     problem = robust_problem(NARROW_TRAVEL, HOLDING)
     samples = results.effort.calibration_samples
     results.calibration = al.calibrate(problem, "travel", TARGET, samples=samples, progress=progress)
-    if results.calibration.interrupted:
-        raise KeyboardInterrupt
+    stop_if_interrupted(results.calibration)
 
 
 def sweep_travel(results: SuspensionResults, progress: Progress) -> None:
@@ -147,47 +147,18 @@ def sweep_holding(results: SuspensionResults, progress: Progress) -> None:
 def _keep(fronts: dict[str, al.Front], name: str, front: al.Front) -> None:
     """Keep what is finished of a front; one that Ctrl-C cut short ends the study, too."""
     fronts[name] = front
-    if front.interrupted:
-        raise KeyboardInterrupt
+    stop_if_interrupted(front)
 
 
-STAGES: dict[str, Stage] = {
-    "designs": Stage(solve_designs, 0.04),
-    "narrow travel": Stage(solve_narrow, 0.01),
-    "evidence": Stage(sample_designs, 0.30),
-    "designs to build": Stage(calibrate_designs, 0.25),
-    "calibration": Stage(calibrate_margin, 0.08),
-    "fronts over travel": Stage(sweep_travel, 0.22),
-    "fronts over holding": Stage(sweep_holding, 0.10),
-}
-CALIBRATIONS = ("designs to build", "calibration")
-
-
-def stages_of(effort: Effort) -> dict[str, Stage]:
-    """The stages of a run: without calibrations where these have no samples."""
-    return {name: one for name, one in STAGES.items() if effort.calibration_samples or name not in CALIBRATIONS}
-
-
-def finished(results: SuspensionResults) -> dict[str, bool]:
-    """Whether each stage of the run has come to its end."""
-    holding = [*results.holding_fronts.values(), *results.boxes.values()]
-    calibrated = [results.calibration] if results.calibration else []
-    done = {
-        "designs": len(results.designs) == 3,
-        "narrow travel": len(results.narrow) == 3,
-        "evidence": len(results.evidence) == 3 and len(results.narrow_evidence) == 3,
-        "designs to build": _whole(results.built.values(), len(BUILT)),
-        "calibration": _whole(calibrated, 1),
-        "fronts over travel": _whole(results.travel_fronts.values(), 3),
-        "fronts over holding": _whole(holding, 4),
+def stages(results: SuspensionResults) -> dict[str, Stage]:
+    """All that is computed, in order of usefulness: without calibrations where these have no samples."""
+    every = {
+        "designs": Stage(partial(solve_designs, results), 0.04),
+        "narrow travel": Stage(partial(solve_narrow, results), 0.01),
+        "evidence": Stage(partial(sample_designs, results), 0.30),
+        "designs to build": Stage(partial(calibrate_designs, results), 0.25),
+        "calibration": Stage(partial(calibrate_margin, results), 0.08),
+        "fronts over travel": Stage(partial(sweep_travel, results), 0.22),
+        "fronts over holding": Stage(partial(sweep_holding, results), 0.10),
     }
-    return {name: done[name] for name in stages_of(results.effort)}
-
-
-def _whole(parts: Collection[al.Front] | Collection[al.Calibration], count: int) -> bool:
-    return len(parts) == count and not any(one.interrupted for one in parts)
-
-
-def run_stage(name: str, results: SuspensionResults, progress: Progress = silent) -> None:
-    """Run one stage into `results`."""
-    STAGES[name].work(results, progress)
+    return {name: one for name, one in every.items() if results.effort.calibration_samples or name not in CALIBRATIONS}

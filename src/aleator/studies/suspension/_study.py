@@ -1,19 +1,17 @@
 """The suspension study as the command line runs it."""
 
-from collections.abc import Mapping
-from pathlib import Path
-from typing import final
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, final
 
 from typing_extensions import override
 
-from aleator._core.progress import Progress
-from aleator.reporting import PAGE, Table, save_study
-from aleator.studies._study import AbstractStudy
+from aleator.reporting import Section, Table, Verdict
+from aleator.studies._study import AbstractStudy, Stage
+from aleator.studies.suspension import _page, _run
 from aleator.studies.suspension._built import built_table
 from aleator.studies.suspension._facts import designs_table
-from aleator.studies.suspension._page import write_page
 from aleator.studies.suspension._published import published_table
-from aleator.studies.suspension._run import QUICK, Effort, SuspensionResults, run_stage, stages_of
+from aleator.studies.suspension._run import HOLDING, RIDE, TRAVEL, Effort, SuspensionResults
 from aleator.studies.suspension._verdict import verdict
 
 
@@ -21,54 +19,59 @@ from aleator.studies.suspension._verdict import verdict
 class SuspensionStudy(AbstractStudy):
     """Three designs, their evidence, calibration and fronts."""
 
+    title = "Suspension of a quarter car: robust design and apportioned spreads"
+    subtitle = (
+        f"Travel within ±{TRAVEL:g} m, holding at most {HOLDING:g} m, ride at most {RIDE:g} m²/s³ (aOpt); "
+        "five uncertain parameters; dissertation, sections 6.4 and 7.4"
+    )
+    glossary = _page.GLOSSARY
+    full, quick = _run.FULL, _run.QUICK
+
     def __init__(self, effort: Effort):
-        self._results = SuspensionResults(effort)
+        self.found = SuspensionResults(effort)
 
     @property
     @override
-    def stages(self) -> Mapping[str, float]:
-        return {name: stage.share for name, stage in stages_of(self._results.effort).items()}
+    def stages(self) -> Mapping[str, Stage]:
+        return _run.stages(self.found)
+
+    @property
+    @override
+    def left_out(self) -> str:
+        return "" if self.found.effort.calibration_samples else "the margins to build with"
 
     @override
-    def run(self, stage: str, progress: Progress) -> None:
-        run_stage(stage, self._results, progress)
+    def results(self) -> Mapping[str, Any]:
+        found = self.found
+        return {
+            "designs": found.designs,
+            "evidence": found.evidence,
+            "built": {name: one.solution for name, one in found.built.items()},
+            "built_evidence": {name: one.evidence for name, one in found.built.items()},
+            "margins": found.built,
+            "narrow": found.narrow,
+            "narrow_evidence": found.narrow_evidence,
+            "calibration": found.calibration,
+            "travel_fronts": found.travel_fronts,
+            "holding_fronts": found.holding_fronts,
+            "boxes": found.boxes,
+        }
 
     @override
-    def save(self, folder: Path) -> list[Path]:
-        done = self._results
-        paths = save_study(
-            folder,
-            designs=done.designs,
-            evidence=done.evidence,
-            built={name: one.solution for name, one in done.built.items()},
-            built_evidence={name: one.evidence for name, one in done.built.items() if one.evidence is not None},
-            margins=done.built,
-            narrow=done.narrow,
-            narrow_evidence=done.narrow_evidence,
-            calibration=done.calibration,
-            travel_fronts=done.travel_fronts,
-            holding_fronts=done.holding_fronts,
-            boxes=done.boxes,
-        )
-        return list(paths)
+    def verdict(self) -> Verdict:
+        return verdict(self.found)
 
     @override
-    def write_page(self, folder: Path) -> Path:
-        return write_page(self._results, folder / PAGE)
+    def sections(self) -> Sequence[Section]:
+        return _page.sections(self.found)
+
+    @override
+    def cut_short(self) -> Iterator[str]:
+        return _page.cut_short(self.found)
 
     @override
     def tables(self) -> list[Table]:
-        done = self._results
-        shown = [designs_table(done)] if done.designs else []
-        shown += [built_table(done)] if done.built else []
-        return [*shown, published_table(done)] if done.designs else shown
-
-    @override
-    def headline(self) -> str:
-        said = verdict(self._results)
-        return f"{said.word}: {said.headline}"
-
-
-def make(quick: bool) -> SuspensionStudy:
-    """The study, at full or at quick effort."""
-    return SuspensionStudy(QUICK if quick else Effort())
+        found = self.found
+        shown = [designs_table(found)] if found.designs else []
+        shown += [built_table(found)] if found.built else []
+        return [*shown, published_table(found)] if found.designs else shown

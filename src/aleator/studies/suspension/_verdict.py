@@ -3,8 +3,9 @@
 from collections.abc import Iterator
 
 import aleator as al
-from aleator.reporting import Card, Verdict, given, number, percent, unresolved, words
+from aleator.reporting import Card, Verdict, given, number, percent, words
 from aleator.reporting import interval as interval_text
+from aleator.studies._designs import no_recommendation, signed
 from aleator.studies.suspension._built import WITHIN, confirmed, headline
 from aleator.studies.suspension._built import cards as built_cards
 from aleator.studies.suspension._built import sentences as built_sentences
@@ -21,30 +22,17 @@ from aleator.studies.suspension._facts import (
     solved,
     start_of,
 )
-from aleator.studies.suspension._run import BUILT, HOLDING, NARROW_TRAVEL, RIDE, TRAVEL, SuspensionResults
+from aleator.studies.suspension._run import BUILT, DESIGNS, HOLDING, NARROW_TRAVEL, RIDE, TRAVEL, SuspensionResults
 
 
 def verdict(results: SuspensionResults) -> Verdict:
     """Which design to build and why, as far as the study has come."""
     sentences, cards = list(_sentences(results)), _cards(results)
-    failed = [name for name, one in results.designs.items() if not one.ok]
-    if failed:
-        why = [f"{name}: {results.designs[name].why()}" for name in failed]
-        return Verdict(
-            "bad", "Not solved", f"{words(failed)} could not be solved: no recommendation.", [*why, *sentences], cards
-        )
-    if not {"dOpt", "uOpt", "aOpt"} <= set(results.evidence):
-        said = "The study was stopped before its evidence: no recommendation yet."
-        return Verdict("caution", "Incomplete", said, sentences, cards)
-    if coarse := unresolved(
-        results.designs | {f"{name} to build": one.solution for name, one in results.built.items()}
-    ):
-        return Verdict(
-            "bad", "Not resolved", f"The expansion of {words(list(coarse))} is too coarse to trust.", sentences, cards
-        )
+    built = {f"{name} to build": one.solution for name, one in results.built.items()}
+    if missing := no_recommendation(results.designs, results.evidence, DESIGNS, sentences, cards, also=built):
+        return missing
     if not results.effort.calibration_samples:
-        said = f"{_printed(results)} The margins to build with are left to the full run, without --quick."
-        return Verdict("caution", "A first look", said, sentences, cards)
+        return Verdict("caution", "A first look", _printed(results), sentences, cards)
     if not set(BUILT) <= set(results.built) or any(one.interrupted for one in results.built.values()):
         said = f"The study was stopped before its margins were found: no recommendation yet. {_printed(results)}"
         return Verdict("caution", "Incomplete", said, sentences, cards)
@@ -77,7 +65,7 @@ def _cards(results: SuspensionResults) -> list[Card]:
             Card(
                 "Cost of the spreads, aOpt",
                 dollars(cost(apportioned)),
-                f"{'−' if part >= 0 else '+'}{percent(abs(part))} from {dollars(initial)} for dOpt and uOpt",
+                f"{signed(-part)} from {dollars(initial)} for dOpt and uOpt",
             )
         )
     return [*built_cards(results), *cards]

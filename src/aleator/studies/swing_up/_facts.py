@@ -7,17 +7,23 @@ import numpy as np
 from aleator.design import HELD
 from aleator.references import estimate, group_count
 from aleator.reporting import Table, count, given, number
-from aleator.studies._motion.facts import Outputs
+from aleator.studies._motion.facts import duration
 from aleator.studies._motion.family import Family
-from aleator.studies.swing_up import STEPS, TORQUE, VARIANCE
+from aleator.studies._motion.printed import compared
+from aleator.studies._motion.results import MotionResults
+from aleator.studies._motion.views import Outputs, linkage
+from aleator.studies.swing_up import SMOOTHING, STEPS, TORQUE, VARIANCE
+from aleator.studies.swing_up._run import EXPECTED, FINER, MEAN
 from aleator.validation import Proportion
 
 LENGTH_1, LENGTH_2 = 0.5, 1.0
 TIP = (0.0, LENGTH_1 + LENGTH_2)
+REFERENCE = {MEAN: 27.8, EXPECTED: 30.6}
+PUBLISHED = {MEAN: ("1060", "5.66"), EXPECTED: ("310", "4.46")}
+PUBLISHED_VARIANCE = 0.0032
 FAR = 0.2
 """An end further than this from upright, m, is a miss."""
 
-FINER = 4
 FRICTION = (
     (
         "The motion of the first joint is given, so the second link obeys its own equation, in which every term but"
@@ -34,9 +40,7 @@ FRICTION = (
 def joints(outputs: Outputs) -> np.ndarray:
     """Pivot, elbow and tip, m."""
     q1 = outputs["q1"]
-    elbow = LENGTH_1 * np.stack([-np.sin(q1), np.cos(q1)], axis=-1)
-    tip = np.stack([outputs["tip_x"], outputs["tip_y"]], axis=-1)
-    return np.stack([np.zeros_like(tip), elbow, tip], axis=-2)
+    return linkage(LENGTH_1 * np.stack([-np.sin(q1), np.cos(q1)], axis=-1), outputs)
 
 
 def overloads(family: Family) -> np.ndarray:
@@ -70,6 +74,46 @@ def _ends(family: Family) -> list[str]:
     return [*means, terminal_norm(family), _estimated(largest, family.systems["q1_torque"])]
 
 
+def published_table(done: MotionResults) -> Table:
+    """What the dissertation prints and what an independent search finds, beside ours."""
+    printed = {name: float(energy) for name, (energy, _) in PUBLISHED.items()}
+    rows, ours = [], {name: plan.objective for name, plan in done.plans.items()}
+    for name, plan in done.plans.items():
+        energy, time = PUBLISHED.get(name, ("–", "–"))
+        family = done.families.get(name)
+        rows.append(
+            [
+                name,
+                energy,
+                f"{REFERENCE[name]} at most" if name in REFERENCE else "–",
+                number(plan.objective, 4),
+                time,
+                number(duration(plan), 3),
+                "–" if name != EXPECTED else given(PUBLISHED_VARIANCE),
+                "–" if family is None else terminal_norm(family),
+            ]
+        )
+    note = (
+        "The published numbers are called powers, in W, and are sums over an unstated number of samples for another"
+        f" friction. {compared(printed, ours, 'the energies')} Reference:"
+        " what an independent search found. Variances are those of the random pendulums flown, ± one standard error"
+        f" of that sample; the limit of the true one is {given(VARIANCE, 'm²')}, asked of the robust plans only."
+        " Powers are rounded off where they are zero, which lowers an energy by at most"
+        f" {given(SMOOTHING)} J a second."
+    )
+    header = [
+        "",
+        "Published (W)",
+        "Reference (J)",
+        "Ours (J)",
+        "Published t_f (s)",
+        "Ours (s)",
+        "Published variance (m²)",
+        "Ours (m²)",
+    ]
+    return Table("Published and reference values beside ours", header, rows, note)
+
+
 def steps_table(families: Mapping[str, Family], finer: Mapping[str, Family]) -> Table:
     """The same systems with the steps of the problem and with finer ones."""
     rows = []
@@ -93,3 +137,14 @@ def steps_table(families: Mapping[str, Family], finer: Mapping[str, Family]) -> 
         " against that. The deterministic plan brings up the pendulum of mean mass, not the mean of all pendulums."
     )
     return Table("The plans with finer steps", header, rows, note)
+
+
+def final_spread(family: Family) -> float:
+    """The standard deviation of the second joint at the end, rad."""
+    return float(family.systems["q2"][:, -1].std())
+
+
+def friction_table(families: Mapping[str, Family], frictionless: Mapping[str, Family]) -> Table:
+    """How far the second joint spreads, with friction and without."""
+    rows = [[name, *(number(final_spread(one[name]), 2) for one in (families, frictionless))] for name in frictionless]
+    return Table("σ of q₂ at the end (rad)", ["Plan", "With friction", "Without"], rows)

@@ -4,8 +4,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from aleator.reporting import Scene
-from aleator.studies._motion.facts import Outputs
 from aleator.studies._motion.family import Family
+from aleator.studies._motion.views import Outputs, linkage
 from aleator.studies.two_link_arm import OBSTACLE, TARGET
 
 TIP = (np.cos(TARGET[0]) + np.cos(sum(TARGET)), np.sin(TARGET[0]) + np.sin(sum(TARGET)))
@@ -27,9 +27,7 @@ TOGETHER = {
 
 def joints(outputs: Outputs) -> Float[np.ndarray, "... joints 2"]:
     """Base, elbow and tip, m."""
-    elbow = np.stack([outputs["elbow_x"], outputs["elbow_y"]], axis=-1)
-    tip = np.stack([outputs["tip_x"], outputs["tip_y"]], axis=-1)
-    return np.stack([np.zeros_like(tip), elbow, tip], axis=-2)
+    return linkage(np.stack([outputs["elbow_x"], outputs["elbow_y"]], axis=-1), outputs)
 
 
 def touches(family: Family) -> Bool[np.ndarray, " systems"]:

@@ -1,18 +1,26 @@
-"""Where the searches of the swing-up study start."""
+"""What the swing-up study computes: where its searches start, and its pendulums once more, finer and frictionless."""
 
 from collections.abc import Collection
+from typing import Any
 
+import equinox as eqx
 import numpy as np
 
 import aleator as al
 from aleator._core.progress import Progress
-from aleator.studies._motion.build import CALIBRATED, TRIED
+from aleator.studies._motion.build import TRIED
 from aleator.studies._motion.facts import named
-from aleator.studies._motion.results import MotionResults
+from aleator.studies._motion.family import Family, fly
+from aleator.studies._motion.results import Effort, MotionResults
 from aleator.studies.swing_up import DEGREE, ENDS, FREE, deterministic_problem, robust_problem
 
 MEAN, EXPECTED, ENERGY = "deterministic", "robust, expected torque", "robust, expected energy"
-NAMES = (MEAN, ENERGY, EXPECTED, CALIBRATED)
+FINER = 4
+"""How many times as many steps judge those of the problem."""
+
+FULL = Effort(starts=7, calibration_samples=5_000)
+QUICK = Effort(starts=1, samples=1_000, family=200, whole=False)
+
 _TOGETHER = {"q1_torque": "torque", "q2": "upright", "q2_rate": "upright"}
 
 Swing = tuple[float, int, float, int]
@@ -50,6 +58,17 @@ def margin_problem(plan: al.Solution) -> al.Problem:
     """The problem of least energy of the expected torque, to be solved from a plan."""
     duration = float(plan.decisions["t_final"])
     return named(robust_problem(TRIED, guess=plan.decisions["motion.q1.free"], duration=duration), _TOGETHER)
+
+
+def flown_finer(plan: al.Solution, count: int) -> Family:
+    """The same pendulums as those of the plan's family, with smaller steps."""
+    return fly(plan.problem, plan.vector, count, seed=2, finer=FINER)
+
+
+def flown_frictionless(plan: al.Solution, count: int) -> Family:
+    """The same pendulums without friction."""
+    bare: Any = eqx.tree_at(lambda tree: tree.system.model.damping, plan.problem, 0.0)
+    return fly(bare, plan.vector, count, seed=2)
 
 
 def _start(duration: float, halves: int, width: float, late: int) -> dict[str, np.ndarray | float]:
