@@ -103,12 +103,12 @@ def decision_rows(designs: Sequence[al.Solution]) -> Iterator[list[str]]:
     """Means and spreads of spring, damper and damping ratio: rows of a table whose columns are designs."""
     means = {"k_s.mean": "Spring, mean kₛ", "b_s.mean": "Damper, mean bₛ"}
     for name, text in (means | {name: f"± half-width, {text}" for name, text in SPREADS.items()}).items():
-        yield [text, *(_decided(one, name, UNITS[name.split(".")[0]]) for one in designs)]
+        yield [text, *(_decided(one, name) for one in designs)]
 
 
-def _decided(solution: al.Solution, name: str, unit: str) -> str:
+def _decided(solution: al.Solution, name: str) -> str:
     """A number of a design, and whether it was decided: `2.334e4 N/m (at its bound)`."""
-    text = number(figure_of(solution, name), 4, unit)
+    text = number(figure_of(solution, name), 4, UNITS[name.split(".")[0]])
     if name in solution.at_bounds:
         return f"{text} (at its bound)"
     return text if name in solution.decisions else f"{text} (given)"

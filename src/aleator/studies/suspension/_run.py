@@ -42,9 +42,6 @@ class Effort:
     calibration_samples: int = 20_000
 
 
-CALIBRATIONS = ("designs to build", "calibration")
-"""The stages that find margins."""
-
 FULL = Effort()
 QUICK = Effort(front_points=4, samples=4_000, calibration_samples=0)
 
@@ -152,13 +149,15 @@ def _keep(fronts: dict[str, al.Front], name: str, front: al.Front) -> None:
 
 def stages(results: SuspensionResults) -> dict[str, Stage]:
     """All that is computed, in order of usefulness: without calibrations where these have no samples."""
-    every = {
+    calibrations = {
+        "designs to build": Stage(partial(calibrate_designs, results), 0.25),
+        "calibration": Stage(partial(calibrate_margin, results), 0.08),
+    }
+    return {
         "designs": Stage(partial(solve_designs, results), 0.04),
         "narrow travel": Stage(partial(solve_narrow, results), 0.01),
         "evidence": Stage(partial(sample_designs, results), 0.30),
-        "designs to build": Stage(partial(calibrate_designs, results), 0.25),
-        "calibration": Stage(partial(calibrate_margin, results), 0.08),
+        **(calibrations if results.effort.calibration_samples else {}),
         "fronts over travel": Stage(partial(sweep_travel, results), 0.22),
         "fronts over holding": Stage(partial(sweep_holding, results), 0.10),
     }
-    return {name: one for name, one in every.items() if results.effort.calibration_samples or name not in CALIBRATIONS}

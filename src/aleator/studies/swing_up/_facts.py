@@ -4,6 +4,7 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
+import aleator as al
 from aleator.design import HELD
 from aleator.references import estimate, group_count
 from aleator.reporting import Table, count, given, number
@@ -14,7 +15,6 @@ from aleator.studies._motion.results import MotionResults
 from aleator.studies._motion.views import Outputs, linkage
 from aleator.studies.swing_up import SMOOTHING, STEPS, TORQUE, VARIANCE
 from aleator.studies.swing_up._run import EXPECTED, FINER, MEAN
-from aleator.validation import Proportion
 
 LENGTH_1, LENGTH_2 = 0.5, 1.0
 TIP = (0.0, LENGTH_1 + LENGTH_2)
@@ -48,10 +48,10 @@ def overloads(family: Family) -> np.ndarray:
     return np.abs(family.extremes["q1_torque"]).max(axis=1) > TORQUE * (1 + HELD)
 
 
-def missed(family: Family) -> Proportion:
+def missed(family: Family) -> al.Proportion:
     """How many systems end too far from upright."""
     x, y = (family.systems[name][:, -1] for name in ("tip_x", "tip_y"))
-    return Proportion(int(np.sum(np.hypot(x - TIP[0], y - TIP[1]) > FAR)), len(x))
+    return al.Proportion(int(np.sum(np.hypot(x - TIP[0], y - TIP[1]) > FAR)), len(x))
 
 
 def terminal_norm(family: Family) -> str:
