@@ -12,7 +12,8 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 aleator_command.mind_signals()
 print("begun", flush=True)
 
-from collections.abc import Mapping  # noqa: E402
+from collections.abc import Mapping, Sequence  # noqa: E402
+from functools import partial  # noqa: E402
 from pathlib import Path  # noqa: E402
 
 import numpy as np  # noqa: E402
@@ -20,10 +21,12 @@ import numpy as np  # noqa: E402
 import aleator as al  # noqa: E402
 from aleator import cli  # noqa: E402
 from aleator._core.progress import Progress  # noqa: E402
-from aleator.reporting import PAGE, Table, report, save_study  # noqa: E402
-from aleator.studies import STUDIES, AbstractStudy, Entry, _clutch_run, _suspension_run, suspension  # noqa: E402
-from aleator.studies._clutch_study import ClutchStudy  # noqa: E402
-from aleator.studies._suspension_study import SuspensionStudy  # noqa: E402
+from aleator.reporting import PAGE, Section, Table, Verdict, report  # noqa: E402
+from aleator.studies import STUDIES, AbstractStudy, Entry, Stage, stop_if_interrupted, suspension  # noqa: E402
+from aleator.studies.clutch import _run as clutch_run  # noqa: E402
+from aleator.studies.clutch._study import ClutchStudy  # noqa: E402
+from aleator.studies.suspension import _run as suspension_run  # noqa: E402
+from aleator.studies.suspension._study import SuspensionStudy  # noqa: E402
 from tiny_models import Decay  # noqa: E402
 
 T_FINAL = 0.5
@@ -32,12 +35,14 @@ T_FINAL = 0.5
 class DecayStudy(AbstractStudy):
     """One design, its evidence and a front."""
 
-    stages: Mapping[str, float] = {"design": 1.0, "evidence": 1.0, "front": 1.0}
-
     def __init__(self) -> None:
         self.found: dict[str, object] = {}
 
-    def run(self, stage: str, progress: Progress) -> None:
+    @property
+    def stages(self) -> Mapping[str, Stage]:
+        return {name: Stage(partial(self.work, name), 1.0) for name in ("design", "evidence", "front")}
+
+    def work(self, stage: str, progress: Progress) -> None:
         limit = al.terminal("x").at_most(0.4, sigmas=1.0)
         problem = al.Problem(
             Decay(rate=al.Uniform(al.Decision(1.2, 0.5, 2.0), half_width=0.1)),
@@ -51,12 +56,11 @@ class DecayStudy(AbstractStudy):
             self.found[stage] = al.validate(self.found["design"], 20_000, progress=progress)
         else:
             front = al.pareto(problem, "x", [0.4, 0.35, 0.3], progress=progress)
-            if front.interrupted:
-                raise KeyboardInterrupt
+            stop_if_interrupted(front)
             self.found[stage] = front
 
-    def save(self, folder: Path) -> list[Path]:
-        return list(save_study(folder, **self.found))
+    def results(self) -> Mapping[str, object]:
+        return self.found
 
     def write_page(self, folder: Path) -> Path:
         return report(self.found["design"], self.found.get("evidence"), path=folder / PAGE)
@@ -64,8 +68,11 @@ class DecayStudy(AbstractStudy):
     def tables(self) -> list[Table]:
         return [Table("Found", ["stage"], [[name] for name in self.found])] if self.found else []
 
-    def headline(self) -> str:
-        return "Done."
+    def sections(self) -> Sequence[Section]:
+        return []
+
+    def verdict(self) -> Verdict:
+        return Verdict("good", "Done", "to its end.")
 
 
 def smooth_road() -> al.Tabulated:
@@ -77,13 +84,13 @@ def smooth_road() -> al.Tabulated:
 def small_suspension() -> SuspensionStudy:
     """The suspension study as it is, every stage of it, over a bump of half a second."""
     suspension.GRID, suspension.road = al.Grid(T_FINAL, steps=100), smooth_road
-    _suspension_run.TARGET = 0.2
-    return SuspensionStudy(_suspension_run.Effort(front_points=2, samples=100, calibration_samples=200))
+    suspension_run.TARGET = 0.2
+    return SuspensionStudy(suspension_run.Effort(front_points=2, samples=100, calibration_samples=200))
 
 
 def small_clutch() -> ClutchStudy:
     """The clutch study as it is, every stage of it, with few assemblies."""
-    effort = _clutch_run.Effort(
+    effort = clutch_run.Effort(
         samples=2_000,
         quasi_samples=2**8,
         evidence_samples=2_000,

@@ -9,7 +9,7 @@ STEP, STEPS = 1e-3, 2800
 
 def read_road():
     """Ground height at the instants and between them: shape (2 * STEPS + 1,)."""
-    text = (resources.files("aleator.studies") / "data" / "road.csv").read_text()
+    text = (resources.files("aleator.studies.suspension") / "road.csv").read_text()
     lines = [line for line in text.splitlines() if not line.startswith("#")][1:]
     table = np.array([[float(cell) for cell in line.split(",")] for line in lines])
     return np.interp(np.arange(2 * STEPS + 1) * STEP / 2, table[:, 0], table[:, 1])

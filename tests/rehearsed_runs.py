@@ -12,16 +12,17 @@ import sys
 import tempfile
 import time
 import types
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 
 import aleator_command
 from aleator import cli
 from aleator._core import interruption
 from aleator._core.progress import Progress
-from aleator.reporting import PAGE, Table
+from aleator.reporting import PAGE, Section, Table, Verdict
 from aleator.reporting._files import write_text, write_together
-from aleator.studies import AbstractStudy
+from aleator.studies import AbstractStudy, Stage
 
 STAGES = ("first", "second", "third")
 
@@ -31,22 +32,20 @@ class Rehearsal(AbstractStudy):
 
     def __init__(self, moment: str, number: int):
         self.moment, self.number = moment, number
-        self.finished: list[str] = []
 
     @property
-    def stages(self) -> Mapping[str, float]:
-        return dict.fromkeys(STAGES, 1.0)
+    def stages(self) -> Mapping[str, Stage]:
+        return {name: Stage(partial(self.work, name), 1.0) for name in STAGES}
 
     def at(self, moment: str) -> None:
         if self.moment == moment:
             os.kill(os.getpid(), self.number)
 
-    def run(self, stage: str, progress: Progress) -> None:
+    def work(self, stage: str, progress: Progress) -> None:
         progress("inside", 0, 2)
         self.at(f"in the {stage} stage")
         if stage == "second":
             self.second()
-        self.finished.append(stage)
 
     def second(self) -> None:
         if self.moment == "in a callback of JAX":
@@ -82,9 +81,15 @@ class Rehearsal(AbstractStudy):
             self.at("while the tables are printed")
         return [Table("Stages", ["stage"], [[stage] for stage in self.finished])] if self.finished else []
 
-    def headline(self) -> str:
+    def results(self) -> Mapping[str, object]:
+        return {}
+
+    def sections(self) -> Sequence[Section]:
+        return []
+
+    def verdict(self) -> Verdict:
         self.at("at the last word")
-        return "Done."
+        return Verdict("good", "Done", "to its end.")
 
 
 class Dying:

@@ -4,7 +4,8 @@ import os
 import subprocess
 import sys
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -13,8 +14,8 @@ from typer.testing import CliRunner
 import aleator as al
 from aleator import cli
 from aleator._core.progress import Progress
-from aleator.reporting import Table, _lock
-from aleator.studies import AbstractStudy
+from aleator.reporting import Section, Table, Verdict, _lock
+from aleator.studies import AbstractStudy, Stage
 
 
 class Rehearsal(AbstractStudy):
@@ -22,17 +23,15 @@ class Rehearsal(AbstractStudy):
 
     def __init__(self, accident: BaseException | None = None):
         self.accident = accident
-        self.finished: list[str] = []
 
     @property
-    def stages(self) -> Mapping[str, float]:
-        return {"first": 1.0, "second": 2.0, "third": 1.0}
+    def stages(self) -> Mapping[str, Stage]:
+        return {name: Stage(partial(self.work, name), 1.0) for name in ("first", "second", "third")}
 
-    def run(self, stage: str, progress: Progress) -> None:
+    def work(self, stage: str, progress: Progress) -> None:
         progress("inside", 0, 2)
         if stage == "second" and self.accident is not None:
             raise self.accident
-        self.finished.append(stage)
 
     def save(self, folder: Path) -> list[Path]:
         path = folder / "finished.txt"
@@ -47,8 +46,14 @@ class Rehearsal(AbstractStudy):
     def tables(self) -> list[Table]:
         return [Table("Stages", ["stage"], [[stage] for stage in self.finished])]
 
-    def headline(self) -> str:
-        return "Done: as far as it went."
+    def results(self) -> Mapping[str, object]:
+        return {}
+
+    def sections(self) -> Sequence[Section]:
+        return []
+
+    def verdict(self) -> Verdict:
+        return Verdict("good", "Done", "as far as it went.")
 
 
 def invoke(monkeypatch: pytest.MonkeyPatch, study: Rehearsal, *arguments: str):
@@ -99,7 +104,7 @@ def test_an_unwritable_folder_is_refused_before_any_work(monkeypatch, tmp_path):
     study = Rehearsal()
     result = invoke(monkeypatch, study, "--out", str(tmp_path / "file" / "below"))
     assert result.exit_code == 2
-    assert study.finished == []
+    assert study.finished == ()
     assert "cannot be written" in " ".join(result.output.split())
 
 
@@ -120,18 +125,18 @@ class Bracketed(Rehearsal):
     """A study whose every name and text looks like markup, or like an emoji."""
 
     @property
-    def stages(self) -> Mapping[str, float]:
-        return {BRACKETS: 1.0, "second": 1.0}
+    def stages(self) -> Mapping[str, Stage]:
+        return {name: Stage(partial(self.work, name), 1.0) for name in (BRACKETS, "second")}
 
-    def run(self, stage: str, progress: Progress) -> None:
+    def work(self, stage: str, progress: Progress) -> None:
         progress(BRACKETS, 0, 2)
-        super().run(stage, progress)
+        super().work(stage, progress)
 
     def tables(self) -> list[Table]:
         return [Table(f"caption {BRACKETS}", [f"head {BRACKETS}"], [[f"cell {BRACKETS}"]], f"note {BRACKETS}")]
 
-    def headline(self) -> str:
-        return f"headline {BRACKETS}"
+    def verdict(self) -> Verdict:
+        return Verdict("good", "Done", f"headline {BRACKETS}")
 
 
 def test_text_in_square_brackets_is_printed_as_it_is(monkeypatch, tmp_path):
@@ -168,7 +173,7 @@ def test_a_folder_that_another_run_writes_to_is_refused_before_any_work(monkeypa
         result = invoke(monkeypatch, study, "--out", str(tmp_path))
         holder.kill()
     assert result.exit_code == 2
-    assert study.finished == []
+    assert study.finished == ()
     assert "Another process" in " ".join(result.output.split())
 
 
@@ -185,7 +190,7 @@ with only_writer(Path(sys.argv[1])):
 def test_results_that_cannot_be_written_end_a_run_with_one(monkeypatch, tmp_path):
     class Full(Rehearsal):
         def save(self, folder: Path) -> list[Path]:
-            if self.finished == ["first", "second"]:
+            if self.finished == ("first", "second"):
                 raise al.ProblemError("No results can be written (No space left on device)")
             return super().save(folder)
 
@@ -213,8 +218,8 @@ def test_the_modules_run_as_the_command_does(module):
 class Doubtful(Rehearsal):
     """A study whose first stage has doubts, of ours and of a library."""
 
-    def run(self, stage: str, progress: Progress) -> None:
-        super().run(stage, progress)
+    def work(self, stage: str, progress: Progress) -> None:
+        super().work(stage, progress)
         if stage == "first":
             warnings.warn("On 10 steps 'x(t_f)' is off by 1.", al.GridWarning, stacklevel=2)
             warnings.warn("a library's own", RuntimeWarning, stacklevel=2)

@@ -115,7 +115,7 @@ def test_the_unit_of_a_sum_is_that_of_its_first_term_however_the_others_write_it
 
 def test_every_unit_of_the_studies_examples_and_documents_is_known():
     """Else what is refused there, and what is not, would hang on how a unit is written."""
-    sources = [*ROOT.glob("src/aleator/studies/*.py"), *ROOT.glob("examples/*.py"), *ROOT.glob("docs/*.md")]
+    sources = [*ROOT.glob("src/aleator/studies/**/*.py"), *ROOT.glob("examples/*.py"), *ROOT.glob("docs/*.md")]
     texts = [path.read_text(encoding="utf-8") for path in [*sources, ROOT / "README.md"]]
     fields = [unit for text in texts for unit in re.findall(r'parameter\("([^"]+)"', text)]
     tables = [table for text in texts for table in re.findall(r"\bunits(?:: ClassVar)? ?= ?(\{.*?\})", text, re.DOTALL)]

@@ -336,25 +336,29 @@ def test_a_method_that_is_forgotten_is_named(base):
 )
 def test_a_study_that_fails_keeps_what_it_has_and_says_why(mistake, tmp_path, capsys):
     class Half(ext.AbstractStudy):
-        stages: ClassVar = {"first": 1.0, "second": 1.0}
         design = None
 
-        def run(self, stage, progress):
-            if stage == "second":
-                raise mistake
+        @property
+        def stages(self):
+            return {"first": ext.Stage(self.find, 1.0), "second": ext.Stage(self.fail, 1.0)}
+
+        def find(self, progress):
             self.design = al.solve(problem(al.terminal("x").mean))
 
-        def save(self, folder):
-            return ext.save(folder, design=self.design)
+        def fail(self, progress):
+            raise mistake
 
-        def write_page(self, folder):
-            return al.report(self.design, path=folder / "report.html")
+        def results(self):
+            return {"design": self.design}
+
+        def verdict(self):
+            return ext.Verdict("caution", "Half", "Half of it.")
 
         def tables(self):
             return []
 
-        def headline(self):
-            return "Half of it."
+        def sections(self):
+            return [ext.Section("Empty", self.tables())]
 
     if isinstance(mistake, al.AleatorError):
         assert ext.run_study(Half(), tmp_path) == 1
@@ -363,6 +367,7 @@ def test_a_study_that_fails_keeps_what_it_has_and_says_why(mistake, tmp_path, ca
         with pytest.raises(ValueError, match="a slip"):
             ext.run_study(Half(), tmp_path)
     assert {path.name for path in tmp_path.iterdir()} >= {"results.nc", "designs.json", "report.html"}
+    assert "Not reached, or not to its end: second." in (tmp_path / "report.html").read_text(encoding="utf-8")
     assert f"error during 'second': {'' if isinstance(mistake, al.AleatorError) else 'ValueError: '}{mistake}" in (
         capsys.readouterr().err
     )

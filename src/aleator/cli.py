@@ -164,14 +164,14 @@ class _Run:
         columns = (TextColumn("{task.description}", markup=False), BarColumn(), TaskProgressColumn())
         clocks = (TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn())
         with Progress(*columns, *clocks, console=self._console) as bars:
-            overall = bars.add_task("all stages", total=sum(job.stages.values()))
-            for stage, share in job.stages.items():
-                self._stage, started = stage, time.perf_counter()
+            overall = bars.add_task("all stages", total=sum(stage.share for stage in job.stages.values()))
+            for name, stage in job.stages.items():
+                self._stage, started = name, time.perf_counter()
                 with self.interruptions.work():
-                    _run_stage(job, stage, bars)
-                self._save(job, [*self._finished, stage])
-                self._console.print(f"{stage}: {time.perf_counter() - started:.1f} s")
-                bars.advance(overall, share)
+                    _run_stage(job, name, bars)
+                self._save(job, [*self._finished, name])
+                self._console.print(f"{name}: {time.perf_counter() - started:.1f} s")
+                bars.advance(overall, stage.share)
         self._stage = ""
 
     def _save(self, job: AbstractStudy, finished: list[str]) -> None:

@@ -1,4 +1,6 @@
-"""What you write your own distributions, statistics, functionals, solvers, transcriptions and studies from; see `docs/extending.md`.
+"""What your own distributions, statistics, functionals, solvers, transcriptions and studies derive from.
+
+See `docs/extending.md`.
 
     from aleator import extending as ext
 
@@ -19,10 +21,19 @@ from aleator.nlp import Magnitudes as Magnitudes
 from aleator.nlp import Multipliers as Multipliers
 from aleator.nlp import NonlinearProgram as NonlinearProgram
 from aleator.nlp import ScaledProgram as ScaledProgram
+from aleator.reporting import Card as Card
+from aleator.reporting import Code as Code
+from aleator.reporting import Drawing as Drawing
+from aleator.reporting import Schematic as Schematic
+from aleator.reporting import Section as Section
 from aleator.reporting import Table as Table
+from aleator.reporting import Text as Text
+from aleator.reporting import Verdict as Verdict
 from aleator.reporting import save as save
 from aleator.statistics import AbstractStatistic as AbstractStatistic
 from aleator.studies import AbstractStudy as AbstractStudy
+from aleator.studies import Stage as Stage
+from aleator.studies import stop_if_interrupted as stop_if_interrupted
 from aleator.transcription import AbstractTranscribed as AbstractTranscribed
 from aleator.transcription import AbstractTranscription as AbstractTranscription
 from aleator.transcription import Meaning as Meaning

@@ -4,7 +4,7 @@ from functools import cache
 from typing import Any, ClassVar
 
 import aleator as al
-from aleator.studies._suspension_run import QUICK, SuspensionResults
+from aleator.studies.suspension._run import QUICK, SuspensionResults
 
 
 class Oscillator(al.System):

@@ -6,12 +6,12 @@ import report_problems as given
 
 import aleator as al
 from aleator.studies import suspension
-from aleator.studies._suspension_built import built_table
-from aleator.studies._suspension_facts import box, cost
-from aleator.studies._suspension_page import suspension_page, write_page
-from aleator.studies._suspension_published import published_table
-from aleator.studies._suspension_run import BUILT, QUICK, Effort, finished, run_stage
-from aleator.studies._suspension_verdict import verdict
+from aleator.studies.suspension._built import built_table
+from aleator.studies.suspension._facts import box, cost
+from aleator.studies.suspension._published import published_table
+from aleator.studies.suspension._run import BUILT, QUICK, Effort
+from aleator.studies.suspension._study import SuspensionStudy
+from aleator.studies.suspension._verdict import verdict
 from aleator.sweep import Trial
 
 
@@ -45,6 +45,13 @@ def sampled(study):
     return replace(study, evidence=evidence)
 
 
+def having(results):
+    """The study, having found these results."""
+    made = SuspensionStudy(results.effort)
+    made.found = results
+    return made
+
+
 def headings(page):
     return [section.heading for section in page.sections]
 
@@ -54,13 +61,13 @@ def numbers(page):
 
 
 def test_the_page_of_a_study_that_reached_nothing_says_so(tmp_path):
-    text = write_page(given.empty_study(), tmp_path / "page.html").read_text(encoding="utf-8")
+    text = having(given.empty_study()).write_page(tmp_path).read_text(encoding="utf-8")
     assert "no recommendation yet" in text
     assert "The study was stopped early." in text
 
 
 def test_the_page_of_designs_alone_shows_where_they_stand(study):
-    page = suspension_page(study)
+    page = having(study).page()
     assert numbers(page)[:2] == ["7.2", "6.2"]
     assert page.verdict.word == "Incomplete"
 
@@ -118,11 +125,11 @@ def test_a_study_that_was_stopped_before_its_margins_recommends_nothing(sampled,
 
 def test_a_quick_run_leaves_the_margins_to_the_full_one_and_says_so(sampled):
     assert not QUICK.calibration_samples
-    said = verdict(sampled)
-    assert said.word == "A first look"
-    assert "left to the full run" in said.headline
-    texts = [str(block) for one in suspension_page(sampled).sections for block in one.blocks if block.kind == "text"]
-    assert any("designs to build" in one for one in texts)
+    quick = having(sampled)
+    assert verdict(sampled).word == "A first look"
+    assert "left out are the margins to build with" in quick.page().verdict.headline
+    assert "left out are the margins to build with" in quick.headline()
+    assert not {"designs to build", "calibration"} & set(quick.stages)
 
 
 def test_the_designs_to_build_stand_beside_the_printed_ones(sampled):
@@ -137,9 +144,9 @@ def test_a_front_that_was_cut_short_is_shown_with_what_is_missing(sampled, tmp_p
     front = al.Front("travel", np.array([0.203]), (sampled.designs["uOpt"],), interrupted=True)
     whole = al.Front("travel", np.array([0.203]), (sampled.designs["dOpt"],))
     cut = replace(sampled, travel_fronts={"dOpt": whole, "uOpt": front})
-    text = write_page(cut, tmp_path / "page.html").read_text(encoding="utf-8")
+    text = having(cut).write_page(tmp_path).read_text(encoding="utf-8")
     assert f"Of the front over travel of uOpt, 1 of {QUICK.front_points} points are finished and shown." in text
-    assert "6.4" in numbers(suspension_page(cut))
+    assert "6.4" in numbers(having(cut).page())
 
 
 def test_an_interrupted_front_keeps_its_finished_points(study, monkeypatch):
@@ -148,11 +155,11 @@ def test_an_interrupted_front_keeps_its_finished_points(study, monkeypatch):
 
     monkeypatch.setattr(al, "pareto", sweep)
     for stage, fronts in (("fronts over travel", "travel_fronts"), ("fronts over holding", "holding_fronts")):
-        results = replace(study, travel_fronts={}, holding_fronts={}, boxes={})
+        begun = having(replace(study, travel_fronts={}, holding_fronts={}, boxes={}))
         with pytest.raises(KeyboardInterrupt):
-            run_stage(stage, results)
-        assert [len(one.solutions) for one in getattr(results, fronts).values()] == [1]
-        assert not finished(results)[stage]
+            begun.run(stage)
+        assert [len(one.solutions) for one in getattr(begun.found, fronts).values()] == [1]
+        assert stage not in begun.finished
 
 
 def test_the_cost_is_that_of_the_curves(study):
@@ -183,7 +190,7 @@ def test_every_figure_of_the_chapters_is_on_the_page(sampled):
         boxes=holding,
         narrow_evidence=narrow,
     )
-    page = suspension_page(whole)
+    page = having(whole).page()
     expected = {"6.2", "6.4", "6.5", "6.6", "6.7", "6.8", "6.9", "6.10 a", "6.10 b", "7.2", "7.3", "7.4", "7.5"}
     assert expected <= set(numbers(page))
     assert "How to read this" in headings(page)

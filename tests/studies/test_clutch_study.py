@@ -10,7 +10,8 @@ from scipy import optimize
 
 import aleator as al
 from aleator.studies import STUDIES, load
-from aleator.studies._clutch_counts import (
+from aleator.studies.clutch import MEANS, TOLERANCES, allocation_problem, clutch, pressure_angle
+from aleator.studies.clutch._counts import (
     CHEAPEST,
     GIVEN,
     SAFE,
@@ -20,21 +21,25 @@ from aleator.studies._clutch_counts import (
     worst_case,
     worst_case_tolerances,
 )
-from aleator.studies._clutch_facts import counted, counts_table, method, rejects_of, times_cheaper
-from aleator.studies._clutch_page import clutch_page
-from aleator.studies._clutch_run import STAGES, ClutchResults, Effort, Method, exact_variation, run_stage
-from aleator.studies._clutch_verdict import verdict
-from aleator.studies.clutch import MEANS, TOLERANCES, allocation_problem, clutch, pressure_angle
+from aleator.studies.clutch._facts import counted, counts_table, method, rejects_of, times_cheaper
+from aleator.studies.clutch._run import Effort, Method, exact_variation
+from aleator.studies.clutch._study import ClutchStudy
+from aleator.studies.clutch._verdict import verdict
 
 SMALL = Effort(samples=20_000, quasi_samples=2**11, evidence_samples=20_000, counted=200_000, front_points=3, repeats=1)
 
 
 @pytest.fixture(scope="module")
-def results():
-    found = ClutchResults(SMALL)
-    for stage in STAGES:
-        run_stage(stage, found)
-    return found
+def study():
+    made = ClutchStudy(SMALL)
+    for stage in made.stages:
+        made.run(stage)
+    return made
+
+
+@pytest.fixture(scope="module")
+def results(study):
+    return study.found
 
 
 def test_the_study_is_listed():
@@ -178,19 +183,20 @@ def test_given_and_cheapest_and_safe_tolerances_are_all_counted(results):
 
 
 @pytest.mark.slow
-def test_the_page_has_every_section_and_says_what_was_not_reached(results):
-    whole = clutch_page(results)
-    headings = [one.heading for one in whole.sections]
+def test_the_page_has_every_section(study):
+    headings = [one.heading for one in study.page().sections]
     assert headings[:4] == ["The clutch", "Table 7.2", "The given tolerances", "Allocation"]
-    begun = ClutchResults(SMALL)
-    assert verdict(begun).word == "Incomplete"
-    assert "Not reached, or not to its end: methods" in clutch_page(begun).sections[1].blocks[0].paragraphs[0]
+    assert headings[-1] == "How to read this"
+
+
+def test_the_page_says_first_what_was_not_reached():
+    begun = ClutchStudy(SMALL)
+    assert begun.verdict().word == "Incomplete"
+    assert "Not reached, or not to its end: methods" in begun.page().sections[0].blocks[0].paragraphs[0]
 
 
 @pytest.mark.slow
-def test_the_study_writes_its_files_and_tables(results, tmp_path):
-    study = load("clutch", quick=True)
-    study._results = results
+def test_the_study_writes_its_files_and_tables(study, results, tmp_path):
     written = [*study.save(tmp_path), study.write_page(tmp_path)]
     assert {one.name for one in written} == {"results.nc", "designs.json", "report.html"}
     saved = json.loads((tmp_path / "designs.json").read_text(encoding="utf-8"))
@@ -207,16 +213,15 @@ def test_the_study_writes_its_files_and_tables(results, tmp_path):
 def test_what_the_first_stages_find_is_stored_before_there_is_a_design(tmp_path):
     """Table 7.2 and the counts are no designs; a run that is killed after their stages keeps them as well."""
     study = load("clutch", quick=True)
-    study._results.methods = [Method("DLM", 0.65, None, 1, 0.1), Method("Monte Carlo", 0.66, 0.01, 200, 0.2)]
-    study._results.counts = {GIVEN: count_rejects(TOLERANCES, 1000)}
+    study.found.methods = [Method("DLM", 0.65, None, 1, 0.1), Method("Monte Carlo", 0.66, 0.01, 200, 0.2)]
+    study.found.counts = {GIVEN: count_rejects(TOLERANCES, 1000)}
     study.save(tmp_path)
     with xarray.open_datatree(tmp_path / "results.nc", engine="h5netcdf") as stored:
         found = stored["methods"].to_dataset().sel(row="Monte Carlo")
         assert [float(found[name]) for name in ("three_sigma", "standard_error", "points")] == [0.66, 0.01, 200]
         counted = stored["counts"].to_dataset().sel(tolerances=GIVEN)
         assert (
-            int(counted["rejects"].sel(specification="deviation"))
-            == study._results.counts[GIVEN].deviation.either.count
+            int(counted["rejects"].sel(specification="deviation")) == study.found.counts[GIVEN].deviation.either.count
         )
         assert counted["worst_case"].values.tolist() == list(worst_case(TOLERANCES))
 

@@ -12,12 +12,13 @@ import aleator as al
 from aleator import cli
 from aleator.reporting import page_html
 from aleator.studies import STUDIES, load
-from aleator.studies._family import Family, fly
-from aleator.studies._motion_build import TARGET as TOLERATED
-from aleator.studies._motion_build import price
-from aleator.studies._motion_results import Effort
-from aleator.studies._pick_and_place_time_study import MEAN, ONE, WORST, PickAndPlaceTime
-from aleator.studies._swing_up_facts import terminal_norm
+from aleator.studies._motion.build import TARGET as TOLERATED
+from aleator.studies._motion.build import price
+from aleator.studies._motion.family import Family, fly
+from aleator.studies._motion.results import Effort
+from aleator.studies.pick_and_place_time._run import MEAN, ONE, WORST
+from aleator.studies.pick_and_place_time._study import PickAndPlaceTime
+from aleator.studies.swing_up._facts import terminal_norm
 from aleator.studies.two_link_arm import START, TARGET, TwoLinkArm
 from aleator.uncertainty import realise
 

@@ -8,8 +8,8 @@ import pytest
 
 import aleator as al
 from aleator.reporting import Table
-from aleator.studies._motion_build import TARGET, build_verdict, margin_blocks, meets, price, price_table
-from aleator.studies._printed import compared
+from aleator.studies._motion.build import TARGET, build_verdict, margin_blocks, meets, price, price_table
+from aleator.studies._motion.printed import compared
 from tiny_models import Decay
 
 TOLD = {"unit": "1/s", "who": "samples"}

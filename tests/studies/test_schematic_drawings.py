@@ -9,14 +9,14 @@ import pytest
 
 from aleator.reporting import Schematic, sketch
 from aleator.reporting._page import Page, Section, Verdict, page_html
-from aleator.studies._car_drawing import car_drawing
-from aleator.studies._clutch_drawing import clutch_drawing
-from aleator.studies._pendulum_drawing import pendulum_drawing
-from aleator.studies._two_link_drawing import arm_drawing
 from aleator.studies.clutch import MEANS
+from aleator.studies.clutch._drawing import clutch_drawing
 from aleator.studies.suspension import QuarterCar, apportioned, nominal, road
+from aleator.studies.suspension._drawing import car_drawing
 from aleator.studies.swing_up import DoublePendulum
+from aleator.studies.swing_up._drawing import pendulum_drawing
 from aleator.studies.two_link_arm import OBSTACLE, TwoLinkArm
+from aleator.studies.two_link_arm._drawing import arm_drawing
 
 SVG = "{http://www.w3.org/2000/svg}"
 

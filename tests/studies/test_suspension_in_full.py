@@ -12,8 +12,8 @@ import xarray
 
 import aleator as al
 from aleator._core.progress import silent
-from aleator.studies._suspension_run import BUILT, TARGET, Effort, SuspensionResults, calibrate_designs
 from aleator.studies.suspension import robust_problem
+from aleator.studies.suspension._run import BUILT, TARGET, Effort, SuspensionResults, calibrate_designs
 
 pytestmark = pytest.mark.slow
 

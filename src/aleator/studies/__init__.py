@@ -1,40 +1,51 @@
-"""The case studies: each a short module that reads like its chapter. The command line finds them here, by name."""
+"""The case studies, each a package: its text reads like its chapter, and what is run and shown of it stands beside.
 
-from collections.abc import Callable
+    __init__    the physics and the problems
+    _run        what is computed: stages and what they find
+    _facts      tables and numbers of what was found
+    _verdict    what to build, and why
+    _page       the chapters of the page, with _drawing for a scheme of the system
+    _study      the declaration that joins these, as any study is declared (`docs/extending.md`)
+
+The command line finds them here, by name.
+"""
+
 from importlib import import_module
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from aleator._core.errors import ProblemError
 from aleator.studies._study import AbstractStudy as AbstractStudy
+from aleator.studies._study import Stage as Stage
+from aleator.studies._study import stop_if_interrupted as stop_if_interrupted
 
 
 class Entry(NamedTuple):
-    """A study as listed: what it is about, and where it is made. The module is imported only when it is run."""
+    """A study as listed: what it is about, and its class as `module:name`, imported only when it is run."""
 
     about: str
-    module: str
+    place: str
 
 
 STUDIES = {
     "suspension": Entry(
         "Quarter car: deterministic, robust and apportioned suspension (sections 6.4 and 7.4)",
-        "aleator.studies._suspension_study",
+        "aleator.studies.suspension._study:SuspensionStudy",
     ),
     "clutch": Entry(
         "One-way clutch: tolerance analysis by every method, and the cheapest tolerances (section 7.2)",
-        "aleator.studies._clutch_study",
+        "aleator.studies.clutch._study:ClutchStudy",
     ),
     "pick-and-place-effort": Entry(
         "Two-link arm with an uncertain payload: least effort, least spread at the end (section 5.5.1)",
-        "aleator.studies._pick_and_place_effort_study",
+        "aleator.studies.pick_and_place_effort._study:PickAndPlaceEffort",
     ),
     "pick-and-place-time": Entry(
         "Two-link arm with an uncertain payload: least time, and the margin that it takes (section 5.5.2)",
-        "aleator.studies._pick_and_place_time_study",
+        "aleator.studies.pick_and_place_time._study:PickAndPlaceTime",
     ),
     "swing-up": Entry(
         "Double pendulum of uncertain mass, driven at one joint: swing-up of least energy (section 5.5.3)",
-        "aleator.studies._swing_up_study",
+        "aleator.studies.swing_up._study:SwingUp",
     ),
 }
 
@@ -46,5 +57,6 @@ def load(name: str, *, quick: bool = False) -> AbstractStudy:
     """
     if name not in STUDIES:
         raise ProblemError(f"There is no study '{name}'; expected one of {sorted(STUDIES)}. See `aleator list`.")
-    make: Callable[[bool], AbstractStudy] = import_module(STUDIES[name].module).make
-    return make(quick)
+    module, _, kind = STUDIES[name].place.partition(":")
+    study: Any = getattr(import_module(module), kind)
+    return study(study.quick if quick else study.full)

@@ -1,0 +1,43 @@
+"""Whether computed values compare with printed ones, said of the numbers alone: in sign, in order, in size."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from aleator.reporting import words
+from aleator.studies._designs import signed
+
+SAME_SIZE = 0.1
+"""Changes that differ by at most this part of the printed one are of one size."""
+
+
+def compared(printed: Mapping[str, float], ours: Mapping[str, float], what: str) -> str:
+    """How far `what` compares between plans of the same names, in a sentence; the first plan is what others change.
+
+    Signs compare if every plan changes the first one's value to the same side, the order if it is the same from the
+    least to the largest, sizes if the relative changes differ by at most a tenth of the printed ones.
+    """
+    names = [name for name in printed if name in ours and np.isfinite(ours[name])]
+    if len(names) < 2:
+        return ""
+    theirs, found = (_changes([values[name] for name in names]) for values in (printed, ours))
+    said = {
+        "signs": bool(np.all(np.sign(theirs) == np.sign(found))),
+        "order": _order(printed, names) == _order(ours, names),
+        "sizes": bool(np.all(np.abs(found - theirs) <= SAME_SIZE * np.abs(theirs))),
+    }
+    yes, no = ([one for one in said if said[one] is told] for told in (True, False))
+    parts = [f"{words(yes)} compare"] * bool(yes) + [f"{words(no)} do not{'' if yes else ' compare'}"] * bool(no)
+    changes = [
+        f"{name} {signed(one)} (printed {signed(other)})"
+        for name, one, other in zip(names[1:], found, theirs, strict=True)
+    ]
+    return f"Of {what}, {', '.join(parts)}: beside {names[0]}, {words(changes)}."
+
+
+def _changes(values: Sequence[float]) -> np.ndarray:
+    return np.array(values[1:]) / values[0] - 1
+
+
+def _order(values: Mapping[str, float], names: Sequence[str]) -> list[str]:
+    return sorted(names, key=lambda name: values[name])

@@ -1,0 +1,99 @@
+"""What a study of motion planning computes: searches from several starts, a margin, evidence and families."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, final
+
+import aleator as al
+from aleator._core.progress import Progress
+from aleator.studies._motion.build import CALIBRATED, TARGET
+from aleator.studies._motion.family import Family, fly
+from aleator.studies._study import stop_if_interrupted
+from aleator.validation import finer_by
+
+KEPT = 25
+PRECISION = 0.2
+"""How closely below its aim a margin is sought: half a per cent of an objective is at stake between a = 1 and the worst
+case, and each trial is a search with its count."""
+
+
+@final
+@dataclass(frozen=True)
+class Effort:
+    """How much is computed.
+
+    - `starts`: of the search for each plan;
+    - `samples`: Monte Carlo samples of the evidence; `family`: systems of which every output is kept;
+    - `front_points`: on a front; `calibration_samples`: of each trial of a margin;
+    - `whole`: whether what a first look can do without is computed too; what that is the study says (`left_out`).
+    """
+
+    starts: int
+    samples: int = 20_000
+    family: int = 2_000
+    front_points: int = 7
+    calibration_samples: int = 10_000
+    whole: bool = True
+
+
+@final
+@dataclass
+class MotionResults:
+    """Everything a study of motion has finished so far, by the names of its plans.
+
+    - `searches`: every start of each plan's search; `plans`: the best of each;
+    - `coarse`: the plans whose limits hold at the instants of the grid alone, as in the reference;
+    - `calibration`: the margin at which as few systems as asked break a limit; its plan is one of the plans;
+    - `evidence`: fresh systems counted; `families`: some of them whole, with every output.
+    """
+
+    effort: Effort
+    searches: dict[str, al.Starts] = field(default_factory=dict)
+    plans: dict[str, al.Solution] = field(default_factory=dict)
+    coarse: dict[str, al.Solution] = field(default_factory=dict)
+    calibration: al.Calibration | None = None
+    evidence: dict[str, al.Evidence] = field(default_factory=dict)
+    families: dict[str, Family] = field(default_factory=dict)
+
+    def search(
+        self, name: str, problem: al.Problem, starts: int | Sequence[Mapping[str, Any]], progress: Progress
+    ) -> al.Solution:
+        """Solve for a plan from several starts and keep the best, of a search that Ctrl-C cut short, too."""
+        found = al.multistart(problem, starts, progress=lambda _, done, total: progress(name, done, total))
+        self.searches[name] = found
+        if found.best.ok or not found.interrupted:
+            self.plans[name] = found.best
+        stop_if_interrupted(found)
+        return found.best
+
+    def solve_at_instants(self) -> None:
+        """The same plans with limits at the instants of the grid alone, to compare with the reference."""
+        for name, plan in self.plans.items() if self.effort.whole else ():
+            self.coarse[name] = al.solve(plan.problem, start=plan.decisions, between=1, throw=False)
+
+    def calibrate(self, problem: al.Problem, limits: Sequence[str], progress: Progress) -> None:
+        """Find the margin at which no more systems than `TARGET` break a limit, and keep its plan and its evidence."""
+        samples = self.effort.calibration_samples
+        found = al.calibrate(problem, limits, TARGET, samples=samples, precision=PRECISION, progress=progress)
+        self.calibration = found
+        stop_if_interrupted(found)
+        self.plans[CALIBRATED] = found.solution
+        if found.evidence is not None:
+            self.evidence[CALIBRATED] = found.evidence
+
+    def gather_evidence(self, progress: Progress) -> None:
+        """Count on fresh systems how often each plan breaks its limits; of a calibrated one that is known."""
+        for name, plan in self.plans.items():
+            if name not in self.evidence:
+                self.evidence[name] = al.validate(plan, self.effort.samples, seed=1, keep=KEPT, progress=progress)
+
+    def fly_families(self, progress: Progress) -> None:
+        """Fly each plan on its family and keep every output."""
+        for i, (name, plan) in enumerate(self.plans.items()):
+            progress(f"family, {name}", i, len(self.plans))
+            self.families[name] = self.flown(plan, plan.problem, seed=2)
+
+    def flown(self, plan: al.Solution, problem: al.Problem, *, seed: int) -> Family:
+        """A plan on the systems of a problem; its extremes between the instants too, but for a quick run."""
+        between = finer_by(plan) if self.effort.whole else 1
+        return fly(problem, plan.vector, self.effort.family, seed=seed, between=between)

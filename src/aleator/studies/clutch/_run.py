@@ -1,0 +1,206 @@
+"""The clutch study, run: the methods of table 7.2 and more, tolerance analysis, allocation and its front."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import partial
+from itertools import product
+from typing import Any, NamedTuple, final
+
+import numpy as np
+
+import aleator as al
+from aleator._core.progress import Progress
+from aleator.studies._study import Stage, stop_if_interrupted
+from aleator.studies.clutch import (
+    DEVIATION,
+    LIMITS,
+    MEANS,
+    TOLERANCES,
+    allocation_problem,
+    clutch,
+    pressure_angle,
+    published_expansion,
+)
+from aleator.studies.clutch._counts import (
+    CHEAPEST,
+    GIVEN,
+    SAFE,
+    Counts,
+    count_rejects,
+    tolerances_of,
+    worst_case_tolerances,
+)
+from aleator.uncertainty import HermiteGerm
+
+TABLE_ORDERS = (2, 3, 5)
+EXACT_NODES = 24
+
+
+@final
+@dataclass(frozen=True)
+class Effort:
+    """How much is computed: Monte Carlo samples of table 7.2 and of the evidence, assemblies counted in closed form for
+    each set of tolerances, points on the front, orders of the expansions compared, whether an expansion in Taylor's
+    series is compared too, and how often each is timed warm.
+    """
+
+    samples: int = 2_500_000
+    quasi_samples: int = 2**16
+    evidence_samples: int = 1_000_000
+    counted: int = 20_000_000
+    front_points: int = 11
+    orders: tuple[int, ...] = (1, 2, 3, 4, 5, 6, 7)
+    second_order: bool = True
+    repeats: int = 5
+
+
+FULL = Effort()
+QUICK = Effort(
+    samples=250_000,
+    quasi_samples=2**13,
+    evidence_samples=100_000,
+    counted=2_000_000,
+    front_points=4,
+    orders=TABLE_ORDERS,
+    second_order=False,
+    repeats=1,
+)
+
+
+class Method(NamedTuple):
+    """One row of table 7.2.
+
+    - `variation`: three standard deviations of the pressure angle, degrees; `standard_error`: of it, if sampled;
+    - `points`: how often the assembly was solved; `seconds`: wall time on a warm process.
+    """
+
+    name: str
+    variation: float
+    standard_error: float | None
+    points: int
+    seconds: float
+
+
+@final
+@dataclass
+class ClutchResults:
+    """Everything the study has finished so far; what has not been reached is empty.
+
+    - `exact`: three standard deviations by Gauss quadrature of the closed form, degrees;
+    - `methods`: the rows of table 7.2 and of its extension;
+    - `analyses`: the tolerance analysis for each specification, by its name;
+    - `given`: the rejects of the given tolerances under the second specification, a share;
+    - `counts`: what the given tolerances, the cheapest ones, and the cheapest ones whose worst case stays within the
+      function's limits leave of both specifications, by these names;
+    - `allocation`, `evidence`: the cheapest tolerances with no more rejects, and a count of these;
+    - `front`: the cost over the rejects allowed.
+    """
+
+    effort: Effort
+    exact: float = np.nan
+    methods: list[Method] = field(default_factory=list)
+    analyses: dict[str, al.ToleranceAnalysis] = field(default_factory=dict)
+    counts: dict[str, Counts] = field(default_factory=dict)
+    allocation: al.Solution | None = None
+    evidence: al.Evidence | None = None
+    front: al.Front | None = None
+
+    @property
+    def given(self) -> float:
+        """The share of rejects that the given tolerances leave under the second specification."""
+        return self.analyses["deviation"].rejects / 1e6
+
+
+def exact_variation() -> float:
+    """Three standard deviations of the pressure angle, degrees: tensor Gauss quadrature of the closed form.
+
+    It shares nothing with the methods that it judges: neither the vector loop nor Newton's method nor an expansion.
+    """
+    nodes, weights = HermiteGerm().gauss(EXACT_NODES)
+    columns = [MEANS[name] + TOLERANCES[name] / 3 * nodes for name in MEANS]
+    angles = pressure_angle(*np.array(list(product(*columns))).T)
+    weight = np.prod(np.array(list(product(weights, repeat=len(MEANS)))), axis=1)
+    return float(3 * np.sqrt(weight @ (angles - weight @ angles) ** 2))
+
+
+def compare_methods(results: ClutchResults, progress: Progress) -> None:
+    """Table 7.2 and its extension. The expansions are timed warm, as is Monte Carlo: each after a first small run."""
+    results.exact = exact_variation()
+    model, effort = clutch(), results.effort
+    progress("linearisation", 0, 4)
+    linear, seconds = _timed(lambda: al.linearise(_angle, model), effort.repeats)
+    results.methods.append(Method("DLM", 3 * float(linear.std), None, 1, seconds))
+    if effort.second_order:
+        second, seconds = _timed(lambda: al.second_order(_angle, model), effort.repeats)
+        results.methods.append(Method("second order", 3 * float(second.std), None, 1, seconds))
+    progress("expansions", 1, 4)
+    for order in effort.orders:
+        wish = published_expansion(order)
+        expanded, seconds = _timed(lambda wish=wish: al.expand(_angle, model, wish), effort.repeats)
+        count = len(expanded.collocation.points)
+        results.methods.append(Method(f"gPC, order {order}", 3 * float(expanded.std), None, count, seconds))
+    progress("quasi-Monte Carlo", 2, 4)
+    samples = effort.quasi_samples
+    drawn, seconds = _timed(lambda: al.quasi_monte_carlo(_angle, model, samples))
+    results.methods.append(_sampled("quasi-Monte Carlo", drawn, samples, seconds))
+    progress("Monte Carlo", 3, 4)
+    samples = effort.samples
+    drawn, seconds = _timed(lambda: al.monte_carlo(_angle, model, samples))
+    results.methods.append(_sampled("Monte Carlo", drawn, samples, seconds))
+
+
+def _angle(model: al.AlgebraicSystem) -> Any:
+    return al.simulate(model)["chi"][0]
+
+
+def _sampled(name: str, drawn: al.RandomSample, samples: int, seconds: float) -> Method:
+    std = drawn.std
+    return Method(name, 3 * float(std.value), 3 * float(std.standard_error), samples, seconds)
+
+
+def _timed(work: Callable[[], Any], repeats: int = 0) -> tuple[Any, float]:
+    """What some work gives, and its shortest time, s: of `repeats` runs after a first one that compiles, if any."""
+    result, times = None, []
+    for done in range(repeats + 1):
+        start = time.perf_counter()
+        result = work()
+        if done or not repeats:
+            times.append(time.perf_counter() - start)
+    return result, min(times)
+
+
+def analyse_tolerances(results: ClutchResults, progress: Progress) -> None:
+    """Contributions, capability and rejects under both specifications; the given and the safe tolerances counted."""
+    for name, (lower, upper) in {"limits": LIMITS, "deviation": DEVIATION}.items():
+        results.analyses[name] = al.tolerance_analysis(
+            clutch(), "chi", lower=lower, upper=upper, expansion=published_expansion(3)
+        )
+    for name, tolerances in {GIVEN: TOLERANCES, SAFE: worst_case_tolerances()}.items():
+        results.counts[name] = count_rejects(tolerances, results.effort.counted, progress=progress)
+
+
+def allocate(results: ClutchResults, progress: Progress) -> None:
+    """The cheapest tolerances that leave no more rejects than the given ones, and a count of their rejects."""
+    results.allocation = al.solve(allocation_problem(results.given))
+    results.evidence = al.validate(results.allocation, results.effort.evidence_samples, seed=1, progress=progress)
+    if results.allocation.ok:
+        chosen = tolerances_of(results.allocation)
+        results.counts[CHEAPEST] = count_rejects(chosen, results.effort.counted, progress=progress)
+
+
+def sweep_rejects(results: ClutchResults, progress: Progress) -> None:
+    """The least cost over the rejects allowed."""
+    values = np.geomspace(0.05, 1e-6, results.effort.front_points)
+    results.front = al.pareto(allocation_problem(), "rejects", values, progress=progress)
+    stop_if_interrupted(results.front)
+
+
+def stages(results: ClutchResults) -> dict[str, Stage]:
+    """All that is computed, in order of usefulness."""
+    return {
+        "methods": Stage(partial(compare_methods, results), 0.4),
+        "tolerances": Stage(partial(analyse_tolerances, results), 0.1),
+        "allocation": Stage(partial(allocate, results), 0.2),
+        "front": Stage(partial(sweep_rejects, results), 0.3),
+    }

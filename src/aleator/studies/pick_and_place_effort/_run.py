@@ -1,0 +1,81 @@
+"""What the effort-optimal study computes: its plans, a front between two of them, and a plan on a wider payload."""
+
+from collections.abc import Collection
+from typing import NamedTuple
+
+import numpy as np
+
+import aleator as al
+from aleator._core.progress import Progress
+from aleator.studies._motion.build import TRIED
+from aleator.studies._motion.facts import named
+from aleator.studies._motion.family import Family
+from aleator.studies._motion.results import Effort, MotionResults
+from aleator.studies.pick_and_place_effort import (
+    DURATION,
+    PAYLOAD,
+    deterministic_problem,
+    robust_problem,
+    start_torques,
+    terminal_variance_problem,
+)
+from aleator.studies.two_link_arm import TORQUE
+from aleator.studies.two_link_arm._views import TOGETHER
+from aleator.transcription import transcribe
+
+MEAN, ROBUST, LEAST = "deterministic", "robust", "least variance"
+WIDE = al.Uniform(1.0, std=0.5)
+BENDS = (1.2, 0.6, 2.5)
+"""How far the elbow is bent on the paths from which searches start beside the problem's own, rad."""
+
+MOST = 2 * TORQUE**2 * DURATION
+"""The effort of both torques at their limits throughout: no plan takes more."""
+
+FULL = Effort(starts=4)
+QUICK = Effort(starts=1, samples=2_000, family=400, calibration_samples=2_000, whole=False)
+
+
+def search_plans(done: MotionResults, names: Collection[str], progress: Progress) -> None:
+    """Deterministic from bent paths; those of `names` from the plans before them, and from these paths as well."""
+    # An empty start is the problem's own.
+    bent = [{}, *({"torque.free": start_torques(bend)} for bend in BENDS)][: done.effort.starts]
+    plan = done.search(MEAN, named(deterministic_problem(), TOGETHER), bent, progress)
+    problems = {ROBUST: robust_problem(), LEAST: terminal_variance_problem(effort=MOST)}
+    for name in (name for name in problems if name in names):
+        plan = done.search(name, named(problems[name], TOGETHER), [dict(plan.decisions), *bent[1:]], progress)
+    done.solve_at_instants()
+
+
+def margin_problem(plan: al.Solution) -> al.Problem:
+    """The problem of least effort, to be solved from a plan."""
+    return named(robust_problem(TRIED, guess=plan.decisions["torque.free"]), TOGETHER)
+
+
+def sweep_effort(least: al.Solution, robust: al.Solution, most: float, points: int, progress: Progress) -> al.Front:
+    """The least terminal variance for each effort, from where more effort helps no more down to the robust plan."""
+    problem = named(terminal_variance_problem(effort=MOST, guess=least.decisions["torque.free"]), TOGETHER)
+    return al.pareto(problem, "effort", np.linspace(most, 1.01 * robust.objective, points), progress=progress)
+
+
+class Spread(NamedTuple):
+    """The spread of a joint at the end: sampled, by the expansion, and its leave-one-out error."""
+
+    sampled: float
+    expanded: float
+    error: float
+
+
+def on_payload(done: MotionResults, payload: al.Uniform) -> tuple[Family, dict[str, Spread]]:
+    """The robust plan on another payload: flown, and how its joints spread at the end, as the expansion sees it too."""
+    plan, problem = done.plans[ROBUST], named(robust_problem(payload=payload), TOGETHER)
+    family = done.flown(plan, problem, seed=3)
+    resolved = transcribe(problem).resolve(plan.vector)
+    ends = {name: resolved[f"{name}(t_f)"] for name in ("q1", "q2")}
+    return family, {
+        name: Spread(float(family.systems[name][:, -1].std()), float(one.std), float(one.leave_one_out))
+        for name, one in ends.items()
+    }
+
+
+PAYLOADS = (PAYLOAD, WIDE)
+"""The payload of the study, and one that spreads five times as much."""

@@ -1,0 +1,237 @@
+"""The figures of chapters 6 and 7, in the order in which the study's page tells them."""
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+import aleator as al
+from aleator.reporting import (
+    DASHES,
+    Axis,
+    Block,
+    Drawing,
+    count,
+    decision_path_figure,
+    front_figure,
+    given,
+    number,
+    price_figure,
+    projection_figure,
+    relative_figure,
+    signal_figure,
+    trajectory_figure,
+    words,
+)
+from aleator.studies._designs import margin_drawing
+from aleator.studies.suspension import GRID, road
+from aleator.studies.suspension._built import margins_text
+from aleator.studies.suspension._facts import (
+    RIDE_UNIT,
+    ROBUST_NARROW,
+    SPREADS,
+    UNITS,
+    WIDER_NARROW,
+    box,
+    cost,
+    start_of,
+)
+from aleator.studies.suspension._run import HOLDING, NARROW_TRAVEL, RIDE, TRAVEL, SuspensionResults
+
+RIDE_NAME, TRAVEL_NAME, HOLDING_NAME = "Ride ∫ z̈ₛ² dt, μ + σ", "Travel limit R", "Holding limit H"
+HOW_TO_SEE = "Filled markers: the swept limit holds the design; open markers: another limit does."
+
+
+def _axes(ride_limit: bool) -> dict[str, Axis]:
+    return {
+        "holding": Axis("Holding", "m", {"limit H": HOLDING}),
+        "travel": Axis("Travel", "m", {"limit R": TRAVEL}),
+        "ride": Axis("Ride", RIDE_UNIT, {"limit": RIDE} if ride_limit else {}),
+    }
+
+
+def projections(results: SuspensionResults, names: list[str], heading: str, place: str, caption: str) -> Drawing:
+    boxes = [box(results.designs[name], name) for name in names]
+    planes = (("holding", "travel"), ("holding", "ride"), ("travel", "ride"))
+    axes = _axes("aOpt" in names)
+    return Drawing([projection_figure(boxes, *plane, axes) for plane in planes], heading, caption, place)
+
+
+def robust_design(results: SuspensionResults) -> Iterator[Block]:
+    signal = signal_figure(np.asarray(GRID.times), np.asarray(road().values), name="Road height", unit="m")
+    yield Drawing([signal], "The road", "Four bumps of 0.15 m at 1, 5, 10 and 15 Hz, with noise on top.", "6.2")
+    pair = {name: one for name, one in results.travel_fronts.items() if name != "aOpt"}
+    if pair:
+        yield Drawing(
+            [_ride_front(pair, TRAVEL_NAME)],
+            f"Ride against the travel limit, H = {HOLDING:g} m",
+            f"{HOW_TO_SEE} {_transition(pair, 'travel', 'm')} Accounting for uncertainty shifts the whole trade-off up;"
+            " where the curves are flat, holding is active and more travel buys nothing.",
+            "6.4",
+        )
+        yield _price(pair, TRAVEL_NAME, "travel", "What a centimetre of travel is worth", 0.01, "cm")
+    if results.holding_fronts:
+        yield Drawing(
+            [_ride_front(results.holding_fronts, HOLDING_NAME)],
+            f"Ride against the holding limit, R = {TRAVEL:g} m",
+            f"{HOW_TO_SEE} {_transition(results.holding_fronts, 'holding', 'm')} The uncertain design changes over"
+            " first, because its box meets the travel limit earlier (figure 6.7). Crosses: no design meets all"
+            " limits.",
+            "6.5",
+        )
+        yield _price(
+            results.holding_fronts, HOLDING_NAME, "holding", "What a millimetre of holding is worth", 0.001, "mm"
+        )
+    both = [name for name in ("dOpt", "uOpt") if name in results.designs]
+    if len(both) == 2:
+        yield projections(
+            results,
+            both,
+            "Why uncertainty changes the active limit",
+            "6.6",
+            "The same limits, different ones active: dOpt stands on the holding limit; uOpt's box touches the travel"
+            " limit, which keeps its mean away from both.",
+        )
+    if results.boxes:
+        yield _holding_boxes(results)
+    if results.holding_fronts:
+        yield _decision_path(results)
+
+
+def _ride_front(fronts: dict[str, al.Front], x: str) -> Any:
+    return front_figure(fronts, x=x, x_unit="m", y=RIDE_NAME, y_unit=RIDE_UNIT)
+
+
+def _price(fronts: dict[str, al.Front], x: str, bound: str, heading: str, scale: float, unit: str) -> Drawing:
+    figure = price_figure(
+        fronts, x=x, x_unit="m", y="Price of the limit", y_unit=f"{RIDE_UNIT} per {unit}", scale=scale
+    )
+    return Drawing(
+        [figure],
+        heading,
+        f"The multiplier of the {bound} limit: how much ride improves if it is relaxed by 1 {unit}. Zero: relaxing it"
+        " buys nothing.",
+    )
+
+
+def _transition(fronts: dict[str, al.Front], bound: str, unit: str) -> str:
+    """Up to which value of its limit each front is held by it."""
+    parts = []
+    for name, front in fronts.items():
+        held = [
+            value
+            for value, one in zip(front.values, front.solutions, strict=True)
+            if one.ok and one.multiplier(bound) > 0
+        ]
+        if held:
+            parts.append(f"{name} up to {number(max(held), 3, unit)}")
+    return f"The {bound} limit is active for {words(parts)}." if parts else ""
+
+
+def _holding_boxes(results: SuspensionResults) -> Drawing:
+    boxes, limits = [], {}
+    for name, front in results.boxes.items():
+        for value, one, dash in zip(front.values, front.solutions, DASHES, strict=False):
+            limits[f"H = {value:g}"] = float(value)
+            if one.ok:
+                boxes.append(box(one, name, dash, f"H = {value:g} m"))
+    axes = {"holding": Axis("Holding", "m", limits), "travel": Axis("Travel", "m", {"limit R": TRAVEL})}
+    return Drawing(
+        [projection_figure(boxes, "holding", "travel", axes, height=520)],
+        "From an active holding limit to an active travel limit",
+        "Each box is drawn like the holding limit it belongs to. As H grows, uOpt's box climbs until it meets the"
+        " travel limit, and stays there: its last boxes coincide. dOpt, a point, still follows H.",
+        "6.7",
+    )
+
+
+def _decision_path(results: SuspensionResults) -> Drawing:
+    lowest = float(next(iter(results.designs.values())).problem.survey.decisions["k_s.mean"].decision.lower)
+    figure = decision_path_figure(
+        results.holding_fronts,
+        "b_s.mean",
+        "k_s.mean",
+        x="Damper, mean bₛ (N s/m)",
+        y="Spring, mean kₛ (N/m)",
+        bound_unit="m",
+        lower=lowest,
+        lower_text=f"lower bound of kₛ, {number(lowest)} N/m",
+    )
+    caption = (
+        "Along figure 6.5: the damper does the work; the spring leaves its lower bound only at the tightest holding"
+        " limits. Labels: the tightest limit that each design reaches."
+    )
+    return Drawing([figure], f"Spring and damper along the front, R = {TRAVEL:g} m", caption, "6.8")
+
+
+def violations(results: SuspensionResults) -> Iterator[Block]:
+    captions = {
+        "dOpt": (
+            "6.9",
+            "The deterministic design on random cars: best for the nominal car, no reserve for the others.",
+        ),
+        ROBUST_NARROW: ("6.10 a", "The robust design with a margin of 1 σ: an orderly bundle, few cars outside."),
+        WIDER_NARROW: ("6.10 b", "A little more margin, a = 1.25, and violations become rare."),
+    }
+    for name, (label, caption) in captions.items():
+        if one := results.narrow_evidence.get(name):
+            figure = trajectory_figure(one, "travel", y="Travel", unit="m", who="cars")
+            samples = f" Counted on {count(one.samples)} cars."
+            yield Drawing([figure], f"{name}, travel within ±{NARROW_TRAVEL:g} m", caption + samples, label)
+    for name, one in results.built.items():
+        yield margin_drawing(one, f"The margin to build {name} with", "cars", margins_text(one.margins))
+    if results.calibration is not None:
+        yield margin_drawing(results.calibration, "The margin that makes violations as rare as asked", "cars")
+
+
+def apportionment(results: SuspensionResults) -> Iterator[Block]:
+    front = results.travel_fronts.get("aOpt")
+    rides = {name: one for name, one in results.travel_fronts.items() if name != "aOpt"}
+    if front is not None:
+        start = results.designs.get("uOpt") or results.designs.get("dOpt")
+        yield Drawing(
+            [
+                front_figure(
+                    {"aOpt": front},
+                    x=TRAVEL_NAME,
+                    x_unit="m",
+                    y="Cost of the spreads",
+                    y_unit="$",
+                    limits={} if start is None else {f"initial spreads ${cost(start):.2f}": cost(start)},
+                )
+            ],
+            f"Cost to build against the travel limit (ride ≤ {RIDE:g}, H = {HOLDING:g} m)",
+            f"{HOW_TO_SEE} Above the line, spreads must be tighter than they are today; at the crosses no choice of"
+            " spreads meets all limits.",
+            "7.3",
+        )
+    if rides:
+        yield Drawing(
+            [
+                front_figure(
+                    rides,
+                    x=TRAVEL_NAME,
+                    x_unit="m",
+                    y=RIDE_NAME,
+                    y_unit=RIDE_UNIT,
+                    limits={f"ride limit of aOpt, {RIDE:g}": RIDE},
+                    infeasible={} if front is None else {"aOpt": front},
+                )
+            ],
+            "Why narrow travel has no apportioned design",
+            "Where uOpt lies above the ride limit, aOpt must tighten spreads to come below it. In the grey band even"
+            " that is not enough: the load mₛ and the tyre kᵤ keep their spread.",
+            "7.4",
+        )
+    if front is not None and front.solved.any():
+        names = {name: f"{text} (initially ±{_initial(front, name)})" for name, text in SPREADS.items()}
+        figure = relative_figure(front, names, x=TRAVEL_NAME, x_unit="m", y="Half-width (% of its initial value)")
+        caption = (
+            "The share of today's spread that each travel limit allows: above 100 % is cheaper than today, below is"
+            " dearer. Limits of the search: 5 % and 400 %."
+        )
+        yield Drawing([figure], "Apportioned spreads against the travel limit", caption, "7.5")
+
+
+def _initial(front: al.Front, name: str) -> str:
+    return given(start_of(front.solutions[0], name), UNITS[name.split(".")[0]])

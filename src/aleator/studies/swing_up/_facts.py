@@ -1,0 +1,150 @@
+"""What the page of the swing-up study says of its families: where they are, what they miss, what finer steps change."""
+
+from collections.abc import Callable, Mapping
+
+import numpy as np
+
+import aleator as al
+from aleator.nlp import HELD
+from aleator.references import estimate, group_count
+from aleator.reporting import Table, count, given, number
+from aleator.studies._motion.facts import duration
+from aleator.studies._motion.family import Family
+from aleator.studies._motion.printed import compared
+from aleator.studies._motion.results import MotionResults
+from aleator.studies._motion.views import Outputs, linkage
+from aleator.studies.swing_up import SMOOTHING, STEPS, TORQUE, VARIANCE
+from aleator.studies.swing_up._run import EXPECTED, FINER, MEAN
+
+LENGTH_1, LENGTH_2 = 0.5, 1.0
+TIP = (0.0, LENGTH_1 + LENGTH_2)
+REFERENCE = {MEAN: 27.8, EXPECTED: 30.6}
+PUBLISHED = {MEAN: ("1060", "5.66"), EXPECTED: ("310", "4.46")}
+PUBLISHED_VARIANCE = 0.0032
+FAR = 0.2
+"""An end further than this from upright, m, is a miss."""
+
+FRICTION = (
+    (
+        "The motion of the first joint is given, so the second link obeys its own equation, in which every term but"
+        " friction is proportional to its mass: inertia, weight, and the pull of the first link. Without friction the"
+        " mass cancels, all pendulums of the family swing alike, and the tip does not spread."
+    ),
+    (
+        "Friction also decides the energy: without it, whatever is put in stays in, so that any motion which never"
+        " brakes costs the same, the difference of the potential energy. With it, each second costs."
+    ),
+)
+
+
+def joints(outputs: Outputs) -> np.ndarray:
+    """Pivot, elbow and tip, m."""
+    q1 = outputs["q1"]
+    return linkage(LENGTH_1 * np.stack([-np.sin(q1), np.cos(q1)], axis=-1), outputs)
+
+
+def overloads(family: Family) -> np.ndarray:
+    """Which systems ask for more torque than there is, at any time."""
+    return np.abs(family.extremes["q1_torque"]).max(axis=1) > TORQUE * (1 + HELD)
+
+
+def missed(family: Family) -> al.Proportion:
+    """How many systems end too far from upright."""
+    x, y = (family.systems[name][:, -1] for name in ("tip_x", "tip_y"))
+    return al.Proportion(int(np.sum(np.hypot(x - TIP[0], y - TIP[1]) > FAR)), len(x))
+
+
+def terminal_norm(family: Family) -> str:
+    """The norm of the tip's variances at the end, m²."""
+    ends = np.stack([family.systems[name][:, -1] for name in ("tip_x", "tip_y")], axis=1)
+    return _estimated(lambda sample: np.hypot(*sample.var(axis=0, ddof=1)), ends)
+
+
+def _estimated(statistic: Callable[[np.ndarray], np.ndarray], sample: np.ndarray) -> str:
+    """A statistic of the sample, and one standard error of it."""
+    found = estimate(statistic, sample, group_count(len(sample)))
+    return f"{number(float(found.value), 3)} ± {number(float(found.standard_error), 2)}"
+
+
+def _ends(family: Family) -> list[str]:
+    def largest(torques: np.ndarray) -> np.ndarray:
+        return np.max(np.abs(torques.mean(axis=0)) + torques.std(axis=0, ddof=1))
+
+    means = [_estimated(np.mean, family.systems[name][:, -1]) for name in ("q2", "q2_rate")]
+    return [*means, terminal_norm(family), _estimated(largest, family.systems["q1_torque"])]
+
+
+def published_table(done: MotionResults) -> Table:
+    """What the dissertation prints and what an independent search finds, beside ours."""
+    printed = {name: float(energy) for name, (energy, _) in PUBLISHED.items()}
+    rows, ours = [], {name: plan.objective for name, plan in done.plans.items()}
+    for name, plan in done.plans.items():
+        energy, time = PUBLISHED.get(name, ("–", "–"))
+        family = done.families.get(name)
+        rows.append(
+            [
+                name,
+                energy,
+                f"{REFERENCE[name]} at most" if name in REFERENCE else "–",
+                number(plan.objective, 4),
+                time,
+                number(duration(plan), 3),
+                "–" if name != EXPECTED else given(PUBLISHED_VARIANCE),
+                "–" if family is None else terminal_norm(family),
+            ]
+        )
+    note = (
+        "The published numbers are called powers, in W, and are sums over an unstated number of samples for another"
+        f" friction. {compared(printed, ours, 'the energies')} Reference:"
+        " what an independent search found. Variances are those of the random pendulums flown, ± one standard error"
+        f" of that sample; the limit of the true one is {given(VARIANCE, 'm²')}, asked of the robust plans only."
+        " Powers are rounded off where they are zero, which lowers an energy by at most"
+        f" {given(SMOOTHING)} J a second."
+    )
+    header = [
+        "",
+        "Published (W)",
+        "Reference (J)",
+        "Ours (J)",
+        "Published t_f (s)",
+        "Ours (s)",
+        "Published variance (m²)",
+        "Ours (m²)",
+    ]
+    return Table("Published and reference values beside ours", header, rows, note)
+
+
+def steps_table(families: Mapping[str, Family], finer: Mapping[str, Family]) -> Table:
+    """The same systems with the steps of the problem and with finer ones."""
+    rows = []
+    for name, fine in finer.items():
+        for label, family in ((f"{name}, {STEPS} steps", families[name]), (f"{FINER * STEPS}", fine)):
+            rows.append([label, *_ends(family)])
+    header = [
+        "",
+        "E[q₂(t_f)] (rad)",
+        "E[q̇₂(t_f)] (rad/s)",
+        "Variance of the tip (m²)",
+        "Largest |μ| + σ of τ₁ (N m)",
+    ]
+    first = next(iter(finer.values()))
+    note = (
+        f"The same {count(len(first.systems['q2']))} random pendulums, integrated with RK4 in {STEPS} steps and in"
+        f" {FINER} times as many; ± is one standard error of that sample, which both rows of a plan share. What differs"
+        " between them is the error of the integration and, in the last column, above all that finer instants meet the"
+        " peak between the coarser ones. The robust plans are made so that the true means are zero and the true"
+        f" variance is at most {given(VARIANCE, 'm²')}: what is off by no more than the sample's error says nothing"
+        " against that. The deterministic plan brings up the pendulum of mean mass, not the mean of all pendulums."
+    )
+    return Table("The plans with finer steps", header, rows, note)
+
+
+def final_spread(family: Family) -> float:
+    """The standard deviation of the second joint at the end, rad."""
+    return float(family.systems["q2"][:, -1].std())
+
+
+def friction_table(families: Mapping[str, Family], frictionless: Mapping[str, Family]) -> Table:
+    """How far the second joint spreads, with friction and without."""
+    rows = [[name, *(number(final_spread(one[name]), 2) for one in (families, frictionless))] for name in frictionless]
+    return Table("σ of q₂ at the end (rad)", ["Plan", "With friction", "Without"], rows)

@@ -1,0 +1,58 @@
+"""Which swing-up to build, and why: the first screen of the page, from the results alone."""
+
+from collections.abc import Iterator, Mapping
+
+from aleator.reporting import Card, given, number, percent, share_text
+from aleator.studies._motion.build import CALIBRATED
+from aleator.studies._motion.facts import duration, violation_cards
+from aleator.studies._motion.family import Family
+from aleator.studies._motion.results import MotionResults
+from aleator.studies.swing_up._facts import FAR, final_spread, missed
+from aleator.studies.swing_up._run import ENERGY, EXPECTED, MEAN
+
+
+def sentences(done: MotionResults, frictionless: Mapping[str, Family]) -> Iterator[str]:
+    """What there is to say of the plans there are, and of what friction does."""
+    if MEAN in done.evidence and MEAN in done.families:
+        yield (
+            "Do not use the deterministic plan: flown on the family, it breaks the torque limit in"
+            f" {share_text(done.evidence[MEAN].joint)} of the cases and misses the target by more than"
+            f" {given(FAR, 'm')} in {share_text(missed(done.families[MEAN]))}."
+        )
+    if {MEAN, EXPECTED} <= set(done.plans) and EXPECTED in done.evidence:
+        more = percent(done.plans[EXPECTED].objective / done.plans[MEAN].objective - 1)
+        yield (
+            f"The robust plan of the printed margin, a = 1, brings the family up for {more} more energy, but"
+            f" {share_text(done.evidence[EXPECTED].joint)} of the pendulums ask for more torque than there is."
+        )
+    if {EXPECTED, ENERGY} <= set(done.plans):
+        first, second = (done.plans[name] for name in (EXPECTED, ENERGY))
+        yield (
+            f"Whether the energy of the expected torque is made least ({number(first.objective, 4, 'J')} in"
+            f" {number(duration(first), 3, 's')}) or the expected energy ({number(second.objective, 4, 'J')} in"
+            f" {number(duration(second), 3, 's')}) makes little difference: the torque spreads little where power"
+            " flows."
+        )
+    if EXPECTED in frictionless and EXPECTED in done.families:
+        with_friction, without = (final_spread(one[EXPECTED]) for one in (done.families, frictionless))
+        yield (
+            f"Friction makes the masses differ: the second joint ends with σ = {number(with_friction, 2, 'rad')};"
+            f" without friction all masses swing alike (σ = {number(without, 1, 'rad')}), and nothing would be"
+            " uncertain but the torque."
+        )
+
+
+def cards(done: MotionResults) -> Iterator[Card]:
+    """What the robust plans take, and how often they fail."""
+    for name in (EXPECTED, CALIBRATED):
+        if plan := done.plans.get(name):
+            yield Card(f"Energy, {name}", number(plan.objective, 4, "J"), f"in {number(duration(plan), 3, 's')}")
+    yield from violation_cards(done.evidence, (EXPECTED, CALIBRATED), "the torque limit")
+
+
+def left_below(done: MotionResults) -> str:
+    """How many pendulums the plan to build does not bring up: no limit of the problem says so."""
+    if CALIBRATED not in done.families:
+        return ""
+    share = share_text(missed(done.families[CALIBRATED]))
+    return f" Of the pendulums flown with it {share} end more than {given(FAR, 'm')} from upright."
