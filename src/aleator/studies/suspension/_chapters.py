@@ -119,9 +119,7 @@ def _transition(fronts: dict[str, al.Front], bound: str, unit: str) -> str:
     parts = []
     for name, front in fronts.items():
         held = [
-            value
-            for value, one in zip(front.values, front.solutions, strict=True)
-            if one.ok and one.multiplier(bound) > 0
+            value for value, one in zip(front.values, front.optima, strict=True) if one and one.multiplier(bound) > 0
         ]
         if held:
             parts.append(f"{name} up to {number(max(held), 3, unit)}")
@@ -131,9 +129,9 @@ def _transition(fronts: dict[str, al.Front], bound: str, unit: str) -> str:
 def _holding_boxes(results: SuspensionResults) -> Drawing:
     boxes, limits = [], {}
     for name, front in results.boxes.items():
-        for value, one, dash in zip(front.values, front.solutions, DASHES, strict=False):
+        for value, one, dash in zip(front.values, front.optima, DASHES, strict=False):
             limits[f"H = {value:g}"] = float(value)
-            if one.ok:
+            if one:
                 boxes.append(box(one, name, dash, f"H = {value:g} m"))
     axes = {"holding": Axis("Holding", "m", limits), "travel": Axis("Travel", "m", {"limit R": TRAVEL})}
     return Drawing(
