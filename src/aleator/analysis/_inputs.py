@@ -1,4 +1,4 @@
-"""Uncertain inputs and germ values: from one to the other and back, in plain numbers."""
+"""What has to be known in plain numbers: outputs that decide something, germ values of given inputs."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -6,21 +6,14 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
-from jaxtyping import Float
 
 from aleator._core.arrays import Pytree
 from aleator._core.errors import ProblemError
-from aleator.uncertainty import AbstractDistribution, AbstractGerm, Survey, uncertain_numbers
+from aleator.ensemble import concrete
+from aleator.uncertainty import AbstractDistribution, AbstractGerm
 
 # Germ values of unbounded laws are sought between these probability levels.
 _FURTHEST_LEVELS = (1e-300, 1 - 1e-16)
-
-
-def concrete(array: Any) -> np.ndarray | None:
-    """An array's values as they are now, beneath any differentiation; None while it is being compiled."""
-    below = jax.lax.stop_gradient(array)
-    return None if isinstance(below, Tracer) else np.asarray(below)
 
 
 def plain(outputs: Pytree) -> Pytree:
@@ -32,12 +25,6 @@ def plain(outputs: Pytree) -> Pytree:
             "jax.jit: expand outside of it (jax.grad alone is no obstacle), or by a fixed expansion."
         )
     return jax.tree.unflatten(jax.tree.structure(outputs), values)
-
-
-def inputs_at(laws: Mapping[str, AbstractDistribution], point: Float[Any, " variables"]) -> dict[str, float]:
-    """The uncertain inputs at one germ point, by name."""
-    numbers = uncertain_numbers(Survey(dict(laws), {}), jnp.asarray(point), jnp.zeros(0))
-    return {name: float(jax.lax.stop_gradient(number)) for name, number in numbers.items()}
 
 
 def germ_of(laws: Mapping[str, AbstractDistribution], inputs: Mapping[str, Any]) -> dict[str, float]:

@@ -6,13 +6,11 @@ from typing import final
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from aleator._core.arrays import Pytree
 from aleator._core.errors import ProblemError, SimulationError
-from aleator.references._evaluation import uncertain_places
-from aleator.references._outputs import UNTRACEABLE, Function, real_array
+from aleator.ensemble import UNTRACEABLE, Function, concrete, name_of, real_array, uncertain_places
 from aleator.uncertainty import Normal, Survey, realise, survey, uncertain_numbers, with_laws
 
 
@@ -41,13 +39,13 @@ class Inputs:
     def outputs(self, values: Float[Array, " inputs"]) -> Pytree:
         """The outputs at given values of the inputs, in their units and in the order of `laws`."""
         realised = realise(self._in_units, values, _initial(survey(self._in_units)))
-        return jax.tree.map(lambda value: real_array(value, jnp), self._function(realised))
+        return jax.tree.map(lambda value: real_array(value, name_of(self._function), jnp), self._function(realised))
 
     def refuse_nonfinite(self, expanded: Pytree) -> None:
         """Raise `SimulationError` if a value or derivative at the means is not finite, as far as it is known."""
         for leaf in jax.tree.leaves(expanded):
-            known = jax.lax.stop_gradient(leaf)
-            if not isinstance(known, Tracer) and not np.isfinite(known).all():
+            known = concrete(leaf)
+            if known is not None and not np.isfinite(known).all():
                 where = ", ".join(f"{name} ~ {law}" for name, law in self.laws.items())
                 raise SimulationError(
                     f"{self._verb}: the function or its derivative is not finite at the means of {where}. It needs a "

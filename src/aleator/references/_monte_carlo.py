@@ -6,9 +6,9 @@ from jaxtyping import Float
 from aleator._core.arrays import Pytree
 from aleator._core.errors import ProblemError
 from aleator._core.progress import Progress, silent
+from aleator.ensemble import Function, random_levels
 from aleator.references._estimate import group_count
-from aleator.references._evaluation import check_whole, evaluate, refuse_large_sample, uncertain_places
-from aleator.references._outputs import Function
+from aleator.references._evaluation import check_whole, ensemble_of, evaluate, refuse_large_sample
 from aleator.references._random_sample import RandomSample
 
 # Binary digits of a Sobol point. Its coordinates are multiples of 2^-30, 0 among them.
@@ -40,11 +40,10 @@ def monte_carlo(
     check_whole("monte_carlo", samples=samples, seed=seed, batch=batch)
     if samples < 4:
         raise ProblemError(f"monte_carlo: expected at least 4 samples; received {samples}.")
-    places = uncertain_places("monte_carlo", function, model)
-    refuse_large_sample("monte_carlo", samples, len(places.germs))
-    # Never 0, where unbounded laws are infinite; 1 is left out by the generator.
-    levels = np.random.default_rng(seed).uniform(np.finfo(float).tiny, 1.0, (samples, len(places.germs)))
-    values = evaluate(function, model, levels, traced=traced, batch=batch, progress=progress)
+    ensemble = ensemble_of("monte_carlo", function, model, traced=traced)
+    refuse_large_sample("monte_carlo", samples, len(ensemble.places.germs))
+    levels = random_levels(np.random.default_rng(seed), samples, len(ensemble.places.germs))
+    values = evaluate(ensemble, levels, batch=batch, progress=progress)
     return RandomSample(values, group_count(samples), seed)
 
 
@@ -66,9 +65,9 @@ def quasi_monte_carlo(
     never much slower than those of plain Monte Carlo. The other arguments, and the errors, are those of `monte_carlo`.
     """
     check_whole("quasi_monte_carlo", samples=samples, replicates=replicates, seed=seed, batch=batch)
-    places = uncertain_places("quasi_monte_carlo", function, model)
-    levels = scrambled_nets("quasi_monte_carlo", len(places.germs), samples, replicates, seed)
-    values = evaluate(function, model, levels, traced=traced, batch=batch, progress=progress)
+    ensemble = ensemble_of("quasi_monte_carlo", function, model, traced=traced)
+    levels = scrambled_nets("quasi_monte_carlo", len(ensemble.places.germs), samples, replicates, seed)
+    values = evaluate(ensemble, levels, batch=batch, progress=progress)
     return RandomSample(values, replicates, seed)
 
 

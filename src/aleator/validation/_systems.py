@@ -10,7 +10,7 @@ from aleator._core.arrays import numbers_to_arrays
 from aleator._core.errors import ProblemError, SimulationError
 from aleator.design import Problem, Solution, functionals_of, is_over_time, refuse_changed, uncertain, unsolved
 from aleator.dynamics import Grid
-from aleator.uncertainty import uncertain_numbers
+from aleator.ensemble import inputs_at, listed
 from aleator.validation._counted import finer_by, is_counted, sampled_by
 from aleator.validation._sampling import EXCESS_OVER_TIME, SIMULATE_BATCH, Batch
 
@@ -80,8 +80,7 @@ def _refuse_broken(problem: Problem, batch: Batch, germ: np.ndarray, decisions: 
     if good.all():
         return
     point = jnp.asarray(germ[np.argmin(good)])
-    numbers = uncertain_numbers(problem.survey, point, jnp.asarray(decisions))
-    where = ", ".join(f"{name}={float(number):.6g}" for name, number in numbers.items())
+    where = listed(inputs_at(problem.survey, point, jnp.asarray(decisions)))
     remedy = "Shorten the time step, use an implicit integrator (al.Kvaerno5), or bound the distributions."
     raise SimulationError(
         f"Monte Carlo: the simulation of the system with {where} is not finite. "
