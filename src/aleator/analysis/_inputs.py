@@ -12,7 +12,7 @@ from aleator._core.errors import ProblemError
 from aleator.ensemble import concrete
 from aleator.uncertainty import AbstractDistribution, AbstractGerm
 
-# Germ values of unbounded laws are sought between these probability levels.
+# Germ values of unbounded distributions are sought between these probability levels.
 _FURTHEST_LEVELS = (1e-300, 1 - 1e-16)
 
 
@@ -30,8 +30,8 @@ def plain(outputs: Pytree) -> Pytree:
 def germ_of(laws: Mapping[str, AbstractDistribution], inputs: Mapping[str, Any]) -> dict[str, float]:
     """The germ values at which the uncertain inputs have given values.
 
-    Raises `ProblemError` if an input is missing or unknown, if a value lies outside its law, or where laws depend on
-    several germ variables.
+    Raises `ProblemError` if an input is missing or unknown, if a value lies outside its distribution, or where that
+    depends on several germ variables.
     """
     if set(inputs) != set(laws):
         raise ProblemError(f"Expected a value for each of {list(laws)}; received {list(inputs)}.")
@@ -46,7 +46,7 @@ def germ_of(laws: Mapping[str, AbstractDistribution], inputs: Mapping[str, Any])
 
 
 def _inverted(name: str, law: AbstractDistribution, germ: AbstractGerm, value: float) -> float:
-    """The germ value at which one law has one value: laws increase with their germ."""
+    """The germ value at which one distribution has one value: each increases with its germ."""
 
     def excess(point: float) -> float:
         return float(jax.lax.stop_gradient(law.realised((jnp.asarray(point),)))) - value

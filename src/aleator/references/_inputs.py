@@ -18,13 +18,13 @@ from aleator.uncertainty import Normal, Survey, realise, survey, uncertain_numbe
 class Inputs:
     """What is uncertain in `function(model)`, with decisions at their initial values.
 
-    - `laws`: by name, decisions decided; `germs`: the law of each germ variable by name;
+    - `laws`: by name, decisions decided; `germs`: the distribution of each germ variable by name;
     - `owned`: the germ variables that one input alone depends on, and it on nothing else, with that input's name.
     """
 
     def __init__(self, verb: str, function: Function, model: Pytree):
         self._places = uncertain_places(verb, function, model)
-        # A standard normal law is its own germ: what stands in the place of its germ is the number itself.
+        # A standard normal number is its own germ: what stands in the place of its germ is the number itself.
         self._verb, self._function, self._in_units = verb, function, with_laws(model, lambda *_: Normal(0.0, 1.0))
         self.laws = {name: law.initial() for name, law in self._places.distributions.items()}
         self.germs = self._places.germs
@@ -54,7 +54,7 @@ class Inputs:
 
 
 def _initial(places: Survey) -> Float[Array, " n"]:
-    """The decisions at their initial values. Those inside of laws are none of a model in units."""
+    """The decisions at their initial values. A model in units has none inside of distributions."""
     return jnp.asarray(places.vector("initial"))
 
 

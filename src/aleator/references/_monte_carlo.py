@@ -29,8 +29,8 @@ def monte_carlo(
 
     - `function`: takes the model with plain numbers in the place of its distributions; gives an array or a dict of
       arrays (any pytree of them);
-    - `model`: a dict of laws or any other pytree with distributions in it, such as a `System`. Decisions in it stand at
-      their initial values;
+    - `model`: a dict or any other pytree with distributions in it, such as a `System`. Decisions in it stand at their
+      initial values;
     - `traced`: False calls the function with plain numbers, point by point, where JAX cannot trace it;
     - `batch`: how many inputs are taken at a time, where the function needs much memory. The sample is the same.
 
@@ -91,7 +91,7 @@ def scrambled_nets(
     from scipy.stats import qmc  # late: it takes a second to import
 
     nets = [qmc.Sobol(variables, **settings).random(points) for _ in range(replicates)]
-    # To the middle of the cells, away from 0, where unbounded laws are infinite.
+    # To the middle of the cells, away from 0, where unbounded distributions are infinite.
     return np.concatenate(nets) + 0.5 ** (_DIGITS + 1)
 
 

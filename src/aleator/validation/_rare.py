@@ -91,6 +91,7 @@ class _Limits:
             )
         self._rows = [i for i, one in enumerate(constraints) if one.name in self.names and is_counted(one)]
         self._tolerances = tolerances(solution)[self._rows]
+        self.systems.prepare(batch)
 
     def beyond(self, normals: Float[np.ndarray, "systems variables"]) -> Float[np.ndarray, "limits systems"]:
         """The excess over each limit, positive where it is broken; in batches of one size, compiled once."""

@@ -42,6 +42,13 @@ class Systems:
         counted = finer_by(solution)
         self._finer = None if counted == self._factor else _for_limits(self.problem, counted)
 
+    def prepare(self, batch: int) -> None:
+        """Begin to compile what batches of so many systems need: traced here, as a user's code is by one thread alone."""
+        germ = jnp.zeros((batch, len(self.germs)))
+        SIMULATE_BATCH.prepare(self._traced, germ, self._decisions, jnp.asarray(batch), self._factor)
+        if self._finer is not None:
+            EXCESS_OVER_TIME.prepare(self._finer, germ, self._decisions)
+
     def simulate(self, germ: Float[np.ndarray, "systems variables"], count: int) -> Batch:
         """The systems at some germ points. Those after the first `count` fill up the batch and do not count.
 

@@ -61,6 +61,7 @@ def validate(
         Part(done, draw(systems.germs, min(batch, samples - done), generator)) for done in range(0, samples, batch)
     )
     progress("Monte Carlo", 0, samples)
+    systems.prepare(batch)
     for part, found in each(lambda part: systems.simulate(fill(part.points, batch), len(part.points)), drawn):
         tally.add(found, part.first, len(part.points))
         progress("Monte Carlo", part.first + len(part.points), samples)
