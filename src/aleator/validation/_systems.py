@@ -43,7 +43,7 @@ class Systems:
         self._finer = None if counted == self._factor else _for_limits(self.problem, counted)
 
     def prepare(self, batch: int) -> None:
-        """Begin to compile what batches of so many systems need: traced here, as a user's code is by one thread alone."""
+        """Begin to compile what batches of so many systems need. A user's code is traced here, by one thread alone."""
         germ = jnp.zeros((batch, len(self.germs)))
         SIMULATE_BATCH.prepare(self._traced, germ, self._decisions, jnp.asarray(batch), self._factor)
         if self._finer is not None:
