@@ -230,7 +230,7 @@ def test_statistics_have_the_structure_of_the_outputs():
     assert "sum: mean" in str(sample)
     with pytest.raises(al.ProblemError, match=r"no output 'other'.*path"):
         sample["other"]
-    with pytest.raises(al.ProblemError, match="Leave"):
+    with pytest.raises(al.ProblemError, match="Drop"):
         sample["path"]["path"]
 
 

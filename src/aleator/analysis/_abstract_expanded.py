@@ -16,7 +16,7 @@ from typing_extensions import override
 from aleator._core.arrays import Pytree
 from aleator._core.errors import ProblemError
 from aleator.analysis._inputs import germ_of
-from aleator.ensemble import at_levels, random_levels
+from aleator.ensemble import at_levels, part, random_levels
 from aleator.expansion import Basis
 from aleator.statistics import AbstractMeasured, AbstractStatistic, Correlation, Covariance
 from aleator.uncertainty import AbstractDistribution, AbstractGerm
@@ -107,15 +107,6 @@ def paired(outputs: Pytree, first: str, second: str) -> Array:
     if shapes[0] != shapes[1]:
         raise ProblemError(f"'{first}' and '{second}' have different shapes: {shapes[0]} and {shapes[1]}.")
     return jnp.stack([one, other], axis=-1)
-
-
-def part(outputs: Pytree, name: str) -> Pytree:
-    """One output of a dict."""
-    if not isinstance(outputs, dict):
-        raise ProblemError(f"There is one output, without a name; received '{name}'. Leave ['{name}'] away.")
-    if name not in outputs:
-        raise ProblemError(f"There is no output '{name}'; expected one of {list(outputs)}.")
-    return outputs[name]
 
 
 def checked_points(points: Any, germs: Mapping[str, AbstractGerm]) -> Float[np.ndarray, "n variables"]:

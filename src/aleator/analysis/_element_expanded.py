@@ -15,11 +15,11 @@ from typing_extensions import override
 from aleator._core.arrays import Pytree
 from aleator._core.tracing import evaluate
 from aleator.analysis import _sampled_law as sampled_law
-from aleator.analysis._abstract_expanded import AbstractExpanded, checked_points, paired, part, prepared
+from aleator.analysis._abstract_expanded import AbstractExpanded, checked_points, paired, prepared
 from aleator.analysis._element_sobol import Rule, variance_part
 from aleator.analysis._expanded_text import as_lines, law_rows, nothing, output_rows
 from aleator.analysis._partition import Partition
-from aleator.ensemble import inputs_at
+from aleator.ensemble import inputs_at, part
 from aleator.statistics import (
     AbstractStatistic,
     Covariance,

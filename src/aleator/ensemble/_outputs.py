@@ -37,6 +37,15 @@ def real_array(value: Any, name: str, library: Any) -> Any:
     return library.asarray(value, dtype=float)
 
 
+def part(outputs: Pytree, name: str) -> Pytree:
+    """One output of a dict."""
+    if not isinstance(outputs, dict):
+        raise ProblemError(f"There is one output, without a name; received '{name}'. Drop ['{name}'].")
+    if name not in outputs:
+        raise ProblemError(f"There is no output '{name}'; expected one of {list(outputs)}.")
+    return outputs[name]
+
+
 def concrete(array: Any) -> np.ndarray | None:
     """An array's values as they are now, beneath any differentiation; None while it is being compiled."""
     below = jax.lax.stop_gradient(array)
