@@ -26,6 +26,7 @@ CHECKED = [
         "geometry",
         "design",
         "nlp",
+        "ensemble",
         "transcription",
         "solving",
         "validation",

@@ -110,6 +110,7 @@ def test_the_code_of_a_model_is_run_by_the_thread_that_solves_and_no_other():
         )
     )
     assert solution.ok
+    assert al.validate(solution, 1000, batch=100).samples == 1000
     assert {threading.get_ident()} == RUN_BY
 
 

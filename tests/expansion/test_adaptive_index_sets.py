@@ -171,7 +171,9 @@ def test_an_output_that_is_not_finite_is_named_with_its_point():
     def model(xi):
         return {"force": np.where(np.arange(len(xi)) == 4, np.nan, xi[:, 0])}
 
-    with pytest.raises(SimulationError, match=r"output 'force' is not finite at 1 of 9 .* point 5 \(germ x1=.*, x2="):
+    with pytest.raises(
+        SimulationError, match=r"not finite at 1 of 9 points: output 'force' first at point 5 \(germ x1=.*, x2="
+    ):
         collocate(uniform(2), Expansion(index_set=Adaptive()), model)
 
 
@@ -179,7 +181,9 @@ def test_points_are_counted_on_when_the_set_has_grown():
     def model(xi):
         return np.where(len(xi) == 9, np.exp(3 * xi[:, 0]), np.where(np.arange(len(xi)) == 1, np.inf, xi[:, 0]))
 
-    with pytest.raises(SimulationError, match=r"not finite at 1 of \d+ .* point 11 \(germ x1="):
+    with pytest.raises(
+        SimulationError, match=r"not finite at 1 of \d+ points after 9 finite ones: .* point 11 \(germ x1="
+    ):
         collocate(uniform(2), Expansion(index_set=Adaptive()), model)
 
 

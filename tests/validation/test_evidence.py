@@ -10,9 +10,10 @@ from scipy import stats
 
 import aleator as al
 from aleator._core import beside
+from aleator.ensemble import draw
 from aleator.uncertainty import LegendreGerm
 from aleator.validation import PERCENTILES, Proportion
-from aleator.validation._sampling import SIMULATE_BATCH, draw
+from aleator.validation._sampling import SIMULATE_BATCH
 from tiny_models import (
     HALF_WIDTH,
     LOSS,

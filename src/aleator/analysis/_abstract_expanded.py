@@ -16,6 +16,7 @@ from typing_extensions import override
 from aleator._core.arrays import Pytree
 from aleator._core.errors import ProblemError
 from aleator.analysis._inputs import germ_of
+from aleator.ensemble import at_levels, part, random_levels
 from aleator.expansion import Basis
 from aleator.statistics import AbstractMeasured, AbstractStatistic, Correlation, Covariance
 from aleator.uncertainty import AbstractDistribution, AbstractGerm
@@ -67,10 +68,8 @@ class AbstractExpanded(eqx.Module, AbstractMeasured[Pytree]):
 
     def sample(self, count: int, seed: int) -> Pytree:
         """The expansion at `count` random germ points: shape (count, *shape) of each output."""
-        generator = np.random.default_rng(seed)
-        # Never 0, where unbounded laws are infinite; 1 is left out by the generator.
-        columns = [germ.quantile(generator.uniform(np.finfo(float).tiny, 1.0, count)) for germ in self.germs.values()]
-        return self.at_germ(np.stack(columns, axis=1))
+        levels = random_levels(np.random.default_rng(seed), len(self.germs), count).T
+        return self.at_germ(at_levels(self.germs.values(), levels))
 
     def __call__(self, inputs: Mapping[str, Any]) -> Pytree:
         """The expansion in the place of the function: the outputs at one plain value of each uncertain input, by name.
@@ -108,15 +107,6 @@ def paired(outputs: Pytree, first: str, second: str) -> Array:
     if shapes[0] != shapes[1]:
         raise ProblemError(f"'{first}' and '{second}' have different shapes: {shapes[0]} and {shapes[1]}.")
     return jnp.stack([one, other], axis=-1)
-
-
-def part(outputs: Pytree, name: str) -> Pytree:
-    """One output of a dict."""
-    if not isinstance(outputs, dict):
-        raise ProblemError(f"There is one output, without a name; received '{name}'. Leave ['{name}'] away.")
-    if name not in outputs:
-        raise ProblemError(f"There is no output '{name}'; expected one of {list(outputs)}.")
-    return outputs[name]
 
 
 def checked_points(points: Any, germs: Mapping[str, AbstractGerm]) -> Float[np.ndarray, "n variables"]:

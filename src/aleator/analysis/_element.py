@@ -12,7 +12,7 @@ from jaxtyping import Float
 from aleator._core.arrays import Pytree
 from aleator.analysis._box import Box
 from aleator.analysis._inputs import plain
-from aleator.analysis._sampling import AbstractSampler
+from aleator.analysis._sampling import Sampler
 from aleator.expansion import Basis, Expansion, collocate, leave_one_out
 from aleator.uncertainty import AbstractGerm
 
@@ -40,7 +40,7 @@ class Element:
         return [matrix @ terms for terms in self.known]
 
 
-def element(box: Box, germs: Mapping[str, AbstractGerm], expansion: Expansion, sampler: AbstractSampler) -> Element:
+def element(box: Box, germs: Mapping[str, AbstractGerm], expansion: Expansion, sampler: Sampler) -> Element:
     """Expand all outputs in one box."""
     basis, collocation = collocate(box.germs(germs), expansion)
     samples = sampler.samples(collocation.points)

@@ -15,11 +15,11 @@ from typing_extensions import override
 from aleator._core.arrays import Pytree
 from aleator._core.tracing import evaluate
 from aleator.analysis import _sampled_law as sampled_law
-from aleator.analysis._abstract_expanded import AbstractExpanded, checked_points, paired, part, prepared
+from aleator.analysis._abstract_expanded import AbstractExpanded, checked_points, paired, prepared
 from aleator.analysis._element_sobol import Rule, variance_part
 from aleator.analysis._expanded_text import as_lines, law_rows, nothing, output_rows
-from aleator.analysis._inputs import inputs_at
 from aleator.analysis._partition import Partition
+from aleator.ensemble import inputs_at, part
 from aleator.statistics import (
     AbstractStatistic,
     Covariance,
@@ -38,7 +38,7 @@ from aleator.statistics import (
     varies,
 )
 from aleator.statistics._moments import root
-from aleator.uncertainty import AbstractDistribution, AbstractGerm
+from aleator.uncertainty import AbstractDistribution, AbstractGerm, Survey
 
 
 @final
@@ -199,6 +199,7 @@ class ElementExpanded(AbstractExpanded):
         smallest = min(range(len(self.partition.boxes)), key=lambda k: self.partition.boxes[k].probability)
         box, germs = self.partition.boxes[smallest], self.partition.bases[smallest].germs
         ends = np.array([germ.support() for germ in germs.values()]).T
-        low, high = (inputs_at(self.laws, end) for end in ends)
+        places = Survey(dict(self.laws), {})
+        low, high = (inputs_at(places, end, jnp.zeros(0)) for end in ends)
         where = ", ".join(f"{name} from {low[name]:.6g} to {high[name]:.6g}" for name in self.laws)
         return f"{times}; the smallest element: {where}, probability {box.probability:.2g}"

@@ -13,11 +13,11 @@ from aleator._core.errors import ExpansionWarning, ProblemError
 from aleator.analysis._element_expanded import ElementExpanded
 from aleator.analysis._expanded import Expanded
 from aleator.analysis._expanded_text import extrapolates
-from aleator.analysis._inputs import concrete
 from aleator.analysis._multi_element import MultiElement
 from aleator.analysis._partition import Partition
 from aleator.analysis._refinement import Refinement
-from aleator.analysis._sampling import AbstractSampler, CalledSampler, Function, TracedSampler
+from aleator.analysis._sampling import Sampler
+from aleator.ensemble import Function, concrete
 from aleator.expansion import (
     ILL_CONDITIONED,
     Adaptive,
@@ -70,7 +70,7 @@ def expand(
     output is not finite. Warns with `ExpansionWarning` if an output is not resolved, or if the condition number of the
     collocation matrix exceeds a million.
     """
-    sampler = sampler_of(function, model, traced)
+    sampler = Sampler(function, model, traced=traced)
     if isinstance(expansion, MultiElement):
         return _in_elements(sampler, expansion)
     if not isinstance(expansion, Expansion | None):
@@ -84,7 +84,7 @@ def expand(
     return expanded
 
 
-def _in_elements(sampler: AbstractSampler, wish: MultiElement) -> ElementExpanded:
+def _in_elements(sampler: Sampler, wish: MultiElement) -> ElementExpanded:
     refinement = Refinement(sampler, wish)
     refinement.run()
     elements, calls, error = refinement.elements, refinement.calls, refinement.error
@@ -101,20 +101,7 @@ def _in_elements(sampler: AbstractSampler, wish: MultiElement) -> ElementExpande
     return ElementExpanded(sampler.laws, partition, coefficients, tuple(refinement.splits), calls, error)
 
 
-def sampler_of(function: Function, model: Pytree, traced: bool) -> AbstractSampler:
-    """The function ready to be sampled. Raises `ProblemError` if nothing in its model is uncertain."""
-    if not callable(function):
-        raise ProblemError(f"expand: expected a function of the model; received {function!r}.")
-    sampler = (TracedSampler if traced else CalledSampler)(function, model)
-    if not sampler.places.distributions:
-        raise ProblemError(
-            "expand: nothing in the model is uncertain; put a distribution, such as al.Uniform.bounds(0.9, 1.1), in "
-            "the place of a number."
-        )
-    return sampler
-
-
-def _discretised(sampler: AbstractSampler, expansion: Expansion) -> Discretisation:
+def _discretised(sampler: Sampler, expansion: Expansion) -> Discretisation:
     """Basis and collocation: built once for all functions of one germ, unless the outputs choose the terms."""
     germs = tuple(sampler.places.germs.items())
     if isinstance(expansion.index_set, Adaptive) or isinstance(expansion.fit, Sparse):

@@ -12,10 +12,10 @@ from typing_extensions import override
 
 from aleator._core.arrays import Pytree, numbers_to_arrays
 from aleator._core.tracing import evaluate
-from aleator.analysis._abstract_expanded import AbstractExpanded, checked_points, paired, part, prepared
+from aleator.analysis._abstract_expanded import AbstractExpanded, checked_points, paired, prepared
 from aleator.analysis._expanded_text import as_lines, contributors, law_rows, nothing, output_rows, trust
-from aleator.analysis._inputs import concrete
 from aleator.analysis._shapley import shapley_matrix
+from aleator.ensemble import concrete, part
 from aleator.expansion import UNRESOLVED, Basis, Collocation, jackknife, leave_one_out, unseen
 from aleator.statistics import AbstractStatistic, a_statistic, cdf, lines_through, pdf, refuse_correlated, varies
 from aleator.uncertainty import AbstractDistribution, AbstractGerm

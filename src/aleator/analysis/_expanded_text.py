@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from aleator._core.arrays import Pytree
-from aleator.analysis._inputs import concrete
+from aleator.ensemble import concrete
 from aleator.expansion import Basis
 from aleator.uncertainty import AbstractDistribution
 

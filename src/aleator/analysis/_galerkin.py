@@ -17,10 +17,10 @@ from aleator._core.leaves import transparent
 from aleator._core.tracing import trace
 from aleator.analysis._expanded import Expanded
 from aleator.analysis._galerkin_equations import projected_outputs, unsolved_node
-from aleator.analysis._inputs import concrete
 from aleator.analysis._projection import Quadrature, quadrature_over
 from aleator.dynamics import AbstractIntegrator, AlgebraicSystem, Grid, System, simulate
 from aleator.dynamics._system import check_inputs, derivative, initial_state, observation
+from aleator.ensemble import concrete
 from aleator.expansion import Adaptive, Basis, Expansion
 from aleator.trajectories import AbstractSignal
 from aleator.uncertainty import realise, survey

@@ -1,4 +1,4 @@
-"""Uncertain inputs and germ values: from one to the other and back, in plain numbers."""
+"""What has to be known in plain numbers: outputs that decide something, germ values of given inputs."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -6,21 +6,14 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
-from jaxtyping import Float
 
 from aleator._core.arrays import Pytree
 from aleator._core.errors import ProblemError
-from aleator.uncertainty import AbstractDistribution, AbstractGerm, Survey, uncertain_numbers
+from aleator.ensemble import concrete
+from aleator.uncertainty import AbstractDistribution, AbstractGerm
 
-# Germ values of unbounded laws are sought between these probability levels.
+# Germ values of unbounded distributions are sought between these probability levels.
 _FURTHEST_LEVELS = (1e-300, 1 - 1e-16)
-
-
-def concrete(array: Any) -> np.ndarray | None:
-    """An array's values as they are now, beneath any differentiation; None while it is being compiled."""
-    below = jax.lax.stop_gradient(array)
-    return None if isinstance(below, Tracer) else np.asarray(below)
 
 
 def plain(outputs: Pytree) -> Pytree:
@@ -34,17 +27,11 @@ def plain(outputs: Pytree) -> Pytree:
     return jax.tree.unflatten(jax.tree.structure(outputs), values)
 
 
-def inputs_at(laws: Mapping[str, AbstractDistribution], point: Float[Any, " variables"]) -> dict[str, float]:
-    """The uncertain inputs at one germ point, by name."""
-    numbers = uncertain_numbers(Survey(dict(laws), {}), jnp.asarray(point), jnp.zeros(0))
-    return {name: float(jax.lax.stop_gradient(number)) for name, number in numbers.items()}
-
-
 def germ_of(laws: Mapping[str, AbstractDistribution], inputs: Mapping[str, Any]) -> dict[str, float]:
     """The germ values at which the uncertain inputs have given values.
 
-    Raises `ProblemError` if an input is missing or unknown, if a value lies outside its law, or where laws depend on
-    several germ variables.
+    Raises `ProblemError` if an input is missing or unknown, if a value lies outside its distribution, or where that
+    depends on several germ variables.
     """
     if set(inputs) != set(laws):
         raise ProblemError(f"Expected a value for each of {list(laws)}; received {list(inputs)}.")
@@ -59,7 +46,7 @@ def germ_of(laws: Mapping[str, AbstractDistribution], inputs: Mapping[str, Any])
 
 
 def _inverted(name: str, law: AbstractDistribution, germ: AbstractGerm, value: float) -> float:
-    """The germ value at which one law has one value: laws increase with their germ."""
+    """The germ value at which one distribution has one value: each increases with its germ."""
 
     def excess(point: float) -> float:
         return float(jax.lax.stop_gradient(law.realised((jnp.asarray(point),)))) - value

@@ -10,8 +10,9 @@ from jaxtyping import Float
 from aleator.analysis._box import Box
 from aleator.analysis._element import Element, element, flat
 from aleator.analysis._multi_element import MultiElement
-from aleator.analysis._sampling import AbstractSampler
-from aleator.expansion import Basis, Expansion
+from aleator.analysis._sampling import Sampler
+from aleator.ensemble import at_levels, random_levels
+from aleator.expansion import Expansion
 
 # Fresh points at which elements that look good are tried: a jump between the samples of an element is invisible to it.
 _FRESH_POINTS = 128
@@ -28,7 +29,7 @@ class Refinement:
     - `error`: the estimated relative root mean square error of the piecewise expansion.
     """
 
-    def __init__(self, sampler: AbstractSampler, wish: MultiElement):
+    def __init__(self, sampler: Sampler, wish: MultiElement):
         self._sampler, self._wish, self._expansion = sampler, wish, Expansion(wish.order)
         self.germs = sampler.places.germs
         self.elements: list[Element] = []
@@ -80,8 +81,8 @@ class Refinement:
 
     def _try_fresh_points(self) -> None:
         """Raise the errors of elements to what they are at points that no fit has seen."""
-        levels = self._generator.uniform(np.finfo(float).tiny, 1.0, (_FRESH_POINTS, len(self.germs)))
-        points = Basis(self.germs, self.elements[0].basis.indices).map_to_germ(levels)
+        levels = random_levels(self._generator, _FRESH_POINTS, len(self.germs))
+        points = at_levels(self.germs.values(), levels)
         values = flat(self._sampler.samples(jnp.asarray(points)))
         self.calls += _FRESH_POINTS
         self._fresh_variance = np.array([one.var(axis=0).sum() for one in values])

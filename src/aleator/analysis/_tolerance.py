@@ -12,8 +12,9 @@ import numpy as np
 from aleator._core.arrays import Pytree
 from aleator._core.errors import ProblemError, SimulationError
 from aleator._core.given import one_of, real_array
-from aleator.analysis._expand import expand, sampler_of
+from aleator.analysis._expand import expand
 from aleator.analysis._expanded import Expanded
+from aleator.analysis._sampling import Sampler
 from aleator.analysis._zones import Zone, in_zones, zones_of
 from aleator.dynamics import AlgebraicSystem, explain_failure, simulate
 from aleator.expansion import Expansion
@@ -192,7 +193,7 @@ def _worst_case(function: Callable[[Any], Any], model: Pytree, expansion: Expans
     if over_zones.basis.variables > _MOST_CORNERS:
         return low, high
     corners = jnp.asarray(list(product((-1.0, 1.0), repeat=over_zones.basis.variables)))
-    values = np.asarray(sampler_of(function, model, traced=True).samples(corners))
+    values = np.asarray(Sampler(function, model, traced=True).samples(corners))
     return min(low, float(values.min())), max(high, float(values.max()))
 
 

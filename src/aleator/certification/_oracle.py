@@ -21,11 +21,9 @@ from aleator.design import (
     responses,
     step_at,
 )
+from aleator.ensemble import in_batches
 from aleator.transcription import germ_box
 from aleator.uncertainty import named_numbers
-
-# Realisations that are simulated together: one compiled size serves all.
-_TOGETHER = 64
 
 
 def worst_case_limits(problem: Problem) -> tuple[Constraint, ...]:
@@ -85,14 +83,8 @@ class Oracle:
         self.asked = 0
 
     def __call__(self, germ: Float[np.ndarray, "points variables"], decisions: np.ndarray) -> Reached:
-        parts = []
-        for first in range(0, len(germ), _TOGETHER):
-            some = germ[first : first + _TOGETHER]
-            filled = jnp.asarray(np.resize(some, (_TOGETHER, germ.shape[1])))
-            found = REACHED(self._traced, filled, jnp.asarray(decisions))
-            parts.append([np.asarray(one)[: len(some)] for one in found])
         self.asked += len(germ)
-        return Reached(*(np.concatenate(one) for one in zip(*parts, strict=True)))
+        return Reached(*in_batches(REACHED, self._traced, germ, jnp.asarray(decisions)))
 
     def germ(self, points: Points) -> Float[np.ndarray, "points variables"]:
         """Points of the unit box in the germ's box."""

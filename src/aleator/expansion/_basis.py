@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from aleator._core.memory import NUMBER, refuse_beyond_memory
+from aleator.ensemble import at_levels
 from aleator.expansion._index_set import SMALLER
 from aleator.uncertainty import AbstractGerm
 
@@ -70,5 +71,4 @@ class Basis:
 
     def map_to_germ(self, levels: Float[np.ndarray, "n variables"]) -> Float[np.ndarray, "n variables"]:
         """Points of the unit cube as germ values, by the quantile functions."""
-        columns = [germ.quantile(levels[:, i]) for i, germ in enumerate(self.germs.values())]
-        return np.stack(columns, axis=1) if columns else levels
+        return at_levels(self.germs.values(), levels)

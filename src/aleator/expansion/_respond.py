@@ -1,6 +1,6 @@
 """What a model answers at germ points, where terms are chosen by its outputs: checked, and made ready to compare."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import TypeAlias
 
 import jax
@@ -8,7 +8,8 @@ import numpy as np
 from jaxtyping import Float
 
 from aleator._core.arrays import Pytree
-from aleator._core.errors import ProblemError, SimulationError
+from aleator._core.errors import ProblemError
+from aleator.ensemble import listed, refuse_nonfinite
 
 Respond: TypeAlias = Callable[[Float[np.ndarray, "points variables"]], Pytree]
 """A model's outputs at germ points: an array with a leading axis for the points, or a pytree of such arrays."""
@@ -26,7 +27,8 @@ def responses(
 
     Raises `ProblemError` if an output lacks the leading axis for the points, `SimulationError` where one is not finite.
     """
-    leaves = jax.tree_util.tree_leaves_with_path(respond(points))
+    answer = respond(points)
+    leaves = jax.tree_util.tree_leaves_with_path(answer)
     if not leaves:
         raise ProblemError("Expansion: the model has no output to choose terms by; give it at least one.")
     outputs = []
@@ -39,7 +41,11 @@ def responses(
                 f"shape {values.shape}."
             )
         outputs.append(values.reshape(len(points), -1))
-        _refuse_nonfinite(name, dict(zip(names, points.T, strict=True)), outputs[-1], before)
+
+    def germ(index: int) -> str:
+        return f"germ {listed(dict(zip(names, points[index], strict=True)))}"
+
+    refuse_nonfinite("The model", answer, germ, before)
     return tuple(outputs)
 
 
@@ -65,16 +71,3 @@ def principal(values: Float[np.ndarray, "points entries"]) -> Float[np.ndarray, 
     """The principal components of a matrix, the largest first."""
     left, sizes, _ = np.linalg.svd(values, full_matrices=False)
     return left * sizes[None, :]
-
-
-def _refuse_nonfinite(
-    name: str, germ: Mapping[str, np.ndarray], values: Float[np.ndarray, "points entries"], before: int
-) -> None:
-    bad = np.any(~np.isfinite(values), axis=1)
-    if bad.any():
-        first = int(np.argmax(bad))
-        where = ", ".join(f"{variable}={column[first]:.6g}" for variable, column in germ.items())
-        raise SimulationError(
-            f"The output {name} is not finite at {np.count_nonzero(bad)} of {len(values)} collocation points, first at "
-            f"point {before + first + 1} (germ {where}). Narrow the laws of the inputs, or mend the model there."
-        )

@@ -6,13 +6,11 @@ from typing import final
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from aleator._core.arrays import Pytree
 from aleator._core.errors import ProblemError, SimulationError
-from aleator.references._evaluation import uncertain_places
-from aleator.references._outputs import UNTRACEABLE, Function, real_array
+from aleator.ensemble import UNTRACEABLE, Function, concrete, name_of, real_array, uncertain_places
 from aleator.uncertainty import Normal, Survey, realise, survey, uncertain_numbers, with_laws
 
 
@@ -20,13 +18,13 @@ from aleator.uncertainty import Normal, Survey, realise, survey, uncertain_numbe
 class Inputs:
     """What is uncertain in `function(model)`, with decisions at their initial values.
 
-    - `laws`: by name, decisions decided; `germs`: the law of each germ variable by name;
+    - `laws`: by name, decisions decided; `germs`: the distribution of each germ variable by name;
     - `owned`: the germ variables that one input alone depends on, and it on nothing else, with that input's name.
     """
 
     def __init__(self, verb: str, function: Function, model: Pytree):
         self._places = uncertain_places(verb, function, model)
-        # A standard normal law is its own germ: what stands in the place of its germ is the number itself.
+        # A standard normal number is its own germ: what stands in the place of its germ is the number itself.
         self._verb, self._function, self._in_units = verb, function, with_laws(model, lambda *_: Normal(0.0, 1.0))
         self.laws = {name: law.initial() for name, law in self._places.distributions.items()}
         self.germs = self._places.germs
@@ -41,13 +39,13 @@ class Inputs:
     def outputs(self, values: Float[Array, " inputs"]) -> Pytree:
         """The outputs at given values of the inputs, in their units and in the order of `laws`."""
         realised = realise(self._in_units, values, _initial(survey(self._in_units)))
-        return jax.tree.map(lambda value: real_array(value, jnp), self._function(realised))
+        return jax.tree.map(lambda value: real_array(value, name_of(self._function), jnp), self._function(realised))
 
     def refuse_nonfinite(self, expanded: Pytree) -> None:
         """Raise `SimulationError` if a value or derivative at the means is not finite, as far as it is known."""
         for leaf in jax.tree.leaves(expanded):
-            known = jax.lax.stop_gradient(leaf)
-            if not isinstance(known, Tracer) and not np.isfinite(known).all():
+            known = concrete(leaf)
+            if known is not None and not np.isfinite(known).all():
                 where = ", ".join(f"{name} ~ {law}" for name, law in self.laws.items())
                 raise SimulationError(
                     f"{self._verb}: the function or its derivative is not finite at the means of {where}. It needs a "
@@ -56,7 +54,7 @@ class Inputs:
 
 
 def _initial(places: Survey) -> Float[Array, " n"]:
-    """The decisions at their initial values. Those inside of laws are none of a model in units."""
+    """The decisions at their initial values. A model in units has none inside of distributions."""
     return jnp.asarray(places.vector("initial"))
 
 

@@ -11,8 +11,8 @@ from jaxtyping import Array, Float
 
 from aleator._core.arrays import Pytree, Scalar
 from aleator._core.errors import ProblemError
+from aleator.ensemble import Function, part
 from aleator.references._inputs import Inputs, traceable
-from aleator.references._outputs import Function, part
 from aleator.statistics._moments import root
 from aleator.uncertainty import AbstractDistribution, HermiteGerm
 
@@ -96,7 +96,7 @@ def linearise(function: Function, model: Pytree) -> Linearised:
 
     - `function`: takes the model with plain numbers in the place of its distributions; gives an array or a dict of
       arrays, written with jax.numpy;
-    - `model`: a dict of laws or any other pytree with distributions in it. Decisions stand at their initial values.
+    - `model`: a dict or any other pytree with distributions in it. Decisions stand at their initial values.
 
     Means and standard deviations are those of the laws, whatever their form; the correlations are those of
     `al.correlated`. The method is exact for linear
@@ -131,7 +131,7 @@ def _correlation(laws: Sequence[AbstractDistribution]) -> Float[Array, "inputs i
 
 
 def _pearson(one: AbstractDistribution, other: AbstractDistribution, rho: Float[Array, ""]) -> Float[Array, ""]:
-    """The correlation of two laws whose normal variables have the correlation `rho`."""
+    """The correlation of two numbers whose normal variables have the correlation `rho`."""
     nodes, weights = map(jnp.asarray, HermiteGerm().gauss(_NODES))
     second = rho * nodes[:, None] + jnp.sqrt(1 - rho**2) * nodes[None, :]
     left = jax.vmap(one.value_at_normal)(nodes)

@@ -6,9 +6,9 @@ from jaxtyping import Float
 from aleator._core.arrays import Pytree
 from aleator._core.errors import ProblemError
 from aleator._core.progress import Progress, silent
+from aleator.ensemble import Function, random_levels
 from aleator.references._estimate import group_count
-from aleator.references._evaluation import check_whole, evaluate, refuse_large_sample, uncertain_places
-from aleator.references._outputs import Function
+from aleator.references._evaluation import check_whole, ensemble_of, evaluate, refuse_large_sample
 from aleator.references._random_sample import RandomSample
 
 # Binary digits of a Sobol point. Its coordinates are multiples of 2^-30, 0 among them.
@@ -29,8 +29,8 @@ def monte_carlo(
 
     - `function`: takes the model with plain numbers in the place of its distributions; gives an array or a dict of
       arrays (any pytree of them);
-    - `model`: a dict of laws or any other pytree with distributions in it, such as a `System`. Decisions in it stand at
-      their initial values;
+    - `model`: a dict or any other pytree with distributions in it, such as a `System`. Decisions in it stand at their
+      initial values;
     - `traced`: False calls the function with plain numbers, point by point, where JAX cannot trace it;
     - `batch`: how many inputs are taken at a time, where the function needs much memory. The sample is the same.
 
@@ -40,11 +40,10 @@ def monte_carlo(
     check_whole("monte_carlo", samples=samples, seed=seed, batch=batch)
     if samples < 4:
         raise ProblemError(f"monte_carlo: expected at least 4 samples; received {samples}.")
-    places = uncertain_places("monte_carlo", function, model)
-    refuse_large_sample("monte_carlo", samples, len(places.germs))
-    # Never 0, where unbounded laws are infinite; 1 is left out by the generator.
-    levels = np.random.default_rng(seed).uniform(np.finfo(float).tiny, 1.0, (samples, len(places.germs)))
-    values = evaluate(function, model, levels, traced=traced, batch=batch, progress=progress)
+    ensemble = ensemble_of("monte_carlo", function, model, traced=traced)
+    refuse_large_sample("monte_carlo", samples, len(ensemble.places.germs))
+    levels = random_levels(np.random.default_rng(seed), samples, len(ensemble.places.germs))
+    values = evaluate(ensemble, levels, batch=batch, progress=progress)
     return RandomSample(values, group_count(samples), seed)
 
 
@@ -66,9 +65,9 @@ def quasi_monte_carlo(
     never much slower than those of plain Monte Carlo. The other arguments, and the errors, are those of `monte_carlo`.
     """
     check_whole("quasi_monte_carlo", samples=samples, replicates=replicates, seed=seed, batch=batch)
-    places = uncertain_places("quasi_monte_carlo", function, model)
-    levels = scrambled_nets("quasi_monte_carlo", len(places.germs), samples, replicates, seed)
-    values = evaluate(function, model, levels, traced=traced, batch=batch, progress=progress)
+    ensemble = ensemble_of("quasi_monte_carlo", function, model, traced=traced)
+    levels = scrambled_nets("quasi_monte_carlo", len(ensemble.places.germs), samples, replicates, seed)
+    values = evaluate(ensemble, levels, batch=batch, progress=progress)
     return RandomSample(values, replicates, seed)
 
 
@@ -92,7 +91,7 @@ def scrambled_nets(
     from scipy.stats import qmc  # late: it takes a second to import
 
     nets = [qmc.Sobol(variables, **settings).random(points) for _ in range(replicates)]
-    # To the middle of the cells, away from 0, where unbounded laws are infinite.
+    # To the middle of the cells, away from 0, where unbounded distributions are infinite.
     return np.concatenate(nets) + 0.5 ** (_DIGITS + 1)
 
 

@@ -8,8 +8,8 @@ from typing_extensions import override
 
 from aleator._core.arrays import Pytree
 from aleator._core.errors import ProblemError
+from aleator.ensemble import Function, part
 from aleator.references._estimate import Estimate, estimate
-from aleator.references._outputs import Function, part
 from aleator.statistics import AbstractMeasured, AbstractStatistic, Correlation, Covariance, a_statistic
 
 Estimates: TypeAlias = Any

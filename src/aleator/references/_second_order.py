@@ -10,8 +10,8 @@ from jaxtyping import Array, Float
 
 from aleator._core.arrays import Pytree
 from aleator._core.errors import ProblemError
+from aleator.ensemble import Function, part
 from aleator.references._inputs import Inputs, traceable
-from aleator.references._outputs import Function, part
 from aleator.statistics._moments import root
 from aleator.uncertainty import AbstractGerm, HermiteGerm, SampleGerm
 

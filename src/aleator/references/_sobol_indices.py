@@ -9,10 +9,10 @@ from jaxtyping import Float
 from aleator._core.arrays import Pytree
 from aleator._core.errors import ProblemError
 from aleator._core.progress import Progress, silent
+from aleator.ensemble import Function
 from aleator.references._estimate import Estimate, estimate
-from aleator.references._evaluation import check_whole, evaluate, refuse_large_sample, uncertain_places
+from aleator.references._evaluation import check_whole, ensemble_of, evaluate, refuse_large_sample
 from aleator.references._monte_carlo import scrambled_nets
-from aleator.references._outputs import Function
 
 
 @final
@@ -52,12 +52,12 @@ def sobol_indices(
     has no indices: `ProblemError`. Entries of an array that do not vary (an initial condition) have indices 0.
     """
     check_whole("sobol_indices", samples=samples, replicates=replicates, seed=seed, batch=batch)
-    places = uncertain_places("sobol_indices", function, model)
-    names = list(places.germs)
+    ensemble = ensemble_of("sobol_indices", function, model, traced=traced)
+    names = list(ensemble.places.germs)
     refuse_large_sample("sobol_indices", (len(names) + 2) * samples, len(names))
     both = scrambled_nets("sobol_indices", 2 * len(names), samples, replicates, seed)
     levels = _exchanged(both[:, : len(names)], both[:, len(names) :])
-    values = evaluate(function, model, levels.reshape(-1, len(names)), traced=traced, batch=batch, progress=progress)
+    values = evaluate(ensemble, levels.reshape(-1, len(names)), batch=batch, progress=progress)
     designs = jax.tree.map(lambda leaf: leaf.reshape(samples, len(names) + 2, *leaf.shape[1:]), values)
     for leaf in jax.tree.leaves(designs):
         if not np.any(np.ptp(leaf[:, :2], axis=(0, 1))):

@@ -22,15 +22,13 @@ from aleator.design import (
     responses,
     statistics_in,
 )
+from aleator.ensemble import in_batches
 from aleator.expansion import Adaptive, Basis, Collocation, Discretisation, Expansion, Sparse, collocate
 from aleator.statistics import Constants, Preparation
 from aleator.uncertainty import AbstractGerm
 
 # Enough for the problems of a session; a front or a calibration needs one.
 _KEPT = 16
-
-# Points that a model is solved at together where its outputs choose the terms: one compiled size serves all.
-_TOGETHER = 64
 
 
 class Discretised(NamedTuple):
@@ -105,15 +103,10 @@ class _Outputs:
         return cls((problem.physics, functionals, structure, static_structure, tuple(static), data), problem)
 
     def __call__(self, points: Float[np.ndarray, "points variables"]) -> dict[str, Float[np.ndarray, "points ..."]]:
-        """The functionals by their texts, some points at a time."""
+        """The functionals by their texts."""
         traced, start = numbers_to_arrays(self.problem), jnp.asarray(self.problem.survey.vector("initial"))
-        parts = []
-        for first in range(0, len(points), _TOGETHER):
-            some = points[first : first + _TOGETHER]
-            filled = np.resize(some, (_TOGETHER, points.shape[1]))
-            parts.append([np.asarray(one)[: len(some)] for one in RESPOND(traced, jnp.asarray(filled), start)])
         texts = [one.text() for one in functionals_of(self.problem.expressions)]
-        return dict(zip(texts, map(np.concatenate, zip(*parts, strict=True)), strict=True))
+        return dict(zip(texts, in_batches(RESPOND, traced, points, start), strict=True))
 
 
 def _respond(

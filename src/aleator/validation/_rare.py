@@ -7,14 +7,13 @@ import numpy as np
 from jaxtyping import Float
 from scipy import special
 
-from aleator._core.beside import in_order
 from aleator._core.errors import ProblemError
 from aleator._core.given import refusal
 from aleator._core.progress import Progress, silent
+from aleator.ensemble import Part, at_levels, each, fill, parts
 from aleator.solution import Solution
 from aleator.validation._counted import is_counted, tolerances
 from aleator.validation._proposal import adapted, weighted
-from aleator.validation._sampling import at_levels
 from aleator.validation._systems import Systems
 from aleator.validation._validate import validate
 from aleator.validation._weighted import Share
@@ -92,16 +91,16 @@ class _Limits:
             )
         self._rows = [i for i, one in enumerate(constraints) if one.name in self.names and is_counted(one)]
         self._tolerances = tolerances(solution)[self._rows]
+        self.systems.prepare(batch)
 
     def beyond(self, normals: Float[np.ndarray, "systems variables"]) -> Float[np.ndarray, "limits systems"]:
         """The excess over each limit, positive where it is broken; in batches of one size, compiled once."""
         levels = np.clip(special.ndtr(normals), np.finfo(float).tiny, 1 - np.finfo(float).epsneg)
         germ = at_levels(self.systems.germs, levels)
 
-        def excess(part: Float[np.ndarray, "some variables"]) -> Float[np.ndarray, "limits some"]:
-            filled = np.concatenate([part, np.repeat(part[:1], self.batch - len(part), axis=0)])
-            batch = self.systems.simulate(filled, len(part))
-            return np.asarray(batch.excess)[self._rows, : len(part)]
+        def excess(part: Part) -> Float[np.ndarray, "limits some"]:
+            batch = self.systems.simulate(fill(part.points, self.batch), len(part.points))
+            return np.asarray(batch.excess)[self._rows, : len(part.points)]
 
-        parts = (germ[start : start + self.batch] for start in range(0, len(germ), self.batch))
-        return np.concatenate(list(in_order(excess, parts)), axis=1) - self._tolerances[:, None]
+        found = [some for _, some in each(excess, parts(germ, self.batch))]
+        return np.concatenate(found, axis=1) - self._tolerances[:, None]

@@ -4,7 +4,6 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from aleator._core.compilation import Compiled
@@ -19,7 +18,8 @@ from aleator.design import (
     responses,
     step_at,
 )
-from aleator.uncertainty import AbstractGerm, named_numbers
+from aleator.ensemble import few_at_once
+from aleator.uncertainty import named_numbers
 
 
 class Batch(NamedTuple):
@@ -107,22 +107,8 @@ def _excess_over_time(
         scope = OneSystem({one: value[0] for one, value in zip(functionals, values, strict=True)}, numbers, step)
         return jnp.stack([_judge(limit, scope)[0] for limit in limits])
 
-    return jax.lax.map(judge, germ, batch_size=min(AT_ONCE, len(germ))).T
+    return few_at_once(judge, germ).T
 
-
-AT_ONCE = 50
-"""Systems that are simulated together on a fine grid."""
 
 SIMULATE_BATCH = Compiled(_simulate_batch, unchanged=refuse_changed_code)
 EXCESS_OVER_TIME = Compiled(_excess_over_time, unchanged=refuse_changed_code)
-
-
-def draw(germs: tuple[AbstractGerm, ...], count: int, generator: np.random.Generator) -> Float[np.ndarray, "count n"]:
-    """Independent germ points, by the quantile functions."""
-    # Never 0, where unbounded laws are infinite; 1 is left out by the generator.
-    return at_levels(germs, generator.uniform(np.finfo(float).tiny, 1.0, (count, len(germs))))
-
-
-def at_levels(germs: tuple[AbstractGerm, ...], levels: Float[np.ndarray, "count n"]) -> Float[np.ndarray, "count n"]:
-    """Germ points at given probability levels, between 0 and 1."""
-    return np.stack([germ.quantile(levels[:, i]) for i, germ in enumerate(germs)], axis=1)

@@ -9,8 +9,8 @@ from jaxtyping import Array, Float
 from aleator._core.arrays import numbers_to_arrays
 from aleator._core.errors import ProblemError, SimulationError
 from aleator.design import Problem, functionals_of, is_over_time, refuse_changed, uncertain, unsolved
+from aleator.ensemble import inputs_at, listed
 from aleator.solution import Solution
-from aleator.uncertainty import uncertain_numbers
 from aleator.validation._counted import finer_by, is_counted, sampled_by
 from aleator.validation._sampling import EXCESS_OVER_TIME, SIMULATE_BATCH, Batch
 
@@ -41,6 +41,13 @@ class Systems:
         self._traced = numbers_to_arrays(self.sampled)
         counted = finer_by(solution)
         self._finer = None if counted == self._factor else _for_limits(self.problem, counted)
+
+    def prepare(self, batch: int) -> None:
+        """Begin to compile what batches of so many systems need. A user's code is traced here, by one thread alone."""
+        germ = jnp.zeros((batch, len(self.germs)))
+        SIMULATE_BATCH.prepare(self._traced, germ, self._decisions, jnp.asarray(batch), self._factor)
+        if self._finer is not None:
+            EXCESS_OVER_TIME.prepare(self._finer, germ, self._decisions)
 
     def simulate(self, germ: Float[np.ndarray, "systems variables"], count: int) -> Batch:
         """The systems at some germ points. Those after the first `count` fill up the batch and do not count.
@@ -78,8 +85,7 @@ def _refuse_broken(problem: Problem, batch: Batch, germ: np.ndarray, decisions: 
     if good.all():
         return
     point = jnp.asarray(germ[np.argmin(good)])
-    numbers = uncertain_numbers(problem.survey, point, jnp.asarray(decisions))
-    where = ", ".join(f"{name}={float(number):.6g}" for name, number in numbers.items())
+    where = listed(inputs_at(problem.survey, point, jnp.asarray(decisions)))
     remedy = "Shorten the time step, use an implicit integrator (al.Kvaerno5), or bound the distributions."
     raise SimulationError(
         f"Monte Carlo: the simulation of the system with {where} is not finite. "

@@ -5,17 +5,17 @@ import warnings
 
 import numpy as np
 
-from aleator._core.beside import CORES, in_order
+from aleator._core.beside import CORES
 from aleator._core.errors import ExpansionWarning, ProblemError
 from aleator._core.given import whole
 from aleator._core.memory import NUMBER, refuse_beyond_memory
 from aleator._core.progress import Progress, silent
 from aleator.design import functionals_of, refuse_large_histories, uncertain
+from aleator.ensemble import Part, draw, each, fill
 from aleator.solution import Solution
 from aleator.validation._alone import alone
 from aleator.validation._counted import tolerances
 from aleator.validation._evidence import Evidence
-from aleator.validation._sampling import draw
 from aleator.validation._systems import Systems
 from aleator.validation._tally import Tally
 
@@ -58,14 +58,14 @@ def validate(
     generator = np.random.default_rng(seed)
     tally = Tally(systems.problem, tolerances(solution), samples, min(keep, samples))
     batch = min(batch, samples)
-    begins = range(0, samples, batch)
-    # The last batch is drawn in full too, so that one compiled size serves all; what is left over is dropped.
-    drawn = ((draw(systems.germs, batch, generator), min(batch, samples - done)) for done in begins)
+    drawn = (
+        Part(done, draw(systems.germs, min(batch, samples - done), generator)) for done in range(0, samples, batch)
+    )
     progress("Monte Carlo", 0, samples)
-    for done, found in zip(begins, in_order(lambda one: systems.simulate(*one), drawn), strict=True):
-        count = min(batch, samples - done)
-        tally.add(found, done, count)
-        progress("Monte Carlo", done + count, samples)
+    systems.prepare(batch)
+    for part, found in each(lambda part: systems.simulate(fill(part.points, batch), len(part.points)), drawn):
+        tally.add(found, part.first, len(part.points))
+        progress("Monte Carlo", part.first + len(part.points), samples)
     return _told(tally.evidence(solution, seed, time.perf_counter() - started))
 
 

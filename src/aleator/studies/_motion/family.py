@@ -14,7 +14,7 @@ from aleator._core.arrays import numbers_to_arrays
 from aleator._core.compilation import Compiled
 from aleator.design import grid_at, history, refuse_changed, refuse_changed_code, uncertain
 from aleator.dynamics import History
-from aleator.validation import AT_ONCE
+from aleator.ensemble import at_levels, few_at_once, random_levels
 
 
 @final
@@ -46,8 +46,7 @@ def _extremes(
         found = history(problem, point, decisions)
         return {name: jnp.stack([rows.min(), rows.max()]) for name, rows in found.items()}
 
-    # A few systems at a time: fine histories of all would fill the memory.
-    return jax.lax.map(one, germ, batch_size=min(AT_ONCE, len(germ)))
+    return few_at_once(one, germ)
 
 
 HISTORIES = Compiled(_histories, unchanged=refuse_changed_code)
@@ -62,11 +61,10 @@ def fly(problem: al.Problem, decisions: Any, count: int, *, seed: int = 0, finer
     """
     refuse_changed("fly", problem, "when it was declared or solved")
     bare = _bare(problem, finer)
-    generator = np.random.default_rng(seed)
     germs = bare.survey.germs.values()
-    levels = generator.uniform(np.finfo(float).tiny, 1.0, (count + 1, len(germs)))
+    levels = random_levels(np.random.default_rng(seed), count + 1, len(germs))
     levels[0] = 0.5
-    drawn = np.stack([germ.quantile(levels[:, i]) for i, germ in enumerate(germs)], axis=1)
+    drawn = at_levels(germs, levels)
     x = jnp.asarray(decisions)
     found = HISTORIES(numbers_to_arrays(bare), jnp.asarray(drawn), x)
     systems = {name: np.asarray(rows)[1:] for name, rows in found.items()}

@@ -1,0 +1,196 @@
+"""A function at many realisations of a model: traced and compiled by JAX, or called with plain numbers.
+
+What simulates the systems of a problem (evidence, scenarios of the worst case, outputs that choose an expansion's
+terms) is no such function: it is compiled with its numbers in the place of arguments, at any decisions, and reduced to
+what is asked of it in the same program. It shares levels, batches and messages with these, and stands where it is used.
+"""
+
+import abc
+from collections.abc import Callable, Iterator
+from typing import Any, ClassVar, TypeAlias, final
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jaxtyping import Array, Float
+from typing_extensions import override
+
+from aleator._core.arrays import Pytree
+from aleator._core.errors import ProblemError
+from aleator._core.tracing import Traced, trace
+from aleator.ensemble._batches import Part, each, fill, parts
+from aleator.ensemble._levels import at_levels
+from aleator.ensemble._outputs import (
+    UNTRACEABLE,
+    Function,
+    inputs_at,
+    listed,
+    name_of,
+    real_array,
+    refuse_nonfinite,
+)
+from aleator.uncertainty import Survey, realise, survey
+
+Points: TypeAlias = Float[np.ndarray, "points variables"] | Float[Array, "points variables"]
+
+
+def uncertain_places(verb: str, function: Function, model: Pytree) -> Survey:
+    """What is uncertain in a model. Raises `ProblemError` if nothing is, or if `function` is none."""
+    if not callable(function):
+        raise ProblemError(f"{verb}: expected a function of the model; received {type(function).__name__}.")
+    places = survey(model)
+    if not places.distributions:
+        raise ProblemError(
+            f"{verb}: nothing in the model is uncertain; put a distribution, such as al.Uniform.bounds(0.9, 1.1), in "
+            "the place of a number."
+        )
+    return places
+
+
+class AbstractEnsemble(abc.ABC):
+    """A function at the realisations of a model, with decisions at their initial values.
+
+    `places` says what is uncertain in the model: see `uncertain_places`.
+    """
+
+    at_once: ClassVar[bool]
+    """Whether several threads may evaluate it at once."""
+
+    def __init__(self, function: Function, model: Pytree, places: Survey):
+        self._function, self._model, self.places = function, model, places
+        self._name, self._decisions = name_of(function), jnp.asarray(places.vector("initial"))
+
+    def __call__(self, points: Points, before: int = 0) -> Pytree:
+        """The outputs at germ points: each with a leading axis for the points. `before` is how many came earlier.
+
+        Raises `SimulationError` where an output is not finite, naming the inputs' values there (not under `jax.jit`,
+        where no value is known), and `ProblemError` if an output is no real array or changes its shape.
+        """
+        return self._checked(self._of_size(len(points))(points), points, before)
+
+    def in_batches(self, levels: Float[np.ndarray, "n variables"], size: int) -> Iterator[tuple[Part, Pytree]]:
+        """The outputs at probability levels, in parts of `size` and in their order, each with the levels of its points.
+
+        Raises what a call does.
+        """
+        evaluate, germs = self._of_size(size), self.places.germs.values()
+
+        def outputs(part: Part) -> Pytree:
+            points = at_levels(germs, part.points)
+            return self._checked(evaluate(points), points, part.first)
+
+        return each(outputs, parts(levels, size), at_once=self.at_once)
+
+    @abc.abstractmethod
+    def _of_size(self, size: int) -> Callable[[Points], Pytree]:
+        """What gives the outputs at `size` points, or fewer. What is to be traced is traced before it is returned."""
+
+    def _at(self, model: Pytree, point: Any, library: Any) -> Pytree:
+        """The outputs at one realisation, as arrays of a library."""
+        outputs = self._function(self._given(realise(model, jnp.asarray(point), self._decisions)))
+        return jax.tree.map(lambda value: real_array(value, self._name, library), outputs)
+
+    def _given(self, realised: Pytree) -> Pytree:
+        """A realised model as the function is given it."""
+        return realised
+
+    def _checked(self, outputs: Pytree, points: Points, before: int) -> Pytree:
+        if not jax.tree.leaves(outputs):
+            raise ProblemError(f"{self._name} returns nothing: expected an array or a dict of arrays.")
+
+        def inputs(index: int) -> str:
+            return listed(inputs_at(self.places, points[index], self._decisions))
+
+        refuse_nonfinite(self._name, outputs, inputs, before)
+        return outputs
+
+
+@final
+class TracedEnsemble(AbstractEnsemble):
+    """All points of a batch at once: the function is traced by JAX, vectorised, and compiled once for its equations.
+
+    Arrays of the model are traced too: others compile nothing, and outputs can be differentiated by them.
+    """
+
+    at_once: ClassVar[bool] = True
+
+    def __init__(self, function: Function, model: Pytree, places: Survey):
+        super().__init__(function, model, places)
+        self._numbers, self._rest = eqx.partition(model, eqx.is_array)
+        self._traced: dict[int, Traced] = {}
+
+    @override
+    def _of_size(self, size: int) -> Callable[[Points], Pytree]:
+        if size not in self._traced:
+            self._traced[size] = self._trace(size)
+        traced = self._traced[size]
+
+        def outputs(points: Points) -> Pytree:
+            if len(points) == size:
+                return traced(self._numbers, jnp.asarray(points))
+            values = traced(self._numbers, jnp.asarray(fill(np.asarray(points), size)))
+            return jax.tree.map(lambda leaf: np.asarray(leaf)[: len(points)], values)
+
+        return outputs
+
+    def _trace(self, size: int) -> Traced:
+        def outputs(numbers: Pytree, points: Float[Array, "points variables"]) -> Pytree:
+            model = eqx.combine(numbers, self._rest)
+            return jax.vmap(lambda point: self._at(model, point, jnp))(points)
+
+        points = jnp.zeros((size, len(self.places.germs)))
+        try:
+            return trace(outputs, self._numbers, points, code=self._function, name=self._name)
+        except UNTRACEABLE as error:
+            raise ProblemError(
+                f"{self._name} cannot be traced by JAX ({str(error).splitlines()[0]}) Write it with jax.numpy, or "
+                "say traced=False: it is then called with plain numbers, point by point, and has no derivatives."
+            ) from error
+
+
+@final
+class CalledEnsemble(AbstractEnsemble):
+    """Point by point with plain numbers: for NumPy, external programs, measurements. NumPy arrays; no derivatives."""
+
+    at_once: ClassVar[bool] = False
+
+    def __init__(self, function: Function, model: Pytree, places: Survey):
+        super().__init__(function, model, places)
+        self._first: Pytree = None
+        if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(model)):
+            raise ProblemError(
+                f"{self._name} is called with plain numbers (traced=False), so nothing can be differentiated or "
+                "compiled through it. Write it with jax.numpy and drop traced=False."
+            )
+
+    @override
+    def _of_size(self, size: int) -> Callable[[Points], Pytree]:
+        return lambda points: jax.tree.map(lambda *values: np.stack(values), *map(self._call, points))
+
+    @override
+    def _given(self, realised: Pytree) -> Pytree:
+        return jax.tree.map(_as_python, realised)
+
+    def _call(self, point: Float[Any, " variables"]) -> Pytree:
+        outputs = self._at(self._model, point, np)
+        if self._first is None:
+            self._first = outputs
+        if _shapes(outputs) != _shapes(self._first):
+            first, now = (jax.tree.map(np.shape, one) for one in (self._first, outputs))
+            raise ProblemError(
+                f"{self._name} must return arrays of the same shapes at every point; received {first} and {now}."
+            )
+        return outputs
+
+
+def _shapes(outputs: Pytree) -> tuple[Any, list[tuple[int, ...]]]:
+    return jax.tree.structure(outputs), [leaf.shape for leaf in jax.tree.leaves(outputs)]
+
+
+def _as_python(leaf: Any) -> Any:
+    """A realised number as plain Python and NumPy know it."""
+    if not isinstance(leaf, jax.Array):
+        return leaf
+    return leaf.item() if leaf.ndim == 0 else np.asarray(leaf)

@@ -1,0 +1,211 @@
+"""Functions of realisations at many points, against closed forms: whatever the batches, traced or called."""
+
+import threading
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import stats
+
+import aleator as al
+from aleator._core.compilation import Compiled
+from aleator.ensemble import (
+    CalledEnsemble,
+    TracedEnsemble,
+    at_levels,
+    draw,
+    few_at_once,
+    fill,
+    in_batches,
+    parts,
+    random_levels,
+    uncertain_places,
+)
+from aleator.uncertainty import survey
+
+# Uniform on [0.5, 1.5] by its decision's initial value, normal, and a number that is certain.
+MODEL = {"a": al.Uniform(al.Decision(1.0, 0.0, 3.0), half_width=0.5), "b": al.Normal(2.0, 0.1), "c": 3.0}
+LEVELS = np.random.default_rng(0).uniform(0.01, 0.99, (13, 2))
+A, B = stats.uniform(0.5, 1.0).ppf(LEVELS[:, 0]), stats.norm(2.0, 0.1).ppf(LEVELS[:, 1])
+EXACT = {"product": 3.0 * A * B, "path": np.stack([A, B**2], axis=1)}
+KINDS = pytest.mark.parametrize("kind", [TracedEnsemble, CalledEnsemble])
+
+
+def outputs(m):
+    library = jnp if isinstance(m["a"], jax.Array) else np
+    return {"product": m["c"] * m["a"] * m["b"], "path": library.stack([m["a"], m["b"] ** 2])}
+
+
+def ensemble(kind, function=outputs, model=MODEL):
+    return kind(function, model, uncertain_places("test", function, model))
+
+
+@KINDS
+@pytest.mark.parametrize("size", [1, 5, 12, 13, 14, 100])
+def test_outputs_are_those_of_the_realisations_whatever_the_batches(kind, size):
+    found = list(ensemble(kind).in_batches(LEVELS, size))
+    np.testing.assert_array_equal(np.concatenate([part.points for part, _ in found]), LEVELS)
+    assert [part.first for part, _ in found] == list(range(0, 13, size))
+    for name, exact in EXACT.items():
+        np.testing.assert_allclose(np.concatenate([values[name] for _, values in found]), exact, rtol=1e-13)
+
+
+@KINDS
+def test_all_points_at_once_are_germ_points(kind):
+    found = ensemble(kind)(jnp.asarray(at_levels(survey(MODEL).germs.values(), LEVELS)))
+    for name, exact in EXACT.items():
+        np.testing.assert_allclose(found[name], exact, rtol=1e-13)
+
+
+def test_traced_outputs_can_be_differentiated_by_arrays_of_the_model():
+    germ = jnp.asarray(at_levels(survey(MODEL).germs.values(), LEVELS))
+
+    def total(c):
+        model = MODEL | {"c": c}
+        return jnp.sum(TracedEnsemble(outputs, model, survey(MODEL))(germ)["product"])
+
+    assert float(jax.grad(total)(jnp.asarray(3.0))) == pytest.approx(np.sum(A * B), rel=1e-13)
+
+
+def test_a_traced_function_is_run_once_by_the_thread_that_asks():
+    ran_by = []
+
+    def noted(m):
+        ran_by.append(threading.current_thread())
+        return m["a"]
+
+    for _, values in ensemble(TracedEnsemble, noted).in_batches(LEVELS, 2):
+        assert np.isfinite(values).all()
+    assert set(ran_by) == {threading.current_thread()}
+    once = len(ran_by)
+    ran_by.clear()
+    list(ensemble(TracedEnsemble, noted).in_batches(LEVELS, 13))
+    assert len(ran_by) == once
+
+
+def test_a_called_function_is_called_once_a_point_in_order_with_plain_numbers():
+    given = []
+
+    def noted(m):
+        given.append((m["a"], threading.current_thread()))
+        return m["a"]
+
+    list(ensemble(CalledEnsemble, noted).in_batches(LEVELS, 5))
+    assert [type(a) for a, _ in given] == [float] * 13
+    np.testing.assert_allclose([a for a, _ in given], A, rtol=1e-13)
+    assert {thread for _, thread in given} == {threading.current_thread()}
+
+
+def broken_from(limit):
+    def broken(m):
+        library = jnp if isinstance(m["a"], jax.Array) else np
+        with np.errstate(invalid="ignore"):
+            return {"fine": m["b"], "root": library.sqrt(limit - m["a"])}
+
+    return broken
+
+
+@KINDS
+@pytest.mark.parametrize(("size", "where"), [(10, "2 of 10 points: output"), (4, "1 of 4 points after 4 finite ones")])
+def test_what_is_not_finite_is_named_with_its_point_and_its_inputs(kind, size, where):
+    # a = 0.5 + level: beyond 1.2 at the sixth point and at the tenth.
+    levels = np.full((10, 2), 0.5)
+    levels[[5, 9], 0] = 0.75, 0.8
+    with pytest.raises(al.SimulationError, match=rf"'broken' .* {where}.*'root' first at point 6 \(a=1.25, b=2\)"):
+        list(ensemble(kind, broken_from(1.2)).in_batches(levels, size))
+
+
+def test_one_output_without_a_name_is_called_so():
+    with pytest.raises(al.SimulationError, match=r"1 of 1 points: its output first at point 1 \(a=1, b=2\)"):
+        ensemble(CalledEnsemble, lambda m: np.inf)(np.zeros((1, 2)))
+
+
+@KINDS
+@pytest.mark.parametrize(
+    ("function", "message"),
+    [
+        (lambda m: None, "returns nothing"),
+        (lambda m: "text", "real array.* received str"),
+        (lambda m: [m["a"], "text"], "real array.* received str"),
+        (lambda m: m["a"] + 1j, "real array.* complex"),
+    ],
+)
+def test_what_is_no_real_array_is_refused(kind, function, message):
+    with pytest.raises(al.ProblemError, match=message):
+        ensemble(kind, function)(np.zeros((3, 2)))
+
+
+@pytest.mark.parametrize("size", [1, 2, 13])
+def test_shapes_that_change_are_refused_within_a_batch_and_between_them(size):
+    def growing(m):
+        return {"y": np.zeros(1 if m["a"] < 1.0 else 2)}
+
+    with pytest.raises(al.ProblemError, match=r"'growing' must return .*same shapes .* \{'y': \([12],\)\} and \{'y'"):
+        list(ensemble(CalledEnsemble, growing).in_batches(LEVELS, size))
+
+
+def test_names_that_change_are_refused_too():
+    with pytest.raises(al.ProblemError, match=r"same shapes at every point; received \{'[lh]'.* and \{'[lh]'"):
+        ensemble(CalledEnsemble, lambda m: {"l" if m["a"] < 1.0 else "h": 1.0})(np.array([[-0.5, 0.0], [0.5, 0.0]]))
+
+
+def test_what_looks_at_its_numbers_cannot_be_traced_but_called():
+    def branching(m):
+        return 1.0 if m["a"] < 1.0 else 2.0
+
+    with pytest.raises(al.ProblemError, match=r"'branching' cannot be traced by JAX .*traced=False"):
+        ensemble(TracedEnsemble, branching).in_batches(LEVELS, 5)
+    found = [values for _, values in ensemble(CalledEnsemble, branching).in_batches(LEVELS, 5)]
+    np.testing.assert_array_equal(np.concatenate(found), np.where(A < 1.0, 1.0, 2.0))
+
+
+@pytest.mark.parametrize(
+    ("function", "model", "message"), [(3.0, MODEL, "test: expected a function"), (outputs, {"a": 1.0}, "uncertain")]
+)
+def test_nothing_to_realise_is_refused(function, model, message):
+    with pytest.raises(al.ProblemError, match=message):
+        uncertain_places("test", function, model)
+
+
+def test_germ_points_are_quantiles_and_random_ones_depend_on_the_seed_alone():
+    laws = {"a": al.Uniform.bounds(-1.0, 1.0), "b": al.Normal(0.0, 1.0)}
+    germs = tuple(survey(laws).germs.values())
+    exact = [stats.uniform(-1, 2).ppf(LEVELS[:, 0]), stats.norm.ppf(LEVELS[:, 1])]
+    np.testing.assert_allclose(at_levels(germs, LEVELS), np.stack(exact, axis=1), rtol=1e-13, atol=1e-15)
+    many, few = (draw(germs, count, np.random.default_rng(7)) for count in (1000, 10))
+    np.testing.assert_array_equal(many[:10], few)
+    np.testing.assert_array_equal(many, at_levels(germs, random_levels(np.random.default_rng(7), 1000, 2)))
+    assert stats.kstest(many[:, 1], "norm").pvalue > 1e-3
+    assert at_levels((), np.zeros((4, 0))).shape == (4, 0)
+
+
+def test_parts_hold_every_point_once_and_are_filled_with_their_own():
+    points = np.arange(14.0).reshape(7, 2)
+    some = list(parts(points, 3))
+    assert [(part.first, len(part.points)) for part in some] == [(0, 3), (3, 3), (6, 1)]
+    np.testing.assert_array_equal(fill(some[-1].points, 3), points[[6, 6, 6]])
+    np.testing.assert_array_equal(fill(points[:2], 5), points[[0, 1, 0, 1, 0]])
+
+
+@pytest.mark.parametrize("count", [1, 63, 64, 65, 131, 300])
+def test_a_program_is_compiled_for_one_size_by_the_thread_that_asks(count):
+    ran_by = []
+
+    def squares(model, points, decisions):
+        ran_by.append(threading.current_thread())
+        return {"square": model["by"] * points[:, 0] ** 2, "moved": points + decisions[None]}
+
+    program, points = Compiled(squares), np.random.default_rng(count).normal(size=(count, 2))
+    found = in_batches(program, {"by": jnp.asarray(2.0)}, points, jnp.asarray([1.0, -1.0]))
+    np.testing.assert_allclose(found["square"], 2.0 * points[:, 0] ** 2, rtol=1e-14)
+    np.testing.assert_allclose(found["moved"], points + np.array([1.0, -1.0]), rtol=1e-14)
+    assert program.compilations == 1
+    assert ran_by == [threading.current_thread()]
+
+
+@pytest.mark.parametrize("count", [1, 7, 50, 120])
+def test_few_points_at_once_give_what_all_do(count):
+    points = jnp.linspace(0.0, 1.0, 2 * count).reshape(count, 2)
+    found = jax.jit(lambda points: few_at_once(lambda point: {"sum": point.sum()}, points))(points)
+    np.testing.assert_allclose(found["sum"], np.asarray(points).sum(axis=1), rtol=1e-15)
