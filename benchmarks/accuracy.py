@@ -18,7 +18,7 @@ from aleator.studies.suspension import COST, RIDE, apportionment_problem, determ
 from aleator.transcription import transcribe
 from aleator.uncertainty import LegendreGerm
 
-SOLVERS = (al.FilterSQP(), al.Ipopt(), al.Slsqp())
+SOLVERS = (al.solvers.FilterSQP(), al.solvers.Ipopt(), al.solvers.Slsqp())
 PROBLEMS: dict[str, Callable[..., al.Problem]] = {
     "dOpt": deterministic_problem,
     "uOpt": robust_problem,

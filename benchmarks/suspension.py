@@ -119,7 +119,7 @@ def checks_cost(repeats: int = 15) -> float:
 
     def program() -> None:
         transcription = transcribe(robust_problem())
-        transcription.resolve(al.FilterSQP().solve(transcription.program).decisions)
+        transcription.resolve(al.solvers.FilterSQP().solve(transcription.program).decisions)
 
     pairs = [(timed(lambda: al.solve(robust_problem()))[0], timed(program)[0]) for _ in range(repeats)]
     return float(np.median([whole / alone - 1 for whole, alone in pairs]))
@@ -150,7 +150,7 @@ def main() -> None:
     row("  checks beside the optimisation (median of 15 pairs)", f"{checks_cost():.0%}", "target: at most 30 %")
     row("peak memory after the designs", f"{peak_memory():.2f} GiB", "target: under 1.5 GiB")
     sampling, evidence = timed(lambda: al.validate(solution, 100_000))
-    assert isinstance(evidence, al.Evidence)
+    assert isinstance(evidence, al.results.Evidence)
     row("Monte Carlo of 100 000 systems", f"{sampling:.1f} s", "target: under 15 s")
     row("peak memory after Monte Carlo", f"{peak_memory():.2f} GiB")
     if not arguments.without_peer:

@@ -68,7 +68,7 @@ def main() -> None:
             if time.time() > ends:
                 break
             start = {"motion.q1.free": x[:-1], "t_final": x[-1]}
-            found = al.solve(problem, al.FilterSQP(max_iterations=120), start=start, between=1, throw=False)
+            found = al.solve(problem, al.solvers.FilterSQP(max_iterations=120), start=start, between=1, throw=False)
             if found.certificate.violation < 1e-6 and found.objective < best:
                 best = found.objective
                 print(f"{name}: {best:.4f} J ({found.status.value})", np.round(found.vector, 4).tolist(), flush=True)

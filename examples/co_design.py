@@ -50,8 +50,8 @@ motion = al.BSpline(al.Decision(al.fit_control_points(np.linspace(-0.6, 0.9, 40)
 problem = al.Problem(
     al.InverseDynamics(lift, motion={"angle": motion}),
     grid=al.Grid(al.Decision(1.5, 0.2, 5.0), steps=56),
-    minimize=2.0 * al.final_time()
-    + al.reciprocal("payload.half_width", bias=0.0, scale=0.05)
+    minimize=2.0 * al.objectives.final_time()
+    + al.cost.reciprocal("payload.half_width", bias=0.0, scale=0.05)
     + 0.5 * al.value("lever"),
     subject_to=[
         al.path("angle_torque").within(-12.0, 12.0, worst_case=True),

@@ -48,21 +48,25 @@ stage = HeatedStage(
     gain=al.Decision(8.0, 0.0, 40.0),
 )
 inputs = {
-    "sensor": al.RandomProcess(  # K
-        al.BandLimitedCovariance(0.0, 0.05), t_final=DURATION, std=al.Decision(0.1, 0.01, 1.0), energy=0.95
+    "sensor": al.processes.RandomProcess(  # K
+        al.processes.BandLimitedCovariance(0.0, 0.05), t_final=DURATION, std=al.Decision(0.1, 0.01, 1.0), energy=0.95
     ),
-    "heater": al.RandomProcess(  # W
-        al.ExponentialCovariance(30.0), t_final=DURATION, std=1.0, mean=NOMINAL_LOSS * (SETPOINT - ROOM), energy=0.9
+    "heater": al.processes.RandomProcess(  # W
+        al.processes.ExponentialCovariance(30.0),
+        t_final=DURATION,
+        std=1.0,
+        mean=NOMINAL_LOSS * (SETPOINT - ROOM),
+        energy=0.9,
     ),
-    "air": al.RandomProcess(  # °C
-        al.SquaredExponentialCovariance(20.0), t_final=DURATION, std=1.5, mean=ROOM, energy=0.99
+    "air": al.processes.RandomProcess(  # °C
+        al.processes.SquaredExponentialCovariance(20.0), t_final=DURATION, std=1.5, mean=ROOM, energy=0.99
     ),
 }
 problem = al.Problem(
     stage,
     grid=al.Grid(DURATION, steps=120),
     inputs=inputs,
-    minimize=al.reciprocal("inputs.sensor.std", bias=1.0, scale=0.1),
+    minimize=al.cost.reciprocal("inputs.sensor.std", bias=1.0, scale=0.1),
     subject_to=[
         al.terminal("error").within(-0.5, 0.5, sigmas=2.0),
         al.path("power").within(10.0, 60.0, sigmas=2.0),

@@ -37,7 +37,7 @@ closed = al.terminal("closed")
 problem = al.Problem(
     drawer,
     grid=al.Grid(t_final=3.0, steps=150),
-    minimize=al.reciprocal("damping.half_width", bias=1.0, scale=0.5),
+    minimize=al.cost.reciprocal("damping.half_width", bias=1.0, scale=0.5),
     subject_to=[closed.at_least(0.35, sigmas=2.0), closed.at_most(0.65, sigmas=2.0)],
 )
 print(problem)

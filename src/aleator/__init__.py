@@ -39,6 +39,8 @@ from aleator.analysis import tolerance_analysis as tolerance_analysis  # noqa: E
 from aleator.design import Constraint as Constraint  # noqa: E402
 from aleator.design import Expression as Expression  # noqa: E402
 from aleator.design import Problem as Problem  # noqa: E402
+from aleator.design import correlation as correlation  # noqa: E402
+from aleator.design import covariance as covariance  # noqa: E402
 from aleator.design import deterministic as deterministic  # noqa: E402
 from aleator.design import integral as integral  # noqa: E402
 from aleator.design import output as output  # noqa: E402

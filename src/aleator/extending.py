@@ -5,7 +5,7 @@ See `docs/extending.md`.
     from aleator import extending as ext
 
 Signals, trajectories and covariances of your own derive from `al.AbstractSignal`, `al.AbstractTrajectory` and
-`al.AbstractCovariance`.
+`al.processes.AbstractCovariance`.
 """
 
 from aleator._core.progress import Progress as Progress

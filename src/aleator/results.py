@@ -4,11 +4,9 @@ from aleator.analysis import Contribution as Contribution
 from aleator.analysis import ElementExpanded as ElementExpanded
 from aleator.analysis import Expanded as Expanded
 from aleator.analysis import ToleranceAnalysis as ToleranceAnalysis
-from aleator.nlp import Status as Status
 from aleator.solution import Certificate as Certificate
 from aleator.solution import ConstraintResult as ConstraintResult
 from aleator.solution import Effort as Effort
-from aleator.solution import Solution as Solution
 from aleator.sweep import Calibration as Calibration
 from aleator.sweep import Front as Front
 from aleator.sweep import Refused as Refused

@@ -236,7 +236,7 @@ def _check_arguments(
     if not isinstance(problem, Problem):
         raise ProblemError(f"solve: expected a Problem; received {type(problem).__name__}.")
     if not isinstance(solver, AbstractSolver):
-        raise ProblemError(f"solve: expected a solver, such as al.Ipopt(); received {solver!r}.")
+        raise ProblemError(f"solve: expected a solver, such as al.solvers.Ipopt(); received {solver!r}.")
     one_of("solve: transcription", transcription, AbstractTranscription, "al.Sequential()")
     if between is not None:
         whole("solve: between", between)

@@ -58,7 +58,7 @@ def _explained(partition: Partition, known: tuple[int, ...]) -> Rule:
     refuse_beyond_memory(
         f"Sobol index: all pairs of {len(chosen)} terms in {len(partition.boxes)} elements",
         NUMBER * _MATRICES * size**2,
-        "Lower the budget of al.MultiElement, or take al.sobol_indices.",
+        "Lower the budget of al.MultiElement, or take al.references.sobol_indices.",
     )
     cuts = [_cuts(partition, i) for i in range(indices.shape[1])]
     weights = np.prod([cuts[i].widths[cuts[i].owner] for i in unknown], axis=0) * np.ones(len(partition.boxes))

@@ -64,7 +64,8 @@ def expand(
 
     Differentiable by JAX with respect to everything that the model is made of, as far as the function is continuous:
     where it jumps, its derivatives at fixed points know nothing of the jump that moves between them. By the shape
-    parameter of a law, outputs vary with a weak singularity at the ends of it; `al.GaussPoints` integrates that best.
+    parameter of a law, outputs vary with a weak singularity at the ends of it; `al.points.GaussPoints` integrates that
+    best.
 
     Raises `ProblemError` if there is nothing uncertain or the function cannot be traced, `SimulationError` where an
     output is not finite. Warns with `ExpansionWarning` if an output is not resolved, or if the condition number of the
@@ -143,7 +144,7 @@ def _warn_of_doubts(expanded: Expanded, collocation: Collocation, times: Any) ->
         said.append(
             f"The collocation matrix has condition number {float(condition):.1e} (warned of beyond "
             f"{ILL_CONDITIONED:.0e}), so coefficients lose digits. Use more points or a lower order, or "
-            "al.ChristoffelPoints()."
+            "al.points.ChristoffelPoints()."
         )
     if bad:
         said.append(
@@ -155,7 +156,8 @@ def _warn_of_doubts(expanded: Expanded, collocation: Collocation, times: Any) ->
         said.append(
             f"The expansion of order {expanded.basis.order} extrapolates {', '.join(open_ended)} into the tails of the "
             "laws, beyond the outermost points, which predict each other only: means and spreads are unreliable. Take "
-            "points that cover the tails, al.InducedPoints() or al.GaussPoints(); a higher order makes it worse."
+            "points that cover the tails, al.points.InducedPoints() or al.points.GaussPoints(); a higher order makes "
+            "it worse."
         )
     if said:
         warnings.warn(" ".join(said), ExpansionWarning, stacklevel=3)

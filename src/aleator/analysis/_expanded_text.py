@@ -89,7 +89,7 @@ def extrapolates(leave_one_out: Any, jackknife: Any, tolerance: float) -> bool:
 def trust(leave_one_out: Any, jackknife: Any, error: Any, tolerance: float) -> str:
     """How well the expansion is known to hold: by its leave-one-out error or, without samples, by its last terms."""
     if extrapolates(leave_one_out, jackknife, tolerance):
-        return f"jackknife error {float(jackknife):.1e} (EXTRAPOLATED, take al.InducedPoints())"
+        return f"jackknife error {float(jackknife):.1e} (EXTRAPOLATED, take al.points.InducedPoints())"
     if not np.isfinite(leave_one_out):
         by, shown = "error by the decay of its degrees", error
     else:

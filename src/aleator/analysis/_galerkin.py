@@ -94,7 +94,7 @@ def galerkin(
     if not isinstance(inputs, Mapping | None):
         raise refusal("galerkin: inputs", "signals by name, such as {'road': ...}", inputs)
     if integrator is not None:
-        one_of("galerkin: integrator", integrator, AbstractIntegrator, "al.RungeKutta4()")
+        one_of("galerkin: integrator", integrator, AbstractIntegrator, "al.integrators.RungeKutta4()")
     expansion = one_of("galerkin: expansion", Expansion() if expansion is None else expansion, Expansion)
     model = _Model(system, dict(inputs or {}))
     _check(system, grid, model, integrator)
@@ -164,7 +164,7 @@ def _refuse_diverged(expanded: Expanded, times: np.ndarray) -> None:
         if not finite.all():
             raise SimulationError(
                 f"galerkin: output '{name}' is not finite from t = {times[np.argmin(finite)]:.4g} s on. Shorten the "
-                "time step, lower the order or use an implicit integrator (al.Kvaerno5)."
+                "time step, lower the order or use an implicit integrator (al.integrators.Kvaerno5)."
             )
 
 

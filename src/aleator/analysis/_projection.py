@@ -37,7 +37,7 @@ def quadrature_over(basis: Basis, expansion: Expansion) -> Quadrature:
         raise ProblemError(
             f"galerkin: the quadrature over {basis.variables} variables has {len(nodes.points)} nodes, at each of "
             f"which every evaluation needs the equations (limit {_MOST_NODES}). Lower the order, name "
-            "points=al.SmolyakPoints(), or use al.expand."
+            "points=al.points.SmolyakPoints(), or use al.expand."
         )
     matrix = basis.matrix(nodes.points)
     return Quadrature(*map(jnp.asarray, (nodes.points, matrix, matrix.T * nodes.weights[None])))

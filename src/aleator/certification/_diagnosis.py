@@ -39,7 +39,9 @@ def diagnose(transcribed: AbstractTranscribed, decisions: Float[np.ndarray, " n"
     what = f"The simulation{who and ' of ' + who} is not finite: output '{name}'"
     if not isinstance(transcribed.problem.grid, Grid):
         return f"{what}. Look for a root or logarithm of zero, or a division by zero. {where}"
-    remedy = "Shorten the time step, tighten the decisions' bounds or use an implicit integrator (al.Kvaerno5)."
+    remedy = (
+        "Shorten the time step, tighten the decisions' bounds or use an implicit integrator (al.integrators.Kvaerno5)."
+    )
     return f"{what} from t = {times[instant]:.4g} s on. {remedy} {where}"
 
 

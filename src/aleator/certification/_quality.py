@@ -98,7 +98,7 @@ def doubts(quality: ExpansionQuality, opinion: SecondOpinion | None) -> list[str
         sentences.append(
             f"The collocation matrix has condition number {quality.condition_number:.1e} (warned of beyond "
             f"{ILL_CONDITIONED:.0e}), so coefficients lose digits. Use more points, a lower order, or "
-            "al.ChristoffelPoints()"
+            "al.points.ChristoffelPoints()"
         )
     if not quality.can_be_checked:
         sentences.append(

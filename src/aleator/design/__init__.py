@@ -28,12 +28,12 @@ from aleator.design._objectives import Norm as Norm
 from aleator.design._objectives import coefficient_power as coefficient_power
 from aleator.design._objectives import effort as effort
 from aleator.design._objectives import final_time as final_time
-from aleator.design._objectives import jerk as jerk
 from aleator.design._objectives import norm as norm
 from aleator.design._objectives import power as power
 from aleator.design._objectives import terminal_mean_error as terminal_mean_error
 from aleator.design._objectives import terminal_variance as terminal_variance
 from aleator.design._objectives import time_integral as time_integral
+from aleator.design._objectives import torque_rate as torque_rate
 from aleator.design._physics import refuse_changed_code as refuse_changed_code
 from aleator.design._problem import Problem as Problem
 from aleator.design._problem import current as current

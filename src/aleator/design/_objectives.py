@@ -1,4 +1,4 @@
-"""The objectives of motion planning: time, effort, power, jerk (75)-(84) and what is left at the end (85), (86)."""
+"""Objectives of motion planning: time, effort, power, rate of torque (75)-(84); what is left at the end (85), (86)."""
 
 import abc
 from collections.abc import Mapping, Sequence
@@ -165,9 +165,11 @@ def effort(*torques: str, weights: Weights = None) -> Expression:
     return _weighted([SquareIntegral((name,)).mean for name in torques], weights, "effort")
 
 
-def jerk(*torques: str, weights: Weights = None) -> Expression:
-    """The expected jerk `sum of w_i E[∫ τ̇_i² dt]`: `J_D4` (78) and `J_S3` (84), of the outputs `<torque>_rate`."""
-    return _weighted([SquareIntegral((f"{name_given(name)}_rate",)).mean for name in torques], weights, "jerk")
+def torque_rate(*torques: str, weights: Weights = None) -> Expression:
+    """The expected rate of torques, `sum of w_i E[∫ τ̇_i² dt]`: `J_D4` (78) and `J_S3` (84), which the dissertation
+    calls jerk; of the outputs `<torque>_rate`.
+    """
+    return _weighted([SquareIntegral((f"{name_given(name)}_rate",)).mean for name in torques], weights, "torque_rate")
 
 
 def power(pairs: Mapping[str, str], *, weights: Weights = None, smoothing: float = 0.0) -> Expression:

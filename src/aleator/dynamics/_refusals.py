@@ -27,7 +27,7 @@ def refuse_unrealised(**parts: Any) -> None:
         raise ProblemError(
             f"simulate: expected plain numbers, of one realised system; received others: {', '.join(found)}. Put "
             "numbers in their places; or declare an al.Problem, or give a function that simulates to al.expand or "
-            "al.monte_carlo, which realise the system."
+            "al.references.monte_carlo, which realise the system."
         )
 
 

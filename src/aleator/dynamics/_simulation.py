@@ -108,7 +108,7 @@ def simulate(
     if not isinstance(inputs, Mapping | None):
         raise refusal("simulate: inputs", "signals by name, such as {'road': ...}", inputs)
     if integrator is not None:
-        one_of("simulate: integrator", integrator, AbstractIntegrator, "al.RungeKutta4()")
+        one_of("simulate: integrator", integrator, AbstractIntegrator, "al.integrators.RungeKutta4()")
     if only is not None and (isinstance(only, str) or not isinstance(only, Collection)):
         raise refusal("simulate: only", "a list of outputs by name, such as ['x']", only)
     return simulation_of(system, grid, inputs, integrator).record(_asked(only)).history

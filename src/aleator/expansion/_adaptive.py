@@ -65,8 +65,9 @@ def grow(
     """
     if respond is None:
         raise ProblemError(
-            "Adaptive grows the index set by the model's outputs, which are not at hand here. Take al.TotalDegree() or "
-            "al.HyperbolicCross()."
+            "Adaptive grows the index set by the model's outputs, which are not at hand here. Take "
+            "al.index_sets.TotalDegree() or "
+            "al.index_sets.HyperbolicCross()."
         )
     basis = Basis(germs, TotalDegree().indices(tuple(germs), 1))
     _check(wish, points, basis)
@@ -208,13 +209,14 @@ def _check(wish: Adaptive, points: AbstractPoints, basis: Basis) -> None:
     """Refuse points with which an index set cannot be grown."""
     if not points.nested:
         raise ProblemError(
-            f"Adaptive adds points to those it has, which {type(points).__name__} do not allow. Take al.SobolPoints(), "
-            "al.HaltonPoints() or al.RandomPoints()."
+            f"Adaptive adds points to those it has, which {type(points).__name__} do not allow. Take "
+            "al.points.SobolPoints(), "
+            "al.points.HaltonPoints() or al.points.RandomPoints()."
         )
     if isinstance(points, AbstractCountedPoints) and points.count is not None:
         raise ProblemError(
             f"Adaptive takes its number of points from its budget; received {points.count} points. Leave their number "
-            f"out and write al.Adaptive(budget={points.count})."
+            f"out and write al.index_sets.Adaptive(budget={points.count})."
         )
     if wish.budget < _PER_TERM * basis.terms:
         raise ProblemError(

@@ -65,12 +65,15 @@ class Expansion(eqx.Module):
         self.order = given.whole("Expansion: the order", order)
         sets = (AbstractIndexSet, Adaptive)
         self.index_set = given.one_of(
-            "Expansion: index_set", TotalDegree() if index_set is None else index_set, sets, "al.TotalDegree()"
+            "Expansion: index_set",
+            TotalDegree() if index_set is None else index_set,
+            sets,
+            "al.index_sets.TotalDegree()",
         )
         if not isinstance(points, AbstractPoints | None):
             points = given.whole("Expansion: points", points)
         self.fit = given.one_of(
-            "Expansion: fit", LeastSquares() if fit is None else fit, AbstractFit, "al.LeastSquares()"
+            "Expansion: fit", LeastSquares() if fit is None else fit, AbstractFit, "al.fits.LeastSquares()"
         )
         if not isinstance(points, AbstractPoints):
             even = UsualPoints if isinstance(self.fit, LeastSquares) else HammersleyPoints

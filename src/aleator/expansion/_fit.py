@@ -61,7 +61,7 @@ class LeastSquares(AbstractFit):
         if not np.all(nodes.weights > 0):
             raise ProblemError(
                 "LeastSquares: some points have weights that are not positive, so that squares cannot be weighted by "
-                "them. Take al.Projection() with sparse grids."
+                "them. Take al.fits.Projection() with sparse grids."
             )
         # Relative to the largest one: equal weights leave the matrix as it is, to the last bit.
         scale = np.sqrt(nodes.weights / nodes.weights.max())
@@ -95,7 +95,7 @@ class Interpolation(AbstractFit):
         if count != terms:
             raise ProblemError(
                 f"Interpolation takes as many points as terms, {terms}; received {count}. Leave their number out, or "
-                "take al.LeastSquares()."
+                "take al.fits.LeastSquares()."
             )
         return LeastSquares().collocation(basis, nodes)
 
@@ -118,8 +118,9 @@ class Projection(AbstractFit):
         if not error < _ORTHONORMAL:
             raise ProblemError(
                 f"Projection: the weights of the {len(matrix)} points do not integrate the products of the polynomials "
-                f"(error {error:.1e}, limit {_ORTHONORMAL:.0e}). Take al.GaussPoints({max(basis.degrees) + 1}) or "
-                f"al.SmolyakPoints({basis.order}), which do for this basis, or al.LeastSquares()."
+                f"(error {error:.1e}, limit {_ORTHONORMAL:.0e}). Take al.points.GaussPoints({max(basis.degrees) + 1}) "
+                "or "
+                f"al.points.SmolyakPoints({basis.order}), which do for this basis, or al.fits.LeastSquares()."
             )
         positive = np.all(nodes.weights > 0)
         leverage = np.sum(weighted * matrix, axis=1) if positive else np.ones(len(matrix))
@@ -161,6 +162,6 @@ def _checked_condition(triangular: Float[np.ndarray, "terms terms"], count: int)
         raise ProblemError(
             f"The collocation matrix of {count} points and {len(triangular)} terms has condition number "
             f"{condition:.1e}, too large for least squares (limit {WORST_CONDITION:.0e}). Use more points or a lower "
-            "order, or al.OptimalPoints()."
+            "order, or al.points.OptimalPoints()."
         )
     return condition

@@ -22,7 +22,10 @@ _MOST_TERMS = 200_000
 # Numbers beyond this are not printed.
 _COUNTABLE = 1e30
 
-SMALLER = "Lower the order, or take a smaller index set: al.HyperbolicCross(q) or al.Anisotropic(weights)."
+SMALLER = (
+    "Lower the order, or take a smaller index set: al.index_sets.HyperbolicCross(q) or "
+    "al.index_sets.Anisotropic(weights)."
+)
 """What to do about a basis that is too large."""
 
 

@@ -45,7 +45,7 @@ class GaussPoints(AbstractPoints):
         if np.prod([float(count) for count in counts]) > _MOST_POINTS:
             raise ProblemError(
                 f"GaussPoints: a grid of {' x '.join(map(str, counts))} roots has more than {_MOST_POINTS} points. "
-                "Take al.SmolyakPoints(), or least squares."
+                "Take al.points.SmolyakPoints(), or least squares."
             )
         _refuse_large_rule(max(counts))
         rules = [germ.gauss(count) for germ, count in zip(basis.germs.values(), counts, strict=True)]

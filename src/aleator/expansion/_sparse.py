@@ -44,12 +44,12 @@ class Sparse(AbstractFit):
         linear_model = _linear_model()
         if respond is None:
             raise ProblemError(
-                "Sparse chooses terms by the model's outputs, which are not at hand here. Take al.LeastSquares()."
+                "Sparse chooses terms by the model's outputs, which are not at hand here. Take al.fits.LeastSquares()."
             )
         if not np.all(nodes.weights > 0):
             raise ProblemError(
                 "Sparse: some points have weights that are not positive, so that squares cannot be weighted by them. "
-                "Take al.SobolPoints() or al.LatinHypercubePoints()."
+                "Take al.points.SobolPoints() or al.points.LatinHypercubePoints()."
             )
         outputs = components(responses(respond, basis.names, nodes.points), nodes.weights)
         if not outputs:

@@ -11,6 +11,7 @@ from aleator.mechanics._formulation import AbstractFormulation as AbstractFormul
 from aleator.mechanics._forward import ForwardDynamics as ForwardDynamics
 from aleator.mechanics._hybrid import HybridDynamics as HybridDynamics
 from aleator.mechanics._inverse import InverseDynamics as InverseDynamics
+from aleator.mechanics._joints import AbstractJoint as AbstractJoint
 from aleator.mechanics._joints import Ball as Ball
 from aleator.mechanics._joints import Fixed as Fixed
 from aleator.mechanics._joints import Free as Free

@@ -19,7 +19,8 @@ class Body(eqx.Module):
     """A rigid body of an `al.Multibody`, with the joint that binds it to its parent. Lengths in m, angles in rad.
 
     - `name`, `parent`: its own name and that of the body it is bound to; `None` for the ground;
-    - `joint`: `al.Revolute`, `al.Prismatic`, `al.Ball`, `al.Free`, or `al.Fixed` for a part of its parent;
+    - `joint`: `al.joints.Revolute`, `al.joints.Prismatic`, `al.joints.Ball`, `al.joints.Free`, or `al.joints.Fixed`
+      for a part of its parent;
     - `position` (3,), `orientation`: the joint's frame in the parent's frame; the orientation is roll, pitch and yaw
       (about x, then y, then z of the parent), or a rotation matrix (3, 3). At rest, the body's frame is the joint's;
     - `mass` in kg, `center` (3,): the centre of mass in the body's frame;
@@ -45,7 +46,7 @@ class Body(eqx.Module):
             raise ProblemError(f"Body: expected a name; received {self.name!r}.")
         if not isinstance(self.joint, AbstractJoint | Fixed):
             raise ProblemError(
-                f"Body '{self.name}': expected a joint, such as al.Revolute('z') or al.Fixed(); received "
+                f"Body '{self.name}': expected a joint, such as al.joints.Revolute('z') or al.joints.Fixed(); received "
                 f"{self.joint!r}."
             )
         if self.parent is not None:

@@ -94,7 +94,7 @@ def combined_motion(names: tuple[str, ...], given: Given) -> AbstractTrajectory:
 
 def followed(motion: AbstractTrajectory, torque_rates: bool) -> dict[str, AbstractSignal]:
     """A motion with the derivatives that dynamics take of it: one more where torques are differentiated as well."""
-    names = ("velocity", "acceleration", "jolt")[: 3 if torque_rates else 2]
+    names = ("velocity", "acceleration", "jerk")[: 3 if torque_rates else 2]
     return {"position": motion, **{name: motion.derivative(k) for k, name in enumerate(names, 1)}}
 
 

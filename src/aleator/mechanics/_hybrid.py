@@ -139,7 +139,7 @@ class HybridDynamics(AbstractFormulation):
         position: Array,
         velocity: Array,
         acceleration: Array,
-        jolt: Array | None = None,
+        jerk: Array | None = None,
         known: Any = None,
         known_rate: Any = None,
         parameters: Any = None,
@@ -148,8 +148,8 @@ class HybridDynamics(AbstractFormulation):
         solved = self._solve(model, given, z.q, z.v)
         q_dot = rates(model, solved.q, solved.v)
         torque_rate = None
-        if jolt is not None and (known is None or known_rate is not None):
-            change = Prescribed(velocity, acceleration, jolt, self._known(known_rate))
+        if jerk is not None and (known is None or known_rate is not None):
+            change = Prescribed(velocity, acceleration, jerk, self._known(known_rate))
             along = (change, q_dot[self._others()], solved.v_dot[self._undriven()])
             torque_rate = along_time(lambda *now: self._solve(*now).torque, model, (given, z.q, z.v), along)[1]
         q_ddot = accelerations(model, solved.q, solved.v, solved.v_dot)

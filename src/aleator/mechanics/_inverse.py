@@ -79,15 +79,15 @@ class InverseDynamics(AbstractFormulation):
         position: Array,
         velocity: Array,
         acceleration: Array,
-        jolt: Array | None = None,
+        jerk: Array | None = None,
         parameters: Array | None = None,
     ) -> dict[str, Any]:
         del z
         model, curve = at(self.model, t, parameters), (position, velocity, acceleration)
-        if jolt is None:
+        if jerk is None:
             torque, path = _torques(model, *curve)
             return standard_outputs(model, _motion_at(t, path, torque), None)
-        along = velocity, acceleration, jolt
+        along = velocity, acceleration, jerk
         torque, torque_rate, path = along_time(_torques, model, curve, along, has_aux=True)
         return standard_outputs(model, _motion_at(t, path, torque), torque_rate)
 

@@ -22,9 +22,10 @@ class AbstractMechanical(eqx.Module):
     """A mechanical system `M(q) v̇ + C(q, v) v + N(q, v) = B(q) τ + Q(q, v)`, `q̇ = H(q) v`, equations (3) and (4).
 
     Its parameters are fields, and any number in a field may be a distribution or a decision, or a signal: a parameter
-    `θ(t)` that changes with time, such as `al.signal`, `al.RandomProcess` or a trajectory. In methods it is a number,
-    its value at the instant. A method may name the time besides, after its other arguments: `mass_matrix(self, q, t)`.
-    Equation (3) is taken at each instant: see `al.Mechanical` and `al.Lagrangian` for masses that change.
+    `θ(t)` that changes with time, such as `al.processes.signal`, `al.processes.RandomProcess` or a trajectory. In
+    methods it is a number, its value at the instant. A method may name the time besides, after its other arguments:
+    `mass_matrix(self, q, t)`. Equation (3) is taken at each instant: see `al.Mechanical` and `al.Lagrangian` for
+    masses that change.
 
     `Q` is the external `load(q, v)`, which torques work against in all three dynamics. What is known of its motion is
     said by `al.ForwardDynamics`, `al.InverseDynamics` or `al.HybridDynamics`; each makes a system of it, whose outputs

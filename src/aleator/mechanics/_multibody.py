@@ -37,11 +37,11 @@ class Multibody(AbstractMechanical):
             length: al.Number = 1.0
 
             def bodies(self):
-                return (al.Body("bob", joint=al.Revolute("y"), mass=1.0, center=(0.0, 0.0, -self.length)),)
+                return (al.Body("bob", joint=al.joints.Revolute("y"), mass=1.0, center=(0.0, 0.0, -self.length)),)
 
     Coordinates, speeds and forces are those of the joints: `bob` (rad), `bob_rate` (rad/s) and a torque (N·m); see
-    `al.Ball` and `al.Free` for theirs. They come in the order of the bodies, parents first. `gravity` is in m/s² and in
-    the world's axes; a field or property may take its place.
+    `al.joints.Ball` and `al.joints.Free` for theirs. They come in the order of the bodies, parents first. `gravity` is
+    in m/s² and in the world's axes; a field or property may take its place.
 
     Friction, drag and the forces of rotors are added to the bodies' by overriding `bias`, the inertia of geared motors
     by overriding `mass_matrix`:
@@ -56,8 +56,8 @@ class Multibody(AbstractMechanical):
     structure. Masses and inertias may change with time, as in `al.Mechanical`: what leaves a body has its velocity.
     Where joints are may not: that is the motion of one more joint, which `al.HybridDynamics` prescribes.
     Inverse and forward dynamics cost in proportion to the number of bodies (Featherstone, Rigid Body Dynamics
-    Algorithms, 2008), and a body on `al.Fixed` none at all; with a `bias` or a `mass_matrix` of one's own they go by
-    these.
+    Algorithms, 2008), and a body on `al.joints.Fixed` none at all; with a `bias` or a `mass_matrix` of one's own they
+    go by these.
 
     Raises `ProblemError` if the bodies are no tree.
     """

@@ -71,7 +71,7 @@ class RandomProcess(AbstractSignal):
     ):
         if not isinstance(covariance, AbstractCovariance):
             raise ProblemError(
-                "RandomProcess: expected a covariance, such as al.ExponentialCovariance(0.5); "
+                "RandomProcess: expected a covariance, such as al.processes.ExponentialCovariance(0.5); "
                 f"received {type(covariance).__name__} {covariance!r}."
             )
         self.covariance = covariance

@@ -22,8 +22,9 @@ class Total(AbstractSignal):
         for part in self.parts:
             if not isinstance(part, AbstractSignal):
                 raise ProblemError(
-                    f"total: expected signals, such as al.total(command, noise); received {type(part).__name__} "
-                    f"{part!r}. A constant or a function of time is one by al.signal."
+                    f"total: expected signals, such as al.processes.total(command, noise); received "
+                    f"{type(part).__name__} "
+                    f"{part!r}. A constant or a function of time is one by al.processes.signal."
                 )
         if not self.parts:
             raise ProblemError("total: expected at least one signal; received none.")

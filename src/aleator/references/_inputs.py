@@ -49,7 +49,7 @@ class Inputs:
                 where = ", ".join(f"{name} ~ {law}" for name, law in self.laws.items())
                 raise SimulationError(
                     f"{self._verb}: the function or its derivative is not finite at the means of {where}. It needs a "
-                    "function that is smooth there: use al.monte_carlo."
+                    "function that is smooth there: use al.references.monte_carlo."
                 )
 
 

@@ -25,7 +25,7 @@ def monte_carlo(
     batch: int = 4096,
     progress: Progress = silent,
 ) -> RandomSample:
-    """A function at independent random inputs: `al.monte_carlo(f, {"w": al.Uniform.bounds(0.9, 1.1)})`.
+    """A function at independent random inputs: `al.references.monte_carlo(f, {"w": al.Uniform.bounds(0.9, 1.1)})`.
 
     - `function`: takes the model with plain numbers in the place of its distributions; gives an array or a dict of
       arrays (any pytree of them);

@@ -64,8 +64,9 @@ def second_order(function: Function, model: Pytree) -> SecondOrder:
     for name, law in inputs.laws.items():
         if law.dependence is not None and not isinstance(law.germ(), HermiteGerm):
             raise ProblemError(
-                f"second_order: correlated inputs must be normal; received {name} ~ {law}. Use al.linearise or "
-                "al.quasi_monte_carlo."
+                f"second_order: correlated inputs must be normal; received {name} ~ {law}. Use al.references.linearise "
+                "or "
+                "al.references.quasi_monte_carlo."
             )
     variables = _variables(inputs)
 

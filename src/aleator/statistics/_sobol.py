@@ -171,5 +171,5 @@ def place_of(basis: Basis, name: str) -> int:
 def _refuse_sample() -> NoReturn:
     raise ProblemError(
         "A Sobol index cannot be estimated from one sample of an output, which does not say which inputs its "
-        "values come from: take it from al.expand, or use al.sobol_indices."
+        "values come from: take it from al.expand, or use al.references.sobol_indices."
     )

@@ -19,7 +19,7 @@ from aleator.reporting import (
 
 def no_recommendation(
     designs: Mapping[str, al.Solution],
-    evidence: Mapping[str, al.Evidence],
+    evidence: Mapping[str, al.results.Evidence],
     awaited: Sequence[str],
     sentences: Sequence[str],
     cards: Sequence[Card],
@@ -42,7 +42,7 @@ def no_recommendation(
     return None
 
 
-def violation_rows(evidence: Sequence[al.Evidence | None], broken: str) -> Iterator[list[str]]:
+def violation_rows(evidence: Sequence[al.results.Evidence | None], broken: str) -> Iterator[list[str]]:
     """Rows of a table whose columns are designs: how often fresh systems break each limit, and any of them.
 
     `broken` begins each row: `Cars beyond`, `Systems that break`.
@@ -59,7 +59,7 @@ def signed(change: float) -> str:
     return f"{'+' if change >= 0 else '−'}{percent(abs(change))}"
 
 
-def margin_drawing(found: al.Calibration, heading: str, who: str, margin: str = "") -> Drawing:
+def margin_drawing(found: al.results.Calibration, heading: str, who: str, margin: str = "") -> Drawing:
     """The search for a margin, with what fresh systems say of the one chosen; `margin` names that in words."""
     chosen = margin or f"a = {number(found.sigmas, 4)}"
     caption = (

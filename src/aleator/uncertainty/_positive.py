@@ -70,8 +70,8 @@ def _is_whole_part(node: Any) -> bool:
 def _message_of_process(name: str, signal: Any) -> str:
     return (
         f"'{name}' must stay positive, but a {type(signal).__name__} is Gaussian at every instant, and so unbounded "
-        "below. Give a positive function of it, such as al.signal(lambda t, p: 2.0 * jnp.exp(p.noise(t)), "
-        "noise=al.RandomProcess(...))."
+        "below. Give a positive function of it, such as al.processes.signal(lambda t, p: 2.0 * jnp.exp(p.noise(t)), "
+        "noise=al.processes.RandomProcess(...))."
     )
 
 

@@ -90,7 +90,8 @@ class Evidence:
       design's grid where its limits hold between them too;
     - `functionals`: mean and standard deviation of each, sampled, beside the expansion's;
     - `statistics`: each statistic in the problem by its text (`"Q0.99[rms(x)]"`), sampled, beside the expansion's;
-      those of paths, and those that a sample cannot tell (Sobol indices: see `al.sobol_indices`), are left out;
+      those of paths, and those that a sample cannot tell (Sobol indices: see `al.references.sobol_indices`), are left
+      out;
     - `trajectories`: some systems, for drawing;
     - `compared`: limits on statistics of all systems together, such as a bound on a `std`, with the sampled statistics
       in them; those that need statistics of paths other than mean, `std` and variance are left out;

@@ -86,7 +86,7 @@ def _refuse_broken(problem: Problem, batch: Batch, germ: np.ndarray, decisions: 
         return
     point = jnp.asarray(germ[np.argmin(good)])
     where = listed(inputs_at(problem.survey, point, jnp.asarray(decisions)))
-    remedy = "Shorten the time step, use an implicit integrator (al.Kvaerno5), or bound the distributions."
+    remedy = "Shorten the time step, use an implicit integrator (al.integrators.Kvaerno5), or bound the distributions."
     raise SimulationError(
         f"Monte Carlo: the simulation of the system with {where} is not finite. "
         f"{unsolved(problem, point, jnp.asarray(decisions)) or remedy}"

@@ -28,7 +28,7 @@ TRIED = 1.6
 """The margin from which the search sets out: of a uniform law, four in a hundred are beyond it on one side."""
 
 
-def meets(found: al.Calibration | None) -> bool:
+def meets(found: al.results.Calibration | None) -> bool:
     """Whether fresh systems confirm a calibrated plan, and its other limits hold as often as those it was made for."""
     if found is None or found.evidence is None:
         return False
@@ -43,7 +43,7 @@ def price(built: float, printed: float, unit: str) -> str:
 
 
 def build_verdict(
-    found: al.Calibration | None,
+    found: al.results.Calibration | None,
     printed: al.Solution,
     *,
     unit: str,
@@ -76,7 +76,7 @@ def build_verdict(
 
 def price_table(
     plans: Mapping[str, al.Solution],
-    evidence: Mapping[str, al.Evidence],
+    evidence: Mapping[str, al.results.Evidence],
     sigmas: Mapping[str, float],
     printed: str,
     measure: str,
@@ -100,7 +100,7 @@ def price_table(
     return Table("What a margin costs", header, rows)
 
 
-def margin_blocks(found: al.Calibration | None, prices: Table, who: str) -> Iterator[Block]:
+def margin_blocks(found: al.results.Calibration | None, prices: Table, who: str) -> Iterator[Block]:
     """The chapter about margins: prices, and the search for the one that is confirmed."""
     if prices.rows:
         yield prices

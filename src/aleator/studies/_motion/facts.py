@@ -29,7 +29,7 @@ def held_by(plan: al.Solution) -> str:
 
 
 def plans_table(
-    plans: Mapping[str, al.Solution], evidence: Mapping[str, al.Evidence], measures: Mapping[str, str]
+    plans: Mapping[str, al.Solution], evidence: Mapping[str, al.results.Evidence], measures: Mapping[str, str]
 ) -> Table:
     """The plans side by side: objective, duration, what holds them, and how often fresh systems break a limit."""
     every = list(plans.values())
@@ -52,7 +52,7 @@ def plans_table(
     return Table("Plans, limits and violations", ["", *plans], rows, note if any(found) else "")
 
 
-def optima_table(searches: Mapping[str, al.Starts]) -> Table:
+def optima_table(searches: Mapping[str, al.results.Starts]) -> Table:
     """The local optima that each search found, best first, and how many starts led to each."""
     rows = []
     for name, search in searches.items():
@@ -70,7 +70,7 @@ def optima_table(searches: Mapping[str, al.Starts]) -> Table:
     return Table("Local optima of the searches", ["Plan", "Objective", "Duration (s)", "Starts"], rows, note)
 
 
-def violation_cards(evidence: Mapping[str, al.Evidence], names: Sequence[str], what: str) -> Iterator[Card]:
+def violation_cards(evidence: Mapping[str, al.results.Evidence], names: Sequence[str], what: str) -> Iterator[Card]:
     """How often the systems of some plans break a limit."""
     for name in names:
         if one := evidence.get(name):

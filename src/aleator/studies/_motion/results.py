@@ -48,11 +48,11 @@ class MotionResults:
     """
 
     effort: Effort
-    searches: dict[str, al.Starts] = field(default_factory=dict)
+    searches: dict[str, al.results.Starts] = field(default_factory=dict)
     plans: dict[str, al.Solution] = field(default_factory=dict)
     coarse: dict[str, al.Solution] = field(default_factory=dict)
-    calibration: al.Calibration | None = None
-    evidence: dict[str, al.Evidence] = field(default_factory=dict)
+    calibration: al.results.Calibration | None = None
+    evidence: dict[str, al.results.Evidence] = field(default_factory=dict)
     families: dict[str, Family] = field(default_factory=dict)
 
     def search(

@@ -52,7 +52,7 @@ def pressure_angle(
 
 def published_expansion(order: int) -> al.Expansion:
     """An expansion at the points of the dissertation, which those of normal laws by default are not."""
-    return al.Expansion(order, points=al.HammersleyPoints())
+    return al.Expansion(order, points=al.points.HammersleyPoints())
 
 
 def allocation_problem(rejects: float = 0.0065) -> al.Problem:
@@ -62,7 +62,7 @@ def allocation_problem(rejects: float = 0.0065) -> al.Problem:
     """
     decisions = {name: al.Decision(start, TIGHTEST, WIDEST) for name, start in TOLERANCES.items()}
     chi, (lower, upper) = al.output("chi"), DEVIATION
-    hub, roller, ring = (al.reciprocal(f"{name}.tolerance", bias=0.0, scale=1.0) for name in MEANS)
+    hub, roller, ring = (al.cost.reciprocal(f"{name}.tolerance", bias=0.0, scale=1.0) for name in MEANS)
     return al.Problem(
         clutch(decisions),
         minimize=hub + roller + ring,

@@ -24,13 +24,13 @@ ROUNDING = 1e-9
 class Tails:
     """How many of the assemblies counted lie below and above the limits of a specification."""
 
-    low: al.Proportion
-    high: al.Proportion
+    low: al.results.Proportion
+    high: al.results.Proportion
 
     @property
-    def either(self) -> al.Proportion:
+    def either(self) -> al.results.Proportion:
         """Both together."""
-        return al.Proportion(self.low.count + self.high.count, self.low.samples)
+        return al.results.Proportion(self.low.count + self.high.count, self.low.samples)
 
 
 @final
@@ -75,7 +75,7 @@ def count_rejects(
         parts = (MEANS[name] + tolerances[name] / 3 * row for name, row in zip(MEANS, drawn, strict=True))
         angle = pressure_angle(*parts)
         found += [np.sum(side) for lower, upper in (LIMITS, DEVIATION) for side in (angle < lower, angle > upper)]
-    shares = [al.Proportion(int(one), samples) for one in found]
+    shares = [al.results.Proportion(int(one), samples) for one in found]
     return Counts(dict(tolerances), Tails(*shares[:2]), Tails(*shares[2:]), worst_case(tolerances))
 
 

@@ -118,11 +118,11 @@ def contributions_table(results: ClutchResults) -> Table:
     return Table("Contributions to the variance of the angle", header, rows)
 
 
-def _shares(one: al.Contribution) -> tuple[str, str]:
+def _shares(one: al.results.Contribution) -> tuple[str, str]:
     return percent(one.linear / 100), percent(one.total / 100)
 
 
-def per_million(share: al.Proportion) -> str:
+def per_million(share: al.results.Proportion) -> str:
     """A count as parts per million, with its confidence interval: `9.1 [8.4 to 9.8]`."""
     ends = (number(1e6 * end, 3) for end in (share.lower, share.upper))
     return f"{number(1e6 * share.estimate, 3)} [{' to '.join(ends)}]"
@@ -199,11 +199,11 @@ class Counted(NamedTuple):
     standard_error: float
 
 
-def counted(evidence: al.Evidence) -> Counted:
+def counted(evidence: al.results.Evidence) -> Counted:
     """The share of rejects among fresh assemblies: those too low and those too high."""
     sides = list(evidence.statistics.values())
     return Counted(sum(one.estimate for one in sides), math.hypot(*(one.standard_error for one in sides)))
 
 
-def _counted_text(evidence: al.Evidence) -> str:
+def _counted_text(evidence: al.results.Evidence) -> str:
     return " ± ".join(map(percent, counted(evidence)))

@@ -100,11 +100,11 @@ class ClutchResults:
     effort: Effort
     exact: float = np.nan
     methods: list[Method] = field(default_factory=list)
-    analyses: dict[str, al.ToleranceAnalysis] = field(default_factory=dict)
+    analyses: dict[str, al.results.ToleranceAnalysis] = field(default_factory=dict)
     counts: dict[str, Counts] = field(default_factory=dict)
     allocation: al.Solution | None = None
-    evidence: al.Evidence | None = None
-    front: al.Front | None = None
+    evidence: al.results.Evidence | None = None
+    front: al.results.Front | None = None
 
     @property
     def given(self) -> float:
@@ -129,10 +129,10 @@ def compare_methods(results: ClutchResults, progress: Progress) -> None:
     results.exact = exact_variation()
     model, effort = clutch(), results.effort
     progress("linearisation", 0, 4)
-    linear, seconds = _timed(lambda: al.linearise(_angle, model), effort.repeats)
+    linear, seconds = _timed(lambda: al.references.linearise(_angle, model), effort.repeats)
     results.methods.append(Method("DLM", 3 * float(linear.std), None, 1, seconds))
     if effort.second_order:
-        second, seconds = _timed(lambda: al.second_order(_angle, model), effort.repeats)
+        second, seconds = _timed(lambda: al.references.second_order(_angle, model), effort.repeats)
         results.methods.append(Method("second order", 3 * float(second.std), None, 1, seconds))
     progress("expansions", 1, 4)
     for order in effort.orders:
@@ -142,11 +142,11 @@ def compare_methods(results: ClutchResults, progress: Progress) -> None:
         results.methods.append(Method(f"gPC, order {order}", 3 * float(expanded.std), None, count, seconds))
     progress("quasi-Monte Carlo", 2, 4)
     samples = effort.quasi_samples
-    drawn, seconds = _timed(lambda: al.quasi_monte_carlo(_angle, model, samples))
+    drawn, seconds = _timed(lambda: al.references.quasi_monte_carlo(_angle, model, samples))
     results.methods.append(_sampled("quasi-Monte Carlo", drawn, samples, seconds))
     progress("Monte Carlo", 3, 4)
     samples = effort.samples
-    drawn, seconds = _timed(lambda: al.monte_carlo(_angle, model, samples))
+    drawn, seconds = _timed(lambda: al.references.monte_carlo(_angle, model, samples))
     results.methods.append(_sampled("Monte Carlo", drawn, samples, seconds))
 
 
@@ -154,7 +154,7 @@ def _angle(model: al.AlgebraicSystem) -> Any:
     return al.simulate(model)["chi"][0]
 
 
-def _sampled(name: str, drawn: al.RandomSample, samples: int, seconds: float) -> Method:
+def _sampled(name: str, drawn: al.references.RandomSample, samples: int, seconds: float) -> Method:
     std = drawn.std
     return Method(name, 3 * float(std.value), 3 * float(std.standard_error), samples, seconds)
 

@@ -29,7 +29,7 @@ def methods_dataset(methods: Sequence[Method]) -> "xarray.Dataset":
     )
 
 
-def analysis_dataset(one: al.ToleranceAnalysis) -> "xarray.Dataset":
+def analysis_dataset(one: al.results.ToleranceAnalysis) -> "xarray.Dataset":
     """The tolerance analysis for one specification, and the contributions of the dimensions."""
     import xarray
 

@@ -35,26 +35,28 @@ TOLERANCE = 0.15
 distances, whose spreads matter, are met to a fiftieth."""
 
 
-def deterministic_problem(obstacle: al.Sphere | None = OBSTACLE, *, guess: np.ndarray | None = None) -> al.Problem:
+def deterministic_problem(
+    obstacle: al.shapes.Sphere | None = OBSTACLE, *, guess: np.ndarray | None = None
+) -> al.Problem:
     """The plan of least effort for the mean payload (72)."""
     return al.deterministic(robust_problem(0.0, obstacle, guess=guess))
 
 
 def robust_problem(
     sigmas: float = 1.0,
-    obstacle: al.Sphere | None = OBSTACLE,
+    obstacle: al.shapes.Sphere | None = OBSTACLE,
     *,
     payload: al.Uniform = PAYLOAD,
     guess: np.ndarray | None = None,
 ) -> al.Problem:
     """The plan of least effort that keeps its distances `sigmas` standard deviations off, on target in the mean."""
     arm = TwoLinkArm(payload=payload, obstacle=obstacle)
-    return _problem(arm, al.effort(*TORQUES), sigmas, guess)
+    return _problem(arm, al.objectives.effort(*TORQUES), sigmas, guess)
 
 
 def terminal_variance_problem(
     sigmas: float = 1.0,
-    obstacle: al.Sphere | None = OBSTACLE,
+    obstacle: al.shapes.Sphere | None = OBSTACLE,
     *,
     effort: float | None = None,
     guess: np.ndarray | None = None,
@@ -63,8 +65,8 @@ def terminal_variance_problem(
     given.
     """
     arm = TwoLinkArm(payload=PAYLOAD, obstacle=obstacle)
-    limits = [] if effort is None else [(al.effort(*TORQUES) <= effort).named("effort")]
-    return _problem(arm, al.terminal_variance(*TIP), sigmas, guess, limits)
+    limits = [] if effort is None else [(al.objectives.effort(*TORQUES) <= effort).named("effort")]
+    return _problem(arm, al.objectives.terminal_variance(*TIP), sigmas, guess, limits)
 
 
 def _problem(

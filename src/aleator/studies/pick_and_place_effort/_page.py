@@ -57,7 +57,7 @@ def histories(families: Mapping[str, Family]) -> Iterator[Block]:
         yield Drawing(torques, "Torques", "They act as planned on every arm: nothing spreads.")
 
 
-def trade_off(front: al.Front | None) -> Iterator[Block]:
+def trade_off(front: al.results.Front | None) -> Iterator[Block]:
     """Effort against spread."""
     if front is None:
         return

@@ -51,7 +51,9 @@ def margin_problem(plan: al.Solution) -> al.Problem:
     return named(robust_problem(TRIED, guess=plan.decisions["torque.free"]), TOGETHER)
 
 
-def sweep_effort(least: al.Solution, robust: al.Solution, most: float, points: int, progress: Progress) -> al.Front:
+def sweep_effort(
+    least: al.Solution, robust: al.Solution, most: float, points: int, progress: Progress
+) -> al.results.Front:
     """The least terminal variance for each effort, from where more effort helps no more down to the robust plan."""
     problem = named(terminal_variance_problem(effort=MOST, guess=least.decisions["torque.free"]), TOGETHER)
     return al.pareto(problem, "effort", np.linspace(most, 1.01 * robust.objective, points), progress=progress)

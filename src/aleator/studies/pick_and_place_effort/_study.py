@@ -45,7 +45,7 @@ class PickAndPlaceEffort(AbstractMotionStudy):
 
     def __init__(self, effort: Effort):
         super().__init__(effort)
-        self.front: al.Front | None = None
+        self.front: al.results.Front | None = None
         self.spreads: dict[str, dict[str, Spread]] = {}
         self.flown: dict[str, Family] = {}
 

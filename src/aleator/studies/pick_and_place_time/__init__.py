@@ -26,7 +26,11 @@ INSTANTS = 90
 
 
 def deterministic_problem(
-    obstacle: al.Sphere | None = OBSTACLE, *, free: int = FREE, steps: int = INSTANTS, guess: np.ndarray | None = None
+    obstacle: al.shapes.Sphere | None = OBSTACLE,
+    *,
+    free: int = FREE,
+    steps: int = INSTANTS,
+    guess: np.ndarray | None = None,
 ) -> al.Problem:
     """The fastest plan for the mean payload (73)."""
     return al.deterministic(robust_problem(0.0, obstacle, free=free, steps=steps, guess=guess))
@@ -34,7 +38,7 @@ def deterministic_problem(
 
 def robust_problem(
     sigmas: float = 1.0,
-    obstacle: al.Sphere | None = OBSTACLE,
+    obstacle: al.shapes.Sphere | None = OBSTACLE,
     *,
     free: int = FREE,
     steps: int = INSTANTS,
@@ -50,7 +54,7 @@ def robust_problem(
     return al.Problem(
         plan,
         grid=al.Grid(al.Decision(2.0, 0.5, 6.0), steps),
-        minimize=al.final_time(),
+        minimize=al.objectives.final_time(),
         subject_to=[*torques, *clear_of_wall_and_obstacle(arm)],
         expansion=al.Expansion(order=5),
     )

@@ -21,7 +21,7 @@ SHARE_OF_TORQUE = 0.36
 
 PAYLOAD = al.Uniform(2.0, half_width=0.8)
 OFFSET = al.Uniform(0.05, half_width=0.03)
-PILLAR = al.Capsule((-0.6, 0.0, 0.0), (-0.6, 0.0, 0.5), 0.06)
+PILLAR = al.shapes.Capsule((-0.6, 0.0, 0.0), (-0.6, 0.0, 0.5), 0.06)
 FLOOR = 0.10
 FREE = 8
 STEPS = 63
@@ -65,13 +65,15 @@ class SixAxisArm(al.Multibody):
 
     payload: al.Number = al.parameter("kg", positive=True)
     offset: al.Number = al.parameter("m")
-    pillar: al.Capsule | None = PILLAR
+    pillar: al.shapes.Capsule | None = PILLAR
 
     def bodies(self) -> tuple[al.Body, ...]:
         """The links of the table, and the payload."""
         parents = (None, *JOINTS)
         links = [_link(row, parent) for row, parent in zip(LINKS, parents, strict=False)]
-        load = al.Body("load", parent="wrist_3", joint=al.Fixed(), position=(0.0, 0.0, self.offset), mass=self.payload)
+        load = al.Body(
+            "load", parent="wrist_3", joint=al.joints.Fixed(), position=(0.0, 0.0, self.offset), mass=self.payload
+        )
         return (*links, load)
 
     def outputs(self, motion: al.Motion) -> dict[str, Any]:
@@ -80,8 +82,8 @@ class SixAxisArm(al.Multibody):
         found: dict[str, Any] = {"height": tool[2]}
         if self.pillar is not None:
             near, far = (self.point(motion.q, "elbow", (x, 0.0, 0.0265)) for x in (0.0, -0.3922))
-            found["forearm_gap"] = al.distance(al.Capsule(near, far, 0.06), self.pillar)
-            found["tool_gap"] = al.distance(al.Sphere(tool, 0.10), self.pillar)
+            found["forearm_gap"] = al.shapes.distance(al.shapes.Capsule(near, far, 0.06), self.pillar)
+            found["tool_gap"] = al.shapes.distance(al.shapes.Sphere(tool, 0.10), self.pillar)
         return found
 
 
@@ -89,7 +91,7 @@ def _link(row: dict[str, Any], parent: str | None) -> al.Body:
     return al.Body(
         row["joint"],
         parent=parent,
-        joint=al.Revolute("z"),
+        joint=al.joints.Revolute("z"),
         position=(row["x"], row["y"], row["z"]),
         orientation=(row["roll"], row["pitch"], row["yaw"]),
         mass=row["mass"],
@@ -98,13 +100,15 @@ def _link(row: dict[str, Any], parent: str | None) -> al.Body:
     )
 
 
-def deterministic_problem(obstacle: al.Capsule | None = PILLAR, *, guess: np.ndarray | None = None) -> al.Problem:
+def deterministic_problem(
+    obstacle: al.shapes.Capsule | None = PILLAR, *, guess: np.ndarray | None = None
+) -> al.Problem:
     """The fastest plan for the mean payload."""
     return al.deterministic(robust_problem(0.0, obstacle, guess=np.array(MEAN_PLAN) if guess is None else guess))
 
 
 def robust_problem(
-    sigmas: float = 1.0, obstacle: al.Capsule | None = PILLAR, *, guess: np.ndarray | None = None
+    sigmas: float = 1.0, obstacle: al.shapes.Capsule | None = PILLAR, *, guess: np.ndarray | None = None
 ) -> al.Problem:
     """The fastest plan whose torques keep their limits `sigmas` standard deviations off."""
     arm = SixAxisArm(payload=PAYLOAD, offset=OFFSET, pillar=obstacle)
@@ -117,7 +121,7 @@ def robust_problem(
     return al.Problem(
         al.InverseDynamics(arm, motion=motion),
         grid=al.Grid(al.Decision(DURATION, 0.1, 20.0), STEPS),
-        minimize=al.final_time(),
+        minimize=al.objectives.final_time(),
         subject_to=[
             *(al.path(f"{name}_torque").within(-limit, limit, sigmas=sigmas) for name, limit in torque.items()),
             *(al.path(f"{row['joint']}_rate").within(-row["speed_limit"], row["speed_limit"]) for row in LINKS),

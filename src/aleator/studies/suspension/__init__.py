@@ -84,9 +84,9 @@ POSITION_S, POSITION_U = al.path("z_s"), al.path("z_u")
 TYRE = al.rms("grip")
 
 COST = (
-    al.reciprocal_power("k_s.half_width", bias=0.50, scale=1.40e6, power=1.5)
-    + al.reciprocal_power("b_s.half_width", bias=0.75, scale=3.31e5, power=2.0)
-    + al.reciprocal_power("eta.half_width", bias=0.85, scale=0.733, power=1.0)
+    al.cost.reciprocal_power("k_s.half_width", bias=0.50, scale=1.40e6, power=1.5)
+    + al.cost.reciprocal_power("b_s.half_width", bias=0.75, scale=3.31e5, power=2.0)
+    + al.cost.reciprocal_power("eta.half_width", bias=0.85, scale=0.733, power=1.0)
 )
 """Cost to make the spreads so small, $: equation (125) with the numbers of table 7.3."""
 

@@ -88,7 +88,7 @@ def cards(results: SuspensionResults) -> Iterator[Card]:
 
 def built_table(results: SuspensionResults) -> Table:
     """The designs to build beside the printed ones they come from."""
-    columns: dict[str, tuple[al.Solution, al.Evidence | None, dict[str, float]]] = {}
+    columns: dict[str, tuple[al.Solution, al.results.Evidence | None, dict[str, float]]] = {}
     for name, one in results.built.items():
         if name in results.designs:
             printed = dict.fromkeys(one.names, 1.0)

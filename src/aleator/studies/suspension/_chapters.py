@@ -98,11 +98,11 @@ def robust_design(results: SuspensionResults) -> Iterator[Block]:
         yield _decision_path(results)
 
 
-def _ride_front(fronts: dict[str, al.Front], x: str) -> Any:
+def _ride_front(fronts: dict[str, al.results.Front], x: str) -> Any:
     return front_figure(fronts, x=x, x_unit="m", y=RIDE_NAME, y_unit=RIDE_UNIT)
 
 
-def _price(fronts: dict[str, al.Front], x: str, bound: str, heading: str, scale: float, unit: str) -> Drawing:
+def _price(fronts: dict[str, al.results.Front], x: str, bound: str, heading: str, scale: float, unit: str) -> Drawing:
     figure = price_figure(
         fronts, x=x, x_unit="m", y="Price of the limit", y_unit=f"{RIDE_UNIT} per {unit}", scale=scale
     )
@@ -114,7 +114,7 @@ def _price(fronts: dict[str, al.Front], x: str, bound: str, heading: str, scale:
     )
 
 
-def _transition(fronts: dict[str, al.Front], bound: str, unit: str) -> str:
+def _transition(fronts: dict[str, al.results.Front], bound: str, unit: str) -> str:
     """Up to which value of its limit each front is held by it."""
     parts = []
     for name, front in fronts.items():
@@ -231,5 +231,5 @@ def apportionment(results: SuspensionResults) -> Iterator[Block]:
         yield Drawing([figure], "Apportioned spreads against the travel limit", caption, "7.5")
 
 
-def _initial(front: al.Front, name: str) -> str:
+def _initial(front: al.results.Front, name: str) -> str:
     return given(start_of(front.solutions[0], name), UNITS[name.split(".")[0]])

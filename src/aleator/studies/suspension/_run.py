@@ -62,14 +62,14 @@ class SuspensionResults:
 
     effort: Effort
     designs: dict[str, al.Solution] = field(default_factory=dict)
-    evidence: dict[str, al.Evidence] = field(default_factory=dict)
-    built: dict[str, al.Calibration] = field(default_factory=dict)
+    evidence: dict[str, al.results.Evidence] = field(default_factory=dict)
+    built: dict[str, al.results.Calibration] = field(default_factory=dict)
     narrow: dict[str, al.Solution] = field(default_factory=dict)
-    narrow_evidence: dict[str, al.Evidence] = field(default_factory=dict)
-    travel_fronts: dict[str, al.Front] = field(default_factory=dict)
-    holding_fronts: dict[str, al.Front] = field(default_factory=dict)
-    boxes: dict[str, al.Front] = field(default_factory=dict)
-    calibration: al.Calibration | None = None
+    narrow_evidence: dict[str, al.results.Evidence] = field(default_factory=dict)
+    travel_fronts: dict[str, al.results.Front] = field(default_factory=dict)
+    holding_fronts: dict[str, al.results.Front] = field(default_factory=dict)
+    boxes: dict[str, al.results.Front] = field(default_factory=dict)
+    calibration: al.results.Calibration | None = None
 
 
 def solve_designs(results: SuspensionResults, progress: Progress) -> None:
@@ -141,7 +141,7 @@ def sweep_holding(results: SuspensionResults, progress: Progress) -> None:
         _keep(results.boxes, name, al.pareto(problem, "holding", HOLDING_BOXES, progress=progress))
 
 
-def _keep(fronts: dict[str, al.Front], name: str, front: al.Front) -> None:
+def _keep(fronts: dict[str, al.results.Front], name: str, front: al.results.Front) -> None:
     """Keep what is finished of a front; one that Ctrl-C cut short ends the study, too."""
     fronts[name] = front
     stop_if_interrupted(front)

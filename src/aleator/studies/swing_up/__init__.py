@@ -66,7 +66,7 @@ class DoublePendulum(al.Mechanical):
     length_2: al.Number = al.parameter("m", positive=True, default=1.0)
     damping: al.Number = al.parameter("N m s/rad", default=0.1)
     gravity: al.Number = al.parameter("m/s²", default=9.81)
-    obstacle: al.Sphere | None = None
+    obstacle: al.shapes.Sphere | None = None
 
     def mass_matrix(self, q: Float[Array, " 2"]) -> Float[Array, "2 2"]:
         """`M(q)`, kg m²."""
@@ -99,8 +99,8 @@ class DoublePendulum(al.Mechanical):
         places = {"tip_x": tip[0], "tip_y": tip[1]}
         if self.obstacle is None:
             return places
-        links = al.Capsule((0.0, 0.0), elbow), al.Capsule(elbow, tip)
-        return places | {f"gap_{i}": al.distance(link, self.obstacle) for i, link in enumerate(links, 1)}
+        links = al.shapes.Capsule((0.0, 0.0), elbow), al.shapes.Capsule(elbow, tip)
+        return places | {f"gap_{i}": al.shapes.distance(link, self.obstacle) for i, link in enumerate(links, 1)}
 
 
 POWER = {"q1_torque": "q1_rate"}
@@ -108,7 +108,7 @@ TIP = ("tip_x", "tip_y")
 
 
 def deterministic_problem(
-    obstacle: al.Sphere | None = None,
+    obstacle: al.shapes.Sphere | None = None,
     *,
     guess: np.ndarray | None = None,
     duration: float = DURATION,
@@ -116,12 +116,12 @@ def deterministic_problem(
 ) -> al.Problem:
     """The swing-up that exchanges the least energy, for the mean pendulum (74)."""
     plan = _plan(DoublePendulum(mass_2=MASS_2, obstacle=obstacle), np.array(SWINGS) if guess is None else guess)
-    return al.deterministic(_problem(plan, al.power(POWER, smoothing=smoothing), 0.0, [], duration))
+    return al.deterministic(_problem(plan, al.objectives.power(POWER, smoothing=smoothing), 0.0, [], duration))
 
 
 def robust_problem(
     sigmas: float = 1.0,
-    obstacle: al.Sphere | None = None,
+    obstacle: al.shapes.Sphere | None = None,
     *,
     expected: str = "torque",
     guess: np.ndarray | None = None,
@@ -134,9 +134,9 @@ def robust_problem(
     `expected`: whether the energy is that of the expected torque (`"torque"`, the sum that (83) prints: the first
     joint's rate is certain) or the expected energy (`"energy"`).
     """
-    energy = al.coefficient_power if expected == "torque" else al.power
+    energy = al.objectives.coefficient_power if expected == "torque" else al.objectives.power
     plan = _plan(DoublePendulum(mass_2=mass_2, obstacle=obstacle), np.array(FAMILY_SWINGS) if guess is None else guess)
-    spread = (al.terminal_variance(*TIP) <= VARIANCE).named("terminal variance")
+    spread = (al.objectives.terminal_variance(*TIP) <= VARIANCE).named("terminal variance")
     return _problem(plan, energy(POWER, smoothing=smoothing), sigmas, [spread], duration)
 
 

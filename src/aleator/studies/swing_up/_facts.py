@@ -48,10 +48,10 @@ def overloads(family: Family) -> np.ndarray:
     return np.abs(family.extremes["q1_torque"]).max(axis=1) > TORQUE * (1 + HELD)
 
 
-def missed(family: Family) -> al.Proportion:
+def missed(family: Family) -> al.results.Proportion:
     """How many systems end too far from upright."""
     x, y = (family.systems[name][:, -1] for name in ("tip_x", "tip_y"))
-    return al.Proportion(int(np.sum(np.hypot(x - TIP[0], y - TIP[1]) > FAR)), len(x))
+    return al.results.Proportion(int(np.sum(np.hypot(x - TIP[0], y - TIP[1]) > FAR)), len(x))
 
 
 def terminal_norm(family: Family) -> str:

@@ -13,7 +13,7 @@ import aleator as al
 START = (np.pi / 6, np.pi / 6)
 TARGET = (-np.pi / 6, -np.pi / 6)
 TORQUE = 10.0
-OBSTACLE = al.Sphere((0.65, 0.80), 0.30)
+OBSTACLE = al.shapes.Sphere((0.65, 0.80), 0.30)
 
 
 class TwoLinkArm(al.Mechanical):
@@ -32,7 +32,7 @@ class TwoLinkArm(al.Mechanical):
     }
 
     payload: al.Number = al.parameter("kg", positive=True)
-    obstacle: al.Sphere | None = None
+    obstacle: al.shapes.Sphere | None = None
     mass_1: al.Number = al.parameter("kg", positive=True, default=1.0)
     mass_2: al.Number = al.parameter("kg", positive=True, default=1.0)
     length_1: al.Number = al.parameter("m", positive=True, default=1.0)
@@ -57,8 +57,8 @@ class TwoLinkArm(al.Mechanical):
         places = {"elbow_x": elbow[0], "elbow_y": elbow[1], "tip_x": tip[0], "tip_y": tip[1]}
         if self.obstacle is None:
             return places
-        links = al.Capsule((0.0, 0.0), elbow), al.Capsule(elbow, tip)
-        return places | {f"gap_{i}": al.distance(link, self.obstacle) for i, link in enumerate(links, 1)}
+        links = al.shapes.Capsule((0.0, 0.0), elbow), al.shapes.Capsule(elbow, tip)
+        return places | {f"gap_{i}": al.shapes.distance(link, self.obstacle) for i, link in enumerate(links, 1)}
 
     def places(self, q: Float[Array, " 2"]) -> tuple[Float[Array, " 2"], Float[Array, " 2"]]:
         """The elbow and the tip, m."""
