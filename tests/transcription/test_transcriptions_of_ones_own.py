@@ -119,7 +119,7 @@ def test_a_problem_has_the_same_answer_and_certificate_by_another_transcription(
 def test_a_solution_by_one_transcription_starts_another():
     problem = PROBLEMS["a spread within a limit"]()
     usual = al.solve(problem)
-    one_step = al.FilterSQP(max_iterations=1)
+    one_step = al.solvers.FilterSQP(max_iterations=1)
     again = al.solve(problem, one_step, transcription=Epigraph(), warm_start=usual, throw=False)
     np.testing.assert_allclose(again.vector, usual.vector, rtol=1e-2)  # it began at 0.5, a fifth of that
 
