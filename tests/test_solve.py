@@ -178,7 +178,11 @@ class Escape(al.System):
         return {"x": 1.0}
 
 
-@pytest.mark.parametrize("integrator", [al.RungeKutta4(), al.Tsit5(max_steps=8000)], ids=["RungeKutta4", "Tsit5"])
+@pytest.mark.parametrize(
+    "integrator",
+    [al.RungeKutta4(), pytest.param(al.Tsit5(max_steps=8000), marks=pytest.mark.slow)],
+    ids=["RungeKutta4", "Tsit5"],
+)
 def test_a_simulation_that_blows_up_at_one_point_only_is_named(integrator):
     # Points in germ space are 2 u - 1 of the Hammersley set: with six points the largest rate is the last one's.
     points = 2 * HammersleyPoints().levels(6, 1)[:, 0] - 1
