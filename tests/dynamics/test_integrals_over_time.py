@@ -2,7 +2,6 @@
 
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -10,6 +9,7 @@ from scipy import integrate
 
 import aleator as al
 from aleator.design import functionals_of, integrated_paths, responses, sampled
+from compiling import compiled
 
 STEPS = np.array([10, 20, 40, 80])
 DECAY, START, END = 0.7, 2.0, 1.5
@@ -77,7 +77,7 @@ def problem(functional, steps, integrator=None):
 
 def value(declared):
     functionals = functionals_of(declared.expressions)
-    found = jax.jit(lambda x: responses(declared, functionals, jnp.zeros((1, 0)), x))(jnp.array([DECAY]))
+    found = compiled(lambda x: responses(declared, functionals, jnp.zeros((1, 0)), x))(jnp.array([DECAY]))
     return float(found[0][0])
 
 
