@@ -14,6 +14,7 @@ from scipy.special import eval_legendre, pro_rad1
 import aleator as al
 from aleator.processes._karhunen_loeve import legendre
 from aleator.uncertainty import realise
+from compiling import compiled
 
 # Few modes, on purpose: what they leave out is what these tests ask about.
 pytestmark = pytest.mark.filterwarnings("ignore:RandomProcess:aleator.ExpansionWarning")
@@ -39,7 +40,7 @@ def at(process: al.RandomProcess, times: Any) -> np.ndarray:
     def path(xi):
         return jax.vmap(realise({"noise": process}, xi, jnp.zeros(0))["noise"])(jnp.asarray(times))
 
-    return np.asarray(jax.vmap(path)(jnp.eye(len(process.xi)))).T
+    return np.asarray(compiled(jax.vmap(path))(jnp.eye(len(process.xi)))).T
 
 
 def gauss(count: int) -> tuple[np.ndarray, np.ndarray]:
