@@ -41,7 +41,7 @@ def tolerance_problem(limit: Any = None, **options: Any) -> al.Problem:
     force = al.Uniform(2.0, half_width=al.Decision(0.2, 0.01, 1.5))
     return al.Problem(
         Hardening(a=force),
-        minimize=al.reciprocal("a.half_width", bias=1.0, scale=0.5),
+        minimize=al.cost.reciprocal("a.half_width", bias=1.0, scale=0.5),
         subject_to=[X.at_most(1.1, worst_case=True) if limit is None else limit],
         **options,
     )

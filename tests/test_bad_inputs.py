@@ -109,15 +109,15 @@ def test_the_corpus_covers_every_public_name():
 @pytest.mark.parametrize("whole", [np.int64(3), np.int32(3), np.uint8(3)])
 def test_whole_numbers_of_numpy_are_whole_numbers(whole):
     assert al.Expansion(order=whole) == al.Expansion(order=3)
-    assert al.SobolPoints(whole, whole) == al.SobolPoints(3, 3)
+    assert al.points.SobolPoints(whole, whole) == al.points.SobolPoints(3, 3)
     assert al.Grid(1.0, whole).steps == 3
     assert al.BSpline(np.zeros(5), degree=whole).degree == 3
-    assert al.Slsqp(max_rounds=whole).max_rounds == 3
+    assert al.solvers.Slsqp(max_rounds=whole).max_rounds == 3
 
 
 @pytest.mark.parametrize("one", [np.float64(0.5), np.float32(0.5), np.array(0.5)])
 def test_numbers_of_numpy_are_numbers(one):
-    assert al.HyperbolicCross(one) == al.HyperbolicCross(0.5)
-    assert al.Tsit5(rtol=one) == al.Tsit5(rtol=0.5)
+    assert al.index_sets.HyperbolicCross(one) == al.index_sets.HyperbolicCross(0.5)
+    assert al.integrators.Tsit5(rtol=one) == al.integrators.Tsit5(rtol=0.5)
     assert str(al.Decision(one)) == str(al.Decision(0.5))
     assert str(one * al.terminal("x").mean) == str(0.5 * al.terminal("x").mean)

@@ -115,7 +115,7 @@ def test_a_statistic_of_ones_own_is_that_of_functionals_of_expansions_and_of_sam
     laws = {"u": al.Normal(1.0, 0.3)}
     expanded = al.expand(lambda at: at["u"] ** 2, laws)
     assert float(expanded.statistic(Spread())) == pytest.approx(float(expanded.std), rel=1e-12)
-    sample = al.monte_carlo(lambda at: at["u"] ** 2, laws, 400, seed=0)
+    sample = al.references.monte_carlo(lambda at: at["u"] ** 2, laws, 400, seed=0)
     assert sample.statistic(Spread()).value == pytest.approx(np.asarray(sample.values).std(), rel=1e-9)
     own, usual = (al.solve(problem(one)) for one in (al.terminal("x").statistic(Spread()), al.terminal("x").std))
     assert own.objective == pytest.approx(usual.objective, rel=1e-9)

@@ -7,7 +7,7 @@ import pytest
 import aleator as al
 
 SOLVERS = pytest.mark.parametrize(
-    "solver", [al.FilterSQP(), al.Ipopt(), al.Slsqp()], ids=lambda one: type(one).__name__
+    "solver", [al.solvers.FilterSQP(), al.solvers.Ipopt(), al.solvers.Slsqp()], ids=lambda one: type(one).__name__
 )
 
 
@@ -36,7 +36,7 @@ def unstable(constraint, unit=1.0):
 
 @pytest.mark.parametrize(
     "solver",
-    [al.FilterSQP(), al.Ipopt(), pytest.param(al.Slsqp(), marks=pytest.mark.slow)],
+    [al.solvers.FilterSQP(), al.solvers.Ipopt(), pytest.param(al.solvers.Slsqp(), marks=pytest.mark.slow)],
     ids=lambda one: type(one).__name__,
 )
 def test_a_wild_gradient_at_the_start_makes_no_infeasible_problem_solved(solver):
@@ -100,14 +100,14 @@ def thrust(length, force, cost, fastest):
     [(1.0, 1.0, 1.0), (1e-9, 1.0, 1.0), (1e9, 1.0, 1.0), (1.0, 1e-9, 1e9), (1.0, 1e9, 1e-9), (1e-9, 1e9, 1e9)],
 )
 def test_units_of_objective_constraints_and_decisions_change_neither_answer_nor_verdict(solver, length, force, cost):
-    if isinstance(solver, al.Slsqp) and force != 1.0:
+    if isinstance(solver, al.solvers.Slsqp) and force != 1.0:
         pytest.skip("solved too, but in thousands of evaluations: the cost has no slope at the start to scale it by")
     solution = al.solve(thrust(length, force, cost, fastest=2.0), solver)
     assert solution.objective / cost == pytest.approx(12.0, rel=1e-6)
     end, rest, _ = solution.constraints
     assert end.values[0] / length == pytest.approx(1.0, abs=1e-6)
     assert rest.values[0] / length == pytest.approx(0.0, abs=1e-5)
-    if isinstance(solver, al.Slsqp) and (length, force, cost) != (1.0, 1.0, 1.0):
+    if isinstance(solver, al.solvers.Slsqp) and (length, force, cost) != (1.0, 1.0, 1.0):
         return  # it takes thousands of evaluations to find that nothing is feasible
     # A mean speed of one cannot be had with a speed of at most a half.
     broken = al.solve(thrust(length, force, cost, fastest=0.5), solver, throw=False)
@@ -135,7 +135,7 @@ def terms(output):
 
 @pytest.mark.parametrize(("output", "known"), [("kink", "has a kink close by"), ("jump", "jumps close by")])
 def test_a_solver_that_gets_stuck_says_what_is_known_of_the_reason_first(output, known):
-    solution = al.solve(terms(output), al.FilterSQP(), throw=False)
+    solution = al.solve(terms(output), al.solvers.FilterSQP(), throw=False)
     assert solution.status is al.Status.FAILED
     assert solution.decisions["a"] == pytest.approx(2.0, abs=1e-3)
     why = solution.why()
@@ -159,7 +159,7 @@ class Push(al.System):
 @SOLVERS
 @pytest.mark.parametrize("spread", [False, True], ids=["norm", "spread"])
 def test_a_norm_or_spread_is_optimal_at_zero_where_it_has_its_kink(solver, spread):
-    goal = al.terminal("x").std if spread else al.terminal_mean_error({"x": 1.0, "v": 0.0})
+    goal = al.terminal("x").std if spread else al.objectives.terminal_mean_error({"x": 1.0, "v": 0.0})
     problem = al.Problem(
         Push(al.Uniform(1.0, half_width=0.1) if spread else 1.0),
         grid=al.Grid(1.0, steps=50),

@@ -24,18 +24,18 @@ EXPANSIONS = {
     "thirty variables at order four": (30, al.Expansion(4)),
     "a total degree of a billion": (1, al.Expansion(HUGE)),
     "a total degree of a billion in many variables": (100, al.Expansion(HUGE)),
-    "a tensor product": (100, al.Expansion(HUGE, index_set=al.TensorProduct())),
-    "powers alone": (5, al.Expansion(HUGE, index_set=al.HyperbolicCross())),
-    "weighted powers": (5, al.Expansion(HUGE, index_set=al.Anisotropic([1.0] * 5))),
-    "a weight of nearly nothing": (2, al.Expansion(3, index_set=al.Anisotropic([1e-320, 1.0]))),
+    "a tensor product": (100, al.Expansion(HUGE, index_set=al.index_sets.TensorProduct())),
+    "powers alone": (5, al.Expansion(HUGE, index_set=al.index_sets.HyperbolicCross())),
+    "weighted powers": (5, al.Expansion(HUGE, index_set=al.index_sets.Anisotropic([1.0] * 5))),
+    "a weight of nearly nothing": (2, al.Expansion(3, index_set=al.index_sets.Anisotropic([1e-320, 1.0]))),
     "a billion points": (5, al.Expansion(3, points=HUGE)),
-    "a trillion points": (5, al.Expansion(3, points=al.SobolPoints(HUGE * 1000))),
-    "candidates of optimal points": (5, al.Expansion(3, points=al.OptimalPoints(HUGE))),
-    "a full grid": (8, al.Expansion(3, points=al.GaussPoints(HUGE), fit=al.Projection())),
-    "a rule of a million roots": (1, al.Expansion(3, points=al.GaussPoints(10**6), fit=al.Projection())),
-    "a sparse grid": (8, al.Expansion(3, points=al.SmolyakPoints(HUGE), fit=al.Projection())),
-    "a sparse grid of one variable": (1, al.Expansion(3, points=al.SmolyakPoints(100_000), fit=al.Projection())),
-    "candidates of a sparse expansion": (60, al.Expansion(4, points=10**5, fit=al.Sparse())),
+    "a trillion points": (5, al.Expansion(3, points=al.points.SobolPoints(HUGE * 1000))),
+    "candidates of optimal points": (5, al.Expansion(3, points=al.points.OptimalPoints(HUGE))),
+    "a full grid": (8, al.Expansion(3, points=al.points.GaussPoints(HUGE), fit=al.fits.Projection())),
+    "a rule of a million roots": (1, al.Expansion(3, points=al.points.GaussPoints(10**6), fit=al.fits.Projection())),
+    "a sparse grid": (8, al.Expansion(3, points=al.points.SmolyakPoints(HUGE), fit=al.fits.Projection())),
+    "a sparse grid of one variable": (1, al.Expansion(3, points=al.points.SmolyakPoints(100_000), fit=al.fits.Projection())),
+    "candidates of a sparse expansion": (60, al.Expansion(4, points=10**5, fit=al.fits.Sparse())),
 }
 
 
@@ -81,7 +81,7 @@ def test_a_matrix_at_any_points_is_counted_first(monkeypatch):
         basis.matrix(np.zeros((40, 2)))
 
 
-@pytest.mark.parametrize("verb", [al.monte_carlo, al.quasi_monte_carlo, al.sobol_indices])
+@pytest.mark.parametrize("verb", [al.references.monte_carlo, al.references.quasi_monte_carlo, al.references.sobol_indices])
 def test_a_sample_that_does_not_fit_is_refused(verb):
     with pytest.raises(al.ProblemError, match=rf"{verb.__name__}: .* samples of 1 variables would need .* GiB|GiB"):
         verb(lambda at: at["w"], {"w": al.Uniform.bounds(0.0, 1.0)}, 2**50)

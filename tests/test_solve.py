@@ -11,7 +11,7 @@ from aleator.expansion import HammersleyPoints
 from tiny_models import LOSS, ONE_STEP, RESPONSE, SPREAD, Gain, gain_problem, oscillator_problem
 
 SOLVERS = pytest.mark.parametrize(
-    "solver", [al.FilterSQP(), al.Ipopt(), al.Slsqp()], ids=lambda one: type(one).__name__
+    "solver", [al.solvers.FilterSQP(), al.solvers.Ipopt(), al.solvers.Slsqp()], ids=lambda one: type(one).__name__
 )
 
 
@@ -106,7 +106,7 @@ def test_a_problem_without_uncertainty_is_solved_all_the_same():
 
 
 def test_the_three_solvers_agree_on_a_problem_with_path_constraints():
-    optima = [al.solve(oscillator_problem(), solver).objective for solver in (al.FilterSQP(), al.Ipopt(), al.Slsqp())]
+    optima = [al.solve(oscillator_problem(), solver).objective for solver in (al.solvers.FilterSQP(), al.solvers.Ipopt(), al.solvers.Slsqp())]
     assert optima == pytest.approx([optima[0]] * 3, rel=1e-6)
     solution = al.solve(oscillator_problem())
     assert solution.active == ("x",)
@@ -180,7 +180,7 @@ class Escape(al.System):
 
 @pytest.mark.parametrize(
     "integrator",
-    [al.RungeKutta4(), pytest.param(al.Tsit5(max_steps=8000), marks=pytest.mark.slow)],
+    [al.integrators.RungeKutta4(), pytest.param(al.integrators.Tsit5(max_steps=8000), marks=pytest.mark.slow)],
     ids=["RungeKutta4", "Tsit5"],
 )
 def test_a_simulation_that_blows_up_at_one_point_only_is_named(integrator):
@@ -202,7 +202,7 @@ def test_a_simulation_that_blows_up_at_one_point_only_is_named(integrator):
     message = str(caught.value)
     assert f"collocation point 6 of 6 (rate={rates[5]:.6g})" in message
     assert "gain=1" in message
-    fixed = isinstance(integrator, al.RungeKutta4)
+    fixed = isinstance(integrator, al.integrators.RungeKutta4)
     where = "output 'x' from t = " if fixed else "Tsit5 gets no further than t = "
     told = float(message.split(where)[1].split(" s")[0])
     assert told == pytest.approx(1 / rates[5], rel=0.02)
@@ -325,7 +325,7 @@ def square_problem(*subject_to, minimize=None, start=1.0):
     )
 
 
-@pytest.mark.parametrize("solver", [al.FilterSQP(), al.Ipopt(), al.Slsqp()], ids=lambda one: type(one).__name__)
+@pytest.mark.parametrize("solver", [al.solvers.FilterSQP(), al.solvers.Ipopt(), al.solvers.Slsqp()], ids=lambda one: type(one).__name__)
 @pytest.mark.parametrize("offset", [0.0, 1e5, 1e8])
 def test_an_offset_of_the_objective_does_not_move_the_optimum(solver, offset):
     solution = al.solve(square_problem(minimize=al.terminal("q").mean + offset), solver)
@@ -369,7 +369,7 @@ def test_code_that_reads_a_global_is_compiled_anew_when_the_global_has_changed(m
 
 def test_wrong_arguments_are_refused_in_words():
     problem = square_problem()
-    with pytest.raises(al.ProblemError, match=r"expected a solver, such as al.Ipopt\(\)"):
+    with pytest.raises(al.ProblemError, match=r"expected a solver, such as al.solvers.Ipopt\(\)"):
         al.solve(problem, "ipopt")
     with pytest.raises(al.ProblemError, match="expected a Problem"):
         al.solve(problem.system)
@@ -378,6 +378,6 @@ def test_wrong_arguments_are_refused_in_words():
 
 
 def test_a_decision_at_its_bound_is_named_whatever_the_solver():
-    for solver in (al.FilterSQP(), al.Ipopt(), al.Slsqp()):
+    for solver in (al.solvers.FilterSQP(), al.solvers.Ipopt(), al.solvers.Slsqp()):
         solution = al.solve(square_problem(minimize=al.terminal("a").mean), solver)
         assert solution.active == ("a",)

@@ -185,7 +185,7 @@ def test_a_function_that_reads_a_global_that_changes_is_never_answered_from_memo
     assert float(al.expand(response, DECAY).mean) == pytest.approx(6.0)
 
 
-@pytest.mark.parametrize("verb", [al.expand, al.monte_carlo], ids=lambda one: one.__name__)
+@pytest.mark.parametrize("verb", [al.expand, al.references.monte_carlo], ids=lambda one: one.__name__)
 def test_a_function_that_draws_its_own_random_numbers_is_refused(verb):
     def response(m):
         return m["u"] + np.random.default_rng().normal()
@@ -305,9 +305,9 @@ def test_reverse_rules_of_differentiation_tell_functions_apart():
 @pytest.mark.parametrize(
     "expansion",
     [
-        al.Expansion(order=5, points=al.GaussPoints()),
-        al.Expansion(order=5, points=al.GaussPoints(), fit=al.Projection()),
-        al.Expansion(order=5, index_set=al.TensorProduct(), points=al.GaussPoints(), fit=al.Interpolation()),
+        al.Expansion(order=5, points=al.points.GaussPoints()),
+        al.Expansion(order=5, points=al.points.GaussPoints(), fit=al.fits.Projection()),
+        al.Expansion(order=5, index_set=al.index_sets.TensorProduct(), points=al.points.GaussPoints(), fit=al.fits.Interpolation()),
     ],
 )
 def test_a_gauss_grid_that_interpolates_along_its_axes_does_not_pass_for_resolved(expansion):

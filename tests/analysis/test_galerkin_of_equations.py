@@ -94,7 +94,7 @@ def test_a_law_that_is_not_affine_in_the_germ_is_not_truncated():
     law = al.LogNormal(mean=1.0, std=0.2)
     s = np.sqrt(np.log(1.04))
     m = -(s**2) / 2
-    expanded = al.galerkin(Spring(law), expansion=al.Expansion(8, points=al.GaussPoints(20)))
+    expanded = al.galerkin(Spring(law), expansion=al.Expansion(8, points=al.points.GaussPoints(20)))
     mean = 2.0 * np.exp(s**2 / 2 - m)
     assert float(expanded.mean["u"]) == pytest.approx(mean, rel=1e-9)
     assert float(expanded.variance["u"]) == pytest.approx(4 * np.exp(2 * s**2 - 2 * m) - mean**2, rel=1e-7)
@@ -193,7 +193,7 @@ def test_equations_without_a_solution_are_named_with_the_numbers_at_fault():
         ({"grid": al.Grid(1.0, 2)}, "grid"),
         ({"grid": al.Expansion(2)}, "grid"),
         ({"inputs": {"road": al.Tabulated([0.0, 1.0], [0.0, 1.0])}}, "inputs"),
-        ({"grid": al.Grid(1.0, 2), "integrator": al.Tsit5()}, "grid and integrator"),
+        ({"grid": al.Grid(1.0, 2), "integrator": al.integrators.Tsit5()}, "grid and integrator"),
     ],
 )
 def test_time_is_refused(options, received):

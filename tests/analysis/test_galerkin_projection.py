@@ -20,7 +20,7 @@ def collocated(order):
     return al.expand(lambda m: {"x": m.start * jnp.exp(-m.rate * GRID.times)}, DECAY, al.Expansion(order))
 
 
-@pytest.mark.parametrize("integrator", [None, al.Tsit5(rtol=1e-11, atol=1e-12)])
+@pytest.mark.parametrize("integrator", [None, al.integrators.Tsit5(rtol=1e-11, atol=1e-12)])
 def test_the_uncertain_decay_has_its_published_moments(integrator):
     expanded = al.galerkin(DECAY, GRID, al.Expansion(8), integrator=integrator)
     assert float(expanded.mean["x"][-1]) == pytest.approx(DECAY_MEAN, abs=1e-8)

@@ -57,13 +57,13 @@ def test_spreads_by_default_points_are_those_of_the_closed_form_or_warned_of(cas
 def test_even_points_that_extrapolate_are_told_of_with_the_points_to_take(case, order):
     function, laws, std = CASES[case]
     try:
-        expanded, told = expanded_and_warnings(function, laws, al.Expansion(order, points=al.HammersleyPoints()))
+        expanded, told = expanded_and_warnings(function, laws, al.Expansion(order, points=al.points.HammersleyPoints()))
     except al.ProblemError:
         return  # the matrix is refused, which is no silence
     assert told or float(expanded.std) == pytest.approx(std, rel=0.03)
     if float(expanded.leave_one_out) <= 0.05 < float(expanded.jackknife):
         assert "into the tails" in told
-        assert "al.InducedPoints() or al.GaussPoints()" in told
+        assert "al.points.InducedPoints() or al.points.GaussPoints()" in told
         assert "EXTRAPOLATED" in str(expanded)
 
 
@@ -83,7 +83,7 @@ def test_the_jackknife_error_is_how_far_refits_without_each_point_move_the_coeff
 
 def test_points_of_the_induced_laws_are_even_in_probability():
     # of one variable each term has its own share of points, whose levels in its own law are those of a sequence
-    expanded = al.expand(lambda m: m["x"], {"x": NORMAL}, al.Expansion(3, points=al.InducedPoints(4000)))
+    expanded = al.expand(lambda m: m["x"], {"x": NORMAL}, al.Expansion(3, points=al.points.InducedPoints(4000)))
     points = np.sort(np.asarray(expanded.collocation.points)[:, 0])
     polynomials = np.polynomial.hermite_e.hermevander(NODES, 3) / np.sqrt([1.0, 1.0, 2.0, 6.0])
     density = np.mean(polynomials**2, axis=1) * MASSES / np.sqrt(2 * np.pi)

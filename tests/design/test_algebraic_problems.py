@@ -154,7 +154,7 @@ def clutch_problem():
     )
     return al.Problem(
         clutch,
-        minimize=al.reciprocal("a.std", bias=0.1, scale=0.001),
+        minimize=al.cost.reciprocal("a.std", bias=0.1, scale=0.001),
         subject_to=[al.output("chi").within(6.5, 7.5, sigmas=3.0)],
     )
 

@@ -33,31 +33,31 @@ def logarithm(spread):
 NAME = "theta.half_width"
 CURVES = {
     "reciprocal power": (
-        al.reciprocal_power(NAME, bias=0.5, scale=3.0, power=1.5),
+        al.cost.reciprocal_power(NAME, bias=0.5, scale=3.0, power=1.5),
         lambda s: 0.5 + 3.0 / s**1.5,
         lambda s: -4.5 / s**2.5,
         "(0.5 + 3/theta.half_width^1.5)",
     ),
     "reciprocal": (
-        al.reciprocal(NAME, bias=0.5, scale=3.0),
+        al.cost.reciprocal(NAME, bias=0.5, scale=3.0),
         lambda s: 0.5 + 3.0 / s,
         lambda s: -3.0 / s**2,
         "(0.5 + 3/theta.half_width)",
     ),
     "reciprocal squared": (
-        al.reciprocal_squared(NAME, bias=0.5, scale=3.0),
+        al.cost.reciprocal_squared(NAME, bias=0.5, scale=3.0),
         lambda s: 0.5 + 3.0 / s**2,
         lambda s: -6.0 / s**3,
         "(0.5 + 3/theta.half_width²)",
     ),
     "exponential": (
-        al.exponential(NAME, bias=0.5, scale=3.0, rate=2.0),
+        al.cost.exponential(NAME, bias=0.5, scale=3.0, rate=2.0),
         lambda s: 0.5 + 3.0 * np.exp(-2.0 * s),
         lambda s: -6.0 * np.exp(-2.0 * s),
         "(0.5 + 3 exp(−2 theta.half_width))",
     ),
     "a function of one's own": (
-        al.cost_curve(NAME, logarithm),
+        al.cost.cost_curve(NAME, logarithm),
         lambda s: 2.0 - np.log(s),
         lambda s: -1.0 / s,
         "logarithm(theta.half_width)",
@@ -80,7 +80,7 @@ def test_the_cheapest_spread_under_a_limit_is_found():
     problem = al.Problem(
         Gain(gain=1.0, theta=al.Uniform(1.0, half_width=al.Decision(0.1, 0.01, 0.9))),
         grid=ONE_STEP,
-        minimize=al.reciprocal(NAME, bias=0.5, scale=0.2),
+        minimize=al.cost.reciprocal(NAME, bias=0.5, scale=0.2),
         subject_to=[al.terminal("response").at_most(1.25, sigmas=1.0)],
     )
     solution = al.solve(problem)
@@ -96,5 +96,5 @@ def test_a_curve_of_an_unknown_number_is_refused():
         al.Problem(
             Gain(gain=1.0, theta=al.Uniform(1.0, half_width=0.1)),
             grid=ONE_STEP,
-            minimize=LOSS.mean + al.reciprocal("theta.half_widht", bias=0.0, scale=1.0),
+            minimize=LOSS.mean + al.cost.reciprocal("theta.half_widht", bias=0.0, scale=1.0),
         )

@@ -48,34 +48,34 @@ def integral(values):
 SECOND = 1 + VARIANCE
 WORK = integral(2 * (1 + T) * np.abs(1 - 2 * T))
 EXPECTED = {
-    "effort": (al.effort("torque"), 4 * SECOND * integral((1 + T) ** 2)),
+    "effort": (al.objectives.effort("torque"), 4 * SECOND * integral((1 + T) ** 2)),
     "weighted": (
-        al.effort("torque", "certain", weights=[0.5, 3.0]),
+        al.objectives.effort("torque", "certain", weights=[0.5, 3.0]),
         2 * SECOND * integral((1 + T) ** 2) + 3 * integral(np.sin(3 * T) ** 2),
     ),
-    "jerk": (al.jerk("torque"), integral((2 + 3 * T) ** 2 + 4 * VARIANCE)),
+    "jerk": (al.objectives.torque_rate("torque"), integral((2 + 3 * T) ** 2 + 4 * VARIANCE)),
     # E|θ (2 - θ)| is 1 minus the variance; from coefficients one by one it is 1 plus the variance.
-    "power": (al.power({"torque": "against"}), (1 - VARIANCE) * WORK),
-    "coefficient": (al.coefficient_power({"torque": "against"}), (1 + VARIANCE) * WORK),
-    "power at a certain rate": (al.power({"torque": "rate"}), WORK),
-    "coefficient at a certain rate": (al.coefficient_power({"torque": "rate"}, weights=[2.0]), 2 * WORK),
+    "power": (al.objectives.power({"torque": "against"}), (1 - VARIANCE) * WORK),
+    "coefficient": (al.objectives.coefficient_power({"torque": "against"}), (1 + VARIANCE) * WORK),
+    "power at a certain rate": (al.objectives.power({"torque": "rate"}), WORK),
+    "coefficient at a certain rate": (al.objectives.coefficient_power({"torque": "rate"}, weights=[2.0]), 2 * WORK),
     "sum of powers": (
-        al.power({"torque": "rate", "certain": "rate"}, weights=[1.0, 0.1]),
+        al.objectives.power({"torque": "rate", "certain": "rate"}, weights=[1.0, 0.1]),
         WORK + 0.1 * integral(np.abs(np.sin(3 * T) * (1 - 2 * T))),
     ),
     "mean error": (
-        al.terminal_mean_error({"torque": 5.0, "rate": 0.2}),
+        al.objectives.terminal_mean_error({"torque": 5.0, "rate": 0.2}),
         np.hypot(2 * 1.8 - 5.0, (1 - 1.6) - 0.2),
     ),
-    "variance": (al.terminal_variance("torque", "against"), VARIANCE * np.hypot((2 * 1.8) ** 2, 0.6**2)),
-    "no variance": (al.terminal_variance("zero"), 0.0),
-    "norm": (al.norm(al.value("gain"), al.terminal("rate").mean - 1.0), np.hypot(2.0, -1.6)),
+    "variance": (al.objectives.terminal_variance("torque", "against"), VARIANCE * np.hypot((2 * 1.8) ** 2, 0.6**2)),
+    "no variance": (al.objectives.terminal_variance("zero"), 0.0),
+    "norm": (al.objectives.norm(al.value("gain"), al.terminal("rate").mean - 1.0), np.hypot(2.0, -1.6)),
     "spread over time": (al.time_integral(al.path("torque").std), 2 * np.sqrt(VARIANCE) * integral(1 + T)),
     "norm over time": (
-        al.time_integral(al.norm(al.path("rate").mean, al.path("certain").mean)),
+        al.time_integral(al.objectives.norm(al.path("rate").mean, al.path("certain").mean)),
         integral(np.hypot(1 - 2 * T, np.sin(3 * T))),
     ),
-    "time": (al.final_time(), 0.8),
+    "time": (al.objectives.final_time(), 0.8),
 }
 
 
@@ -83,7 +83,7 @@ def problem(constraints=()):
     return al.Problem(
         Joint(al.Decision(3.0, 2.0, 5.0), al.Uniform(1.0, half_width=HALF)),
         grid=al.Grid(al.Decision(1.0, 0.8, 2.0), 8),
-        minimize=al.value("gain") + al.final_time(),
+        minimize=al.value("gain") + al.objectives.final_time(),
         subject_to=constraints,
     )
 
@@ -103,7 +103,7 @@ def test_objectives_have_the_values_of_their_closed_forms(name):
 def test_the_printed_power_is_the_expected_one_where_all_is_certain():
     limits = [
         (one >= -100.0).named(f"{i}")
-        for i, one in enumerate([al.power({"torque": "against"}), al.coefficient_power({"torque": "against"})])
+        for i, one in enumerate([al.objectives.power({"torque": "against"}), al.objectives.coefficient_power({"torque": "against"})])
     ]
     values = [float(one.values[0]) for one in al.solve(al.deterministic(problem(limits))).constraints]
     np.testing.assert_allclose(values, [WORK, WORK], rtol=1e-7)
@@ -111,7 +111,7 @@ def test_the_printed_power_is_the_expected_one_where_all_is_certain():
 
 def test_the_final_time_of_a_fixed_grid_is_a_number():
     fixed = al.Problem(
-        Joint(al.Decision(3.0, 2.0, 5.0), 1.0), grid=al.Grid(0.7, 4), minimize=al.value("gain") + al.final_time()
+        Joint(al.Decision(3.0, 2.0, 5.0), 1.0), grid=al.Grid(0.7, 4), minimize=al.value("gain") + al.objectives.final_time()
     )
     assert al.solve(fixed).objective == pytest.approx(2.7, rel=1e-8)
 
@@ -136,23 +136,23 @@ class Means(AbstractScope):
 
 
 def test_the_norm_of_what_is_zero_has_derivative_zero():
-    for expression in (al.terminal_variance("a", "b"), al.terminal_mean_error({"a": 0.0})):
+    for expression in (al.objectives.terminal_variance("a", "b"), al.objectives.terminal_mean_error({"a": 0.0})):
         assert float(jax.grad(lambda x, one=expression: one.evaluate(Means(x)))(0.0)) == 0.0
-    slope = jax.grad(lambda x: al.terminal_variance("a", "b").evaluate(Means(x)))(3.0)
+    slope = jax.grad(lambda x: al.objectives.terminal_variance("a", "b").evaluate(Means(x)))(3.0)
     assert float(slope) == pytest.approx(np.sqrt(2.0), rel=1e-14)
 
 
 @pytest.mark.parametrize(
     ("expression", "text"),
     [
-        (al.effort("a", "b", weights=[1.0, 0.5]), "μ[∫a² dt] + 0.5 μ[∫b² dt]"),
-        (al.jerk("a"), "μ[∫a_rate² dt]"),
-        (al.power({"a": "q_rate"}), "μ[∫|a q_rate| dt]"),
-        (al.coefficient_power({"a": "q_rate"}), "∫Σ|·|[a(t), q_rate(t)] dt"),
-        (al.terminal_mean_error({"x": 2.0}), "‖μ[x(t_f)] − 2‖"),
-        (al.terminal_variance("x", "y"), "‖Var[x(t_f)], Var[y(t_f)]‖"),
+        (al.objectives.effort("a", "b", weights=[1.0, 0.5]), "μ[∫a² dt] + 0.5 μ[∫b² dt]"),
+        (al.objectives.torque_rate("a"), "μ[∫a_rate² dt]"),
+        (al.objectives.power({"a": "q_rate"}), "μ[∫|a q_rate| dt]"),
+        (al.objectives.coefficient_power({"a": "q_rate"}), "∫Σ|·|[a(t), q_rate(t)] dt"),
+        (al.objectives.terminal_mean_error({"x": 2.0}), "‖μ[x(t_f)] − 2‖"),
+        (al.objectives.terminal_variance("x", "y"), "‖Var[x(t_f)], Var[y(t_f)]‖"),
         (al.time_integral(2 * al.path("x").std), "∫2 σ[x(t)] dt"),
-        (al.final_time(), "t_final"),
+        (al.objectives.final_time(), "t_final"),
     ],
 )
 def test_objectives_are_shown_as_mathematics(expression, text):
@@ -160,49 +160,49 @@ def test_objectives_are_shown_as_mathematics(expression, text):
 
 
 def test_objectives_speak_of_their_outputs():
-    constraint = al.power({"a": "q_rate"}) + al.terminal_variance("x") <= 2.0
+    constraint = al.objectives.power({"a": "q_rate"}) + al.objectives.terminal_variance("x") <= 2.0
     assert constraint.name == "a, q_rate, x"
     assert not constraint.is_path
-    assert (al.norm(al.path("x").mean) <= 1.0).is_path
+    assert (al.objectives.norm(al.path("x").mean) <= 1.0).is_path
 
 
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
-        (lambda: al.effort(), "effort: expected at least one output"),
-        (lambda: al.power({}), "power: expected at least one output"),
-        (lambda: al.coefficient_power({}), "coefficient_power: expected at least one output"),
-        (lambda: al.effort("a", "b", weights=[1.0]), "expected 2 weights, one a term; received 1"),
-        (lambda: al.effort("a", weights=["heavy"]), "Only numbers can multiply"),
-        (lambda: al.effort("a", weights=[np.nan]), "Only finite numbers can multiply an expression by; received nan"),
-        (lambda: al.jerk("a", weights=[np.inf]), "Only finite numbers can multiply an expression by; received inf"),
-        (lambda: al.effort("a", "b", weights=2.0), "expected 2 weights, one a term; received 1"),
-        (lambda: al.effort("a", "b", weights={"b": 1.0, "a": 2.0}), "effort: weights are numbers in the order"),
-        (lambda: al.effort(["a", "b"]), "An output is given by its name, such as 'x', and several one by one"),
-        (lambda: al.jerk(["a", "b"]), r"An output is given by its name.*received list \['a', 'b'\]"),
-        (lambda: al.terminal_variance(["a"]), "An output is given by its name"),
+        (lambda: al.objectives.effort(), "effort: expected at least one output"),
+        (lambda: al.objectives.power({}), "power: expected at least one output"),
+        (lambda: al.objectives.coefficient_power({}), "coefficient_power: expected at least one output"),
+        (lambda: al.objectives.effort("a", "b", weights=[1.0]), "expected 2 weights, one a term; received 1"),
+        (lambda: al.objectives.effort("a", weights=["heavy"]), "Only numbers can multiply"),
+        (lambda: al.objectives.effort("a", weights=[np.nan]), "Only finite numbers can multiply an expression by; received nan"),
+        (lambda: al.objectives.torque_rate("a", weights=[np.inf]), "Only finite numbers can multiply an expression by; received inf"),
+        (lambda: al.objectives.effort("a", "b", weights=2.0), "expected 2 weights, one a term; received 1"),
+        (lambda: al.objectives.effort("a", "b", weights={"b": 1.0, "a": 2.0}), "effort: weights are numbers in the order"),
+        (lambda: al.objectives.effort(["a", "b"]), "An output is given by its name, such as 'x', and several one by one"),
+        (lambda: al.objectives.torque_rate(["a", "b"]), r"An output is given by its name.*received list \['a', 'b'\]"),
+        (lambda: al.objectives.terminal_variance(["a"]), "An output is given by its name"),
         (lambda: al.path(3), "An output is given by its name.*received int 3"),
-        (lambda: al.power([("a", "b")]), "power: expected the rate that each torque acts on, by its name"),
-        (lambda: al.coefficient_power("a"), "coefficient_power: expected the rate that each torque acts on"),
-        (lambda: al.power({"a": 3}), "An output is given by its name.*received int 3"),
-        (lambda: al.power({"a": "b"}, smoothing=-1.0), "power: smoothing is a power, W, not below zero; received -1"),
-        (lambda: al.power({"a": "b"}, smoothing=np.inf), "Only finite numbers can smooth a power; received inf"),
-        (lambda: al.coefficient_power({"a": "b"}, smoothing=-0.1), "coefficient_power: smoothing is a power"),
-        (lambda: al.coefficient_power({"a": "b"}, smoothing=np.nan), "Only finite numbers can smooth a power"),
-        (lambda: al.terminal_mean_error("x"), "terminal_mean_error: expected what each output is to be at the end"),
-        (lambda: al.terminal_mean_error({"x": np.nan}), "Only finite numbers can be added to or compared"),
-        (lambda: np.nan * al.effort("a"), "Only finite numbers can multiply"),
-        (lambda: al.effort("a") / np.nan, "Only finite numbers can divide"),
-        (lambda: al.effort("a") / 0, "cannot be divided by zero"),
-        (lambda: al.effort("a") + np.inf, "Only finite numbers can be added"),
-        (lambda: al.reciprocal("k", bias=np.nan, scale=1.0), "Only finite numbers can be a coefficient of a cost"),
-        (lambda: al.norm(), "norm: expected at least one expression"),
-        (lambda: al.terminal_mean_error({}), "norm: expected at least one expression"),
-        (lambda: al.norm(al.terminal("x")), "differs from one realisation to the next"),
+        (lambda: al.objectives.power([("a", "b")]), "power: expected the rate that each torque acts on, by its name"),
+        (lambda: al.objectives.coefficient_power("a"), "coefficient_power: expected the rate that each torque acts on"),
+        (lambda: al.objectives.power({"a": 3}), "An output is given by its name.*received int 3"),
+        (lambda: al.objectives.power({"a": "b"}, smoothing=-1.0), "power: smoothing is a power, W, not below zero; received -1"),
+        (lambda: al.objectives.power({"a": "b"}, smoothing=np.inf), "Only finite numbers can smooth a power; received inf"),
+        (lambda: al.objectives.coefficient_power({"a": "b"}, smoothing=-0.1), "coefficient_power: smoothing is a power"),
+        (lambda: al.objectives.coefficient_power({"a": "b"}, smoothing=np.nan), "Only finite numbers can smooth a power"),
+        (lambda: al.objectives.terminal_mean_error("x"), "terminal_mean_error: expected what each output is to be at the end"),
+        (lambda: al.objectives.terminal_mean_error({"x": np.nan}), "Only finite numbers can be added to or compared"),
+        (lambda: np.nan * al.objectives.effort("a"), "Only finite numbers can multiply"),
+        (lambda: al.objectives.effort("a") / np.nan, "Only finite numbers can divide"),
+        (lambda: al.objectives.effort("a") / 0, "cannot be divided by zero"),
+        (lambda: al.objectives.effort("a") + np.inf, "Only finite numbers can be added"),
+        (lambda: al.cost.reciprocal("k", bias=np.nan, scale=1.0), "Only finite numbers can be a coefficient of a cost"),
+        (lambda: al.objectives.norm(), "norm: expected at least one expression"),
+        (lambda: al.objectives.terminal_mean_error({}), "norm: expected at least one expression"),
+        (lambda: al.objectives.norm(al.terminal("x")), "differs from one realisation to the next"),
         (lambda: al.time_integral(al.terminal("x").mean), "expected statistics of a path; received 'μ"),
         (lambda: al.time_integral(al.path("x")), "differs from one realisation to the next"),
-        (lambda: problem([al.effort("torqe") <= 1.0]), "Did you mean 'torque'"),
-        (lambda: problem([al.norm(al.value("gian")) <= 1.0]), "Did you mean 'gain'"),
+        (lambda: problem([al.objectives.effort("torqe") <= 1.0]), "Did you mean 'torque'"),
+        (lambda: problem([al.objectives.norm(al.value("gian")) <= 1.0]), "Did you mean 'gain'"),
     ],
 )
 def test_objectives_that_make_no_sense_are_refused_in_words(wrong, message):
@@ -212,16 +212,16 @@ def test_objectives_that_make_no_sense_are_refused_in_words(wrong, message):
 
 @pytest.mark.parametrize("weights", [(2.0,), 2.0, np.array([2.0]), jnp.array([2.0]), np.float32(2.0), jnp.array(2.0)])
 def test_weights_are_any_sequence_of_numbers_or_one_for_one_output(weights):
-    assert str(al.effort("a", weights=weights)) == "2 μ[∫a² dt]"
+    assert str(al.objectives.effort("a", weights=weights)) == "2 μ[∫a² dt]"
 
 
 def test_references_and_factors_may_be_numbers_of_any_library():
-    assert str(al.terminal_mean_error({"x": jnp.array(2.0)})) == "‖μ[x(t_f)] − 2‖"
-    assert str(al.power({"a": "b"}, smoothing=np.array(0.1)) * jnp.array(3)) == "3 μ[∫|a b| dt]"
+    assert str(al.objectives.terminal_mean_error({"x": jnp.array(2.0)})) == "‖μ[x(t_f)] − 2‖"
+    assert str(al.objectives.power({"a": "b"}, smoothing=np.array(0.1)) * jnp.array(3)) == "3 μ[∫|a b| dt]"
 
 
 def test_a_norm_and_a_root_mean_square_of_what_is_not_a_number_are_none():
-    for expression in (al.terminal_variance("a", "b"), al.terminal_mean_error({"a": 0.0})):
+    for expression in (al.objectives.terminal_variance("a", "b"), al.objectives.terminal_mean_error({"a": 0.0})):
         assert np.isnan(expression.evaluate(Means(jnp.nan)))
     functional = al.rms("a")
     integral = functional.integrand({"a": jnp.asarray(jnp.nan)})

@@ -20,7 +20,7 @@ class Pendulum(al.Multibody):
         return (
             al.Body(
                 "a",
-                joint=al.Revolute("y"),
+                joint=al.joints.Revolute("y"),
                 mass=self.mass,
                 center=(self.length, 0.0, 0.0),
                 inertia=(0.0, self.inertia, 0.0),
@@ -34,7 +34,7 @@ def planned(model, start, limit=3.0, final=1.0, limits=None):
     return al.Problem(
         al.InverseDynamics(model, motion={"a": motion}),
         grid=al.Grid(final, 10),
-        minimize=al.effort("a_torque"),
+        minimize=al.objectives.effort("a_torque"),
         subject_to=al.path("a_torque").within(-limit, limit) if limits is None else limits,
         expansion=al.Expansion(order=1),
     )
@@ -97,7 +97,7 @@ def test_an_orientation_of_jax_is_looked_at_as_well():
         turn: object
 
         def bodies(self):
-            return (al.Body("a", joint=al.Revolute("y"), mass=1.0, center=(0.5, 0, 0), orientation=self.turn),)
+            return (al.Body("a", joint=al.joints.Revolute("y"), mass=1.0, center=(0.5, 0, 0), orientation=self.turn),)
 
     with pytest.raises(al.ProblemError, match="expected a rotation matrix"):
         planned(Turned(2 * jnp.eye(3)), (0.0, 0.0))
@@ -113,4 +113,4 @@ def test_control_points_of_a_motion_are_not_tried_at_their_bounds():
 
     motion = al.BSpline(al.Decision(np.zeros(6), -9.0, 9.0))
     system = al.InverseDynamics(Cautious(length=al.Decision(0.5, 0.1, 1.0)), motion={"a": motion})
-    assert al.Problem(system, grid=al.Grid(1.0, 4), minimize=al.effort("a_torque")).objective.atoms
+    assert al.Problem(system, grid=al.Grid(1.0, 4), minimize=al.objectives.effort("a_torque")).objective.atoms

@@ -61,8 +61,8 @@ PLACE, ACCELERATION = out("place"), out("acceleration")
         (out("turned").mean + out("angle").std, "is in deg and .* in rad, .* 1 rad is 57.2958 deg"),
         (out("share").mean + out("percent").mean, r"is in - and .* in %, .* 1 % is 0\.01 \(-\)"),
         (out("torque").mean + out("speed").mean, "is in N m and .* in m/s"),
-        (al.norm(PLACE.mean + ACCELERATION.mean, PLACE.std), "is in m and .* in m/s²"),
-        (al.norm(PLACE.mean, PLACE.std) + ACCELERATION.mean, "'‖.*‖' is in m and .* in m/s²"),
+        (al.objectives.norm(PLACE.mean + ACCELERATION.mean, PLACE.std), "is in m and .* in m/s²"),
+        (al.objectives.norm(PLACE.mean, PLACE.std) + ACCELERATION.mean, "'‖.*‖' is in m and .* in m/s²"),
     ],
 )
 def test_known_units_that_differ_are_refused_in_one_sentence_that_names_both(expression, words):
@@ -106,8 +106,8 @@ def test_comparisons_and_margins_of_another_unit_are_refused(constraint):
         PLACE.mean + 0.1 * ACCELERATION.mean,
         PLACE.mean + 0 * ACCELERATION.mean,
         # norms and cost curves are sums that nobody wrote as such
-        al.norm(PLACE.mean, ACCELERATION.mean) + out("energy").mean,
-        al.reciprocal("y.half_width", bias=0.0, scale=1.0) + PLACE.mean,
+        al.objectives.norm(PLACE.mean, ACCELERATION.mean) + out("energy").mean,
+        al.cost.reciprocal("y.half_width", bias=0.0, scale=1.0) + PLACE.mean,
         al.value("y.half_width") + al.value("y.mean"),
     ],
 )
@@ -140,9 +140,9 @@ def moving(objective):
         al.integral("drive").mean + al.terminal("energy").mean,
         al.time_integral(al.path("speed").std) + al.terminal("x").mean,
         # the usual compromise of time and effort: weights are one unless others are given
-        al.final_time() + al.effort("force") + al.power({"force": "speed"}),
-        al.effort("force", "x"),
-        al.terminal_variance("x", "speed"),
+        al.objectives.final_time() + al.objectives.effort("force") + al.objectives.power({"force": "speed"}),
+        al.objectives.effort("force", "x"),
+        al.objectives.terminal_variance("x", "speed"),
     ],
 )
 def test_integrals_over_time_have_units_of_their_own(objective):
@@ -153,7 +153,7 @@ def test_integrals_over_time_have_units_of_their_own(objective):
     ("objective", "words"),
     [
         (al.integral("x").mean + al.terminal("x").std, "is in m s and .* in m,"),
-        (al.final_time() + al.terminal("x").mean, "'t_final' is in s and .* in m,"),
+        (al.objectives.final_time() + al.terminal("x").mean, "'t_final' is in s and .* in m,"),
         (al.time_integral(al.path("x").mean + al.path("speed").std), r"is in m and .* in m/s,"),
         (al.rms("force").mean + al.peak("speed").mean, "is in N and .* in m/s,"),
     ],

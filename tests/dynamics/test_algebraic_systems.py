@@ -65,7 +65,7 @@ def test_a_system_of_equations_has_its_unknowns_as_outputs_at_one_instant():
     assert outputs["x"].shape == (1,)
     np.testing.assert_allclose(outputs["x"], [slider(0.03, 0.08, 0.7)], rtol=1e-14)
     np.testing.assert_allclose(outputs["rod_angle"], [np.arcsin(0.03 * np.sin(0.7) / 0.08)], rtol=1e-14)
-    same = al.simulate(SliderCrank(), al.Instant(), {}, al.RungeKutta4())
+    same = al.simulate(SliderCrank(), al.Instant(), {}, al.integrators.RungeKutta4())
     assert {name: value.tolist() for name, value in same.items()} == {
         name: value.tolist() for name, value in outputs.items()
     }

@@ -64,8 +64,8 @@ def exact(functional, x, slope):
 FUNCTIONALS = {
     "integral": al.integral("x").mean,
     "rms": al.rms("x").mean,
-    "effort": al.effort("x"),
-    "work": al.power({"far": "x"}),
+    "effort": al.objectives.effort("x"),
+    "work": al.objectives.power({"far": "x"}),
 }
 
 
@@ -88,7 +88,7 @@ def test_integrals_converge_with_the_order_of_the_integrator(name):
     assert slope == pytest.approx(-4.0, abs=0.25)
 
 
-@pytest.mark.parametrize("integrator", [al.Tsit5(), al.Kvaerno5()], ids=lambda one: type(one).__name__)
+@pytest.mark.parametrize("integrator", [al.integrators.Tsit5(), al.integrators.Kvaerno5()], ids=lambda one: type(one).__name__)
 @pytest.mark.parametrize("name", ["rms", "work"])
 def test_adaptive_integrators_hold_integrals_to_their_tolerance_on_a_coarse_grid(name, integrator):
     assert value(problem(FUNCTIONALS[name], 2, integrator)) == pytest.approx(exact(name, exact_state, None), rel=1e-7)
@@ -160,7 +160,7 @@ def test_a_control_that_is_wild_between_the_instants_is_not_cheap():
     knots = np.linspace(0.0, 1.0, 21)
     control = al.BSpline(np.where(np.arange(21) % 2 == 0, 0.0, 10.0), knots=knots[1:-1], degree=1)
     declared = al.Problem(
-        Cart(), grid=al.Grid(al.Decision(1.0, 0.5, 2.0), 10), inputs={"u": control}, minimize=al.effort("u")
+        Cart(), grid=al.Grid(al.Decision(1.0, 0.5, 2.0), 10), inputs={"u": control}, minimize=al.objectives.effort("u")
     )
     functionals = functionals_of(declared.expressions)
     assert float(responses(declared, functionals, jnp.zeros((1, 0)), jnp.array([1.0]))[0][0]) == pytest.approx(

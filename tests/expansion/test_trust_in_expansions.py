@@ -71,7 +71,7 @@ def test_a_tolerance_that_is_no_positive_number_is_refused(wrong):
 
 def test_a_matrix_that_loses_digits_is_warned_of_and_its_condition_is_printed():
     with pytest.warns(al.ExpansionWarning, match=r"condition number \d\.\de\+0[67].*Use more points"):
-        expanded = al.expand(lambda m: m["w"], W, al.Expansion(14, points=al.HammersleyPoints()))
+        expanded = al.expand(lambda m: m["w"], W, al.Expansion(14, points=al.points.HammersleyPoints()))
     basis = np.polynomial.hermite_e.hermevander(np.asarray(expanded.collocation.points)[:, 0], 14)
     basis /= np.sqrt([float(np.prod(np.arange(1, n + 1))) for n in range(15)])
     assert f"points, condition number {np.linalg.cond(basis):.3g}" in str(expanded)

@@ -26,7 +26,7 @@ class Cart(al.Mechanical):
         return jnp.reshape(self.wind, (1,))
 
 
-GUST = al.signal(lambda t, p: p.high * jnp.sin(p.rate * t), high=3.0, rate=5.0)
+GUST = al.processes.signal(lambda t, p: p.high * jnp.sin(p.rate * t), high=3.0, rate=5.0)
 
 
 def test_wind_drives_a_cart_as_its_integral_tells():
@@ -87,13 +87,13 @@ class Rigged(al.Multibody):
 
     def bodies(self):
         return (
-            al.Body("lift", joint=al.Prismatic("z"), mass=0.7),
-            al.Body("angle", parent="lift", joint=al.Revolute("y"), mass=1.5, center=(0.0, 0.0, -1.0)),
+            al.Body("lift", joint=al.joints.Prismatic("z"), mass=0.7),
+            al.Body("angle", parent="lift", joint=al.joints.Revolute("y"), mass=1.5, center=(0.0, 0.0, -1.0)),
         )
 
 
-LIFT = al.signal(lambda t, p: 0.2 * jnp.sin(7.0 * t))
-SPEED = al.signal(lambda t, p: 1.4 * jnp.cos(7.0 * t))
+LIFT = al.processes.signal(lambda t, p: 0.2 * jnp.sin(7.0 * t))
+SPEED = al.processes.signal(lambda t, p: 1.4 * jnp.cos(7.0 * t))
 
 
 def by_scipy(t_final):
@@ -137,7 +137,7 @@ class Leaking(al.Multibody):
     gravity = (0.0, 0.0, 0.0)
 
     def bodies(self):
-        return (al.Body("x", joint=al.Prismatic("x"), mass=self.mass),)
+        return (al.Body("x", joint=al.joints.Prismatic("x"), mass=self.mass),)
 
 
 class Gathering(al.Lagrangian):
@@ -150,7 +150,7 @@ class Gathering(al.Lagrangian):
         return 0.5 * self.mass * v @ v
 
 
-MASS = al.signal(lambda t, p: p.first + p.flow * t, first=2.0, flow=1.5)
+MASS = al.processes.signal(lambda t, p: p.first + p.flow * t, first=2.0, flow=1.5)
 
 
 def test_a_rocket_reaches_the_velocity_of_tsiolkovsky():
@@ -187,7 +187,7 @@ class Turning(al.Mechanical):
         return jnp.sin(3.0 * q + t) - 0.2 * v
 
 
-SIZE = al.signal(lambda t, p: 1.2 + 0.5 * jnp.sin(2.0 * t))
+SIZE = al.processes.signal(lambda t, p: 1.2 + 0.5 * jnp.sin(2.0 * t))
 PATH = al.BSpline(np.array([0.1, -0.4, 0.9, 0.3, 0.2, -0.5, 0.4, 0.6]), degree=5)
 
 
@@ -224,8 +224,8 @@ class Arm(al.Multibody):
     def bodies(self):
         rod = {"center": (0.5, 0.0, 0.0), "inertia": (0.0, 0.1, 0.1)}
         return (
-            al.Body("one", joint=al.Revolute("y"), mass=1.0, **rod),
-            al.Body("two", parent="one", joint=al.Revolute("y"), position=(1.0, 0.0, 0.0), mass=self.mass, **rod),
+            al.Body("one", joint=al.joints.Revolute("y"), mass=1.0, **rod),
+            al.Body("two", parent="one", joint=al.joints.Revolute("y"), position=(1.0, 0.0, 0.0), mass=self.mass, **rod),
         )
 
     def load(self, q, v, t):
@@ -244,7 +244,7 @@ class OneMotor(Arm):
 
 
 def test_hybrid_dynamics_under_load_moves_as_forward_dynamics_with_the_torque_that_it_found():
-    leak = al.signal(lambda t, p: 0.8 - 0.3 * t)
+    leak = al.processes.signal(lambda t, p: 0.8 - 0.3 * t)
     model = {"wind": GUST, "mass": leak}
     path = {"one": al.BSpline(np.array([0.2, 0.2, 0.5, 0.9, 0.4, 0.4]), degree=4)}
     grid = al.Grid(1.0, 400)

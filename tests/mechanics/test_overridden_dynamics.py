@@ -18,7 +18,7 @@ class Slide(al.Multibody):
     gravity = (0.0, 0.0, 0.0)
 
     def bodies(self):
-        return (al.Body("a", joint=al.Prismatic("x"), mass=1.0),)
+        return (al.Body("a", joint=al.joints.Prismatic("x"), mass=1.0),)
 
 
 class Dragged(Slide):
@@ -44,7 +44,7 @@ class Two(Dragged):
     actuators = ("a_torque",)
 
     def bodies(self):
-        return tuple(al.Body(name, joint=al.Prismatic("x"), mass=1.0) for name in "ab")
+        return tuple(al.Body(name, joint=al.joints.Prismatic("x"), mass=1.0) for name in "ab")
 
 
 def test_drag_in_the_bias_slows_what_is_driven_forwards():
@@ -84,8 +84,8 @@ def test_what_is_added_to_a_tree_of_several_joints_is_added_to_its_recursions():
         def bodies(self):
             rod = {"mass": 1.0, "center": (0.5, 0.1, 0.0), "inertia": (0.02, 0.1, 0.1)}
             return (
-                al.Body("one", joint=al.Revolute("y", damping=0.2), **rod),
-                al.Body("two", parent="one", joint=al.Revolute((1, 0, 1)), position=(1.0, 0.0, 0.0), **rod),
+                al.Body("one", joint=al.joints.Revolute("y", damping=0.2), **rod),
+                al.Body("two", parent="one", joint=al.joints.Revolute((1, 0, 1)), position=(1.0, 0.0, 0.0), **rod),
             )
 
     class Rubbed(Arm):
@@ -110,9 +110,9 @@ def test_units_are_told_by_joints_and_one_s_own_come_before_them():
 
         def bodies(self):
             return (
-                al.Body("turn", joint=al.Revolute("z"), mass=1.0, inertia=(0, 0, 1.0)),
-                al.Body("lift", parent="turn", joint=al.Prismatic("z"), mass=1.0),
-                al.Body("head", parent="lift", joint=al.Ball(), mass=1.0, inertia=(1.0, 1.0, 1.0)),
+                al.Body("turn", joint=al.joints.Revolute("z"), mass=1.0, inertia=(0, 0, 1.0)),
+                al.Body("lift", parent="turn", joint=al.joints.Prismatic("z"), mass=1.0),
+                al.Body("head", parent="lift", joint=al.joints.Ball(), mass=1.0, inertia=(1.0, 1.0, 1.0)),
             )
 
     units = al.ForwardDynamics(Mixed()).units
@@ -127,7 +127,7 @@ def test_a_damping_that_would_drive_a_joint_is_refused():
         damping: al.Number = -1.0
 
         def bodies(self):
-            return (al.Body("a", joint=al.Prismatic("x", damping=self.damping), mass=1.0),)
+            return (al.Body("a", joint=al.joints.Prismatic("x", damping=self.damping), mass=1.0),)
 
     for damping in (-1.0, al.Uniform(0.5, half_width=0.6)):
         with pytest.raises(al.ProblemError, match="expected a damping that is not negative; received -"):

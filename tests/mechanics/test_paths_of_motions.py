@@ -79,9 +79,9 @@ class Stiff(al.Multibody):
     damping: al.Number = 1e5
 
     def bodies(self):
-        slide = al.Prismatic("x", stiffness=1e6, damping=self.damping)
+        slide = al.joints.Prismatic("x", stiffness=1e6, damping=self.damping)
         return (
-            al.Body("arm", joint=al.Revolute("z"), mass=1.0, center=(0.5, 0.0, 0.0), inertia=(0, 0, 0.1)),
+            al.Body("arm", joint=al.joints.Revolute("z"), mass=1.0, center=(0.5, 0.0, 0.0), inertia=(0, 0, 0.1)),
             al.Body("block", parent="arm", joint=slide, mass=1.0, inertia=(0, 0, 0.1)),
         )
 

@@ -26,7 +26,7 @@ def cart(free, degree, distance=0.7, limit=3.0, sigmas=2.0, steps=240):
     return al.Problem(
         al.InverseDynamics(Cart(al.Uniform(2.0, std=0.25)), motion={"q": motion}),
         grid=al.Grid(al.Decision(3.0, 0.1, 9.0), steps),
-        minimize=al.final_time(),
+        minimize=al.objectives.final_time(),
         subject_to=al.path("q_torque").within(-limit, limit, sigmas=sigmas),
         expansion=al.Expansion(order=1),
     )
@@ -55,7 +55,7 @@ def test_the_least_effort_of_a_double_integrator_is_twelve():
     problem = al.Problem(
         al.InverseDynamics(Cart(1.0), motion={"q": motion}),
         grid=al.Grid(1.0, 100),
-        minimize=al.effort("q_torque"),
+        minimize=al.objectives.effort("q_torque"),
     )
     # The cubic 3t² - 2t³ is among the splines, and Simpson's rule integrates the square of its acceleration exactly.
     assert al.solve(problem).objective == pytest.approx(12.0, rel=1e-7)
@@ -77,7 +77,7 @@ def _two_links(free):
     return al.Problem(
         al.InverseDynamics(arm, motion=motion),
         grid=al.Grid(al.Decision(2.0, 0.5, 6.0), 270),
-        minimize=al.final_time(),
+        minimize=al.objectives.final_time(),
         subject_to=[al.path(name).within(-TORQUE, TORQUE) for name in arm.actuators],
     )
 

@@ -15,7 +15,7 @@ class Top(al.Multibody):
     gravity = (0.0, 0.0, 0.0)
 
     def bodies(self):
-        return (al.Body("b", joint=al.Ball(), mass=1.0, inertia=(0.1, 0.2, 0.25)),)
+        return (al.Body("b", joint=al.joints.Ball(), mass=1.0, inertia=(0.1, 0.2, 0.25)),)
 
 
 class Flyer(al.Multibody):
@@ -27,8 +27,8 @@ class Flyer(al.Multibody):
     def bodies(self):
         near = {"position": (0.2, 0.0, 0.1), "center": (0.5, 0.0, 0.1)}
         return (
-            al.Body("base", joint=al.Free(), mass=10.0, center=(0.1, 0.05, 0.0), inertia=(1.0, 1.2, 1.4)),
-            al.Body("arm", parent="base", joint=al.Revolute("z"), mass=1.0, inertia=(0.1, 0.1, 0.1), **near),
+            al.Body("base", joint=al.joints.Free(), mass=10.0, center=(0.1, 0.05, 0.0), inertia=(1.0, 1.2, 1.4)),
+            al.Body("arm", parent="base", joint=al.joints.Revolute("z"), mass=1.0, inertia=(0.1, 0.1, 0.1), **near),
         )
 
 
@@ -41,8 +41,8 @@ class Swivel(al.Multibody):
     def bodies(self):
         head = {"mass": 1.0, "center": (0.1, 0.2, 0.3), "inertia": (0.1, 0.1, 0.12)}
         return (
-            al.Body("slide", joint=al.Prismatic("x"), mass=2.0),
-            al.Body("head", parent="slide", joint=al.Ball(), **head),
+            al.Body("slide", joint=al.joints.Prismatic("x"), mass=2.0),
+            al.Body("head", parent="slide", joint=al.joints.Ball(), **head),
         )
 
 

@@ -19,7 +19,7 @@ TORQUE = al.BSpline(np.zeros((4, 2)))
 
 def problem(system, *constraints, grid=GRID, minimize=None):
     return al.Problem(
-        system, grid=grid, minimize=al.final_time() if minimize is None else minimize, subject_to=constraints
+        system, grid=grid, minimize=al.objectives.final_time() if minimize is None else minimize, subject_to=constraints
     )
 
 

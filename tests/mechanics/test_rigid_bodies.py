@@ -172,7 +172,7 @@ def test_gimbal_lock_is_refused_with_its_angle_and_time():
         al.Problem(
             al.InverseDynamics(Angles(inertia=(0.5, 1.1, al.Decision(1.7, 1.0, 2.0))), motion=through),
             grid=al.Grid(1.0, 10),
-            minimize=al.effort("couple_x"),
+            minimize=al.objectives.effort("couple_x"),
         )
 
 

@@ -9,7 +9,7 @@ from aleator.transcription import _instantaneous as instantaneous
 from aleator.transcription import transcribe
 
 MOTION = {"x": al.BSpline(al.Decision(np.array([0.3, 0.6]), -3, 3), start=((0.0), 0.0), end=((1.0), 0.0))}
-WIND = al.RandomProcess(al.SquaredExponentialCovariance(1.0), t_final=2.0, std=0.4, mean=1.0, modes=3)
+WIND = al.processes.RandomProcess(al.processes.SquaredExponentialCovariance(1.0), t_final=2.0, std=0.4, mean=1.0, modes=3)
 
 
 class Cart(al.Mechanical):
@@ -51,7 +51,7 @@ def test_torques_spread_as_the_process_that_they_work_against():
 
 
 def test_masses_and_loads_that_are_uncertain_stay_affine_under_a_known_gust():
-    gust = al.signal(lambda t, p: jnp.sin(3.0 * t))
+    gust = al.processes.signal(lambda t, p: jnp.sin(3.0 * t))
 
     class Gusty(Cart):
         size: al.Number = 1.0
@@ -123,17 +123,17 @@ class Slide(al.Multibody):
     high: al.Number = 0.0
 
     def bodies(self):
-        return (al.Body("a", joint=al.Prismatic("x"), mass=1.0, position=(0.0, 0.0, self.high)),)
+        return (al.Body("a", joint=al.joints.Prismatic("x"), mass=1.0, position=(0.0, 0.0, self.high)),)
 
     def body_loads(self, q, v):
         return self.loads() if callable(self.loads) else self.loads
 
 
-RISING = al.signal(lambda t, p: 0.1 * t)
+RISING = al.processes.signal(lambda t, p: 0.1 * t)
 
 
 def still(model):
-    return al.Problem(al.ForwardDynamics(model), grid=al.Grid(1.0, 4), minimize=al.final_time())
+    return al.Problem(al.ForwardDynamics(model), grid=al.Grid(1.0, 4), minimize=al.objectives.final_time())
 
 
 class Thinning(Cart):
@@ -162,7 +162,7 @@ class Thinning(Cart):
             "Signal 'parameters' of ForwardDynamics is known from 0 to 0.5 s, but the grid asks for 0 to 1 s",
         ),
         (lambda: still(Cart(mass=WIND)), "'mass' must stay positive, but a RandomProcess is Gaussian at every instant"),
-        (lambda: still(Cart(mass=al.signal(lambda t, p: 0.5 - t))), "is singular about t = 0.5 s"),
+        (lambda: still(Cart(mass=al.processes.signal(lambda t, p: 0.5 - t))), "is singular about t = 0.5 s"),
         (
             lambda: al.simulate(al.ForwardDynamics(Cart()), al.Grid(1.0, 4), {"parameters": RISING}),
             "Cart: expected no parameters that change with time; received an input of that name",
@@ -175,8 +175,8 @@ def test_loads_and_times_that_make_no_sense_are_refused_in_words(wrong, message)
 
 
 def test_a_positive_function_of_a_process_is_a_mass():
-    noise = al.RandomProcess(al.SquaredExponentialCovariance(1.0), t_final=2.0, std=0.05, modes=2)
-    mass = al.signal(lambda t, p: 2.0 * jnp.exp(p.noise(t)), noise=noise)
+    noise = al.processes.RandomProcess(al.processes.SquaredExponentialCovariance(1.0), t_final=2.0, std=0.05, modes=2)
+    mass = al.processes.signal(lambda t, p: 2.0 * jnp.exp(p.noise(t)), noise=noise)
     found = spread(transcribe(problem(Cart(mass=mass))))
     assert np.all(np.asarray(found.std) >= 0)
     assert np.asarray(found.std).max() > 0.01

@@ -21,20 +21,20 @@ pytestmark = pytest.mark.filterwarnings("ignore:RandomProcess:aleator.ExpansionW
 
 T = 2.0
 TIMES = np.array([0.0, 0.13, 0.5, 0.999, 1.37, 1.8, 2.0])
-EXPONENTIAL = al.ExponentialCovariance(0.8)
+EXPONENTIAL = al.processes.ExponentialCovariance(0.8)
 SMOOTH = [
-    al.SquaredExponentialCovariance(0.5),
-    al.BandLimitedCovariance(0.5, 2.0),
-    al.BandLimitedCovariance.from_psd([0.0, 0.5, 1.0, 2.0], [1.0, 3.0, 0.5, 0.0]),
+    al.processes.SquaredExponentialCovariance(0.5),
+    al.processes.BandLimitedCovariance(0.5, 2.0),
+    al.processes.BandLimitedCovariance.from_psd([0.0, 0.5, 1.0, 2.0], [1.0, 3.0, 0.5, 0.0]),
 ]
 by_name = pytest.mark.parametrize("covariance", [EXPONENTIAL, *SMOOTH], ids=str)
 
 
-def unit(covariance: al.AbstractCovariance, **size: Any) -> al.RandomProcess:
-    return al.RandomProcess(covariance, t_final=T, std=1.0, **size)
+def unit(covariance: al.processes.AbstractCovariance, **size: Any) -> al.processes.RandomProcess:
+    return al.processes.RandomProcess(covariance, t_final=T, std=1.0, **size)
 
 
-def at(process: al.RandomProcess, times: Any) -> np.ndarray:
+def at(process: al.processes.RandomProcess, times: Any) -> np.ndarray:
     """`sqrt(λ_k) φ_k(t)`, shape (times, modes): the signal where one coefficient is one and the others are zero."""
 
     def path(xi):
@@ -72,7 +72,7 @@ def exponential_frequencies(correlation_time: float, count: int) -> np.ndarray:
 
 @pytest.mark.parametrize("correlation_time", [0.05, 0.8, 20.0])
 def test_eigenvalues_of_the_exponential_covariance_are_the_analytic_ones(correlation_time):
-    process = unit(al.ExponentialCovariance(correlation_time), modes=12)
+    process = unit(al.processes.ExponentialCovariance(correlation_time), modes=12)
     c = 1 / correlation_time
     expected = 2 * c / (exponential_frequencies(correlation_time, 12) ** 2 + c**2)
     np.testing.assert_allclose(process.eigenvalues, expected, rtol=1e-8, atol=1e-11)
@@ -95,7 +95,7 @@ def test_eigenvalues_of_a_band_from_zero_are_those_of_the_prolate_spheroidal_fun
     # Slepian and Pollak (1961): the share of each mode is that of energy in the interval, (2c/π) R² over 2 B T.
     c = np.pi * bandwidth * T
     concentration = [2 * c / np.pi * pro_rad1(0, n, c, 1 + 1e-13)[0] ** 2 for n in range(6)]
-    process = unit(al.BandLimitedCovariance(0.0, bandwidth), modes=6)
+    process = unit(al.processes.BandLimitedCovariance(0.0, bandwidth), modes=6)
     np.testing.assert_allclose(process.eigenvalues, np.array(concentration) / (2 * bandwidth), atol=1e-9)
 
 
@@ -104,7 +104,7 @@ def test_eigenvalues_of_the_squared_exponential_covariance_agree_with_openturns(
     algorithm = ot.KarhunenLoeveQuadratureAlgorithm(interval, interval, ot.SquaredExponential([0.5], [1.0]), 40, 1e-10)
     algorithm.run()
     theirs = np.array(algorithm.getResult().getEigenvalues())
-    ours = unit(al.SquaredExponentialCovariance(0.5), modes=8).eigenvalues
+    ours = unit(al.processes.SquaredExponentialCovariance(0.5), modes=8).eigenvalues
     np.testing.assert_allclose(ours, theirs[:8], rtol=1e-6)
 
 
@@ -166,13 +166,13 @@ def test_the_fewest_modes_that_carry_the_wanted_share_are_kept(covariance, energ
 
 
 def test_a_later_start_shifts_the_process():
-    early, late = unit(EXPONENTIAL, modes=4), al.RandomProcess(EXPONENTIAL, t_start=5.0, t_final=7.0, std=1.0, modes=4)
+    early, late = unit(EXPONENTIAL, modes=4), al.processes.RandomProcess(EXPONENTIAL, t_start=5.0, t_final=7.0, std=1.0, modes=4)
     assert late.span() == (5.0, 7.0)
     np.testing.assert_allclose(at(late, TIMES + 5.0), at(early, TIMES), atol=1e-13)
 
 
 def test_a_covariance_of_ones_own_that_has_a_known_single_mode_is_expanded():
-    class Cosine(al.AbstractCovariance):
+    class Cosine(al.processes.AbstractCovariance):
         """One random wave of one period: two modes of half the variance each."""
 
         def correlation(self, lag):
@@ -192,7 +192,7 @@ def test_the_recurrence_gives_legendre_polynomials_and_their_derivatives():
 @pytest.mark.parametrize("lag", [0.0, 1e-9, 0.02, 0.7, 3.1])
 def test_the_covariance_of_a_table_is_the_cosine_transform_of_its_density(lag):
     frequencies, psd = np.array([0.2, 0.5, 1.0, 2.0]), np.array([1.0, 3.0, 0.5, 0.25])
-    covariance = al.BandLimitedCovariance.from_psd(frequencies, psd)
+    covariance = al.processes.BandLimitedCovariance.from_psd(frequencies, psd)
     transform, variance = (
         quad(
             lambda f, at=at: np.interp(f, frequencies, psd) * np.cos(2 * np.pi * f * at),
@@ -210,24 +210,24 @@ def test_the_covariance_of_a_table_is_the_cosine_transform_of_its_density(lag):
 def test_the_covariance_of_a_flat_band_is_the_difference_of_two_sincs():
     lags = np.linspace(0.0, 4.0, 23)
     expected = (2.0 * np.sinc(4.0 * lags) - 0.5 * np.sinc(lags)) / 1.5
-    covariance = al.BandLimitedCovariance(0.5, 2.0)
+    covariance = al.processes.BandLimitedCovariance(0.5, 2.0)
     np.testing.assert_allclose(covariance.correlation(lags), expected, atol=1e-13)
     assert covariance.std == pytest.approx(1.0, rel=1e-14)
 
 
 def test_a_table_of_density_keeps_its_numbers_when_the_arrays_it_was_made_from_change():
     frequencies, psd = np.array([0.0, 1.0]), np.array([2.0, 2.0])
-    covariance = al.BandLimitedCovariance.from_psd(frequencies, psd)
+    covariance = al.processes.BandLimitedCovariance.from_psd(frequencies, psd)
     frequencies[:], psd[:] = 9.0, 9.0
     assert covariance.std == pytest.approx(np.sqrt(2.0))
 
 
 @pytest.mark.filterwarnings("default::aleator.ExpansionWarning")
 def test_modes_that_leave_out_a_tenth_of_the_variance_are_warned_of(recwarn):
-    few = al.RandomProcess(al.ExponentialCovariance(0.5), t_final=10.0, std=0.2, modes=3)
+    few = al.processes.RandomProcess(al.processes.ExponentialCovariance(0.5), t_final=10.0, std=0.2, modes=3)
     (warned,) = recwarn
     assert warned.category is al.ExpansionWarning
     assert "3 modes" in str(warned.message)
     assert f"{100 * few.share:.4g}% of the variance" in str(warned.message)
-    al.RandomProcess(al.SquaredExponentialCovariance(0.5), t_final=5.0, std=0.2)
+    al.processes.RandomProcess(al.processes.SquaredExponentialCovariance(0.5), t_final=5.0, std=0.2)
     assert len(recwarn) == 1

@@ -19,7 +19,7 @@ from tiny_models import Oscillator
 pytestmark = pytest.mark.filterwarnings("ignore:RandomProcess:aleator.ExpansionWarning")
 
 T = 2.0
-SMOOTH = al.SquaredExponentialCovariance(0.4)
+SMOOTH = al.processes.SquaredExponentialCovariance(0.4)
 
 
 class Lag(al.System):
@@ -35,8 +35,8 @@ class Lag(al.System):
         return {"x": z.x, "u": u}
 
 
-def process(covariance: al.AbstractCovariance = SMOOTH, **options: Any) -> al.RandomProcess:
-    return al.RandomProcess(covariance, **({"t_final": T, "std": 0.3} | options))
+def process(covariance: al.processes.AbstractCovariance = SMOOTH, **options: Any) -> al.processes.RandomProcess:
+    return al.processes.RandomProcess(covariance, **({"t_final": T, "std": 0.3} | options))
 
 
 def responses(system: al.System, signal: Any, output: str, steps: int = 400, **inputs: Any) -> np.ndarray:
@@ -58,7 +58,7 @@ def lag_variance(rate: float, correlation_time: float) -> float:
 
 @pytest.mark.parametrize("modes", [3, 20])
 def test_the_response_of_a_lag_to_exponential_noise_has_the_variance_of_the_closed_form(modes):
-    covariance = al.ExponentialCovariance(0.5)
+    covariance = al.processes.ExponentialCovariance(0.5)
     variance = np.sum(responses(Lag(), process(covariance, modes=modes), "x") ** 2)
     # The modes left out act through the impulse response h: at most by the next eigenvalue times ∫ h².
     following = process(covariance, modes=modes + 1).eigenvalues[-1]
@@ -116,7 +116,7 @@ def test_the_noise_that_an_output_may_bear_is_found_by_the_optimiser():
 
 
 def test_statistics_of_a_process_by_expansion_are_its_mean_and_its_truncated_variance():
-    noise = process(mean=al.signal(lambda t, p: p.slope * t, slope=2.0), modes=3)
+    noise = process(mean=al.processes.signal(lambda t, p: p.slope * t, slope=2.0), modes=3)
     problem = al.Problem(
         Lag(rate=al.Decision(1.5, 1.0, 2.0)),
         grid=al.Grid(T, 20),
@@ -164,19 +164,19 @@ def test_other_numbers_of_a_process_compile_nothing_anew():
 
     first = at([1.0, 0.0, 0.0])
     assert at([1.0, 0.0, 0.0], std=0.6) == pytest.approx(2 * first)
-    assert at([1.0, 0.0, 0.0], covariance=al.SquaredExponentialCovariance(0.45)) != pytest.approx(first, rel=1e-3)
+    assert at([1.0, 0.0, 0.0], covariance=al.processes.SquaredExponentialCovariance(0.45)) != pytest.approx(first, rel=1e-3)
     assert value.compilations == 1
 
 
 def test_a_process_says_how_many_variables_it_adds_and_what_they_carry():
-    noise = process(al.ExponentialCovariance(0.5), modes=4)
+    noise = process(al.processes.ExponentialCovariance(0.5), modes=4)
     expected = "4 modes, which are 4 germ variables, carry"
     assert expected in str(noise)
     assert f"{100 * noise.share:.4g}% of the variance" in str(noise)
 
 
 def test_parameters_of_a_signal_are_called_by_their_names():
-    wave = al.signal(
+    wave = al.processes.signal(
         lambda t, p: p.amplitude * jnp.sin(p.frequency * t) + p.offset,
         amplitude=al.Normal(2.0, 0.1),
         frequency=al.Decision(3.0, 1.0, 5.0),
@@ -195,7 +195,7 @@ def test_the_response_to_a_wave_of_uncertain_amplitude_is_the_closed_form():
     problem = al.Problem(
         Lag(rate=al.Decision(1.5, 0.5, 3.0)),
         grid=al.Grid(T, 200),
-        inputs={"u": al.signal(lambda t, p: p.level * jnp.exp(-t), level=al.Normal(2.0, 0.2))},
+        inputs={"u": al.processes.signal(lambda t, p: p.level * jnp.exp(-t), level=al.Normal(2.0, 0.2))},
         minimize=al.terminal("x").mean,
         subject_to=[al.terminal("x").std >= 0.035],
         expansion=al.Expansion(order=2),
@@ -210,7 +210,7 @@ def test_the_response_to_a_wave_of_uncertain_amplitude_is_the_closed_form():
 
 def test_a_parameter_may_be_an_array_a_whole_number_or_another_signal():
     base = al.Tabulated([0.0, 4.0], [0.0, 8.0])
-    series = al.signal(
+    series = al.processes.signal(
         lambda t, p: p.base(t) + sum(p.c[i] * t**i for i in range(p.terms)),
         base=base,
         c=np.array([1.0, 0.5, 0.25]),
@@ -221,8 +221,8 @@ def test_a_parameter_may_be_an_array_a_whole_number_or_another_signal():
 
 
 def test_signals_add_up_and_keep_their_uncertain_numbers():
-    command = al.signal(lambda t, p: p.rate * t, rate=al.Normal(2.0, 0.1))
-    both = al.total(command, al.Tabulated([0.5, 3.0], [1.0, 1.0]), process(mean=0.5, modes=2))
+    command = al.processes.signal(lambda t, p: p.rate * t, rate=al.Normal(2.0, 0.1))
+    both = al.processes.total(command, al.Tabulated([0.5, 3.0], [1.0, 1.0]), process(mean=0.5, modes=2))
     model = {"u": both}
     assert survey(model).germ_names == ("u.parts.0.p.rate", "u.parts.2.xi.0", "u.parts.2.xi.1")
     assert both.span() == (0.5, T)
@@ -230,21 +230,21 @@ def test_signals_add_up_and_keep_their_uncertain_numbers():
     assert float(at(jnp.asarray(1.0))) == pytest.approx(2.1 + 1.0 + 0.5, rel=1e-14)
 
 
-class Falling(al.AbstractCovariance):
+class Falling(al.processes.AbstractCovariance):
     """No covariance: its spectrum is negative in places."""
 
     def correlation(self, lag):
         return 1 - (lag / T) ** 2
 
 
-class Halved(al.AbstractCovariance):
+class Halved(al.processes.AbstractCovariance):
     """No correlation: it is not 1 at lag 0."""
 
     def correlation(self, lag):
         return 0.5 * np.exp(-lag)
 
 
-class Endless(al.AbstractCovariance):
+class Endless(al.processes.AbstractCovariance):
     """No correlation: it is not finite."""
 
     def correlation(self, lag):
@@ -257,25 +257,25 @@ LAW = al.Normal(0.5, 0.1)
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: al.ExponentialCovariance(0.0), r"ExponentialCovariance: 'correlation_time' must be positive; rec.* 0"),
-        (lambda: al.ExponentialCovariance(-1), "must be positive; received -1"),
-        (lambda: al.SquaredExponentialCovariance(np.nan), "'correlation_time' is a finite number; received nan"),
-        (lambda: al.SquaredExponentialCovariance("long"), "received 'long'"),
-        (lambda: al.SquaredExponentialCovariance(True), "received True"),
-        (lambda: al.ExponentialCovariance(LAW), r"computed once; expected a plain number; received Normal\("),
-        (lambda: al.ExponentialCovariance(al.Decision(1.0)), "computed once; expected a plain number"),
-        (lambda: al.BandLimitedCovariance(2.0, 2.0), "expected 0 <= f_low < f_high; received f_low=2, f_high=2"),
-        (lambda: al.BandLimitedCovariance(3.0, 2.0), "received f_low=3, f_high=2"),
-        (lambda: al.BandLimitedCovariance(-1.0, 2.0), "received f_low=-1"),
-        (lambda: al.BandLimitedCovariance(0.0, np.inf), "'f_high' is a finite number"),
-        (lambda: al.BandLimitedCovariance.from_psd([0, 1], [1, 2, 3]), r"frequencies \(2,\) and psd \(3,\)"),
-        (lambda: al.BandLimitedCovariance.from_psd([0], [1]), "of at least 2"),
-        (lambda: al.BandLimitedCovariance.from_psd([0, 2, 1], [1, 1, 1]), "increase from 0 Hz"),
-        (lambda: al.BandLimitedCovariance.from_psd([-1, 1], [1, 1]), "increase from 0 Hz"),
-        (lambda: al.BandLimitedCovariance.from_psd([0, 1], [1, np.nan]), "psd must be finite"),
-        (lambda: al.BandLimitedCovariance.from_psd([0, 1], [1, -2]), "received values from -2 to 1"),
-        (lambda: al.BandLimitedCovariance.from_psd([0, 1], [0, 0]), "not zero throughout"),
-        (lambda: al.BandLimitedCovariance.from_psd([0, 1], ["a", "b"]), "plain numbers; received"),
+        (lambda: al.processes.ExponentialCovariance(0.0), r"ExponentialCovariance: 'correlation_time' must be positive; rec.* 0"),
+        (lambda: al.processes.ExponentialCovariance(-1), "must be positive; received -1"),
+        (lambda: al.processes.SquaredExponentialCovariance(np.nan), "'correlation_time' is a finite number; received nan"),
+        (lambda: al.processes.SquaredExponentialCovariance("long"), "received 'long'"),
+        (lambda: al.processes.SquaredExponentialCovariance(True), "received True"),
+        (lambda: al.processes.ExponentialCovariance(LAW), r"computed once; expected a plain number; received Normal\("),
+        (lambda: al.processes.ExponentialCovariance(al.Decision(1.0)), "computed once; expected a plain number"),
+        (lambda: al.processes.BandLimitedCovariance(2.0, 2.0), "expected 0 <= f_low < f_high; received f_low=2, f_high=2"),
+        (lambda: al.processes.BandLimitedCovariance(3.0, 2.0), "received f_low=3, f_high=2"),
+        (lambda: al.processes.BandLimitedCovariance(-1.0, 2.0), "received f_low=-1"),
+        (lambda: al.processes.BandLimitedCovariance(0.0, np.inf), "'f_high' is a finite number"),
+        (lambda: al.processes.BandLimitedCovariance.from_psd([0, 1], [1, 2, 3]), r"frequencies \(2,\) and psd \(3,\)"),
+        (lambda: al.processes.BandLimitedCovariance.from_psd([0], [1]), "of at least 2"),
+        (lambda: al.processes.BandLimitedCovariance.from_psd([0, 2, 1], [1, 1, 1]), "increase from 0 Hz"),
+        (lambda: al.processes.BandLimitedCovariance.from_psd([-1, 1], [1, 1]), "increase from 0 Hz"),
+        (lambda: al.processes.BandLimitedCovariance.from_psd([0, 1], [1, np.nan]), "psd must be finite"),
+        (lambda: al.processes.BandLimitedCovariance.from_psd([0, 1], [1, -2]), "received values from -2 to 1"),
+        (lambda: al.processes.BandLimitedCovariance.from_psd([0, 1], [0, 0]), "not zero throughout"),
+        (lambda: al.processes.BandLimitedCovariance.from_psd([0, 1], ["a", "b"]), "plain numbers; received"),
         (lambda: process(0.5), r"expected a covariance, such as .*; received float 0\.5"),
         (lambda: process(t_final=0.0), "t_final must be after t_start=0; received t_final=0"),
         (lambda: process(t_start=3.0), "t_final must be after t_start=3; received t_final=2"),
@@ -301,14 +301,14 @@ LAW = al.Normal(0.5, 0.1)
             r"must be finite, .* and 1 at lag 0; received shape \(101,\) .* starting with 0\.5",
         ),
         (lambda: process(Endless()), "must be finite"),
-        (lambda: al.signal(3.0), r"expected a function of time and parameters, .*; received float 3\.0"),
-        (lambda: al.signal(lambda t, p: p.a, a="high"), "parameter 'a' takes numbers, .*; received str 'high'"),
-        (lambda: al.signal(lambda t, p: p.a, a="1.0"), "received str '1.0'"),
-        (lambda: al.signal(lambda t, p: p.a, a=None), "parameter 'a' takes numbers"),
-        (lambda: al.signal(lambda t, p: p.a, a=[1.0, np.inf]), "parameter 'a' must be finite"),
-        (lambda: al.total(), "expected at least one signal"),
-        (lambda: al.total(al.Tabulated([0, 1], [0, 1]), 3.0), r"expected signals, .*; received float 3\.0"),
-        (lambda: al.total(al.Tabulated([0, 1], [0, 1]), al.Tabulated([2, 3], [0, 1])), "known at the same times"),
+        (lambda: al.processes.signal(3.0), r"expected a function of time and parameters, .*; received float 3\.0"),
+        (lambda: al.processes.signal(lambda t, p: p.a, a="high"), "parameter 'a' takes numbers, .*; received str 'high'"),
+        (lambda: al.processes.signal(lambda t, p: p.a, a="1.0"), "received str '1.0'"),
+        (lambda: al.processes.signal(lambda t, p: p.a, a=None), "parameter 'a' takes numbers"),
+        (lambda: al.processes.signal(lambda t, p: p.a, a=[1.0, np.inf]), "parameter 'a' must be finite"),
+        (lambda: al.processes.total(), "expected at least one signal"),
+        (lambda: al.processes.total(al.Tabulated([0, 1], [0, 1]), 3.0), r"expected signals, .*; received float 3\.0"),
+        (lambda: al.processes.total(al.Tabulated([0, 1], [0, 1]), al.Tabulated([2, 3], [0, 1])), "known at the same times"),
     ],
 )
 def test_input_that_makes_no_process_or_signal_is_refused(make, message):
@@ -319,4 +319,4 @@ def test_input_that_makes_no_process_or_signal_is_refused(make, message):
 @pytest.mark.slow
 def test_a_process_that_changes_too_fast_for_its_time_is_refused():
     with pytest.raises(al.ProblemError, match=r"energy=0\.99.* are not resolved by 512 polynomials"):
-        process(al.ExponentialCovariance(1e-3))
+        process(al.processes.ExponentialCovariance(1e-3))

@@ -34,7 +34,7 @@ def clutch_slopes():
 
 
 def test_the_direct_linearisation_of_the_clutch_is_the_published_one():
-    found = al.linearise(pressure_angle, CLUTCH)
+    found = al.references.linearise(pressure_angle, CLUTCH)
     assert 3 * float(found.std) == pytest.approx(0.65788, abs=5e-6)  # dissertation, table 7.2
     # Its printed range, 6.3605 to 7.6763 degrees, has the middle 7.0184.
     assert float(found.mean) == pytest.approx(7.0184, abs=5e-5)
@@ -43,7 +43,7 @@ def test_the_direct_linearisation_of_the_clutch_is_the_published_one():
 
 
 def test_tolerances_of_the_clutch_stack_up_as_by_hand():
-    found, slopes = al.linearise(pressure_angle, CLUTCH), clutch_slopes()
+    found, slopes = al.references.linearise(pressure_angle, CLUTCH), clutch_slopes()
     parts = {name: abs(slope) * LIMITS[name] for name, slope in slopes.items()}
     assert float(found.worst_case(LIMITS)) == pytest.approx(sum(parts.values()), rel=1e-12)
     assert float(found.rss(LIMITS)) == pytest.approx(math.hypot(*parts.values()), rel=1e-12)
@@ -57,7 +57,7 @@ def test_tolerances_of_the_clutch_stack_up_as_by_hand():
 @pytest.mark.parametrize("limits", [{"a": 0.05}, {**LIMITS, "d": 0.1}, {}])
 def test_tolerances_must_name_every_input_and_no_other(limits):
     with pytest.raises(al.ProblemError, match=r"one tolerance for each of \['a', 'c', 'e'\]"):
-        al.linearise(pressure_angle, CLUTCH).worst_case(limits)
+        al.references.linearise(pressure_angle, CLUTCH).worst_case(limits)
 
 
 WEIGHTS = {"u": 2.0, "n": -3.0, "b": 0.5, "g": 1.5}
@@ -76,10 +76,10 @@ def linear_moments():
 
 def test_both_expansions_are_exact_for_a_linear_function_of_any_laws():
     mean, variance, skewness = linear_moments()
-    for found in (al.linearise(linear, MODEL), al.second_order(linear, MODEL)):
+    for found in (al.references.linearise(linear, MODEL), al.references.second_order(linear, MODEL)):
         assert (float(found.mean), float(found.variance)) == pytest.approx((mean, variance), rel=1e-12)
         assert float(found.std) == pytest.approx(math.sqrt(variance), rel=1e-12)
-    assert float(al.second_order(linear, MODEL).skewness) == pytest.approx(float(skewness), rel=1e-10)
+    assert float(al.references.second_order(linear, MODEL).skewness) == pytest.approx(float(skewness), rel=1e-10)
 
 
 def quadratic(m):
@@ -116,14 +116,14 @@ def gauss_from_moments(law, nodes):
 
 def test_second_order_moments_are_exact_for_a_quadratic_function_of_any_laws():
     exact = tensor_quadrature(quadratic, {name: law for name, (_, law) in LAWS.items()}, nodes=4)
-    found = al.second_order(quadratic, MODEL)
+    found = al.references.second_order(quadratic, MODEL)
     # The oracle's moments come from adaptive quadrature.
     assert (float(found.mean), float(found.variance), float(found.skewness)) == pytest.approx(exact, rel=1e-7)
 
 
 @pytest.mark.parametrize(("law", "fourth"), [(al.Normal(1.0, 0.4), 3.0), (al.Uniform(1.0, std=0.4), 1.8)])
 def test_the_square_of_one_number_has_its_textbook_moments(law, fourth):
-    found = al.second_order(lambda m: m["x"] ** 2, {"x": law})
+    found = al.references.second_order(lambda m: m["x"] ** 2, {"x": law})
     # E x^2 = m^2 + s^2; Var x^2 = 4 m^2 s^2 + (kurtosis - 1) s^4 for a symmetric law.
     assert float(found.mean) == pytest.approx(1.16, rel=1e-12)
     assert float(found.variance) == pytest.approx(4 * 0.16 + (fourth - 1) * 0.16**2, rel=1e-12)
@@ -131,14 +131,14 @@ def test_the_square_of_one_number_has_its_textbook_moments(law, fourth):
 
 def test_a_product_of_two_numbers_has_its_textbook_moments():
     model = {"x": al.Normal(2.0, 0.3), "y": al.Uniform(3.0, std=0.5)}
-    found = al.second_order(lambda m: m["x"] * m["y"], model)
+    found = al.references.second_order(lambda m: m["x"] * m["y"], model)
     assert float(found.mean) == pytest.approx(6.0, rel=1e-12)
     assert float(found.variance) == pytest.approx((2 * 0.5) ** 2 + (3 * 0.3) ** 2 + (0.3 * 0.5) ** 2, rel=1e-12)
 
 
 def test_second_order_has_the_shift_and_the_skewness_of_the_clutch_that_linearisation_lacks():
-    reference = al.quasi_monte_carlo(pressure_angle, CLUTCH, 2**17)
-    first, second = al.linearise(pressure_angle, CLUTCH), al.second_order(pressure_angle, CLUTCH)
+    reference = al.references.quasi_monte_carlo(pressure_angle, CLUTCH, 2**17)
+    first, second = al.references.linearise(pressure_angle, CLUTCH), al.references.second_order(pressure_angle, CLUTCH)
     assert abs(float(second.mean) - reference.mean.value) < 0.02 * abs(float(first.mean) - reference.mean.value)
     # What is left out of the skewness is smaller by the square of the spread, 0.22 in 7 degrees.
     skewed = reference.estimate(skewness)
@@ -158,7 +158,7 @@ def test_errors_fall_with_the_spread_by_the_orders_of_the_expansions():
     stds, errors = [0.05, 0.1, 0.2], {"first": [], "second": [], "mean": []}
     for std in stds:
         model = {"x": al.Normal(0.0, std)}
-        first, second = (method(lambda m: jnp.exp(m["x"]), model) for method in (al.linearise, al.second_order))
+        first, second = (method(lambda m: jnp.exp(m["x"]), model) for method in (al.references.linearise, al.references.second_order))
         mean, variance = exact(std)
         errors["first"].append(abs(float(first.mean) - mean))
         errors["mean"].append(abs(float(second.mean) - mean))
@@ -172,7 +172,7 @@ def test_expansions_have_the_structure_of_the_outputs():
     def outputs(m):
         return {"path": jnp.outer(m["u"] * jnp.arange(3.0), jnp.ones(2)), "sum": m["u"] * m["n"]}
 
-    first, second = al.linearise(outputs, MODEL), al.second_order(outputs, MODEL)
+    first, second = al.references.linearise(outputs, MODEL), al.references.second_order(outputs, MODEL)
     spread = np.outer(np.arange(3.0), np.ones(2)) * 3 / math.sqrt(12)
     for found in (first, second):
         np.testing.assert_allclose(found.std["path"], spread, rtol=1e-12)
@@ -192,7 +192,7 @@ def test_decisions_stand_at_their_initial_values_wherever_they_are(law):
         law: al.Normal(al.Decision(2.0), al.Decision(0.5, lower=0.1, upper=1.0)),
         "k": al.Decision(np.array([3.0, 7.0])),
     }
-    for method in (al.linearise, al.second_order):
+    for method in (al.references.linearise, al.references.second_order):
         found = method(lambda m: m["k"] * m[law], model)
         np.testing.assert_allclose(found.mean, [6.0, 14.0], rtol=1e-12)
         np.testing.assert_allclose(found.std, [1.5, 3.5], rtol=1e-12)
@@ -200,8 +200,8 @@ def test_decisions_stand_at_their_initial_values_wherever_they_are(law):
 
 def test_what_does_not_vary_has_zero_spread_with_zero_derivative():
     def moments(level):
-        second = al.second_order(lambda m: level + 0.0 * m["x"], {"x": al.Normal(1.0, 0.5)})
-        first = al.linearise(lambda m: level + 0.0 * m["x"], {"x": al.Normal(1.0, 0.5)})
+        second = al.references.second_order(lambda m: level + 0.0 * m["x"], {"x": al.Normal(1.0, 0.5)})
+        first = al.references.linearise(lambda m: level + 0.0 * m["x"], {"x": al.Normal(1.0, 0.5)})
         return jnp.stack([second.std, second.skewness, first.std, first.contributions["x"]])
 
     np.testing.assert_array_equal(moments(2.0), 0.0)
@@ -210,7 +210,7 @@ def test_what_does_not_vary_has_zero_spread_with_zero_derivative():
 
 def test_a_shared_input_is_one_input():
     law = al.Normal(1.0, 0.5).shared("x")
-    found = al.linearise(lambda m: m["p"] + m["q"], {"p": law, "q": law})
+    found = al.references.linearise(lambda m: m["p"] + m["q"], {"p": law, "q": law})
     assert found.names == ("x",)
     assert float(found.std) == pytest.approx(1.0, rel=1e-12)
 
@@ -224,23 +224,23 @@ def test_spreads_are_differentiable_in_the_laws(traced):
         return m["x"] ** 2
 
     w, m = 0.3, 2.0
-    assert float(traced(lambda w: al.linearise(square, model(w)).std)(w)) == pytest.approx(
+    assert float(traced(lambda w: al.references.linearise(square, model(w)).std)(w)) == pytest.approx(
         2 * m / math.sqrt(3), rel=1e-12
     )
-    assert float(traced(lambda w: al.second_order(square, model(w)).mean)(w)) == pytest.approx(2 * w / 3, rel=1e-12)
+    assert float(traced(lambda w: al.references.second_order(square, model(w)).mean)(w)) == pytest.approx(2 * w / 3, rel=1e-12)
     # Var x^2 = 4 m^2 w^2 / 3 + 4 w^4 / 45.
     slope = 8 * m**2 * w / 3 + 16 * w**3 / 45
-    assert float(traced(lambda w: al.second_order(square, model(w)).variance)(w)) == pytest.approx(slope, rel=1e-12)
+    assert float(traced(lambda w: al.references.second_order(square, model(w)).variance)(w)) == pytest.approx(slope, rel=1e-12)
 
 
 def test_correlated_normal_inputs_have_their_exact_moments():
     normals = al.correlated({"x": al.Normal(1.0, 0.3), "y": al.Normal(-2.0, 0.5)}, {("x", "y"): 0.6})
     model = {**normals, "z": al.Uniform(0.5, std=0.2)}
     covariance = 0.6 * 0.3 * 0.5
-    summed = al.linearise(lambda m: 2 * m["x"] + m["y"] + m["z"], model)
+    summed = al.references.linearise(lambda m: 2 * m["x"] + m["y"] + m["z"], model)
     assert float(summed.variance) == pytest.approx(4 * 0.09 + 0.25 + 4 * covariance + 0.04, rel=1e-12)
     assert sum(map(float, summed.contributions.values())) == pytest.approx(100, rel=1e-12)
-    product = al.second_order(lambda m: m["x"] * m["y"] + m["z"], model)
+    product = al.references.second_order(lambda m: m["x"] * m["y"] + m["z"], model)
     # Bohrnstedt and Goldberger (1969), for normal numbers.
     variance = 1.0 * 0.25 + 4.0 * 0.09 + 2 * 1.0 * -2.0 * covariance + 0.09 * 0.25 + covariance**2
     assert float(product.mean) == pytest.approx(-2.0 + covariance + 0.5, rel=1e-12)
@@ -252,18 +252,18 @@ SKEWED = {"k": al.Normal(5.0, 0.2), "c": al.LogNormal(mean=2.0, std=0.3), "e": a
 
 def test_correlated_inputs_of_any_law_have_the_correlations_that_were_given():
     model = al.correlated(SKEWED, {("k", "c"): 0.5, ("c", "e"): -0.3})
-    found = al.linearise(lambda m: m["k"] + m["c"] + m["e"], model)
+    found = al.references.linearise(lambda m: m["k"] + m["c"] + m["e"], model)
     stds = {"k": 0.2, "c": 0.3, "e": 0.4}
     cross = 2 * (0.5 * 0.2 * 0.3 - 0.3 * 0.3 * 0.4)
     assert float(found.variance) == pytest.approx(sum(std**2 for std in stds.values()) + cross, rel=1e-9)
-    sampled = al.quasi_monte_carlo(lambda m: m["k"] + m["c"] + m["e"], model).variance
+    sampled = al.references.quasi_monte_carlo(lambda m: m["k"] + m["c"] + m["e"], model).variance
     assert abs(float(found.variance) - sampled.value) < 4.5 * sampled.standard_error
 
 
 def test_second_order_moments_of_correlated_inputs_that_are_not_normal_are_refused():
     model = al.correlated(SKEWED, {("k", "c"): 0.5})
     with pytest.raises(al.ProblemError, match=r"must be normal; received e ~ Exponential"):
-        al.second_order(lambda m: m["k"] * m["c"], model)
+        al.references.second_order(lambda m: m["k"] * m["c"], model)
 
 
 FAMILIES = {
@@ -286,20 +286,20 @@ def test_second_order_takes_the_moments_of_every_family_as_they_are(name):
     second = raw[4] - 2 * raw[3] + raw[2]
     third = raw[6] - 3 * raw[5] + 3 * raw[4] - raw[3]
     variance = second - mean**2
-    found = al.second_order(lambda m: m["x"] ** 2 - m["x"], {"x": law})
+    found = al.references.second_order(lambda m: m["x"] ** 2 - m["x"], {"x": law})
     assert (float(found.mean), float(found.variance)) == pytest.approx((mean, variance), rel=1e-8)
     assert float(found.skewness) == pytest.approx((third - 3 * mean * second + 2 * mean**3) / variance**1.5, rel=1e-7)
 
 
 def test_moments_are_differentiable_in_the_shape_of_a_law():
     def mean(shape):
-        return al.second_order(lambda m: m["x"] ** 2, {"x": al.Gamma(shape=shape, scale=0.5)}).mean
+        return al.references.second_order(lambda m: m["x"] ** 2, {"x": al.Gamma(shape=shape, scale=0.5)}).mean
 
     # E x^2 = scale^2 shape (shape + 1); the quantile's derivative is no polynomial, so quadrature is not exact.
     assert float(jax.grad(mean)(3.0)) == pytest.approx(0.25 * 7.0, rel=1e-3)
 
 
-@pytest.mark.parametrize("method", [al.linearise, al.second_order])
+@pytest.mark.parametrize("method", [al.references.linearise, al.references.second_order])
 def test_functions_that_cannot_be_expanded_are_refused(method):
     model = {"x": al.Normal(0.0, 1.0)}
     with pytest.raises(al.ProblemError, match="cannot differentiate"):

@@ -88,7 +88,7 @@ def test_the_standard_error_of_a_mean_is_unbiased_when_groups_leave_a_rest():
 
 
 def test_an_interval_is_that_of_student():
-    one = al.Estimate(np.array(2.0), np.array(0.5), groups=16)
+    one = al.references.Estimate(np.array(2.0), np.array(0.5), groups=16)
     lower, upper = one.interval(0.9)
     assert (lower, upper) == pytest.approx(stats.t(15, 2.0, 0.5).interval(0.9), rel=1e-12)
     with pytest.raises(al.ProblemError, match="between 0 and 1"):
@@ -108,17 +108,17 @@ def test_an_interval_is_that_of_student():
     ],
 )
 def test_an_estimate_shows_the_digits_that_its_error_leaves(value, error, text):
-    assert str(al.Estimate(np.array(value), np.array(error), 50)) == text
+    assert str(al.references.Estimate(np.array(value), np.array(error), 50)) == text
 
 
 def test_an_estimate_of_an_array_shows_its_first_numbers():
-    text = str(al.Estimate(np.arange(8.0), np.full(8, 0.1), 50))
+    text = str(al.references.Estimate(np.arange(8.0), np.full(8, 0.1), 50))
     assert text.startswith("[0.00 ± 0.10, 1.00 ± 0.10")
     assert text.endswith("... 8 numbers]")
 
 
 def test_monte_carlo_of_the_clutch_holds_the_exact_spread():
-    spread = al.monte_carlo(pressure_angle, CLUTCH, 200_000, seed=1).std
+    spread = al.references.monte_carlo(pressure_angle, CLUTCH, 200_000, seed=1).std
     # sigma / sqrt(2 n) for a nearly normal output: 3e-4 of three sigma at 2.5 million.
     assert float(spread.standard_error) == pytest.approx(EXACT_CLUTCH / np.sqrt(400_000), rel=0.35)
     assert abs(float(spread.value) - EXACT_CLUTCH) < 4 * float(spread.standard_error)
@@ -126,13 +126,13 @@ def test_monte_carlo_of_the_clutch_holds_the_exact_spread():
 
 @pytest.mark.slow
 def test_two_and_a_half_million_samples_of_the_clutch_are_off_by_as_much_as_the_dissertation_is():
-    spread = al.monte_carlo(pressure_angle, CLUTCH, 2_500_000).std
+    spread = al.references.monte_carlo(pressure_angle, CLUTCH, 2_500_000).std
     assert 3 * float(spread.standard_error) == pytest.approx(3e-4, rel=0.4)
     assert abs(float(spread.value) - EXACT_CLUTCH) < 4 * float(spread.standard_error)
 
 
 def test_quasi_monte_carlo_of_the_clutch_holds_the_exact_spread_closely():
-    spread = al.quasi_monte_carlo(pressure_angle, CLUTCH, 16 * 2**13).std
+    spread = al.references.quasi_monte_carlo(pressure_angle, CLUTCH, 16 * 2**13).std
     # A tenth of the standard error that as many independent samples have.
     assert float(spread.standard_error) < 0.1 * EXACT_CLUTCH / np.sqrt(2 * 16 * 2**13)
     assert abs(float(spread.value) - EXACT_CLUTCH) < 4.5 * float(spread.standard_error)
@@ -144,21 +144,21 @@ def slope(counts, errors):
 
 def test_standard_errors_of_monte_carlo_fall_with_the_root_of_the_samples():
     counts = [2**k for k in range(10, 18)]
-    means = [al.monte_carlo(smooth, SMOOTH, count, seed=count).mean for count in counts]
+    means = [al.references.monte_carlo(smooth, SMOOTH, count, seed=count).mean for count in counts]
     assert slope(counts, [one.standard_error for one in means]) == pytest.approx(-0.5, abs=0.07)
     assert all(abs(one.value - SMOOTH_MEAN) < 4 * one.standard_error for one in means)
 
 
 def test_standard_errors_of_quasi_monte_carlo_fall_faster_for_a_smooth_function():
     counts = [16 * 2**k for k in range(4, 12)]
-    means = [al.quasi_monte_carlo(smooth, SMOOTH, count, seed=count).mean for count in counts]
+    means = [al.references.quasi_monte_carlo(smooth, SMOOTH, count, seed=count).mean for count in counts]
     assert slope(counts, [one.standard_error for one in means]) < -1.2
     # Student's law with 15 degrees of freedom leaves 4.9 once in ten thousand.
     assert all(abs(one.value - SMOOTH_MEAN) < 4.9 * one.standard_error for one in means)
 
 
 def test_quasi_monte_carlo_standard_errors_are_as_large_as_the_true_errors():
-    found = [al.quasi_monte_carlo(smooth, SMOOTH, 16 * 32, seed=seed).mean for seed in range(30)]
+    found = [al.references.quasi_monte_carlo(smooth, SMOOTH, 16 * 32, seed=seed).mean for seed in range(30)]
     scaled = [(one.value - SMOOTH_MEAN) / one.standard_error for one in found]
     # Student's t with 15 degrees of freedom has a standard deviation of 1.07.
     assert np.std(scaled) == pytest.approx(1.07, rel=0.4)
@@ -173,7 +173,7 @@ LAWS = {
 }
 
 
-@pytest.mark.parametrize("method", [al.monte_carlo, al.quasi_monte_carlo])
+@pytest.mark.parametrize("method", [al.references.monte_carlo, al.references.quasi_monte_carlo])
 def test_inputs_follow_their_laws_and_are_independent(method):
     model = {name: law for name, (law, _) in LAWS.items()}
     values = method(lambda m: m, model, 2**14, seed=4).values
@@ -185,11 +185,11 @@ def test_inputs_follow_their_laws_and_are_independent(method):
 
 def test_a_shared_input_is_one_and_the_same():
     law = al.Normal(0.0, 1.0).shared("x")
-    values = al.monte_carlo(lambda m: m["a"] - m["b"], {"a": law, "b": law}, 100).values
+    values = al.references.monte_carlo(lambda m: m["a"] - m["b"], {"a": law, "b": law}, 100).values
     np.testing.assert_array_equal(values, 0.0)
 
 
-@pytest.mark.parametrize("method", [al.monte_carlo, al.quasi_monte_carlo])
+@pytest.mark.parametrize("method", [al.references.monte_carlo, al.references.quasi_monte_carlo])
 def test_the_same_seed_gives_the_same_sample_whatever_the_batch(method):
     first, again, other = (
         method(smooth, SMOOTH, 1024, seed=seed, batch=batch).values for seed, batch in ((7, 4096), (7, 100), (8, 4096))
@@ -200,7 +200,7 @@ def test_the_same_seed_gives_the_same_sample_whatever_the_batch(method):
 
 def test_a_sample_tells_how_far_it_is_and_ends_with_all():
     told = []
-    al.monte_carlo(smooth, SMOOTH, 250, batch=100, progress=lambda *step: told.append(step))
+    al.references.monte_carlo(smooth, SMOOTH, 250, batch=100, progress=lambda *step: told.append(step))
     assert [done for _, done, _ in told] == [0, 100, 200, 250]
     assert {total for _, _, total in told} == {250}
 
@@ -211,7 +211,7 @@ def test_a_plain_function_called_point_by_point_gives_the_same_sample():
         return math.exp(0.5 * m["x"] + m["y"] ** 2)
 
     traced, called = (
-        al.monte_carlo(one, SMOOTH, 60, batch=25, traced=how) for one, how in ((smooth, True), (plain, False))
+        al.references.monte_carlo(one, SMOOTH, 60, batch=25, traced=how) for one, how in ((smooth, True), (plain, False))
     )
     np.testing.assert_allclose(called.values, traced.values, rtol=1e-14)
 
@@ -220,7 +220,7 @@ def test_statistics_have_the_structure_of_the_outputs():
     def outputs(m):
         return {"path": m["x"] * jnp.linspace(0.0, 1.0, 5), "sum": m["x"] + m["y"]}
 
-    sample = al.monte_carlo(outputs, SMOOTH, 5000)
+    sample = al.references.monte_carlo(outputs, SMOOTH, 5000)
     assert sample.samples == 5000
     assert set(sample.mean) == {"path", "sum"}
     path, total = sample["path"].std, sample["sum"].variance
@@ -236,12 +236,12 @@ def test_statistics_have_the_structure_of_the_outputs():
 
 @pytest.mark.parametrize("kind", [Mean(), Variance(), Std()])
 def test_any_statistic_can_be_asked_for_by_its_kind(kind):
-    sample = al.monte_carlo(smooth, SMOOTH, 1000)
+    sample = al.references.monte_carlo(smooth, SMOOTH, 1000)
     assert float(sample.estimate(kind).value) == pytest.approx(float(kind.of_sample(sample.values)), rel=1e-14)
 
 
 def test_any_function_of_a_sample_can_be_estimated():
-    sample = al.monte_carlo(lambda m: m["g"], {"g": al.Gamma(shape=4.0, scale=1.0)}, 50_000)
+    sample = al.references.monte_carlo(lambda m: m["g"], {"g": al.Gamma(shape=4.0, scale=1.0)}, 50_000)
     found = sample.estimate(skewness)
     assert abs(found.value - 1.0) < 4 * found.standard_error  # 2 / sqrt(shape)
 
@@ -251,7 +251,7 @@ def test_every_statistic_of_a_gamma_law_is_held_by_its_confidence_interval():
     quantile = law.ppf(0.9)
     tail_mean = 4.0 * stats.gamma(5.0).sf(quantile) / 0.1  # x times its density is the density of the next gamma law
     lowest = 4.0 * stats.gamma(5.0).cdf(law.ppf(0.1)) / 0.1
-    sample = al.monte_carlo(lambda m: m["g"], {"g": al.Gamma(shape=4.0, scale=1.0)}, 2**15, seed=3)
+    sample = al.references.monte_carlo(lambda m: m["g"], {"g": al.Gamma(shape=4.0, scale=1.0)}, 2**15, seed=3)
     exact = [
         (sample.skewness, 1.0),
         (sample.kurtosis, 4.5),
@@ -269,7 +269,7 @@ def test_every_statistic_of_a_gamma_law_is_held_by_its_confidence_interval():
 
 def test_outputs_vary_together_as_their_common_input_says():
     model = {"x": al.Normal(0.0, 3.0), "y": al.Normal(0.0, 4.0)}
-    sample = al.monte_carlo(lambda m: {"a": m["x"] + m["y"], "b": m["x"], "c": jnp.ones(2)}, model, 2**14)
+    sample = al.references.monte_carlo(lambda m: {"a": m["x"] + m["y"], "b": m["x"], "c": jnp.ones(2)}, model, 2**14)
     covariance, correlation = sample.covariance("a", "b"), sample.correlation("a", "b")
     assert abs(covariance.value - 9.0) < 3.7 * covariance.standard_error
     assert abs(correlation.value - 0.6) < 3.7 * correlation.standard_error
@@ -281,7 +281,7 @@ def test_outputs_vary_together_as_their_common_input_says():
 
 def test_decisions_stand_at_their_initial_values():
     model = {"x": al.Uniform(al.Decision(2.0), half_width=0.5), "k": al.Decision(3.0)}
-    mean = al.quasi_monte_carlo(lambda m: m["k"] * m["x"], model).mean
+    mean = al.references.quasi_monte_carlo(lambda m: m["k"] * m["x"], model).mean
     assert abs(mean.value - 6.0) < 5 * mean.standard_error + 1e-12
 
 
@@ -291,9 +291,9 @@ def test_a_function_that_has_changed_is_computed_anew():
     def scaled(m):
         return factor["now"] * m["x"]
 
-    before = al.monte_carlo(scaled, SMOOTH, 10).values
+    before = al.references.monte_carlo(scaled, SMOOTH, 10).values
     factor["now"] = 2.0
-    np.testing.assert_allclose(al.monte_carlo(scaled, SMOOTH, 10).values, 2 * before)
+    np.testing.assert_allclose(al.references.monte_carlo(scaled, SMOOTH, 10).values, 2 * before)
 
 
 @pytest.mark.parametrize("traced", [True, False])
@@ -302,12 +302,12 @@ def test_outputs_that_are_not_finite_are_refused_with_the_inputs(traced):
         return {"fine": m["x"], "bad": jnp.log(m["y"] - 0.5)}
 
     with pytest.raises(al.SimulationError, match=r"'bad' is not finite at x=-?0\.\d+, y=0\.[0-4]"):
-        al.monte_carlo(broken, SMOOTH, 20, traced=traced)
+        al.references.monte_carlo(broken, SMOOTH, 20, traced=traced)
 
 
 def test_a_sample_that_is_too_large_is_refused():
     with pytest.raises(al.ProblemError, match=r"at most 2 GiB; received outputs of shape \(400000, 1000\)"):
-        al.monte_carlo(lambda m: m["x"] * jnp.ones(1000), SMOOTH, 400_000)
+        al.references.monte_carlo(lambda m: m["x"] * jnp.ones(1000), SMOOTH, 400_000)
 
 
 @pytest.mark.parametrize(
@@ -322,39 +322,39 @@ def test_a_sample_that_is_too_large_is_refused():
 )
 def test_functions_that_cannot_be_sampled_are_refused(function, message):
     with pytest.raises(al.ProblemError, match=message):
-        al.monte_carlo(function, SMOOTH, 10)
+        al.references.monte_carlo(function, SMOOTH, 10)
 
 
 def test_outputs_that_change_their_shape_are_refused():
     with pytest.raises(al.ProblemError, match="same arrays at every point"):
-        al.monte_carlo(lambda m: np.zeros(1 + (m["x"] > 0)), SMOOTH, 50, traced=False)
+        al.references.monte_carlo(lambda m: np.zeros(1 + (m["x"] > 0)), SMOOTH, 50, traced=False)
     with pytest.raises(al.ProblemError, match="same arrays at every point"):
-        al.monte_carlo(lambda m: np.zeros(1 + (m["x"] > 0)), SMOOTH, 50, traced=False, batch=1)
+        al.references.monte_carlo(lambda m: np.zeros(1 + (m["x"] > 0)), SMOOTH, 50, traced=False, batch=1)
 
 
 @pytest.mark.parametrize("settings", [{"samples": 3}, {"samples": 1e3}, {"seed": -1}, {"batch": 0}, {"seed": True}])
 def test_settings_that_make_no_sense_are_refused(settings):
     with pytest.raises(al.ProblemError, match=r"monte_carlo: .*(at least 4 samples|is a whole number of at least)"):
-        al.monte_carlo(smooth, SMOOTH, **settings)
+        al.references.monte_carlo(smooth, SMOOTH, **settings)
 
 
 @pytest.mark.parametrize("settings", [{"samples": 1000}, {"samples": 16}, {"replicates": 1}, {"replicates": 3}])
 def test_nets_that_are_no_power_of_two_or_have_no_replicates_are_refused(settings):
     with pytest.raises(al.ProblemError, match="quasi_monte_carlo: expected"):
-        al.quasi_monte_carlo(smooth, SMOOTH, **settings)
+        al.references.quasi_monte_carlo(smooth, SMOOTH, **settings)
 
 
 def test_a_model_without_anything_uncertain_is_refused():
     with pytest.raises(al.ProblemError, match="nothing in the model is uncertain"):
-        al.monte_carlo(lambda m: m["x"], {"x": 1.0})
+        al.references.monte_carlo(lambda m: m["x"], {"x": 1.0})
 
 
 def test_no_sample_is_infinite_at_the_ends_of_unbounded_laws():
-    values = al.quasi_monte_carlo(lambda m: m["x"], {"x": al.Normal(0.0, 1.0)}, 2**16).values
+    values = al.references.quasi_monte_carlo(lambda m: m["x"], {"x": al.Normal(0.0, 1.0)}, 2**16).values
     # The outermost of 2^16 normal numbers lie near 4.3, and surely within 6.
     assert 3.5 < np.abs(values).max() < 6.0
 
 
 def test_the_sample_keeps_64_bits():
-    assert al.monte_carlo(lambda m: jnp.float32(m["x"]), SMOOTH, 10).values.dtype == np.float64
+    assert al.references.monte_carlo(lambda m: jnp.float32(m["x"]), SMOOTH, 10).values.dtype == np.float64
     assert jax.config.jax_enable_x64

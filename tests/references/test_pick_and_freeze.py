@@ -16,7 +16,7 @@ def misses(found, exact):
 
 
 def test_indices_of_the_ishigami_function_are_the_published_ones():
-    found = al.sobol_indices(ishigami, ISHIGAMI, seed=2)
+    found = al.references.sobol_indices(ishigami, ISHIGAMI, seed=2)
     # Ishigami and Homma (1990), for a = 7 and b = 0.1; Student's law with 15 degrees of freedom leaves 4.1 in 1000.
     assert max(misses(found.first, {"x": 0.313905, "y": 0.442411, "z": 0.0}).values()) < 4.1
     assert max(misses(found.total, {"x": 0.557589, "y": 0.442411, "z": 0.243684}).values()) < 4.1
@@ -25,7 +25,7 @@ def test_indices_of_the_ishigami_function_are_the_published_ones():
 
 def test_indices_of_a_sum_are_shares_of_the_variance_whatever_the_laws():
     model = {"n": al.Normal(3.0, 0.5), "u": al.Uniform(0.0, std=1.0), "g": al.Gamma(mean=2.0, std=0.7)}
-    found = al.sobol_indices(lambda m: 2 * m["n"] + m["u"] - m["g"], model)
+    found = al.references.sobol_indices(lambda m: 2 * m["n"] + m["u"] - m["g"], model)
     total = 1.0 + 1.0 + 0.49
     exact = {"n": 1 / total, "u": 1 / total, "g": 0.49 / total}
     assert max(misses(found.first, exact).values()) < 4.1
@@ -35,7 +35,7 @@ def test_indices_of_a_sum_are_shares_of_the_variance_whatever_the_laws():
 def test_standard_errors_are_as_large_as_the_true_errors():
     scaled = []
     for seed in range(25):
-        found = al.sobol_indices(ishigami, ISHIGAMI, 16 * 64, seed=seed)
+        found = al.references.sobol_indices(ishigami, ISHIGAMI, 16 * 64, seed=seed)
         scaled.append((found.total["x"].value - 0.557589) / found.total["x"].standard_error)
     assert np.std(scaled) == pytest.approx(1.07, rel=0.4)
 
@@ -44,23 +44,23 @@ def test_indices_have_the_structure_of_the_outputs():
     def outputs(m):
         return {"path": m["x"] * jnp.arange(3.0) + 5.0, "y": m["y"]}
 
-    found = al.sobol_indices(outputs, ISHIGAMI, 16 * 64)
+    found = al.references.sobol_indices(outputs, ISHIGAMI, 16 * 64)
     # The first instant is certain, and nothing has a share of it.
     np.testing.assert_allclose(found.total["x"]["path"].value, [0, 1, 1], atol=0.05)
     np.testing.assert_allclose(found.first["y"]["path"].value, 0, atol=0.05)
     assert found.total["y"]["y"].value == pytest.approx(1.0, abs=0.05)
-    assert "x: first" in str(al.sobol_indices(ishigami, ISHIGAMI, 16 * 64))
+    assert "x: first" in str(al.references.sobol_indices(ishigami, ISHIGAMI, 16 * 64))
 
 
 def test_a_constant_output_is_refused():
     with pytest.raises(al.ProblemError, match="does not vary"):
-        al.sobol_indices(lambda m: 0 * m["x"] + 2, ISHIGAMI, 16 * 64)
+        al.references.sobol_indices(lambda m: 0 * m["x"] + 2, ISHIGAMI, 16 * 64)
 
 
 def test_a_plain_function_gives_the_same_indices():
     def plain(m):
         return np.sin(m["x"]) * m["y"]
 
-    called = al.sobol_indices(plain, ISHIGAMI, 16 * 4, traced=False)
-    traced = al.sobol_indices(lambda m: jnp.sin(m["x"]) * m["y"], ISHIGAMI, 16 * 4)
+    called = al.references.sobol_indices(plain, ISHIGAMI, 16 * 4, traced=False)
+    traced = al.references.sobol_indices(lambda m: jnp.sin(m["x"]) * m["y"], ISHIGAMI, 16 * 4)
     assert float(called.total["x"].value) == pytest.approx(float(traced.total["x"].value), rel=1e-10)

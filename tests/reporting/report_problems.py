@@ -51,17 +51,17 @@ def infeasible() -> al.Solution:
 
 
 @cache
-def evidence() -> al.Evidence:
+def evidence() -> al.results.Evidence:
     return al.validate(solution(), 400, seed=3, keep=20)
 
 
 @cache
-def front() -> al.Front:
+def front() -> al.results.Front:
     return al.pareto(problem(), NAME, [0.9, 0.3, 0.2, -0.5])
 
 
 @cache
-def calibration() -> al.Calibration:
+def calibration() -> al.results.Calibration:
     return al.calibrate(problem(0.2), NAME, 0.1, samples=400, precision=0.5)
 
 

@@ -67,7 +67,7 @@ def test_the_page_of_designs_alone_shows_where_they_stand(study):
 
 def calibrated(study, name, count=150, interrupted=False):
     """A design's calibration of which `count` of 20 000 fresh cars break a limit."""
-    share = al.Proportion(count, 20_000, 0.975)
+    share = al.results.Proportion(count, 20_000, 0.975)
     problem = study.designs[name].problem
     for limit in BUILT[name]:
         problem = problem.with_sigmas(limit, 2.4 if limit == "ride" else 1.6)
@@ -75,7 +75,7 @@ def calibrated(study, name, count=150, interrupted=False):
     solution = study.designs["dOpt" if name == "uOpt" else name]
     trial = Trial(2.4, replace(solution, problem=problem), share)
     missing = "" if share.upper <= 0.01 else "about 1e+05 fresh cars would tell"
-    return al.Calibration(BUILT[name], 0.01, (trial,), trial, share, None, missing, interrupted)
+    return al.results.Calibration(BUILT[name], 0.01, (trial,), trial, share, None, missing, interrupted)
 
 
 def full(sampled, **options):
@@ -98,7 +98,7 @@ def test_the_verdict_names_the_designs_to_build_what_is_confirmed_and_the_price(
 
 
 def test_nothing_is_to_be_built_whose_interval_reaches_beyond_the_target(sampled):
-    assert al.Proportion(190, 20_000, 0.975).upper > 0.01
+    assert al.results.Proportion(190, 20_000, 0.975).upper > 0.01
     said = verdict(full(sampled, count=190))
     assert (said.level, said.word) == ("caution", "Do not build yet")
     assert "uOpt and aOpt" in said.headline
@@ -134,8 +134,8 @@ def test_the_designs_to_build_stand_beside_the_printed_ones(sampled):
 
 
 def test_a_front_that_was_cut_short_is_shown_with_what_is_missing(sampled, tmp_path):
-    front = al.Front("travel", np.array([0.203]), (sampled.designs["uOpt"],), interrupted=True)
-    whole = al.Front("travel", np.array([0.203]), (sampled.designs["dOpt"],))
+    front = al.results.Front("travel", np.array([0.203]), (sampled.designs["uOpt"],), interrupted=True)
+    whole = al.results.Front("travel", np.array([0.203]), (sampled.designs["dOpt"],))
     cut = replace(sampled, travel_fronts={"dOpt": whole, "uOpt": front})
     text = write_page(cut, tmp_path / "page.html").read_text(encoding="utf-8")
     assert f"Of the front over travel of uOpt, 1 of {QUICK.front_points} points are finished and shown." in text
@@ -144,7 +144,7 @@ def test_a_front_that_was_cut_short_is_shown_with_what_is_missing(sampled, tmp_p
 
 def test_an_interrupted_front_keeps_its_finished_points(study, monkeypatch):
     def sweep(problem, bound, values, progress):
-        return al.Front(bound, np.array(values[:1]), (study.designs["uOpt"],), interrupted=True)
+        return al.results.Front(bound, np.array(values[:1]), (study.designs["uOpt"],), interrupted=True)
 
     monkeypatch.setattr(al, "pareto", sweep)
     for stage, fronts in (("fronts over travel", "travel_fronts"), ("fronts over holding", "holding_fronts")):
@@ -172,9 +172,9 @@ def test_a_box_reaches_the_worst_value_of_the_printed_travel_constraint(study):
 
 
 def test_every_figure_of_the_chapters_is_on_the_page(sampled):
-    front = al.Front("travel", np.array([0.203]), (sampled.designs["aOpt"],))
-    fronts = {name: al.Front("travel", np.array([0.203]), (one,)) for name, one in sampled.designs.items()}
-    holding = {name: al.Front("holding", np.array([0.034]), (sampled.designs[name],)) for name in ("dOpt", "uOpt")}
+    front = al.results.Front("travel", np.array([0.203]), (sampled.designs["aOpt"],))
+    fronts = {name: al.results.Front("travel", np.array([0.203]), (one,)) for name, one in sampled.designs.items()}
+    holding = {name: al.results.Front("holding", np.array([0.034]), (sampled.designs[name],)) for name in ("dOpt", "uOpt")}
     narrow = dict(zip(("dOpt", "uOpt, 1 σ", "uOpt, 1.25 σ"), sampled.evidence.values(), strict=True))
     whole = replace(
         sampled,
@@ -200,7 +200,7 @@ def test_published_numbers_stand_beside_ours_even_where_ours_are_missing(study):
 def counted(sampled, *counts):
     """Evidence of the narrow designs in which so many of 1000 cars leave the travel."""
     one = sampled.evidence["uOpt"]
-    shares = (al.Proportion(count, 1000) for count in counts)
+    shares = (al.results.Proportion(count, 1000) for count in counts)
     evidence = (replace(one, violations={**one.violations, "travel": share}) for share in shares)
     return replace(sampled, narrow_evidence=dict(zip(("dOpt", "uOpt, 1 σ", "uOpt, 1.25 σ"), evidence, strict=True)))
 

@@ -47,23 +47,23 @@ X, Q = al.path("x_torque"), al.path("q_torque")
 @pytest.mark.parametrize(
     ("expression", "unit"),
     [
-        (al.effort("x_torque"), "N² s"),
-        (al.effort("q_torque", weights=[0.5]), "(N m)² s"),
-        (al.effort("x_torque", "q_torque"), ""),
-        (al.power({"x_torque": "x_rate"}), "J"),
-        (al.power({"q_torque": "q_rate", "x_torque": "x_rate"}), "J"),
-        (al.power({"q_torque": "x_rate"}), "N m (m/s) s"),
-        (al.coefficient_power({"q_torque": "q_rate"}), "J"),
-        (al.jerk("x_torque"), "(N/s)² s"),
-        (al.jerk("q_torque"), "(N m/s)² s"),
+        (al.objectives.effort("x_torque"), "N² s"),
+        (al.objectives.effort("q_torque", weights=[0.5]), "(N m)² s"),
+        (al.objectives.effort("x_torque", "q_torque"), ""),
+        (al.objectives.power({"x_torque": "x_rate"}), "J"),
+        (al.objectives.power({"q_torque": "q_rate", "x_torque": "x_rate"}), "J"),
+        (al.objectives.power({"q_torque": "x_rate"}), "N m (m/s) s"),
+        (al.objectives.coefficient_power({"q_torque": "q_rate"}), "J"),
+        (al.objectives.torque_rate("x_torque"), "(N/s)² s"),
+        (al.objectives.torque_rate("q_torque"), "(N m/s)² s"),
         (al.path("q_acceleration").mean, "rad/s²"),
         (al.path("q_torque_rate").std, "N m/s"),
-        (al.terminal_variance("x"), "m²"),
-        (al.terminal_variance("x", "x_rate"), ""),
-        (al.terminal_mean_error({"x": 1.0}), "m"),
-        (al.final_time(), "s"),
-        (al.effort("x_torque") + al.final_time(), ""),
-        (al.effort("x_torque") + 0 * al.final_time(), "N² s"),
+        (al.objectives.terminal_variance("x"), "m²"),
+        (al.objectives.terminal_variance("x", "x_rate"), ""),
+        (al.objectives.terminal_mean_error({"x": 1.0}), "m"),
+        (al.objectives.final_time(), "s"),
+        (al.objectives.effort("x_torque") + al.objectives.final_time(), ""),
+        (al.objectives.effort("x_torque") + 0 * al.objectives.final_time(), "N² s"),
         (al.time_integral(X.std), "N s"),
         (al.time_integral(al.correlation(X, Q)), "s"),
         (al.time_integral(al.covariance(X, al.path("x_rate"))), "J"),
@@ -75,14 +75,14 @@ X, Q = al.path("x_torque"), al.path("q_torque")
         (al.integral("jolt").mean, "m/s²"),
         (al.integral("share").mean, "s"),
         (al.integral("temperature").mean, ""),
-        (al.effort("temperature"), ""),
-        (al.power({"x_torque": "temperature"}), ""),
+        (al.objectives.effort("temperature"), ""),
+        (al.objectives.power({"x_torque": "temperature"}), ""),
         (al.terminal("share").mean, ""),
         (al.value("mass.mean"), "kg"),
         (al.value("mass.scale") + al.value("mass.std"), "kg"),
         (al.value("mass.shape"), ""),
-        (al.reciprocal("mass.std", bias=0.0, scale=1.0), ""),
-        (al.terminal("x").mean + al.reciprocal("mass.std", bias=0.0, scale=1.0), ""),
+        (al.cost.reciprocal("mass.std", bias=0.0, scale=1.0), ""),
+        (al.terminal("x").mean + al.cost.reciprocal("mass.std", bias=0.0, scale=1.0), ""),
     ],
     ids=str,
 )
@@ -92,7 +92,7 @@ def test_units_follow_from_those_of_outputs(expression, unit, crane):
 
 @pytest.fixture(scope="module")
 def crane():
-    return problem(al.effort("x_torque") + al.power({"q_torque": "q_rate"}))
+    return problem(al.objectives.effort("x_torque") + al.objectives.power({"q_torque": "q_rate"}))
 
 
 def test_functionals_and_decisions_have_their_units(crane):

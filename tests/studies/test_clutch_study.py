@@ -43,7 +43,7 @@ def test_the_study_is_listed():
 
 def test_the_loop_closes_where_the_closed_form_says():
     model = clutch()
-    nominal = al.linearise(lambda realised: al.simulate(realised)["chi"][0], model)
+    nominal = al.references.linearise(lambda realised: al.simulate(realised)["chi"][0], model)
     assert float(nominal.mean) == pytest.approx(float(pressure_angle(*MEANS.values())), rel=1e-12)
 
 
@@ -173,7 +173,7 @@ def test_given_and_cheapest_and_safe_tolerances_are_all_counted(results):
     ]
     for name in (GIVEN, CHEAPEST):
         either = results.counts[name].deviation.either
-        share = al.Proportion(either.count, either.samples, confidence=0.999)
+        share = al.results.Proportion(either.count, either.samples, confidence=0.999)
         assert share.lower < results.given < share.upper
 
 

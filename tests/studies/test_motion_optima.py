@@ -58,7 +58,7 @@ def test_the_plan_at_the_root_of_three_is_that_of_the_worst_case():
     worst = al.Problem(
         problem.system,
         grid=problem.grid,
-        minimize=al.final_time(),
+        minimize=al.objectives.final_time(),
         subject_to=[*limits, *(al.path(name).at_least(0.0) for name in ("elbow_x", "tip_x", "gap_1", "gap_2"))],
         expansion=problem.expansion,
     )

@@ -14,7 +14,7 @@ from aleator.uncertainty import LegendreGerm
 from numpy_quarter_car import quarter_car
 from tiny_models import derivative_error
 
-SOLVERS = {"FilterSQP": al.FilterSQP(), "Ipopt": al.Ipopt(), "Slsqp": al.Slsqp()}
+SOLVERS = {"FilterSQP": al.solvers.FilterSQP(), "Ipopt": al.solvers.Ipopt(), "Slsqp": al.solvers.Slsqp()}
 PROBLEMS = {
     "dOpt": deterministic_problem,
     "uOpt": robust_problem,

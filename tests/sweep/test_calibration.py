@@ -269,7 +269,7 @@ def test_fresh_systems_that_break_it_too_often_widen_the_margin(monkeypatch):
 
     def lucky(self, solution):
         share = honest(self, solution)
-        return al.Proportion(share.count // 3, share.samples)
+        return al.results.Proportion(share.count // 3, share.samples)
 
     monkeypatch.setattr(_calibrate._Sampler, "trial", lucky)
     found = al.calibrate(shifted_problem(), "x", 0.05, samples=2000)
@@ -340,7 +340,7 @@ def test_a_solve_that_fails_in_mid_search_loses_nothing(monkeypatch, error):
     assert found.sigmas == pytest.approx(broken, rel=0.01)
 
 
-@pytest.mark.parametrize("solver", [al.FilterSQP(), al.Ipopt()], ids=lambda one: type(one).__name__)
+@pytest.mark.parametrize("solver", [al.solvers.FilterSQP(), al.solvers.Ipopt()], ids=lambda one: type(one).__name__)
 def test_a_margin_that_does_not_matter_is_not_searched_for(solver):
     # The best gain is 3 and the response never gets near 100.
     found = al.calibrate(normal_problem(upper=100.0), "response", 0.1, samples=500, solver=solver)

@@ -84,9 +84,9 @@ class SpatialArm(al.Multibody):
 
     def bodies(self):
         return (
-            al.Body("base", joint=al.Revolute("z"), mass=2.0, center=(0.1, 0.0, 0.2), inertia=(0.1, 0.1, 0.05)),
-            al.Body("arm", parent="base", joint=al.Revolute("y"), position=(0.0, 0.1, 0.3), mass=1.0),
-            al.Body("load", parent="arm", joint=al.Fixed(), position=(0.5, 0.0, self.offset), mass=self.payload),
+            al.Body("base", joint=al.joints.Revolute("z"), mass=2.0, center=(0.1, 0.0, 0.2), inertia=(0.1, 0.1, 0.05)),
+            al.Body("arm", parent="base", joint=al.joints.Revolute("y"), position=(0.0, 0.1, 0.3), mass=1.0),
+            al.Body("load", parent="arm", joint=al.joints.Fixed(), position=(0.5, 0.0, self.offset), mass=self.payload),
         )
 
 
@@ -97,7 +97,7 @@ def spatial_problem():
     return al.Problem(
         al.InverseDynamics(arm, motion=al.BSpline(al.Decision(points, -3.0, 3.0), **ends)),
         grid=al.Grid(al.Decision(2.0, 0.1, 20.0), 12),
-        minimize=al.final_time(),
+        minimize=al.objectives.final_time(),
         subject_to=[al.path(f"{name}_torque").within(-60.0, 60.0, sigmas=1.0) for name in ("base", "arm")],
         expansion=al.Expansion(order=3),
     )
@@ -113,7 +113,7 @@ def tolerance_problem():
     return al.Problem(
         al.InverseDynamics(arm, motion=al.BSpline(al.Decision(points, -3.0, 3.0), **ends)),
         grid=al.Grid(al.Decision(1.7, 1.0, 3.0), 12),
-        minimize=al.final_time(),
+        minimize=al.objectives.final_time(),
         subject_to=[
             al.path("q1_torque").within(-40.0, 40.0, sigmas=1.5),
             al.path("tip_x").at_least(-3.0, sigmas=2.0),

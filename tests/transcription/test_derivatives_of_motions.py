@@ -26,7 +26,7 @@ def codesign():
     return al.Problem(
         al.InverseDynamics(arm, motion=motion),
         grid=al.Grid(al.Decision(1.7, 1.0, 3.0), 12),
-        minimize=al.final_time() + al.effort("q1_torque", "q2_torque"),
+        minimize=al.objectives.final_time() + al.objectives.effort("q1_torque", "q2_torque"),
         subject_to=[
             torque.within(-40.0, 40.0, sigmas=1.5),
             al.path("q2_torque").at_most(40.0, worst_case=True),
@@ -84,7 +84,7 @@ def test_what_is_uncertain_in_the_motion_is_differentiated_as_a_whole():
     problem = al.Problem(
         al.InverseDynamics(arm, motion=motion),
         grid=al.Grid(1.5, 6),
-        minimize=al.effort("q1_torque"),
+        minimize=al.objectives.effort("q1_torque"),
         subject_to=[al.path("q1_torque").at_most(100.0, sigmas=1.0)],
         expansion=al.Expansion(order=2),
     )

@@ -30,7 +30,7 @@ def fastest(steps, free=2):
     return al.Problem(
         al.InverseDynamics(Swing(al.Uniform(1.0, half_width=0.1)), motion={"q": motion}),
         grid=al.Grid(al.Decision(3.0, 0.2, 9.0), steps),
-        minimize=al.final_time(),
+        minimize=al.objectives.final_time(),
         subject_to=al.path("q_torque").within(-10.0, 10.0, sigmas=1.0),
         expansion=al.Expansion(order=1),
     )

@@ -34,7 +34,7 @@ def problem(*constraints, steps=12, free=6, minimize=None, t_final=None):
     return al.Problem(
         al.InverseDynamics(Cart(mass=al.Uniform(1.0, half_width=0.1)), motion=motion),
         grid=al.Grid(t_final or al.Decision(2.0, 0.1, 20.0), steps),
-        minimize=al.final_time() if minimize is None else minimize,
+        minimize=al.objectives.final_time() if minimize is None else minimize,
         subject_to=constraints or [al.path("x_torque").within(-10.0, 10.0, sigmas=1.0)],
         expansion=al.Expansion(order=2),
     )
@@ -59,7 +59,7 @@ def test_a_plan_that_holds_says_on_how_many_steps():
 
 
 def test_peaks_are_looked_at_between_instants_too():
-    declared = problem(al.peak("speed").mean <= 0.62, minimize=al.effort("x_torque"), steps=3, free=4, t_final=2.0)
+    declared = problem(al.peak("speed").mean <= 0.62, minimize=al.objectives.effort("x_torque"), steps=3, free=4, t_final=2.0)
     found = transcribe(declared)
     start = declared.survey.vector("initial")
     excess = excess_between(found, start, reference(found, start, 40))
@@ -75,7 +75,7 @@ def test_peaks_are_looked_at_between_instants_too():
 
 def test_an_equality_along_a_path_that_breaks_between_instants_is_reported():
     # Two instants, between which the cart is anywhere else.
-    exact = problem(al.path("speed").mean.equals(0.0), minimize=al.effort("x_torque"), steps=1)
+    exact = problem(al.path("speed").mean.equals(0.0), minimize=al.objectives.effort("x_torque"), steps=1)
     solution = al.solve(exact, throw=False)
     assert not solution.ok
     assert solution.between.name == "speed"

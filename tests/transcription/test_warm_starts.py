@@ -133,7 +133,7 @@ def test_a_start_lies_within_the_bounds(coarse):
 def test_what_a_solution_does_not_know_is_named(coarse):
     for unknown, received in (
         (problem(spline(np.zeros(5), degree=1), gain=al.Decision(1.0, 0.5, 2.0)), "decision 'gain'"),
-        (problem(al.signal(lambda t, p: p.high * t, high=al.Decision(1.0))), "decision 'inputs.u.p.high'"),
+        (problem(al.processes.signal(lambda t, p: p.high * t, high=al.Decision(1.0))), "decision 'inputs.u.p.high'"),
     ):
         with pytest.raises(al.ProblemError, match=f"says nothing of the {received}.*received a solution with the"):
             al.solve(unknown, warm_start=coarse)

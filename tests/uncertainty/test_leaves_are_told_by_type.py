@@ -151,7 +151,7 @@ def test_every_number_tells_between_which_ends_it_lies(number, least, most):
 @pytest.mark.parametrize(
     "place",
     [
-        lambda odd: al.Sphere((0.0, 0.0), radius=odd),
+        lambda odd: al.shapes.Sphere((0.0, 0.0), radius=odd),
         lambda odd: al.PowerSeries(start=(odd,)),
         lambda odd: al.BSpline(odd),
         lambda odd: al.Grid(odd, steps=3),

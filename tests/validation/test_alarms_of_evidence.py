@@ -94,7 +94,7 @@ def test_a_spike_in_a_corner_without_points_is_found():
 def test_waves_that_an_order_misses_are_found_with_their_closed_form():
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        solution = solved("waves", al.Normal(0.0, 1.0), UNIFORM, points=al.HammersleyPoints())
+        solution = solved("waves", al.Normal(0.0, 1.0), UNIFORM, points=al.points.HammersleyPoints())
     evidence = alarmed(solution)
     first = np.cos(10) * np.exp(-0.5)
     variance = 4 * ((1 + np.cos(20) * np.exp(-2.0)) / 2 - first**2)

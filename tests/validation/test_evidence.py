@@ -276,7 +276,7 @@ def test_evidence_prints_what_it_found(solution):
     assert "1000 fresh samples, seed 7" in text
     assert "violates response:" in text
     assert "95 % confidence" in text
-    assert dataclasses.is_dataclass(al.Evidence)
+    assert dataclasses.is_dataclass(al.results.Evidence)
 
 
 def test_progress_is_told(solution):

@@ -36,7 +36,7 @@ def cart_problem(**options):
     motion = al.BSpline(al.Decision(points, -5.0, 5.0), **ENDS)
     defaults = {
         "grid": al.Grid(1.0, STEPS),
-        "minimize": al.effort("x_torque"),
+        "minimize": al.objectives.effort("x_torque"),
         "subject_to": [al.path("momentum").at_most(LIMIT, sigmas=1.0)],
         "expansion": al.Expansion(order=2),
     }
@@ -111,7 +111,7 @@ def test_limits_that_say_nothing_of_one_system_are_named_with_the_reason():
     solution = al.solve(
         cart_problem(
             subject_to=[
-                (al.norm(al.path("momentum").mean) <= LIMIT).named("norm"),
+                (al.objectives.norm(al.path("momentum").mean) <= LIMIT).named("norm"),
                 (al.path("momentum").std <= LIMIT).named("spread"),
                 al.terminal("x").mean.equals(1.0).named("end"),
                 (al.value("mass.std") <= 5.0).named("given"),

@@ -124,7 +124,7 @@ def test_correlated_distributions_are_weighted_as_they_are_counted():
 def test_what_cannot_happen_is_counted_instead():
     solution = al.solve(gain_problem(sigmas=2.0))
     share = al.rare_violation(solution, samples=3000)
-    assert share == al.Proportion(0, 3000)
+    assert share == al.results.Proportion(0, 3000)
 
 
 @pytest.mark.parametrize(
