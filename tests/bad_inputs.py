@@ -145,7 +145,11 @@ _CONSTRUCTORS: dict[str, tuple[Callable[..., Any], dict[str, Any], dict[str, Map
     ),
     "Adaptive": (al.index_sets.Adaptive, {}, {"error": POSITIVE, "budget": COUNT}),
     "HyperbolicCross": (al.index_sets.HyperbolicCross, {}, {"q": SHARE}),
-    "Anisotropic": (al.index_sets.Anisotropic, {"weights": [1.0, 2.0]}, {"weights": without(NO_OBJECT, "list", "dict")}),
+    "Anisotropic": (
+        al.index_sets.Anisotropic,
+        {"weights": [1.0, 2.0]},
+        {"weights": without(NO_OBJECT, "list", "dict")},
+    ),
     "MultiElement": (al.MultiElement, {}, {"order": COUNT, "error": POSITIVE, "budget": COUNT}),
     "HammersleyPoints": (al.points.HammersleyPoints, {}, {"count": OPTIONAL_COUNT}),
     "InducedPoints": (al.points.InducedPoints, {}, {"count": OPTIONAL_COUNT}),
@@ -183,7 +187,11 @@ _CONSTRUCTORS: dict[str, tuple[Callable[..., Any], dict[str, Any], dict[str, Map
     "Ipopt": (al.solvers.Ipopt, {}, {"tolerance": POSITIVE, "max_iterations": COUNT}),
     "InteriorPoint": (al.solvers.InteriorPoint, {}, {"tolerance": POSITIVE, "max_iterations": COUNT}),
     "Slsqp": (al.solvers.Slsqp, {}, {"tolerance": POSITIVE, "max_iterations": COUNT, "max_rounds": COUNT}),
-    "ExponentialCovariance": (al.processes.ExponentialCovariance, {"correlation_time": 1.0}, {"correlation_time": POSITIVE}),
+    "ExponentialCovariance": (
+        al.processes.ExponentialCovariance,
+        {"correlation_time": 1.0},
+        {"correlation_time": POSITIVE},
+    ),
     "BandLimitedCovariance": (
         al.processes.BandLimitedCovariance,
         {"f_low": 1.0, "f_high": 2.0},
@@ -325,7 +333,11 @@ _LANGUAGE: dict[str, tuple[Callable[..., Any], dict[str, Any], dict[str, Mapping
         {"first": al.shapes.Sphere(np.zeros(3)), "second": al.shapes.Sphere(np.ones(3))},
         {"first": REQUIRED, "second": REQUIRED},
     ),
-    "link_distances": (al.shapes.link_distances, {"links": [al.shapes.Sphere(np.zeros(3))] * 3}, {"links": REQUIRED, "apart": COUNT}),
+    "link_distances": (
+        al.shapes.link_distances,
+        {"links": [al.shapes.Sphere(np.zeros(3))] * 3},
+        {"links": REQUIRED, "apart": COUNT},
+    ),
     "smallest": (
         al.shapes.smallest,
         {"distances": np.ones(3)},
@@ -440,7 +452,11 @@ _STUDIES: dict[str, tuple[Callable[..., Any], dict[str, Any], dict[str, Mapping[
         {"function": product, "model": TWO},
         {"function": FUNCTION, "replicates": COUNT} | SAMPLING,
     ),
-    "sobol_indices": (al.references.sobol_indices, {"function": product, "model": TWO}, {"function": FUNCTION} | SAMPLING),
+    "sobol_indices": (
+        al.references.sobol_indices,
+        {"function": product, "model": TWO},
+        {"function": FUNCTION} | SAMPLING,
+    ),
     "linearise": (al.references.linearise, {"function": product, "model": TWO}, {"function": FUNCTION}),
     "second_order": (al.references.second_order, {"function": product, "model": TWO}, {"function": FUNCTION}),
     "tolerance_analysis": (

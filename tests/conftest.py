@@ -6,9 +6,9 @@ import shutil
 import tempfile
 
 if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
-    # What one worker compiles, the others read; nothing of it outlives the run.
+    # What one worker compiles, the others read, small programs too; nothing of it outlives the run.
     os.environ["JAX_COMPILATION_CACHE_DIR"] = tempfile.mkdtemp(prefix="aleator-tests-")
-    os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.3"
+    os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
     atexit.register(shutil.rmtree, os.environ["JAX_COMPILATION_CACHE_DIR"], ignore_errors=True)
 
 import jax

@@ -2,6 +2,7 @@
 
 import math
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -55,16 +56,23 @@ def test_the_sum_is_what_it_should_be():
     assert sum(math.sin(k) ** 2 for k in range(4)) == pytest.approx(VALUE, abs=1e-3)
 
 
-def test_another_run_finds_what_one_has_compiled(tmp_path):
-    assert ended(began(tmp_path)) == (0, "")
-    assert entries(tmp_path)
-    hits, said = ended(began(tmp_path))
+@pytest.fixture(scope="module")
+def filled(tmp_path_factory):
+    """A folder of programs that one run has compiled."""
+    folder = tmp_path_factory.mktemp("filled")
+    assert ended(began(folder)) == (0, "")
+    assert entries(folder)
+    return folder
+
+
+def test_another_run_finds_what_one_has_compiled(filled):
+    hits, said = ended(began(filled))
     assert hits >= 1
     assert said == ""
 
 
-def test_damaged_programs_are_compiled_again_without_a_word(tmp_path):
-    ended(began(tmp_path))
+def test_damaged_programs_are_compiled_again_without_a_word(filled, tmp_path):
+    shutil.copytree(filled, tmp_path, dirs_exist_ok=True)
     for i, path in enumerate(entries(tmp_path)):
         whole = path.read_bytes()
         path.write_bytes([whole[: len(whole) // 2], b"", b"another program's file", whole[::-1]][i % 4])
@@ -85,10 +93,19 @@ def test_a_full_disk_keeps_nothing_and_stops_nothing(tmp_path):
 
 
 def test_it_can_be_turned_off(tmp_path):
-    for off in ("off", "0", ""):
-        own = {"XDG_CACHE_HOME": str(tmp_path), "HOME": str(tmp_path), "LOCALAPPDATA": str(tmp_path)}
-        assert ended(began(off, **own)) == (0, "")
+    own = {"XDG_CACHE_HOME": str(tmp_path), "HOME": str(tmp_path), "LOCALAPPDATA": str(tmp_path)}
+    assert ended(began("off", **own)) == (0, "")
     assert not list(tmp_path.rglob("*-cache"))
+
+
+@pytest.mark.parametrize("off", ["off", "Off ", "no", "0", "false", ""])
+def test_each_word_for_off_keeps_nothing(off, monkeypatch, tmp_path):
+    monkeypatch.setenv(kept_programs.VARIABLE, off)
+    monkeypatch.chdir(tmp_path)
+    before = kept_programs.jax.config.jax_compilation_cache_dir
+    kept_programs.keep_by_default()
+    assert kept_programs.jax.config.jax_compilation_cache_dir == before
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_folder_that_jax_was_given_stays(tmp_path):

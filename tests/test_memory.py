@@ -34,7 +34,10 @@ EXPANSIONS = {
     "a full grid": (8, al.Expansion(3, points=al.points.GaussPoints(HUGE), fit=al.fits.Projection())),
     "a rule of a million roots": (1, al.Expansion(3, points=al.points.GaussPoints(10**6), fit=al.fits.Projection())),
     "a sparse grid": (8, al.Expansion(3, points=al.points.SmolyakPoints(HUGE), fit=al.fits.Projection())),
-    "a sparse grid of one variable": (1, al.Expansion(3, points=al.points.SmolyakPoints(100_000), fit=al.fits.Projection())),
+    "a sparse grid of one variable": (
+        1,
+        al.Expansion(3, points=al.points.SmolyakPoints(100_000), fit=al.fits.Projection()),
+    ),
     "candidates of a sparse expansion": (60, al.Expansion(4, points=10**5, fit=al.fits.Sparse())),
 }
 
@@ -81,7 +84,9 @@ def test_a_matrix_at_any_points_is_counted_first(monkeypatch):
         basis.matrix(np.zeros((40, 2)))
 
 
-@pytest.mark.parametrize("verb", [al.references.monte_carlo, al.references.quasi_monte_carlo, al.references.sobol_indices])
+@pytest.mark.parametrize(
+    "verb", [al.references.monte_carlo, al.references.quasi_monte_carlo, al.references.sobol_indices]
+)
 def test_a_sample_that_does_not_fit_is_refused(verb):
     with pytest.raises(al.ProblemError, match=rf"{verb.__name__}: .* samples of 1 variables would need .* GiB|GiB"):
         verb(lambda at: at["w"], {"w": al.Uniform.bounds(0.0, 1.0)}, 2**50)

@@ -106,7 +106,10 @@ def test_a_problem_without_uncertainty_is_solved_all_the_same():
 
 
 def test_the_three_solvers_agree_on_a_problem_with_path_constraints():
-    optima = [al.solve(oscillator_problem(), solver).objective for solver in (al.solvers.FilterSQP(), al.solvers.Ipopt(), al.solvers.Slsqp())]
+    optima = [
+        al.solve(oscillator_problem(), solver).objective
+        for solver in (al.solvers.FilterSQP(), al.solvers.Ipopt(), al.solvers.Slsqp())
+    ]
     assert optima == pytest.approx([optima[0]] * 3, rel=1e-6)
     solution = al.solve(oscillator_problem())
     assert solution.active == ("x",)
@@ -178,7 +181,11 @@ class Escape(al.System):
         return {"x": 1.0}
 
 
-@pytest.mark.parametrize("integrator", [al.integrators.RungeKutta4(), al.integrators.Tsit5(max_steps=8000)], ids=["RungeKutta4", "Tsit5"])
+@pytest.mark.parametrize(
+    "integrator",
+    [al.integrators.RungeKutta4(), pytest.param(al.integrators.Tsit5(max_steps=8000), marks=pytest.mark.slow)],
+    ids=["RungeKutta4", "Tsit5"],
+)
 def test_a_simulation_that_blows_up_at_one_point_only_is_named(integrator):
     # Points in germ space are 2 u - 1 of the Hammersley set: with six points the largest rate is the last one's.
     points = 2 * HammersleyPoints().levels(6, 1)[:, 0] - 1
@@ -321,7 +328,9 @@ def square_problem(*subject_to, minimize=None, start=1.0):
     )
 
 
-@pytest.mark.parametrize("solver", [al.solvers.FilterSQP(), al.solvers.Ipopt(), al.solvers.Slsqp()], ids=lambda one: type(one).__name__)
+@pytest.mark.parametrize(
+    "solver", [al.solvers.FilterSQP(), al.solvers.Ipopt(), al.solvers.Slsqp()], ids=lambda one: type(one).__name__
+)
 @pytest.mark.parametrize("offset", [0.0, 1e5, 1e8])
 def test_an_offset_of_the_objective_does_not_move_the_optimum(solver, offset):
     solution = al.solve(square_problem(minimize=al.terminal("q").mean + offset), solver)

@@ -45,7 +45,9 @@ def threads():
     sys.setswitchinterval(before)
 
 
-@pytest.mark.parametrize("solver", [al.solvers.FilterSQP(), al.solvers.Ipopt(), al.solvers.Slsqp()], ids=lambda one: type(one).__name__)
+@pytest.mark.parametrize(
+    "solver", [al.solvers.FilterSQP(), al.solvers.Ipopt(), al.solvers.Slsqp()], ids=lambda one: type(one).__name__
+)
 def test_one_problem_in_many_threads_is_compiled_once_and_solved_alike(threads, solver):
     one = gap(2.0, steps=21)
     before = EVALUATE.compilations

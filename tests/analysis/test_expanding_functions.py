@@ -307,7 +307,12 @@ def test_reverse_rules_of_differentiation_tell_functions_apart():
     [
         al.Expansion(order=5, points=al.points.GaussPoints()),
         al.Expansion(order=5, points=al.points.GaussPoints(), fit=al.fits.Projection()),
-        al.Expansion(order=5, index_set=al.index_sets.TensorProduct(), points=al.points.GaussPoints(), fit=al.fits.Interpolation()),
+        al.Expansion(
+            order=5,
+            index_set=al.index_sets.TensorProduct(),
+            points=al.points.GaussPoints(),
+            fit=al.fits.Interpolation(),
+        ),
     ],
 )
 def test_a_gauss_grid_that_interpolates_along_its_axes_does_not_pass_for_resolved(expansion):

@@ -103,7 +103,9 @@ def test_objectives_have_the_values_of_their_closed_forms(name):
 def test_the_printed_power_is_the_expected_one_where_all_is_certain():
     limits = [
         (one >= -100.0).named(f"{i}")
-        for i, one in enumerate([al.objectives.power({"torque": "against"}), al.objectives.coefficient_power({"torque": "against"})])
+        for i, one in enumerate(
+            [al.objectives.power({"torque": "against"}), al.objectives.coefficient_power({"torque": "against"})]
+        )
     ]
     values = [float(one.values[0]) for one in al.solve(al.deterministic(problem(limits))).constraints]
     np.testing.assert_allclose(values, [WORK, WORK], rtol=1e-7)
@@ -111,7 +113,9 @@ def test_the_printed_power_is_the_expected_one_where_all_is_certain():
 
 def test_the_final_time_of_a_fixed_grid_is_a_number():
     fixed = al.Problem(
-        Joint(al.Decision(3.0, 2.0, 5.0), 1.0), grid=al.Grid(0.7, 4), minimize=al.value("gain") + al.objectives.final_time()
+        Joint(al.Decision(3.0, 2.0, 5.0), 1.0),
+        grid=al.Grid(0.7, 4),
+        minimize=al.value("gain") + al.objectives.final_time(),
     )
     assert al.solve(fixed).objective == pytest.approx(2.7, rel=1e-8)
 
@@ -174,22 +178,49 @@ def test_objectives_speak_of_their_outputs():
         (lambda: al.objectives.coefficient_power({}), "coefficient_power: expected at least one output"),
         (lambda: al.objectives.effort("a", "b", weights=[1.0]), "expected 2 weights, one a term; received 1"),
         (lambda: al.objectives.effort("a", weights=["heavy"]), "Only numbers can multiply"),
-        (lambda: al.objectives.effort("a", weights=[np.nan]), "Only finite numbers can multiply an expression by; received nan"),
-        (lambda: al.objectives.torque_rate("a", weights=[np.inf]), "Only finite numbers can multiply an expression by; received inf"),
+        (
+            lambda: al.objectives.effort("a", weights=[np.nan]),
+            "Only finite numbers can multiply an expression by; received nan",
+        ),
+        (
+            lambda: al.objectives.torque_rate("a", weights=[np.inf]),
+            "Only finite numbers can multiply an expression by; received inf",
+        ),
         (lambda: al.objectives.effort("a", "b", weights=2.0), "expected 2 weights, one a term; received 1"),
-        (lambda: al.objectives.effort("a", "b", weights={"b": 1.0, "a": 2.0}), "effort: weights are numbers in the order"),
-        (lambda: al.objectives.effort(["a", "b"]), "An output is given by its name, such as 'x', and several one by one"),
+        (
+            lambda: al.objectives.effort("a", "b", weights={"b": 1.0, "a": 2.0}),
+            "effort: weights are numbers in the order",
+        ),
+        (
+            lambda: al.objectives.effort(["a", "b"]),
+            "An output is given by its name, such as 'x', and several one by one",
+        ),
         (lambda: al.objectives.torque_rate(["a", "b"]), r"An output is given by its name.*received list \['a', 'b'\]"),
         (lambda: al.objectives.terminal_variance(["a"]), "An output is given by its name"),
         (lambda: al.path(3), "An output is given by its name.*received int 3"),
         (lambda: al.objectives.power([("a", "b")]), "power: expected the rate that each torque acts on, by its name"),
         (lambda: al.objectives.coefficient_power("a"), "coefficient_power: expected the rate that each torque acts on"),
         (lambda: al.objectives.power({"a": 3}), "An output is given by its name.*received int 3"),
-        (lambda: al.objectives.power({"a": "b"}, smoothing=-1.0), "power: smoothing is a power, W, not below zero; received -1"),
-        (lambda: al.objectives.power({"a": "b"}, smoothing=np.inf), "Only finite numbers can smooth a power; received inf"),
-        (lambda: al.objectives.coefficient_power({"a": "b"}, smoothing=-0.1), "coefficient_power: smoothing is a power"),
-        (lambda: al.objectives.coefficient_power({"a": "b"}, smoothing=np.nan), "Only finite numbers can smooth a power"),
-        (lambda: al.objectives.terminal_mean_error("x"), "terminal_mean_error: expected what each output is to be at the end"),
+        (
+            lambda: al.objectives.power({"a": "b"}, smoothing=-1.0),
+            "power: smoothing is a power, W, not below zero; received -1",
+        ),
+        (
+            lambda: al.objectives.power({"a": "b"}, smoothing=np.inf),
+            "Only finite numbers can smooth a power; received inf",
+        ),
+        (
+            lambda: al.objectives.coefficient_power({"a": "b"}, smoothing=-0.1),
+            "coefficient_power: smoothing is a power",
+        ),
+        (
+            lambda: al.objectives.coefficient_power({"a": "b"}, smoothing=np.nan),
+            "Only finite numbers can smooth a power",
+        ),
+        (
+            lambda: al.objectives.terminal_mean_error("x"),
+            "terminal_mean_error: expected what each output is to be at the end",
+        ),
         (lambda: al.objectives.terminal_mean_error({"x": np.nan}), "Only finite numbers can be added to or compared"),
         (lambda: np.nan * al.objectives.effort("a"), "Only finite numbers can multiply"),
         (lambda: al.objectives.effort("a") / np.nan, "Only finite numbers can divide"),

@@ -10,6 +10,7 @@ from scipy.optimize import root
 import aleator as al
 from aleator.dynamics import explain_failure, solve_algebraic
 from aleator.uncertainty import realise, survey
+from compiling import compiled
 from tiny_models import derivative_error
 
 
@@ -78,11 +79,10 @@ def test_unknowns_may_be_arrays():
         return np.diff(3.0 * np.arange(1.0, 7.0) * (stretch + stretch**3))
 
     reference = root(equations, np.linspace(0.2, 1.8, 5), tol=1e-14).x
-    outputs = al.simulate(system)
+    outputs, solved = compiled(lambda: (al.simulate(system), solve_algebraic(system)))()
     assert outputs["places"].shape == (1, 5)
     np.testing.assert_allclose(outputs["places"][0], reference, rtol=1e-11)
     assert outputs["one"].tolist() == [1.0]
-    solved = solve_algebraic(system)
     assert solved.converged
     assert float(solved.residual_norm) < 1e-14
 
@@ -90,7 +90,7 @@ def test_unknowns_may_be_arrays():
 def test_a_thousand_points_are_solved_at_once():
     random = np.random.default_rng(5)
     cranks, rods, angles = random.uniform([[0.02], [0.06], [-3.0]], [[0.04], [0.1], [3.0]], (3, 1000))
-    solve = jax.jit(jax.vmap(lambda *parameters: solve_algebraic(SliderCrank(*parameters))))
+    solve = compiled(jax.vmap(lambda *parameters: solve_algebraic(SliderCrank(*parameters))))
     solved = solve(cranks, rods, angles)
     assert solved.converged.all()
     assert float(solved.residual_norm.max()) < 1e-13
@@ -107,9 +107,10 @@ def test_derivatives_are_those_of_the_closed_form():
         crank, rod, angle = parameters
         return crank * jnp.cos(angle) + jnp.sqrt(rod**2 - (crank * jnp.sin(angle)) ** 2)
 
+    slope, curvature = compiled(lambda point: (jax.grad(exact)(point), jax.hessian(exact)(point)))(point)
     for gradient in (jax.grad, jax.jacfwd):
-        np.testing.assert_allclose(jax.jit(gradient(position))(point), jax.grad(exact)(point), rtol=1e-13)
-    np.testing.assert_allclose(jax.jit(jax.hessian(position))(point), jax.hessian(exact)(point), rtol=1e-12)
+        np.testing.assert_allclose(compiled(gradient(position))(point), slope, rtol=1e-13)
+    np.testing.assert_allclose(compiled(jax.hessian(position))(point), curvature, rtol=1e-12)
 
 
 def test_derivatives_of_arrays_of_unknowns_agree_with_central_differences():
@@ -119,8 +120,8 @@ def test_derivatives_of_arrays_of_unknowns_agree_with_central_differences():
         return jnp.concatenate([outputs["places"][0], outputs["force"]])
 
     point = np.array([3.0, 2.0])
-    compiled = jax.jit(places)
-    assert derivative_error(compiled, jax.jit(jax.jacrev(places))(point), point) < 1e-9
+    function = compiled(places)
+    assert derivative_error(function, compiled(jax.jacrev(places))(point), point) < 1e-9
 
 
 class Parabola(al.AlgebraicSystem):
@@ -139,15 +140,17 @@ class Parabola(al.AlgebraicSystem):
 
 
 def test_of_two_solutions_it_is_the_one_on_the_side_of_the_guess():
-    assert [float(al.simulate(Parabola(4.0, start))["x"][0]) for start in (1.0, 5.0, -0.5)] == [2.0, 2.0, -2.0]
+    found = compiled(jax.vmap(lambda start: al.simulate(Parabola(4.0, start))["x"][0]))(jnp.array([1.0, 5.0, -0.5]))
+    assert found.tolist() == [2.0, 2.0, -2.0]
 
 
 def test_a_guess_may_depend_on_the_parameters_and_leaves_no_trace_in_derivatives():
     def at(level):
         return al.simulate(Parabola(level, start=level))["x"][0]
 
-    np.testing.assert_allclose(jax.grad(at)(9.0), 1 / 6, rtol=1e-14)
-    np.testing.assert_allclose(jax.grad(jax.grad(at))(9.0), -1 / 108, rtol=1e-13)
+    slope, curvature = compiled(lambda level: (jax.grad(at)(level), jax.grad(jax.grad(at))(level)))(9.0)
+    np.testing.assert_allclose(slope, 1 / 6, rtol=1e-14)
+    np.testing.assert_allclose(curvature, -1 / 108, rtol=1e-13)
 
 
 def test_where_there_is_no_solution_outputs_are_not_a_number_and_the_other_points_stay():
@@ -165,7 +168,7 @@ def test_where_there_is_no_solution_outputs_are_not_a_number_and_the_other_point
             # An output that would hide a number that is none.
             return {"x": rho.x, "side": jnp.where(rho.x > 0, 1.0, -1.0)}
 
-    outputs = jax.vmap(lambda level: al.simulate(Signed(level)))(jnp.array([4.0, -4.0, 0.0]))
+    outputs = compiled(jax.vmap(lambda level: al.simulate(Signed(level))))(jnp.array([4.0, -4.0, 0.0]))
     assert np.isnan(outputs["side"][:, 0]).tolist() == [False, True, True]
     assert np.isnan(outputs["x"][:, 0]).tolist() == [False, True, True]
     assert outputs["x"][0, 0] == 2.0
@@ -335,9 +338,9 @@ def test_parameters_may_be_uncertain_and_decided():
         return al.simulate(realise(model, germ, decisions))["x"][0]
 
     germ, decisions = jnp.array([[-0.5], [0.5]]), jnp.array([0.09])
-    positions = jax.vmap(position, in_axes=(0, None))(germ, decisions)
+    positions = compiled(jax.vmap(position, in_axes=(0, None)))(germ, decisions)
     np.testing.assert_allclose(positions, slider(np.array([0.0295, 0.0305]), 0.09, 0.7), rtol=1e-14)
-    slope = jax.grad(position, argnums=1)(germ[0], decisions)[0]
+    slope = compiled(jax.grad(position, argnums=1))(germ[0], decisions)[0]
     np.testing.assert_allclose(slope, 0.09 / np.sqrt(0.09**2 - (0.0295 * np.sin(0.7)) ** 2), rtol=1e-13)
 
 

@@ -2,7 +2,6 @@
 
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -10,6 +9,7 @@ from scipy import integrate
 
 import aleator as al
 from aleator.design import functionals_of, integrated_paths, responses, sampled
+from compiling import compiled
 
 STEPS = np.array([10, 20, 40, 80])
 DECAY, START, END = 0.7, 2.0, 1.5
@@ -77,7 +77,7 @@ def problem(functional, steps, integrator=None):
 
 def value(declared):
     functionals = functionals_of(declared.expressions)
-    found = jax.jit(lambda x: responses(declared, functionals, jnp.zeros((1, 0)), x))(jnp.array([DECAY]))
+    found = compiled(lambda x: responses(declared, functionals, jnp.zeros((1, 0)), x))(jnp.array([DECAY]))
     return float(found[0][0])
 
 
@@ -88,7 +88,9 @@ def test_integrals_converge_with_the_order_of_the_integrator(name):
     assert slope == pytest.approx(-4.0, abs=0.25)
 
 
-@pytest.mark.parametrize("integrator", [al.integrators.Tsit5(), al.integrators.Kvaerno5()], ids=lambda one: type(one).__name__)
+@pytest.mark.parametrize(
+    "integrator", [al.integrators.Tsit5(), al.integrators.Kvaerno5()], ids=lambda one: type(one).__name__
+)
 @pytest.mark.parametrize("name", ["rms", "work"])
 def test_adaptive_integrators_hold_integrals_to_their_tolerance_on_a_coarse_grid(name, integrator):
     assert value(problem(FUNCTIONALS[name], 2, integrator)) == pytest.approx(exact(name, exact_state, None), rel=1e-7)

@@ -8,6 +8,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import aleator as al
+from compiling import compiled
 from tiny_models import Decay, Oscillator, central_differences, derivative_error, sine
 
 TIMES = np.linspace(0.0, 5.0, 41)
@@ -57,7 +58,7 @@ def test_runge_kutta_converges_with_order_four():
     times, damping = np.linspace(0.0, end, 11), c / (2 * m)
     frequency = np.sqrt(k / m - damping**2)
     exact = np.exp(-damping * times) * (np.cos(frequency * times) + damping / frequency * np.sin(frequency * times))
-    steps = np.array([40, 80, 160, 320, 640])
+    steps = np.array([40, 160, 640])
     errors = [
         np.abs(al.simulate(system, al.Grid(end, int(n)), {"force": silence})["x"][:: n // 10] - exact).max()
         for n in steps
@@ -77,7 +78,9 @@ def test_runge_kutta_agrees_with_scipy_on_a_nonlinear_system_with_a_tabulated_in
     np.testing.assert_allclose(outputs["u"], np.interp(grid.times, TIMES, PUSH), atol=1e-14)
 
 
-@pytest.mark.parametrize("integrator", [al.integrators.Tsit5(1e-9, 1e-11), al.integrators.Kvaerno5(1e-9, 1e-11)], ids=["Tsit5", "Kvaerno5"])
+@pytest.mark.parametrize(
+    "integrator", [al.integrators.Tsit5(1e-9, 1e-11), al.integrators.Kvaerno5(1e-9, 1e-11)], ids=["Tsit5", "Kvaerno5"]
+)
 def test_adaptive_integrators_agree_with_scipy_behind_the_same_call(integrator):
     grid = al.Grid(5.0, 10)
     outputs = al.simulate(Pendulum(), grid, {"push": al.Tabulated(TIMES, PUSH)}, integrator)
@@ -108,10 +111,12 @@ def test_kvaerno_solves_a_stiff_problem():
         return [-slow + fast, slow - fast - quadratic, quadratic]
 
     grid = al.Grid(40.0, 8)
-    outputs = al.simulate(Robertson(), grid, integrator=al.integrators.Kvaerno5())
     reference = solve_ivp(rhs, (0, 40), [1, 0, 0], "Radau", np.asarray(grid.times), rtol=1e-11, atol=1e-14).y
-    for name, values in zip("abc", reference, strict=True):
-        np.testing.assert_allclose(outputs[name], values, rtol=1e-6, atol=1e-12)
+    # So does the other method, which its error is estimated by.
+    for integrator in (al.integrators.Kvaerno5(), al.integrators.Kvaerno5().reference()):
+        outputs = al.simulate(Robertson(), grid, integrator=integrator)
+        for name, values in zip("abc", reference, strict=True):
+            np.testing.assert_allclose(outputs[name], values, rtol=1e-6, atol=1e-12)
 
 
 class Chain(al.System):
@@ -130,7 +135,9 @@ class Chain(al.System):
         return {"positions": np.array([1.0, 0.0, -0.5]), "speeds": np.zeros(3)}
 
 
-@pytest.mark.parametrize("integrator", [al.integrators.RungeKutta4(), al.integrators.Tsit5()], ids=["RungeKutta4", "Tsit5"])
+@pytest.mark.parametrize(
+    "integrator", [al.integrators.RungeKutta4(), al.integrators.Tsit5()], ids=["RungeKutta4", "Tsit5"]
+)
 def test_states_may_be_arrays(integrator):
     grid = al.Grid(2.0, 200)
     outputs = al.simulate(Chain(), grid, integrator=integrator)
@@ -153,20 +160,23 @@ def test_states_that_are_not_named_start_at_zero_and_a_grid_may_start_late():
 
 @pytest.mark.parametrize(
     "integrator",
-    [al.integrators.RungeKutta4(), al.integrators.Tsit5(1e-12, 1e-13), pytest.param(al.integrators.Kvaerno5(1e-12, 1e-13), marks=pytest.mark.slow)],
+    [
+        al.integrators.RungeKutta4(),
+        al.integrators.Tsit5(1e-12, 1e-13),
+        pytest.param(al.integrators.Kvaerno5(1e-12, 1e-13), marks=pytest.mark.slow),
+    ],
     ids=["RungeKutta4", "Tsit5", "Kvaerno5"],
 )
 def test_derivatives_through_every_integrator_agree_with_finite_differences(integrator):
     # A smooth input: an adaptive step that crosses a kink makes noise in the differences, not in the derivative.
     grid, inputs = al.Grid(3.0, 60), {"push": al.Tabulated(np.array([0.0, 3.0]), np.array([-1.0, 1.0]))}
 
-    @jax.jit
     def angles(numbers):
         return al.simulate(Pendulum(damping=numbers[0], start=numbers[1]), grid, inputs, integrator)["angle"]
 
     point = np.array([0.3, 0.8])
-    jacobian = jax.jit(jax.jacfwd(angles))(point)
-    assert derivative_error(lambda x: np.asarray(angles(x)), jacobian, point) < 1e-6
+    jacobian, values = compiled(jax.jacfwd(angles))(point), compiled(angles)
+    assert derivative_error(lambda x: np.asarray(values(x)), jacobian, point) < 1e-6
 
 
 def test_derivatives_of_a_decay_are_those_of_the_exponential():
@@ -191,7 +201,11 @@ class Explosion(al.System):
         return {"x": 1.0}
 
 
-@pytest.mark.parametrize("integrator", [al.integrators.Tsit5(max_steps=300), al.integrators.Kvaerno5(max_steps=300)], ids=["Tsit5", "Kvaerno5"])
+@pytest.mark.parametrize(
+    "integrator",
+    [al.integrators.Tsit5(max_steps=300), al.integrators.Kvaerno5(max_steps=300)],
+    ids=["Tsit5", "Kvaerno5"],
+)
 def test_adaptive_integration_that_fails_gives_no_number(integrator):
     outputs = al.simulate(Explosion(), al.Grid(2.0, 4), integrator=integrator)
     assert np.isnan(outputs["x"]).all()
@@ -218,11 +232,11 @@ class Falling(al.System):
         return {"x": 1.0}
 
 
-def family(integrator, t_final=1.0):
+def family(integrator):
     """Systems whose rate is spread around a decided number."""
     return al.Problem(
         Falling(al.Uniform(al.Decision(2.0, 1.0, 3.0), half_width=0.1)),
-        grid=al.Grid(t_final, 4),
+        grid=al.Grid(1.0, 4),
         minimize=al.terminal("x").mean,
         expansion=al.Expansion(order=1),
         integrator=integrator,
@@ -263,8 +277,8 @@ def test_slopes_that_are_not_finite_are_no_error_of_the_program_for_a_stiff_inte
 
 
 def test_an_integrator_that_runs_out_of_steps_asks_for_more_and_not_for_itself():
-    with pytest.raises(al.SimulationError, match=r"Tsit5 used up its 3 steps .* al.integrators.Tsit5\(max_steps=30\)"):
-        al.solve(family(al.integrators.Tsit5(max_steps=3), t_final=0.15))
+    said = al.integrators.Tsit5(max_steps=3).explain(Falling(2.0), al.Grid(0.15, 4), {})
+    assert re.search(r"Tsit5 used up its 3 steps .* al.integrators.Tsit5\(max_steps=30\)", said)
 
 
 def test_explanations_of_integrators_are_empty_where_nothing_fails():

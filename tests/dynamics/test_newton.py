@@ -5,10 +5,11 @@ import pytest
 from scipy.optimize import root
 
 from aleator.dynamics._newton import newton
+from compiling import compiled
 
 
 def solved(function, guess):
-    return newton(lambda x: jnp.stack(function(*x)), jnp.asarray(guess, dtype=float))
+    return jax.jit(lambda guess: newton(lambda x: jnp.stack(function(*x)), guess))(jnp.asarray(guess, dtype=float))
 
 
 @pytest.mark.parametrize(
@@ -41,7 +42,7 @@ def test_newton_agrees_with_scipy_on_random_quadratic_equations():
         return matrix @ x + 0.3 * (curved @ x**2) - np.arange(6.0)
 
     reference = root(function, start, tol=1e-13)
-    found = newton(function, jnp.asarray(start))
+    found = compiled(lambda start: newton(function, start))(start)
     assert found.converged
     assert reference.success
     np.testing.assert_allclose(found.point, reference.x, rtol=1e-11)
@@ -117,11 +118,10 @@ def test_a_singular_solution_ends_as_a_failure_and_not_as_garbage(function, gues
 def test_a_failing_point_leaves_the_others_of_its_batch_as_they_are():
     def at(c):
         found = newton(lambda x: x**2 - c, jnp.ones(1))
-        return found.point[0], found.converged
+        return found.point[0], (found.point[0], found.converged)
 
     levels = jnp.array([2.0, -1.0, 3.0, 0.0, 1e-6])
-    slopes, converged = jax.vmap(jax.grad(at, has_aux=True))(levels)
-    roots, _ = jax.vmap(at)(levels)
+    slopes, (roots, converged) = compiled(jax.vmap(jax.grad(at, has_aux=True)))(levels)
     assert converged.tolist() == [True, False, True, False, True]
     np.testing.assert_allclose(roots[converged], np.sqrt([2.0, 3.0, 1e-6]), rtol=1e-14)
     np.testing.assert_allclose(slopes[converged], 0.5 / np.sqrt([2.0, 3.0, 1e-6]), rtol=1e-13)
@@ -142,10 +142,16 @@ def test_derivatives_of_every_order_follow_from_the_implicit_function_theorem(fi
     def cube_root(c):
         return newton(lambda x: x**3 - c, jnp.ones(1)).point[0]
 
+    def derivatives(c):
+        once = first(cube_root)
+        twice = second(once)
+        return once(c), twice(c), first(twice)(c)
+
     c = 2.0
-    np.testing.assert_allclose(first(cube_root)(c), c ** (-2 / 3) / 3, rtol=1e-14)
-    np.testing.assert_allclose(second(first(cube_root))(c), -2 * c ** (-5 / 3) / 9, rtol=1e-13)
-    np.testing.assert_allclose(first(second(first(cube_root)))(c), 10 * c ** (-8 / 3) / 27, rtol=1e-12)
+    once, twice, thrice = compiled(derivatives)(c)
+    np.testing.assert_allclose(once, c ** (-2 / 3) / 3, rtol=1e-14)
+    np.testing.assert_allclose(twice, -2 * c ** (-5 / 3) / 9, rtol=1e-13)
+    np.testing.assert_allclose(thrice, 10 * c ** (-8 / 3) / 27, rtol=1e-12)
 
 
 def test_derivatives_are_exact_whatever_the_scales():
@@ -158,7 +164,7 @@ def test_derivatives_are_exact_whatever_the_scales():
 
         return newton(function, jnp.array([1e6, 1e-6])).point
 
-    jacobian = jax.jit(jax.jacrev(at))(jnp.array([1.5, 0.3]))
+    jacobian = compiled(jax.jacrev(at))(jnp.array([1.5, 0.3]))
     np.testing.assert_allclose(jacobian[0], [1e6, 0.0], rtol=1e-13)
     np.testing.assert_allclose(jacobian[1], [0.0, -np.exp(-0.3) * 1e-6], rtol=1e-13, atol=1e-19)
 
@@ -189,19 +195,16 @@ def residuals_of(A, b, rows, columns, curvature):
 def test_regular_systems_with_zeros_in_their_solutions_are_solved_in_any_units(size, curvature):
     A, z, rows, columns, guesses = random_systems(300, size)
     ones = np.ones(size)
-    b = jax.vmap(lambda A, z: residuals_of(A, 0 * z, ones, ones, curvature)(z))(A, z)
+    b = compiled(jax.vmap(lambda A, z: residuals_of(A, 0 * z, ones, ones, curvature)(z)))(A, z)
 
-    def solve(A, b, rows, columns, guess):
-        return newton(residuals_of(A, b, rows, columns, curvature), guess * columns)
+    def solve(b, A, rows, columns, guess):
+        found = newton(residuals_of(A, b, rows, columns, curvature), guess * columns)
+        return found.point, found.converged
 
-    found = jax.jit(jax.vmap(solve))(A, b, rows, columns, guesses)
-    assert np.asarray(jax.vmap(lambda one: one.converged)(found)).all()
-    np.testing.assert_allclose(found.point / columns, z, atol=1e-12)
-
-    def first(b, *rest):
-        return solve(rest[0], b, *rest[1:]).point
-
-    slopes = jax.jit(jax.vmap(jax.jacfwd(first)))(b, A, rows, columns, guesses)
+    points, converged = jax.jit(jax.vmap(solve))(b, A, rows, columns, guesses)
+    assert np.asarray(converged).all()
+    np.testing.assert_allclose(points / columns, z, atol=1e-12)
+    slopes, _ = compiled(jax.vmap(jax.jacfwd(solve, has_aux=True)))(b, A, rows, columns, guesses)
     if not curvature:
         np.testing.assert_allclose(slopes / columns[:, :, None], np.linalg.inv(A), atol=1e-10)
     assert np.isfinite(slopes).all()
@@ -210,10 +213,12 @@ def test_regular_systems_with_zeros_in_their_solutions_are_solved_in_any_units(s
 def test_singular_systems_are_called_singular_in_any_units():
     A, z, rows, columns, guesses = random_systems(300, 4, singular=True)
     b = np.einsum("cij,cj->ci", A, z)
-    found = jax.jit(
-        jax.vmap(lambda A, b, rows, columns, guess: newton(residuals_of(A, b, rows, columns, 0.0), guess * columns))
+    regular = compiled(
+        jax.vmap(
+            lambda A, b, rows, columns, guess: newton(residuals_of(A, b, rows, columns, 0.0), guess * columns).regular
+        )
     )(A, b, rows, columns, guesses)
-    assert not np.asarray(jax.vmap(lambda one: one.regular)(found)).any()
+    assert not np.asarray(regular).any()
 
 
 @pytest.mark.parametrize("a", [0.5, 1.0, 2.0, 3.0])
@@ -235,6 +240,6 @@ def test_an_unknown_that_starts_at_rest_is_measured_by_its_kin():
     def equations(z):
         return jnp.array([z[0] ** 2 - 4.0, z[1] - (z[0] - 1.0) ** 2])
 
-    root = newton(equations, jnp.array([1.0, 0.0]), kin=np.array([0, 0]))
+    root = compiled(lambda guess: newton(equations, guess, kin=np.array([0, 0])))(jnp.array([1.0, 0.0]))
     assert bool(root.converged)
     np.testing.assert_allclose(root.point, [2.0, 1.0], rtol=1e-14)

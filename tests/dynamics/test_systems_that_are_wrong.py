@@ -23,7 +23,9 @@ def system(rhs=lambda z: (z.v, -z.x), outputs=lambda z: {"x": z.x}, initial=None
     return Model()
 
 
-@pytest.mark.parametrize("integrator", [al.integrators.RungeKutta4(), al.integrators.Tsit5()], ids=["RungeKutta4", "Tsit5"])
+@pytest.mark.parametrize(
+    "integrator", [al.integrators.RungeKutta4(), al.integrators.Tsit5()], ids=["RungeKutta4", "Tsit5"]
+)
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
@@ -86,7 +88,9 @@ class Observed(al.System):
 ONE = al.Tabulated(np.array([0.0, 1.0]), np.ones(2))
 
 
-@pytest.mark.parametrize("integrator", [al.integrators.RungeKutta4(), al.integrators.Tsit5()], ids=["RungeKutta4", "Tsit5"])
+@pytest.mark.parametrize(
+    "integrator", [al.integrators.RungeKutta4(), al.integrators.Tsit5()], ids=["RungeKutta4", "Tsit5"]
+)
 @pytest.mark.parametrize(
     ("model", "inputs", "end"),
     [

@@ -5,6 +5,7 @@ import pytest
 
 import aleator as al
 from aleator.uncertainty import at_means
+from compiling import compiled
 
 
 class Driven(al.System):
@@ -71,10 +72,10 @@ def test_traced_numbers_pass_and_the_signals_that_are_known_are_checked_while_ot
         return al.simulate(Driven(gain), GRID, {"u": u})["x"][-1]
 
     # the integral of a ramp to 1 over 3 s
-    np.testing.assert_allclose(jax.jit(jax.jacfwd(final))(2.0, RAMP), 1.5, rtol=1e-12)
+    np.testing.assert_allclose(compiled(jax.jacfwd(final))(2.0, RAMP), 1.5, rtol=1e-12)
     known = al.Tabulated([0.0, 1.0], [0.0, 1.0])
     with pytest.raises(al.ProblemError, match="Input 'u' is known from 0 to 1 s"):
-        jax.jit(lambda gain: final(gain, known))(2.0)
+        compiled(lambda gain: final(gain, known))(2.0)
     arrays = jax.tree.map(jnp.asarray, known)
     with pytest.raises(al.ProblemError, match="Input 'u' is known from 0 to 1 s"):
-        jax.jit(lambda gain: final(gain, arrays))(2.0)
+        compiled(lambda gain: final(gain, arrays))(2.0)

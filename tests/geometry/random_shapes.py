@@ -9,6 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from aleator.geometry import Box, Capsule, Sphere, distance
+from compiling import compiled
 
 KINDS = ("sphere", "capsule", "box")
 PAIRS = list(itertools.combinations_with_replacement(KINDS, 2))
@@ -62,4 +63,4 @@ def between(kinds, dimension):
 def distances(kinds, dimension):
     """The distances of many pairs and their derivatives, compiled once for all tests."""
     value = between(kinds, dimension)
-    return jax.jit(jax.vmap(lambda p: (value(p), jax.jacfwd(value)(p))))
+    return compiled(jax.vmap(lambda p: (value(p), jax.jacfwd(value)(p))))

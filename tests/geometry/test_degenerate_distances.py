@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from aleator.geometry import Box, Capsule, HalfSpace, Sphere, distance
+from compiling import compiled
 
 UP = np.array([0.0, 0.0, 1.0])
 TURN = np.array([[0.8, -0.6, 0.0], [0.6, 0.8, 0.0], [0.0, 0.0, 1.0]])
@@ -60,7 +61,7 @@ COINCIDENT = {
 }
 
 
-@jax.jit
+@compiled
 def near_coincidence(shapes, shift):
     """The distance with the first shape shifted, its derivative by the shift, and two derivatives by all numbers."""
     numbers, rebuild = jax.flatten_util.ravel_pytree(shapes)
@@ -103,7 +104,7 @@ def test_nearly_parallel_segments_have_the_distance_of_their_lines_and_exact_der
         return distance(Capsule([-1.0, 0.0, 0.0], [1.0, 0.0, 0.0], 0.1), Capsule(middle - along, middle + along, 0.1))
 
     x = jnp.array([[0.5, angle] for angle in (0.0, 1e-12, 1e-9, 1e-7, 3e-7, 1e-5)])
-    values, slopes = jax.jit(jax.vmap(lambda x: (value(x), jax.jacfwd(value)(x))))(x)
+    values, slopes = compiled(jax.vmap(lambda x: (value(x), jax.jacfwd(value)(x))))(x)
     np.testing.assert_allclose(values, 0.3, atol=1e-13)
     np.testing.assert_allclose(slopes, np.tile([1.0, 0.0], (6, 1)), atol=1e-6)
 
@@ -115,7 +116,7 @@ def test_the_derivative_is_continuous_along_a_link_that_sweeps_past_a_disc_and_t
         return distance(Capsule([0.0, 0.0], [jnp.cos(angle), jnp.sin(angle)], 0.1), disc)
 
     angles = jnp.linspace(-1.5, 0.45, 4001)
-    gaps, slopes = (np.asarray(part) for part in jax.jit(jax.vmap(jax.value_and_grad(value)))(angles))
+    gaps, slopes = (np.asarray(part) for part in compiled(jax.vmap(jax.value_and_grad(value)))(angles))
     assert gaps.min() < 0 < gaps.max()
     # The nearest point changes from the link's end to its inside: the slope is Lipschitz, its own slope jumps.
     assert np.abs(np.diff(slopes)).max() < 10 * (angles[1] - angles[0])
@@ -130,7 +131,7 @@ def test_the_distance_is_lipschitz_from_far_outside_into_the_deepest_overlap(kin
         return distance(Capsule([x - 1.0, -0.4], [x + 1.0, 0.6], 0.1), Capsule([0.1, -1.0], [0.3, 1.0], 0.05))
 
     times = jnp.linspace(-1.0, 1.0, 4001)
-    gaps = np.asarray(jax.jit(jax.vmap(value))(times))
+    gaps = np.asarray(compiled(jax.vmap(value))(times))
     assert gaps.min() < -0.3
     assert gaps.max() > 0.5
     speed = 3.0 * np.linalg.norm([1.0, 0.3, 0.2] if kinds == "boxes" else [1.0])

@@ -9,6 +9,7 @@ from scipy.optimize import lsq_linear
 from scipy.spatial import ConvexHull
 
 from aleator.geometry import HalfSpace, distance
+from compiling import compiled
 
 
 def difference_of_cores(kinds, p, dimension):
@@ -62,9 +63,9 @@ def test_the_height_above_a_plane_is_that_of_the_lowest_vertex(kind, dimension):
     rng = np.random.default_rng(3)
     p = parameters(seed=3, spread=1.0)[:, 0]
     normals, offsets = 3 * rng.normal(size=(len(p), dimension)), rng.normal(size=len(p))
-    found = jax.jit(jax.vmap(lambda p, normal, offset: distance(HalfSpace(normal, offset), shape(kind, p, dimension))))(
-        p, normals, offsets
-    )
+    found = compiled(
+        jax.vmap(lambda p, normal, offset: distance(HalfSpace(normal, offset), shape(kind, p, dimension)))
+    )(p, normals, offsets)
     expected = []
     for parameter, normal, offset in zip(p, normals, offsets, strict=True):
         center, edges, radius = core(kind, parameter, dimension)

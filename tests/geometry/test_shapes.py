@@ -8,6 +8,7 @@ import aleator as al
 from aleator._core.arrays import numbers_to_arrays
 from aleator.geometry import Box, Capsule, HalfSpace, Sphere, distance
 from aleator.uncertainty import realise, survey
+from compiling import compiled
 
 
 class Scene(eqx.Module):
@@ -34,7 +35,7 @@ def test_shapes_of_a_model_may_hold_distributions_and_decisions():
         link = Capsule([0.0, 0.0], [model.obstacle.center[0] * 0.0, 1.0], 0.05)
         return jnp.stack([distance(link, shape) for shape in (model.obstacle, model.wall, model.shelf)])
 
-    values, slopes = jax.jit(lambda germ, x: (distances(germ, x), jax.jacfwd(distances)(germ, x)))(
+    values, slopes = compiled(lambda germ, x: (distances(germ, x), jax.jacfwd(distances)(germ, x)))(
         jnp.array([0.5, -1.0, 0.0]), places.vector("initial")
     )
     # The disc at x = 1 + 0.2 * 0.5, the wall y <= (-1 - 0.1) / 2, the left side of the shelf at 2.5.
@@ -48,9 +49,9 @@ def test_the_numbers_of_a_shape_may_mix_floats_and_traced_arrays():
         turned = [[cos, -sin, 0.0], [sin, cos, 0.0], [0, 0, 1]]
         return distance(Box([0.0, x, 0], (1.0, 1, 2.0 + x), turned), Sphere([5.0, 0.0, 0.0], x))
 
-    np.testing.assert_allclose(jax.jit(gap)(0.0), 4.0, atol=1e-14)
+    np.testing.assert_allclose(compiled(gap)(0.0), 4.0, atol=1e-14)
     # The face stays at 1 to first order: only the radius grows.
-    np.testing.assert_allclose(jax.jit(jax.jacfwd(gap))(0.0), -1.0, atol=1e-14)
+    np.testing.assert_allclose(compiled(jax.jacfwd(gap))(0.0), -1.0, atol=1e-14)
 
 
 def test_the_arrays_of_a_caller_are_copied():
@@ -124,7 +125,7 @@ def test_sizes_that_are_known_are_checked_while_others_are_traced():
         assert Sphere([0.0, 0.0], radius).radius is radius
         return distance(Box(np.zeros(2), (x, jnp.asarray(0.5))), Sphere([3.0, 0.0], jnp.asarray(0.25)))
 
-    np.testing.assert_allclose(jax.jit(gap)(1.0), 1.75, atol=1e-14)
+    np.testing.assert_allclose(compiled(gap)(1.0), 1.75, atol=1e-14)
 
 
 FLOOR = HalfSpace([0.0, 0.0, 1.0], 0.0)

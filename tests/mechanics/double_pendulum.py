@@ -1,6 +1,6 @@
 """Two point masses on massless rods, with gravity and friction: by energies, matrices, accelerations and by SymPy."""
 
-from functools import cache, partial
+from functools import cache
 
 import jax
 import jax.numpy as jnp
@@ -8,10 +8,9 @@ import numpy as np
 import sympy as sp
 
 import aleator as al
+from compiling import compiled
 
 G = 9.81
-
-compiled = partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
 
 
 @compiled

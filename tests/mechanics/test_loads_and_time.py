@@ -225,7 +225,9 @@ class Arm(al.Multibody):
         rod = {"center": (0.5, 0.0, 0.0), "inertia": (0.0, 0.1, 0.1)}
         return (
             al.Body("one", joint=al.joints.Revolute("y"), mass=1.0, **rod),
-            al.Body("two", parent="one", joint=al.joints.Revolute("y"), position=(1.0, 0.0, 0.0), mass=self.mass, **rod),
+            al.Body(
+                "two", parent="one", joint=al.joints.Revolute("y"), position=(1.0, 0.0, 0.0), mass=self.mass, **rod
+            ),
         )
 
     def load(self, q, v, t):

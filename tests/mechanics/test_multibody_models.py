@@ -1,4 +1,4 @@
-from functools import cache, partial
+from functools import cache
 
 import jax
 import jax.numpy as jnp
@@ -13,8 +13,7 @@ from aleator.mechanics._body import Body
 from aleator.mechanics._joints import Ball, Fixed, Free, Prismatic, Revolute
 from aleator.mechanics._multibody import Multibody
 from aleator.uncertainty import realise, survey
-
-compiled = partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
+from compiling import compiled
 
 
 class Arm(Multibody):

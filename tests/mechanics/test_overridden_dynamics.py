@@ -2,12 +2,12 @@
 
 from typing import ClassVar
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import aleator as al
+from compiling import compiled
 
 DRAG, ROTOR = 3.0, 4.0
 
@@ -94,7 +94,7 @@ def test_what_is_added_to_a_tree_of_several_joints_is_added_to_its_recursions():
 
     q, v, v_dot = np.random.default_rng(0).normal(size=(3, 2))
 
-    @jax.jit
+    @compiled
     def all_of(model, q, v, v_dot):
         force = model.inverse_dynamics(q, v, v_dot)
         return force, model.forward_dynamics(q, v, force)

@@ -8,6 +8,7 @@ from double_pendulum import simulate
 from scipy.spatial.transform import Rotation
 
 import aleator as al
+from compiling import compiled
 
 
 class Top(al.Multibody):
@@ -76,7 +77,7 @@ def test_a_free_base_answers_its_arm_so_that_the_momentum_stays():
     q, v = (jnp.stack([found[name] for name in names], 1) for names in (model.coordinates, model.speeds))
     rates = [name.replace("_rate", "_acceleration") if "_rate" in name else f"{name}_rate" for name in model.speeds]
     v_dot = jnp.stack([found[name] for name in rates], 1)
-    force, base, arm = jax.jit(
+    force, base, arm = compiled(
         jax.vmap(
             lambda q, v, v_dot: (
                 model.inverse_dynamics(q, v, v_dot),

@@ -6,11 +6,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from double_pendulum import compiled, simulate
+from double_pendulum import simulate
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 import aleator as al
+from compiling import compiled
 
 INERTIA = np.array([0.5, 1.1, 1.7])
 SPIN = np.array([0.9, 2.1, -0.6])

@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 from mujoco_trees import orders, random_tree
 
+from compiling import compiled
+
 # The kinds of joints, and the parent of each body (-1: the ground).
 TREES = {
     "branches": (
@@ -18,7 +20,6 @@ TREES = {
 }
 STATES = 3
 # Compiling is most of the work here: it is done without optimisation.
-compiled = partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
 
 
 def dynamics(tree, q, v, given):

@@ -9,7 +9,9 @@ from aleator.transcription import transcribe
 from aleator.transcription.sequential import _instantaneous as instantaneous
 
 MOTION = {"x": al.BSpline(al.Decision(np.array([0.3, 0.6]), -3, 3), start=((0.0), 0.0), end=((1.0), 0.0))}
-WIND = al.processes.RandomProcess(al.processes.SquaredExponentialCovariance(1.0), t_final=2.0, std=0.4, mean=1.0, modes=3)
+WIND = al.processes.RandomProcess(
+    al.processes.SquaredExponentialCovariance(1.0), t_final=2.0, std=0.4, mean=1.0, modes=3
+)
 
 
 class Cart(al.Mechanical):

@@ -14,6 +14,7 @@ from scipy.special import eval_legendre, pro_rad1
 import aleator as al
 from aleator.processes._karhunen_loeve import legendre
 from aleator.uncertainty import realise
+from compiling import compiled
 
 # Few modes, on purpose: what they leave out is what these tests ask about.
 pytestmark = pytest.mark.filterwarnings("ignore:RandomProcess:aleator.ExpansionWarning")
@@ -39,7 +40,7 @@ def at(process: al.processes.RandomProcess, times: Any) -> np.ndarray:
     def path(xi):
         return jax.vmap(realise({"noise": process}, xi, jnp.zeros(0))["noise"])(jnp.asarray(times))
 
-    return np.asarray(jax.vmap(path)(jnp.eye(len(process.xi)))).T
+    return np.asarray(compiled(jax.vmap(path))(jnp.eye(len(process.xi)))).T
 
 
 def gauss(count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -165,7 +166,10 @@ def test_the_fewest_modes_that_carry_the_wanted_share_are_kept(covariance, energ
 
 
 def test_a_later_start_shifts_the_process():
-    early, late = unit(EXPONENTIAL, modes=4), al.processes.RandomProcess(EXPONENTIAL, t_start=5.0, t_final=7.0, std=1.0, modes=4)
+    early, late = (
+        unit(EXPONENTIAL, modes=4),
+        al.processes.RandomProcess(EXPONENTIAL, t_start=5.0, t_final=7.0, std=1.0, modes=4),
+    )
     assert late.span() == (5.0, 7.0)
     np.testing.assert_allclose(at(late, TIMES + 5.0), at(early, TIMES), atol=1e-13)
 

@@ -158,7 +158,9 @@ def test_errors_fall_with_the_spread_by_the_orders_of_the_expansions():
     stds, errors = [0.05, 0.1, 0.2], {"first": [], "second": [], "mean": []}
     for std in stds:
         model = {"x": al.Normal(0.0, std)}
-        first, second = (method(lambda m: jnp.exp(m["x"]), model) for method in (al.references.linearise, al.references.second_order))
+        first, second = (
+            method(lambda m: jnp.exp(m["x"]), model) for method in (al.references.linearise, al.references.second_order)
+        )
         mean, variance = exact(std)
         errors["first"].append(abs(float(first.mean) - mean))
         errors["mean"].append(abs(float(second.mean) - mean))
@@ -227,10 +229,14 @@ def test_spreads_are_differentiable_in_the_laws(traced):
     assert float(traced(lambda w: al.references.linearise(square, model(w)).std)(w)) == pytest.approx(
         2 * m / math.sqrt(3), rel=1e-12
     )
-    assert float(traced(lambda w: al.references.second_order(square, model(w)).mean)(w)) == pytest.approx(2 * w / 3, rel=1e-12)
+    assert float(traced(lambda w: al.references.second_order(square, model(w)).mean)(w)) == pytest.approx(
+        2 * w / 3, rel=1e-12
+    )
     # Var x^2 = 4 m^2 w^2 / 3 + 4 w^4 / 45.
     slope = 8 * m**2 * w / 3 + 16 * w**3 / 45
-    assert float(traced(lambda w: al.references.second_order(square, model(w)).variance)(w)) == pytest.approx(slope, rel=1e-12)
+    assert float(traced(lambda w: al.references.second_order(square, model(w)).variance)(w)) == pytest.approx(
+        slope, rel=1e-12
+    )
 
 
 def test_correlated_normal_inputs_have_their_exact_moments():

@@ -211,7 +211,8 @@ def test_a_plain_function_called_point_by_point_gives_the_same_sample():
         return math.exp(0.5 * m["x"] + m["y"] ** 2)
 
     traced, called = (
-        al.references.monte_carlo(one, SMOOTH, 60, batch=25, traced=how) for one, how in ((smooth, True), (plain, False))
+        al.references.monte_carlo(one, SMOOTH, 60, batch=25, traced=how)
+        for one, how in ((smooth, True), (plain, False))
     )
     np.testing.assert_allclose(called.values, traced.values, rtol=1e-14)
 

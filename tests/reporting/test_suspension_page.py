@@ -181,7 +181,9 @@ def test_a_box_reaches_the_worst_value_of_the_printed_travel_constraint(study):
 def test_every_figure_of_the_chapters_is_on_the_page(sampled):
     front = al.results.Front("travel", np.array([0.203]), (sampled.designs["aOpt"],))
     fronts = {name: al.results.Front("travel", np.array([0.203]), (one,)) for name, one in sampled.designs.items()}
-    holding = {name: al.results.Front("holding", np.array([0.034]), (sampled.designs[name],)) for name in ("dOpt", "uOpt")}
+    holding = {
+        name: al.results.Front("holding", np.array([0.034]), (sampled.designs[name],)) for name in ("dOpt", "uOpt")
+    }
     narrow = dict(zip(("dOpt", "uOpt, 1 σ", "uOpt, 1.25 σ"), sampled.evidence.values(), strict=True))
     whole = replace(
         sampled,

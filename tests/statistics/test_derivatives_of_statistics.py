@@ -32,6 +32,7 @@ from aleator.statistics import (
     prepare,
 )
 from aleator.uncertainty import HermiteGerm, JacobiGerm, LaguerreGerm, LegendreGerm
+from compiling import optimised
 
 BOUNDED = basis_of([LegendreGerm(), JacobiGerm(2.0, 3.0)], 3)
 MIXED = basis_of([HermiteGerm(), LegendreGerm(), HermiteGerm(), LaguerreGerm(3.0)], 2)
@@ -90,12 +91,15 @@ def test_forward_and_reverse_derivatives_are_those_of_finite_differences(statist
     shape = (2,) if isinstance(statistic, Covariance | Correlation | CoefficientProduct) else ()
     coefficients = random_coefficients(basis, seed=4, shape=shape, decay=0.15).at[0].set(0.1)
     constants = prepare([statistic], basis).of(statistic)
-    function = jax.jit(lambda c: statistic.of(c, constants))
-    expected = np.asarray(central_difference(function, coefficients, 1e-6))
+
+    def function(c):
+        return statistic.of(c, constants)
+
+    expected = np.asarray(central_difference(optimised(function), coefficients, 1e-6))
     largest = np.abs(expected).max()
     # Backwards once for each statistic: compiling is what takes time here.
     for derivative in (jax.jacfwd(function), jax.jacrev(function)) if basis is BOUNDED else (jax.jacfwd(function),):
-        exact = np.asarray(jax.jit(derivative)(coefficients))
+        exact = np.asarray(optimised(derivative)(coefficients))
         assert np.abs(exact - expected).max() < 1e-6 * max(largest, 1.0)
 
 
@@ -113,17 +117,20 @@ NUMBERS = [
 def test_derivatives_in_levels_and_thresholds_are_those_of_finite_differences(statistic, where):
     coefficients = random_coefficients(MIXED, seed=4, decay=0.15)
     constants = prepare([statistic], MIXED).of(statistic)
-    function = jax.jit(lambda x: eqx.tree_at(where, statistic, x).of(coefficients, constants))
+    function = jax.value_and_grad(lambda x: eqx.tree_at(where, statistic, x).of(coefficients, constants))
     at = jnp.asarray(where(statistic))
-    expected = (function(at + 1e-6) - function(at - 1e-6)) / 2e-6
-    assert jax.grad(function)(at) == pytest.approx(float(expected), rel=1e-6)
+    (above, _), (below, _), (_, exact) = map(optimised(function), (at + 1e-6, at - 1e-6, at))
+    assert exact == pytest.approx(float(above - below) / 2e-6, rel=1e-6)
 
 
 def test_the_density_has_the_derivative_of_finite_differences():
     coefficients, lines = random_coefficients(NORMAL, seed=4, decay=0.15), lines_through(NORMAL)
-    function = jax.jit(lambda c: pdf(jnp.array([0.3]), c, lines))
-    exact = np.asarray(jax.jit(jax.jacfwd(function))(coefficients))
-    assert exact == pytest.approx(np.asarray(central_difference(function, coefficients, 1e-6)), abs=1e-6)
+
+    def function(c):
+        return pdf(jnp.array([0.3]), c, lines)
+
+    exact = np.asarray(optimised(jax.jacfwd(function))(coefficients))
+    assert exact == pytest.approx(np.asarray(central_difference(optimised(function), coefficients, 1e-6)), abs=1e-6)
 
 
 VECTORISED = [Kurtosis(), Probability(above=0.3), Supremum()]
@@ -133,6 +140,6 @@ VECTORISED = [Kurtosis(), Probability(above=0.3), Supremum()]
 def test_statistics_work_under_vmap_with_traced_constants(statistic):
     several = jnp.stack([random_coefficients(BOUNDED, seed=s) for s in range(3)])
     constants = prepare([statistic], BOUNDED).of(statistic)
-    together = jax.jit(jax.vmap(statistic.of, in_axes=(0, None)))(several, constants)
-    alone = [jax.jit(statistic.of)(one, constants) for one in several]
+    together = optimised(jax.vmap(statistic.of, in_axes=(0, None)))(several, constants)
+    alone = [optimised(statistic.of)(one, constants) for one in several]
     assert np.asarray(together) == pytest.approx(np.asarray(jnp.stack(alone)), rel=1e-8)

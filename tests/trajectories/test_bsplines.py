@@ -1,5 +1,3 @@
-from functools import partial
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -8,8 +6,8 @@ from scipy.interpolate import BSpline as SciPySpline
 
 import aleator as al
 from aleator.uncertainty import realise, survey
+from compiling import compiled
 
-compiled = partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
 FRACTIONS = np.linspace(0.0, 1.0, 57)
 
 

@@ -146,7 +146,13 @@ def test_a_limit_that_breaks_on_a_finer_grid_makes_the_design_none():
     assert al.solve(limited, refine=True).ok
 
 
-@pytest.mark.parametrize("integrator", [al.integrators.Tsit5(rtol=1e-3, atol=1e-4), al.integrators.Kvaerno5(rtol=1e-3, atol=1e-4)])
+@pytest.mark.parametrize(
+    "integrator",
+    [
+        al.integrators.Tsit5(rtol=1e-3, atol=1e-4),
+        pytest.param(al.integrators.Kvaerno5(rtol=1e-3, atol=1e-4), marks=pytest.mark.slow),
+    ],
+)
 def test_loose_tolerances_of_adaptive_integrators_are_seen_too(integrator):
     loose = swing(20, integrator=integrator, minimize=al.rms("v").mean, subject_to=[])
     solution = al.solve(loose, throw=False, accuracy=1e-6)

@@ -61,7 +61,9 @@ def test_a_plan_that_holds_says_on_how_many_steps():
 
 
 def test_peaks_are_looked_at_between_instants_too():
-    declared = problem(al.peak("speed").mean <= 0.62, minimize=al.objectives.effort("x_torque"), steps=3, free=4, t_final=2.0)
+    declared = problem(
+        al.peak("speed").mean <= 0.62, minimize=al.objectives.effort("x_torque"), steps=3, free=4, t_final=2.0
+    )
     found = transcribe(declared)
     start = declared.survey.vector("initial")
     excess = excess_between(found, start, reference(found, start, 40))

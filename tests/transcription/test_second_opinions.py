@@ -84,7 +84,11 @@ def test_small_teeth_are_warned_of_and_leave_a_design_a_solution():
 
 
 def test_limits_over_time_and_norms_are_judged_with_the_rest():
-    limits = al.path("y").std <= 5.0, al.objectives.norm(Y.mean, Y.skewness) <= 50.0, al.time_integral(al.path("y").mean) <= 9.0
+    limits = (
+        al.path("y").std <= 5.0,
+        al.objectives.norm(Y.mean, Y.skewness) <= 50.0,
+        al.time_integral(al.path("y").mean) <= 9.0,
+    )
     with pytest.warns(al.ExpansionWarning, match="fresh simulations disagree"):
         solution = al.solve(comb_problem(0.6, limits))
     told = " ".join(solution.certificate.opinion.contradictions)

@@ -49,7 +49,9 @@ def answer(kind, a, *limits, b=0.0, solver=None):
         return al.solve(problem, solver)
 
 
-SOLVERS = pytest.mark.parametrize("solver", [al.solvers.FilterSQP(), al.solvers.Ipopt(), al.solvers.Slsqp()], ids=["sqp", "ipopt", "slsqp"])
+SOLVERS = pytest.mark.parametrize(
+    "solver", [al.solvers.FilterSQP(), al.solvers.Ipopt(), al.solvers.Slsqp()], ids=["sqp", "ipopt", "slsqp"]
+)
 
 
 @SOLVERS

@@ -31,6 +31,7 @@ from aleator.uncertainty import (
     realise,
     survey,
 )
+from compiling import compiled
 
 NONE = jnp.zeros(0)
 DATA = np.random.default_rng(8).gamma(3.0, size=200)
@@ -61,7 +62,7 @@ def moments_by_quadrature(model, count=64):
     nodes, weights = HermiteGerm().gauss(count)
     germs = jnp.asarray(np.stack(np.meshgrid(nodes, nodes, indexing="ij"), axis=-1).reshape(-1, 2))
     weights = np.outer(weights, weights).ravel()
-    values = jax.jit(jax.vmap(lambda germ: realise(model, germ, NONE)))(germs)
+    values = compiled(jax.vmap(lambda germ: realise(model, germ, NONE)))(germs)
     a, b = np.asarray(values["a"]), np.asarray(values["b"])
     mean = np.array([weights @ a, weights @ b])
     covariance = np.cov(np.stack([a, b]), aweights=weights, ddof=0)
@@ -165,8 +166,8 @@ def test_realisation_is_the_same_compiled_and_with_numbers_as_arrays():
     single = realise(model, germ, NONE)
     arrays = numbers_to_arrays(model)
     dynamic, static = eqx.partition(arrays, eqx.is_array)
-    compiled = jax.jit(lambda dynamic, germ: realise(eqx.combine(dynamic, static), germ, NONE))(dynamic, germ)
-    assert {k: float(v) for k, v in compiled.items()} == pytest.approx({k: float(v) for k, v in single.items()})
+    traced = compiled(lambda dynamic, germ: realise(eqx.combine(dynamic, static), germ, NONE))(dynamic, germ)
+    assert {k: float(v) for k, v in traced.items()} == pytest.approx({k: float(v) for k, v in single.items()})
     assert survey(arrays).germ_names == survey(model).germ_names
 
 
@@ -186,7 +187,7 @@ def test_decisions_inside_correlated_laws_move_them_and_leave_the_copula():
 
     assert float(real["a"]) == pytest.approx(1.0 + 0.3 * normal[0], rel=1e-14)
     assert float(real["b"]) == pytest.approx(oracle(2.5), rel=1e-9)
-    slope = jax.jit(jax.jacfwd(lambda x: realise(model, jnp.asarray(germ), x)["b"]))(jnp.asarray(x))
+    slope = compiled(jax.jacfwd(lambda x: realise(model, jnp.asarray(germ), x)["b"]))(jnp.asarray(x))
     h = 1e-3
     near, far = (oracle(2.5 + k * h) - oracle(2.5 - k * h) for k in (1, 2))
     assert slope == pytest.approx([0.0, (8 * near - far) / (12 * h)], rel=1e-7)

@@ -24,6 +24,7 @@ from aleator.uncertainty import (
     realise,
     survey,
 )
+from compiling import compiled
 
 LEVELS = [0.01, 0.2, 0.5, 0.83, 0.99]
 
@@ -245,14 +246,14 @@ def realised(law, x):
 
 def test_realisation_is_the_quantile_of_the_current_law_at_the_level_of_the_germ(case):
     law, oracle, decided = case
-    numbers = jax.jit(lambda x: realised(law, x))
+    numbers = compiled(lambda x: realised(law, x))
     for x in (survey(law).vector("initial"), np.array(decided)):
         assert numbers(x) == pytest.approx(oracle(*x).ppf(LEVELS), rel=1e-9)
 
 
 def test_derivatives_by_decisions_are_those_of_scipys_quantile_at_fixed_probability(case):
     law, oracle, decided = case
-    exact = jax.jit(jax.jacfwd(lambda x: realised(law, x)))(jnp.array(decided))
+    exact = compiled(jax.jacfwd(lambda x: realised(law, x)))(jnp.array(decided))
     for row, level in zip(np.asarray(exact), LEVELS, strict=True):
         expected = central_difference(lambda x, level=level: oracle(*x).ppf(level), decided)
         assert row == pytest.approx(expected, rel=1e-6, abs=1e-9 * np.max(np.abs(expected)) + 1e-15)
@@ -272,7 +273,7 @@ def test_reverse_and_forward_derivatives_agree_compiled_or_not(name):
     number, x = (lambda x: realise(law, xi, x)), jnp.array(decided)
     forward = jax.jacfwd(number)(x)
     assert jax.grad(number)(x) == pytest.approx(np.asarray(forward), rel=1e-12)
-    assert jax.jit(jax.grad(number))(x) == pytest.approx(np.asarray(forward), rel=1e-9)
+    assert compiled(jax.grad(number))(x) == pytest.approx(np.asarray(forward), rel=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -284,7 +285,7 @@ def test_derivatives_by_the_germ_are_those_of_scipys_quantile(name):
     by_level = central_difference(lambda level: oracle(*decided).ppf(level[0]), along_levels)
     germ_by_level = central_difference(lambda level: law.germ().quantile(level)[0], along_levels)
     xi = jnp.asarray(law.germ().quantile(along_levels))
-    exact = jax.jit(jax.grad(lambda xi: realise(law, xi, jnp.array(decided))))(xi)
+    exact = compiled(jax.grad(lambda xi: realise(law, xi, jnp.array(decided))))(xi)
     assert exact == pytest.approx(by_level / germ_by_level, rel=1e-6)
 
 

@@ -19,6 +19,7 @@ from aleator.uncertainty import (
     Weibull,
     realise,
 )
+from compiling import compiled
 
 NONE = jnp.zeros(0)
 
@@ -90,7 +91,7 @@ def test_derivatives_of_moments_by_a_decided_shape_are_those_of_the_differentiat
     make, shape, _ = case
     law = decided(make, shape)
     points, weights = fine_rule(law)
-    ours = jax.jit(jax.jacfwd(lambda x: moments(law, points, weights, x)))(jnp.array([shape]))[:, 0]
+    ours = compiled(jax.jacfwd(lambda x: moments(law, points, weights, x)))(jnp.array([shape]))[:, 0]
     differentiated = central_difference(lambda s: moments_of_new_basis(make(s)), shape)
     assert ours == pytest.approx(differentiated, rel=1e-6)
 
@@ -99,9 +100,9 @@ def test_derivatives_by_a_traced_shape_are_those_by_a_decision(case):
     make, shape, _ = case
     law = decided(make, shape)
     points, weights = fine_rule(law, 50)
-    exact = jax.jit(jax.jacfwd(lambda x: moments(law, points, weights, x)))(jnp.array([shape]))[:, 0]
+    exact = compiled(jax.jacfwd(lambda x: moments(law, points, weights, x)))(jnp.array([shape]))[:, 0]
     forward, reverse = (
-        jax.jit(jacobian(lambda s: moments(make(s), points, weights)))(shape) for jacobian in (jax.jacfwd, jax.jacrev)
+        compiled(jacobian(lambda s: moments(make(s), points, weights)))(shape) for jacobian in (jax.jacfwd, jax.jacrev)
     )
     assert forward == pytest.approx(np.asarray(exact), rel=1e-10)
     assert reverse == pytest.approx(np.asarray(exact), rel=1e-10)
@@ -133,7 +134,7 @@ def test_second_derivatives_of_quantiles_by_a_decided_shape_are_those_of_scipy(c
     law = decided(make, shape)
     germs = jnp.asarray(law.germ().quantile(LEVELS))
     hessian = jax.vmap(jax.hessian(lambda x, xi: realise(law, xi[None], x)), in_axes=(None, 0))
-    exact = jax.jit(hessian)(jnp.array([shape]), germs)[:, 0, 0]
+    exact = compiled(hessian)(jnp.array([shape]), germs)[:, 0, 0]
     assert exact == pytest.approx(second_difference(lambda s: oracle(s).ppf(LEVELS), shape), rel=1e-5, abs=1e-7)
 
 
@@ -142,7 +143,7 @@ def test_second_derivatives_of_quantiles_by_a_traced_shape_are_those_of_scipy(na
     make, shape, oracle = CASES[name]
     germs = jnp.asarray(make(shape).germ().quantile(LEVELS))
     hessian = jax.vmap(jax.hessian(lambda s, xi: make(s).value(xi)), in_axes=(None, 0))
-    exact = jax.jit(hessian)(shape, germs)
+    exact = compiled(hessian)(shape, germs)
     assert exact == pytest.approx(second_difference(lambda s: oracle(s).ppf(LEVELS), shape), rel=1e-5, abs=1e-7)
 
 
@@ -151,8 +152,8 @@ def test_mixed_second_derivatives_of_a_beta_quantile_are_differences_of_the_firs
     law = Beta(alpha=Decision(2.0, 1.0, 4.0), beta=Decision(3.0, 1.0, 4.0), upper=Decision(2.0, 1.0, 3.0))
     xi = jnp.asarray(law.germ().quantile(np.array([0.7])))
     x = jnp.array([2.2, 2.7, 1.9])
-    gradient = jax.jit(jax.grad(lambda x: realise(law, xi, x)))
-    exact = jax.jit(jax.hessian(lambda x: realise(law, xi, x)))(x)
+    gradient = compiled(jax.grad(lambda x: realise(law, xi, x)))
+    exact = compiled(jax.hessian(lambda x: realise(law, xi, x)))(x)
     for i in range(3):
         step = jnp.zeros(3).at[i].set(1e-3)
         near, far = (gradient(x + k * step) - gradient(x - k * step) for k in (1, 2))
@@ -162,10 +163,10 @@ def test_mixed_second_derivatives_of_a_beta_quantile_are_differences_of_the_firs
 
 def test_a_shape_traced_inside_compiled_code_is_still_differentiated():
     start = jnp.asarray(Beta(alpha=2.0, beta=5.0).germ().quantile(np.array(0.3)))
-    compiled = jax.jit(lambda a: Beta(alpha=a, beta=5.0).value(start))
+    value = jax.jit(lambda a: Beta(alpha=a, beta=5.0).value(start))
     exact = central_difference(lambda a: stats.beta(a, 5.0).ppf(0.3), 2.0)
-    assert float(jax.grad(compiled)(2.0)) == pytest.approx(exact, rel=1e-9)
-    assert float(compiled(2.0)) == pytest.approx(stats.beta(2, 5).ppf(0.3), rel=1e-12)
+    assert float(jax.grad(value)(2.0)) == pytest.approx(exact, rel=1e-9)
+    assert float(value(2.0)) == pytest.approx(stats.beta(2, 5).ppf(0.3), rel=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -179,7 +180,7 @@ def test_a_shape_traced_inside_compiled_code_is_still_differentiated():
     ],
 )
 def test_a_law_of_known_numbers_may_be_made_and_expanded_inside_compiled_code(make):
-    @jax.jit
+    @compiled
     def mean(x):
         law = make()
         nodes, weights = law.germ().gauss(20)
@@ -214,7 +215,7 @@ def test_moments_are_differentiable_in_every_parameter():
         (lambda p: Gumbel(mean=p[0], std=p[1]), [2.0, 0.5]),
     ]
     for make, start in laws:
-        both = jax.jit(jax.jacfwd(lambda p, make=make: jnp.stack([make(p).mean(), make(p).std()])))
+        both = compiled(jax.jacfwd(lambda p, make=make: jnp.stack([make(p).mean(), make(p).std()])))
         assert both(jnp.array(start)) == pytest.approx(np.eye(2, len(start)), abs=1e-9)
 
 
@@ -232,4 +233,4 @@ def test_moments_of_a_truncated_normal_are_differentiable_on_its_open_side():
 
     steps = h * np.eye(3)
     differences = np.stack([(scipys(start + step) - scipys(start - step)) / (2 * h) for step in steps], axis=1)
-    assert jax.jit(jax.jacfwd(both))(jnp.asarray(start)) == pytest.approx(differences, rel=1e-6)
+    assert compiled(jax.jacfwd(both))(jnp.asarray(start)) == pytest.approx(differences, rel=1e-6)

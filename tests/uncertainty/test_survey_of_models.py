@@ -23,6 +23,7 @@ from aleator.uncertainty import (
     survey,
     uncertain_again,
 )
+from compiling import compiled
 
 
 class Spring(eqx.Module):
@@ -144,7 +145,7 @@ def test_realisation_under_compilation_and_mapping_agrees_with_one_by_one():
     model = numbers_to_arrays(car())
     x = jnp.asarray(survey(car()).vector("initial")) * 1.1
     germs = jnp.array([[1.0, -1.0, 6.0, 0.5, 0.0], [-1.0, 0.2, 0.1, -0.5, 0.9]])
-    mapped = jax.jit(jax.vmap(realise, in_axes=(None, 0, None)))(eqx.filter(model, eqx.is_array), germs, x)
+    mapped = compiled(jax.vmap(realise, in_axes=(None, 0, None)))(eqx.filter(model, eqx.is_array), germs, x)
     for i, germ in enumerate(germs):
         single = realise(car(), germ, x)
         assert mapped.mass[i] == pytest.approx(float(single.mass), rel=1e-14)

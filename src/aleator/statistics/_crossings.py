@@ -12,6 +12,9 @@ from jaxtyping import Array, Bool, Float
 
 # Newton's method within a bracket, bisection where it leaves it: to rounding for simple roots.
 _ITERATIONS = 14
+# At a root, rounding of a value and of a step may disagree on the side. A step that leaves the bracket by less than
+# this part of it, or by rounding, ends at its edge: bisection would throw away what was found.
+_AT_THE_EDGE, _ROUNDING = 1e-6, 1e-14
 
 
 def extrema(powers: Float[Array, "orders *lines"]) -> Float[Array, "edges *lines"]:
@@ -45,8 +48,9 @@ def bracketed_roots(
         below = (value < 0) == rising
         low, high = jnp.where(below, x, low), jnp.where(below, high, x)
         newton = x - value / jnp.where(slope == 0, 1.0, slope)
-        usable = (newton >= low) & (newton <= high) & (slope != 0)
-        return low, high, jnp.where(usable, newton, (low + high) / 2)
+        edge = _AT_THE_EDGE * (high - low) + _ROUNDING
+        usable = (newton >= low - edge) & (newton <= high + edge) & (slope != 0)
+        return low, high, jnp.where(usable, jnp.clip(newton, low, high), (low + high) / 2)
 
     root = jax.lax.fori_loop(0, _ITERATIONS, narrow, (low, high, (low + high) / 2))[2]
     ends_below = jnp.where(rising, at_high, at_low) <= 0
