@@ -24,7 +24,7 @@ from aleator.nlp import NonlinearProgram
 from aleator.statistics import Constants
 from aleator.transcription._alone import middle
 from aleator.transcription._discretisation import RESPOND, discretised
-from aleator.transcription._evaluator import EVALUATE, Evaluator, evaluation_of
+from aleator.transcription._evaluator import COMBINE, CONTRIBUTE, EVALUATE, Evaluator, evaluation_of
 from aleator.transcription._instantaneous import FEATURES, anchors_of, instantaneous
 from aleator.transcription._magnitudes import (
     Sizing,
@@ -59,7 +59,8 @@ OUTPUTS_AT_POINTS = Compiled(_outputs_at_points, use=Use.ONCE, unchanged=refuse_
 
 def compile_seconds() -> float:
     """How long all compilations for solutions have taken so far, s."""
-    return EVALUATE.seconds + RESOLVE.seconds + RESPOND.seconds + FEATURES.seconds + REACHED.seconds
+    every = EVALUATE, CONTRIBUTE, COMBINE, RESOLVE, RESPOND, FEATURES, REACHED
+    return sum(one.seconds for one in every)
 
 
 @final
