@@ -1,6 +1,7 @@
 """Collocation points in parts, on as many threads as may be: the numbers of one system after the other."""
 
 from itertools import product
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -32,7 +33,7 @@ class Oscillator(al.System):
 STEPS, HALF_K, HALF_D = 30, 0.4, 0.1
 
 
-def oscillating(points=37, model=Oscillator):
+def oscillating(points=37, model: Any = Oscillator):
     return al.Problem(
         model(
             al.Uniform(al.Decision(4.0, 1.0, 9.0), half_width=HALF_K),
@@ -76,7 +77,8 @@ def one_by_one(points, k, d):
 
 def test_parts_give_statistics_and_derivatives_of_systems_simulated_one_by_one():
     transcription, blocks = evaluated(oscillating(), [4.0, 0.5])
-    assert isinstance(blocks, Blocks) and len(blocks.samples_in_parts) == 2
+    assert isinstance(blocks, Blocks)
+    assert len(blocks.samples_in_parts) == 2
     points = transcription.collocation.points
     assert len(points) == 37
 
@@ -99,7 +101,7 @@ def test_parts_agree_with_all_points_at_once_up_to_rounding(points):
     transcription, parts = evaluated(problem, [3.5, 0.6])
     traced, collocation, anchors = transcription.evaluator._given
     given = traced, collocation, transcription.constants, anchors
-    whole = Blocks(*EVALUATE.bound(*given)(np.array([3.5, 0.6])), points)
+    whole = Blocks._make((*EVALUATE.bound(*given)(np.array([3.5, 0.6])), points))
     for name in ("values", "derivatives", "times"):
         one, other = getattr(parts, name), getattr(whole, name)
         np.testing.assert_allclose(one, other, rtol=1e-11, atol=1e-13 * np.abs(other).max(), err_msg=name)
@@ -161,7 +163,8 @@ def test_a_system_that_is_not_a_number_in_any_part_leaves_no_number():
     problem = oscillating(model=Bursting)
     transcription = transcribe(oscillating())
     beyond = 4.0 + HALF_K * np.asarray(transcription.collocation.points)[:, 0] > 4.37
-    assert beyond.any() and not beyond.all()
+    assert beyond.any()
+    assert not beyond.all()
     with pytest.raises(al.SimulationError, match="x"):
         al.solve(problem)
 
@@ -170,7 +173,7 @@ def test_a_system_that_is_not_a_number_in_any_part_leaves_no_number():
 @pytest.mark.parametrize("error", [KeyboardInterrupt, MemoryError])
 def test_what_a_part_raises_is_raised(which, error):
     transcription = transcribe(oscillating())
-    evaluate = type(transcription.evaluator).with_constants(transcription.evaluator, transcription.constants)._evaluate
+    evaluate: Any = transcription.evaluator.with_constants(transcription.constants)._evaluate
 
     class Failing:
         def prepare(self, last):

@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from itertools import islice
 from typing import TypeVar, final
 
+from aleator._core.errors import AleatorWarning
 from aleator._core.given import whole
 
 _Item = TypeVar("_Item")
@@ -62,6 +63,7 @@ def _wanted() -> int:
     if not wanted.isdecimal() or int(wanted) < 1:
         warnings.warn(
             f"{VARIABLE}: expected a whole number, one at least; received {wanted!r}. All {CORES} cores work.",
+            AleatorWarning,
             stacklevel=2,
         )
         return CORES

@@ -23,9 +23,9 @@ from aleator._core.programs import PROGRAMS, Executable, Program
 # On a CPU, XLA takes `jax.lax.optimization_barrier` away before it fuses loops, and then computes an intermediate
 # result again wherever it is used: the sine of an angle for each derivative that it takes part in. With its pass of
 # this name left out, barriers last.
-_BARRIERS: dict[str, str | bool | int] = {"xla_disable_hlo_passes": "cse_barrier_expander"}
+_BARRIERS: dict[str, str | bool] = {"xla_disable_hlo_passes": "cse_barrier_expander"}
 # As wide as the processor's vectors are: XLA takes half of them where they have 512 bits.
-_WIDE: dict[str, str | bool | int] = {"xla_cpu_prefer_vector_width": 512}
+_WIDE: dict[str, str | bool] = {"xla_cpu_prefer_vector_width": "512"}
 
 
 class Use(enum.Enum):

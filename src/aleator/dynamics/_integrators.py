@@ -80,9 +80,7 @@ class AbstractFixedStep(AbstractIntegrator):
             slopes: list[Pytree] = []
             growths: list[Pytree] = []
             for node, coupling in zip(nodes, couplings, strict=True):
-                # Kept, or each derivative of each state computes it again.
-                here = jax.lax.optimization_barrier(_moved(z, h, coupling, slopes))
-                stage = rates(t + node * h, here, signals[node])
+                stage = rates(t + node * h, _moved(z, h, coupling, slopes), signals[node])
                 slopes.append(stage[0])
                 growths.append(stage[1])
             end = _moved(z, h, weights, slopes)

@@ -145,7 +145,7 @@ class _AtOnce:
 
     def __call__(self, decisions: Float[np.ndarray, " n"]) -> Blocks:
         """The problem at a point."""
-        return Blocks(*self._evaluate(decisions), self._points)
+        return Blocks._make((*self._evaluate(decisions), self._points))
 
 
 @final
@@ -166,9 +166,12 @@ class _InParts:
         for part in self._parts:
             part.prepare(decisions)
         shares: tuple[Share, ...] = tuple(in_order(lambda part: part(decisions), self._parts))
-        given = _Given(*zip(*((one.terms, one.slopes, one.finite) for one in shares), strict=True), decisions)
+        terms, slopes, finite = (
+            tuple(each) for each in zip(*((one.terms, one.slopes, one.finite) for one in shares), strict=True)
+        )
+        given = _Given(terms, slopes, finite, jnp.asarray(decisions))
         samples, tangents = (tuple(each) for each in zip(*((one.samples, one.tangents) for one in shares), strict=True))
-        return Blocks(*self._combine(given), samples, tangents, self._points)
+        return Blocks._make((*self._combine(given), samples, tangents, self._points))
 
 
 @final

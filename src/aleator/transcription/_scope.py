@@ -128,7 +128,9 @@ def scope_of(
 
     Simulates once, at all collocation points and at the scenarios of the worst case together.
     """
-    samples, terms = simulated(problem, functionals, collocation.points, collocation.pseudo_inverse, constants.scenarios, decisions)
+    samples, terms = simulated(
+        problem, functionals, collocation.points, collocation.pseudo_inverse, constants.scenarios, decisions
+    )
     return scope_from(problem, functionals, samples, terms, constants, decisions)
 
 

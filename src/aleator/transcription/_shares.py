@@ -132,6 +132,5 @@ def parts_of(problem: Problem, collocation: Collocation, constants: Constants) -
     points = np.concatenate([points, np.repeat(points[-1:], missing, axis=0)])
     fit = np.concatenate([fit, np.zeros((len(fit), missing))], axis=1)
     return tuple(
-        Part(one, columns)
-        for one, columns in zip(np.split(points, number), np.split(fit, number, axis=1), strict=True)
+        Part(one, columns) for one, columns in zip(np.split(points, number), np.split(fit, number, axis=1), strict=True)
     )
