@@ -504,6 +504,7 @@ _STUDIES: dict[str, tuple[Callable[..., Any], dict[str, Any], dict[str, Mapping[
             "integrator": NO_OBJECT,
         },
     ),
+    "threads": (al.threads, {}, {"count": OPTIONAL_COUNT}),
     "compilation_cache": (al.compilation_cache, {}, {"folder": without(NAME, "nothing") | {"bool": True}}),
     "report": (
         lambda **a: al.report(**({"solutions": solution(), "path": "never.html"} | a)),

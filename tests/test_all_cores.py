@@ -10,17 +10,23 @@ import pytest
 
 import aleator as al
 from aleator._core import beside as cores
-from aleator._core.beside import CORES, beside, dropped_on_failure, in_order
+from aleator._core.beside import CORES, beside, dropped_on_failure, in_order, working
 from aleator._core.compilation import Compiled
 
 
+@pytest.fixture(autouse=True)
+def all_threads_again():
+    yield
+    al.threads(None)
+
+
 def test_results_come_in_the_order_of_their_items_whoever_is_first():
+    al.threads(2)
     waiting = [threading.Event() for _ in range(5)]
     waiting[-1].set()
 
     def last_first(item):
-        if CORES > 1:  # alone, a thread that waits for its successor waits for ever
-            waiting[min(item + 1, len(waiting) - 1) if item % CORES != CORES - 1 else -1].wait(10)
+        waiting[min(item + 1, len(waiting) - 1) if item % 2 == 0 else -1].wait(10)
         waiting[item].set()
         return item**2
 
@@ -57,14 +63,72 @@ def test_what_is_begun_beside_gives_its_result_and_its_error_when_asked():
         beside(lambda: 1 / 0)()
 
 
-def test_one_core_does_it_all_by_itself(monkeypatch):
-    monkeypatch.setattr(cores, "CORES", 1)
+def test_one_thread_does_it_all_by_itself():
+    al.threads(1)
     here = threading.current_thread()
     assert list(in_order(lambda item: (item, threading.current_thread() is here), range(3))) == [
         (0, True),
         (1, True),
         (2, True),
     ]
+
+
+def test_one_thread_begins_nothing_before_it_is_asked_for():
+    al.threads(1)
+    done = []
+    begun = beside(done.append, threading.current_thread())
+    assert done == []
+    begun()
+    assert done == [threading.current_thread()]
+
+
+@pytest.mark.parametrize("count", [2, 3])
+def test_no_more_threads_work_at_once_than_are_allowed(count):
+    al.threads(count)
+    at_work, most, lock, together = [0], [0], threading.Lock(), threading.Barrier(count)
+
+    def work(item):
+        with lock:
+            at_work[0] += 1
+            most[0] = max(most[0], at_work[0])
+        together.wait(10)  # as many as are allowed are there at once, or none goes on
+        with lock:
+            at_work[0] -= 1
+        return item
+
+    assert list(in_order(work, range(3 * count))) == list(range(3 * count))
+    assert most == [count]
+
+
+def test_what_no_other_thread_has_begun_is_worked_on_by_the_caller():
+    al.threads(2)
+    running, released = threading.Event(), threading.Event()
+    blocking = beside(lambda: (running.set(), released.wait(10)))
+    assert running.wait(10)
+    here = threading.current_thread()
+    assert list(in_order(lambda item: threading.current_thread() is here, range(4))) == [True] * 4
+    released.set()
+    blocking()
+
+
+@pytest.mark.parametrize("count", [0, -1, 1.5, "2", True])
+def test_threads_are_a_whole_number(count):
+    with pytest.raises(al.ProblemError, match="threads: count is a whole number of at least 1"):
+        al.threads(count)
+    assert working() == CORES
+
+
+@pytest.mark.parametrize(("said", "expected"), [("3", 3), ("", CORES), (" 1 ", 1)])
+def test_the_environment_bounds_the_threads(monkeypatch, said, expected):
+    monkeypatch.setenv(cores.VARIABLE, said)
+    assert cores._wanted() == expected
+
+
+@pytest.mark.parametrize("said", ["0", "two", "-1", "1.5"])
+def test_an_environment_that_says_no_number_of_threads_is_warned_of(monkeypatch, said):
+    monkeypatch.setenv(cores.VARIABLE, said)
+    with pytest.warns(al.AleatorWarning, match="ALEATOR_THREADS: expected a whole number"):
+        assert cores._wanted() == CORES
 
 
 def test_what_is_prepared_is_not_compiled_again():
@@ -115,8 +179,9 @@ def test_the_code_of_a_model_is_run_by_the_thread_that_solves_and_no_other():
 
 
 def test_what_waits_for_a_core_is_dropped_where_its_work_has_failed():
+    al.threads(2)
     running, released, done = threading.Event(), threading.Event(), []
-    blocking = [beside(lambda: (running.set(), released.wait(10))) for _ in range(max(1, CORES - 1))]
+    blocking = [beside(lambda: (running.set(), released.wait(10)))]
     running.wait(10)
     waiting = []
 

@@ -22,6 +22,7 @@ from aleator import shapes as shapes  # noqa: E402
 from aleator import solvers as solvers  # noqa: E402
 from aleator._core import clock as _clock  # noqa: E402
 from aleator._core.arrays import Number as Number  # noqa: E402
+from aleator._core.beside import threads as threads  # noqa: E402
 from aleator._core.errors import AleatorError as AleatorError  # noqa: E402
 from aleator._core.errors import AleatorWarning as AleatorWarning  # noqa: E402
 from aleator._core.errors import CalibrationWarning as CalibrationWarning  # noqa: E402

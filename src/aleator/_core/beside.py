@@ -3,11 +3,15 @@
 import contextvars
 import os
 import threading
+import warnings
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import CancelledError, ThreadPoolExecutor
+from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from itertools import islice
-from typing import TypeVar
+from typing import TypeVar, final
+
+from aleator._core.errors import AleatorWarning
+from aleator._core.given import whole
 
 _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
@@ -15,19 +19,75 @@ _Result = TypeVar("_Result")
 CORES = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 """How many cores this process may use."""
 
+VARIABLE = "ALEATOR_THREADS"
+"""Environment variable: how many threads may work at once."""
+
 # What the main thread must not be torn from by a signal.
 _UNDISTURBED = ThreadPoolExecutor(1, thread_name_prefix="aleator, undisturbed")
-# Whoever waits for these works as well.
-_OTHERS = ThreadPoolExecutor(max(1, CORES - 1), thread_name_prefix="aleator")
 _DROPPED: contextvars.ContextVar[tuple[threading.Event, ...]] = contextvars.ContextVar("dropped", default=())
+
+
+@final
+class _Team:
+    """The threads that work at once: `size` of them, of which whoever waits for the others is one."""
+
+    def __init__(self, size: int):
+        self.size = size
+        self.others = ThreadPoolExecutor(max(1, size - 1), thread_name_prefix="aleator")
+
+
+def threads(count: int | None) -> None:
+    """Let at most `count` threads compute at once from now on; with `None` as many as there are cores.
+
+    Collocation points, batches of Monte Carlo and compilations are shared among them; results do not depend on their
+    number, to the last digit. The environment variable `ALEATOR_THREADS` says the same from the beginning. What is
+    begun already is finished by the threads it was begun with. XLA has threads of its own for products of large
+    matrices; these follow the cores that the process may use (`taskset`, `os.sched_setaffinity`).
+
+    Raises `ProblemError` unless `count` is a whole number, one at least.
+    """
+    global _TEAM
+    _TEAM = _Team(CORES if count is None else whole("threads: count", count, least=1))
+
+
+def working() -> int:
+    """How many threads may work at once."""
+    return _TEAM.size
+
+
+def _wanted() -> int:
+    """The number of threads that the environment asks for."""
+    wanted = os.environ.get(VARIABLE, "").strip()
+    if not wanted:
+        return CORES
+    if not wanted.isdecimal() or int(wanted) < 1:
+        warnings.warn(
+            f"{VARIABLE}: expected a whole number, one at least; received {wanted!r}. All {CORES} cores work.",
+            AleatorWarning,
+            stacklevel=2,
+        )
+        return CORES
+    return int(wanted)
+
+
+_TEAM = _Team(_wanted())
 
 
 def beside(function: Callable[..., _Result], *arguments: object) -> Callable[[], _Result]:
     """Begin `function(*arguments)` on another core. What is returned waits for the result, or raises what it raised.
 
+    Where one thread is to do it all, it begins when the result is asked for.
+
     Not for functions that begin others in this way: with all cores waiting, none of them would end.
     """
-    return _OTHERS.submit(contextvars.copy_context().run, _unless_dropped, function, *arguments).result
+    if working() > 1:
+        return _begun(function, *arguments).result
+    context = contextvars.copy_context()
+    return lambda: context.run(_unless_dropped, function, *arguments)
+
+
+def _begun(function: Callable[..., _Result], *arguments: object) -> "Future[_Result]":
+    return _TEAM.others.submit(contextvars.copy_context().run, _unless_dropped, function, *arguments)
 
 
 def _unless_dropped(function: Callable[..., _Result], *arguments: object) -> _Result:
@@ -61,12 +121,14 @@ def undisturbed(function: Callable[[], _Result]) -> _Result:
 
 
 def in_order(work: Callable[[_Item], _Result], items: Iterable[_Item]) -> Iterator[_Result]:
-    """What `work` gives for each item, in their order, of which as many are worked on at once as there are cores.
+    """What `work` gives for each item, in their order, of which as many are worked on at once as threads may be.
 
-    Results are those of a plain loop, to the last digit. What `work` raises is raised in its turn.
+    Results are those of a plain loop, to the last digit. What `work` raises is raised in its turn. Nobody waits for a
+    core: what no other thread has begun when its turn comes is worked on by the caller.
     """
     items = iter(items)
-    while some := list(islice(items, CORES)):
-        others = [beside(work, one) for one in some[1:]]
+    while some := list(islice(items, working())):
+        others = [_begun(work, one) for one in some[1:]]
         yield work(some[0])
-        yield from (other() for other in others)
+        for one, other in zip(some[1:], others, strict=True):
+            yield work(one) if other.cancel() else other.result()

@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
 from aleator._core.beside import beside
 from aleator._core.errors import ProblemError
@@ -24,6 +24,8 @@ from aleator._core.programs import PROGRAMS, Executable, Program
 # result again wherever it is used: the sine of an angle for each derivative that it takes part in. With its pass of
 # this name left out, barriers last.
 _BARRIERS: dict[str, str | bool] = {"xla_disable_hlo_passes": "cse_barrier_expander"}
+# As wide as the processor's vectors are: XLA takes half of them where they have 512 bits.
+_WIDE: dict[str, str | bool] = {"xla_cpu_prefer_vector_width": "512"}
 
 
 class Use(enum.Enum):
@@ -35,7 +37,7 @@ class Use(enum.Enum):
     - `ONCE`: a few runs in all. Hardly optimised, it is ready much sooner.
     """
 
-    LOOPS = _BARRIERS
+    LOOPS = _BARRIERS | _WIDE
     ROWS = _BARRIERS | {"xla_cpu_use_fusion_emitters": False}
     ONCE = ROWS | {"xla_backend_optimization_level": "0"}
 
@@ -103,11 +105,14 @@ class Compiled:
         build = functools.partial(self._compile, self._use_of(arguments), flat, *leaves)
         return self._known(self._key(arguments, "leaves", leaves, structure, static), arguments, build), leaves
 
-    def bound(self, *fixed: Any) -> "Bound":
-        """The function with all arguments but the last fixed, for many calls that differ in that one: an array.
+    def bound(self, *fixed: Any, packed: bool = True) -> "Bound":
+        """The function with all arguments but the last fixed, for many calls that differ in that one: a tree of arrays.
 
         At every call, each array that an executable is given or gives takes its time. So all real numbers of the fixed
         arguments travel as one vector, and so do those of the result: NumPy arrays, not to be written to.
+
+        - `packed`: whether the result travels so. A large one takes longer to be copied than to be given as it is: as
+          arrays of JAX.
         """
         reals, rest = eqx.partition(fixed, _is_real)
         vector, unpacked = ravel_pytree(reals)
@@ -115,15 +120,18 @@ class Compiled:
         # Leaves in the place of trees, which would be taken apart at every call.
         others, structure = jax.tree.flatten(arrays)
 
-        def result(vector: jax.Array, others: list[jax.Array], last: jax.Array) -> Any:
+        def result(vector: jax.Array, others: list[jax.Array], last: Any) -> Any:
             return self._function(*eqx.combine(unpacked(vector), jax.tree.unflatten(structure, others), static), last)
 
-        def key(last: np.ndarray) -> Hashable:
-            parts = [*jax.tree.leaves(reals), *others, last], (jax.tree.structure(reals), structure), static
-            return self._key((*fixed, last), "packed", *parts)
+        way, compiling = ("packed", self._compile_packed) if packed else ("bound", self._compile)
 
-        def program(key: Hashable, last: np.ndarray) -> Program:
-            build = functools.partial(self._compile_packed, self._use_of((*fixed, last)), result, vector, others, last)
+        def key(last: Any) -> Hashable:
+            leaves, last_structure = jax.tree.flatten(last)
+            trees = jax.tree.structure(reals), structure, last_structure
+            return self._key((*fixed, last), way, [*jax.tree.leaves(reals), *others, *leaves], trees, static)
+
+        def program(key: Hashable, last: Any) -> Program:
+            build = functools.partial(compiling, self._use_of((*fixed, last)), result, vector, others, last)
             return self._known(key, (*fixed, last), build)
 
         return Bound(key, program, (vector, others))
@@ -208,28 +216,32 @@ def compiled_for(use: Use, lowered: jax.stages.Lowered) -> jax.stages.Compiled:
 
 @final
 class Bound:
-    """A function of one array, the rest of its arguments being fixed; see `Compiled.bound`."""
+    """A function of one tree of arrays, the rest of its arguments being fixed; see `Compiled.bound`."""
 
     def __init__(
         self,
-        key: Callable[[np.ndarray], Hashable],
-        program: Callable[[Hashable, np.ndarray], Program],
+        key: Callable[[Any], Hashable],
+        program: Callable[[Hashable, Any], Program],
         given: tuple[jax.Array, list[jax.Array]],
     ):
         self._find_key, self._program, self._given = key, program, given
         self._key: Hashable | None = None
         self._executable: Executable | None = None
 
-    def is_known(self, last: Float[np.ndarray, " n"]) -> bool:
+    def is_known(self, last: Any) -> bool:
         """Whether a program of this structure has been made before."""
         self._key = self._find_key(last)
         return self._key in PROGRAMS
 
-    def __call__(self, last: Float[np.ndarray, " n"]) -> Any:
-        """The function's value."""
+    def prepare(self, last: Any) -> Executable:
+        """What calls with arguments of this structure run, compiled now if it has not been."""
         if self._executable is None:
             self._executable = self._program(self._key or self._find_key(last), last)()
-        return self._executable(*self._given, last)
+        return self._executable
+
+    def __call__(self, last: Any) -> Any:
+        """The function's value."""
+        return self.prepare(last)(*self._given, last)
 
 
 def _run(executable: Executable, *arguments: Any) -> Any:

@@ -14,7 +14,6 @@ from aleator.design import (
     AbstractScope,
     Expression,
     Problem,
-    Sampled,
     grid_at,
     integrated_paths,
     joined,
@@ -105,6 +104,19 @@ class Between(NamedTuple):
     weights: Float[Array, " nodes"]
 
 
+class Terms(NamedTuple):
+    """What expressions are evaluated from, in the order of the functionals; of some points, their share of the sums.
+
+    - `coefficients`: of each functional; `nodes`: of each path that statistics are integrated of over time, at the
+      instants and in the middles between them;
+    - `realised`: each functional at the scenarios of the worst case, if there are any.
+    """
+
+    coefficients: tuple[Float[Array, "terms ..."], ...]
+    nodes: tuple[Float[Array, "terms nodes ..."], ...]
+    realised: tuple[Float[Array, "scenarios ..."], ...]
+
+
 def scope_of(
     problem: Problem,
     functionals: tuple[AbstractFunctional, ...],
@@ -116,20 +128,56 @@ def scope_of(
 
     Simulates once, at all collocation points and at the scenarios of the worst case together.
     """
-    paths = tuple(one for one in integrated_paths(problem.expressions) if one in functionals)
-    count, every = len(collocation.points), _with_scenarios(collocation.points, constants.scenarios)
-    found = sampled(problem, functionals, paths, every, decisions) if functionals else Sampled((), ())
-    samples = {one: values[:count] for one, values in zip(functionals, found.values, strict=True)}
-    realised = {one: values[count:] for one, values in zip(functionals, found.values, strict=True)}
-    coefficients = {one: collocation.coefficients(values) for one, values in samples.items()}
-    nodes = {one: collocation.coefficients(values[:count]) for one, values in zip(paths, found.nodes, strict=True)}
-    grid = grid_at(problem, decisions)
-    between = Between(nodes, grid.node_weights) if isinstance(grid, Grid) else None
-    numbers = named_numbers(problem.simulation, decisions)
-    return ExpansionScope(samples, coefficients, constants, numbers, between, realised)
+    samples, terms = simulated(
+        problem, functionals, collocation.points, collocation.pseudo_inverse, constants.scenarios, decisions
+    )
+    return scope_from(problem, functionals, samples, terms, constants, decisions)
 
 
-def _with_scenarios(
-    points: Float[Array, "points variables"], scenarios: Float[Array, "scenarios variables"] | None
-) -> Float[Array, "every variables"]:
-    return points if scenarios is None else jnp.concatenate([points, scenarios])
+def simulated(
+    problem: Problem,
+    functionals: tuple[AbstractFunctional, ...],
+    points: Float[Array, "points variables"],
+    fit: Float[Array, "terms points"],
+    scenarios: Float[Array, "scenarios variables"] | None,
+    decisions: Float[Array, " n"],
+) -> tuple[tuple[Float[Array, "points ..."], ...], Terms]:
+    """Functionals at some collocation points, and what these contribute to the coefficients.
+
+    - `fit`: the columns of the collocation's `pseudo_inverse` that belong to the points.
+    """
+    if not functionals:
+        return (), Terms((), (), ())
+    count, every = len(points), points if scenarios is None else jnp.concatenate([points, scenarios])
+    found = sampled(problem, functionals, _integrated(problem, functionals), every, decisions)
+    samples = tuple(values[:count] for values in found.values)
+    return samples, Terms(
+        coefficients=tuple(jnp.tensordot(fit, values, axes=1) for values in samples),
+        nodes=tuple(jnp.tensordot(fit, values[:count], axes=1) for values in found.nodes),
+        realised=() if scenarios is None else tuple(values[count:] for values in found.values),
+    )
+
+
+def scope_from(
+    problem: Problem,
+    functionals: tuple[AbstractFunctional, ...],
+    samples: tuple[Float[Array, "points ..."], ...],
+    terms: Terms,
+    constants: Constants,
+    decisions: Float[Array, " n"],
+) -> ExpansionScope:
+    """The scope of expressions whose functionals have been simulated."""
+    paths, grid = _integrated(problem, functionals), grid_at(problem, decisions)
+    nodes = dict(zip(paths, terms.nodes, strict=True))
+    return ExpansionScope(
+        dict(zip(functionals, samples, strict=False)),
+        dict(zip(functionals, terms.coefficients, strict=True)),
+        constants,
+        named_numbers(problem.simulation, decisions),
+        Between(nodes, grid.node_weights) if isinstance(grid, Grid) else None,
+        dict(zip(functionals, terms.realised, strict=False)),
+    )
+
+
+def _integrated(problem: Problem, functionals: tuple[AbstractFunctional, ...]) -> tuple[AbstractFunctional, ...]:
+    return tuple(one for one in integrated_paths(problem.expressions) if one in functionals)

@@ -66,21 +66,32 @@ def _simulate_batch(
     systems = len(germ)
     wanted = jnp.arange(systems) < count
 
-    def total(one: Array) -> Array:
-        return jnp.sum(jnp.where(wanted.reshape(systems, *(1,) * (one.ndim - 1)), one, 0.0), axis=0)
-
-    paths = {i: one[:, ::finer] for i, one in enumerate(samples) if one.ndim > 1}
-    means = {i: total(one) / count for i, one in paths.items()}
+    paths = {i: _sums(one[:, ::finer], wanted) for i, one in enumerate(samples) if one.ndim > 1}
     finite = [jnp.isfinite(one).reshape(systems, -1).all(axis=1) for one in samples]
     return Batch(
         scalars={i: one for i, one in enumerate(samples) if one.ndim == 1},
-        paths={
-            i: (means[i], *(total((one - means[i][None]) ** power) for power in (2, 3, 4))) for i, one in paths.items()
-        },
+        paths=paths,
         excess=jnp.stack(excess) if excess else jnp.zeros((0, systems)),
         values=values,
         finite=jnp.stack([jnp.ones(systems, bool), *finite]).all(axis=0),
     )
+
+
+def _sums(
+    values: Float[Array, "systems *shape"], wanted: Bool[Array, " systems"]
+) -> tuple[Float[Array, "*shape"], ...]:
+    """Of the systems that are wanted: the mean, and the sums of second, third and fourth powers of deviations."""
+    counted = wanted.reshape(len(wanted), *(1,) * (values.ndim - 1))
+    mean = jnp.sum(jnp.where(counted, values, 0.0), axis=0) / jnp.sum(wanted)
+    away = jnp.where(counted, values - mean[None], 0.0)
+    square = away**2
+
+    def added(one: tuple[Array, ...], other: tuple[Array, ...]) -> tuple[Array, ...]:
+        return tuple(a + b for a, b in zip(one, other, strict=True))
+
+    # In one pass over all values, which three sums would read, and raise to powers, three times.
+    zeros = (jnp.zeros((), values.dtype),) * 3
+    return mean, *jax.lax.reduce((square, square * away, square**2), zeros, added, (0,))
 
 
 def _judge(constraint: Constraint, scope: AbstractScope) -> tuple[Array, Array]:

@@ -5,7 +5,7 @@ import warnings
 
 import numpy as np
 
-from aleator._core.beside import CORES
+from aleator._core.beside import working
 from aleator._core.errors import ExpansionWarning, ProblemError
 from aleator._core.given import whole
 from aleator._core.memory import NUMBER, refuse_beyond_memory
@@ -82,4 +82,4 @@ def _refuse_large(systems: Systems, samples: int, batch: int) -> None:
     columns = 2 * len(problem.constraints) + len(functionals_of(problem.expressions))
     what = f"validate: {columns} numbers of each of {samples} systems"
     refuse_beyond_memory(what, NUMBER * columns * samples, "Ask for fewer samples.")
-    refuse_large_histories(systems.sampled, CORES * batch, 0, "Take a smaller batch.")
+    refuse_large_histories(systems.sampled, working() * batch, 0, "Take a smaller batch.")

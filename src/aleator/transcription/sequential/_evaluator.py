@@ -3,20 +3,20 @@
 import threading
 from typing import Any, NamedTuple, final
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from aleator._core.beside import in_order
 from aleator._core.compilation import Compiled, Use
 from aleator.design import Problem, functionals_of, grid_at, refuse_changed_code
 from aleator.expansion import Collocation
 from aleator.nlp import Evaluation
 from aleator.statistics import Constants
-from aleator.transcription._resolution import seen
-from aleator.transcription._scope import scope_of
+from aleator.transcription._scope import Terms
 from aleator.transcription.sequential._affine import Anchors
 from aleator.transcription.sequential._instantaneous import instantaneous, instantaneous_rows
+from aleator.transcription.sequential._shares import Combined, Part, Share, added, combined, parts_of, share_of
 
 
 class Blocks(NamedTuple):
@@ -25,20 +25,36 @@ class Blocks(NamedTuple):
     - `values`, `derivatives`: the objective, then the rows of each constraint, and their derivatives by the decisions:
       shapes (rows,) and (rows, n);
     - `sizes`: how many rows each of them has;
-    - `samples`: each functional at the collocation points;
     - `statistics`: each that stands in the expressions, in the order of `statistics_in`;
     - `times`: the instants of the grid;
-    - `tangents`: the derivatives of each functional's samples (of a path at a few instants) by the decisions that are
-      parameters of distributions; None where they are not taken.
+    - `samples_in_parts`, `tangents_in_parts`: see `samples` and `tangents`, of the points as they were simulated, the
+      first `points` of which count.
     """
 
     values: Float[np.ndarray, " rows"]
     derivatives: Float[np.ndarray, "rows n"]
     sizes: Int[np.ndarray, " expressions"]
-    samples: tuple[Float[np.ndarray, "points ..."], ...]
     statistics: tuple[Float[np.ndarray, "..."], ...]
     times: Float[np.ndarray, " instants"]
-    tangents: tuple[Float[np.ndarray, "points ... parameters"] | None, ...]
+    samples_in_parts: tuple[tuple[Any, ...], ...]
+    tangents_in_parts: tuple[tuple[Any, ...], ...]
+    points: int
+
+    @property
+    def samples(self) -> tuple[Float[np.ndarray, "points ..."], ...]:
+        """Each functional at the collocation points."""
+        return tuple(self._whole(parts) for parts in zip(*self.samples_in_parts, strict=True))
+
+    @property
+    def tangents(self) -> tuple[Float[np.ndarray, "points ... parameters"] | None, ...]:
+        """The derivatives of each functional's samples (of a path at a few instants) by the decisions that are
+        parameters of distributions; None where they are not taken.
+        """
+        every = zip(*self.tangents_in_parts, strict=True)
+        return tuple(None if parts[0] is None else self._whole(parts) for parts in every)
+
+    def _whole(self, parts: tuple[Any, ...]) -> np.ndarray:
+        return np.asarray(parts[0]) if len(parts) == 1 else np.concatenate(parts)[: self.points]
 
     def by_constraint(self, rows: np.ndarray) -> list[np.ndarray]:
         """The rows of each constraint among all, such as those of `derivatives`."""
@@ -52,42 +68,58 @@ def _evaluate(
     anchors: Anchors | None,
     decisions: Float[Array, " n"],
 ) -> tuple[Any, ...]:
-    """The parts of `Blocks`, with exact derivatives, forward: few decisions, thousands of rows.
+    """The parts of `Blocks`, with exact derivatives.
 
     Expressions whose rows depend on one instant each are differentiated instant by instant.
     """
     which = instantaneous(problem)
     rest = tuple(i for i in range(len(problem.expressions)) if i not in which)
-    parameters = tuple(problem.survey.of_laws.values())
     expressions = tuple(problem.expressions[i] for i in rest)
-
-    def values(x: Array) -> tuple[tuple[tuple[Array, ...], tuple[Array, ...]], tuple]:
-        scope = scope_of(problem, functionals_of(expressions), collocation, constants, x)
-        blocks, taken = scope.evaluated(expressions)
-        looked_at = tuple(seen(of, one.is_path) for one, of in scope.samples.items()) if parameters else ()
-        return (blocks, looked_at), (blocks, tuple(scope.samples.values()), taken)
-
-    (derivatives, slopes), (blocks, values_at_points, taken) = jax.jacfwd(values, has_aux=True)(decisions)
-    tangents = dict(zip(functionals_of(expressions), slopes, strict=False))
-    samples = dict(zip(functionals_of(expressions), values_at_points, strict=True))
-    found = dict(zip(rest, zip(blocks, derivatives, taken, strict=True), strict=True))
+    functionals, points = functionals_of(expressions), (collocation.points, collocation.pseudo_inverse)
+    share = share_of(problem, functionals, *points, constants.scenarios, decisions)
+    parts = combined(problem, expressions, constants, share.terms, share.slopes, decisions)
+    tangents = dict(zip(functionals, share.tangents, strict=True))
+    samples = dict(zip(functionals, share.samples, strict=True))
+    found = dict(zip(rest, zip(*parts, strict=True), strict=True))
     if which:
         rows = instantaneous_rows(problem, which, collocation, constants, anchors, decisions)
         found |= dict(zip(which, zip(rows.values, rows.derivatives, rows.statistics, strict=True), strict=True))
         samples |= rows.samples
-    blocks, derivatives, taken = zip(*(found[i] for i in range(len(problem.expressions))), strict=True)
+    parts = Combined(*zip(*(found[i] for i in range(len(problem.expressions))), strict=True))
     ordered = tuple(samples[one] for one in functionals_of(problem.expressions))
-    sizes = jnp.array([one.size for one in blocks])
-    statistics = tuple(one for part in taken for one in part)
-    # A statistic may hide that a system came to no end: a rare event has no probability, whatever it would have been.
     finite = jnp.array([jnp.isfinite(one).all() for one in ordered]).all()
-    every = jnp.where(finite, jnp.concatenate(blocks), jnp.nan)
-    times = grid_at(problem, decisions).times
-    looked_at = tuple(
-        tangents[one][..., jnp.array(parameters)] if one in tangents else None
-        for one in functionals_of(problem.expressions)
-    )
-    return every, jnp.concatenate(derivatives), sizes, ordered, statistics, times, looked_at
+    looked_at = tuple(tangents.get(one) for one in functionals_of(problem.expressions))
+    return *_told(problem, parts, finite, decisions), (ordered,), (looked_at,)
+
+
+def _contribute(
+    problem: Problem, points: Float[Array, "points variables"], fit: Float[Array, "terms points"], decisions: Array
+) -> Share:
+    return share_of(problem, functionals_of(problem.expressions), points, fit, None, decisions)
+
+
+class _Given(NamedTuple):
+    """What is known when some shares are: `terms` and `slopes` of each, whether it is `finite`, and the `decisions`."""
+
+    terms: tuple[Terms, ...]
+    slopes: tuple[Terms, ...]
+    finite: tuple[Array, ...]
+    decisions: Float[Array, " n"]
+
+
+def _combine(problem: Problem, constants: Constants, given: _Given) -> tuple[Any, ...]:
+    terms, slopes, finite, decisions = given
+    parts = combined(problem, problem.expressions, constants, added(terms), added(slopes), decisions)
+    return _told(problem, parts, jnp.array(finite).all(), decisions)
+
+
+def _told(problem: Problem, parts: Combined, finite: Array, decisions: Float[Array, " n"]) -> tuple[Any, ...]:
+    """The first parts of `Blocks`, those of all points together."""
+    # A statistic may hide that a system came to no end: a rare event has no probability, whatever it would have been.
+    every = jnp.where(finite, jnp.concatenate(parts.values), jnp.nan)
+    sizes = jnp.array([one.size for one in parts.values])
+    statistics = tuple(one for part in parts.statistics for one in part)
+    return every, jnp.concatenate(parts.derivatives), sizes, statistics, grid_at(problem, decisions).times
 
 
 def _use(problem: Problem, *_: Any) -> Use:
@@ -95,6 +127,50 @@ def _use(problem: Problem, *_: Any) -> Use:
 
 
 EVALUATE = Compiled(_evaluate, use=_use, unchanged=refuse_changed_code)
+CONTRIBUTE = Compiled(_contribute, unchanged=refuse_changed_code)
+COMBINE = Compiled(_combine, use=Use.ROWS, unchanged=refuse_changed_code)
+
+
+@final
+class _AtOnce:
+    """All of a problem in one program: a small one is ruled by the overheads of each."""
+
+    def __init__(self, traced: Problem, collocation: Collocation, constants: Constants, anchors: Anchors | None):
+        self._evaluate, self._points = EVALUATE.bound(traced, collocation, constants, anchors), len(collocation.points)
+
+    def is_known(self, decisions: Float[np.ndarray, " n"]) -> bool:
+        """Whether a problem of the same structure has been compiled before."""
+        return self._evaluate.is_known(decisions)
+
+    def __call__(self, decisions: Float[np.ndarray, " n"]) -> Blocks:
+        """The problem at a point."""
+        return Blocks._make((*self._evaluate(decisions), self._points))
+
+
+@final
+class _InParts:
+    """A problem whose points are simulated in parts, on as many cores as may be."""
+
+    def __init__(self, traced: Problem, constants: Constants, parts: tuple[Part, ...], points: int):
+        self._parts = [CONTRIBUTE.bound(traced, *map(jnp.asarray, one), packed=False) for one in parts]
+        self._combine, self._points = COMBINE.bound(traced, constants), points
+
+    def is_known(self, decisions: Float[np.ndarray, " n"]) -> bool:
+        """Whether a problem of the same structure has been compiled before."""
+        return self._parts[0].is_known(decisions)
+
+    def __call__(self, decisions: Float[np.ndarray, " n"]) -> Blocks:
+        """The problem at a point."""
+        # A user's code is traced by the calling thread, before others take part.
+        for part in self._parts:
+            part.prepare(decisions)
+        shares: tuple[Share, ...] = tuple(in_order(lambda part: part(decisions), self._parts))
+        terms, slopes, finite = (
+            tuple(each) for each in zip(*((one.terms, one.slopes, one.finite) for one in shares), strict=True)
+        )
+        given = _Given(terms, slopes, finite, jnp.asarray(decisions))
+        samples, tangents = (tuple(each) for each in zip(*((one.samples, one.tangents) for one in shares), strict=True))
+        return Blocks._make((*self._combine(given), samples, tangents, self._points))
 
 
 @final
@@ -105,8 +181,13 @@ class Evaluator:
     """
 
     def __init__(self, traced: Problem, collocation: Collocation, constants: Constants, anchors: Anchors | None):
-        self._parts = traced, collocation, anchors
-        self._evaluate = EVALUATE.bound(traced, collocation, constants, anchors)
+        self._given = traced, collocation, anchors
+        parts = parts_of(traced, collocation, constants)
+        self._evaluate = (
+            _InParts(traced, constants, parts, len(collocation.points))
+            if len(parts) > 1
+            else _AtOnce(traced, collocation, constants, anchors)
+        )
         self._memory: dict[bytes, Blocks] = {}
         self._lock = threading.Lock()
 
@@ -116,7 +197,7 @@ class Evaluator:
 
     def with_constants(self, constants: Constants) -> "Evaluator":
         """The same problem with other constants, such as other scenarios."""
-        traced, collocation, anchors = self._parts
+        traced, collocation, anchors = self._given
         return Evaluator(traced, collocation, constants, anchors)
 
     def __call__(self, decisions: Float[np.ndarray, " n"]) -> Blocks:
@@ -124,7 +205,7 @@ class Evaluator:
         with self._lock:
             found = self._memory.get(key)
         if found is None:
-            found = Blocks(*self._evaluate(decisions))
+            found = self._evaluate(decisions)
             with self._lock:
                 while len(self._memory) > 1:
                     del self._memory[next(iter(self._memory))]

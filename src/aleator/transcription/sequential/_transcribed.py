@@ -31,7 +31,7 @@ from aleator.transcription._rows import row_bounds, rows_of
 from aleator.transcription._scenarios import Scenarios, first_scenarios
 from aleator.transcription._texts import Texts
 from aleator.transcription._unsatisfiable import refuse_unsatisfiable
-from aleator.transcription.sequential._evaluator import EVALUATE, Evaluator, evaluation_of
+from aleator.transcription.sequential._evaluator import COMBINE, CONTRIBUTE, EVALUATE, Evaluator, evaluation_of
 from aleator.transcription.sequential._instantaneous import FEATURES, anchors_of, instantaneous
 from aleator.transcription.sequential._structure import nearby, structure_of
 
@@ -99,7 +99,7 @@ class Sequential(AbstractTranscription):
     93, 95 and 122).
     """
 
-    programs: ClassVar[tuple[Compiled, ...]] = (EVALUATE, FEATURES)
+    programs: ClassVar[tuple[Compiled, ...]] = (EVALUATE, CONTRIBUTE, COMBINE, FEATURES)
 
     @override
     def transcribed(self, problem: Problem, meanwhile: Meanwhile) -> SequentiallyTranscribed:
