@@ -43,7 +43,7 @@ def compare_solvers() -> None:
 def apportion() -> None:
     """Cost before and after."""
     problem = apportionment_problem()
-    initial = value_at(COST, problem, problem.survey.vector("initial"))
+    initial = value_at(COST, problem, problem.placements.vector("initial"))
     print(f"Cost of the initial spreads ${initial:.2f}; target: $17.71")
     for travel in (0.203, 0.215, 0.25):
         best = al.solve(apportionment_problem(travel=travel)).objective
@@ -53,7 +53,7 @@ def apportion() -> None:
 def compare_quadrature(nodes: int = 6, batch: int = 972) -> None:
     """Mean and spread of ride at the start by the expansion and by tensor Gauss quadrature in all five variables."""
     problem = robust_problem()
-    places = problem.survey
+    places = problem.placements
     start = jnp.asarray(places.vector("initial"))
     node, weight = LegendreGerm().gauss(nodes)
     grid = np.array(list(product(node, repeat=len(places.distributions))))

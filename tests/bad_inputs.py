@@ -439,7 +439,7 @@ _STUDIES: dict[str, tuple[Callable[..., Any], dict[str, Any], dict[str, Mapping[
         {
             "function": FUNCTION,
             "expansion": NO_OBJECT,
-            "model": {"no law": Told({"a": 1.0, "b": 2.0}, "nothing in the model is uncertain")},
+            "model": {"no distribution": Told({"a": 1.0, "b": 2.0}, "nothing in the model is uncertain")},
         },
     ),
     "monte_carlo": (

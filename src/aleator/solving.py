@@ -258,7 +258,7 @@ def _check_arguments(
 
 def _first(problem: Problem, warm_start: Solution | None, start: Mapping[str, Any] | None) -> np.ndarray | None:
     """The decisions to start from; None for their own initial values."""
-    places = problem.survey
+    places = problem.placements
     if start is None:
         return None if warm_start is None else started_from(problem, warm_start)
     # What is given is checked first.

@@ -98,7 +98,7 @@ def test_the_surrogate_takes_inputs_germ_points_and_samples():
     values = np.asarray(expanded.sample(20_000, seed=1))
     assert values.shape == (20_000,)
     assert values.mean() == pytest.approx(DECAY_MEAN, abs=4 * np.sqrt(DECAY_VARIANCE / 20_000))
-    for wrong, message in [({"u": 1.4}, "each of"), ({"u": 1.0, "b": 0.3}, "outside its law")]:
+    for wrong, message in [({"u": 1.4}, "each of"), ({"u": 1.0, "b": 0.3}, "outside its distribution")]:
         with pytest.raises(al.ProblemError, match=message):
             expanded(wrong)
     with pytest.raises(al.ProblemError, match=r"shape \(n, 2\)"):

@@ -159,7 +159,7 @@ class Power(al.AlgebraicSystem):
 
 
 def test_outputs_in_closed_form_are_projected():
-    """`E[w³] = m³ + 3 m s²` and `Var[w³] = 9 m⁴ s² + 36 m² s⁴ + 15 s⁶` of a normal law."""
+    """`E[w³] = m³ + 3 m s²` and `Var[w³] = 9 m⁴ s² + 36 m² s⁴ + 15 s⁶` of a normal distribution."""
     m, s = 1.5, 0.3
     expanded = al.galerkin(Power(al.Normal(m, s)), expansion=al.Expansion(3))
     assert float(expanded.mean["power"]) == pytest.approx(m**3 + 3 * m * s**2, rel=1e-13)

@@ -29,9 +29,9 @@ def expanded_and_warnings(function, laws, expansion):
 NODES, MASSES = np.polynomial.hermite_e.hermegauss(200)
 LOGISTIC = MASSES @ (1 / (1 + np.exp(-2 * NODES)) - 0.5) ** 2 / np.sqrt(2 * np.pi)
 CASES = {
-    "y of correlated laws": (lambda m: m["y"], correlated(0.5), np.sqrt(1 / 12)),
-    "sum of correlated laws": (lambda m: m["x"] + m["y"], correlated(0.5), np.sqrt(3 / 12)),
-    "difference of correlated laws": (lambda m: m["x"] - m["y"], correlated(0.8), np.sqrt(0.4 / 12)),
+    "y of correlated distributions": (lambda m: m["y"], correlated(0.5), np.sqrt(1 / 12)),
+    "sum of correlated distributions": (lambda m: m["x"] + m["y"], correlated(0.5), np.sqrt(3 / 12)),
+    "difference of correlated distributions": (lambda m: m["x"] - m["y"], correlated(0.8), np.sqrt(0.4 / 12)),
     "sine of a sum": (lambda m: jnp.sin(m["x"] + m["y"]), {"x": NORMAL, "y": NORMAL}, np.sqrt((1 - np.exp(-4)) / 2)),
     "logistic": (lambda m: jax.nn.sigmoid(2 * m["x"]), {"x": NORMAL}, np.sqrt(LOGISTIC)),
     "decay": (
@@ -82,7 +82,8 @@ def test_the_jackknife_error_is_how_far_refits_without_each_point_move_the_coeff
 
 
 def test_points_of_the_induced_laws_are_even_in_probability():
-    # of one variable each term has its own share of points, whose levels in its own law are those of a sequence
+    # of one variable each term has its own share of points, whose levels in its own distribution are those of a
+    # sequence
     expanded = al.expand(lambda m: m["x"], {"x": NORMAL}, al.Expansion(3, points=al.points.InducedPoints(4000)))
     points = np.sort(np.asarray(expanded.collocation.points)[:, 0])
     polynomials = np.polynomial.hermite_e.hermevander(NODES, 3) / np.sqrt([1.0, 1.0, 2.0, 6.0])

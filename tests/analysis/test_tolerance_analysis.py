@@ -83,7 +83,7 @@ def test_a_function_of_a_dict_of_laws_is_analysed_as_well():
 
 @pytest.fixture(scope="module")
 def angle():
-    # The points of the dissertation, whatever those of unbounded laws are by default.
+    # The points of the dissertation, whatever those of unbounded distributions are by default.
     points = al.Expansion(3, points=al.points.HammersleyPoints())
     return al.tolerance_analysis(clutch(), "chi", lower=LIMITS[0], upper=LIMITS[1], expansion=points)
 

@@ -29,8 +29,8 @@ def test_a_deterministic_problem_prints_that_nothing_spreads():
 def test_deterministic_and_uncertain_are_inverse():
     problem = gain_problem()
     nominal = al.deterministic(problem)
-    assert not nominal.survey.distributions
-    assert list(nominal.survey.decisions) == ["gain"]
+    assert not nominal.placements.distributions
+    assert list(nominal.placements.decisions) == ["gain"]
     assert eqx.tree_equal(al.uncertain(nominal), problem)
     assert eqx.tree_equal(al.deterministic(nominal), nominal)
 

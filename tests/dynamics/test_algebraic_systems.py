@@ -9,7 +9,7 @@ from scipy.optimize import root
 
 import aleator as al
 from aleator.dynamics import explain_failure, solve_algebraic
-from aleator.uncertainty import realise, survey
+from aleator.uncertainty import placements, realise
 from compiling import compiled
 from tiny_models import derivative_error
 
@@ -331,8 +331,8 @@ def test_an_instant_is_one_moment():
 
 def test_parameters_may_be_uncertain_and_decided():
     model = SliderCrank(crank=al.Uniform(0.03, half_width=0.001), rod=al.Decision(0.08, 0.05, 0.1))
-    assert survey(model).germ_names == ("crank",)
-    assert survey(model).entry_names() == ("rod",)
+    assert placements(model).germ_names == ("crank",)
+    assert placements(model).entry_names() == ("rod",)
 
     def position(germ, decisions):
         return al.simulate(realise(model, germ, decisions))["x"][0]

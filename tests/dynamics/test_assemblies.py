@@ -8,7 +8,7 @@ import pytest
 import aleator as al
 from aleator._core.arrays import numbers_to_arrays
 from aleator.dynamics import explain_failure, solve_algebraic
-from aleator.uncertainty import realise, survey
+from aleator.uncertainty import placements, realise
 from compiling import compiled
 
 # The one-way clutch of the dissertation, 7.2: hub, roller and ring; lengths in mm.
@@ -69,7 +69,7 @@ def test_second_derivatives_of_the_clutch_are_those_of_the_closed_form():
 def test_the_spread_of_the_clutch_is_the_published_exact_value():
     # Gauss-Hermite quadrature over the three dimensions, 7 points each; studies.md: 3σ of χ is 0.6590101°.
     model = clutch(*map(al.Normal, NOMINAL, TOLERANCES / 3))
-    assert survey(model).germ_names == ("a", "c", "e")
+    assert placements(model).germ_names == ("a", "c", "e")
     points, weights = np.polynomial.hermite_e.hermegauss(7)
     germ = np.array(list(itertools.product(points, repeat=3)))
     weight = np.prod(list(itertools.product(weights / weights.sum(), repeat=3)), axis=1)

@@ -6,7 +6,7 @@ from scipy import integrate
 
 import aleator as al
 from aleator._core.arrays import numbers_to_arrays
-from aleator.uncertainty import at_means, named_numbers, realise, survey
+from aleator.uncertainty import at_means, named_numbers, placements, realise
 
 
 @pytest.fixture
@@ -101,7 +101,7 @@ def test_a_table_keeps_its_numbers_when_the_arrays_it_was_made_from_change():
 def test_a_tables_values_may_be_one_array_of_decisions():
     signal = al.Tabulated(np.array([0.0, 1.0, 3.0]), al.Decision(np.zeros(3), -1, 1))
     model = {"u": signal}
-    assert survey(model).entry_names() == ("u.values[0]", "u.values[1]", "u.values[2]")
+    assert placements(model).entry_names() == ("u.values[0]", "u.values[1]", "u.values[2]")
     at = jax.jit(lambda x: realise(model, jnp.zeros(0), x)["u"](jnp.asarray(2.0)))
     assert float(at(jnp.array([0.5, 0.25, 0.75]))) == 0.5
     assert jax.grad(at)(jnp.zeros(3)).tolist() == [0.0, 0.5, 0.5]
@@ -111,8 +111,8 @@ def test_a_tables_values_may_be_one_array_of_decisions():
 def test_a_tables_values_may_mix_numbers_distributions_and_decisions(change):
     values = [al.Uniform(1.0, half_width=0.5), 2, al.Decision(4.0, 0, 9)]
     model = change({"u": al.Tabulated([0.0, 1.0, 3.0], values)})
-    assert tuple(survey(model).distributions) == ("u.values.0",)
-    assert tuple(survey(model).decisions) == ("u.values.2",)
+    assert tuple(placements(model).distributions) == ("u.values.0",)
+    assert tuple(placements(model).decisions) == ("u.values.2",)
     assert float(named_numbers(model, jnp.array([4.0]))["u.values.1"]) == 2.0
     signal = realise(model, jnp.array([1.0]), jnp.array([6.0]))["u"]
     assert [float(signal(jnp.asarray(t))) for t in (0.0, 0.5, 2.0)] == [1.5, 1.75, 4.0]

@@ -22,7 +22,7 @@ from aleator.ensemble import (
     random_levels,
     uncertain_places,
 )
-from aleator.uncertainty import survey
+from aleator.uncertainty import placements
 
 # Uniform on [0.5, 1.5] by its decision's initial value, normal, and a number that is certain.
 MODEL = {"a": al.Uniform(al.Decision(1.0, 0.0, 3.0), half_width=0.5), "b": al.Normal(2.0, 0.1), "c": 3.0}
@@ -53,17 +53,17 @@ def test_outputs_are_those_of_the_realisations_whatever_the_batches(kind, size):
 
 @KINDS
 def test_all_points_at_once_are_germ_points(kind):
-    found = ensemble(kind)(jnp.asarray(at_levels(survey(MODEL).germs.values(), LEVELS)))
+    found = ensemble(kind)(jnp.asarray(at_levels(placements(MODEL).germs.values(), LEVELS)))
     for name, exact in EXACT.items():
         np.testing.assert_allclose(found[name], exact, rtol=1e-13)
 
 
 def test_traced_outputs_can_be_differentiated_by_arrays_of_the_model():
-    germ = jnp.asarray(at_levels(survey(MODEL).germs.values(), LEVELS))
+    germ = jnp.asarray(at_levels(placements(MODEL).germs.values(), LEVELS))
 
     def total(c):
         model = MODEL | {"c": c}
-        return jnp.sum(TracedEnsemble(outputs, model, survey(MODEL))(germ)["product"])
+        return jnp.sum(TracedEnsemble(outputs, model, placements(MODEL))(germ)["product"])
 
     assert float(jax.grad(total)(jnp.asarray(3.0))) == pytest.approx(np.sum(A * B), rel=1e-13)
 
@@ -170,7 +170,7 @@ def test_nothing_to_realise_is_refused(function, model, message):
 
 def test_germ_points_are_quantiles_and_random_ones_depend_on_the_seed_alone():
     laws = {"a": al.Uniform.bounds(-1.0, 1.0), "b": al.Normal(0.0, 1.0)}
-    germs = tuple(survey(laws).germs.values())
+    germs = tuple(placements(laws).germs.values())
     exact = [stats.uniform(-1, 2).ppf(LEVELS[:, 0]), stats.norm.ppf(LEVELS[:, 1])]
     np.testing.assert_allclose(at_levels(germs, LEVELS), np.stack(exact, axis=1), rtol=1e-13, atol=1e-15)
     many, few = (draw(germs, count, np.random.default_rng(7)) for count in (1000, 10))

@@ -46,7 +46,9 @@ def constant_basis(order):
 
 
 def integral_errors(nodes, degrees):
-    """Errors of the rule on monomials against the laws' moments in closed form, relative to the terms of its sum."""
+    """Errors of the rule on monomials against the distributions' moments in closed form, relative to the terms of
+    its sum.
+    """
     errors = []
     for row in degrees:
         expected = math.prod(moment(d) for moment, d in zip(MOMENTS, row.tolist(), strict=True))
@@ -131,7 +133,7 @@ def test_projection_recovers_polynomials_of_the_span(points, index_set):
 
 
 def test_projection_converges_exponentially_in_the_order():
-    exact = np.sinh(1.0)  # the mean of exp under the uniform law on [-1, 1]
+    exact = np.sinh(1.0)  # the mean of exp under the uniform distribution on [-1, 1]
     errors = []
     for order in range(1, 6):
         _, one = collocate({"u": LegendreGerm()}, Expansion(order, points=GaussPoints(), fit=Projection()))

@@ -7,7 +7,7 @@ import pytest
 import aleator as al
 from aleator._core.arrays import numbers_to_arrays
 from aleator.geometry import Box, Capsule, HalfSpace, Sphere, distance
-from aleator.uncertainty import realise, survey
+from aleator.uncertainty import placements, realise
 from compiling import compiled
 
 
@@ -26,7 +26,7 @@ def scene():
 
 
 def test_shapes_of_a_model_may_hold_distributions_and_decisions():
-    places = survey(scene())
+    places = placements(scene())
     assert set(places.distributions) == {"obstacle.center.0", "wall.offset", "shelf.orientation"}
     assert set(places.decisions) == {"obstacle.radius", "wall.normal", "shelf.half_sizes.1"}
 
@@ -108,7 +108,7 @@ def test_numbers_that_make_no_shape_are_refused(make, message):
 
 
 def test_laws_and_decisions_that_keep_a_size_positive_are_taken():
-    # A lognormal law begins at 0 and never takes it; a radius may be 0.
+    # A lognormal distribution begins at 0 and never takes it; a radius may be 0.
     sizes = (
         al.Gamma(mean=0.2, std=0.1, lower=0.05),
         al.LogNormal(mean=0.2, std=0.1),

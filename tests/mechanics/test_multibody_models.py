@@ -12,7 +12,7 @@ from aleator._core.errors import ProblemError
 from aleator.mechanics._body import Body
 from aleator.mechanics._joints import Ball, Fixed, Free, Prismatic, Revolute
 from aleator.mechanics._multibody import Multibody
-from aleator.uncertainty import realise, survey
+from aleator.uncertainty import placements, realise
 from compiling import compiled
 
 
@@ -83,7 +83,7 @@ def test_coordinates_and_speeds_are_named_by_bodies_even_of_an_uncertain_model()
     tip = compiled(lambda arm: arm.point(jnp.zeros(2), "load"))(realised)
     np.testing.assert_allclose(tip, [1.8, 0.0, 0.0], rtol=1e-15)
     assert compiled(lambda arm: arm.mass_matrix(jnp.zeros(2)))(realised).shape == (2, 2)
-    assert survey(uncertain).germ_names == ("payload",)
+    assert placements(uncertain).germ_names == ("payload",)
 
 
 def test_an_uncertain_body_may_be_a_field_itself():

@@ -39,7 +39,7 @@ def problem(model, **options):
 
 def spread(transcription):
     """The mean and the spread of the torque over time, at the start."""
-    resolved = transcription.resolve(transcription.problem.survey.vector("initial"))
+    resolved = transcription.resolve(transcription.problem.placements.vector("initial"))
     return resolved["x_torque(t)"]
 
 
@@ -64,7 +64,7 @@ def test_masses_and_loads_that_are_uncertain_stay_affine_under_a_known_gust():
     model = Gusty(mass=al.Uniform(2.0, half_width=0.5), size=al.Uniform(3.0, half_width=1.0), wind=gust)
     declared = problem(model)
     few = transcribe(declared)
-    x = declared.survey.vector("initial")
+    x = declared.placements.vector("initial")
     anchors = instantaneous.anchors_of(few.traced, few.collocation, x)
     assert all(anchors.affine)
     assert len(anchors.points) == 3

@@ -11,7 +11,7 @@ import aleator as al
 from aleator._core.arrays import numbers_to_arrays
 from aleator._core.compilation import Compiled
 from aleator.dynamics import simulate
-from aleator.uncertainty import at_means, named_numbers, realise, survey
+from aleator.uncertainty import at_means, named_numbers, placements, realise
 from compiling import compiled
 from tiny_models import Oscillator
 
@@ -109,7 +109,7 @@ def test_the_noise_that_an_output_may_bear_is_found_by_the_optimiser():
         subject_to=[al.terminal("x").std <= 0.06],
         expansion=al.Expansion(order=1),
     )
-    assert tuple(problem.survey.distributions) == tuple(f"inputs.u.xi.{i}" for i in range(4))
+    assert tuple(problem.placements.distributions) == tuple(f"inputs.u.xi.{i}" for i in range(4))
     solution = al.solve(problem)
     per_std = np.sqrt(np.sum(responses(Lag(), process(std=1.0, modes=4), "x", 100) ** 2))
     assert solution.decisions["inputs.u.std"] == pytest.approx(0.06 / per_std, rel=1e-6)
@@ -134,7 +134,7 @@ def test_statistics_of_a_process_by_expansion_are_its_mean_and_its_truncated_var
 @pytest.mark.parametrize("change", [lambda model: model, numbers_to_arrays])
 def test_mean_and_std_may_be_uncertain_or_decided(change):
     model = change({"u": process(mean=al.Uniform(5.0, half_width=1.0), std=al.Decision(0.3, 0.0, 1.0), modes=2)})
-    places = survey(model)
+    places = placements(model)
     assert places.germ_names == ("u.xi.0", "u.xi.1", "u.mean")
     assert places.entry_names() == ("u.std",)
     at = jnp.asarray(0.5)
@@ -185,8 +185,8 @@ def test_parameters_of_a_signal_are_called_by_their_names():
         offset=1.0,
     )
     model = {"inputs": {"force": wave}}
-    assert survey(model).germ_names == ("inputs.force.p.amplitude",)
-    assert survey(model).entry_names() == ("inputs.force.p.frequency",)
+    assert placements(model).germ_names == ("inputs.force.p.amplitude",)
+    assert placements(model).entry_names() == ("inputs.force.p.frequency",)
     assert set(named_numbers(model, jnp.array([3.0]))) >= {"inputs.force.p.offset", "inputs.force.p.amplitude.std"}
     realised = realise(model, jnp.array([1.5]), jnp.array([4.0]))["inputs"]["force"]
     assert float(realised(jnp.asarray(0.3))) == pytest.approx(2.15 * np.sin(1.2) + 1.0, rel=1e-14)
@@ -226,7 +226,7 @@ def test_signals_add_up_and_keep_their_uncertain_numbers():
     command = al.processes.signal(lambda t, p: p.rate * t, rate=al.Normal(2.0, 0.1))
     both = al.processes.total(command, al.Tabulated([0.5, 3.0], [1.0, 1.0]), process(mean=0.5, modes=2))
     model = {"u": both}
-    assert survey(model).germ_names == ("u.parts.0.p.rate", "u.parts.2.xi.0", "u.parts.2.xi.1")
+    assert placements(model).germ_names == ("u.parts.0.p.rate", "u.parts.2.xi.0", "u.parts.2.xi.1")
     assert both.span() == (0.5, T)
     at = realise(model, jnp.array([1.0, 0.0, 0.0]), jnp.zeros(0))["u"]
     assert float(at(jnp.asarray(1.0))) == pytest.approx(2.1 + 1.0 + 0.5, rel=1e-14)

@@ -47,7 +47,7 @@ def test_tolerances_of_the_clutch_stack_up_as_by_hand():
     parts = {name: abs(slope) * LIMITS[name] for name, slope in slopes.items()}
     assert float(found.worst_case(LIMITS)) == pytest.approx(sum(parts.values()), rel=1e-12)
     assert float(found.rss(LIMITS)) == pytest.approx(math.hypot(*parts.values()), rel=1e-12)
-    # The laws have a third of the limits as standard deviation.
+    # The distributions have a third of the limits as standard deviation.
     assert float(found.rss(LIMITS)) == pytest.approx(3 * float(found.std), rel=1e-12)
     total = sum(part**2 for part in parts.values())
     for name, part in parts.items():
@@ -101,7 +101,9 @@ def tensor_quadrature(function, oracles, nodes=8):
 
 
 def gauss_from_moments(law, nodes):
-    """Golub and Welsch's rule from the Cholesky factor of the Hankel matrix of the standardised law's moments."""
+    """Golub and Welsch's rule from the Cholesky factor of the Hankel matrix of the standardised distribution's
+    moments.
+    """
     mean, std = law.mean(), law.std()
     moments = [law.expect(lambda x, k=k: ((x - mean) / std) ** k, epsabs=1e-13, epsrel=1e-13) for k in range(2 * nodes)]
     moments.append(law.expect(lambda x: ((x - mean) / std) ** (2 * nodes), epsabs=1e-13, epsrel=1e-13))
@@ -124,7 +126,7 @@ def test_second_order_moments_are_exact_for_a_quadratic_function_of_any_laws():
 @pytest.mark.parametrize(("law", "fourth"), [(al.Normal(1.0, 0.4), 3.0), (al.Uniform(1.0, std=0.4), 1.8)])
 def test_the_square_of_one_number_has_its_textbook_moments(law, fourth):
     found = al.references.second_order(lambda m: m["x"] ** 2, {"x": law})
-    # E x^2 = m^2 + s^2; Var x^2 = 4 m^2 s^2 + (kurtosis - 1) s^4 for a symmetric law.
+    # E x^2 = m^2 + s^2; Var x^2 = 4 m^2 s^2 + (kurtosis - 1) s^4 for a symmetric distribution.
     assert float(found.mean) == pytest.approx(1.16, rel=1e-12)
     assert float(found.variance) == pytest.approx(4 * 0.16 + (fourth - 1) * 0.16**2, rel=1e-12)
 

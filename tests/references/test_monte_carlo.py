@@ -153,7 +153,7 @@ def test_standard_errors_of_quasi_monte_carlo_fall_faster_for_a_smooth_function(
     counts = [16 * 2**k for k in range(4, 12)]
     means = [al.references.quasi_monte_carlo(smooth, SMOOTH, count, seed=count).mean for count in counts]
     assert slope(counts, [one.standard_error for one in means]) < -1.2
-    # Student's law with 15 degrees of freedom leaves 4.9 once in ten thousand.
+    # Student's distribution with 15 degrees of freedom leaves 4.9 once in ten thousand.
     assert all(abs(one.value - SMOOTH_MEAN) < 4.9 * one.standard_error for one in means)
 
 
@@ -250,7 +250,9 @@ def test_any_function_of_a_sample_can_be_estimated():
 def test_every_statistic_of_a_gamma_law_is_held_by_its_confidence_interval():
     law = stats.gamma(4.0)
     quantile = law.ppf(0.9)
-    tail_mean = 4.0 * stats.gamma(5.0).sf(quantile) / 0.1  # x times its density is the density of the next gamma law
+    tail_mean = (
+        4.0 * stats.gamma(5.0).sf(quantile) / 0.1
+    )  # x times its density is the density of the next gamma distribution
     lowest = 4.0 * stats.gamma(5.0).cdf(law.ppf(0.1)) / 0.1
     sample = al.references.monte_carlo(lambda m: m["g"], {"g": al.Gamma(shape=4.0, scale=1.0)}, 2**15, seed=3)
     exact = [
@@ -263,7 +265,7 @@ def test_every_statistic_of_a_gamma_law_is_held_by_its_confidence_interval():
         (sample.conditional_value_at_risk(0.1, lower=True), lowest),
     ]
     for found, truth in exact:
-        # Student's law with 31 degrees of freedom leaves 3.7 once in a thousand.
+        # Student's distribution with 31 degrees of freedom leaves 3.7 once in a thousand.
         assert 0 < found.standard_error < 0.05 * truth
         assert abs(found.value - truth) < 3.7 * found.standard_error
 

@@ -17,7 +17,8 @@ def misses(found, exact):
 
 def test_indices_of_the_ishigami_function_are_the_published_ones():
     found = al.references.sobol_indices(ishigami, ISHIGAMI, seed=2)
-    # Ishigami and Homma (1990), for a = 7 and b = 0.1; Student's law with 15 degrees of freedom leaves 4.1 in 1000.
+    # Ishigami and Homma (1990), for a = 7 and b = 0.1; Student's distribution with 15 degrees of freedom leaves 4.1 in
+    # 1000.
     assert max(misses(found.first, {"x": 0.313905, "y": 0.442411, "z": 0.0}).values()) < 4.1
     assert max(misses(found.total, {"x": 0.557589, "y": 0.442411, "z": 0.243684}).values()) < 4.1
     assert all(one.standard_error < 0.005 for one in [*found.first.values(), *found.total.values()])

@@ -97,7 +97,7 @@ def crane():
 
 def test_functionals_and_decisions_have_their_units(crane):
     assert of_moments(crane) == {"∫x_torque² dt": "N² s", "∫|q_torque q_rate| dt": "J"}
-    found = {name: of_decision(name, crane) for name in crane.survey.decisions}
+    found = {name: of_decision(name, crane) for name in crane.placements.decisions}
     assert found == {"mass.shape": "", "mass.scale": "kg", "motion.free": "", "t_final": "s"}
 
 

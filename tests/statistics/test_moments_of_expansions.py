@@ -9,7 +9,7 @@ from scipy import integrate, stats
 
 from aleator.expansion import Expansion, HammersleyPoints, collocate
 from aleator.statistics import Mean, Std, Variance
-from aleator.uncertainty import Beta, Decision, Gamma, Normal, Uniform, realise, survey
+from aleator.uncertainty import Beta, Decision, Gamma, Normal, Uniform, placements, realise
 from compiling import optimised
 
 
@@ -26,7 +26,7 @@ def std(coefficients):
 
 
 def coefficients_of(model, output, order, decisions=(), points=None):
-    collocation = collocate(survey(model).germs, Expansion(order, points=points)).collocation
+    collocation = collocate(placements(model).germs, Expansion(order, points=points)).collocation
     x = jnp.asarray(decisions, dtype=float)
     return collocation.coefficients(jax.vmap(lambda xi: output(realise(model, xi, x)))(collocation.points))
 
@@ -41,7 +41,7 @@ LAWS = {
 
 
 def moment_of(law, power):
-    """By quadrature: scipy's `moment` keeps only eight digits of a law that is shifted."""
+    """By quadrature: scipy's `moment` keeps only eight digits of a distribution that is shifted."""
     return integrate.quad(lambda x: x**power * law.pdf(x), *law.support(), epsabs=0, epsrel=1e-12)[0]
 
 
@@ -84,7 +84,7 @@ def test_moments_of_histories_are_taken_entry_by_entry():
 def test_moments_agree_with_chaospys_of_its_own_regression():
     model = {"a": Uniform(0.0, half_width=1.0), "b": Normal(0.0, 1.0)}
     # Of equal weights, as those of its regression are.
-    collocation = collocate(survey(model).germs, Expansion(4, points=HammersleyPoints())).collocation
+    collocation = collocate(placements(model).germs, Expansion(4, points=HammersleyPoints())).collocation
     joint = chaospy.J(chaospy.Uniform(-1, 1), chaospy.Normal(0, 1))
     samples = np.exp(0.5 * np.asarray(collocation.points).sum(axis=1))
     fitted = chaospy.fit_regression(
@@ -168,7 +168,7 @@ def exact_moments(x):
     return sum(first), sum(s - f**2 for s, f in zip(second, first, strict=True))
 
 
-# the order of the survey: b.mean, b.half_width, c.std, g.alpha, u.mean, u.std
+# the order of the placements: b.mean, b.half_width, c.std, g.alpha, u.mean, u.std
 POINTS = {"at the start": [0.15, 0.05, 0.4, 2.0, 1.5, 0.2], "elsewhere": [0.2, 0.04, 0.45, 2.2, 1.3, 0.25]}
 
 

@@ -1,4 +1,4 @@
-"""Supremum and infimum: bounds that hold, that are tight, and what is said of unbounded laws."""
+"""Supremum and infimum: bounds that hold, that are tight, and what is said of unbounded distributions."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -91,7 +91,9 @@ def test_eight_variables_of_order_four_are_within_reach():
 def test_an_unbounded_support_is_refused_with_a_remedy():
     basis = basis_of([LegendreGerm(), HermiteGerm(), LaguerreGerm(2.0)], 2)
     for statistic in (Supremum(), Infimum()):
-        with pytest.raises(ProblemError, match=r"'b', 'c' can take values without bound.*bounded laws.*quantile"):
+        with pytest.raises(
+            ProblemError, match=r"'b', 'c' can take values without bound.*bounded distributions.*quantile"
+        ):
             prepare([statistic], basis)
 
 

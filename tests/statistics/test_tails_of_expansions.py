@@ -1,4 +1,6 @@
-"""Quantiles, probabilities, conditional value at risk, density and distribution: SciPy's laws, far into the tails."""
+"""Quantiles, probabilities, conditional value at risk, density and distribution: SciPy's distributions, far into the
+tails.
+"""
 
 import math
 
@@ -91,7 +93,7 @@ def test_rejects_of_a_linear_function_of_normals_are_right_to_the_ppm(rejects):
 
 
 def test_rejects_of_a_nearly_linear_function_of_normals_are_right_to_a_percent():
-    """A sum of independent quadratics: its exact law by one numerical convolution."""
+    """A sum of independent quadratics: its exact distribution by one numerical convolution."""
     basis = basis_of([HermiteGerm()] * 2, 2)
     coefficients = coefficients_of_polynomial(basis, lambda a, b: a + b + 0.05 * b**2 - 0.03 * a**2)
     for limit in (3.5, 5.5, 7.0):

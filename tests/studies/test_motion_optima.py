@@ -11,7 +11,7 @@ from aleator.uncertainty import realise
 
 
 def moments(solution, names, finer=10):
-    """Mean and standard deviation of outputs over a uniform law, by Gauss-Legendre nodes on a finer grid."""
+    """Mean and standard deviation of outputs over a uniform distribution, by Gauss-Legendre nodes on a finer grid."""
     problem = al.uncertain(solution.problem)
     problem = problem.on_grid(problem.grid.finer(finer))
     nodes, weights = np.polynomial.legendre.leggauss(9)

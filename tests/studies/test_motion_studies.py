@@ -69,7 +69,8 @@ def test_violations_are_the_shares_of_a_uniform_law_that_lie_beyond_the_margin(s
 
 
 def test_the_calibrated_margin_is_the_closed_form(study):
-    # A uniform law leaves 1 - a/√3 outside μ ± aσ; that lies below the target by what fresh payloads are in error by.
+    # A uniform distribution leaves 1 - a/√3 outside μ ± aσ; that lies below the target by what fresh payloads are in
+    # error by.
     found = study.done.calibration
     error = 4.5 * np.sqrt(TOLERATED / SMALL.calibration_samples)
     assert TOLERATED - error < 1 - found.sigmas / np.sqrt(3) < TOLERATED
@@ -81,7 +82,7 @@ def test_the_calibrated_margin_is_the_closed_form(study):
 def test_the_design_to_build_holds_at_both_ends_of_the_law_and_its_price_is_told(study):
     plan, printed = study.done.plans[WORST], study.done.plans[ONE]
     problem = plan.problem
-    # Torques are straight lines in the payload, so that the ends of its law are their worst case.
+    # Torques are straight lines in the payload, so that the ends of its distribution are their worst case.
     for end in (-1.0, 1.0):
         realised = realise(problem.simulation, jnp.array([end]), jnp.asarray(plan.vector))
         system, inputs, grid = realised.system, realised.inputs, realised.grid

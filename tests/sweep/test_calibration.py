@@ -118,7 +118,8 @@ def test_targets_of_one_in_ten_thousand_take_some_thousand_samples():
 
 
 def test_a_rare_target_that_no_weights_reach_is_counted_on_more_systems():
-    # A triangular law ends: beyond a margin of the root of six no system is left, and weights have nothing to find.
+    # A triangular distribution ends: beyond a margin of the root of six no system is left, and weights have nothing to
+    # find.
     limit = [X.at_most(2.0, sigmas=3.0), Y.at_most(2.0, sigmas=1.0)]
     noise = al.Triangular(-1.0, 0.0, 1.0)
     problem = shifted_problem(noise, limits=limit, most=2.0 - SPREAD)

@@ -5,7 +5,7 @@ import pytest
 from scipy.interpolate import BSpline as SciPySpline
 
 import aleator as al
-from aleator.uncertainty import realise, survey
+from aleator.uncertainty import placements, realise
 from compiling import compiled
 
 FRACTIONS = np.linspace(0.0, 1.0, 57)
@@ -202,8 +202,8 @@ def test_laws_and_decisions_stand_in_control_points_and_ends():
             end=(1.0,),
         )
     )
-    assert survey(uncertain).germ_names == ("path.free.1", "path.start.0")
-    assert survey(uncertain).size == 2
+    assert placements(uncertain).germ_names == ("path.free.1", "path.start.0")
+    assert placements(uncertain).size == 2
     realised = realise(uncertain, jnp.array([0.5, 2.0]), jnp.array([0.3, 0.7]))
     plain = Follower(al.BSpline([0.3, 1.25, -0.4], start=(0.12, 0.7), end=(1.0,)))
     grid = al.Grid(2.0, 20, t_start=0.5)
@@ -216,7 +216,7 @@ def test_laws_and_decisions_stand_in_control_points_and_ends():
 def test_one_decision_may_hold_all_control_points_and_one_the_spans():
     model = Follower(al.BSpline(al.Decision(numbers(4, 2), -9.0, 9.0), spans=al.Decision(np.array([2.0]), 0.1, 5.0)))
     assert model.path.shape == (2,)
-    assert survey(model).entry_names()[-1] == "path.spans[0]"
+    assert placements(model).entry_names()[-1] == "path.spans[0]"
     realised = realise(model, jnp.zeros(0), jnp.concatenate([numbers(4, 2).ravel(), np.array([3.0])]))
     expected = al.BSpline(numbers(4, 2)).values(FRACTIONS)
     np.testing.assert_allclose(compiled(lambda: realised.path.values(FRACTIONS))(), expected, rtol=1e-12, atol=1e-13)

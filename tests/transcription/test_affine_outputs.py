@@ -135,7 +135,7 @@ def tolerance_problem():
 def test_rows_and_derivatives_are_those_of_all_points(monkeypatch, declared, anchors):
     problem = declared()
     few = transcribe(problem)
-    x = problem.survey.vector("initial") + 0.01 * np.sin(np.arange(problem.survey.size))
+    x = problem.placements.vector("initial") + 0.01 * np.sin(np.arange(problem.placements.size))
     reached = instantaneous.anchors_of(few.traced, few.collocation, x)
     if anchors:
         assert len(reached.points) == anchors
@@ -156,6 +156,6 @@ def test_rows_and_derivatives_are_those_of_all_points(monkeypatch, declared, anc
 def test_of_a_tolerance_to_decide_only_some_outputs_are_affine():
     problem = tolerance_problem()
     found = transcribe(problem)
-    reached = instantaneous.anchors_of(found.traced, found.collocation, problem.survey.vector("initial"))
+    reached = instantaneous.anchors_of(found.traced, found.collocation, problem.placements.vector("initial"))
     assert reached is not None
     assert not all(reached.affine)

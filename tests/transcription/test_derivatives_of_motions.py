@@ -13,7 +13,7 @@ REST = {"start": (START, 0.0), "end": (TARGET, 0.0)}
 
 
 def codesign():
-    """Decisions in the motion, the model, a law, the final time, and one shared by motion and model."""
+    """Decisions in the motion, the model, a distribution, the final time, and one shared by motion and model."""
     shared = al.Decision(0.9, 0.5, 1.5).shared("length")
     arm = TwoLinkArm(
         payload=al.Uniform(1.0, half_width=al.Decision(0.2, 0.05, 0.5)),
@@ -64,7 +64,7 @@ def differences(program, x, step=1e-5):
 def test_derivatives_agree_with_finite_differences(problem):
     declared = problem()
     program = transcribe(declared).program
-    x = declared.survey.vector("initial") + 0.01 * np.sin(np.arange(declared.survey.size))
+    x = declared.placements.vector("initial") + 0.01 * np.sin(np.arange(declared.placements.size))
     found = program.evaluate(x)
     jacobian = np.vstack([found.jacobian, found.gradient])
     np.testing.assert_allclose(jacobian, differences(program, x), rtol=1e-6, atol=1e-6 * np.abs(jacobian).max())
@@ -90,7 +90,7 @@ def test_what_is_uncertain_in_the_motion_is_differentiated_as_a_whole():
     )
     assert instantaneous(problem) == ()
     program = transcribe(problem).program
-    x = problem.survey.vector("initial") + 0.1 * np.sin(np.arange(8))
+    x = problem.placements.vector("initial") + 0.1 * np.sin(np.arange(8))
     found = program.evaluate(x)
     jacobian = np.vstack([found.jacobian, found.gradient])
     np.testing.assert_allclose(jacobian, differences(program, x), rtol=1e-6, atol=1e-6 * np.abs(jacobian).max())

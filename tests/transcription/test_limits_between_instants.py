@@ -65,7 +65,7 @@ def test_peaks_are_looked_at_between_instants_too():
         al.peak("speed").mean <= 0.62, minimize=al.objectives.effort("x_torque"), steps=3, free=4, t_final=2.0
     )
     found = transcribe(declared)
-    start = declared.survey.vector("initial")
+    start = declared.placements.vector("initial")
     excess = excess_between(found, start, reference(found, start, 40))
     points = al.BSpline(np.concatenate([[0.0, 0.0], np.linspace(0.2, 0.8, 4), [1.0, 1.0]])[:, None], start=(), end=())
     speed = points.derivative(1).sampled(np.linspace(0.0, 1.0, 121), 0.0, 2.0)

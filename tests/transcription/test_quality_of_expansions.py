@@ -128,4 +128,4 @@ def test_a_solution_says_which_corner_no_point_lies_in():
 
 
 def solution_points(solution):
-    return collocate(solution.problem.survey.germs, solution.problem.expansion).collocation.points
+    return collocate(solution.problem.placements.germs, solution.problem.expansion).collocation.points

@@ -1,4 +1,4 @@
-"""Correlated laws: the copula against OpenTURNS, closed forms and quadrature; realisation; refusals."""
+"""Correlated distributions: the copula against OpenTURNS, closed forms and quadrature; realisation; refusals."""
 
 import equinox as eqx
 import jax
@@ -28,8 +28,8 @@ from aleator.uncertainty import (
     Weibull,
     at_means,
     correlated,
+    placements,
     realise,
-    survey,
 )
 from compiling import compiled
 
@@ -142,10 +142,10 @@ def test_a_matrix_and_named_pairs_say_the_same():
 def test_a_group_has_one_normal_germ_variable_for_each_member_wherever_the_members_are_placed():
     laws = correlated({"k": LAWS["lognormal"], "c": LAWS["gamma"]}, {("k", "c"): 0.5}, name="spring")
     model = {"rear": {"damper": laws["c"]}, "x": Uniform(0.0, half_width=1.0), "front": laws["k"]}
-    places = survey(model)
+    places = placements(model)
     assert set(places.germs) == {"spring.k", "spring.c", "x"}
     assert places.germs["spring.c"] == HermiteGerm()
-    only_second = survey({"damper": laws["c"]})
+    only_second = placements({"damper": laws["c"]})
     assert only_second.germ_names == ("spring.k", "spring.c")
 
 
@@ -168,7 +168,7 @@ def test_realisation_is_the_same_compiled_and_with_numbers_as_arrays():
     dynamic, static = eqx.partition(arrays, eqx.is_array)
     traced = compiled(lambda dynamic, germ: realise(eqx.combine(dynamic, static), germ, NONE))(dynamic, germ)
     assert {k: float(v) for k, v in traced.items()} == pytest.approx({k: float(v) for k, v in single.items()})
-    assert survey(arrays).germ_names == survey(model).germ_names
+    assert placements(arrays).germ_names == placements(model).germ_names
 
 
 def test_decisions_inside_correlated_laws_move_them_and_leave_the_copula():
@@ -177,7 +177,7 @@ def test_decisions_inside_correlated_laws_move_them_and_leave_the_copula():
     fixed = correlated({"a": Normal(1.0, 0.2), "b": Gamma(mean=2.0, std=1.0)}, {("a", "b"): 0.5})
     factor = fixed["a"].dependence.factor
     assert np.array_equal(model["a"].dependence.factor, factor)
-    assert tuple(survey(model).decisions) == ("a.std", "b.mean")
+    assert tuple(placements(model).decisions) == ("a.std", "b.mean")
     germ, x = np.array([0.4, -0.9]), np.array([0.3, 2.5])
     real = realise(model, jnp.asarray(germ), jnp.asarray(x))
     normal = factor @ germ
@@ -202,14 +202,14 @@ def test_a_spread_may_be_differentiated_from_outside_and_a_shape_may_not():
     normal = 0.5 * 0.4 - np.sqrt(0.75) * 0.9
     assert float(jax.grad(number)(0.3, lambda s: Normal(1.0, s))) == pytest.approx(normal, rel=1e-12)
     for make in (lambda s: Weibull(1.0, s), lambda s: LogNormal(mean=1.0, std=s)):
-        with pytest.raises(ProblemError, match=r"shape of a correlated law cannot be traced.*plain number"):
+        with pytest.raises(ProblemError, match=r"shape of a correlated distribution cannot be traced.*plain number"):
             jax.grad(number)(0.3, make)
 
 
 def test_a_member_held_at_its_mean_leaves_the_law_of_the_others():
     laws = correlated({"a": LAWS["normal"], "b": LAWS["gamma"]}, {("a", "b"): 0.5})
     model = {"a": at_means(laws["a"]), "b": laws["b"]}
-    assert survey(model).germ_names == ("a~b.a", "a~b.b")
+    assert placements(model).germ_names == ("a~b.a", "a~b.b")
     real = realise(model, jnp.array([0.4, -0.9]), NONE)
     assert float(real["a"]) == 1.0
     assert float(real["b"]) == float(realise(laws, jnp.array([0.4, -0.9]), NONE)["b"])
@@ -218,7 +218,7 @@ def test_a_member_held_at_its_mean_leaves_the_law_of_the_others():
 def test_a_member_may_stand_at_two_places_if_it_is_said_to_be_one():
     laws = correlated({"a": LAWS["normal"], "b": LAWS["gumbel"]}, {("a", "b"): 0.5})
     with pytest.raises(ProblemError, match="'a' of the correlated group 'a~b' is placed twice, at 'x' and at 'y'"):
-        survey({"x": laws["a"], "y": laws["a"], "z": laws["b"]})
+        placements({"x": laws["a"], "y": laws["a"], "z": laws["b"]})
     shared = laws["a"].shared("s")
     real = realise({"x": shared, "y": shared, "z": laws["b"]}, jnp.array([0.5, 0.1]), NONE)
     assert float(real["x"]) == float(real["y"]) == pytest.approx(1.1, rel=1e-14)
@@ -229,14 +229,14 @@ def test_two_groups_need_two_names():
     again = correlated({"a": LAWS["normal"], "b": LAWS["gumbel"]}, {("a", "b"): 0.2})
     other = correlated({"a": LAWS["normal"], "b": LAWS["gumbel"]}, {("a", "b"): 0.2}, name="other")
     with pytest.raises(ProblemError, match=r"'a~b' names two groups.*name=.*"):
-        survey({"x": first["a"], "y": again["b"]})
+        placements({"x": first["a"], "y": again["b"]})
     with pytest.raises(ProblemError, match="placed twice"):
-        survey({"front": first, "rear": first})
-    assert len(survey({"front": first, "rear": other}).germ_names) == 4
+        placements({"front": first, "rear": first})
+    assert len(placements({"front": first, "rear": other}).germ_names) == 4
     with pytest.raises(
-        ProblemError, match=r"'g\.a' names a germ variable of a correlated group and an independent law"
+        ProblemError, match=r"'g\.a' names a germ variable of a correlated group and an independent distribution"
     ):
-        survey(
+        placements(
             {"x": correlated({"a": LAWS["normal"], "b": LAWS["normal"]}, {}, name="g"), "g": {"a": Normal(0.0, 1.0)}}
         )
 
@@ -259,9 +259,9 @@ THREE = TWO | {"c": LAWS["gumbel"]}
             lambda: correlated(TWO, {("a", "b"): Decision(0.5)}),
             r"correlation of \('a', 'b'\): expected a finite number; received Decision",
         ),
-        (lambda: correlated(TWO, {("a", "x"): 0.5}), r"pairs of two of the laws a, b; received \('a', 'x'\)"),
-        (lambda: correlated(TWO, {("a", "a"): 0.5}), "pairs of two of the laws"),
-        (lambda: correlated(TWO, {"ab": 0.5}), "pairs of two of the laws"),
+        (lambda: correlated(TWO, {("a", "x"): 0.5}), r"pairs of two of the distributions a, b; received \('a', 'x'\)"),
+        (lambda: correlated(TWO, {("a", "a"): 0.5}), "pairs of two of the distributions"),
+        (lambda: correlated(TWO, {"ab": 0.5}), "pairs of two of the distributions"),
         (lambda: correlated(TWO, {("a", "b"): 0.5, ("b", "a"): 0.5}), "given twice"),
         (
             lambda: correlated(THREE, {("a", "b"): 0.9, ("b", "c"): 0.9, ("a", "c"): -0.9}),

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from aleator._core.errors import ProblemError
-from aleator.uncertainty import Decision, survey
+from aleator.uncertainty import Decision, placements
 
 
 @pytest.mark.parametrize(
@@ -45,7 +45,7 @@ def test_a_decision_is_unbounded_unless_told():
 
 
 def test_bounds_of_an_array_may_be_one_for_all_or_one_each():
-    places = survey({"x": Decision(np.array([1.0, 2.0]), lower=0.0, upper=np.array([3.0, 4.0]))})
+    places = placements({"x": Decision(np.array([1.0, 2.0]), lower=0.0, upper=np.array([3.0, 4.0]))})
     assert places.vector("lower").tolist() == [0.0, 0.0]
     assert places.vector("upper").tolist() == [3.0, 4.0]
 
@@ -59,7 +59,7 @@ def test_changing_the_array_it_was_made_from_does_not_change_a_decision():
 
 
 def test_array_decisions_fill_the_vector_and_are_named_entry_by_entry():
-    places = survey({"a": Decision(7.0), "b": Decision(np.arange(6.0).reshape(2, 3)), "c": Decision(jnp.ones(1))})
+    places = placements({"a": Decision(7.0), "b": Decision(np.arange(6.0).reshape(2, 3)), "c": Decision(jnp.ones(1))})
     assert places.size == 8
     assert places.vector("initial").tolist() == [7, 0, 1, 2, 3, 4, 5, 1]
     assert places.entry_names() == ("a", "b[0]", "b[1]", "b[2]", "b[3]", "b[4]", "b[5]", "c[0]")
@@ -70,4 +70,4 @@ def test_array_decisions_fill_the_vector_and_are_named_entry_by_entry():
 
 
 def test_a_model_without_decisions_has_an_empty_vector():
-    assert survey({"a": 1.0}).vector("initial").shape == (0,)
+    assert placements({"a": 1.0}).vector("initial").shape == (0,)

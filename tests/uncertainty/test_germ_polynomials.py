@@ -1,4 +1,4 @@
-"""The germ laws and their orthonormal polynomials against scipy's weights, scipy.stats and chaospy."""
+"""The germ distributions and their orthonormal polynomials against scipy's weights, scipy.stats and chaospy."""
 
 import chaospy
 import numpy as np
@@ -24,7 +24,7 @@ def rule_expectation(nodes, weights):
     return lambda function: np.sum([w * function(x) for x, w in zip(nodes, weights, strict=True)]) / np.sum(weights)
 
 
-# germ, scipy's law, chaospy's law, independent expectation
+# germ, scipy's distribution, chaospy's distribution, independent expectation
 CASES = {
     "legendre": (
         LegendreGerm(),

@@ -9,7 +9,7 @@ import pytest
 
 import aleator as al
 from aleator._core.leaves import highest, is_leaf, lowest, named_leaves
-from aleator.uncertainty import at_means, realise, survey
+from aleator.uncertainty import at_means, placements, realise
 
 HOLDERS = ("model", "system", "inputs", "grid", "dimensions", "t_final", "t_start")
 
@@ -73,14 +73,14 @@ class Decay(al.System):
 def test_no_class_of_a_user_is_taken_for_a_leaf():
     for model in (Range(1.0, 0.0, 2.0), Oddity(), Oddity(distribution=Oddity())):
         assert not is_leaf(model)
-        assert survey(model).entry_names() == ()
-        assert survey(model).germ_names == ()
+        assert placements(model).entry_names() == ()
+        assert placements(model).germ_names == ()
 
 
 @pytest.mark.parametrize("wrap", [lambda one: one, lambda one: [one], lambda one: {"a": (1.0, one)}])
 def test_leaves_inside_of_classes_that_look_like_leaves_are_found(wrap):
     model = wrap(Range(al.Normal(1.0, 0.1), al.Decision(0.5, 0.0, 1.0), Oddity(shape=al.Uniform.bounds(0.0, 1.0))))
-    found = survey(model)
+    found = placements(model)
     assert [name.rpartition(".")[2] for name in found.germ_names] == ["initial", "shape"]
     assert [name.rpartition(".")[2] for name in found.entry_names()] == ["lower"]
     realised = realise(model, jnp.array([1.0, 1.0]), jnp.array([0.25]))
@@ -94,8 +94,8 @@ def test_names_of_users_fields_are_kept_whatever_they_are(outer, inner):
     leaf = al.Normal(1.0, 0.1)
     fields = dict.fromkeys(HOLDERS, 0.0)
     box = Box(**(fields | {outer: Box(**(fields | {inner: leaf}))}))
-    assert survey(box).germ_names == (f"{outer}.{inner}",)
-    assert survey({outer: {inner: leaf}}).germ_names == (f"{outer}.{inner}",)
+    assert placements(box).germ_names == (f"{outer}.{inner}",)
+    assert placements({outer: {inner: leaf}}).germ_names == (f"{outer}.{inner}",)
 
 
 def test_numbers_that_would_have_one_name_go_by_their_whole_places():
@@ -109,19 +109,19 @@ def test_numbers_that_would_have_one_name_go_by_their_whole_places():
         expansion=al.Expansion(order=1),
     )
     # What would have one name goes by its whole place; the rest by its name in the system.
-    assert problem.survey.entry_names() == ("rates.upper", "grid.t_final")
-    assert {"box.model", "box.grid", "model", "inputs", "grid", "system.t_final"} <= set(problem.survey.germ_names)
-    assert any(name.startswith("inputs.force") for name in problem.survey.germ_names)
-    assert problem.survey.named(np.array([1.0, 1.5])) == {"rates.upper": 1.0, "grid.t_final": 1.5}
+    assert problem.placements.entry_names() == ("rates.upper", "grid.t_final")
+    assert {"box.model", "box.grid", "model", "inputs", "grid", "system.t_final"} <= set(problem.placements.germ_names)
+    assert any(name.startswith("inputs.force") for name in problem.placements.germ_names)
+    assert problem.placements.named(np.array([1.0, 1.5])) == {"rates.upper": 1.0, "grid.t_final": 1.5}
 
 
 def test_numbers_of_containers_that_say_so_go_by_their_own_names_at_any_depth():
     stack = al.Assembly({"a": al.Normal(1.0, 0.1), "b": al.Normal(2.0, 0.1)}, features={"gap": "b - a"})
-    assert survey(stack).germ_names == ("a", "b")
-    assert survey({"left": stack, "right": [stack]}).germ_names == ("left.a", "left.b", "right.0.a", "right.0.b")
-    assert survey(al.Assembly({"dimensions": al.Normal(1.0, 0.1)}, features={"twice": "2*dimensions"})).germ_names == (
-        "dimensions",
-    )
+    assert placements(stack).germ_names == ("a", "b")
+    assert placements({"left": stack, "right": [stack]}).germ_names == ("left.a", "left.b", "right.0.a", "right.0.b")
+    assert placements(
+        al.Assembly({"dimensions": al.Normal(1.0, 0.1)}, features={"twice": "2*dimensions"})
+    ).germ_names == ("dimensions",)
 
 
 def test_names_stay_when_distributions_are_held_at_their_means():

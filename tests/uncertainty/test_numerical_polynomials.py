@@ -1,4 +1,6 @@
-"""Polynomials of laws known by their density or data, against closed forms, chaospy, scipy and exact moments."""
+"""Polynomials of distributions known by their density or data, against closed forms, chaospy, scipy and exact
+moments.
+"""
 
 import math
 from fractions import Fraction
@@ -63,7 +65,7 @@ def bumpy(x):
     return np.exp(-3 * x) + (x > 0.3) + 2.0 * np.maximum(0.8 - x, 0)
 
 
-# germ, scipy's law, chaospy's law
+# germ, scipy's distribution, chaospy's distribution
 GERMS = {
     "triangular": (TriangularGerm(0.3), stats.triang(0.3, -1, 2), chaospy.Triangle(-1, -0.4, 1)),
     "triangular, at the end": (TriangularGerm(1.0), stats.triang(1.0, -1, 2), None),
@@ -87,7 +89,7 @@ def case(request):
 def test_polynomials_agree_with_those_of_chaospy(case):
     germ, law, oracle = case
     if oracle is None:
-        return  # chaospy has no such law, or none on the same support
+        return  # chaospy has no such distribution, or none on the same support
     points = law.ppf(np.linspace(0.02, 0.98, 13))
     theirs = np.array(chaospy.expansion.stieltjes(5, oracle, normed=True)(points)).T
     ours = germ.polynomials(5, points)

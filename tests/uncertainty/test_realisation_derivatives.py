@@ -21,8 +21,8 @@ from aleator.uncertainty import (
     TruncatedNormal,
     Uniform,
     Weibull,
+    placements,
     realise,
-    survey,
 )
 from compiling import compiled
 
@@ -56,7 +56,7 @@ def truncated_normal(location, scale, lower=-np.inf, upper=np.inf):
     return stats.truncnorm((lower - location) / scale, (upper - location) / scale, location, scale)
 
 
-# model, scipy's law at given decisions, decisions away from the start
+# model, scipy's distribution at given decisions, decisions away from the start
 CASES = {
     "uniform by half-width": (
         Uniform(Decision(5.0), half_width=Decision(1.0, 0.0)),
@@ -247,7 +247,7 @@ def realised(law, x):
 def test_realisation_is_the_quantile_of_the_current_law_at_the_level_of_the_germ(case):
     law, oracle, decided = case
     numbers = compiled(lambda x: realised(law, x))
-    for x in (survey(law).vector("initial"), np.array(decided)):
+    for x in (placements(law).vector("initial"), np.array(decided)):
         assert numbers(x) == pytest.approx(oracle(*x).ppf(LEVELS), rel=1e-9)
 
 
@@ -303,7 +303,8 @@ def test_the_germ_and_the_collocation_matrix_do_not_depend_on_the_decisions_valu
     assert law.germ() == fixed.germ()
     decided, constant = (collocate({"x": one.germ()}, Expansion(4)).collocation for one in (law, fixed))
     assert np.array_equal(decided.matrix, constant.matrix)
-    # what moves with the decisions is the sample, exactly by scipy's quantile of the new law at the same points
+    # what moves with the decisions is the sample, exactly by scipy's quantile of the new distribution at the same
+    # points
     levels = stats.beta(fixed.germ().alpha, fixed.germ().beta, -1, 2).cdf(np.asarray(decided.points[:, 0]))
     moved = jax.vmap(lambda xi: realise(law, xi, jnp.array([0.5, 0.05])))(decided.points)
     assert moved == pytest.approx(beta_by_moments(0.5, 0.05).ppf(levels), rel=1e-9)

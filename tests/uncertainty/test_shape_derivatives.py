@@ -23,7 +23,7 @@ from compiling import compiled
 
 NONE = jnp.zeros(0)
 
-# a law of one shape parameter, its value, scipy's law
+# a distribution of one shape parameter, its value, scipy's distribution
 CASES = {
     "beta, first": (lambda s: Beta(alpha=s, beta=5.0), 2.0, lambda s: stats.beta(s, 5.0)),
     "beta, second": (lambda s: Beta(alpha=2.5, beta=s), 3.0, lambda s: stats.beta(2.5, s)),
@@ -72,7 +72,7 @@ def moments(law, points, weights, x=NONE):
 
 
 def moments_of_new_basis(law):
-    """Mean and variance from the coefficients of an expansion in the law's own polynomials."""
+    """Mean and variance from the coefficients of an expansion in the distribution's own polynomials."""
     germ = law.germ()
     nodes, weights = germ.gauss(40)
     values = np.asarray(smooth(jax.vmap(law.value)(jnp.asarray(nodes))))

@@ -1,4 +1,4 @@
-"""Survey and realisation: what is found, how it is named and ordered, and what is one or two."""
+"""Placements and realisation: what is found, how it is named and ordered, and what is one or two."""
 
 from typing import Any, NamedTuple
 
@@ -19,8 +19,8 @@ from aleator.uncertainty import (
     Uniform,
     at_means,
     named_numbers,
+    placements,
     realise,
-    survey,
     uncertain_again,
 )
 from compiling import compiled
@@ -64,7 +64,7 @@ def rebuilt(model):
 
 
 def test_distributions_are_found_anywhere_and_named_by_their_place():
-    assert tuple(survey(car()).distributions) == (
+    assert tuple(placements(car()).distributions) == (
         "mass",
         "springs.0.stiffness",
         "springs.1.0.stiffness",
@@ -74,7 +74,7 @@ def test_distributions_are_found_anywhere_and_named_by_their_place():
 
 
 def test_decisions_are_found_anywhere_also_inside_distributions():
-    assert tuple(survey(car()).decisions) == (
+    assert tuple(placements(car()).decisions) == (
         "mass.std",
         "springs.0.stiffness.mean",
         "springs.0.stiffness.half_width",
@@ -96,7 +96,7 @@ def test_decisions_are_found_anywhere_also_inside_distributions():
     ],
 )
 def test_names_order_and_numbers_survive_flattening(change):
-    before, after = survey(car()), survey(change(car()))
+    before, after = placements(car()), placements(change(car()))
     assert tuple(after.distributions) == tuple(before.distributions)
     assert tuple(after.decisions) == tuple(before.decisions)
     for attribute in ("initial", "lower", "upper"):
@@ -111,13 +111,13 @@ def test_parameters_keep_their_declared_order_when_their_names_sort_otherwise():
 
 
 def test_slices_of_the_decision_vector_are_contiguous_and_complete():
-    places = survey(car())
+    places = placements(car())
     entries = [i for place in places.decisions.values() for i in range(place.where.start, place.where.stop)]
     assert entries == list(range(places.size))
 
 
 def test_realisation_puts_numbers_everywhere_and_leaves_the_rest_alone():
-    model, places = car(), survey(car())
+    model, places = car(), placements(car())
     germ = jnp.array([1.0, -1.0, 6.0, 0.5, 0.0])
     real = realise(model, germ, jnp.asarray(places.vector("initial")))
     assert not any(isinstance(leaf, AbstractDistribution | Decision) for leaf in jax.tree.leaves(real))
@@ -143,7 +143,7 @@ def test_realisation_uses_the_decisions_it_is_given_rather_than_the_start():
 
 def test_realisation_under_compilation_and_mapping_agrees_with_one_by_one():
     model = numbers_to_arrays(car())
-    x = jnp.asarray(survey(car()).vector("initial")) * 1.1
+    x = jnp.asarray(placements(car()).vector("initial")) * 1.1
     germs = jnp.array([[1.0, -1.0, 6.0, 0.5, 0.0], [-1.0, 0.2, 0.1, -0.5, 0.9]])
     mapped = compiled(jax.vmap(realise, in_axes=(None, 0, None)))(eqx.filter(model, eqx.is_array), germs, x)
     for i, germ in enumerate(germs):
@@ -160,7 +160,7 @@ def test_a_germ_of_the_wrong_length_is_refused():
 def test_a_shared_distribution_is_one_variable_wherever_it_is_placed():
     tilt = Normal(Decision(1.0, 0, 2), 2.0).shared("tilt")
     model = {"left": tilt, "right": [tilt, Normal(0.0, 1.0)]}
-    places = survey(model)
+    places = placements(model)
     assert tuple(places.distributions) == ("tilt", "right.1")
     assert tuple(places.decisions) == ("tilt.mean",)
     real = realise(model, jnp.array([0.5, -1.0]), jnp.array([1.5]))
@@ -170,7 +170,7 @@ def test_a_shared_distribution_is_one_variable_wherever_it_is_placed():
 def test_a_shared_decision_is_one_decision_wherever_it_is_placed():
     radius = Decision(np.array([1.0, 2.0]), 0.0, 3.0).shared("radius")
     model = {"c": radius, "d": radius, "e": Decision(5.0)}
-    places = survey(model)
+    places = placements(model)
     assert tuple(places.decisions) == ("radius", "e")
     assert places.size == 3
     real = realise(model, jnp.zeros(0), jnp.array([8.0, 9.0, 7.0]))
@@ -181,7 +181,7 @@ def test_a_shared_decision_is_one_decision_wherever_it_is_placed():
 def test_a_shared_decision_may_sit_in_a_distribution_and_beside_it():
     k = Decision(3.0, 1.0, 5.0).shared("k")
     model = {"a": Uniform(k, half_width=1.0), "b": k, "c": Normal(0.0, k)}
-    places = survey(model)
+    places = placements(model)
     assert tuple(places.decisions) == ("k",)
     real = realise(model, jnp.array([1.0, 2.0]), jnp.array([4.0]))
     assert (float(real["a"]), float(real["b"]), float(real["c"])) == (5.0, 4.0, 8.0)
@@ -190,7 +190,7 @@ def test_a_shared_decision_may_sit_in_a_distribution_and_beside_it():
 def test_the_same_unshared_object_in_two_places_is_two_variables_and_two_decisions():
     law, number = Normal(0.0, 1.0), Decision(1.0)
     model = {"a": law, "b": law, "c": number, "d": number}
-    places = survey(model)
+    places = placements(model)
     assert tuple(places.distributions) == ("a", "b")
     assert tuple(places.decisions) == ("c", "d")
     real = realise(model, jnp.array([1.0, 2.0]), jnp.array([3.0, 4.0]))
@@ -201,11 +201,11 @@ def test_sharing_survives_flattening_and_the_conversion_of_numbers():
     tilt = Uniform(Decision(1.0), half_width=Decision(0.2, 0.0).shared("w")).shared("tilt")
     model = {"left": tilt, "right": tilt, "other": Normal(0.0, Decision(0.2, 0.0).shared("w"))}
     for changed in (model, rebuilt(model), numbers_to_arrays(model), at_means(model)):
-        assert tuple(survey(changed).decisions) == ("tilt.mean", "w") or tuple(survey(changed).decisions) == (
+        assert tuple(placements(changed).decisions) == ("tilt.mean", "w") or tuple(placements(changed).decisions) == (
             "w",
             "tilt.mean",
         )
-    assert tuple(survey(numbers_to_arrays(model)).distributions) == tuple(survey(model).distributions)
+    assert tuple(placements(numbers_to_arrays(model)).distributions) == tuple(placements(model).distributions)
 
 
 @pytest.mark.parametrize(
@@ -226,7 +226,7 @@ def test_sharing_survives_flattening_and_the_conversion_of_numbers():
 )
 def test_one_shared_name_for_two_things_is_refused(first, second):
     with pytest.raises(ProblemError, match="'x' is shared by two placements that differ"):
-        survey({"a": first, "b": second})
+        placements({"a": first, "b": second})
 
 
 @pytest.mark.parametrize(
@@ -266,13 +266,13 @@ def test_one_shared_name_for_two_things_is_refused(first, second):
 )
 def test_two_independent_placements_that_happen_to_have_one_name_are_refused(model):
     with pytest.raises(ProblemError, match="names two placements"):
-        survey(model)
+        placements(model)
 
 
 def test_at_means_leaves_no_germ_but_keeps_all_decisions():
-    held = survey(at_means(car()))
+    held = placements(at_means(car()))
     assert held.distributions == {}
-    assert tuple(held.decisions) == tuple(survey(car()).decisions)
+    assert tuple(held.decisions) == tuple(placements(car()).decisions)
 
 
 def test_at_means_realises_the_means_at_the_current_decisions():
@@ -315,11 +315,11 @@ def test_a_shared_name_may_be_the_place_of_the_thing_that_is_shared():
     radius, tilt = Decision(1.0).shared("c"), Normal(Decision(2.0).shared("a.mean"), 1.0)
     model = {"a": tilt, "b": radius, "c": radius}
     for changed in (model, at_means(model), rebuilt(model), numbers_to_arrays(model)):
-        assert tuple(survey(changed).decisions) == ("a.mean", "c")
+        assert tuple(placements(changed).decisions) == ("a.mean", "c")
 
 
 def test_named_numbers_are_the_same_with_the_distributions_held_at_their_means():
-    x = jnp.asarray(survey(car()).vector("initial"))
+    x = jnp.asarray(placements(car()).vector("initial"))
     free, held = named_numbers(car(), x), named_numbers(at_means(car()), x)
     assert {k: np.asarray(v).tolist() for k, v in free.items()} == {k: np.asarray(v).tolist() for k, v in held.items()}
 

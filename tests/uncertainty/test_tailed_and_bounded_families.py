@@ -22,8 +22,8 @@ from aleator.uncertainty import (
     Uniform,
     Weibull,
     parameter,
+    placements,
     refuse_nonpositive,
-    survey,
 )
 
 LEVELS = np.array([1e-4, 0.01, 0.2, 0.5, 0.83, 0.99, 0.9999])
@@ -42,7 +42,7 @@ def bell(x):
     return 7.0 * np.exp(-(x**2) / 2)
 
 
-# law, scipy's law
+# distribution, scipy's distribution
 LINEAR = {
     "exponential by mean": (Exponential(mean=2.5), stats.expon(scale=2.5)),
     "exponential by mean above a bound": (Exponential(mean=2.5, lower=-1.0), stats.expon(-1, 3.5)),
@@ -365,7 +365,7 @@ def test_laws_with_functions_and_data_can_be_shared_and_survive_flattening():
         leaves, structure = jax.tree.flatten(shared)
         again = jax.tree.unflatten(structure, leaves)
         assert again.germ() == law.germ()
-        assert tuple(survey({"a": shared, "b": again}).distributions) == ("x",)
+        assert tuple(placements({"a": shared, "b": again}).distributions) == ("x",)
 
 
 def test_a_law_says_what_it_is():

@@ -1,4 +1,4 @@
-"""Dimensions with limits: their law by hand-computed numbers, the forms of a drawing, and refusals."""
+"""Dimensions with limits: their distribution by hand-computed numbers, the forms of a drawing, and refusals."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -6,9 +6,9 @@ import pytest
 from scipy import stats
 
 from aleator._core.errors import ProblemError
-from aleator.uncertainty import Decision, HermiteGerm, Toleranced, named_numbers, realise, survey, toleranced
+from aleator.uncertainty import Decision, HermiteGerm, Toleranced, named_numbers, placements, realise, toleranced
 
-# law, mean, standard deviation, limits
+# distribution, mean, standard deviation, limits
 CASES = {
     "clutch hub": (Toleranced(27.645, tolerance=0.05), 27.645, 0.05 / 3, (27.595, 27.695)),
     "by capability": (Toleranced(27.645, tolerance=0.05, cp=1.25), 27.645, 0.1 / 7.5, (27.595, 27.695)),
@@ -129,7 +129,7 @@ def test_a_dimension_that_cannot_be_is_refused_with_what_it_needs(make, message)
 
 def test_a_decided_tolerance_is_a_number_of_the_model_and_sets_the_spread():
     model = {"a": Toleranced(27.645, tolerance=Decision(0.05, 0.005, 0.2), cp=1.25), "c": toleranced("11.43 ±0.01")}
-    places = survey(model)
+    places = placements(model)
     assert tuple(places.decisions) == ("a.tolerance",)
     numbers = named_numbers(model, jnp.array([0.1]))
     assert float(numbers["a.tolerance"]) == 0.1

@@ -122,7 +122,7 @@ def test_limits_on_statistics_are_compared_with_their_bounds():
     assert found["limit 1"].meets is None
     assert found["limit 2"].meets is not False
     assert found["limit 3"].meets is None
-    # The standard error of a sampled std of a uniform law, whose kurtosis is 1.8.
+    # The standard error of a sampled std of a uniform distribution, whose kurtosis is 1.8.
     assert found["limit 1"].standard_error == pytest.approx(std * np.sqrt(0.8 / 4 / 10_000), rel=0.4)
     assert "within its error of the bound" in str(evidence)
 

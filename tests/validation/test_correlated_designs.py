@@ -1,4 +1,4 @@
-"""Designs whose laws are correlated: more germ variables than one stand behind a number."""
+"""Designs whose distributions are correlated: more germ variables than one stand behind a number."""
 
 import numpy as np
 import pytest

@@ -64,7 +64,7 @@ def test_evidence_agrees_with_closed_forms(solution):
     response = evidence.functionals["response(t_f)"]
     assert float(response.standard_error) == pytest.approx(gain * SPREAD / np.sqrt(20_000), rel=0.02)
     assert abs(float(response.mean) - gain) < 4 * gain * SPREAD / np.sqrt(20_000)
-    # The standard error of a sampled std, from the uniform law's kurtosis of 1.8.
+    # The standard error of a sampled std, from the uniform distribution's kurtosis of 1.8.
     assert abs(float(response.std) - gain * SPREAD) < 4 * gain * SPREAD * np.sqrt(0.8 / 4 / 20_000)
     assert (float(response.expanded_mean), float(response.expanded_std)) == pytest.approx((gain, gain * SPREAD))
     levels = gain * (1 + HALF_WIDTH * (2 * np.array(PERCENTILES) / 100 - 1))

@@ -42,8 +42,8 @@ class AbstractExpanded(eqx.Module, AbstractMeasured[Pytree]):
     """An uncertain output, or a dict of them, in polynomials of the uncertain inputs.
 
     Every statistic has the structure of the outputs: of an array it is an array, entry by entry; of a dict it is a
-    dict; `expanded["y"]` is one output of a dict. All are JAX functions of the laws' parameters: `jax.grad` of a
-    function that builds the laws, expands and takes a statistic is its derivative.
+    dict; `expanded["y"]` is one output of a dict. All are JAX functions of the distributions' parameters: `jax.grad`
+    of a function that builds the distributions, expands and takes a statistic is its derivative.
     """
 
     laws: eqx.AbstractVar[dict[str, AbstractDistribution]]
@@ -51,7 +51,7 @@ class AbstractExpanded(eqx.Module, AbstractMeasured[Pytree]):
     @property
     @abc.abstractmethod
     def germs(self) -> Mapping[str, AbstractGerm]:
-        """The law of each germ variable by name, in the order of a germ vector."""
+        """The distribution of each germ variable by name, in the order of a germ vector."""
 
     @abc.abstractmethod
     @override
@@ -74,7 +74,8 @@ class AbstractExpanded(eqx.Module, AbstractMeasured[Pytree]):
     def __call__(self, inputs: Mapping[str, Any]) -> Pytree:
         """The expansion in the place of the function: the outputs at one plain value of each uncertain input, by name.
 
-        Raises `ProblemError` for a value outside its law, and where laws depend on each other: use `at_germ` there.
+        Raises `ProblemError` for a value outside its distribution, and where distributions depend on each other: use
+        `at_germ` there.
         """
         point = germ_of(self.laws, inputs)
         return jax.tree.map(lambda values: values[0], self.at_germ(np.array([[point[name] for name in self.germs]])))

@@ -38,14 +38,15 @@ from aleator.statistics import (
     varies,
 )
 from aleator.statistics._moments import root
-from aleator.uncertainty import AbstractDistribution, AbstractGerm, Survey
+from aleator.uncertainty import AbstractDistribution, AbstractGerm, Placements
 
 
 @final
 class ElementExpanded(AbstractExpanded):
     """Outputs as polynomials of the germ in each element of its domain; `print(expanded)` says what was done.
 
-    - `laws`: the law of each uncertain input, by name; `partition`: the elements, with the polynomials in each;
+    - `laws`: the distribution of each uncertain input, by name; `partition`: the elements, with the polynomials in
+      each;
     - `coefficients`: of each output, shape (elements, terms, *shape);
     - `splits`: the variable of each split, in order; `calls`: how often the function was called;
     - `error`: estimated relative root mean square error of the piecewise expansion, at worst over the outputs.
@@ -199,7 +200,7 @@ class ElementExpanded(AbstractExpanded):
         smallest = min(range(len(self.partition.boxes)), key=lambda k: self.partition.boxes[k].probability)
         box, germs = self.partition.boxes[smallest], self.partition.bases[smallest].germs
         ends = np.array([germ.support() for germ in germs.values()]).T
-        places = Survey(dict(self.laws), {})
+        places = Placements(dict(self.laws), {})
         low, high = (inputs_at(places, end, jnp.zeros(0)) for end in ends)
         where = ", ".join(f"{name} from {low[name]:.6g} to {high[name]:.6g}" for name in self.laws)
         return f"{times}; the smallest element: {where}, probability {box.probability:.2g}"

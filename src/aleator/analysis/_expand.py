@@ -55,8 +55,8 @@ def expand(
 
     - `function`: takes the model with plain numbers in the place of its distributions; gives an array or a dict of
       arrays (any pytree of them);
-    - `model`: a dict of laws or any other pytree with distributions in it, such as a `System`. Decisions in it stand at
-      their initial values;
+    - `model`: a dict of distributions or any other pytree with distributions in it, such as a `System`. Decisions in
+      it stand at their initial values;
     - `expansion`: order, index set, points and fit, default `Expansion()`; or `MultiElement()` for responses with jumps
       and kinks and for long times, which gives an `ElementExpanded`;
     - `times`: instants of the outputs' leading axis, so that a warning can say from when on the order is too low;
@@ -64,8 +64,8 @@ def expand(
 
     Differentiable by JAX with respect to everything that the model is made of, as far as the function is continuous:
     where it jumps, its derivatives at fixed points know nothing of the jump that moves between them. By the shape
-    parameter of a law, outputs vary with a weak singularity at the ends of it; `al.points.GaussPoints` integrates that
-    best.
+    parameter of a distribution, outputs vary with a weak singularity at the ends of it; `al.points.GaussPoints`
+    integrates that best.
 
     Raises `ProblemError` if there is nothing uncertain or the function cannot be traced, `SimulationError` where an
     output is not finite. Warns with `ExpansionWarning` if an output is not resolved, or if the condition number of the
@@ -155,7 +155,8 @@ def _warn_of_doubts(expanded: Expanded, collocation: Collocation, times: Any) ->
     if open_ended:
         said.append(
             f"The expansion of order {expanded.basis.order} extrapolates {', '.join(open_ended)} into the tails of the "
-            "laws, beyond the outermost points, which predict each other only: means and spreads are unreliable. Take "
+            "distributions, beyond the outermost points, which predict each other only: means and spreads are "
+            "unreliable. Take "
             "points that cover the tails, al.points.InducedPoints() or al.points.GaussPoints(); a higher order makes "
             "it worse."
         )

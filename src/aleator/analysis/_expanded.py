@@ -28,7 +28,7 @@ _ROUNDING = 1e-12
 class Expanded(AbstractExpanded):
     """Outputs as polynomials of the germ; `print(expanded)` shows moments, main contributors and how far to trust them.
 
-    - `laws`: the law of each uncertain input, by name; `basis`: the orthonormal polynomials;
+    - `laws`: the distribution of each uncertain input, by name; `basis`: the orthonormal polynomials;
     - `coefficients`: of each output, shape (terms, *shape);
     - `collocation`, `samples`: the points, and the outputs there, shape (points, *shape); a Galerkin solution has
       neither (None);
@@ -94,7 +94,7 @@ class Expanded(AbstractExpanded):
 
     @property
     def jackknife(self) -> Pytree:
-        """The relative error that the choice of the points leaves in each output, by the law of its inputs.
+        """The relative error that the choice of the points leaves in each output, by the distribution of its inputs.
 
         Far above `leave_one_out`, it says that the expansion is extrapolated, as into tails that no point reaches.
         """

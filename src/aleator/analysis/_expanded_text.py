@@ -23,7 +23,7 @@ def as_lines(rows: list[tuple[str, str]]) -> str:
 
 
 def law_rows(laws: Mapping[str, AbstractDistribution]) -> list[tuple[str, str]]:
-    """The law of each uncertain input."""
+    """The distribution of each uncertain input."""
     return [(name, f"~ {law}") for name, law in laws.items()]
 
 

@@ -23,7 +23,7 @@ from aleator.dynamics._system import check_inputs, derivative, initial_state, ob
 from aleator.ensemble import concrete
 from aleator.expansion import Adaptive, Basis, Expansion
 from aleator.trajectories import AbstractSignal
-from aleator.uncertainty import realise, survey
+from aleator.uncertainty import placements, realise
 
 
 @transparent("system")
@@ -98,7 +98,7 @@ def galerkin(
     expansion = one_of("galerkin: expansion", Expansion() if expansion is None else expansion, Expansion)
     model = _Model(system, dict(inputs or {}))
     _check(system, grid, model, integrator)
-    places = survey(model)
+    places = placements(model)
     if isinstance(expansion.index_set, Adaptive):
         raise ProblemError("galerkin: an Adaptive index set needs samples; expected a fixed one, such as TotalDegree.")
     basis = Basis(places.germs, expansion.index_set.indices(places.germ_names, expansion.order))
@@ -147,7 +147,7 @@ def _check(
         if not isinstance(grid, Grid):
             raise ProblemError(f"galerkin: expected a Grid; received {type(grid).__name__} {grid!r}.")
         check_inputs(system, model.inputs)
-    if not survey(model).distributions:
+    if not placements(model).distributions:
         raise ProblemError(
             "galerkin: nothing in the system is uncertain; put a distribution, such as al.Uniform.bounds(0.9, 1.1), in "
             "the place of a number."
@@ -179,7 +179,7 @@ def _refuse_unsolved(expanded: Expanded, realised_at: Any, quadrature: Quadratur
             + (
                 why
                 or "The equations have a solution at each node of the quadrature, but not once projected: guess "
-                "closer to it, narrow the laws, change the order, or use al.expand."
+                "closer to it, narrow the distributions, change the order, or use al.expand."
             )
         )
 
@@ -193,7 +193,7 @@ def _warn_unresolved(expanded: Expanded) -> None:
         listed = ", ".join(f"{name} ({share:.2g})" for name, share in bad.items())
         warnings.warn(
             f"galerkin: the highest degrees carry a large part of the variance of {listed}: errors above {limit:g} "
-            "make means and spreads unreliable. Raise the order, shorten the time or narrow the laws.",
+            "make means and spreads unreliable. Raise the order, shorten the time or narrow the distributions.",
             ExpansionWarning,
             stacklevel=3,
         )

@@ -57,7 +57,7 @@ def _inverted(name: str, law: AbstractDistribution, germ: AbstractGerm, value: f
     )
     rounding = 1e-12 * (1 + abs(value))
     if excess(low) > rounding or excess(high) < -rounding:
-        raise ProblemError(f"'{name}' = {value:g} lies outside its law {law}.")
+        raise ProblemError(f"'{name}' = {value:g} lies outside its distribution {law}.")
     if excess(low) >= 0 or excess(high) <= 0:
         return low if excess(low) >= 0 else high
     from scipy import optimize  # late: it takes a while to import

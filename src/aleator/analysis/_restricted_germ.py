@@ -1,4 +1,4 @@
-"""A germ variable inside one element: its law given that it lies in an interval."""
+"""A germ variable inside one element: its distribution given that it lies in an interval."""
 
 from dataclasses import dataclass
 from typing import final
@@ -12,18 +12,19 @@ from aleator.uncertainty._stieltjes import recurrence_of
 
 
 def restricted(germ: AbstractGerm, low: float, high: float) -> AbstractGerm:
-    """The law of `germ` given that its probability level lies between `low` and `high`."""
+    """The distribution of `germ` given that its probability level lies between `low` and `high`."""
     return germ if (low, high) == (0.0, 1.0) else RestrictedGerm(germ, low, high)
 
 
 @final
 @dataclass(frozen=True)
 class RestrictedGerm(AbstractGerm):
-    """The law of `germ` given that its probability level lies between `low` and `high`, in the values of `germ` itself.
+    """The distribution of `germ` given that its probability level lies between `low` and `high`, in the values of
+    `germ` itself.
 
-    A restricted uniform law is uniform. The polynomials of any other are found by Stieltjes' procedure from quadrature
-    over the levels (Wan and Karniadakis, 2006, Multi-element generalized polynomial chaos for arbitrary probability
-    measures).
+    A restricted uniform distribution is uniform. The polynomials of any other are found by Stieltjes' procedure from
+    quadrature over the levels (Wan and Karniadakis, 2006, Multi-element generalized polynomial chaos for arbitrary
+    probability measures).
     """
 
     germ: AbstractGerm
@@ -54,7 +55,7 @@ class RestrictedGerm(AbstractGerm):
         return low, high
 
     def _quadrature(self) -> tuple[np.ndarray, np.ndarray]:
-        """Germ values and probability weights. At an end of an unbounded law the nodes crowd towards it."""
+        """Germ values and probability weights. At an end of an unbounded distribution the nodes crowd towards it."""
         levels = self.low + _LEVELS * (self.high - self.low)
         inside = (levels > 0) & (levels < 1)
         return self.germ.quantile(levels[inside]), _WEIGHTS[inside] / _WEIGHTS[inside].sum()

@@ -20,7 +20,7 @@ from aleator.dynamics import AlgebraicSystem, explain_failure, simulate
 from aleator.expansion import Expansion
 from aleator.references import Linearised, linearise
 from aleator.statistics import Infimum, Kurtosis, Mean, Probability, Skewness, Std, Supremum, TotalSobol
-from aleator.uncertainty import at_means, realise, survey
+from aleator.uncertainty import at_means, placements, realise
 
 PARTS_PER_MILLION = 1e6
 
@@ -109,7 +109,8 @@ def tolerance_analysis(
     - `output`: the name of an output of the system, or a function that takes the realised model and gives one number;
     - `lower`, `upper`: the limits of the output, in its unit;
     - `tolerances`: the zone of each dimension for the worst case, half-widths or (minus, plus), by name. By default the
-      zone of a `Toleranced` law, the support of a bounded law, and three standard deviations of others;
+      zone of a `Toleranced` distribution, the support of a bounded distribution, and three standard deviations of
+      others;
     - `expansion`: default order 3.
 
     Raises `ProblemError` for limits in the wrong order, an unknown output, a tolerance of an unknown dimension.
@@ -122,7 +123,7 @@ def tolerance_analysis(
     if expansion is not None:
         one_of("tolerance_analysis: expansion", expansion, Expansion)
     function, name = _function(model, output)
-    zones = zones_of(survey(model), tolerances or {})
+    zones = zones_of(placements(model), tolerances or {})
     expanded = _expanded(function, model, expansion)
     if not isinstance(expanded.mean, jax.Array) or expanded.mean.ndim:
         raise ProblemError("tolerance_analysis: expected an output that is one number; received an array or a dict.")
@@ -179,7 +180,7 @@ def _expanded(function: Callable[[Any], Any], model: Pytree, expansion: Expansio
 
 
 def _failure_at_means(system: AlgebraicSystem) -> str:
-    nominal = realise(at_means(system), jnp.zeros(0), jnp.asarray(survey(system).vector("initial")))
+    nominal = realise(at_means(system), jnp.zeros(0), jnp.asarray(placements(system).vector("initial")))
     return explain_failure(nominal)
 
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from aleator._core.arrays import Pytree
 from aleator._core.errors import ProblemError
-from aleator.uncertainty import AbstractDistribution, Survey, Toleranced, Uniform, with_laws
+from aleator.uncertainty import AbstractDistribution, Placements, Toleranced, Uniform, with_laws
 
 SIGMAS = 3.0
 
@@ -27,8 +27,8 @@ class Zone(NamedTuple):
         return f"{(self.lower + self.upper) / 2:.6g} ± {self.half_width:.4g}"
 
 
-def zones_of(places: Survey, tolerances: Mapping[str, Any]) -> dict[str, Zone]:
-    """The zone of each dimension: as given, or as its law says. See `tolerance_analysis`."""
+def zones_of(places: Placements, tolerances: Mapping[str, Any]) -> dict[str, Zone]:
+    """The zone of each dimension: as given, or as its distribution says. See `tolerance_analysis`."""
     unknown = sorted(set(tolerances) - set(places.distributions))
     if unknown:
         raise ProblemError(
@@ -42,7 +42,7 @@ def zones_of(places: Survey, tolerances: Mapping[str, Any]) -> dict[str, Zone]:
 
 
 def zone_of(law: AbstractDistribution) -> Zone:
-    """The zone that a law itself implies, at the initial values of its decisions."""
+    """The zone that a distribution itself implies, at the initial values of its decisions."""
     law = law.initial()
     if isinstance(law, Toleranced):
         return Zone(*map(float, law.limits()))
@@ -62,5 +62,5 @@ def _given(law: AbstractDistribution, tolerance: Any) -> Zone:
 
 
 def in_zones(model: Pytree, zones: Mapping[str, Zone]) -> Pytree:
-    """The model with each dimension free in its zone: uniform laws, for the worst case."""
+    """The model with each dimension free in its zone: uniform distributions, for the worst case."""
     return with_laws(model, lambda name, _: Uniform.bounds(*zones[name]))

@@ -78,7 +78,7 @@ def _when(solution: Solution) -> float:
     grid = problem.grid
     assert isinstance(grid, Grid)
     finer = problem.on_grid(grid.finer(2))
-    germ, decisions = jnp.zeros(len(problem.survey.germ_names)), jnp.asarray(solution.vector)
+    germ, decisions = jnp.zeros(len(problem.placements.germ_names)), jnp.asarray(solution.vector)
     coarse, fine = (jax.jit(lambda x, one=one: history(one, germ, x))(decisions) for one in (problem, finer))
     changes = np.zeros(grid.steps)
     for name in {name for one in functionals_of(problem.expressions) for name in one.outputs}:

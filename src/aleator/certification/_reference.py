@@ -127,7 +127,7 @@ def reference(transcribed: AbstractTranscribed, point: Float[np.ndarray, " varia
 
 def prepare_reference(problem: Problem, discretised: Discretised, factor: int) -> None:
     """Begin to compile what `reference` will need."""
-    REFERENCE.prepare(*_arguments(problem, discretised, factor, problem.survey.vector("initial")))
+    REFERENCE.prepare(*_arguments(problem, discretised, factor, problem.placements.vector("initial")))
 
 
 def _arguments(

@@ -143,9 +143,9 @@ def second_opinion(transcribed: AbstractTranscribed, point: Float[np.ndarray, " 
 
 def prepare_opinion(problem: Problem) -> None:
     """Begin to compile what `second_opinion` will need."""
-    germs = problem.survey.germs
+    germs = problem.placements.germs
     if germs and functionals_of(problem.expressions):
-        decisions = jnp.asarray(problem.survey.vector("initial"))
+        decisions = jnp.asarray(problem.placements.vector("initial"))
         RESPOND.prepare(numbers_to_arrays(problem), jnp.zeros((_FRESH, len(germs))), decisions)
 
 

@@ -48,7 +48,7 @@ def held_at_worst(
     Returns the program as it was solved last, its outcome with what `attempt` found beside it, and the worst case; None
     where no limit is on the worst case, or nothing is uncertain.
     """
-    if transcribed.scenarios is None or not transcribed.problem.survey.germs:
+    if transcribed.scenarios is None or not transcribed.problem.placements.germs:
         return transcribed, *attempt(transcribed, start, multipliers), None
     oracle = Oracle(transcribed.problem, factor)
     transcribed = transcribed.at_scenarios(_first(transcribed, oracle, start, known))

@@ -42,7 +42,7 @@ from aleator.dynamics import (
 )
 from aleator.expansion import Expansion
 from aleator.statistics import AbstractStatistic, Sobol, TotalSobol, refuse_correlated
-from aleator.uncertainty import Survey, named_numbers, refuse_nonpositive, uncertain_again
+from aleator.uncertainty import Placements, named_numbers, refuse_nonpositive, uncertain_again
 
 
 def check(problem: AbstractProblem) -> str:
@@ -70,7 +70,7 @@ def equations_now(problem: AbstractProblem) -> str:
 
 def _digest(problem: AbstractProblem) -> Digest:
     whole = eqx.tree_at(lambda one: one.simulation, problem, uncertain_again(problem.simulation))
-    physics, outputs = _trace(whole, _outputs_of, whole.survey)
+    physics, outputs = _trace(whole, _outputs_of, whole.placements)
     _check_outputs(whole, outputs)
     texts = [physics, _check_shapes(whole, outputs)]
     told = "\n".join(text or "" for text in texts)
@@ -131,7 +131,7 @@ def _check_time(problem: AbstractProblem) -> None:
 
 
 def _check_values(problem: AbstractProblem) -> None:
-    numbers = named_numbers(problem.simulation, jnp.asarray(problem.survey.vector("initial")))
+    numbers = named_numbers(problem.simulation, jnp.asarray(problem.placements.vector("initial")))
     for expression in problem.expressions:
         for atom in expression.leaves:
             if isinstance(atom, Value | CostCurve) and atom.name not in numbers:
@@ -140,10 +140,10 @@ def _check_values(problem: AbstractProblem) -> None:
 
 def _check_germs(problem: AbstractProblem) -> None:
     """Refuse Sobol indices of what is no germ variable, or belongs to a correlated group."""
-    known = list(problem.survey.germ_names)
+    known = list(problem.placements.germ_names)
     for one in statistics_in(problem.expressions):
         kind = one.kind
-        refuse_correlated(problem.survey.distributions, kind)
+        refuse_correlated(problem.placements.distributions, kind)
         named = kind.variables if isinstance(kind, Sobol) else (kind.variable,) if isinstance(kind, TotalSobol) else ()
         for name in named:
             if name not in known:
@@ -170,7 +170,7 @@ def _trace(problem: AbstractProblem, function: Callable[..., Any], *arguments: A
     return text and "\n".join([text, *map(array_digest, closed.consts)]), shapes
 
 
-def _outputs_of(problem: AbstractProblem, places: Survey) -> dict[str, jax.Array]:
+def _outputs_of(problem: AbstractProblem, places: Placements) -> dict[str, jax.Array]:
     return history(problem, jnp.zeros(len(places.germ_names)), jnp.zeros(places.size))
 
 
@@ -216,7 +216,7 @@ class _ShapeScope(AbstractScope):
 
     def __init__(self, problem: AbstractProblem, outputs: dict[str, jax.Array]):
         self._outputs = outputs
-        self._grid = grid_at(problem, jnp.zeros(problem.survey.size))
+        self._grid = grid_at(problem, jnp.zeros(problem.placements.size))
 
     def statistic(self, functionals: tuple[AbstractFunctional, ...], kind: AbstractStatistic) -> jax.Array:
         # Every statistic has the shape of what it is taken of, without the axis of those taken jointly.

@@ -7,7 +7,7 @@ from aleator.design._expression import Constraint, Expression
 from aleator.dynamics import AbstractGrid, AbstractIntegrator, AbstractSystem, Simulation
 from aleator.expansion import Expansion
 from aleator.trajectories import AbstractSignal
-from aleator.uncertainty import Survey, survey
+from aleator.uncertainty import Placements, placements
 
 
 class AbstractProblem(eqx.Module):
@@ -49,9 +49,9 @@ class AbstractProblem(eqx.Module):
         return self.system.is_integrated
 
     @property
-    def survey(self) -> Survey:
+    def placements(self) -> Placements:
         """Its distributions and decisions."""
-        return survey(self.simulation)
+        return placements(self.simulation)
 
     @property
     def expressions(self) -> tuple[Expression, ...]:

@@ -15,7 +15,7 @@ from aleator.design._statistic import Statistic
 from aleator.dynamics import AbstractSystem, Simulation
 from aleator.mechanics import AbstractFormulation
 from aleator.statistics import Mean
-from aleator.uncertainty import AbstractGerm, at_means, realise, survey, uncertain_numbers
+from aleator.uncertainty import AbstractGerm, at_means, placements, realise, uncertain_numbers
 
 # An unbounded variable is tried this far out on either side: beyond lies one realisation in a billion.
 _TAIL = 1e-9
@@ -24,15 +24,16 @@ _TAIL = 1e-9
 def refuse_trouble(problem: AbstractProblem) -> None:
     """Raise `ProblemError` for what a system finds wrong with itself, or where it cannot hold its start.
 
-    It is asked at the means, then with each uncertain number at either end of its law, the others at their medians, and
-    with each decided number of the system itself (not of the motion that it is made for) at either of its bounds.
+    It is asked at the means, then with each uncertain number at either end of its distribution, the others at their
+    medians, and with each decided number of the system itself (not of the motion that it is made for) at either of its
+    bounds.
     """
     if not _speaks(problem.system):
         return
-    start = jnp.asarray(problem.survey.vector("initial"))
+    start = jnp.asarray(problem.placements.vector("initial"))
     _refuse(_at_means(problem, start), "")
-    for germ in _extremes(list(problem.survey.germs.values())):
-        numbers = uncertain_numbers(problem.survey, jnp.asarray(germ), start)
+    for germ in _extremes(list(problem.placements.germs.values())):
+        numbers = uncertain_numbers(problem.placements, jnp.asarray(germ), start)
         where = ", ".join(f"{name} = {float(number):.4g}" for name, number in numbers.items())
         _refuse(realise(problem.simulation, jnp.asarray(germ), start), f" In the system with {where}.")
     for name, decisions in _bounds(problem):
@@ -58,7 +59,7 @@ def _refuse(simulation: Simulation, who: str) -> None:
 
 
 def _extremes(germs: list[AbstractGerm]) -> Iterator[Float[np.ndarray, " variables"]]:
-    """Germ points with one variable at an end of its law, the others at their medians."""
+    """Germ points with one variable at an end of its distribution, the others at their medians."""
     middle = np.array([float(germ.quantile(np.array(0.5))) for germ in germs])
     for i, germ in enumerate(germs):
         for end, level in zip(germ.support(), (_TAIL, 1 - _TAIL), strict=True):
@@ -73,7 +74,10 @@ def _bounds(problem: AbstractProblem) -> Iterator[tuple[str, Float[np.ndarray, "
     Entries of arrays go together, such as the moments of a body: one alone at a bound says nothing of the others.
     """
     system = problem.system
-    places, own = problem.survey, survey(system.model if isinstance(system, AbstractFormulation) else system).decisions
+    places, own = (
+        problem.placements,
+        placements(system.model if isinstance(system, AbstractFormulation) else system).decisions,
+    )
     start, names = places.vector("initial"), places.entry_names()
     for i in (
         place.where.start
@@ -123,7 +127,7 @@ def _range(expression: Expression, held: dict[str, float]) -> tuple[float, float
 
 def _held(problem: AbstractProblem) -> dict[str, float]:
     """What holds the start at the means, as far as it is the same at other decisions, far from the first."""
-    start, lower, upper = (problem.survey.vector(name) for name in ("initial", "lower", "upper"))
+    start, lower, upper = (problem.placements.vector(name) for name in ("initial", "lower", "upper"))
     along = np.linspace(0.25, 0.45, len(start))
     between = np.isfinite(lower) & np.isfinite(upper)
     held = _holding(problem, start)

@@ -80,7 +80,7 @@ class AbstractFunctional(AbstractRandom, AbstractMeasured[Expression]):
     def at_most(
         self, upper: float, *, sigmas: float = 0.0, probability: float | None = None, worst_case: bool = False
     ) -> Constraint:
-        """`mean + sigmas * std <= upper`, or in its place one of two limits that need no normal law.
+        """`mean + sigmas * std <= upper`, or in its place one of two limits that need no normal distribution.
 
         - `probability`: at most `upper` with this probability (`quantile(probability) <= upper`); of a path at each
           instant by itself, so that other systems may be beyond it at other instants: for whole systems, limit its
@@ -94,7 +94,7 @@ class AbstractFunctional(AbstractRandom, AbstractMeasured[Expression]):
     def at_least(
         self, lower: float, *, sigmas: float = 0.0, probability: float | None = None, worst_case: bool = False
     ) -> Constraint:
-        """`mean - sigmas * std >= lower`, or in its place one of two limits that need no normal law.
+        """`mean - sigmas * std >= lower`, or in its place one of two limits that need no normal distribution.
 
         - `probability`: at least `lower` with this probability (`quantile(1 - probability) >= lower`);
         - `worst_case`: at least `lower` on the worst realisation that `solve` finds, for bounded distributions.

@@ -15,7 +15,7 @@ from aleator.uncertainty import AbstractDistribution, AbstractGerm, Decision
 
 def problem_text(problem: AbstractProblem) -> str:
     """Objective, decisions, constraints, uncertainty, dynamics and expansion, a line each."""
-    places = problem.survey
+    places = problem.placements
     rows = [("minimise", str(problem.objective))]
     rows += _labelled("over", [_decision_text(name, place.decision) for name, place in places.decisions.items()])
     rows += _labelled("subject to", [f"{one.name}: {one}" for one in problem.constraints])
@@ -37,14 +37,14 @@ def _decision_text(name: str, decision: object) -> str:
 
 
 def _law_texts(laws: Mapping[str, AbstractDistribution]) -> Iterator[str]:
-    """A line for each law; numbered ones of one kind, such as the modes of a process, share theirs."""
+    """A line for each distribution; numbered ones of one kind, such as the modes of a process, share theirs."""
     for _, group in itertools.groupby(laws.items(), key=_numbered):
         (first, law), *others = group
         yield f"{first}{f' … {others[-1][0]}' if others else ''} ~ {law}"
 
 
 def _numbered(named: tuple[str, AbstractDistribution]) -> tuple[str, str]:
-    """What numbered laws of one kind have in common: the name before the number, and the law."""
+    """What numbered laws of one kind have in common: the name before the number, and the distribution."""
     name, law = named
     before, _, number = name.rpartition(".")
     return (before if number.isdigit() else name), str(law)

@@ -15,7 +15,7 @@ from aleator.trajectories import AbstractSignal
 
 
 def refuse_unrealised(**parts: Any) -> None:
-    """Raise `ProblemError` if a law or a decision is left in what is to be simulated; traced numbers pass."""
+    """Raise `ProblemError` if a distribution or a decision is left in what is to be simulated; traced numbers pass."""
     for name, leaf in named_leaves(parts):
         refuse_missing(name, leaf)
     found = [

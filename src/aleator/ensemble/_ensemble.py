@@ -31,16 +31,16 @@ from aleator.ensemble._outputs import (
     real_array,
     refuse_nonfinite,
 )
-from aleator.uncertainty import Survey, realise, survey
+from aleator.uncertainty import Placements, placements, realise
 
 Points: TypeAlias = Float[np.ndarray, "points variables"] | Float[Array, "points variables"]
 
 
-def uncertain_places(verb: str, function: Function, model: Pytree) -> Survey:
+def uncertain_places(verb: str, function: Function, model: Pytree) -> Placements:
     """What is uncertain in a model. Raises `ProblemError` if nothing is, or if `function` is none."""
     if not callable(function):
         raise ProblemError(f"{verb}: expected a function of the model; received {type(function).__name__}.")
-    places = survey(model)
+    places = placements(model)
     if not places.distributions:
         raise ProblemError(
             f"{verb}: nothing in the model is uncertain; put a distribution, such as al.Uniform.bounds(0.9, 1.1), in "
@@ -58,7 +58,7 @@ class AbstractEnsemble(abc.ABC):
     at_once: ClassVar[bool]
     """Whether several threads may evaluate it at once."""
 
-    def __init__(self, function: Function, model: Pytree, places: Survey):
+    def __init__(self, function: Function, model: Pytree, places: Placements):
         self._function, self._model, self.places = function, model, places
         self._name, self._decisions = name_of(function), jnp.asarray(places.vector("initial"))
 
@@ -116,7 +116,7 @@ class TracedEnsemble(AbstractEnsemble):
 
     at_once: ClassVar[bool] = True
 
-    def __init__(self, function: Function, model: Pytree, places: Survey):
+    def __init__(self, function: Function, model: Pytree, places: Placements):
         super().__init__(function, model, places)
         self._numbers, self._rest = eqx.partition(model, eqx.is_array)
         self._traced: dict[int, Traced] = {}
@@ -156,7 +156,7 @@ class CalledEnsemble(AbstractEnsemble):
 
     at_once: ClassVar[bool] = False
 
-    def __init__(self, function: Function, model: Pytree, places: Survey):
+    def __init__(self, function: Function, model: Pytree, places: Placements):
         super().__init__(function, model, places)
         self._first: Pytree = None
         if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(model)):

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 
 from aleator._core.arrays import Pytree
 from aleator._core.errors import ProblemError, SimulationError
-from aleator.uncertainty import Survey, uncertain_numbers
+from aleator.uncertainty import Placements, uncertain_numbers
 
 Function: TypeAlias = Callable[[Any], Pytree]
 """A function of a realised model: plain numbers, or traced ones, stand in the places of its distributions."""
@@ -52,7 +52,7 @@ def concrete(array: Any) -> np.ndarray | None:
     return None if isinstance(below, Tracer) else np.asarray(below)
 
 
-def inputs_at(places: Survey, point: Float[Any, " variables"], decisions: Float[Array, " n"]) -> dict[str, float]:
+def inputs_at(places: Placements, point: Float[Any, " variables"], decisions: Float[Array, " n"]) -> dict[str, float]:
     """The uncertain inputs at one germ point, by name."""
     numbers = uncertain_numbers(places, jnp.asarray(point), decisions)
     return {name: float(jax.lax.stop_gradient(number)) for name, number in numbers.items()}

@@ -229,7 +229,7 @@ def _warn(basis: Basis, nodes: Nodes, error: float, wish: Adaptive, limit: str) 
     warnings.warn(
         f"Adaptive: {basis.terms} terms of order {basis.order} at {len(nodes.points)} points leave a leave-one-out "
         f"error of {error:.1e} where {wish.error:.1e} is asked, at the limit of its {limit}. Raise that limit, ask for "
-        "less, or narrow the laws.",
+        "less, or narrow the distributions.",
         ExpansionWarning,
         stacklevel=4,
     )

@@ -21,7 +21,7 @@ _MATRICES = 2
 class Basis:
     """Products of univariate orthonormal polynomials, equation (16).
 
-    - `germs`: the law of each germ variable, by name;
+    - `germs`: the distribution of each germ variable, by name;
     - `indices`: degree of each variable in each term, shape (terms, variables); the first term is the constant.
     """
 

@@ -61,12 +61,12 @@ def jackknife(
     samples: Float[Array, "points *shape"],
     coefficients: Float[Array, "terms *shape"],
 ) -> Float[Array, ""]:
-    """What the choice of the points makes of an expansion: an rms error under the germ's law over the spread.
+    """What the choice of the points makes of an expansion: an rms error under the germ's distribution over the spread.
 
     It is the root of the sum of squares by which coefficients change as each point is left out, which for orthonormal
-    polynomials is a mean square under the law, and over the variance of the samples. The leave-one-out error asks how
-    points predict each other; this asks what their errors become where there are none, as in the tails of unbounded
-    laws, into which powers are extrapolated. Infinite and zero where `leave_one_out` is.
+    polynomials is a mean square under the distribution, and over the variance of the samples. The leave-one-out error
+    asks how points predict each other; this asks what their errors become where there are none, as in the tails of
+    unbounded distributions, into which powers are extrapolated. Infinite and zero where `leave_one_out` is.
     Source: MacKinnon and White (1985), Some heteroskedasticity-consistent covariance matrix estimators (HC3).
     """
     flat, terms = samples.reshape(len(samples), -1), coefficients.reshape(len(coefficients), -1)

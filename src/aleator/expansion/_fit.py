@@ -50,8 +50,8 @@ class AbstractFit(eqx.Module):
 class LeastSquares(AbstractFit):
     """Least squares through the QR factors of the collocation matrix (equation 29).
 
-    Squares are weighted by the weights of the points: all alike, except for points drawn from another law than the
-    germ's (`ChristoffelPoints`, `OptimalPoints`) and for the roots of polynomials.
+    Squares are weighted by the weights of the points: all alike, except for points drawn from another distribution
+    than the germ's (`ChristoffelPoints`, `OptimalPoints`) and for the roots of polynomials.
     """
 
     @override

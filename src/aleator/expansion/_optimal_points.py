@@ -17,18 +17,19 @@ from aleator.uncertainty import AbstractGerm
 # How many candidates there are for each point chosen among them.
 _CANDIDATES = 10
 
-# How many roots a rule has beyond twice the degree, so that a law is nearly even between two of them.
+# How many roots a rule has beyond twice the degree, so that a distribution is nearly even between two of them.
 _FINE = 60
 
 
 @final
 class InducedPoints(AbstractCountedPoints):
-    """Hammersley points brought to the germ by the laws `Psi_j^2 f` of the terms in turn, weighted by `1 / K`.
+    """Hammersley points brought to the germ by the distributions `Psi_j^2 f` of the terms in turn, weighted by `1 / K`.
 
     They cover what `ChristoffelPoints` cover, whose density theirs is, but evenly and without chance: the tails of
-    unbounded laws too, where polynomials are large. Quantiles of even points end where the outermost of them is, and
-    powers fitted there are extrapolated into the tails, which no point checks. Source: Cohen and Migliorati (2017),
-    Optimal weighted least-squares methods; Narayan (2018), Computation of induced orthogonal polynomial distributions.
+    unbounded distributions too, where polynomials are large. Quantiles of even points end where the outermost of them
+    is, and powers fitted there are extrapolated into the tails, which no point checks. Source: Cohen and Migliorati
+    (2017), Optimal weighted least-squares methods; Narayan (2018), Computation of induced orthogonal polynomial
+    distributions.
     """
 
     @override
@@ -62,9 +63,9 @@ class AbstractBasisPoints(AbstractCountedPoints):
 class ChristoffelPoints(AbstractBasisPoints):
     """Random points of density `f K / n_b` with the Christoffel function `K = sum of Psi_j^2`, weighted by `1 / K`.
 
-    Where polynomials are large, as they are in the tails of a normal law, points are frequent and light: the weighted
-    collocation matrix stays well conditioned at any order, which quantiles of even points do not manage. Each term has
-    its share of the points. Source: Cohen and Migliorati (2017), Optimal weighted least-squares methods.
+    Where polynomials are large, as they are in the tails of a normal distribution, points are frequent and light: the
+    weighted collocation matrix stays well conditioned at any order, which quantiles of even points do not manage. Each
+    term has its share of the points. Source: Cohen and Migliorati (2017), Optimal weighted least-squares methods.
     """
 
     @override
@@ -97,14 +98,18 @@ class OptimalPoints(AbstractBasisPoints):
 
 
 def _drawn(basis: Basis, count: int, seed: int) -> Nodes:
-    """Points drawn from the mixture of the laws `Psi_j^2 f`, the same number from each but for the remainder."""
+    """Points drawn from the mixture of the distributions `Psi_j^2 f`, the same number from each but for the
+    remainder.
+    """
     rng = np.random.default_rng(seed)
     terms = rng.permutation(np.arange(count) % basis.terms)
     return _weighted(basis, terms, rng.random((count, basis.variables)))
 
 
 def _weighted(basis: Basis, terms: np.ndarray, levels: Float[np.ndarray, "n variables"]) -> Nodes:
-    """The points of given levels in the laws `Psi_j^2 f` of given terms, weighted by the Christoffel function."""
+    """The points of given levels in the distributions `Psi_j^2 f` of given terms, weighted by the Christoffel
+    function.
+    """
     columns = [
         _induced(germ, degree, basis.indices[terms, i], levels[:, i])
         for i, (germ, degree) in enumerate(zip(basis.germs.values(), basis.degrees, strict=True))
@@ -117,10 +122,10 @@ def _weighted(basis: Basis, terms: np.ndarray, levels: Float[np.ndarray, "n vari
 def _induced(
     germ: AbstractGerm, highest: int, degrees: np.ndarray, levels: Float[np.ndarray, " n"]
 ) -> Float[np.ndarray, " n"]:
-    """Quantiles of the laws `p_degree^2 f` of one variable, each at its own degree and level.
+    """Quantiles of the distributions `p_degree^2 f` of one variable, each at its own degree and level.
 
-    Their masses about the roots of a Gauss rule are exact sums of it; within each cell a law is taken as even. The
-    weights of the points make up for what little that changes.
+    Their masses about the roots of a Gauss rule are exact sums of it; within each cell a distribution is taken as
+    even. The weights of the points make up for what little that changes.
     """
     roots = _roots(germ, highest)
     polynomials = germ.polynomials(len(roots) - 1, roots)

@@ -82,7 +82,7 @@ class AbstractEvenPoints(AbstractCountedPoints):
 class HammersleyPoints(AbstractEvenPoints):
     """The Hammersley set: `(i - 1/2)/count` beside the radical inverses of `i = 1 .. count` in the prime bases.
 
-    The half and the start at 1 keep every coordinate off 0 and 1, where unbounded laws are infinite.
+    The half and the start at 1 keep every coordinate off 0 and 1, where unbounded distributions are infinite.
     Source: Hammersley (1960), Annals of the New York Academy of Sciences 86.
     """
 
@@ -131,7 +131,7 @@ class SobolPoints(AbstractDrawnPoints):
         from scipy.stats import qmc  # late: it takes a second to import
 
         engine = qmc.Sobol(variables, scramble=True, bits=_SOBOL_BITS, rng=np.random.default_rng(self.seed))
-        # Half a step off the lattice of the sequence: 0 would be infinite under an unbounded law.
+        # Half a step off the lattice of the sequence: 0 would be infinite under an unbounded distribution.
         return engine.random_base2(int(count - 1).bit_length())[:count] + 0.5 ** (_SOBOL_BITS + 1)
 
 

@@ -48,7 +48,7 @@ class Sphere(AbstractBounded):
     """The ball of the given `radius` (m) around `center` (m); a disc in the plane, a point where the radius is 0.
 
     Raises `ProblemError` if `center` has not 2 or 3 numbers, if a plain number is not finite, or if the
-    radius can become negative: plain, by its law or by the bounds of its decision.
+    radius can become negative: plain, by its distribution or by the bounds of its decision.
     """
 
     center: Any
@@ -75,7 +75,7 @@ class Capsule(AbstractBounded):
     those with respect to the two ends are the sphere's, shared evenly.
 
     Raises `ProblemError` if the ends have not both 2 or both 3 numbers, if a plain number is not finite, or if the
-    radius can become negative: plain, by its law or by the bounds of its decision.
+    radius can become negative: plain, by its distribution or by the bounds of its decision.
     """
 
     start: Any
@@ -108,8 +108,8 @@ class Box(AbstractBounded):
     columns are the box's axes. Without it they are the axes of the coordinates.
 
     Raises `ProblemError` if vectors have not both 2 or both 3 numbers, if `orientation` does not fit, if a plain number
-    is not finite or a plain orientation no rotation, or if a half size can become zero or negative: plain, by its law
-    or by the bounds of its decision.
+    is not finite or a plain orientation no rotation, or if a half size can become zero or negative: plain, by its
+    distribution or by the bounds of its decision.
     """
 
     center: Any

@@ -28,7 +28,7 @@ class Body(eqx.Module):
       xx, yy, zz, xy, xz, yz, or a matrix (3, 3). One moment alone, such as `(0, 0, J)`, is what a plane model needs.
 
     Each number may also be a tracer, alone or within a sequence. What is known is checked when the tree is built
-    (of laws, the numbers at their ends, when a problem is made):
+    (of distributions, the numbers at their ends, when a problem is made):
     `ProblemError` is raised for a negative mass, an orientation that is no rotation, and an inertia that no body has.
     """
 

@@ -239,7 +239,7 @@ class Multibody(AbstractMechanical):
         return given
 
     def _joints(self) -> list[tuple[str, AbstractJoint]]:
-        """The bodies that move, with their joints: asked for before laws and decisions have become numbers."""
+        """The bodies that move, with their joints: asked for before distributions and decisions have become numbers."""
         plain = jax.tree.map(_as_number, self, is_leaf=_is_no_number)
         now = plain if self._when is not None else at(plain, jnp.zeros(()), None)
         bodies = sorted_bodies(now._bodies())
@@ -254,7 +254,7 @@ def _is_no_number(node: Any) -> bool:
 
 
 def _as_number(leaf: Any) -> Any:
-    """Any number, of a decision's or a signal's shape, in the place of a law, a decision or a signal."""
+    """Any number, of a decision's or a signal's shape, in the place of a distribution, a decision or a signal."""
     if isinstance(leaf, AbstractSignal):
         plain = jax.tree.map(_as_number, leaf, is_leaf=is_leaf)
         return jnp.ones(jax.eval_shape(plain, jnp.zeros(())).shape)

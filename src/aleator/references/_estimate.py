@@ -33,7 +33,9 @@ class Estimate:
     groups: int
 
     def interval(self, confidence: float = 0.95) -> tuple[Float[np.ndarray, "*shape"], Float[np.ndarray, "*shape"]]:
-        """Lower and upper end of the confidence interval, by Student's t law with `groups - 1` degrees of freedom."""
+        """Lower and upper end of the confidence interval, by Student's t distribution with `groups - 1` degrees of
+        freedom.
+        """
         if not 0 < confidence < 1:
             raise ProblemError(f"interval: expected a confidence between 0 and 1, such as 0.95; received {confidence}.")
         reach = special.stdtrit(self.groups - 1, (1 + confidence) / 2) * self.standard_error
@@ -71,8 +73,8 @@ def estimate(statistic: Callable[[Any], Any], values: Float[np.ndarray, "samples
     the two halves' statistics has the standard deviation of the whole sample's; the rows are orthogonal, so that for
     statistics linear in the sample this is the spread of the groups' own values over `sqrt(groups)`, exactly.
 
-    Half of a sample still reaches into the tails of its law and moves a quantile by many values: leaving out single
-    groups (the jackknife) or taking each by itself (batch means) misjudges both. A quantile wants some 50 values
+    Half of a sample still reaches into the tails of its distribution and moves a quantile by many values: leaving out
+    single groups (the jackknife) or taking each by itself (batch means) misjudges both. A quantile wants some 50 values
     beyond it. For the extremes of a sample there is no such standard error.
     """
     length = len(values) // groups

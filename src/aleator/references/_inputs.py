@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 from aleator._core.arrays import Pytree
 from aleator._core.errors import ProblemError, SimulationError
 from aleator.ensemble import UNTRACEABLE, Function, concrete, name_of, real_array, uncertain_places
-from aleator.uncertainty import Normal, Survey, realise, survey, uncertain_numbers, with_laws
+from aleator.uncertainty import Normal, Placements, placements, realise, uncertain_numbers, with_laws
 
 
 @final
@@ -38,7 +38,7 @@ class Inputs:
 
     def outputs(self, values: Float[Array, " inputs"]) -> Pytree:
         """The outputs at given values of the inputs, in their units and in the order of `laws`."""
-        realised = realise(self._in_units, values, _initial(survey(self._in_units)))
+        realised = realise(self._in_units, values, _initial(placements(self._in_units)))
         return jax.tree.map(lambda value: real_array(value, name_of(self._function), jnp), self._function(realised))
 
     def refuse_nonfinite(self, expanded: Pytree) -> None:
@@ -53,7 +53,7 @@ class Inputs:
                 )
 
 
-def _initial(places: Survey) -> Float[Array, " n"]:
+def _initial(places: Placements) -> Float[Array, " n"]:
     """The decisions at their initial values. A model in units has none inside of distributions."""
     return jnp.asarray(places.vector("initial"))
 

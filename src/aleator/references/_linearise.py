@@ -28,7 +28,7 @@ class Linearised(eqx.Module):
     - `jacobian`: of each output, its derivative with respect to each input, shape (inputs, *shape).
 
     Everything has the structure of the outputs: an array of an array, a dict of a dict; `linearised["y"]` is one output
-    of a dict. All are JAX functions of the laws' parameters.
+    of a dict. All are JAX functions of the distributions' parameters.
     """
 
     names: tuple[str, ...] = eqx.field(static=True)
@@ -98,7 +98,7 @@ def linearise(function: Function, model: Pytree) -> Linearised:
       arrays, written with jax.numpy;
     - `model`: a dict or any other pytree with distributions in it. Decisions stand at their initial values.
 
-    Means and standard deviations are those of the laws, whatever their form; the correlations are those of
+    Means and standard deviations are those of the distributions, whatever their form; the correlations are those of
     `al.correlated`. The method is exact for linear
     functions. Source: dissertation, section 7.2; Chase, Gao and Magleby, General 2-D tolerance analysis of mechanical
     assemblies with small kinematic adjustments, Journal of Design and Manufacturing 5 (1995).

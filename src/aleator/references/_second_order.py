@@ -15,7 +15,8 @@ from aleator.references._inputs import Inputs, traceable
 from aleator.statistics._moments import root
 from aleator.uncertainty import AbstractGerm, HermiteGerm, SampleGerm
 
-# 4 are exact for the moments up to the sixth; their derivatives by the shape of a law are no polynomials and want more.
+# 4 are exact for the moments up to the sixth; their derivatives by the shape of a distribution are no polynomials and
+# want more.
 _NODES = 32
 
 
@@ -24,7 +25,7 @@ class SecondOrder(eqx.Module):
     """Moments of outputs that are quadratic functions of the uncertain inputs, about their means.
 
     `mean`, `variance` and `skewness` have the structure of the outputs; `moments["y"]` is one output of a dict. The
-    skewness of what does not vary is 0. All are JAX functions of the laws' parameters.
+    skewness of what does not vary is 0. All are JAX functions of the distributions' parameters.
     """
 
     mean: Pytree
@@ -42,7 +43,8 @@ class SecondOrder(eqx.Module):
 
 
 def second_order(function: Function, model: Pytree) -> SecondOrder:
-    """Moments of the second-order Taylor expansion at the means, with exact derivatives and no law taken for normal.
+    """Moments of the second-order Taylor expansion at the means, with exact derivatives and no distribution taken for
+    normal.
 
     With `u_i` the deviations of independent inputs from their means, `g` the gradient and `H` the Hessian, the output
     is `f + sum a_i + sum_{i<j} H_ij u_i u_j` with `a_i = g_i u_i + H_ii u_i^2 / 2`, of which

@@ -247,7 +247,7 @@ def relative_figure(
 ) -> "Figure":
     """Decisions along a front in percent of where they started (figure 7.5); `names` are their labels."""
     figure = blank(label(x, x_unit), plain(y))
-    starts = {name: front.solutions[0].problem.survey.decisions[name].decision.initial for name in names}
+    starts = {name: front.solutions[0].problem.placements.decisions[name].decision.initial for name in names}
     styles: dict[str, dict[str, Any]] = {
         name: {"colour": colour, "symbol": symbol, "dash": dash}
         for (name, colour, symbol, dash) in zip(

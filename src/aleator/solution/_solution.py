@@ -22,7 +22,7 @@ class Solution:
     """An optimal design and its certificate. `print(solution)` shows both.
 
     - `status`: how it ended; `message`: what the solver said of that, or what was objected;
-    - `decisions`: by name, in user units; `vector`: the same as one vector, in the order of `problem.survey`;
+    - `decisions`: by name, in user units; `vector`: the same as one vector, in the order of `problem.placements`;
     - `objective`: its value in user units;
     - `constraints`: values, activity and multipliers, in the order of `problem.constraints`;
     - `moments`: mean and standard deviation of each functional in the problem, by its text (`"∫comfort dt"`);

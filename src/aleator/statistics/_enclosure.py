@@ -54,7 +54,8 @@ def enclosure(basis: Basis) -> Enclosure:
     if unbounded:
         raise ProblemError(
             f"Supremum and infimum: {', '.join(map(repr, unbounded))} can take values without bound, and so can the "
-            "output; use bounded laws such as Uniform or Beta, or a quantile (for instance .quantile(0.999)) instead."
+            "output; use bounded distributions such as Uniform or Beta, or a quantile (for instance .quantile(0.999)) "
+            "instead."
         )
     active = [i for i, degree in enumerate(basis.degrees) if degree > 0]
     shape = [basis.degrees[i] + 1 for i in active]

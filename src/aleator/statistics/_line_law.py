@@ -1,9 +1,9 @@
-"""The law of one germ variable as a function for JAX: probabilities and partial moments, from tables.
+"""The distribution of one germ variable as a function for JAX: probabilities and partial moments, from tables.
 
 A germ knows its distribution function in NumPy only. Here it is tabulated on an interval, `x` from -1 to 1, together
 with the partial moments `G_k(x)`, the integrals of the orthonormal polynomials `p_k` over the probability up to `x`
 (`G_0` is the distribution function). Tables are cubic splines in the fourth root of the distance from the nearer end,
-in which laws with a singular density at an end (Beta, Gamma) are smooth. Their error is below 1e-9.
+in which distributions with a singular density at an end (Beta, Gamma) are smooth. Their error is below 1e-9.
 """
 
 from typing import final
@@ -18,7 +18,7 @@ from aleator.uncertainty import AbstractGerm
 _CELLS = 2048
 _POWER = 4  # two square roots, see `LineLaw`
 
-# An unbounded law ends where double precision cannot tell its distribution function from 0 or 1.
+# An unbounded distribution ends where double precision cannot tell its distribution function from 0 or 1.
 _LEAST_LEVEL = 2.0**-53
 
 # Keeps the derivative of the root finite at the ends themselves, where it is not used.

@@ -103,7 +103,9 @@ class Lines(eqx.Module):
         return jnp.where(total > 0, raw / jnp.where(total > 0, total, 1.0), 1 / len(raw))
 
     def polynomials(self, coefficients: Float[Array, " terms"], lines: int) -> Float[Array, "orders directions lines"]:
-        """The expansion along the first `lines` lines of each direction, in its law's orthonormal polynomials."""
+        """The expansion along the first `lines` lines of each direction, in its distribution's orthonormal
+        polynomials.
+        """
         orders = self.law.monomials.shape[1]
         by_degree = self.degrees * coefficients[None, None]
         along = jnp.einsum("vkt,vnt->kvn", by_degree, self.others[:, :lines])

@@ -41,14 +41,15 @@ class AbstractMeasured(abc.ABC, Generic[_Result]):
 
     @property
     def skewness(self) -> _Result:
-        """The third central moment over `std**3`: zero for a normal law, positive where the upper tail is the longer
+        """The third central moment over `std**3`: zero for a normal distribution, positive where the upper tail is the
+        longer
         one.
         """
         return self.statistic(Skewness())
 
     @property
     def kurtosis(self) -> _Result:
-        """The fourth central moment over `std**4`: 3 for a normal law."""
+        """The fourth central moment over `std**4`: 3 for a normal distribution."""
         return self.statistic(Kurtosis())
 
     @property
@@ -72,7 +73,7 @@ class AbstractMeasured(abc.ABC, Generic[_Result]):
         return self.statistic(Quantile(level))
 
     def cornish_fisher(self, level: Scalar) -> _Result:
-        """The quantile at `level` from the first four moments: smooth, and good close to a normal law."""
+        """The quantile at `level` from the first four moments: smooth, and good close to a normal distribution."""
         return self.statistic(CornishFisher(level))
 
     def probability(self, *, above: Scalar | None = None, below: Scalar | None = None) -> _Result:

@@ -85,7 +85,7 @@ class OutputLaw(eqx.Module):
         return self._average(jnp.asarray(threshold) * below[0] - jnp.sum(self.series * below, axis=0))
 
     def _all_below(self, threshold: Scalar) -> Float[Array, "orders directions lines"]:
-        """The partial moments of each line's law over where the output is below the threshold."""
+        """The partial moments of each line's distribution over where the output is below the threshold."""
         # Nothing goes beyond the threshold at the threshold itself: how the crossings move has no part in it.
         crossings, rising = self._crossings(threshold)
         at_edges, at_crossings = (self.law.partial_moments(x, len(self.series)) for x in (self.edges, crossings))

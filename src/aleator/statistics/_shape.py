@@ -20,7 +20,7 @@ _TOGETHER = 64
 
 @final
 class Skewness(AbstractStatistic):
-    """The skewness `E[(y - mean)^3] / std^3`: zero for a normal law, and where the output does not vary."""
+    """The skewness `E[(y - mean)^3] / std^3`: zero for a normal distribution, and where the output does not vary."""
 
     symbol: ClassVar[str] = "Skew"
 
@@ -45,7 +45,9 @@ class Skewness(AbstractStatistic):
 
 @final
 class Kurtosis(AbstractStatistic):
-    """The kurtosis `E[(y - mean)^4] / std^4`: 3 for a normal law (it is not the excess); zero if nothing varies."""
+    """The kurtosis `E[(y - mean)^4] / std^4`: 3 for a normal distribution (it is not the excess); zero if nothing
+    varies.
+    """
 
     symbol: ClassVar[str] = "Kurt"
 
@@ -70,7 +72,8 @@ class Kurtosis(AbstractStatistic):
 
 @final
 class CornishFisher(AbstractStatistic):
-    """An approximate quantile from the first four moments: smooth and cheap, good if the law is not far from normal.
+    """An approximate quantile from the first four moments: smooth and cheap, good if the distribution is not far from
+    normal.
 
     Source: Cornish and Fisher (1938), Moments and cumulants in the specification of distributions.
     """

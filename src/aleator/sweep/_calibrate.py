@@ -277,6 +277,6 @@ def _check_margin(problem: Problem, name: str) -> None:
         raise ProblemError(
             f"calibrate: the constraints called '{name}' hold no standard deviation; set sigmas=1 in them."
         )
-    if not problem.survey.germs:
-        held = " (al.deterministic holds them at their means)" if uncertain(problem).survey.germs else ""
+    if not problem.placements.germs:
+        held = " (al.deterministic holds them at their means)" if uncertain(problem).placements.germs else ""
         raise ProblemError(f"calibrate: expected a problem with distributions{held}; received one without a spread.")

@@ -48,7 +48,7 @@ class Starts:
         objective may be zero.
         """
         solved = sorted((one for one in self.solutions if one.ok), key=lambda one: one.objective)
-        starts = [one.problem.survey.vector("initial") for one in solved]
+        starts = [one.problem.placements.vector("initial") for one in solved]
         size = np.max(np.abs([*starts, *(one.vector for one in solved)]), axis=0, initial=1e-12)
         found: list[tuple[Solution, int]] = []
         for one in solved:
@@ -103,7 +103,7 @@ def multistart(
     if not given:
         raise ProblemError("multistart: expected at least one start; received none.")
     problem = current(problem)
-    places = problem.survey
+    places = problem.placements
     for start in given:
         places.moved(places.vector("initial"), start)
     solutions: list[Solution] = []
@@ -124,7 +124,7 @@ def multistart(
 
 
 def _random(problem: Problem, count: int, spread: float, seed: int) -> list[dict[str, Any]]:
-    places = problem.survey
+    places = problem.placements
     first, lower, upper = (places.vector(name) for name in ("initial", "lower", "upper"))
     finite = np.isfinite(upper - lower)
     reach = spread * np.where(finite, np.where(finite, upper - lower, 0.0), np.maximum(np.abs(first), 1.0))

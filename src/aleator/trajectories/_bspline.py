@@ -30,7 +30,7 @@ class BSpline(AbstractTrajectory):
       control point out of the free ones. Their numbers may be uncertain or decided too;
     - `degree`: of the polynomials between knots;
     - `knots`: the interior ones, increasing, between 0 and 1; uniform by default. Or `spans`: the lengths from knot to
-      knot in proportion, positive numbers, laws or a `Decision`; knots that are decided so stay in order.
+      knot in proportion, positive numbers, distributions or a `Decision`; knots that are decided so stay in order.
 
     The curve stays in the convex hull of its control points: bounds of those are bounds of it at all times; see `hull`.
     Raises `ProblemError` for too few control points, ends of another shape, an end condition on a derivative that the
@@ -159,7 +159,9 @@ def fit_control_points(
             f"fit_control_points: expected finite values at {free} instants at least; received shape {samples.shape}."
         )
     if any(is_leaf(one) for one in jax.tree.leaves((start, end), is_leaf=is_leaf)):
-        raise ProblemError("fit_control_points: expected plain numbers at the ends; received laws or decisions.")
+        raise ProblemError(
+            "fit_control_points: expected plain numbers at the ends; received distributions or decisions."
+        )
     bare = BSpline(np.zeros((free, *samples.shape[1:])), start=start, end=end, degree=degree)
     fractions = np.linspace(0.0, 1.0, len(samples))
     weights = basis_matrix(fractions, bare.all_knots(), degree, 0)
@@ -193,7 +195,8 @@ def _checked_spans(spans: Any, count: int) -> Any:
     least = lowest(kept)
     if shape_of(kept) != (count,) or (least is not None and least <= 0):
         raise ProblemError(
-            f"{_KIND}: expected {count} positive spans, or laws that stay positive, or a Decision of as many with "
+            f"{_KIND}: expected {count} positive spans, or distributions that stay positive, or a Decision of as many "
+            "with "
             f"positive lower bounds, such as al.Decision(np.ones({count}), 0.2, 5.0); received {spans!r}."
         )
     return kept

@@ -116,7 +116,9 @@ class _Stretched(AbstractSignal):
 
 
 def shape_of(number: Any) -> tuple[int, ...]:
-    """The shape of what stands in a field: numbers, or what realisation puts in the place of a law or a decision."""
+    """The shape of what stands in a field: numbers, or what realisation puts in the place of a distribution or a
+    decision.
+    """
     if isinstance(number, list | tuple):
         return (len(number), *(shape_of(number[0]) if number else ()))
     return realised_shape(number)
@@ -154,7 +156,8 @@ def conditions(kind: str, where: str, given: Any, shape: tuple[int, ...]) -> tup
 
 
 def copied(kind: str, name: str, number: Any) -> Any:
-    """Numbers as an array of their own; laws, decisions and traced numbers, and sequences with some, as they are.
+    """Numbers as an array of their own; distributions, decisions and traced numbers, and sequences with some, as they
+    are.
 
     Raises `ProblemError` for what is neither, and for numbers that are not finite.
     """

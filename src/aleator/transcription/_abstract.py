@@ -19,13 +19,13 @@ from aleator.transcription._discretisation import RESPOND, Discretised
 from aleator.transcription._resolution import RESOLVE, Resolved
 from aleator.transcription._scenarios import Scenarios
 from aleator.transcription._texts import Texts
-from aleator.uncertainty import Survey
+from aleator.uncertainty import Placements
 
 
 class Meaning(NamedTuple):
     """What a point of a program means in the words of its problem.
 
-    - `decisions`: in the order of the problem's survey, shape (n,);
+    - `decisions`: in the order of the problem's placements, shape (n,);
     - `objective`: its value; `constraints`: the rows of each, in order;
     - `samples`: each functional at the collocation points, in the order of `functionals_of`;
     - `tangents`: the derivatives of these (of a path at a few instants, see `seen`) by the decisions that are
@@ -78,7 +78,7 @@ class AbstractTranscribed(abc.ABC):
     @property
     @abc.abstractmethod
     def decided(self) -> Int[np.ndarray, " n"]:
-        """Which of the program's variables are the problem's decisions, in the order of its survey."""
+        """Which of the program's variables are the problem's decisions, in the order of its placements."""
 
     @abc.abstractmethod
     def point(self, decisions: Float[np.ndarray, " n"]) -> Float[np.ndarray, " variables"]:
@@ -97,9 +97,9 @@ class AbstractTranscribed(abc.ABC):
         return point[self.decided]
 
     @property
-    def places(self) -> Survey:
+    def places(self) -> Placements:
         """The problem's decisions and distributions."""
-        return self.problem.survey
+        return self.problem.placements
 
     @property
     def basis(self) -> Basis:

@@ -50,7 +50,7 @@ def discretised(problem: Problem) -> Discretised:
 
     Raises `ProblemError` if the collocation, or the histories at its points, would not fit into memory.
     """
-    germs, expansion = tuple(problem.survey.germs.items()), problem.expansion
+    germs, expansion = tuple(problem.placements.germs.items()), problem.expansion
     chooses = isinstance(expansion.index_set, Adaptive) or isinstance(expansion.fit, Sparse)
     needed = (one.kind.preparation for one in statistics_in(problem.expressions))
     preparations = tuple(dict.fromkeys(one for one in needed if one is not None))
@@ -59,7 +59,7 @@ def discretised(problem: Problem) -> Discretised:
     code = problem.physics if has_own_statistics(problem.expressions) else ""
     found = _discretised(germs, expansion, preparations, outputs, code)
     # Outputs that follow from one instant are differentiated there, by the few numbers that are known.
-    decided = problem.survey.vector("initial").size if problem.is_integrated else 0
+    decided = problem.placements.vector("initial").size if problem.is_integrated else 0
     refuse_large_histories(
         problem, len(found.collocation.points), decided, "Take fewer steps, fewer points or a lower order."
     )
@@ -104,7 +104,7 @@ class _Outputs:
 
     def __call__(self, points: Float[np.ndarray, "points variables"]) -> dict[str, Float[np.ndarray, "points ..."]]:
         """The functionals by their texts."""
-        traced, start = numbers_to_arrays(self.problem), jnp.asarray(self.problem.survey.vector("initial"))
+        traced, start = numbers_to_arrays(self.problem), jnp.asarray(self.problem.placements.vector("initial"))
         texts = [one.text() for one in functionals_of(self.problem.expressions)]
         return dict(zip(texts, in_batches(RESPOND, traced, points, start), strict=True))
 

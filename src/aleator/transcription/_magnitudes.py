@@ -144,7 +144,7 @@ def least_objective(problem: Problem) -> float:
     """
     objective = problem.objective
     terms = zip(objective.factors, objective.atoms, strict=True)
-    if all(float(factor) >= 0 and _is_never_negative(atom, not problem.survey.germs) for factor, atom in terms):
+    if all(float(factor) >= 0 and _is_never_negative(atom, not problem.placements.germs) for factor, atom in terms):
         return float(objective.constant)
     return -np.inf
 

@@ -57,7 +57,7 @@ def germ_box(problem: Problem) -> Float[np.ndarray, "variables 2"]:
 
     Raises `ProblemError` where a variable has none.
     """
-    germs = problem.survey.germs
+    germs = problem.placements.germs
     unbounded = [name for name, germ in germs.items() if not np.all(np.isfinite(germ.support()))]
     if unbounded:
         limits = dict.fromkeys(one.name for one in problem.constraints if is_worst_case(one))

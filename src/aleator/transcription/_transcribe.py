@@ -40,7 +40,7 @@ def transcribe(
     for how, known, found in recent:
         if found.problem is problem and how == transcription and _same(known, numbers):
             return found
-    if problem.survey.size == 0:
+    if problem.placements.size == 0:
         raise ProblemError(
             "The problem has no decisions: put al.Decision(initial, lower, upper) in the place of a number of it."
         )

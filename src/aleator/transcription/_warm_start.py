@@ -32,12 +32,12 @@ def started_from(problem: Problem, solution: Solution, given: Collection[str] = 
 
     Raises `ProblemError` for a decision that the solution says nothing of.
     """
-    places, old = problem.survey, solution.problem
+    places, old = problem.placements, solution.problem
     curves, known = _curves(problem.simulation), _curves(old.simulation)
     both = [path for path in curves if path in known and curves[path].shape == known[path].shape]
     changed = [path for path in both if not _is_alike(curves[path], known[path])]
     sought, framed = _sought(problem, [curves[path] for path in changed])
-    values = old.survey.named(solution.vector)
+    values = old.placements.named(solution.vector)
     vector = places.vector("initial")
     for name, place in places.decisions.items():
         if name in sought and not (place.decision.shared_name and name in values):
@@ -78,7 +78,7 @@ def _sought(problem: Problem, curves: Collection[AbstractTrajectory]) -> tuple[s
     for curve in curves:
         inside = {id(leaf) for field in curve.curve_fields for leaf in _decisions(getattr(curve, field))}
         every = {id(leaf): leaf.shared_name for leaf in _decisions(curve)}
-        for name, place in problem.survey.decisions.items():
+        for name, place in problem.placements.decisions.items():
             if id(place.decision) in every or (place.decision.shared_name and name in every.values()):
                 (sought if id(place.decision) in inside else framed).add(name)
     return sought, framed

@@ -104,7 +104,9 @@ def _mass(low: Array, high: Array) -> Array:
 
 
 def _truncated_quantile(below: Array, above: Array, low: Array, high: Array) -> Array:
-    """Quantile of the truncated standard normal law; the inversion starts from the end with the smaller tail."""
+    """Quantile of the truncated standard normal distribution; the inversion starts from the end with the smaller
+    tail.
+    """
     mass = _mass(low, high)
     from_high = (low > 0) | ((high > 0) & (below > above))
     tail = jnp.where(from_high, special.ndtr(-high) + above * mass, special.ndtr(low) + below * mass)
@@ -116,7 +118,7 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(96)
 
 
 def _truncated_moments(low: Scalar, high: Scalar) -> tuple[Array, Array]:
-    """Mean and standard deviation of the truncated standard normal law.
+    """Mean and standard deviation of the truncated standard normal distribution.
 
     By Gauss's rule, whose error is below rounding here; the closed form loses all digits in a tail or in a narrow
     interval.
@@ -149,7 +151,8 @@ class TruncatedNormal(AbstractDistribution):
         ),
     }
     REQUIRES: ClassVar[str] = (
-        "a finite location and a finite scale above 0 (those of the normal law before truncation), and lower < upper "
+        "a finite location and a finite scale above 0 (those of the normal distribution before truncation), and lower "
+        "< upper "
         "that leave a part of it nearer than 37 scales"
     )
 

@@ -1,9 +1,10 @@
-"""Correlated laws by a Gaussian copula (the Nataf model).
+"""Correlated distributions by a Gaussian copula (the Nataf model).
 
-Each law is a function of a normal variable, and these are correlated. Pearson's correlation of two laws follows from
-that of their normals by Mehler's formula, `r = sum over n >= 1 of c_n d_n rho^n / (sigma_1 sigma_2)`, where `c_n` and
-`d_n` are the coefficients of the two laws in orthonormal Hermite polynomials; it is solved for `rho`. Sources: Nataf
-(1962); Der Kiureghian and Liu, Journal of Engineering Mechanics 112 (1986); Lebrun and Dutfoy (2009) on the copula.
+Each distribution is a function of a normal variable, and these are correlated. Pearson's correlation of two
+distributions follows from that of their normals by Mehler's formula, `r = sum over n >= 1 of c_n d_n rho^n / (sigma_1
+sigma_2)`, where `c_n` and `d_n` are the coefficients of the two distributions in orthonormal Hermite polynomials; it
+is solved for `rho`. Sources: Nataf (1962); Der Kiureghian and Liu, Journal of Engineering Mechanics 112 (1986); Lebrun
+and Dutfoy (2009) on the copula.
 """
 
 import itertools
@@ -34,17 +35,18 @@ def correlated(
     *,
     name: str | None = None,
 ) -> dict[str, AbstractDistribution]:
-    """The same laws, correlated, by the same names: to be placed anywhere in a model.
+    """The same distributions, correlated, by the same names: to be placed anywhere in a model.
 
     `correlated({"k": Normal(5.0, 0.2), "c": Gamma(mean=2.0, std=0.3)}, {("k", "c"): 0.5})`. The correlations are
     Pearson's, of the numbers themselves; pairs that are not named are uncorrelated. A whole matrix may be given, with
-    its rows in the order of `laws`. Their joint law is a Gaussian copula, and `name` (default: the members' names,
-    joined) is the group's: a model holds a group of one name once.
+    its rows in the order of `laws`. Their joint distribution is a Gaussian copula, and `name` (default: the members'
+    names, joined) is the group's: a model holds a group of one name once.
 
-    Decisions may stand in the laws. Those that set location and scale leave the correlations as given; where one sets a
-    shape, the correlations are those at its initial value, and the copula stays.
+    Decisions may stand in the distributions. Those that set location and scale leave the correlations as given; where
+    one sets a shape, the correlations are those at its initial value, and the copula stays.
 
-    Raises `ProblemError` if the correlations make no matrix of correlations, or if these laws cannot reach them.
+    Raises `ProblemError` if the correlations make no matrix of correlations, or if these distributions cannot reach
+    them.
     """
     if not isinstance(laws, Mapping):
         raise refusal("correlated", "distributions by name", laws)
@@ -52,11 +54,15 @@ def correlated(
     for member, law in laws.items():
         _check_member(member, law)
     if len(members) < 2:
-        raise ProblemError(f"Correlated laws are at least two; received {len(members)}. Place one law as it is.")
+        raise ProblemError(
+            f"Correlated distributions are at least two; received {len(members)}. Place one distribution as it is."
+        )
     pearson = _matrix(members, correlations)
     _check_matrix(pearson, members)
     normal = _nataf(laws, pearson)
-    _refuse_indefinite(normal, "The correlations of the normal variables that these laws need make no such matrix")
+    _refuse_indefinite(
+        normal, "The correlations of the normal variables that these distributions need make no such matrix"
+    )
     factor = np.linalg.cholesky(normal)
     group = name or "~".join(members)
     return {
@@ -69,10 +75,13 @@ def _check_member(member: str, law: Any) -> None:
     if not isinstance(law, AbstractDistribution):
         raise ProblemError(f"'{member}': only distributions can be correlated; received {type(law).__name__} {law!r}.")
     if law.dependence is not None:
-        raise ProblemError(f"'{member}' is correlated already, as {law.dependence}. Correlate all laws in one group.")
+        raise ProblemError(
+            f"'{member}' is correlated already, as {law.dependence}. Correlate all distributions in one group."
+        )
     if is_traced(law.initial().canonical().shape):
         raise ProblemError(
-            f"'{member}': the shape of a correlated law cannot be traced by JAX, since the copula is built from it. "
+            f"'{member}': the shape of a correlated distribution cannot be traced by JAX, since the copula is built "
+            "from it. "
             "Make the shape a plain number, or a Decision (the copula is then that of its initial value)."
         )
 
@@ -84,7 +93,7 @@ def _matrix(members: tuple[str, ...], correlations: Any) -> Float[np.ndarray, "n
         matrix = real_array("Correlations", correlations, "plain numbers")
         if matrix.shape != (count, count):
             raise ProblemError(
-                f"A correlation matrix of {count} laws has shape ({count}, {count}); received {matrix.shape}."
+                f"A correlation matrix of {count} distributions has shape ({count}, {count}); received {matrix.shape}."
             )
         return matrix
     matrix = np.eye(count)
@@ -92,7 +101,7 @@ def _matrix(members: tuple[str, ...], correlations: Any) -> Float[np.ndarray, "n
     for pair, value in correlations.items():
         if not (isinstance(pair, tuple) and len(pair) == 2 and pair[0] != pair[1] and set(pair) <= set(members)):
             raise ProblemError(
-                f"Correlations are named by pairs of two of the laws {', '.join(members)}; received {pair!r}."
+                f"Correlations are named by pairs of two of the distributions {', '.join(members)}; received {pair!r}."
             )
         if frozenset(pair) in named:
             raise ProblemError(f"The correlation of '{pair[0]}' and '{pair[1]}' is given twice. Give it once.")
@@ -115,7 +124,7 @@ def _check_matrix(matrix: Float[np.ndarray, "n n"], members: tuple[str, ...]) ->
     refuse(
         "A correlation matrix has ones on its diagonal",
         ~off_diagonal & (np.abs(matrix - 1) > 1e-12),
-        "Give correlations, not covariances; the spread belongs to the laws.",
+        "Give correlations, not covariances; the spread belongs to the distributions.",
     )
     refuse(
         "A correlation matrix is symmetric",
@@ -125,7 +134,7 @@ def _check_matrix(matrix: Float[np.ndarray, "n n"], members: tuple[str, ...]) ->
     refuse(
         "Correlations lie between -1 and 1, without the ends",
         off_diagonal & (np.abs(matrix) >= 1),
-        "Reduce it; laws that are one and the same are made so by `shared`.",
+        "Reduce it; distributions that are one and the same are made so by `shared`.",
     )
     _refuse_indefinite(matrix, "These correlations contradict each other, so that no random numbers have them")
 
@@ -140,7 +149,7 @@ def _refuse_indefinite(matrix: Float[np.ndarray, "n n"], what: str) -> None:
 
 
 def _nataf(laws: Mapping[str, AbstractDistribution], pearson: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
-    """Correlations of the normals that give the laws the correlations `pearson`."""
+    """Correlations of the normals that give the distributions the correlations `pearson`."""
     standard = {member: _standard_values(law) for member, law in laws.items()}
     normal = np.eye(len(laws))
     for (i, first), (j, second) in itertools.combinations(enumerate(laws), 2):
@@ -151,7 +160,7 @@ def _nataf(laws: Mapping[str, AbstractDistribution], pearson: Float[np.ndarray, 
 
 
 def _standard_values(law: AbstractDistribution) -> Float[np.ndarray, " n"]:
-    """The law's numbers at `_NORMALS`, less their mean and over their standard deviation."""
+    """The distribution's numbers at `_NORMALS`, less their mean and over their standard deviation."""
     shape = law.concrete_shape()
     with jax.ensure_compile_time_eval():
         values = np.asarray(jax.vmap(lambda normal: law.from_normal(normal, shape))(jnp.asarray(_NORMALS)))
@@ -167,7 +176,8 @@ def _normal_correlation(wanted: float, first: np.ndarray, second: np.ndarray, *,
     lowest, highest = correlation(-1.0), correlation(1.0)
     if not lowest < wanted < highest:
         raise ProblemError(
-            f"'{names[0]}' and '{names[1]}' cannot be correlated by {wanted:g}: with these laws a correlation lies "
+            f"'{names[0]}' and '{names[1]}' cannot be correlated by {wanted:g}: with these distributions a correlation "
+            "lies "
             f"between {lowest:.4g} and {highest:.4g}. Choose one in between."
         )
     from scipy import optimize  # late: it takes a while to import

@@ -1,4 +1,4 @@
-"""Laws given by a density function or by data: Density and Sample."""
+"""Distributions given by a density function or by data: Density and Sample."""
 
 import functools
 from collections.abc import Callable
@@ -126,12 +126,13 @@ def _cubic(x: Array, values: np.ndarray, slopes: np.ndarray) -> Array:
 
 @final
 class Sample(AbstractDistribution):
-    """The law of measured data: the number is `location + scale * xi`, and `xi` is one of the `data`, each as likely.
+    """The distribution of measured data: the number is `location + scale * xi`, and `xi` is one of the `data`, each as
+    likely.
 
-    It is the empirical law, in every respect: polynomials (arbitrary polynomial chaos), mean, standard deviation (that
-    of the data themselves: divided by n, not by n - 1), quantiles and drawn values are those of the data, with nothing
-    between them or beyond. The order of an expansion must be less than the number of distinct values. Where values
-    between the data are wanted, fit a law, or give a `Density`.
+    It is the empirical distribution, in every respect: polynomials (arbitrary polynomial chaos), mean, standard
+    deviation (that of the data themselves: divided by n, not by n - 1), quantiles and drawn values are those of the
+    data, with nothing between them or beyond. The order of an expansion must be less than the number of distinct
+    values. Where values between the data are wanted, fit a distribution, or give a `Density`.
 
     Raises `ProblemError` unless the data are at least two distinct, finite numbers.
     """

@@ -83,7 +83,7 @@ class WeibullGerm(AbstractDensityGerm):
 @final
 @dataclass(frozen=True)
 class GumbelGerm(AbstractDensityGerm):
-    """Standard Gumbel law of maxima: `F(xi) = exp(-exp(-xi))`."""
+    """Standard Gumbel distribution of maxima: `F(xi) = exp(-exp(-xi))`."""
 
     @override
     def density(self, germ: np.ndarray) -> np.ndarray:
@@ -126,9 +126,9 @@ class SampleGerm(AbstractGerm):
     """The measure of a data sample: polynomials orthonormal under the data (arbitrary polynomial chaos).
 
     Source: Oladyshkin and Nowak, Reliability Engineering & System Safety 106 (2012). A sample of n distinct values
-    carries polynomials up to order n - 1. The law is that of drawing one of the data: its quantile is the value at
-    which the empirical distribution function reaches a level, a step function, so that what is drawn has the moments
-    of the data. `levels` are those at which the quantile steps, from one value to the next.
+    carries polynomials up to order n - 1. The distribution is that of drawing one of the data: its quantile is the
+    value at which the empirical distribution function reaches a level, a step function, so that what is drawn has the
+    moments of the data. `levels` are those at which the quantile steps, from one value to the next.
     """
 
     def __init__(self, data: Float[np.ndarray, " n"]):

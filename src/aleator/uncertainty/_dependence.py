@@ -1,4 +1,6 @@
-"""How a correlated law depends on the germ: a Gaussian copula, one factor of a correlation matrix for each group."""
+"""How a correlated distribution depends on the germ: a Gaussian copula, one factor of a correlation matrix for each
+group.
+"""
 
 from collections.abc import Mapping, Sequence
 from typing import final
@@ -14,7 +16,7 @@ from aleator._core.errors import ProblemError
 
 @final
 class Dependence(eqx.Module):
-    """A member's place in a group of correlated laws.
+    """A member's place in a group of correlated distributions.
 
     The group has one standard normal germ variable for each member. Member `index` is a function of the normal variable
     `factor[index] @ germs`, where `factor` is the Cholesky factor of the normals' correlation matrix: its own germ
@@ -40,7 +42,9 @@ class Dependence(eqx.Module):
 
 
 def check_groups(dependences: Mapping[str, Dependence | None]) -> None:
-    """Refuse two groups under one name, and a member that stands at two places; `dependences` by the laws' names."""
+    """Refuse two groups under one name, and a member that stands at two places; `dependences` by the distributions'
+    names.
+    """
     groups: dict[str, Dependence] = {}
     placed: dict[str, str] = {}
     for place, dependence in dependences.items():
@@ -48,7 +52,7 @@ def check_groups(dependences: Mapping[str, Dependence | None]) -> None:
             continue
         if not _is_one_group(dependence, groups.setdefault(dependence.group, dependence)):
             raise ProblemError(
-                f"'{dependence.group}' names two groups of correlated laws. Give `name` to one of them: "
+                f"'{dependence.group}' names two groups of correlated distributions. Give `name` to one of them: "
                 "correlated(..., name=...)."
             )
         own = dependence.germ_names[-1]
@@ -62,7 +66,7 @@ def check_groups(dependences: Mapping[str, Dependence | None]) -> None:
         for germ in (f"{dependence.group}.{member}" for member in dependence.members):
             if germ in dependences and dependences[germ] is None:
                 raise ProblemError(
-                    f"'{germ}' names a germ variable of a correlated group and an independent law. "
+                    f"'{germ}' names a germ variable of a correlated group and an independent distribution. "
                     "Give the group another name: correlated(..., name=...)."
                 )
 

@@ -29,7 +29,8 @@ class AbstractDistribution(AbstractLeaf):
 
     The germ `xi` is fixed and the number is `location + scale * xi` (dissertation, equations 13 and 14), so that
     decisions inside a distribution move the number but not the collocation points in germ space. Where a decision sets
-    the *shape* of a law, `xi` is transported from the initial law to the current one at equal probability.
+    the *shape* of a distribution, `xi` is transported from the initial distribution to the current one at equal
+    probability.
 
     Two placements are two independent variables, even of the same object, unless both were made with `shared("name")`:
     then they are one and the same realisation.
@@ -46,7 +47,7 @@ class AbstractDistribution(AbstractLeaf):
     """Whether values come so close to a finite end of the support that physics must stand the end itself."""
 
     def set_parameters(self, given: dict[str, Any], shared_name: str | None) -> None:
-        """Store the parameters that were given, after checking that they make a law."""
+        """Store the parameters that were given, after checking that they make a distribution."""
         parameters = {name: plain(name, value, type(self)) for name, value in given.items() if value is not None}
         self.parameters = parameters
         self.dependence = None
@@ -81,7 +82,9 @@ class AbstractDistribution(AbstractLeaf):
         return self.FORMS[self._names()]
 
     def _check(self) -> None:
-        """Refuse parameters that make no law, at the start of the decisions or anywhere between their bounds."""
+        """Refuse parameters that make no distribution, at the start of the decisions or anywhere between their
+        bounds.
+        """
         start = {name: float(value) for name, value in constant(self.initial().parameters).items()}
         if "upper" in start and not start["lower"] < start["upper"]:
             raise ProblemError(f"{type(self).__name__} needs lower < upper; received {self}.")
@@ -100,12 +103,14 @@ class AbstractDistribution(AbstractLeaf):
             refuse_contradictions(self.initial())
 
     def _is_possible(self, parameters: dict[str, float], shape: tuple[float, ...]) -> bool:
-        """Whether a law of these parameters and this shape exists, whatever its location and spread."""
+        """Whether a distribution of these parameters and this shape exists, whatever its location and spread."""
         del parameters
         return all(0 < number < np.inf for number in shape)
 
     def _numbers(self, parameters: dict[str, float]) -> tuple[float, float, tuple[float, ...]]:
-        """Location, spread and shape of a law that need not exist: they may be negative, infinite or not a number."""
+        """Location, spread and shape of a distribution that need not exist: they may be negative, infinite or not a
+        number.
+        """
         with np.errstate(all="ignore"), jax.ensure_compile_time_eval():
             location, scale, shape = self.form.canonical(**{name: np.float64(v) for name, v in parameters.items()})
         # A given standard deviation is squared on its way to some canonical forms, which hides its sign.
@@ -113,9 +118,9 @@ class AbstractDistribution(AbstractLeaf):
         return float(location), float(spread), tuple(float(number) for number in shape)
 
     def _check_corner(self, parameters: dict[str, float], corner: dict[str, float]) -> None:
-        """Refuse decisions that reach no law at one corner of their bounds, where only the spread may vanish.
+        """Refuse decisions that reach no distribution at one corner of their bounds, where only the spread may vanish.
 
-        A location or a spread without bound is an allowed decision; a shape parameter without bound is no law.
+        A location or a spread without bound is an allowed decision; a shape parameter without bound is no distribution.
         """
         location, spread, shape = self._numbers(parameters)
         bounded = bool(np.all(np.isfinite(list(corner.values()))))
@@ -133,8 +138,8 @@ class AbstractDistribution(AbstractLeaf):
     def corners(self) -> Iterator[dict[str, float]]:
         """Every combination of the bounds of the decisions, by parameter name.
 
-        They decide whether all decisions make a law, and how far it reaches: location, scale and the ends of the
-        support are monotone in each parameter, and a Beta's variance is below its limit everywhere if it is there.
+        They decide whether all decisions make a distribution, and how far it reaches: location, scale and the ends of
+        the support are monotone in each parameter, and a Beta's variance is below its limit everywhere if it is there.
         """
         # Decisions shared under one name move together.
         key = {name: (decision.shared_name, decision.shared_name or name) for name, decision in self.decisions.items()}
@@ -145,7 +150,7 @@ class AbstractDistribution(AbstractLeaf):
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """That of one number. (The shape of the law is another matter: see `concrete_shape`.)"""
+        """That of one number. (The shape of the distribution is another matter: see `concrete_shape`.)"""
         return ()
 
     def lowest(self) -> float | None:
@@ -199,7 +204,9 @@ class AbstractDistribution(AbstractLeaf):
 
     @property
     def shape_is_decided(self) -> bool:
-        """Whether a decision sets a shape parameter, so that the law changes by more than location and scale."""
+        """Whether a decision sets a shape parameter, so that the distribution changes by more than location and
+        scale.
+        """
         return not self.form.shaped_by.isdisjoint(self.decisions)
 
     def value(self, germ: Float[Array, ""], reference: tuple[Scalar, ...] | None = None) -> Float[Array, ""]:
@@ -224,7 +231,8 @@ class AbstractDistribution(AbstractLeaf):
     def anchor(self, germ: Float[Array, ""], shape: tuple) -> Float[Array, ""]:
         """The germ value as it is, with its derivative by the shape at equal probability.
 
-        This is what a law needs whose shape is differentiated from outside, as by `jax.grad`, rather than decided.
+        This is what a distribution needs whose shape is differentiated from outside, as by `jax.grad`, rather than
+        decided.
         """
         return self.transport(germ, jax.lax.stop_gradient(shape), shape)
 
@@ -233,11 +241,13 @@ class AbstractDistribution(AbstractLeaf):
         """The germ value of the given shape that has the probability level of the standard normal value `normal`."""
 
     def reference(self) -> tuple[Scalar, ...] | None:
-        """The shape to which the germ's values belong, where a decision moves the law away from it; else nothing."""
+        """The shape to which the germ's values belong, where a decision moves the distribution away from it; else
+        nothing.
+        """
         return self._constant_shape() if self.shape_is_decided else None
 
     def concrete_shape(self) -> tuple[float, ...]:
-        """The shape of the germ's law as plain numbers, also while it is differentiated.
+        """The shape of the germ's distribution as plain numbers, also while it is differentiated.
 
         Raises `ProblemError` where no number is known, as under `jax.jit` or `jax.vmap`.
         """
@@ -254,18 +264,18 @@ class AbstractDistribution(AbstractLeaf):
             return self.form.canonical(**constant(self.initial().parameters)).shape
 
     def correlated(self, dependence: Dependence) -> Self:
-        """The same law as a member of a group of correlated laws: see the function `correlated`."""
+        """The same distribution as a member of a group of correlated distributions: see the function `correlated`."""
         return self._with(dependence=dependence)
 
     def germ_names(self, place: str) -> tuple[str, ...]:
         """The germ variables that it depends on, where it stands at `place`.
 
-        One, named after the place; for a correlated law one of its own and those of the members before it.
+        One, named after the place; for a correlated distribution one of its own and those of the members before it.
         """
         return (place,) if self.dependence is None else self.dependence.germ_names
 
     def germs(self, place: str) -> dict[str, AbstractGerm]:
-        """The law of each germ variable that it depends on, by name, in the order of `germ_names`."""
+        """The distribution of each germ variable that it depends on, by name, in the order of `germ_names`."""
         if self.dependence is None:
             return {place: self.germ()}
         return {name: HermiteGerm() for name in self.dependence.germ_names}
@@ -281,7 +291,7 @@ class AbstractDistribution(AbstractLeaf):
 
     @abc.abstractmethod
     def germ(self) -> AbstractGerm:
-        """The germ's law and polynomials, at the initial values of the decisions."""
+        """The germ's distribution and polynomials, at the initial values of the decisions."""
 
     @abc.abstractmethod
     def mean(self) -> Scalar:

@@ -14,7 +14,7 @@ from aleator.uncertainty._decision import Decision
 
 
 class Canonical(NamedTuple):
-    """A law as `location + scale * germ`, with the shape parameters of its germ (none, one or two numbers)."""
+    """A distribution as `location + scale * germ`, with the shape parameters of its germ (none, one or two numbers)."""
 
     location: Scalar
     scale: Scalar

@@ -1,8 +1,10 @@
-"""Germ laws: standard random variables with their orthonormal polynomials (dissertation, table 4.1 and equation 12).
+"""Germ distributions: standard random variables with their orthonormal polynomials (dissertation, table 4.1 and
+equation 12).
 
-A *germ* is the standard random variable xi behind an uncertain number. Each law knows its quantile function and the
-three-term recurrence `b[n+1] p[n+1] = (xi - a[n]) p[n] - b[n] p[n-1]` of the polynomials that are orthonormal under it,
-so that `<p_i, p_j> = 1` for `i = j`, else 0. Source of the coefficients: Gautschi, Orthogonal Polynomials (2004).
+A *germ* is the standard random variable xi behind an uncertain number. Each distribution knows its quantile function
+and the three-term recurrence `b[n+1] p[n+1] = (xi - a[n]) p[n] - b[n] p[n-1]` of the polynomials that are
+orthonormal under it, so that `<p_i, p_j> = 1` for `i = j`, else 0. Source of the coefficients: Gautschi, Orthogonal
+Polynomials (2004).
 """
 
 import abc
@@ -16,7 +18,7 @@ from typing_extensions import override
 
 
 class AbstractGerm(abc.ABC):
-    """The law of one germ variable and its orthonormal polynomials."""
+    """The distribution of one germ variable and its orthonormal polynomials."""
 
     @abc.abstractmethod
     def recurrence(self, order: int) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:

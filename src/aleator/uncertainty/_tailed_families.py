@@ -195,8 +195,8 @@ _GUMBEL_STD = np.pi / np.sqrt(6)
 class Gumbel(AbstractDistribution):
     """Gumbel distribution of maxima: `F(x) = exp(-exp(-(x - location) / scale))`.
 
-    `Gumbel(location=1.0, scale=0.2)`, where `location` is the mode, or `Gumbel(mean=1.1, std=0.25)`. The law of minima
-    is the negative of a number with this law.
+    `Gumbel(location=1.0, scale=0.2)`, where `location` is the mode, or `Gumbel(mean=1.1, std=0.25)`. The distribution
+    of minima is the negative of a number with this distribution.
     """
 
     FORMS: ClassVar[dict[tuple[str, ...], Form]] = {

@@ -44,7 +44,7 @@ def _zone(given: dict[str, Any]) -> _Zone:
 
 
 def _canonical(**given: Any) -> Canonical:
-    """The normal law of a process whose mean is shifted upwards, if at all."""
+    """The normal distribution of a process whose mean is shifted upwards, if at all."""
     cp = given["sigmas"] / 3 if "sigmas" in given else given["cp"]
     zone, shift = _zone(given), 1 - given.get("cpk", cp) / cp
     return Canonical(zone.middle + shift * zone.half_width, zone.half_width / (3 * cp))
@@ -52,7 +52,7 @@ def _canonical(**given: Any) -> Canonical:
 
 @final
 class Toleranced(AbstractDistribution):
-    """A normal law in a tolerance zone: `Toleranced(27.645, plus=0.05, minus=0.02, cp=1.33)`.
+    """A normal distribution in a tolerance zone: `Toleranced(27.645, plus=0.05, minus=0.02, cp=1.33)`.
 
     The zone reaches from `nominal - minus` to `nominal + plus`; `tolerance` stands for both where they are equal. Its
     width is `6 cp` standard deviations, or `2 sigmas` of them (`cp` is 1, thus `sigmas` 3, unless told). The mean lies

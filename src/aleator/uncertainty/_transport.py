@@ -1,9 +1,9 @@
-"""Quantiles that are differentiable in the shape parameters of a law, by the implicit function theorem.
+"""Quantiles that are differentiable in the shape parameters of a distribution, by the implicit function theorem.
 
 Differentiating `F(x; s) = u` at a fixed level `u` gives `dx/ds = -(dF/ds) / f` with the density `f`: exact, and
 independent of how the root was found. Used when a shape parameter is a decision: the germ stays that of the initial
-shape, so that the collocation matrix stays constant, and its values are transported to the law of the current shape.
-The rules are themselves differentiable, so that second derivatives are exact as well.
+shape, so that the collocation matrix stays constant, and its values are transported to the distribution of the current
+shape. The rules are themselves differentiable, so that second derivatives are exact as well.
 
 A level is given twice, as the probability below and the probability above: each tail keeps its own accuracy.
 """
@@ -61,7 +61,7 @@ def _differentiable(
     density: Callable[..., Array],
     by_shape: Callable[..., tuple[Array, ...]],
 ) -> tuple[Callable[..., Array], Callable[..., Array]]:
-    """The quantile `(below, above, *shape)` and the anchor `(x, *shape)` of a law, with implicit derivatives.
+    """The quantile `(below, above, *shape)` and the anchor `(x, *shape)` of a distribution, with implicit derivatives.
 
     An anchor is `x` itself, taken at the current shape, and moves at equal probability as the shape varies. It is what
     a germ value needs whose shape is differentiated but not decided: it costs nothing where no derivative is asked for.
@@ -167,7 +167,7 @@ def _gamma_by_shape(x: Array, shape: Scalar) -> tuple[Array]:
 
 
 def _weibull_dispersion(inverse: Array) -> Array:
-    """`ln(1 + (std / mean)^2)` of the Weibull law, by the inverse of its shape."""
+    """`ln(1 + (std / mean)^2)` of the Weibull distribution, by the inverse of its shape."""
     return special.gammaln(1 + 2 * inverse) - 2 * special.gammaln(1 + inverse)
 
 
@@ -179,7 +179,7 @@ def _weibull_root(dispersion: Array) -> Array:
 
 @jax.custom_jvp
 def weibull_inverse_shape(dispersion: Array) -> Array:
-    """The inverse of the shape of the Weibull law with the dispersion `ln(1 + (std / mean)^2)`."""
+    """The inverse of the shape of the Weibull distribution with the dispersion `ln(1 + (std / mean)^2)`."""
     return _weibull_root(dispersion)
 
 

@@ -47,7 +47,7 @@ class Found(NamedTuple):
 
 def disagreements(found: Found) -> tuple[Disagreement, ...]:
     """The numbers that samples contradict; none of a deterministic design, behind which no expansion stands."""
-    if not found.solution.problem.survey.germs:
+    if not found.solution.problem.placements.germs:
         return ()
     told = [*_moments(found), *_statistics(found), *_limits(found)]
     return tuple(told) if not told else tuple(one for one in told if not _is_rounding(one, found))
@@ -134,7 +134,7 @@ def _limits(found: Found) -> Iterator[Disagreement]:
 def _is_rounding(one: Disagreement, found: Found) -> bool:
     """Whether a disagreement is about rounding: of a rate, say, that is zero at the end of every motion."""
     functionals = functionals_of(found.problem.expressions)
-    centre = jnp.asarray([germ.quantile(np.array(0.5)) for germ in found.problem.survey.germs.values()])
+    centre = jnp.asarray([germ.quantile(np.array(0.5)) for germ in found.problem.placements.germs.values()])
     magnitudes = sizes(found.problem, centre, jnp.asarray(found.solution.vector))
     for functional, size in zip(functionals, magnitudes, strict=True):
         if one.text in (f"μ[{functional.text()}]", f"σ[{functional.text()}]"):

@@ -53,7 +53,9 @@ class Disagreement:
 
 
 def reach(freedom: int, comparisons: int = 1) -> float:
-    """How many standard errors are no chance, by Student's t law: four for one comparison and a large sample."""
+    """How many standard errors are no chance, by Student's t distribution: four for one comparison and a large
+    sample.
+    """
     return float(-special.stdtrit(freedom, _RARE / 2 / comparisons))
 
 

@@ -30,7 +30,7 @@ class Systems:
     def __init__(self, solution: Solution, who: str):
         refuse_changed(who, solution.problem, "when the design was solved")
         self.problem = uncertain(solution.problem)
-        self.germs = tuple(self.problem.survey.germs.values())
+        self.germs = tuple(self.problem.placements.germs.values())
         if not self.germs:
             raise ProblemError(f"{who}: nothing in this problem is uncertain, so there is nothing to sample.")
         if not functionals_of(self.problem.expressions):
@@ -85,7 +85,7 @@ def _refuse_broken(problem: Problem, batch: Batch, germ: np.ndarray, decisions: 
     if good.all():
         return
     point = jnp.asarray(germ[np.argmin(good)])
-    where = listed(inputs_at(problem.survey, point, jnp.asarray(decisions)))
+    where = listed(inputs_at(problem.placements, point, jnp.asarray(decisions)))
     remedy = "Shorten the time step, use an implicit integrator (al.integrators.Kvaerno5), or bound the distributions."
     raise SimulationError(
         f"Monte Carlo: the simulation of the system with {where} is not finite. "

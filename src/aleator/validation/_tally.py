@@ -121,7 +121,7 @@ class Tally:
         values = joined([jnp.asarray(self._scalars[self._functionals.index(one)]) for one in statistic.functionals])
         expanded = float(solution.statistics[statistic.text()])
         if isinstance(statistic.kind, Supremum | Infimum):
-            # How far the extremes of a sample are from those of the law, the sample does not tell.
+            # How far the extremes of a sample are from those of the distribution, the sample does not tell.
             return Checked(statistic, expanded, float(statistic.kind.of_sample(values)), np.nan)
         found = estimate(statistic.kind.of_sample, np.asarray(values), group_count(self._samples))
         return Checked(statistic, expanded, float(found.value), float(found.standard_error))

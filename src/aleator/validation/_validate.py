@@ -51,7 +51,7 @@ def validate(
     least = {"samples": (samples, 2), "batch": (batch, 1), "seed": (seed, 0), "keep": (keep, 0)}
     samples, batch, seed, keep = (whole(f"validate: {name}", one, least=n) for name, (one, n) in least.items())
     started = time.perf_counter()
-    if not uncertain(solution.problem).survey.germs:
+    if not uncertain(solution.problem).placements.germs:
         return _told(alone(solution, started))
     systems = Systems(solution, "validate")
     _refuse_large(systems, samples, min(batch, samples))

@@ -25,7 +25,7 @@ TARGET = 0.01
 CALIBRATED = "calibrated"
 
 TRIED = 1.6
-"""The margin from which the search sets out: of a uniform law, four in a hundred are beyond it on one side."""
+"""The margin from which the search sets out: of a uniform distribution, four in a hundred are beyond it on one side."""
 
 
 def meets(found: al.results.Calibration | None) -> bool:

@@ -23,7 +23,7 @@ class Family:
     """One plan on many random systems.
 
     - `times`: the instants, shape (instants,), s;
-    - `nominal`: the outputs of the system in the middle of every law, by name, shape (instants,);
+    - `nominal`: the outputs of the system in the middle of every distribution, by name, shape (instants,);
     - `systems`: those of the random ones, shape (systems, instants);
     - `extremes`: the least and the largest that each output of each random system takes, shape (systems, 2): between
       the instants too, where the plan holds its limits there.
@@ -61,7 +61,7 @@ def fly(problem: al.Problem, decisions: Any, count: int, *, seed: int = 0, finer
     """
     refuse_changed("fly", problem, "when it was declared or solved")
     bare = _bare(problem, finer)
-    germs = bare.survey.germs.values()
+    germs = bare.placements.germs.values()
     levels = random_levels(np.random.default_rng(seed), count + 1, len(germs))
     levels[0] = 0.5
     drawn = at_levels(germs, levels)

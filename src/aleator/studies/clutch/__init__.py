@@ -51,7 +51,7 @@ def pressure_angle(
 
 
 def published_expansion(order: int) -> al.Expansion:
-    """An expansion at the points of the dissertation, which those of normal laws by default are not."""
+    """An expansion at the points of the dissertation, which those of normal distributions by default are not."""
     return al.Expansion(order, points=al.points.HammersleyPoints())
 
 

@@ -101,7 +101,7 @@ def _methods(results: ClutchResults) -> Iterator[Block]:
 
 
 def _trials(results: ClutchResults) -> dict[str, list[Trial]]:
-    """The methods by family, and plain Monte Carlo at smaller numbers of samples, by its law of the root."""
+    """The methods by family, and plain Monte Carlo at smaller numbers of samples, by its distribution of the root."""
     names = ("gPC", "DLM and second order", "quasi-Monte Carlo", "Monte Carlo")
     families: dict[str, list[Trial]] = {name: [] for name in names}
     for one in results.methods:

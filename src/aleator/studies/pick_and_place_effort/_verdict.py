@@ -18,7 +18,7 @@ def sentences(done: MotionResults, spreads: Mapping[str, Mapping[str, Spread]]) 
         yield (
             "The deterministic plan grazes the obstacle with the mean payload, so that"
             f" {share_text(mean)} of all payloads hit it. One σ of clearance, as printed, leaves"
-            f" {share_text(robust)}: the share of payloads that a uniform law has beyond one σ on one side is"
+            f" {share_text(robust)}: the share of payloads that a uniform distribution has beyond one σ on one side is"
             " 21.1 %."
         )
     if {ROBUST, LEAST} <= set(families):

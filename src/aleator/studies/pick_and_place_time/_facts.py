@@ -15,7 +15,9 @@ PUBLISHED = {MEAN: 1.12, ONE: 1.20}
 
 
 def predicted_share(sigmas: float) -> float:
-    """How many payloads lie more than `sigmas` standard deviations off their mean: of a uniform law, `1 - a/√3`."""
+    """How many payloads lie more than `sigmas` standard deviations off their mean: of a uniform distribution, `1 -
+    a/√3`.
+    """
     return max(0.0, 1.0 - sigmas / np.sqrt(3.0))
 
 

@@ -26,7 +26,8 @@ _WHY = (
         " instant. Where a heavier payload and a lighter one both meet a limit, 1 − 1/√3 = 42.3 % overload a joint."
     ),
     (
-        "For one uniform payload a = √3 is the exact worst case. For other laws, or several uncertain numbers, the"
+        "For one uniform payload a = √3 is the exact worst case. For other distributions, or several uncertain "
+        "numbers, the"
         " share that a margin leaves outside is not known beforehand: count it and calibrate a, as below (section 5.6)."
     ),
 )
@@ -58,7 +59,7 @@ def _torques(families: Mapping[str, Family]) -> Iterator[Block]:
         ]
         caption = (
             "The margin pushes the bands inside the limits: with a = 1 the dark band of one σ, with a = √3 the"
-            " light band of all payloads, for a uniform law ends √3 σ off its mean."
+            " light band of all payloads, for a uniform distribution ends √3 σ off its mean."
         )
         yield Drawing(figures, "Torques of the robust plans", caption, "5.6")
 

@@ -144,7 +144,7 @@ def _holding_boxes(results: SuspensionResults) -> Drawing:
 
 
 def _decision_path(results: SuspensionResults) -> Drawing:
-    lowest = float(next(iter(results.designs.values())).problem.survey.decisions["k_s.mean"].decision.lower)
+    lowest = float(next(iter(results.designs.values())).problem.placements.decisions["k_s.mean"].decision.lower)
     figure = decision_path_figure(
         results.holding_fronts,
         "b_s.mean",

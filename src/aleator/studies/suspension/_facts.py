@@ -34,7 +34,7 @@ def figure_of(solution: al.Solution, name: str) -> float:
 
 def start_of(solution: al.Solution, name: str) -> float:
     """Where the search for a decision started."""
-    return float(solution.problem.survey.decisions[name].decision.initial)
+    return float(solution.problem.placements.decisions[name].decision.initial)
 
 
 def box(solution: al.Solution, design: str, dash: str = "solid", note: str = "") -> Box:

@@ -36,7 +36,7 @@ from aleator.statistics import Constants
 from aleator.trajectories import AbstractSignal
 from aleator.transcription._scope import ExpansionScope
 from aleator.transcription.sequential._affine import Anchors, affine_features, anchored
-from aleator.uncertainty import Decision, named_numbers, realise, survey
+from aleator.uncertainty import Decision, named_numbers, placements, realise
 
 
 class Rows(NamedTuple):
@@ -60,7 +60,7 @@ def instantaneous(problem: Problem) -> tuple[int, ...]:
         return ()
     # Also those in the place of numbers: what is known at an instant is then not the same for all systems.
     signals = [one for one in jax.tree.leaves(system, is_leaf=_is_signal) if _is_signal(one)]
-    if survey((signals, problem.inputs)).distributions:
+    if placements((signals, problem.inputs)).distributions:
         return ()
     return tuple(i for i, one in enumerate(problem.expressions) if _is_instantaneous(one))
 
@@ -234,7 +234,7 @@ class _Instant:
 
 
 def _known(problem: Problem, functionals: Sequence[AbstractFunctional], decisions: Float[Array, " n"]) -> Known:
-    simulation = realise(problem.simulation, jnp.zeros(len(problem.survey.germ_names)), decisions)
+    simulation = realise(problem.simulation, jnp.zeros(len(problem.placements.germ_names)), decisions)
     system, grid = simulation.system, simulation.grid
     assert isinstance(system, System)
     assert isinstance(grid, Grid)
@@ -259,6 +259,6 @@ def _frozen(problem: Problem) -> tuple[Problem, np.ndarray]:
         system = eqx.tree_at(lambda tree, name=name: getattr(tree, name), system, still(getattr(system, name)))
     simulation = Simulation(system, still(problem.inputs), still(problem.grid), problem.integrator)
     frozen = eqx.tree_at(lambda tree: tree.simulation, problem, simulation)
-    places = problem.survey.decisions
-    where = [np.arange(places[name].where.start, places[name].where.stop) for name in frozen.survey.decisions]
+    places = problem.placements.decisions
+    where = [np.arange(places[name].where.start, places[name].where.stop) for name in frozen.placements.decisions]
     return frozen, np.concatenate([np.zeros(0, dtype=int), *where])

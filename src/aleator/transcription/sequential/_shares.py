@@ -70,7 +70,7 @@ def share_of(
 
     Derivatives are taken forward: few decisions, thousands of rows.
     """
-    parameters = tuple(problem.survey.of_laws.values())
+    parameters = tuple(problem.placements.of_laws.values())
 
     def contributed(x: Array) -> tuple[tuple[Terms, tuple], tuple]:
         samples, terms = simulated(problem, functionals, points, fit, scenarios, x)
@@ -122,7 +122,7 @@ def parts_of(problem: Problem, collocation: Collocation, constants: Constants) -
     """
     points, fit = np.asarray(collocation.points), np.asarray(collocation.pseudo_inverse)
     grid, count = problem.grid, len(points)
-    tangents = 1 + problem.survey.size
+    tangents = 1 + problem.placements.size
     whole = not (problem.is_integrated and isinstance(grid, Grid)) or constants.scenarios is not None
     if whole or count < 2 * _FEWEST_POINTS or count * grid.steps * tangents < _FEWEST_NUMBERS:
         return (Part(points, fit),)

@@ -106,7 +106,7 @@ class Sequential(AbstractTranscription):
         scenarios, found, traced = first_scenarios(problem), discretised(problem), numbers_to_arrays(problem)
         if scenarios is not None:
             found = found._replace(constants=replace(found.constants, scenarios=jnp.asarray(scenarios.points)))
-        start, lower, upper = (problem.survey.vector(name) for name in ("initial", "lower", "upper"))
+        start, lower, upper = (problem.placements.vector(name) for name in ("initial", "lower", "upper"))
         anchors = anchors_of(traced, found.collocation, start)
         evaluator = Evaluator(traced, found.collocation, found.constants, anchors)
         if not evaluator.is_known(start):

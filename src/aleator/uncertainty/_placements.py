@@ -1,7 +1,7 @@
-"""From a model's leaves to its germ variables and decisions, and back: survey and realisation.
+"""From a model's leaves to its germ variables and decisions, and back: placements and realisation.
 
-A model is any pytree. `survey` finds the distributions and decisions among its leaves and names them by their place;
-`realise` puts numbers in their places, so that the physics runs unchanged.
+A model is any pytree. `placements` finds the distributions and decisions among its leaves and names them by their
+place; `realise` puts numbers in their places, so that the physics runs unchanged.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -58,7 +58,7 @@ class Place(NamedTuple):
     where: slice
 
 
-class Survey(NamedTuple):
+class Placements(NamedTuple):
     """The uncertain numbers and the decisions of a model, in the order of the germ and of the decision vector."""
 
     distributions: dict[str, AbstractDistribution]
@@ -72,7 +72,7 @@ class Survey(NamedTuple):
 
     @property
     def germs(self) -> dict[str, AbstractGerm]:
-        """The law of each germ variable by name, in the order of the germ vector."""
+        """The distribution of each germ variable by name, in the order of the germ vector."""
         return {name: germ for place, law in self.distributions.items() for name, germ in law.germs(place).items()}
 
     @property
@@ -148,11 +148,11 @@ def _named_by(name: str, leaf: Any) -> Iterator[tuple[str, Any]]:
         yield from _decisions_in(name, law)
 
 
-def survey(model: Pytree) -> Survey:
+def placements(model: Pytree) -> Placements:
     """Find the distributions and decisions of a model.
 
-    Raises `ProblemError` if one name stands for two laws, decisions or plain numbers that were not made one by
-    `shared`, or if it is not clear which group a correlated law belongs to.
+    Raises `ProblemError` if one name stands for two distributions, decisions or plain numbers that were not made one by
+    `shared`, or if it is not clear which group a correlated distribution belongs to.
     """
     named: dict[str, Any] = {}
     distributions: dict[str, AbstractDistribution] = {}
@@ -177,7 +177,7 @@ def survey(model: Pytree) -> Survey:
             decisions[key] = Place(key, decision, slice(size, size + length))
             size += length
     check_groups({name: law.dependence for name, law in distributions.items()})
-    return Survey(distributions, decisions)
+    return Placements(distributions, decisions)
 
 
 def _is_shared(owner: Any) -> bool:
@@ -200,10 +200,10 @@ def _refuse_conflict(name: str, first: Any, second: Any) -> None:
 def realise(model: Pytree, germ: Float[Array, " variables"], decisions: Float[Array, " n"]) -> Pytree:
     """The model with a plain number in the place of each distribution and decision (dissertation, equation 26).
 
-    `germ` has one entry for each germ variable and `decisions` one for each decided number, in the order of `survey`.
-    Differentiable with respect to both; the parameters of distributions are realised first.
+    `germ` has one entry for each germ variable and `decisions` one for each decided number, in the order of
+    `placements`. Differentiable with respect to both; the parameters of distributions are realised first.
     """
-    places = survey(model)
+    places = placements(model)
     uncertain = uncertain_numbers(places, germ, decisions)
 
     def value(name: str, leaf: Any) -> Any:
@@ -217,7 +217,7 @@ def realise(model: Pytree, germ: Float[Array, " variables"], decisions: Float[Ar
 
 
 def uncertain_numbers(
-    places: Survey, germ: Float[Array, " variables"], decisions: Float[Array, " n"]
+    places: Placements, germ: Float[Array, " variables"], decisions: Float[Array, " n"]
 ) -> dict[str, Float[Array, ""]]:
     """The values of a model's distributions at one germ point, by name."""
     variables = dict(zip(places.germ_names, germ, strict=True))
@@ -228,13 +228,13 @@ def uncertain_numbers(
     return values
 
 
-def _chosen(places: Survey, decisions: Float[Array, " n"], name: str) -> Float[Array, "..."]:
+def _chosen(places: Placements, decisions: Float[Array, " n"], name: str) -> Float[Array, "..."]:
     place = places.decisions[name]
     return decisions[place.where].reshape(np.shape(place.decision.initial))
 
 
 def _decided(
-    law: AbstractDistribution, name: str, places: Survey, decisions: Float[Array, " n"]
+    law: AbstractDistribution, name: str, places: Placements, decisions: Float[Array, " n"]
 ) -> AbstractDistribution:
     """The distribution called `name` with its decisions at their current values."""
     return law.decided(
@@ -248,7 +248,7 @@ def named_numbers(model: Pytree, decisions: Float[Array, " n"]) -> dict[str, Any
     A plain number (whole or not) or decision stands under its place (`m_u`), a distribution's parameters below it
     (`k_s.half_width`), as do its `mean` and `std`, whatever its parameters are.
     """
-    places = survey(model)
+    places = placements(model)
     numbers: dict[str, Any] = {}
     for name, leaf in named_leaves(model):
         if isinstance(leaf, Decision):
@@ -280,7 +280,9 @@ def uncertain_again(model: Pytree) -> Pytree:
 
 
 def with_laws(model: Pytree, choose: Callable[[str, AbstractDistribution], AbstractDistribution]) -> Pytree:
-    """The model with `choose(name, law)` in the place of each of its laws; what was shared stays shared."""
+    """The model with `choose(name, distribution)` in the place of each of its distributions; what was shared stays
+    shared.
+    """
 
     def change(name: str, leaf: Any) -> Any:
         if not isinstance(leaf, AbstractDistribution):
