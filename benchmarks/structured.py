@@ -50,7 +50,7 @@ def arrow(targets: np.ndarray) -> NonlinearProgram:
         constraint_lower=np.zeros(count),
         constraint_upper=np.zeros(count),
         constraint_scale=np.ones(count),
-        decision_scale=every,
+        variable_scale=every,
         structure=sparsity,
         hessian=Hessian(curvature, diagonal),
     )
@@ -68,7 +68,7 @@ def main() -> None:
         seconds = time.perf_counter() - started
         memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
         print(
-            f"{outcome.solver:<28} {seconds:6.2f} s  {outcome.iterations:3d} iterations  {outcome.decisions[-1]:.8f}  "
+            f"{outcome.solver:<28} {seconds:6.2f} s  {outcome.iterations:3d} iterations  {outcome.point[-1]:.8f}  "
             f"violation {outcome.violation:.1e}, stationarity {outcome.stationarity:.1e}, complementarity "
             f"{outcome.complementarity:.1e}  peak {memory:.2f} GiB  {outcome.status.name}"
         )

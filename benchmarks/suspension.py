@@ -119,7 +119,7 @@ def checks_cost(repeats: int = 15) -> float:
 
     def program() -> None:
         transcription = transcribe(robust_problem())
-        transcription.resolve(al.solvers.FilterSQP().solve(transcription.program).decisions)
+        transcription.resolve(al.solvers.FilterSQP().solve(transcription.program).point)
 
     pairs = [(timed(lambda: al.solve(robust_problem()))[0], timed(program)[0]) for _ in range(repeats)]
     return float(np.median([whole / alone - 1 for whole, alone in pairs]))

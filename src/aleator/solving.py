@@ -157,8 +157,8 @@ class _Stages(NamedTuple):
         error = None
         at_start = astray() if finer is not None or outcome.status in _UNSOLVED else ""
         if finer is not None:
-            elsewhere = probed(transcribed, outcome.decisions, finer)
-            error = grid_error(transcribed, outcome.decisions, finer, self.accuracy, elsewhere.numbers)
+            elsewhere = probed(transcribed, outcome.point, finer)
+            error = grid_error(transcribed, outcome.point, finer, self.accuracy, elsewhere.numbers)
             error = replace(error, at_start=at_start)
             if between is not None and elsewhere.worst > between.worst:
                 between = replace(between, worst=elsewhere.worst, name=elsewhere.where, time=elsewhere.when)
@@ -168,7 +168,7 @@ class _Stages(NamedTuple):
             outcome = replace(outcome, status=Status.NOT_HELD)
         misled = at_start if outcome.status in _UNSOLVED else ""
         found = solution_of(transcribed, outcome, between, error, worst_case, misled, self.compiled)
-        return _Answer(found, transcribed, outcome.decisions)
+        return _Answer(found, transcribed, outcome.point)
 
     @staticmethod
     def _astray(transcribed: AbstractTranscribed, start: np.ndarray | None, factor: int) -> Callable[[], str]:

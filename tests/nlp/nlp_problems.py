@@ -7,7 +7,7 @@ from aleator.nlp import Evaluation, NonlinearProgram
 INF = np.inf
 
 
-def program(evaluate, start, lower=None, upper=None, rows=(), decision_scale=None, constraint_scale=None):
+def program(evaluate, start, lower=None, upper=None, rows=(), variable_scale=None, constraint_scale=None):
     """Fills in what most programs leave out; `rows` are pairs of bounds."""
     n, m = len(start), len(rows)
     bounds = np.array(rows, dtype=float).reshape(m, 2)
@@ -19,7 +19,7 @@ def program(evaluate, start, lower=None, upper=None, rows=(), decision_scale=Non
         constraint_lower=bounds[:, 0],
         constraint_upper=bounds[:, 1],
         constraint_scale=np.ones(m) if constraint_scale is None else np.array(constraint_scale, dtype=float),
-        decision_scale=np.ones(n) if decision_scale is None else np.array(decision_scale, dtype=float),
+        variable_scale=np.ones(n) if variable_scale is None else np.array(variable_scale, dtype=float),
     )
 
 

@@ -24,11 +24,11 @@ def test_badly_scaled_decisions_and_rows_are_solved(solver):
         )
 
     outcome = solver.solve(
-        program(evaluate, 0.5 * size, np.zeros(3), rows=[(-INF, 3e4)], decision_scale=size, constraint_scale=[1e4])
+        program(evaluate, 0.5 * size, np.zeros(3), rows=[(-INF, 3e4)], variable_scale=size, constraint_scale=[1e4])
     )
     assert outcome.ok
     assert outcome.evaluation.objective == pytest.approx(1e6 / 9, rel=1e-6)
-    assert outcome.decisions / size == pytest.approx(np.array([4 / 3, 7 / 9, 4 / 9]), rel=1e-4)
+    assert outcome.point / size == pytest.approx(np.array([4 / 3, 7 / 9, 4 / 9]), rel=1e-4)
     # HS35's multiplier is 2/9.
     assert outcome.multipliers == pytest.approx(np.array([1e6 / 1e4 * 2 / 9]), rel=1e-4)
 
@@ -62,7 +62,7 @@ def test_bounds_of_decisions_that_exclude_a_row_are_infeasible(solver):
     )
     assert outcome.status is Status.INFEASIBLE
     assert outcome.violation == pytest.approx(1.0, abs=1e-5)
-    assert outcome.decisions == pytest.approx(np.ones(2), abs=1e-5)
+    assert outcome.point == pytest.approx(np.ones(2), abs=1e-5)
 
 
 def test_a_region_that_cannot_be_evaluated_is_backed_off_from(solver):
@@ -73,13 +73,13 @@ def test_a_region_that_cannot_be_evaluated_is_backed_off_from(solver):
 
     outcome = solver.solve(program(evaluate, [5.0], rows=[(-INF, 50)]))
     assert outcome.ok
-    assert outcome.decisions == pytest.approx(np.array([0.5]), abs=1e-4)
+    assert outcome.point == pytest.approx(np.array([0.5]), abs=1e-4)
 
 
 def test_a_start_that_cannot_be_evaluated_is_reported(solver):
     outcome = solver.solve(program(lambda x: evaluation(np.nan, [1.0], [x[0]], [[1]]), [2.0], rows=[(0, 1)]))
     assert outcome.status is Status.EVALUATION_FAILED
-    assert outcome.decisions == pytest.approx(np.array([2.0]))
+    assert outcome.point == pytest.approx(np.array([2.0]))
     assert outcome.evaluations == 1
     assert np.isnan(outcome.evaluation.objective)
     assert np.isnan(outcome.violation)
@@ -88,7 +88,7 @@ def test_a_start_that_cannot_be_evaluated_is_reported(solver):
 def test_a_model_that_works_only_at_the_start_is_reported_soon(solver):
     outcome = solver.solve(program(lambda x: evaluation(x[0] if x[0] == 3 else np.nan, [1.0]), [3.0]))
     assert outcome.status is Status.EVALUATION_FAILED
-    assert outcome.decisions == pytest.approx(np.array([3.0]))
+    assert outcome.point == pytest.approx(np.array([3.0]))
     assert outcome.evaluation.objective == 3.0
     assert outcome.evaluations <= 61
 
@@ -103,7 +103,7 @@ def test_more_equalities_than_decisions_are_no_obstacle_where_they_agree(solver,
         program(lambda x: evaluation(x[0], [1.0], [x[0], 2 * x[0]], [[1], [2]]), [3.0], rows=[(1, 1), (2, 2)])
     )
     assert outcome.ok
-    assert outcome.decisions == pytest.approx(np.array([1.0]), abs=1e-6)
+    assert outcome.point == pytest.approx(np.array([1.0]), abs=1e-6)
     assert capfd.readouterr() == ("", "")
 
 
@@ -142,7 +142,7 @@ def test_an_interrupt_ends_the_solve_with_the_best_point_so_far(solver, calls, a
     outcome = solver.solve(after(calls, action))
     assert outcome.status is Status.INTERRUPTED
     assert outcome.evaluations == calls + 1
-    assert np.isfinite(outcome.decisions).all()
+    assert np.isfinite(outcome.point).all()
     assert np.isfinite(outcome.violation) == (calls > 0)
 
 
@@ -173,7 +173,7 @@ def test_a_fixed_decision_stays_and_its_multiplier_is_its_sensitivity(solver):
 
     outcome = solver.solve(program(evaluate, [3.0, 0.0], lower=[0.5, -INF], upper=[0.5, INF]))
     assert outcome.ok
-    assert outcome.decisions == pytest.approx(np.array([0.5, 0.75]), abs=1e-6)
+    assert outcome.point == pytest.approx(np.array([0.5, 0.75]), abs=1e-6)
     assert outcome.bound_multipliers == pytest.approx(np.array([2.25, 0]), abs=1e-5)
 
 
@@ -206,7 +206,7 @@ def test_a_start_outside_the_bounds_is_moved_to_them_and_no_point_leaves_them(so
 
     outcome = solver.solve(program(evaluate, [9.0], [0.25], [4.0]))
     assert outcome.ok
-    assert outcome.decisions == pytest.approx(np.array([0.25]), abs=1e-6)
+    assert outcome.point == pytest.approx(np.array([0.25]), abs=1e-6)
     assert min(seen) >= 0.25
     assert max(seen) <= 4.0
 
@@ -250,7 +250,7 @@ def test_with_unopy_filter_sqp_is_the_default():
             {"lower": [1.0, 0.0], "upper": [0.0, 1.0]},
             "Expected `lower` <= `upper`. Received 1.0 and 0.0 at index 0",
         ),
-        ({"decision_scale": [1.0, 0.0]}, "Expected `decision_scale` positive"),
+        ({"variable_scale": [1.0, 0.0]}, "Expected `variable_scale` positive"),
         ({"start": [np.nan, 0.0]}, "Expected a finite `start`"),
     ],
 )

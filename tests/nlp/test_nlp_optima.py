@@ -22,7 +22,7 @@ def test_every_solver_finds_the_published_optimum(solver, name):
     outcome = solver.solve(make())
     assert outcome.ok, outcome
     assert outcome.evaluation.objective == pytest.approx(objective, rel=1e-6, abs=1e-6)
-    assert outcome.decisions == pytest.approx(np.array(decisions), rel=1e-4, abs=1e-4)
+    assert outcome.point == pytest.approx(np.array(decisions), rel=1e-4, abs=1e-4)
     # Uno's interior points relax bounds a little.
     assert outcome.violation <= (1e-6 if isinstance(solver, InteriorPoint) else 1e-7)
     assert max(outcome.stationarity, outcome.complementarity) <= 1e-5
@@ -67,10 +67,10 @@ def test_a_warm_start_costs_fewer_points_than_a_cold_one(solver):
     if isinstance(solver, InteriorPoint):
         pytest.skip("Uno's interior points begin far from all bounds, however close they are")
     cold = solver.solve(problems.coope_watson())
-    warm = solver.solve(problems.coope_watson(), start=cold.decisions, multipliers=cold.multipliers)
+    warm = solver.solve(problems.coope_watson(), start=cold.point, multipliers=cold.multipliers)
     assert warm.ok
     assert warm.evaluations < cold.evaluations
-    assert warm.decisions == pytest.approx(cold.decisions, abs=1e-5)
+    assert warm.point == pytest.approx(cold.point, abs=1e-5)
 
 
 def test_every_point_is_evaluated_once(solver):

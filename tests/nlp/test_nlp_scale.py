@@ -18,7 +18,7 @@ def parabola(offset=0.0, factor=1.0, start=1.0):
 def test_an_offset_of_the_objective_moves_no_optimum(solver, offset):
     outcome = solver.solve(parabola(offset=offset))
     assert outcome.ok
-    assert outcome.decisions == pytest.approx(np.array([3.0]), abs=1e-5)
+    assert outcome.point == pytest.approx(np.array([3.0]), abs=1e-5)
     assert outcome.evaluations <= 10 or abs(offset) > 1e6
 
 
@@ -26,7 +26,7 @@ def test_an_offset_of_the_objective_moves_no_optimum(solver, offset):
 def test_a_factor_of_the_objective_moves_no_optimum(solver, factor):
     outcome = solver.solve(parabola(factor=factor))
     assert outcome.ok
-    assert outcome.decisions == pytest.approx(np.array([3.0]), abs=1e-5)
+    assert outcome.point == pytest.approx(np.array([3.0]), abs=1e-5)
 
 
 @pytest.mark.parametrize("offset", [1e5, 1e8])
@@ -40,21 +40,21 @@ def test_an_offset_moves_no_constrained_optimum_and_no_multiplier(solver, offset
 
     shifted = solver.solve(program(evaluate, inner.start, inner.lower, inner.upper, [(-INF, 3)]))
     assert shifted.ok
-    assert shifted.decisions == pytest.approx(plain.decisions, abs=1e-3)
+    assert shifted.point == pytest.approx(plain.point, abs=1e-3)
     assert shifted.multipliers == pytest.approx(plain.multipliers, abs=1e-3)
 
 
 def test_a_gentle_slope_on_a_large_offset_is_followed_to_the_bound(solver):
     outcome = solver.solve(program(lambda x: evaluation(0.1 * x[0] + 100, [0.1]), [1.0], [0.0], [10.0]))
     assert outcome.ok
-    assert outcome.decisions == pytest.approx(np.zeros(1), abs=1e-6)
+    assert outcome.point == pytest.approx(np.zeros(1), abs=1e-6)
 
 
 @pytest.mark.parametrize("start", [3.0, 3.0 + 1e-6])
 def test_a_start_at_the_optimum_stays_there(solver, start):
     outcome = solver.solve(parabola(start=start))
     assert outcome.ok
-    assert outcome.decisions == pytest.approx(np.array([3.0]), abs=1e-5)
+    assert outcome.point == pytest.approx(np.array([3.0]), abs=1e-5)
 
 
 def test_rounding_of_the_gradient_is_no_obstacle(solver):
@@ -65,13 +65,13 @@ def test_rounding_of_the_gradient_is_no_obstacle(solver):
 
     outcome = solver.solve(program(evaluate, [3.0 + 1e-3], [0.0], [10.0]))
     assert outcome.ok
-    assert outcome.decisions == pytest.approx(np.array([3.0]), abs=1e-5)
+    assert outcome.point == pytest.approx(np.array([3.0]), abs=1e-5)
 
 
 def steep(start, typical):
     """1/a² + a falls from up to 1e10 to its minimum 2^(1/3) + 2^(-2/3) at a = 2^(1/3)."""
     return program(
-        lambda x: evaluation(x[0] ** -2 + x[0], 1 - 2 * x**-3), [start], [1e-6], [10.0], decision_scale=[typical]
+        lambda x: evaluation(x[0] ** -2 + x[0], 1 - 2 * x**-3), [start], [1e-6], [10.0], variable_scale=[typical]
     )
 
 
@@ -105,7 +105,7 @@ def walled(x):
 def test_a_region_that_cannot_be_evaluated_and_hides_the_optimum_is_named(solver, lower):
     outcome = solver.solve(program(walled, [2.0], [lower], [10.0], rows=[(-INF, 20)]))
     assert outcome.status is Status.EVALUATION_FAILED
-    assert outcome.decisions[0] >= 1
+    assert outcome.point[0] >= 1
     assert np.isfinite(outcome.evaluation.objective)
     assert outcome.failed_at is not None
     assert outcome.failed_at[0] < 1

@@ -33,7 +33,7 @@ def rescaled(inner, objective=1.0, rows=1.0, decisions=1.0):
         constraint_lower=inner.constraint_lower * rows,
         constraint_upper=inner.constraint_upper * rows,
         constraint_scale=inner.constraint_scale * rows,
-        decision_scale=inner.decision_scale * decisions,
+        variable_scale=inner.variable_scale * decisions,
     )
 
 
@@ -43,7 +43,7 @@ def test_units_change_no_verdict(solver, part, factor):
     solved = solver.solve(rescaled(problems.hs71(), **{part: factor}))
     assert solved.ok
     units = factor if part == "decisions" else 1.0
-    np.testing.assert_allclose(solved.decisions / units, [1, 4.7429994, 3.8211503, 1.3794082], rtol=1e-4)
+    np.testing.assert_allclose(solved.point / units, [1, 4.7429994, 3.8211503, 1.3794082], rtol=1e-4)
     # HS71 with a product of at least 1000, which numbers up to 5 whose squares sum to 40 do not have.
     broken = solver.solve(rescaled(problems.hs71(product_at_least=1000.0), **{part: factor}))
     assert broken.status is Status.INFEASIBLE
@@ -66,7 +66,7 @@ def wild(scale, size):
 def test_feasibility_is_judged_by_the_size_of_a_row_and_not_by_what_solvers_divide_by(solver, scale):
     outcome = solver.solve(wild(scale, 1.0))
     assert outcome.ok
-    assert outcome.decisions == pytest.approx(np.ones(1), abs=1e-6)
+    assert outcome.point == pytest.approx(np.ones(1), abs=1e-6)
     assert outcome.sizes == pytest.approx(np.ones(1))
     assert outcome.multipliers == pytest.approx(np.array([-2.0]), rel=1e-5)
 
@@ -120,7 +120,7 @@ def test_a_minimum_at_a_kink_is_no_solution_unless_it_is_known_to_be_least(solve
     declared = program(evaluate, [3.0, -1.0], [-5.0, -5.0], [5.0, 5.0])
     outcome = solver.solve(replace(declared, least=0.0))
     assert outcome.ok
-    np.testing.assert_allclose(outcome.decisions, 1.0, atol=1e-5)
+    np.testing.assert_allclose(outcome.point, 1.0, atol=1e-5)
     # Where it lies higher than its least value there is a slope, and no kink to excuse it.
     assert not replace(solver, max_iterations=1).solve(replace(declared, least=0.0)).ok
 

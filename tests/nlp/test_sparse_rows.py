@@ -53,7 +53,7 @@ def test_rows_that_hardly_depend_on_anything_at_the_start_are_solved():
     outcome = FilterSQP().solve(replace(declared, structure=narrow))
     assert outcome.status is Status.SOLVED
     # All x equal to 2 meet every row with equality, and by symmetry and convexity no sum is larger.
-    np.testing.assert_allclose(outcome.decisions, 2.0, atol=1e-6)
+    np.testing.assert_allclose(outcome.point, 2.0, atol=1e-6)
     np.testing.assert_allclose(outcome.multipliers, 0.5, atol=1e-5)
 
 

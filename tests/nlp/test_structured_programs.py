@@ -52,7 +52,7 @@ def arrow(count, *, sparse=True, hessian=True, scale=1.0):
         constraint_lower=np.zeros(count),
         constraint_upper=np.zeros(count),
         constraint_scale=np.ones(count),
-        decision_scale=np.append(np.full(count, 1 / scale), 1.0),
+        variable_scale=np.append(np.full(count, 1 / scale), 1.0),
         structure=sparsity if sparse else None,
         hessian=Hessian(curvature, diagonal) if hessian else None,
     )
@@ -73,10 +73,10 @@ def test_a_hundred_thousand_decisions_that_share_one_are_solved_without_a_dense_
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert outcome.ok, outcome.message
-    assert outcome.decisions[-1] == pytest.approx(optimum(count), rel=1e-4)
-    np.testing.assert_allclose(outcome.decisions[:-1], np.sqrt(outcome.decisions[-1]), rtol=1e-6)
+    assert outcome.point[-1] == pytest.approx(optimum(count), rel=1e-4)
+    np.testing.assert_allclose(outcome.point[:-1], np.sqrt(outcome.point[-1]), rtol=1e-6)
     # The certificate, taken apart: no smaller than what the point and its multipliers leave of the conditions.
-    found, y = outcome.evaluation, outcome.decisions[-1]
+    found, y = outcome.evaluation, outcome.point[-1]
     left = found.gradient + outcome.multipliers @ found.jacobian + outcome.bound_multipliers
     assert np.abs(left).max() <= 1e-6 * count * abs(y - 2.0)
     assert np.abs(found.constraints).max() <= outcome.violation * max(1.0, y) + 1e-12
@@ -91,7 +91,7 @@ def test_derivatives_of_either_kind_lead_to_the_same_optimum(solver, scale):
     for sparse, hessian in ((True, True), (True, False), (False, True), (False, False)):
         outcome = solver.solve(arrow(30, sparse=sparse, hessian=hessian, scale=scale))
         assert outcome.ok, (sparse, hessian, outcome.message)
-        assert outcome.decisions[-1] == pytest.approx(expected, rel=1e-5)
+        assert outcome.point[-1] == pytest.approx(expected, rel=1e-5)
 
 
 @named
@@ -107,7 +107,7 @@ def test_solvers_of_few_decisions_take_sparse_programs_too(solver):
     for hessian in (True, False):
         outcome = solver.solve(arrow(12, hessian=hessian))
         assert outcome.ok, outcome.message
-        assert outcome.decisions[-1] == pytest.approx(optimum(12), rel=1e-5)
+        assert outcome.point[-1] == pytest.approx(optimum(12), rel=1e-5)
 
 
 @pytest.mark.parametrize("solver", [*INTERIOR, FilterSQP()], ids=lambda one: type(one).__name__)
@@ -118,11 +118,11 @@ def test_fixed_decisions_and_rows_that_bind_nothing_are_left_out(solver):
     free[3], program.constraint_lower[3] = np.inf, -np.inf
     outcome = solver.solve(replace(program, upper=upper, constraint_upper=free))
     assert outcome.ok, outcome.message
-    assert outcome.decisions[3] == 1.2
+    assert outcome.point[3] == 1.2
     assert outcome.multipliers[3] == 0.0
     rest = np.delete(targets(20), 3)
     expected = brentq(lambda y: 20 * (y - 2.0) + np.sum((np.sqrt(y) - rest) / (2 * np.sqrt(y))), 0.5, 5.0, xtol=1e-13)
-    assert outcome.decisions[-1] == pytest.approx(expected, rel=1e-5)
+    assert outcome.point[-1] == pytest.approx(expected, rel=1e-5)
     # What holds the fixed decision makes the Lagrangian stationary there.
     assert outcome.bound_multipliers[3] == pytest.approx(targets(20)[3] - 1.2)
 
@@ -197,6 +197,6 @@ def test_what_is_no_sparsity_is_refused(name):
 
 def test_slsqp_refuses_what_its_dense_matrices_cannot_hold():
     with pytest.raises(
-        ProblemError, match="Slsqp keeps dense matrices: expected at most 2000 decisions; received 3001"
+        ProblemError, match="Slsqp keeps dense matrices: expected at most 2000 variables; received 3001"
     ):
         Slsqp().solve(arrow(3000))

@@ -45,7 +45,7 @@ class Lifted(ext.AbstractTranscribed):
             constraint_lower=np.append(-np.inf, program.constraint_lower),
             constraint_upper=np.append(0.0, program.constraint_upper),
             constraint_scale=np.append(size, program.constraint_scale),
-            decision_scale=np.append(size, program.decision_scale),
+            variable_scale=np.append(size, program.variable_scale),
             magnitudes=magnitudes,
         )
         return cls(

@@ -36,22 +36,22 @@ def held_between(
     factor = reference_factor(problem, between)
     if factor == 1 or outcome.status is not Status.SOLVED:
         return Held(outcome, None, None)
-    finer = reference(transcribed, outcome.decisions, factor)
+    finer = reference(transcribed, outcome.point, factor)
     if between == 1 or not any(map(is_over_time, problem.constraints)):
         return Held(outcome, None, finer)
-    excess = excess_between(transcribed, outcome.decisions, finer)
+    excess = excess_between(transcribed, outcome.point, finer)
     margins, done = no_margins(excess), 0
     while HELD < excess.worst < np.inf and done < _MOST_TIGHTENINGS:
         # At first nothing is given away; then it must come to an end.
         margins = margins_for(margins, excess, relax=done < _MOST_TIGHTENINGS // 2)
-        again = solver.solve(tightened(transcribed, margins), start=outcome.decisions, multipliers=outcome.multipliers)
+        again = solver.solve(tightened(transcribed, margins), start=outcome.point, multipliers=outcome.multipliers)
         if again.status is Status.INTERRUPTED:
             return Held(again, None, None)
         if again.status is not Status.SOLVED:
             break
         done += 1
         outcome = again.with_effort_of(outcome)
-        finer = reference(transcribed, outcome.decisions, factor)
-        excess = excess_between(transcribed, outcome.decisions, finer)
+        finer = reference(transcribed, outcome.point, factor)
+        excess = excess_between(transcribed, outcome.point, finer)
     is_strict = between is not None or done > 0 or follows_trajectories(problem)
     return Held(outcome, Between(factor, excess.worst, excess.where, excess.when, is_strict), finer)

@@ -37,7 +37,7 @@ def solution_of(
     compilations for it took, s.
     """
     problem, places = transcribed.problem, transcribed.places
-    meaning, resolved = transcribed.at(outcome.decisions), transcribed.resolve(outcome.decisions)
+    meaning, resolved = transcribed.at(outcome.point), transcribed.resolve(outcome.point)
     names, decided = places.entry_names(), transcribed.decided
     entries = dict(zip(decided.tolist(), names, strict=True))
     # Limits on the worst case ask the model itself.
@@ -52,7 +52,7 @@ def solution_of(
         objective=meaning.objective,
         constraints=_constraint_results(transcribed, outcome, meaning),
         moments={text: Moments(np.asarray(one.mean), np.asarray(one.std)) for text, one in resolved.items()},
-        statistics=transcribed.statistics(outcome.decisions),
+        statistics=transcribed.statistics(outcome.point),
         at_bounds=tuple(np.array(names)[outcome.active_bounds[decided]].tolist()),
         idle=tuple(entries[i] for i in outcome.idle if i in entries),
         multipliers=outcome.multipliers,
@@ -61,7 +61,7 @@ def solution_of(
             violation=outcome.violation,
             stationarity=outcome.stationarity,
             complementarity=outcome.complementarity,
-            expansion=quality_of(transcribed, expanded, outcome.decisions),
+            expansion=quality_of(transcribed, expanded, outcome.point),
             between=between,
             grid_error=error,
             worst_case=worst_case,

@@ -61,10 +61,10 @@ def held_at_worst(
         if rounds == _MOST_ROUNDS:
             outcome = replace(outcome, status=Status.WORST_CASE_BROKEN)
             break
-        before, idle = outcome, _idle(transcribed, outcome.decisions)
+        before, idle = outcome, _idle(transcribed, outcome.point)
         assert transcribed.scenarios is not None
         transcribed = transcribed.at_scenarios(transcribed.scenarios.joined(new, idle))
-        outcome, beside = attempt(transcribed, before.decisions, before.multipliers)
+        outcome, beside = attempt(transcribed, before.point, before.multipliers)
         outcome = outcome.with_effort_of(before)
         rounds += 1
     return transcribed, outcome, beside, _told(transcribed, outcome, oracle, worst, rounds)
@@ -126,8 +126,8 @@ def _searched(
 ) -> tuple[Float[np.ndarray, "new variables"], Float[np.ndarray, "limits variables"]]:
     """Realisations that break a limit on the worst case by more than those at hand do, and the worst of each limit."""
     assert transcribed.scenarios is not None
-    decisions = transcribed.decisions(outcome.decisions)
-    points = _candidates(transcribed, oracle, outcome.decisions, seed)
+    decisions = transcribed.decisions(outcome.point)
+    points = _candidates(transcribed, oracle, outcome.point, seed)
     beyond = oracle(oracle.germ(points), decisions).beyond
     found = search(lambda places: oracle(oracle.germ(places), decisions).beyond, points, beyond, seed)
     # Between instants, where those at hand may exceed a limit too, margins have to hold it.
@@ -147,7 +147,7 @@ def _told(
     """What is said of the worst realisations: those of the last search, or the scenarios where they are worse."""
     assert transcribed.scenarios is not None
     germ = np.concatenate([worst, transcribed.scenarios.held])
-    decisions = transcribed.decisions(outcome.decisions)
+    decisions = transcribed.decisions(outcome.point)
     reached = oracle(germ, decisions)
     realisations = []
     for i, limit in enumerate(worst_case_limits(transcribed.problem)):

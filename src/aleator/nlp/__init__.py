@@ -1,7 +1,7 @@
 """The nonlinear program and its solvers. Knows no physics."""
 
-from aleator.nlp._elsewhere import decision_range as decision_range
 from aleator.nlp._elsewhere import feasible_elsewhere as feasible_elsewhere
+from aleator.nlp._elsewhere import variable_range as variable_range
 from aleator.nlp._filtersqp import FilterSQP as FilterSQP
 from aleator.nlp._filtersqp import default_solver as default_solver
 from aleator.nlp._interior_point import InteriorPoint as InteriorPoint

@@ -21,7 +21,7 @@ from aleator.nlp._scaling import Multipliers, ScaledProgram
 # Rows this close to a bound count as active when multipliers are fitted or infeasibility is examined; there, no further
 # off than this part of the largest violation, in whatever it is scaled.
 _ACTIVE, _ACTIVE_FRACTION = 1e-5, 1e-3
-# A violation is stationary if one typical magnitude of every decision would lower it by less than this fraction.
+# A violation is stationary if one typical magnitude of every variable would lower it by less than this fraction.
 _STATIONARY_FRACTION = 1e-3
 
 
@@ -30,7 +30,7 @@ _STATIONARY_FRACTION = 1e-3
 class Certificate:
     """Residuals of the Karush-Kuhn-Tucker conditions, dimensionless.
 
-    - `violation`: largest `(c - upper) / scale` or `(lower - c) / scale` of a row or decision, at least 0;
+    - `violation`: largest `(c - upper) / scale` or `(lower - c) / scale` of a row or variable, at least 0;
     - `stationarity`: `max |∇f + Jᵀλ + μ|`, over the largest term `λ_i J_ij` or `μ_j` in it where that is above 1;
     - `complementarity`: largest product of a multiplier and the slack of the bound it pushes against (a slack above
       1, or a bound that does not exist, counts as 1), over the largest multiplier where that is above 1.
@@ -181,7 +181,7 @@ def _sides(scaled: ScaledProgram, evaluation: Evaluation, rows: np.ndarray) -> n
 
 
 def _bound_cone(scaled: ScaledProgram, z: np.ndarray, evaluation: Evaluation) -> Matrix:
-    """Outward unit normals of the active bounds of the decisions, as columns."""
+    """Outward unit normals of the active bounds of the variables, as columns."""
     return unit_columns(evaluation.jacobian, *_active(z, scaled.lower, scaled.upper))
 
 

@@ -1,7 +1,7 @@
 """Infeasible near one point, feasible at another: what is tried before a program is called infeasible.
 
 Solvers prove that no small step from where they stand meets all constraints. Where a model saturates, or where a
-decision has to grow by many orders of magnitude from a start that says nothing of it, that is not the whole truth.
+variable has to grow by many orders of magnitude from a start that says nothing of it, that is not the whole truth.
 """
 
 from collections.abc import Callable
@@ -12,7 +12,7 @@ import numpy as np
 from aleator.nlp._outcome import Outcome, Status
 from aleator.nlp._program import NonlinearProgram
 
-# How many points all over the range of the decisions are looked at, and how far from the start where that has no end,
+# How many points all over the range of the variables are looked at, and how far from the start where that has no end,
 # in typical magnitudes.
 _POINTS, _FAR = 8, 3.0
 # A point is less violated if its violation is lower by more than this part of it.
@@ -28,7 +28,7 @@ def feasible_elsewhere(
     """The outcome, or that of another start if it is called infeasible although some point violates less.
 
     `again` solves a program from a start: from the least violated of those looked at, `start` (shape (n,)) among them,
-    with decisions scaled by what they have come to be.
+    with variables scaled by what they have come to be.
     """
     if outcome.status is not Status.INFEASIBLE:
         return outcome
@@ -37,24 +37,24 @@ def feasible_elsewhere(
     best = int(np.argmin(violations))
     if not violations[best] < (1 - _LESS) * outcome.violation:
         return outcome
-    scale = np.max(np.abs([program.decision_scale, outcome.decisions, points[best]]), axis=0)
-    found = again(replace(program, decision_scale=scale), points[best])
+    scale = np.max(np.abs([program.variable_scale, outcome.point, points[best]]), axis=0)
+    found = again(replace(program, variable_scale=scale), points[best])
     if found.status in (Status.SOLVED, Status.INTERRUPTED):
         return found.with_effort_of(outcome)
     return outcome.with_effort_of(found)
 
 
-def decision_range(
+def variable_range(
     start: np.ndarray, lower: np.ndarray, upper: np.ndarray, scale: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The least and the greatest decisions, or three typical magnitudes from the start where their range has no end."""
+    """The least and the greatest variables, or three typical magnitudes from the start where their range has no end."""
     far = _FAR * scale
     return np.where(np.isfinite(lower), lower, start - far), np.where(np.isfinite(upper), upper, start + far)
 
 
 def _points(program: NonlinearProgram, start: np.ndarray) -> list[np.ndarray]:
-    """The corners of least and greatest decisions, the middle between them, and points all over."""
-    lower, upper = decision_range(start, program.lower, program.upper, program.decision_scale)
+    """The corners of least and greatest variables, the middle between them, and points all over."""
+    lower, upper = variable_range(start, program.lower, program.upper, program.variable_scale)
     generator = np.random.default_rng(0)
     return [lower, upper, (lower + upper) / 2, *generator.uniform(lower, upper, (_POINTS, len(start)))]
 

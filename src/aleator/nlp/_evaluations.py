@@ -44,7 +44,7 @@ class Evaluations:
     It is made from
 
     - `evaluate`: the user's function of `x`, shape (n,);
-    - `decisions`, `constraints`: n and m, and the `structure` of the Jacobian, checked at every call;
+    - `variables`, `constraints`: n and m, and the `structure` of the Jacobian, checked at every call;
     - `remembered`: number of finite and of failed points kept;
 
     and tells
@@ -58,13 +58,13 @@ class Evaluations:
     def __init__(
         self,
         evaluate: Callable[[np.ndarray], Evaluation],
-        decisions: int,
+        variables: int,
         constraints: int,
         structure: Matrix | None = None,
         remembered: int = 16,
     ):
         self._evaluate = evaluate
-        self._shapes = ((decisions,), (constraints,), (constraints, decisions))
+        self._shapes = ((variables,), (constraints,), (constraints, variables))
         self._sparsity = None if structure is None or isinstance(structure, np.ndarray) else structure
         self._remembered = remembered
         self._points: OrderedDict[bytes, Evaluation] = OrderedDict()
@@ -75,11 +75,11 @@ class Evaluations:
         self.halt: BaseException | None = None
         self.failed_at: np.ndarray | None = None
         unknown = (
-            np.full((constraints, decisions), np.nan)
+            np.full((constraints, variables), np.nan)
             if self._sparsity is None
             else with_entries(self._sparsity, np.full(self._sparsity.nnz, np.nan))
         )
-        self.last = Evaluation(np.nan, np.full(decisions, np.nan), np.full(constraints, np.nan), unknown)
+        self.last = Evaluation(np.nan, np.full(variables, np.nan), np.full(constraints, np.nan), unknown)
 
     def at(self, x: np.ndarray) -> Evaluation:
         """Evaluate `x`, whether the result is finite or not.

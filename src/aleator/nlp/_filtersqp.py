@@ -1,4 +1,4 @@
-"""Uno's filterSQP: few decisions, many dense rows, costly values."""
+"""Uno's filterSQP: few variables, many dense rows, costly values."""
 
 from dataclasses import dataclass
 from typing import final
@@ -29,7 +29,7 @@ class FilterSQP(AbstractSolver):
     Vanaret and Leyffer 2026 (Uno, https://github.com/cvanaret/Uno). Points that cannot be evaluated shrink
     the trust region.
 
-    - `radius`: initial trust region, in typical magnitudes of the decisions.
+    - `radius`: initial trust region, in typical magnitudes of the variables.
     """
 
     radius: float = 10.0

@@ -1,4 +1,4 @@
-"""Uno's interior-point method: many sparse decisions, and a second opinion on IPOPT."""
+"""Uno's interior-point method: many sparse variables, and a second opinion on IPOPT."""
 
 from dataclasses import dataclass
 from typing import final

@@ -1,4 +1,4 @@
-"""IPOPT through CasADi's wheel: many decisions, or where unopy has no wheel."""
+"""IPOPT through CasADi's wheel: many variables, or where unopy has no wheel."""
 
 from dataclasses import dataclass
 from typing import Any, final
@@ -63,7 +63,7 @@ class Ipopt(AbstractSolver):
         return _answer(solver(**arguments), solver.stats())
 
     def _equality_slack(self, scaled: ScaledProgram) -> np.ndarray | float:
-        """Widen equalities that outnumber the decisions, which IPOPT would refuse, within the tolerance."""
+        """Widen equalities that outnumber the variables, which IPOPT would refuse, within the tolerance."""
         equal = scaled.constraint_lower == scaled.constraint_upper
         return np.where(equal, self.aim, 0.0) if equal.sum() > scaled.size else 0.0
 
@@ -81,12 +81,12 @@ class Ipopt(AbstractSolver):
             "ipopt.tol": self.aim,
             "ipopt.constr_viol_tol": self.aim,
             "ipopt.max_iter": self.max_iterations,
-            # The program is scaled already, and the model must not be asked outside the decisions' bounds.
+            # The program is scaled already, and the model must not be asked outside the variables' bounds.
             "ipopt.nlp_scaling_method": "none",
             "ipopt.bound_relax_factor": 0.0,
         }
         if scaled.curved is not None:
-            # MUMPS's own choice of an ordering takes most of the time where many rows share a decision.
+            # MUMPS's own choice of an ordering takes most of the time where many rows share a variable.
             options["ipopt.mumps_pivot_order"] = _APPROXIMATE_MINIMUM_DEGREE
         if warm:
             options |= {"ipopt.warm_start_init_point": "yes", "ipopt.mu_init": 1e-6}

@@ -1,7 +1,7 @@
 """Jacobians and Hessians, dense or of a declared sparsity: what solvers and certificates ask of either.
 
 A sparse matrix is a `scipy.sparse.csr_array` in canonical form. SciPy's sparse module is imported late: programs of few
-decisions never need it.
+variables never need it.
 """
 
 from typing import Any, TypeAlias, final

@@ -36,11 +36,11 @@ class Outcome:
     per unit of the active bound.
 
     - `status`: how it ended, judged from the certificate and not only from the solver's word;
-    - `decisions`: `x`, shape (n,). The least violated point seen where the status is INFEASIBLE; the best where it is
+    - `point`: `x`, shape (n,). The least violated point seen where the status is INFEASIBLE; the best where it is
       INTERRUPTED or EVALUATION_FAILED;
-    - `evaluation`: the model's values and derivatives at `decisions`;
+    - `evaluation`: the model's values and derivatives at `point`;
     - `multipliers`: of the constraints, shape (m,), units of objective per constraint;
-    - `bound_multipliers`: of the decisions' bounds, shape (n,), units of objective per decision;
+    - `bound_multipliers`: of the variables' bounds, shape (n,), units of objective per variable;
     - `violation`: largest violation of a constraint over its size (`sizes`), dimensionless;
     - `stationarity`: largest component of the scaled Lagrangian's gradient, over the size of what cancels in it or of
       its change over a typical magnitude, whichever is larger. Where the objective is closer to a value below which it
@@ -53,17 +53,17 @@ class Outcome:
     - `message`: what the solver itself said, with our objection where the status differs;
     - `active`: whether a constraint is at its bound, shape (m,): its scaled slack is at most 1e-6, or smaller than a
       scaled multiplier above 1e-6; equalities always are;
-    - `active_bounds`: the same of the decisions, shape (n,); fixed ones always are;
-    - `sizes`: the magnitudes of the constraints at `decisions` to which a violation is relative, in their units,
+    - `active_bounds`: the same of the variables, shape (n,); fixed ones always are;
+    - `sizes`: the magnitudes of the constraints at `point` to which a violation is relative, in their units,
       shape (m,);
     - `failed_at`: the last point at which the model was not finite, shape (n,), where the status is EVALUATION_FAILED;
       None otherwise;
-    - `idle`: decisions left at their start by which nothing changes, as far as was looked; `blind`: those by which
+    - `idle`: variables left at their start by which nothing changes, as far as was looked; `blind`: those by which
       something does, though its derivative is zero everywhere.
     """
 
     status: Status
-    decisions: np.ndarray
+    point: np.ndarray
     evaluation: Evaluation
     multipliers: np.ndarray
     bound_multipliers: np.ndarray

@@ -63,12 +63,12 @@ class NonlinearProgram:
 
     - `evaluate`: gives the `Evaluation` at `x` of shape (n,). Non-finite numbers in it mean "cannot be evaluated
       here", and solvers step back; an exception ends the solve and reaches its caller;
-    - `start`: initial decisions, shape (n,);
-    - `lower`, `upper`: bounds of the decisions, shape (n,), infinite where there is none, equal to fix a decision;
+    - `start`: initial variables, shape (n,);
+    - `lower`, `upper`: bounds of the variables, shape (n,), infinite where there is none, equal to fix a variable;
     - `constraint_lower`, `constraint_upper`: bounds of the constraints, shape (m,), infinite where there is none,
       equal for an equality;
     - `constraint_scale`: what solvers divide the constraints by at first, shape (m,), positive: typical magnitudes;
-    - `decision_scale`: typical magnitudes of the decisions, shape (n,), positive;
+    - `variable_scale`: typical magnitudes of the variables, shape (n,), positive;
     - `structure`: which entries of the Jacobian may be other than zero, shape (m, n); all by default. As dense truth
       values it is a guess: solvers that use it notice where it was too narrow. As a `scipy.sparse.csr_array` it is the
       sparsity that every Jacobian has, which then is one too: nothing of the size m x n is ever made;
@@ -88,7 +88,7 @@ class NonlinearProgram:
     constraint_lower: np.ndarray
     constraint_upper: np.ndarray
     constraint_scale: np.ndarray
-    decision_scale: np.ndarray
+    variable_scale: np.ndarray
     structure: Matrix | None = None
     hessian: Hessian | None = None
     magnitudes: Callable[[np.ndarray, Evaluation], Magnitudes] | None = None
@@ -109,19 +109,19 @@ class NonlinearProgram:
             _check_lower_triangle(self.hessian, self.start.size)
         _check_bounds("lower", "upper", self.lower, self.upper)
         _check_bounds("constraint_lower", "constraint_upper", self.constraint_lower, self.constraint_upper)
-        _check_positive("decision_scale", self.decision_scale)
+        _check_positive("variable_scale", self.variable_scale)
         _check_positive("constraint_scale", self.constraint_scale)
         if not np.isfinite(self.start).all():
             raise ProblemError(f"Expected a finite `start`. Received {self.start}.")
 
 
 def _expected_lengths(program: NonlinearProgram) -> dict[str, int]:
-    decisions, constraints = np.size(program.start), np.size(program.constraint_lower)
+    variables, constraints = np.size(program.start), np.size(program.constraint_lower)
     return {
-        "start": decisions,
-        "lower": decisions,
-        "upper": decisions,
-        "decision_scale": decisions,
+        "start": variables,
+        "lower": variables,
+        "upper": variables,
+        "variable_scale": variables,
         "constraint_lower": constraints,
         "constraint_upper": constraints,
         "constraint_scale": constraints,

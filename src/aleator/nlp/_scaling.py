@@ -1,4 +1,4 @@
-"""The program as solvers see it: dimensionless, without fixed decisions and without rows that bind nothing."""
+"""The program as solvers see it: dimensionless, without fixed variables and without rows that bind nothing."""
 
 from dataclasses import dataclass
 from typing import NamedTuple, final
@@ -10,7 +10,7 @@ from aleator.nlp._matrices import Block, Matrix, checked_sparse
 from aleator.nlp._program import Evaluation, Magnitudes, NonlinearProgram
 
 # The steepest scaled slope at the start. Solvers begin without curvature, so it is also the length of their first
-# step, in typical magnitudes of the decisions.
+# step, in typical magnitudes of the variables.
 _FIRST_STEP = 2.0
 # A gradient smaller than this fraction of the objective is little more than rounding, and scales nothing.
 _ROUNDING = 1e-10
@@ -23,7 +23,7 @@ _REACHED = 1e-6
 @final
 @dataclass(frozen=True)
 class Multipliers:
-    """Scaled multipliers: of the rows, shape (m_useful,), and of the free decisions' bounds, shape (n_free,)."""
+    """Scaled multipliers: of the rows, shape (m_useful,), and of the free variables' bounds, shape (n_free,)."""
 
     rows: np.ndarray
     bounds: np.ndarray
@@ -51,11 +51,11 @@ class Scales(NamedTuple):
 
 @final
 class ScaledProgram:
-    """The program in `x / decision_scale`, `(f - f(start)) / objective_scale` and `c / constraint_scale`.
+    """The program in `x / variable_scale`, `(f - f(start)) / objective_scale` and `c / constraint_scale`.
 
     A solver sees it in scales that suit its steps; an answer is judged in those of its own magnitudes (`rescale`).
 
-    Only free decisions and useful rows are seen: points `z` have shape (n_free,), constraints shape (m_useful,). The
+    Only free variables and useful rows are seen: points `z` have shape (n_free,), constraints shape (m_useful,). The
     model is never asked outside the bounds.
 
     - `size`, `rows`: n_free and m_useful;
@@ -75,9 +75,9 @@ class ScaledProgram:
         self._program = program
         self._free = program.lower < program.upper
         self._useful = np.isfinite(program.constraint_lower) | np.isfinite(program.constraint_upper)
-        self._decision_scale = program.decision_scale[self._free]
+        self._variable_scale = program.variable_scale[self._free]
         self._is_whole = bool(self._free.all() and self._useful.all())
-        self._fixed_decisions = np.clip(start, program.lower, program.upper)
+        self._fixed_variables = np.clip(start, program.lower, program.upper)
         self._last: tuple[bytes, Evaluation] | None = None
         self._best_rank = (np.inf, np.inf)
 
@@ -94,9 +94,9 @@ class ScaledProgram:
         if program.hessian is not None:
             self._hessian_block = Block(program.hessian.sparsity, self._free, self._free)
         self.curved = None if self._hessian_block is None else self._hessian_block.sparsity
-        self.lower = program.lower[self._free] / self._decision_scale
-        self.upper = program.upper[self._free] / self._decision_scale
-        self.start = np.clip(self._fixed_decisions[self._free] / self._decision_scale, self.lower, self.upper)
+        self.lower = program.lower[self._free] / self._variable_scale
+        self.upper = program.upper[self._free] / self._variable_scale
+        self.start = np.clip(self._fixed_variables[self._free] / self._variable_scale, self.lower, self.upper)
         self.best: tuple[np.ndarray, Evaluation] | None = None
         self.objective_scale = 1.0
         self._objective_origin = 0.0
@@ -107,8 +107,8 @@ class ScaledProgram:
 
         Raises `NotFiniteError` if the model cannot be evaluated at the start, `HaltedError` if it raised an exception.
         """
-        first = self.evaluations.finite_at(self.decisions(self.start))
-        gradient = first.gradient[self._free] * self._decision_scale
+        first = self.evaluations.finite_at(self.unscaled(self.start))
+        gradient = first.gradient[self._free] * self._variable_scale
         steepest = float(np.abs(gradient).max(initial=0.0))
         self._objective_origin = first.objective
         self.objective_scale = max(steepest / _FIRST_STEP, _ROUNDING * abs(first.objective)) or 1.0
@@ -133,7 +133,7 @@ class ScaledProgram:
     def _scale_constraints(self, scale: np.ndarray) -> None:
         self._constraint_scale = scale
         if self._block is None:
-            self._jacobian_factor = self._decision_scale / scale[:, None]
+            self._jacobian_factor = self._variable_scale / scale[:, None]
         self.constraint_lower = self._program.constraint_lower[self._useful] / scale
         self.constraint_upper = self._program.constraint_upper[self._useful] / scale
 
@@ -142,7 +142,7 @@ class ScaledProgram:
         if self._program.magnitudes is None:
             scale = self._program.constraint_scale[self._useful]
             return Magnitudes(scale, scale)
-        size, scale = self._program.magnitudes(self.decisions(z), user)
+        size, scale = self._program.magnitudes(self.unscaled(z), user)
         return Magnitudes(size[self._useful], scale[self._useful])
 
     def sizes(self, useful: np.ndarray) -> np.ndarray:
@@ -153,16 +153,16 @@ class ScaledProgram:
 
     def above_least(self, user: Evaluation) -> float:
         """By how much the objective exceeds a value below which it cannot fall, over its change over a typical
-        magnitude of the decisions; infinite where no such value is known.
+        magnitude of the variables; infinite where no such value is known.
         """
-        change = float(np.abs(user.gradient[self._free] * self._decision_scale).sum())
+        change = float(np.abs(user.gradient[self._free] * self._variable_scale).sum())
         return max(user.objective - self._program.least, 0.0) / change if change > 0 else np.inf
 
-    def decisions(self, z: np.ndarray) -> np.ndarray:
-        """All decisions in user units, shape (n,), within their bounds."""
-        x = self._fixed_decisions.copy()
-        # The quotient's rounding must not carry a decision past its bound.
-        x[self._free] = z * self._decision_scale
+    def unscaled(self, z: np.ndarray) -> np.ndarray:
+        """All variables in user units, shape (n,), within their bounds."""
+        x = self._fixed_variables.copy()
+        # The quotient's rounding must not carry a variable past its bound.
+        x[self._free] = z * self._variable_scale
         return np.clip(x, self._program.lower, self._program.upper)
 
     def evaluate(self, z: np.ndarray) -> Evaluation:
@@ -173,23 +173,23 @@ class ScaledProgram:
         key = np.asarray(z, dtype=float).tobytes()
         if self._last is None or self._last[0] != key or self.evaluations.halt is not None:
             self._last = None
-            user = self.evaluations.finite_at(self.decisions(z))
+            user = self.evaluations.finite_at(self.unscaled(z))
             self._last = (key, self.scale(user))
             self._rank(np.array(z, dtype=float), user, self._last[1])
         return self._last[1]
 
     def scale(self, user: Evaluation) -> Evaluation:
-        """Scale an evaluation in user units: free decisions and useful rows only."""
+        """Scale an evaluation in user units: free variables and useful rows only."""
         return Evaluation(
             (user.objective - self._objective_origin) / self.objective_scale,
-            user.gradient[self._free] * self._decision_scale / self.objective_scale,
+            user.gradient[self._free] * self._variable_scale / self.objective_scale,
             user.constraints[self._useful] / self._constraint_scale,
             self._scaled_jacobian(user.jacobian),
         )
 
     def _scaled_jacobian(self, jacobian: Matrix) -> Matrix:
         if self._block is not None:
-            return self._block.of(jacobian, 1 / self._constraint_scale, self._decision_scale)  # type: ignore[arg-type]
+            return self._block.of(jacobian, 1 / self._constraint_scale, self._variable_scale)  # type: ignore[arg-type]
         return (jacobian if self._is_whole else jacobian[np.ix_(self._useful, self._free)]) * self._jacobian_factor
 
     def hessian(self, z: np.ndarray, weight: float, multipliers: np.ndarray) -> np.ndarray:
@@ -203,9 +203,9 @@ class ScaledProgram:
         assert self._hessian_block is not None
         rows = np.zeros(self._useful.size)
         rows[self._useful] = multipliers / self._constraint_scale
-        given = self.decisions(z), weight / self.objective_scale, rows
+        given = self.unscaled(z), weight / self.objective_scale, rows
         found = self.evaluations.asked(lambda: program.hessian.evaluate(*given))  # type: ignore[union-attr]
-        scale = self._decision_scale
+        scale = self._variable_scale
         whole = checked_sparse("Hessian", found, program.hessian.sparsity)
         numbers = self._hessian_block.of(whole, scale, scale).data
         if not np.isfinite(numbers).all():
@@ -219,12 +219,12 @@ class ScaledProgram:
 
     def is_finite(self, z: np.ndarray) -> bool:
         """Whether the model can be evaluated at `z`."""
-        return self.evaluations.at(self.decisions(z)).is_finite
+        return self.evaluations.at(self.unscaled(z)).is_finite
 
     def active(
         self, z: np.ndarray, user: Evaluation, rows: np.ndarray, bounds: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Which of all constraints, shape (m,), and of all decisions' bounds, shape (n,), hold the point where it is.
+        """Which of all constraints, shape (m,), and of all variables' bounds, shape (n,), hold the point where it is.
 
         `rows` and `bounds` are the scaled multipliers at `z`.
         """
@@ -251,14 +251,14 @@ class ScaledProgram:
     def bound_multipliers_to_user(
         self, bound_multipliers: np.ndarray, multipliers: np.ndarray, user: Evaluation
     ) -> np.ndarray:
-        """Multipliers of all bounds, shape (n,), from scaled ones of the free decisions.
+        """Multipliers of all bounds, shape (n,), from scaled ones of the free variables.
 
-        Those of fixed decisions make the Lagrangian stationary, given the `multipliers` of all rows in user units.
+        Those of fixed variables make the Lagrangian stationary, given the `multipliers` of all rows in user units.
         """
         with np.errstate(invalid="ignore", over="ignore"):
             # A model that is not finite leaves no multipliers to speak of, and nothing to warn about.
             complete = -(user.gradient + multipliers @ user.jacobian)
-        complete[self._free] = bound_multipliers * self.objective_scale / self._decision_scale
+        complete[self._free] = bound_multipliers * self.objective_scale / self._variable_scale
         return complete
 
     def _rank(self, z: np.ndarray, user: Evaluation, scaled: Evaluation) -> None:

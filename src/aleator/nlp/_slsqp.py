@@ -22,14 +22,14 @@ from aleator.nlp._verdict import Answer
 _CONVERGED, _INCOMPATIBLE, _ITERATION_LIMIT = 0, 4, 9
 # Added to the objective where the model cannot be evaluated, so that the line search steps back.
 _WALL = 1e6
-# Decisions move at most this many typical magnitudes a round, lest rows that are left out let them run away.
+# Variables move at most this many typical magnitudes a round, lest rows that are left out let them run away.
 _REACH = 10.0
 # SLSQP stops on changes of the objective, which are second order in the distance to the solution.
 _CHANGE_PER_TOLERANCE = 1e-4
 # Searches for a feasible point, before the program counts as one that SLSQP cannot solve.
 _MOST_RESTARTS = 5
-# SLSQP's dense matrices grow with the square of the decisions, and its time with their cube.
-_MOST_DECISIONS = 2000
+# SLSQP's dense matrices grow with the square of the variables, and its time with their cube.
+_MOST_VARIABLES = 2000
 
 
 class _Round(NamedTuple):
@@ -71,9 +71,9 @@ class Slsqp(AbstractSolver):
     @override
     def minimise(self, scaled: ScaledProgram, multipliers: np.ndarray | None) -> Answer:
         del multipliers  # SLSQP cannot use any.
-        if scaled.size > _MOST_DECISIONS:
+        if scaled.size > _MOST_VARIABLES:
             raise ProblemError(
-                f"Slsqp keeps dense matrices: expected at most {_MOST_DECISIONS} decisions; received {scaled.size}. "
+                f"Slsqp keeps dense matrices: expected at most {_MOST_VARIABLES} variables; received {scaled.size}. "
                 "Use Ipopt() or InteriorPoint()."
             )
         rows = np.flatnonzero(scaled.constraint_lower == scaled.constraint_upper)
@@ -113,7 +113,7 @@ def _largest_violation(scaled: ScaledProgram, point: np.ndarray) -> float:
 
 
 def _worst_rows(scaled: ScaledProgram, point: np.ndarray) -> np.ndarray:
-    """Find the rows that are worst among their neighbours, the worst first and no more than a few per decision."""
+    """Find the rows that are worst among their neighbours, the worst first and no more than a few per variable."""
     outside = scaled.violation(scaled.evaluate(point).constraints)
     padded = np.concatenate([[-np.inf], outside, [-np.inf]])
     # Of rows that are equally bad the first counts, so that a plateau does not crowd out the other extrema.

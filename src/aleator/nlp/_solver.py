@@ -128,13 +128,13 @@ class AbstractSolver(abc.ABC):
         except NotFiniteError:
             return Answer(Status.EVALUATION_FAILED, scaled.start, None, 0, "the model is not finite at the start")
         if scaled.size == 0:
-            return Answer(Status.SOLVED, scaled.start, None, 0, "every decision is fixed")
+            return Answer(Status.SOLVED, scaled.start, None, 0, "every variable is fixed")
         warm = None if multipliers is None else scaled.multipliers_to_scaled(multipliers)
         answer = self._rounds(scaled, warm)
         if answer.claim is Status.FAILED and not scaled.evaluations.last.is_finite:
             answer = answer._replace(claim=Status.EVALUATION_FAILED)
         # The verdict needs the model at the answer, which may have left the memory.
-        scaled.evaluations.at(scaled.decisions(answer.point))
+        scaled.evaluations.at(scaled.unscaled(answer.point))
         return answer
 
     def _rounds(self, scaled: ScaledProgram, multipliers: np.ndarray | None) -> Answer:
@@ -183,7 +183,7 @@ def _outcome(scaled: ScaledProgram, answer: Answer, verdict: Verdict, solver: st
     )
     return Outcome(
         status=verdict.status,
-        decisions=scaled.decisions(verdict.point),
+        point=scaled.unscaled(verdict.point),
         evaluation=verdict.user,
         multipliers=multipliers,
         bound_multipliers=bounds,

@@ -8,7 +8,7 @@ from aleator.nlp._certificate import lagrangian_gradient
 from aleator.nlp._evaluations import NotFiniteError
 from aleator.nlp._scaling import Multipliers, ScaledProgram
 
-# Steps along which it is looked, in typical magnitudes of the decisions.
+# Steps along which it is looked, in typical magnitudes of the variables.
 _STEPS = (1e-3, 1e-5, 1e-7)
 # A change below this many roundings of what it is a change of is not to be told from none.
 _ROUNDINGS = 1e3

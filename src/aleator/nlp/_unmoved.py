@@ -1,4 +1,4 @@
-"""Decisions that an answer left where they started: nothing pulls at them there, and a maximum passes for solved.
+"""Variables that an answer left where they started: nothing pulls at them there, and a maximum passes for solved.
 
 First-order conditions hold at maxima, at saddles (a start on a line of symmetry never leaves it), and wherever a model
 is flat. Solvers descend, so that they end there only if they began there: a few points beside are looked at.
@@ -14,11 +14,11 @@ from aleator.nlp._matrices import column_is_zero
 from aleator.nlp._outcome import Outcome, Status
 from aleator.nlp._program import Evaluation, NonlinearProgram
 
-# A decision has moved if it differs by more than this part of its typical magnitude.
+# A variable has moved if it differs by more than this part of its typical magnitude.
 _STILL = 1e-9
 # How far beside the answer is looked, in typical magnitudes, and where else if nothing changes there.
 _BESIDE, _BEYOND = (-0.05, 0.05), (-3.0, -1.0, 1.0, 3.0)
-# At most so many decisions are looked at: the first ones.
+# At most so many variables are looked at: the first ones.
 _MOST = 12
 # What is lower by less than this part of the terms it consists of is rounding, or curvature not worth a solution.
 _LOWER = 1e-7
@@ -27,7 +27,7 @@ _SAME = 1e-12
 
 
 class _Probe(NamedTuple):
-    """A point beside the answer, with one decision moved, and what was found there."""
+    """A point beside the answer, with one variable moved, and what was found there."""
 
     point: np.ndarray
     found: Evaluation
@@ -36,11 +36,11 @@ class _Probe(NamedTuple):
 def moved_on(
     program: NonlinearProgram, outcome: Outcome, start: np.ndarray, again: Callable[[np.ndarray], Outcome]
 ) -> Outcome:
-    """The outcome, or a better one where it stands at a point that is no minimum by decisions that never moved.
+    """The outcome, or a better one where it stands at a point that is no minimum by variables that never moved.
 
     - `start`: where the outcome was begun, shape (n,); `again`: solves from another start.
 
-    `Outcome.idle` and `Outcome.blind` tell of decisions that change nothing, and of those with no derivative though
+    `Outcome.idle` and `Outcome.blind` tell of variables that change nothing, and of those with no derivative though
     they do.
     """
     if outcome.status is not Status.SOLVED:
@@ -63,24 +63,24 @@ def moved_on(
 
 
 def _still(program: NonlinearProgram, outcome: Outcome, start: np.ndarray) -> np.ndarray:
-    """The decisions that have not moved, though they may, and that no bound is seen to hold."""
-    scale, evaluation = program.decision_scale, outcome.evaluation
-    still = (np.abs(outcome.decisions - start) <= _STILL * scale) & (program.lower < program.upper)
+    """The variables that have not moved, though they may, and that no bound is seen to hold."""
+    scale, evaluation = program.variable_scale, outcome.evaluation
+    still = (np.abs(outcome.point - start) <= _STILL * scale) & (program.lower < program.upper)
     pulls = np.abs(outcome.bound_multipliers) * scale
     largest = max(abs(evaluation.objective), float(np.max(np.abs(evaluation.gradient) * scale, initial=0.0)))
     return np.flatnonzero(still & (pulls <= _LOWER * largest))
 
 
 def _probes(program: NonlinearProgram, outcome: Outcome, which: int) -> list[_Probe]:
-    """The points beside the answer, and all over the range of a decision by which nothing has a derivative."""
+    """The points beside the answer, and all over the range of a variable by which nothing has a derivative."""
     steps = _BESIDE + (_BEYOND if _is_flat(outcome.evaluation, which) else ())
-    lower, upper, here = program.lower[which], program.upper[which], outcome.decisions[which]
-    places = {float(np.clip(here + step * program.decision_scale[which], lower, upper)) for step in steps}
+    lower, upper, here = program.lower[which], program.upper[which], outcome.point[which]
+    places = {float(np.clip(here + step * program.variable_scale[which], lower, upper)) for step in steps}
     if len(steps) > len(_BESIDE) and np.isfinite(lower) and np.isfinite(upper):
         places |= set(np.linspace(lower, upper, 5).tolist())
     found = []
     for place in sorted(places - {float(here)}):
-        point = outcome.decisions.copy()
+        point = outcome.point.copy()
         point[which] = place
         evaluation = program.evaluate(point)
         if np.isfinite(evaluation.objective) and np.isfinite(evaluation.constraints).all():

@@ -148,7 +148,7 @@ def _examined(scaled: ScaledProgram, answer: Answer, user: Evaluation, tolerance
 
 def _user(scaled: ScaledProgram, answer: Answer) -> Evaluation:
     """The evaluation of an answer's point in user units."""
-    return scaled.evaluations.at(scaled.decisions(answer.point))
+    return scaled.evaluations.at(scaled.unscaled(answer.point))
 
 
 def _framed(scaled: ScaledProgram, answer: Answer, user: Evaluation) -> Answer:
@@ -199,7 +199,7 @@ def settle(scaled: ScaledProgram, answer: Answer, tolerance: float) -> tuple[Ans
 
     The start may be so steep that every slope near the answer is negligible beside it. So the answer is judged by
     the terms that cancel in the gradient of its Lagrangian and, where these are no larger than the remainder (at an
-    optimum inside all bounds they vanish), by the change of that gradient over a typical magnitude of the decisions,
+    optimum inside all bounds they vanish), by the change of that gradient over a typical magnitude of the variables,
     for which the model is evaluated once more, close by. Neither depends on the start or on an offset.
     """
     user = _user(scaled, answer)

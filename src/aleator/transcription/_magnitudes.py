@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from aleator.design import AbstractAtom, Constraint, Norm, Peak, Problem, Rms, Statistic
-from aleator.nlp import HELD, Evaluation, Magnitudes, decision_range
+from aleator.nlp import HELD, Evaluation, Magnitudes, variable_range
 from aleator.statistics import Mean, Std, Variance
 
 Values: TypeAlias = Sequence[Float[np.ndarray, "..."]]
@@ -170,6 +170,6 @@ def elsewhere(start: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> list[F
     """Decisions near the start and all over their range: what is the same at all of them is moved by none."""
     rng = np.random.default_rng(0)
     size = decision_scales(start, lower, upper)
-    low, high = decision_range(start, lower, upper, size)
+    low, high = variable_range(start, lower, upper, size)
     near = np.clip(start + 1e-2 * rng.choice([-1.0, 1.0], start.shape), lower, upper)
     return [near, *rng.uniform(low, high, (_TRIED, len(start)))]

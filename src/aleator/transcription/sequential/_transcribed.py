@@ -142,7 +142,7 @@ class Sequential(AbstractTranscription):
             constraint_lower=constraint_lower,
             constraint_upper=constraint_upper,
             constraint_scale=spread(rows, [one.scale for one in sizes]),
-            decision_scale=decision_scale,
+            variable_scale=decision_scale,
             structure=structure_of(np.any(nonzero, axis=0), paths, len(at_start.times)) if beside else None,
             magnitudes=sizing.at,
             least=least_objective(problem),
