@@ -281,7 +281,7 @@ _LANGUAGE: dict[str, tuple[Callable[..., Any], dict[str, Any], dict[str, Mapping
     "norm": (al.objectives.norm, {}, {"#0": without(REQUIRED, "number", "bool")}),
     "effort": (al.objectives.effort, {}, {"#0": NAME}),
     "effort of weights": (lambda weights: al.objectives.effort("x", weights=weights), {}, {"weights": NOT_NUMBERS}),
-    "jerk": (al.objectives.torque_rate, {}, {"#0": NAME}),
+    "torque_rate": (al.objectives.torque_rate, {}, {"#0": NAME}),
     "power": (al.objectives.power, {}, {"#0": MAPPING}),
     "coefficient_power": (al.objectives.coefficient_power, {}, {"#0": MAPPING}),
     "terminal_mean_error": (

@@ -143,5 +143,7 @@ def test_indices_that_there_are_not_are_refused_as_those_of_a_single_expansion(m
         with pytest.raises(al.ProblemError, match=r"no germ variable 'z'\. Expected one of \['x', 'y'\]"):
             ask("z")
     monkeypatch.setattr(memory, "memory", lambda: 1000)
-    with pytest.raises(al.ProblemError, match=r"pairs of 5 terms in 2 elements would need .*al\.sobol_indices"):
+    with pytest.raises(
+        al.ProblemError, match=r"pairs of 5 terms in 2 elements would need .*al\.references\.sobol_indices"
+    ):
         pieces.sobol("x")

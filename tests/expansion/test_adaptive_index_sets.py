@@ -201,7 +201,7 @@ def test_growing_without_a_model_is_refused():
     ("wish", "message"),
     [
         (lambda: Expansion(index_set=Adaptive(), points=HammersleyPoints()), "HammersleyPoints do not allow"),
-        (lambda: Expansion(index_set=Adaptive(), points=200), r"al\.Adaptive\(budget=200\)"),
+        (lambda: Expansion(index_set=Adaptive(), points=200), r"al\.index_sets\.Adaptive\(budget=200\)"),
         (lambda: Expansion(index_set=Adaptive(budget=8)), "budget of at least 9 points"),
         (lambda: Expansion(index_set=Adaptive(), fit=Interpolation()), "fitted by least squares; received Interpol"),
         (lambda: Adaptive(error=0), "expected a positive number below 1; received 0"),

@@ -205,7 +205,7 @@ def test_with_weights_the_leverage_is_still_the_diagonal_of_the_map_to_fitted_va
 def test_weights_that_are_not_positive_are_refused_with_a_remedy():
     basis = Basis(GERMS, TotalDegree().indices(tuple(GERMS), 1))
     points = HammersleyPoints(10).nodes(basis, 0).points
-    with pytest.raises(ProblemError, match=r"weights that are not positive.*al\.Projection"):
+    with pytest.raises(ProblemError, match=r"weights that are not positive.*al\.fits\.Projection"):
         LeastSquares().collocation(basis, Nodes(points, np.array([-1.0, *[2 / 9] * 9])))
 
 

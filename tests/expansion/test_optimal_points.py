@@ -34,7 +34,7 @@ def test_hermite_polynomials_of_order_14_are_well_conditioned_where_quantiles_of
 
 
 def test_order_20_is_refused_at_hammersley_points_and_fine_at_optimal_ones():
-    with pytest.raises(ProblemError, match=r"condition number.*al\.OptimalPoints\(\)"):
+    with pytest.raises(ProblemError, match=r"condition number.*al\.points\.OptimalPoints\(\)"):
         collocate(NORMAL, Expansion(20, points=HammersleyPoints()))
     assert condition(NORMAL, 20, OptimalPoints()) < 5
 

@@ -13,9 +13,10 @@ import pytest
 import report_problems as given
 import xarray
 
-from aleator import Front, ProblemError
+from aleator import ProblemError
 from aleator.reporting import _files, _lock, check_writable, json_text, report, save
 from aleator.reporting._files import write_text, write_together, write_whole
+from aleator.results import Front
 
 
 @pytest.fixture(scope="module")

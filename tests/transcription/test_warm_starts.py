@@ -50,7 +50,7 @@ def spline(points, limits=200.0, **options):
 
 def values(declared, vector):
     """The input's curve at some fractions of the time: what a system without states makes of it."""
-    model = realise(declared.model, np.zeros(0), vector)
+    model = realise(declared.simulation, np.zeros(0), vector)
     return np.asarray(model.inputs["u"].sampled(TIMES, 0.0, model.grid.t_final))
 
 

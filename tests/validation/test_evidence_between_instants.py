@@ -62,7 +62,7 @@ def test_the_share_that_breaks_a_limit_is_that_at_all_times_and_not_at_the_insta
     share = evidence.violations["momentum"]
     assert share.lower <= truth <= share.upper
     assert at_instants < share.lower
-    instants = solution.between.factor * STEPS + 1
+    instants = solution.certificate.between.factor * STEPS + 1
     assert evidence.instants == instants
     assert instants > 100
     assert f"limits over time counted at {instants} instants" in str(evidence)
@@ -79,9 +79,11 @@ def test_a_design_that_holds_at_its_instants_alone_is_counted_there():
 
 def test_moments_and_kept_systems_stay_those_of_the_design_s_own_grid(solution):
     # As though its error were an order below what is tolerated: otherwise all is sampled on a finer grid.
-    exact = dataclasses.replace(solution, grid_error=None)
+    certificate = dataclasses.replace(solution.certificate, grid_error=None)
+    exact = dataclasses.replace(solution, certificate=certificate)
     fine = al.validate(exact, 300, batch=70, keep=300)
-    coarse = al.validate(dataclasses.replace(exact, between=None), 300, batch=70, keep=300)
+    blind = dataclasses.replace(exact, certificate=dataclasses.replace(certificate, between=None))
+    coarse = al.validate(blind, 300, batch=70, keep=300)
     for text, one in coarse.functionals.items():
         np.testing.assert_array_equal(fine.functionals[text].mean, one.mean)
         np.testing.assert_array_equal(fine.functionals[text].std, one.std)

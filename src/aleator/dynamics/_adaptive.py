@@ -104,7 +104,7 @@ class AbstractAdaptive(AbstractIntegrator):
         ):
             return (
                 f"{name} used up its {self.max_steps} steps at t = {reached:.4g} s of {float(grid.t_final):.4g} s. "
-                f"Give it more, al.{name}(max_steps={10 * self.max_steps}), or larger tolerances."
+                f"Give it more, al.integrators.{name}(max_steps={10 * self.max_steps}), or larger tolerances."
             )
         return (
             f"{name} gets no further than t = {reached:.4g} s, where its steps become too short. Look for rates that "
