@@ -1,5 +1,7 @@
 """From a model's leaves to the germ: distributions, their orthonormal polynomials, decisions, realisation."""
 
+from aleator.uncertainty._at_mean import at_means as at_means
+from aleator.uncertainty._at_mean import uncertain_again as uncertain_again
 from aleator.uncertainty._bounded_families import Triangular as Triangular
 from aleator.uncertainty._bounded_families import TruncatedNormal as TruncatedNormal
 from aleator.uncertainty._copula import correlated as correlated
@@ -20,13 +22,7 @@ from aleator.uncertainty._families import Uniform as Uniform
 from aleator.uncertainty._parameters import Canonical as Canonical
 from aleator.uncertainty._parameters import Form as Form
 from aleator.uncertainty._placements import Placements as Placements
-from aleator.uncertainty._placements import at_means as at_means
-from aleator.uncertainty._placements import named_numbers as named_numbers
 from aleator.uncertainty._placements import placements as placements
-from aleator.uncertainty._placements import realise as realise
-from aleator.uncertainty._placements import uncertain_again as uncertain_again
-from aleator.uncertainty._placements import uncertain_numbers as uncertain_numbers
-from aleator.uncertainty._placements import with_laws as with_laws
 from aleator.uncertainty._polynomials import AbstractGerm as AbstractGerm
 from aleator.uncertainty._polynomials import HermiteGerm as HermiteGerm
 from aleator.uncertainty._polynomials import JacobiGerm as JacobiGerm
@@ -35,6 +31,10 @@ from aleator.uncertainty._polynomials import LegendreGerm as LegendreGerm
 from aleator.uncertainty._positive import fields_of as fields_of
 from aleator.uncertainty._positive import parameter as parameter
 from aleator.uncertainty._positive import refuse_nonpositive as refuse_nonpositive
+from aleator.uncertainty._realisation import named_numbers as named_numbers
+from aleator.uncertainty._realisation import realise as realise
+from aleator.uncertainty._realisation import uncertain_numbers as uncertain_numbers
+from aleator.uncertainty._realisation import with_laws as with_laws
 from aleator.uncertainty._tailed_families import Exponential as Exponential
 from aleator.uncertainty._tailed_families import Gumbel as Gumbel
 from aleator.uncertainty._tailed_families import LogNormal as LogNormal

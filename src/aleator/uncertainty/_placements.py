@@ -1,53 +1,25 @@
-"""From a model's leaves to its germ variables and decisions, and back: placements and realisation.
+"""Where the distributions and decisions of a model stand: its germ variables and its decision vector.
 
 A model is any pytree. `placements` finds the distributions and decisions among its leaves and names them by their
 place; `realise` puts numbers in their places, so that the physics runs unchanged.
 """
 
-from collections.abc import Callable, Iterator, Mapping
-from typing import Any, ClassVar, NamedTuple, final
+from collections.abc import Iterator, Mapping
+from typing import Any, NamedTuple
 
 import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
-from aleator._core.arrays import Pytree, is_number
+from aleator._core.arrays import Pytree
 from aleator._core.errors import ProblemError
 from aleator._core.given import refuse_missing
 from aleator._core.leaves import AbstractLeaf, is_leaf, is_traced, named_leaves
+from aleator.uncertainty._at_mean import free
 from aleator.uncertainty._decision import Decision, start_given
 from aleator.uncertainty._dependence import check_groups
 from aleator.uncertainty._distribution import AbstractDistribution
 from aleator.uncertainty._polynomials import AbstractGerm
-
-
-@final
-class AtMean(AbstractLeaf):
-    """A distribution held at its mean: what `deterministic` puts in the place of each distribution."""
-
-    UNCERTAIN: ClassVar[bool] = False
-
-    distribution: AbstractDistribution
-
-    @property
-    def shared_name(self) -> str | None:  # type: ignore[override]
-        """The name under which the distribution is shared."""
-        return self.distribution.shared_name
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """That of the distribution."""
-        return self.distribution.shape
-
-    def lowest(self) -> float | None:
-        """That of the distribution, which evidence samples again."""
-        return self.distribution.lowest()
-
-    def highest(self) -> float | None:
-        """That of the distribution, which evidence samples again."""
-        return self.distribution.highest()
 
 
 class Place(NamedTuple):
@@ -124,30 +96,6 @@ class Placements(NamedTuple):
         )
 
 
-def free(leaf: Any) -> Any:
-    """The distribution behind a leaf that holds it at its mean; any other leaf as it is."""
-    return leaf.distribution if isinstance(leaf, AtMean) else leaf
-
-
-def _decisions_in(name: str, leaf: Any) -> Iterator[tuple[str, Decision]]:
-    """The decisions in one leaf, each with its own name: `k_s`, or `k_s.half_width` inside a distribution."""
-    if isinstance(leaf, Decision):
-        yield name, leaf
-        return
-    for parameter, decision in free(leaf).decisions.items():
-        yield decision.shared_name or f"{name}.{parameter}", decision
-
-
-def _named_by(name: str, leaf: Any) -> Iterator[tuple[str, Any]]:
-    """Everything that one leaf gives a name: itself and, of a distribution, its parameters, moments and decisions."""
-    yield name, leaf
-    law = free(leaf)
-    if isinstance(law, AbstractDistribution):
-        parts = {"mean": law, "std": law} | law.parameters
-        yield from ((f"{name}.{part}", owner) for part, owner in parts.items())
-        yield from _decisions_in(name, law)
-
-
 def placements(model: Pytree) -> Placements:
     """Find the distributions and decisions of a model.
 
@@ -180,6 +128,25 @@ def placements(model: Pytree) -> Placements:
     return Placements(distributions, decisions)
 
 
+def _decisions_in(name: str, leaf: Any) -> Iterator[tuple[str, Decision]]:
+    """The decisions in one leaf, each with its own name: `k_s`, or `k_s.half_width` inside a distribution."""
+    if isinstance(leaf, Decision):
+        yield name, leaf
+        return
+    for parameter, decision in free(leaf).decisions.items():
+        yield decision.shared_name or f"{name}.{parameter}", decision
+
+
+def _named_by(name: str, leaf: Any) -> Iterator[tuple[str, Any]]:
+    """Everything that one leaf gives a name: itself and, of a distribution, its parameters, moments and decisions."""
+    yield name, leaf
+    law = free(leaf)
+    if isinstance(law, AbstractDistribution):
+        parts = {"mean": law, "std": law} | law.parameters
+        yield from ((f"{name}.{part}", owner) for part, owner in parts.items())
+        yield from _decisions_in(name, law)
+
+
 def _is_shared(owner: Any) -> bool:
     return isinstance(owner, AbstractLeaf) and owner.shared_name is not None
 
@@ -195,113 +162,3 @@ def _refuse_conflict(name: str, first: Any, second: Any) -> None:
             f"'{name}' is shared by two placements that differ: {first} and {second}. "
             "Give the same distribution or decision in both places, or two names."
         )
-
-
-def realise(model: Pytree, germ: Float[Array, " variables"], decisions: Float[Array, " n"]) -> Pytree:
-    """The model with a plain number in the place of each distribution and decision (dissertation, equation 26).
-
-    `germ` has one entry for each germ variable and `decisions` one for each decided number, in the order of
-    `placements`. Differentiable with respect to both; the parameters of distributions are realised first.
-    """
-    places = placements(model)
-    uncertain = uncertain_numbers(places, germ, decisions)
-
-    def value(name: str, leaf: Any) -> Any:
-        if isinstance(leaf, Decision):
-            return _chosen(places, decisions, name)
-        if isinstance(leaf, AtMean):
-            return _decided(leaf.distribution, name, places, decisions).mean()
-        return uncertain[name] if is_leaf(leaf) else leaf
-
-    return _with_leaves(model, value)
-
-
-def uncertain_numbers(
-    places: Placements, germ: Float[Array, " variables"], decisions: Float[Array, " n"]
-) -> dict[str, Float[Array, ""]]:
-    """The values of a model's distributions at one germ point, by name."""
-    variables = dict(zip(places.germ_names, germ, strict=True))
-    values = {}
-    for name, law in places.distributions.items():
-        own = tuple(variables[variable] for variable in law.germ_names(name))
-        values[name] = _decided(law, name, places, decisions).realised(own, law.reference())
-    return values
-
-
-def _chosen(places: Placements, decisions: Float[Array, " n"], name: str) -> Float[Array, "..."]:
-    place = places.decisions[name]
-    return decisions[place.where].reshape(np.shape(place.decision.initial))
-
-
-def _decided(
-    law: AbstractDistribution, name: str, places: Placements, decisions: Float[Array, " n"]
-) -> AbstractDistribution:
-    """The distribution called `name` with its decisions at their current values."""
-    return law.decided(
-        lambda parameter, decision: _chosen(places, decisions, decision.shared_name or f"{name}.{parameter}")
-    )
-
-
-def named_numbers(model: Pytree, decisions: Float[Array, " n"]) -> dict[str, Any]:
-    """Every number of a model by name, at given decisions.
-
-    A plain number (whole or not) or decision stands under its place (`m_u`), a distribution's parameters below it
-    (`k_s.half_width`), as do its `mean` and `std`, whatever its parameters are.
-    """
-    places = placements(model)
-    numbers: dict[str, Any] = {}
-    for name, leaf in named_leaves(model):
-        if isinstance(leaf, Decision):
-            numbers[name] = _chosen(places, decisions, name)
-        elif is_leaf(leaf):
-            law = _decided(free(leaf), name, places, decisions)
-            moments = {"mean": law.mean(), "std": law.std()}
-            numbers |= {f"{name}.{key}": jnp.asarray(value) for key, value in (moments | law.parameters).items()}
-        elif is_number(leaf) or _is_whole(leaf):
-            numbers[name] = jnp.asarray(leaf, dtype=float)
-    return numbers
-
-
-def _is_whole(leaf: Any) -> bool:
-    """Whether `leaf` is a whole number or an array of them. A truth value is none, though Python counts it as one."""
-    if isinstance(leaf, bool):
-        return False
-    return isinstance(leaf, int) or jnp.issubdtype(getattr(leaf, "dtype", None) or bool, jnp.integer)
-
-
-def at_means(model: Pytree) -> Pytree:
-    """The model with every distribution held at its mean: no germ is left."""
-    return _replace(model, AbstractDistribution, AtMean)  # type: ignore[arg-type]
-
-
-def uncertain_again(model: Pytree) -> Pytree:
-    """The inverse of `at_means`."""
-    return _replace(model, AtMean, lambda leaf: leaf.distribution)
-
-
-def with_laws(model: Pytree, choose: Callable[[str, AbstractDistribution], AbstractDistribution]) -> Pytree:
-    """The model with `choose(name, distribution)` in the place of each of its distributions; what was shared stays
-    shared.
-    """
-
-    def change(name: str, leaf: Any) -> Any:
-        if not isinstance(leaf, AbstractDistribution):
-            return leaf
-        law = choose(name, leaf)
-        return law.shared(leaf.shared_name) if leaf.shared_name else law
-
-    return _with_leaves(model, change)
-
-
-def _with_leaves(model: Pytree, change: Callable[[str, Any], Any]) -> Pytree:
-    """The model with `change(name, leaf)` in the place of each of its leaves."""
-    structure = jax.tree.structure(model, is_leaf=is_leaf)
-    return jax.tree.unflatten(structure, [change(name, leaf) for name, leaf in named_leaves(model)])
-
-
-def _replace(model: Pytree, kind: type, change: Callable[[Any], Any]) -> Pytree:
-    return jax.tree.map(
-        lambda leaf: change(leaf) if isinstance(leaf, kind) else leaf,
-        model,
-        is_leaf=is_leaf,
-    )

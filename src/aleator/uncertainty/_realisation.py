@@ -1,0 +1,108 @@
+"""From a model to its numbers: at a germ point and decisions, or by name."""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from aleator._core.arrays import Pytree, is_number
+from aleator._core.leaves import is_leaf, named_leaves
+from aleator.uncertainty._at_mean import AtMean, free
+from aleator.uncertainty._decision import Decision
+from aleator.uncertainty._distribution import AbstractDistribution
+from aleator.uncertainty._placements import Placements, placements
+
+
+def realise(model: Pytree, germ: Float[Array, " variables"], decisions: Float[Array, " n"]) -> Pytree:
+    """The model with a plain number in the place of each distribution and decision (dissertation, equation 26).
+
+    `germ` has one entry for each germ variable and `decisions` one for each decided number, in the order of
+    `placements`. Differentiable with respect to both; the parameters of distributions are realised first.
+    """
+    places = placements(model)
+    uncertain = uncertain_numbers(places, germ, decisions)
+
+    def value(name: str, leaf: Any) -> Any:
+        if isinstance(leaf, Decision):
+            return _chosen(places, decisions, name)
+        if isinstance(leaf, AtMean):
+            return _decided(leaf.distribution, name, places, decisions).mean()
+        return uncertain[name] if is_leaf(leaf) else leaf
+
+    return _with_leaves(model, value)
+
+
+def uncertain_numbers(
+    places: Placements, germ: Float[Array, " variables"], decisions: Float[Array, " n"]
+) -> dict[str, Float[Array, ""]]:
+    """The values of a model's distributions at one germ point, by name."""
+    variables = dict(zip(places.germ_names, germ, strict=True))
+    values = {}
+    for name, law in places.distributions.items():
+        own = tuple(variables[variable] for variable in law.germ_names(name))
+        values[name] = _decided(law, name, places, decisions).realised(own, law.reference())
+    return values
+
+
+def _chosen(places: Placements, decisions: Float[Array, " n"], name: str) -> Float[Array, "..."]:
+    place = places.decisions[name]
+    return decisions[place.where].reshape(np.shape(place.decision.initial))
+
+
+def _decided(
+    law: AbstractDistribution, name: str, places: Placements, decisions: Float[Array, " n"]
+) -> AbstractDistribution:
+    """The distribution called `name` with its decisions at their current values."""
+    return law.decided(
+        lambda parameter, decision: _chosen(places, decisions, decision.shared_name or f"{name}.{parameter}")
+    )
+
+
+def named_numbers(model: Pytree, decisions: Float[Array, " n"]) -> dict[str, Any]:
+    """Every number of a model by name, at given decisions.
+
+    A plain number (whole or not) or decision stands under its place (`m_u`), a distribution's parameters below it
+    (`k_s.half_width`), as do its `mean` and `std`, whatever its parameters are.
+    """
+    places = placements(model)
+    numbers: dict[str, Any] = {}
+    for name, leaf in named_leaves(model):
+        if isinstance(leaf, Decision):
+            numbers[name] = _chosen(places, decisions, name)
+        elif is_leaf(leaf):
+            law = _decided(free(leaf), name, places, decisions)
+            moments = {"mean": law.mean(), "std": law.std()}
+            numbers |= {f"{name}.{key}": jnp.asarray(value) for key, value in (moments | law.parameters).items()}
+        elif is_number(leaf) or _is_whole(leaf):
+            numbers[name] = jnp.asarray(leaf, dtype=float)
+    return numbers
+
+
+def _is_whole(leaf: Any) -> bool:
+    """Whether `leaf` is a whole number or an array of them. A truth value is none, though Python counts it as one."""
+    if isinstance(leaf, bool):
+        return False
+    return isinstance(leaf, int) or jnp.issubdtype(getattr(leaf, "dtype", None) or bool, jnp.integer)
+
+
+def with_laws(model: Pytree, choose: Callable[[str, AbstractDistribution], AbstractDistribution]) -> Pytree:
+    """The model with `choose(name, distribution)` in the place of each of its distributions; what was shared stays
+    shared.
+    """
+
+    def change(name: str, leaf: Any) -> Any:
+        if not isinstance(leaf, AbstractDistribution):
+            return leaf
+        law = choose(name, leaf)
+        return law.shared(leaf.shared_name) if leaf.shared_name else law
+
+    return _with_leaves(model, change)
+
+
+def _with_leaves(model: Pytree, change: Callable[[str, Any], Any]) -> Pytree:
+    """The model with `change(name, leaf)` in the place of each of its leaves."""
+    structure = jax.tree.structure(model, is_leaf=is_leaf)
+    return jax.tree.unflatten(structure, [change(name, leaf) for name, leaf in named_leaves(model)])
