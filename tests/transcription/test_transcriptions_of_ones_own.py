@@ -135,3 +135,36 @@ def test_a_transcription_of_ones_own_is_kept_apart_from_others():
     second = al.solve(problem)
     assert len(first.multipliers) == len(second.multipliers) + 1
     assert replace(first, multipliers=second.multipliers).vector.shape == second.vector.shape
+
+
+@dataclass(frozen=True)
+class Mistaken(ext.AbstractTranscription):
+    """An epigraph form with a mistake in it."""
+
+    mistake: str
+
+    @override
+    def transcribed(self, problem, meanwhile):
+        found = Epigraph().transcribed(problem, meanwhile)
+        if self.mistake == "nothing":
+            return None
+        if self.mistake == "rows":
+            return replace(found, rows=())
+        if self.mistake == "row":
+            return replace(found, rows=(slice(0, 1), *found.rows[1:]))
+        return found
+
+
+@pytest.mark.parametrize(
+    ("mistake", "message"),
+    [
+        ("nothing", r"Mistaken\.transcribed: expected an AbstractTranscribed; received None"),
+        ("rows", "rows: expected those of 2 constraints"),
+        ("row", "constraint 'x': expected the same of the program and of what its point means"),
+    ],
+)
+def test_a_transcription_that_contradicts_itself_is_refused_and_harms_no_other(mistake, message):
+    problem = PROBLEMS["a spread within a limit"]()
+    with pytest.raises(al.ProblemError, match=message):
+        al.solve(problem, transcription=Mistaken(mistake))
+    assert al.solve(problem).ok

@@ -14,6 +14,8 @@ from aleator.uncertainty import AbstractDistribution
 
 _CONTRIBUTORS = 4
 _LEAST_SHARE = 0.001
+# A spread below this part of the mean is rounding.
+_ROUNDING = 1e-14
 
 
 def as_lines(rows: list[tuple[str, str]]) -> str:
@@ -69,7 +71,7 @@ def contributors(laws: Mapping[str, AbstractDistribution], basis: Basis, terms: 
         germ: f"({law.dependence.group})" for law in laws.values() if law.dependence for germ in law.germ_names("")
     }
     variance = np.sum(terms[1:] ** 2)
-    if not variance > 0:
+    if not variance > (_ROUNDING * float(np.abs(terms[0]))) ** 2:
         return "it does not vary"
     shares: dict[str, float] = {}
     for degrees, coefficient in zip(basis.indices[1:], terms[1:], strict=True):

@@ -34,7 +34,8 @@ def real_array(value: Any, name: str, library: Any) -> Any:
             f"{name} must return a real array or a dict of real arrays; received {type(value).__name__}"
             f"{'' if kind is None else f' of {kind}'}. Return jnp.stack(...) of a list, real parts of a complex array."
         )
-    return library.asarray(value, dtype=float)
+    # A function that is called may return the same array each time, with other numbers in it.
+    return np.array(value, dtype=float) if library is np else library.asarray(value, dtype=float)
 
 
 def part(outputs: Pytree, name: str) -> Pytree:

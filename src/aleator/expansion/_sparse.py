@@ -123,6 +123,6 @@ def _linear_model() -> Any:
     except ImportError as error:
         raise MissingExtraError(
             '`Sparse` needs the library scikit-learn: install it with `pip install "aleator[sparse]"`, or take '
-            "`LeastSquares()` or an `Adaptive` index set."
+            "al.fits.LeastSquares() or al.index_sets.Adaptive()."
         ) from error
     return linear_model

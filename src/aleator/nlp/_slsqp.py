@@ -74,7 +74,7 @@ class Slsqp(AbstractSolver):
         if scaled.size > _MOST_VARIABLES:
             raise ProblemError(
                 f"Slsqp keeps dense matrices: expected at most {_MOST_VARIABLES} variables; received {scaled.size}. "
-                "Use Ipopt() or InteriorPoint()."
+                "Use al.solvers.Ipopt() or al.solvers.InteriorPoint()."
             )
         rows = np.flatnonzero(scaled.constraint_lower == scaled.constraint_upper)
         point, iterations, search, restarts = scaled.start, 0, _least_objective, 0

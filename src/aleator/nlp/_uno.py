@@ -33,7 +33,7 @@ def load_unopy(who: str) -> Any:
         import unopy
     except ImportError as error:
         raise MissingExtraError(
-            f"`{who}` needs the library unopy: install it with `pip install unopy`, or use `Ipopt()` instead."
+            f"`{who}` needs the library unopy: install it with `pip install unopy`, or use al.solvers.Ipopt()."
         ) from error
     return unopy
 

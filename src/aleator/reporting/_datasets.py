@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from aleator._core.given import one_of
 from aleator.design import statistics_in
 from aleator.reporting import _units
 from aleator.solution import Solution
@@ -159,7 +160,11 @@ def dataset(result: "Solution | Evidence | Front | Calibration | xarray.Dataset"
         return evidence_dataset(result)
     if isinstance(result, Front):
         return front_dataset(result)
-    return calibration_dataset(result) if isinstance(result, Calibration) else result
+    if isinstance(result, Calibration):
+        return calibration_dataset(result)
+    import xarray
+
+    return one_of("save", result, xarray.Dataset, "a Solution, an Evidence, a Front or a Calibration")
 
 
 def _variable(axes: Any, values: Any, long_name: str, unit: str, **more: str) -> Variable:

@@ -127,6 +127,7 @@ def solution_document(solution: Solution, evidence: Evidence | None = None) -> d
             "evaluations": solution.effort.evaluations,
             "solver": solution.effort.solver,
             "message": solution.message,
+            "said": [f"{label}: {text}" for label, text in solution.certificate.rows()],
         },
         "expansion": {
             "order": quality.order,

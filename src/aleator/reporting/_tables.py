@@ -120,6 +120,7 @@ def certificate_table(solutions: Mapping[str, Solution]) -> Table:
             if any(one.between for one in certificates)
             else []
         ),
+        *_said(certificates),
         ["Iterations / evaluations", *(f"{one.iterations} / {one.evaluations}" for one in efforts)],
         ["Time to compile / to solve", *map(_times, efforts)],
         ["Expansion: order, terms, points", *map(_expansion, certificates)],
@@ -137,6 +138,17 @@ def certificate_table(solutions: Mapping[str, Solution]) -> Table:
         f" up to {tolerances} it counts as resolved."
     )
     return Table("Certificate", ["", *solutions], rows, note)
+
+
+def _said(certificates: list[Certificate]) -> list[list[str]]:
+    """What a finer grid, the worst case and fresh systems say of each design, where any was asked."""
+    rows = [
+        ["Error of the grid", *("–" if one.grid_error is None else str(one.grid_error) for one in certificates)],
+        ["Worst case", *("; ".join(one.worst_case.rows()) if one.worst_case else "–" for one in certificates)],
+        ["Fresh systems", *("–" if one.opinion is None else one.opinion.sentence() for one in certificates)],
+        ["Not seen", *(one.expansion.unseen.sentence() if one.expansion.unseen else "–" for one in certificates)],
+    ]
+    return [row for row in rows if any(text != "–" for text in row[1:])]
 
 
 def _times(effort: Effort) -> str:

@@ -14,10 +14,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from aleator._core.errors import ProblemError
 from aleator.expansion import Basis
 from aleator.statistics._line_law import LineLaw, line_law
 from aleator.statistics._moments import root
-from aleator.uncertainty import HermiteGerm, LegendreGerm
+from aleator.uncertainty import HermiteGerm, LegendreGerm, SampleGerm
 
 # Of one number; of many at once fewer are used, see `_output_law`.
 _LINES = 2**14
@@ -121,8 +122,20 @@ class Lines(eqx.Module):
         return self.others.shape[1] if self.rotation is None else len(self.rotation.points)
 
 
+def refuse_steps(basis: Basis) -> None:
+    """Raise `ProblemError` where a germ variable takes single values only: along it nothing lies between them."""
+    steps = [name for name, germ in basis.germs.items() if isinstance(germ, SampleGerm)]
+    if steps:
+        raise ProblemError(
+            f"Quantiles, probabilities and their like of an expansion need distributions with a density; received a "
+            f"sample of data for '{steps[0]}', which takes single values. Fit a distribution, give an al.Density, or "
+            "take al.references.monte_carlo and al.validate."
+        )
+
+
 def lines_through(basis: Basis) -> Lines:
     """Preparation: lines through the germ of a basis, for the distribution of an output."""
+    refuse_steps(basis)
     active = [i for i, degree in enumerate(basis.degrees) if degree > 0]
     if not active:
         return _nowhere()

@@ -61,7 +61,7 @@ def a_statistic(given: Any) -> AbstractStatistic:
     if isinstance(given, AbstractStatistic):
         return given
     made = " Make one of the class first." if isinstance(given, type) else ""
-    raise ProblemError(f"statistic: expected a statistic, such as al.extending's; received {given!r}.{made}")
+    raise ProblemError(f"statistic: expected a statistic, such as one of docs/extending.md; received {given!r}.{made}")
 
 
 def entry_by_entry(

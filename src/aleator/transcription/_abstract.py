@@ -82,7 +82,9 @@ class AbstractTranscribed(abc.ABC):
 
     @abc.abstractmethod
     def point(self, decisions: Float[np.ndarray, " n"]) -> Float[np.ndarray, " variables"]:
-        """The point of the program to start from where the decisions are given."""
+        """The point of the program to start from where the decisions are given: objective and constraints are the
+        problem's there.
+        """
 
     @abc.abstractmethod
     def at(self, point: Float[np.ndarray, " variables"]) -> Meaning:

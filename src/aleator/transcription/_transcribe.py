@@ -10,6 +10,7 @@ import numpy as np
 from aleator._core.errors import ProblemError
 from aleator.design import Problem, current
 from aleator.transcription._abstract import AbstractTranscribed, AbstractTranscription, Meanwhile
+from aleator.transcription._checked import checked
 from aleator.transcription.sequential import Sequential
 
 DEFAULT = Sequential()
@@ -44,7 +45,7 @@ def transcribe(
         raise ProblemError(
             "The problem has no decisions: put al.Decision(initial, lower, upper) in the place of a number of it."
         )
-    found = transcription.transcribed(problem, meanwhile)
+    found = checked(transcription.transcribed(problem, meanwhile), transcription, problem)
     kept = [leaf.copy() if isinstance(leaf, np.ndarray) else leaf for leaf in numbers]
     with _LOCK:
         _RECENT.append((transcription, kept, found))

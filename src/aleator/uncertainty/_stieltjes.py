@@ -75,6 +75,10 @@ def _measure(germ: AbstractDensityGerm) -> Measure:
 @functools.lru_cache(maxsize=512)
 def _recurrence(germ: AbstractDensityGerm, order: int) -> tuple[np.ndarray, np.ndarray]:
     """The recurrence on ever finer rules, until two of them agree."""
+    if order == 0:
+        # A mean alone, which may be zero, says nothing of how exact it is to be.
+        a, b = _recurrence(germ, 1)
+        return a[:1], b[:1]
     a, b = _discretised(germ, order, halvings=0)
     for halvings in range(1, _HALVINGS):
         coarse = a, b
