@@ -164,7 +164,9 @@ def dataset(result: "Solution | Evidence | Front | Calibration | xarray.Dataset"
         return calibration_dataset(result)
     import xarray
 
-    return one_of("save", result, xarray.Dataset, "a Solution, an Evidence, a Front or a Calibration")
+    return one_of(
+        "save", result, (xarray.Dataset, xarray.DataArray), "a Solution, an Evidence, a Front or a Calibration"
+    )
 
 
 def _variable(axes: Any, values: Any, long_name: str, unit: str, **more: str) -> Variable:
