@@ -164,9 +164,10 @@ def dataset(result: "Solution | Evidence | Front | Calibration | xarray.Dataset"
         return calibration_dataset(result)
     import xarray
 
-    return one_of(
-        "save", result, (xarray.Dataset, xarray.DataArray), "a Solution, an Evidence, a Front or a Calibration"
-    )
+    # A study may keep one array of its own: xarray takes it for a dataset of that array.
+    kinds = (xarray.Dataset, xarray.DataArray)
+    one_of("save", result, kinds, "a Solution, an Evidence, a Front or a Calibration")
+    return result
 
 
 def _variable(axes: Any, values: Any, long_name: str, unit: str, **more: str) -> Variable:
