@@ -24,8 +24,6 @@ from aleator._core.programs import PROGRAMS, Executable, Program
 # result again wherever it is used: the sine of an angle for each derivative that it takes part in. With its pass of
 # this name left out, barriers last.
 _BARRIERS: dict[str, str | bool] = {"xla_disable_hlo_passes": "cse_barrier_expander"}
-# As wide as the processor's vectors are: XLA takes half of them where they have 512 bits.
-_WIDE: dict[str, str | bool] = {"xla_cpu_prefer_vector_width": "512"}
 
 
 class Use(enum.Enum):
@@ -37,7 +35,7 @@ class Use(enum.Enum):
     - `ONCE`: a few runs in all. Hardly optimised, it is ready much sooner.
     """
 
-    LOOPS = _BARRIERS | _WIDE
+    LOOPS = _BARRIERS
     ROWS = _BARRIERS | {"xla_cpu_use_fusion_emitters": False}
     ONCE = ROWS | {"xla_backend_optimization_level": "0"}
 

@@ -6,8 +6,8 @@ from jaxtyping import Float
 
 from aleator.design import grid_at, unsolved
 from aleator.dynamics import Grid
+from aleator.ensemble import inputs_at, listed
 from aleator.transcription import AbstractTranscribed
-from aleator.uncertainty import uncertain_numbers
 
 # As many numbers as are read at a glance.
 _MOST_NUMBERS = 5
@@ -26,7 +26,7 @@ def diagnose(transcribed: AbstractTranscribed, decisions: Float[np.ndarray, " n"
             f"decisions are {_few(numbers, _MOST_NUMBERS)}."
         )
     name, (point, instant) = min(broken.items(), key=lambda item: item[1][1])
-    uncertain = _realisation(transcribed, decisions, point)
+    uncertain = inputs_at(transcribed.places, transcribed.points[point], jnp.asarray(decisions))
     # Most of them are of the realisation: one of many is wrong, all of them have the same decisions.
     realised = min(len(uncertain), _MOST_NUMBERS - min(len(numbers), 2))
     count = len(transcribed.collocation.points)
@@ -47,7 +47,7 @@ def diagnose(transcribed: AbstractTranscribed, decisions: Float[np.ndarray, " n"
 
 def _few(numbers: dict[str, float], most: int) -> str:
     """The first of some numbers, and how many more there are."""
-    shown = ", ".join(f"{name}={value:.6g}" for name, value in list(numbers.items())[:most])
+    shown = listed(dict(list(numbers.items())[:most]))
     return f"{shown} and {len(numbers) - most} more" if len(numbers) > most else shown
 
 
@@ -56,10 +56,3 @@ def _first(values: np.ndarray) -> tuple[int, int]:
     bad = ~np.isfinite(values.reshape(*values.shape[:2], -1)).all(axis=2)
     instant = int(np.argmax(bad.any(axis=0)))
     return int(np.argmax(bad.take(instant, axis=1))), instant
-
-
-def _realisation(transcribed: AbstractTranscribed, decisions: np.ndarray, point: int) -> dict[str, float]:
-    """The uncertain numbers at one of its points."""
-    germ = jnp.asarray(transcribed.points[point])
-    numbers = uncertain_numbers(transcribed.places, germ, jnp.asarray(decisions))
-    return {name: float(number) for name, number in numbers.items()}

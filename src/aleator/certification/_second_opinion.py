@@ -23,6 +23,7 @@ from aleator.design import (
     sizes,
     statistics_in,
 )
+from aleator.ensemble import draw
 from aleator.solution import SecondOpinion
 from aleator.statistics import (
     AbstractStatistic,
@@ -122,8 +123,7 @@ def second_opinion(transcribed: AbstractTranscribed, point: Float[np.ndarray, " 
     problem, basis, meaning = transcribed.problem, transcribed.basis, transcribed.at(point)
     if basis.variables == 0 or not functionals_of(problem.expressions):
         return None
-    levels = np.random.default_rng(2).uniform(np.finfo(float).tiny, 1.0, (_FRESH, basis.variables))
-    points = basis.map_to_germ(levels)
+    points = draw(basis.germs.values(), _FRESH, np.random.default_rng(2))
     decisions = jnp.asarray(meaning.decisions)
     values = RESPOND(transcribed.traced, jnp.asarray(points), decisions)
     fresh = _fresh(transcribed, points, [np.asarray(one) for one in values], point)

@@ -11,10 +11,10 @@ from jaxtyping import Bool, Float
 from aleator.certification._oracle import Oracle, worst_case_limits
 from aleator.certification._search import Points, candidates, search
 from aleator.design import AbstractFunctional, Constraint, functionals_of, is_worst_case
+from aleator.ensemble import inputs_at
 from aleator.nlp import HELD, Outcome, Status
 from aleator.solution import WorstCase, WorstRealisation
 from aleator.transcription import AbstractTranscribed, Scenarios
-from aleator.uncertainty import uncertain_numbers
 
 # How often scenarios are added and the program is solved again.
 _MOST_ROUNDS = 20
@@ -152,7 +152,6 @@ def _told(
     realisations = []
     for i, limit in enumerate(worst_case_limits(transcribed.problem)):
         k = int(np.argmax(np.nan_to_num(reached.beyond[:, i], nan=-np.inf)))
-        numbers = uncertain_numbers(transcribed.places, jnp.asarray(germ[k]), jnp.asarray(decisions))
         time = float(reached.time[k, i])
         realisations.append(
             WorstRealisation(
@@ -161,7 +160,7 @@ def _told(
                 value=float(reached.value[k, i]),
                 beyond=float(reached.beyond[k, i]),
                 time=None if np.isnan(time) else time,
-                numbers={name: float(number) for name, number in numbers.items()},
+                numbers=inputs_at(transcribed.places, germ[k], jnp.asarray(decisions)),
             )
         )
     return WorstCase(tuple(realisations), transcribed.scenarios.held, rounds, oracle.asked)

@@ -19,9 +19,8 @@ from aleator.dynamics import (
     AbstractIntegrator,
     AbstractSystem,
     Grid,
-    Instant,
-    RungeKutta4,
     Simulation,
+    simulation_of,
 )
 from aleator.expansion import Expansion
 from aleator.trajectories import AbstractSignal
@@ -54,10 +53,7 @@ class Problem(AbstractProblem):
     ):
         if inputs is not None and not isinstance(inputs, Mapping):
             raise ProblemError(f"inputs: expected signals by name, such as {{'road': ...}}; received {type(inputs)}.")
-        has_time = not isinstance(system, AbstractSystem) or system.has_time
-        instants: Any = Instant() if grid is None and not has_time else _copied(grid)
-        how = RungeKutta4() if integrator is None else integrator
-        self.simulation = Simulation(_copied(system), _copied(dict(inputs or {})), instants, how)
+        self.simulation = _copied(simulation_of(system, grid, inputs, integrator))
         self.objective = as_expression(minimize)
         self.constraints = _told_apart(tuple(_flatten(subject_to)))
         self.expansion = Expansion() if expansion is None else expansion

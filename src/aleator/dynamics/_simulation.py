@@ -117,12 +117,13 @@ def simulate(
 def simulation_of(
     system: AbstractSystem,
     grid: AbstractGrid | None,
-    inputs: Inputs | None,
+    inputs: Mapping[str, AbstractSignal] | None,
     integrator: AbstractIntegrator | None,
 ) -> Simulation:
-    """A simulation, what is left out being that of its kind of system: one instant, no inputs, `RungeKutta4`."""
-    instants = Instant() if grid is None and not system.has_time else grid
-    return Simulation(system, dict(inputs or {}), instants, integrator or RungeKutta4())  # type: ignore[arg-type]
+    """A simulation as it is given; what is left out is that of its kind: one instant, no inputs, `RungeKutta4`."""
+    has_time = not isinstance(system, AbstractSystem) or system.has_time
+    instants = Instant() if grid is None and not has_time else grid
+    return Simulation(system, dict(inputs or {}), instants, RungeKutta4() if integrator is None else integrator)  # type: ignore[arg-type]
 
 
 def _asked(only: Collection[str] | None) -> Asked:

@@ -29,8 +29,7 @@ class AbstractDistribution(AbstractLeaf):
 
     The germ `xi` is fixed and the number is `location + scale * xi` (dissertation, equations 13 and 14), so that
     decisions inside a distribution move the number but not the collocation points in germ space. Where a decision sets
-    the *shape* of a distribution, `xi` is transported from the initial distribution to the current one at equal
-    probability.
+    the *shape* of a distribution, `xi` moves from the initial distribution to the current one at equal probability.
 
     Two placements are two independent variables, even of the same object, unless both were made with `shared("name")`:
     then they are one and the same realisation.
@@ -82,9 +81,7 @@ class AbstractDistribution(AbstractLeaf):
         return self.FORMS[self._names()]
 
     def _check(self) -> None:
-        """Refuse parameters that make no distribution, at the start of the decisions or anywhere between their
-        bounds.
-        """
+        """Refuse parameters that make no distribution, at the start or anywhere between the decisions' bounds."""
         start = {name: float(value) for name, value in constant(self.initial().parameters).items()}
         if "upper" in start and not start["lower"] < start["upper"]:
             raise ProblemError(f"{type(self).__name__} needs lower < upper; received {self}.")
@@ -108,9 +105,7 @@ class AbstractDistribution(AbstractLeaf):
         return all(0 < number < np.inf for number in shape)
 
     def _numbers(self, parameters: dict[str, float]) -> tuple[float, float, tuple[float, ...]]:
-        """Location, spread and shape of a distribution that need not exist: they may be negative, infinite or not a
-        number.
-        """
+        """Location, spread and shape, also where no distribution has them: negative, infinite or not a number."""
         with np.errstate(all="ignore"), jax.ensure_compile_time_eval():
             location, scale, shape = self.form.canonical(**{name: np.float64(v) for name, v in parameters.items()})
         # A given standard deviation is squared on its way to some canonical forms, which hides its sign.
@@ -204,9 +199,7 @@ class AbstractDistribution(AbstractLeaf):
 
     @property
     def shape_is_decided(self) -> bool:
-        """Whether a decision sets a shape parameter, so that the distribution changes by more than location and
-        scale.
-        """
+        """Whether a decision sets a shape parameter, so that more changes than location and scale."""
         return not self.form.shaped_by.isdisjoint(self.decisions)
 
     def value(self, germ: Float[Array, ""], reference: tuple[Scalar, ...] | None = None) -> Float[Array, ""]:
@@ -231,8 +224,7 @@ class AbstractDistribution(AbstractLeaf):
     def anchor(self, germ: Float[Array, ""], shape: tuple) -> Float[Array, ""]:
         """The germ value as it is, with its derivative by the shape at equal probability.
 
-        This is what a distribution needs whose shape is differentiated from outside, as by `jax.grad`, rather than
-        decided.
+        A distribution needs it whose shape is differentiated from outside, as by `jax.grad`, rather than decided.
         """
         return self.transport(germ, jax.lax.stop_gradient(shape), shape)
 
@@ -241,9 +233,7 @@ class AbstractDistribution(AbstractLeaf):
         """The germ value of the given shape that has the probability level of the standard normal value `normal`."""
 
     def reference(self) -> tuple[Scalar, ...] | None:
-        """The shape to which the germ's values belong, where a decision moves the distribution away from it; else
-        nothing.
-        """
+        """The shape that the germ's values belong to, where a decision moves it away from there; else nothing."""
         return self._constant_shape() if self.shape_is_decided else None
 
     def concrete_shape(self) -> tuple[float, ...]:
