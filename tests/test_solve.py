@@ -25,9 +25,9 @@ def test_the_optimum_of_a_small_problem_is_its_closed_form(solver, upper, sigmas
     assert solution.objective == pytest.approx((gain - 3) ** 2 + 1, rel=1e-7)
     assert solution.active == ("response",)
     # d objective / d upper = 2 (gain - 3) / (1 + sigmas SPREAD)
-    price = 2 * (3 - gain) / (1 + sigmas * SPREAD)
-    assert solution.constraints[0].multipliers == pytest.approx([price], rel=1e-5)
-    assert solution.multiplier("response") == pytest.approx(price, rel=1e-5)
+    shadow_price = 2 * (3 - gain) / (1 + sigmas * SPREAD)
+    assert solution.constraints[0].multipliers == pytest.approx([shadow_price], rel=1e-5)
+    assert solution.multiplier("response") == pytest.approx(shadow_price, rel=1e-5)
 
 
 @SOLVERS
@@ -298,7 +298,7 @@ def test_a_solution_prints_its_certificate():
         "response: μ[response(t_f)] + σ[response(t_f)] ≤ 2: active",
     ):
         assert line in text
-    assert "price" in text
+    assert "shadow price" in text
     assert "worst leave-one-out error" in text
 
 
@@ -358,7 +358,7 @@ def test_a_bound_of_zero_that_holds_to_rounding_is_not_called_violated():
 
 
 @pytest.mark.parametrize("number", [2.0, 4.0])
-def test_the_price_of_an_equality_has_the_sign_of_the_fall_when_its_number_is_raised(number):
+def test_the_shadow_price_of_an_equality_has_the_sign_of_the_fall_when_its_number_is_raised(number):
     solution = al.solve(square_problem(al.terminal("a").mean.equals(number)))
     slope = 2 * (number - 3.0)  # d (a - 3)² / d a
     assert solution.multiplier("a") == pytest.approx(-slope, rel=1e-6)

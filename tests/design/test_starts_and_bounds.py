@@ -108,7 +108,7 @@ def test_control_points_of_a_motion_are_not_tried_at_their_bounds():
     class Cautious(Pendulum):
         """Knows no posture beyond three."""
 
-        def trouble(self, q):
+        def diagnose(self, q):
             return "" if abs(float(q[0])) < 3.0 else "beyond"
 
     motion = al.BSpline(al.Decision(np.zeros(6), -9.0, 9.0))

@@ -38,18 +38,18 @@ class Pulled(Levered):
 def test_torques_that_lose_their_effect_are_found_at_and_between_instants(steps, when):
     grid = al.Grid(1.0, steps)
     inverse = al.InverseDynamics(Levered(), motion={"x": ACROSS, "y": 0.0})
-    assert f"Levered lose their effect {when}" in inverse.trouble(grid)
+    assert f"Levered lose their effect {when}" in inverse.diagnose(grid)
     hybrid = al.HybridDynamics(Pulled(), motion={"x": ACROSS})
-    assert f"Pulled lose their effect {when}" in hybrid.trouble(grid)
+    assert f"Pulled lose their effect {when}" in hybrid.diagnose(grid)
 
 
-def test_torques_that_keep_their_effect_are_no_trouble():
+def test_torques_that_keep_their_effect_give_no_diagnosis():
     aside = al.PowerSeries(start=(1.0, 0.0), end=(0.1, 0.0))
     for system in (
         al.InverseDynamics(Levered(), motion={"x": aside, "y": 0.0}),
         al.HybridDynamics(Pulled(), motion={"x": aside}),
     ):
-        assert system.trouble(al.Grid(1.0, 11)) == ""
+        assert system.diagnose(al.Grid(1.0, 11)) == ""
 
 
 class Mapped(al.Mechanical):
@@ -67,9 +67,9 @@ class Mapped(al.Mechanical):
 
 
 def test_a_velocity_map_in_very_different_units_is_no_gimbal_lock():
-    assert al.ForwardDynamics(Mapped(map=((1e9, 0.0), (0.0, 1.0)))).trouble(al.Grid(1.0, 4)) == ""
+    assert al.ForwardDynamics(Mapped(map=((1e9, 0.0), (0.0, 1.0)))).diagnose(al.Grid(1.0, 4)) == ""
     for locked in (((1e9, 1.0), (1e9, 1.0)), ((1.0, 0.0), (0.0, 1.6e16)), ((1.0, 0.0), (0.0, 0.0))):
-        assert "gimbal lock" in al.ForwardDynamics(Mapped(map=locked)).trouble(al.Grid(1.0, 4))
+        assert "gimbal lock" in al.ForwardDynamics(Mapped(map=locked)).diagnose(al.Grid(1.0, 4))
 
 
 class Stiff(al.Multibody):
@@ -89,7 +89,7 @@ class Stiff(al.Multibody):
 @pytest.mark.parametrize("damping", [3.4e3, 1e5])
 def test_a_stiff_model_is_not_blamed_for_steps_that_are_too_long_for_it(damping):
     system = al.ForwardDynamics(Stiff(damping=damping), start={"arm_rate": 1.0, "block": 0.3})
-    assert system.trouble(al.Grid(2.0, 100)) == ""
+    assert system.diagnose(al.Grid(2.0, 100)) == ""
 
 
 class Coupled(al.Mechanical):
@@ -103,8 +103,8 @@ class Coupled(al.Mechanical):
 
 def test_a_singular_mass_matrix_is_still_named():
     motionless = {"x": 1.0 - 1e-13, "x_rate": 0.0}
-    trouble = al.ForwardDynamics(Coupled(), start=motionless).trouble(al.Grid(1.0, 4))
-    assert "mass matrix of Coupled is singular at the start" in trouble
+    diagnosis = al.ForwardDynamics(Coupled(), start=motionless).diagnose(al.Grid(1.0, 4))
+    assert "mass matrix of Coupled is singular at the start" in diagnosis
 
 
 def test_one_signal_drives_a_single_actuator():

@@ -58,12 +58,14 @@ def test_components_of_a_quaternion_that_a_start_leaves_out_are_those_of_no_turn
 
 def test_a_prescribed_quaternion_that_passes_through_zero_is_refused_with_its_joint_and_time():
     motion = {"b_w": 0.0, "b_x": al.PowerSeries(start=(1.0, 0.0), end=(-1.0, 0.0)), "b_y": 0.0, "b_z": 0.0}
-    trouble = al.InverseDynamics(Top(), motion=motion).trouble(al.Grid(1.0, 10))
-    assert "quaternion of 'b_w' has no length at t = 0.5 s" in trouble
+    diagnosis = al.InverseDynamics(Top(), motion=motion).diagnose(al.Grid(1.0, 10))
+    assert "quaternion of 'b_w' has no length at t = 0.5 s" in diagnosis
     long = motion | {"b_y": 7.0}
-    assert al.InverseDynamics(Top(), motion=long).trouble(al.Grid(1.0, 10)) == ""
+    assert al.InverseDynamics(Top(), motion=long).diagnose(al.Grid(1.0, 10)) == ""
     turned = {name.replace("b_", "head_"): one for name, one in motion.items()}
-    assert "'head_w' has no length at t = 0.5 s" in al.HybridDynamics(Swivel(), motion=turned).trouble(al.Grid(1.0, 10))
+    assert "'head_w' has no length at t = 0.5 s" in al.HybridDynamics(Swivel(), motion=turned).diagnose(
+        al.Grid(1.0, 10)
+    )
 
 
 @pytest.mark.slow
@@ -104,7 +106,7 @@ def test_a_prescribed_head_of_any_quaternion_moves_its_slide_back():
         "head_z": al.PowerSeries(start=(0.1, 0.3), end=(1.0, 0.0)),
     }
     system = al.HybridDynamics(Swivel(), motion=motion, start={"slide": 0.2})
-    assert system.trouble(grid) == ""
+    assert system.diagnose(grid) == ""
     found = simulate(system, grid)
     raw = np.stack([np.asarray(motion[f"head_{c}"].values(grid.fractions, 1.0)) for c in "wxz"], 1)
     turns = Rotation.from_quat(np.stack([raw[:, 1], np.full(101, 0.3), raw[:, 2], raw[:, 0]], 1))

@@ -244,7 +244,7 @@ def test_what_cannot_move_is_refused_in_words(wrong, message):
 def test_masses_of_very_different_sizes_are_no_singular_matrix():
     # A wheel of a watch on a truck: each resists its own torque well.
     system = al.ForwardDynamics(Flat(matrix=((1e5, 0.0), (0.0, 1e-10))))
-    assert system.trouble(GRID) == ""
+    assert system.diagnose(GRID) == ""
 
 
 def holding_torques():

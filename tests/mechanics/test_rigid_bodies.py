@@ -178,16 +178,16 @@ def test_gimbal_lock_is_refused_with_its_angle_and_time():
 
 def test_some_angles_of_a_body_alone_cannot_be_prescribed():
     system = al.HybridDynamics(Angles(), motion={"yaw": al.PowerSeries(start=(0.1, 1.0))})
-    assert "enter the rates of the prescribed ones (yaw)" in system.trouble(al.Grid(1.0, 10))
+    assert "enter the rates of the prescribed ones (yaw)" in system.diagnose(al.Grid(1.0, 10))
 
 
 def test_body_rates_that_pass_for_rates_of_angles_are_refused():
     class Misnamed(Angles):
         velocity_names = None
 
-    trouble = al.ForwardDynamics(Misnamed()).trouble(al.Grid(1.0, 10))
-    assert "the velocity 'yaw_rate' is called the rate of 'yaw'" in trouble
-    assert "velocity_names" in trouble
+    diagnosis = al.ForwardDynamics(Misnamed()).diagnose(al.Grid(1.0, 10))
+    assert "the velocity 'yaw_rate' is called the rate of 'yaw'" in diagnosis
+    assert "velocity_names" in diagnosis
 
 
 def test_hybrid_dynamics_needs_one_velocity_for_each_coordinate():

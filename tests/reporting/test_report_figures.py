@@ -15,9 +15,9 @@ from aleator.reporting import (
     number,
     percent,
     percentile_figure,
-    price_figure,
     projection_figure,
     relative_figure,
+    shadow_price_figure,
     signal_figure,
     trajectory_figure,
 )
@@ -57,10 +57,10 @@ def test_infeasible_points_stand_on_the_axis_and_say_why():
     assert figure.layout.yaxis.range[0] < crosses.y[0] < np.nanmin(front.objectives)
 
 
-def test_prices_are_the_multipliers_in_the_unit_asked():
+def test_shadow_prices_are_the_multipliers_in_the_unit_asked():
     front = given.front()
-    (line,) = price_figure({"uOpt": front}, x="Reach", y="Price", scale=0.01).data
-    np.testing.assert_allclose(np.array(line.y[:3], dtype=float), 0.01 * front.prices[:3])
+    (line,) = shadow_price_figure({"uOpt": front}, x="Reach", y="Shadow price", scale=0.01).data
+    np.testing.assert_allclose(np.array(line.y[:3], dtype=float), 0.01 * front.shadow_prices[:3])
 
 
 def test_the_same_design_has_the_same_colour_and_marker_everywhere():

@@ -66,7 +66,7 @@ def test_a_front_reopens_along_its_bound(tree):
     data, front = tree["fronts/uOpt"].to_dataset(), given.front()
     np.testing.assert_array_equal(data["bound"], front.values)
     np.testing.assert_array_equal(data["objective"], front.objectives)
-    np.testing.assert_array_equal(data["price"], front.prices)
+    np.testing.assert_array_equal(data["shadow_price"], front.shadow_prices)
     assert list(data["status"].values) == [one.status.name for one in front.solutions]
     assert data["bound"].attrs["units"] == "m"
 
@@ -88,7 +88,7 @@ def test_the_json_is_strict_and_says_what_was_found(stored):
     design = document["designs/uOpt"]
     assert design["decisions"]["c.mean"]["value"] == float(given.solution().decisions["c.mean"])
     assert design["constraints"][0]["lower"] is None
-    assert design["constraints"][0]["price"] == given.solution().multiplier(given.NAME)
+    assert design["constraints"][0]["shadow_price"] == given.solution().multiplier(given.NAME)
     share = given.evidence().violations[given.NAME]
     assert design["evidence"]["violations"][given.NAME]["lower"] == share.lower
     assert document["designs/never"]["why"] == given.infeasible().why()

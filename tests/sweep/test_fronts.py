@@ -32,16 +32,16 @@ def test_a_front_is_compiled_once_and_follows_its_closed_form():
     assert EVALUATE.compilations == before
     gains = np.minimum(3.0, bounds / (1 + SPREAD))
     np.testing.assert_allclose(front.objectives, (gains - 3) ** 2 + 1, rtol=1e-7)
-    np.testing.assert_allclose(front.prices, 2 * (3 - gains) / (1 + SPREAD), rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(front.shadow_prices, 2 * (3 - gains) / (1 + SPREAD), rtol=1e-5, atol=1e-6)
 
 
-def test_prices_are_the_slope_of_the_front():
+def test_shadow_prices_are_the_slope_of_the_front():
     step, bound = 1e-3, 0.13
     # So many steps that margins for what lies between the instants, which move with the bound too, are negligible.
     front = al.pareto(oscillator_problem(grid=al.Grid(4.0, 400)), "x", [bound - step, bound, bound + step])
     slope = (front.objectives[2] - front.objectives[0]) / (2 * step)
     assert slope < -1e-3
-    assert front.prices[1] == pytest.approx(-slope, rel=1e-3)
+    assert front.shadow_prices[1] == pytest.approx(-slope, rel=1e-3)
 
 
 def test_infeasible_points_are_kept_with_their_least_violation():
@@ -58,7 +58,7 @@ def test_infeasible_points_are_kept_with_their_least_violation():
     excess = [one.constraints[0].violation for one in front.solutions[1:3]]
     assert excess == pytest.approx([SPREAD, SPREAD + 0.5], rel=1e-6)
     assert np.isnan(front.objectives[1:3]).all()
-    assert np.isnan(front.prices[1:3]).all()
+    assert np.isnan(front.shadow_prices[1:3]).all()
     assert (front.violations[1:3] > 0.01).all()
     assert front.violations[[0, 3]] == pytest.approx([0, 0], abs=1e-8)
     assert "infeasible" in str(front)
@@ -83,7 +83,7 @@ def test_a_refused_point_is_kept_with_what_was_said_and_the_others_are_solved(bo
     assert "whatever the decisions are" in refused.why()
     assert "whatever the decisions are" in str(front)
     where = bounds.index(0.1)
-    assert np.isnan([front.objectives[where], front.violations[where], front.prices[where]]).all()
+    assert np.isnan([front.objectives[where], front.violations[where], front.shadow_prices[where]]).all()
     assert float(refused.problem.named("x")[0].lower) == 0.1
 
 

@@ -108,7 +108,7 @@ def test_a_problem_has_the_same_answer_and_certificate_by_another_transcription(
     assert other.bound_multipliers.keys() == usual.bound_multipliers.keys()
     for one, same in zip(other.constraints, usual.constraints, strict=True):
         assert (one.name, one.text, np.shape(one.values)) == (same.name, same.text, np.shape(same.values))
-        assert one.price == pytest.approx(same.price, rel=1e-3, abs=1e-6)
+        assert one.shadow_price == pytest.approx(same.shadow_price, rel=1e-3, abs=1e-6)
     assert other.moments.keys() == usual.moments.keys()
     found, expected = other.certificate, usual.certificate
     assert found.grid_error.objective.error == pytest.approx(expected.grid_error.objective.error, rel=0.1, abs=1e-12)

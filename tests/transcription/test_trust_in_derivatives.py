@@ -78,7 +78,7 @@ def test_a_kink_in_the_slope_spoils_the_derivatives_before_the_values_and_that_i
     solution = solved("kink", 5)
     quality = solution.certificate.expansion
     assert quality.worst <= quality.tolerance < quality.worst_tangent.error
-    assert "not resolved, so prices" in str(solution)
+    assert "not resolved, so shadow prices" in str(solution)
     assert "not resolved" not in str(solved("smooth", 5))
 
 

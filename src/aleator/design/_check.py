@@ -18,7 +18,7 @@ from aleator.design._declaration import AbstractProblem
 from aleator.design._expression import Expression
 from aleator.design._functionals import AbstractIntegral
 from aleator.design._physics import Digest, physics_of
-from aleator.design._realisations import refuse_trouble
+from aleator.design._realisations import refuse_diagnosed
 from aleator.design._response import grid_at, history
 from aleator.design._scope import AbstractScope, Value
 from aleator.design._statistic import (
@@ -54,7 +54,7 @@ def check(problem: AbstractProblem) -> str:
     _check_values(problem)
     _check_germs(problem)
     refuse_clashes(problem)
-    refuse_trouble(problem)
+    refuse_diagnosed(problem)
     return equations_now(problem)
 
 

@@ -21,7 +21,7 @@ from aleator.uncertainty import AbstractGerm, at_means, placements, realise, unc
 _TAIL = 1e-9
 
 
-def refuse_trouble(problem: AbstractProblem) -> None:
+def refuse_diagnosed(problem: AbstractProblem) -> None:
     """Raise `ProblemError` for what a system finds wrong with itself, or where it cannot hold its start.
 
     It is asked at the means, then with each uncertain number at either end of its distribution, the others at their
@@ -42,7 +42,7 @@ def refuse_trouble(problem: AbstractProblem) -> None:
 
 
 def _speaks(system: AbstractSystem) -> bool:
-    return type(system).trouble is not AbstractSystem.trouble
+    return type(system).diagnose is not AbstractSystem.diagnose
 
 
 def _at_means(problem: AbstractProblem, decisions: Any) -> Simulation:
@@ -51,11 +51,11 @@ def _at_means(problem: AbstractProblem, decisions: Any) -> Simulation:
 
 def _refuse(simulation: Simulation, who: str) -> None:
     try:
-        trouble = simulation.system.trouble(simulation.grid)
+        diagnosis = simulation.system.diagnose(simulation.grid)
     except ProblemError as error:
-        trouble = str(error)
-    if trouble:
-        raise ProblemError(trouble + who)
+        diagnosis = str(error)
+    if diagnosis:
+        raise ProblemError(diagnosis + who)
 
 
 def _extremes(germs: list[AbstractGerm]) -> Iterator[Float[np.ndarray, " variables"]]:

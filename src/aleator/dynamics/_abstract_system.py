@@ -25,7 +25,7 @@ class AbstractSystem(eqx.Module):
     def outputs(self, *args: Any, **kwargs: Any) -> dict[str, Any]:
         """Quantities of interest by name: accelerations, distances, forces."""
 
-    def trouble(self, grid: Any) -> str:
+    def diagnose(self, grid: Any) -> str:
         """What is wrong with the realised system on a grid, in a sentence with its remedy; empty if nothing.
 
         It is asked before anything is compiled.

@@ -92,7 +92,7 @@ class Lagrangian(AbstractNamed):
         return change - jax.grad(self._kinetic)(q, v) + self._forces(q, v)
 
     @override
-    def trouble(self, q: Float[Array, " n"]) -> str:
+    def diagnose(self, q: Float[Array, " n"]) -> str:
         """A kinetic energy that is not quadratic in the velocities."""
         at_rest, moving = (self._inertia(q, v) for v in (jnp.zeros_like(q), jnp.linspace(0.4, 0.7, len(q))))
         slack = 1e-9 * float(jnp.abs(at_rest).max(initial=0.0))
@@ -141,7 +141,7 @@ class Accelerations(AbstractNamed):
         return jax.jacfwd(lambda torque: self._rates(q, at_rest, torque))(jnp.zeros(len(self.actuators)))
 
     @override
-    def trouble(self, q: Float[Array, " coordinates"]) -> str:
+    def diagnose(self, q: Float[Array, " coordinates"]) -> str:
         """Accelerations that are not affine in the torques."""
         v, torque = jnp.linspace(0.4, 0.7, len(self.speeds)), jnp.linspace(0.6, 1.3, len(self.actuators))
         expected = actuation_map(self, q) @ torque - bias_of(self, q, v)

@@ -9,6 +9,7 @@ from typing_extensions import override
 
 from aleator._core.errors import ProblemError
 from aleator.dynamics import Grid
+from aleator.mechanics._diagnosis import diagnosis_along, diagnosis_at
 from aleator.mechanics._formulation import AbstractFormulation, model_given
 from aleator.mechanics._given import Given, checked_start, combined, coordinates_at, signals_for, vector
 from aleator.mechanics._instant import at, course, instants_of
@@ -16,7 +17,6 @@ from aleator.mechanics._kinematics import accelerations, rates
 from aleator.mechanics._mechanical import AbstractMechanical, actuation_map, driven
 from aleator.mechanics._motion import Motion
 from aleator.mechanics._outputs import standard_outputs
-from aleator.mechanics._trouble import trouble_along, trouble_at
 from aleator.trajectories import AbstractSignal, AbstractTrajectory
 
 
@@ -79,10 +79,10 @@ class ForwardDynamics(AbstractFormulation):
         return standard_outputs(model, motion, torque_rate)
 
     @override
-    def trouble(self, grid: Grid) -> str:
+    def diagnose(self, grid: Grid) -> str:
         start = self.initial()
         first = instants_of(self.model, grid).at(0)
-        return trouble_at(first, start["q"], "at the start") or trouble_along(self, grid)
+        return diagnosis_at(first, start["q"], "at the start") or diagnosis_along(self, grid)
 
     def _given(self, torque: Any) -> Array:
         n = len(self.model.actuators)

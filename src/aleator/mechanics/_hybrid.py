@@ -15,6 +15,7 @@ from aleator._core.code import told_apart
 from aleator._core.compilation import Compiled, Use
 from aleator._core.errors import ProblemError
 from aleator.dynamics import Grid
+from aleator.mechanics._diagnosis import diagnosis_along, diagnosis_at, quaternion_diagnosis
 from aleator.mechanics._formulation import AbstractFormulation, model_given
 from aleator.mechanics._given import (
     Given,
@@ -35,7 +36,6 @@ from aleator.mechanics._mechanical import AbstractMechanical, actuation_map, bia
 from aleator.mechanics._motion import Motion
 from aleator.mechanics._outputs import standard_outputs
 from aleator.mechanics._partition import Prescribed, Solved, block, order
-from aleator.mechanics._trouble import quaternion_trouble, trouble_along, trouble_at
 from aleator.trajectories import AbstractSignal, AbstractTrajectory
 
 
@@ -157,19 +157,19 @@ class HybridDynamics(AbstractFormulation):
         return standard_outputs(model, motion, torque_rate)
 
     @override
-    def trouble(self, grid: Grid) -> str:
+    def diagnose(self, grid: Grid) -> str:
         motion = combined_motion(self._followed(), self.motion).sampled(grid.fractions, grid.t_start, grid.t_final)
         others = self.initial()["q"]
         given = jax.vmap(lambda position: self._merged(position, others))(motion)
         q = self.model.normalised(given[0])
         first = instants_of(self.model, grid).at(0)
-        if found := trouble_at(first, q, "at the start"):
+        if found := diagnosis_at(first, q, "at the start"):
             return found
         effect = np.asarray(self._effect(first, q))
         if not effect.size or np.linalg.matrix_rank(effect) < len(self.driven):
             return self._unrealisable()
-        found = self._entangled(first, q) or quaternion_trouble(self.model, np.asarray(grid.times), given)
-        return found or trouble_along(self, grid, _EFFECTS)
+        found = self._entangled(first, q) or quaternion_diagnosis(self.model, np.asarray(grid.times), given)
+        return found or diagnosis_along(self, grid, _EFFECTS)
 
     def _effect(self, model: AbstractMechanical, q: Float[Array, " coordinates"]) -> Float[Array, "driven unknown"]:
         """How the torques to find act along the prescribed velocities, the others moving as they must."""

@@ -12,6 +12,7 @@ from typing_extensions import override
 from aleator._core.errors import ProblemError
 from aleator.dynamics import Grid
 from aleator.mechanics._actuation import Actuation, actuation_of, torques
+from aleator.mechanics._diagnosis import diagnosis_at, diagnosis_of_path
 from aleator.mechanics._formulation import AbstractFormulation, model_given
 from aleator.mechanics._given import Given, asks_torque_rates, combined_motion, followed, motions_for
 from aleator.mechanics._instant import along_time, at, course, instants_of
@@ -19,7 +20,6 @@ from aleator.mechanics._kinematics import Followed, follow
 from aleator.mechanics._mechanical import AbstractMechanical, actuation_map, required_force
 from aleator.mechanics._motion import Motion
 from aleator.mechanics._outputs import standard_outputs
-from aleator.mechanics._trouble import trouble_at, trouble_of_path
 from aleator.trajectories import AbstractSignal, AbstractTrajectory
 
 
@@ -92,17 +92,17 @@ class InverseDynamics(AbstractFormulation):
         return standard_outputs(model, _motion_at(t, path, torque), torque_rate)
 
     @override
-    def trouble(self, grid: Grid) -> str:
+    def diagnose(self, grid: Grid) -> str:
         now, path = instants_of(self.model, grid), self._motion().sampled(grid.fractions, grid.t_start, grid.t_final)
         model = now.at(0)
         q = model.normalised(path[0])
-        if found := trouble_at(model, q, "at the start"):
+        if found := diagnosis_at(model, q, "at the start"):
             return found
         scheme = actuation_of(model, q)
         if scheme not in (Actuation.FULL, Actuation.OVER):
             return self._unrealisable(scheme.value)
         effects = None if model.acts_directly else now.each(lambda one, q: actuation_map(one, one.normalised(q)), path)
-        return trouble_of_path(now, path, effects)
+        return diagnosis_of_path(now, path, effects)
 
     @override
     def holding(self, grid: Grid) -> Mapping[str, Any]:

@@ -149,7 +149,7 @@ class AbstractMechanical(eqx.Module):
         """The acceleration `v̇` under a generalised force; not a number where `M` is singular."""
         return solve_positive(mass_of(self, q), force - bias_of(self, q, v))
 
-    def trouble(self, q: Float[Array, " coordinates"]) -> str:
+    def diagnose(self, q: Float[Array, " coordinates"]) -> str:
         """What is wrong with the realised model itself, in a sentence; empty if nothing."""
         del q
         return ""

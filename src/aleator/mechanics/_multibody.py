@@ -157,7 +157,7 @@ class Multibody(AbstractMechanical):
         return jnp.concatenate([jnp.zeros(0), *parts])
 
     @override
-    def trouble(self, q: Float[Array, " coordinates"]) -> str:
+    def diagnose(self, q: Float[Array, " coordinates"]) -> str:
         """Nothing beside what joints refuse by themselves, such as a negative damping."""
         tree = self._tree()
         for link in tree.links:

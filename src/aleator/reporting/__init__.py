@@ -9,8 +9,8 @@ from aleator.reporting._datasets import tree as tree
 from aleator.reporting._files import check_writable as check_writable
 from aleator.reporting._fronts import decision_path_figure as decision_path_figure
 from aleator.reporting._fronts import front_figure as front_figure
-from aleator.reporting._fronts import price_figure as price_figure
 from aleator.reporting._fronts import relative_figure as relative_figure
+from aleator.reporting._fronts import shadow_price_figure as shadow_price_figure
 from aleator.reporting._lock import only_writer as only_writer
 from aleator.reporting._methods import Trial as Trial
 from aleator.reporting._methods import bars_figure as bars_figure

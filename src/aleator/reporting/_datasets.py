@@ -33,9 +33,9 @@ def solution_dataset(solution: Solution) -> "xarray.Dataset":
         data[f"decision {_key(name)}"] = _variable(
             _entries(name, value), value, name, _units.of_decision(name, problem)
         )
-        price = solution.bound_multipliers.get(name, np.nan)
+        multiplier = solution.bound_multipliers.get(name, np.nan)
         data[f"multiplier {_key(name)}"] = _variable(
-            _entries(name, value), price, f"multiplier of the bounds of {name}", ""
+            _entries(name, value), multiplier, f"multiplier of the bounds of {name}", ""
         )
     for i, (one, declared) in enumerate(zip(solution.constraints, problem.constraints, strict=True)):
         unit, label = _units.of_expression(declared.expression, problem), f"constraint {i} {_key(one.name)}"
@@ -104,7 +104,7 @@ def evidence_dataset(evidence: Evidence) -> "xarray.Dataset":
 
 
 def front_dataset(front: Front) -> "xarray.Dataset":
-    """Objective, price, status and decisions along the values of a bound."""
+    """Objective, shadow price, status and decisions along the values of a bound."""
     import xarray
 
     first = front.solutions[0]
@@ -113,7 +113,9 @@ def front_dataset(front: Front) -> "xarray.Dataset":
     active = [", ".join(one.active) if isinstance(one, Solution) else "" for one in front.points]
     data: dict[str, Variable] = {
         "objective": _variable("bound", front.objectives, str(first.problem.objective), unit),
-        "price": _variable("bound", front.prices, f"price of {front.bound}", f"{unit or '1'} per {bound_unit or '1'}"),
+        "shadow_price": _variable(
+            "bound", front.shadow_prices, f"shadow price of {front.bound}", f"{unit or '1'} per {bound_unit or '1'}"
+        ),
         "violation": _variable("bound", front.violations, "scaled violation", "1"),
         "status": _variable("bound", [one.status.name for one in front.points], "how each solve ended", ""),
         "active": _variable("bound", active, "active constraints", ""),

@@ -1,4 +1,4 @@
-"""Figures of fronts: the optimum, its price, its decisions and its spreads along a bound."""
+"""Figures of fronts: the optimum, its shadow price, its decisions and its spreads along a bound."""
 
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
@@ -104,12 +104,12 @@ def _hover(front: Front, i: int) -> str:
     solution = front.points[i]
     if isinstance(solution, Refused):
         return ""
-    price = f"<br>price of the bound {number(solution.multiplier(front.bound), 3)} per unit"
+    shadow_price = f"<br>shadow price of the bound {number(solution.multiplier(front.bound), 3)} per unit"
     active = ", ".join(dict.fromkeys(name.split("[")[0] for name in solution.active)) or "nothing"
     decisions = "".join(
         f"<br>{plain(key)} = {number(float(value))}" for key, value in solution.decisions.items() if not np.ndim(value)
     )
-    return f"{plain(front.bound)} limit {number(front.values[i])}<br>active: {plain(active)}{price}{decisions}"
+    return f"{plain(front.bound)} limit {number(front.values[i])}<br>active: {plain(active)}{shadow_price}{decisions}"
 
 
 def _add_infeasible(figure: "Figure", name: str, front: Front, look: Look, height: float, unit: str) -> None:
@@ -171,7 +171,7 @@ def _shade_infeasible(figure: "Figure", name: str, front: Front) -> None:
     )
 
 
-def price_figure(
+def shadow_price_figure(
     fronts: Mapping[str, Front], *, x: str, y: str, x_unit: str = "", y_unit: str = "", scale: float = 1.0
 ) -> "Figure":
     """What a relaxed bound is worth: the multiplier along each front, times `scale`."""

@@ -9,7 +9,7 @@ import numpy as np
 from aleator._core.errors import ProblemError
 from aleator.reporting import _units
 from aleator.reporting._files import as_path, check_writable
-from aleator.reporting._fronts import front_figure, price_figure
+from aleator.reporting._fronts import front_figure, shadow_price_figure
 from aleator.reporting._numbers import count, interval, number, percent, words
 from aleator.reporting._page import Block, Card, Code, Drawing, Page, Section, Text, Verdict, write_page
 from aleator.reporting._samples import percentile_figure, trajectory_figure
@@ -42,8 +42,8 @@ HOW_TO_READ = (
         " random systems, without the expansion, and given with its 95 % confidence interval."
     ),
     (
-        "An active limit is one that holds the design where it is. Its price says how much the objective would fall for"
-        " each unit by which the limit is relaxed; a limit that is not active has price zero."
+        "An active limit is one that holds the design where it is. Its shadow price says how much the objective would"
+        " fall for each unit by which the limit is relaxed; a limit that is not active has shadow price zero."
     ),
     "In the figures, hover over a point for its numbers. Drag to zoom, double-click to return.",
 )
@@ -229,7 +229,7 @@ def _trajectory_blocks(evidence: Mapping[str, Evidence]) -> list[Block]:
 
 
 def _front_blocks(fronts: Mapping[str, Front]) -> list[Block]:
-    """For each bound that was swept: the optimum along it, and the price of the bound."""
+    """For each bound that was swept: the optimum along it, and the shadow price of the bound."""
     blocks: list[Block] = []
     for bound in dict.fromkeys(one.bound for one in fronts.values()):
         group = {name: one for name, one in fronts.items() if one.bound == bound}
@@ -244,8 +244,8 @@ def _front_blocks(fronts: Mapping[str, Front]) -> list[Block]:
         )
         figures: list[Figure] = [front_figure(group, y="Objective", y_unit=y_unit, x=x, x_unit=x_unit)]
         blocks.append(Drawing(figures, f"Optimum against the limit of {bound}", caption))
-        price = price_figure(group, y="Price of the bound", y_unit=per, x=x, x_unit=x_unit)
-        blocks.append(Drawing([price], f"What relaxing {bound} is worth", "Zero where the limit is not active."))
+        worth = shadow_price_figure(group, y="Shadow price of the bound", y_unit=per, x=x, x_unit=x_unit)
+        blocks.append(Drawing([worth], f"What relaxing {bound} is worth", "Zero where the limit is not active."))
     return blocks
 
 

@@ -168,7 +168,7 @@ def _constraint(one: ConstraintResult, unit: str) -> dict[str, Any]:
         "worst_time_s": one.worst_time,
         "violation": one.violation,
         "active": bool(np.any(one.active)),
-        "price": one.price,
+        "shadow_price": one.shadow_price,
     }
 
 

@@ -40,14 +40,14 @@ def designs_table(solutions: Mapping[str, Solution], evidence: Mapping[str, Evid
     rows.append(["Objective", *(_objective(one) for one in every)])
     for name in _union([[part.name for part in one.constraints] for one in every]):
         rows.append([f"{name}: worst value", *(_worst(one, name) for one in every)])
-        rows.append([f"{name}: price of the bound", *(_price(one, name) for one in every)])
+        rows.append([f"{name}: shadow price of the bound", *(_shadow_price(one, name) for one in every)])
     rows.append(["Active", *(words(one.active, "nothing") for one in every)])
     rows += _violation_rows(list(solutions), evidence)
     return Table(
         "Decisions, limits and violations",
         ["", *solutions],
         rows,
-        "Prices: how much the objective falls for each unit the bound is relaxed.",
+        "Shadow prices: how much the objective falls for each unit the bound is relaxed.",
     )
 
 
@@ -100,7 +100,7 @@ def _worst(solution: Solution, name: str) -> str:
     return f"{number(worst, 5)} {relation} {given(bound, unit)}{when}{broken}"
 
 
-def _price(solution: Solution, name: str) -> str:
+def _shadow_price(solution: Solution, name: str) -> str:
     return number(solution.multiplier(name), 4) if any(one.name == name for one in solution.constraints) else "–"
 
 

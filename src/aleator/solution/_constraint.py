@@ -15,7 +15,7 @@ class ConstraintResult:
     """One constraint at a solution, in user units.
 
     - `values`: its expression, a number or one number an instant; `times`: the instants (s), None for a number;
-    - `multipliers`: the price of the bound, `-d objective / d bound`, in the shape of `values`: positive where the
+    - `multipliers`: the shadow prices, `-d objective / d bound`, in the shape of `values`: positive where the
       upper bound is active, negative where the lower one is;
     - `active`: where it is active, in the shape of `values`;
     - `scale`: its magnitude, in its own unit: that of its bound and of its values around the answer, as
@@ -53,7 +53,7 @@ class ConstraintResult:
         return None if self.times is None else float(self.times[np.argmax(_by_instant(self.excess))])
 
     @property
-    def price(self) -> float:
+    def shadow_price(self) -> float:
         """How much the objective falls for each unit by which the bound is relaxed, summed over its active instants.
 
         An equality is not relaxed but moved: there it is how much the objective falls for each unit by which the number
@@ -82,7 +82,7 @@ class ConstraintResult:
             return self.sentence()
         when = "" if self.worst_time is None else f" at t = {self.worst_time:.4g} s"
         if np.any(self.active):
-            return f"{self.name}: {self.text}: active{when}, price {self.price:.4g}"
+            return f"{self.name}: {self.text}: active{when}, shadow price {self.shadow_price:.4g}"
         return f"{self.name}: {self.text}: slack {-float(np.max(self.excess)):.4g}{when}"
 
 

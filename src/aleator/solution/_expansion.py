@@ -40,8 +40,8 @@ class ExpansionQuality:
       large: polynomials of one order do not follow a long simulation for ever;
     - `tolerance`: the relative error up to which a functional counts as resolved, that of the `Expansion`;
     - `tangents`: for each functional, the leave-one-out error of its derivative by each decision that is a parameter of
-      a distribution: how far the derivatives of its statistics by them, and prices that follow from these, are those
-      of the model;
+      a distribution: how far the derivatives of its statistics by them, and shadow prices that follow from these, are
+      those of the model;
     - `unseen`: the largest corner of the uncertainty that holds no point, so that nothing is known of it; None where
       nothing is uncertain.
     """
@@ -99,8 +99,8 @@ class ExpansionQuality:
         if worst.error <= self.tolerance:
             return said
         return (
-            f"{said}: not resolved, so prices and stationarity are those of the expansion; raise the order for the "
-            "model's"
+            f"{said}: not resolved, so shadow prices and stationarity are those of the expansion; raise the order "
+            "for the model's"
         )
 
     def __str__(self) -> str:

@@ -77,8 +77,8 @@ class Solution:
         return tuple(sorted(broken, key=lambda one: -one.violation / one.scale))
 
     def multiplier(self, name: str) -> float:
-        """The price of the bound called `name`: see `ConstraintResult.price`."""
-        return sum(one.price for one in self.constraints if one.name == name)
+        """The shadow price of the bound called `name`: see `ConstraintResult.shadow_price`."""
+        return sum(one.shadow_price for one in self.constraints if one.name == name)
 
     def why(self) -> str:
         """Why it is not solved: the constraints that do not hold, where and by how much."""

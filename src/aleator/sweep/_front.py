@@ -80,7 +80,7 @@ class Front:
         return self._numbers(lambda one: one.objective if one.ok else np.nan)
 
     @property
-    def prices(self) -> Float[np.ndarray, " points"]:
+    def shadow_prices(self) -> Float[np.ndarray, " points"]:
         """How much the optimum falls for each unit by which the bound is relaxed; not a number where there is none."""
         return self._numbers(lambda one: one.multiplier(self.bound) if one.ok else np.nan)
 
@@ -97,7 +97,7 @@ class Front:
         return np.array([measure(one) if isinstance(one, Solution) else np.nan for one in self.points])
 
     def __str__(self) -> str:
-        rows = [f"{self.bound:>10} {'objective':>12} {'price':>10}  active"]
+        rows = [f"{self.bound:>10} {'objective':>12} {'shadow price':>12}  active"]
         rows += [_row(self, *point) for point in zip(self.values, self.points, strict=True)]
         return "\n".join(rows)
 
@@ -105,8 +105,8 @@ class Front:
 def _row(front: Front, value: float, solution: Solution | Refused) -> str:
     if isinstance(solution, Refused) or not solution.ok:
         return f"{value:10.5g} {solution.status.name.lower().replace('_', ' '):>12}  {solution.why()}"
-    price = solution.multiplier(front.bound)
-    return f"{value:10.5g} {solution.objective:12.6g} {price:10.4g}  {', '.join(solution.active)}"
+    shadow_price = solution.multiplier(front.bound)
+    return f"{value:10.5g} {solution.objective:12.6g} {shadow_price:12.4g}  {', '.join(solution.active)}"
 
 
 def pareto(

@@ -45,7 +45,7 @@ GLOSSARY = (
     ("ppm", "Rejects in a million assemblies."),
     ("Worst case", "All dimensions within their tolerances at once, in the worst combination."),
     ("Σ 1/T", "Cost of manufacture: halving a tolerance doubles its cost."),
-    ("Price", "How much cheaper the tolerances become for each unit by which the limit on rejects is relaxed."),
+    ("Shadow price", "How much cheaper the tolerances become for each unit by which the limit on rejects is relaxed."),
 )
 LOOP = f"""The vectors (length ∠ direction) close, (121):
   a∠90° + b∠0° + c∠90°

@@ -16,9 +16,9 @@ from aleator.reporting import (
     front_figure,
     given,
     number,
-    price_figure,
     projection_figure,
     relative_figure,
+    shadow_price_figure,
     signal_figure,
     trajectory_figure,
     words,
@@ -69,7 +69,7 @@ def robust_design(results: SuspensionResults) -> Iterator[Block]:
             " where the curves are flat, holding is active and more travel buys nothing.",
             "6.4",
         )
-        yield _price(pair, TRAVEL_NAME, "travel", "What a centimetre of travel is worth", 0.01, "cm")
+        yield _shadow_price(pair, TRAVEL_NAME, "travel", "What a centimetre of travel is worth", 0.01, "cm")
     if results.holding_fronts:
         yield Drawing(
             [_ride_front(results.holding_fronts, HOLDING_NAME)],
@@ -79,7 +79,7 @@ def robust_design(results: SuspensionResults) -> Iterator[Block]:
             " limits.",
             "6.5",
         )
-        yield _price(
+        yield _shadow_price(
             results.holding_fronts, HOLDING_NAME, "holding", "What a millimetre of holding is worth", 0.001, "mm"
         )
     both = [name for name in ("dOpt", "uOpt") if name in results.designs]
@@ -102,9 +102,11 @@ def _ride_front(fronts: dict[str, al.results.Front], x: str) -> Any:
     return front_figure(fronts, x=x, x_unit="m", y=RIDE_NAME, y_unit=RIDE_UNIT)
 
 
-def _price(fronts: dict[str, al.results.Front], x: str, bound: str, heading: str, scale: float, unit: str) -> Drawing:
-    figure = price_figure(
-        fronts, x=x, x_unit="m", y="Price of the limit", y_unit=f"{RIDE_UNIT} per {unit}", scale=scale
+def _shadow_price(
+    fronts: dict[str, al.results.Front], x: str, bound: str, heading: str, scale: float, unit: str
+) -> Drawing:
+    figure = shadow_price_figure(
+        fronts, x=x, x_unit="m", y="Shadow price of the limit", y_unit=f"{RIDE_UNIT} per {unit}", scale=scale
     )
     return Drawing(
         [figure],

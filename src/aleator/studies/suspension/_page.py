@@ -51,7 +51,7 @@ GLOSSARY = (
     ),
     ("Half-width", "A uniform spread reaches from the mean minus to the mean plus its half-width."),
     ("Active", "A limit that the design touches: without it, the design would be better."),
-    ("Price", "How much better the objective would be for each unit by which an active limit is relaxed."),
+    ("Shadow price", "How much better the objective would be for each unit by which an active limit is relaxed."),
     ("95 % interval", "Clopper and Pearson: encloses the true share of cars in at least 95 of 100 such countings."),
 )
 

@@ -26,16 +26,16 @@ _VANISHING = 1e-3
 _ABSURD = 1e4
 
 
-def trouble_at(model: AbstractMechanical, q: Any, when: str) -> str:
+def diagnosis_at(model: AbstractMechanical, q: Any, when: str) -> str:
     """What is wrong in one posture: a mass matrix that is not positive definite, a singular velocity map.
 
     Raises `ProblemError` for a mass matrix of another shape than expected, and for what is no body.
     """
     M = np.asarray(mass_of(model, q))
-    return model.trouble(q) or _mass_trouble(model, M, q, when) or _map_trouble(model, q, when)
+    return model.diagnose(q) or _mass_diagnosis(model, M, q, when) or _map_diagnosis(model, q, when)
 
 
-def _mass_trouble(model: AbstractMechanical, M: np.ndarray, q: Any, when: str) -> str:
+def _mass_diagnosis(model: AbstractMechanical, M: np.ndarray, q: Any, when: str) -> str:
     posture = _posture(model, q)
     if not np.isfinite(M).all():
         return f"The mass matrix of {type(model).__name__} is not finite {when} ({posture})."
@@ -55,12 +55,12 @@ def _mass_trouble(model: AbstractMechanical, M: np.ndarray, q: Any, when: str) -
     return ""
 
 
-def _map_trouble(model: AbstractMechanical, q: Any, when: str) -> str:
+def _map_diagnosis(model: AbstractMechanical, q: Any, when: str) -> str:
     if model.moves_directly:
         return ""
     H = np.asarray(rate_map(model, q))
     if _are_regular(H):
-        return _name_trouble(model, H, when)
+        return _name_diagnosis(model, H, when)
     worst = model.coordinates[int(np.argmax(np.where(np.isfinite(H), np.abs(H), np.inf).max(axis=1)))]
     return (
         f"The velocity map H of {type(model).__name__} is singular {when} ({_posture(model, q)}): the rate of "
@@ -85,7 +85,7 @@ def _sizes(maps: np.ndarray, axis: int) -> np.ndarray:
     return np.where(sizes > 0, sizes, 1.0)
 
 
-def _name_trouble(model: AbstractMechanical, H: np.ndarray, when: str) -> str:
+def _name_diagnosis(model: AbstractMechanical, H: np.ndarray, when: str) -> str:
     """A velocity that is called the rate of a coordinate and is none: outputs of that name would not be it."""
     for i, name in enumerate(model.coordinates):
         if f"{name}_rate" not in model.speeds:
@@ -99,19 +99,19 @@ def _name_trouble(model: AbstractMechanical, H: np.ndarray, when: str) -> str:
     return ""
 
 
-def trouble_of_path(now: Instants, path: Any, effects: Any = None) -> str:
+def diagnosis_of_path(now: Instants, path: Any, effects: Any = None) -> str:
     """The first posture of a path in which something is wrong, with its time.
 
     `path` holds coordinates as given, quaternions of any length; `effects` are the matrices by which torques act on
     what they must move, where they are to be looked at: each needs the rank of its number of rows.
     """
     model, times, path = now.model, np.asarray(now.times), jnp.asarray(path)
-    if found := quaternion_trouble(model, times, path) or _map_trouble_along(now, path) or _mass_along(now, path):
+    if found := quaternion_diagnosis(model, times, path) or _map_diagnosis_along(now, path) or _mass_along(now, path):
         return found
-    return "" if effects is None else _effect_trouble_along(model, times, path, np.asarray(effects))
+    return "" if effects is None else _effect_diagnosis_along(model, times, path, np.asarray(effects))
 
 
-def quaternion_trouble(model: AbstractMechanical, times: np.ndarray, path: Any) -> str:
+def quaternion_diagnosis(model: AbstractMechanical, times: np.ndarray, path: Any) -> str:
     """Where a path of coordinates as given passes near a quaternion of zeros, which has no direction."""
     if model.moves_directly:
         return ""
@@ -127,12 +127,12 @@ def quaternion_trouble(model: AbstractMechanical, times: np.ndarray, path: Any) 
     )
 
 
-def _map_trouble_along(now: Instants, path: Array) -> str:
+def _map_diagnosis_along(now: Instants, path: Array) -> str:
     if now.model.moves_directly:
         return ""
     q = jax.vmap(now.model.normalised)(path)
     bad = ~_are_regular(np.asarray(now.each(rate_map, q)))
-    return _first_trouble(now, q, bad)
+    return _first_diagnosis(now, q, bad)
 
 
 def _mass_along(now: Instants, path: Array) -> str:
@@ -143,15 +143,15 @@ def _mass_along(now: Instants, path: Array) -> str:
     masses = np.asarray(now.each(mass_of, q))
     finite: Any = np.isfinite(masses).all(axis=(1, 2))
     least = np.linalg.eigvalsh(np.where(finite[:, None, None], masses, 0.0)).min(axis=1, initial=np.inf)
-    return _first_trouble(now, q, ~finite | (least <= 0))
+    return _first_diagnosis(now, q, ~finite | (least <= 0))
 
 
-def _first_trouble(now: Instants, q: Array, bad: np.ndarray) -> str:
+def _first_diagnosis(now: Instants, q: Array, bad: np.ndarray) -> str:
     first = int(np.argmax(bad))
-    return trouble_at(now.at(first), q[first], f"at t = {float(now.times[first]):.4g} s") if bad.any() else ""
+    return diagnosis_at(now.at(first), q[first], f"at t = {float(now.times[first]):.4g} s") if bad.any() else ""
 
 
-def _effect_trouble_along(model: AbstractMechanical, times: np.ndarray, path: Array, effects: np.ndarray) -> str:
+def _effect_diagnosis_along(model: AbstractMechanical, times: np.ndarray, path: Array, effects: np.ndarray) -> str:
     """Where torques lose their effect: at an instant, or between two as the determinant changes its sign."""
     finite: Any = np.isfinite(effects).all(axis=(1, 2))
     effects = np.where(finite[:, None, None], effects, 0.0)
@@ -176,10 +176,12 @@ def _effect_trouble_along(model: AbstractMechanical, times: np.ndarray, path: Ar
     )
 
 
-def trouble_along(system: System, grid: Grid, effects: Callable[[System, Instants, Array], Array] | None = None) -> str:
+def diagnosis_along(
+    system: System, grid: Grid, effects: Callable[[System, Instants, Array], Array] | None = None
+) -> str:
     """What is wrong along an integrated motion, or in the posture in which it ends to be finite; empty if nothing.
 
-    `effects(system, now, path)`: see `trouble_of_path`. A motion that grows out of all bounds says nothing of the
+    `effects(system, now, path)`: see `diagnosis_of_path`. A motion that grows out of all bounds says nothing of the
     model: steps that are too long for a stiff one make it grow as well.
     """
     model: AbstractMechanical = system.model  # type: ignore[attr-defined]
@@ -188,16 +190,16 @@ def trouble_along(system: System, grid: Grid, effects: Callable[[System, Instant
     path = np.asarray(_FOLLOWED(system, numbers_to_arrays(grid)))
     moderate = np.isfinite(path).all(axis=1) & (np.abs(path) <= _ABSURD * (1 + np.abs(path[0]).max())).all(axis=1)
     if moderate.all():
-        return trouble_of_path(now, path, effects and effects(system, now, jnp.asarray(path)))
+        return diagnosis_of_path(now, path, effects and effects(system, now, jnp.asarray(path)))
     following = int(np.argmin(moderate))
     last = max(following - 1, 0)
     if effects is not None and not np.isfinite(path[following]).all():
         # At once, and not by growing: what is prescribed is known there too, and tells whether torques still act.
         onward = np.where(np.isfinite(path[following]), path[following], path[last])
         known = jnp.asarray(np.where(np.arange(len(path))[:, None] < following, path, onward))
-        if found := _effect_trouble_along(model, times, known, np.asarray(effects(system, now, known))):
+        if found := _effect_diagnosis_along(model, times, known, np.asarray(effects(system, now, known))):
             return found
-    return trouble_at(now.at(last), jnp.asarray(path[last]), f"about t = {times[last]:.4g} s")
+    return diagnosis_at(now.at(last), jnp.asarray(path[last]), f"about t = {times[last]:.4g} s")
 
 
 def _followed(system: System, grid: Grid) -> Array:
