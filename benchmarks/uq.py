@@ -96,9 +96,9 @@ def by_chaospy(order: int) -> tuple[np.ndarray, np.ndarray]:
 
 def by_openturns(order: int) -> tuple[np.ndarray, np.ndarray]:
     """The same by OpenTURNS: three points for each term, least squares over the whole basis."""
-    laws = [ot.Uniform(*LENGTH), ot.Uniform(*DAMPING), ot.Normal(*START)]
-    joint, count = ot.JointDistribution(laws), ot.LinearEnumerateFunction(3).getStrataCumulatedCardinal(order)
-    basis = ot.OrthogonalProductPolynomialFactory(laws)
+    distributions = [ot.Uniform(*LENGTH), ot.Uniform(*DAMPING), ot.Normal(*START)]
+    joint, count = ot.JointDistribution(distributions), ot.LinearEnumerateFunction(3).getStrataCumulatedCardinal(order)
+    basis = ot.OrthogonalProductPolynomialFactory(distributions)
     points = ot.LowDiscrepancyExperiment(ot.SobolSequence(), joint, 3 * count).generate()
     algorithm = ot.LeastSquaresExpansion(points, ot.Sample(angles(np.asarray(points))), joint, basis, count, "QR")
     algorithm.run()
@@ -172,22 +172,22 @@ def compare_trajectories() -> None:
 def compare_statistics(full: bool) -> None:
     """Statistics of an expansion in 8 variables of order 4."""
     variables, order = 8, 4
-    laws = {f"x{i}": al.Uniform.bounds(-1.0, 1.0) for i in range(variables)}
+    distributions = {f"x{i}": al.Uniform.bounds(-1.0, 1.0) for i in range(variables)}
     weights = np.random.default_rng(SEED).normal(size=variables)
 
     def response(x: dict) -> jnp.ndarray:
         z = sum(w * value for w, value in zip(weights, x.values(), strict=True))
         return jnp.exp(0.3 * z) + x["x0"] * x["x7"]
 
-    expanded = al.expand(response, laws, al.Expansion(order=order))
+    expanded = al.expand(response, distributions, al.Expansion(order=order))
     print(f"Statistics of an expansion in {variables} variables of order {order}: {expanded.basis.terms} terms")
     statistics: dict[str, Callable[[], object]] = {
         "mean": lambda: expanded.mean,
         "std": lambda: expanded.std,
         "skewness": lambda: expanded.skewness,
         "kurtosis": lambda: expanded.kurtosis,
-        "first Sobol indices of all": lambda: [expanded.sobol(name) for name in laws],
-        "total Sobol indices of all": lambda: [expanded.total_sobol(name) for name in laws],
+        "first Sobol indices of all": lambda: [expanded.sobol(name) for name in distributions],
+        "total Sobol indices of all": lambda: [expanded.total_sobol(name) for name in distributions],
         "0.99 quantile": lambda: expanded.quantile(0.99),
     }
     for name, statistic in statistics.items():

@@ -101,7 +101,7 @@ def said(value: Any) -> tuple[str, ...]:
 
 # --- What is declared ------------------------------------------------------------------------------------------------
 
-_LAWS: dict[str, tuple[Callable[..., Any], dict[str, Any], dict[str, Mapping[str, Any]]]] = {
+_DISTRIBUTIONS: dict[str, tuple[Callable[..., Any], dict[str, Any], dict[str, Mapping[str, Any]]]] = {
     "Normal": (al.Normal, {"mean": 1.0, "std": 0.1}, {"mean": NUMBER, "std": POSITIVE}),
     "Uniform": (al.Uniform, {"mean": 1.0, "half_width": 0.1}, {"mean": NUMBER, "half_width": POSITIVE}),
     "Uniform.bounds": (al.Uniform.bounds, {"lower": 0.0, "upper": 1.0}, {"lower": NUMBER, "upper": NUMBER}),
@@ -308,9 +308,9 @@ _LANGUAGE: dict[str, tuple[Callable[..., Any], dict[str, Any], dict[str, Mapping
     "toleranced": (al.toleranced, {}, {"#0": NAME | {"no tolerance": "a bolt"}}),
     "correlated": (
         al.correlated,
-        {"laws": {"a": al.Normal(0.0, 1.0), "b": al.Normal(0.0, 1.0)}, "correlations": {("a", "b"): 0.5}},
+        {"distributions": {"a": al.Normal(0.0, 1.0), "b": al.Normal(0.0, 1.0)}, "correlations": {("a", "b"): 0.5}},
         {
-            "laws": MAPPING | {"numbers": {"a": 1.0, "b": 2.0}},
+            "distributions": MAPPING | {"numbers": {"a": 1.0, "b": 2.0}},
             "correlations": {
                 **MAPPING,
                 **{
@@ -686,7 +686,7 @@ def files(folder: Any) -> dict[str, Bad]:
 
 
 def _generated() -> Iterator[tuple[str, Bad]]:
-    for who, (function, usual, arguments) in (_LAWS | _CONSTRUCTORS | _LANGUAGE | _STUDIES).items():
+    for who, (function, usual, arguments) in (_DISTRIBUTIONS | _CONSTRUCTORS | _LANGUAGE | _STUDIES).items():
         for argument, values in arguments.items():
             for name, value in values.items():
                 value, words = (value.value, (value.word,)) if isinstance(value, Told) else (value, said(value))

@@ -95,8 +95,8 @@ class Claiming(ext.AbstractSolver):
 
 
 def problem(minimize, rate=None, **more):
-    law = al.Uniform(al.Decision(1.0, 0.5, 2.0), half_width=0.1)
-    return al.Problem(Decay(law if rate is None else rate), grid=al.Grid(1.0, 20), minimize=minimize, **more)
+    distribution = al.Uniform(al.Decision(1.0, 0.5, 2.0), half_width=0.1)
+    return al.Problem(Decay(distribution if rate is None else rate), grid=al.Grid(1.0, 20), minimize=minimize, **more)
 
 
 def test_moments_of_a_distribution_of_ones_own_are_those_of_its_closed_form():
@@ -112,10 +112,10 @@ def test_a_decision_in_a_distribution_of_ones_own_is_optimised():
 
 
 def test_a_statistic_of_ones_own_is_that_of_functionals_of_expansions_and_of_samples():
-    laws = {"u": al.Normal(1.0, 0.3)}
-    expanded = al.expand(lambda at: at["u"] ** 2, laws)
+    distributions = {"u": al.Normal(1.0, 0.3)}
+    expanded = al.expand(lambda at: at["u"] ** 2, distributions)
     assert float(expanded.statistic(Spread())) == pytest.approx(float(expanded.std), rel=1e-12)
-    sample = al.references.monte_carlo(lambda at: at["u"] ** 2, laws, 400, seed=0)
+    sample = al.references.monte_carlo(lambda at: at["u"] ** 2, distributions, 400, seed=0)
     assert sample.statistic(Spread()).value == pytest.approx(np.asarray(sample.values).std(), rel=1e-9)
     own, usual = (al.solve(problem(one)) for one in (al.terminal("x").statistic(Spread()), al.terminal("x").std))
     assert own.objective == pytest.approx(usual.objective, rel=1e-9)
@@ -202,9 +202,9 @@ class Prepared(Kept):
 
 def held(kind):
     """The least mean of a normal number with deviation 0.1 whose statistic is one."""
-    law = al.Normal(al.Decision(2.0, 0.1, 3.0), 0.1)
+    distribution = al.Normal(al.Decision(2.0, 0.1, 3.0), 0.1)
     limits = [al.output("y").statistic(kind) >= 1.0]
-    return al.solve(al.Problem(Plain(law), minimize=al.output("y").mean, subject_to=limits))
+    return al.solve(al.Problem(Plain(distribution), minimize=al.output("y").mean, subject_to=limits))
 
 
 class Plain(al.AlgebraicSystem):

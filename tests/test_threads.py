@@ -80,8 +80,8 @@ def test_starts_and_evidence_in_many_threads_are_those_of_one(threads):
 
 
 def test_expansions_in_many_threads_are_those_of_one(threads):
-    laws = {"u": al.Normal(1.5, 0.2)}
-    found = list(threads.map(lambda power: al.expand(lambda at: at["u"] ** power, laws).mean, [1, 2, 3] * 4))
+    distributions = {"u": al.Normal(1.5, 0.2)}
+    found = list(threads.map(lambda power: al.expand(lambda at: at["u"] ** power, distributions).mean, [1, 2, 3] * 4))
     exact = [1.5, 1.5**2 + 0.04, 1.5**3 + 3 * 1.5 * 0.04]
     np.testing.assert_allclose(np.array(found), exact * 4, rtol=1e-12)
 

@@ -231,8 +231,8 @@ def test_the_derivative_of_the_standard_deviation_is_that_of_the_closed_form():
 
 
 def beta_moment(alpha, power):
-    law = stats.beta(alpha, 3.0)
-    return integrate.quad(lambda x: np.exp(power * x) * law.pdf(x), 0, 1, epsabs=0, epsrel=1e-12)[0]
+    distribution = stats.beta(alpha, 3.0)
+    return integrate.quad(lambda x: np.exp(power * x) * distribution.pdf(x), 0, 1, epsabs=0, epsrel=1e-12)[0]
 
 
 def test_the_derivative_by_a_shape_parameter_is_that_of_the_exact_moments():
@@ -316,15 +316,15 @@ def test_reverse_rules_of_differentiation_tell_functions_apart():
     ],
 )
 def test_a_gauss_grid_that_interpolates_along_its_axes_does_not_pass_for_resolved(expansion):
-    laws = {name: al.Uniform.bounds(-1.0, 1.0) for name in ("x", "y")}
+    distributions = {name: al.Uniform.bounds(-1.0, 1.0) for name in ("x", "y")}
     with pytest.warns(al.ExpansionWarning, match="does not resolve"):
-        expanded = al.expand(lambda at: jnp.cos(10 * at["x"]) + at["y"], laws, expansion)
+        expanded = al.expand(lambda at: jnp.cos(10 * at["x"]) + at["y"], distributions, expansion)
     assert expanded.error > 0.05
 
 
 def test_an_entry_that_does_not_vary_has_neither_shape_nor_contributors():
     times = jnp.array([0.0, 1.0])
-    laws = {"k": al.Uniform.bounds(0.9, 1.1), "z": al.Normal(0.0, 1.0)}
-    expanded = al.expand(lambda at: 0.7 * jnp.exp(-at["k"] * times), laws, al.Expansion(4))
+    distributions = {"k": al.Uniform.bounds(0.9, 1.1), "z": al.Normal(0.0, 1.0)}
+    expanded = al.expand(lambda at: 0.7 * jnp.exp(-at["k"] * times), distributions, al.Expansion(4))
     assert [float(one[0]) for one in (expanded.skewness, expanded.kurtosis, expanded.sobol("k"))] == [0.0, 0.0, 0.0]
     assert float(expanded.sobol("k")[1]) == pytest.approx(1.0)

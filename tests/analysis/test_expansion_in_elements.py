@@ -86,9 +86,9 @@ def test_a_simulated_oscillator_is_followed_at_all_times():
 
 
 def test_a_jump_far_in_a_tail_that_the_first_samples_miss_is_found_at_fresh_points():
-    law = stats.norm(1.0, 0.1)
+    distribution = stats.norm(1.0, 0.1)
     pieces = al.expand(lambda m: jnp.where(m["w"] > 1.2, m["w"], 0.0), {"w": al.Normal(1.0, 0.1)}, al.MultiElement())
-    first, second = (law.expect(lambda x, p=p: x**p, lb=1.2, ub=3.0) for p in (1, 2))
+    first, second = (distribution.expect(lambda x, p=p: x**p, lb=1.2, ub=3.0) for p in (1, 2))
     assert float(pieces.mean) == pytest.approx(first, abs=1e-6)
     assert float(pieces.variance) == pytest.approx(second - first**2, abs=1e-6)
 
@@ -143,7 +143,7 @@ def test_the_text_says_what_was_done():
     assert "estimated" in text
 
 
-def test_kinked_responses_are_differentiable_through_the_laws():
+def test_kinked_responses_are_differentiable_through_the_distributions():
     def mean(h):
         return al.expand(
             lambda m: jnp.abs(m["w"] - 0.94), {"w": al.Uniform(1.0, half_width=h)}, al.MultiElement(error=1e-6)
@@ -176,13 +176,15 @@ DENSITIES = [
 
 
 @pytest.mark.parametrize(("low", "high"), [(0.0, 0.25), (0.25, 0.5), (0.875, 1.0), (0.5, 0.5078125)])
-@pytest.mark.parametrize(("germ", "law"), list(zip(GERMS, DENSITIES, strict=True)))
-def test_moments_in_an_element_are_those_of_the_law_given_the_interval(germ, law, low, high):
+@pytest.mark.parametrize(("germ", "distribution"), list(zip(GERMS, DENSITIES, strict=True)))
+def test_moments_in_an_element_are_those_of_the_distribution_given_the_interval(germ, distribution, low, high):
     inside = RestrictedGerm(germ, low, high)
     nodes, weights = inside.gauss(6)
-    first, last = law.ppf(low), law.ppf(high)
+    first, last = distribution.ppf(low), distribution.ppf(high)
     for power in range(1, 8):
-        exact = law.expect(lambda x, p=power: x**p, lb=first, ub=last, epsabs=0, epsrel=1e-11, limit=400) / (high - low)
+        exact = distribution.expect(lambda x, p=power: x**p, lb=first, ub=last, epsabs=0, epsrel=1e-11, limit=400) / (
+            high - low
+        )
         assert weights @ nodes**power == pytest.approx(exact, rel=1e-7)
 
 

@@ -89,12 +89,12 @@ def test_a_quadratic_residual_converges_exponentially_to_the_moments_of_its_root
     assert float(other.mean["x"]) == pytest.approx(-mean, abs=1e-8)
 
 
-def test_a_law_that_is_not_affine_in_the_germ_is_not_truncated():
+def test_a_distribution_that_is_not_affine_in_the_germ_is_not_truncated():
     """`E[f/k] = f exp(s²/2 - m)` and `E[(f/k)²] = f² exp(2 s² - 2 m)` for a lognormal stiffness."""
-    law = al.LogNormal(mean=1.0, std=0.2)
+    distribution = al.LogNormal(mean=1.0, std=0.2)
     s = np.sqrt(np.log(1.04))
     m = -(s**2) / 2
-    expanded = al.galerkin(Spring(law), expansion=al.Expansion(8, points=al.points.GaussPoints(20)))
+    expanded = al.galerkin(Spring(distribution), expansion=al.Expansion(8, points=al.points.GaussPoints(20)))
     mean = 2.0 * np.exp(s**2 / 2 - m)
     assert float(expanded.mean["u"]) == pytest.approx(mean, rel=1e-9)
     assert float(expanded.variance["u"]) == pytest.approx(4 * np.exp(2 * s**2 - 2 * m) - mean**2, rel=1e-7)
@@ -167,7 +167,7 @@ def test_outputs_in_closed_form_are_projected():
     assert float(expanded.variance["power"]) == pytest.approx(expected, rel=1e-12)
 
 
-def test_projected_equations_are_differentiable_through_the_laws():
+def test_projected_equations_are_differentiable_through_the_distributions():
     """`E[f/k]` by the half-width h: `f/(2h) (2m/(m² - h²) - log((m + h)/(m - h))/h)`."""
 
     def mean(h):

@@ -88,7 +88,7 @@ def test_a_sparse_grid_may_take_the_place_of_the_full_one():
     assert float(sparse) == pytest.approx(float(full), rel=1e-9)
 
 
-def test_galerkin_is_differentiable_through_the_laws():
+def test_galerkin_is_differentiable_through_the_distributions():
     def spread(half_width):
         return al.galerkin(
             Decay(rate=al.Uniform(0.15, half_width=half_width)), al.Grid(10.0, 100), al.Expansion(6)

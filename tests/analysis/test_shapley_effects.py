@@ -79,10 +79,10 @@ def test_effects_of_curved_functions_depend_on_no_order_and_add_up_to_one():
 
 
 def test_effects_of_independent_inputs_are_equal_parts_of_their_sobol_indices():
-    laws = {"x": al.Uniform.bounds(-1.0, 1.0), "y": al.Normal(0.0, 1.0), "z": al.Gamma(mean=1.0, std=0.2)}
-    expanded = al.expand(lambda at: at["x"] * at["y"] + at["z"] * (1 + at["x"]), laws, al.Expansion(order=4))
-    subsets = [names for size in (1, 2, 3) for names in combinations(laws, size)]
-    for name in laws:
+    distributions = {"x": al.Uniform.bounds(-1.0, 1.0), "y": al.Normal(0.0, 1.0), "z": al.Gamma(mean=1.0, std=0.2)}
+    expanded = al.expand(lambda at: at["x"] * at["y"] + at["z"] * (1 + at["x"]), distributions, al.Expansion(order=4))
+    subsets = [names for size in (1, 2, 3) for names in combinations(distributions, size)]
+    for name in distributions:
         exact = sum(float(expanded.sobol(*names)) / len(names) for names in subsets if name in names)
         np.testing.assert_allclose(expanded.shapley(name), exact, rtol=1e-12)
 
@@ -93,7 +93,7 @@ def test_effects_of_a_group_beside_an_independent_input_leave_that_one_its_varia
     expanded = al.expand(lambda at: at["pair"]["k"] + at["pair"]["c"] + at["w"], model, al.Expansion(order=4))
     # The lognormal number is no polynomial of its germ: what is left of it beyond order 4 shows here.
     np.testing.assert_allclose(expanded.shapley("w"), 1 / 3 / expanded.variance, rtol=1e-5)
-    total = sum(float(expanded.shapley(name)) for name in expanded.laws)
+    total = sum(float(expanded.shapley(name)) for name in expanded.distributions)
     np.testing.assert_allclose(total, 1.0, rtol=1e-12)
 
 

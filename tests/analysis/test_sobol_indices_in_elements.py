@@ -38,7 +38,7 @@ def test_a_jump_and_a_kink_that_add_up():
     assert float(pieces.total_sobol("y")) == pytest.approx(1 / 13, abs=1e-12)
 
 
-def test_a_kink_under_laws_that_are_not_uniform():
+def test_a_kink_under_distributions_that_are_not_uniform():
     """`|z| b` with z standard normal and b of Beta(2, 5): moments in closed form."""
     beta = stats.beta(2, 5)
     first, second = beta.mean(), beta.var() + beta.mean() ** 2
@@ -120,20 +120,20 @@ def test_indices_have_the_structure_of_the_outputs_and_are_zero_where_nothing_va
     assert float(pieces["step"].sobol("y")) == pytest.approx(1.0, abs=1e-12)
 
 
-def test_an_index_is_differentiable_through_the_laws():
+def test_an_index_is_differentiable_through_the_distributions():
     """`a + |b|` with b within h: Var|b| = h²/12 beside 1/3, so that the share of b is h²/(4 + h²)."""
 
     def share(h):
-        laws = {"a": al.Uniform.bounds(-1.0, 1.0), "b": al.Uniform(0.0, half_width=h)}
-        return al.expand(lambda m: m["a"] + jnp.abs(m["b"]), laws, al.MultiElement()).sobol("b")
+        distributions = {"a": al.Uniform.bounds(-1.0, 1.0), "b": al.Uniform(0.0, half_width=h)}
+        return al.expand(lambda m: m["a"] + jnp.abs(m["b"]), distributions, al.MultiElement()).sobol("b")
 
     assert float(share(2.0)) == pytest.approx(1 / 2, rel=1e-12)
     assert float(jax.grad(share)(2.0)) == pytest.approx(16 / 8**2, rel=1e-10)
 
 
 def test_indices_that_there_are_not_are_refused_as_those_of_a_single_expansion(monkeypatch):
-    laws = al.correlated({"x": al.Normal(0.0, 1.0), "y": al.Normal(0.0, 1.0)}, {("x", "y"): 0.5})
-    tied = al.expand(lambda m: jnp.abs(m["x"]) + m["y"], laws, al.MultiElement(2, error=0.3))
+    distributions = al.correlated({"x": al.Normal(0.0, 1.0), "y": al.Normal(0.0, 1.0)}, {("x", "y"): 0.5})
+    tied = al.expand(lambda m: jnp.abs(m["x"]) + m["y"], distributions, al.MultiElement(2, error=0.3))
     with pytest.raises(al.ProblemError, match=r"'x' belongs to the correlated group .*\.shapley\(name\)"):
         tied.sobol("x")
     with pytest.raises(al.ProblemError, match="'y' belongs to the correlated group"):

@@ -123,15 +123,15 @@ def test_derivatives_over_elements_are_those_of_the_closed_form():
 
 def test_the_distribution_of_an_expanded_function_is_the_closed_form():
     """`exp(x)` for normal x is lognormal."""
-    law = stats.lognorm(0.1)
+    distribution = stats.lognorm(0.1)
     expanded = al.expand(lambda m: jnp.exp(m["x"]), {"x": al.Normal(0.0, 0.1)}, al.Expansion(order=6))
     for level in (0.01, 0.5, 0.99):
-        assert float(expanded.quantile(level)) == pytest.approx(law.ppf(level), rel=1e-6)
-    at = law.ppf([0.05, 0.3, 0.9])
+        assert float(expanded.quantile(level)) == pytest.approx(distribution.ppf(level), rel=1e-6)
+    at = distribution.ppf([0.05, 0.3, 0.9])
     assert np.asarray(expanded.cdf(at)) == pytest.approx([0.05, 0.3, 0.9], abs=1e-6)
-    assert np.asarray(expanded.pdf(at)) == pytest.approx(law.pdf(at), rel=1e-4)
-    assert float(expanded.probability(above=1.2)) == pytest.approx(law.sf(1.2), abs=1e-6)
-    tail = law.expect(lambda y: y, lb=law.ppf(0.9)) / 0.1
+    assert np.asarray(expanded.pdf(at)) == pytest.approx(distribution.pdf(at), rel=1e-4)
+    assert float(expanded.probability(above=1.2)) == pytest.approx(distribution.sf(1.2), abs=1e-6)
+    tail = distribution.expect(lambda y: y, lb=distribution.ppf(0.9)) / 0.1
     assert float(expanded.conditional_value_at_risk(0.9)) == pytest.approx(tail, rel=1e-5)
 
 
@@ -178,7 +178,7 @@ HEAVY = {"quantile", "conditional_value_at_risk", "cdf"}
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=[pytest.mark.slow] * (name in HEAVY)) for name in STATISTICS]
 )
-def test_every_statistic_is_differentiable_through_the_laws(name):
+def test_every_statistic_is_differentiable_through_the_distributions(name):
     value = of_half_width(STATISTICS[name])
     # A step in which no line through the germ space gains or loses a crossing: there probabilities have kinks.
     expected = float(value(0.1 + 1e-6) - value(0.1 - 1e-6)) / 2e-6

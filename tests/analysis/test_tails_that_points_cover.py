@@ -14,14 +14,14 @@ NORMAL = al.Normal(0.0, 1.0)
 
 
 def correlated(correlation):
-    law = al.Uniform.bounds(0.0, 1.0)
-    return al.correlated({"x": law, "y": law}, {("x", "y"): correlation})
+    distribution = al.Uniform.bounds(0.0, 1.0)
+    return al.correlated({"x": distribution, "y": distribution}, {("x", "y"): correlation})
 
 
-def expanded_and_warnings(function, laws, expansion):
+def expanded_and_warnings(function, distributions, expansion):
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")
-        expanded = al.expand(function, laws, expansion)
+        expanded = al.expand(function, distributions, expansion)
     return expanded, " ".join(str(one.message) for one in told)
 
 
@@ -46,8 +46,8 @@ CASES = {
 @pytest.mark.parametrize("order", [3, 6, 10])
 @pytest.mark.parametrize("case", CASES)
 def test_spreads_by_default_points_are_those_of_the_closed_form_or_warned_of(case, order):
-    function, laws, std = CASES[case]
-    expanded, told = expanded_and_warnings(function, laws, al.Expansion(order))
+    function, distributions, std = CASES[case]
+    expanded, told = expanded_and_warnings(function, distributions, al.Expansion(order))
     assert float(expanded.std) == pytest.approx(std, rel=0.03 if not told else 0.15)
     assert order < 10 or not told
 
@@ -55,9 +55,11 @@ def test_spreads_by_default_points_are_those_of_the_closed_form_or_warned_of(cas
 @pytest.mark.parametrize("order", [6, 8, 10])
 @pytest.mark.parametrize("case", CASES)
 def test_even_points_that_extrapolate_are_told_of_with_the_points_to_take(case, order):
-    function, laws, std = CASES[case]
+    function, distributions, std = CASES[case]
     try:
-        expanded, told = expanded_and_warnings(function, laws, al.Expansion(order, points=al.points.HammersleyPoints()))
+        expanded, told = expanded_and_warnings(
+            function, distributions, al.Expansion(order, points=al.points.HammersleyPoints())
+        )
     except al.ProblemError:
         return  # the matrix is refused, which is no silence
     assert told or float(expanded.std) == pytest.approx(std, rel=0.03)
@@ -81,7 +83,7 @@ def test_the_jackknife_error_is_how_far_refits_without_each_point_move_the_coeff
     assert float(expanded.jackknife) == pytest.approx(np.sqrt(moved / variance), rel=1e-8)
 
 
-def test_points_of_the_induced_laws_are_even_in_probability():
+def test_points_of_the_induced_distributions_are_even_in_probability():
     # of one variable each term has its own share of points, whose levels in its own distribution are those of a
     # sequence
     expanded = al.expand(lambda m: m["x"], {"x": NORMAL}, al.Expansion(3, points=al.points.InducedPoints(4000)))
@@ -94,7 +96,7 @@ def test_points_of_the_induced_laws_are_even_in_probability():
     assert stats.norm.sf(points[-1]) < 1e-4
 
 
-def test_a_bound_on_a_spread_of_correlated_laws_holds_in_the_closed_form():
+def test_a_bound_on_a_spread_of_correlated_distributions_holds_in_the_closed_form():
     class Gap(al.AlgebraicSystem):
         d: al.Number
         x: al.Number

@@ -8,9 +8,9 @@ import aleator as al
 from aleator.studies.clutch import DEVIATION, LIMITS, MEANS, TOLERANCES, clutch, pressure_angle
 
 
-def stack(**laws):
+def stack(**distributions):
     """A gap between a housing and two plates: linear, so that everything is known."""
-    return al.Assembly(dimensions=laws, features={"gap": "housing - 2*plate"})
+    return al.Assembly(dimensions=distributions, features={"gap": "housing - 2*plate"})
 
 
 @pytest.fixture(scope="module")
@@ -30,7 +30,7 @@ def test_a_linear_stack_of_normal_parts_is_normal(normal_stack):
     assert normal_stack.kurtosis == pytest.approx(3.0, rel=1e-8)
 
 
-def test_capabilities_and_rejects_of_a_normal_gap_are_those_of_the_normal_law(normal_stack):
+def test_capabilities_and_rejects_of_a_normal_gap_are_those_of_the_normal_distribution(normal_stack):
     assert normal_stack.cp == pytest.approx(0.9 / (6 * STD), rel=1e-10)
     assert normal_stack.cpk == pytest.approx(0.4 / (3 * STD), rel=1e-10)
     assert normal_stack.rejects_low == pytest.approx(1e6 * stats.norm.cdf(-0.4 / STD), rel=1e-5)
@@ -56,7 +56,7 @@ def test_the_printed_analysis_names_every_dimension(normal_stack):
     assert all(word in text for word in ("gap", "Cpk", "ppm", "worst case", "housing", "plate"))
 
 
-def test_an_asymmetric_zone_and_a_bounded_law_are_their_own_zones():
+def test_an_asymmetric_zone_and_a_bounded_distribution_are_their_own_zones():
     model = stack(housing=al.Toleranced(10.0, plus=0.05, minus=0.02), plate=al.Uniform.bounds(3.9, 4.2))
     one = al.tolerance_analysis(model, "gap", lower=0.0)
     assert tuple(one.contributions["housing"].zone) == pytest.approx((9.98, 10.05))
@@ -65,7 +65,7 @@ def test_an_asymmetric_zone_and_a_bounded_law_are_their_own_zones():
     assert one.rejects_high == 0
 
 
-def test_given_tolerances_replace_those_of_the_laws():
+def test_given_tolerances_replace_those_of_the_distributions():
     model = stack(housing=al.Normal(10.0, 0.1), plate=al.Normal(4.0, 0.01))
     one = al.tolerance_analysis(model, "gap", lower=0.0, tolerances={"housing": 0.5, "plate": (0.1, 0.2)})
     assert one.worst_case == pytest.approx((9.5 - 8.4, 10.5 - 7.8), rel=1e-9)
@@ -74,9 +74,9 @@ def test_given_tolerances_replace_those_of_the_laws():
     )
 
 
-def test_a_function_of_a_dict_of_laws_is_analysed_as_well():
-    laws = {"x": al.Normal(1.0, 0.1), "y": al.Uniform(2.0, half_width=0.3)}
-    one = al.tolerance_analysis(laws, lambda dimension: dimension["x"] * dimension["y"], lower=1.0, upper=3.0)
+def test_a_function_of_a_dict_of_distributions_is_analysed_as_well():
+    distributions = {"x": al.Normal(1.0, 0.1), "y": al.Uniform(2.0, half_width=0.3)}
+    one = al.tolerance_analysis(distributions, lambda dimension: dimension["x"] * dimension["y"], lower=1.0, upper=3.0)
     assert one.mean == pytest.approx(2.0, rel=1e-10)
     assert one.std**2 == pytest.approx(4 * 0.01 + 0.03 + 0.01 * 0.03, rel=1e-9)
 
@@ -108,9 +108,9 @@ def test_rejects_of_the_clutch_are_those_of_its_closed_form():
     c, e = np.meshgrid(*(MEANS[name] + TOLERANCES[name] / 3 * nodes for name in ("c", "e")))
     weight = np.outer(weights, weights) / (2 * np.pi)
     at_limit = [(e - c) * np.cos(np.deg2rad(limit)) - c for limit in DEVIATION]
-    law = stats.norm(MEANS["a"], TOLERANCES["a"] / 3)
-    assert one.rejects_low == pytest.approx(1e6 * np.sum(weight * law.sf(at_limit[0])), rel=2e-3)
-    assert one.rejects_high == pytest.approx(1e6 * np.sum(weight * law.cdf(at_limit[1])), rel=2e-3)
+    distribution = stats.norm(MEANS["a"], TOLERANCES["a"] / 3)
+    assert one.rejects_low == pytest.approx(1e6 * np.sum(weight * distribution.sf(at_limit[0])), rel=2e-3)
+    assert one.rejects_high == pytest.approx(1e6 * np.sum(weight * distribution.cdf(at_limit[1])), rel=2e-3)
 
 
 @pytest.mark.parametrize(
@@ -137,9 +137,9 @@ def test_unknown_outputs_and_outputs_of_no_system_are_refused():
 
 
 def test_an_output_that_is_no_number_is_refused():
-    laws = {"x": al.Normal(1.0, 0.1)}
+    distributions = {"x": al.Normal(1.0, 0.1)}
     with pytest.raises(al.ProblemError, match="one number"):
-        al.tolerance_analysis(laws, lambda dimension: {"y": dimension["x"]}, lower=0.0)
+        al.tolerance_analysis(distributions, lambda dimension: {"y": dimension["x"]}, lower=0.0)
 
 
 def test_an_assembly_without_a_solution_says_where_newton_stopped():

@@ -34,7 +34,7 @@ class Gap(al.AlgebraicSystem):
 
 GRID = al.Grid(3.0, 6)
 RAMP, SHORT = (al.Tabulated([0.0, end], [0.0, 1.0]) for end in (3.0, 1.0))
-LAW, DECISION = al.Uniform(1.0, half_width=0.1), al.Decision(1.0, 0.0, 2.0)
+DISTRIBUTION, DECISION = al.Uniform(1.0, half_width=0.1), al.Decision(1.0, 0.0, 2.0)
 
 
 @pytest.mark.parametrize(
@@ -49,12 +49,17 @@ LAW, DECISION = al.Uniform(1.0, half_width=0.1), al.Decision(1.0, 0.0, 2.0)
             "Signal 'shift' of Driven is known from 0 to 1 s, but the grid asks for 0 to 3",
         ),
         (Driven(), GRID, 1.0, r"Input 'u' must be a signal, such as al\.Tabulated\(times, values\); received float"),
-        (Driven(LAW), GRID, RAMP, r"expected plain numbers.*: 'system\.gain' is a Uniform\. .*al\.expand or"),
+        (Driven(DISTRIBUTION), GRID, RAMP, r"expected plain numbers.*: 'system\.gain' is a Uniform\. .*al\.expand or"),
         (Driven(DECISION), GRID, RAMP, r"'system\.gain' is a Decision"),
-        (at_means(Driven(LAW)), GRID, RAMP, r"'system\.gain' is a AtMean"),
+        (at_means(Driven(DISTRIBUTION)), GRID, RAMP, r"'system\.gain' is a AtMean"),
         (Driven(), al.Grid(al.Decision(2.0, 1.0, 3.0), 6), RAMP, r"'grid\.t_final' is a Decision"),
-        (Driven(), GRID, al.Tabulated([0.0, 3.0], [0.0, LAW]), r"'inputs\.u\.values\.1' is a Uniform"),
-        (Driven(LAW), GRID, al.BSpline(al.Decision(np.ones(4))), r"'inputs\.u\.free' is a Decision.*'system\.gain' is"),
+        (Driven(), GRID, al.Tabulated([0.0, 3.0], [0.0, DISTRIBUTION]), r"'inputs\.u\.values\.1' is a Uniform"),
+        (
+            Driven(DISTRIBUTION),
+            GRID,
+            al.BSpline(al.Decision(np.ones(4))),
+            r"'inputs\.u\.free' is a Decision.*'system\.gain' is",
+        ),
     ],
 )
 def test_simulating_what_is_not_known_or_does_not_reach_is_refused_in_words(system, grid, u, message):
@@ -62,9 +67,9 @@ def test_simulating_what_is_not_known_or_does_not_reach_is_refused_in_words(syst
         al.simulate(system, grid, {"u": u})
 
 
-def test_laws_left_in_an_algebraic_system_are_refused():
+def test_distributions_left_in_an_algebraic_system_are_refused():
     with pytest.raises(al.ProblemError, match=r"'system\.width' is a Uniform"):
-        al.simulate(Gap(LAW))
+        al.simulate(Gap(DISTRIBUTION))
 
 
 def test_traced_numbers_pass_and_the_signals_that_are_known_are_checked_while_others_are_traced():

@@ -169,8 +169,8 @@ def test_nothing_to_realise_is_refused(function, model, message):
 
 
 def test_germ_points_are_quantiles_and_random_ones_depend_on_the_seed_alone():
-    laws = {"a": al.Uniform.bounds(-1.0, 1.0), "b": al.Normal(0.0, 1.0)}
-    germs = tuple(placements(laws).germs.values())
+    distributions = {"a": al.Uniform.bounds(-1.0, 1.0), "b": al.Normal(0.0, 1.0)}
+    germs = tuple(placements(distributions).germs.values())
     exact = [stats.uniform(-1, 2).ppf(LEVELS[:, 0]), stats.norm.ppf(LEVELS[:, 1])]
     np.testing.assert_allclose(at_levels(germs, LEVELS), np.stack(exact, axis=1), rtol=1e-13, atol=1e-15)
     many, few = (draw(germs, count, np.random.default_rng(7)) for count in (1000, 10))

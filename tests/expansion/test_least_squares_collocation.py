@@ -12,7 +12,7 @@ from aleator.expansion import Basis, Expansion, HammersleyPoints, LeastSquares, 
 from aleator.uncertainty import HermiteGerm, JacobiGerm, LaguerreGerm, LegendreGerm
 
 GERMS = {"a": LegendreGerm(), "b": HermiteGerm(), "c": JacobiGerm(2.0, 5.0), "d": LaguerreGerm(3.0)}
-LAWS = (stats.uniform(-1, 2), stats.norm(), stats.beta(2, 5, -1, 2), stats.gamma(3))
+DISTRIBUTIONS = (stats.uniform(-1, 2), stats.norm(), stats.beta(2, 5, -1, 2), stats.gamma(3))
 CHAOSPY = (chaospy.Uniform(-1, 1), chaospy.Normal(0, 1), chaospy.Beta(2, 5, -1, 1), chaospy.Gamma(3))
 EXPANSION = Expansion(3, points=HammersleyPoints())
 
@@ -25,7 +25,7 @@ def collocation():
 @pytest.fixture(scope="module")
 def chaospy_basis():
     """Chaospy's orthonormal polynomials, term by term in the order of our index set, leading coefficients positive."""
-    univariate = [chaospy.expansion.stieltjes(EXPANSION.order, law, normed=True) for law in CHAOSPY]
+    univariate = [chaospy.expansion.stieltjes(EXPANSION.order, distribution, normed=True) for distribution in CHAOSPY]
     q = chaospy.variable(len(GERMS))
     moved = [one(q[i]) for i, one in enumerate(univariate)]
     return [
@@ -48,7 +48,9 @@ def test_points_are_the_germs_quantiles_of_the_hammersley_set(collocation):
     count = 3 * 35
     halton = qmc.Halton(d=3, scramble=False).random(count + 1)[1:]
     levels = [(np.arange(count) + 0.5) / count, *halton.T]
-    expected = np.stack([law.ppf(level) for law, level in zip(LAWS, levels, strict=True)], axis=1)
+    expected = np.stack(
+        [distribution.ppf(level) for distribution, level in zip(DISTRIBUTIONS, levels, strict=True)], axis=1
+    )
     assert collocation.points == pytest.approx(expected, rel=1e-11, abs=1e-11)
 
 
@@ -58,7 +60,7 @@ def test_the_matrix_holds_chaospys_orthonormal_polynomials_at_the_points(colloca
     assert collocation.matrix == pytest.approx(theirs, rel=1e-8, abs=1e-8)
 
 
-def test_the_basis_is_orthonormal_under_the_joint_law_by_a_product_rule():
+def test_the_basis_is_orthonormal_under_the_joint_distribution_by_a_product_rule():
     basis = Basis(GERMS, TotalDegree().indices(tuple(GERMS), 3))
     rules = [germ.gauss(4) for germ in GERMS.values()]
     nodes = np.stack([axis.ravel() for axis in np.meshgrid(*(x for x, _ in rules), indexing="ij")], axis=1)

@@ -70,9 +70,9 @@ def test_the_error_is_that_of_openturns():
     collocation = collocate(GERMS, Expansion(3, points=HammersleyPoints()))
     samples = np.asarray(scalar(collocation.points))
     inputs, outputs = ot.Sample(np.asarray(collocation.points).tolist()), ot.Sample(samples[:, None].tolist())
-    law = ot.JointDistribution([ot.Uniform(-1.0, 1.0), ot.Normal()])
+    distribution = ot.JointDistribution([ot.Uniform(-1.0, 1.0), ot.Normal()])
     basis = ot.OrthogonalProductPolynomialFactory([ot.LegendreFactory(), ot.HermiteFactory()])
-    algorithm = ot.LeastSquaresExpansion(inputs, outputs, law, basis, 10)
+    algorithm = ot.LeastSquaresExpansion(inputs, outputs, distribution, basis, 10)
     algorithm.run()
     splitter = ot.LeaveOneOutSplitter(len(samples))
     squared = ot.FunctionalChaosValidation(algorithm.getResult(), splitter).computeMeanSquaredError()[0]

@@ -39,7 +39,7 @@ def test_order_20_is_refused_at_hammersley_points_and_fine_at_optimal_ones():
     assert condition(NORMAL, 20, OptimalPoints()) < 5
 
 
-def test_unbounded_and_singular_laws_together_are_well_conditioned():
+def test_unbounded_and_singular_distributions_together_are_well_conditioned():
     assert condition(MIXED, 6, ChristoffelPoints()) < 15
     assert condition(MIXED, 6, OptimalPoints()) < 5
 
@@ -77,7 +77,7 @@ def test_christoffel_points_have_the_density_that_their_weights_undo(germs):
     assert np.linalg.norm(gram - np.eye(basis.terms), 2) < 3 * np.sqrt(basis.terms / len(matrix))
 
 
-def test_at_order_one_the_draws_have_the_law_of_half_the_squared_germ():
+def test_at_order_one_the_draws_have_the_distribution_of_half_the_squared_germ():
     # (1 + x^2)/2 times the normal density, in closed form
     basis = Basis(NORMAL, np.array([[0], [1]]))
     points = ChristoffelPoints(20_000, seed=1).nodes(basis, 0).points[:, 0]
@@ -120,7 +120,7 @@ def test_the_error_falls_exponentially_with_the_order():
     assert np.polyfit(range(2, 13, 2), np.log10(errors), 1)[0] < -0.35
 
 
-def test_a_bounded_law_needs_no_weights_to_speak_of_but_keeps_its_ends():
+def test_a_bounded_distribution_needs_no_weights_to_speak_of_but_keeps_its_ends():
     _, collocation = collocate({"u": LegendreGerm()}, Expansion(8, points=OptimalPoints()))
     assert float(collocation.condition_number) < 3
     assert np.abs(collocation.points).max() > 0.97

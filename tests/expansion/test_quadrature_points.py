@@ -78,9 +78,9 @@ def test_a_sparse_grid_integrates_every_monomial_up_to_total_degree_2l_plus_1_an
 
 @pytest.mark.parametrize("count", [2, 5, 9])
 def test_roots_and_weights_are_those_of_chaospy(count):
-    for (name, germ), law in zip(GERMS.items(), CHAOSPY, strict=True):
+    for (name, germ), distribution in zip(GERMS.items(), CHAOSPY, strict=True):
         nodes = GaussPoints(count).nodes(Basis({name: germ}, np.array([[0], [1]])), 0)
-        (theirs,), weights = chaospy.generate_quadrature(count - 1, law, rule="gaussian")
+        (theirs,), weights = chaospy.generate_quadrature(count - 1, distribution, rule="gaussian")
         assert nodes.points[:, 0] == pytest.approx(theirs, rel=1e-8, abs=1e-8)
         assert nodes.weights == pytest.approx(weights, rel=1e-7, abs=1e-12)
 
@@ -107,15 +107,15 @@ def smooth(points):
 
 
 def test_projected_coefficients_are_those_of_chaospys_quadrature():
-    germs, laws = {"u": LegendreGerm(), "n": HermiteGerm()}, CHAOSPY[:2]
+    germs, distributions = {"u": LegendreGerm(), "n": HermiteGerm()}, CHAOSPY[:2]
 
     def model(points):
         return np.exp(0.3 * points[0]) * np.sin(0.5 * points[1])
 
     basis, collocation = collocate(germs, Expansion(3, points=GaussPoints(4), fit=Projection()))
-    nodes, weights = chaospy.generate_quadrature(3, chaospy.J(*laws), rule="gaussian")
+    nodes, weights = chaospy.generate_quadrature(3, chaospy.J(*distributions), rule="gaussian")
     q = chaospy.variable(2)
-    univariate = [chaospy.expansion.stieltjes(3, law, normed=True) for law in laws]
+    univariate = [chaospy.expansion.stieltjes(3, distribution, normed=True) for distribution in distributions]
     left, right = (one(q[i]) for i, one in enumerate(univariate))
     polynomials = [left[i] * right[j] for i, j in basis.indices.tolist()]
     _, theirs = chaospy.fit_quadrature(chaospy.polynomial(polynomials), nodes, weights, model(nodes), retall=1)

@@ -92,13 +92,13 @@ def test_it_predicts_as_well_as_openturns_sparse_fit():
     basis, collocation = collocate(uniform(variables), expansion, model)
     points = np.asarray(collocation.points)
     coefficients = np.asarray(collocation.coefficients(jnp.asarray(model(points))))
-    law = ot.JointDistribution([ot.Uniform(-1.0, 1.0)] * variables)
+    distribution = ot.JointDistribution([ot.Uniform(-1.0, 1.0)] * variables)
     product = ot.OrthogonalProductPolynomialFactory([ot.LegendreFactory()] * variables)
     selection = ot.LeastSquaresMetaModelSelectionFactory(ot.LARS(), ot.CorrectedLeaveOneOut())
     algorithm = ot.FunctionalChaosAlgorithm(
         ot.Sample(points.tolist()),
         ot.Sample(model(points)[:, None].tolist()),
-        law,
+        distribution,
         ot.FixedStrategy(product, 210),
         ot.LeastSquaresStrategy(selection),
     )

@@ -15,10 +15,10 @@ MEAN, STD = 1.0, 0.1
 W = {"w": al.Normal(MEAN, STD)}
 
 
-def expanded_and_warned(function, laws, expansion):
+def expanded_and_warned(function, distributions, expansion):
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")
-        expanded = al.expand(function, laws, expansion)
+        expanded = al.expand(function, distributions, expansion)
     return expanded, any(issubclass(one.category, al.ExpansionWarning) for one in told)
 
 
@@ -36,12 +36,12 @@ def test_an_expansion_that_is_not_warned_of_has_the_spread_of_the_closed_form(wa
 
 
 def test_a_kink_is_warned_of_and_the_figure_is_a_fraction_of_the_standard_deviation():
-    laws = {"a": al.Uniform.bounds(0.0, 1.0), "b": al.Uniform.bounds(0.0, 1.0)}
+    distributions = {"a": al.Uniform.bounds(0.0, 1.0), "b": al.Uniform.bounds(0.0, 1.0)}
 
     def kinked(m):
         return jnp.minimum(m["a"], 0.6 * m["b"] + 0.2)
 
-    expanded, warned = expanded_and_warned(kinked, laws, al.Expansion(3))
+    expanded, warned = expanded_and_warned(kinked, distributions, al.Expansion(3))
     assert warned
     # Independent: the root mean square miss at fresh points, over the standard deviation there.
     points = np.random.default_rng(0).uniform(-1, 1, (20_000, 2))

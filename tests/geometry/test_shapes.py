@@ -107,7 +107,7 @@ def test_numbers_that_make_no_shape_are_refused(make, message):
         make()
 
 
-def test_laws_and_decisions_that_keep_a_size_positive_are_taken():
+def test_distributions_and_decisions_that_keep_a_size_positive_are_taken():
     # A lognormal distribution begins at 0 and never takes it; a radius may be 0.
     sizes = (
         al.Gamma(mean=0.2, std=0.1, lower=0.05),

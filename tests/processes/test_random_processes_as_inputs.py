@@ -253,7 +253,7 @@ class Endless(al.processes.AbstractCovariance):
         return np.where(lag == 0, 1.0, np.inf)
 
 
-LAW = al.Normal(0.5, 0.1)
+DISTRIBUTION = al.Normal(0.5, 0.1)
 
 
 @pytest.mark.parametrize(
@@ -270,7 +270,10 @@ LAW = al.Normal(0.5, 0.1)
         ),
         (lambda: al.processes.SquaredExponentialCovariance("long"), "received 'long'"),
         (lambda: al.processes.SquaredExponentialCovariance(True), "received True"),
-        (lambda: al.processes.ExponentialCovariance(LAW), r"computed once; expected a plain number; received Normal\("),
+        (
+            lambda: al.processes.ExponentialCovariance(DISTRIBUTION),
+            r"computed once; expected a plain number; received Normal\(",
+        ),
         (lambda: al.processes.ExponentialCovariance(al.Decision(1.0)), "computed once; expected a plain number"),
         (
             lambda: al.processes.BandLimitedCovariance(2.0, 2.0),

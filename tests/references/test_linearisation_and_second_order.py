@@ -11,13 +11,13 @@ import aleator as al
 CLUTCH = {"a": al.Normal(27.645, 0.05 / 3), "c": al.Normal(11.430, 0.01 / 3), "e": al.Normal(50.800, 0.0125 / 3)}
 LIMITS = {"a": 0.05, "c": 0.01, "e": 0.0125}
 
-LAWS = {
+DISTRIBUTIONS = {
     "u": (al.Uniform.bounds(1.0, 4.0), stats.uniform(1, 3)),
     "n": (al.Normal(-1.0, 0.3), stats.norm(-1, 0.3)),
     "b": (al.Beta(alpha=2.0, beta=5.0, upper=3.0), stats.beta(2, 5, 0, 3)),
     "g": (al.Gamma(shape=3.0, scale=0.5), stats.gamma(3, scale=0.5)),
 }
-MODEL = {name: law for name, (law, _) in LAWS.items()}
+MODEL = {name: distribution for name, (distribution, _) in DISTRIBUTIONS.items()}
 
 
 def pressure_angle(m):
@@ -68,13 +68,16 @@ def linear(m):
 
 
 def linear_moments():
-    mean = 4.0 + sum(weight * LAWS[name][1].mean() for name, weight in WEIGHTS.items())
-    variance = sum(weight**2 * LAWS[name][1].var() for name, weight in WEIGHTS.items())
-    third = sum(weight**3 * LAWS[name][1].stats("s") * LAWS[name][1].std() ** 3 for name, weight in WEIGHTS.items())
+    mean = 4.0 + sum(weight * DISTRIBUTIONS[name][1].mean() for name, weight in WEIGHTS.items())
+    variance = sum(weight**2 * DISTRIBUTIONS[name][1].var() for name, weight in WEIGHTS.items())
+    third = sum(
+        weight**3 * DISTRIBUTIONS[name][1].stats("s") * DISTRIBUTIONS[name][1].std() ** 3
+        for name, weight in WEIGHTS.items()
+    )
     return mean, variance, third / variance**1.5
 
 
-def test_both_expansions_are_exact_for_a_linear_function_of_any_laws():
+def test_both_expansions_are_exact_for_a_linear_function_of_any_distributions():
     mean, variance, skewness = linear_moments()
     for found in (al.references.linearise(linear, MODEL), al.references.second_order(linear, MODEL)):
         assert (float(found.mean), float(found.variance)) == pytest.approx((mean, variance), rel=1e-12)
@@ -91,7 +94,7 @@ def quadratic(m):
 
 def tensor_quadrature(function, oracles, nodes=8):
     """Moments by the tensor product of Gauss rules: exact for polynomials, here with rules made from raw moments."""
-    rules = [gauss_from_moments(law, nodes) for law in oracles.values()]
+    rules = [gauss_from_moments(distribution, nodes) for distribution in oracles.values()]
     grid = np.meshgrid(*[points for points, _ in rules], indexing="ij")
     weight = np.prod(np.meshgrid(*[weights for _, weights in rules], indexing="ij"), axis=0)
     values = function(dict(zip(oracles, grid, strict=True)))
@@ -100,13 +103,16 @@ def tensor_quadrature(function, oracles, nodes=8):
     return mean, variance, np.sum(weight * (values - mean) ** 3) / variance**1.5
 
 
-def gauss_from_moments(law, nodes):
+def gauss_from_moments(distribution, nodes):
     """Golub and Welsch's rule from the Cholesky factor of the Hankel matrix of the standardised distribution's
     moments.
     """
-    mean, std = law.mean(), law.std()
-    moments = [law.expect(lambda x, k=k: ((x - mean) / std) ** k, epsabs=1e-13, epsrel=1e-13) for k in range(2 * nodes)]
-    moments.append(law.expect(lambda x: ((x - mean) / std) ** (2 * nodes), epsabs=1e-13, epsrel=1e-13))
+    mean, std = distribution.mean(), distribution.std()
+    moments = [
+        distribution.expect(lambda x, k=k: ((x - mean) / std) ** k, epsabs=1e-13, epsrel=1e-13)
+        for k in range(2 * nodes)
+    ]
+    moments.append(distribution.expect(lambda x: ((x - mean) / std) ** (2 * nodes), epsabs=1e-13, epsrel=1e-13))
     hankel = np.array([[moments[i + j] for j in range(nodes + 1)] for i in range(nodes + 1)])
     upper = np.linalg.cholesky(hankel).T
     ratio = np.array([upper[i, i + 1] / upper[i, i] for i in range(nodes)])
@@ -116,16 +122,18 @@ def gauss_from_moments(law, nodes):
     return mean + std * points, vectors[0] ** 2
 
 
-def test_second_order_moments_are_exact_for_a_quadratic_function_of_any_laws():
-    exact = tensor_quadrature(quadratic, {name: law for name, (_, law) in LAWS.items()}, nodes=4)
+def test_second_order_moments_are_exact_for_a_quadratic_function_of_any_distributions():
+    exact = tensor_quadrature(
+        quadratic, {name: distribution for name, (_, distribution) in DISTRIBUTIONS.items()}, nodes=4
+    )
     found = al.references.second_order(quadratic, MODEL)
     # The oracle's moments come from adaptive quadrature.
     assert (float(found.mean), float(found.variance), float(found.skewness)) == pytest.approx(exact, rel=1e-7)
 
 
-@pytest.mark.parametrize(("law", "fourth"), [(al.Normal(1.0, 0.4), 3.0), (al.Uniform(1.0, std=0.4), 1.8)])
-def test_the_square_of_one_number_has_its_textbook_moments(law, fourth):
-    found = al.references.second_order(lambda m: m["x"] ** 2, {"x": law})
+@pytest.mark.parametrize(("distribution", "fourth"), [(al.Normal(1.0, 0.4), 3.0), (al.Uniform(1.0, std=0.4), 1.8)])
+def test_the_square_of_one_number_has_its_textbook_moments(distribution, fourth):
+    found = al.references.second_order(lambda m: m["x"] ** 2, {"x": distribution})
     # E x^2 = m^2 + s^2; Var x^2 = 4 m^2 s^2 + (kurtosis - 1) s^4 for a symmetric distribution.
     assert float(found.mean) == pytest.approx(1.16, rel=1e-12)
     assert float(found.variance) == pytest.approx(4 * 0.16 + (fourth - 1) * 0.16**2, rel=1e-12)
@@ -190,14 +198,14 @@ def test_expansions_have_the_structure_of_the_outputs():
     assert first["sum"].worst_case(dict.fromkeys("unbg", 1.0)) == pytest.approx(2.5 + 1.0, rel=1e-12)
 
 
-@pytest.mark.parametrize("law", ["a", "z"])
-def test_decisions_stand_at_their_initial_values_wherever_they_are(law):
+@pytest.mark.parametrize("distribution", ["a", "z"])
+def test_decisions_stand_at_their_initial_values_wherever_they_are(distribution):
     model = {
-        law: al.Normal(al.Decision(2.0), al.Decision(0.5, lower=0.1, upper=1.0)),
+        distribution: al.Normal(al.Decision(2.0), al.Decision(0.5, lower=0.1, upper=1.0)),
         "k": al.Decision(np.array([3.0, 7.0])),
     }
     for method in (al.references.linearise, al.references.second_order):
-        found = method(lambda m: m["k"] * m[law], model)
+        found = method(lambda m: m["k"] * m[distribution], model)
         np.testing.assert_allclose(found.mean, [6.0, 14.0], rtol=1e-12)
         np.testing.assert_allclose(found.std, [1.5, 3.5], rtol=1e-12)
 
@@ -213,14 +221,14 @@ def test_what_does_not_vary_has_zero_spread_with_zero_derivative():
 
 
 def test_a_shared_input_is_one_input():
-    law = al.Normal(1.0, 0.5).shared("x")
-    found = al.references.linearise(lambda m: m["p"] + m["q"], {"p": law, "q": law})
+    distribution = al.Normal(1.0, 0.5).shared("x")
+    found = al.references.linearise(lambda m: m["p"] + m["q"], {"p": distribution, "q": distribution})
     assert found.names == ("x",)
     assert float(found.std) == pytest.approx(1.0, rel=1e-12)
 
 
 @pytest.mark.parametrize("traced", [jax.grad, lambda f: jax.jit(jax.grad(f))])
-def test_spreads_are_differentiable_in_the_laws(traced):
+def test_spreads_are_differentiable_in_the_distributions(traced):
     def model(spread):
         return {"x": al.Uniform(2.0, half_width=spread)}
 
@@ -258,7 +266,7 @@ def test_correlated_normal_inputs_have_their_exact_moments():
 SKEWED = {"k": al.Normal(5.0, 0.2), "c": al.LogNormal(mean=2.0, std=0.3), "e": al.Exponential(mean=0.4)}
 
 
-def test_correlated_inputs_of_any_law_have_the_correlations_that_were_given():
+def test_correlated_inputs_of_any_distribution_have_the_correlations_that_were_given():
     model = al.correlated(SKEWED, {("k", "c"): 0.5, ("c", "e"): -0.3})
     found = al.references.linearise(lambda m: m["k"] + m["c"] + m["e"], model)
     stds = {"k": 0.2, "c": 0.3, "e": 0.4}
@@ -284,7 +292,7 @@ FAMILIES = {
 
 @pytest.mark.parametrize("name", FAMILIES)
 def test_second_order_takes_the_moments_of_every_family_as_they_are(name):
-    law, oracle = FAMILIES[name]
+    distribution, oracle = FAMILIES[name]
     if oracle is None:
         sigma = math.sqrt(math.log1p((0.4 / 2.0) ** 2))
         oracle = stats.lognorm(sigma, scale=2.0 / math.exp(sigma**2 / 2))
@@ -294,12 +302,12 @@ def test_second_order_takes_the_moments_of_every_family_as_they_are(name):
     second = raw[4] - 2 * raw[3] + raw[2]
     third = raw[6] - 3 * raw[5] + 3 * raw[4] - raw[3]
     variance = second - mean**2
-    found = al.references.second_order(lambda m: m["x"] ** 2 - m["x"], {"x": law})
+    found = al.references.second_order(lambda m: m["x"] ** 2 - m["x"], {"x": distribution})
     assert (float(found.mean), float(found.variance)) == pytest.approx((mean, variance), rel=1e-8)
     assert float(found.skewness) == pytest.approx((third - 3 * mean * second + 2 * mean**3) / variance**1.5, rel=1e-7)
 
 
-def test_moments_are_differentiable_in_the_shape_of_a_law():
+def test_moments_are_differentiable_in_the_shape_of_a_distribution():
     def mean(shape):
         return al.references.second_order(lambda m: m["x"] ** 2, {"x": al.Gamma(shape=shape, scale=0.5)}).mean
 

@@ -41,18 +41,18 @@ STATISTICS = {
 
 @pytest.mark.parametrize("name", STATISTICS)
 def test_confidence_intervals_hold_the_truth_as_often_as_they_say(name):
-    law, repetitions, samples = stats.gamma(4.0, scale=0.5), 400, 1000
+    distribution, repetitions, samples = stats.gamma(4.0, scale=0.5), 400, 1000
     truth = {
-        "mean": law.mean(),
-        "std": law.std(),
-        "median": law.median(),
-        "upper tail": law.ppf(0.95),
-        "probability": law.sf(3.0),
+        "mean": distribution.mean(),
+        "std": distribution.std(),
+        "median": distribution.median(),
+        "upper tail": distribution.ppf(0.95),
+        "probability": distribution.sf(3.0),
     }[name]
     generator = np.random.default_rng(5)
     held = 0
     for _ in range(repetitions):
-        values = law.rvs(samples, random_state=generator)
+        values = distribution.rvs(samples, random_state=generator)
         lower, upper = estimate(STATISTICS[name], values, group_count(samples)).interval()
         held += lower <= truth <= upper
     # 95 % with a standard deviation of 1.1 %, of 400 repetitions; skewed estimates lose some two percent.
@@ -165,7 +165,7 @@ def test_quasi_monte_carlo_standard_errors_are_as_large_as_the_true_errors():
     assert abs(np.mean(scaled)) < 4 * 1.07 / np.sqrt(30)
 
 
-LAWS = {
+DISTRIBUTIONS = {
     "uniform": (al.Uniform.bounds(1.0, 4.0), stats.uniform(1, 3)),
     "normal": (al.Normal(-1.0, 0.3), stats.norm(-1, 0.3)),
     "beta": (al.Beta(alpha=2.0, beta=5.0, upper=3.0), stats.beta(2, 5, 0, 3)),
@@ -174,18 +174,18 @@ LAWS = {
 
 
 @pytest.mark.parametrize("method", [al.references.monte_carlo, al.references.quasi_monte_carlo])
-def test_inputs_follow_their_laws_and_are_independent(method):
-    model = {name: law for name, (law, _) in LAWS.items()}
+def test_inputs_follow_their_distributions_and_are_independent(method):
+    model = {name: distribution for name, (distribution, _) in DISTRIBUTIONS.items()}
     values = method(lambda m: m, model, 2**14, seed=4).values
-    for name, (_, law) in LAWS.items():
-        assert stats.kstest(values[name], law.cdf).pvalue > 1e-3
+    for name, (_, distribution) in DISTRIBUTIONS.items():
+        assert stats.kstest(values[name], distribution.cdf).pvalue > 1e-3
     correlation = np.corrcoef(np.stack(list(values.values())))
     np.testing.assert_allclose(correlation, np.eye(4), atol=4 / np.sqrt(2**14))
 
 
 def test_a_shared_input_is_one_and_the_same():
-    law = al.Normal(0.0, 1.0).shared("x")
-    values = al.references.monte_carlo(lambda m: m["a"] - m["b"], {"a": law, "b": law}, 100).values
+    distribution = al.Normal(0.0, 1.0).shared("x")
+    values = al.references.monte_carlo(lambda m: m["a"] - m["b"], {"a": distribution, "b": distribution}, 100).values
     np.testing.assert_array_equal(values, 0.0)
 
 
@@ -247,20 +247,20 @@ def test_any_function_of_a_sample_can_be_estimated():
     assert abs(found.value - 1.0) < 4 * found.standard_error  # 2 / sqrt(shape)
 
 
-def test_every_statistic_of_a_gamma_law_is_held_by_its_confidence_interval():
-    law = stats.gamma(4.0)
-    quantile = law.ppf(0.9)
+def test_every_statistic_of_a_gamma_distribution_is_held_by_its_confidence_interval():
+    distribution = stats.gamma(4.0)
+    quantile = distribution.ppf(0.9)
     tail_mean = (
         4.0 * stats.gamma(5.0).sf(quantile) / 0.1
     )  # x times its density is the density of the next gamma distribution
-    lowest = 4.0 * stats.gamma(5.0).cdf(law.ppf(0.1)) / 0.1
+    lowest = 4.0 * stats.gamma(5.0).cdf(distribution.ppf(0.1)) / 0.1
     sample = al.references.monte_carlo(lambda m: m["g"], {"g": al.Gamma(shape=4.0, scale=1.0)}, 2**15, seed=3)
     exact = [
         (sample.skewness, 1.0),
         (sample.kurtosis, 4.5),
         (sample.quantile(0.9), quantile),
         (sample.probability(above=quantile), 0.1),
-        (sample.probability(above=4.0, below=quantile), 0.9 - law.cdf(4.0)),
+        (sample.probability(above=4.0, below=quantile), 0.9 - distribution.cdf(4.0)),
         (sample.conditional_value_at_risk(0.9), tail_mean),
         (sample.conditional_value_at_risk(0.1, lower=True), lowest),
     ]
@@ -352,7 +352,7 @@ def test_a_model_without_anything_uncertain_is_refused():
         al.references.monte_carlo(lambda m: m["x"], {"x": 1.0})
 
 
-def test_no_sample_is_infinite_at_the_ends_of_unbounded_laws():
+def test_no_sample_is_infinite_at_the_ends_of_unbounded_distributions():
     values = al.references.quasi_monte_carlo(lambda m: m["x"], {"x": al.Normal(0.0, 1.0)}, 2**16).values
     # The outermost of 2^16 normal numbers lie near 4.3, and surely within 6.
     assert 3.5 < np.abs(values).max() < 6.0

@@ -24,7 +24,7 @@ def test_indices_of_the_ishigami_function_are_the_published_ones():
     assert all(one.standard_error < 0.005 for one in [*found.first.values(), *found.total.values()])
 
 
-def test_indices_of_a_sum_are_shares_of_the_variance_whatever_the_laws():
+def test_indices_of_a_sum_are_shares_of_the_variance_whatever_the_distributions():
     model = {"n": al.Normal(3.0, 0.5), "u": al.Uniform(0.0, std=1.0), "g": al.Gamma(mean=2.0, std=0.7)}
     found = al.references.sobol_indices(lambda m: 2 * m["n"] + m["u"] - m["g"], model)
     total = 1.0 + 1.0 + 0.49

@@ -31,7 +31,7 @@ def coefficients_of(model, output, order, decisions=(), points=None):
     return collocation.coefficients(jax.vmap(lambda xi: output(realise(model, xi, x)))(collocation.points))
 
 
-LAWS = {
+DISTRIBUTIONS = {
     "uniform": (Uniform(2.0, half_width=0.5), stats.uniform(1.5, 1)),
     "normal": (Normal(1.5, 0.2), stats.norm(1.5, 0.2)),
     "beta": (Beta(alpha=2.0, beta=5.0, lower=-1, upper=2), stats.beta(2, 5, -1, 3)),
@@ -40,15 +40,15 @@ LAWS = {
 }
 
 
-def moment_of(law, power):
+def moment_of(distribution, power):
     """By quadrature: scipy's `moment` keeps only eight digits of a distribution that is shifted."""
-    return integrate.quad(lambda x: x**power * law.pdf(x), *law.support(), epsabs=0, epsrel=1e-12)[0]
+    return integrate.quad(lambda x: x**power * distribution.pdf(x), *distribution.support(), epsabs=0, epsrel=1e-12)[0]
 
 
 @pytest.mark.parametrize("power", [1, 2, 3])
-@pytest.mark.parametrize("law", LAWS)
-def test_moments_of_powers_are_exact_in_an_expansion_of_their_degree(law, power):
-    ours, oracle = LAWS[law]
+@pytest.mark.parametrize("distribution", DISTRIBUTIONS)
+def test_moments_of_powers_are_exact_in_an_expansion_of_their_degree(distribution, power):
+    ours, oracle = DISTRIBUTIONS[distribution]
     coefficients = coefficients_of({"x": ours}, lambda m: m["x"] ** power, order=power)
     first, second = moment_of(oracle, power), moment_of(oracle, 2 * power)
     assert float(mean(coefficients)) == pytest.approx(first, rel=1e-10)
@@ -57,18 +57,19 @@ def test_moments_of_powers_are_exact_in_an_expansion_of_their_degree(law, power)
 
 
 def test_moments_of_a_product_of_independent_numbers_are_exact():
-    model = {name: law for name, (law, _) in LAWS.items()}
+    model = {name: distribution for name, (distribution, _) in DISTRIBUTIONS.items()}
     coefficients = coefficients_of(model, lambda m: jnp.prod(jnp.stack(list(m.values()))), order=5)
-    first = np.prod([oracle.mean() for _, oracle in LAWS.values()])
-    second = np.prod([oracle.moment(2) for _, oracle in LAWS.values()])
+    first = np.prod([oracle.mean() for _, oracle in DISTRIBUTIONS.values()])
+    second = np.prod([oracle.moment(2) for _, oracle in DISTRIBUTIONS.values()])
     assert float(mean(coefficients)) == pytest.approx(first, rel=1e-9)
     assert float(variance(coefficients)) == pytest.approx(second - first**2, rel=1e-8)
 
 
 def test_a_shared_number_is_fully_correlated_with_itself_and_unshared_ones_are_independent():
-    law = Uniform(0.0, half_width=1.0)
+    distribution = Uniform(0.0, half_width=1.0)
     together, apart = (
-        coefficients_of({"a": one, "b": one}, lambda m: m["a"] + m["b"], order=2) for one in (law.shared("x"), law)
+        coefficients_of({"a": one, "b": one}, lambda m: m["a"] + m["b"], order=2)
+        for one in (distribution.shared("x"), distribution)
     )
     assert float(variance(together)) == pytest.approx(4 / 3, rel=1e-12)
     assert float(variance(apart)) == pytest.approx(2 / 3, rel=1e-12)
@@ -159,12 +160,12 @@ def exact_moments(x):
     """Independence and one-dimensional quadrature give the moments of the response."""
     centre, width, spread, alpha, mu, sigma = x
     k = (2.0 / spread) ** 2
-    laws = stats.uniform(centre - width, 2 * width), stats.gamma(k, scale=2.0 / k), stats.beta(alpha, 5.0)
+    distributions = stats.uniform(centre - width, 2 * width), stats.gamma(k, scale=2.0 / k), stats.beta(alpha, 5.0)
     nodes, weights = np.polynomial.legendre.leggauss(30)
     decays = [weights @ np.exp(-4.0 * power * (centre + width * nodes)) / 2 for power in (1, 2)]
     u = stats.norm(mu, sigma)
-    first = [u.mean() * decays[0], laws[1].moment(2) * laws[2].mean()]
-    second = [u.moment(2) * decays[1], laws[1].moment(4) * laws[2].moment(2)]
+    first = [u.mean() * decays[0], distributions[1].moment(2) * distributions[2].mean()]
+    second = [u.moment(2) * decays[1], distributions[1].moment(4) * distributions[2].moment(2)]
     return sum(first), sum(s - f**2 for s, f in zip(second, first, strict=True))
 
 

@@ -20,7 +20,7 @@ def value(statistic, coefficients, basis):
     return np.asarray(statistic.of(coefficients, prepare([statistic], basis).of(statistic)))
 
 
-LAWS = {
+DISTRIBUTIONS = {
     "normal": (HermiteGerm(), stats.norm()),
     "uniform": (LegendreGerm(), stats.uniform(-1, 2)),
     "beta": (JacobiGerm(2.0, 5.0), stats.beta(2, 5, -1, 2)),
@@ -29,9 +29,9 @@ LAWS = {
 
 
 @pytest.mark.parametrize("order", [1, 4, 8])
-@pytest.mark.parametrize("law", LAWS)
-def test_skewness_and_kurtosis_of_a_law_are_those_of_scipy_at_any_order(law, order):
-    germ, oracle = LAWS[law]
+@pytest.mark.parametrize("distribution", DISTRIBUTIONS)
+def test_skewness_and_kurtosis_of_a_distribution_are_those_of_scipy_at_any_order(distribution, order):
+    germ, oracle = DISTRIBUTIONS[distribution]
     basis = basis_of([germ], order)
     coefficients = coefficients_of_polynomial(basis, lambda a: 3.0 * a - 1.0)
     skewness, excess = oracle.stats("sk")
@@ -89,7 +89,7 @@ def test_an_output_that_does_not_vary_has_no_shape_and_finite_derivatives():
         assert np.all(np.isfinite(jax.grad(statistic.of)(certain, constants)))
 
 
-def test_the_cornish_fisher_quantile_is_exact_for_a_normal_law_and_close_for_a_skewed_one():
+def test_the_cornish_fisher_quantile_is_exact_for_a_normal_distribution_and_close_for_a_skewed_one():
     basis = basis_of([HermiteGerm()], 3)
     normal = coefficients_of_polynomial(basis, lambda a: 2 + 3 * a)
     assert value(CornishFisher(0.999), normal, basis) == pytest.approx(stats.norm(2, 3).ppf(0.999), rel=1e-12)

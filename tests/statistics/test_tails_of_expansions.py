@@ -15,7 +15,7 @@ from aleator._core.errors import ProblemError
 from aleator.expansion import Basis
 from aleator.statistics import ConditionalValueAtRisk, Probability, Quantile, cdf, lines_through, pdf, prepare
 from aleator.statistics._crossings import bracketed_roots, extrema, horner
-from aleator.statistics._line_law import finite_ends, line_law
+from aleator.statistics._line_distribution import finite_ends, line_distribution
 from aleator.uncertainty import HermiteGerm, JacobiGerm, LaguerreGerm, LegendreGerm
 from compiling import optimised
 
@@ -26,7 +26,7 @@ def value(statistic, coefficients, basis):
     return np.asarray(of(statistic, coefficients, prepare([statistic], basis).of(statistic)))
 
 
-LAWS = {
+DISTRIBUTIONS = {
     "normal": (HermiteGerm(), stats.norm()),
     "uniform": (LegendreGerm(), stats.uniform(-1, 2)),
     "beta": (JacobiGerm(2.0, 5.0), stats.beta(2, 5, -1, 2)),
@@ -36,10 +36,10 @@ LAWS = {
 }
 
 
-@pytest.mark.parametrize("law", LAWS)
-def test_partial_moments_of_tabulated_laws_are_those_of_the_special_functions(law):
-    germ, oracle = LAWS[law]
-    table = line_law([germ], 3)
+@pytest.mark.parametrize("distribution", DISTRIBUTIONS)
+def test_partial_moments_of_tabulated_distributions_are_those_of_the_special_functions(distribution):
+    germ, oracle = DISTRIBUTIONS[distribution]
+    table = line_distribution([germ], 3)
     levels = np.array([1e-6, 0.01, 0.2, 0.5, 0.77, 0.999, 1 - 1e-6])
     low, high = finite_ends(germ)
     x = (2 * oracle.ppf(levels) - low - high) / (high - low)
@@ -54,9 +54,9 @@ def test_partial_moments_of_tabulated_laws_are_those_of_the_special_functions(la
         assert moments[:5, k] == pytest.approx(np.array(expected), abs=1e-8)
 
 
-@pytest.mark.parametrize("law", LAWS)
-def test_quantiles_and_probabilities_of_one_variable_are_those_of_its_law(law):
-    germ, oracle = LAWS[law]
+@pytest.mark.parametrize("distribution", DISTRIBUTIONS)
+def test_quantiles_and_probabilities_of_one_variable_are_those_of_its_distribution(distribution):
+    germ, oracle = DISTRIBUTIONS[distribution]
     basis = basis_of([germ], 3)
     coefficients = coefficients_of_polynomial(basis, lambda a: 1.0 - 2.0 * a)
     for level in (1e-4, 0.1, 0.5, 0.99, 1 - 1e-4):
@@ -110,7 +110,7 @@ def test_rejects_of_a_nearly_linear_function_of_normals_are_right_to_a_percent()
 
 
 @pytest.mark.parametrize(("variables", "tolerance"), [(2, 1e-4), (3, 2e-3)])
-def test_sums_of_uniform_numbers_follow_the_law_of_irwin_and_hall(variables, tolerance):
+def test_sums_of_uniform_numbers_follow_the_distribution_of_irwin_and_hall(variables, tolerance):
     basis = basis_of([LegendreGerm()] * variables, 2)
     coefficients = coefficients_of_polynomial(basis, lambda *x: sum((1 + one) / 2 for one in x))
     for threshold in np.array([0.2, 0.4, 0.6]) * variables:
@@ -146,14 +146,18 @@ def test_conditional_value_at_risk_is_that_of_the_closed_forms():
     assert value(ConditionalValueAtRisk(0.9), exponential, basis) == pytest.approx(expected, rel=1e-7)
 
 
-def test_density_and_distribution_are_those_of_the_law_and_of_each_entry():
+def test_density_and_cdf_are_those_of_the_distribution_and_of_each_entry():
     basis = basis_of([HermiteGerm()] * 2, 2)
     one = coefficients_of_polynomial(basis, lambda a, b: 1 + 3 * a + 4 * b)
     path = jnp.stack([one, 2 * one], axis=1)
     values, lines = jnp.linspace(-20.0, 20.0, 9), lines_through(basis)
-    for k, law in enumerate((stats.norm(1, 5), stats.norm(2, 10))):
-        assert np.asarray(optimised(cdf)(values, path, lines))[:, k] == pytest.approx(law.cdf(values), abs=1e-8)
-        assert np.asarray(optimised(pdf)(values, path, lines))[:, k] == pytest.approx(law.pdf(values), abs=1e-6)
+    for k, distribution in enumerate((stats.norm(1, 5), stats.norm(2, 10))):
+        assert np.asarray(optimised(cdf)(values, path, lines))[:, k] == pytest.approx(
+            distribution.cdf(values), abs=1e-8
+        )
+        assert np.asarray(optimised(pdf)(values, path, lines))[:, k] == pytest.approx(
+            distribution.pdf(values), abs=1e-6
+        )
 
 
 def test_the_density_integrates_to_one_and_the_quantile_inverts_the_distribution():

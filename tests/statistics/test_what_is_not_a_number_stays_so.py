@@ -47,12 +47,19 @@ def shape_of(statistic):
 
 
 # Normal variables have no supremum.
-CASES = [(one, law) for law in BASES for one in STATISTICS if law == "bounded" or not isinstance(one, Supremum)]
+CASES = [
+    (one, distribution)
+    for distribution in BASES
+    for one in STATISTICS
+    if distribution == "bounded" or not isinstance(one, Supremum)
+]
 
 
-@pytest.mark.parametrize(("statistic", "law"), CASES, ids=lambda one: one if isinstance(one, str) else one.text("y"))
-def test_one_coefficient_that_is_no_number_spoils_its_own_entry_and_no_other(statistic, law):
-    basis = BASES[law]
+@pytest.mark.parametrize(
+    ("statistic", "distribution"), CASES, ids=lambda one: one if isinstance(one, str) else one.text("y")
+)
+def test_one_coefficient_that_is_no_number_spoils_its_own_entry_and_no_other(statistic, distribution):
+    basis = BASES[distribution]
     coefficients = random_coefficients(basis, shape=shape_of(statistic))
     constants = prepare([statistic], basis).of(statistic)
     found = np.asarray(optimised(lambda c: statistic.of(c, constants))(coefficients.at[2, 1].set(jnp.nan)))

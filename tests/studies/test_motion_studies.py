@@ -62,7 +62,7 @@ def test_the_plans_are_as_fast_as_those_of_an_independent_program(study, name, r
     assert reference < study.done.plans[name].objective < 1.002 * reference
 
 
-def test_violations_are_the_shares_of_a_uniform_law_that_lie_beyond_the_margin(study):
+def test_violations_are_the_shares_of_a_uniform_distribution_that_lie_beyond_the_margin(study):
     for name, expected in ((MEAN, 1.0), (ONE, 1 - 1 / np.sqrt(3)), (WORST, 0.0)):
         share = study.done.evidence[name].violations["torque"]
         assert share.estimate == pytest.approx(expected, abs=4.5 * np.sqrt(0.25 / share.samples))
@@ -79,7 +79,7 @@ def test_the_calibrated_margin_is_the_closed_form(study):
     assert study.done.plans["calibrated"] is found.solution
 
 
-def test_the_design_to_build_holds_at_both_ends_of_the_law_and_its_price_is_told(study):
+def test_the_design_to_build_holds_at_both_ends_of_the_distribution_and_its_price_is_told(study):
     plan, printed = study.done.plans[WORST], study.done.plans[ONE]
     problem = plan.problem
     # Torques are straight lines in the payload, so that the ends of its distribution are their worst case.

@@ -194,7 +194,7 @@ class Follower(al.System):
         return {"value": value, "rate": rate}
 
 
-def test_laws_and_decisions_stand_in_control_points_and_ends():
+def test_distributions_and_decisions_stand_in_control_points_and_ends():
     uncertain = Follower(
         al.BSpline(
             [al.Decision(0.2, -1.0, 1.0), al.Uniform(1.0, half_width=0.5), -0.4],

@@ -30,9 +30,9 @@ class Many(al.System):
 
 
 def many_problem(expansion, bound=3.0, gain=1.0):
-    laws = [al.Uniform(0.6, half_width=0.4) for _ in range(10)]
+    distributions = [al.Uniform(0.6, half_width=0.4) for _ in range(10)]
     return al.Problem(
-        Many(al.Decision(gain, 0.1, 9.0), laws),
+        Many(al.Decision(gain, 0.1, 9.0), distributions),
         grid=ONE_STEP,
         minimize=al.terminal("loss").mean,
         subject_to=[al.terminal("y").at_most(bound, sigmas=1.0)],

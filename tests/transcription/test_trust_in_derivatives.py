@@ -30,12 +30,12 @@ class Response(al.System):
 
 def solved(output, order, *limits):
     """A design whose mean and half width are decided, in bounds so narrow that they stay where they are."""
-    law = al.Uniform(
+    distribution = al.Uniform(
         al.Decision(MEAN, MEAN - 0.01, MEAN + 0.01), half_width=al.Decision(WIDTH, WIDTH - 0.01, WIDTH + 0.01)
     )
     return solution_of(
         al.Problem(
-            Response(law),
+            Response(distribution),
             grid=ONE_STEP,
             minimize=al.terminal(output).mean,
             subject_to=list(limits),
@@ -86,9 +86,9 @@ def test_paths_are_told_too_and_decisions_that_are_no_parameters_are_not():
     solution = solved("smooth", 4, al.path("path").mean <= 100.0)
     errors = solution.certificate.expansion.tangents
     assert errors["path(t)"] == pytest.approx(errors["smooth(t_f)"], rel=1e-6)
-    law = al.Uniform(MEAN, half_width=WIDTH)
+    distribution = al.Uniform(MEAN, half_width=WIDTH)
     problem = al.Problem(
-        Response(law, gain=al.Decision(1.0, 0.5, 2.0)), grid=ONE_STEP, minimize=al.terminal("smooth").std
+        Response(distribution, gain=al.Decision(1.0, 0.5, 2.0)), grid=ONE_STEP, minimize=al.terminal("smooth").std
     )
     assert solution_of(problem).certificate.expansion.worst_tangent is None
 

@@ -209,17 +209,17 @@ def test_the_worst_case_of_what_is_certain_is_its_value():
 
 
 @pytest.mark.parametrize(
-    "law",
+    "distribution",
     [
         al.Beta(alpha=al.Decision(2.0, 1.0, 4.0), beta=3.0, lower=-1.0, upper=1.0),
         al.Triangular(lower=-1.0, mode=al.Decision(0.2, -0.5, 0.5), upper=1.0),
         al.TruncatedNormal(al.Decision(0.2, -0.5, 0.5), 1.0, lower=-1.0, upper=1.0),
     ],
-    ids=lambda law: type(law).__name__,
+    ids=lambda distribution: type(distribution).__name__,
 )
-def test_a_distribution_whose_shape_is_decided_keeps_its_ends(law):
+def test_a_distribution_whose_shape_is_decided_keeps_its_ends(distribution):
     limit = Y.at_most(1.0, worst_case=True)
-    program = transcribe(largest_gain(lambda g, a, b: g * (2 + a), limit, a=law, b=0.0)).program
+    program = transcribe(largest_gain(lambda g, a, b: g * (2 + a), limit, a=distribution, b=0.0)).program
     # To begin with, limits are held at both ends.
     found = program.evaluate(program.start)
     assert found.constraints[:2] == pytest.approx(program.start[0] * np.array([1.0, 3.0]), rel=1e-12)

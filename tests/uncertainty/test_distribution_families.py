@@ -16,7 +16,7 @@ def beta_by_moments(mean, std, lower, upper):
     return stats.beta(alpha, alpha * (1 - m) / m, lower, upper - lower)
 
 
-LAWS = {
+DISTRIBUTIONS = {
     "uniform by half-width": (Uniform(376.0, half_width=47.0), stats.uniform(329, 94)),
     "uniform by std": (Uniform(2.0, std=0.5), stats.uniform(2 - 0.5 * 3**0.5, 3**0.5)),
     "uniform by bounds": (Uniform.bounds(-3, 5.5), stats.uniform(-3, 8.5)),
@@ -37,37 +37,37 @@ LAWS = {
 }
 
 
-@pytest.fixture(params=LAWS.values(), ids=LAWS.keys())
-def law_and_oracle(request):
+@pytest.fixture(params=DISTRIBUTIONS.values(), ids=DISTRIBUTIONS.keys())
+def distribution_and_oracle(request):
     return request.param
 
 
-def test_the_mean_is_that_of_scipy(law_and_oracle):
-    law, oracle = law_and_oracle
-    assert float(law.mean()) == pytest.approx(oracle.mean(), rel=1e-13)
+def test_the_mean_is_that_of_scipy(distribution_and_oracle):
+    distribution, oracle = distribution_and_oracle
+    assert float(distribution.mean()) == pytest.approx(oracle.mean(), rel=1e-13)
 
 
-def test_the_standard_deviation_is_that_of_scipy(law_and_oracle):
-    law, oracle = law_and_oracle
-    assert float(law.std()) == pytest.approx(oracle.std(), rel=1e-13)
+def test_the_standard_deviation_is_that_of_scipy(distribution_and_oracle):
+    distribution, oracle = distribution_and_oracle
+    assert float(distribution.std()) == pytest.approx(oracle.std(), rel=1e-13)
 
 
-def test_the_support_is_that_of_scipy(law_and_oracle):
-    law, oracle = law_and_oracle
-    assert tuple(map(float, law.support())) == pytest.approx(oracle.support(), rel=1e-13)
+def test_the_support_is_that_of_scipy(distribution_and_oracle):
+    distribution, oracle = distribution_and_oracle
+    assert tuple(map(float, distribution.support())) == pytest.approx(oracle.support(), rel=1e-13)
 
 
-def test_values_are_the_quantiles_of_scipy_at_the_germs_quantiles(law_and_oracle):
-    law, oracle = law_and_oracle
+def test_values_are_the_quantiles_of_scipy_at_the_germs_quantiles(distribution_and_oracle):
+    distribution, oracle = distribution_and_oracle
     levels = np.linspace(0.01, 0.99, 9)
-    values = [float(law.value(jnp.asarray(xi))) for xi in law.germ().quantile(levels)]
+    values = [float(distribution.value(jnp.asarray(xi))) for xi in distribution.germ().quantile(levels)]
     assert values == pytest.approx(oracle.ppf(levels), rel=1e-12, abs=1e-12)
 
 
-def test_moments_by_gauss_quadrature_of_the_realised_number_are_those_of_scipy(law_and_oracle):
-    law, oracle = law_and_oracle
-    nodes, weights = law.germ().gauss(3)
-    values = np.array([float(law.value(jnp.asarray(xi))) for xi in nodes])
+def test_moments_by_gauss_quadrature_of_the_realised_number_are_those_of_scipy(distribution_and_oracle):
+    distribution, oracle = distribution_and_oracle
+    nodes, weights = distribution.germ().gauss(3)
+    values = np.array([float(distribution.value(jnp.asarray(xi))) for xi in nodes])
     for k in range(5):
         assert weights @ values**k == pytest.approx(oracle.moment(k), rel=1e-10)
 
@@ -135,7 +135,7 @@ def test_a_location_that_is_not_finite_is_refused(make, bad):
         (lambda: Normal(1.0, Decision(0.0, 0.0)), r"Normal.*std=Decision\(0 in \[0, inf\]\)"),
     ],
 )
-def test_parameters_that_make_no_law_are_refused_with_the_family_and_what_was_received(make, received):
+def test_parameters_that_make_no_distribution_are_refused_with_the_family_and_what_was_received(make, received):
     with pytest.raises(ProblemError, match=received):
         make()
 
@@ -176,7 +176,9 @@ INSIDE_OUT = {
 
 
 @pytest.mark.parametrize(("make", "corner", "remedy"), INSIDE_OUT.values(), ids=INSIDE_OUT.keys())
-def test_a_law_that_its_decisions_turn_inside_out_is_refused_with_the_corner_and_the_remedy(make, corner, remedy):
+def test_a_distribution_that_its_decisions_turn_inside_out_is_refused_with_the_corner_and_the_remedy(
+    make, corner, remedy
+):
     with pytest.raises(ProblemError, match=f"its decisions reach {corner}, where it is no distribution.*{remedy}"):
         make()
 
@@ -194,19 +196,19 @@ def test_a_law_that_its_decisions_turn_inside_out_is_refused_with_the_corner_and
         lambda: Beta(mean=Decision(0.5, 0.2, 0.8), std=Decision(0.1, 0.01, 0.3)),
     ],
 )
-def test_a_spread_may_vanish_or_grow_without_bound_where_every_decision_in_between_makes_a_law(make):
+def test_a_spread_may_vanish_or_grow_without_bound_where_every_decision_in_between_makes_a_distribution(make):
     make()
 
 
 def test_decisions_shared_under_one_name_reach_only_the_corners_that_they_share():
     k = Decision(2.0, 1.0, 5.0).shared("k")
-    law = Beta(mean=k, std=0.1, lower=0.0, upper=Decision(9.0, 6.0, 10.0))
-    assert len(list(law.corners())) == 4
+    distribution = Beta(mean=k, std=0.1, lower=0.0, upper=Decision(9.0, 6.0, 10.0))
+    assert len(list(distribution.corners())) == 4
     assert list(Gamma(mean=k, std=k).corners()) == [{"mean": 1.0, "std": 1.0}, {"mean": 5.0, "std": 5.0}]
 
 
-def test_a_decided_law_is_a_law_everywhere_between_its_bounds():
-    law = Beta(
+def test_a_decided_distribution_is_a_distribution_everywhere_between_its_bounds():
+    distribution = Beta(
         mean=Decision(3.0, 2.5, 4.0),
         std=Decision(0.7, 0.1, 1.0),
         lower=Decision(1.0, 0.5, 1.2),
@@ -214,18 +216,18 @@ def test_a_decided_law_is_a_law_everywhere_between_its_bounds():
     )
     generator = np.random.default_rng(1)
     for _ in range(200):
-        somewhere = law.decided(lambda name, decision: generator.uniform(decision.lower, decision.upper))
+        somewhere = distribution.decided(lambda name, decision: generator.uniform(decision.lower, decision.upper))
         Beta(**somewhere.parameters)
 
 
-def test_two_numbers_without_names_are_no_uniform_law():
+def test_two_numbers_without_names_are_no_uniform_distribution():
     with pytest.raises(ProblemError, match=r"expected Uniform\(mean, half_width=...\), Uniform\(mean, std=...\).*4\.0"):
         Uniform(3.0, 4.0)
 
 
-def test_the_largest_possible_standard_deviation_of_a_beta_law_is_nearly_reached():
-    law = Beta(mean=0.3, std=0.45)
-    assert float(law.std()) == pytest.approx(0.45, rel=1e-12)
+def test_the_largest_possible_standard_deviation_of_a_beta_distribution_is_nearly_reached():
+    distribution = Beta(mean=0.3, std=0.45)
+    assert float(distribution.std()) == pytest.approx(0.45, rel=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -64,7 +64,7 @@ def case(request):
     return request.param
 
 
-def test_polynomials_are_orthonormal_under_their_own_law(case):
+def test_polynomials_are_orthonormal_under_their_own_distribution(case):
     germ, _, _, expectation = case
 
     def product(i, j):
@@ -76,16 +76,16 @@ def test_polynomials_are_orthonormal_under_their_own_law(case):
 
 
 def test_polynomials_agree_with_those_of_chaospy(case):
-    germ, law, oracle, _ = case
-    points = law.ppf(np.linspace(0.02, 0.98, 13))
+    germ, distribution, oracle, _ = case
+    points = distribution.ppf(np.linspace(0.02, 0.98, 13))
     basis = chaospy.expansion.stieltjes(5, oracle, normed=True)
     ours, theirs = germ.polynomials(5, points), np.array(basis(points)).T
     assert ours == pytest.approx(theirs * np.sign(theirs[-1] * ours[-1]), rel=1e-7, abs=1e-7)
 
 
 def test_polynomials_have_a_positive_leading_coefficient(case):
-    germ, law, _, _ = case
-    beyond_all_roots = np.array([law.ppf(1 - 1e-3) + 100.0])
+    germ, distribution, _, _ = case
+    beyond_all_roots = np.array([distribution.ppf(1 - 1e-3) + 100.0])
     assert np.all(germ.polynomials(8, beyond_all_roots) > 0)
 
 
@@ -115,14 +115,14 @@ def test_gauss_nodes_and_weights_agree_with_chaospys_golub_welsch(case):
 
 
 def test_quantiles_agree_with_scipy_stats(case):
-    germ, law, _, _ = case
+    germ, distribution, _, _ = case
     levels = np.linspace(0.001, 0.999, 41).reshape(1, 41)
-    assert germ.quantile(levels) == pytest.approx(law.ppf(levels), rel=1e-11, abs=1e-11)
+    assert germ.quantile(levels) == pytest.approx(distribution.ppf(levels), rel=1e-11, abs=1e-11)
 
 
 def test_the_polynomial_of_order_zero_is_one(case):
-    germ, law, _, _ = case
-    assert germ.polynomials(0, law.ppf([0.1, 0.9])).tolist() == [[1.0], [1.0]]
+    germ, distribution, _, _ = case
+    assert germ.polynomials(0, distribution.ppf([0.1, 0.9])).tolist() == [[1.0], [1.0]]
 
 
 def test_jacobi_with_unit_shapes_is_legendre():

@@ -51,7 +51,7 @@ def test_the_recurrence_does_not_lose_digits_to_a_narrow_density_far_from_zero()
     assert b == pytest.approx(0.05 * exact, rel=1e-10)
 
 
-def test_the_weibull_law_of_shape_one_is_exponential_and_a_wide_truncation_is_none():
+def test_the_weibull_distribution_of_shape_one_is_exponential_and_a_wide_truncation_is_none():
     for ours, closed in (
         (WeibullGerm(1.0), LaguerreGerm(1.0)),
         (TruncatedNormalGerm(-40.0, np.inf), HermiteGerm()),
@@ -87,17 +87,17 @@ def case(request):
 
 
 def test_polynomials_agree_with_those_of_chaospy(case):
-    germ, law, oracle = case
+    germ, distribution, oracle = case
     if oracle is None:
         return  # chaospy has no such distribution, or none on the same support
-    points = law.ppf(np.linspace(0.02, 0.98, 13))
+    points = distribution.ppf(np.linspace(0.02, 0.98, 13))
     theirs = np.array(chaospy.expansion.stieltjes(5, oracle, normed=True)(points)).T
     ours = germ.polynomials(5, points)
     assert ours == pytest.approx(theirs * np.sign(theirs[-1] * ours[-1]), rel=1e-5, abs=5e-5)  # theirs err by so much
 
 
 def test_polynomials_are_orthonormal_under_scipys_density(case):
-    germ, law, _ = case
+    germ, distribution, _ = case
     # independent of the germ's own quadrature: many equal panels in a power of the coordinate, with a break at -0.4
     low, high = max(germ.support()[0], -40.0), min(germ.support()[1], 4000.0 if germ == WeibullGerm(0.7) else 150.0)
     power = 8 if low == 0 else 1
@@ -107,7 +107,7 @@ def test_polynomials_are_orthonormal_under_scipys_density(case):
     s, w = ((np.diff(edges)[:, None] / 2 * rule).ravel() for rule in (nodes, weights))
     s += np.repeat((edges[:-1] + edges[1:]) / 2, nodes.size)
     x = low + (high - low) * s**power
-    mass = w * law.pdf(x) * (high - low) * power * s ** (power - 1)
+    mass = w * distribution.pdf(x) * (high - low) * power * s ** (power - 1)
     values = germ.polynomials(12, x)
     assert (values.T * mass) @ values == pytest.approx(np.eye(13), abs=1e-10)
 
@@ -133,19 +133,19 @@ def test_recurrences_of_order_thirty_are_those_of_exact_arithmetic(germ, moment)
 
 @pytest.mark.parametrize("count", [1, 2, 5, 10])
 def test_the_gauss_rule_is_exact_to_degree_two_n_minus_one_and_no_further(case, count):
-    germ, law, _ = case
+    germ, distribution, _ = case
     nodes, weights = germ.gauss(count)
     assert weights.sum() == pytest.approx(1.0, rel=100 * EPS)
     # scipy's own moments are integrals with errors of about 1e-8
     for degree in range(min(2 * count, 8)):
         size = weights @ np.abs(nodes) ** degree
-        assert weights @ nodes**degree == pytest.approx(law.moment(degree), rel=1e-6, abs=1e-6 * size)
+        assert weights @ nodes**degree == pytest.approx(distribution.moment(degree), rel=1e-6, abs=1e-6 * size)
     if count <= 2:
-        exact = law.moment(2 * count)
+        exact = distribution.moment(2 * count)
         assert abs(weights @ nodes ** (2 * count) - exact) > 1e-4 * exact
 
 
-def test_high_moments_of_the_weibull_law_are_gamma_functions():
+def test_high_moments_of_the_weibull_distribution_are_gamma_functions():
     from scipy.special import gamma
 
     nodes, weights = WeibullGerm(1.5).gauss(15)
@@ -154,10 +154,10 @@ def test_high_moments_of_the_weibull_law_are_gamma_functions():
 
 
 def test_quantiles_and_probabilities_agree_with_scipy(case):
-    germ, law, _ = case
+    germ, distribution, _ = case
     levels = np.array([[1e-9, 1e-4, 0.03], [0.4, 0.8, 0.9999]])
-    assert germ.quantile(levels) == pytest.approx(law.ppf(levels), rel=1e-11, abs=1e-12)
-    assert germ.cumulative(law.ppf(levels)) == pytest.approx(levels, rel=1e-10)
+    assert germ.quantile(levels) == pytest.approx(distribution.ppf(levels), rel=1e-11, abs=1e-12)
+    assert germ.cumulative(distribution.ppf(levels)) == pytest.approx(levels, rel=1e-10)
 
 
 def test_a_density_with_kinks_and_jumps_has_the_moments_of_its_pieces():

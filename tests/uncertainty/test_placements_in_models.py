@@ -105,9 +105,9 @@ def test_names_order_and_numbers_survive_flattening(change):
 
 
 def test_parameters_keep_their_declared_order_when_their_names_sort_otherwise():
-    law = Uniform(Decision(5.0), half_width=Decision(1.0, 0.0))
-    assert tuple(rebuilt(law).decisions) == ("mean", "half_width")
-    assert str(rebuilt(law)) == str(law)
+    distribution = Uniform(Decision(5.0), half_width=Decision(1.0, 0.0))
+    assert tuple(rebuilt(distribution).decisions) == ("mean", "half_width")
+    assert str(rebuilt(distribution)) == str(distribution)
 
 
 def test_slices_of_the_decision_vector_are_contiguous_and_complete():
@@ -188,8 +188,8 @@ def test_a_shared_decision_may_sit_in_a_distribution_and_beside_it():
 
 
 def test_the_same_unshared_object_in_two_places_is_two_variables_and_two_decisions():
-    law, number = Normal(0.0, 1.0), Decision(1.0)
-    model = {"a": law, "b": law, "c": number, "d": number}
+    distribution, number = Normal(0.0, 1.0), Decision(1.0)
+    model = {"a": distribution, "b": distribution, "c": number, "d": number}
     places = placements(model)
     assert tuple(places.distributions) == ("a", "b")
     assert tuple(places.decisions) == ("c", "d")
@@ -324,7 +324,7 @@ def test_named_numbers_are_the_same_with_the_distributions_held_at_their_means()
     assert {k: np.asarray(v).tolist() for k, v in free.items()} == {k: np.asarray(v).tolist() for k, v in held.items()}
 
 
-def test_named_numbers_of_a_shared_law_stand_under_its_shared_name():
-    law = Normal(Decision(1.0).shared("centre"), 2.0).shared("tilt")
-    numbers = named_numbers({"a": law, "b": law}, jnp.array([4.0]))
+def test_named_numbers_of_a_shared_distribution_stand_under_its_shared_name():
+    distribution = Normal(Decision(1.0).shared("centre"), 2.0).shared("tilt")
+    numbers = named_numbers({"a": distribution, "b": distribution}, jnp.array([4.0]))
     assert {name: float(value) for name, value in numbers.items()} == {"tilt.mean": 4.0, "tilt.std": 2.0}

@@ -94,7 +94,7 @@ def test_what_stays_positive_is_let_through(value):
     refuse_nonpositive(Mass(value))
 
 
-def test_the_refusal_names_the_law_and_its_lowest_value():
+def test_the_refusal_names_the_distribution_and_its_lowest_value():
     with pytest.raises(ProblemError, match=r"Uniform\(mean=1, half_width=1.5\) can reach -0.5"):
         refuse_nonpositive(Mass(Uniform(1.0, half_width=1.5)))
 

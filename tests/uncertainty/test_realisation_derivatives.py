@@ -238,22 +238,22 @@ def central_difference(function, x):
     return gradient
 
 
-def realised(law, x):
+def realised(distribution, x):
     """The numbers at all levels, at once."""
-    germs = jnp.asarray(law.germ().quantile(np.array(LEVELS)))[:, None]
-    return jax.vmap(lambda xi: realise(law, xi, x))(germs)
+    germs = jnp.asarray(distribution.germ().quantile(np.array(LEVELS)))[:, None]
+    return jax.vmap(lambda xi: realise(distribution, xi, x))(germs)
 
 
-def test_realisation_is_the_quantile_of_the_current_law_at_the_level_of_the_germ(case):
-    law, oracle, decided = case
-    numbers = compiled(lambda x: realised(law, x))
-    for x in (placements(law).vector("initial"), np.array(decided)):
+def test_realisation_is_the_quantile_of_the_current_distribution_at_the_level_of_the_germ(case):
+    distribution, oracle, decided = case
+    numbers = compiled(lambda x: realised(distribution, x))
+    for x in (placements(distribution).vector("initial"), np.array(decided)):
         assert numbers(x) == pytest.approx(oracle(*x).ppf(LEVELS), rel=1e-9)
 
 
 def test_derivatives_by_decisions_are_those_of_scipys_quantile_at_fixed_probability(case):
-    law, oracle, decided = case
-    exact = compiled(jax.jacfwd(lambda x: realised(law, x)))(jnp.array(decided))
+    distribution, oracle, decided = case
+    exact = compiled(jax.jacfwd(lambda x: realised(distribution, x)))(jnp.array(decided))
     for row, level in zip(np.asarray(exact), LEVELS, strict=True):
         expected = central_difference(lambda x, level=level: oracle(*x).ppf(level), decided)
         assert row == pytest.approx(expected, rel=1e-6, abs=1e-9 * np.max(np.abs(expected)) + 1e-15)
@@ -268,9 +268,9 @@ def test_derivatives_by_decisions_are_those_of_scipys_quantile_at_fixed_probabil
     ],
 )
 def test_reverse_and_forward_derivatives_agree_compiled_or_not(name):
-    law, _, decided = CASES[name]
-    xi = jnp.asarray(law.germ().quantile(np.array([0.3])))
-    number, x = (lambda x: realise(law, xi, x)), jnp.array(decided)
+    distribution, _, decided = CASES[name]
+    xi = jnp.asarray(distribution.germ().quantile(np.array([0.3])))
+    number, x = (lambda x: realise(distribution, xi, x)), jnp.array(decided)
     forward = jax.jacfwd(number)(x)
     assert jax.grad(number)(x) == pytest.approx(np.asarray(forward), rel=1e-12)
     assert compiled(jax.grad(number))(x) == pytest.approx(np.asarray(forward), rel=1e-9)
@@ -280,31 +280,31 @@ def test_reverse_and_forward_derivatives_agree_compiled_or_not(name):
     "name", ["beta by shape", "beta with small shapes", "gamma by shape", "normal", "weibull with a small shape"]
 )
 def test_derivatives_by_the_germ_are_those_of_scipys_quantile(name):
-    law, oracle, decided = CASES[name]
+    distribution, oracle, decided = CASES[name]
     along_levels = np.array([0.4])
     by_level = central_difference(lambda level: oracle(*decided).ppf(level[0]), along_levels)
-    germ_by_level = central_difference(lambda level: law.germ().quantile(level)[0], along_levels)
-    xi = jnp.asarray(law.germ().quantile(along_levels))
-    exact = compiled(jax.grad(lambda xi: realise(law, xi, jnp.array(decided))))(xi)
+    germ_by_level = central_difference(lambda level: distribution.germ().quantile(level)[0], along_levels)
+    xi = jnp.asarray(distribution.germ().quantile(along_levels))
+    exact = compiled(jax.grad(lambda xi: realise(distribution, xi, jnp.array(decided))))(xi)
     assert exact == pytest.approx(by_level / germ_by_level, rel=1e-6)
 
 
-def test_moments_after_a_change_of_shape_are_those_of_the_new_law_by_quadrature():
-    law = Gamma(mean=Decision(2.0, 1.0, 4.0), std=Decision(1.0, 0.1, 2.0))
-    nodes, weights = law.germ().gauss(40)
-    values = jax.vmap(lambda xi: realise(law, xi[None], jnp.array([2.5, 0.9])))(jnp.asarray(nodes))
+def test_moments_after_a_change_of_shape_are_those_of_the_new_distribution_by_quadrature():
+    distribution = Gamma(mean=Decision(2.0, 1.0, 4.0), std=Decision(1.0, 0.1, 2.0))
+    nodes, weights = distribution.germ().gauss(40)
+    values = jax.vmap(lambda xi: realise(distribution, xi[None], jnp.array([2.5, 0.9])))(jnp.asarray(nodes))
     assert float(weights @ values) == pytest.approx(2.5, rel=1e-5)
     assert float(weights @ (values - 2.5) ** 2) == pytest.approx(0.81, rel=1e-4)
 
 
 def test_the_germ_and_the_collocation_matrix_do_not_depend_on_the_decisions_values():
-    law = Beta(mean=Decision(0.3, 0.1, 0.9), std=Decision(0.1, 0.01, 0.2))
+    distribution = Beta(mean=Decision(0.3, 0.1, 0.9), std=Decision(0.1, 0.01, 0.2))
     fixed = Beta(mean=0.3, std=0.1)
-    assert law.germ() == fixed.germ()
-    decided, constant = (collocate({"x": one.germ()}, Expansion(4)).collocation for one in (law, fixed))
+    assert distribution.germ() == fixed.germ()
+    decided, constant = (collocate({"x": one.germ()}, Expansion(4)).collocation for one in (distribution, fixed))
     assert np.array_equal(decided.matrix, constant.matrix)
     # what moves with the decisions is the sample, exactly by scipy's quantile of the new distribution at the same
     # points
     levels = stats.beta(fixed.germ().alpha, fixed.germ().beta, -1, 2).cdf(np.asarray(decided.points[:, 0]))
-    moved = jax.vmap(lambda xi: realise(law, xi, jnp.array([0.5, 0.05])))(decided.points)
+    moved = jax.vmap(lambda xi: realise(distribution, xi, jnp.array([0.5, 0.05])))(decided.points)
     assert moved == pytest.approx(beta_by_moments(0.5, 0.05).ppf(levels), rel=1e-9)

@@ -53,29 +53,29 @@ def decided(make, shape):
     return make(Decision(shape, 0.8 * shape, 1.25 * shape))
 
 
-def fine_rule(law, count=4000):
+def fine_rule(distribution, count=4000):
     """Germ values and weights of the midpoint rule in a variable that is flat at both ends of the levels."""
     t = (np.arange(count) + 0.5) / count
     levels, weights = t**4 * (35 - 84 * t + 70 * t**2 - 20 * t**3), 140 * t**3 * (1 - t) ** 3 / count
-    return jnp.asarray(law.germ().quantile(levels)), jnp.asarray(weights)
+    return jnp.asarray(distribution.germ().quantile(levels)), jnp.asarray(weights)
 
 
 def smooth(x):
     return jnp.sin(x) + jnp.exp(-x)
 
 
-def moments(law, points, weights, x=NONE):
+def moments(distribution, points, weights, x=NONE):
     """Mean and variance of a smooth function of the number."""
-    values = smooth(jax.vmap(lambda xi: realise(law, xi[None], x))(points))
+    values = smooth(jax.vmap(lambda xi: realise(distribution, xi[None], x))(points))
     mean = weights @ values
     return jnp.stack([mean, weights @ (values - mean) ** 2])
 
 
-def moments_of_new_basis(law):
+def moments_of_new_basis(distribution):
     """Mean and variance from the coefficients of an expansion in the distribution's own polynomials."""
-    germ = law.germ()
+    germ = distribution.germ()
     nodes, weights = germ.gauss(40)
-    values = np.asarray(smooth(jax.vmap(law.value)(jnp.asarray(nodes))))
+    values = np.asarray(smooth(jax.vmap(distribution.value)(jnp.asarray(nodes))))
     coefficients = (germ.polynomials(18, nodes).T * weights) @ values
     return np.array([coefficients[0], np.sum(coefficients[1:] ** 2)])
 
@@ -89,18 +89,18 @@ def central_difference(function, x, relative_step=1e-2):
 
 def test_derivatives_of_moments_by_a_decided_shape_are_those_of_the_differentiated_basis(case):
     make, shape, _ = case
-    law = decided(make, shape)
-    points, weights = fine_rule(law)
-    ours = compiled(jax.jacfwd(lambda x: moments(law, points, weights, x)))(jnp.array([shape]))[:, 0]
+    distribution = decided(make, shape)
+    points, weights = fine_rule(distribution)
+    ours = compiled(jax.jacfwd(lambda x: moments(distribution, points, weights, x)))(jnp.array([shape]))[:, 0]
     differentiated = central_difference(lambda s: moments_of_new_basis(make(s)), shape)
     assert ours == pytest.approx(differentiated, rel=1e-6)
 
 
 def test_derivatives_by_a_traced_shape_are_those_by_a_decision(case):
     make, shape, _ = case
-    law = decided(make, shape)
-    points, weights = fine_rule(law, 50)
-    exact = compiled(jax.jacfwd(lambda x: moments(law, points, weights, x)))(jnp.array([shape]))[:, 0]
+    distribution = decided(make, shape)
+    points, weights = fine_rule(distribution, 50)
+    exact = compiled(jax.jacfwd(lambda x: moments(distribution, points, weights, x)))(jnp.array([shape]))[:, 0]
     forward, reverse = (
         compiled(jacobian(lambda s: moments(make(s), points, weights)))(shape) for jacobian in (jax.jacfwd, jax.jacrev)
     )
@@ -131,9 +131,9 @@ LEVELS = np.array([0.02, 0.6, 0.995])
 
 def test_second_derivatives_of_quantiles_by_a_decided_shape_are_those_of_scipy(case):
     make, shape, oracle = case
-    law = decided(make, shape)
-    germs = jnp.asarray(law.germ().quantile(LEVELS))
-    hessian = jax.vmap(jax.hessian(lambda x, xi: realise(law, xi[None], x)), in_axes=(None, 0))
+    distribution = decided(make, shape)
+    germs = jnp.asarray(distribution.germ().quantile(LEVELS))
+    hessian = jax.vmap(jax.hessian(lambda x, xi: realise(distribution, xi[None], x)), in_axes=(None, 0))
     exact = compiled(hessian)(jnp.array([shape]), germs)[:, 0, 0]
     assert exact == pytest.approx(second_difference(lambda s: oracle(s).ppf(LEVELS), shape), rel=1e-5, abs=1e-7)
 
@@ -149,11 +149,11 @@ def test_second_derivatives_of_quantiles_by_a_traced_shape_are_those_of_scipy(na
 
 @pytest.mark.slow
 def test_mixed_second_derivatives_of_a_beta_quantile_are_differences_of_the_first():
-    law = Beta(alpha=Decision(2.0, 1.0, 4.0), beta=Decision(3.0, 1.0, 4.0), upper=Decision(2.0, 1.0, 3.0))
-    xi = jnp.asarray(law.germ().quantile(np.array([0.7])))
+    distribution = Beta(alpha=Decision(2.0, 1.0, 4.0), beta=Decision(3.0, 1.0, 4.0), upper=Decision(2.0, 1.0, 3.0))
+    xi = jnp.asarray(distribution.germ().quantile(np.array([0.7])))
     x = jnp.array([2.2, 2.7, 1.9])
-    gradient = compiled(jax.grad(lambda x: realise(law, xi, x)))
-    exact = compiled(jax.hessian(lambda x: realise(law, xi, x)))(x)
+    gradient = compiled(jax.grad(lambda x: realise(distribution, xi, x)))
+    exact = compiled(jax.hessian(lambda x: realise(distribution, xi, x)))(x)
     for i in range(3):
         step = jnp.zeros(3).at[i].set(1e-3)
         near, far = (gradient(x + k * step) - gradient(x - k * step) for k in (1, 2))
@@ -179,12 +179,12 @@ def test_a_shape_traced_inside_compiled_code_is_still_differentiated():
         lambda: Gamma(mean=Decision(2.0, 1.0, 3.0), std=0.5),
     ],
 )
-def test_a_law_of_known_numbers_may_be_made_and_expanded_inside_compiled_code(make):
+def test_a_distribution_of_known_numbers_may_be_made_and_expanded_inside_compiled_code(make):
     @compiled
     def mean(x):
-        law = make()
-        nodes, weights = law.germ().gauss(20)
-        return jnp.asarray(weights) @ jax.vmap(lambda xi: realise(law, xi[None], x))(jnp.asarray(nodes))
+        distribution = make()
+        nodes, weights = distribution.germ().gauss(20)
+        return jnp.asarray(weights) @ jax.vmap(lambda xi: realise(distribution, xi[None], x))(jnp.asarray(nodes))
 
     start = jnp.array([float(decision.initial) for decision in make().decisions.values()])
     assert float(mean(start)) == pytest.approx(float(make().initial().mean()), rel=1e-12)
@@ -201,7 +201,7 @@ def test_a_germ_whose_shape_is_no_known_number_is_refused(case, transform):
         transform(lambda s: make(s).germ().gauss(3)[0].sum())(shape)
 
 
-def test_parameters_that_make_no_law_are_refused_while_they_are_differentiated():
+def test_parameters_that_make_no_distribution_are_refused_while_they_are_differentiated():
     with pytest.raises(ProblemError, match=r"Beta needs .*received Beta"):
         jax.grad(lambda a: Beta(alpha=a, beta=5.0).mean())(-1.0)
     with pytest.raises(ProblemError, match="Normal needs"):
@@ -209,12 +209,12 @@ def test_parameters_that_make_no_law_are_refused_while_they_are_differentiated()
 
 
 def test_moments_are_differentiable_in_every_parameter():
-    laws = [
+    distributions = [
         (lambda p: LogNormal(mean=p[0], std=p[1]), [2.0, 0.5]),
         (lambda p: Weibull(mean=p[0], std=p[1], lower=p[2]), [2.0, 0.5, 0.3]),
         (lambda p: Gumbel(mean=p[0], std=p[1]), [2.0, 0.5]),
     ]
-    for make, start in laws:
+    for make, start in distributions:
         both = compiled(jax.jacfwd(lambda p, make=make: jnp.stack([make(p).mean(), make(p).std()])))
         assert both(jnp.array(start)) == pytest.approx(np.eye(2, len(start)), abs=1e-9)
 
@@ -223,13 +223,13 @@ def test_moments_of_a_truncated_normal_are_differentiable_on_its_open_side():
     start, h = np.array([1.0, 0.5, 0.3]), 1e-4
 
     def both(p):
-        law = TruncatedNormal(p[0], p[1], lower=p[2])
-        return jnp.stack([law.mean(), law.std()])
+        distribution = TruncatedNormal(p[0], p[1], lower=p[2])
+        return jnp.stack([distribution.mean(), distribution.std()])
 
     def scipys(p):
         location, scale, lower = p
-        law = stats.truncnorm((lower - location) / scale, np.inf, location, scale)
-        return np.array([law.mean(), law.std()])
+        distribution = stats.truncnorm((lower - location) / scale, np.inf, location, scale)
+        return np.array([distribution.mean(), distribution.std()])
 
     steps = h * np.eye(3)
     differences = np.stack([(scipys(start + step) - scipys(start - step)) / (2 * h) for step in steps], axis=1)

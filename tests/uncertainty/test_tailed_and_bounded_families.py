@@ -70,101 +70,107 @@ CURVED = {
     "lognormal above a bound": (LogNormal(log_mean=0.5, log_std=0.7, lower=-1), stats.lognorm(0.7, -1, np.exp(0.5))),
     "lognormal by median above a bound": (LogNormal(median=2.0, log_std=0.7, lower=-1), stats.lognorm(0.7, -1, 3)),
 }
-LAWS = LINEAR | CURVED
+DISTRIBUTIONS = LINEAR | CURVED
 
 
-@pytest.fixture(params=LAWS.values(), ids=LAWS.keys())
-def law_and_oracle(request):
+@pytest.fixture(params=DISTRIBUTIONS.values(), ids=DISTRIBUTIONS.keys())
+def distribution_and_oracle(request):
     return request.param
 
 
-def test_the_mean_is_that_of_scipy(law_and_oracle):
-    law, oracle = law_and_oracle
-    assert float(law.mean()) == pytest.approx(oracle.mean(), rel=1e-11)
+def test_the_mean_is_that_of_scipy(distribution_and_oracle):
+    distribution, oracle = distribution_and_oracle
+    assert float(distribution.mean()) == pytest.approx(oracle.mean(), rel=1e-11)
 
 
-def test_the_standard_deviation_is_that_of_scipy(law_and_oracle):
-    law, oracle = law_and_oracle
+def test_the_standard_deviation_is_that_of_scipy(distribution_and_oracle):
+    distribution, oracle = distribution_and_oracle
     # scipy's variance loses digits in the tail: there is a test by quadrature below
-    in_tail = "upper=-18" in str(law) or "lower=6" in str(law)
-    assert float(law.std()) == pytest.approx(oracle.std(), rel=1e-6 if in_tail else 1e-10)
+    in_tail = "upper=-18" in str(distribution) or "lower=6" in str(distribution)
+    assert float(distribution.std()) == pytest.approx(oracle.std(), rel=1e-6 if in_tail else 1e-10)
 
 
-def test_the_support_is_that_of_scipy(law_and_oracle):
-    law, oracle = law_and_oracle
-    assert tuple(map(float, law.support())) == pytest.approx(oracle.support(), rel=1e-13)
+def test_the_support_is_that_of_scipy(distribution_and_oracle):
+    distribution, oracle = distribution_and_oracle
+    assert tuple(map(float, distribution.support())) == pytest.approx(oracle.support(), rel=1e-13)
 
 
-def test_values_are_the_quantiles_of_scipy_at_the_germs_quantiles(law_and_oracle):
-    law, oracle = law_and_oracle
-    values = [float(law.value(jnp.asarray(xi))) for xi in law.germ().quantile(LEVELS)]
+def test_values_are_the_quantiles_of_scipy_at_the_germs_quantiles(distribution_and_oracle):
+    distribution, oracle = distribution_and_oracle
+    values = [float(distribution.value(jnp.asarray(xi))) for xi in distribution.germ().quantile(LEVELS)]
     assert values == pytest.approx(oracle.ppf(LEVELS), rel=1e-11)
 
 
-def test_values_at_a_normal_value_are_the_quantiles_of_scipy_at_its_probability(law_and_oracle):
-    law, oracle = law_and_oracle
+def test_values_at_a_normal_value_are_the_quantiles_of_scipy_at_its_probability(distribution_and_oracle):
+    distribution, oracle = distribution_and_oracle
     normals = jnp.asarray([-4.0, -1.3, 0.0, 0.2, 2.0, 5.0])
     expected = np.where(normals < 0, oracle.ppf(stats.norm.cdf(normals)), oracle.isf(stats.norm.sf(normals)))
-    values = jax.vmap(law.value_at_normal)(normals)
+    values = jax.vmap(distribution.value_at_normal)(normals)
     assert values == pytest.approx(expected, rel=1e-7, abs=1e-9)
 
 
-@pytest.mark.parametrize(("law", "oracle"), LINEAR.values(), ids=LINEAR.keys())
-def test_moments_by_gauss_quadrature_of_the_realised_number_are_those_of_scipy(law, oracle):
-    nodes, weights = law.germ().gauss(3)
-    values = np.array([float(law.value(jnp.asarray(xi))) for xi in nodes])
+@pytest.mark.parametrize(("distribution", "oracle"), LINEAR.values(), ids=LINEAR.keys())
+def test_moments_by_gauss_quadrature_of_the_realised_number_are_those_of_scipy(distribution, oracle):
+    nodes, weights = distribution.germ().gauss(3)
+    values = np.array([float(distribution.value(jnp.asarray(xi))) for xi in nodes])
     for k in range(1, 5):
         assert weights @ values**k == pytest.approx(oracle.moment(k), rel=1e-9)
 
 
 def test_moments_of_a_lognormal_number_converge_with_the_order_of_the_gauss_rule():
-    law = LogNormal(mean=3.0, std=0.8)
-    nodes, weights = law.germ().gauss(30)
-    values = np.asarray(jax.vmap(law.value)(jnp.asarray(nodes)))
+    distribution = LogNormal(mean=3.0, std=0.8)
+    nodes, weights = distribution.germ().gauss(30)
+    values = np.asarray(jax.vmap(distribution.value)(jnp.asarray(nodes)))
     assert weights @ values == pytest.approx(3.0, rel=1e-13)
     assert np.sqrt(weights @ (values - 3.0) ** 2) == pytest.approx(0.8, rel=1e-12)
-    assert (float(law.mean()), float(law.std())) == pytest.approx((3.0, 0.8), rel=1e-14)
+    assert (float(distribution.mean()), float(distribution.std())) == pytest.approx((3.0, 0.8), rel=1e-14)
 
 
 @pytest.mark.parametrize("mean", [0.5, 3.0])
 @pytest.mark.parametrize("std", [0.01, 0.3, 2.0])
-def test_weibull_and_gumbel_laws_by_moments_have_these_moments(mean, std):
-    for law in (Weibull(mean=mean, std=std), Weibull(mean=mean - 4.0, std=std, lower=-4.0), Gumbel(mean=mean, std=std)):
-        _, scale, shape = (np.asarray(number) for number in law.canonical())
-        oracle = stats.weibull_min(shape[0], law.canonical().location, scale) if shape.size else None
-        oracle = oracle or stats.gumbel_r(law.canonical().location, scale)
-        assert float(law.mean()) == pytest.approx(oracle.mean(), rel=1e-9)
-        assert (oracle.mean(), oracle.std()) == pytest.approx((law.parameters["mean"], std), rel=1e-8)
+def test_weibull_and_gumbel_distributions_by_moments_have_these_moments(mean, std):
+    for distribution in (
+        Weibull(mean=mean, std=std),
+        Weibull(mean=mean - 4.0, std=std, lower=-4.0),
+        Gumbel(mean=mean, std=std),
+    ):
+        _, scale, shape = (np.asarray(number) for number in distribution.canonical())
+        oracle = stats.weibull_min(shape[0], distribution.canonical().location, scale) if shape.size else None
+        oracle = oracle or stats.gumbel_r(distribution.canonical().location, scale)
+        assert float(distribution.mean()) == pytest.approx(oracle.mean(), rel=1e-9)
+        assert (oracle.mean(), oracle.std()) == pytest.approx((distribution.parameters["mean"], std), rel=1e-8)
 
 
 @pytest.mark.parametrize("interval", [(6.0, 8.0), (-np.inf, -9.0), (3.0, 3.0 + 1e-5), (30.0, np.inf), (-1.0, 2.0)])
 def test_moments_of_a_truncated_normal_keep_their_digits_in_tails_and_narrow_intervals(interval):
     low, high = interval
-    law = TruncatedNormal(0.0, 1.0, lower=low, upper=high)
-    nodes, weights = law.germ().gauss(20)
+    distribution = TruncatedNormal(0.0, 1.0, lower=low, upper=high)
+    nodes, weights = distribution.germ().gauss(20)
     mean = weights @ nodes
-    assert float(law.mean()) == pytest.approx(mean, rel=1e-12)
-    assert float(law.std()) == pytest.approx(np.sqrt(weights @ (nodes - mean) ** 2), rel=1e-9)
+    assert float(distribution.mean()) == pytest.approx(mean, rel=1e-12)
+    assert float(distribution.std()) == pytest.approx(np.sqrt(weights @ (nodes - mean) ** 2), rel=1e-9)
     assert low < mean < high
 
 
 def test_the_standard_deviation_of_a_truncated_normal_in_a_tail_is_that_of_its_asymptotic_series():
     # Mills: beyond a, mean - a = 1/a - 2/a^3 + 10/a^5 - 74/a^7 + ..., variance = 1/a^2 - 6/a^4 + 50/a^6 - 518/a^8 + ...
     a = 30.0
-    law = TruncatedNormal(0.0, 1.0, lower=a)
-    assert float(law.mean()) - a == pytest.approx(1 / a - 2 / a**3 + 10 / a**5 - 74 / a**7, rel=1e-8)
-    assert float(law.std()) ** 2 == pytest.approx(1 / a**2 - 6 / a**4 + 50 / a**6 - 518 / a**8, rel=1e-6)
+    distribution = TruncatedNormal(0.0, 1.0, lower=a)
+    assert float(distribution.mean()) - a == pytest.approx(1 / a - 2 / a**3 + 10 / a**5 - 74 / a**7, rel=1e-8)
+    assert float(distribution.std()) ** 2 == pytest.approx(1 / a**2 - 6 / a**4 + 50 / a**6 - 518 / a**8, rel=1e-6)
 
 
 def test_a_sample_has_the_moments_and_the_range_of_its_data():
     data = np.random.default_rng(3).gamma(2.0, size=57)
-    law = Sample(data, location=1.0, scale=2.0)
-    assert float(law.mean()) == pytest.approx(1 + 2 * data.mean(), rel=1e-14)
-    assert float(law.std()) == pytest.approx(2 * data.std(), rel=1e-14)
-    assert tuple(map(float, law.support())) == pytest.approx((1 + 2 * data.min(), 1 + 2 * data.max()), rel=1e-15)
+    distribution = Sample(data, location=1.0, scale=2.0)
+    assert float(distribution.mean()) == pytest.approx(1 + 2 * data.mean(), rel=1e-14)
+    assert float(distribution.std()) == pytest.approx(2 * data.std(), rel=1e-14)
+    assert tuple(map(float, distribution.support())) == pytest.approx(
+        (1 + 2 * data.min(), 1 + 2 * data.max()), rel=1e-15
+    )
 
 
-def test_quantiles_of_a_sample_are_those_of_the_empirical_law():
+def test_quantiles_of_a_sample_are_those_of_the_empirical_distribution():
     data = np.random.default_rng(4).normal(size=40).round(1)  # some of them alike
     germ = Sample(data).germ()
     levels = np.linspace(0.001, 0.999, 77)
@@ -179,15 +185,15 @@ def test_quantiles_of_a_sample_are_those_of_the_empirical_law():
 
 @pytest.mark.parametrize("data", [[1.02, 0.97, 1.05, 0.99, 1.01], [0.0, 1.0], [1.0, 1.0, 1.0, 5.0]])
 def test_what_is_drawn_from_a_sample_has_its_moments_and_is_of_the_data(data):
-    law = Sample(data, location=1.0, scale=2.0)
+    distribution = Sample(data, location=1.0, scale=2.0)
     count = 1000 * len(data)
     levels = (np.arange(count) + 0.5) / count  # each of the data at the same number of levels
-    drawn = 1 + 2 * law.germ().quantile(levels)
+    drawn = 1 + 2 * distribution.germ().quantile(levels)
     assert set(drawn) == set(1 + 2 * np.array(data))
-    assert drawn.mean() == pytest.approx(float(law.mean()), rel=1e-12)
-    assert drawn.std() == pytest.approx(float(law.std()), rel=1e-12)
-    by_normal = [float(law.from_normal(normal, ())) for normal in stats.norm.ppf(levels[:: len(levels) // 50])]
-    assert np.array_equal(by_normal, law.germ().quantile(levels[:: len(levels) // 50]))
+    assert drawn.mean() == pytest.approx(float(distribution.mean()), rel=1e-12)
+    assert drawn.std() == pytest.approx(float(distribution.std()), rel=1e-12)
+    by_normal = [float(distribution.from_normal(normal, ())) for normal in stats.norm.ppf(levels[:: len(levels) // 50])]
+    assert np.array_equal(by_normal, distribution.germ().quantile(levels[:: len(levels) // 50]))
 
 
 def test_repeated_data_count_as_often_as_they_occur():
@@ -267,7 +273,7 @@ def test_a_number_that_must_be_positive_and_finite_is_refused_by_name_and_value(
         (lambda: Exponential(rate=Decision(1.0, 0.0, 2.0)), "its decisions reach rate=0"),
     ],
 )
-def test_parameters_that_make_no_law_are_refused_with_what_is_needed(make, message):
+def test_parameters_that_make_no_distribution_are_refused_with_what_is_needed(make, message):
     with pytest.raises(ProblemError, match=message):
         make()
 
@@ -292,17 +298,17 @@ def test_a_function_that_is_no_density_is_refused_with_the_remedy(density, lower
         Density(density, lower, upper)
 
 
-def positive(law):
+def positive(distribution):
     import equinox as eqx
 
     class Mass(eqx.Module):
         m: object = parameter("kg", positive=True)
 
-    return Mass(law)
+    return Mass(distribution)
 
 
 @pytest.mark.parametrize(
-    "law",
+    "distribution",
     [
         LogNormal(mean=1.0, std=0.5),
         LogNormal(mean=Decision(1.0, 0.5, 2.0), std=0.5),
@@ -315,12 +321,12 @@ def positive(law):
     ],
     ids=str,
 )
-def test_a_law_above_zero_may_stand_for_a_positive_number(law):
-    refuse_nonpositive(positive(law))
+def test_a_distribution_above_zero_may_stand_for_a_positive_number(distribution):
+    refuse_nonpositive(positive(distribution))
 
 
 @pytest.mark.parametrize(
-    "law",
+    "distribution",
     [
         LogNormal(mean=1.0, std=0.5, lower=-0.1),
         TruncatedNormal(1.0, 0.5, upper=3.0),
@@ -334,24 +340,24 @@ def test_a_law_above_zero_may_stand_for_a_positive_number(law):
     ],
     ids=str,
 )
-def test_a_law_that_reaches_zero_may_not_stand_for_a_positive_number(law):
+def test_a_distribution_that_reaches_zero_may_not_stand_for_a_positive_number(distribution):
     with pytest.raises(ProblemError, match="must stay positive"):
-        refuse_nonpositive(positive(law))
+        refuse_nonpositive(positive(distribution))
 
 
 @pytest.mark.parametrize(
-    "law",
+    "distribution",
     [
         Uniform(1.0, half_width=0.2),
         Normal(1.0, 0.2),
         Beta(alpha=0.5, beta=3.0),
         Gamma(shape=0.4, scale=1.0),
-        *(law for law, _ in LAWS.values()),
+        *(distribution for distribution, _ in DISTRIBUTIONS.values()),
     ],
     ids=str,
 )
-def test_a_germs_cumulative_is_the_inverse_of_its_quantile_and_ends_with_its_support(law):
-    germ = law.germ()
+def test_a_germs_cumulative_is_the_inverse_of_its_quantile_and_ends_with_its_support(distribution):
+    germ = distribution.germ()
     levels = np.array([[1e-6, 1e-3, 0.1], [0.5, 0.9, 1 - 1e-6]])
     assert germ.cumulative(germ.quantile(levels)) == pytest.approx(levels, rel=1e-9, abs=1e-10)
     low, high = germ.support()
@@ -359,16 +365,16 @@ def test_a_germs_cumulative_is_the_inverse_of_its_quantile_and_ends_with_its_sup
     assert low < germ.quantile(np.array(1e-6)) < germ.quantile(np.array(1 - 1e-6)) < high
 
 
-def test_laws_with_functions_and_data_can_be_shared_and_survive_flattening():
-    for law in (Sample([1.0, 2.0, 3.0], location=Decision(0.0, -1.0, 1.0)), Density(bell, -1.0, 1.0)):
-        shared = law.shared("x")
+def test_distributions_with_functions_and_data_can_be_shared_and_survive_flattening():
+    for distribution in (Sample([1.0, 2.0, 3.0], location=Decision(0.0, -1.0, 1.0)), Density(bell, -1.0, 1.0)):
+        shared = distribution.shared("x")
         leaves, structure = jax.tree.flatten(shared)
         again = jax.tree.unflatten(structure, leaves)
-        assert again.germ() == law.germ()
+        assert again.germ() == distribution.germ()
         assert tuple(placements({"a": shared, "b": again}).distributions) == ("x",)
 
 
-def test_a_law_says_what_it_is():
+def test_a_distribution_says_what_it_is():
     assert str(Sample([1.0, 2.0, 2.0])) == "Sample(2 distinct values, location=0, scale=1)"
     assert str(Density(bell, -1, np.inf)) == "Density(bell on [-1, inf], location=0, scale=1)"
     assert str(LogNormal(mean=2, std=1)) == "LogNormal(mean=2, std=1, lower=0)"

@@ -33,28 +33,28 @@ def case(request):
 
 
 def test_mean_spread_and_limits_are_those_computed_by_hand(case):
-    law, mean, std, limits = case
-    assert float(law.mean()) == pytest.approx(mean, rel=1e-14)
-    assert float(law.std()) == pytest.approx(std, rel=1e-12)
-    assert tuple(map(float, law.limits())) == pytest.approx(limits, rel=1e-14)
+    distribution, mean, std, limits = case
+    assert float(distribution.mean()) == pytest.approx(mean, rel=1e-14)
+    assert float(distribution.std()) == pytest.approx(std, rel=1e-12)
+    assert tuple(map(float, distribution.limits())) == pytest.approx(limits, rel=1e-14)
 
 
-def test_the_law_is_normal(case):
-    law, mean, std, _ = case
-    assert law.germ() == HermiteGerm()
+def test_the_distribution_is_normal(case):
+    distribution, mean, std, _ = case
+    assert distribution.germ() == HermiteGerm()
     levels = np.array([0.001, 0.3, 0.99])
-    values = [float(law.value(jnp.asarray(xi))) for xi in law.germ().quantile(levels)]
+    values = [float(distribution.value(jnp.asarray(xi))) for xi in distribution.germ().quantile(levels)]
     assert values == pytest.approx(stats.norm(mean, std).ppf(levels), rel=1e-13)
-    assert law.support() == (-np.inf, np.inf)
+    assert distribution.support() == (-np.inf, np.inf)
 
 
 def test_cpk_is_the_distance_of_the_mean_to_the_nearer_limit_in_three_standard_deviations(case):
-    law, _, _, _ = case
-    lower, upper = law.limits()
-    mean, std = law.mean(), law.std()
+    distribution, _, _, _ = case
+    lower, upper = distribution.limits()
+    mean, std = distribution.mean(), distribution.std()
     cpk = min(upper - mean, mean - lower) / (3 * std)
-    capability = law.parameters.get("cp", law.parameters.get("sigmas", 3.0) / 3)
-    assert cpk == pytest.approx(law.parameters.get("cpk", capability), rel=1e-10)
+    capability = distribution.parameters.get("cp", distribution.parameters.get("sigmas", 3.0) / 3)
+    assert cpk == pytest.approx(distribution.parameters.get("cpk", capability), rel=1e-10)
 
 
 def test_a_small_tolerance_of_a_large_dimension_keeps_its_digits():
@@ -83,8 +83,8 @@ def test_a_small_tolerance_of_a_large_dimension_keeps_its_digits():
     ],
 )
 def test_a_drawings_text_is_read_in_its_usual_forms(text, parameters):
-    law = toleranced(text, cp=1.33)
-    assert law.parameters == pytest.approx(parameters | {"cp": 1.33}, rel=1e-15)
+    distribution = toleranced(text, cp=1.33)
+    assert distribution.parameters == pytest.approx(parameters | {"cp": 1.33}, rel=1e-15)
     assert toleranced(text).parameters["cp"] == 1.0
 
 
@@ -140,5 +140,5 @@ def test_a_decided_tolerance_is_a_number_of_the_model_and_sets_the_spread():
 
 
 def test_sharing_keeps_the_side_to_which_the_process_is_shifted():
-    law = Toleranced(10.0, tolerance=0.3, cp=2.0, cpk=1.5, towards="lower").shared("d")
-    assert float(law.mean()) == pytest.approx(9.925, rel=1e-14)
+    distribution = Toleranced(10.0, tolerance=0.3, cp=2.0, cpk=1.5, towards="lower").shared("d")
+    assert float(distribution.mean()) == pytest.approx(9.925, rel=1e-14)

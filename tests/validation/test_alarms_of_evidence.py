@@ -218,7 +218,7 @@ def test_a_probability_that_agrees_is_judged_by_its_exact_interval():
 
 
 @pytest.mark.parametrize("order", [1, 3])
-def test_the_law_of_data_is_one_law_in_expansions_and_in_evidence(order):
+def test_the_distribution_of_data_is_one_distribution_in_expansions_and_in_evidence(order):
     data = np.array([1.02, 0.97, 1.05, 0.99, 1.01])
     solution = solved("smooth", al.Sample(data), al.Uniform(0.0, half_width=1e-3), order=order)
     evidence = alarmed(solution)

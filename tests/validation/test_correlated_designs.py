@@ -11,11 +11,11 @@ THETA_STD, SHIFT_STD, BOUND = 0.1, 0.2, 2.0
 
 
 def correlated_problem(correlation):
-    laws = al.correlated(
+    distributions = al.correlated(
         {"theta": al.Normal(1.0, THETA_STD), "shift": al.Normal(0.0, SHIFT_STD)}, {("theta", "shift"): correlation}
     )
     return al.Problem(
-        Gain(al.Decision(0.5, 0.0, 10.0), laws["theta"], laws["shift"]),
+        Gain(al.Decision(0.5, 0.0, 10.0), distributions["theta"], distributions["shift"]),
         grid=ONE_STEP,
         minimize=LOSS.mean,
         subject_to=[RESPONSE.at_most(BOUND, sigmas=1.0)],
@@ -40,7 +40,7 @@ def test_a_robust_design_and_its_evidence_know_the_correlation(correlation):
     assert float(sampled.std) == pytest.approx(response_std(exact, correlation), rel=0.02)
 
 
-def test_a_problem_of_correlated_laws_prints_and_is_diagnosed_by_its_numbers():
+def test_a_problem_of_correlated_distributions_prints_and_is_diagnosed_by_its_numbers():
     text = str(correlated_problem(0.6))
     assert "in 2 variables" in text
     assert "theta ~ Normal" in text

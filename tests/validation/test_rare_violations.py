@@ -110,10 +110,10 @@ def two_numbers(theta: Any, shift: Any) -> al.Solution:
 
 
 def test_correlated_distributions_are_weighted_as_they_are_counted():
-    laws = al.correlated(
+    distributions = al.correlated(
         {"theta": al.Normal(1.0, 0.1), "shift": al.Gamma(mean=0.2, std=0.1)}, {("theta", "shift"): 0.6}
     )
-    solution = two_numbers(laws["theta"], laws["shift"])
+    solution = two_numbers(distributions["theta"], distributions["shift"])
     share = al.rare_violation(solution, ("response", "low"), 4000)
     counted = al.validate(solution, 100_000, keep=0).violation("response", "low")
     assert share.lower < counted.upper

@@ -46,7 +46,7 @@ class AbstractExpanded(eqx.Module, AbstractMeasured[Pytree]):
     of a function that builds the distributions, expands and takes a statistic is its derivative.
     """
 
-    laws: eqx.AbstractVar[dict[str, AbstractDistribution]]
+    distributions: eqx.AbstractVar[dict[str, AbstractDistribution]]
 
     @property
     @abc.abstractmethod
@@ -77,7 +77,7 @@ class AbstractExpanded(eqx.Module, AbstractMeasured[Pytree]):
         Raises `ProblemError` for a value outside its distribution, and where distributions depend on each other: use
         `at_germ` there.
         """
-        point = germ_of(self.laws, inputs)
+        point = germ_of(self.distributions, inputs)
         return jax.tree.map(lambda values: values[0], self.at_germ(np.array([[point[name] for name in self.germs]])))
 
     @abc.abstractmethod

@@ -34,7 +34,7 @@ class Box:
         return Box(self.low, at_middle(self.high)), Box(at_middle(self.low), self.high)
 
     def germs(self, germs: Mapping[str, AbstractGerm]) -> dict[str, AbstractGerm]:
-        """The laws of the germ variables, given that they lie in the box."""
+        """The distributions of the germ variables, given that they lie in the box."""
         limits = zip(germs.items(), self.low, self.high, strict=True)
         return {name: restricted(germ, low, high) for (name, germ), low, high in limits}
 

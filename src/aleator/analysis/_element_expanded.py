@@ -14,10 +14,10 @@ from typing_extensions import override
 
 from aleator._core.arrays import Pytree
 from aleator._core.tracing import evaluate
-from aleator.analysis import _sampled_law as sampled_law
+from aleator.analysis import _sampled_distribution as sampled_distribution
 from aleator.analysis._abstract_expanded import AbstractExpanded, checked_points, paired, prepared
 from aleator.analysis._element_sobol import Rule, variance_part
-from aleator.analysis._expanded_text import as_lines, law_rows, nothing, output_rows
+from aleator.analysis._expanded_text import as_lines, distribution_rows, nothing, output_rows
 from aleator.analysis._partition import Partition
 from aleator.ensemble import inputs_at, part
 from aleator.statistics import (
@@ -45,8 +45,7 @@ from aleator.uncertainty import AbstractDistribution, AbstractGerm, Placements
 class ElementExpanded(AbstractExpanded):
     """Outputs as polynomials of the germ in each element of its domain; `print(expanded)` says what was done.
 
-    - `laws`: the distribution of each uncertain input, by name; `partition`: the elements, with the polynomials in
-      each;
+    - `distributions`: that of each uncertain input, by name; `partition`: the elements, with the polynomials in each;
     - `coefficients`: of each output, shape (elements, terms, *shape);
     - `splits`: the variable of each split, in order; `calls`: how often the function was called;
     - `error`: estimated relative root mean square error of the piecewise expansion, at worst over the outputs.
@@ -56,7 +55,7 @@ class ElementExpanded(AbstractExpanded):
     probabilities and quantiles are kernel estimates, good to about a percent.
     """
 
-    laws: dict[str, AbstractDistribution]
+    distributions: dict[str, AbstractDistribution]
     partition: Partition = eqx.field(static=True)
     coefficients: Pytree
     splits: tuple[str, ...] = eqx.field(static=True)
@@ -66,16 +65,16 @@ class ElementExpanded(AbstractExpanded):
     @override
     def __getitem__(self, name: str) -> "ElementExpanded":
         one = part(self.coefficients, name)
-        return ElementExpanded(self.laws, self.partition, one, self.splits, self.calls, self.error)
+        return ElementExpanded(self.distributions, self.partition, one, self.splits, self.calls, self.error)
 
     def _both(self, first: str, second: str) -> "ElementExpanded":
         both = paired(self.coefficients, first, second)
-        return ElementExpanded(self.laws, self.partition, both, self.splits, self.calls, self.error)
+        return ElementExpanded(self.distributions, self.partition, both, self.splits, self.calls, self.error)
 
     @override
     def statistic(self, kind: AbstractStatistic) -> Pytree:
         """Raises `ProblemError` for Sobol indices of correlated inputs."""
-        refuse_correlated(self.laws, kind)
+        refuse_correlated(self.distributions, kind)
         return jax.tree.map(self._rule(kind), self.coefficients)
 
     def _rule(self, kind: AbstractStatistic) -> Callable[[Array], Array]:
@@ -99,19 +98,19 @@ class ElementExpanded(AbstractExpanded):
         if isinstance(kind, Infimum):
             return lambda coefficients: jnp.min(self._in_each(kind, coefficients), axis=0)
         if isinstance(kind, Probability):
-            return lambda coefficients: sampled_law.probability(kind, self._sample(coefficients))
+            return lambda coefficients: sampled_distribution.probability(kind, self._sample(coefficients))
         if isinstance(kind, Quantile):
-            return lambda coefficients: sampled_law.quantile(kind, self._sample(coefficients))
+            return lambda coefficients: sampled_distribution.quantile(kind, self._sample(coefficients))
         return lambda coefficients: kind.of_sample(self._sample(coefficients))
 
     @override
     def cdf(self, values: Float[Array, " n"]) -> Pytree:
-        return self._at_each(sampled_law.cdf, values)
+        return self._at_each(sampled_distribution.cdf, values)
 
     @override
     def pdf(self, values: Float[Array, " n"]) -> Pytree:
         """By a kernel estimate."""
-        return self._at_each(sampled_law.pdf, values)
+        return self._at_each(sampled_distribution.pdf, values)
 
     def _at_each(self, function: Callable[[Array, Array], Array], values: Float[Array, " n"]) -> Pytree:
         def of(coefficients: Array) -> Array:
@@ -190,7 +189,7 @@ class ElementExpanded(AbstractExpanded):
             ("error", f"{self.error:.1e} of the standard deviation, estimated by leaving one sample out"),
         ]
         remarks = jax.tree.map(lambda _: nothing, self.coefficients)
-        return as_lines([*rows, *law_rows(self.laws), *output_rows(self.mean, self.std, remarks)])
+        return as_lines([*rows, *distribution_rows(self.distributions), *output_rows(self.mean, self.std, remarks)])
 
     def _split_text(self) -> str:
         """How often each variable was split, and where the smallest element lies."""
@@ -200,7 +199,7 @@ class ElementExpanded(AbstractExpanded):
         smallest = min(range(len(self.partition.boxes)), key=lambda k: self.partition.boxes[k].probability)
         box, germs = self.partition.boxes[smallest], self.partition.bases[smallest].germs
         ends = np.array([germ.support() for germ in germs.values()]).T
-        places = Placements(dict(self.laws), {})
+        places = Placements(dict(self.distributions), {})
         low, high = (inputs_at(places, end, jnp.zeros(0)) for end in ends)
-        where = ", ".join(f"{name} from {low[name]:.6g} to {high[name]:.6g}" for name in self.laws)
+        where = ", ".join(f"{name} from {low[name]:.6g} to {high[name]:.6g}" for name in self.distributions)
         return f"{times}; the smallest element: {where}, probability {box.probability:.2g}"

@@ -102,14 +102,16 @@ def _gram(
 ) -> Float[np.ndarray, "intervals intervals degrees degrees"]:
     """`E[1 p_a 1' p_b']`: of the polynomials of any two intervals, each zero outside of its own."""
     germ = list(partition.germs.values())[variable]
-    laws = [restricted(germ, *map(float, ends)) for ends in cuts.ends]
-    count = len(laws)
+    distributions = [restricted(germ, *map(float, ends)) for ends in cuts.ends]
+    count = len(distributions)
     gram = np.zeros((count, count, degree + 1, degree + 1))
     for i, j in combinations(range(count), 2):
         low, high = max(cuts.ends[i, 0], cuts.ends[j, 0]), min(cuts.ends[i, 1], cuts.ends[j, 1])
         if low < high:
             nodes, weights = restricted(germ, float(low), float(high)).gauss(degree + 1)
-            one, other = (law.polynomials(degree, nodes) for law in (laws[i], laws[j]))
+            one, other = (
+                distribution.polynomials(degree, nodes) for distribution in (distributions[i], distributions[j])
+            )
             gram[i, j] = (high - low) * (one * weights[:, None]).T @ other
             gram[j, i] = gram[i, j].T
     for i, width in enumerate(cuts.widths):

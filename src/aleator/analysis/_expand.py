@@ -80,7 +80,7 @@ def expand(
     basis, collocation = _discretised(sampler, expansion)
     samples = sampler.samples(collocation.points)
     coefficients = jax.tree.map(collocation.coefficients, samples)
-    expanded = Expanded(sampler.laws, basis, coefficients, collocation, samples, expansion.tolerance)
+    expanded = Expanded(sampler.distributions, basis, coefficients, collocation, samples, expansion.tolerance)
     _warn_of_doubts(expanded, collocation, times)
     return expanded
 
@@ -99,7 +99,7 @@ def _in_elements(sampler: Sampler, wish: MultiElement) -> ElementExpanded:
             ExpansionWarning,
             stacklevel=3,
         )
-    return ElementExpanded(sampler.laws, partition, coefficients, tuple(refinement.splits), calls, error)
+    return ElementExpanded(sampler.distributions, partition, coefficients, tuple(refinement.splits), calls, error)
 
 
 def _discretised(sampler: Sampler, expansion: Expansion) -> Discretisation:

@@ -13,7 +13,7 @@ from typing_extensions import override
 from aleator._core.arrays import Pytree, numbers_to_arrays
 from aleator._core.tracing import evaluate
 from aleator.analysis._abstract_expanded import AbstractExpanded, checked_points, paired, prepared
-from aleator.analysis._expanded_text import as_lines, contributors, law_rows, nothing, output_rows, trust
+from aleator.analysis._expanded_text import as_lines, contributors, distribution_rows, nothing, output_rows, trust
 from aleator.analysis._shapley import shapley_matrix
 from aleator.ensemble import concrete, part
 from aleator.expansion import UNRESOLVED, Basis, Collocation, jackknife, leave_one_out, unseen
@@ -28,14 +28,14 @@ _ROUNDING = 1e-12
 class Expanded(AbstractExpanded):
     """Outputs as polynomials of the germ; `print(expanded)` shows moments, main contributors and how far to trust them.
 
-    - `laws`: the distribution of each uncertain input, by name; `basis`: the orthonormal polynomials;
+    - `distributions`: the distribution of each uncertain input, by name; `basis`: the orthonormal polynomials;
     - `coefficients`: of each output, shape (terms, *shape);
     - `collocation`, `samples`: the points, and the outputs there, shape (points, *shape); a Galerkin solution has
       neither (None);
     - `tolerance`: the error up to which an output counts as resolved, that of the `Expansion`.
     """
 
-    laws: dict[str, AbstractDistribution]
+    distributions: dict[str, AbstractDistribution]
     basis: Basis = eqx.field(static=True)
     coefficients: Pytree
     collocation: Collocation | None
@@ -45,15 +45,17 @@ class Expanded(AbstractExpanded):
     @override
     def __getitem__(self, name: str) -> "Expanded":
         samples = None if self.samples is None else part(self.samples, name)
-        return Expanded(self.laws, self.basis, part(self.coefficients, name), self.collocation, samples, self.tolerance)
+        return Expanded(
+            self.distributions, self.basis, part(self.coefficients, name), self.collocation, samples, self.tolerance
+        )
 
     def _both(self, first: str, second: str) -> "Expanded":
-        return Expanded(self.laws, self.basis, paired(self.coefficients, first, second), None, None)
+        return Expanded(self.distributions, self.basis, paired(self.coefficients, first, second), None, None)
 
     @override
     def statistic(self, kind: AbstractStatistic) -> Pytree:
         """Raises `ProblemError` for Sobol indices of correlated inputs."""
-        refuse_correlated(self.laws, a_statistic(kind))
+        refuse_correlated(self.distributions, a_statistic(kind))
         numbers, rest = eqx.partition(numbers_to_arrays(kind), eqx.is_array)
 
         def of(numbers: Pytree, constants: Pytree, terms: Array) -> Array:
@@ -80,7 +82,7 @@ class Expanded(AbstractExpanded):
 
         Raises `ProblemError` for an unknown input, and for more than 12.
         """
-        matrix = jnp.asarray(shapley_matrix(self.laws, self.basis, name))
+        matrix = jnp.asarray(shapley_matrix(self.distributions, self.basis, name))
         return jax.tree.map(lambda terms: _part_of_variance(terms, matrix), self.coefficients)
 
     @property
@@ -144,7 +146,11 @@ class Expanded(AbstractExpanded):
     def __str__(self) -> str:
         checks = self.leave_one_out, self.jackknife, self.error
         remarks = jax.tree.map(self._remark, self.coefficients, *checks)
-        rows = [("expansion", self._how()), *law_rows(self.laws), *output_rows(self.mean, self.std, remarks)]
+        rows = [
+            ("expansion", self._how()),
+            *distribution_rows(self.distributions),
+            *output_rows(self.mean, self.std, remarks),
+        ]
         points = None if self.collocation is None else concrete(self.collocation.points)
         corner = None if points is None else unseen(self.basis, points)
         return as_lines(rows if corner is None else [*rows, ("not seen", corner.sentence())])
@@ -164,7 +170,9 @@ class Expanded(AbstractExpanded):
         if known is None:
             return nothing
         trusted = trust(loo, left, missed, self.tolerance)
-        return lambda entry: f"; {contributors(self.laws, self.basis, known[(slice(None), *entry)])}; {trusted}"
+        return lambda entry: (
+            f"; {contributors(self.distributions, self.basis, known[(slice(None), *entry)])}; {trusted}"
+        )
 
 
 def _edge(basis: Basis) -> Bool[np.ndarray, " terms"]:

@@ -24,9 +24,9 @@ def as_lines(rows: list[tuple[str, str]]) -> str:
     return "\n".join(f"{label:<{width}} {text}" for label, text in rows)
 
 
-def law_rows(laws: Mapping[str, AbstractDistribution]) -> list[tuple[str, str]]:
+def distribution_rows(distributions: Mapping[str, AbstractDistribution]) -> list[tuple[str, str]]:
     """The distribution of each uncertain input."""
-    return [(name, f"~ {law}") for name, law in laws.items()]
+    return [(name, f"~ {distribution}") for name, distribution in distributions.items()]
 
 
 def output_rows(means: Pytree, stds: Pytree, remarks: Pytree) -> list[tuple[str, str]]:
@@ -62,13 +62,18 @@ def _where(shape: tuple[int, ...], entry: tuple) -> str:
     return f"{'×'.join(map(str, shape))} numbers, of the largest spread [{place}]: "
 
 
-def contributors(laws: Mapping[str, AbstractDistribution], basis: Basis, terms: Float[np.ndarray, " terms"]) -> str:
+def contributors(
+    distributions: Mapping[str, AbstractDistribution], basis: Basis, terms: Float[np.ndarray, " terms"]
+) -> str:
     """The largest shares of the variance by the inputs that they come from, alone or together (Sobol indices).
 
     A correlated group counts as one input: what its members contribute is told by Shapley effects.
     """
     group = {
-        germ: f"({law.dependence.group})" for law in laws.values() if law.dependence for germ in law.germ_names("")
+        germ: f"({distribution.dependence.group})"
+        for distribution in distributions.values()
+        if distribution.dependence
+        for germ in distribution.germ_names("")
     }
     variance = np.sum(terms[1:] ** 2)
     if not variance > (_ROUNDING * float(np.abs(terms[0]))) ** 2:

@@ -117,8 +117,8 @@ def galerkin(
     coefficients = trace(projected, numbers, quadrature, code=(model, integrator), name=type(system).__name__)(
         numbers, quadrature
     )
-    laws = {name: law.initial() for name, law in places.distributions.items()}
-    expanded = Expanded(laws, basis, coefficients, None, None, expansion.tolerance)
+    distributions = {name: distribution.initial() for name, distribution in places.distributions.items()}
+    expanded = Expanded(distributions, basis, coefficients, None, None, expansion.tolerance)
     if isinstance(grid, Grid):
         _refuse_diverged(expanded, np.asarray(grid.times))
     else:

@@ -27,29 +27,29 @@ def plain(outputs: Pytree) -> Pytree:
     return jax.tree.unflatten(jax.tree.structure(outputs), values)
 
 
-def germ_of(laws: Mapping[str, AbstractDistribution], inputs: Mapping[str, Any]) -> dict[str, float]:
+def germ_of(distributions: Mapping[str, AbstractDistribution], inputs: Mapping[str, Any]) -> dict[str, float]:
     """The germ values at which the uncertain inputs have given values.
 
     Raises `ProblemError` if an input is missing or unknown, if a value lies outside its distribution, or where that
     depends on several germ variables.
     """
-    if set(inputs) != set(laws):
-        raise ProblemError(f"Expected a value for each of {list(laws)}; received {list(inputs)}.")
+    if set(inputs) != set(distributions):
+        raise ProblemError(f"Expected a value for each of {list(distributions)}; received {list(inputs)}.")
     point = {}
-    for name, law in laws.items():
-        germs = law.germs(name)
+    for name, distribution in distributions.items():
+        germs = distribution.germs(name)
         if len(germs) != 1:
             raise ProblemError(f"'{name}' depends on the germ variables {list(germs)}: use at_germ(points).")
         ((variable, germ),) = germs.items()
-        point[variable] = _inverted(name, law, germ, float(inputs[name]))
+        point[variable] = _inverted(name, distribution, germ, float(inputs[name]))
     return point
 
 
-def _inverted(name: str, law: AbstractDistribution, germ: AbstractGerm, value: float) -> float:
+def _inverted(name: str, distribution: AbstractDistribution, germ: AbstractGerm, value: float) -> float:
     """The germ value at which one distribution has one value: each increases with its germ."""
 
     def excess(point: float) -> float:
-        return float(jax.lax.stop_gradient(law.realised((jnp.asarray(point),)))) - value
+        return float(jax.lax.stop_gradient(distribution.realised((jnp.asarray(point),)))) - value
 
     low, high = (
         end if np.isfinite(end) else float(germ.quantile(np.array(level)))
@@ -57,7 +57,7 @@ def _inverted(name: str, law: AbstractDistribution, germ: AbstractGerm, value: f
     )
     rounding = 1e-12 * (1 + abs(value))
     if excess(low) > rounding or excess(high) < -rounding:
-        raise ProblemError(f"'{name}' = {value:g} lies outside its distribution {law}.")
+        raise ProblemError(f"'{name}' = {value:g} lies outside its distribution {distribution}.")
     if excess(low) >= 0 or excess(high) <= 0:
         return low if excess(low) >= 0 else high
     from scipy import optimize  # late: it takes a while to import

@@ -33,9 +33,9 @@ class Sampler:
         )
 
     @property
-    def laws(self) -> dict[str, AbstractDistribution]:
+    def distributions(self) -> dict[str, AbstractDistribution]:
         """The distribution of each uncertain input by name, with its decisions at their initial values."""
-        return {name: law.initial() for name, law in self.places.distributions.items()}
+        return {name: distribution.initial() for name, distribution in self.places.distributions.items()}
 
     def samples(self, points: Float[Array, "points variables"]) -> Pytree:
         """The function at germ points: its outputs with a leading axis for the points.

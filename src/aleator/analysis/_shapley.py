@@ -23,21 +23,21 @@ Matrix: TypeAlias = Float[np.ndarray, "terms terms"]
 _MOST_INPUTS = 12
 
 
-def shapley_matrix(laws: Mapping[str, AbstractDistribution], basis: Basis, name: str) -> Matrix:
+def shapley_matrix(distributions: Mapping[str, AbstractDistribution], basis: Basis, name: str) -> Matrix:
     """The matrix `W` of an input: its part of the variance is `cᵀ W c` for coefficients `c`.
 
     Raises `ProblemError` for an unknown input, and for more inputs than can be put in every order.
     """
-    if name not in laws:
-        raise ProblemError(f"shapley: there is no uncertain input '{name}'; expected one of {list(laws)}.")
-    if len(laws) > _MOST_INPUTS:
+    if name not in distributions:
+        raise ProblemError(f"shapley: there is no uncertain input '{name}'; expected one of {list(distributions)}.")
+    if len(distributions) > _MOST_INPUTS:
         raise ProblemError(
             f"shapley: expected at most {_MOST_INPUTS} uncertain inputs, of which all subsets are formed; received "
-            f"{len(laws)}. Hold those of little influence at their means."
+            f"{len(distributions)}. Hold those of little influence at their means."
         )
-    explained = _explained(laws, basis)
-    others = [one for one in laws if one != name]
-    count, total = len(laws), np.zeros((basis.terms, basis.terms))
+    explained = _explained(distributions, basis)
+    others = [one for one in distributions if one != name]
+    count, total = len(distributions), np.zeros((basis.terms, basis.terms))
     for size in range(count):
         weight = math.factorial(size) * math.factorial(count - size - 1) / math.factorial(count)
         for known in combinations(others, size):
@@ -45,9 +45,9 @@ def shapley_matrix(laws: Mapping[str, AbstractDistribution], basis: Basis, name:
     return total
 
 
-def _explained(laws: Mapping[str, AbstractDistribution], basis: Basis) -> Callable[[frozenset[str]], Matrix]:
+def _explained(distributions: Mapping[str, AbstractDistribution], basis: Basis) -> Callable[[frozenset[str]], Matrix]:
     """The matrix of `Var E[y | known]` for any set of known inputs: a product over independent inputs and groups."""
-    factors = list(_factors(laws, basis))
+    factors = list(_factors(distributions, basis))
     mean = np.zeros((basis.terms, basis.terms))
     mean[0, 0] = 1.0
 
@@ -59,15 +59,19 @@ def _explained(laws: Mapping[str, AbstractDistribution], basis: Basis) -> Callab
 
 
 def _factors(
-    laws: Mapping[str, AbstractDistribution], basis: Basis
+    distributions: Mapping[str, AbstractDistribution], basis: Basis
 ) -> Iterator[tuple[frozenset[str], Callable[[frozenset[str]], Matrix]]]:
     """For each independent input, and for each correlated group: the inputs, and the matrix of their germ variables."""
     groups: dict[str, dict[str, np.ndarray]] = {}
-    for name, law in laws.items():
-        key = name if law.dependence is None else law.dependence.group
-        place = [basis.names.index(germ) for germ in law.germ_names(name)]
+    for name, distribution in distributions.items():
+        key = name if distribution.dependence is None else distribution.dependence.group
+        place = [basis.names.index(germ) for germ in distribution.germ_names(name)]
         row = np.zeros(basis.variables)
-        row[place] = 1.0 if law.dependence is None else law.dependence.factor[law.dependence.index][: len(place)]
+        row[place] = (
+            1.0
+            if distribution.dependence is None
+            else distribution.dependence.factor[distribution.dependence.index][: len(place)]
+        )
         groups.setdefault(key, {})[name] = row
     for members in groups.values():
         used = np.flatnonzero(np.any(list(members.values()), axis=0))

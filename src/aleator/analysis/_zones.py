@@ -7,7 +7,7 @@ import numpy as np
 
 from aleator._core.arrays import Pytree
 from aleator._core.errors import ProblemError
-from aleator.uncertainty import AbstractDistribution, Placements, Toleranced, Uniform, with_laws
+from aleator.uncertainty import AbstractDistribution, Placements, Toleranced, Uniform, with_distributions
 
 SIGMAS = 3.0
 
@@ -36,31 +36,31 @@ def zones_of(places: Placements, tolerances: Mapping[str, Any]) -> dict[str, Zon
             f"{list(places.distributions)}."
         )
     return {
-        name: _given(law, tolerances[name]) if name in tolerances else zone_of(law)
-        for name, law in places.distributions.items()
+        name: _given(distribution, tolerances[name]) if name in tolerances else zone_of(distribution)
+        for name, distribution in places.distributions.items()
     }
 
 
-def zone_of(law: AbstractDistribution) -> Zone:
+def zone_of(distribution: AbstractDistribution) -> Zone:
     """The zone that a distribution itself implies, at the initial values of its decisions."""
-    law = law.initial()
-    if isinstance(law, Toleranced):
-        return Zone(*map(float, law.limits()))
-    lower, upper = map(float, law.support())
+    distribution = distribution.initial()
+    if isinstance(distribution, Toleranced):
+        return Zone(*map(float, distribution.limits()))
+    lower, upper = map(float, distribution.support())
     if np.isfinite([lower, upper]).all():
         return Zone(lower, upper)
-    middle, reach = float(law.mean()), SIGMAS * float(law.std())
+    middle, reach = float(distribution.mean()), SIGMAS * float(distribution.std())
     return Zone(middle - reach, middle + reach)
 
 
-def _given(law: AbstractDistribution, tolerance: Any) -> Zone:
+def _given(distribution: AbstractDistribution, tolerance: Any) -> Zone:
     minus, plus = tolerance if isinstance(tolerance, tuple) else (tolerance, tolerance)
     if not (np.isfinite([minus, plus]).all() and minus >= 0 and plus >= 0 and minus + plus > 0):
         raise ProblemError(f"tolerance_analysis: a tolerance is positive and finite; received {tolerance!r}.")
-    middle = float(law.initial().mean())
+    middle = float(distribution.initial().mean())
     return Zone(middle - minus, middle + plus)
 
 
 def in_zones(model: Pytree, zones: Mapping[str, Zone]) -> Pytree:
     """The model with each dimension free in its zone: uniform distributions, for the worst case."""
-    return with_laws(model, lambda name, _: Uniform.bounds(*zones[name]))
+    return with_distributions(model, lambda name, _: Uniform.bounds(*zones[name]))

@@ -39,7 +39,7 @@ def quality_of(
         },
         tolerance=tolerance,
         tangents={
-            text: dict(zip(transcribed.places.of_laws, np.asarray(one.tangents).tolist(), strict=True))
+            text: dict(zip(transcribed.places.of_distributions, np.asarray(one.tangents).tolist(), strict=True))
             for text, one in resolved.items()
             if one.tangents is not None
         },

@@ -19,7 +19,7 @@ def problem_text(problem: AbstractProblem) -> str:
     rows = [("minimise", str(problem.objective))]
     rows += _labelled("over", [_decision_text(name, place.decision) for name, place in places.decisions.items()])
     rows += _labelled("subject to", [f"{one.name}: {one}" for one in problem.constraints])
-    rows += _labelled("where", list(_law_texts(places.distributions)))
+    rows += _labelled("where", list(_distribution_texts(places.distributions)))
     rows += [
         _physics_row(problem),
         ("expansion", _expansion_text(problem, places.germs)),
@@ -36,18 +36,18 @@ def _decision_text(name: str, decision: object) -> str:
     return f"{name} ∈ [{lower}, {upper}], from {start}"
 
 
-def _law_texts(laws: Mapping[str, AbstractDistribution]) -> Iterator[str]:
+def _distribution_texts(distributions: Mapping[str, AbstractDistribution]) -> Iterator[str]:
     """A line for each distribution; numbered ones of one kind, such as the modes of a process, share theirs."""
-    for _, group in itertools.groupby(laws.items(), key=_numbered):
-        (first, law), *others = group
-        yield f"{first}{f' … {others[-1][0]}' if others else ''} ~ {law}"
+    for _, group in itertools.groupby(distributions.items(), key=_numbered):
+        (first, distribution), *others = group
+        yield f"{first}{f' … {others[-1][0]}' if others else ''} ~ {distribution}"
 
 
 def _numbered(named: tuple[str, AbstractDistribution]) -> tuple[str, str]:
-    """What numbered laws of one kind have in common: the name before the number, and the distribution."""
-    name, law = named
+    """What numbered distributions of one kind have in common: the name before the number, and the distribution."""
+    name, distribution = named
     before, _, number = name.rpartition(".")
-    return (before if number.isdigit() else name), str(law)
+    return (before if number.isdigit() else name), str(distribution)
 
 
 def _range(values: object) -> str:

@@ -87,7 +87,7 @@ class Expansion(eqx.Module):
             )
 
     def text(self, germs: Mapping[str, AbstractGerm]) -> str:
-        """What is wished for, in words, for the laws of the germ variables."""
+        """What is wished for, in words, for the distributions of the germ variables."""
         order = f"order up to {self.order}" if isinstance(self.index_set, Adaptive) else f"order {self.order}"
         return (
             f"{order} in {len(germs)} variables, {type(self.index_set).__name__} index set, "

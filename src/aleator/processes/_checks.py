@@ -30,7 +30,7 @@ def positive_number(owner: str, name: str, value: Any) -> float:
     return number
 
 
-def number_or_law(owner: str, name: str, value: Any) -> Any:
+def number_or_distribution(owner: str, name: str, value: Any) -> Any:
     """One number of a model: plain, uncertain, decided or traced by JAX. Raises `ProblemError` for anything else."""
     if isinstance(value, AbstractDistribution) or (isinstance(value, jax.Array) and value.ndim == 0):
         return value

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 from typing_extensions import override
 
 from aleator._core.errors import ExpansionWarning, ProblemError
-from aleator.processes._checks import number_or_law, plain_number
+from aleator.processes._checks import number_or_distribution, plain_number
 from aleator.processes._covariance import AbstractCovariance
 from aleator.processes._karhunen_loeve import karhunen_loeve, legendre
 from aleator.processes._total import common_span
@@ -77,7 +77,7 @@ class RandomProcess(AbstractSignal):
         self.covariance = covariance
         self.t_start, self.t_final = _interval(t_start, t_final)
         self.std = _spread(std)
-        self.mean = mean if isinstance(mean, AbstractSignal) else number_or_law("RandomProcess", "mean", mean)
+        self.mean = mean if isinstance(mean, AbstractSignal) else number_or_distribution("RandomProcess", "mean", mean)
         _check_size(energy, modes)
         duration = self.t_final - self.t_start
         found = karhunen_loeve(covariance, duration, _ENERGY if energy is None else float(energy), modes)
@@ -132,7 +132,7 @@ def _interval(t_start: float, t_final: float) -> tuple[float, float]:
 
 
 def _spread(std: Any) -> Any:
-    std = number_or_law("RandomProcess", "std", std)
+    std = number_or_distribution("RandomProcess", "std", std)
     lowest = std if isinstance(std, float) else float(std.lower) if isinstance(std, Decision) else 0.0
     if lowest < 0:
         raise ProblemError(f"RandomProcess: 'std' must not be negative; received {lowest:g}.")

@@ -11,33 +11,37 @@ from jaxtyping import Array, Float
 from aleator._core.arrays import Pytree
 from aleator._core.errors import ProblemError, SimulationError
 from aleator.ensemble import UNTRACEABLE, Function, concrete, name_of, real_array, uncertain_places
-from aleator.uncertainty import Normal, Placements, placements, realise, uncertain_numbers, with_laws
+from aleator.uncertainty import Normal, Placements, placements, realise, uncertain_numbers, with_distributions
 
 
 @final
 class Inputs:
     """What is uncertain in `function(model)`, with decisions at their initial values.
 
-    - `laws`: by name, decisions decided; `germs`: the distribution of each germ variable by name;
+    - `distributions`: by name, decisions decided; `germs`: the distribution of each germ variable by name;
     - `owned`: the germ variables that one input alone depends on, and it on nothing else, with that input's name.
     """
 
     def __init__(self, verb: str, function: Function, model: Pytree):
         self._places = uncertain_places(verb, function, model)
         # A standard normal number is its own germ: what stands in the place of its germ is the number itself.
-        self._verb, self._function, self._in_units = verb, function, with_laws(model, lambda *_: Normal(0.0, 1.0))
-        self.laws = {name: law.initial() for name, law in self._places.distributions.items()}
+        self._verb, self._function, self._in_units = (
+            verb,
+            function,
+            with_distributions(model, lambda *_: Normal(0.0, 1.0)),
+        )
+        self.distributions = {name: distribution.initial() for name, distribution in self._places.distributions.items()}
         self.germs = self._places.germs
-        needs = {name: law.germ_names(name) for name, law in self.laws.items()}
+        needs = {name: distribution.germ_names(name) for name, distribution in self.distributions.items()}
         uses = Counter(germ for names in needs.values() for germ in names)
         self.owned = {germs[0]: name for name, germs in needs.items() if len(germs) == 1 and uses[germs[0]] == 1}
 
     def numbers(self, germ: Float[Array, " variables"]) -> Float[Array, " inputs"]:
-        """The inputs at a germ point, in the order of `laws`."""
+        """The inputs at a germ point, in the order of `distributions`."""
         return jnp.stack(list(uncertain_numbers(self._places, germ, _initial(self._places)).values()))
 
     def outputs(self, values: Float[Array, " inputs"]) -> Pytree:
-        """The outputs at given values of the inputs, in their units and in the order of `laws`."""
+        """The outputs at given values of the inputs, in their units and in the order of `distributions`."""
         realised = realise(self._in_units, values, _initial(placements(self._in_units)))
         return jax.tree.map(lambda value: real_array(value, name_of(self._function), jnp), self._function(realised))
 
@@ -46,7 +50,7 @@ class Inputs:
         for leaf in jax.tree.leaves(expanded):
             known = concrete(leaf)
             if known is not None and not np.isfinite(known).all():
-                where = ", ".join(f"{name} ~ {law}" for name, law in self.laws.items())
+                where = ", ".join(f"{name} ~ {distribution}" for name, distribution in self.distributions.items())
                 raise SimulationError(
                     f"{self._verb}: the function or its derivative is not finite at the means of {where}. It needs a "
                     "function that is smooth there: use al.references.monte_carlo."

@@ -107,21 +107,21 @@ def linearise(function: Function, model: Pytree) -> Linearised:
     has no finite value or derivative at the means.
     """
     inputs = Inputs("linearise", function, model)
-    laws = tuple(inputs.laws.values())
-    means = jnp.stack([jnp.asarray(law.mean(), dtype=float) for law in laws])
-    stds = jnp.stack([jnp.asarray(law.std(), dtype=float) for law in laws])
+    distributions = tuple(inputs.distributions.values())
+    means = jnp.stack([jnp.asarray(distribution.mean(), dtype=float) for distribution in distributions])
+    stds = jnp.stack([jnp.asarray(distribution.std(), dtype=float) for distribution in distributions])
     outputs = traceable("linearise", inputs.outputs)
     mean = outputs(means)
     jacobian = jax.tree.map(lambda leaf: jnp.moveaxis(leaf, -1, 0), jax.jacfwd(outputs)(means))
     inputs.refuse_nonfinite((mean, jacobian))
-    covariance = _correlation(laws) * stds[:, None] * stds[None, :]
-    return Linearised(tuple(inputs.laws), means, covariance, mean, jacobian)
+    covariance = _correlation(distributions) * stds[:, None] * stds[None, :]
+    return Linearised(tuple(inputs.distributions), means, covariance, mean, jacobian)
 
 
-def _correlation(laws: Sequence[AbstractDistribution]) -> Float[Array, "inputs inputs"]:
+def _correlation(distributions: Sequence[AbstractDistribution]) -> Float[Array, "inputs inputs"]:
     """The correlation of the inputs, by Gauss quadrature of their copula where they are correlated."""
-    matrix = jnp.eye(len(laws))
-    for (i, one), (j, other) in itertools.combinations(enumerate(laws), 2):
+    matrix = jnp.eye(len(distributions))
+    for (i, one), (j, other) in itertools.combinations(enumerate(distributions), 2):
         first, second = one.dependence, other.dependence
         if first is not None and second is not None and first.group == second.group:
             factor = jnp.asarray(first.factor)

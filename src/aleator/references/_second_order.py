@@ -63,12 +63,11 @@ def second_order(function: Function, model: Pytree) -> SecondOrder:
     `linearise`.
     """
     inputs = Inputs("second_order", function, model)
-    for name, law in inputs.laws.items():
-        if law.dependence is not None and not isinstance(law.germ(), HermiteGerm):
+    for name, distribution in inputs.distributions.items():
+        if distribution.dependence is not None and not isinstance(distribution.germ(), HermiteGerm):
             raise ProblemError(
-                f"second_order: correlated inputs must be normal; received {name} ~ {law}. Use al.references.linearise "
-                "or "
-                "al.references.quasi_monte_carlo."
+                f"second_order: correlated inputs must be normal; received {name} ~ {distribution}. Use "
+                "al.references.linearise or al.references.quasi_monte_carlo."
             )
     variables = _variables(inputs)
 
@@ -96,7 +95,7 @@ def _variables(inputs: Inputs) -> _Variables:
     """Each variable at the nodes of its quadrature."""
     rules = [_rule(germ) for germ in inputs.germs.values()]
     points, weights = (np.stack(parts, axis=1) for parts in zip(*rules, strict=True))
-    numbers, names = jax.vmap(inputs.numbers)(jnp.asarray(points)), list(inputs.laws)
+    numbers, names = jax.vmap(inputs.numbers)(jnp.asarray(points)), list(inputs.distributions)
     values = [
         numbers[:, names.index(inputs.owned[germ])] if germ in inputs.owned else jnp.asarray(points[:, i])
         for i, germ in enumerate(inputs.germs)
@@ -117,12 +116,15 @@ def _values(inputs: Inputs, variables: Float[Array, " variables"]) -> Float[Arra
     """The inputs at given values of the independent variables."""
     germs = list(inputs.germs)
     owner = {name: germ for germ, name in inputs.owned.items()}
-    if len(owner) == len(inputs.laws):
-        return jnp.stack([variables[germs.index(owner[name])] for name in inputs.laws])
+    if len(owner) == len(inputs.distributions):
+        return jnp.stack([variables[germs.index(owner[name])] for name in inputs.distributions])
     # The others do not depend on the germ variables that are owned, which are no germ values here.
     numbers = inputs.numbers(jnp.where(jnp.asarray([germ in inputs.owned for germ in germs]), 0.0, variables))
     return jnp.stack(
-        [variables[germs.index(owner[name])] if name in owner else numbers[i] for i, name in enumerate(inputs.laws)]
+        [
+            variables[germs.index(owner[name])] if name in owner else numbers[i]
+            for i, name in enumerate(inputs.distributions)
+        ]
     )
 
 

@@ -16,11 +16,11 @@ from jaxtyping import Array, Float, Int
 
 from aleator._core.errors import ProblemError
 from aleator.expansion import Basis
-from aleator.statistics._line_law import LineLaw, line_law
+from aleator.statistics._line_distribution import LineDistribution, line_distribution
 from aleator.statistics._moments import root
 from aleator.uncertainty import HermiteGerm, LegendreGerm, SampleGerm
 
-# Of one number; of many at once fewer are used, see `_output_law`.
+# Of one number; of many at once fewer are used, see `_output_distribution`.
 _LINES = 2**14
 
 # How much lines through normal variables are preferred to others of the same share: the tails come from them.
@@ -85,7 +85,7 @@ class Lines(eqx.Module):
     - `degrees`: one where a term has degree `k` in that variable, shape (variables, orders, terms);
     - `rotation`: the lines through the normal variables, the last direction; None if there are none;
     - `contributing`: one where a term varies along a direction; `preference`: of each direction;
-    - `law`: of the variable along each direction.
+    - `distribution`: of the variable along each direction.
     """
 
     others: Float[Array, "variables lines terms"]
@@ -93,7 +93,7 @@ class Lines(eqx.Module):
     rotation: Rotation | None
     contributing: Float[Array, "directions terms"]
     preference: Float[Array, " directions"]
-    law: LineLaw
+    distribution: LineDistribution
 
     def weights(self, coefficients: Float[Array, " terms"]) -> Float[Array, " directions"]:
         """How much each direction counts: they add up to one, and lines along which nothing varies count nothing."""
@@ -107,13 +107,13 @@ class Lines(eqx.Module):
         """The expansion along the first `lines` lines of each direction, in its distribution's orthonormal
         polynomials.
         """
-        orders = self.law.monomials.shape[1]
+        orders = self.distribution.monomials.shape[1]
         by_degree = self.degrees * coefficients[None, None]
         along = jnp.einsum("vkt,vnt->kvn", by_degree, self.others[:, :lines])
         if self.rotation is None:
             return along
         powers = self.rotation.powers(coefficients, orders - 1, lines)
-        rotated = jnp.einsum("mk,mn->kn", self.law.from_powers[-1], powers)
+        rotated = jnp.einsum("mk,mn->kn", self.distribution.from_powers[-1], powers)
         return jnp.concatenate([along, rotated[:, None]], axis=1)
 
     @property
@@ -155,14 +155,14 @@ def lines_through(basis: Basis) -> Lines:
         rotation=_rotation(basis, normal, points[-1]) if normal else None,
         contributing=jnp.asarray([np.any(basis.indices[:, group] > 0, axis=1) for group in directions], dtype=float),
         preference=jnp.asarray([1.0] * len(single) + [_NORMAL_PREFERENCE] * bool(normal)),
-        law=line_law([germs[group[0]] for group in directions], orders),
+        distribution=line_distribution([germs[group[0]] for group in directions], orders),
     )
 
 
 def _nowhere() -> Lines:
     """Where no variable matters: one line along which the output stands still."""
     one = jnp.ones((1, 1, 1))
-    return Lines(one, one, None, jnp.zeros((1, 1)), jnp.ones(1), line_law([LegendreGerm()], 1))
+    return Lines(one, one, None, jnp.zeros((1, 1)), jnp.ones(1), line_distribution([LegendreGerm()], 1))
 
 
 def _points(basis: Basis, active: list[int], directions: int, seed: int) -> Float[np.ndarray, "lines variables"]:

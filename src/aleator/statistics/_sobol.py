@@ -138,17 +138,17 @@ def share(coefficients: Float[Array, "terms *shape"], selected: Float[Array, " t
     return jnp.where(spreads, jnp.tensordot(selected[1:], squares, axes=1) / jnp.where(spreads, total, 1.0), 0.0)
 
 
-def refuse_correlated(laws: Mapping[str, AbstractDistribution], kind: AbstractStatistic) -> None:
+def refuse_correlated(distributions: Mapping[str, AbstractDistribution], kind: AbstractStatistic) -> None:
     """Raise `ProblemError` for a Sobol index of a correlated input, which would be that of its germ variables.
 
     Those depend on the order in which the group was declared; the variance of correlated inputs has no such parts.
     """
     named = kind.variables if isinstance(kind, Sobol) else (kind.variable,) if isinstance(kind, TotalSobol) else ()
     groups = {
-        name: law.dependence.group
-        for place, law in laws.items()
-        if law.dependence is not None
-        for name in (place, *law.germ_names(place))
+        name: distribution.dependence.group
+        for place, distribution in distributions.items()
+        if distribution.dependence is not None
+        for name in (place, *distribution.germ_names(place))
     }
     for name in named:
         if name in groups:

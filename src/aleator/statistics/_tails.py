@@ -24,7 +24,7 @@ from aleator._core.errors import ProblemError
 from aleator._core.units import PURE
 from aleator.statistics._given import is_traced, level_given, number_given
 from aleator.statistics._lines import Lines, lines_through
-from aleator.statistics._output_law import OutputLaw, by_lines
+from aleator.statistics._output_distribution import OutputDistribution, by_lines
 from aleator.statistics._statistic import AbstractStatistic
 
 
@@ -43,10 +43,10 @@ class AbstractTail(AbstractStatistic):
 
     @override
     def of(self, coefficients: Float[Array, "terms *shape"], constants: Lines) -> Float[Array, "*shape"]:
-        return by_lines(self.of_law, coefficients, constants)
+        return by_lines(self.of_distribution, coefficients, constants)
 
     @abc.abstractmethod
-    def of_law(self, law: OutputLaw) -> Float[Array, ""]:
+    def of_distribution(self, distribution: OutputDistribution) -> Float[Array, ""]:
         """The statistic of one output."""
 
 
@@ -60,8 +60,8 @@ class Quantile(AbstractTail):
         self.level = level_given("Quantile", level)
 
     @override
-    def of_law(self, law: OutputLaw) -> Float[Array, ""]:
-        return law.mean + law.quantile(self.level)
+    def of_distribution(self, distribution: OutputDistribution) -> Float[Array, ""]:
+        return distribution.mean + distribution.quantile(self.level)
 
     @override
     def of_sample(self, values: Float[Array, "samples *shape"]) -> Float[Array, "*shape"]:
@@ -93,12 +93,12 @@ class ConditionalValueAtRisk(AbstractTail):
         self.level, self.lower = level_given("ConditionalValueAtRisk", level), bool(lower)
 
     @override
-    def of_law(self, law: OutputLaw) -> Float[Array, ""]:
+    def of_distribution(self, distribution: OutputDistribution) -> Float[Array, ""]:
         # The quantile is where this is extreme: its own derivative has no part in it.
-        quantile = law.nearly_quantile(self.level)
+        quantile = distribution.nearly_quantile(self.level)
         if self.lower:
-            return law.mean + quantile - law.shortfall(quantile) / self.level
-        return law.mean + quantile + law.excess(quantile) / (1 - self.level)
+            return distribution.mean + quantile - distribution.shortfall(quantile) / self.level
+        return distribution.mean + quantile + distribution.excess(quantile) / (1 - self.level)
 
     @override
     def of_sample(self, values: Float[Array, "samples *shape"]) -> Float[Array, "*shape"]:
@@ -141,9 +141,9 @@ class Probability(AbstractTail):
             )
 
     @override
-    def of_law(self, law: OutputLaw) -> Float[Array, ""]:
-        upper = jnp.ones(()) if self.below is None else law.below(self.below - law.mean)
-        lower = jnp.zeros(()) if self.above is None else law.below(self.above - law.mean)
+    def of_distribution(self, distribution: OutputDistribution) -> Float[Array, ""]:
+        upper = jnp.ones(()) if self.below is None else distribution.below(self.below - distribution.mean)
+        lower = jnp.zeros(()) if self.above is None else distribution.below(self.above - distribution.mean)
         return upper - lower
 
     @override
@@ -178,7 +178,9 @@ def cdf(
     values: Float[Array, " n"], coefficients: Float[Array, "terms *shape"], constants: Lines
 ) -> Float[Array, "n *shape"]:
     """The distribution function at some values: the probability of less, for each entry. Constants: `lines_through`."""
-    return _at_each(lambda law, value: law.below(value - law.mean), values, coefficients, constants)
+    return _at_each(
+        lambda distribution, value: distribution.below(value - distribution.mean), values, coefficients, constants
+    )
 
 
 def pdf(
@@ -188,12 +190,18 @@ def pdf(
 
     Where an output has an extremum along a line its density there is infinite, which shows as noise near the extremes.
     """
-    return _at_each(lambda law, value: law.density(value - law.mean), values, coefficients, constants)
+    return _at_each(
+        lambda distribution, value: distribution.density(value - distribution.mean), values, coefficients, constants
+    )
 
 
-def _at_each(function: Callable[[OutputLaw, Array], Array], values: Array, coefficients: Array, lines: Lines) -> Array:
+def _at_each(
+    function: Callable[[OutputDistribution, Array], Array], values: Array, coefficients: Array, lines: Lines
+) -> Array:
     values = jnp.asarray(values, dtype=float)
     if values.ndim != 1:
         raise ProblemError(f"cdf and pdf: expected values of shape (n,); received {values.shape}.")
-    found = by_lines(lambda law: jax.lax.map(lambda value: function(law, value), values), coefficients, lines)
+    found = by_lines(
+        lambda distribution: jax.lax.map(lambda value: function(distribution, value), values), coefficients, lines
+    )
     return jnp.moveaxis(found, -1, 0)

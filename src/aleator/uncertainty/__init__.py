@@ -34,7 +34,7 @@ from aleator.uncertainty._positive import refuse_nonpositive as refuse_nonpositi
 from aleator.uncertainty._realisation import named_numbers as named_numbers
 from aleator.uncertainty._realisation import realise as realise
 from aleator.uncertainty._realisation import uncertain_numbers as uncertain_numbers
-from aleator.uncertainty._realisation import with_laws as with_laws
+from aleator.uncertainty._realisation import with_distributions as with_distributions
 from aleator.uncertainty._tailed_families import Exponential as Exponential
 from aleator.uncertainty._tailed_families import Gumbel as Gumbel
 from aleator.uncertainty._tailed_families import LogNormal as LogNormal

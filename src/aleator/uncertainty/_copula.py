@@ -30,7 +30,7 @@ _SMALLEST_EIGENVALUE = 1e-10
 
 
 def correlated(
-    laws: Mapping[str, AbstractDistribution],
+    distributions: Mapping[str, AbstractDistribution],
     correlations: Mapping[tuple[str, str], float] | Float[np.ndarray, "n n"],
     *,
     name: str | None = None,
@@ -39,8 +39,8 @@ def correlated(
 
     `correlated({"k": Normal(5.0, 0.2), "c": Gamma(mean=2.0, std=0.3)}, {("k", "c"): 0.5})`. The correlations are
     Pearson's, of the numbers themselves; pairs that are not named are uncorrelated. A whole matrix may be given, with
-    its rows in the order of `laws`. Their joint distribution is a Gaussian copula, and `name` (default: the members'
-    names, joined) is the group's: a model holds a group of one name once.
+    its rows in the order of `distributions`. Their joint distribution is a Gaussian copula, and `name` (default: the
+    members' names, joined) is the group's: a model holds a group of one name once.
 
     Decisions may stand in the distributions. Those that set location and scale leave the correlations as given; where
     one sets a shape, the correlations are those at its initial value, and the copula stays.
@@ -48,37 +48,40 @@ def correlated(
     Raises `ProblemError` if the correlations make no matrix of correlations, or if these distributions cannot reach
     them.
     """
-    if not isinstance(laws, Mapping):
-        raise refusal("correlated", "distributions by name", laws)
-    members = tuple(laws)
-    for member, law in laws.items():
-        _check_member(member, law)
+    if not isinstance(distributions, Mapping):
+        raise refusal("correlated", "distributions by name", distributions)
+    members = tuple(distributions)
+    for member, distribution in distributions.items():
+        _check_member(member, distribution)
     if len(members) < 2:
         raise ProblemError(
             f"Correlated distributions are at least two; received {len(members)}. Place one distribution as it is."
         )
     pearson = _matrix(members, correlations)
     _check_matrix(pearson, members)
-    normal = _nataf(laws, pearson)
+    normal = _nataf(distributions, pearson)
     _refuse_indefinite(
         normal, "The correlations of the normal variables that these distributions need make no such matrix"
     )
     factor = np.linalg.cholesky(normal)
     group = name or "~".join(members)
     return {
-        member: law.correlated(Dependence(group, members, index, factor))
-        for index, (member, law) in enumerate(laws.items())
+        member: distribution.correlated(Dependence(group, members, index, factor))
+        for index, (member, distribution) in enumerate(distributions.items())
     }
 
 
-def _check_member(member: str, law: Any) -> None:
-    if not isinstance(law, AbstractDistribution):
-        raise ProblemError(f"'{member}': only distributions can be correlated; received {type(law).__name__} {law!r}.")
-    if law.dependence is not None:
+def _check_member(member: str, distribution: Any) -> None:
+    if not isinstance(distribution, AbstractDistribution):
         raise ProblemError(
-            f"'{member}' is correlated already, as {law.dependence}. Correlate all distributions in one group."
+            f"'{member}': only distributions can be correlated; received {type(distribution).__name__} "
+            f"{distribution!r}."
         )
-    if is_traced(law.initial().canonical().shape):
+    if distribution.dependence is not None:
+        raise ProblemError(
+            f"'{member}' is correlated already, as {distribution.dependence}. Correlate all distributions in one group."
+        )
+    if is_traced(distribution.initial().canonical().shape):
         raise ProblemError(
             f"'{member}': the shape of a correlated distribution cannot be traced by JAX, since the copula is built "
             "from it. "
@@ -148,22 +151,24 @@ def _refuse_indefinite(matrix: Float[np.ndarray, "n n"], what: str) -> None:
         )
 
 
-def _nataf(laws: Mapping[str, AbstractDistribution], pearson: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
+def _nataf(
+    distributions: Mapping[str, AbstractDistribution], pearson: Float[np.ndarray, "n n"]
+) -> Float[np.ndarray, "n n"]:
     """Correlations of the normals that give the distributions the correlations `pearson`."""
-    standard = {member: _standard_values(law) for member, law in laws.items()}
-    normal = np.eye(len(laws))
-    for (i, first), (j, second) in itertools.combinations(enumerate(laws), 2):
+    standard = {member: _standard_values(distribution) for member, distribution in distributions.items()}
+    normal = np.eye(len(distributions))
+    for (i, first), (j, second) in itertools.combinations(enumerate(distributions), 2):
         if pearson[i, j] != 0:
             pair = standard[first], standard[second]
             normal[i, j] = normal[j, i] = _normal_correlation(pearson[i, j], *pair, names=(first, second))
     return normal
 
 
-def _standard_values(law: AbstractDistribution) -> Float[np.ndarray, " n"]:
+def _standard_values(distribution: AbstractDistribution) -> Float[np.ndarray, " n"]:
     """The distribution's numbers at `_NORMALS`, less their mean and over their standard deviation."""
-    shape = law.concrete_shape()
+    shape = distribution.concrete_shape()
     with jax.ensure_compile_time_eval():
-        values = np.asarray(jax.vmap(lambda normal: law.from_normal(normal, shape))(jnp.asarray(_NORMALS)))
+        values = np.asarray(jax.vmap(lambda normal: distribution.from_normal(normal, shape))(jnp.asarray(_NORMALS)))
     values = values - _PROBABILITIES @ values
     return values / np.sqrt(_PROBABILITIES @ values**2)
 

@@ -39,13 +39,17 @@ class Placements(NamedTuple):
     @property
     def germ_names(self) -> tuple[str, ...]:
         """The name of each germ variable, in the order of the germ vector."""
-        names = (name for place, law in self.distributions.items() for name in law.germ_names(place))
+        names = (name for place, distribution in self.distributions.items() for name in distribution.germ_names(place))
         return tuple(dict.fromkeys(names))
 
     @property
     def germs(self) -> dict[str, AbstractGerm]:
         """The distribution of each germ variable by name, in the order of the germ vector."""
-        return {name: germ for place, law in self.distributions.items() for name, germ in law.germs(place).items()}
+        return {
+            name: germ
+            for place, distribution in self.distributions.items()
+            for name, germ in distribution.germs(place).items()
+        }
 
     @property
     def size(self) -> int:
@@ -53,9 +57,11 @@ class Placements(NamedTuple):
         return sum(np.size(place.decision.initial) for place in self.decisions.values())
 
     @property
-    def of_laws(self) -> dict[str, int]:
+    def of_distributions(self) -> dict[str, int]:
         """Where the decisions that are parameters of distributions stand in the decision vector, by `entry_names`."""
-        owned = {name for place, law in self.distributions.items() for name, _ in _decisions_in(place, law)}
+        owned = {
+            name for place, distribution in self.distributions.items() for name, _ in _decisions_in(place, distribution)
+        }
         every = self.entry_names()
         return {every[i]: i for name in owned for i in range(self.size)[self.decisions[name].where]}
 
@@ -124,7 +130,7 @@ def placements(model: Pytree) -> Placements:
             length = np.size(decision.initial)
             decisions[key] = Place(key, decision, slice(size, size + length))
             size += length
-    check_groups({name: law.dependence for name, law in distributions.items()})
+    check_groups({name: distribution.dependence for name, distribution in distributions.items()})
     return Placements(distributions, decisions)
 
 
@@ -140,11 +146,11 @@ def _decisions_in(name: str, leaf: Any) -> Iterator[tuple[str, Decision]]:
 def _named_by(name: str, leaf: Any) -> Iterator[tuple[str, Any]]:
     """Everything that one leaf gives a name: itself and, of a distribution, its parameters, moments and decisions."""
     yield name, leaf
-    law = free(leaf)
-    if isinstance(law, AbstractDistribution):
-        parts = {"mean": law, "std": law} | law.parameters
+    distribution = free(leaf)
+    if isinstance(distribution, AbstractDistribution):
+        parts = {"mean": distribution, "std": distribution} | distribution.parameters
         yield from ((f"{name}.{part}", owner) for part, owner in parts.items())
-        yield from _decisions_in(name, law)
+        yield from _decisions_in(name, distribution)
 
 
 def _is_shared(owner: Any) -> bool:

@@ -41,9 +41,9 @@ def uncertain_numbers(
     """The values of a model's distributions at one germ point, by name."""
     variables = dict(zip(places.germ_names, germ, strict=True))
     values = {}
-    for name, law in places.distributions.items():
-        own = tuple(variables[variable] for variable in law.germ_names(name))
-        values[name] = _decided(law, name, places, decisions).realised(own, law.reference())
+    for name, distribution in places.distributions.items():
+        own = tuple(variables[variable] for variable in distribution.germ_names(name))
+        values[name] = _decided(distribution, name, places, decisions).realised(own, distribution.reference())
     return values
 
 
@@ -53,10 +53,10 @@ def _chosen(places: Placements, decisions: Float[Array, " n"], name: str) -> Flo
 
 
 def _decided(
-    law: AbstractDistribution, name: str, places: Placements, decisions: Float[Array, " n"]
+    distribution: AbstractDistribution, name: str, places: Placements, decisions: Float[Array, " n"]
 ) -> AbstractDistribution:
     """The distribution called `name` with its decisions at their current values."""
-    return law.decided(
+    return distribution.decided(
         lambda parameter, decision: _chosen(places, decisions, decision.shared_name or f"{name}.{parameter}")
     )
 
@@ -73,9 +73,11 @@ def named_numbers(model: Pytree, decisions: Float[Array, " n"]) -> dict[str, Any
         if isinstance(leaf, Decision):
             numbers[name] = _chosen(places, decisions, name)
         elif is_leaf(leaf):
-            law = _decided(free(leaf), name, places, decisions)
-            moments = {"mean": law.mean(), "std": law.std()}
-            numbers |= {f"{name}.{key}": jnp.asarray(value) for key, value in (moments | law.parameters).items()}
+            distribution = _decided(free(leaf), name, places, decisions)
+            moments = {"mean": distribution.mean(), "std": distribution.std()}
+            numbers |= {
+                f"{name}.{key}": jnp.asarray(value) for key, value in (moments | distribution.parameters).items()
+            }
         elif is_number(leaf) or _is_whole(leaf):
             numbers[name] = jnp.asarray(leaf, dtype=float)
     return numbers
@@ -88,7 +90,7 @@ def _is_whole(leaf: Any) -> bool:
     return isinstance(leaf, int) or jnp.issubdtype(getattr(leaf, "dtype", None) or bool, jnp.integer)
 
 
-def with_laws(model: Pytree, choose: Callable[[str, AbstractDistribution], AbstractDistribution]) -> Pytree:
+def with_distributions(model: Pytree, choose: Callable[[str, AbstractDistribution], AbstractDistribution]) -> Pytree:
     """The model with `choose(name, distribution)` in the place of each of its distributions; what was shared stays
     shared.
     """
@@ -96,8 +98,8 @@ def with_laws(model: Pytree, choose: Callable[[str, AbstractDistribution], Abstr
     def change(name: str, leaf: Any) -> Any:
         if not isinstance(leaf, AbstractDistribution):
             return leaf
-        law = choose(name, leaf)
-        return law.shared(leaf.shared_name) if leaf.shared_name else law
+        distribution = choose(name, leaf)
+        return distribution.shared(leaf.shared_name) if leaf.shared_name else distribution
 
     return _with_leaves(model, change)
 

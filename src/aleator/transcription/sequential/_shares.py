@@ -70,7 +70,7 @@ def share_of(
 
     Derivatives are taken forward: few decisions, thousands of rows.
     """
-    parameters = tuple(problem.placements.of_laws.values())
+    parameters = tuple(problem.placements.of_distributions.values())
 
     def contributed(x: Array) -> tuple[tuple[Terms, tuple], tuple]:
         samples, terms = simulated(problem, functionals, points, fit, scenarios, x)
@@ -82,9 +82,9 @@ def share_of(
 
     # Tangents in front: behind, the shortest of all axes would be the one that loops run over.
     (terms, _), (slopes, looked_at), samples = jax.vmap(along, out_axes=(None, 0, None))(jnp.eye(decisions.size))
-    of_laws = tuple(jnp.moveaxis(one, 0, -1)[..., jnp.array(parameters)] for one in looked_at)
+    of_distributions = tuple(jnp.moveaxis(one, 0, -1)[..., jnp.array(parameters)] for one in looked_at)
     finite = jnp.array([jnp.isfinite(one).all() for one in samples]).all()
-    return Share(samples, finite, of_laws or (None,) * len(functionals), terms, slopes)
+    return Share(samples, finite, of_distributions or (None,) * len(functionals), terms, slopes)
 
 
 def combined(

@@ -14,7 +14,7 @@ from jaxtyping import Array, Bool, Float
 
 from aleator._core.arrays import Scalar
 from aleator.statistics._crossings import bracketed_roots, extrema, horner, slope
-from aleator.statistics._line_law import LineLaw
+from aleator.statistics._line_distribution import LineDistribution
 from aleator.statistics._lines import Lines
 from aleator.statistics._moments import root
 from aleator.statistics._statistic import entry_by_entry
@@ -32,7 +32,7 @@ _FEWEST = 64
 
 
 @final
-class OutputLaw(eqx.Module):
+class OutputDistribution(eqx.Module):
     """One output along lines.
 
     - `mean`, `std`: of its expansion;
@@ -49,14 +49,14 @@ class OutputLaw(eqx.Module):
     edges: Float[Array, "edges directions lines"]
     edge_levels: Float[Array, "edges directions lines"]
     weights: Float[Array, " directions"]
-    law: LineLaw
+    distribution: LineDistribution
 
     def below(self, threshold: Scalar) -> Float[Array, ""]:
         """The probability of less than the mean plus `threshold`."""
         return self._below(threshold, *self._crossings(threshold))
 
     def _below(self, threshold: Scalar, crossings: Array, rising: Array) -> Float[Array, ""]:
-        levels = self.law.partial_moments(crossings, 1)[..., 0]
+        levels = self.distribution.partial_moments(crossings, 1)[..., 0]
         below = jnp.sum(_differences(self.edge_levels, levels, rising), axis=0)
         # Its derivative is that of the crossings times the density there: no table need be differentiated.
         heights = horner(self.powers.at[0].add(-threshold), crossings)
@@ -88,7 +88,9 @@ class OutputLaw(eqx.Module):
         """The partial moments of each line's distribution over where the output is below the threshold."""
         # Nothing goes beyond the threshold at the threshold itself: how the crossings move has no part in it.
         crossings, rising = self._crossings(threshold)
-        at_edges, at_crossings = (self.law.partial_moments(x, len(self.series)) for x in (self.edges, crossings))
+        at_edges, at_crossings = (
+            self.distribution.partial_moments(x, len(self.series)) for x in (self.edges, crossings)
+        )
         return jnp.moveaxis(jnp.sum(_differences(at_edges, at_crossings, rising[..., None]), axis=0), -1, 0)
 
     def quantile(self, level: Scalar) -> Float[Array, ""]:
@@ -147,7 +149,7 @@ class OutputLaw(eqx.Module):
         """The probability density of the output that each crossing contributes."""
         slopes = jnp.abs(slope(self.powers, crossings))
         regular = self._is_inside(jax.lax.stop_gradient(crossings)) & (slopes > 0)
-        return jnp.where(regular, self.law.density(crossings) / jnp.where(regular, slopes, 1.0), 0.0)
+        return jnp.where(regular, self.distribution.density(crossings) / jnp.where(regular, slopes, 1.0), 0.0)
 
     def _average(self, of_lines: Float[Array, "directions lines"]) -> Float[Array, ""]:
         return self.weights @ jnp.mean(of_lines, axis=1)
@@ -163,7 +165,7 @@ def _differences(
 
 
 def by_lines(
-    of_law: Callable[[OutputLaw], Array], coefficients: Float[Array, "terms *shape"], lines: Lines
+    of_distribution: Callable[[OutputDistribution], Array], coefficients: Float[Array, "terms *shape"], lines: Lines
 ) -> Float[Array, "..."]:
     """A function of the distribution of each entry.
 
@@ -174,21 +176,23 @@ def by_lines(
     share = max(_IN_ALL // (max(entries, 1) * directions), _FEWEST)
     count = min(lines.count, 2 ** int(math.log2(share)))
     together = max(1, _AT_ONCE // (count * directions))
-    return entry_by_entry(lambda terms: of_law(output_law(terms, lines, count)), coefficients, together)
+    return entry_by_entry(
+        lambda terms: of_distribution(output_distribution(terms, lines, count)), coefficients, together
+    )
 
 
-def output_law(coefficients: Float[Array, " terms"], lines: Lines, count: int) -> OutputLaw:
+def output_distribution(coefficients: Float[Array, " terms"], lines: Lines, count: int) -> OutputDistribution:
     """The distribution of an output, by up to `count` lines in each direction."""
     series = lines.polynomials(coefficients.at[0].set(0.0), count)
-    powers = jnp.einsum("vkm,kvn->mvn", lines.law.monomials, series)
+    powers = jnp.einsum("vkm,kvn->mvn", lines.distribution.monomials, series)
     edges = extrema(jax.lax.stop_gradient(powers))
-    return OutputLaw(
+    return OutputDistribution(
         mean=coefficients[0],
         std=root(jnp.sum(coefficients[1:] ** 2)),
         series=series,
         powers=powers,
         edges=edges,
-        edge_levels=lines.law.partial_moments(edges, 1)[..., 0],
+        edge_levels=lines.distribution.partial_moments(edges, 1)[..., 0],
         weights=lines.weights(coefficients.at[0].set(0.0)),
-        law=lines.law,
+        distribution=lines.distribution,
     )

@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 from aleator.uncertainty import AbstractGerm
 
 _CELLS = 2048
-_POWER = 4  # two square roots, see `LineLaw`
+_POWER = 4  # two square roots, see `LineDistribution`
 
 # An unbounded distribution ends where double precision cannot tell its distribution function from 0 or 1.
 _LEAST_LEVEL = 2.0**-53
@@ -26,8 +26,8 @@ _LEAST_DISTANCE = 1e-60
 
 
 @final
-class LineLaw(eqx.Module):
-    """The laws of several variables, each scaled to [-1, 1], with `orders` polynomials of each.
+class LineDistribution(eqx.Module):
+    """The distributions of several variables, each scaled to [-1, 1], with `orders` polynomials of each.
 
     - `table`: of the partial moments, shape (variables, 2 ends, cells, 4, orders);
     - `monomials[v, k, m]`: the coefficient of `x^m` in `p_k`;
@@ -59,14 +59,14 @@ class LineLaw(eqx.Module):
         return self.table[variable, (x > 0).astype(int), cell, :, :orders], root * _CELLS - cell, root
 
 
-def line_law(germs: list[AbstractGerm], orders: int) -> LineLaw:
-    """Tabulate the laws of some germ variables."""
+def line_distribution(germs: list[AbstractGerm], orders: int) -> LineDistribution:
+    """Tabulate the distributions of some germ variables."""
     ends = [finite_ends(germ) for germ in germs]
     both = list(zip(germs, ends, strict=True))
     monomials = [_monomials(germ, *end, orders) for germ, end in both]
     powers = [np.linalg.inv(_monomials(germ, -1.0, 1.0, orders)) for germ in germs]
     table = [_table(germ, *end, orders) for germ, end in both]
-    return LineLaw(*(jnp.asarray(np.stack(one)) for one in (table, monomials, powers)))
+    return LineDistribution(*(jnp.asarray(np.stack(one)) for one in (table, monomials, powers)))
 
 
 def finite_ends(germ: AbstractGerm) -> tuple[float, float]:

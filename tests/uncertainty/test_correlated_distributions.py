@@ -36,7 +36,7 @@ from compiling import compiled
 NONE = jnp.zeros(0)
 DATA = np.random.default_rng(8).gamma(3.0, size=200)
 
-LAWS = {
+DISTRIBUTIONS = {
     "normal": Normal(1.0, 0.2),
     "uniform": Uniform(3.0, half_width=1.0),
     "lognormal": LogNormal(mean=2.0, std=0.8),
@@ -54,7 +54,7 @@ LAWS = {
 
 
 def pair(first, second, correlation):
-    return correlated({"a": LAWS[first], "b": LAWS[second]}, {("a", "b"): correlation})
+    return correlated({"a": DISTRIBUTIONS[first], "b": DISTRIBUTIONS[second]}, {("a", "b"): correlation})
 
 
 def moments_by_quadrature(model, count=64):
@@ -89,8 +89,8 @@ def test_the_numbers_have_the_given_correlation_and_keep_their_own_moments(first
     mean, std, found = moments_by_quadrature(pair(first, second, correlation))
     assert found == pytest.approx(correlation, abs=accuracy)
     for i, name in enumerate((first, second)):
-        assert mean[i] == pytest.approx(float(LAWS[name].mean()), rel=10 * accuracy)
-        assert std[i] == pytest.approx(float(LAWS[name].std()), rel=30 * accuracy)
+        assert mean[i] == pytest.approx(float(DISTRIBUTIONS[name].mean()), rel=10 * accuracy)
+        assert std[i] == pytest.approx(float(DISTRIBUTIONS[name].std()), rel=30 * accuracy)
 
 
 def test_data_and_a_normal_have_the_correlation_that_was_given_in_closed_form():
@@ -103,22 +103,24 @@ def test_data_and_a_normal_have_the_correlation_that_was_given_in_closed_form():
 def test_normals_have_the_correlation_that_was_given_and_lognormals_that_of_the_closed_form():
     assert pair("normal", "toleranced", 0.3)["b"].dependence.factor[1, 0] == pytest.approx(0.3, rel=1e-13)
     s, t = np.sqrt(np.log(1 + 0.4**2)), np.sqrt(np.log(1 + 0.3**2))
-    laws = {"a": LogNormal(mean=2.0, std=0.8), "b": LogNormal(mean=1.0, std=0.3, lower=0.0)}
+    distributions = {"a": LogNormal(mean=2.0, std=0.8), "b": LogNormal(mean=1.0, std=0.3, lower=0.0)}
     for r in (0.9, 0.2, -0.7):
-        rho = correlated(laws, {("a", "b"): r})["b"].dependence.factor[1, 0]
+        rho = correlated(distributions, {("a", "b"): r})["b"].dependence.factor[1, 0]
         assert rho == pytest.approx(np.log(1 + r * 0.4 * 0.3) / (s * t), rel=1e-12)
 
 
 def test_uniforms_have_the_closed_form_of_their_normals_correlation():
     for r in (-0.9, 0.1, 0.6, 0.95):
-        rho = correlated({"a": LAWS["uniform"], "b": LAWS["uniform"]}, {("a", "b"): r})["b"].dependence.factor[1, 0]
+        rho = correlated({"a": DISTRIBUTIONS["uniform"], "b": DISTRIBUTIONS["uniform"]}, {("a", "b"): r})[
+            "b"
+        ].dependence.factor[1, 0]
         assert rho == pytest.approx(2 * np.sin(np.pi * r / 6), rel=1e-7)
 
 
 def test_realisations_are_those_of_openturns_normal_copula():
     r = np.array([[1.0, 0.4, -0.2], [0.4, 1.0, 0.3], [-0.2, 0.3, 1.0]])
-    laws = {"a": Normal(1.0, 0.2), "b": Gamma(shape=4.0, scale=0.5), "c": Weibull(2.0, 1.5)}
-    model = correlated(laws, r)
+    distributions = {"a": Normal(1.0, 0.2), "b": Gamma(shape=4.0, scale=0.5), "c": Weibull(2.0, 1.5)}
+    model = correlated(distributions, r)
     factor = model["a"].dependence.factor
     marginals = [ot.Normal(1.0, 0.2), ot.Gamma(4.0, 2.0), ot.WeibullMin(2.0, 1.5)]
     joint = ot.JointDistribution(marginals, ot.NormalCopula(ot.CorrelationMatrix((factor @ factor.T).tolist())))
@@ -133,25 +135,29 @@ def test_realisations_are_those_of_openturns_normal_copula():
 
 
 def test_a_matrix_and_named_pairs_say_the_same():
-    laws = {name: LAWS[name] for name in ("normal", "gumbel", "weibull")}
-    by_pairs = correlated(laws, {("weibull", "normal"): 0.4, ("normal", "gumbel"): -0.2})
-    by_matrix = correlated(laws, [[1.0, -0.2, 0.4], [-0.2, 1.0, 0.0], [0.4, 0.0, 1.0]])
+    distributions = {name: DISTRIBUTIONS[name] for name in ("normal", "gumbel", "weibull")}
+    by_pairs = correlated(distributions, {("weibull", "normal"): 0.4, ("normal", "gumbel"): -0.2})
+    by_matrix = correlated(distributions, [[1.0, -0.2, 0.4], [-0.2, 1.0, 0.0], [0.4, 0.0, 1.0]])
     assert eqx.tree_equal(by_pairs, by_matrix)
 
 
 def test_a_group_has_one_normal_germ_variable_for_each_member_wherever_the_members_are_placed():
-    laws = correlated({"k": LAWS["lognormal"], "c": LAWS["gamma"]}, {("k", "c"): 0.5}, name="spring")
-    model = {"rear": {"damper": laws["c"]}, "x": Uniform(0.0, half_width=1.0), "front": laws["k"]}
+    distributions = correlated(
+        {"k": DISTRIBUTIONS["lognormal"], "c": DISTRIBUTIONS["gamma"]}, {("k", "c"): 0.5}, name="spring"
+    )
+    model = {"rear": {"damper": distributions["c"]}, "x": Uniform(0.0, half_width=1.0), "front": distributions["k"]}
     places = placements(model)
     assert set(places.germs) == {"spring.k", "spring.c", "x"}
     assert places.germs["spring.c"] == HermiteGerm()
-    only_second = placements({"damper": laws["c"]})
+    only_second = placements({"damper": distributions["c"]})
     assert only_second.germ_names == ("spring.k", "spring.c")
 
 
-def test_every_member_keeps_its_own_law_whatever_its_place_in_the_group():
+def test_every_member_keeps_its_own_distribution_whatever_its_place_in_the_group():
     names = ("beta", "gamma", "triangular")
-    model = correlated({name: LAWS[name] for name in names}, {("beta", "gamma"): 0.5, ("gamma", "triangular"): -0.3})
+    model = correlated(
+        {name: DISTRIBUTIONS[name] for name in names}, {("beta", "gamma"): 0.5, ("gamma", "triangular"): -0.3}
+    )
     factor = model["beta"].dependence.factor
     germ = np.array([0.7, -1.2, 0.4])
     real = realise(model, jnp.asarray(germ), NONE)
@@ -161,7 +167,7 @@ def test_every_member_keeps_its_own_law_whatever_its_place_in_the_group():
 
 
 def test_realisation_is_the_same_compiled_and_with_numbers_as_arrays():
-    model = correlated({"a": LAWS["gamma"], "b": LAWS["weibull"]}, {("a", "b"): 0.5})
+    model = correlated({"a": DISTRIBUTIONS["gamma"], "b": DISTRIBUTIONS["weibull"]}, {("a", "b"): 0.5})
     germ = jnp.array([0.3, -0.8])
     single = realise(model, germ, NONE)
     arrays = numbers_to_arrays(model)
@@ -171,9 +177,9 @@ def test_realisation_is_the_same_compiled_and_with_numbers_as_arrays():
     assert placements(arrays).germ_names == placements(model).germ_names
 
 
-def test_decisions_inside_correlated_laws_move_them_and_leave_the_copula():
-    laws = {"a": Normal(1.0, Decision(0.2, 0.0, 1.0)), "b": Gamma(mean=Decision(2.0, 1.0, 4.0), std=1.0)}
-    model = correlated(laws, {("a", "b"): 0.5})
+def test_decisions_inside_correlated_distributions_move_them_and_leave_the_copula():
+    distributions = {"a": Normal(1.0, Decision(0.2, 0.0, 1.0)), "b": Gamma(mean=Decision(2.0, 1.0, 4.0), std=1.0)}
+    model = correlated(distributions, {("a", "b"): 0.5})
     fixed = correlated({"a": Normal(1.0, 0.2), "b": Gamma(mean=2.0, std=1.0)}, {("a", "b"): 0.5})
     factor = fixed["a"].dependence.factor
     assert np.array_equal(model["a"].dependence.factor, factor)
@@ -197,7 +203,7 @@ def test_a_spread_may_be_differentiated_from_outside_and_a_shape_may_not():
     germ = jnp.array([0.4, -0.9])
 
     def number(s, make):
-        return realise(correlated({"a": LAWS["normal"], "b": make(s)}, {("a", "b"): 0.5}), germ, NONE)["b"]
+        return realise(correlated({"a": DISTRIBUTIONS["normal"], "b": make(s)}, {("a", "b"): 0.5}), germ, NONE)["b"]
 
     normal = 0.5 * 0.4 - np.sqrt(0.75) * 0.9
     assert float(jax.grad(number)(0.3, lambda s: Normal(1.0, s))) == pytest.approx(normal, rel=1e-12)
@@ -206,28 +212,28 @@ def test_a_spread_may_be_differentiated_from_outside_and_a_shape_may_not():
             jax.grad(number)(0.3, make)
 
 
-def test_a_member_held_at_its_mean_leaves_the_law_of_the_others():
-    laws = correlated({"a": LAWS["normal"], "b": LAWS["gamma"]}, {("a", "b"): 0.5})
-    model = {"a": at_means(laws["a"]), "b": laws["b"]}
+def test_a_member_held_at_its_mean_leaves_the_distribution_of_the_others():
+    distributions = correlated({"a": DISTRIBUTIONS["normal"], "b": DISTRIBUTIONS["gamma"]}, {("a", "b"): 0.5})
+    model = {"a": at_means(distributions["a"]), "b": distributions["b"]}
     assert placements(model).germ_names == ("a~b.a", "a~b.b")
     real = realise(model, jnp.array([0.4, -0.9]), NONE)
     assert float(real["a"]) == 1.0
-    assert float(real["b"]) == float(realise(laws, jnp.array([0.4, -0.9]), NONE)["b"])
+    assert float(real["b"]) == float(realise(distributions, jnp.array([0.4, -0.9]), NONE)["b"])
 
 
 def test_a_member_may_stand_at_two_places_if_it_is_said_to_be_one():
-    laws = correlated({"a": LAWS["normal"], "b": LAWS["gumbel"]}, {("a", "b"): 0.5})
+    distributions = correlated({"a": DISTRIBUTIONS["normal"], "b": DISTRIBUTIONS["gumbel"]}, {("a", "b"): 0.5})
     with pytest.raises(ProblemError, match="'a' of the correlated group 'a~b' is placed twice, at 'x' and at 'y'"):
-        placements({"x": laws["a"], "y": laws["a"], "z": laws["b"]})
-    shared = laws["a"].shared("s")
-    real = realise({"x": shared, "y": shared, "z": laws["b"]}, jnp.array([0.5, 0.1]), NONE)
+        placements({"x": distributions["a"], "y": distributions["a"], "z": distributions["b"]})
+    shared = distributions["a"].shared("s")
+    real = realise({"x": shared, "y": shared, "z": distributions["b"]}, jnp.array([0.5, 0.1]), NONE)
     assert float(real["x"]) == float(real["y"]) == pytest.approx(1.1, rel=1e-14)
 
 
 def test_two_groups_need_two_names():
-    first = correlated({"a": LAWS["normal"], "b": LAWS["gumbel"]}, {("a", "b"): 0.5})
-    again = correlated({"a": LAWS["normal"], "b": LAWS["gumbel"]}, {("a", "b"): 0.2})
-    other = correlated({"a": LAWS["normal"], "b": LAWS["gumbel"]}, {("a", "b"): 0.2}, name="other")
+    first = correlated({"a": DISTRIBUTIONS["normal"], "b": DISTRIBUTIONS["gumbel"]}, {("a", "b"): 0.5})
+    again = correlated({"a": DISTRIBUTIONS["normal"], "b": DISTRIBUTIONS["gumbel"]}, {("a", "b"): 0.2})
+    other = correlated({"a": DISTRIBUTIONS["normal"], "b": DISTRIBUTIONS["gumbel"]}, {("a", "b"): 0.2}, name="other")
     with pytest.raises(ProblemError, match=r"'a~b' names two groups.*name=.*"):
         placements({"x": first["a"], "y": again["b"]})
     with pytest.raises(ProblemError, match="placed twice"):
@@ -237,12 +243,15 @@ def test_two_groups_need_two_names():
         ProblemError, match=r"'g\.a' names a germ variable of a correlated group and an independent distribution"
     ):
         placements(
-            {"x": correlated({"a": LAWS["normal"], "b": LAWS["normal"]}, {}, name="g"), "g": {"a": Normal(0.0, 1.0)}}
+            {
+                "x": correlated({"a": DISTRIBUTIONS["normal"], "b": DISTRIBUTIONS["normal"]}, {}, name="g"),
+                "g": {"a": Normal(0.0, 1.0)},
+            }
         )
 
 
-TWO = {"a": LAWS["normal"], "b": LAWS["uniform"]}
-THREE = TWO | {"c": LAWS["gumbel"]}
+TWO = {"a": DISTRIBUTIONS["normal"], "b": DISTRIBUTIONS["uniform"]}
+THREE = TWO | {"c": DISTRIBUTIONS["gumbel"]}
 
 
 @pytest.mark.parametrize(
@@ -267,11 +276,13 @@ THREE = TWO | {"c": LAWS["gumbel"]}
             lambda: correlated(THREE, {("a", "b"): 0.9, ("b", "c"): 0.9, ("a", "c"): -0.9}),
             "contradict each other.*positive definite.*smallest eigenvalue -0.8.*closer to 0",
         ),
-        (lambda: correlated({"a": LAWS["normal"]}, {}), "at least two; received 1"),
-        (lambda: correlated({"a": 3.0, "b": LAWS["normal"]}, {}), "'a': only distributions can be correlated"),
+        (lambda: correlated({"a": DISTRIBUTIONS["normal"]}, {}), "at least two; received 1"),
+        (lambda: correlated({"a": 3.0, "b": DISTRIBUTIONS["normal"]}, {}), "'a': only distributions can be correlated"),
         (lambda: correlated(correlated(TWO, {}), {}), "'a' is correlated already"),
         (
-            lambda: correlated({"a": LAWS["exponential"], "b": LAWS["exponential"]}, {("a", "b"): -0.8}),
+            lambda: correlated(
+                {"a": DISTRIBUTIONS["exponential"], "b": DISTRIBUTIONS["exponential"]}, {("a", "b"): -0.8}
+            ),
             r"'a' and 'b' cannot be correlated by -0.8: .*between -0.64",
         ),
     ],
@@ -283,7 +294,7 @@ def test_correlations_that_cannot_be_are_refused_with_the_entry_and_the_remedy(m
 
 def test_the_lowest_correlation_of_two_exponentials_is_one_less_pi_squared_over_six():
     lowest = 1 - np.pi**2 / 6
-    laws = {"a": LAWS["exponential"], "b": LAWS["exponential"]}
-    correlated(laws, {("a", "b"): lowest + 1e-3})
+    distributions = {"a": DISTRIBUTIONS["exponential"], "b": DISTRIBUTIONS["exponential"]}
+    correlated(distributions, {("a", "b"): lowest + 1e-3})
     with pytest.raises(ProblemError, match=f"{lowest:.3f}"):
-        correlated(laws, {("a", "b"): lowest - 1e-3})
+        correlated(distributions, {("a", "b"): lowest - 1e-3})
