@@ -254,7 +254,7 @@ def test_a_distribution_that_contradicts_itself_is_refused(name):
 
 
 def test_a_shape_without_transport_is_refused():
-    with pytest.raises(al.ProblemError, match=r"Shaped has a shape \(2\.0,\) and no transport"):
+    with pytest.raises(al.ProblemError, match=r"Shaped has a shape \(2\.0,\) but no transport"):
         Shaped(0.0, 1.0)
 
 

@@ -276,14 +276,14 @@ THREE = TWO | {"c": DISTRIBUTIONS["gumbel"]}
             lambda: correlated(THREE, {("a", "b"): 0.9, ("b", "c"): 0.9, ("a", "c"): -0.9}),
             "contradict each other.*positive definite.*smallest eigenvalue -0.8.*closer to 0",
         ),
-        (lambda: correlated({"a": DISTRIBUTIONS["normal"]}, {}), "at least two; received 1"),
+        (lambda: correlated({"a": DISTRIBUTIONS["normal"]}, {}), "at least two distributions; received 1"),
         (lambda: correlated({"a": 3.0, "b": DISTRIBUTIONS["normal"]}, {}), "'a': only distributions can be correlated"),
         (lambda: correlated(correlated(TWO, {}), {}), "'a' is correlated already"),
         (
             lambda: correlated(
                 {"a": DISTRIBUTIONS["exponential"], "b": DISTRIBUTIONS["exponential"]}, {("a", "b"): -0.8}
             ),
-            r"'a' and 'b' cannot be correlated by -0.8: .*between -0.64",
+            r"'a' and 'b' cannot have the correlation -0.8: .*between -0.64",
         ),
     ],
 )

@@ -1,4 +1,4 @@
-"""What the arguments of signals may be, checked before anything is computed."""
+"""Checks of the arguments of signals, made before anything is computed."""
 
 from typing import Any
 
@@ -14,7 +14,7 @@ def plain_number(owner: str, name: str, value: Any) -> float:
     if isinstance(value, AbstractDistribution | Decision):
         raise ProblemError(
             f"{owner}: '{name}' sets the covariance's eigenfunctions, which are computed once; expected a plain "
-            f"number; received {value}. Make `std` or `mean` uncertain or decided in its place."
+            f"number; received {value}. Make `std` or `mean` uncertain or decided instead."
         )
     number = _finite(value)
     if number is None:
@@ -43,6 +43,6 @@ def number_or_distribution(owner: str, name: str, value: Any) -> Any:
 
 
 def _finite(value: Any) -> float | None:
-    """A plain number that is finite; nothing for anything else."""
+    """A finite plain number as a float; `None` for anything else."""
     is_real = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
     return float(value) if is_real and np.isfinite(value) else None

@@ -16,22 +16,22 @@ from aleator.processes._checks import plain_number, positive_number
 class AbstractCovariance(eqx.Module):
     """The covariance of a stationary process, as `std² * correlation(lag)`.
 
-    A new one is a class with `correlation`. Its numbers are plain: the eigenfunctions depend on them and are computed
-    once, when a process is declared.
+    A user's own is a subclass with `correlation`. Its parameters are plain numbers, since the eigenfunctions depend on
+    them and are computed once, when a process is declared.
     """
 
     @abc.abstractmethod
     def correlation(self, lag: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
         """The correlation of two instants that are `lag >= 0` seconds apart: 1 at lag 0.
 
-        It must be smooth in `lag > 0` (a kink at lag 0 is allowed, as that of the exponential) and positive
-        semi-definite.
+        It must be positive semi-definite, and smooth for `lag > 0`; a kink at lag 0, like the exponential's, is
+        allowed.
         """
 
 
 @final
 class ExponentialCovariance(AbstractCovariance):
-    """Correlation `exp(-lag / correlation_time)`: coloured noise, white noise through a first-order lag.
+    """Correlation `exp(-lag / correlation_time)`: coloured noise, that is, white noise through a first-order lag.
 
     Its paths are continuous but nowhere smooth, so that its variance is spread over many modes: about
     `0.2 t_final / (correlation_time (1 - energy))`.
@@ -90,7 +90,7 @@ class BandLimitedCovariance(AbstractCovariance):
 
     @classmethod
     def from_psd(cls, frequencies: Any, psd: Any) -> Self:
-        """The covariance of a tabulated one-sided power spectral density; see `std` for its standard deviation.
+        """The covariance of a tabulated one-sided power spectral density; its standard deviation is `std`.
 
         Raises `ProblemError` unless the frequencies (Hz) increase from 0 or more and the values are nonnegative.
         """
@@ -133,7 +133,7 @@ class BandLimitedCovariance(AbstractCovariance):
             self.frequencies[:-1], self.frequencies[1:], self.psd[:-1], self.psd[1:], strict=True
         ):
             centre, half = (left + right) / 2, (right - left) / 2
-            # The spherical Bessel functions are the transforms of a constant and of a line: exact at small lags too.
+            # Spherical Bessel functions are the transforms of a constant and of a line: accurate at small lags too.
             level, slope = (spherical_jn(order, omega * half) for order in (0, 1))
             total += half * ((start + end) * np.cos(omega * centre) * level)
             total -= half * ((end - start) * np.sin(omega * centre) * slope)

@@ -17,23 +17,23 @@ from numpy.polynomial.legendre import leggauss, legvander
 from aleator._core.errors import ProblemError
 from aleator.processes._covariance import AbstractCovariance
 
-# Numbers of polynomials that are tried in turn.
+# Numbers of polynomials, tried in turn.
 _SIZES = (32, 48, 64, 96, 128, 192, 256, 384, 512)
 
-# Shares of variance agree between two sizes to this, and the last eighth of the polynomials is as small.
+# Converged: shares of variance agree between two sizes to this, and the last eighth of the polynomials is as small.
 _CONVERGED = 1e-11
 
-# Modes of a smaller share of the variance are lost in rounding.
+# Modes with a smaller share of the variance are lost in rounding.
 _LEAST_SHARE = 1e-12
 
-# A correlation with an eigenvalue below this is none: quadrature errors are smaller.
+# An eigenvalue below this is truly negative: quadrature errors are smaller.
 _NEGATIVE = -1e-6
 
 
 class Modes(NamedTuple):
-    """The modes that are kept, largest first.
+    """The retained modes, largest first.
 
-    - `shares`: the part of the variance that each mode carries: its eigenvalue over the length of the interval;
+    - `shares`: the fraction of the variance in each mode: its eigenvalue divided by the length of the interval;
     - `functions`: `sqrt(λ_k) φ_k` of each mode in Legendre polynomials (not normalised) of the interval.
     """
 
@@ -44,8 +44,8 @@ class Modes(NamedTuple):
 def karhunen_loeve(covariance: AbstractCovariance, duration: float, energy: float, modes: int | None) -> Modes:
     """The first `modes` modes on an interval of length `duration` (s), or as many as carry the share `energy`.
 
-    More and more polynomials are taken until the modes do not change. Raises `ProblemError` if the largest number does
-    not carry them, if modes are asked for that rounding drowns, or if the covariance is none.
+    The number of polynomials grows until the modes converge. Raises `ProblemError` if the largest number does not
+    resolve them, if requested modes are lost in rounding, or if the covariance is not positive semi-definite.
     """
     _refuse_no_correlation(covariance, duration)
     before = np.zeros(0)
@@ -60,7 +60,7 @@ def karhunen_loeve(covariance: AbstractCovariance, duration: float, energy: floa
         before = shares
     raise ProblemError(
         f"RandomProcess: the modes asked for ({f'energy={energy:g}' if modes is None else f'modes={modes}'}) of the "
-        f"{covariance} over {duration:g} s are not resolved by {_SIZES[-1]} polynomials: it changes too fast for so "
+        f"{covariance} over {duration:g} s are not resolved by {_SIZES[-1]} polynomials: it varies too fast for so "
         "long a time. Ask for fewer modes (modes=...), or give a smoother covariance or a shorter time."
     )
 
@@ -75,7 +75,7 @@ def _refuse_no_correlation(covariance: AbstractCovariance, duration: float) -> N
 
 
 def _refuse_drowned(modes: int, shares: Float[np.ndarray, " size"], before: Float[np.ndarray, " smaller"]) -> None:
-    """Refuse more modes than stand above rounding, once a larger size adds none."""
+    """Refuse more modes than exceed rounding errors, once a larger size adds none."""
     carried, carried_before = (int(np.sum(some > _LEAST_SHARE)) for some in (shares, before))
     if modes > carried == carried_before:
         raise ProblemError(
@@ -87,7 +87,7 @@ def _refuse_drowned(modes: int, shares: Float[np.ndarray, " size"], before: Floa
 def _refuse_negative(covariance: AbstractCovariance, shares: Float[np.ndarray, " size"]) -> None:
     if shares[-1] < _NEGATIVE:
         raise ProblemError(
-            f"RandomProcess: the {covariance} is no covariance: its eigenvalue {shares[-1]:.1e} (as a share of the "
+            f"RandomProcess: the {covariance} is not a covariance: its eigenvalue {shares[-1]:.1e} (as a share of the "
             "variance) is negative. Its correlation must be positive semi-definite."
         )
 
@@ -103,7 +103,7 @@ def _eigenpairs(
     for i, now in enumerate(nodes):
         correlation = covariance.correlation(duration * now * (1 - nodes))
         earlier[i] = now * (weights * correlation) @ _orthonormal(now * nodes, size)
-    # The future of an instant is the past of its mirror image, under which odd polynomials change sign.
+    # Mirroring time maps the integral over s > t to that over s < t; odd polynomials change sign.
     image = earlier + earlier[::-1] * (-1.0) ** degrees[None, :]
     matrix = (_orthonormal(nodes, size) * weights[:, None]).T @ image
     shares, vectors = np.linalg.eigh((matrix + matrix.T) / 2)
@@ -120,7 +120,7 @@ def _norms(size: int) -> Float[np.ndarray, " size"]:
 
 
 def _count(shares: Float[np.ndarray, " size"], energy: float) -> int | None:
-    """How many modes carry the share `energy`; nothing if all together do not."""
+    """How many modes carry the share `energy`; `None` if all of them together do not."""
     enough = np.cumsum(shares) >= energy
     return int(np.argmax(enough)) + 1 if enough.any() else None
 
@@ -136,7 +136,7 @@ def _is_converged(
 def _functions(
     shares: Float[np.ndarray, " modes"], vectors: Float[np.ndarray, "size modes"]
 ) -> Float[np.ndarray, "size modes"]:
-    # The sign of an eigenvector is free: its largest entry is positive, on every machine.
+    # An eigenvector's sign is arbitrary: making its largest entry positive fixes it on every machine.
     largest = np.argmax(np.abs(vectors), axis=0)
     signs = np.sign(vectors[largest, np.arange(len(shares))])
     return vectors * (signs * np.sqrt(shares))[None, :] * _norms(len(vectors))[:, None]

@@ -44,20 +44,20 @@ class Parametrised(AbstractSignal):
 def signal(function: Callable[[Any, Any], Any], /, **parameters: Any) -> Parametrised:
     """The signal `function(t, p)`, where each parameter is an attribute of `p`.
 
-    A parameter is a number or an array, a distribution, a `Decision` or another signal:
-    `signal(lambda t, p: p.amplitude * jnp.sin(p.frequency * t), amplitude=Normal(1.0, 0.1), frequency=3.0)`. The
-    function is written with `jax.numpy`, for one instant `t` in seconds. Uncertain coefficients of given shapes make a
-    random process too: of known form, where `RandomProcess` knows a covariance only.
+    A parameter is a number or an array, a distribution, a `Decision` or another signal: `signal(lambda t, p:
+    p.amplitude * jnp.sin(p.frequency * t), amplitude=Normal(1.0, 0.1),
+    frequency=3.0)`. The function is written with `jax.numpy`, for one instant `t` in seconds.  Uncertain coefficients
+    of given functions of time also make a random process; `RandomProcess` makes one from its covariance.
 
-    A function is part of a problem's structure: declared once and reused, it is compiled once.
+    The function is part of a problem's structure: define it once and reuse it, and it is compiled once.
 
-    Raises `ProblemError` for what is no function or no parameter.
+    Raises `ProblemError` if `function` is not a function, or for a parameter of any other kind.
     """
     return Parametrised(function, parameters)
 
 
 def _parameter(name: str, value: Any) -> Any:
-    """A parameter as it is stored: floats are data that change nothing compiled, whole numbers are structure."""
+    """A parameter as it is stored: floats are data, which never cause recompilation; integers are structure."""
     if isinstance(value, AbstractLeaf | AbstractSignal | jax.Array) or (
         isinstance(value, int) and not isinstance(value, bool)
     ):
@@ -70,7 +70,7 @@ def _parameter(name: str, value: Any) -> Any:
             f"signal: parameter '{name}' takes numbers, a distribution, a Decision or a signal; "
             f"received {type(value).__name__} {value!r}."
         )
-    numbers = np.array(value, dtype=float)  # a caller's arrays are copied
+    numbers = np.array(value, dtype=float)  # copies the caller's arrays
     if not np.isfinite(numbers).all():
         raise ProblemError(f"signal: parameter '{name}' must be finite; received {value!r}.")
     return float(numbers) if numbers.ndim == 0 else numbers

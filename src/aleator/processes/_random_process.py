@@ -17,9 +17,9 @@ from aleator.processes._total import common_span
 from aleator.trajectories import AbstractSignal
 from aleator.uncertainty import Decision, Normal
 
-# Share of the variance that is kept where the user does not say.
+# Default share of the variance that is retained.
 _ENERGY = 0.99
-# Modes that carry less than this share are warned of.
+# A smaller retained share gives a warning.
 _LITTLE = 0.9
 
 
@@ -27,23 +27,23 @@ _LITTLE = 0.9
 class RandomProcess(AbstractSignal):
     """A Gaussian process `mean(t) + std Σ_k sqrt(λ_k) φ_k(t) ξ_k` from `t_start` to `t_final`, in seconds.
 
-    Sensor noise, actuator noise or forcing of known covariance `std² correlation(|t - s|)`: an uncertainty that is a
-    function of time, expanded as in equations (11) and (19) of the dissertation. `λ_k`, `φ_k` are the eigenpairs of the
-    correlation on the interval (Karhunen-Loève), and each mode adds one standard normal variable `ξ_k` to the germ:
+    Sensor noise, actuator noise or forcing with known covariance `std² correlation(|t - s|)`: an uncertain function of
+    time, expanded as in equations (11) and (19) of the dissertation. `λ_k`, `φ_k` are the eigenpairs of the correlation
+    on the interval (Karhunen-Loève), and each mode adds one standard normal variable `ξ_k` to the germ:
     `inputs.wind.xi.0`, ... The cost of an expansion grows with their number, which `print` shows; a response that is
-    linear in the noise needs order 1 only.
+    linear in the noise needs only order 1.
 
     - `covariance`: `ExponentialCovariance`, `SquaredExponentialCovariance`, `BandLimitedCovariance` or your own class;
     - `std`: the standard deviation, a number, distribution or `Decision`, in the unit of the signal;
     - `mean`: a number, distribution, `Decision` or another signal;
-    - how many modes: as many as carry the share `energy` of the variance (default 0.99), or `modes` of them. With
-      `modes`, another correlation time seldom compiles anything anew.
+    - `energy` or `modes`: retain as many modes as carry the share `energy` of the variance (default 0.99), or exactly
+      `modes`. With `modes`, a change of the correlation time seldom causes recompilation.
 
-    What the truncation leaves out is known: `share` is the part of the variance kept on average over time, and
-    `deficit` what is missing at each instant. Evidence of `validate` samples the truncated process, so that modes which
-    carry less than nine tenths of the variance are warned of with `ExpansionWarning`.
+    The truncation error is known: `share` is the fraction of the variance retained on average over time, and `deficit`
+    the fraction missing at each instant. `validate` samples the truncated process too, so an `ExpansionWarning` is
+    issued where the modes carry less than nine tenths of the variance.
 
-    Raises `ProblemError` for impossible numbers, and for modes that the covariance does not have or that are too fast
+    Raises `ProblemError` for impossible numbers, and for modes that the covariance does not have or that vary too fast
     to be resolved.
     """
 
@@ -108,11 +108,11 @@ class RandomProcess(AbstractSignal):
 
     @property
     def share(self) -> float:
-        """The part of the variance that the modes carry, on average over time."""
+        """The fraction of the variance in the retained modes, on average over time."""
         return float(np.sum(self.eigenvalues) / (self.t_final - self.t_start))
 
     def deficit(self, times: Float[Array, " instants"]) -> Float[Array, " instants"]:
-        """The part of the variance `std²` that the modes leave out at each instant: largest at the ends."""
+        """The fraction of the variance `std²` missing at each instant; it is largest at the ends."""
         shapes = jax.vmap(self._polynomials)(jnp.asarray(times, dtype=float)) @ jnp.asarray(self.functions)
         return 1 - jnp.sum(shapes**2, axis=1)
 
@@ -142,8 +142,7 @@ def _spread(std: Any) -> Any:
 def _check_size(energy: float | None, modes: int | None) -> None:
     if energy is not None and modes is not None:
         raise ProblemError(
-            f"RandomProcess: the number of modes follows from energy or is given as modes; received energy={energy} "
-            f"and modes={modes}. Leave one out."
+            f"RandomProcess: expected energy or modes, not both; received energy={energy} and modes={modes}. Drop one."
         )
     if energy is not None and not 0 < plain_number("RandomProcess", "energy", energy) < 1:
         raise ProblemError(

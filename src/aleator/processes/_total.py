@@ -1,4 +1,4 @@
-"""`total`: signals that act together."""
+"""`total`: the sum of signals."""
 
 from collections.abc import Iterable
 from typing import Any, final
@@ -22,9 +22,9 @@ class Total(AbstractSignal):
         for part in self.parts:
             if not isinstance(part, AbstractSignal):
                 raise ProblemError(
-                    f"total: expected signals, such as al.processes.total(command, noise); received "
-                    f"{type(part).__name__} "
-                    f"{part!r}. A constant or a function of time is one by al.processes.signal."
+                    "total: expected signals, such as al.processes.total(command, noise); received "
+                    f"{type(part).__name__} {part!r}. Make a constant or a function of time a signal with "
+                    "al.processes.signal."
                 )
         if not self.parts:
             raise ProblemError("total: expected at least one signal; received none.")
@@ -52,7 +52,7 @@ class Total(AbstractSignal):
 def total(*signals: AbstractSignal) -> Total:
     """The sum of signals: a command and the actuator's noise, a mean road and its roughness.
 
-    Raises `ProblemError` for what is no signal, and for signals that are known at no common time.
+    Raises `ProblemError` for arguments that are not signals, and for signals with no common time.
     """
     return Total(signals)
 

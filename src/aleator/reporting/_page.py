@@ -7,10 +7,115 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
-from typing import Any, final
+from typing import TYPE_CHECKING, Any, Literal, final
 
-from aleator.reporting._blocks import Drawing, Section, Verdict
 from aleator.reporting._files import write_text
+
+if TYPE_CHECKING:
+    from plotly.graph_objects import Figure
+
+Level = Literal["good", "caution", "bad"]
+
+
+@final
+@dataclass(frozen=True)
+class Card:
+    """A key number: what it is, the number, and what to make of it."""
+
+    label: str
+    value: str
+    note: str = ""
+
+
+@final
+@dataclass(frozen=True)
+class Verdict:
+    """The first screen: a mark and its word, one headline, a few sentences, three or four key numbers."""
+
+    level: Level
+    word: str
+    headline: str
+    sentences: Sequence[str] = ()
+    cards: Sequence[Card] = ()
+
+
+@final
+@dataclass(frozen=True)
+class Text:
+    """Paragraphs of plain text; `lead` is set in bold before the first."""
+
+    paragraphs: Sequence[str]
+    lead: str = ""
+    kind: str = "text"
+
+
+@final
+@dataclass(frozen=True)
+class Code:
+    """Text in fixed width, such as a problem printed as mathematics, folded away unless `opened`."""
+
+    heading: str
+    text: str
+    opened: bool = False
+    kind: str = "code"
+
+
+@final
+@dataclass(frozen=True)
+class Table:
+    """A table of text; the first column names the rows."""
+
+    caption: str
+    header: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    note: str = ""
+    kind: str = "table"
+
+
+@final
+@dataclass(frozen=True)
+class Drawing:
+    """One figure, or several in a row that shares a caption: its number, what it shows and what to see in it."""
+
+    figures: "Sequence[Figure]"
+    heading: str
+    caption: str = ""
+    number: str = ""
+    kind: str = "drawing"
+
+
+@final
+@dataclass(frozen=True)
+class Schematic:
+    """Drawings of a system as SVG made by `sketch`, and beside them its mathematics."""
+
+    drawings: Sequence[str]
+    heading: str
+    caption: str = ""
+    number: str = ""
+    beside: Sequence[Code] = ()
+    kind: str = "schematic"
+
+    def __html__(self) -> str:
+        """The drawings as markup, for the template: `sketch` escapes what it is given."""
+        return "".join(f'<div class="sketch">{one}</div>' for one in self.drawings)
+
+
+Block = Text | Code | Table | Drawing | Schematic
+
+
+@final
+@dataclass(frozen=True)
+class Section:
+    """A heading and what stands under it."""
+
+    heading: str
+    blocks: Sequence[Block]
+
+    @property
+    def anchor(self) -> str:
+        """The heading as a place to link to."""
+        return re.sub(r"[^a-z0-9]+", "-", self.heading.lower()).strip("-") or "section"
 
 
 @final

@@ -19,7 +19,7 @@ def _triangular_quantile(below: Array, above: Array, mode: Scalar) -> Array:
     """Quantile on [-1, 1], given the probabilities below and above."""
     left = below < mode
     square = jnp.where(left, mode * below, (1 - mode) * above)
-    # The ends stay where they are, whatever the mode is.
+    # The ends do not move with the mode.
     distance = jnp.where(square > 0, 2 * jnp.sqrt(jnp.where(square > 0, square, 1.0)), 0.0)
     return jnp.where(left, distance - 1, 1 - distance)
 
@@ -28,7 +28,7 @@ def _triangular_quantile(below: Array, above: Array, mode: Scalar) -> Array:
 class Triangular(AbstractDistribution):
     """Triangular distribution: `Triangular(lower=1.0, mode=2.0, upper=4.0)`, where the mode may lie on a bound.
 
-    A symmetric one may be given by `Triangular(mean=2.0, half_width=1.0)`.
+    A symmetric one may be written `Triangular(mean=2.0, half_width=1.0)`.
     """
 
     FORMS: ClassVar[dict[tuple[str, ...], Form]] = {
@@ -93,7 +93,7 @@ class Triangular(AbstractDistribution):
 
 
 def _standardised(bound: Scalar, location: Scalar, scale: Scalar) -> Array:
-    """A bound in scales from the location. An infinite one stays as it is: its derivatives would be no numbers."""
+    """The bound in scales from the location. Infinite bounds are kept as they are: their derivatives would be NaN."""
     finite = jnp.isfinite(bound)
     return jnp.where(finite, (jnp.where(finite, bound, location) - location) / scale, bound)
 
@@ -104,9 +104,7 @@ def _mass(low: Array, high: Array) -> Array:
 
 
 def _truncated_quantile(below: Array, above: Array, low: Array, high: Array) -> Array:
-    """Quantile of the truncated standard normal distribution; the inversion starts from the end with the smaller
-    tail.
-    """
+    """Quantile of the truncated standard normal distribution, inverted from the end with the smaller tail."""
     mass = _mass(low, high)
     from_high = (low > 0) | ((high > 0) & (below > above))
     tail = jnp.where(from_high, special.ndtr(-high) + above * mass, special.ndtr(low) + below * mass)
@@ -120,8 +118,8 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(96)
 def _truncated_moments(low: Scalar, high: Scalar) -> tuple[Array, Array]:
     """Mean and standard deviation of the truncated standard normal distribution.
 
-    By Gauss's rule, whose error is below rounding here; the closed form loses all digits in a tail or in a narrow
-    interval.
+    Computed by Gauss quadrature, whose error is below rounding here: the closed form loses all digits in a tail or in a
+    narrow interval.
     """
     first = jnp.maximum(low, -jnp.sqrt(jnp.maximum(-high, 0) ** 2 + _REACH))
     last = jnp.minimum(high, jnp.sqrt(jnp.maximum(low, 0) ** 2 + _REACH))
@@ -139,10 +137,10 @@ def _truncated_normal(location: Scalar, scale: Scalar, lower: Scalar, upper: Sca
 
 @final
 class TruncatedNormal(AbstractDistribution):
-    """Normal distribution of which only the part between `lower` and `upper` is left; one of them may be missing.
+    """Normal distribution truncated to the interval from `lower` to `upper`; one of the two may be omitted.
 
-    `location` and `scale` are the mean and the standard deviation of the *untruncated* parent; `mean()` and `std()`
-    are those of what is left.
+    `location` and `scale` are the mean and the standard deviation of the *untruncated* parent; `mean()` and `std()` are
+    those of the truncated distribution.
     """
 
     FORMS: ClassVar[dict[tuple[str, ...], Form]] = {
@@ -152,8 +150,7 @@ class TruncatedNormal(AbstractDistribution):
     }
     REQUIRES: ClassVar[str] = (
         "a finite location and a finite scale above 0 (those of the normal distribution before truncation), and lower "
-        "< upper "
-        "that leave a part of it nearer than 37 scales"
+        "< upper with a part of the interval within 37 scales of the location"
     )
 
     def __init__(

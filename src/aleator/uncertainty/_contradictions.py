@@ -1,4 +1,4 @@
-"""What the methods of a distribution of one's own say must go together: its germ, its numbers and its normal values."""
+"""Checks that the methods of a user's own distribution agree: its germ, its moments and support, and `from_normal`."""
 
 from typing import Any
 
@@ -8,13 +8,13 @@ from scipy import special
 
 from aleator._core.errors import ProblemError
 
-# Levels that are compared, and the part of a spread up to which numbers are the same.
+# Probability levels that are compared, and the tolerance as a fraction of the spread.
 _LEVELS = np.array([0.02, 0.16, 0.5, 0.84, 0.98])
 _SAME = 1e-6
 
 
 def refuse_contradictions(distribution: Any) -> None:
-    """Raise `ProblemError` where a distribution of plain numbers says two things of itself, naming the method."""
+    """Raise `ProblemError`, naming the method, where two methods of a distribution of plain numbers disagree."""
     with jax.ensure_compile_time_eval():
         location, scale, shape = distribution.canonical()
         germ = distribution.germ()

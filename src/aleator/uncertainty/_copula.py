@@ -35,17 +35,17 @@ def correlated(
     *,
     name: str | None = None,
 ) -> dict[str, AbstractDistribution]:
-    """The same distributions, correlated, by the same names: to be placed anywhere in a model.
+    """The given distributions, correlated, under the same names; each may be placed anywhere in a model.
 
     `correlated({"k": Normal(5.0, 0.2), "c": Gamma(mean=2.0, std=0.3)}, {("k", "c"): 0.5})`. The correlations are
-    Pearson's, of the numbers themselves; pairs that are not named are uncorrelated. A whole matrix may be given, with
-    its rows in the order of `distributions`. Their joint distribution is a Gaussian copula, and `name` (default: the
-    members' names, joined) is the group's: a model holds a group of one name once.
+    Pearson's, of the uncertain numbers themselves; pairs that are not named are uncorrelated. A full matrix may be
+    given, with its rows in the order of `distributions`. Their joint distribution is a Gaussian copula, and `name`
+    (default: the members' names, joined) is that of the group, which a model may contain only once.
 
-    Decisions may stand in the distributions. Those that set location and scale leave the correlations as given; where
-    one sets a shape, the correlations are those at its initial value, and the copula stays.
+    The distributions may contain decisions. Decisions that set a location or scale leave the correlations as given.
+    Where one sets a shape, the correlations hold at its initial value, and the copula does not change.
 
-    Raises `ProblemError` if the correlations make no matrix of correlations, or if these distributions cannot reach
+    Raises `ProblemError` if the correlations do not form a correlation matrix, or if these distributions cannot attain
     them.
     """
     if not isinstance(distributions, Mapping):
@@ -55,14 +55,12 @@ def correlated(
         _check_member(member, distribution)
     if len(members) < 2:
         raise ProblemError(
-            f"Correlated distributions are at least two; received {len(members)}. Place one distribution as it is."
+            f"correlated: expected at least two distributions; received {len(members)}. Place a single one as it is."
         )
     pearson = _matrix(members, correlations)
     _check_matrix(pearson, members)
     normal = _nataf(distributions, pearson)
-    _refuse_indefinite(
-        normal, "The correlations of the normal variables that these distributions need make no such matrix"
-    )
+    _refuse_indefinite(normal, "No Gaussian copula gives these distributions these correlations")
     factor = np.linalg.cholesky(normal)
     group = name or "~".join(members)
     return {
@@ -83,9 +81,8 @@ def _check_member(member: str, distribution: Any) -> None:
         )
     if is_traced(distribution.initial().canonical().shape):
         raise ProblemError(
-            f"'{member}': the shape of a correlated distribution cannot be traced by JAX, since the copula is built "
-            "from it. "
-            "Make the shape a plain number, or a Decision (the copula is then that of its initial value)."
+            f"'{member}': the shape of a correlated distribution cannot be traced by JAX, since the copula is computed "
+            "from it. Make the shape a plain number, or a Decision (the copula is then that of its initial value)."
         )
 
 
@@ -115,7 +112,7 @@ def _matrix(members: tuple[str, ...], correlations: Any) -> Float[np.ndarray, "n
 
 
 def _check_matrix(matrix: Float[np.ndarray, "n n"], members: tuple[str, ...]) -> None:
-    """Refuse what is no correlation matrix, naming the entry or the eigenvalue."""
+    """Refuse anything but a correlation matrix, naming the entry or the eigenvalue."""
 
     def refuse(what: str, wrong: np.ndarray, remedy: str) -> None:
         if np.any(wrong):
@@ -137,9 +134,9 @@ def _check_matrix(matrix: Float[np.ndarray, "n n"], members: tuple[str, ...]) ->
     refuse(
         "Correlations lie between -1 and 1, without the ends",
         off_diagonal & (np.abs(matrix) >= 1),
-        "Reduce it; distributions that are one and the same are made so by `shared`.",
+        "Reduce it, or use `shared` for numbers that are always equal.",
     )
-    _refuse_indefinite(matrix, "These correlations contradict each other, so that no random numbers have them")
+    _refuse_indefinite(matrix, "These correlations contradict each other: no random variables have them")
 
 
 def _refuse_indefinite(matrix: Float[np.ndarray, "n n"], what: str) -> None:
@@ -165,7 +162,7 @@ def _nataf(
 
 
 def _standard_values(distribution: AbstractDistribution) -> Float[np.ndarray, " n"]:
-    """The distribution's numbers at `_NORMALS`, less their mean and over their standard deviation."""
+    """The distribution's standardised values (zero mean, unit standard deviation) at `_NORMALS`."""
     shape = distribution.concrete_shape()
     with jax.ensure_compile_time_eval():
         values = np.asarray(jax.vmap(lambda normal: distribution.from_normal(normal, shape))(jnp.asarray(_NORMALS)))
@@ -174,15 +171,14 @@ def _standard_values(distribution: AbstractDistribution) -> Float[np.ndarray, " 
 
 
 def _normal_correlation(wanted: float, first: np.ndarray, second: np.ndarray, *, names: tuple[str, str]) -> float:
-    """The normals' correlation at which the standard values `first` and `second` are correlated as `wanted`."""
+    """The normals' correlation that gives the standardised values `first` and `second` the correlation `wanted`."""
     hermite = HermiteGerm().polynomials(_TERMS, _NORMALS)
     products = ((_PROBABILITIES * first) @ hermite) * ((_PROBABILITIES * second) @ hermite)
     correlation = np.polynomial.Polynomial(products)
     lowest, highest = correlation(-1.0), correlation(1.0)
     if not lowest < wanted < highest:
         raise ProblemError(
-            f"'{names[0]}' and '{names[1]}' cannot be correlated by {wanted:g}: with these distributions a correlation "
-            "lies "
+            f"'{names[0]}' and '{names[1]}' cannot have the correlation {wanted:g}: for these distributions it lies "
             f"between {lowest:.4g} and {highest:.4g}. Choose one in between."
         )
     from scipy import optimize  # late: it takes a while to import

@@ -30,11 +30,11 @@ class Density(AbstractDistribution):
     """Any density: the number is `location + scale * xi`, and `xi` has the density `function` on (lower, upper).
 
     `function` takes a NumPy array of points and returns a non-negative number for each; it need not be normalised, and
-    may have kinks and jumps. Bounds may be infinite; a density may grow without bound only at an end that is 0, where
-    points are resolved. Its polynomials come from a discretised Stieltjes procedure. `location` and `scale` may be
-    decisions; what changes inside `function` is another distribution.
+    may have kinks and jumps. Bounds may be infinite; a density may be singular only at an end that is 0, since
+    floating-point numbers are dense only there. Its polynomials come from a discretised Stieltjes procedure. `location`
+    and `scale` may be decisions; nothing inside `function` may be.
 
-    Raises `ProblemError` if it is no density, or if it has no mean or standard deviation.
+    Raises `ProblemError` if `function` is not a density, or if the mean or standard deviation does not exist.
     """
 
     xi: DensityGerm = eqx.field(static=True)
@@ -103,7 +103,7 @@ _NORMALS = np.linspace(-8.2, 8.2, 4101)
 
 @functools.lru_cache(maxsize=32)
 def _quantiles_by_normal(germ: DensityGerm) -> tuple[np.ndarray, np.ndarray]:
-    """The germ's quantiles at the probabilities of `_NORMALS`, and their slopes."""
+    """The germ's quantiles at the probabilities of `_NORMALS`, and their derivatives."""
     quantiles = germ.quantile(ndtr(_NORMALS))
     from scipy import interpolate  # late: it takes a while to import
 
@@ -126,13 +126,13 @@ def _cubic(x: Array, values: np.ndarray, slopes: np.ndarray) -> Array:
 
 @final
 class Sample(AbstractDistribution):
-    """The distribution of measured data: the number is `location + scale * xi`, and `xi` is one of the `data`, each as
-    likely.
+    """The distribution of measured data: the number is `location + scale * xi`, and `xi` is each of the `data` with
+    equal probability.
 
-    It is the empirical distribution, in every respect: polynomials (arbitrary polynomial chaos), mean, standard
-    deviation (that of the data themselves: divided by n, not by n - 1), quantiles and drawn values are those of the
-    data, with nothing between them or beyond. The order of an expansion must be less than the number of distinct
-    values. Where values between the data are wanted, fit a distribution, or give a `Density`.
+    It is the empirical distribution in every respect: polynomials (arbitrary polynomial chaos), mean, standard
+    deviation (divided by n, not by n - 1), quantiles and drawn values are those of the data; no other value ever
+    occurs. The order of an expansion must be less than the number of distinct values. For values between the data, fit
+    a distribution or give a `Density`.
 
     Raises `ProblemError` unless the data are at least two distinct, finite numbers.
     """
@@ -178,7 +178,7 @@ def _data(data: Any) -> Float[np.ndarray, " n"]:
     values = real_array("Sample", data, "a list or vector of numbers")
     if values.ndim != 1 or not np.all(np.isfinite(values)) or np.unique(values).size < 2:
         raise ProblemError(
-            "Sample takes a vector of finite numbers of which at least two differ; received "
-            f"an array of shape {values.shape} with {np.sum(~np.isfinite(values))} numbers that are not finite."
+            "Sample: expected a vector of finite numbers of which at least two differ; received an array of shape "
+            f"{values.shape} with {np.sum(~np.isfinite(values))} non-finite numbers."
         )
     return values

@@ -11,7 +11,7 @@ from aleator._core.errors import ProblemError
 from aleator._core.given import a_name, real_array, refusal
 from aleator._core.leaves import AbstractLeaf, is_traced
 
-# By how much a start may leave its bounds, relative to it: it may have been computed.
+# Relative amount by which a start may lie outside its bounds: a computed one may do so by rounding.
 _ROUNDING = 1e-9
 
 
@@ -19,9 +19,9 @@ _ROUNDING = 1e-9
 class Decision(AbstractLeaf):
     """A number (or an array of numbers) that the optimiser chooses, placed anywhere in a model.
 
-    `Decision(30e3, lower=23_339, upper=300e3)` starts at 30 000. An array as `initial` makes as many decisions, with
-    one bound for all or one each. Two placements are two decisions, even of the same object, unless both were made with
-    `shared("name")`: then they are one.
+    `Decision(30e3, lower=23_339, upper=300e3)` starts at 30 000. An array as `initial` makes one decision of each
+    entry, with a common bound or one each. Two placements are two decisions, even of the same object, unless both were
+    made with `shared("name")`: then they are one.
 
     Raises `ProblemError` if a number is not finite (bounds may be infinite), if the bounds are in the wrong order, or
     if the start lies outside them.
@@ -51,7 +51,7 @@ class Decision(AbstractLeaf):
         self.shared_name = shared_name
 
     def shared(self, name: str) -> "Decision":
-        """The same decision wherever it is placed: all placements shared under one name are one decision."""
+        """A copy whose placements are all one decision, together with any others shared under this name."""
         return Decision(self.initial, self.lower, self.upper, shared_name=a_name("shared", name))
 
     @property
@@ -90,7 +90,7 @@ def _check(start: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> None:
 
 
 def start_given(name: str, value: Any, decision: Decision) -> Float[np.ndarray, "..."]:
-    """Another start of a decision, brought into its bounds, which it may leave by rounding alone."""
+    """Another start of a decision, clipped to its bounds, which it may exceed only by rounding."""
     expected = f"finite numbers of shape {decision.shape}"
     numbers = real_array(f"start: '{name}'", value, expected)
     if numbers.shape != decision.shape or not np.isfinite(numbers).all():

@@ -17,7 +17,7 @@ from aleator.uncertainty._stieltjes import AbstractDensityGerm, recurrence_of
 @final
 @dataclass(frozen=True)
 class TriangularGerm(AbstractDensityGerm):
-    """Triangular on [-1, 1]; `mode` is where the peak lies on the way from -1 (0) to 1 (1)."""
+    """Triangular on [-1, 1]; `mode` is the peak's position as a fraction of the interval, from 0 at -1 to 1 at 1."""
 
     mode: float
 
@@ -40,7 +40,7 @@ class TriangularGerm(AbstractDensityGerm):
 @final
 @dataclass(frozen=True)
 class TruncatedNormalGerm(AbstractDensityGerm):
-    """Standard normal, kept between `low` and `high` only (they may be infinite)."""
+    """Standard normal, truncated to [`low`, `high`], of which either may be infinite."""
 
     low: float
     high: float
@@ -126,16 +126,16 @@ class SampleGerm(AbstractGerm):
     """The measure of a data sample: polynomials orthonormal under the data (arbitrary polynomial chaos).
 
     Source: Oladyshkin and Nowak, Reliability Engineering & System Safety 106 (2012). A sample of n distinct values
-    carries polynomials up to order n - 1. The distribution is that of drawing one of the data: its quantile is the
-    value at which the empirical distribution function reaches a level, a step function, so that what is drawn has the
-    moments of the data. `levels` are those at which the quantile steps, from one value to the next.
+    carries polynomials up to order n - 1. The quantile is the value at which the empirical distribution function
+    reaches a level; it is a step function, so that drawn values have the moments of the data. `levels` are the levels
+    at which it steps from one value to the next.
     """
 
     def __init__(self, data: Float[np.ndarray, " n"]):
         self.values, counts = np.unique(data, return_counts=True)
         self.weights = counts / counts.sum()
         self.levels = np.cumsum(counts)[:-1] / counts.sum()
-        # The data are structure where a model is compiled: two samples are equal if their values are.
+        # The data are static when a model is compiled, so two germs are equal if their values are.
         self._digest = hashlib.sha256(self.values.tobytes() + counts.tobytes()).hexdigest()
 
     def __eq__(self, other: object) -> bool:

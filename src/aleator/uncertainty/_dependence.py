@@ -1,6 +1,4 @@
-"""How a correlated distribution depends on the germ: a Gaussian copula, one factor of a correlation matrix for each
-group.
-"""
+"""How a correlated distribution depends on the germ: by the Cholesky factor of its group's Gaussian copula."""
 
 from collections.abc import Mapping, Sequence
 from typing import final
@@ -19,8 +17,8 @@ class Dependence(eqx.Module):
     """A member's place in a group of correlated distributions.
 
     The group has one standard normal germ variable for each member. Member `index` is a function of the normal variable
-    `factor[index] @ germs`, where `factor` is the Cholesky factor of the normals' correlation matrix: its own germ
-    variable is what it adds to the members before it.
+    `factor[index] @ germs`, where `factor` is the Cholesky factor of the normals' correlation matrix. So it depends on
+    its own germ variable and on those of the members before it.
     """
 
     group: str = eqx.field(static=True)
@@ -42,9 +40,7 @@ class Dependence(eqx.Module):
 
 
 def check_groups(dependences: Mapping[str, Dependence | None]) -> None:
-    """Refuse two groups under one name, and a member that stands at two places; `dependences` by the distributions'
-    names.
-    """
+    """Refuse two groups of one name, and a member placed twice; `dependences` are keyed by the distributions' names."""
     groups: dict[str, Dependence] = {}
     placed: dict[str, str] = {}
     for place, dependence in dependences.items():
@@ -58,7 +54,7 @@ def check_groups(dependences: Mapping[str, Dependence | None]) -> None:
         own = dependence.germ_names[-1]
         if own in placed:
             raise ProblemError(
-                f"{dependence} is placed twice, at '{placed[own]}' and at '{place}'. Make the member one with "
+                f"{dependence} is placed twice, at '{placed[own]}' and at '{place}'. Make both one number with "
                 '`.shared("name")`, or make two groups with two names: correlated(..., name=...).'
             )
         placed[own] = place

@@ -1,4 +1,4 @@
-"""`AbstractDistribution`: an uncertain number of a model, and what every family of distributions shares."""
+"""`AbstractDistribution`: an uncertain number of a model; the base class of all families."""
 
 import abc
 import dataclasses
@@ -43,21 +43,21 @@ class AbstractDistribution(AbstractLeaf):
     FORMS: ClassVar[dict[tuple[str, ...], Form]]
     REQUIRES: ClassVar[str] = "finite parameters, a positive spread and positive shape parameters"
     REACHES_ENDS: ClassVar[bool] = True
-    """Whether values come so close to a finite end of the support that physics must stand the end itself."""
+    """Whether values come so close to a finite end of the support that the physics must hold at the end itself."""
 
     def set_parameters(self, given: dict[str, Any], shared_name: str | None) -> None:
-        """Store the parameters that were given, after checking that they make a distribution."""
+        """Store the given parameters after checking that they define a distribution."""
         parameters = {name: plain(name, value, type(self)) for name, value in given.items() if value is not None}
         self.parameters = parameters
         self.dependence = None
         self.shared_name = shared_name
         self._names()
-        # Under jax.grad the numbers are known and checked; under jax.jit they are not.
+        # The numbers are known under jax.grad, and so checked; under jax.jit they are not.
         if not is_traced(constant(parameters)):
             self._check()
 
     def shared(self, name: str) -> Self:
-        """The same realisation wherever it is placed: all placements shared under one name are one random variable."""
+        """A copy whose placements are all one random variable, together with any others shared under this name."""
         return self._with(shared_name=a_name("shared", name))
 
     def _with(self, **changes: Any) -> Self:
@@ -68,7 +68,7 @@ class AbstractDistribution(AbstractLeaf):
         return copy
 
     def _names(self) -> tuple[str, ...]:
-        """The parameters' names in their declared order, which a dict does not keep when JAX takes it apart."""
+        """The parameters' names in their declared order, which a dict loses when JAX flattens it."""
         for names in self.FORMS:
             if set(names) == set(self.parameters):
                 return names
@@ -81,7 +81,7 @@ class AbstractDistribution(AbstractLeaf):
         return self.FORMS[self._names()]
 
     def _check(self) -> None:
-        """Refuse parameters that make no distribution, at the start or anywhere between the decisions' bounds."""
+        """Refuse parameters that define no distribution, at the start or anywhere within the decisions' bounds."""
         start = {name: float(value) for name, value in constant(self.initial().parameters).items()}
         if "upper" in start and not start["lower"] < start["upper"]:
             raise ProblemError(f"{type(self).__name__} needs lower < upper; received {self}.")
@@ -91,8 +91,9 @@ class AbstractDistribution(AbstractLeaf):
         own = type(self)
         if shape and own.transport is AbstractDistribution.transport and own.value is AbstractDistribution.value:
             raise ProblemError(
-                f"{own.__name__} has a shape {shape} and no transport(germ, source, target), by which values "
-                "move between shapes at equal probability: derivatives by the shape would be lost. Write one."
+                f"{own.__name__} has a shape {shape} but no transport(germ, source, target), which moves values "
+                "between shapes at equal probability: without it, derivatives with respect to the shape would be lost. "
+                "Write one."
             )
         for corner in self.corners():
             self._check_corner(start | corner, corner)
@@ -105,17 +106,17 @@ class AbstractDistribution(AbstractLeaf):
         return all(0 < number < np.inf for number in shape)
 
     def _numbers(self, parameters: dict[str, float]) -> tuple[float, float, tuple[float, ...]]:
-        """Location, spread and shape, also where no distribution has them: negative, infinite or not a number."""
+        """Location, spread and shape, even impossible ones: negative, infinite or NaN."""
         with np.errstate(all="ignore"), jax.ensure_compile_time_eval():
             location, scale, shape = self.form.canonical(**{name: np.float64(v) for name, v in parameters.items()})
-        # A given standard deviation is squared on its way to some canonical forms, which hides its sign.
+        # Some canonical forms square a given standard deviation, which hides its sign.
         spread = np.min([float(scale), parameters.get("std", float(scale))])
         return float(location), float(spread), tuple(float(number) for number in shape)
 
     def _check_corner(self, parameters: dict[str, float], corner: dict[str, float]) -> None:
-        """Refuse decisions that reach no distribution at one corner of their bounds, where only the spread may vanish.
+        """Refuse decisions that define no distribution at one corner of their bounds; only the spread may vanish there.
 
-        A location or a spread without bound is an allowed decision; a shape parameter without bound is no distribution.
+        A decided location or spread may be unbounded, but not a shape parameter.
         """
         location, spread, shape = self._numbers(parameters)
         bounded = bool(np.all(np.isfinite(list(corner.values()))))
@@ -131,10 +132,11 @@ class AbstractDistribution(AbstractLeaf):
         )
 
     def corners(self) -> Iterator[dict[str, float]]:
-        """Every combination of the bounds of the decisions, by parameter name.
+        """Every combination of the decisions' bounds, by parameter name.
 
-        They decide whether all decisions make a distribution, and how far it reaches: location, scale and the ends of
-        the support are monotone in each parameter, and a Beta's variance is below its limit everywhere if it is there.
+        They suffice to tell whether all decisions define a distribution, and how far it reaches: location, scale and
+        the ends of the support are monotone in each parameter, and a Beta's variance is below its limit everywhere if
+        it is at the corners.
         """
         # Decisions shared under one name move together.
         key = {name: (decision.shared_name, decision.shared_name or name) for name, decision in self.decisions.items()}
@@ -145,11 +147,11 @@ class AbstractDistribution(AbstractLeaf):
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """That of one number. (The shape of the distribution is another matter: see `concrete_shape`.)"""
+        """The array shape of one number, (). For the distribution's shape parameters see `concrete_shape`."""
         return ()
 
     def lowest(self) -> float | None:
-        """The lower end of the support, at the corner of its decisions where it is lowest."""
+        """The lower end of the support, at its lowest over the corners of the decisions' bounds."""
         ends = self._ends(0)
         if not ends:
             return None
@@ -157,7 +159,7 @@ class AbstractDistribution(AbstractLeaf):
         return least if self.REACHES_ENDS else float(np.nextafter(least, np.inf))
 
     def highest(self) -> float | None:
-        """The upper end of the support, at the corner of its decisions where it is highest."""
+        """The upper end of the support, at its highest over the corners of the decisions' bounds."""
         ends = self._ends(1)
         if not ends:
             return None
@@ -165,9 +167,9 @@ class AbstractDistribution(AbstractLeaf):
         return most if self.REACHES_ENDS else float(np.nextafter(most, -np.inf))
 
     def _ends(self, which: int) -> list[float]:
-        """One end of the support at every corner of the decisions; nothing where numbers are traced.
+        """One end of the support at every corner of the decisions' bounds; an empty list where numbers are traced.
 
-        An end at infinity leaves "infinity less infinity", not a number, at its corner; another corner knows the end.
+        A corner at infinity may give NaN (infinity minus infinity), which is dropped; another corner has that end.
         """
         if is_traced(self):
             return []
@@ -184,7 +186,7 @@ class AbstractDistribution(AbstractLeaf):
         return self.decided(lambda _, decision: decision.initial)
 
     def decided(self, choose: Callable[[str, Decision], Any]) -> Self:
-        """The distribution with `choose(parameter_name, decision)` in the place of each decision."""
+        """The distribution with each decision replaced by `choose(parameter_name, decision)`."""
         chosen = {
             name: choose(name, value) if isinstance(value, Decision) else value
             for name, value in self.parameters.items()
@@ -199,11 +201,11 @@ class AbstractDistribution(AbstractLeaf):
 
     @property
     def shape_is_decided(self) -> bool:
-        """Whether a decision sets a shape parameter, so that more changes than location and scale."""
+        """Whether a decision sets a shape parameter, not only location and scale."""
         return not self.form.shaped_by.isdisjoint(self.decisions)
 
     def value(self, germ: Float[Array, ""], reference: tuple[Scalar, ...] | None = None) -> Float[Array, ""]:
-        """The number at the germ value `germ`, which belongs to the shape `reference` (default: the current one)."""
+        """The number at the germ value `germ`, whose distribution has the shape `reference` (default: the current)."""
         location, scale, shape = self.canonical()
         if reference is not None:
             germ = self.transport(germ, reference, shape)
@@ -212,40 +214,40 @@ class AbstractDistribution(AbstractLeaf):
         return jnp.asarray(location + scale * germ)
 
     def value_at_normal(self, normal: Float[Array, ""]) -> Float[Array, ""]:
-        """The number that has the probability level of the standard normal value `normal`."""
+        """The number at the same probability level as the standard normal value `normal`."""
         location, scale, shape = self.canonical()
         return jnp.asarray(location + scale * self.from_normal(normal, shape))
 
     def transport(self, germ: Float[Array, ""], source: tuple, target: tuple) -> Float[Array, ""]:
-        """Move a germ value between two shapes at equal probability. Families without shape have nothing to move."""
+        """Move a germ value between two shapes at equal probability. Families without a shape do nothing."""
         del source, target
         return germ
 
     def anchor(self, germ: Float[Array, ""], shape: tuple) -> Float[Array, ""]:
-        """The germ value as it is, with its derivative by the shape at equal probability.
+        """The unchanged germ value, with its derivative with respect to the shape at equal probability.
 
-        A distribution needs it whose shape is differentiated from outside, as by `jax.grad`, rather than decided.
+        It is needed where the shape is differentiated from outside, as by `jax.grad`, rather than decided.
         """
         return self.transport(germ, jax.lax.stop_gradient(shape), shape)
 
     @abc.abstractmethod
     def from_normal(self, normal: Float[Array, ""], shape: tuple) -> Float[Array, ""]:
-        """The germ value of the given shape that has the probability level of the standard normal value `normal`."""
+        """The germ value of the given shape at the same probability level as the standard normal value `normal`."""
 
     def reference(self) -> tuple[Scalar, ...] | None:
-        """The shape that the germ's values belong to, where a decision moves it away from there; else nothing."""
+        """The initial shape, with which the germ is distributed, where a decision sets the shape; else `None`."""
         return self._constant_shape() if self.shape_is_decided else None
 
     def concrete_shape(self) -> tuple[float, ...]:
-        """The shape of the germ's distribution as plain numbers, also while it is differentiated.
+        """The shape parameters of the germ as plain numbers, even while they are differentiated.
 
-        Raises `ProblemError` where no number is known, as under `jax.jit` or `jax.vmap`.
+        Raises `ProblemError` where no numbers are known, as under `jax.jit` or `jax.vmap`.
         """
         shape = self._constant_shape()
         if is_traced(shape):
             raise ProblemError(
-                f"{type(self).__name__}: the polynomials of its germ need a shape that is a known number; received "
-                "one that jax.jit or jax.vmap traces. Build the expansion outside of them (jax.grad is possible)."
+                f"{type(self).__name__}: the polynomials of its germ need a shape of known numbers; received one "
+                "traced by jax.jit or jax.vmap. Build the expansion outside of them (jax.grad works)."
             )
         return tuple(float(number) for number in shape)
 
@@ -258,9 +260,9 @@ class AbstractDistribution(AbstractLeaf):
         return self._with(dependence=dependence)
 
     def germ_names(self, place: str) -> tuple[str, ...]:
-        """The germ variables that it depends on, where it stands at `place`.
+        """The germ variables on which it depends when placed at `place`.
 
-        One, named after the place; for a correlated distribution one of its own and those of the members before it.
+        One, named after the place; for a correlated distribution its own and those of the members before it.
         """
         return (place,) if self.dependence is None else self.dependence.germ_names
 

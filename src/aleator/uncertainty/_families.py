@@ -20,8 +20,8 @@ from aleator.uncertainty._transport import beta_anchor, beta_quantile, gamma_anc
 class Uniform(AbstractDistribution):
     """Uniform distribution: `Uniform(376.0, half_width=47.0)`, `Uniform(376.0, std=27.1)`, `Uniform.bounds(329, 423)`.
 
-    Its germ is uniform on [-1, 1] with Legendre polynomials; the half-width is the coefficient `theta^1` of
-    equation (114). The standard deviation is the half-width over the root of 3.
+    Its germ is uniform on [-1, 1] with Legendre polynomials; the half-width is the coefficient `theta^1` of equation
+    (114). The standard deviation is the half-width divided by the square root of 3.
     """
 
     FORMS: ClassVar[dict[tuple[str, ...], Form]] = {
@@ -43,9 +43,8 @@ class Uniform(AbstractDistribution):
     ):
         if unnamed is not None:
             raise ProblemError(
-                "Uniform takes one number without a name, its mean: expected Uniform(mean, half_width=...), "
-                "Uniform(mean, std=...) or Uniform.bounds(lower, upper); "
-                f"received a second number without a name, {unnamed!r}."
+                "Uniform takes one positional number, its mean: expected Uniform(mean, half_width=...), Uniform(mean, "
+                f"std=...) or Uniform.bounds(lower, upper); received a second positional number, {unnamed!r}."
             )
         given = {"mean": mean, "half_width": half_width, "std": std, "lower": lower, "upper": upper}
         self.set_parameters(given, shared_name)

@@ -1,8 +1,8 @@
 """A density as a fine quadrature: its nodes, its probabilities and its quantiles.
 
 The line is mapped to a finite range of `t` by the double exponential maps of Takahasi and Mori (1974), which spread out
-singular ends and decaying tails, and `t` is divided into panels until each is integrated accurately by Gauss's rule.
-Kinks and jumps of the density are found by the division.
+singular ends and decaying tails. That range is subdivided into panels until Gauss quadrature is accurate on each, which
+also locates kinks and jumps of the density.
 """
 
 from collections.abc import Callable
@@ -16,12 +16,12 @@ from aleator._core.errors import ProblemError
 _RULE = np.polynomial.legendre.leggauss(20)
 _FIRST_PANELS = 64
 _MOST_PANELS = 20_000
-_TOLERANCE = 1e-11  # of each panel; the nodes kept are those of its halves, which are far more accurate
+_TOLERANCE = 1e-11  # of each panel; the nodes of its halves are kept, which are far more accurate
 _NARROWEST = 2.0**-46
-_NO_MASS = 1e-250  # less is the foot of a peak that lies between the first nodes
+_NO_MASS = 1e-250  # a smaller total is the foot of a peak that lies between the first nodes
 _BISECTIONS = 60
 
-_FINITE_END, _FAR, _NEAR = 6.0, 4.5, 6.7  # t at which a map comes within 1e-275 of an end, or 1e30 far away
+_FINITE_END, _FAR, _NEAR = 6.0, 4.5, 6.7  # values of t where a map is within 1e-275 of an end, or 1e30 away
 
 
 class _Map(NamedTuple):
@@ -35,7 +35,7 @@ class _Map(NamedTuple):
 
 
 def _finite_map(low: float, high: float) -> _Map:
-    """Distances are taken from the nearer end, so that a singularity at 0 is resolved."""
+    """From `low` to `high`. Distances are measured from the nearer end, so that a singularity at 0 is resolved."""
     width = high - low
 
     def to_x(t: np.ndarray) -> np.ndarray:
@@ -107,7 +107,7 @@ class Measure:
     def rule(self, halvings: int) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
         """Nodes (increasing) and weights (they add up to 1) that integrate under the measure.
 
-        The panels are those that the density needs, halved so many times for what is to be integrated.
+        The panels are those that the density needs, halved `halvings` times for the functions to be integrated.
         """
         edges = self._edges
         for _ in range(halvings):
@@ -151,7 +151,7 @@ class Measure:
         return x, self._values(x) * self._map.slope(t) * half * weights
 
     def _values(self, x: np.ndarray) -> np.ndarray:
-        """The density, checked. Points that rounding has moved on an end carry nothing."""
+        """The density, checked; zero at points that rounding has moved onto an end."""
         low, high = self._ends
         inside = (x > low) & (x < high)
         values = np.zeros(x.shape)
@@ -172,7 +172,7 @@ class Measure:
         return values
 
     def _divide(self) -> np.ndarray:
-        """Edges of the panels in `t`, halved until Gauss's rule on each agrees with that on its halves."""
+        """Edges of the panels in `t`, halved until Gauss quadrature on each agrees with that on its halves."""
         narrowest = (self._map.last - self._map.first) * _NARROWEST
         edges = np.linspace(self._map.first, self._map.last, _FIRST_PANELS + 1)
         starts, ends, accepted = edges[:-1], edges[1:], [edges]
@@ -202,7 +202,7 @@ class Measure:
         return np.unique(np.concatenate(accepted))
 
     def _noise(self, starts: np.ndarray, ends: np.ndarray) -> np.ndarray:
-        """How much of each panel's integral may be rounding: coordinates near a finite end tell its distance poorly."""
+        """The possible rounding error of each panel's integral: coordinates resolve the distance to an end poorly."""
         noise = np.zeros(starts.shape)
         for end, t in zip(self._ends, (starts, ends), strict=True):
             if np.isfinite(end):
@@ -213,12 +213,12 @@ class Measure:
     def _check_mass(self) -> None:
         if not self._total > _NO_MASS:
             raise ProblemError(
-                "A density has no mass where it was looked for: expected a positive integral between "
-                f"{self._ends[0]:g} and {self._ends[1]:g}. Set `lower` and `upper` closely around its mass."
+                f"A density has no mass where it was sampled: expected a positive integral between {self._ends[0]:g} "
+                f"and {self._ends[1]:g}. Set `lower` and `upper` closely around its mass."
             )
 
     def _check_ends(self) -> None:
-        """Refuse a density whose mass lies at an end: beyond the last node, or inside the rounding of coordinates."""
+        """Refuse a density with mass at an end, beyond the last node or within the rounding of coordinates."""
         _, weights = self.rule(0)
         for end, inwards, last in zip(self._ends, (1, -1), weights[[0, -1]], strict=True):
             step = 8 * np.finfo(float).eps * abs(end)

@@ -1,4 +1,4 @@
-"""Parameters of distributions: as a user gives them, and the canonical form that they make."""
+"""Parameters of distributions: as a user gives them, and their canonical form."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -22,7 +22,7 @@ class Canonical(NamedTuple):
 
 
 class Form(NamedTuple):
-    """One way to give a distribution's parameters: how they become canonical, and which of them set the shape."""
+    """One way to give a distribution's parameters: their canonical form, and which of them set the shape."""
 
     canonical: Callable[..., Canonical]
     shaped_by: frozenset[str] = frozenset()

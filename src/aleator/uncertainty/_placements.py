@@ -1,7 +1,7 @@
 """Where the distributions and decisions of a model stand: its germ variables and its decision vector.
 
-A model is any pytree. `placements` finds the distributions and decisions among its leaves and names them by their
-place; `realise` puts numbers in their places, so that the physics runs unchanged.
+A model is any pytree. `placements` finds the distributions and decisions among its leaves and names each by its place;
+`realise` replaces them with numbers, on which the physics runs unchanged.
 """
 
 from collections.abc import Iterator, Mapping
@@ -71,17 +71,17 @@ class Placements(NamedTuple):
         return np.concatenate([np.zeros(0), *parts])
 
     def named(self, vector: Float[np.ndarray, " n"]) -> dict[str, Any]:
-        """A decision vector as numbers (or arrays) by name."""
+        """The entries of a decision vector as numbers (or arrays) by name."""
         return {
             name: vector[place.where].reshape(np.shape(place.decision.initial))[()]
             for name, place in self.decisions.items()
         }
 
     def moved(self, vector: Float[np.ndarray, " n"], values: Any) -> Float[np.ndarray, " n"]:
-        """A decision vector with other values of some decisions, by name.
+        """The decision vector with new values for some decisions, by name.
 
-        Raises `ProblemError` for decisions that are not there, and for values of another shape, not finite or beyond
-        their bounds by more than rounding.
+        Raises `ProblemError` for unknown names, and for values of the wrong shape, non-finite, or outside their bounds
+        by more than rounding.
         """
         if not isinstance(values, Mapping) or not set(values) <= set(self.decisions):
             raise ProblemError(
@@ -105,8 +105,8 @@ class Placements(NamedTuple):
 def placements(model: Pytree) -> Placements:
     """Find the distributions and decisions of a model.
 
-    Raises `ProblemError` if one name stands for two distributions, decisions or plain numbers that were not made one by
-    `shared`, or if it is not clear which group a correlated distribution belongs to.
+    Raises `ProblemError` if one name stands for two distributions, decisions or plain numbers without `shared`, or if
+    the group of a correlated distribution is ambiguous.
     """
     named: dict[str, Any] = {}
     distributions: dict[str, AbstractDistribution] = {}
@@ -144,7 +144,7 @@ def _decisions_in(name: str, leaf: Any) -> Iterator[tuple[str, Decision]]:
 
 
 def _named_by(name: str, leaf: Any) -> Iterator[tuple[str, Any]]:
-    """Everything that one leaf gives a name: itself and, of a distribution, its parameters, moments and decisions."""
+    """Everything that one leaf names: itself and, for a distribution, its parameters, moments and decisions."""
     yield name, leaf
     distribution = free(leaf)
     if isinstance(distribution, AbstractDistribution):
@@ -160,8 +160,8 @@ def _is_shared(owner: Any) -> bool:
 def _refuse_conflict(name: str, first: Any, second: Any) -> None:
     if not (_is_shared(first) and _is_shared(second)):
         raise ProblemError(
-            f"'{name}' names two placements: {first} and {second}. "
-            "Rename one of them, or give the same `shared` name to both if they are one."
+            f"'{name}' names two placements: {first} and {second}. Rename one of them, or give both the same `shared` "
+            "name if they are one number."
         )
     if not (is_traced(first) or eqx.tree_equal(first, second)):
         raise ProblemError(

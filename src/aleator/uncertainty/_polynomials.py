@@ -1,10 +1,9 @@
 """Germ distributions: standard random variables with their orthonormal polynomials (dissertation, table 4.1 and
 equation 12).
 
-A *germ* is the standard random variable xi behind an uncertain number. Each distribution knows its quantile function
-and the three-term recurrence `b[n+1] p[n+1] = (xi - a[n]) p[n] - b[n] p[n-1]` of the polynomials that are
-orthonormal under it, so that `<p_i, p_j> = 1` for `i = j`, else 0. Source of the coefficients: Gautschi, Orthogonal
-Polynomials (2004).
+A *germ* is the standard random variable xi behind an uncertain number. Each germ class has the quantile function and
+the three-term recurrence `b[n+1] p[n+1] = (xi - a[n]) p[n] - b[n] p[n-1]` of the polynomials orthonormal under its
+distribution: `<p_i, p_j> = 1` for `i = j`, else 0. Source of the coefficients: Gautschi, Orthogonal Polynomials (2004).
 """
 
 import abc
@@ -117,7 +116,7 @@ class JacobiGerm(AbstractGerm):
         a[1:] = (left**2 - right**2) / (pole * (pole + 2))
         b = np.zeros(order + 1)
         if order >= 1:
-            # Written out: for n = 1 the general formula is 0/0 when alpha + beta = 1.
+            # Written out, since for n = 1 the general formula is 0/0 when alpha + beta = 1.
             b[1] = 2 * np.sqrt((left + 1) * (right + 1) / ((total + 2) ** 2 * (total + 3)))
         n, pole = n[1:], pole[1:]
         b[2:] = 2 * np.sqrt(n * (n + left) * (n + right) * (n + total) / (pole**2 * (pole**2 - 1)))

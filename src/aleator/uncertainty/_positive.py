@@ -47,7 +47,7 @@ def _is_module(node: Any) -> bool:
 def refuse_nonpositive(model: Pytree) -> None:
     """Raise `ProblemError` if a number declared positive can reach zero, for some germ or some decision.
 
-    What is no number is refused as well, except nothing (`None`) and functions.
+    Values that are not numbers are refused as well, `None` and functions apart.
     """
     for name, field, value in fields_of(model):
         if not field.metadata.get("positive", False):
@@ -55,7 +55,7 @@ def refuse_nonpositive(model: Pytree) -> None:
         for leaf in jax.tree.leaves(value, is_leaf=_is_whole_part):
             if isinstance(leaf, AbstractSignal) and leaf.unbounded:
                 raise ProblemError(_message_of_process(name, leaf))
-            # What other signals give is known in time only: dynamics look at the masses that follow.
+            # The values of other signals are known only in time: the dynamics check the resulting masses.
             if callable(leaf) and not is_leaf(leaf):
                 continue
             least = _lowest(leaf)
@@ -76,7 +76,7 @@ def _message_of_process(name: str, signal: Any) -> str:
 
 
 def _lowest(leaf: Any) -> float | None:
-    """The smallest value that a leaf can take; nothing for a leaf that is no number."""
+    """The smallest value that a leaf can take; `None` for a leaf that is not a number."""
     leaf = free(leaf)
     numeric = (
         isinstance(leaf, int | float | np.generic | np.ndarray | jax.Array) and np.asarray(leaf).dtype.kind in "biuf"

@@ -17,7 +17,7 @@ from aleator.uncertainty._placements import Placements, placements
 
 
 def realise(model: Pytree, germ: Float[Array, " variables"], decisions: Float[Array, " n"]) -> Pytree:
-    """The model with a plain number in the place of each distribution and decision (dissertation, equation 26).
+    """The model with each distribution and decision replaced by a plain number (dissertation, equation 26).
 
     `germ` has one entry for each germ variable and `decisions` one for each decided number, in the order of
     `placements`. Differentiable with respect to both; the parameters of distributions are realised first.
@@ -64,8 +64,8 @@ def _decided(
 def named_numbers(model: Pytree, decisions: Float[Array, " n"]) -> dict[str, Any]:
     """Every number of a model by name, at given decisions.
 
-    A plain number (whole or not) or decision stands under its place (`m_u`), a distribution's parameters below it
-    (`k_s.half_width`), as do its `mean` and `std`, whatever its parameters are.
+    A plain number (integer or real) or decision is named by its place (`m_u`), a distribution's parameters below it
+    (`k_s.half_width`), as are its `mean` and `std`, whatever its parameters are.
     """
     places = placements(model)
     numbers: dict[str, Any] = {}
@@ -84,16 +84,14 @@ def named_numbers(model: Pytree, decisions: Float[Array, " n"]) -> dict[str, Any
 
 
 def _is_whole(leaf: Any) -> bool:
-    """Whether `leaf` is a whole number or an array of them. A truth value is none, though Python counts it as one."""
+    """Whether `leaf` is an integer or an array of them; unlike in Python, a bool is not."""
     if isinstance(leaf, bool):
         return False
     return isinstance(leaf, int) or jnp.issubdtype(getattr(leaf, "dtype", None) or bool, jnp.integer)
 
 
 def with_distributions(model: Pytree, choose: Callable[[str, AbstractDistribution], AbstractDistribution]) -> Pytree:
-    """The model with `choose(name, distribution)` in the place of each of its distributions; what was shared stays
-    shared.
-    """
+    """The model with each distribution replaced by `choose(name, distribution)`; sharing is kept."""
 
     def change(name: str, leaf: Any) -> Any:
         if not isinstance(leaf, AbstractDistribution):
@@ -105,6 +103,6 @@ def with_distributions(model: Pytree, choose: Callable[[str, AbstractDistributio
 
 
 def _with_leaves(model: Pytree, change: Callable[[str, Any], Any]) -> Pytree:
-    """The model with `change(name, leaf)` in the place of each of its leaves."""
+    """The model with each leaf replaced by `change(name, leaf)`."""
     structure = jax.tree.structure(model, is_leaf=is_leaf)
     return jax.tree.unflatten(structure, [change(name, leaf) for name, leaf in named_leaves(model)])

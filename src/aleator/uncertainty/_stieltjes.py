@@ -17,7 +17,7 @@ from aleator.uncertainty._measure import Measure
 from aleator.uncertainty._polynomials import AbstractGerm
 
 _HALVINGS = 7
-_AGREEMENT = 1e-11  # of two rules; the finer one, whose coefficients are taken, is far more accurate
+_AGREEMENT = 1e-11  # of two rules; the coefficients taken are those of the finer one, which is far more accurate
 
 
 def recurrence_of(
@@ -25,8 +25,8 @@ def recurrence_of(
 ) -> tuple[Float[np.ndarray, " terms"], Float[np.ndarray, " terms"], Float[np.ndarray, "terms n"]]:
     """Coefficients `a` and `b` of `AbstractGerm.recurrence` for the measure of `weights` (of sum 1) at `nodes`.
 
-    The third result holds the polynomials at the nodes, times the root of the weights: orthonormal rows. `order` must
-    be less than the number of nodes.
+    The third result holds the polynomials at the nodes, times the square root of the weights: orthonormal rows. `order`
+    must be less than the number of nodes.
     """
     centre = weights @ nodes
     spread = np.sqrt(weights @ (nodes - centre) ** 2) if order else 1.0
@@ -39,7 +39,7 @@ def recurrence_of(
         a[n] = basis[n] @ product
         if n == order:
             break
-        for _ in range(2):  # once leaves what rounding has left
+        for _ in range(2):  # twice, since rounding leaves a remainder the first time
             product = product - (basis[: n + 1] @ product) @ basis[: n + 1]
         b[n + 1] = np.linalg.norm(product)
         basis[n + 1] = product / b[n + 1]
@@ -47,7 +47,7 @@ def recurrence_of(
 
 
 class AbstractDensityGerm(AbstractGerm):
-    """A germ known by its density: polynomials, quantiles and probabilities come from a fine quadrature of it."""
+    """A germ given by its density: polynomials, quantiles and probabilities come from a fine quadrature of it."""
 
     @abc.abstractmethod
     def density(self, germ: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
@@ -74,9 +74,9 @@ def _measure(germ: AbstractDensityGerm) -> Measure:
 
 @functools.lru_cache(maxsize=512)
 def _recurrence(germ: AbstractDensityGerm, order: int) -> tuple[np.ndarray, np.ndarray]:
-    """The recurrence on ever finer rules, until two of them agree."""
+    """The recurrence on successively finer rules, until two agree."""
     if order == 0:
-        # A mean alone, which may be zero, says nothing of how exact it is to be.
+        # At order 0 there is only the mean, which may be zero and so gives no scale for a tolerance.
         a, b = _recurrence(germ, 1)
         return a[:1], b[:1]
     a, b = _discretised(germ, order, halvings=0)
@@ -93,7 +93,7 @@ def _recurrence(germ: AbstractDensityGerm, order: int) -> tuple[np.ndarray, np.n
             "jumps. Smooth it, or lower the order."
         )
     for coefficients in (a, b):
-        coefficients.flags.writeable = False  # they are shared by all who ask
+        coefficients.flags.writeable = False  # the cached array is shared
     return a, b
 
 
@@ -102,7 +102,7 @@ def _discretised(germ: AbstractDensityGerm, order: int, halvings: int) -> tuple[
     with np.errstate(over="ignore", invalid="ignore"):
         a, b, basis = recurrence_of(nodes, weights, order)
     for end, column in zip(germ.support(), (basis[:, 0], basis[:, -1]), strict=True):
-        # Where the tail is too heavy, the highest polynomials live at the last node, however far away it is.
+        # Where the tail is too heavy, the highest polynomials concentrate at the last node, however far away it is.
         if np.isinf(end) and not np.all(np.abs(column) < 1e-6):
             raise ProblemError(
                 f"The tail of a density decays too slowly for polynomials of order {order}: the moments that they "

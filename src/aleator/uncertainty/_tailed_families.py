@@ -20,7 +20,7 @@ from aleator.uncertainty._transport import weibull_inverse_shape
 class Exponential(AbstractDistribution):
     """Exponential distribution above `lower`, default 0: `Exponential(mean=2.0)` or `Exponential(rate=0.5)`.
 
-    `mean` is that of the number itself, `lower` included; the rate is one over the standard deviation. Laguerre
+    `mean` is that of the number itself, `lower` included; `rate` is the reciprocal of the standard deviation. Laguerre
     polynomials.
     """
 
@@ -65,10 +65,10 @@ def _lognormal_from_moments(mean: Scalar, std: Scalar, lower: Scalar) -> Canonic
 class LogNormal(AbstractDistribution):
     """Lognormal distribution above `lower`, default 0: `lower + exp(log_mean + log_std * xi)`, `xi` standard normal.
 
-    `LogNormal(mean=2.0, std=0.5)` by the moments of the number itself, `LogNormal(median=2.0, log_std=0.2)`, where the
-    median is above `lower` by `exp(log_mean)`, or `LogNormal(log_mean=0.7, log_std=0.2)`. The germ is normal with
-    Hermite polynomials, since polynomials in a lognormal number cannot represent every function of it (Ernst, Mugler,
-    Starkloff and Ullmann, 2012).
+    Written `LogNormal(mean=2.0, std=0.5)`, by the moments of the number itself; `LogNormal(median=2.0, log_std=0.2)`,
+    with the median `lower + exp(log_mean)`; or `LogNormal(log_mean=0.7, log_std=0.2)`. The germ is normal with Hermite
+    polynomials, since polynomials in a lognormal number cannot represent every function of it (Ernst, Mugler, Starkloff
+    and Ullmann, 2012).
     """
 
     FORMS: ClassVar[dict[tuple[str, ...], Form]] = {
@@ -99,7 +99,7 @@ class LogNormal(AbstractDistribution):
 
     @override
     def value(self, germ: Float[Array, ""], reference: tuple[Scalar, ...] | None = None) -> Float[Array, ""]:
-        """Every shape has the same, normal germ."""
+        """The germ is standard normal whatever the shape."""
         del reference
         return self.value_at_normal(germ)
 
@@ -108,7 +108,7 @@ class LogNormal(AbstractDistribution):
         return HermiteGerm()
 
     def from_normal(self, normal: Float[Array, ""], shape: tuple) -> Float[Array, ""]:
-        """The number above `lower`, in medians: see `AbstractDistribution.from_normal`."""
+        """The number's excess over `lower`, as a multiple of its median; see `AbstractDistribution.from_normal`."""
         return jnp.exp(shape[0] * normal)
 
     @override
@@ -196,7 +196,7 @@ class Gumbel(AbstractDistribution):
     """Gumbel distribution of maxima: `F(x) = exp(-exp(-(x - location) / scale))`.
 
     `Gumbel(location=1.0, scale=0.2)`, where `location` is the mode, or `Gumbel(mean=1.1, std=0.25)`. The distribution
-    of minima is the negative of a number with this distribution.
+    of minima is that of the negative of such a number.
     """
 
     FORMS: ClassVar[dict[tuple[str, ...], Form]] = {

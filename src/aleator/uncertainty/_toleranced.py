@@ -18,7 +18,7 @@ from aleator.uncertainty._polynomials import AbstractGerm, HermiteGerm
 
 
 class _Zone(NamedTuple):
-    """A tolerance zone: its nominal value and the deviations of its limits, both outwards."""
+    """A tolerance zone: its nominal value and the distances of its two limits from it."""
 
     nominal: Scalar
     plus: Scalar
@@ -44,7 +44,7 @@ def _zone(given: dict[str, Any]) -> _Zone:
 
 
 def _canonical(**given: Any) -> Canonical:
-    """The normal distribution of a process whose mean is shifted upwards, if at all."""
+    """Canonical form of the normal distribution, with the mean shifted upwards where `cpk < cp`."""
     cp = given["sigmas"] / 3 if "sigmas" in given else given["cp"]
     zone, shift = _zone(given), 1 - given.get("cpk", cp) / cp
     return Canonical(zone.middle + shift * zone.half_width, zone.half_width / (3 * cp))
@@ -54,12 +54,12 @@ def _canonical(**given: Any) -> Canonical:
 class Toleranced(AbstractDistribution):
     """A normal distribution in a tolerance zone: `Toleranced(27.645, plus=0.05, minus=0.02, cp=1.33)`.
 
-    The zone reaches from `nominal - minus` to `nominal + plus`; `tolerance` stands for both where they are equal. Its
-    width is `6 cp` standard deviations, or `2 sigmas` of them (`cp` is 1, thus `sigmas` 3, unless told). The mean lies
-    in the middle of the zone. A process that is not centred is told by `cpk < cp`: its mean is then shifted by
-    `(1 - cpk / cp)` half-widths towards the limit named in `towards`, "upper" unless told.
+    The zone extends from `nominal - minus` to `nominal + plus`; give `tolerance` where both are equal. Its width is `6
+    cp` standard deviations, or `2 sigmas` of them (default `cp=1`, that is `sigmas=3`). The mean lies in the middle of
+    the zone. For a process that is off centre give `cpk < cp`: the mean is then shifted by `(1 - cpk / cp)` half-widths
+    towards the limit named by `towards` (default "upper").
 
-    Parts outside the zone are not cut off; `limits()` is the zone, which worst-case analysis takes.
+    The distribution is not truncated to the zone. `limits()` gives the zone, which worst-case analysis uses.
     """
 
     towards: Literal["upper", "lower"] = eqx.field(static=True)
@@ -140,8 +140,8 @@ _ASYMMETRIC = re.compile(rf"([+-]?(?:{_NUMBER})){_DEVIATION}{_DEVIATION}")
 def toleranced(text: str, **options: Any) -> Toleranced:
     """A toleranced dimension as a drawing writes it: `toleranced("27.645 +0.05/-0.02", cp=1.33)`.
 
-    Understood are `27.645 ±0.05`, `11.43 +/- 0.01`, and two deviations from the nominal value, each with its sign, in
-    any order: `27.645 +0.05/-0.02`, `20 -0.007/-0.028`, `8 +0.1 0`. `options` are those of `Toleranced`.
+    Accepted forms are `27.645 ±0.05`, `11.43 +/- 0.01`, and two signed deviations from the nominal value in any order:
+    `27.645 +0.05/-0.02`, `20 -0.007/-0.028`, `8 +0.1 0`. `options` are those of `Toleranced`.
     """
     if not isinstance(text, str):
         raise refusal("toleranced", "a dimension as a drawing writes it, such as '11.43 ±0.01'", text)

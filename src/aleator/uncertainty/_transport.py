@@ -1,11 +1,11 @@
 """Quantiles that are differentiable in the shape parameters of a distribution, by the implicit function theorem.
 
 Differentiating `F(x; s) = u` at a fixed level `u` gives `dx/ds = -(dF/ds) / f` with the density `f`: exact, and
-independent of how the root was found. Used when a shape parameter is a decision: the germ stays that of the initial
+independent of how the root was found. This serves shape parameters that are decisions: the germ keeps the initial
 shape, so that the collocation matrix stays constant, and its values are transported to the distribution of the current
-shape. The rules are themselves differentiable, so that second derivatives are exact as well.
+shape. The rules are themselves differentiable, so that second derivatives are exact too.
 
-A level is given twice, as the probability below and the probability above: each tail keeps its own accuracy.
+A level is given as both the probability below and the probability above, so that each tail keeps its accuracy.
 """
 
 from collections.abc import Callable
@@ -22,10 +22,10 @@ _BISECTIONS = 70
 
 
 def _tanh_sinh(nodes: int = 111, first: float = -6.0, last: float = 3.4) -> tuple[np.ndarray, np.ndarray]:
-    """Nodes and weights on (0, 1) that stand singular end points (Takahasi and Mori, 1974).
+    """Nodes and weights on (0, 1) for integrands with singular end points (Takahasi and Mori, 1974).
 
-    They start at 1e-275, so that nothing is cut off where a small shape parameter makes the density nearly
-    not integrable at 0, and end one rounding error before 1, where the integrands are smooth.
+    They start at 1e-275, so that no mass is lost where a small shape parameter makes the density almost non-integrable
+    at 0, and end one rounding error before 1, where the integrands are smooth.
     """
     t = np.linspace(first, last, nodes)
     u = np.pi * np.sinh(t)
@@ -63,8 +63,9 @@ def _differentiable(
 ) -> tuple[Callable[..., Array], Callable[..., Array]]:
     """The quantile `(below, above, *shape)` and the anchor `(x, *shape)` of a distribution, with implicit derivatives.
 
-    An anchor is `x` itself, taken at the current shape, and moves at equal probability as the shape varies. It is what
-    a germ value needs whose shape is differentiated but not decided: it costs nothing where no derivative is asked for.
+    The anchor is the identity in `x`, with the derivative of a value that moves at equal probability as the shape
+    varies. It serves germ values whose shape is differentiated but not decided, and costs nothing where no derivative
+    is taken.
     """
 
     @jax.custom_jvp
@@ -78,7 +79,7 @@ def _differentiable(
         x = quantile(below, above, *shape)
         level_dot = jnp.where(below < above, below_dot, -above_dot)
         inside = (below > 0) & (above > 0)
-        # The ends of the support stay where they are, whatever the shape is.
+        # The ends of the support do not move with the shape.
         slope = (level_dot - _along(x, shape, shape_dot)) / jnp.where(inside, density(x, *shape), 1.0)
         return x, jnp.where(inside, slope, 0.0)
 
@@ -101,7 +102,7 @@ def _differentiable(
     return quantile, anchor
 
 
-@jax.jit  # compiled once, also where it is called outside of compilation
+@jax.jit  # compiled once, even when called eagerly
 def _beta_root(below: Array, above: Array, alpha: Scalar, beta: Scalar) -> Array:
     left = below < above
     level = jnp.where(left, below, above)
@@ -119,7 +120,7 @@ def _beta_density(x: Array, alpha: Scalar, beta: Scalar) -> Array:
 
 
 def _beta_by_shape(x: Array, alpha: Scalar, beta: Scalar) -> tuple[Array, Array]:
-    """Derivatives of the incomplete beta function in its shapes, by quadrature on the side of `x` with less mass.
+    """Derivatives of the incomplete beta function by its shapes, by quadrature on the side of `x` with less mass.
 
     `dF/d alpha = integral over (0, x) of (ln t - digamma(alpha) + digamma(alpha + beta)) f(t)`, and the same integral
     over (x, 1) is its negative, since the two add up to the derivative of 1.
@@ -142,7 +143,7 @@ def _gamma_root(below: Array, above: Array, shape: Scalar) -> Array:
     left = below < above
 
     def is_below(y: Array) -> Bool[Array, ""]:
-        x = y / (1 - y)  # brings the half line to (0, 1)
+        x = y / (1 - y)  # maps the half-line to (0, 1)
         return jnp.where(left, special.gammainc(shape, x) < below, special.gammaincc(shape, x) > above)
 
     fraction = bisect(is_below, below)
@@ -154,12 +155,12 @@ def _gamma_density(x: Array, shape: Scalar) -> Array:
 
 
 def _gamma_by_shape(x: Array, shape: Scalar) -> tuple[Array]:
-    """Derivative of the incomplete gamma function in its shape, by quadrature on the side of `x` with less mass.
+    """Derivative of the incomplete gamma function by its shape, by quadrature on the side of `x` with less mass.
 
     `dF/d shape = integral over (0, x) of (ln t - digamma(shape)) f(t)`; the integral over (x, inf) is its negative.
     """
     left = x < shape
-    width = 1 + jnp.sqrt(shape)  # of the density's bulk, beyond which nothing is left on the lower side of x
+    width = 1 + jnp.sqrt(shape)  # of the density's bulk, beyond which no mass remains
     length = jnp.minimum(x, 12 * width)
     t = jnp.where(left, x - length + length * _NODES, x + width * _TAIL_NODES)
     weights = jnp.where(left, length * _WEIGHTS, -width * _TAIL_WEIGHTS)
@@ -167,7 +168,7 @@ def _gamma_by_shape(x: Array, shape: Scalar) -> tuple[Array]:
 
 
 def _weibull_dispersion(inverse: Array) -> Array:
-    """`ln(1 + (std / mean)^2)` of the Weibull distribution, by the inverse of its shape."""
+    """`ln(1 + (std / mean)^2)` of the Weibull distribution, as a function of the reciprocal of its shape."""
     return special.gammaln(1 + 2 * inverse) - 2 * special.gammaln(1 + inverse)
 
 
@@ -179,7 +180,7 @@ def _weibull_root(dispersion: Array) -> Array:
 
 @jax.custom_jvp
 def weibull_inverse_shape(dispersion: Array) -> Array:
-    """The inverse of the shape of the Weibull distribution with the dispersion `ln(1 + (std / mean)^2)`."""
+    """The reciprocal of the shape of the Weibull distribution with the dispersion `ln(1 + (std / mean)^2)`."""
     return _weibull_root(dispersion)
 
 
