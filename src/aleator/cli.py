@@ -6,7 +6,7 @@ results are written in every case.
 
 import time
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated, Any, final
@@ -18,9 +18,10 @@ from rich.table import Table as RichTable
 from rich.text import Text
 
 from aleator._core.errors import AleatorError, AleatorWarning, ProblemError
+from aleator._core.given import one_of
 from aleator._core.interruption import Interruptions
-from aleator.reporting import PAGE, Table, check_writable, only_writer, words
-from aleator.studies import STUDIES, AbstractStudy, load
+from aleator.reporting import PAGE, Table, check_writable, only_writer, save_study, words
+from aleator.studies import STUDIES, AbstractStudy, PartlySavedError, load, tables_of
 
 FAILED, USAGE = 1, 2
 
@@ -63,7 +64,9 @@ def _executed(loaded: Callable[[], AbstractStudy], out: Path) -> int:
     with ExitStack() as held:
         held.enter_context(course.interruptions)
         try:
-            job, folder = loaded(), check_writable(out)
+            job = one_of("run_study: the study", loaded(), AbstractStudy)
+            job.check_declaration()
+            folder = check_writable(out)
             held.enter_context(only_writer(folder))
         except ProblemError as error:
             course.complain("error", error)
@@ -85,7 +88,9 @@ class _Run:
         self._console, self._errors = _console(), _console(stderr=True)
         self.interruptions = Interruptions(self._last_words)
         self._stage, self._folder = "", Path()
-        self._finished, self._paths, self._refused = list[str](), list[Path](), False
+        self._finished, self._paths = list[str](), list[Path]()
+        self._tables: Sequence[Table] = ()
+        self._told = list[str]()
         self._mistake: Exception | None = None
 
     def execute(self, job: AbstractStudy, folder: Path) -> int:
@@ -107,11 +112,14 @@ class _Run:
 
     def _run_through(self, job: AbstractStudy, folder: Path) -> int:
         self._folder = folder
-        code = self._attempt(lambda: self._run_stages(job))
-        code = self._attempt(lambda: self._write_page(job)) or code
+        code = self._attempt(job, "saving", lambda: self._run_stages(job))
+        code = self._attempt(job, "the tables", lambda: self._ask_tables(job)) or code
+        if self._finished or self._tables or job.failed_parts:
+            code = self._attempt(job, "saving", lambda: self._save_rest(job)) or code
+            code = self._attempt(job, "the page", lambda: self._write_page(job)) or code
         if not self._interrupted(code):
             self.interruptions.rest()
-            code = self._attempt(lambda: self._print_results(job)) or code
+            code = self._attempt(job, "the last word", lambda: self._print_results(job)) or code
         if not self._interrupted(code):
             if self._mistake is not None:
                 raise self._mistake
@@ -123,8 +131,8 @@ class _Run:
     def _interrupted(self, code: int) -> bool:
         return self.interruptions.received is not None or code == self.interruptions.exit_code
 
-    def _attempt(self, part: Callable[[], None]) -> int:
-        """Do a part of the run; returns the exit code."""
+    def _attempt(self, job: AbstractStudy, where: str, part: Callable[[], None]) -> int:
+        """Do a part of the run; returns the exit code. The study keeps what fails, for its page."""
         try:
             part()
         except KeyboardInterrupt:
@@ -132,17 +140,24 @@ class _Run:
         except Exception as error:
             # On its way through libraries, an interrupt may have become another exception.
             if self.interruptions.received is not None:
+                job.failed_parts = ()
                 return self.interruptions.exit_code
-            if isinstance(error, OSError):
+            if isinstance(error, BrokenPipeError):
                 raise
-            if isinstance(error, AleatorError | MemoryError):
-                self.complain(f"error{self._during()}", error)
-                return FAILED
-            # A mistake in a study's own code: what it has finished is written before its place is told.
-            self._mistake = self._mistake or error
-            self.complain(f"error{self._during()}", f"{type(error).__name__}: {error}")
+            job.note_failure(where, error)
+            self._tell(error)
             return FAILED
         return 0
+
+    def _tell(self, error: Exception) -> None:
+        """Say what went wrong, once. A mistake in a study's own code is raised when all is written, for its place."""
+        said = f"{error}"
+        if not isinstance(error, AleatorError | MemoryError | OSError):
+            self._mistake = self._mistake or error
+            said = f"{type(error).__name__}: {error}"
+        if said not in self._told:
+            self._told.append(said)
+            self.complain(f"error{self._during()}", said)
 
     def _during(self) -> str:
         return f" during '{self._stage}'" if self._stage else ""
@@ -175,20 +190,35 @@ class _Run:
         self._stage = ""
 
     def _save(self, job: AbstractStudy, finished: list[str]) -> None:
-        self._refused = True
-        self._paths, self._finished = job.save(self._folder), finished
-        self._refused = False
+        try:
+            self._paths, self._finished = job.save(self._folder), finished
+        except PartlySavedError as error:
+            self._paths, self._finished = error.paths, finished
+            raise
 
-    def _write_page(self, job: AbstractStudy) -> None:
-        """Write the page, and before it what a stage has found that did not come to its end."""
-        if self._refused or not (self._finished or job.tables()):
-            return
+    def _ask_tables(self, job: AbstractStudy) -> None:
+        self._tables = tables_of(job)
+
+    def _save_rest(self, job: AbstractStudy) -> None:
+        """Save what a stage has found that did not come to its end."""
         if len(self._finished) < len(job.stages):
             self._save(job, self._finished)
-        self._paths = [*self._paths, job.write_page(self._folder)]
+
+    def _write_page(self, job: AbstractStudy) -> None:
+        """Write the page, never beside results of an earlier run; one of what is left where the study's own fails."""
+        if not self._paths:
+            self._paths = list(save_study(self._folder, {}))
+        try:
+            page = job.write_page(self._folder)
+        except Exception as error:
+            if self.interruptions.received is None:
+                job.note_failure("the page", error)
+                self._paths = [*self._paths, job.write_what_is_left(self._folder)]
+            raise
+        self._paths = [*self._paths, page]
 
     def _print_results(self, job: AbstractStudy) -> None:
-        for table in job.tables():
+        for table in self._tables:
             self._console.print(_rich(table))
         self._console.print(Text(job.headline(), style="bold"))
         for path in self._paths:

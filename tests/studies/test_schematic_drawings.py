@@ -7,8 +7,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from aleator.reporting import Schematic, sketch
-from aleator.reporting._page import Page, Section, Verdict, page_html
+from aleator.reporting import Page, Schematic, Section, Verdict, page_html, sketch
 from aleator.studies.clutch import MEANS
 from aleator.studies.clutch._drawing import clutch_drawing
 from aleator.studies.suspension import QuarterCar, apportioned, nominal, road

@@ -5,6 +5,7 @@ with what was expected and what was received. `what` begins the sentence: "Grid:
 """
 
 import reprlib
+from collections.abc import Sequence
 from typing import Any, TypeVar
 
 import jax
@@ -92,6 +93,18 @@ def one_of(what: str, value: Any, kinds: type[Kind] | tuple[type[Kind], ...], ex
         return value
     names = " or ".join(kind.__name__ for kind in (kinds if isinstance(kinds, tuple) else (kinds,)))
     raise refusal(what, f"{names}{example and f', such as {example}'}", value)
+
+
+def members(what: str, value: Any, kinds: type[Kind] | tuple[type[Kind], ...]) -> Sequence[Kind]:
+    """A sequence of objects of a kind. A text is none, though its letters would pass for texts."""
+    names = " or ".join(kind.__name__ for kind in (kinds if isinstance(kinds, tuple) else (kinds,)))
+    expected = f"a list of {'texts' if kinds is str else names}"
+    if isinstance(value, str | bytes) or not isinstance(value, Sequence):
+        raise refusal(what, expected, value)
+    for i, one in enumerate(value):
+        if not isinstance(one, kinds):
+            raise refusal(f"{what}, entry {i}", "a text" if kinds is str else names, one)
+    return value
 
 
 def traceable(what: str, value: Any) -> Float[Array, "..."]:

@@ -1,5 +1,14 @@
 """The report: figures, one HTML page, and files of results, from result objects only."""
 
+from aleator.reporting._blocks import Block as Block
+from aleator.reporting._blocks import Card as Card
+from aleator.reporting._blocks import Code as Code
+from aleator.reporting._blocks import Drawing as Drawing
+from aleator.reporting._blocks import Schematic as Schematic
+from aleator.reporting._blocks import Section as Section
+from aleator.reporting._blocks import Table as Table
+from aleator.reporting._blocks import Text as Text
+from aleator.reporting._blocks import Verdict as Verdict
 from aleator.reporting._boxes import DASHES as DASHES
 from aleator.reporting._boxes import Axis as Axis
 from aleator.reporting._boxes import Box as Box
@@ -27,16 +36,7 @@ from aleator.reporting._numbers import number as number
 from aleator.reporting._numbers import percent as percent
 from aleator.reporting._numbers import share_text as share_text
 from aleator.reporting._numbers import words as words
-from aleator.reporting._page import Block as Block
-from aleator.reporting._page import Card as Card
-from aleator.reporting._page import Code as Code
-from aleator.reporting._page import Drawing as Drawing
 from aleator.reporting._page import Page as Page
-from aleator.reporting._page import Schematic as Schematic
-from aleator.reporting._page import Section as Section
-from aleator.reporting._page import Table as Table
-from aleator.reporting._page import Text as Text
-from aleator.reporting._page import Verdict as Verdict
 from aleator.reporting._page import page_html as page_html
 from aleator.reporting._page import write_page as write_page
 from aleator.reporting._report import HOW_TO_READ as HOW_TO_READ
@@ -46,6 +46,7 @@ from aleator.reporting._samples import calibration_figure as calibration_figure
 from aleator.reporting._samples import percentile_figure as percentile_figure
 from aleator.reporting._samples import signal_figure as signal_figure
 from aleator.reporting._samples import trajectory_figure as trajectory_figure
+from aleator.reporting._savable import savable as savable
 from aleator.reporting._store import PAGE as PAGE
 from aleator.reporting._store import json_text as json_text
 from aleator.reporting._store import save as save

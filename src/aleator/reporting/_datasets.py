@@ -5,7 +5,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from aleator._core.given import one_of
 from aleator.design import statistics_in
 from aleator.reporting import _units
 from aleator.solution import Solution
@@ -164,12 +163,15 @@ def dataset(result: "Solution | Evidence | Front | Calibration | xarray.Dataset"
         return front_dataset(result)
     if isinstance(result, Calibration):
         return calibration_dataset(result)
+    # A study may keep one array of its own: xarray takes it for a dataset of that array.
+    return result
+
+
+def is_own_data(result: object) -> bool:
+    """Whether a result is data that a study has labelled itself."""
     import xarray
 
-    # A study may keep one array of its own: xarray takes it for a dataset of that array.
-    kinds = (xarray.Dataset, xarray.DataArray)
-    one_of("save", result, kinds, "a Solution, an Evidence, a Front or a Calibration")
-    return result
+    return isinstance(result, xarray.Dataset | xarray.DataArray)
 
 
 def _variable(axes: Any, values: Any, long_name: str, unit: str, **more: str) -> Variable:

@@ -8,10 +8,11 @@ import numpy as np
 
 from aleator._core.errors import ProblemError
 from aleator.reporting import _units
+from aleator.reporting._blocks import Block, Card, Code, Drawing, Section, Text, Verdict
 from aleator.reporting._files import as_path, check_writable
 from aleator.reporting._fronts import front_figure, shadow_price_figure
 from aleator.reporting._numbers import count, interval, number, percent, words
-from aleator.reporting._page import Block, Card, Code, Drawing, Page, Section, Text, Verdict, write_page
+from aleator.reporting._page import Page, write_page
 from aleator.reporting._samples import percentile_figure, trajectory_figure
 from aleator.reporting._tables import (
     certificate_table,

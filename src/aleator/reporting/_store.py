@@ -12,6 +12,7 @@ import numpy as np
 from aleator.reporting import _units
 from aleator.reporting._datasets import tree
 from aleator.reporting._files import write_together
+from aleator.reporting._savable import savable
 from aleator.solution import ConstraintResult, Solution
 from aleator.sweep import Calibration, Front
 from aleator.validation import Evidence, Proportion
@@ -25,20 +26,24 @@ PAGE = "report.html"
 """The page of a study, beside its results."""
 
 
-def save(folder: str | Path, **results: "Result | Mapping[str, Any] | None") -> tuple[Path, ...]:
+def save(folder: str | Path, /, **results: "Result | Mapping[str, Any] | None") -> tuple[Path, ...]:
     """Write results into a folder and return the paths: `results.nc`, and `designs.json` if there is a solution.
 
     Each keyword is a result, a dataset, or a mapping of these by name, nested as needed: a group of the netCDF file.
     Solutions become entries of the JSON file, with the violations of the evidence that speaks of them. Both files are
     of one generation, whose name they carry: what an earlier run left stays until the new ones are complete.
 
-    Raises `ProblemError` if the folder cannot be written, or if another process keeps writing into it.
+    Raises `ProblemError` for what is no result, naming its place, if the folder cannot be written, or if another
+    process keeps writing into it.
     """
-    return _write(folder, results, ())
+    kept, refused = savable("save", results)
+    if refused:
+        raise refused[0]
+    return _write(folder, kept, ())
 
 
-def save_study(folder: str | Path, **results: "Result | Mapping[str, Any] | None") -> tuple[Path, ...]:
-    """Write results as `save` does, and take away the page of earlier ones: it would show other numbers than these."""
+def save_study(folder: str | Path, results: Mapping[str, Any]) -> tuple[Path, ...]:
+    """Write results that are `savable`, and take away the page of earlier ones: it would show other numbers."""
     return _write(folder, results, (PAGE,))
 
 

@@ -6,8 +6,8 @@ import numpy as np
 
 from aleator.nlp import Status
 from aleator.reporting import _units
+from aleator.reporting._blocks import Table
 from aleator.reporting._numbers import count, given, number, residual, seconds, share_text, values_text, words
-from aleator.reporting._page import Table
 from aleator.solution import Certificate, ConstraintResult, Effort, Solution
 from aleator.statistics import Mean, Std
 from aleator.validation import Checked, Evidence

@@ -14,8 +14,10 @@ from importlib import import_module
 from typing import Any, NamedTuple
 
 from aleator._core.errors import ProblemError
+from aleator.studies._declared import PartlySavedError as PartlySavedError
+from aleator.studies._declared import Stage as Stage
+from aleator.studies._declared import tables_of as tables_of
 from aleator.studies._study import AbstractStudy as AbstractStudy
-from aleator.studies._study import Stage as Stage
 from aleator.studies._study import stop_if_interrupted as stop_if_interrupted
 
 

@@ -1,0 +1,160 @@
+"""What a page is made of: a verdict, and sections of text, tables and figures. Each is checked where it is made."""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal, final, get_args
+
+from aleator._core.given import members, one_of, refusal
+
+if TYPE_CHECKING:
+    from plotly.graph_objects import Figure
+
+Level = Literal["good", "caution", "bad"]
+
+
+@final
+@dataclass(frozen=True)
+class Card:
+    """A key number: what it is, the number, and what to make of it."""
+
+    label: str
+    value: str
+    note: str = ""
+
+    def __post_init__(self) -> None:
+        _texts(self, "label", "value", "note")
+
+
+@final
+@dataclass(frozen=True)
+class Verdict:
+    """The first screen: a mark and its word, one headline, a few sentences, three or four key numbers."""
+
+    level: Level
+    word: str
+    headline: str
+    sentences: Sequence[str] = ()
+    cards: Sequence[Card] = ()
+
+    def __post_init__(self) -> None:
+        if self.level not in get_args(Level):
+            raise refusal("Verdict: level", " or ".join(map(repr, get_args(Level))), self.level)
+        _texts(self, "word", "headline")
+        members("Verdict: sentences", self.sentences, str)
+        members("Verdict: cards", self.cards, Card)
+
+
+@final
+@dataclass(frozen=True)
+class Text:
+    """Paragraphs of plain text; `lead` is set in bold before the first."""
+
+    paragraphs: Sequence[str]
+    lead: str = ""
+    kind: str = "text"
+
+    def __post_init__(self) -> None:
+        members("Text: paragraphs", self.paragraphs, str)
+        _texts(self, "lead")
+
+
+@final
+@dataclass(frozen=True)
+class Code:
+    """Text in fixed width, such as a problem printed as mathematics, folded away unless `opened`."""
+
+    heading: str
+    text: str
+    opened: bool = False
+    kind: str = "code"
+
+    def __post_init__(self) -> None:
+        _texts(self, "heading", "text")
+
+
+@final
+@dataclass(frozen=True)
+class Table:
+    """A table of text; the first column names the rows."""
+
+    caption: str
+    header: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    note: str = ""
+    kind: str = "table"
+
+    def __post_init__(self) -> None:
+        _texts(self, "caption", "note")
+        members("Table: header", self.header, str)
+        for i, row in enumerate(members(f"Table '{self.caption}': rows", self.rows, Sequence)):
+            cells = members(f"Table '{self.caption}': row {i}", row, str)
+            if len(cells) != len(self.header):
+                raise refusal(f"Table '{self.caption}': row {i}", f"{len(self.header)} texts, one a column", row)
+
+
+@final
+@dataclass(frozen=True)
+class Drawing:
+    """One figure, or several in a row that shares a caption: its number, what it shows and what to see in it."""
+
+    figures: "Sequence[Figure]"
+    heading: str
+    caption: str = ""
+    number: str = ""
+    kind: str = "drawing"
+
+    def __post_init__(self) -> None:
+        from plotly.graph_objects import Figure
+
+        _texts(self, "heading", "caption", "number")
+        members(f"Drawing '{self.heading}': figures", self.figures, Figure)
+
+
+@final
+@dataclass(frozen=True)
+class Schematic:
+    """Drawings of a system as SVG made by `sketch`, and beside them its mathematics."""
+
+    drawings: Sequence[str]
+    heading: str
+    caption: str = ""
+    number: str = ""
+    beside: Sequence[Code] = ()
+    kind: str = "schematic"
+
+    def __post_init__(self) -> None:
+        _texts(self, "heading", "caption", "number")
+        members(f"Schematic '{self.heading}': drawings", self.drawings, str)
+        members(f"Schematic '{self.heading}': beside", self.beside, Code)
+
+    def __html__(self) -> str:
+        """The drawings as markup, for the template: `sketch` escapes what it is given."""
+        return "".join(f'<div class="sketch">{one}</div>' for one in self.drawings)
+
+
+Block = Text | Code | Table | Drawing | Schematic
+
+
+@final
+@dataclass(frozen=True)
+class Section:
+    """A heading and what stands under it."""
+
+    heading: str
+    blocks: Sequence[Block]
+
+    def __post_init__(self) -> None:
+        _texts(self, "heading")
+        members(f"Section '{self.heading}': blocks", self.blocks, get_args(Block))
+
+    @property
+    def anchor(self) -> str:
+        """The heading as a place to link to."""
+        return re.sub(r"[^a-z0-9]+", "-", self.heading.lower()).strip("-") or "section"
+
+
+def _texts(block: Any, *fields: str) -> None:
+    """Refuse fields of a block that are no text."""
+    for field in fields:
+        one_of(f"{type(block).__name__}: {field}", getattr(block, field), str)
