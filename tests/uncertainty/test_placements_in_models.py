@@ -269,6 +269,13 @@ def test_two_independent_placements_that_happen_to_have_one_name_are_refused(mod
         placements(model)
 
 
+def test_decided_parameters_of_distributions_come_in_the_order_of_the_decision_vector():
+    distributions = {f"k{i}": Uniform(Decision(1.0, 0.5, 2.0), half_width=Decision(0.1, 0.01, 0.2)) for i in range(8)}
+    found = placements({"free": Decision(0.0, 0.0, 1.0), **distributions})
+    assert list(found.of_distributions.values()) == list(range(1, 17))
+    assert [found.entry_names()[i] for i in found.of_distributions.values()] == list(found.of_distributions)
+
+
 def test_at_means_leaves_no_germ_but_keeps_all_decisions():
     held = placements(at_means(car()))
     assert held.distributions == {}

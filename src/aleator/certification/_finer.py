@@ -81,7 +81,7 @@ def _when(solution: Solution) -> float:
     germ, decisions = jnp.zeros(len(problem.placements.germ_names)), jnp.asarray(solution.vector)
     coarse, fine = (jax.jit(lambda x, one=one: history(one, germ, x))(decisions) for one in (problem, finer))
     changes = np.zeros(grid.steps)
-    for name in {name for one in functionals_of(problem.expressions) for name in one.outputs}:
+    for name in dict.fromkeys(name for one in functionals_of(problem.expressions) for name in one.outputs):
         one, other = (np.asarray(values).reshape(len(values), -1) for values in (coarse[name], fine[name][::2]))
         away = np.abs(one - other).max(axis=1) / max(float(np.abs(other).max()), np.finfo(float).tiny)
         changes = np.maximum(changes, np.abs(np.diff(away)))
