@@ -51,7 +51,7 @@ def arrow(targets: np.ndarray) -> NonlinearProgram:
         constraint_upper=np.zeros(count),
         constraint_scale=np.ones(count),
         variable_scale=every,
-        structure=sparsity,
+        sparsity=sparsity,
         hessian=Hessian(curvature, diagonal),
     )
 

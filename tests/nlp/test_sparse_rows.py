@@ -50,7 +50,7 @@ def test_rows_that_hardly_depend_on_anything_at_the_start_are_solved():
     declared = program(evaluate, start, np.full(n, 0.5), rows=[(-INF, 1.0)] * n)
     # Told of the entries at the start alone, of which those of the first part are zero by chance.
     narrow = np.eye(n, dtype=bool)
-    outcome = FilterSQP().solve(replace(declared, structure=narrow))
+    outcome = FilterSQP().solve(replace(declared, sparsity=narrow))
     assert outcome.status is Status.SOLVED
     # All x equal to 2 meet every row with equality, and by symmetry and convexity no sum is larger.
     np.testing.assert_allclose(outcome.point, 2.0, atol=1e-6)
@@ -76,19 +76,19 @@ def test_sparse_and_dense_rows_have_the_same_optimum(links):
     sag = -0.5 * np.sin(np.pi * np.arange(1, links) / links)
     declared = program(evaluate, np.concatenate([inner, sag]), rows=[(-INF, 1.0)] * links)
     joints = np.arange(2 * (links - 1)) % (links - 1)
-    structure = np.stack([(joints == i - 1) | (joints == i) for i in range(links)])
-    sparse = FilterSQP().solve(replace(declared, structure=structure))
+    sparsity = np.stack([(joints == i - 1) | (joints == i) for i in range(links)])
+    sparse = FilterSQP().solve(replace(declared, sparsity=sparsity))
     dense = FilterSQP().solve(declared)
     assert sparse.ok
     assert dense.ok
-    assert len(Pattern(structure).rows) == structure.sum() or links == 3
+    assert len(Pattern(sparsity).rows) == sparsity.sum() or links == 3
     assert sparse.evaluation.objective == pytest.approx(dense.evaluation.objective, rel=1e-7)
     np.testing.assert_allclose(sparse.multipliers, dense.multipliers, rtol=1e-4, atol=1e-6)
 
 
-def test_a_structure_of_another_shape_is_refused():
-    with pytest.raises(ProblemError, match=r"`structure` of shape \(1, 2\).* \(2, 1\)"):
+def test_a_sparsity_of_another_shape_is_refused():
+    with pytest.raises(ProblemError, match=r"`sparsity` of shape \(1, 2\).* \(2, 1\)"):
         replace(
             program(lambda x: evaluation(x[0], [1, 0], [x[1]], [[0, 1]]), [0.0, 0.0], rows=[(0, 1)]),
-            structure=np.ones((2, 1), dtype=bool),
+            sparsity=np.ones((2, 1), dtype=bool),
         )

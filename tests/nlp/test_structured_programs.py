@@ -53,7 +53,7 @@ def arrow(count, *, sparse=True, hessian=True, scale=1.0):
         constraint_upper=np.zeros(count),
         constraint_scale=np.ones(count),
         variable_scale=np.append(np.full(count, 1 / scale), 1.0),
-        structure=sparsity if sparse else None,
+        sparsity=sparsity if sparse else None,
         hessian=Hessian(curvature, diagonal) if hessian else None,
     )
 
@@ -169,8 +169,8 @@ def test_a_jacobian_of_another_sparsity_is_refused():
 
 
 WRONG = {
-    "another shape": (lambda one: replace(one, structure=csr_array(np.ones((2, 2)))), "`structure`.*shape"),
-    "entries in disorder": (lambda one: replace(one, structure=_disordered(one.structure)), "columns in order"),
+    "another shape": (lambda one: replace(one, sparsity=csr_array(np.ones((2, 2)))), "`sparsity`.*shape"),
+    "entries in disorder": (lambda one: replace(one, sparsity=_disordered(one.sparsity)), "columns in order"),
     "a Hessian of another shape": (
         lambda one: replace(one, hessian=one.hessian._replace(sparsity=csr_array(np.eye(2)))),
         "`hessian`.*shape",

@@ -354,7 +354,7 @@ def test_a_model_without_anything_uncertain_is_refused():
 
 def test_no_sample_is_infinite_at_the_ends_of_unbounded_distributions():
     values = al.references.quasi_monte_carlo(lambda m: m["x"], {"x": al.Normal(0.0, 1.0)}, 2**16).values
-    # The outermost of 2^16 normal numbers lie near 4.3, and surely within 6.
+    # The outermost of 2^16 normal numbers lie near 4.3, and certainly within 6.
     assert 3.5 < np.abs(values).max() < 6.0
 
 

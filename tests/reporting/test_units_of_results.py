@@ -19,7 +19,7 @@ class Crane(al.Mechanical):
     names = ("x", "q")
     units: ClassVar = {
         **{"x": "m", "x_rate": "m/s", "x_torque": "N", "q": "rad", "q_rate": "rad/s", "q_torque": "N m"},
-        **{"drive": "W", "stored": "J", "jolt": "m/s³", "share": "-"},
+        **{"drive": "W", "stored": "J", "jerk": "m/s³", "share": "-"},
     }
     mass: al.Number = al.parameter("kg", positive=True)
 
@@ -31,7 +31,7 @@ class Crane(al.Mechanical):
 
     def outputs(self, motion: Any) -> dict[str, Any]:
         one = motion.q[0]
-        return dict.fromkeys(("drive", "stored", "jolt", "share", "temperature"), one)
+        return dict.fromkeys(("drive", "stored", "jerk", "share", "temperature"), one)
 
 
 def problem(objective: Any) -> al.Problem:
@@ -72,7 +72,7 @@ X, Q = al.path("x_torque"), al.path("q_torque")
         (al.peak("x_rate").quantile(0.9), "m/s"),
         (al.integral("drive").mean, "J"),
         (al.integral("stored").mean, "J s"),
-        (al.integral("jolt").mean, "m/s²"),
+        (al.integral("jerk").mean, "m/s²"),
         (al.integral("share").mean, "s"),
         (al.integral("temperature").mean, ""),
         (al.objectives.effort("temperature"), ""),

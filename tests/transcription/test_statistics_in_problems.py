@@ -156,7 +156,7 @@ def test_a_quantile_limit_gives_the_closed_form_design():
     assert evidence.violations["response"].upper > 0.005
 
 
-def test_a_path_that_must_surely_stay_below_a_limit_does_so_on_every_sample():
+def test_a_path_that_must_always_stay_below_a_limit_does_so_on_every_sample():
     reach = 0.16
     problem = oscillator_problem(subject_to=[al.path("x").within(-reach, reach, worst_case=True)])
     solution = al.solve(problem)

@@ -134,11 +134,11 @@ def second_opinion(transcribed: AbstractTranscribed, point: Float[np.ndarray, " 
     if found.agrees:
         return found
     magnitudes = sizes(problem, jnp.asarray(points[0]), decisions)
-    settled = {
+    allowed_for = {
         text: one._replace(values=one.predicted) if one.is_rounding(float(size)) else one
         for (text, one), size in zip(fresh.items(), magnitudes, strict=True)
     }
-    return _opinion(transcribed, settled, point)
+    return _opinion(transcribed, allowed_for, point)
 
 
 def prepare_opinion(problem: Problem) -> None:

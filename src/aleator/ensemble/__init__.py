@@ -1,4 +1,4 @@
-"""A function of a model's realisations at many germ points: traced or called, in batches, failures named."""
+"""Functions of a model's realisations at many germ points: traced or called, in batches, with failures named."""
 
 from aleator.ensemble._batches import Part as Part
 from aleator.ensemble._batches import each as each

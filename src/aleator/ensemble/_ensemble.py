@@ -1,8 +1,8 @@
 """A function at many realisations of a model: traced and compiled by JAX, or called with plain numbers.
 
-What simulates the systems of a problem (evidence, scenarios of the worst case, outputs that choose an expansion's
-terms) is no such function: it is compiled with its numbers in the place of arguments, at any decisions, and reduced to
-what is asked of it in the same program. It shares levels, batches and messages with these, and stands where it is used.
+Simulating the systems of a problem (evidence, scenarios of the worst case, outputs that choose an expansion's terms) is
+not done here: those programs take the problem's numbers as arguments, at any decisions, and reduce the results within
+the same program. They share levels, batches and messages with this module, and stand where they are used.
 """
 
 import abc
@@ -37,7 +37,7 @@ Points: TypeAlias = Float[np.ndarray, "points variables"] | Float[Array, "points
 
 
 def uncertain_places(verb: str, function: Function, model: Pytree) -> Placements:
-    """What is uncertain in a model. Raises `ProblemError` if nothing is, or if `function` is none."""
+    """The placements of a model. Raises `ProblemError` if nothing is uncertain, or if `function` is not callable."""
     if not callable(function):
         raise ProblemError(f"{verb}: expected a function of the model; received {type(function).__name__}.")
     places = placements(model)
@@ -52,7 +52,7 @@ def uncertain_places(verb: str, function: Function, model: Pytree) -> Placements
 class AbstractEnsemble(abc.ABC):
     """A function at the realisations of a model, with decisions at their initial values.
 
-    `places` says what is uncertain in the model: see `uncertain_places`.
+    `places`: what is uncertain in the model, from `uncertain_places`.
     """
 
     at_once: ClassVar[bool]
@@ -63,17 +63,17 @@ class AbstractEnsemble(abc.ABC):
         self._name, self._decisions = name_of(function), jnp.asarray(places.vector("initial"))
 
     def __call__(self, points: Points, before: int = 0) -> Pytree:
-        """The outputs at germ points: each with a leading axis for the points. `before` is how many came earlier.
+        """The outputs at germ points, each with a leading axis for the points; `before`: how many points came earlier.
 
         Raises `SimulationError` where an output is not finite, naming the inputs' values there (not under `jax.jit`,
-        where no value is known), and `ProblemError` if an output is no real array or changes its shape.
+        where values are unknown), and `ProblemError` if an output is no real array or changes its shape.
         """
         return self._checked(self._of_size(len(points))(points), points, before)
 
     def in_batches(self, levels: Float[np.ndarray, "n variables"], size: int) -> Iterator[tuple[Part, Pytree]]:
         """The outputs at probability levels, in parts of `size` and in their order, each with the levels of its points.
 
-        Raises what a call does.
+        Raises the same errors as a call.
         """
         evaluate, germs = self._of_size(size), self.places.germs.values()
 
@@ -85,20 +85,20 @@ class AbstractEnsemble(abc.ABC):
 
     @abc.abstractmethod
     def _of_size(self, size: int) -> Callable[[Points], Pytree]:
-        """What gives the outputs at `size` points, or fewer. What is to be traced is traced before it is returned."""
+        """A function that gives the outputs at `size` points or fewer, already traced if tracing is needed."""
 
     def _at(self, model: Pytree, point: Any, library: Any) -> Pytree:
-        """The outputs at one realisation, as arrays of a library."""
+        """The outputs at one realisation, as arrays of `library`."""
         outputs = self._function(self._given(realise(model, jnp.asarray(point), self._decisions)))
         return jax.tree.map(lambda value: real_array(value, self._name, library), outputs)
 
     def _given(self, realised: Pytree) -> Pytree:
-        """A realised model as the function is given it."""
+        """A realised model in the form in which the function takes it."""
         return realised
 
     def _checked(self, outputs: Pytree, points: Points, before: int) -> Pytree:
         if not jax.tree.leaves(outputs):
-            raise ProblemError(f"{self._name} returns nothing: expected an array or a dict of arrays.")
+            raise ProblemError(f"{self._name} returns nothing; expected an array or a dict of arrays.")
 
         def inputs(index: int) -> str:
             return listed(inputs_at(self.places, points[index], self._decisions))
@@ -109,9 +109,9 @@ class AbstractEnsemble(abc.ABC):
 
 @final
 class TracedEnsemble(AbstractEnsemble):
-    """All points of a batch at once: the function is traced by JAX, vectorised, and compiled once for its equations.
+    """All points of a batch at once: JAX traces and vectorises the function, and compiles it once for its equations.
 
-    Arrays of the model are traced too: others compile nothing, and outputs can be differentiated by them.
+    Arrays of the model are traced too: other values compile nothing anew, and outputs can be differentiated by them.
     """
 
     at_once: ClassVar[bool] = True
@@ -146,7 +146,7 @@ class TracedEnsemble(AbstractEnsemble):
         except UNTRACEABLE as error:
             raise ProblemError(
                 f"{self._name} cannot be traced by JAX ({str(error).splitlines()[0]}) Write it with jax.numpy, or "
-                "say traced=False: it is then called with plain numbers, point by point, and has no derivatives."
+                "pass traced=False: it is then called with plain numbers, point by point, without derivatives."
             ) from error
 
 
@@ -190,7 +190,7 @@ def _shapes(outputs: Pytree) -> tuple[Any, list[tuple[int, ...]]]:
 
 
 def _as_python(leaf: Any) -> Any:
-    """A realised number as plain Python and NumPy know it."""
+    """A realised number as a plain Python or NumPy number."""
     if not isinstance(leaf, jax.Array):
         return leaf
     return leaf.item() if leaf.ndim == 0 else np.asarray(leaf)

@@ -1,4 +1,4 @@
-"""Germ points at probability levels: given ones, and random ones."""
+"""Germ points at given or random probability levels."""
 
 from collections.abc import Collection
 
@@ -11,14 +11,14 @@ from aleator.uncertainty import AbstractGerm
 def at_levels(
     germs: Collection[AbstractGerm], levels: Float[np.ndarray, "n variables"]
 ) -> Float[np.ndarray, "n variables"]:
-    """Germ points at given probability levels, between 0 and 1: a column for each germ variable."""
+    """Germ points at given probability levels between 0 and 1, one column per germ variable."""
     columns = [germ.quantile(levels[:, i]) for i, germ in enumerate(germs)]
     return np.stack(columns, axis=1) if columns else levels
 
 
 def random_levels(generator: np.random.Generator, *shape: int) -> Float[np.ndarray, "..."]:
-    """Independent probability levels: never 0 or 1, where unbounded distributions are infinite."""
-    # The generator leaves out its upper end, but not its lower one.
+    """Independent probability levels, never 0 or 1, where unbounded distributions are infinite."""
+    # The generator excludes its upper end, but not its lower one.
     return generator.uniform(np.finfo(float).tiny, 1.0, shape)
 
 

@@ -1,4 +1,4 @@
-"""What a function of uncertain inputs may give, real and finite arrays, and the inputs where it does not."""
+"""Outputs of a function of uncertain inputs, checked to be real and finite; errors name the inputs."""
 
 from collections.abc import Callable, Mapping
 from typing import Any, TypeAlias
@@ -14,14 +14,14 @@ from aleator._core.errors import ProblemError, SimulationError
 from aleator.uncertainty import Placements, uncertain_numbers
 
 Function: TypeAlias = Callable[[Any], Pytree]
-"""A function of a realised model: plain numbers, or traced ones, stand in the places of its distributions."""
+"""A function of a realised model, in which plain or traced numbers have replaced the distributions."""
 
 UNTRACEABLE = (jax.errors.JAXTypeError, jax.errors.NonConcreteBooleanIndexError)
-"""What JAX raises of a function that needs to know its numbers while it is traced."""
+"""Errors that JAX raises if a function needs concrete values while it is traced."""
 
 
 def name_of(function: Callable[..., Any]) -> str:
-    """What a message calls a user's function."""
+    """The name of a user's function in messages."""
     return f"'{getattr(function, '__name__', type(function).__name__)}'"
 
 
@@ -32,9 +32,9 @@ def real_array(value: Any, name: str, library: Any) -> Any:
     if not real:
         raise ProblemError(
             f"{name} must return a real array or a dict of real arrays; received {type(value).__name__}"
-            f"{'' if kind is None else f' of {kind}'}. Return jnp.stack(...) of a list, real parts of a complex array."
+            f"{'' if kind is None else f' of {kind}'}. Stack a list with jnp.stack; take real parts of a complex array."
         )
-    # A function that is called may return the same array each time, with other numbers in it.
+    # A called function may return the same array each time, with other numbers in it.
     return np.array(value, dtype=float) if library is np else library.asarray(value, dtype=float)
 
 
@@ -48,7 +48,7 @@ def part(outputs: Pytree, name: str) -> Pytree:
 
 
 def concrete(array: Any) -> np.ndarray | None:
-    """An array's values as they are now, beneath any differentiation; None while it is being compiled."""
+    """An array's current values, stripped of differentiation; None while it is being compiled."""
     below = jax.lax.stop_gradient(array)
     return None if isinstance(below, Tracer) else np.asarray(below)
 
@@ -67,8 +67,8 @@ def listed(numbers: Mapping[str, float]) -> str:
 def refuse_nonfinite(who: str, outputs: Pytree, inputs: Callable[[int], str], before: int = 0) -> None:
     """Raise `SimulationError` where an output is not finite, as far as values are known.
 
-    - `who`: the function, or what else gave the outputs; `outputs`: each with a leading axis for the points;
-    - `inputs`: as text, those at the point of an index; `before`: how many points have passed already.
+    - `who`: the function or other source of the outputs; `outputs`: each with a leading axis for the points;
+    - `inputs`: gives the inputs at the point with an index, as text; `before`: how many points came earlier.
     """
     for path, leaf in jax.tree_util.tree_leaves_with_path(outputs):
         known = concrete(leaf)

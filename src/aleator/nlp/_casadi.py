@@ -52,11 +52,11 @@ def callbacks_of(casadi: Any, scaled: ScaledProgram) -> dict[str, Any]:
 
 def _by_columns(casadi: Any, scaled: ScaledProgram) -> tuple[Any, Callable[[Any], np.ndarray]]:
     """The sparsity of the Jacobian, and what orders the entries of one as CasADi has them: column by column."""
-    structure = scaled.structure
-    if isinstance(structure, np.ndarray):
+    entries = scaled.sparsity
+    if isinstance(entries, np.ndarray):
         return casadi.Sparsity.dense(scaled.rows, scaled.size), lambda jacobian: np.ravel(jacobian, order="F")
-    numbered = structure.astype(float)
-    numbered.data = np.arange(structure.nnz, dtype=float)
+    numbered = entries.astype(float)
+    numbered.data = np.arange(entries.nnz, dtype=float)
     columns = numbered.tocsc()
     columns.sort_indices()
     order = columns.data.astype(int)

@@ -44,7 +44,7 @@ class Evaluations:
     It is made from
 
     - `evaluate`: the user's function of `x`, shape (n,);
-    - `variables`, `constraints`: n and m, and the `structure` of the Jacobian, checked at every call;
+    - `variables`, `constraints`: n and m, and the `sparsity` of the Jacobian, checked at every call;
     - `remembered`: number of finite and of failed points kept;
 
     and tells
@@ -60,12 +60,12 @@ class Evaluations:
         evaluate: Callable[[np.ndarray], Evaluation],
         variables: int,
         constraints: int,
-        structure: Matrix | None = None,
+        sparsity: Matrix | None = None,
         remembered: int = 16,
     ):
         self._evaluate = evaluate
         self._shapes = ((variables,), (constraints,), (constraints, variables))
-        self._sparsity = None if structure is None or isinstance(structure, np.ndarray) else structure
+        self._sparsity = None if sparsity is None or isinstance(sparsity, np.ndarray) else sparsity
         self._remembered = remembered
         self._points: OrderedDict[bytes, Evaluation] = OrderedDict()
         self._failed_points: OrderedDict[bytes, Evaluation] = OrderedDict()

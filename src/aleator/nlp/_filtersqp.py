@@ -49,7 +49,7 @@ class FilterSQP(AbstractSolver):
 
     @override
     def minimise(self, scaled: ScaledProgram, multipliers: np.ndarray | None) -> Answer:
-        pattern = pattern_of(scaled.structure)
+        pattern = pattern_of(scaled.sparsity)
         answer = self._solved(scaled, pattern, scaled.start, multipliers, self.max_iterations)
         while pattern.outgrown and scaled.evaluations.halt is None and answer.iterations < self.max_iterations:
             pattern = pattern.widened()

@@ -37,7 +37,7 @@ class InteriorPoint(AbstractSolver):
         return run_uno(
             "ipopt",
             scaled,
-            pattern_of(scaled.structure),
+            pattern_of(scaled.sparsity),
             scaled.start,
             multipliers,
             aim=self.aim,

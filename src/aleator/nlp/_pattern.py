@@ -64,6 +64,6 @@ class DeclaredPattern:
 AnyPattern: TypeAlias = Pattern | DeclaredPattern
 
 
-def pattern_of(structure: Matrix) -> AnyPattern:
+def pattern_of(sparsity: Matrix) -> AnyPattern:
     """What a solver is told of where a program's Jacobian may be other than zero."""
-    return Pattern(structure) if isinstance(structure, np.ndarray) else DeclaredPattern(structure)
+    return Pattern(sparsity) if isinstance(sparsity, np.ndarray) else DeclaredPattern(sparsity)

@@ -69,7 +69,7 @@ class NonlinearProgram:
       equal for an equality;
     - `constraint_scale`: what solvers divide the constraints by at first, shape (m,), positive: typical magnitudes;
     - `variable_scale`: typical magnitudes of the variables, shape (n,), positive;
-    - `structure`: which entries of the Jacobian may be other than zero, shape (m, n); all by default. As dense truth
+    - `sparsity`: which entries of the Jacobian may be other than zero, shape (m, n); all by default. As dense truth
       values it is a guess: solvers that use it notice where it was too narrow. As a `scipy.sparse.csr_array` it is the
       sparsity that every Jacobian has, which then is one too: nothing of the size m x n is ever made;
     - `hessian`: second derivatives, where they are known; all solvers but `Slsqp` use them;
@@ -89,7 +89,7 @@ class NonlinearProgram:
     constraint_upper: np.ndarray
     constraint_scale: np.ndarray
     variable_scale: np.ndarray
-    structure: Matrix | None = None
+    sparsity: Matrix | None = None
     hessian: Hessian | None = None
     magnitudes: Callable[[np.ndarray, Evaluation], Magnitudes] | None = None
     least: float = -np.inf
@@ -101,10 +101,10 @@ class NonlinearProgram:
                 raise ProblemError(f"Expected `{name}` of shape ({length},). Received shape {array.shape}.")
             object.__setattr__(self, name, array)
         shape = (self.constraint_lower.size, self.start.size)
-        if isinstance(self.structure, np.ndarray) and self.structure.shape != shape:
-            raise ProblemError(f"Expected `structure` of shape {shape}. Received shape {self.structure.shape}.")
-        if self.structure is not None and not isinstance(self.structure, np.ndarray):
-            check_sparsity("structure", self.structure, shape)
+        if isinstance(self.sparsity, np.ndarray) and self.sparsity.shape != shape:
+            raise ProblemError(f"Expected `sparsity` of shape {shape}. Received shape {self.sparsity.shape}.")
+        if self.sparsity is not None and not isinstance(self.sparsity, np.ndarray):
+            check_sparsity("sparsity", self.sparsity, shape)
         if self.hessian is not None:
             _check_lower_triangle(self.hessian, self.start.size)
         _check_bounds("lower", "upper", self.lower, self.upper)

@@ -59,7 +59,7 @@ class ScaledProgram:
     model is never asked outside the bounds.
 
     - `size`, `rows`: n_free and m_useful;
-    - `structure`: which entries of the Jacobian may be other than zero, shape (m_useful, n_free): dense, or sparse as
+    - `sparsity`: which entries of the Jacobian may be other than zero, shape (m_useful, n_free): dense, or sparse as
       the Jacobians are; `curved`: those of the Hessian's lower triangle, None where there is no Hessian;
     - `start`: scaled start, clipped to the bounds, shape (n_free,);
     - `lower`, `upper`: scaled bounds, shape (n_free,);
@@ -81,16 +81,16 @@ class ScaledProgram:
         self._last: tuple[bytes, Evaluation] | None = None
         self._best_rank = (np.inf, np.inf)
 
-        self.evaluations = Evaluations(program.evaluate, start.size, program.constraint_lower.size, program.structure)
+        self.evaluations = Evaluations(program.evaluate, start.size, program.constraint_lower.size, program.sparsity)
         self.size, self.rows = int(self._free.sum()), int(self._useful.sum())
         self._block = self._hessian_block = None
-        if program.structure is None or isinstance(program.structure, np.ndarray):
+        if program.sparsity is None or isinstance(program.sparsity, np.ndarray):
             every = np.ones((self._useful.size, self._free.size), dtype=bool)
-            structure = every if program.structure is None else program.structure
-            self.structure: Matrix = structure[np.ix_(self._useful, self._free)]
+            sparsity = every if program.sparsity is None else program.sparsity
+            self.sparsity: Matrix = sparsity[np.ix_(self._useful, self._free)]
         else:
-            self._block = Block(program.structure, self._useful, self._free)
-            self.structure = self._block.sparsity
+            self._block = Block(program.sparsity, self._useful, self._free)
+            self.sparsity = self._block.sparsity
         if program.hessian is not None:
             self._hessian_block = Block(program.hessian.sparsity, self._free, self._free)
         self.curved = None if self._hessian_block is None else self._hessian_block.sparsity

@@ -88,16 +88,16 @@ class Slsqp(AbstractSolver):
             if mode == _ITERATION_LIMIT or iterations >= self.max_iterations:
                 used_up = message if mode == _ITERATION_LIMIT else "iteration limit reached over all rounds"
                 return Answer(Status.ITERATION_LIMIT, point, None, iterations, used_up)
-            settled = bool(np.abs(point - before).max() < 0.99 * _REACH) and self._met(scaled, point, rows)
+            converged = bool(np.abs(point - before).max() < 0.99 * _REACH) and self._met(scaled, point, rows)
             feasible = _largest_violation(scaled, point) <= 10 * self.aim
             if search is _least_violation:
-                if settled and not feasible:
+                if converged and not feasible:
                     return Answer(Status.INFEASIBLE, point, None, iterations, message)
                 search = _least_objective if feasible else _least_violation
-            elif settled and (feasible or restarts == _MOST_RESTARTS):
+            elif converged and (feasible or restarts == _MOST_RESTARTS):
                 claim = Status.SOLVED if mode == _CONVERGED else Status.FAILED
                 return Answer(claim, point, None, iterations, message)
-            elif mode == _INCOMPATIBLE or settled:
+            elif mode == _INCOMPATIBLE or converged:
                 search, restarts = _least_violation, restarts + 1
         return Answer(Status.ITERATION_LIMIT, point, None, iterations, "the exchange of rows reached its limit")
 

@@ -1,4 +1,4 @@
-"""`Between`: how a solution's limits over time stand between the instants of its grid."""
+"""`Between`: whether a solution's limits over time hold between the instants of its grid."""
 
 from dataclasses import dataclass
 from typing import final
@@ -8,19 +8,19 @@ import numpy as np
 from aleator.nlp import HELD
 
 TOLERATED = 1e-3
-"""Between instants, a limit that is exceeded by more than this part of it makes a design no solution."""
+"""Largest relative excess of a limit between instants with which a design still counts as a solution."""
 
 
 @final
 @dataclass(frozen=True)
 class Between:
-    """What a finer grid shows of a solution: how far limits over time are exceeded between the instants, at worst.
+    """The worst excess of a limit over time between the instants, found on a finer grid.
 
     - `factor`: how many times as many steps that grid has;
-    - `worst`: relative to the bound, or to the constraint's scale where that is zero; zero where all hold;
-    - `name`: of the constraint; `time`: when, s, not-a-number for a peak;
-    - `is_strict`: whether what happens between instants shapes the design: where bounds had to be tightened for it, and
-      where a system follows trajectories. Its systems are counted there too.
+    - `worst`: the excess relative to the bound, or to the constraint's scale if the bound is zero; zero if all hold;
+    - `name`: the constraint that is exceeded most; `time`: when (s), NaN for a peak;
+    - `is_strict`: whether the design depends on what happens between instants: because bounds were tightened for it, or
+      because the system follows trajectories. Evidence then counts violations on the finer grid too.
     """
 
     factor: int
@@ -35,7 +35,7 @@ class Between:
         return self.worst <= HELD
 
     def sentence(self) -> str:
-        """Whether limits hold there, or which does not, and by how much."""
+        """Whether all limits hold, or which does not and by how much."""
         if self.holds:
             return f"limits over time hold on {self.factor} times as many steps too"
         when = "" if np.isnan(self.time) else f" after t = {self.time:.4g} s"

@@ -1,4 +1,4 @@
-"""`Certificate`: what an answer is worth, all in one place."""
+"""`Certificate`: how far an answer can be trusted."""
 
 from dataclasses import dataclass
 from typing import final
@@ -13,17 +13,17 @@ from aleator.solution._worst_case import WorstCase
 @final
 @dataclass(frozen=True)
 class Certificate:
-    """What an answer is worth: of the program, of the grid, of the expansion, of the model. `print` shows it.
+    """How far an answer can be trusted: program, grid, expansion and model. `print` shows it.
 
-    - `violation`, `stationarity`, `complementarity`: residuals of the optimality conditions, scaled, computed from the
-      point and its multipliers and not taken from the solver;
-    - `expansion`: how far the expansions can be trusted;
-    - `between`: how far limits over time are exceeded between instants; None where that was not checked;
-    - `grid_error`: how far a finer grid and an integrator of another order differ; None where time plays no part;
-    - `worst_case`: the worst realisations of limits on the worst case; None where there are none;
-    - `opinion`: what a few fresh simulations at the answer say of the expansions; None where nothing is uncertain, or
-      nothing was solved;
-    - `misled`: where nothing was solved, a sentence on what the grid is far off at the start of the search; else empty.
+    - `violation`, `stationarity`, `complementarity`: scaled residuals of the optimality conditions, recomputed from the
+      point and its multipliers instead of taken from the solver;
+    - `expansion`: the quality of the expansions;
+    - `between`: how far limits over time are exceeded between instants; None if that was not checked;
+    - `grid_error`: the difference to a finer grid with an integrator of another order; None for models without time;
+    - `worst_case`: the worst realisations of limits on the worst case; None if there are no such limits;
+    - `opinion`: fresh simulations at the answer, compared with the expansions; None if nothing is uncertain or nothing
+      was solved;
+    - `misled`: if nothing was solved, a sentence on large errors of the grid at the start of the search; else empty.
     """
 
     violation: float
@@ -37,7 +37,7 @@ class Certificate:
     misled: str = ""
 
     def rows(self) -> list[tuple[str, str]]:
-        """What it says, a label and a text for each line."""
+        """A label and a text for each printed line."""
         residuals = (
             f"violation {self.violation:.1e}, stationarity {self.stationarity:.1e}, "
             f"complementarity {self.complementarity:.1e} (scaled)"
@@ -58,5 +58,5 @@ class Certificate:
 
 
 def lines(rows: list[tuple[str, str]]) -> str:
-    """Labels and texts, a line each."""
+    """Labels and texts as text, one pair a line."""
     return "\n".join(f"{label:<12} {text}" for label, text in rows)

@@ -14,12 +14,12 @@ from aleator.nlp import HELD
 class ConstraintResult:
     """One constraint at a solution, in user units.
 
-    - `values`: its expression, a number or one number an instant; `times`: the instants (s), None for a number;
+    - `values`: values of its expression, one number or one per instant; `times`: the instants (s), None for one number;
     - `multipliers`: the shadow prices, `-d objective / d bound`, in the shape of `values`: positive where the
       upper bound is active, negative where the lower one is;
     - `active`: where it is active, in the shape of `values`;
-    - `scale`: its magnitude, in its own unit: that of its bound and of its values around the answer, as
-      `constraint_size` of the transcription says. It holds where it misses its bound by no more than a millionth of it.
+    - `scale`: its magnitude in its own unit, from its bound and its values near the answer (see `constraint_size` of
+      the transcription). It holds if it exceeds its bound by at most a millionth of this.
     """
 
     name: str
@@ -34,12 +34,12 @@ class ConstraintResult:
 
     @property
     def excess(self) -> Float[np.ndarray, "*shape"]:
-        """By how much the nearer bound is exceeded; negative inside."""
+        """Excess over the nearer bound; negative where the constraint holds with slack."""
         return np.maximum(self.values - self.upper, self.lower - self.values)
 
     @property
     def violation(self) -> float:
-        """Largest excess over a bound, zero if it holds everywhere."""
+        """Largest excess over a bound; zero if the constraint holds everywhere."""
         return max(0.0, float(np.max(self.excess)))
 
     @property
@@ -56,8 +56,8 @@ class ConstraintResult:
     def shadow_price(self) -> float:
         """How much the objective falls for each unit by which the bound is relaxed, summed over its active instants.
 
-        An equality is not relaxed but moved: there it is how much the objective falls for each unit by which the number
-        is raised, which may be negative.
+        For an equality: how much the objective falls for each unit by which its right-hand side is raised, which may be
+        negative.
         """
         if self.lower == self.upper:
             return float(np.sum(self.multipliers))
@@ -69,7 +69,7 @@ class ConstraintResult:
         return float(self.values.flat[int(np.argmax(self.excess))])
 
     def sentence(self) -> str:
-        """What is violated, when and by how much, and how it is written."""
+        """Which constraint is violated, by how much and when, with its text."""
         when = "" if self.worst_time is None else f" at t = {self.worst_time:.4g} s"
         worst = self.worst
         bound, relation = (self.upper, "≤") if worst > self.upper else (self.lower, "≥")

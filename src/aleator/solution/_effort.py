@@ -1,4 +1,4 @@
-"""`Effort`: what an answer took."""
+"""`Effort`: iterations, evaluations and times of a solve."""
 
 from dataclasses import dataclass
 from typing import final
@@ -17,10 +17,10 @@ class Times:
 @final
 @dataclass(frozen=True)
 class Effort:
-    """What an answer took.
+    """Iterations, evaluations and times of a solve.
 
-    - `solver`: its name and version; `iterations`: its own count, over all restarts;
-    - `evaluations`: points at which the problem was simulated; `times`: on the clock.
+    - `solver`: its name and version; `iterations`: as the solver counts them, over all restarts;
+    - `evaluations`: points at which the problem was simulated; `times`: wall times.
     """
 
     solver: str

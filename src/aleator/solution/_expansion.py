@@ -1,4 +1,4 @@
-"""`ExpansionQuality`: how far the expansions of a solution can be trusted; `Moments`: what they say of a functional."""
+"""`ExpansionQuality`: how far the expansions of a solution can be trusted; `Moments`: those of a functional."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -13,7 +13,7 @@ from aleator.expansion import ILL_CONDITIONED, UNRESOLVED, Unseen
 @final
 @dataclass(frozen=True)
 class Moments:
-    """Mean and standard deviation of one functional by the expansion: numbers, or one number an instant."""
+    """Mean and standard deviation of one functional by the expansion: one number each, or one per instant."""
 
     mean: Float[np.ndarray, "*shape"]
     std: Float[np.ndarray, "*shape"]
@@ -32,17 +32,16 @@ class Tangent(NamedTuple):
 class ExpansionQuality:
     """How far the expansion can be trusted at the solution.
 
-    - `order`, `terms`, `points`: those of the expansion, as far as they were reached where it adapts to the problem;
-    - `condition_number`: that of the collocation matrix;
+    - `order`, `terms`, `points`: of the expansion; for an adaptive one, as reached in the end;
+    - `condition_number`: of the collocation matrix;
     - `leave_one_out`: for each functional, the rms error of predicting a collocation point from all others, relative
-      to the standard deviation; zero where it spreads by no more than rounding;
-    - `unresolved_from`: for each path that is followed only so far, the instant (s) from which on that error is too
-      large: polynomials of one order do not follow a long simulation for ever;
-    - `tolerance`: the relative error up to which a functional counts as resolved, that of the `Expansion`;
+      to the standard deviation; zero if it varies by no more than rounding;
+    - `unresolved_from`: for each path that is resolved only at first, the instant (s) from which on that error is too
+      large: a fixed order does not resolve an arbitrarily long simulation;
+    - `tolerance`: the relative error up to which a functional counts as resolved, as set in the `Expansion`;
     - `tangents`: for each functional, the leave-one-out error of its derivative by each decision that is a parameter of
-      a distribution: how far the derivatives of its statistics by them, and shadow prices that follow from these, are
-      those of the model;
-    - `unseen`: the largest corner of the uncertainty that holds no point, so that nothing is known of it; None where
+      a distribution. It bounds the trust in derivatives of its statistics, and in the shadow prices computed from them;
+    - `unseen`: the largest corner of the germ space without a collocation point, about which nothing is known; None if
       nothing is uncertain.
     """
 
@@ -63,32 +62,32 @@ class ExpansionQuality:
 
     @property
     def worst_tangent(self) -> "Tangent | None":
-        """The derivative by a distribution's parameter that is resolved worst; None where there is none."""
+        """The worst resolved derivative by a distribution's parameter; None if there is none."""
         every = [Tangent(text, name, error) for text, one in self.tangents.items() for name, error in one.items()]
         return max(every, key=lambda one: np.inf if np.isnan(one.error) else one.error, default=None)
 
     @property
     def unresolved(self) -> tuple[str, ...]:
-        """The functionals whose statistics cannot be trusted, because their error is too large, at least at the end."""
+        """The functionals whose error is too large for their statistics to be trusted, at least at the end."""
         errors = self.leave_one_out.items()
         return tuple(text for text, error in errors if not error <= self.tolerance or text in self.unresolved_from)
 
     @property
     def can_be_checked(self) -> bool:
-        """Whether points are left to check it by: interpolation and sparse quadrature have none."""
+        """Whether there are more points than terms to check it by: not for interpolation or sparse quadrature."""
         return not any(np.isposinf(error) for error in self.leave_one_out.values())
 
     @property
     def is_conditioned(self) -> bool:
-        """Whether the collocation matrix leaves the coefficients enough digits."""
+        """Whether the collocation matrix is conditioned well enough for accurate coefficients."""
         return self.condition_number <= ILL_CONDITIONED
 
     def since(self, text: str) -> str:
-        """From when on a path is not resolved, in words; nothing for other functionals."""
+        """From when on a path is not resolved, in words; empty for other functionals."""
         return f" from t = {self.unresolved_from[text]:.4g} s on" if text in self.unresolved_from else ""
 
     def tangent_sentence(self) -> str:
-        """How well the derivatives by distribution parameters are resolved, and what follows where they are not."""
+        """How well the derivatives by distribution parameters are resolved, with the remedy if they are not."""
         worst = self.worst_tangent
         if worst is None:
             return ""

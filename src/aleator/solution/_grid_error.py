@@ -1,4 +1,4 @@
-"""`GridError`: how far a solution would differ on a finer grid, by an integrator of another order."""
+"""`GridError`: how far a solution differs from that on a finer grid with an integrator of another order."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -6,18 +6,18 @@ from typing import final
 
 import numpy as np
 
-_MANY = 100  # times as many steps: what an unstable integration is off by says nothing of how many it takes
-_AHEAD = 1.2  # more steps than an error of fourth order asks for
+_MANY = 100  # factor of steps beyond which no number is given: an unstable integration does not converge with order 4
+_AHEAD = 1.2  # safety factor on the number of steps that fourth order predicts
 
 
 @final
 @dataclass(frozen=True)
 class Deviation:
-    """How far something differs from what a finer grid gives, in its own unit.
+    """How far a quantity differs from its value on a finer grid, in its own unit.
 
-    - `error`: of a functional the largest change of its mean or its standard deviation; with a quarter on top for what
-      the finer grid errs itself; `tolerated`: how much may pass;
-    - `time`: when a path differs most, s; not a number for others.
+    - `error`: for a functional the largest change of its mean or its standard deviation, plus a quarter for the error
+      of the finer grid itself; `tolerated`: the error that is accepted;
+    - `time`: when a path differs most (s); NaN for other functionals.
     """
 
     error: float
@@ -26,22 +26,22 @@ class Deviation:
 
     @property
     def ratio(self) -> float:
-        """The error over what is tolerated; a number that is none is beyond all."""
+        """The error over the tolerated error; infinite if the error is NaN."""
         return np.inf if np.isnan(self.error) else self.error / self.tolerated
 
 
 @final
 @dataclass(frozen=True)
 class GridError:
-    """The error of the time grid at a solution, seen by a finer grid and an integrator of another order.
+    """The error of the time grid at a solution, estimated by a finer grid and an integrator of another order.
 
-    - `steps`: of the solution's grid; `factor`: how many times as many the other has; `integrator`: that of the other;
-    - `accuracy`: the part of a limit or of a spread, whichever is smaller, that is tolerated;
-    - `objective`: its deviation, of which `accuracy` of its own magnitude is tolerated;
-    - `functionals`: by their texts;
-    - `broken`: a sentence on the constraint that does not hold on the finer grid; empty if all do;
-    - `at_start`: a sentence on what the grid is far off at the design that the search began with, so that it may have
-      been led astray; empty where it is not, or where that was not looked at.
+    - `steps`: of the solution's grid; `factor`: how many times as many the finer one has; `integrator`: the other one;
+    - `accuracy`: the tolerated error, relative to a limit or a spread, whichever is smaller;
+    - `objective`: its deviation; the tolerated error is `accuracy` times its magnitude;
+    - `functionals`: deviations by the texts of the functionals;
+    - `broken`: a sentence on the constraint that does not hold on the finer grid; empty if all hold;
+    - `at_start`: a sentence on large errors of the grid at the initial design, which may have misled the search; empty
+      if there are none, or if that was not checked.
     """
 
     steps: int
@@ -55,12 +55,12 @@ class GridError:
 
     @property
     def worst(self) -> str:
-        """The text of the functional that deviates most beside what is tolerated; empty if there is none."""
+        """The text of the functional with the largest deviation over its tolerance; empty if there is none."""
         return max(self.functionals, key=lambda text: self.functionals[text].ratio, default="")
 
     @property
     def ratio(self) -> float:
-        """The largest deviation of a functional or of the objective over what is tolerated."""
+        """The largest deviation of a functional or of the objective over its tolerance."""
         return max([self.objective.ratio, *(one.ratio for one in self.functionals.values())])
 
     @property
@@ -70,21 +70,19 @@ class GridError:
 
     @property
     def is_usable(self) -> bool:
-        """Whether the solution stands on the finer grid too: no limit breaks there, it costs what it says, and nothing
-        is not a number.
-        """
+        """Whether the solution holds on the finer grid: all limits, the objective to tolerance, and no NaN."""
         finite = all(np.isfinite(one.error) for one in self.functionals.values())
         return self.objective.ratio <= 1 and not self.broken and finite
 
     @property
     def steps_needed(self) -> int:
-        """How many steps bring the error down to what is tolerated, if it falls with the fourth power of a step."""
+        """How many steps meet the tolerance, if the error falls with the fourth power of the step."""
         ratio = self.ratio if np.isfinite(self.ratio) else 1e4
         least = 1.0 if self.is_met else 2.0
         return int(np.ceil(self.steps * max(least, _AHEAD * ratio**0.25)))
 
     def sentence(self) -> str:
-        """What deviates most, by how much, and how much is tolerated."""
+        """What deviates most, by how much, and how much would be tolerated."""
         if self.broken:
             return self.broken
         if self.at_start and self.ratio <= 1:

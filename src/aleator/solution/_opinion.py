@@ -1,4 +1,4 @@
-"""`SecondOpinion`: what a few fresh simulations say of the expansions of a solution."""
+"""`SecondOpinion`: a few fresh simulations of a solution, compared with its expansions."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -8,17 +8,17 @@ from typing import final
 @final
 @dataclass(frozen=True)
 class SecondOpinion:
-    """What a few fresh simulations at the answer say of its expansions.
+    """A few fresh simulations at the answer, compared with its expansions.
 
     - `samples`: how many systems were simulated;
-    - `misses`: of each functional, the rms error of predicting a fresh system, relative to the standard deviation;
-    - `contradictions`: where they contradict the expansion, a sentence each: functionals that are missed by more than
-      twice the tolerance of the expansion, and expressions of the problem that move by more than four standard errors
-      and by more than a hundredth of what one spread makes of them;
-    - `broken`: the limit that does not hold once the expansion is corrected, by more than a twentieth of a spread, or
-      that the objective moves by more than was gained: the design is no solution then. Empty otherwise.
+    - `misses`: for each functional, the rms error of predicting a fresh system, relative to the standard deviation;
+    - `contradictions`: one sentence for each disagreement: a functional whose prediction errs by more than twice the
+      tolerance of the expansion, or an expression of the problem that the correction changes by more than four standard
+      errors and by more than a hundredth of the effect of one standard deviation;
+    - `broken`: why the design is no solution once the expansion is corrected: a limit that fails by more than a
+      twentieth of a spread, or an objective that changes by more than was gained. Empty otherwise.
 
-    Spikes that few systems meet are not seen by so few: that is what `validate` is for.
+    So few systems miss rare events, such as a spike in a corner of the germ space: use `validate` for these.
     """
 
     samples: int
@@ -28,11 +28,11 @@ class SecondOpinion:
 
     @property
     def agrees(self) -> bool:
-        """Whether the fresh simulations are as the expansions predict."""
+        """Whether the fresh simulations agree with the expansions."""
         return not self.contradictions
 
     def sentence(self) -> str:
-        """What they say, in words."""
+        """The result in one sentence."""
         if self.agrees:
             worst = max(self.misses.values(), default=0.0)
             return f"{self.samples} fresh simulations agree, missed by {worst:.2e} of their standard deviation at worst"

@@ -21,17 +21,17 @@ from aleator.solution._expansion import Moments
 class Solution:
     """An optimal design and its certificate. `print(solution)` shows both.
 
-    - `status`: how it ended; `message`: what the solver said of that, or what was objected;
+    - `status`: how it ended; `message`: that of the solver, or why its answer was rejected;
     - `decisions`: by name, in user units; `vector`: the same as one vector, in the order of `problem.placements`;
     - `objective`: its value in user units;
     - `constraints`: values, activity and multipliers, in the order of `problem.constraints`;
     - `moments`: mean and standard deviation of each functional in the problem, by its text (`"∫comfort dt"`);
-    - `statistics`: every statistic that stands in the problem, by its text (`"Q0.99[rms(x)]"`);
-    - `at_bounds`: names of the decisions that stand at one of their own bounds;
-    - `idle`: names of the decisions, left at their start, on which nothing in the problem was seen to depend;
+    - `statistics`: every statistic in the problem, by its text (`"Q0.99[rms(x)]"`);
+    - `at_bounds`: names of the decisions that lie at one of their own bounds;
+    - `idle`: names of the decisions that were left at their start because nothing was found to depend on them;
     - `multipliers`: of all rows of constraints in one vector, for warm starts; `bound_multipliers`: of the decisions'
       own bounds, by name;
-    - `certificate`: what the answer is worth; `effort`: what it took.
+    - `certificate`: how far the answer can be trusted; `effort`: iterations, evaluations and times.
     """
 
     problem: Problem
@@ -52,7 +52,7 @@ class Solution:
 
     @property
     def ok(self) -> bool:
-        """Whether it was solved to tolerance, and limits hold between instants too where that was checked."""
+        """Whether it was solved to tolerance, and limits hold between instants too if that was checked."""
         return self.status is Status.SOLVED
 
     @property
@@ -62,12 +62,12 @@ class Solution:
 
     @property
     def active(self) -> tuple[str, ...]:
-        """Names of the active constraints, then of the decisions that stand at a bound."""
+        """Names of the active constraints, then of the decisions at a bound."""
         names = [one.name for one in self.constraints if np.any(one.active)]
         return tuple(dict.fromkeys([*names, *self.at_bounds]))
 
     def is_at_bound(self, name: str) -> bool:
-        """Whether a decision, or an entry of one that is an array, stands at one of its own bounds."""
+        """Whether a decision, or an entry of one that is an array, lies at one of its own bounds."""
         return any(entry.split("[")[0] == name for entry in self.at_bounds)
 
     @property
@@ -90,7 +90,7 @@ class Solution:
         found = self.certificate
         if self.status is Status.NOT_HELD and found.between is not None:
             return (
-                f"solved at the instants of the grid, but {found.between.sentence()}, or between=1 to look at the "
+                f"solved at the instants of the grid, but {found.between.sentence()}, or between=1 to check the "
                 "instants alone."
             )
         if self.status is Status.WORST_CASE_BROKEN and found.worst_case is not None:
@@ -112,7 +112,7 @@ class Solution:
         return f"{self.status.value}. {broken or self.message}.{coarse}"
 
     def _realisation(self, one: ConstraintResult) -> str:
-        """By which system a limit on the worst case is broken, in words; nothing for other constraints."""
+        """The system that breaks a limit on the worst case, in words; empty for other constraints."""
         worst_case = self.certificate.worst_case
         worst = None if worst_case is None else worst_case.of(one.text)
         return "" if worst is None else f" (with {worst.system})"

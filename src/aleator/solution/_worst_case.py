@@ -7,7 +7,7 @@ from typing import final
 import numpy as np
 from jaxtyping import Float
 
-# More numbers than these are not read.
+# Messages list at most this many numbers.
 _MOST_NUMBERS = 5
 
 
@@ -16,8 +16,8 @@ _MOST_NUMBERS = 5
 class WorstRealisation:
     """The system that comes closest to a limit on the worst case, or breaks it most.
 
-    - `name`, `text`: of the constraint; `value`: what its functional reaches; `beyond`: how far beyond the bound that
-      is, negative inside; `time`: when, s, None where it is no limit over time;
+    - `name`, `text`: of the constraint; `value`: of its functional; `beyond`: the excess over the bound, negative
+      inside; `time`: when (s), None if it is no limit over time;
     - `numbers`: the uncertain numbers of that system, by name.
     """
 
@@ -30,13 +30,13 @@ class WorstRealisation:
 
     @property
     def system(self) -> str:
-        """Which system it is: its uncertain numbers, the first few where there are many."""
+        """The system by its uncertain numbers, the first few if there are many."""
         shown = [f"{name} = {number:.6g}" for name, number in self.numbers.items()]
         left = len(shown) - _MOST_NUMBERS
         return ", ".join(shown[:_MOST_NUMBERS]) + (f" and {left} more" if left > 0 else "")
 
     def sentence(self) -> str:
-        """What is reached, when, and by which system."""
+        """The value, when it is reached, and by which system."""
         when = "" if self.time is None else f" at t = {self.time:.4g} s"
         return f"{self.name} reaches {self.value:.6g}{when} with {self.system}"
 
@@ -44,12 +44,12 @@ class WorstRealisation:
 @final
 @dataclass(frozen=True)
 class WorstCase:
-    """The worst cases of a solution, as far as a search over realisations of the model finds them: no proof.
+    """The worst cases of a solution, found by a search over realisations of the model; the search is no proof.
 
     - `realisations`: the worst of each limit on the worst case, in the order of the constraints;
-    - `scenarios`: the germ points at which the limits were held, shape (scenarios, variables);
+    - `scenarios`: the germ points at which the program imposed the limits, shape (scenarios, variables);
     - `rounds`: how often the program was solved, with more scenarios each time;
-    - `searched`: at how many realisations the model was simulated.
+    - `searched`: the number of realisations that were simulated.
     """
 
     realisations: tuple[WorstRealisation, ...]
@@ -58,11 +58,11 @@ class WorstCase:
     searched: int
 
     def of(self, text: str) -> WorstRealisation | None:
-        """The worst realisation of the constraint with this text; None for one that is not on the worst case."""
+        """The worst realisation of the constraint with this text; None if it is no limit on the worst case."""
         return next((one for one in self.realisations if one.text == text), None)
 
     def broken(self) -> str:
-        """The realisation that breaks its limit most, and what to do where the search came to no end."""
+        """The realisation that breaks its limit most, with the remedy if the search did not converge."""
         worst = max(self.realisations, key=lambda one: one.beyond)
         return (
             f"After {self.rounds} rounds {worst.sentence()}, {worst.beyond:.3g} beyond its bound: each new design "

@@ -13,18 +13,18 @@ from jaxtyping import Array, Float, Int
 
 from aleator.statistics._enclosure import Enclosure, corners, mapped, whole_box
 
-# Where halving ends: at this part of the range of the Bernstein coefficients, or after so many boxes.
+# Halving ends at a gap of this part of the range of the Bernstein coefficients, or after this many boxes.
 _CLOSE = 1e-4
 _MOST_BOXES = 128
 _FEWEST_BOXES = 16
 _MOST_NUMBERS = 2**23
 
-# The sum of the terms' largest absolute values, times this, bounds all rounding errors of the bound many times over.
+# The sum of the terms' largest absolute values, times this, amply bounds all rounding errors of the bound.
 _ROUNDING = 1e-13
 
 
 class Reach(NamedTuple):
-    """What the search for the largest value found.
+    """The result of the search for the largest value.
 
     - `terms`: the basis polynomials in the largest Bernstein coefficient: the bound is their sum with the coefficients;
     - `corner`: the point with the largest value among all corners of boxes, from 0 to 1 in each variable.
@@ -39,7 +39,7 @@ class _Boxes(NamedTuple):
 
     - `maps[i]`: from Bernstein coefficients on the support to those on each box, shape (boxes, n, n) for variable `i`;
     - `ends`: lower and upper end, from 0 to 1, shape (boxes, variables, 2);
-    - `bounds`: the largest coefficient on each; `bending`: what a halving of each variable promises;
+    - `bounds`: the largest coefficient on each; `bending`: the expected gain of halving each variable;
     - `attained`, `corner`: the largest value at a corner so far, and where.
     """
 
@@ -53,14 +53,14 @@ class _Boxes(NamedTuple):
 
 
 def bound(coefficients: Float[Array, "entries terms"], form: Enclosure) -> Float[Array, " entries"]:
-    """Numbers that the expansions do not exceed: their largest Bernstein coefficients, and a margin for rounding."""
+    """Upper bounds of the expansions: their largest Bernstein coefficients, plus a margin for rounding."""
     fixed = jax.lax.stop_gradient(coefficients)
     margin = _ROUNDING * jnp.abs(fixed) @ form.sizes
     return jnp.sum(coefficients * reach(fixed.at[:, 0].set(0.0), form).terms, axis=1) + margin
 
 
 def difficulty(coefficients: Float[Array, "entries terms"], form: Enclosure) -> Float[Array, " entries"]:
-    """The gap between bound and attained value before any halving, relative to the range: small ones end soon."""
+    """The gap between bound and attained value before any halving, relative to the range; small gaps close soon."""
 
     def gap(terms: Float[Array, " terms"]) -> Float[Array, ""]:
         whole = whole_box(terms.at[0].set(0.0), form)
@@ -71,10 +71,10 @@ def difficulty(coefficients: Float[Array, "entries terms"], form: Enclosure) -> 
 
 
 def reach(coefficients: Float[Array, "entries terms"], form: Enclosure) -> Reach:
-    """Search for the largest values of some expansions together; nothing of it is to be differentiated.
+    """Search for the largest values of some expansions together. Not differentiable.
 
-    Together, for a loop over each by itself would copy all its boxes in every step when it is vectorised. The search
-    goes on until the last has its bound; the others get tighter ones on the way.
+    They share one loop, because a vectorised loop over each of them would copy all its boxes in every step. The search
+    ends when the last expansion has its bound; the bounds of the others get tighter meanwhile.
     """
     whole = jax.vmap(lambda terms: whole_box(terms, form))(coefficients)
     width = jax.vmap(jnp.ptp)(whole)
@@ -145,7 +145,7 @@ def _halve(boxes: _Boxes, whole: Float[Array, "*shape"], halves: tuple[Array, ..
 
 
 def _facts(tensor: Float[Array, "*shape"], ends: Float[Array, "variables 2"]) -> tuple[Array, ...]:
-    """Of one box: its bound, the bending in each variable, the largest value at a corner and the corner."""
+    """For one box: its bound, the bending in each variable, the largest value at a corner, and that corner."""
     at_corners = corners(tensor)
     best = jnp.argmax(at_corners)
     sides = jnp.stack(jnp.unravel_index(best, (2,) * tensor.ndim))
@@ -154,7 +154,7 @@ def _facts(tensor: Float[Array, "*shape"], ends: Float[Array, "variables 2"]) ->
 
 
 def _bending(tensor: Float[Array, "*shape"], axis: int) -> Float[Array, ""]:
-    """The largest second difference; zero where all coefficients rise or all fall, for then an end is the extreme."""
+    """The largest second difference; zero if the coefficients are monotone, because the extreme is then at an end."""
     first = jnp.diff(tensor, axis=axis)
     second = jnp.diff(first, axis=axis)
     monotone = (jnp.min(first) >= 0) | (jnp.max(first) <= 0)

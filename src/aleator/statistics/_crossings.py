@@ -1,8 +1,8 @@
 """All real roots of many polynomials at once, on the interval from -1 to 1.
 
 Between neighbouring extrema a polynomial is monotone and has at most one root, which bisection cannot miss. The extrema
-are the roots of the derivative, found in the same way from those of the second derivative, and so on: none is missed,
-whatever a grid would have stepped over.
+are the roots of the derivative, found in the same way from those of the second derivative, and so on. Unlike a search
+on a grid, this misses none.
 """
 
 import jax
@@ -10,10 +10,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-# Newton's method within a bracket, bisection where it leaves it: to rounding for simple roots.
+# Newton's method within a bracket, bisection where a step leaves it: exact to rounding for simple roots.
 _ITERATIONS = 14
-# At a root, rounding of a value and of a step may disagree on the side. A step that leaves the bracket by less than
-# this part of it, or by rounding, ends at its edge: bisection would throw away what was found.
+# At a root, rounding may put a value and a step on different sides. A step that leaves the bracket by less than this
+# part of it, or by rounding, ends at its edge: bisection would lose the digits found so far.
 _AT_THE_EDGE, _ROUNDING = 1e-6, 1e-14
 
 
@@ -36,7 +36,7 @@ def bracketed_roots(
 ) -> tuple[Float[Array, "intervals *lines"], Bool[Array, "intervals *lines"]]:
     """The root between each pair of neighbouring edges, and whether the polynomial rises there.
 
-    Where there is none, it is the end at which the values between the edges are nearest to zero.
+    Where there is no root, it is the edge at which the value is nearest to zero.
     """
     low, high = edges[:-1], edges[1:]
     at_low, at_high = horner(powers, low), horner(powers, high)
@@ -60,7 +60,7 @@ def bracketed_roots(
 
 
 def horner(powers: Float[Array, "orders *lines"], x: Float[Array, "points *lines"]) -> Float[Array, "points *lines"]:
-    """The values of polynomials at some points each."""
+    """The values of polynomials, each at its own points."""
     value = jnp.zeros(x.shape)
     for coefficient in powers[::-1]:
         value = value * x + coefficient[None]
@@ -68,7 +68,7 @@ def horner(powers: Float[Array, "orders *lines"], x: Float[Array, "points *lines
 
 
 def slope(powers: Float[Array, "orders *lines"], x: Float[Array, "points *lines"]) -> Float[Array, "points *lines"]:
-    """The first derivatives of polynomials at some points each."""
+    """The first derivatives of polynomials, each at its own points."""
     return _with_slope(powers, x)[1]
 
 
@@ -81,7 +81,7 @@ def _with_slope(powers: Array, x: Array) -> tuple[Array, Array]:
 
 
 def _derivative(powers: Float[Array, "orders *lines"], order: int) -> Float[Array, "fewer *lines"]:
-    """The coefficients of a derivative, but for a factor common to all."""
+    """The coefficients of a derivative, up to a common factor."""
     exponents = np.arange(order, len(powers))
     factors = np.ones(len(exponents))
     for step in range(order):

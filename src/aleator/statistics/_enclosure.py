@@ -1,7 +1,7 @@
-"""The Bernstein form of an expansion, between whose coefficients it stays on a box.
+"""The Bernstein form of an expansion, whose coefficients enclose its range on a box.
 
-In Bernstein polynomials on a box a polynomial lies between its smallest and its largest coefficient, and the
-coefficients at the corners are values that it takes there (Garloff, 1993, The Bernstein algorithm).
+On a box a polynomial lies between its smallest and its largest Bernstein coefficient, and the coefficients at the
+corners are its values there (Garloff, 1993, The Bernstein algorithm).
 """
 
 import math
@@ -17,7 +17,7 @@ from aleator._core.errors import ProblemError
 from aleator.expansion import Basis
 from aleator.uncertainty import AbstractGerm
 
-# An evaluation works on a few tensors of that many numbers.
+# An evaluation holds a few tensors of this many numbers.
 _MOST_COEFFICIENTS = 2**22
 
 
@@ -48,7 +48,7 @@ class Enclosure(eqx.Module):
 def enclosure(basis: Basis) -> Enclosure:
     """Preparation: the Bernstein form of a basis.
 
-    Raises `ProblemError` if the support is unbounded, or for more Bernstein coefficients than the memory should hold.
+    Raises `ProblemError` if the support is unbounded, or if the Bernstein coefficients need too much memory.
     """
     unbounded = [name for name, germ in basis.germs.items() if not np.all(np.isfinite(germ.support()))]
     if unbounded:
@@ -118,7 +118,7 @@ def mapped(tensor: Float[Array, "*shape"], matrices: Sequence[Float[Array, "n n"
     for axis, matrix in enumerate(matrices):
         shape = tensor.shape
         split = tensor.reshape(math.prod(shape[:axis]), shape[axis], -1)
-        # Written out: a product of small matrices for each entry costs more in calls than in arithmetic.
+        # Written out, because calls for products of small matrices cost more than their arithmetic.
         parts = [matrix[None, :, n, None] * split[:, n, None, :] for n in range(len(matrix))]
         tensor = sum(parts[1:], parts[0]).reshape(shape)
     return tensor

@@ -13,18 +13,18 @@ from aleator.statistics._enclosure import Enclosure, enclosure
 from aleator.statistics._local_search import climbed
 from aleator.statistics._statistic import AbstractStatistic, in_blocks
 
-# How many entries are worked on at once: few in a search, for it ends with the last of them.
+# Entries per block: few in a search, because it goes on until the last of them is done.
 _TOGETHER = 16
 _EASY_TOGETHER = 64
 
 
 @final
 class Supremum(AbstractStatistic):
-    """The largest value that the expansion takes anywhere on the support of bounded distributions, bounded from above.
+    """An upper bound of the expansion on the support of bounded distributions (dissertation, equation 88).
 
-    It bounds the expansion, not the model, which may exceed it where the expansion misses something. It is at least the
-    supremum of the expansion. Where the search ends before its limit on boxes, it is above it by at most 1e-4 of the
-    range of the Bernstein coefficients; `attained` tells the gap. Its derivative is that of the active coefficient.
+    It bounds the expansion, not the model, whose values may exceed it where the expansion errs. It is never below the
+    supremum of the expansion, and above it by at most 1e-4 of the range of the Bernstein coefficients, unless the
+    search reaches its limit on boxes; `attained` tells the gap. Its derivative is that of the active coefficient.
     """
 
     symbol: ClassVar[str] = "sup"
@@ -39,12 +39,12 @@ class Supremum(AbstractStatistic):
         return _searched(bound, coefficients, constants)
 
     def attained(self, coefficients: Float[Array, "terms *shape"], constants: Enclosure) -> Float[Array, "*shape"]:
-        """A value that the expansion takes, found by local search: the supremum lies between it and the bound."""
+        """A value of the expansion, found by local search: the supremum lies between it and the bound."""
         return _searched(climbed, coefficients, constants)
 
     @override
     def of_sample(self, values: Float[Array, "samples *shape"]) -> Float[Array, "*shape"]:
-        """The largest of the sample, which is never more than the supremum."""
+        """The largest value of the sample, which is never more than the supremum."""
         return jnp.max(values, axis=0)
 
     @property
@@ -55,7 +55,7 @@ class Supremum(AbstractStatistic):
 
 @final
 class Infimum(AbstractStatistic):
-    """The smallest value that the expansion takes anywhere on the support, bounded from below. See `Supremum`."""
+    """A lower bound of the expansion on the support of bounded distributions, as `Supremum` is an upper one."""
 
     symbol: ClassVar[str] = "inf"
 
@@ -74,7 +74,7 @@ class Infimum(AbstractStatistic):
 
     @override
     def of_sample(self, values: Float[Array, "samples *shape"]) -> Float[Array, "*shape"]:
-        """The smallest of the sample, which is never less than the infimum."""
+        """The smallest value of the sample, which is never less than the infimum."""
         return jnp.min(values, axis=0)
 
     @property
@@ -86,7 +86,7 @@ class Infimum(AbstractStatistic):
 def _searched(
     search: Callable[[Array, Enclosure], Array], coefficients: Float[Array, "terms *shape"], form: Enclosure
 ) -> Float[Array, "*shape"]:
-    """A search for each entry, easy ones with easy ones: entries that are searched together end with the hardest."""
+    """Search for all entries, grouped by difficulty: a group takes as long as its hardest entry."""
     if not form.shape:
         return coefficients[0]
     flat = coefficients.reshape(len(coefficients), -1)

@@ -1,4 +1,4 @@
-"""The numbers of a statistic as given by a user: levels and thresholds, checked where they are not traced."""
+"""Levels and thresholds of statistics as given by a user, checked unless they are traced."""
 
 from typing import Any
 
@@ -11,7 +11,7 @@ from aleator._core.errors import ProblemError
 
 
 def is_traced(value: Any) -> bool:
-    """Whether a number is being traced, so that nothing can be asked of its value."""
+    """Whether a number is being traced, so that its value is unknown."""
     return isinstance(value, Tracer)
 
 

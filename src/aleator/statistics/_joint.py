@@ -16,9 +16,9 @@ from aleator.statistics._statistic import AbstractStatistic
 
 @final
 class Covariance(AbstractStatistic):
-    """The covariance of two outputs, which lie along the last axis: the inner product of their coefficients.
+    """The covariance of two outputs, stacked along the last axis: the inner product of their coefficients.
 
-    The mean is no part of it, as in equation (33).
+    The first coefficients, the means, are left out, as in equation (33).
     """
 
     symbol: ClassVar[str] = "Cov"
@@ -41,10 +41,10 @@ class Covariance(AbstractStatistic):
 
 @final
 class CoefficientProduct(AbstractStatistic):
-    """`Σ_j |a^j b^j|` of two outputs, which lie along the last axis: the printed form of the expected power (83).
+    """`Σ_j |a^j b^j|` of two outputs, stacked along the last axis: the printed form of the expected power (83).
 
-    No property of the two alone: it depends on the basis, and no sample estimates it. With a `smoothing` `s`, `|x|` is
-    `sqrt(x² + s²) - s`.
+    It depends on the basis, not on the two outputs alone, so that no sample estimates it. With a `smoothing` `s`, `|x|`
+    is `sqrt(x² + s²) - s`.
     """
 
     symbol: ClassVar[str] = "Σ|·|"
@@ -58,7 +58,7 @@ class CoefficientProduct(AbstractStatistic):
         return jnp.sum(jnp.sqrt(products**2 + s**2) - s if s else jnp.abs(products), axis=0)
 
     def of_sample(self, values: Float[Array, "samples *shape 2"]) -> Float[Array, "*shape"]:
-        """No sample estimates it: not a number."""
+        """NaN, because no sample estimates it."""
         return jnp.full(values.shape[1:-1], jnp.nan)
 
     @override
@@ -68,9 +68,9 @@ class CoefficientProduct(AbstractStatistic):
 
 @final
 class Correlation(AbstractStatistic):
-    """The correlation coefficient of two outputs, which lie along the last axis: between -1 and 1.
+    """The correlation coefficient of two outputs, stacked along the last axis: between -1 and 1.
 
-    It is zero, and so is its derivative, where one of them does not vary.
+    It is zero, with derivative zero, if one of them does not vary.
     """
 
     symbol: ClassVar[str] = "Corr"
@@ -92,7 +92,7 @@ class Correlation(AbstractStatistic):
 
 def _cosine(vectors: Float[Array, "n *shape 2"]) -> Float[Array, "*shape"]:
     first, second = _both(vectors)
-    # One root each: the product of both squares leaves the range of doubles earlier.
+    # One root each, because the product of both squares overflows earlier.
     size = root(jnp.sum(first**2, axis=0)) * root(jnp.sum(second**2, axis=0))
     constant = size == 0
     return jnp.where(constant, 0.0, jnp.sum(first * second, axis=0) / jnp.where(constant, 1.0, size))

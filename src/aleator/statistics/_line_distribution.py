@@ -1,6 +1,6 @@
 """The distribution of one germ variable as a function for JAX: probabilities and partial moments, from tables.
 
-A germ knows its distribution function in NumPy only. Here it is tabulated on an interval, `x` from -1 to 1, together
+A germ has its distribution function in NumPy only. Here it is tabulated on an interval, `x` from -1 to 1, together
 with the partial moments `G_k(x)`, the integrals of the orthonormal polynomials `p_k` over the probability up to `x`
 (`G_0` is the distribution function). Tables are cubic splines in the fourth root of the distance from the nearer end,
 in which distributions with a singular density at an end (Beta, Gamma) are smooth. Their error is below 1e-9.
@@ -18,10 +18,10 @@ from aleator.uncertainty import AbstractGerm
 _CELLS = 2048
 _POWER = 4  # two square roots, see `LineDistribution`
 
-# An unbounded distribution ends where double precision cannot tell its distribution function from 0 or 1.
+# Unbounded distributions are cut where double precision cannot tell the distribution function from 0 or 1.
 _LEAST_LEVEL = 2.0**-53
 
-# Keeps the derivative of the root finite at the ends themselves, where it is not used.
+# Keeps the derivative of the root finite at the ends, where it is not used.
 _LEAST_DISTANCE = 1e-60
 
 
@@ -39,20 +39,20 @@ class LineDistribution(eqx.Module):
     from_powers: Float[Array, "variables orders orders"]
 
     def partial_moments(self, x: Float[Array, "edges variables lines"], orders: int) -> Float[Array, "..."]:
-        """`G_k(x)` for the first `orders` polynomials, along a new last axis. Not to be differentiated."""
+        """`G_k(x)` for the first `orders` polynomials, along a new last axis. Not differentiable."""
         cubic, within, _ = self._spline(x, orders)
         within = within[..., None]
         return ((cubic[..., 0, :] * within + cubic[..., 1, :]) * within + cubic[..., 2, :]) * within + cubic[..., 3, :]
 
     def density(self, x: Float[Array, "edges variables lines"]) -> Float[Array, "edges variables lines"]:
-        """The probability density, by the scaled variable `x`."""
+        """The probability density with respect to the scaled variable `x`."""
         cubic, within, root = self._spline(x, 1)
         cubic = cubic[..., 0]
         by_root = (3 * cubic[..., 0] * within + 2 * cubic[..., 1]) * within + cubic[..., 2]
         return -jnp.where(x > 0, 1.0, -1.0) * by_root * _CELLS / (_POWER * root ** (_POWER - 1))
 
     def _spline(self, x: Array, orders: int) -> tuple[Array, Array, Array]:
-        """The coefficients of the cubic in each point's cell, its place in the cell, and the root of its distance."""
+        """For each point: the cubic's coefficients in its cell, its place in the cell, and the root of its distance."""
         root = jnp.sqrt(jnp.sqrt(jnp.maximum(1 - jnp.abs(x), _LEAST_DISTANCE)))
         cell = jnp.clip((root * _CELLS).astype(int), 0, _CELLS - 1)
         variable = jnp.arange(x.shape[-2])[None, :, None]
@@ -70,7 +70,7 @@ def line_distribution(germs: list[AbstractGerm], orders: int) -> LineDistributio
 
 
 def finite_ends(germ: AbstractGerm) -> tuple[float, float]:
-    """The support of a germ; where it is unbounded, up to a level of 1e-16."""
+    """The support of a germ; an unbounded one is cut at a level of 1e-16."""
     low, high = germ.support()
     if np.isinf(low):
         low = float(germ.quantile(np.array(_LEAST_LEVEL)))
@@ -113,7 +113,7 @@ def _table(germ: AbstractGerm, low: float, high: float, orders: int) -> Float[np
         moments = beyond - sign * sums
         total = (np.arange(orders) == 0).astype(float)
         values = moments if sign > 0 else total - moments
-        # Cells, not the whole interval, are the unit of length.
+        # The unit of length is a cell, not the whole interval.
         scale = float(_CELLS) ** -np.arange(3, -1, -1)
         splines.append(np.moveaxis(CubicSpline(roots, values).c * scale[:, None, None], 0, 1))
     return np.stack(splines)

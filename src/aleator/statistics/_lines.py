@@ -1,10 +1,10 @@
 """Lines through the germ space, along which an expansion is a polynomial of one variable.
 
 Probabilities of an output are integrals of a step function, which points alone resolve poorly. Along a line the
-integral is done exactly, between the crossings of a threshold, and what is left to average over the lines is smooth
+integral between the crossings of a threshold is exact, and the average over the lines is that of a smooth function
 (Griewank, Kuo, Leövey and Sloan, 2018, High dimensional integration of kinks and jumps). Lines run along each variable
-in turn and, through standard normal variables, which may be rotated, along the direction in which the output varies
-most: for an output linear in normal variables every single line then gives the exact result.
+in turn. Standard normal variables may be rotated: their lines run along the direction in which the output varies most,
+so that every single line gives the exact result for an output that is linear in normal variables.
 """
 
 from typing import final
@@ -20,22 +20,22 @@ from aleator.statistics._line_distribution import LineDistribution, line_distrib
 from aleator.statistics._moments import root
 from aleator.uncertainty import HermiteGerm, LegendreGerm, SampleGerm
 
-# Of one number; of many at once fewer are used, see `_output_distribution`.
+# Lines for a single number; many numbers at once share fewer, see `_output_distribution`.
 _LINES = 2**14
 
-# How much lines through normal variables are preferred to others of the same share: the tails come from them.
+# How much lines through normal variables are preferred to others of the same share: they determine the tails.
 _NORMAL_PREFERENCE = 10.0
 
-# The higher, the less do lines count along which the output hardly varies.
+# The higher this is, the less weight lines have along which the output hardly varies.
 _SHARPNESS = 3
 
 
 @final
 class Rotation(eqx.Module):
-    """Lines through the standard normal variables along a direction that is chosen by the coefficients.
+    """Lines through the standard normal variables along a direction that depends on the coefficients.
 
-    The derivatives of an expansion in Hermite polynomials are expansions in the same ones: with their coefficients the
-    Taylor series along a line follows from the values of the polynomials at one point of it.
+    Derivatives of an expansion in Hermite polynomials are expansions in the same polynomials. So the Taylor series
+    along a line follows from the values of the polynomials at one point of it.
 
     - `points`: normal variables of a point on each line; `matrix`: the basis polynomials there;
     - `raised`, `factors`: the derivative by variable `i` has the coefficients `factors[i] * c[raised[i]]`;
@@ -50,7 +50,7 @@ class Rotation(eqx.Module):
     contributing: Float[Array, "normals terms"]
 
     def direction(self, coefficients: Float[Array, " terms"]) -> Float[Array, " normals"]:
-        """The mean gradient; a variable that acts nonlinearly weighs more, so that it counts without a mean slope."""
+        """The mean gradient; nonlinear variables weigh more, so that they count even if their mean slope is zero."""
         gradient = self.linear @ coefficients
         variance = self.contributing @ coefficients**2
         std = root(jnp.sum(coefficients[1:] ** 2))
@@ -61,7 +61,7 @@ class Rotation(eqx.Module):
 
     def powers(self, coefficients: Float[Array, " terms"], degree: int, lines: int) -> Float[Array, "orders lines"]:
         """The expansion along each line, by powers of the standard normal variable along it."""
-        # Where divisors of the basis are missing in it, the derivatives have more terms than the expansion.
+        # The derivatives have more terms than the expansion where the basis lacks divisors of its terms.
         coefficients = jnp.pad(coefficients, (0, self.matrix.shape[1] - len(coefficients)))
         direction = self.direction(coefficients)
         taylor = [coefficients]
@@ -69,7 +69,7 @@ class Rotation(eqx.Module):
             slopes = self.factors * taylor[-1][self.raised]
             taylor.append(direction @ slopes / order)
         rows = list(jnp.stack(taylor) @ self.matrix[:lines].T)
-        # From powers of the distance from the point to those of the distance from the foot of the origin.
+        # Shift the powers: from the distance from the point to the distance from the foot of the origin.
         at = self.points[:lines] @ direction
         for done in range(degree):
             for order in range(degree - 1, done - 1, -1):
@@ -79,7 +79,7 @@ class Rotation(eqx.Module):
 
 @final
 class Lines(eqx.Module):
-    """Lines along some directions: each variable that is not normal, and one through all that are.
+    """Lines along some directions: one for each non-normal variable, and one for all normal variables together.
 
     - `others`: the basis polynomials without the factor of the line's own variable, shape (variables, lines, terms);
     - `degrees`: one where a term has degree `k` in that variable, shape (variables, orders, terms);
@@ -96,7 +96,7 @@ class Lines(eqx.Module):
     distribution: LineDistribution
 
     def weights(self, coefficients: Float[Array, " terms"]) -> Float[Array, " directions"]:
-        """How much each direction counts: they add up to one, and lines along which nothing varies count nothing."""
+        """The weight of each direction: they add up to one, and are zero for lines along which nothing varies."""
         shares = self.contributing @ coefficients**2 * self.preference
         largest = jnp.max(shares)
         raw = (shares / jnp.where(largest > 0, largest, 1.0)) ** _SHARPNESS
@@ -104,9 +104,7 @@ class Lines(eqx.Module):
         return jnp.where(total > 0, raw / jnp.where(total > 0, total, 1.0), 1 / len(raw))
 
     def polynomials(self, coefficients: Float[Array, " terms"], lines: int) -> Float[Array, "orders directions lines"]:
-        """The expansion along the first `lines` lines of each direction, in its distribution's orthonormal
-        polynomials.
-        """
+        """The expansion along the first `lines` lines of each direction, in their orthonormal polynomials."""
         orders = self.distribution.monomials.shape[1]
         by_degree = self.degrees * coefficients[None, None]
         along = jnp.einsum("vkt,vnt->kvn", by_degree, self.others[:, :lines])
@@ -123,7 +121,7 @@ class Lines(eqx.Module):
 
 
 def refuse_steps(basis: Basis) -> None:
-    """Raise `ProblemError` where a germ variable takes single values only: along it nothing lies between them."""
+    """Raise `ProblemError` if a germ variable takes discrete values only, with none in between."""
     steps = [name for name, germ in basis.germs.items() if isinstance(germ, SampleGerm)]
     if steps:
         raise ProblemError(
@@ -160,13 +158,13 @@ def lines_through(basis: Basis) -> Lines:
 
 
 def _nowhere() -> Lines:
-    """Where no variable matters: one line along which the output stands still."""
+    """For constant outputs: one line along which nothing varies."""
     one = jnp.ones((1, 1, 1))
     return Lines(one, one, None, jnp.zeros((1, 1)), jnp.ones(1), line_distribution([LegendreGerm()], 1))
 
 
 def _points(basis: Basis, active: list[int], directions: int, seed: int) -> Float[np.ndarray, "lines variables"]:
-    """A point on each line: a scrambled Sobol net (Owen, 1995) in the variables that matter, else the middle."""
+    """A point on each line: a scrambled Sobol net (Owen, 1995) in the active variables, the middle in the others."""
     levels = np.full((1, basis.variables), 0.5)
     if len(active) > 1:
         size = int(np.log2(_LINES / directions))
@@ -206,7 +204,7 @@ def _rotation(basis: Basis, normal: list[int], points: np.ndarray) -> Rotation:
 def _with_divisors(
     indices: Int[np.ndarray, "terms variables"], variables: list[int]
 ) -> Int[np.ndarray, "more variables"]:
-    """The terms and after them those that lowering a degree of these variables leads to, if they are missing."""
+    """The terms, followed by missing ones that arise when a degree of these variables is lowered."""
     known = dict.fromkeys(map(tuple, indices.tolist()))
     waiting = list(known)
     while waiting:

@@ -1,4 +1,4 @@
-"""Local search: a large value that an expansion takes, to tell how tight a bound on it is."""
+"""Local search for a large value of an expansion, which shows how tight a bound is."""
 
 import jax
 import jax.numpy as jnp
@@ -13,7 +13,7 @@ _SWEEPS = 20
 
 
 def climbed(coefficients: Float[Array, "entries terms"], form: Enclosure) -> Float[Array, " entries"]:
-    """Large values that the expansions take: from the best corner, to the maximum along each variable in turn."""
+    """Large values of the expansions: maximised along each variable in turn, from the best corner."""
     corners = reach(jax.lax.stop_gradient(coefficients).at[:, 0].set(0.0), form).corner
     return jax.vmap(_climb, in_axes=(0, 0, None))(coefficients, corners, form)
 

@@ -1,4 +1,4 @@
-"""`AbstractMeasured`: what has statistics, the same by name wherever they come from."""
+"""`AbstractMeasured`: one list of statistics for functionals, expanded functions and samples."""
 
 import abc
 from typing import Generic, TypeVar
@@ -15,14 +15,14 @@ _Result = TypeVar("_Result", covariant=True)
 
 
 class AbstractMeasured(abc.ABC, Generic[_Result]):
-    """What differs from one realisation to the next: a functional of a problem, an expanded function, a sample.
+    """A quantity that varies between realisations: a functional of a problem, an expanded function, a sample.
 
-    Each says what `statistic` gives: an expression, numbers, estimates with their standard errors.
+    Each subclass defines what `statistic` returns: an expression, numbers, or estimates with standard errors.
     """
 
     @abc.abstractmethod
     def statistic(self, kind: AbstractStatistic) -> _Result:
-        """Any statistic, such as one of your own."""
+        """Any other statistic, such as one of your own."""
 
     @property
     def mean(self) -> _Result:
@@ -41,10 +41,7 @@ class AbstractMeasured(abc.ABC, Generic[_Result]):
 
     @property
     def skewness(self) -> _Result:
-        """The third central moment over `std**3`: zero for a normal distribution, positive where the upper tail is the
-        longer
-        one.
-        """
+        """The third central moment over `std**3`: zero for a normal distribution, positive for a longer upper tail."""
         return self.statistic(Skewness())
 
     @property
@@ -73,7 +70,7 @@ class AbstractMeasured(abc.ABC, Generic[_Result]):
         return self.statistic(Quantile(level))
 
     def cornish_fisher(self, level: Scalar) -> _Result:
-        """The quantile at `level` from the first four moments: smooth, and good close to a normal distribution."""
+        """The quantile at `level` from the first four moments: smooth, and accurate close to a normal distribution."""
         return self.statistic(CornishFisher(level))
 
     def probability(self, *, above: Scalar | None = None, below: Scalar | None = None) -> _Result:
@@ -85,15 +82,15 @@ class AbstractMeasured(abc.ABC, Generic[_Result]):
         return self.statistic(ConditionalValueAtRisk(level, lower=lower))
 
     def sobol(self, *variables: str) -> _Result:
-        """The share of the variance that a germ variable explains, or that several explain by acting together.
+        """The Sobol index of one germ variable, or of the interaction of several: its share of the variance.
 
-        Raises `ProblemError` for correlated and for unknown variables, and of a sample, which does not tell it.
+        Raises `ProblemError` for correlated and for unknown variables, and for a sample, which does not determine it.
         """
         return self.statistic(Sobol(variables))
 
     def total_sobol(self, variable: str) -> _Result:
-        """The share of the variance that a germ variable takes part in, alone or with others.
+        """The total Sobol index of a germ variable: its share of the variance, alone or together with others.
 
-        Raises `ProblemError` for correlated and for unknown variables, and of a sample, which does not tell it.
+        Raises `ProblemError` for correlated and for unknown variables, and for a sample, which does not determine it.
         """
         return self.statistic(TotalSobol(variable))

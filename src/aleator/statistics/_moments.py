@@ -34,7 +34,7 @@ class Mean(AbstractStatistic):
 
 @final
 class Variance(AbstractStatistic):
-    """The variance, equation (33), summed from the second coefficient on (the mean is no part of it)."""
+    """The variance, equation (33): the sum of squares from the second coefficient on."""
 
     symbol: ClassVar[str] = "Var"
 
@@ -56,8 +56,8 @@ class Variance(AbstractStatistic):
 class Std(AbstractStatistic):
     """The standard deviation, equation (33).
 
-    Where the variance is exactly zero (an initial condition that is certain) the value is zero and so is the
-    derivative: the root has no finite one there, and zero is its smallest subgradient.
+    Where the variance is exactly zero, as for a certain initial condition, so is the derivative: the root has no finite
+    one there, and zero is the subgradient of smallest norm.
     """
 
     symbol: ClassVar[str] = "σ"
@@ -71,19 +71,19 @@ class Std(AbstractStatistic):
         return root(Variance().of_sample(values))
 
 
-# Outputs that vary by less than this part of their size are constant, but for rounding.
+# Outputs that vary by less than this part of their size are constant up to rounding.
 _ROUNDING = 1e-12
 
 
 def varies(coefficients: Float[Array, "terms *shape"]) -> Bool[Array, "*shape"]:
-    """Whether an output varies beyond rounding. What is not a number, or infinite, does not pass for constant."""
+    """Whether an output varies beyond rounding. NaN and infinite values count as varying."""
     variance = jnp.sum(coefficients[1:] ** 2, axis=0)
     constant = (variance == 0) | (variance < _ROUNDING**2 * jnp.sum(coefficients**2, axis=0))
     return ~constant
 
 
 def root(square: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
-    """The square root, with derivative zero at zero; zero below it, where only rounding leads."""
-    # Asked this way round, what is not a number stays so.
+    """The square root, with derivative zero at zero; zero for negative numbers, which only rounding causes."""
+    # Compared with `<=` so that NaN propagates.
     zero = square <= 0
     return jnp.where(zero, 0.0, jnp.sqrt(jnp.where(zero, 1.0, square)))

@@ -1,6 +1,6 @@
 """The distribution of one output, from its expansion along lines through the germ space (see `_lines`).
 
-First derivatives are exact. Second derivatives are not to be taken: the search for crossings has none.
+First derivatives are exact. Second derivatives are not available, because the search for crossings has none.
 """
 
 import math
@@ -19,13 +19,13 @@ from aleator.statistics._lines import Lines
 from aleator.statistics._moments import root
 from aleator.statistics._statistic import entry_by_entry
 
-# Steps in the search of a quantile: four are the rule.
+# Most steps in the search for a quantile; four are usual.
 _MOST_STEPS = 60
 
-# Where the search ends, in standard deviations; the last step, which also carries the derivative, squares the error.
+# Tolerance of the search in standard deviations; the last step, which carries the derivative, squares the error.
 _CLOSE = 1e-8
 
-# How many entries times lines are worked on at once, for the memory, and how many in all, for the time.
+# Entries times lines: at most so many at once, for memory, and so many in all, for time.
 _AT_ONCE = 2**14
 _IN_ALL = 2**19
 _FEWEST = 64
@@ -58,7 +58,7 @@ class OutputDistribution(eqx.Module):
     def _below(self, threshold: Scalar, crossings: Array, rising: Array) -> Float[Array, ""]:
         levels = self.distribution.partial_moments(crossings, 1)[..., 0]
         below = jnp.sum(_differences(self.edge_levels, levels, rising), axis=0)
-        # Its derivative is that of the crossings times the density there: no table need be differentiated.
+        # Its derivative is that of the crossings times the density there, so that no table is differentiated.
         heights = horner(self.powers.at[0].add(-threshold), crossings)
         change = heights - jax.lax.stop_gradient(heights)
         return self._average(below - jnp.sum(jax.lax.stop_gradient(self._densities(crossings)) * change, axis=0))
@@ -73,20 +73,20 @@ class OutputDistribution(eqx.Module):
         return self._average(jnp.sum(self._densities(crossings - step), axis=0))
 
     def excess(self, threshold: Scalar) -> Float[Array, ""]:
-        """The expected value of what goes beyond the mean plus `threshold`, taken as zero below it."""
+        """The expected excess over the mean plus `threshold`, zero for values below it."""
         below = self._all_below(threshold)
         orders = jnp.arange(len(below))[:, None, None]
         above = jnp.where(orders == 0, 1.0, 0.0) - below
         return self._average(jnp.sum(self.series * above, axis=0) - jnp.asarray(threshold) * above[0])
 
     def shortfall(self, threshold: Scalar) -> Float[Array, ""]:
-        """The expected value of what is missing to the mean plus `threshold`, taken as zero above it."""
+        """The expected shortfall below the mean plus `threshold`, zero for values above it."""
         below = self._all_below(threshold)
         return self._average(jnp.asarray(threshold) * below[0] - jnp.sum(self.series * below, axis=0))
 
     def _all_below(self, threshold: Scalar) -> Float[Array, "orders directions lines"]:
-        """The partial moments of each line's distribution over where the output is below the threshold."""
-        # Nothing goes beyond the threshold at the threshold itself: how the crossings move has no part in it.
+        """The partial moments of each line's distribution over the part where the output is below the threshold."""
+        # The excess is zero at the crossings, so that their movement does not contribute to the derivative.
         crossings, rising = self._crossings(threshold)
         at_edges, at_crossings = (
             self.distribution.partial_moments(x, len(self.series)) for x in (self.edges, crossings)
@@ -109,7 +109,7 @@ class OutputDistribution(eqx.Module):
     def _quantile(self, level: Scalar) -> Float[Array, ""]:
         """Newton's method on the normal scale, on which most distribution functions are nearly straight.
 
-        Bisection where a step leaves the bracket; Cantelli's inequality gives the first one.
+        Bisection where a step leaves the bracket; the first bracket is that of Cantelli's inequality.
         """
         target = jax.scipy.special.ndtri(level)
         reach = 1.01 * self.std
@@ -137,12 +137,12 @@ class OutputDistribution(eqx.Module):
         return jax.lax.while_loop(unfinished, narrow, (low, high, start, self.std, 0))[2]
 
     def _crossings(self, threshold: Scalar) -> tuple[Float[Array, "intervals *lines"], Bool[Array, "intervals *lines"]]:
-        """Where each line crosses a threshold between two edges, without derivatives, and whether it rises there."""
+        """Crossings of a threshold between neighbouring edges, without derivatives, and whether the output rises."""
         shifted = self.powers.at[0].add(-threshold)
         return bracketed_roots(jax.lax.stop_gradient(shifted), self.edges)
 
     def _is_inside(self, crossings: Float[Array, "intervals *lines"]) -> Bool[Array, "intervals *lines"]:
-        """Whether there is a crossing: where there is none, the root was set to an edge."""
+        """Whether there is a crossing: if there is none, the root was set to an edge."""
         return (crossings > self.edges[:-1]) & (crossings < self.edges[1:])
 
     def _densities(self, crossings: Float[Array, "intervals *lines"]) -> Float[Array, "intervals *lines"]:
@@ -160,7 +160,7 @@ def _differences(
     at_crossings: Float[Array, "intervals ..."],
     rising: Bool[Array, "intervals ..."],
 ) -> Float[Array, "intervals ..."]:
-    """What a distribution function gains in each interval between edges where the output is below a crossing."""
+    """The increase of a distribution function over the part of each interval in which the output is below."""
     return jnp.where(rising, at_crossings - at_edges[:-1], at_edges[1:] - at_crossings)
 
 
@@ -169,8 +169,8 @@ def by_lines(
 ) -> Float[Array, "..."]:
     """A function of the distribution of each entry.
 
-    A number is taken over all lines that were prepared; of the entries of a path, of which there are many, each over
-    the fewer lines, but at least 64 in each direction.
+    A single number uses all prepared lines. The more entries a path has, the fewer lines each uses, but at least 64 in
+    each direction.
     """
     entries, directions = math.prod(coefficients.shape[1:]), len(lines.preference)
     share = max(_IN_ALL // (max(entries, 1) * directions), _FEWEST)

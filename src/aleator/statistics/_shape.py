@@ -45,9 +45,7 @@ class Skewness(AbstractStatistic):
 
 @final
 class Kurtosis(AbstractStatistic):
-    """The kurtosis `E[(y - mean)^4] / std^4`: 3 for a normal distribution (it is not the excess); zero if nothing
-    varies.
-    """
+    """The kurtosis `E[(y - mean)^4] / std^4`, not the excess: 3 for a normal distribution, zero if nothing varies."""
 
     symbol: ClassVar[str] = "Kurt"
 
@@ -72,8 +70,7 @@ class Kurtosis(AbstractStatistic):
 
 @final
 class CornishFisher(AbstractStatistic):
-    """An approximate quantile from the first four moments: smooth and cheap, good if the distribution is not far from
-    normal.
+    """An approximate quantile from the first four moments: smooth, cheap, and accurate if nearly normal.
 
     Source: Cornish and Fisher (1938), Moments and cumulants in the specification of distributions.
     """
@@ -116,7 +113,7 @@ class CornishFisher(AbstractStatistic):
 def shape_of(
     coefficients: Float[Array, "terms *shape"], constants: Square
 ) -> tuple[Float[Array, "*shape"], Float[Array, "*shape"]]:
-    """Skewness and kurtosis: with the expansion of `y^2`, `E[y^3]` and `E[y^4]` are sums as that of equation (33)."""
+    """Skewness and kurtosis: with the expansion of `y^2`, `E[y^3]` and `E[y^4]` are sums as in equation (33)."""
 
     def both(terms: Float[Array, " terms"]) -> Float[Array, "2"]:
         spreads = varies(terms)

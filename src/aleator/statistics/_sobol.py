@@ -23,10 +23,10 @@ from aleator.uncertainty import AbstractDistribution
 
 @final
 class Sobol(AbstractStatistic):
-    """The share of the variance that is due to exactly these germ variables acting together, from 0 to 1.
+    """The Sobol index of a set of germ variables: their share of the variance by interaction, from 0 to 1.
 
-    One name gives the first-order index, two the index of a pair, without the parts of each alone. Zero where the
-    output does not vary. Names are those of the germ, `basis.names`.
+    One name gives the first-order index, two the index of the pair without the parts of each alone. Zero if the output
+    does not vary. Names are those of the germ, `basis.names`.
     """
 
     variables: tuple[str, ...] = eqx.field(static=True)
@@ -103,14 +103,14 @@ class TotalSobol(AbstractStatistic):
 @final
 @dataclass(frozen=True)
 class ExactlyOf:
-    """Preparation: one for each term that depends on all of these variables and no others, else zero."""
+    """Preparation: one for each term that depends on exactly these variables, else zero."""
 
     variables: tuple[str, ...]
 
     def __call__(self, basis: Basis) -> Float[Array, " terms"]:
         """The selection of a basis. Raises `ProblemError` for a name that it does not have."""
         if not basis.variables:
-            return jnp.zeros(basis.terms)  # nothing is uncertain: no variable has a share
+            return jnp.zeros(basis.terms)  # nothing is uncertain
         chosen = np.zeros(basis.variables, bool)
         chosen[[place_of(basis, name) for name in self.variables]] = True
         return jnp.asarray(np.all((basis.indices > 0) == chosen, axis=1), dtype=float)
@@ -131,7 +131,7 @@ class With:
 
 
 def share(coefficients: Float[Array, "terms *shape"], selected: Float[Array, " terms"]) -> Float[Array, "*shape"]:
-    """The part of the variance in the selected terms; zero, with derivative zero, where there is no variance."""
+    """The part of the variance in the selected terms; zero, with derivative zero, if there is no variance."""
     squares = coefficients[1:] ** 2
     total = jnp.sum(squares, axis=0)
     spreads = varies(coefficients)
@@ -139,9 +139,10 @@ def share(coefficients: Float[Array, "terms *shape"], selected: Float[Array, " t
 
 
 def refuse_correlated(distributions: Mapping[str, AbstractDistribution], kind: AbstractStatistic) -> None:
-    """Raise `ProblemError` for a Sobol index of a correlated input, which would be that of its germ variables.
+    """Raise `ProblemError` for a Sobol index of a correlated input.
 
-    Those depend on the order in which the group was declared; the variance of correlated inputs has no such parts.
+    It would be that of the germ variables, which depend on the order in which the group was declared; the variance of
+    correlated inputs has no such decomposition.
     """
     named = kind.variables if isinstance(kind, Sobol) else (kind.variable,) if isinstance(kind, TotalSobol) else ()
     groups = {
@@ -160,7 +161,7 @@ def refuse_correlated(distributions: Mapping[str, AbstractDistribution], kind: A
 
 
 def place_of(basis: Basis, name: str) -> int:
-    """Which germ variable has this name. Raises `ProblemError`, with names that are close, if none has."""
+    """The index of the germ variable with this name. Raises `ProblemError`, with similar names, if there is none."""
     if name in basis.names:
         return basis.names.index(name)
     close = get_close_matches(name, basis.names)

@@ -1,7 +1,7 @@
-"""The square of an expansion, exactly: products of two basis polynomials as sums of basis polynomials.
+"""The exact square of an expansion: products of two basis polynomials as sums of basis polynomials.
 
-The univariate products `p_i p_j = sum_k t[i, j, k] p_k` end at the degree `k = i + j`, and their coefficients come from
-Gauss quadrature. Those of multivariate products are products of them, of which few are not zero.
+The univariate products `p_i p_j = sum_k t[i, j, k] p_k` end at the degree `k = i + j`, with coefficients by Gauss
+quadrature. The coefficients of multivariate products are products of these, and few are not zero.
 """
 
 from typing import final
@@ -16,19 +16,19 @@ from aleator._core.errors import ProblemError
 from aleator.expansion import Basis
 from aleator.uncertainty import AbstractGerm
 
-# Beyond this many products the constants take gigabytes and an evaluation more than a second.
+# With more products, the constants take gigabytes and an evaluation more than a second.
 _MOST_PRODUCTS = 20_000_000
 
-# Triple products below this part of the largest are zero but for rounding.
+# Triple products below this part of the largest are zero up to rounding.
 _ROUNDING = 1e-13
 
 
 @final
 class Square(eqx.Module):
-    """Which pairs of terms contribute how much to which term of the square: `square[k] += value * c[i] * c[j]`.
+    """The contribution of each pair of terms to a term of the square: `square[k] += value * c[i] * c[j]`.
 
     - `first`, `second`, `target`: `i <= j` and `k`, sorted by `k`. The terms of the square begin with those of the
-      expansion itself, in their order; `values` of pairs `i < j` hold both orders;
+      expansion itself, in their order; `values` of pairs `i < j` count both orders;
     - `terms`: the number of terms of the square.
     """
 
@@ -47,11 +47,11 @@ class Square(eqx.Module):
 def square(basis: Basis) -> Square:
     """Preparation: the square of an expansion in this basis.
 
-    Raises `ProblemError` if it has more products than the memory should hold.
+    Raises `ProblemError` if it has too many products for memory.
     """
     first, second = np.triu_indices(basis.terms)
     values = np.where(first == second, 1.0, 2.0)
-    # Which term of the square a product belongs to, as far as the variables so far tell it apart.
+    # The term of the square that a product belongs to, as far as it is determined by the variables so far.
     target = np.zeros(first.size, dtype=np.int64)
     for degrees, degree, germ in zip(basis.indices.T, basis.degrees, basis.germs.values(), strict=True):
         factors = _triple_products(germ, degree)
@@ -69,7 +69,7 @@ def square(basis: Basis) -> Square:
 
 
 def _triple_products(germ: AbstractGerm, degree: int) -> Float[np.ndarray, "degrees degrees doubled"]:
-    """The expected values of `p_i p_j p_k`, for `i` and `j` up to the degree and `k` up to its double."""
+    """The expected values of `p_i p_j p_k`, for `i` and `j` up to the degree and `k` up to twice the degree."""
     nodes, weights = germ.gauss(2 * degree + 1)
     polynomials = germ.polynomials(2 * degree, nodes)
     lower = polynomials[:, : degree + 1]
@@ -82,7 +82,7 @@ def _triple_products(germ: AbstractGerm, degree: int) -> Float[np.ndarray, "degr
 def _nonzero(
     factors: Float[np.ndarray, "degrees degrees doubled"], i: Int[np.ndarray, " n"], j: Int[np.ndarray, " n"]
 ) -> tuple[Int[np.ndarray, " m"], Int[np.ndarray, " m"]]:
-    """For pairs of degrees `i[n]`, `j[n]` all powers `k` with a factor: the pair's number `n` and `k` of each."""
+    """For pairs of degrees `i[n]`, `j[n]` all `k` with a nonzero factor: `n` and `k` of each."""
     powers = np.nonzero(factors)[2]
     counts = np.count_nonzero(factors, axis=2)
     starts = np.cumsum(counts.ravel()).reshape(counts.shape) - counts

@@ -1,4 +1,4 @@
-"""`AbstractStatistic`: a number that sums up how an uncertain output is distributed."""
+"""`AbstractStatistic`: a number that summarises the distribution of an uncertain output."""
 
 import abc
 from collections.abc import Callable, Iterable
@@ -14,26 +14,26 @@ from aleator._core.errors import ProblemError
 from aleator.expansion import Basis
 
 Preparation: TypeAlias = Callable[[Basis], Pytree]
-"""What a statistic needs of a basis: a hashable function from the basis to constant arrays. Equal ones are shared."""
+"""A hashable function from a basis to the constant arrays that a statistic needs. Equal preparations are shared."""
 
 
 class AbstractStatistic(eqx.Module):
     """A statistic of an output: from an expansion's coefficients, or estimated from a sample.
 
     `symbol` is how it prints. A statistic that needs more of the basis than orthonormality (a sample of the
-    polynomials, their products) names a `preparation`, which is done once, before anything is compiled.
+    polynomials, their products) returns a `preparation`, which runs once, before compilation.
     """
 
     symbol: ClassVar[str]
 
     @property
     def preparation(self) -> Preparation | None:
-        """What it needs of the basis; None if nothing."""
+        """A function of the basis that gives its constants; None if it needs none."""
         return None
 
     @abc.abstractmethod
     def of(self, coefficients: Float[Array, "terms *shape"], constants: Pytree) -> Float[Array, "*shape"]:
-        """The statistic of an expansion in an orthonormal basis; `constants` are what its preparation gave."""
+        """The statistic of an expansion in an orthonormal basis; `constants` is the result of its preparation."""
 
     @abc.abstractmethod
     def of_sample(self, values: Float[Array, "samples *shape"]) -> Float[Array, "*shape"]:
@@ -41,14 +41,14 @@ class AbstractStatistic(eqx.Module):
 
     @property
     def speaks_of_one_system(self) -> bool:
-        """Whether a bound on it is a bound on each single system, which it then represents by its value.
+        """Whether a bound on it also applies to a single system, whose value then takes its place.
 
-        A mean or a quantile does; a spread does not, and is zero for a single system.
+        True for a mean or a quantile; false for a spread, which is zero for a single system.
         """
         return False
 
     def unit(self, *of: str) -> str:
-        """Its unit, from those of what it is taken of (see `_core.units`): by default that of the first."""
+        """Its unit, from those of its arguments (see `_core.units`): by default that of the first."""
         return of[0]
 
     def text(self, inside: str) -> str:
@@ -57,7 +57,7 @@ class AbstractStatistic(eqx.Module):
 
 
 def a_statistic(given: Any) -> AbstractStatistic:
-    """A statistic as it is. Raises `ProblemError` for anything else."""
+    """Return a statistic unchanged. Raises `ProblemError` for anything else."""
     if isinstance(given, AbstractStatistic):
         return given
     made = " Make one of the class first." if isinstance(given, type) else ""
@@ -67,16 +67,16 @@ def a_statistic(given: Any) -> AbstractStatistic:
 def entry_by_entry(
     one: Callable[[Float[Array, " terms"]], Array], coefficients: Float[Array, "terms *shape"], together: int
 ) -> Float[Array, "..."]:
-    """A function of one output's coefficients, for each entry of outputs of any shape; `together` as in `in_blocks`."""
+    """Apply a function of one output's coefficients to each entry of outputs of any shape, in blocks of `together`."""
     return in_blocks(jax.vmap(one), coefficients, together)
 
 
 def in_blocks(
     some: Callable[[Float[Array, "entries terms"]], Array], coefficients: Float[Array, "terms *shape"], together: int
 ) -> Float[Array, "..."]:
-    """A function of several outputs' coefficients, shape (entries, terms), for the entries of outputs of any shape.
+    """Apply a function of several outputs' coefficients, shape (entries, terms), to outputs of any shape.
 
-    It is given `together` entries at a time, for what it needs of memory.
+    It gets `together` entries at a time, which bounds the memory that it needs.
     """
     shape = coefficients.shape[1:]
     entries = jnp.moveaxis(coefficients.reshape(len(coefficients), -1), 1, 0)
@@ -94,9 +94,9 @@ def in_blocks(
 
 @final
 class Constants(eqx.Module):
-    """What some statistics need of a basis: constant arrays, prepared once.
+    """The constant arrays of some statistics, prepared once.
 
-    `scenarios`: the germ points at which limits on the worst case are held; None where a problem has no such limit.
+    `scenarios`: the germ points at which limits on the worst case are imposed; None if a problem has no such limit.
     """
 
     preparations: tuple[Any, ...] = eqx.field(static=True)
@@ -111,7 +111,7 @@ class Constants(eqx.Module):
 
 
 def prepare(statistics: Iterable[AbstractStatistic], basis: Basis) -> Constants:
-    """The constants of all statistics, each preparation done once."""
+    """The constants of all statistics; each preparation runs once."""
     needed = (statistic.preparation for statistic in statistics)
     preparations = tuple(dict.fromkeys(one for one in needed if one is not None))
     return Constants(preparations, tuple(one(basis) for one in preparations))

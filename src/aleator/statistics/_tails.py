@@ -1,11 +1,10 @@
-"""What lies in the tails of an output: quantiles, probabilities, the mean beyond a quantile; density and distribution.
+"""Tail statistics: quantiles, probabilities, the mean beyond a quantile; density and distribution function.
 
-All come from the expansion along lines through the germ space (see `_lines`). Of one variable they are exact to about
-1e-8. Of several, the probabilities of one output have errors of about 1e-4 to 1e-3 of themselves in two or three
-variables, and of some percent in the tails of many bounded ones. For an output that is nearly linear in normal
-variables they are right to a fraction of a percent far into the tails, to one in a million and beyond. Entries of a
-path are taken over fewer lines: its quantiles have errors of some hundredths of a standard deviation, where
-`CornishFisher` is the cheaper choice if the output is not far from normal.
+All use the expansion along lines through the germ space (see `_lines`). In one variable they are exact to about 1e-8.
+In two or three, probabilities of one output have relative errors of about 1e-4 to 1e-3; in many bounded variables, some
+percent in the tails. For an output that is nearly linear in normal variables the error is a fraction of a percent even
+far into the tails, to one in a million and beyond. Entries of a path use fewer lines: their quantiles have errors of
+some hundredths of a standard deviation; `CornishFisher` is cheaper there if the output is nearly normal.
 """
 
 import abc
@@ -29,11 +28,11 @@ from aleator.statistics._statistic import AbstractStatistic
 
 
 class AbstractTail(AbstractStatistic):
-    """A statistic of the distribution that an output has along lines, which are prepared once for all of them.
+    """A statistic of an output's distribution along lines; all such statistics share the prepared lines.
 
-    Right to 1e-8 in one variable and, for nearly linear outputs of normal variables, to a part in ten thousand of a
-    probability of 1e-6. Outputs of many bounded variables are harder: of a sum of five uniform ones a probability of
-    2.5 % is off by some 3 % of itself, one of 0.03 % by a third. It has first derivatives only.
+    Accurate to 1e-8 in one variable and, for nearly linear outputs of normal variables, to a ten-thousandth of a
+    probability of 1e-6. Outputs of many bounded variables are harder: for a sum of five uniform numbers, a probability
+    of 2.5 % has a relative error of some 3 %, one of 0.03 % an error of a third. It has first derivatives only.
     """
 
     @property
@@ -52,7 +51,7 @@ class AbstractTail(AbstractStatistic):
 
 @final
 class Quantile(AbstractTail):
-    """The value that the output stays below with the probability `level`."""
+    """The value that the output stays below with probability `level`."""
 
     level: Scalar
 
@@ -65,7 +64,7 @@ class Quantile(AbstractTail):
 
     @override
     def of_sample(self, values: Float[Array, "samples *shape"]) -> Float[Array, "*shape"]:
-        """Linear between the sorted values."""
+        """Linear interpolation between the sorted values."""
         return jnp.quantile(values, jnp.asarray(self.level, dtype=float), axis=0)
 
     @property
@@ -80,7 +79,7 @@ class Quantile(AbstractTail):
 
 @final
 class ConditionalValueAtRisk(AbstractTail):
-    """The mean of the worst cases: of those beyond the quantile at `level`, or with `lower=True` of those below it.
+    """The mean of the values above the quantile at `level`, or of those below it with `lower=True`.
 
     A level of 0.95 gives the mean of the largest 5 %; 0.05 with `lower=True` that of the smallest 5 %. Source:
     Rockafellar and Uryasev (2000), Optimization of conditional value-at-risk.
@@ -94,7 +93,7 @@ class ConditionalValueAtRisk(AbstractTail):
 
     @override
     def of_distribution(self, distribution: OutputDistribution) -> Float[Array, ""]:
-        # The quantile is where this is extreme: its own derivative has no part in it.
+        # This is extreme at the quantile, whose derivative therefore does not contribute.
         quantile = distribution.nearly_quantile(self.level)
         if self.lower:
             return distribution.mean + quantile - distribution.shortfall(quantile) / self.level
@@ -148,7 +147,7 @@ class Probability(AbstractTail):
 
     @override
     def of_sample(self, values: Float[Array, "samples *shape"]) -> Float[Array, "*shape"]:
-        """The share of the sample."""
+        """The proportion of the sample."""
         inside = jnp.ones(values.shape, bool)
         if self.above is not None:
             inside = inside & (values > self.above)
@@ -177,7 +176,7 @@ def _brief(threshold: Scalar | None) -> str:
 def cdf(
     values: Float[Array, " n"], coefficients: Float[Array, "terms *shape"], constants: Lines
 ) -> Float[Array, "n *shape"]:
-    """The distribution function at some values: the probability of less, for each entry. Constants: `lines_through`."""
+    """The distribution function at some values, for each entry. Constants: `lines_through`."""
     return _at_each(
         lambda distribution, value: distribution.below(value - distribution.mean), values, coefficients, constants
     )

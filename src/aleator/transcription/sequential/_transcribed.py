@@ -33,7 +33,7 @@ from aleator.transcription._texts import Texts
 from aleator.transcription._unsatisfiable import refuse_unsatisfiable
 from aleator.transcription.sequential._evaluator import COMBINE, CONTRIBUTE, EVALUATE, Evaluator, evaluation_of
 from aleator.transcription.sequential._instantaneous import FEATURES, anchors_of, instantaneous
-from aleator.transcription.sequential._structure import nearby, structure_of
+from aleator.transcription.sequential._sparsity import nearby, sparsity_of
 
 
 @final
@@ -82,7 +82,7 @@ class SequentiallyTranscribed(AbstractTranscribed):
             constraint_lower=lower,
             constraint_upper=upper,
             constraint_scale=spread(rows, scales),
-            structure=program.structure if same else None,
+            sparsity=program.sparsity if same else None,
             magnitudes=sizing.at,
         )
         discretised = self.discretised._replace(constants=constants)
@@ -143,7 +143,7 @@ class Sequential(AbstractTranscription):
             constraint_upper=constraint_upper,
             constraint_scale=spread(rows, [one.scale for one in sizes]),
             variable_scale=decision_scale,
-            structure=structure_of(np.any(nonzero, axis=0), paths, len(at_start.times)) if beside else None,
+            sparsity=sparsity_of(np.any(nonzero, axis=0), paths, len(at_start.times)) if beside else None,
             magnitudes=sizing.at,
             least=least_objective(problem),
         )

@@ -20,7 +20,7 @@ def nearby(
     return list(np.clip(start + size * steps, lower, upper))
 
 
-def structure_of(
+def sparsity_of(
     nonzero: Bool[np.ndarray, "rows n"], paths: Sequence[slice], instants: int
 ) -> Bool[np.ndarray, "rows n"]:
     """The derivatives that may be other than zero, from where they were so at some decisions.
@@ -29,11 +29,11 @@ def structure_of(
     instant, and if any such constraint did so at this one: what bodies feel only while they are near each other is
     counted wherever it may be felt. Other constraints may depend on everything.
     """
-    structure = np.ones_like(nonzero)
+    sparsity = np.ones_like(nonzero)
     felt = np.zeros((instants, nonzero.shape[1]), dtype=bool)
     for where in paths:
         felt |= nonzero[where].reshape(instants, -1, nonzero.shape[1]).any(axis=1)
     for where in paths:
         block = nonzero[where]
-        structure[where] = np.repeat(felt, len(block) // instants, axis=0) & block.any(axis=0)
-    return structure
+        sparsity[where] = np.repeat(felt, len(block) // instants, axis=0) & block.any(axis=0)
+    return sparsity
