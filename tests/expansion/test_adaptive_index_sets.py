@@ -193,7 +193,7 @@ def test_an_output_without_an_axis_for_the_points_is_refused():
 
 
 def test_growing_without_a_model_is_refused():
-    with pytest.raises(ProblemError, match=r"outputs, which are not at hand.*TotalDegree"):
+    with pytest.raises(ProblemError, match=r"outputs, which are not available.*TotalDegree"):
         collocate(uniform(2), Expansion(index_set=Adaptive()))
 
 

@@ -138,7 +138,7 @@ def test_a_constant_output_keeps_only_the_constant():
 
 
 def test_without_outputs_there_is_nothing_to_choose_by():
-    with pytest.raises(ProblemError, match=r"outputs, which are not at hand.*LeastSquares"):
+    with pytest.raises(ProblemError, match=r"outputs, which are not available.*LeastSquares"):
         collocate(uniform(2), Expansion(fit=Sparse()))
 
 

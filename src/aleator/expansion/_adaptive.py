@@ -1,4 +1,4 @@
-"""`Adaptive`: an index set that grows, term by term, where the model's outputs need it."""
+"""`Adaptive`: an index set that grows where the model's outputs need it."""
 
 import math
 import warnings
@@ -18,13 +18,13 @@ from aleator.expansion._points import AbstractCountedPoints, AbstractPoints, Nod
 from aleator.expansion._respond import Respond, components, responses
 from aleator.uncertainty import AbstractGerm
 
-# Points for each term, as the dissertation advises after equation (29).
+# Points per term, as the dissertation advises after equation (29).
 _PER_TERM = 3
 
-# The part by which a set grows at a time: few solves of the model, each for many points.
+# A set grows by this part at a time, so that the model is evaluated a few times, each for many points.
 _GROWTH = 0.3
 
-# What is left of one minus the leverage by rounding, where it is zero in exact arithmetic.
+# One minus the leverage counts as zero up to this: rounding of an exact zero.
 _LEAST_REMAINDER = 1e-8
 
 # Candidates whose polynomials are held in memory at a time.
@@ -33,15 +33,15 @@ _CHUNK = 2000
 
 @final
 class Adaptive(eqx.Module):
-    """An index set grown by the leave-one-out error, up to a budget of points: in the place of a fixed one.
+    """An index set that grows until the leave-one-out error is small, within a budget of points.
 
-    From total degree 1 on, terms one or two degrees above the set are added where they explain most of what is left of
-    the outputs, each with all its divisors; where nothing stands out, those of least degree. Points are added to keep
-    three for each term, none of the earlier ones in vain. It ends where the error is below `error` for every output (a
-    path has one error), or with `ExpansionWarning` where `budget` points or the expansion's order do not suffice; then
-    the set of the least error is kept. The terms stay as they are from then on, whatever the decisions.
+    It starts at total degree 1. Of the terms one or two degrees above the set, those that explain most of the residual
+    are added, each with all its divisors; if none stands out, those of lowest degree. Points are added to keep three
+    per term; earlier points are reused. Growth ends when the error of every output (a path has one error) is below
+    `error`. If `budget` points or the expansion's order do not suffice, it ends with `ExpansionWarning` and keeps the
+    set with the smallest error. The terms then stay fixed, whatever the decisions.
 
-    - `error`: relative leave-one-out error to reach, that of an rms over the standard deviation;
+    - `error`: relative leave-one-out error to reach, an rms error over the standard deviation;
     - `budget`: the largest number of points.
 
     Source: Gerstner and Griebel (2003), Dimension-adaptive tensor-product quadrature, for the growth of downward closed
@@ -59,13 +59,13 @@ class Adaptive(eqx.Module):
 def grow(
     germs: Mapping[str, AbstractGerm], order: int, wish: Adaptive, points: AbstractPoints, respond: Respond | None
 ) -> tuple[Basis, Nodes]:
-    """The basis that was grown, up to a total degree of `order`, and the points that were solved for it.
+    """Grow a basis up to a total degree of `order`; return it with the points at which the model was evaluated.
 
     Raises `ProblemError` if the budget does not suffice for degree 1, or if the points are not nested.
     """
     if respond is None:
         raise ProblemError(
-            "Adaptive grows the index set by the model's outputs, which are not at hand here. Take "
+            "Adaptive grows the index set by the model's outputs, which are not available here. Take "
             "al.index_sets.TotalDegree() or "
             "al.index_sets.HyperbolicCross()."
         )
@@ -78,7 +78,7 @@ def grow(
         samples.extend(count)
         state = _State(basis, samples)
         if state.error > least and count < wish.budget:
-            # A larger set that predicts worse has too few points.
+            # A larger set with a larger error has too few points.
             count = min(wish.budget, math.ceil((1 + _GROWTH) * count))
             samples.extend(count)
             state = _State(basis, samples)
@@ -97,7 +97,7 @@ def grow(
 
 @final
 class _Samples:
-    """A model solved at the first so many points of a sequence."""
+    """A model evaluated at the first points of a sequence."""
 
     def __init__(self, points: AbstractPoints, respond: Respond, basis: Basis):
         self._points, self._respond, self._basis = points, respond, basis
@@ -105,7 +105,7 @@ class _Samples:
         self._outputs: tuple[Float[np.ndarray, "points entries"], ...] = ()
 
     def extend(self, count: int) -> None:
-        """Solve the model at the points that are missing to `count`."""
+        """Evaluate the model at further points of the sequence, up to `count`."""
         known = len(self.nodes.points)
         if count == known:
             return
@@ -121,7 +121,7 @@ class _Samples:
 
 @final
 class _State:
-    """The least-squares fit of all outputs in one basis: its error, and what is left of the outputs."""
+    """The least-squares fit of all outputs in one basis, with its error and residuals."""
 
     def __init__(self, basis: Basis, samples: _Samples):
         self._basis, self._points = basis, samples.nodes.points
@@ -137,7 +137,7 @@ class _State:
         self.error = max(self._errors, default=0.0)
 
     def enlarged(self, order: int, wish: Adaptive) -> Basis | None:
-        """The basis with further terms; None if order or budget leave no room for any."""
+        """The basis with further terms; None if order or budget allow none."""
         present = set(map(tuple, self._basis.indices.tolist()))
         candidates = _candidates(self._basis.indices, order)
         capacity = wish.budget // _PER_TERM - self._basis.terms
@@ -155,7 +155,7 @@ class _State:
         return Basis(self._basis.germs, sorted_terms(indices))
 
     def _ranking(self, candidates: Int[np.ndarray, "n variables"], error: float) -> Int[np.ndarray, " ranked"]:
-        """Candidates that stand out against noise, the best first; if none does, all by their degree."""
+        """Candidates that stand out from noise, the best first; if none does, all by their degree."""
         if len(candidates) == 0:
             return np.zeros(0, dtype=int)
         pending = [one for one, e in zip(self._residuals, self._errors, strict=True) if e > error]
@@ -168,7 +168,7 @@ class _State:
         return np.lexsort((-statistic, candidates.sum(axis=1)))
 
     def _explained(self, candidates: np.ndarray, residuals: list[np.ndarray]) -> Float[np.ndarray, " n"]:
-        """The F statistic of each candidate: squares it explains over those it leaves, the largest of all outputs."""
+        """The F statistic of each candidate, explained over residual squares: the largest over the outputs."""
         columns = Basis(self._basis.germs, candidates).matrix(self._points)
         columns -= self._orthogonal @ (self._orthogonal.T @ columns)
         sizes = np.sum(columns**2, axis=0)
@@ -183,7 +183,7 @@ class _State:
 def _candidates(indices: np.ndarray, order: int) -> Int[np.ndarray, "n variables"]:
     """Terms one or two degrees above one of the set in one variable, up to a total degree.
 
-    Two, since of an even or odd output every other coefficient is zero.
+    Two, because every other coefficient of an even or odd output is zero.
     """
     steps = np.concatenate([np.eye(indices.shape[1], dtype=int), 2 * np.eye(indices.shape[1], dtype=int)])
     above = np.unique((indices[:, None, :] + steps[None, :, :]).reshape(-1, indices.shape[1]), axis=0)
@@ -193,7 +193,7 @@ def _candidates(indices: np.ndarray, order: int) -> Int[np.ndarray, "n variables
 
 
 def _missing_divisors(term: tuple[int, ...], present: set[tuple[int, ...]]) -> set[tuple[int, ...]]:
-    """The term and its divisors that are not present, in a set that is downward closed."""
+    """The term and those of its divisors that a downward closed set lacks."""
     missing: set[tuple[int, ...]] = set()
     waiting = [term]
     while waiting:
@@ -209,19 +209,19 @@ def _check(wish: Adaptive, points: AbstractPoints, basis: Basis) -> None:
     """Refuse points with which an index set cannot be grown."""
     if not points.nested:
         raise ProblemError(
-            f"Adaptive adds points to those it has, which {type(points).__name__} do not allow. Take "
+            f"Adaptive adds points to existing ones, which {type(points).__name__} do not allow. Take "
             "al.points.SobolPoints(), "
             "al.points.HaltonPoints() or al.points.RandomPoints()."
         )
     if isinstance(points, AbstractCountedPoints) and points.count is not None:
         raise ProblemError(
-            f"Adaptive takes its number of points from its budget; received {points.count} points. Leave their number "
-            f"out and write al.index_sets.Adaptive(budget={points.count})."
+            f"Adaptive takes its number of points from its budget; received {points.count} points. Drop that number "
+            f"and write al.index_sets.Adaptive(budget={points.count})."
         )
     if wish.budget < _PER_TERM * basis.terms:
         raise ProblemError(
             f"Adaptive: {basis.variables} variables need a budget of at least {_PER_TERM * basis.terms} points for "
-            f"their {basis.terms} terms of degree 1; received {wish.budget}."
+            f"the {basis.terms} terms of degree 1; received {wish.budget}."
         )
 
 

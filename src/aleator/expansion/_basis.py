@@ -54,7 +54,7 @@ class Basis:
         return tuple(self.indices.max(axis=0).tolist())
 
     def matrix(self, points: Float[np.ndarray, "n variables"]) -> Float[np.ndarray, "n terms"]:
-        """The matrix `A[k, j] = Psi_j(xi_k)` of equation (28) at germ points of any number.
+        """The matrix `A[k, j] = Psi_j(xi_k)` of equation (28) at any number of germ points.
 
         Raises `ProblemError` if it would not fit into memory.
         """
@@ -65,7 +65,7 @@ class Basis:
         return matrix
 
     def refuse_beyond_memory(self, points: int, matrices: int) -> None:
-        """Raise `ProblemError` if so many matrices of points by terms would not fit into memory."""
+        """Raise `ProblemError` if this number of matrices of points by terms would not fit into memory."""
         what = f"Expansion: {self.terms} terms in {self.variables} variables at {points} points"
         refuse_beyond_memory(what, NUMBER * matrices * points * self.terms, f"{SMALLER} Fewer points help too.")
 

@@ -1,6 +1,6 @@
 """`Collocation`: the linear map from samples at germ points to the coefficients of an expansion (section 4.2).
 
-It depends on the germ alone, so it is built and factorised once per problem; what the optimiser changes are samples.
+It depends on the germ alone, so it is built and factorised once per problem; the optimiser changes only the samples.
 """
 
 from typing import final
@@ -9,10 +9,10 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-# What is left of one minus the leverage by rounding, where it is zero in exact arithmetic.
+# One minus the leverage counts as zero up to this: rounding of an exact zero.
 _LEAST_REMAINDER = 1e-8
 
-# Outputs that vary by less than this part of their size are constant, but for rounding.
+# Outputs that vary by less than this part of their size are constant up to rounding.
 _ROUNDING = 1e-12
 
 
@@ -24,7 +24,7 @@ class Collocation(eqx.Module):
     - `weights` of the points, adding up to one, shape (n_cp,): equal unless the point set says otherwise;
     - `matrix`: the collocation matrix `A` (28), shape (n_cp, n_b);
     - `pseudo_inverse`: `A#` of equation (29), or the map of another fit, shape (n_b, n_cp);
-    - `leverage`: diagonal of `A A#`, shape (n_cp,), for the leave-one-out error; one where nothing checks a point;
+    - `leverage`: diagonal of `A A#`, shape (n_cp,), for the leave-one-out error; one if no other point checks it;
     - `condition_number` of the matrix that was factorised.
     """
 
@@ -36,7 +36,7 @@ class Collocation(eqx.Module):
     condition_number: Float[Array, ""]
 
     def coefficients(self, samples: Float[Array, "points *shape"]) -> Float[Array, "terms *shape"]:
-        """Coefficients `rho = A# P` of samples of any shape, for instance time histories (equations 29 and 47)."""
+        """Coefficients `rho = A# P` of samples of any shape, such as time histories (equations 29 and 47)."""
         return jnp.tensordot(self.pseudo_inverse, samples, axes=1)
 
 
@@ -47,11 +47,11 @@ def leave_one_out(
 ) -> Float[Array, ""]:
     """Relative leave-one-out error of an expansion: the root of the mean squared prediction error over the variance.
 
-    Both are summed over the entries of an output. Each sample is predicted from all others at no further cost, by the
-    leverage (Blatman and Sudret, 2010), and squares are averaged by the weights of the points. 0 is perfect; 1 is no
-    better than the mean; 0.05 misses a new sample by a twentieth of the standard deviation. Zero where the output does
-    not vary beyond rounding. Infinite where a sample cannot be predicted, its leverage being one: as many points as
-    terms, for instance, only interpolate, and of a projection by a sparse grid nothing is known.
+    Both are summed over the entries of an output. The leverage gives the prediction of each sample from all others
+    without another fit (Blatman and Sudret, 2010); squares are averaged by the weights of the points. 0 is perfect, 1
+    is no better than the mean, 0.05 misses a new sample by a twentieth of the standard deviation. Zero if the output
+    does not vary beyond rounding. Infinite if a sample cannot be predicted because its leverage is one: with as many
+    points as terms, which only interpolate, and for a projection by a sparse grid, whose error is unknown.
     """
     return relative_error(*(part.sum() for part in mean_squares(collocation, samples, coefficients)))
 
@@ -61,12 +61,12 @@ def jackknife(
     samples: Float[Array, "points *shape"],
     coefficients: Float[Array, "terms *shape"],
 ) -> Float[Array, ""]:
-    """What the choice of the points makes of an expansion: an rms error under the germ's distribution over the spread.
+    """Relative error of an expansion due to the choice of points: an rms under the germ's distribution over the spread.
 
-    It is the root of the sum of squares by which coefficients change as each point is left out, which for orthonormal
-    polynomials is a mean square under the distribution, and over the variance of the samples. The leave-one-out error
-    asks how points predict each other; this asks what their errors become where there are none, as in the tails of
-    unbounded distributions, into which powers are extrapolated. Infinite and zero where `leave_one_out` is.
+    It is the root of the summed squared changes of the coefficients as each point is left out, over the variance of the
+    samples. For orthonormal polynomials that sum is a mean square under the distribution. The leave-one-out error shows
+    how well points predict each other; this one how errors grow where there are no points, as in the tails of unbounded
+    distributions, into which the polynomials extrapolate. Infinite and zero where `leave_one_out` is.
     Source: MacKinnon and White (1985), Some heteroskedasticity-consistent covariance matrix estimators (HC3).
     """
     flat, terms = samples.reshape(len(samples), -1), coefficients.reshape(len(coefficients), -1)
@@ -81,9 +81,9 @@ def leave_one_out_by_entry(
     samples: Float[Array, "points *shape"],
     coefficients: Float[Array, "terms *shape"],
 ) -> Float[Array, "*shape"]:
-    """The error of `leave_one_out` for each entry of an output by itself, for instance for each instant of a path.
+    """The error of `leave_one_out` for each entry of an output by itself, such as each instant of a path.
 
-    Entries that hardly vary have large errors of no consequence: weigh them by their variance before you judge.
+    Entries that hardly vary have large relative errors of no consequence: weight them by their variance.
     """
     parts = mean_squares(collocation, samples, coefficients)
     return relative_error(*parts).reshape(samples.shape[1:])
@@ -92,7 +92,7 @@ def leave_one_out_by_entry(
 def mean_squares(
     collocation: Collocation, samples: Float[Array, "points *shape"], coefficients: Float[Array, "terms *shape"]
 ) -> tuple[Float[Array, " entries"], Float[Array, " entries"], Float[Array, " entries"]]:
-    """Of each entry: the mean square of the leave-one-out residuals, the variance, and the mean square."""
+    """For each entry: the mean square of the leave-one-out residuals, the variance, and the mean square."""
     flat, terms = samples.reshape(len(samples), -1), coefficients.reshape(len(coefficients), -1)
     missed, predictable = _missed(collocation, flat, terms)
     mean = collocation.weights @ flat
@@ -106,7 +106,7 @@ def mean_squares(
 def _missed(
     collocation: Collocation, flat: Float[Array, "points entries"], terms: Float[Array, "terms entries"]
 ) -> tuple[Float[Array, "points entries"], Bool[Array, ""]]:
-    """By how much each sample is missed by all others; and whether others predict every one."""
+    """The leave-one-out residual of each sample, and whether every sample can be predicted by the others."""
     remainder = 1 - collocation.leverage
     predictable = remainder > _LEAST_REMAINDER
     residual = flat - collocation.matrix @ terms
@@ -117,6 +117,6 @@ def relative_error(
     error: Float[Array, "*n"], variance: Float[Array, "*n"], square: Float[Array, "*n"]
 ) -> Float[Array, "*n"]:
     """The root of error over variance; zero where the variance is rounding."""
-    # Asked this way round, samples that are not finite leave a nan and do not pass for constant.
+    # Compared with `<=` so that NaN propagates and non-finite samples do not pass for constant.
     constant = variance <= _ROUNDING**2 * square
     return jnp.where(constant, 0.0, jnp.sqrt(error / jnp.where(constant, 1.0, variance)))

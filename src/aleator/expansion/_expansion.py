@@ -1,4 +1,4 @@
-"""`Expansion`: how outputs are to be expanded, and `collocate`, which does what it says for a germ."""
+"""`Expansion`: settings of an expansion; `collocate`, which applies them to a germ."""
 
 from collections.abc import Mapping
 from typing import NamedTuple, final
@@ -19,29 +19,29 @@ from aleator.expansion._resolution import UNRESOLVED
 from aleator.expansion._respond import Respond
 from aleator.uncertainty import AbstractGerm
 
-# Matrices of points by terms that a fit has in memory at once: the matrix, in NumPy and in JAX, as weighted, its
-# orthogonal factor, and the map to coefficients, twice in NumPy and once in JAX.
+# Matrices of points by terms that a fit holds at once: the matrix in NumPy, in JAX and weighted, its orthogonal
+# factor, and the map to coefficients, twice in NumPy and once in JAX.
 _MATRICES = 7
 
-# The default order: of fixed index sets, and as the limit of those that grow.
+# The default order of fixed index sets, and the default limit of those that grow.
 _ORDER, _HIGHEST_ORDER = 3, 20
 
 
 @final
 class Expansion(eqx.Module):
-    """How outputs are expanded: in products of orthonormal polynomials up to an `order`.
+    """Settings of an expansion in products of orthonormal polynomials up to an `order`.
 
-    - `order`: by default 3; the limit of an `Adaptive` index set, there by default 20;
-    - `index_set`: which products, by default all up to that total degree; `Adaptive(error, budget)` finds them;
-    - `points`: where the model is solved: a point set, or a number of points, by default three for each term, as the
-      dissertation advises after equation (29). Numbers stand for Hammersley points where every germ is bounded; where
-      one is not, least squares takes `InducedPoints`, which cover its tails. `Adaptive` takes Sobol points;
-    - `fit`: how the coefficients are found, by default by least squares;
+    - `order`: by default 3; for an `Adaptive` index set its limit, by default 20;
+    - `index_set`: which products to keep, by default all up to that total degree; `Adaptive(error, budget)` finds them;
+    - `points`: where to evaluate the model: a point set, or a number of points, by default three per term, as the
+      dissertation advises after equation (29). A number means Hammersley points if every germ is bounded; otherwise
+      least squares takes `InducedPoints`, which cover the tails. `Adaptive` takes Sobol points;
+    - `fit`: how to find the coefficients, by default by least squares;
     - `tolerance`: the relative leave-one-out error up to which an output counts as resolved, by default 0.05: a new
       sample is then predicted to a twentieth of the standard deviation, and all but 1/400 of the variance is explained.
 
-    Raises `ProblemError` if the order is not positive, if the tolerance is not, or if an adaptive index set is to be
-    fitted otherwise than by least squares.
+    Raises `ProblemError` if the order or the tolerance is not positive, or if an adaptive index set is combined with a
+    fit other than least squares.
     """
 
     order: int = eqx.field(static=True)
@@ -82,12 +82,12 @@ class Expansion(eqx.Module):
         self.tolerance = _checked_tolerance(tolerance)
         if adaptive and not isinstance(self.fit, LeastSquares):
             raise ProblemError(
-                f"Expansion: an Adaptive index set is fitted by least squares; received {type(fit).__name__}. Leave "
-                "the fit out, or take a fixed index set."
+                f"Expansion: an Adaptive index set is fitted by least squares; received {type(fit).__name__}. Drop "
+                "the fit, or take a fixed index set."
             )
 
     def text(self, germs: Mapping[str, AbstractGerm]) -> str:
-        """What is wished for, in words, for the distributions of the germ variables."""
+        """The settings in words, for the given germ variables."""
         order = f"order up to {self.order}" if isinstance(self.index_set, Adaptive) else f"order {self.order}"
         return (
             f"{order} in {len(germs)} variables, {type(self.index_set).__name__} index set, "
@@ -101,14 +101,14 @@ def _checked_tolerance(tolerance: float) -> float:
 
 
 class Discretisation(NamedTuple):
-    """An expansion made ready for a germ: its polynomials, and its points with the map from samples to coefficients."""
+    """An expansion for a germ: its polynomials, and its points with the map from samples to coefficients."""
 
     basis: Basis
     collocation: Collocation
 
     @property
     def order(self) -> int:
-        """The highest total degree of a term: what was asked for, or what was reached by growth or choice."""
+        """The highest total degree of a term: as asked for, or as reached by growth or selection."""
         return self.basis.order
 
     def __str__(self) -> str:
@@ -124,12 +124,12 @@ def collocate(
     """Choose basis and points for a germ and factorise the collocation matrix.
 
     `respond` gives a model's outputs at germ points of shape (n, variables): an array with a leading axis for the
-    points, or a pytree of such arrays. Needed where they choose the terms (`Adaptive`, `Sparse`), else never called.
-    The result is a fixed basis all the same, linear in the samples.
+    points, or a pytree of such arrays. It is called only if outputs choose the terms (`Adaptive`, `Sparse`). The result
+    is a fixed basis in any case, linear in the samples.
 
     Raises `ProblemError` if points, index set and fit do not go together, if the matrices would not fit into memory, if
-    there are fewer points than terms or if the matrix is singular to working precision; `SimulationError` if an output
-    that chooses terms is not finite. Warns with `ExpansionWarning` where an adaptive set does not reach its error.
+    there are fewer points than terms, or if the matrix is singular to working precision; `SimulationError` if an output
+    that chooses terms is not finite. Warns with `ExpansionWarning` if an adaptive set does not reach its error.
     """
     if not germs:
         nothing = Basis(germs, np.zeros((1, 0), dtype=int))

@@ -15,29 +15,29 @@ from aleator.expansion._collocation import Collocation
 from aleator.expansion._points import Nodes
 from aleator.expansion._respond import Respond
 
-# Beyond this, least squares loses more than half of the digits of double precision.
+# Beyond this condition number, least squares loses more than half of the digits of double precision.
 WORST_CONDITION = 1e8
 
 ILL_CONDITIONED = 1e6
-"""Beyond this condition number coefficients lose so many digits, and points count so unevenly, that it is warned of."""
+"""Beyond this condition number a warning is given: coefficients lose digits, and points have very uneven influence."""
 
-# Germ values that agree to so many decimals are one value of a grid.
+# Germ values that agree to this many decimals are one value of a grid.
 _DIGITS = 10
 
-# How far the products of polynomials may be from orthonormal under a rule that is said to integrate them.
+# Largest error of orthonormality with which a rule counts as exact for products of polynomials.
 _ORTHONORMAL = 1e-8
 
 
 class AbstractFit(eqx.Module):
-    """How coefficients are found from samples: a linear map that depends on the germ alone, once the terms are chosen.
+    """How coefficients follow from samples: by a linear map, which depends on the germ alone once terms are chosen.
 
-    `points_per_term` is how many points it takes where a point set was given no number.
+    `points_per_term`: the default number of points per term, for point sets without a number of their own.
     """
 
     points_per_term: ClassVar[int] = 3
 
     def select(self, basis: Basis, nodes: Nodes, respond: Respond | None) -> Basis:
-        """The terms to keep of a basis: all of them, except for fits that choose by the model's outputs."""
+        """The terms of a basis to keep: all of them, unless the fit chooses by the model's outputs."""
         del nodes, respond
         return basis
 
@@ -50,8 +50,8 @@ class AbstractFit(eqx.Module):
 class LeastSquares(AbstractFit):
     """Least squares through the QR factors of the collocation matrix (equation 29).
 
-    Squares are weighted by the weights of the points: all alike, except for points drawn from another distribution
-    than the germ's (`ChristoffelPoints`, `OptimalPoints`) and for the roots of polynomials.
+    Squares are weighted by the weights of the points. These are equal, except for points drawn from another
+    distribution than the germ's (`ChristoffelPoints`, `OptimalPoints`) and for quadrature points.
     """
 
     @override
@@ -63,7 +63,7 @@ class LeastSquares(AbstractFit):
                 "LeastSquares: some points have weights that are not positive, so that squares cannot be weighted by "
                 "them. Take al.fits.Projection() with sparse grids."
             )
-        # Relative to the largest one: equal weights leave the matrix as it is, to the last bit.
+        # Relative to the largest weight, so that equal weights do not change the matrix, not even by rounding.
         scale = np.sqrt(nodes.weights / nodes.weights.max())
         matrix = basis.matrix(nodes.points)
         orthogonal, triangular = np.linalg.qr(matrix * scale[:, None])
@@ -82,8 +82,8 @@ class LeastSquares(AbstractFit):
 class Interpolation(AbstractFit):
     """The polynomial through all samples, at as many points as terms: the fewest simulations (equation 29).
 
-    Nothing is left to check it by: its leave-one-out error is infinite. Points as they come often make a nearly
-    singular matrix; those of `OptimalPoints` do not.
+    No points are left to check it, so that its leave-one-out error is infinite. Arbitrary points often give a nearly
+    singular matrix; `OptimalPoints` do not.
     """
 
     points_per_term: ClassVar[int] = 1
@@ -94,7 +94,7 @@ class Interpolation(AbstractFit):
         count, terms = len(nodes.points), basis.terms
         if count != terms:
             raise ProblemError(
-                f"Interpolation takes as many points as terms, {terms}; received {count}. Leave their number out, or "
+                f"Interpolation takes as many points as terms, {terms}; received {count}. Drop their number, or "
                 "take al.fits.LeastSquares()."
             )
         return LeastSquares().collocation(basis, nodes)
@@ -104,14 +104,14 @@ class Interpolation(AbstractFit):
 class Projection(AbstractFit):
     """Coefficients as integrals of output times polynomial, by the quadrature rule of `GaussPoints` or `SmolyakPoints`.
 
-    With positive weights it is least squares weighted by them, and has its leave-one-out error. With the weights of
-    both signs of a sparse grid it is not: its leave-one-out error is infinite, for nothing is known of it.
+    With positive weights it equals weighted least squares, and has the leave-one-out error of that. The weights of a
+    sparse grid have both signs: its leave-one-out error is infinite, because it cannot be estimated.
     Source: Xiu and Hesthaven (2005); Constantine, Eldred and Phipps (2012) on the products that a rule must integrate.
     """
 
     @override
     def collocation(self, basis: Basis, nodes: Nodes) -> Collocation:
-        """Raises `ProblemError` if the rule does not integrate products of the polynomials, and names one that does."""
+        """Raises `ProblemError`, naming a suitable rule, if this one does not integrate products of the polynomials."""
         matrix = basis.matrix(nodes.points)
         weighted = matrix * nodes.weights[:, None]
         error = float(np.abs(weighted.T @ matrix - np.eye(basis.terms)).max())
@@ -138,7 +138,7 @@ def _collocation(
 def _is_blind(basis: Basis, nodes: Nodes) -> bool:
     """Whether some variable takes no more values than its polynomials have coefficients, as on a Gauss grid.
 
-    What depends on that variable alone is then interpolated, so that no point checks it, whatever the leverage says.
+    Functions of that variable alone are then interpolated, so that no point checks them, whatever the leverage.
     """
     return any(
         len(np.unique(values.round(_DIGITS))) <= degree + 1 < len(values) and degree > 0

@@ -13,27 +13,27 @@ from typing_extensions import override
 from aleator._core import given
 from aleator._core.errors import ProblemError
 
-# Room for rounding in sums of powers, so that indices on the edge of a set belong to it.
+# Tolerance for rounding in sums of powers, so that indices on the edge of a set belong to it.
 _ROUNDING = 1e-9
 
-# A basis beyond this takes hundreds of gigabytes for its collocation matrix: three points a term, eight bytes a number.
+# Beyond this, the collocation matrix takes hundreds of gigabytes: three points a term, eight bytes a number.
 _MOST_TERMS = 200_000
 
-# Numbers beyond this are not printed.
+# Larger numbers are not printed.
 _COUNTABLE = 1e30
 
 SMALLER = (
     "Lower the order, or take a smaller index set: al.index_sets.HyperbolicCross(q) or "
     "al.index_sets.Anisotropic(weights)."
 )
-"""What to do about a basis that is too large."""
+"""The remedy for a basis that is too large."""
 
 
 class AbstractIndexSet(eqx.Module):
     """Which multi-indices an expansion of a given order keeps.
 
-    Sets are downward closed: with a product, all its divisors are in. Terms are sorted by total degree, then by the
-    degrees of the variables, the first variable's before the others', higher ones first; the first is the constant.
+    Sets are downward closed: they contain all divisors of each of their products. Terms are sorted by total degree,
+    then by the degrees of the variables in turn, higher degrees first; the first term is the constant.
     """
 
     @abc.abstractmethod
@@ -53,7 +53,7 @@ class TotalDegree(AbstractIndexSet):
 
 @final
 class TensorProduct(AbstractIndexSet):
-    """All multi-indices whose every degree is at most the order: `(order + 1)^n_p` terms, for few variables."""
+    """All multi-indices with every degree at most the order: `(order + 1)^n_p` terms, for few variables."""
 
     @override
     def indices(self, names: tuple[str, ...], order: int) -> Int[np.ndarray, "terms variables"]:
@@ -65,7 +65,7 @@ class TensorProduct(AbstractIndexSet):
 class HyperbolicCross(AbstractIndexSet):
     """All multi-indices whose q-norm `(sum of i^q)^(1/q)` is at most the order, with 0 < q <= 1.
 
-    Powers of one variable are all kept, products of many are not: the smaller q, the fewer; q = 1 is the total degree.
+    It keeps all powers of one variable and few products of many: the smaller q, the fewer; q = 1 is the total degree.
     Source: Blatman and Sudret (2011), Adaptive sparse polynomial chaos expansion based on least angle regression.
     """
 
@@ -84,8 +84,8 @@ class HyperbolicCross(AbstractIndexSet):
 class Anisotropic(AbstractIndexSet):
     """All multi-indices whose weighted sum `sum of w_i i_i` is at most the order.
 
-    `weights` are positive: one for each germ variable in a sequence, or by name, 1 for those not named. A variable of
-    weight 2 goes up to half the order, one of weight 1 up to all of it.
+    `weights`: positive numbers, one for each germ variable in a sequence, or by name with 1 for those not named. A
+    variable of weight 2 has degrees up to half the order, one of weight 1 up to the order.
     """
 
     weights: tuple[float, ...] = eqx.field(static=True)
@@ -123,15 +123,15 @@ class Anisotropic(AbstractIndexSet):
 
 
 def sorted_terms(indices: Int[np.ndarray, "terms variables"]) -> Int[np.ndarray, "terms variables"]:
-    """Terms in the order that `AbstractIndexSet` promises."""
+    """Terms in the order that `AbstractIndexSet` specifies."""
     return indices[np.lexsort((*(-indices.T)[::-1], indices.sum(axis=1)))]
 
 
 def _within(costs: Float[np.ndarray, "variables degrees"], budget: float) -> Int[np.ndarray, "terms variables"]:
     """All multi-indices whose costs, `costs[i, degree]` for variable i, add up to at most the budget.
 
-    Variable by variable, so that every partial row is one of the set itself: nothing is enumerated in vain. Costs rise
-    with the degree and are zero for degree zero.
+    Built variable by variable, so that every partial row is itself in the set and none is discarded. Costs rise with
+    the degree and are zero for degree zero.
     """
     allowed = budget + _ROUNDING * max(budget, 1.0)
     rows, left = np.zeros((1, 0), dtype=int), np.array([allowed])
@@ -145,7 +145,7 @@ def _within(costs: Float[np.ndarray, "variables degrees"], budget: float) -> Int
 
 
 def _refuse_too_many(terms: float, variables: int) -> None:
-    """Refuse a basis of so many terms, or more, before they are enumerated."""
+    """Refuse a basis of this many terms, or more, before they are enumerated."""
     if not terms <= _MOST_TERMS:
         count = f"{terms:.3g}" if terms < _COUNTABLE else f"more than {_COUNTABLE:.0e}"
         raise ProblemError(

@@ -1,4 +1,4 @@
-"""Points for a basis: by its Christoffel function, evenly or at random, or the best of those for the determinant."""
+"""Points for a basis: distributed by its Christoffel function, evenly or at random, or selected by the determinant."""
 
 from collections.abc import Mapping
 from typing import final
@@ -14,22 +14,21 @@ from aleator.expansion._basis import Basis
 from aleator.expansion._points import AbstractCountedPoints, AbstractPoints, HammersleyPoints, Nodes, seed_given
 from aleator.uncertainty import AbstractGerm
 
-# How many candidates there are for each point chosen among them.
+# Candidates per selected point.
 _CANDIDATES = 10
 
-# How many roots a rule has beyond twice the degree, so that a distribution is nearly even between two of them.
+# Roots of a rule beyond twice the degree, so that a distribution is nearly uniform between two of them.
 _FINE = 60
 
 
 @final
 class InducedPoints(AbstractCountedPoints):
-    """Hammersley points brought to the germ by the distributions `Psi_j^2 f` of the terms in turn, weighted by `1 / K`.
+    """Hammersley points mapped by the quantiles of the densities `Psi_j^2 f` of the terms in turn, weighted by `1 / K`.
 
-    They cover what `ChristoffelPoints` cover, whose density theirs is, but evenly and without chance: the tails of
-    unbounded distributions too, where polynomials are large. Quantiles of even points end where the outermost of them
-    is, and powers fitted there are extrapolated into the tails, which no point checks. Source: Cohen and Migliorati
-    (2017), Optimal weighted least-squares methods; Narayan (2018), Computation of induced orthogonal polynomial
-    distributions.
+    They have the density of `ChristoffelPoints`, but are even and not random, and cover the tails of unbounded
+    distributions, where polynomials are large. Quantiles of evenly spread levels do not reach into the tails, so that a
+    polynomial fitted to them extrapolates there unchecked. Source: Cohen and Migliorati (2017), Optimal weighted
+    least-squares methods; Narayan (2018), Computation of induced orthogonal polynomial distributions.
     """
 
     @override
@@ -41,7 +40,7 @@ class InducedPoints(AbstractCountedPoints):
 
 @final
 class UsualPoints(AbstractCountedPoints):
-    """The default: `HammersleyPoints` where every germ is bounded, `InducedPoints` where one is not."""
+    """The default: `HammersleyPoints` if every germ is bounded, otherwise `InducedPoints`."""
 
     @override
     def of(self, germs: Mapping[str, AbstractGerm]) -> AbstractPoints:
@@ -54,7 +53,7 @@ class UsualPoints(AbstractCountedPoints):
 
 
 class AbstractBasisPoints(AbstractCountedPoints):
-    """Points that depend on the polynomials, with weights; the same ones for the same `seed`."""
+    """Weighted points that depend on the polynomials; the same ones for the same `seed`."""
 
     seed: int = eqx.field(static=True, default=0, converter=seed_given)
 
@@ -63,9 +62,10 @@ class AbstractBasisPoints(AbstractCountedPoints):
 class ChristoffelPoints(AbstractBasisPoints):
     """Random points of density `f K / n_b` with the Christoffel function `K = sum of Psi_j^2`, weighted by `1 / K`.
 
-    Where polynomials are large, as they are in the tails of a normal distribution, points are frequent and light: the
-    weighted collocation matrix stays well conditioned at any order, which quantiles of even points do not manage. Each
-    term has its share of the points. Source: Cohen and Migliorati (2017), Optimal weighted least-squares methods.
+    Where polynomials are large, as in the tails of a normal distribution, there are many points of small weight. So the
+    weighted collocation matrix stays well conditioned at any order, unlike that of quantiles of evenly spread levels.
+    Each term gets the same number of points. Source: Cohen and Migliorati (2017), Optimal weighted least-squares
+    methods.
     """
 
     @override
@@ -75,11 +75,11 @@ class ChristoffelPoints(AbstractBasisPoints):
 
 @final
 class OptimalPoints(AbstractBasisPoints):
-    """The best of ten times as many Christoffel points, for a large determinant of the weighted collocation matrix.
+    """A selection of one in ten Christoffel points, for a large determinant of the weighted collocation matrix.
 
-    They are found by a QR factorisation with column pivoting, which chooses as many points as terms; further ones are
-    chosen the same way among the rest. Source: Bos, De Marchi, Sommariva and Vianello (2010), Computing multivariate
-    Fekete and Leja points by numerical linear algebra; Diaz, Doostan and Hampton (2018) with weights.
+    A QR factorisation with column pivoting selects as many points as terms; further ones are selected in the same way
+    from the rest. Source: Bos, De Marchi, Sommariva and Vianello (2010), Computing multivariate Fekete and Leja points
+    by numerical linear algebra; Diaz, Doostan and Hampton (2018) with weights.
     """
 
     @override
@@ -98,18 +98,14 @@ class OptimalPoints(AbstractBasisPoints):
 
 
 def _drawn(basis: Basis, count: int, seed: int) -> Nodes:
-    """Points drawn from the mixture of the distributions `Psi_j^2 f`, the same number from each but for the
-    remainder.
-    """
+    """Points drawn from the mixture of the densities `Psi_j^2 f`, equally many from each up to the remainder."""
     rng = np.random.default_rng(seed)
     terms = rng.permutation(np.arange(count) % basis.terms)
     return _weighted(basis, terms, rng.random((count, basis.variables)))
 
 
 def _weighted(basis: Basis, terms: np.ndarray, levels: Float[np.ndarray, "n variables"]) -> Nodes:
-    """The points of given levels in the distributions `Psi_j^2 f` of given terms, weighted by the Christoffel
-    function.
-    """
+    """Points at given levels of the densities `Psi_j^2 f` of given terms, weighted by the Christoffel function."""
     columns = [
         _induced(germ, degree, basis.indices[terms, i], levels[:, i])
         for i, (germ, degree) in enumerate(zip(basis.germs.values(), basis.degrees, strict=True))
@@ -122,14 +118,14 @@ def _weighted(basis: Basis, terms: np.ndarray, levels: Float[np.ndarray, "n vari
 def _induced(
     germ: AbstractGerm, highest: int, degrees: np.ndarray, levels: Float[np.ndarray, " n"]
 ) -> Float[np.ndarray, " n"]:
-    """Quantiles of the distributions `p_degree^2 f` of one variable, each at its own degree and level.
+    """Quantiles of the densities `p_degree^2 f` of one variable, each at its own degree and level.
 
-    Their masses about the roots of a Gauss rule are exact sums of it; within each cell a distribution is taken as
-    even. The weights of the points make up for what little that changes.
+    A Gauss rule gives their masses around its roots exactly; within a cell the distribution is taken as uniform. The
+    weights of the points correct this small error.
     """
     roots = _roots(germ, highest)
     polynomials = germ.polynomials(len(roots) - 1, roots)
-    # Gauss weights by the Christoffel function of the rule itself: exact far out too, where eigenvectors are rounding.
+    # Gauss weights by the rule's own Christoffel function: accurate in the tails, where eigenvectors are rounding.
     masses = polynomials[:, : highest + 1] ** 2 / np.sum(polynomials**2, axis=1)[:, None]
     low, high = germ.support()
     gaps = np.diff(roots)
@@ -144,7 +140,7 @@ def _induced(
 
 
 def _roots(germ: AbstractGerm, highest: int) -> Float[np.ndarray, " roots"]:
-    """The roots of a fine Gauss rule; of one that just integrates the polynomials, if a data sample bears no finer."""
+    """The roots of a fine Gauss rule, or of one that just suffices if a data sample allows no finer."""
     try:
         return germ.gauss(2 * highest + _FINE)[0]
     except ProblemError:

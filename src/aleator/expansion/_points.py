@@ -1,4 +1,4 @@
-"""Point sets: where in germ space a model is solved. Here those that cover it evenly."""
+"""Point sets: where in germ space a model is evaluated. This module has those that cover it evenly."""
 
 import abc
 from collections.abc import Mapping
@@ -17,10 +17,10 @@ _SOBOL_BITS = 30
 
 
 class Nodes(NamedTuple):
-    """Collocation points with weights that add up to one: equal ones, unless the set says otherwise.
+    """Collocation points with weights that add up to one, equal unless the set says otherwise.
 
     - `points`: germ values, shape (n_cp, variables);
-    - `weights`: shape (n_cp,). Least squares and the leave-one-out error weigh squares by them.
+    - `weights`: shape (n_cp,), of the squares in least squares and in the leave-one-out error.
     """
 
     points: Float[np.ndarray, "points variables"]
@@ -28,45 +28,41 @@ class Nodes(NamedTuple):
 
 
 def count_given(count: int | None) -> int | None:
-    """A number of points or roots, or none where it follows from the basis."""
+    """A checked number of points or roots; None if it follows from the basis."""
     return None if count is None else given.whole("The number of points", count)
 
 
 def seed_given(seed: int) -> int:
-    """A seed of random numbers."""
+    """A checked seed of random numbers."""
     return given.whole("The seed of random points", seed, least=0)
 
 
 class AbstractPoints(eqx.Module):
     """How collocation points are chosen for a basis.
 
-    `nested` says whether a set of more points holds those of every smaller one, as growing an index set needs.
+    `nested`: whether a larger set contains the points of every smaller one, as growing an index set needs.
     """
 
     nested: ClassVar[bool] = False
 
     @abc.abstractmethod
     def nodes(self, basis: Basis, usual: int) -> Nodes:
-        """The points and their weights; `usual` many in sets that can have any number and were given none."""
+        """The points and their weights; `usual` is the number of points for sets that were given none."""
 
     def of(self, germs: Mapping[str, AbstractGerm]) -> "AbstractPoints":
-        """The point set that is taken for a germ: itself, but for one that chooses by it."""
+        """The point set to use for a germ: itself, unless it chooses by the germ."""
         del germs
         return self
 
 
 class AbstractCountedPoints(AbstractPoints):
-    """A point set of any size: by default as many as the fit takes, for least squares three for each term."""
+    """A point set of any size: by default as many as the fit needs, for least squares three per term."""
 
     count: int | None = eqx.field(static=True, default=None, converter=count_given)
 
-    @abc.abstractmethod
-    def nodes(self, basis: Basis, usual: int) -> Nodes:
-        """See `AbstractPoints.nodes`."""
-
 
 class AbstractEvenPoints(AbstractCountedPoints):
-    """Points that cover the unit cube evenly, brought to the germ by its quantile functions; equal weights."""
+    """Points that cover the unit cube evenly, mapped to the germ by its quantile functions; equal weights."""
 
     @override
     def nodes(self, basis: Basis, usual: int) -> Nodes:
@@ -80,9 +76,9 @@ class AbstractEvenPoints(AbstractCountedPoints):
 
 @final
 class HammersleyPoints(AbstractEvenPoints):
-    """The Hammersley set: `(i - 1/2)/count` beside the radical inverses of `i = 1 .. count` in the prime bases.
+    """The Hammersley set: `(i - 1/2)/count` and the radical inverses of `i = 1 .. count` in the prime bases.
 
-    The half and the start at 1 keep every coordinate off 0 and 1, where unbounded distributions are infinite.
+    The half and the start at 1 keep every coordinate away from 0 and 1, where unbounded distributions are infinite.
     Source: Hammersley (1960), Annals of the New York Academy of Sciences 86.
     """
 
@@ -96,7 +92,7 @@ class HammersleyPoints(AbstractEvenPoints):
 class HaltonPoints(AbstractEvenPoints):
     """The Halton sequence from `i = 1` on: the radical inverses of `i` in the prime bases. Nested.
 
-    Beyond about ten variables its columns are alike until there are very many points: take `SobolPoints` there.
+    Beyond about ten variables its columns are correlated unless there are very many points: take `SobolPoints` there.
     Source: Halton (1960), Numerische Mathematik 2.
     """
 
@@ -112,14 +108,10 @@ class AbstractDrawnPoints(AbstractEvenPoints):
 
     seed: int = eqx.field(static=True, default=0, converter=seed_given)
 
-    @abc.abstractmethod
-    def levels(self, count: int, variables: int) -> Float[np.ndarray, "count variables"]:
-        """See `AbstractEvenPoints.levels`."""
-
 
 @final
 class SobolPoints(AbstractDrawnPoints):
-    """The Sobol sequence with Owen's scrambling. Nested; most even where the count is a power of two.
+    """The Sobol sequence with Owen's scrambling. Nested; most even if the count is a power of two.
 
     Source: Owen (1998), Scrambling Sobol' and Niederreiter-Xing points; directions by Joe and Kuo (2008), by SciPy.
     """
@@ -131,7 +123,7 @@ class SobolPoints(AbstractDrawnPoints):
         from scipy.stats import qmc  # late: it takes a second to import
 
         engine = qmc.Sobol(variables, scramble=True, bits=_SOBOL_BITS, rng=np.random.default_rng(self.seed))
-        # Half a step off the lattice of the sequence: 0 would be infinite under an unbounded distribution.
+        # Shifted by half a step, because 0 is infinite under an unbounded distribution.
         return engine.random_base2(int(count - 1).bit_length())[:count] + 0.5 ** (_SOBOL_BITS + 1)
 
 
@@ -151,7 +143,7 @@ class LatinHypercubePoints(AbstractDrawnPoints):
 
 @final
 class RandomPoints(AbstractDrawnPoints):
-    """Independent random points, as Monte Carlo takes them. Nested."""
+    """Independent random points, as in Monte Carlo. Nested."""
 
     nested: ClassVar[bool] = True
 
@@ -166,7 +158,7 @@ def _halton(index: np.ndarray, variables: int) -> Float[np.ndarray, "count varia
 
 
 def radical_inverse(index: np.ndarray, base: int) -> Float[np.ndarray, " count"]:
-    """The digits of each index in `base`, mirrored at the point (van der Corput)."""
+    """The digits of each index in `base`, mirrored at the radix point (van der Corput)."""
     remaining, factor = index.copy(), 1.0 / base
     value = np.zeros(index.shape)
     while remaining.any():

@@ -1,4 +1,4 @@
-"""Roots of the orthogonal polynomials with quadrature weights: full grids and sparse grids."""
+"""Gauss points with quadrature weights: full grids and sparse grids."""
 
 from math import comb
 from typing import final
@@ -16,10 +16,10 @@ from aleator.expansion._index_set import TotalDegree
 from aleator.expansion._points import AbstractPoints, Nodes, count_given
 from aleator.uncertainty import AbstractGerm
 
-# More simulations than anyone wants by accident.
+# Larger grids are presumed to be a mistake.
 _MOST_POINTS = 1_000_000
 
-# Roots that are nearer than this part of their range are one and the same, but for rounding.
+# Roots closer than this part of their range are equal up to rounding.
 _SAME = 1e-10
 
 
@@ -31,8 +31,8 @@ def _level_given(level: int | None) -> int | None:
 class GaussPoints(AbstractPoints):
     """The full grid of Gauss points: `count` roots for each variable, by default one more than its highest degree.
 
-    The rule is exact to degree `2 count - 1` in each variable, so that by default all products of two polynomials of
-    the basis are integrated. There are `count^n_p` points: for few variables.
+    The rule is exact to degree `2 count - 1` in each variable, so that by default it integrates all products of two
+    polynomials of the basis. It has `count^n_p` points and so suits few variables.
     """
 
     count: int | None = eqx.field(static=True, default=None, converter=count_given)
@@ -96,9 +96,9 @@ class SmolyakPoints(AbstractPoints):
 
 @final
 class _Rules:
-    """The Gauss rules of 1 to `level + 1` roots in one variable, with a number for each root that is shared by rules.
+    """The Gauss rules of 1 to `level + 1` roots in one variable, whose common roots are stored once.
 
-    `roots` are the distinct ones; `places[l]` says which of them the rule of level l has, and `weights[l]` how heavy.
+    `roots`: the distinct ones; `places[l]`: their indices in the rule of level l; `weights[l]`: its weights.
     """
 
     def __init__(self, germ: AbstractGerm, level: int):
@@ -114,7 +114,7 @@ class _Rules:
 
 
 def _refuse_large_rule(count: int) -> None:
-    """Refuse a Gauss rule whose eigenvectors, of a matrix of three diagonals, would not fit into memory."""
+    """Refuse a Gauss rule if the eigenvectors of its tridiagonal matrix would not fit into memory."""
     advice = "Take fewer roots, or least squares."
     refuse_beyond_memory(f"A Gauss rule of {count} roots", 5 * NUMBER * count**2, advice)
 

@@ -1,7 +1,8 @@
-"""When an expansion stops resolving a trajectory: polynomials of a fixed order do not follow it for ever.
+"""The instant from which an expansion of fixed order no longer resolves a trajectory.
 
-A phase that drifts apart with time bends the response over the germ more and more (Wan and Karniadakis, 2006, Long-term
-behavior of polynomial chaos in stochastic flow simulations), so an order that is ample at first fails later.
+As the phases of realisations drift apart, the response becomes more and more nonlinear in the germ (Wan and
+Karniadakis, 2006, Long-term behavior of polynomial chaos in stochastic flow simulations), so that an order that is
+ample at first fails later.
 """
 
 import jax
@@ -21,8 +22,8 @@ def leave_one_out_history(
 ) -> Float[Array, " instants"]:
     """The leave-one-out error at each instant, relative to the largest variance up to that instant.
 
-    Relative to the variance at the instant itself it would rise wherever all trajectories meet, as those of an
-    oscillator do near its turning points. What is rounding is told in the same way, by the largest square up to there.
+    Relative to the variance at the same instant it would rise wherever all trajectories meet, as those of an oscillator
+    do near its turning points. Rounding is judged in the same way, by the largest square up to that instant.
     """
     parts = mean_squares(collocation, samples, coefficients)
     error, variance, square = (part.reshape(samples.shape[1], -1).sum(axis=1) for part in parts)
@@ -35,9 +36,9 @@ def resolved_instants(
     coefficients: Float[Array, "terms instants *shape"],
     tolerance: float = UNRESOLVED,
 ) -> Int[Array, ""]:
-    """How many instants of a history, from the first on, an expansion resolves: the index of the first it does not.
+    """How many instants of a history, from the first on, an expansion resolves: the index of the first unresolved one.
 
-    An instant is not resolved if its `leave_one_out_history` exceeds `tolerance` or is not a number.
+    An instant is unresolved if its `leave_one_out_history` exceeds `tolerance` or is NaN.
     """
     unresolved = ~(leave_one_out_history(collocation, samples, coefficients) <= tolerance)
     return jnp.where(unresolved.any(), jnp.argmax(unresolved), len(unresolved))

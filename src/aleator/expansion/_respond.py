@@ -1,4 +1,4 @@
-"""What a model answers at germ points, where terms are chosen by its outputs: checked, and made ready to compare."""
+"""A model's outputs at germ points, for choosing terms: checked, and scaled for comparison."""
 
 from collections.abc import Callable
 from typing import TypeAlias
@@ -14,7 +14,7 @@ from aleator.ensemble import listed, refuse_nonfinite
 Respond: TypeAlias = Callable[[Float[np.ndarray, "points variables"]], Pytree]
 """A model's outputs at germ points: an array with a leading axis for the points, or a pytree of such arrays."""
 
-# Outputs that vary by less than this part of their size are constant, but for rounding.
+# Outputs that vary by less than this part of their size are constant up to rounding.
 _ROUNDING = 1e-12
 
 
@@ -23,9 +23,9 @@ def responses(
 ) -> tuple[Float[np.ndarray, "points entries"], ...]:
     """The outputs of a model at germ points, each as a matrix with a column for each of its entries.
 
-    `before` is the number of points that were solved earlier, for messages to count on from.
+    `before` is the number of earlier points, from which messages count on.
 
-    Raises `ProblemError` if an output lacks the leading axis for the points, `SimulationError` where one is not finite.
+    Raises `ProblemError` if an output lacks the leading axis for the points, `SimulationError` if one is not finite.
     """
     answer = respond(points)
     leaves = jax.tree_util.tree_leaves_with_path(answer)
@@ -54,8 +54,8 @@ def components(
 ) -> tuple[Float[np.ndarray, "points components"], ...]:
     """Each output that varies, in principal components, scaled so that its squares add up to the number of points.
 
-    Means are taken out and rows weighted by the roots of the weights. Rotated so, an output of thousands of entries has
-    no more columns than there are points, and sums of squares over its entries are the same as before.
+    Means are subtracted and rows weighted by the roots of the weights. In principal components an output of thousands
+    of entries has no more columns than there are points, with the same sums of squares over its entries.
     """
     roots = np.sqrt(weights)[:, None]
     varying = []

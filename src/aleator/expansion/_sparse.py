@@ -14,24 +14,24 @@ from aleator.expansion._fit import AbstractFit, LeastSquares
 from aleator.expansion._points import Nodes
 from aleator.expansion._respond import Respond, components, principal, responses
 
-# The part of all squares that need not be in principal components of a ranking of their own.
+# Principal components are ranked until the rest holds less than this part of all squares.
 _NEGLIGIBLE = 1e-6
 
-# Terms are no more than points over this: beyond, the corrected error has long been rising.
+# At most one term per this many points: with more terms the corrected error rises.
 _FEWEST_PER_TERM = 2
 
-# A column of which less than this is left, once those before it are taken out, adds nothing.
+# A column is dependent if less than this is left of it after projecting out those before it.
 _DEPENDENT = 1e-7
 
 
 @final
 class Sparse(AbstractFit):
-    """Least squares on few terms, chosen among the candidates of a large index set: for many variables, few points.
+    """Least squares on few terms, chosen from the candidates of a large index set: for many variables, few points.
 
-    Least angle regression ranks the candidates by the penalty at which they enter, and the number of terms is the one
-    of least corrected leave-one-out error ("hybrid LARS"). The constant is always kept. All outputs, and all entries of
-    a path, have one choice of terms, so that the map to their coefficients is one: their principal components are
-    ranked, each output counting by its own total variance, and a term has the place where it enters first.
+    Least angle regression ranks the candidates by the penalty at which they enter; the number of terms minimises the
+    corrected leave-one-out error ("hybrid LARS"). The constant is always kept. All outputs, and all entries of a path,
+    share one choice of terms, and so one map to coefficients: the principal components of all outputs are ranked, each
+    output weighted by its total variance, and a term takes its best rank.
 
     Give the number of points: `Expansion(8, points=300, index_set=HyperbolicCross(0.75), fit=Sparse())`. Terms are
     chosen once, by the outputs at the initial decisions. Needs scikit-learn: `pip install "aleator[sparse]"`.
@@ -44,7 +44,8 @@ class Sparse(AbstractFit):
         linear_model = _linear_model()
         if respond is None:
             raise ProblemError(
-                "Sparse chooses terms by the model's outputs, which are not at hand here. Take al.fits.LeastSquares()."
+                "Sparse chooses terms by the model's outputs, which are not available here. Take "
+                "al.fits.LeastSquares()."
             )
         if not np.all(nodes.weights > 0):
             raise ProblemError(
@@ -71,8 +72,8 @@ def corrected_errors(
 ) -> Float[np.ndarray, " counts"]:
     """The corrected leave-one-out error of least squares on the first 1, 2, ... columns, summed over the outputs.
 
-    The error is raised by `n / (n - P) (1 + trace of (A^T A)^-1)` for `P` of `n` points, against overfitting. There is
-    one entry for each number of columns that are independent and fewer than the points.
+    The error is multiplied by `n / (n - P) (1 + trace of (A^T A)^-1)` for `P` terms at `n` points, against overfitting.
+    There is one entry for each number of columns, as long as they are independent and fewer than the points.
     Source: Chapelle, Vapnik and Bengio (2002), Model selection for small sample regression.
     """
     points = len(matrix)
@@ -95,7 +96,7 @@ def corrected_errors(
 def _ranking(
     linear_model: Any, matrix: Float[np.ndarray, "points terms"], outputs: Float[np.ndarray, "points components"]
 ) -> Int[np.ndarray, " ranked"]:
-    """Terms by the penalty at which they enter, the highest first; the constant before all others."""
+    """Terms by the penalty at which they enter, the highest first, after the constant."""
     constant = matrix[:, 0] / np.linalg.norm(matrix[:, 0])
     columns = matrix - constant[:, None] * (constant @ matrix)[None, :]
     sizes = np.linalg.norm(columns, axis=0)
@@ -106,7 +107,7 @@ def _ranking(
     left = np.cumsum(squares[::-1])[::-1]
     for component in outputs.T[left > _NEGLIGIBLE * left[0]]:
         with warnings.catch_warnings():
-            # The path stops early or drops a term where candidates are nearly dependent: it is a ranking all the same.
+            # If candidates are nearly dependent, the path stops early or drops a term, but still gives a ranking.
             warnings.filterwarnings("ignore", module="sklearn")
             penalties, active, _ = linear_model.lars_path(
                 columns, component, method="lar", max_iter=min(columns.shape[1], len(matrix) // _FEWEST_PER_TERM)

@@ -1,7 +1,7 @@
-"""`Unseen`: the largest corner of the uncertainty without a collocation point, of which an expansion knows nothing.
+"""`Unseen`: the largest corner of the germ space without a collocation point, about which an expansion knows nothing.
 
-A spike there, such as a resonance that only the softest spring with the lightest damper meets, moves no coefficient and
-no leave-one-out error. How much probability a corner without points holds says how much can hide.
+A spike there, such as a resonance that only the softest spring with the lightest damper meets, changes no coefficient
+and no leave-one-out error. The probability of such a corner shows how much can be missed.
 """
 
 from collections.abc import Mapping
@@ -13,10 +13,10 @@ from jaxtyping import Float
 
 from aleator.expansion._basis import Basis
 
-# Corners that are looked at: all of those of ten variables, and as many of more.
+# Corners that are checked: all those of up to ten variables, and at most as many of more variables.
 _MOST_CORNERS = 1024
 
-# Variables that a sentence names.
+# Most variables that a sentence names.
 _NAMED = 5
 
 
@@ -25,8 +25,8 @@ _NAMED = 5
 class Unseen:
     """A corner of the germ's domain that holds no collocation point.
 
-    - `probability`: that a system lies in it; `share`: of each variable's distribution by itself that lies in it;
-    - `ends`: at which end of each variable's distribution it lies, "low" or "high".
+    - `probability`: that a system lies in it; `share`: the part of each variable's own distribution that it covers;
+    - `ends`: the end of each variable's distribution at which it lies, "low" or "high".
     """
 
     probability: float
@@ -34,7 +34,7 @@ class Unseen:
     ends: Mapping[str, str]
 
     def sentence(self) -> str:
-        """Where it is and how much it holds, in words."""
+        """Its place and its probability in words."""
         named = [f"{name} {end}" for name, end in self.ends.items()]
         where = ", ".join(named[:_NAMED]) + (f", ... {len(named)} variables" if len(named) > _NAMED else "")
         each = "" if len(named) == 1 else f", the outermost {100 * self.share:.2g} % of each"
@@ -42,9 +42,9 @@ class Unseen:
 
 
 def unseen(basis: Basis, points: Float[np.ndarray, "points variables"]) -> Unseen | None:
-    """The most probable corner without a point, cut off at the same level of each variable; None without variables.
+    """The most probable corner without a point, with the same level for each variable; None without variables.
 
-    Beyond ten variables only some corners are looked at.
+    Beyond ten variables only some corners are checked.
     """
     if basis.variables == 0:
         return None
@@ -60,7 +60,7 @@ def unseen(basis: Basis, points: Float[np.ndarray, "points variables"]) -> Unsee
 
 
 def _reach(levels: Float[np.ndarray, "points variables"], corner: np.ndarray) -> float:
-    """The side of the largest cube at a corner of the unit cube that holds no point."""
+    """The side of the largest cube without points at a corner of the unit cube."""
     return float(np.where(corner, 1 - levels, levels).max(axis=1).min())
 
 

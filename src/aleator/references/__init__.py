@@ -1,4 +1,4 @@
-"""References to judge an expansion by: Monte Carlo, quasi-Monte Carlo, linearisation. Never imports `collocation`."""
+"""References to judge an expansion by: Monte Carlo, quasi-Monte Carlo, linearisation. Never imports `expansion`."""
 
 from aleator.references._estimate import Estimate as Estimate
 from aleator.references._estimate import estimate as estimate

@@ -18,12 +18,12 @@ _MOST_BYTES = 2 * 2**30
 
 
 def ensemble_of(verb: str, function: Function, model: Pytree, *, traced: bool) -> AbstractEnsemble:
-    """The function at the realisations of a model. Raises `ProblemError` if nothing in that is uncertain."""
+    """The function at the realisations of a model. Raises `ProblemError` if nothing in the model is uncertain."""
     return (TracedEnsemble if traced else CalledEnsemble)(function, model, uncertain_places(verb, function, model))
 
 
 def check_whole(verb: str, **numbers: Any) -> None:
-    """Refuse anything but whole numbers, positive unless it is the seed."""
+    """Refuse anything but whole numbers, which must be positive except for the seed."""
     for name, number in numbers.items():
         whole_given(f"{verb}: {name}", number, least=0 if name == "seed" else 1)
 
@@ -39,7 +39,7 @@ def evaluate(
 ) -> Pytree:
     """The outputs at points given by their probability levels: NumPy arrays of shape (n, *shape).
 
-    Raises what an ensemble does, and `ProblemError` if the outputs would not fit into memory.
+    Raises the errors of an ensemble, and `ProblemError` if the outputs would not fit into memory.
     """
     total, kept = len(levels), None
     found = ensemble.in_batches(levels, min(batch, total))

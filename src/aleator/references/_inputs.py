@@ -1,4 +1,4 @@
-"""The uncertain inputs of a function in their own units: their numbers, and the outputs at given values of them."""
+"""The uncertain inputs of a function in their own units, and the outputs at given values of them."""
 
 from collections import Counter
 from typing import final
@@ -16,15 +16,15 @@ from aleator.uncertainty import Normal, Placements, placements, realise, uncerta
 
 @final
 class Inputs:
-    """What is uncertain in `function(model)`, with decisions at their initial values.
+    """The uncertain inputs of `function(model)`, with decisions at their initial values.
 
-    - `distributions`: by name, decisions decided; `germs`: the distribution of each germ variable by name;
-    - `owned`: the germ variables that one input alone depends on, and it on nothing else, with that input's name.
+    - `distributions`: by name, at the initial decisions; `germs`: the distribution of each germ variable, by name;
+    - `owned`: germ variables that belong to one input alone, which depends on no other, with that input's name.
     """
 
     def __init__(self, verb: str, function: Function, model: Pytree):
         self._places = uncertain_places(verb, function, model)
-        # A standard normal number is its own germ: what stands in the place of its germ is the number itself.
+        # A standard normal number equals its germ, so that values passed as the germ are the numbers themselves.
         self._verb, self._function, self._in_units = (
             verb,
             function,
@@ -46,7 +46,7 @@ class Inputs:
         return jax.tree.map(lambda value: real_array(value, name_of(self._function), jnp), self._function(realised))
 
     def refuse_nonfinite(self, expanded: Pytree) -> None:
-        """Raise `SimulationError` if a value or derivative at the means is not finite, as far as it is known."""
+        """Raise `SimulationError` if a value or derivative at the means is not finite, as far as values are known."""
         for leaf in jax.tree.leaves(expanded):
             known = concrete(leaf)
             if known is not None and not np.isfinite(known).all():
@@ -58,12 +58,12 @@ class Inputs:
 
 
 def _initial(places: Placements) -> Float[Array, " n"]:
-    """The decisions at their initial values. A model in units has none inside of distributions."""
+    """The decisions at their initial values. A model in units has none inside distributions."""
     return jnp.asarray(places.vector("initial"))
 
 
 def traceable(verb: str, function: Function) -> Function:
-    """The function, with a clear error where JAX cannot differentiate it."""
+    """The function, with a clear error if JAX cannot differentiate it."""
 
     def checked(*arguments: Array) -> Pytree:
         try:

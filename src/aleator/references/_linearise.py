@@ -24,11 +24,11 @@ class Linearised(eqx.Module):
     """Outputs as linear functions of the uncertain inputs, about their means.
 
     - `names`: of the inputs; `means`, shape (inputs,), and `covariance`, shape (inputs, inputs), in their units;
-    - `mean`: of each output, its value at the means, shape (*shape);
-    - `jacobian`: of each output, its derivative with respect to each input, shape (inputs, *shape).
+    - `mean`: the value of each output at the means, shape (*shape);
+    - `jacobian`: the derivative of each output with respect to each input, shape (inputs, *shape).
 
-    Everything has the structure of the outputs: an array of an array, a dict of a dict; `linearised["y"]` is one output
-    of a dict. All are JAX functions of the distributions' parameters.
+    Results have the structure of the outputs, an array or a dict; `linearised["y"]` selects one output of a dict. All
+    are JAX functions of the distributions' parameters.
     """
 
     names: tuple[str, ...] = eqx.field(static=True)
@@ -38,7 +38,7 @@ class Linearised(eqx.Module):
     jacobian: Pytree
 
     def __getitem__(self, name: str) -> "Linearised":
-        """One output by name, where the outputs are a dict."""
+        """One output by name, if the outputs are a dict."""
         return Linearised(self.names, self.means, self.covariance, part(self.mean, name), part(self.jacobian, name))
 
     @property
@@ -60,7 +60,7 @@ class Linearised(eqx.Module):
     def contributions(self) -> dict[str, Pytree]:
         """The share of each input in the variance, in percent: `100 S_i (Sigma S^T)_i / (S Sigma S^T)`.
 
-        They add up to 100. Of correlated inputs a share may be negative. Where nothing varies they are 0.
+        They add up to 100. The share of a correlated input may be negative. If nothing varies they are 0.
         """
 
         def percent(shares: Float[Array, "inputs *shape"]) -> Float[Array, "inputs *shape"]:
@@ -71,12 +71,12 @@ class Linearised(eqx.Module):
         return {name: jax.tree.map(lambda leaf, i=i: leaf[i], parts) for i, name in enumerate(self.names)}
 
     def worst_case(self, limits: Mapping[str, Scalar]) -> Pytree:
-        """The largest deviation that tolerances allow, `sum |S_i| T_i`, one for each input by its name."""
+        """The largest deviation within tolerances, `sum |S_i| T_i`; `limits`: the tolerance of each input by name."""
         tolerances = self._tolerances("worst_case", limits)
         return jax.tree.map(lambda leaf: jnp.tensordot(tolerances, jnp.abs(leaf), axes=1), self.jacobian)
 
     def rss(self, limits: Mapping[str, Scalar]) -> Pytree:
-        """The statistical deviation, `sqrt(sum (S_i T_i)^2)` (root sum square), as if inputs were independent."""
+        """The statistical deviation `sqrt(sum (S_i T_i)^2)` (root sum square), as for independent inputs."""
         tolerances = self._tolerances("rss", limits)
         return jax.tree.map(lambda leaf: root(jnp.tensordot(tolerances**2, leaf**2, axes=1)), self.jacobian)
 
@@ -94,17 +94,17 @@ class Linearised(eqx.Module):
 def linearise(function: Function, model: Pytree) -> Linearised:
     """The direct linearisation method (DLM): the first-order Taylor expansion at the means, with exact derivatives.
 
-    - `function`: takes the model with plain numbers in the place of its distributions; gives an array or a dict of
+    - `function`: takes the model with plain numbers in the place of its distributions and returns an array or a dict of
       arrays, written with jax.numpy;
-    - `model`: a dict or any other pytree with distributions in it. Decisions stand at their initial values.
+    - `model`: a dict or any other pytree with distributions in it. Decisions are held at their initial values.
 
-    Means and standard deviations are those of the distributions, whatever their form; the correlations are those of
-    `al.correlated`. The method is exact for linear
-    functions. Source: dissertation, section 7.2; Chase, Gao and Magleby, General 2-D tolerance analysis of mechanical
-    assemblies with small kinematic adjustments, Journal of Design and Manufacturing 5 (1995).
+    Means and standard deviations are those of the distributions, whatever their form; correlations are those of
+    `al.correlated`. The method is exact for linear functions. Source: dissertation, section 7.2; Chase, Gao and
+    Magleby, General 2-D tolerance analysis of mechanical assemblies with small kinematic adjustments, Journal of Design
+    and Manufacturing 5 (1995).
 
-    Raises `ProblemError` if nothing is uncertain or JAX cannot differentiate the function, and `SimulationError` if it
-    has no finite value or derivative at the means.
+    Raises `ProblemError` if nothing is uncertain or JAX cannot differentiate the function, and `SimulationError` if its
+    value or derivative at the means is not finite.
     """
     inputs = Inputs("linearise", function, model)
     distributions = tuple(inputs.distributions.values())
@@ -119,7 +119,7 @@ def linearise(function: Function, model: Pytree) -> Linearised:
 
 
 def _correlation(distributions: Sequence[AbstractDistribution]) -> Float[Array, "inputs inputs"]:
-    """The correlation of the inputs, by Gauss quadrature of their copula where they are correlated."""
+    """The correlation of the inputs; of correlated ones by Gauss quadrature of their copula."""
     matrix = jnp.eye(len(distributions))
     for (i, one), (j, other) in itertools.combinations(enumerate(distributions), 2):
         first, second = one.dependence, other.dependence
@@ -136,7 +136,7 @@ def _pearson(one: AbstractDistribution, other: AbstractDistribution, rho: Float[
     second = rho * nodes[:, None] + jnp.sqrt(1 - rho**2) * nodes[None, :]
     left = jax.vmap(one.value_at_normal)(nodes)
     right = jax.vmap(jax.vmap(other.value_at_normal))(second)
-    # Moments of the same quadrature, so that its error cancels.
+    # Moments by the same quadrature, so that its error cancels.
     left = left - weights @ left
     right = right - weights @ right @ weights
     both = jnp.sum(weights[:, None] * weights[None, :] * left[:, None] * right)

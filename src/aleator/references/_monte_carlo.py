@@ -11,7 +11,7 @@ from aleator.references._estimate import group_count
 from aleator.references._evaluation import check_whole, ensemble_of, evaluate, refuse_large_sample
 from aleator.references._random_sample import RandomSample
 
-# Binary digits of a Sobol point. Its coordinates are multiples of 2^-30, 0 among them.
+# Binary digits of a Sobol point. Its coordinates are multiples of 2^-30, including 0.
 _DIGITS = 30
 
 
@@ -25,17 +25,17 @@ def monte_carlo(
     batch: int = 4096,
     progress: Progress = silent,
 ) -> RandomSample:
-    """A function at independent random inputs: `al.references.monte_carlo(f, {"w": al.Uniform.bounds(0.9, 1.1)})`.
+    """Evaluate a function at random inputs: `al.references.monte_carlo(f, {"w": al.Uniform.bounds(0.9, 1.1)})`.
 
-    - `function`: takes the model with plain numbers in the place of its distributions; gives an array or a dict of
+    - `function`: takes the model with plain numbers in the place of its distributions and returns an array or a dict of
       arrays (any pytree of them);
-    - `model`: a dict or any other pytree with distributions in it, such as a `System`. Decisions in it stand at their
+    - `model`: a dict or any other pytree with distributions in it, such as a `System`. Decisions are held at their
       initial values;
-    - `traced`: False calls the function with plain numbers, point by point, where JAX cannot trace it;
-    - `batch`: how many inputs are taken at a time, where the function needs much memory. The sample is the same.
+    - `traced`: False calls the function with plain numbers, point by point, if JAX cannot trace it;
+    - `batch`: how many inputs to evaluate at a time; lower it to save memory. The sample does not depend on it.
 
     The whole sample is kept, at most 2 GiB. Standard errors fall as `samples^(-1/2)`. Raises `ProblemError` if nothing
-    is uncertain or the sample is too large, `SimulationError` where an output is not finite, naming the inputs there.
+    is uncertain or the sample is too large, `SimulationError` if an output is not finite, naming the inputs there.
     """
     check_whole("monte_carlo", samples=samples, seed=seed, batch=batch)
     if samples < 4:
@@ -58,11 +58,12 @@ def quasi_monte_carlo(
     batch: int = 4096,
     progress: Progress = silent,
 ) -> RandomSample:
-    """A function at scrambled Sobol points (Owen, Scrambled net variance for integrals of smooth functions, 1997).
+    """Evaluate a function at scrambled Sobol points.
 
-    `samples` inputs in all, in `replicates` nets that are scrambled independently, so that their spread is an honest
-    standard error. Both are powers of two. For smooth functions standard errors fall nearly as `samples^(-3/2)`, and
-    never much slower than those of plain Monte Carlo. The other arguments, and the errors, are those of `monte_carlo`.
+    `samples` inputs in all are divided among `replicates` nets that are scrambled independently, so that the spread of
+    the nets gives a valid standard error. Both are powers of two. For smooth functions standard errors fall nearly as
+    `samples^(-3/2)`, and never much slower than those of plain Monte Carlo. The other arguments, and the errors, are
+    those of `monte_carlo`. Source: Owen (1997), Scrambled net variance for integrals of smooth functions.
     """
     check_whole("quasi_monte_carlo", samples=samples, replicates=replicates, seed=seed, batch=batch)
     ensemble = ensemble_of("quasi_monte_carlo", function, model, traced=traced)
@@ -77,7 +78,7 @@ def scrambled_nets(
     """Independently scrambled Sobol nets, one after the other, as probability levels in (0, 1)."""
     if replicates < 2 or not _is_power_of_two(replicates):
         raise ProblemError(
-            f"{verb}: expected replicates in a power of two, such as 16, for a standard error; received {replicates}."
+            f"{verb}: expected a power of two of replicates, such as 16, for a standard error; received {replicates}."
         )
     points, rest = divmod(samples, replicates)
     if rest or points < 2 or not _is_power_of_two(points):
@@ -86,12 +87,12 @@ def scrambled_nets(
             f"samples={samples} with replicates={replicates}."
         )
     refuse_large_sample(verb, samples, variables)
-    # SciPy calls the generator `seed` up to 1.14; its type stubs know the later name alone.
+    # Up to SciPy 1.14 the generator is called `seed`; the type stubs have only the later name.
     settings = {"bits": _DIGITS, "seed": np.random.default_rng(seed)}
     from scipy.stats import qmc  # late: it takes a second to import
 
     nets = [qmc.Sobol(variables, **settings).random(points) for _ in range(replicates)]
-    # To the middle of the cells, away from 0, where unbounded distributions are infinite.
+    # Shift to the middle of the cells, away from 0, where unbounded distributions are infinite.
     return np.concatenate(nets) + 0.5 ** (_DIGITS + 1)
 
 

@@ -1,4 +1,4 @@
-"""`RandomSample`: outputs at random inputs, and every statistic of them with its standard error."""
+"""`RandomSample`: outputs at random inputs, and their statistics with standard errors."""
 
 from typing import Any, TypeAlias, final
 
@@ -13,27 +13,27 @@ from aleator.references._estimate import Estimate, estimate
 from aleator.statistics import AbstractMeasured, AbstractStatistic, Correlation, Covariance, a_statistic
 
 Estimates: TypeAlias = Any
-"""An `Estimate`, or a dict of them where the outputs are a dict."""
+"""An `Estimate`, or a dict of them if the outputs are a dict."""
 
 
 @final
 class RandomSample(AbstractMeasured[Estimates]):
     """Outputs of a function at random inputs: `sample.mean` prints as `0.65923 ± 0.00030`.
 
-    - `values`: of each output, shape (samples, *shape), in the structure that the function gives;
-    - `groups`: the sample consists of that many independent groups of equal size, one after the other: of a plain Monte
-      Carlo sample any, of a quasi-random one its replicates. Standard errors come from them, see `Estimate`;
-    - `seed`: what the inputs were drawn from.
+    - `values`: of each output, shape (samples, *shape), in the structure that the function returns;
+    - `groups`: the number of independent groups of equal size, one after the other, from which standard errors are
+      computed (see `Estimate`): arbitrary for a plain Monte Carlo sample, the replicates of a quasi-random one;
+    - `seed`: of the random inputs.
 
-    Every statistic has the structure of the outputs: an `Estimate` of an array, a dict of them of a dict;
-    `sample["y"]` is one output of a dict.
+    Every statistic has the structure of the outputs, an `Estimate` or a dict of them; `sample["y"]` selects one output
+    of a dict.
     """
 
     def __init__(self, values: Pytree, groups: int, seed: int):
         self.values, self.groups, self.seed = values, groups, seed
 
     def __getitem__(self, name: str) -> "RandomSample":
-        """One output by name, where the outputs are a dict."""
+        """One output by name, if the outputs are a dict."""
         return RandomSample(part(self.values, name), self.groups, self.seed)
 
     @property
@@ -50,16 +50,17 @@ class RandomSample(AbstractMeasured[Estimates]):
     def statistic(self, kind: AbstractStatistic) -> Estimates:
         """An estimate of each output.
 
-        The standard error of a probability is 0, and says nothing, where all values of the sample lie there, or none.
+        The standard error of a probability is 0, and meaningless, if all values of the sample meet the condition or
+        none does.
         """
         return self.estimate(a_statistic(kind))
 
     def covariance(self, first: str, second: str) -> Estimate:
-        """The covariance of two outputs of one shape, by their names."""
+        """The covariance of two outputs of equal shape, by their names."""
         return self._of_both(Covariance(), first, second)
 
     def correlation(self, first: str, second: str) -> Estimate:
-        """The correlation coefficient of two outputs of one shape, by their names."""
+        """The correlation coefficient of two outputs of equal shape, by their names."""
         return self._of_both(Correlation(), first, second)
 
     def _of_both(self, statistic: AbstractStatistic, first: str, second: str) -> Estimate:

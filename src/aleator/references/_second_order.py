@@ -15,17 +15,17 @@ from aleator.references._inputs import Inputs, traceable
 from aleator.statistics._moments import root
 from aleator.uncertainty import AbstractGerm, HermiteGerm, SampleGerm
 
-# 4 are exact for the moments up to the sixth; their derivatives by the shape of a distribution are no polynomials and
-# want more.
+# 4 are exact for moments up to the sixth; their derivatives by the shape of a distribution are no polynomials and need
+# more.
 _NODES = 32
 
 
 @final
 class SecondOrder(eqx.Module):
-    """Moments of outputs that are quadratic functions of the uncertain inputs, about their means.
+    """Moments of outputs as quadratic functions of the uncertain inputs, about their means.
 
-    `mean`, `variance` and `skewness` have the structure of the outputs; `moments["y"]` is one output of a dict. The
-    skewness of what does not vary is 0. All are JAX functions of the distributions' parameters.
+    `mean`, `variance` and `skewness` have the structure of the outputs; `moments["y"]` selects one output of a dict.
+    The skewness of a constant output is 0. All are JAX functions of the distributions' parameters.
     """
 
     mean: Pytree
@@ -33,7 +33,7 @@ class SecondOrder(eqx.Module):
     skewness: Pytree
 
     def __getitem__(self, name: str) -> "SecondOrder":
-        """One output by name, where the outputs are a dict."""
+        """One output by name, if the outputs are a dict."""
         return SecondOrder(*(part(one, name) for one in (self.mean, self.variance, self.skewness)))
 
     @property
@@ -43,8 +43,7 @@ class SecondOrder(eqx.Module):
 
 
 def second_order(function: Function, model: Pytree) -> SecondOrder:
-    """Moments of the second-order Taylor expansion at the means, with exact derivatives and no distribution taken for
-    normal.
+    """Moments of the second-order Taylor expansion at the means, with exact derivatives, for any distributions.
 
     With `u_i` the deviations of independent inputs from their means, `g` the gradient and `H` the Hessian, the output
     is `f + sum a_i + sum_{i<j} H_ij u_i u_j` with `a_i = g_i u_i + H_ii u_i^2 / 2`, of which
@@ -52,15 +51,15 @@ def second_order(function: Function, model: Pytree) -> SecondOrder:
         mean     = f + sum_i H_ii s_i^2 / 2
         variance = sum_i (g_i^2 s_i^2 + g_i H_ii m3_i + H_ii^2 (m4_i - s_i^4) / 4) + sum_{i<j} H_ij^2 s_i^2 s_j^2
 
-    and the skewness follow without further neglect. The central moments `s^2`, `m3`, `m4` of each input (up to the
-    sixth for the skewness) are taken by Gauss quadrature of its germ, exactly. Source: generation of system moments,
-    Hahn and Shapiro, Statistical Models in Engineering (1967), chapter 7; Evans, Statistical tolerancing: the state of
-    the art, part II (1975).
+    and the skewness follow without further approximation. The central moments `s^2`, `m3`, `m4` of each input (up to
+    the sixth for the skewness) are exact by Gauss quadrature of its germ. Source: generation of system moments, Hahn
+    and Shapiro, Statistical Models in Engineering (1967), chapter 7; Evans, Statistical tolerancing: the state of the
+    art, part II (1975).
 
-    Exact for functions of degree 2. Of others the mean gains two orders in the spreads over linearisation; the variance
-    does not, for third derivatives contribute as much to it as second ones do. Correlated inputs must be normal, for
-    they are expanded in their germ variables: `ProblemError` of others. Arguments and errors are else those of
-    `linearise`.
+    Exact for functions of degree 2. For others the mean gains two orders in the spreads over linearisation; the
+    variance does not, because third derivatives contribute as much to it as second ones. Correlated inputs must be
+    normal, because they are expanded in their germ variables; others raise `ProblemError`. Arguments and other errors
+    are those of `linearise`.
     """
     inputs = Inputs("second_order", function, model)
     for name, distribution in inputs.distributions.items():
@@ -106,7 +105,7 @@ def _variables(inputs: Inputs) -> _Variables:
 
 
 def _rule(germ: AbstractGerm) -> tuple[Float[np.ndarray, " nodes"], Float[np.ndarray, " nodes"]]:
-    """Gauss nodes and weights of a germ. Data of few values have fewer nodes: the rest have no weight."""
+    """Gauss nodes and weights of a germ. Data of few values have fewer nodes; the others get weight zero."""
     count = min(_NODES, germ.values.size) if isinstance(germ, SampleGerm) else _NODES
     nodes, weights = germ.gauss(count)
     return np.pad(nodes, (0, _NODES - count), mode="edge"), np.pad(weights, (0, _NODES - count))
@@ -118,7 +117,7 @@ def _values(inputs: Inputs, variables: Float[Array, " variables"]) -> Float[Arra
     owner = {name: germ for germ, name in inputs.owned.items()}
     if len(owner) == len(inputs.distributions):
         return jnp.stack([variables[germs.index(owner[name])] for name in inputs.distributions])
-    # The others do not depend on the germ variables that are owned, which are no germ values here.
+    # The other inputs do not depend on owned germ variables, whose places hold the inputs' own values here.
     numbers = inputs.numbers(jnp.where(jnp.asarray([germ in inputs.owned for germ in germs]), 0.0, variables))
     return jnp.stack(
         [
@@ -144,12 +143,12 @@ def _moments(
     square = expected(u**2)
     own = jnp.diagonal(hessian, axis1=-2, axis2=-1)
     mixed = hessian * (1 - jnp.eye(u.shape[-1])).reshape(*(1,) * value.ndim, u.shape[-1], -1)
-    # What each variable does alone, and what pairs do, scaled to unit variances.
+    # The contributions of each variable alone, and of pairs, scaled to unit variances.
     alone = gradient[None] * u + own[None] * (u**2 - square[None]) / 2
     scales = root(square)
     pairs = scales[..., :, None] * mixed * scales[..., None, :]
     variance = jnp.sum(expected(alone**2), axis=-1) + jnp.sum(pairs**2, axis=(-2, -1)) / 2
-    # E[(A + B)^3] for A the sum of `alone` and B that of pairs, whose other terms vanish since deviations have mean 0.
+    # E[(A + B)^3] for A the sum of `alone` and B that of pairs; other terms vanish because deviations have mean 0.
     with_self, with_square, cube = expected(alone * u), expected(alone * u**2), expected(u**3)
     third = (
         jnp.sum(expected(alone**3), axis=-1)

@@ -19,10 +19,10 @@ from aleator.references._monte_carlo import scrambled_nets
 class SobolIndices:
     """Sobol indices of each germ variable, which is an uncertain input unless inputs are correlated.
 
-    - `first`: by input, its own share of the variance; what is missing to 1 comes from inputs acting together;
-    - `total`: by input, the share that would be left if all others were known.
+    - `first`: by input, its own share of the variance; the rest up to 1 is due to interactions;
+    - `total`: by input, the share that would remain if all others were known.
 
-    Each is an `Estimate`, or a dict of them where the outputs are a dict.
+    Each is an `Estimate`, or a dict of them if the outputs are a dict.
     """
 
     def __init__(self, first: dict[str, Any], total: dict[str, Any]):
@@ -45,11 +45,11 @@ def sobol_indices(
 ) -> SobolIndices:
     """First-order and total Sobol indices of a function of uncertain inputs, with standard errors.
 
-    Two independent inputs are drawn `samples` times from scrambled Sobol nets; exchanging one germ variable after the
-    other makes `(variables + 2) * samples` calls of the function. The estimators are those of Saltelli et al.,
-    Variance based sensitivity analysis of model output (2010), table 2 (b), for the first order, and of Jansen (1999),
-    their (f), for the total. The arguments and errors are those of `quasi_monte_carlo`; an output that does not vary
-    has no indices: `ProblemError`. Entries of an array that do not vary (an initial condition) have indices 0.
+    Two independent inputs are drawn `samples` times from scrambled Sobol nets; exchanging one germ variable at a time
+    takes `(variables + 2) * samples` evaluations of the function. The arguments and errors are those of
+    `quasi_monte_carlo`; an output that does not vary has no indices and raises `ProblemError`. Entries of an array that
+    do not vary (an initial condition) have indices 0. Source: Saltelli et al. (2010), Variance based sensitivity
+    analysis of model output, table 2 (b) for the first order and (f), by Jansen (1999), for the total.
     """
     check_whole("sobol_indices", samples=samples, replicates=replicates, seed=seed, batch=batch)
     ensemble = ensemble_of("sobol_indices", function, model, traced=traced)
@@ -73,7 +73,7 @@ def sobol_indices(
 def _exchanged(
     one: Float[np.ndarray, "samples variables"], other: Float[np.ndarray, "samples variables"]
 ) -> Float[np.ndarray, "samples designs variables"]:
-    """Both inputs, then the one with each of its variables in turn from the other."""
+    """Both inputs, then the first one with each of its variables in turn taken from the second."""
     variables = one.shape[1]
     levels = np.repeat(one[:, None], variables + 2, axis=1)
     levels[:, 1] = other
@@ -83,7 +83,7 @@ def _exchanged(
 
 
 def _first(values: Float[np.ndarray, "samples designs *shape"]) -> Float[np.ndarray, "variables *shape"]:
-    # The mean is taken off before: it would only add noise.
+    # The mean is subtracted, because it would only add noise.
     values = values - values[:, :2].mean(axis=(0, 1))
     one, other, mixed = values[:, :1], values[:, 1:2], values[:, 2:]
     return (other * (mixed - one)).mean(axis=0) / _variance(values)[None]
