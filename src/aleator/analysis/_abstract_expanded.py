@@ -1,4 +1,4 @@
-"""`AbstractExpanded`: what can be asked of a function of uncertain inputs once it is expanded."""
+"""`AbstractExpanded`: the statistics of an expanded function of uncertain inputs."""
 
 import abc
 import threading
@@ -26,24 +26,24 @@ _LOCK = threading.Lock()
 
 
 def prepared(preparation: Callable[[Basis], Pytree] | None, basis: Basis) -> Pytree:
-    """What a statistic needs of a basis: prepared when first asked for, and kept as long as the basis."""
+    """The constants that a statistic needs of a basis: prepared on first use, and kept as long as the basis."""
     if preparation is None:
         return ()
     with _LOCK:
         known = _PREPARED.setdefault(basis, {})
     if preparation not in known:
-        # What is kept must not belong to a function that is just being traced.
+        # Kept values must not belong to a function that is being traced.
         with jax.ensure_compile_time_eval():
             known[preparation] = preparation(basis)
     return known[preparation]
 
 
 class AbstractExpanded(eqx.Module, AbstractMeasured[Pytree]):
-    """An uncertain output, or a dict of them, in polynomials of the uncertain inputs.
+    """An uncertain output, or a dict of them, as polynomials of the uncertain inputs.
 
-    Every statistic has the structure of the outputs: of an array it is an array, entry by entry; of a dict it is a
-    dict; `expanded["y"]` is one output of a dict. All are JAX functions of the distributions' parameters: `jax.grad`
-    of a function that builds the distributions, expands and takes a statistic is its derivative.
+    Every statistic has the structure of the outputs: an array, entry by entry, or a dict; `expanded["y"]` selects one
+    output of a dict. All are JAX functions of the distributions' parameters: apply `jax.grad` to a function that builds
+    the distributions, expands and takes a statistic.
     """
 
     distributions: eqx.AbstractVar[dict[str, AbstractDistribution]]
@@ -56,44 +56,43 @@ class AbstractExpanded(eqx.Module, AbstractMeasured[Pytree]):
     @abc.abstractmethod
     @override
     def statistic(self, kind: AbstractStatistic) -> Pytree:
-        """Any statistic of each output."""
+        """Any other statistic of each output."""
 
     @abc.abstractmethod
     def __getitem__(self, name: str) -> "AbstractExpanded":
-        """One output by name, where the outputs are a dict."""
+        """One output by name, if the outputs are a dict."""
 
     @abc.abstractmethod
     def at_germ(self, points: Float[np.ndarray, "n variables"]) -> Pytree:
-        """The expansion at germ points, which are plain numbers: shape (n, *shape) of each output."""
+        """The expansion at germ points given as plain numbers: shape (n, *shape) for each output."""
 
     def sample(self, count: int, seed: int) -> Pytree:
-        """The expansion at `count` random germ points: shape (count, *shape) of each output."""
+        """The expansion at `count` random germ points: shape (count, *shape) for each output."""
         levels = random_levels(np.random.default_rng(seed), len(self.germs), count).T
         return self.at_germ(at_levels(self.germs.values(), levels))
 
     def __call__(self, inputs: Mapping[str, Any]) -> Pytree:
-        """The expansion in the place of the function: the outputs at one plain value of each uncertain input, by name.
+        """The expansion as a surrogate: the outputs at one plain value of each uncertain input, by name.
 
-        Raises `ProblemError` for a value outside its distribution, and where distributions depend on each other: use
-        `at_germ` there.
+        Raises `ProblemError` for a value outside its distribution, and for dependent inputs: use `at_germ` for these.
         """
         point = germ_of(self.distributions, inputs)
         return jax.tree.map(lambda values: values[0], self.at_germ(np.array([[point[name] for name in self.germs]])))
 
     @abc.abstractmethod
     def cdf(self, values: Float[Array, " n"]) -> Pytree:
-        """The distribution function: the probability of less than each value, shape (n, *shape) of each output."""
+        """The distribution function at each value: shape (n, *shape) for each output."""
 
     @abc.abstractmethod
     def pdf(self, values: Float[Array, " n"]) -> Pytree:
-        """The probability density at each value, per unit of the output: shape (n, *shape) of each output."""
+        """The probability density at each value, per unit of the output: shape (n, *shape) for each output."""
 
     def covariance(self, first: str, second: str) -> Array:
-        """The covariance of two outputs of one shape, entry by entry."""
+        """The covariance of two outputs of equal shape, entry by entry."""
         return self._both(first, second).statistic(Covariance())
 
     def correlation(self, first: str, second: str) -> Array:
-        """The correlation coefficient of two outputs of one shape, entry by entry: between -1 and 1."""
+        """The correlation coefficient of two outputs of equal shape, entry by entry: between -1 and 1."""
         return self._both(first, second).statistic(Correlation())
 
     @abc.abstractmethod

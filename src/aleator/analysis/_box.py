@@ -21,11 +21,11 @@ class Box:
 
     @property
     def probability(self) -> float:
-        """How probable it is that the germ lies in the box."""
+        """The probability that the germ lies in the box."""
         return float(np.prod(np.subtract(self.high, self.low)))
 
     def halves(self, variable: int) -> tuple["Box", "Box"]:
-        """The two boxes, equally probable, that a cut across one variable leaves."""
+        """Two boxes of equal probability, from a cut across one variable."""
         middle = (self.low[variable] + self.high[variable]) / 2
 
         def at_middle(ends: tuple[float, ...]) -> tuple[float, ...]:
@@ -34,7 +34,7 @@ class Box:
         return Box(self.low, at_middle(self.high)), Box(at_middle(self.low), self.high)
 
     def germs(self, germs: Mapping[str, AbstractGerm]) -> dict[str, AbstractGerm]:
-        """The distributions of the germ variables, given that they lie in the box."""
+        """The distributions of the germ variables, conditional on the box."""
         limits = zip(germs.items(), self.low, self.high, strict=True)
         return {name: restricted(germ, low, high) for (name, germ), low, high in limits}
 

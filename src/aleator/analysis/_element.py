@@ -24,7 +24,7 @@ class Element:
 
     - `coefficients`: of each output, shape (terms, *shape);
     - `known`: the same as plain numbers, a list with shapes (terms, entries);
-    - `squared_errors`: mean squared error of predicting a sample, of each output, summed over its entries.
+    - `squared_errors`: mean squared leave-one-out error of each output, summed over its entries.
     """
 
     box: Box

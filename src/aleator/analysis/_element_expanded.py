@@ -1,4 +1,4 @@
-"""`ElementExpanded`: a piecewise expansion, with everything that follows from it."""
+"""`ElementExpanded`: a piecewise expansion with its statistics."""
 
 from collections import Counter
 from collections.abc import Callable, Mapping
@@ -43,16 +43,16 @@ from aleator.uncertainty import AbstractDistribution, AbstractGerm, Placements
 
 @final
 class ElementExpanded(AbstractExpanded):
-    """Outputs as polynomials of the germ in each element of its domain; `print(expanded)` says what was done.
+    """Outputs as polynomials of the germ in each element of its domain; `print(expanded)` shows a summary.
 
     - `distributions`: that of each uncertain input, by name; `partition`: the elements, with the polynomials in each;
     - `coefficients`: of each output, shape (elements, terms, *shape);
     - `splits`: the variable of each split, in order; `calls`: how often the function was called;
-    - `error`: estimated relative root mean square error of the piecewise expansion, at worst over the outputs.
+    - `error`: estimated relative rms error of the piecewise expansion, the largest over the outputs.
 
-    Moments are sums over the elements, Sobol indices over pairs of them, extremes the most extreme of theirs. All
-    other statistics are those of a low-discrepancy sample of the piecewise expansion, of 16 384 points; derivatives of
-    probabilities and quantiles are kernel estimates, good to about a percent.
+    Moments are sums over the elements, Sobol indices sums over pairs of elements, extremes the most extreme over the
+    elements. All other statistics are those of a low-discrepancy sample of the piecewise expansion, of 16 384 points;
+    derivatives of probabilities and quantiles are kernel estimates, accurate to about a percent.
     """
 
     distributions: dict[str, AbstractDistribution]
@@ -78,7 +78,7 @@ class ElementExpanded(AbstractExpanded):
         return jax.tree.map(self._rule(kind), self.coefficients)
 
     def _rule(self, kind: AbstractStatistic) -> Callable[[Array], Array]:
-        """How a statistic follows from the coefficients in all elements."""
+        """The function that computes a statistic from the coefficients in all elements."""
         if isinstance(kind, Mean):
             return self._mean
         if isinstance(kind, Variance):
@@ -147,7 +147,7 @@ class ElementExpanded(AbstractExpanded):
         return root(self._variance(coefficients))
 
     def _share(self, coefficients: Float[Array, "elements terms *shape"], of_part: Rule) -> Float[Array, "*shape"]:
-        """A part of the variance over the whole of it; zero, with derivative zero, where there is none."""
+        """A part of the variance over all of it; zero, with derivative zero, if the variance is zero."""
         mean, variance = self._mean(coefficients), self._variance(coefficients)
         spreads = varies(jnp.stack([mean, root(variance)]))
         found = of_part(coefficients.at[:, 0].add(-mean)) / jnp.where(spreads, variance, 1.0)

@@ -1,9 +1,9 @@
 """Sobol indices of an expansion in elements: exact parts of the variance of a piecewise polynomial.
 
-Where only some variables are known, the mean of the output is a piecewise polynomial of these: in each element the
-terms that depend on nothing else, weighted by how probable the element's extent in the other variables is. Its variance
-is a sum over all pairs of elements of integrals over what their boxes have in common, which factor by variable and are
-taken by Gauss's rule, exactly. Definitions: Sobol (2001), Global sensitivity indices for nonlinear mathematical models.
+Given some of the variables, the conditional mean of the output is a piecewise polynomial of these: in each element the
+terms that depend on no others, weighted by the probability of the element's extent in the other variables. Its variance
+is a sum over all pairs of elements of integrals over the intersection of their boxes, which factor by variable and are
+exact by Gauss quadrature. Definitions: Sobol (2001), Global sensitivity indices for nonlinear mathematical models.
 """
 
 from collections.abc import Callable
@@ -22,16 +22,16 @@ from aleator.statistics import Sobol, TotalSobol
 from aleator.statistics._sobol import place_of
 
 Rule: TypeAlias = Callable[[Float[Array, "elements terms *shape"]], Float[Array, "*shape"]]
-"""A part of the variance from the coefficients in all elements, less the mean of the whole in their first terms."""
+"""Gives a part of the variance from the coefficients in all elements, with the overall mean subtracted."""
 
-# The product of what variables contribute to pairs of terms, and one factor of it.
+# For memory: the product of the variables' contributions to pairs of terms, and one factor of it.
 _MATRICES = 2
 
 
 def variance_part(partition: Partition, kind: Sobol | TotalSobol) -> Rule:
-    """The part of the variance that a Sobol index is the share of.
+    """The part of the variance whose share is a Sobol index.
 
-    Raises `ProblemError` for a variable that there is not, and where pairs of elements do not fit into memory.
+    Raises `ProblemError` for an unknown variable, and if all pairs of elements would not fit into memory.
     """
     whole = Basis(partition.germs, partition.bases[0].indices)
     if isinstance(kind, TotalSobol):
@@ -77,9 +77,9 @@ def _explained(partition: Partition, known: tuple[int, ...]) -> Rule:
 
 
 class _Cuts(NamedTuple):
-    """Into which intervals of probability levels one variable is cut.
+    """The intervals of probability levels into which one variable is cut.
 
-    - `ends`: of each different interval; `owner`: the interval of each element.
+    - `ends`: of each distinct interval; `owner`: the interval of each element.
     """
 
     ends: Float[np.ndarray, "intervals 2"]
@@ -87,7 +87,7 @@ class _Cuts(NamedTuple):
 
     @property
     def widths(self) -> Float[np.ndarray, " intervals"]:
-        """How probable each interval is."""
+        """The probability of each interval."""
         return self.ends[:, 1] - self.ends[:, 0]
 
 
@@ -100,7 +100,7 @@ def _cuts(partition: Partition, variable: int) -> _Cuts:
 def _gram(
     partition: Partition, variable: int, cuts: _Cuts, degree: int
 ) -> Float[np.ndarray, "intervals intervals degrees degrees"]:
-    """`E[1 p_a 1' p_b']`: of the polynomials of any two intervals, each zero outside of its own."""
+    """`E[1 p_a 1' p_b']` for the polynomials of any two intervals, each zero outside its own."""
     germ = list(partition.germs.values())[variable]
     distributions = [restricted(germ, *map(float, ends)) for ends in cuts.ends]
     count = len(distributions)

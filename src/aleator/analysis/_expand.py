@@ -1,4 +1,4 @@
-"""`expand`: any function of uncertain inputs as polynomials of them, without a design around it."""
+"""`expand`: any function of uncertain inputs as polynomials of them."""
 
 import warnings
 from functools import lru_cache, partial
@@ -53,22 +53,21 @@ def expand(
 ) -> Expanded | ElementExpanded:
     """Expand a function of uncertain inputs: `al.expand(f, {"w": al.Normal(1.0, 0.1)}, al.Expansion(order=10))`.
 
-    - `function`: takes the model with plain numbers in the place of its distributions; gives an array or a dict of
+    - `function`: takes the model with plain numbers in the place of its distributions and returns an array or a dict of
       arrays (any pytree of them);
-    - `model`: a dict of distributions or any other pytree with distributions in it, such as a `System`. Decisions in
-      it stand at their initial values;
+    - `model`: a dict of distributions or any other pytree with distributions in it, such as a `System`. Decisions are
+      held at their initial values;
     - `expansion`: order, index set, points and fit, default `Expansion()`; or `MultiElement()` for responses with jumps
       and kinks and for long times, which gives an `ElementExpanded`;
     - `times`: instants of the outputs' leading axis, so that a warning can say from when on the order is too low;
-    - `traced`: False calls the function with plain numbers, point by point, where JAX cannot trace it.
+    - `traced`: False calls the function with plain numbers, point by point, if JAX cannot trace it.
 
-    Differentiable by JAX with respect to everything that the model is made of, as far as the function is continuous:
-    where it jumps, its derivatives at fixed points know nothing of the jump that moves between them. By the shape
-    parameter of a distribution, outputs vary with a weak singularity at the ends of it; `al.points.GaussPoints`
-    integrates that best.
+    Differentiable by JAX with respect to all numbers of the model, as far as the function is continuous: derivatives at
+    fixed points miss jumps that move between them. The derivative by the shape parameter of a distribution has a weak
+    singularity at the ends of its support, which `al.points.GaussPoints` integrates best.
 
-    Raises `ProblemError` if there is nothing uncertain or the function cannot be traced, `SimulationError` where an
-    output is not finite. Warns with `ExpansionWarning` if an output is not resolved, or if the condition number of the
+    Raises `ProblemError` if nothing is uncertain or the function cannot be traced, `SimulationError` if an output is
+    not finite. Warns with `ExpansionWarning` if an output is not resolved, or if the condition number of the
     collocation matrix exceeds a million.
     """
     sampler = Sampler(function, model, traced=traced)
@@ -115,15 +114,13 @@ def _discretised(sampler: Sampler, expansion: Expansion) -> Discretisation:
 
 @lru_cache(maxsize=64)
 def _kept(germs: tuple[tuple[str, AbstractGerm], ...], expansion: Expansion) -> Discretisation:
-    # What is kept must not belong to a function that is just being traced.
+    # Kept values must not belong to a function that is being traced.
     with jax.ensure_compile_time_eval():
         return collocate(dict(germs), expansion)
 
 
 def _warn_of_doubts(expanded: Expanded, collocation: Collocation, times: Any) -> None:
-    """Say where the matrix is ill-conditioned, which outputs the order does not resolve and, where the instants are
-    known, from when on.
-    """
+    """Warn of an ill-conditioned matrix, and of outputs that are not resolved: from when on, if instants are known."""
     errors = jax.tree_util.tree_leaves_with_path(expanded.error)
     until = [None] * len(errors) if times is None else _resolved_until(expanded, np.asarray(times))
     checks = zip(jax.tree.leaves(expanded.leave_one_out), jax.tree.leaves(expanded.jackknife), strict=True)
@@ -142,7 +139,7 @@ def _warn_of_doubts(expanded: Expanded, collocation: Collocation, times: Any) ->
     condition = concrete(collocation.condition_number)
     if condition is not None and not condition <= ILL_CONDITIONED:
         said.append(
-            f"The collocation matrix has condition number {float(condition):.1e} (warned of beyond "
+            f"The collocation matrix has condition number {float(condition):.1e} (limit "
             f"{ILL_CONDITIONED:.0e}), so coefficients lose digits. Use more points or a lower order, or "
             "al.points.ChristoffelPoints()."
         )
@@ -165,7 +162,7 @@ def _warn_of_doubts(expanded: Expanded, collocation: Collocation, times: Any) ->
 
 
 def _resolved_until(expanded: Expanded, times: np.ndarray) -> list[float | None]:
-    """The last instant that is resolved, of each output that is not resolved throughout; None of the others."""
+    """The last resolved instant of each output that is not resolved throughout; None for the others."""
     for leaf in jax.tree.leaves(expanded.samples):
         if leaf.ndim < 2 or leaf.shape[1] != len(times):
             raise ProblemError(

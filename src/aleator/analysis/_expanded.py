@@ -1,4 +1,4 @@
-"""`Expanded`: one expansion of a function of uncertain inputs, with everything that follows from it."""
+"""`Expanded`: one expansion of a function of uncertain inputs, with its statistics and errors."""
 
 from collections.abc import Callable, Mapping
 from typing import Any, final
@@ -20,19 +20,18 @@ from aleator.expansion import UNRESOLVED, Basis, Collocation, jackknife, leave_o
 from aleator.statistics import AbstractStatistic, a_statistic, cdf, lines_through, pdf, refuse_correlated, varies
 from aleator.uncertainty import AbstractDistribution, AbstractGerm
 
-# Outputs that vary by less than this part of their size are constant, but for rounding.
+# Outputs that vary by less than this part of their size are constant up to rounding.
 _ROUNDING = 1e-12
 
 
 @final
 class Expanded(AbstractExpanded):
-    """Outputs as polynomials of the germ; `print(expanded)` shows moments, main contributors and how far to trust them.
+    """Outputs as polynomials of the germ; `print(expanded)` shows moments, main contributors and errors.
 
     - `distributions`: the distribution of each uncertain input, by name; `basis`: the orthonormal polynomials;
     - `coefficients`: of each output, shape (terms, *shape);
-    - `collocation`, `samples`: the points, and the outputs there, shape (points, *shape); a Galerkin solution has
-      neither (None);
-    - `tolerance`: the error up to which an output counts as resolved, that of the `Expansion`.
+    - `collocation`, `samples`: the points, and the outputs there, shape (points, *shape); None for a Galerkin solution;
+    - `tolerance`: the error up to which an output counts as resolved, as set in the `Expansion`.
     """
 
     distributions: dict[str, AbstractDistribution]
@@ -77,8 +76,8 @@ class Expanded(AbstractExpanded):
     def shapley(self, name: str) -> Pytree:
         """The share of the variance that an input contributes, correlated or not, from 0 to 1 (Shapley effect).
 
-        The shares of all inputs add up to one. Of independent inputs it is the sum of their Sobol indices, those of
-        several acting together in equal parts. Zero where the output does not vary.
+        The shares of all inputs add up to one. For independent inputs it is the sum of the Sobol indices, with those of
+        interactions shared equally. Zero if the output does not vary.
 
         Raises `ProblemError` for an unknown input, and for more than 12.
         """
@@ -87,29 +86,28 @@ class Expanded(AbstractExpanded):
 
     @property
     def leave_one_out(self) -> Pytree:
-        """The relative leave-one-out error of each output, an rms over the standard deviation: 0 is perfect, 1 is no
-        better than the mean.
+        """The relative leave-one-out error of each output, an rms over the standard deviation.
 
-        Not a number for a Galerkin solution, which has no samples to predict.
+        0 is perfect, 1 is no better than the mean. NaN for a Galerkin solution, which has no samples to predict.
         """
         return self.checked(leave_one_out)
 
     @property
     def jackknife(self) -> Pytree:
-        """The relative error that the choice of the points leaves in each output, by the distribution of its inputs.
+        """The relative error of each output due to the choice of points, an rms over the distribution of the inputs.
 
-        Far above `leave_one_out`, it says that the expansion is extrapolated, as into tails that no point reaches.
+        Far above `leave_one_out`, it shows that the expansion extrapolates, as into tails without points.
         """
         return self.checked(jackknife)
 
     @property
     def error(self) -> Pytree:
-        """How far each output is from resolved: its leave-one-out error, or its jackknife error where that is larger;
-        where nothing can be left out, what the decay of its degrees leads to. Sparse grids, interpolation and Galerkin
-        projection leave nothing to check.
+        """The estimated relative error of each output, to be compared with `tolerance`.
 
-        If each degree is a fraction `r` of the one before, `highest_degree_share` is `r**(2 (order - step))`, and what
-        is beyond the order about `r**order`, both relative to the spread (`step` is 1 up to order 2, 2 from then on).
+        It is the leave-one-out or the jackknife error, whichever is larger. Sparse grids, interpolation and Galerkin
+        projection have neither: there the error is extrapolated from the decay of the degrees. If each degree is a
+        fraction `r` of the one before, `highest_degree_share` is `r**(2 (order - step))`, and the error about
+        `r**order`, both relative to the spread (`step` is 1 up to order 2, else 2).
         """
         order = self.basis.order
         exponent = order / (2 * max(order - _step(self.basis), 1))
@@ -118,7 +116,7 @@ class Expanded(AbstractExpanded):
         return jax.tree.map(lambda error, share: jnp.where(jnp.isfinite(error), error, share**exponent), *pairs)
 
     def checked(self, check: Callable[..., Any]) -> Pytree:
-        """`check(collocation, samples, coefficients)` of each output; not a number where there are no samples."""
+        """`check(collocation, samples, coefficients)` of each output; NaN if there are no samples."""
         if self.samples is None:
             return jax.tree.map(lambda _: jnp.asarray(jnp.nan), self.coefficients)
         return jax.tree.map(lambda *both: check(self.collocation, *both), self.samples, self.coefficients)
@@ -127,8 +125,8 @@ class Expanded(AbstractExpanded):
     def highest_degree_share(self) -> Pytree:
         """The part of each output's variance in the terms at the edge of the basis, summed over entries and relative.
 
-        Those are terms which one degree more in a variable that they depend on takes out of the index set; two degrees
-        from order 3 on, since an even response has no odd terms. A large part says that more would follow.
+        A term is at the edge if one more degree in a variable that it depends on leaves the index set; from order 3 on
+        two more degrees, because an even response has no odd terms. A large part shows that the order is too low.
         """
         highest = _edge(self.basis)
         return jax.tree.map(lambda terms: _share(terms, highest), self.coefficients)
@@ -165,7 +163,7 @@ class Expanded(AbstractExpanded):
         return f"{how}, {len(self.collocation.points)} points{told}"
 
     def _remark(self, terms: Array, checked: Array, jackknife: Array, error: Array) -> Callable[[tuple], str]:
-        """What is said of one entry of an output beside its moments: where its spread comes from, and trust."""
+        """The text on one entry of an output after its moments: where its spread comes from, and its error."""
         known, loo, left, missed = map(concrete, (terms, checked, jackknife, error))
         if known is None:
             return nothing
@@ -176,7 +174,7 @@ class Expanded(AbstractExpanded):
 
 
 def _edge(basis: Basis) -> Bool[np.ndarray, " terms"]:
-    """Which terms stand at the edge of the index set; see `highest_degree_share`."""
+    """Which terms are at the edge of the index set; see `highest_degree_share`."""
     known = set(map(tuple, basis.indices.tolist()))
     step = _step(basis)
 
@@ -199,6 +197,6 @@ def _part_of_variance(terms: Float[Array, "terms *shape"], matrix: Float[Array, 
 
 def _share(terms: Float[Array, "terms *shape"], highest: np.ndarray) -> Float[Array, ""]:
     total = jnp.sum(terms[1:] ** 2)
-    # Asked this way round, what is not a number, or infinite, does not pass for constant.
+    # Compared so that NaN and infinite values do not pass for constant.
     constant = (total == 0) | (total < _ROUNDING**2 * jnp.sum(terms**2))
     return jnp.where(constant, 0.0, jnp.sum(terms[highest] ** 2) / jnp.where(constant, 1.0, total))

@@ -1,4 +1,4 @@
-"""An expansion as a few lines: what was uncertain, how each output is distributed and why, how far to trust it."""
+"""An expansion as text: uncertain inputs, moments of each output, main contributors, errors."""
 
 from collections.abc import Iterator, Mapping
 from typing import Any
@@ -30,7 +30,7 @@ def distribution_rows(distributions: Mapping[str, AbstractDistribution]) -> list
 
 
 def output_rows(means: Pytree, stds: Pytree, remarks: Pytree) -> list[tuple[str, str]]:
-    """Mean and standard deviation of each output; of an array where it spreads most. What `remarks` say follows."""
+    """Mean and standard deviation of each output, of an array at its largest spread; then its remarks."""
     rows = []
     for name, mean, std, remark in _aligned(means, stds, remarks):
         known_mean, known_std = concrete(mean), concrete(std)
@@ -67,7 +67,7 @@ def contributors(
 ) -> str:
     """The largest shares of the variance by the inputs that they come from, alone or together (Sobol indices).
 
-    A correlated group counts as one input: what its members contribute is told by Shapley effects.
+    A correlated group counts as one input: Shapley effects give the contributions of its members.
     """
     group = {
         germ: f"({distribution.dependence.group})"
@@ -89,12 +89,12 @@ def contributors(
 
 
 def extrapolates(leave_one_out: Any, jackknife: Any, tolerance: float) -> bool:
-    """Whether points that predict each other leave an expansion open where there are none, as in tails."""
+    """Whether an expansion that predicts its own points extrapolates elsewhere, as into tails."""
     return bool(np.isfinite(leave_one_out) and leave_one_out <= tolerance < jackknife)
 
 
 def trust(leave_one_out: Any, jackknife: Any, error: Any, tolerance: float) -> str:
-    """How well the expansion is known to hold: by its leave-one-out error or, without samples, by its last terms."""
+    """How well the expansion is resolved: by its leave-one-out error or, without samples, by its last terms."""
     if extrapolates(leave_one_out, jackknife, tolerance):
         return f"jackknife error {float(jackknife):.1e} (EXTRAPOLATED, take al.points.InducedPoints())"
     if not np.isfinite(leave_one_out):

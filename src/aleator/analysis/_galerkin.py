@@ -1,4 +1,4 @@
-"""Intrusive Galerkin projection (equations 20 to 22): all coefficients are integrated, or solved for, together."""
+"""Intrusive Galerkin projection (equations 20 to 22): all coefficients are integrated or solved for together."""
 
 import warnings
 from collections.abc import Mapping
@@ -28,7 +28,7 @@ from aleator.uncertainty import placements, realise
 
 @transparent("system")
 class _Model(NamedTuple):
-    """What may hold distributions."""
+    """The parts of a simulation that may hold distributions."""
 
     system: System | AlgebraicSystem
     inputs: dict[str, AbstractSignal]
@@ -36,10 +36,10 @@ class _Model(NamedTuple):
 
 @final
 class GalerkinSystem(System):
-    """A system whose states are the coefficients of another's, of shape (terms, *shape) each.
+    """A system whose states are the coefficients of another system's states, of shape (terms, *shape) each.
 
     - `realised`: system and inputs at each quadrature node, with a leading axis for the nodes;
-    - `quadrature`: projects what they do there onto the polynomials.
+    - `quadrature`: projects the rates and outputs at the nodes onto the polynomials.
     """
 
     states: tuple[str, ...] = eqx.field(static=True)  # type: ignore[assignment, misc]
@@ -78,18 +78,18 @@ def galerkin(
 ) -> Expanded:
     """Expand all outputs of an uncertain system by intrusive Galerkin projection, equation (22).
 
-    Of a system that moves, they are the histories on `grid`: the coefficients of all states are integrated as one large
-    system, whose right-hand side (21) is projected by quadrature at each evaluation. Of an `AlgebraicSystem`, which
-    takes neither grid nor inputs, they are the outputs themselves: the coefficients of all unknowns solve the projected
-    equations (20), `<Psi_n, A(sum_j rho_j Psi_j, theta)> = 0`, by Newton's method. Either converges to what `expand`
-    gives, which is cheaper where there are many variables: a second opinion that shares neither points nor fit.
+    The outputs of a `System` are histories on `grid`: the coefficients of all states are integrated as one large
+    system, whose right-hand side (21) is projected by quadrature at each evaluation. An `AlgebraicSystem` takes neither
+    grid nor inputs: the coefficients of all unknowns solve the projected equations (20),
+    `<Psi_n, A(sum_j rho_j Psi_j, theta)> = 0`, by Newton's method. Both converge to the result of `expand`, which is
+    cheaper for many variables; as a check they share neither points nor fit with it.
 
     `expansion` gives order and index set, and the quadrature if its points are `GaussPoints` or `SmolyakPoints`; the
     default is a full Gauss grid that integrates products of three polynomials of the basis.
 
     Raises `ProblemError` if nothing is uncertain or the quadrature is too large, `SimulationError` if the coefficients
-    are not finite: they did not stay so, or no solution of the projected equations was found. Warns with
-    `ExpansionWarning` if the terms of the highest degrees carry a large part of an output's variance.
+    diverge or the projected equations have no solution. Warns with `ExpansionWarning` if the terms of the highest
+    degrees carry a large part of an output's variance.
     """
     if not isinstance(inputs, Mapping | None):
         raise refusal("galerkin: inputs", "signals by name, such as {'road': ...}", inputs)
@@ -140,7 +140,7 @@ def _check(
         if any(one is not None for one in given.values()):
             names = [name for name, one in given.items() if one is not None]
             raise ProblemError(
-                f"galerkin: {type(system).__name__} is algebraic and knows no time: expected neither grid, inputs nor "
+                f"galerkin: {type(system).__name__} is algebraic and has no time: expected neither grid, inputs nor "
                 f"integrator, as in al.galerkin(system, expansion=al.Expansion(4)); received {' and '.join(names)}."
             )
     else:
@@ -155,7 +155,7 @@ def _check(
 
 
 def _refuse_diverged(expanded: Expanded, times: np.ndarray) -> None:
-    """Refuse coefficients of histories that do not stay finite."""
+    """Refuse coefficients of histories that are not finite throughout."""
     for name, terms in expanded.coefficients.items():
         known = concrete(terms)
         if known is None:
@@ -169,7 +169,7 @@ def _refuse_diverged(expanded: Expanded, times: np.ndarray) -> None:
 
 
 def _refuse_unsolved(expanded: Expanded, realised_at: Any, quadrature: Quadrature) -> None:
-    """Refuse coefficients that are none, since Newton found no solution of the projected equations."""
+    """Refuse coefficients that are not finite because Newton's method found no solution."""
     known = {name: concrete(terms) for name, terms in expanded.coefficients.items()}
     bad = [name for name, terms in known.items() if terms is not None and not np.isfinite(terms).all()]
     if bad:
@@ -185,7 +185,7 @@ def _refuse_unsolved(expanded: Expanded, realised_at: Any, quadrature: Quadratur
 
 
 def _warn_unresolved(expanded: Expanded) -> None:
-    """Warn where the highest degrees still matter."""
+    """Warn if the highest degrees still matter."""
     shares = {name: concrete(share) for name, share in expanded.error.items()}
     limit = expanded.tolerance
     bad = {name: float(share) for name, share in shares.items() if share is not None and not share <= limit}

@@ -17,12 +17,12 @@ from aleator.dynamics._newton import newton
 
 
 def projected_outputs(realised: AlgebraicSystem, quadrature: Quadrature) -> dict[str, Float[Array, "terms *shape"]]:
-    """The coefficients of the outputs; not a number where Newton finds no coefficients of the unknowns.
+    """The coefficients of the outputs; NaN if Newton's method finds no coefficients of the unknowns.
 
-    These solve `<Psi_n, A(sum_j rho_j Psi_j, theta)> = 0` for every term `n` and every equation `A`: equation (20),
-    projected as (22) is, with `j, n = 0..n_b-1`. `realised` is the system at each quadrature node, with a leading axis
-    for the nodes: numbers that are affine in the germ, equations (13) and (14), stand there as (20) expands them,
-    others without truncation. Newton starts from the coefficients of the guess.
+    The unknowns' coefficients solve `<Psi_n, A(sum_j rho_j Psi_j, theta)> = 0` for every term `n` and every equation
+    `A`: equation (20), projected as (22) is, with `j, n = 0..n_b-1`. `realised` is the system at each quadrature node,
+    with a leading axis for the nodes. Numbers affine in the germ, equations (13) and (14), are there as (20) expands
+    them; others are not truncated. Newton's method starts from the coefficients of the guess.
     """
     guesses = eqx.filter_vmap(first_guess)(realised)
     guess = jax.tree.map(quadrature.project, guesses)
@@ -42,7 +42,7 @@ def projected_outputs(realised: AlgebraicSystem, quadrature: Quadrature) -> dict
 
 
 def unsolved_node(realised_at: Callable[[Array], AlgebraicSystem], points: Float[Array, "nodes variables"]) -> str:
-    """Why the equations have no solution at some quadrature node; empty if they have one at each of them."""
+    """Why the equations have no solution at some quadrature node; empty if they have one at every node."""
     converged = eqx.filter_vmap(lambda point: solve_algebraic(realised_at(point)).converged)(points)
     return "" if np.all(converged) else explain_failure(realised_at(points[int(np.argmin(converged))]))
 
@@ -57,7 +57,7 @@ def _projected_at(realised: AlgebraicSystem, quadrature: Quadrature, rho: Any) -
 
 
 def _numbers_expanded(rho: Any) -> np.ndarray:
-    """Of which number each coefficient is one, counted through all unknowns: those of one number share its unit."""
+    """The number, counted over all unknowns, to which each coefficient belongs, and whose unit it shares."""
     counts = [values[0].size for values in rho]
     first = np.cumsum([0, *counts])
     return np.concatenate(

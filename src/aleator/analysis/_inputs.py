@@ -1,4 +1,4 @@
-"""What has to be known in plain numbers: outputs that decide something, germ values of given inputs."""
+"""Plain numbers: outputs that decisions depend on, and germ values of given inputs."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -30,7 +30,7 @@ def plain(outputs: Pytree) -> Pytree:
 def germ_of(distributions: Mapping[str, AbstractDistribution], inputs: Mapping[str, Any]) -> dict[str, float]:
     """The germ values at which the uncertain inputs have given values.
 
-    Raises `ProblemError` if an input is missing or unknown, if a value lies outside its distribution, or where that
+    Raises `ProblemError` if an input is missing or unknown, if a value lies outside its distribution, or if that
     depends on several germ variables.
     """
     if set(inputs) != set(distributions):
@@ -46,7 +46,7 @@ def germ_of(distributions: Mapping[str, AbstractDistribution], inputs: Mapping[s
 
 
 def _inverted(name: str, distribution: AbstractDistribution, germ: AbstractGerm, value: float) -> float:
-    """The germ value at which one distribution has one value: each increases with its germ."""
+    """The germ value at which a distribution has a given value, found by bracketing: it increases with its germ."""
 
     def excess(point: float) -> float:
         return float(jax.lax.stop_gradient(distribution.realised((jnp.asarray(point),)))) - value

@@ -1,4 +1,4 @@
-"""`MultiElement`: the wish for expansions in elements of the germ's domain."""
+"""`MultiElement`: settings of a multi-element expansion."""
 
 from typing import final
 
@@ -9,9 +9,9 @@ from aleator._core import given
 
 @final
 class MultiElement(eqx.Module):
-    """How outputs that no single polynomial follows are expanded: jumps, kinks, long times.
+    """Settings of a multi-element expansion, for outputs that no single polynomial fits: jumps, kinks, long times.
 
-    The domain of the germ is split in two, again and again, where the outputs are predicted worst.
+    The element of the germ's domain with the largest error is split in two until the error is small enough.
 
     - `order`: the total degree in each element;
     - `error`: the relative root mean square error of the piecewise expansion at which splitting stops, estimated by

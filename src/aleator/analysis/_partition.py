@@ -1,4 +1,4 @@
-"""`Partition`: the elements of a germ's domain, and where points of it fall."""
+"""`Partition`: the elements of a germ's domain, and which of them a point lies in."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -13,15 +13,15 @@ from aleator.analysis._box import Box
 from aleator.expansion import Basis, GaussPoints, HammersleyPoints
 from aleator.uncertainty import AbstractGerm
 
-# Points of the piecewise expansion behind a statistic that no sum over elements gives.
+# Sample size for statistics that are no sums over elements.
 POINTS = 2**14
 
 
 class Scattered(NamedTuple):
-    """Points of the germ sorted by the element that they fall into.
+    """Germ points sorted by element.
 
-    - `matrices`: of each element, its polynomials at its points;
-    - `back`: where each of the points given stands among those sorted.
+    - `matrices`: for each element, its polynomials at its points;
+    - `back`: the index of each given point among the sorted ones.
     """
 
     matrices: list[Float[np.ndarray, "n terms"]]
@@ -46,7 +46,7 @@ class Partition:
 
     @property
     def probability(self) -> Float[np.ndarray, " elements"]:
-        """How probable each element is."""
+        """The probability of each element."""
         return np.array([box.probability for box in self.boxes])
 
     def scatter(self, points: Float[np.ndarray, "points variables"]) -> Scattered:
@@ -66,7 +66,7 @@ class Partition:
 
     @cached_property
     def quadrature(self) -> list[tuple[Float[np.ndarray, "nodes terms"], Float[np.ndarray, " nodes"]]]:
-        """Of each element, its polynomials at Gauss nodes, with weights: exact for fourth powers of an expansion."""
+        """For each element, its polynomials at Gauss nodes, with weights: exact for fourth powers of an expansion."""
         return [_gauss(basis) for basis in self.bases]
 
 

@@ -8,7 +8,7 @@ from jaxtyping import Array, Float
 from aleator._core.errors import ProblemError
 from aleator.expansion import Basis, Expansion, GaussPoints, SmolyakPoints
 
-# Beyond this many quadrature nodes in each evaluation of the equations, collocation is the better method by far.
+# Beyond this many quadrature nodes per evaluation of the equations, collocation is far better.
 _MOST_NODES = 20_000
 
 
@@ -29,7 +29,7 @@ class Quadrature(NamedTuple):
 
 
 def quadrature_over(basis: Basis, expansion: Expansion) -> Quadrature:
-    """The quadrature that the expansion names, if it names one; else one exact for products of three polynomials."""
+    """The quadrature of the expansion's points, if they have one; else one exact for products of three polynomials."""
     named = isinstance(expansion.points, GaussPoints | SmolyakPoints)
     points = expansion.points if named else GaussPoints(3 * max(basis.degrees) // 2 + 2)
     nodes = points.nodes(basis, 0)

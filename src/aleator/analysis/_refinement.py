@@ -14,19 +14,19 @@ from aleator.analysis._sampling import Sampler
 from aleator.ensemble import at_levels, random_levels
 from aleator.expansion import Expansion
 
-# Fresh points at which elements that look good are tried: a jump between the samples of an element is invisible to it.
+# Fresh points for checking elements with small errors: their own samples cannot show a jump between them.
 _FRESH_POINTS = 128
 
-# Outputs that vary by less than this part of their size are constant, but for rounding.
+# Outputs that vary by less than this part of their size are constant up to rounding.
 _ROUNDING = 1e-12
 
 
 @final
 class Refinement:
-    """Elements on their way from one to as many as the responses need.
+    """A set of elements that is refined, starting from one.
 
     - `elements`: at present; `splits`: the variable of each split, in order; `calls`: of the function;
-    - `error`: the estimated relative root mean square error of the piecewise expansion.
+    - `error`: the estimated relative rms error of the piecewise expansion.
     """
 
     def __init__(self, sampler: Sampler, wish: MultiElement):
@@ -40,7 +40,7 @@ class Refinement:
         self._add(Box((0.0,) * len(self.germs), (1.0,) * len(self.germs)))
 
     def run(self) -> None:
-        """Split until the error holds at fresh points too, or the budget is spent."""
+        """Split until the error is small enough, at fresh points too, or the budget is spent."""
         per_split = 2 * self.elements[0].points
         while True:
             if self.error <= self._wish.error:
@@ -55,7 +55,7 @@ class Refinement:
 
     @property
     def error(self) -> float:
-        """The estimated relative root mean square error, at worst over the outputs."""
+        """The estimated relative rms error, the largest over the outputs."""
         return float(np.sqrt(self._shares().sum(axis=0).max()))
 
     def _affords(self, calls: int) -> bool:
@@ -80,7 +80,7 @@ class Refinement:
         return errors / np.where(scale > 0, scale, 1.0)[None]
 
     def _try_fresh_points(self) -> None:
-        """Raise the errors of elements to what they are at points that no fit has seen."""
+        """Raise the errors of elements to those at fresh points, which no fit has used."""
         levels = random_levels(self._generator, _FRESH_POINTS, len(self.germs))
         points = at_levels(self.germs.values(), levels)
         values = flat(self._sampler.samples(jnp.asarray(points)))
@@ -95,7 +95,7 @@ class Refinement:
 
 
 def _variance(probability: Float[np.ndarray, " elements"], terms: tuple[np.ndarray, ...]) -> float:
-    """The variance of one output over all elements, summed over its entries; at least what rounding makes of it."""
+    """The variance of one output over all elements, summed over its entries; at least that of rounding."""
     means = np.stack([one[0] for one in terms])
     within = np.array([(one[1:] ** 2).sum() for one in terms])
     away = ((means - (probability @ means)[None]) ** 2).sum(axis=1)
@@ -103,10 +103,10 @@ def _variance(probability: Float[np.ndarray, " elements"], terms: tuple[np.ndarr
 
 
 def _direction(worst: Element) -> int:
-    """The variable to split: the one with most part in the terms of the two highest degrees.
+    """The variable to split: the one with the largest part in the terms of the two highest degrees.
 
-    Two, since a response that is odd about the element's middle, such as a jump there, has no even ones. Where nothing
-    varies in what the element has seen, it is the variable in which it is widest.
+    Two, because a response that is odd about the element's middle, such as a jump there, has no even terms. If nothing
+    varies at the element's samples, it is the variable in which the element is widest.
     """
     degrees = worst.basis.indices
     highest = degrees.sum(axis=1) >= degrees.sum(axis=1).max() - 1

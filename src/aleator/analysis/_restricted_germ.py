@@ -1,4 +1,4 @@
-"""A germ variable inside one element: its distribution given that it lies in an interval."""
+"""A germ variable inside one element: its distribution conditional on an interval."""
 
 from dataclasses import dataclass
 from typing import final
@@ -19,12 +19,11 @@ def restricted(germ: AbstractGerm, low: float, high: float) -> AbstractGerm:
 @final
 @dataclass(frozen=True)
 class RestrictedGerm(AbstractGerm):
-    """The distribution of `germ` given that its probability level lies between `low` and `high`, in the values of
-    `germ` itself.
+    """The distribution of `germ` given that its probability level lies between `low` and `high`.
 
-    A restricted uniform distribution is uniform. The polynomials of any other are found by Stieltjes' procedure from
-    quadrature over the levels (Wan and Karniadakis, 2006, Multi-element generalized polynomial chaos for arbitrary
-    probability measures).
+    Its values are those of `germ` itself. A restricted uniform distribution is uniform. The polynomials of any other
+    follow by Stieltjes' procedure from quadrature over the levels (Wan and Karniadakis, 2006, Multi-element generalized
+    polynomial chaos for arbitrary probability measures).
     """
 
     germ: AbstractGerm
@@ -55,14 +54,14 @@ class RestrictedGerm(AbstractGerm):
         return low, high
 
     def _quadrature(self) -> tuple[np.ndarray, np.ndarray]:
-        """Germ values and probability weights. At an end of an unbounded distribution the nodes crowd towards it."""
+        """Germ values and probability weights. The nodes cluster at an end of an unbounded distribution."""
         levels = self.low + _LEVELS * (self.high - self.low)
         inside = (levels > 0) & (levels < 1)
         return self.germ.quantile(levels[inside]), _WEIGHTS[inside] / _WEIGHTS[inside].sum()
 
 
 def _double_exponential(nodes: int = 240, reach: float = 4.0) -> tuple[np.ndarray, np.ndarray]:
-    """Nodes and weights on (0, 1) that stand singular end points (Takahasi and Mori, 1974)."""
+    """Nodes and weights on (0, 1) that tolerate singular end points (Takahasi and Mori, 1974)."""
     t = np.linspace(-reach, reach, nodes)
     u = np.pi * np.sinh(t)
     weights = np.cosh(t) / np.cosh(u / 2) ** 2

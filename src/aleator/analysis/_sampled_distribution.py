@@ -1,7 +1,8 @@
-"""The distribution of an output from a large sample: values as the sample has them, derivatives by a kernel.
+"""The distribution of an output from a large sample: values by counting, derivatives by a kernel.
 
-The share of a sample beyond a threshold is a step function of its values, whose derivative says nothing. The mean of
-normal distribution functions about them, of a width that vanishes slowly with the sample's size, has the right one.
+The proportion of a sample beyond a threshold is a step function of its values, whose derivative is useless. The mean of
+normal distribution functions centred at the values has the right derivative, if their width vanishes slowly with the
+sample's size.
 """
 
 import jax
@@ -15,7 +16,7 @@ from aleator.statistics import Probability, Quantile
 
 
 def probability(kind: Probability, values: Float[Array, "samples *shape"]) -> Float[Array, "*shape"]:
-    """The share of the sample between the thresholds of `kind`."""
+    """The proportion of the sample between the thresholds of `kind`."""
     upper = 1.0 if kind.below is None else _smooth_below(values, kind.below)
     lower = 0.0 if kind.above is None else _smooth_below(values, kind.above)
     return jax.lax.stop_gradient(kind.of_sample(values)) + _only_derivative(jnp.asarray(upper - lower))
@@ -31,7 +32,7 @@ def quantile(kind: Quantile, values: Float[Array, "samples *shape"]) -> Float[Ar
 
 
 def cdf(values: Float[Array, "samples *shape"], threshold: Scalar) -> Float[Array, "*shape"]:
-    """The share of the sample below a threshold."""
+    """The proportion of the sample below a threshold."""
     return probability(Probability(below=threshold), values)
 
 
@@ -54,7 +55,7 @@ def _levels(
 
 
 def _width(values: Float[Array, "samples *shape"]) -> Float[Array, "*shape"]:
-    """The width of the kernel: narrow beside the spread of the sample, wide beside the gaps in it."""
+    """The width of the kernel: small compared with the spread of the sample, large compared with its gaps."""
     std = jax.lax.stop_gradient(jnp.std(values, axis=0))
     return jnp.where(std > 0, std, 1.0) * len(values) ** (-1 / 3)
 

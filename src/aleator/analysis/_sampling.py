@@ -1,4 +1,4 @@
-"""A function of uncertain inputs, ready to be expanded: its outputs at whatever germ points an expansion asks for."""
+"""A function of uncertain inputs, ready to be expanded: its outputs at the germ points of an expansion."""
 
 from collections.abc import Callable
 from typing import Any, final
@@ -18,8 +18,8 @@ from aleator.uncertainty import AbstractDistribution
 class Sampler:
     """A function of a model's realisations at germ points, with decisions at their initial values.
 
-    Traced, it is differentiable by every number of the model, and other numbers compile nothing. Called, it is so once
-    at each point, however often that is asked for.
+    If traced, it is differentiable by every number of the model, and other numbers compile nothing anew. If called, it
+    is called once per point, however often a point is requested.
 
     Raises `ProblemError` if nothing in the model is uncertain.
     """
@@ -40,18 +40,18 @@ class Sampler:
     def samples(self, points: Float[Array, "points variables"]) -> Pytree:
         """The function at germ points: its outputs with a leading axis for the points.
 
-        Raises what an ensemble does.
+        Raises the errors of an ensemble.
         """
         return self._outputs(points)
 
     def known(self, points: Float[Any, "points variables"]) -> Pytree:
-        """The same as plain numbers, also where they are differentiated. Raises `ProblemError` inside `jax.jit`."""
+        """The same as plain numbers, even under differentiation. Raises `ProblemError` inside `jax.jit`."""
         return plain(self.samples(jnp.asarray(points)))
 
 
 @final
 class _Once:
-    """A called function that remembers what it gave at each point: a call may take long."""
+    """A called function that remembers its result at each point, because a call may take long."""
 
     def __init__(self, ensemble: CalledEnsemble):
         self._ensemble = ensemble

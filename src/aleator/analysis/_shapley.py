@@ -1,8 +1,8 @@
-"""Shapley effects: the variance of an output shared out among inputs, also correlated ones.
+"""Shapley effects: the variance of an output divided among its inputs, which may be correlated.
 
-The share of an input is what it adds to the explained variance `Var E[y | inputs]`, on average over all orders in which
-the inputs may become known. Sources: Owen, SIAM/ASA Journal on Uncertainty Quantification 2 (2014); Song, Nelson and
-Staum (2016); of correlated normal inputs Owen and Prieur (2017).
+The share of an input is the explained variance `Var E[y | inputs]` that it adds, averaged over all orders in which the
+inputs may become known. Sources: Owen, SIAM/ASA Journal on Uncertainty Quantification 2 (2014); Song, Nelson and Staum
+(2016); for correlated normal inputs Owen and Prieur (2017).
 """
 
 import math
@@ -26,7 +26,7 @@ _MOST_INPUTS = 12
 def shapley_matrix(distributions: Mapping[str, AbstractDistribution], basis: Basis, name: str) -> Matrix:
     """The matrix `W` of an input: its part of the variance is `cᵀ W c` for coefficients `c`.
 
-    Raises `ProblemError` for an unknown input, and for more inputs than can be put in every order.
+    Raises `ProblemError` for an unknown input, and for too many inputs to form all subsets.
     """
     if name not in distributions:
         raise ProblemError(f"shapley: there is no uncertain input '{name}'; expected one of {list(distributions)}.")
@@ -80,9 +80,9 @@ def _factors(
 
 
 def _group(rows: Mapping[str, np.ndarray], degrees: np.ndarray) -> Callable[[frozenset[str]], Matrix]:
-    """`E[p_i q_j]` of terms in standard normal variables, the second ones as far as the known inputs tell them.
+    """`E[p_i q_j]` of terms in standard normal variables, for `q` in the conditional means given the known inputs.
 
-    Known inputs are `rows @ germs`, of which the germs' conditional means are an orthogonal projection `M`.
+    Known inputs are `rows @ germs`; the germs' conditional means are an orthogonal projection `M` of the germs.
     """
     unique, where = np.unique(degrees, axis=0, return_inverse=True)
 
@@ -106,8 +106,8 @@ def _root(degrees: np.ndarray) -> float:
 def _powers_of(matrix: np.ndarray, degrees: tuple[int, ...]) -> dict[tuple[int, ...], float]:
     """The polynomial `(M x)^degrees` by its monomials.
 
-    Of orthonormal Hermite polynomials in jointly normal variables `u`, `v` with covariance `M`, `E[p_a(u) q_b(v)]` is
-    its coefficient of `x^a`, times `sqrt(a! / b!)` (Mehler's formula in several variables).
+    For orthonormal Hermite polynomials in jointly normal variables `u`, `v` with covariance `M`, `E[p_a(u) q_b(v)]` is
+    its coefficient of `x^a` times `sqrt(a! / b!)` (Mehler's formula in several variables).
     """
     count = len(degrees)
     found: dict[tuple[int, ...], float] = {(0,) * count: 1.0}

@@ -24,16 +24,16 @@ from aleator.uncertainty import at_means, placements, realise
 
 PARTS_PER_MILLION = 1e6
 
-# In so many dimensions all corners of the zones are tried: 4096.
+# Up to this many dimensions all corners of the zones are evaluated: 4096.
 _MOST_CORNERS = 12
 
 
 @final
 @dataclass(frozen=True)
 class Contribution:
-    """What one dimension adds to the spread of the assembly.
+    """The contribution of one dimension to the spread of the assembly.
 
-    - `zone`: where the dimension may lie;
+    - `zone`: the tolerance zone of the dimension;
     - `sensitivity`: derivative of the output with respect to it, at the means;
     - `linear`: its share of the variance by the direct linearisation method, percent;
     - `total`: its share alone and together with others, by the expansion (total Sobol index), percent.
@@ -51,10 +51,10 @@ class ToleranceAnalysis:
     """One output of an assembly under the tolerances of its parts. `print(analysis)` shows it as a table.
 
     - `nominal`: the output with every dimension at its mean; `mean`, `std`, `skewness`, `kurtosis` (3 if normal);
-    - `lower`, `upper`: the limits asked of it;
+    - `lower`, `upper`: its limits;
     - `rejects_low`, `rejects_high`: assemblies beyond them in parts per million, by the distribution of the expansion;
-    - `worst_case`: the range of the output over all dimensions within their zones, as enclosed by the expansion and
-      reached at the corners of the zones;
+    - `worst_case`: the range of the output over all dimensions within their zones: the enclosure by the expansion,
+      widened to the values at the corners of the zones;
     - `rss`: half-width by root sum square; `linear_std`: standard deviation by direct linearisation;
     - `contributions`: by dimension.
     """
@@ -106,7 +106,7 @@ def tolerance_analysis(
     """Analyse an output of an assembly: spread, contributions, capability, rejects, worst case (section 7.2).
 
     - `model`: an `AlgebraicSystem` (an `Assembly`), or any model if `output` is a function of it;
-    - `output`: the name of an output of the system, or a function that takes the realised model and gives one number;
+    - `output`: the name of an output of the system, or a function of the realised model that returns one number;
     - `lower`, `upper`: the limits of the output, in its unit;
     - `tolerances`: the zone of each dimension for the worst case, half-widths or (minus, plus), by name. By default the
       zone of a `Toleranced` distribution, the support of a bounded distribution, and three standard deviations of
@@ -148,7 +148,7 @@ def tolerance_analysis(
 
 
 def _function(model: Pytree, output: str | Callable[[Any], Any]) -> tuple[Callable[[Any], Any], str]:
-    """The output as a function of the realised model, and what to call it."""
+    """The output as a function of the realised model, and its name."""
     if callable(output):
         return output, getattr(output, "__name__", "output")
     if not isinstance(model, AlgebraicSystem):
@@ -171,7 +171,7 @@ def _number(expanded: Expanded, statistic: Any) -> float:
 
 
 def _expanded(function: Callable[[Any], Any], model: Pytree, expansion: Expansion | None) -> Expanded:
-    """The expansion of the output; where an assembly has no solution at its means, the error says why."""
+    """The expansion of the output; if an assembly has no solution at its means, the error says why."""
     try:
         return expand(function, model, expansion)
     except SimulationError as error:
@@ -185,9 +185,9 @@ def _failure_at_means(system: AlgebraicSystem) -> str:
 
 
 def _worst_case(function: Callable[[Any], Any], model: Pytree, expansion: Expansion | None) -> tuple[float, float]:
-    """The range over the zones: enclosed by the expansion, and widened to what the assembly itself has at the corners.
+    """The range over the zones: enclosed by the expansion, and widened to the assembly's own values at the corners.
 
-    Most outputs have their extremes at corners, where an expansion is at its worst.
+    Most outputs have their extremes at corners, where an expansion is least accurate.
     """
     over_zones = expand(function, model, expansion)
     low, high = _number(over_zones, Infimum()), _number(over_zones, Supremum())
@@ -199,7 +199,7 @@ def _worst_case(function: Callable[[Any], Any], model: Pytree, expansion: Expans
 
 
 def _rejects(expanded: Expanded, **limit: float) -> float:
-    """Share beyond a limit, parts per million."""
+    """Proportion beyond a limit, parts per million."""
     (value,) = limit.values()
     return 0.0 if np.isinf(value) else PARTS_PER_MILLION * _number(expanded, Probability(**limit))
 

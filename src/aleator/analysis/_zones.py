@@ -28,7 +28,7 @@ class Zone(NamedTuple):
 
 
 def zones_of(places: Placements, tolerances: Mapping[str, Any]) -> dict[str, Zone]:
-    """The zone of each dimension: as given, or as its distribution says. See `tolerance_analysis`."""
+    """The zone of each dimension: as given, or from its distribution. See `tolerance_analysis`."""
     unknown = sorted(set(tolerances) - set(places.distributions))
     if unknown:
         raise ProblemError(
@@ -42,7 +42,7 @@ def zones_of(places: Placements, tolerances: Mapping[str, Any]) -> dict[str, Zon
 
 
 def zone_of(distribution: AbstractDistribution) -> Zone:
-    """The zone that a distribution itself implies, at the initial values of its decisions."""
+    """The zone that a distribution implies, at the initial values of its decisions."""
     distribution = distribution.initial()
     if isinstance(distribution, Toleranced):
         return Zone(*map(float, distribution.limits()))

@@ -24,12 +24,9 @@ class Inputs:
 
     def __init__(self, verb: str, function: Function, model: Pytree):
         self._places = uncertain_places(verb, function, model)
+        self._verb, self._function = verb, function
         # A standard normal number equals its germ, so that values passed as the germ are the numbers themselves.
-        self._verb, self._function, self._in_units = (
-            verb,
-            function,
-            with_distributions(model, lambda *_: Normal(0.0, 1.0)),
-        )
+        self._in_units = with_distributions(model, lambda *_: Normal(0.0, 1.0))
         self.distributions = {name: distribution.initial() for name, distribution in self._places.distributions.items()}
         self.germs = self._places.germs
         needs = {name: distribution.germ_names(name) for name, distribution in self.distributions.items()}
