@@ -5,6 +5,7 @@ any number to choose; declare what to minimise subject to what; `solve`, `valida
 """
 
 import time as _time
+from types import ModuleType as _ModuleType
 
 _started = _time.perf_counter()
 
@@ -17,6 +18,7 @@ from aleator import objectives as objectives  # noqa: E402
 from aleator import points as points  # noqa: E402
 from aleator import processes as processes  # noqa: E402
 from aleator import references as references  # noqa: E402
+from aleator import reporting as reporting  # noqa: E402
 from aleator import results as results  # noqa: E402
 from aleator import shapes as shapes  # noqa: E402
 from aleator import solvers as solvers  # noqa: E402
@@ -107,3 +109,12 @@ from aleator.validation import validate as validate  # noqa: E402
 
 __version__ = "0.1.0"
 _clock.import_seconds = _time.perf_counter() - _started
+
+_TOPICS = {cost, fits, index_sets, integrators, joints, objectives, points, processes}
+_TOPICS |= {references, reporting, results, shapes, solvers}
+
+
+def __dir__() -> list[str]:
+    """What is meant to be used: Python makes attributes of all packages that are imported."""
+    shown = {name: one for name, one in globals().items() if not name.startswith("_")}
+    return ["__version__", *(name for name, one in shown.items() if type(one) is not _ModuleType or one in _TOPICS)]

@@ -16,7 +16,7 @@ import xarray
 from aleator import ProblemError
 from aleator.reporting import _files, _lock, check_writable, json_text, report, save
 from aleator.reporting._files import write_text, write_together, write_whole
-from aleator.results import Front
+from aleator.results import Front, Refused
 
 
 @pytest.fixture(scope="module")
@@ -143,6 +143,17 @@ def test_a_name_with_a_slash_stays_one_variable(tmp_path):
     path, _ = save(tmp_path, **{"design": replace(given.solution(), constraints=(named,))})
     with xarray.open_datatree(path, engine="h5netcdf") as opened:
         assert "constraint 0 a∕b" in opened["design"].to_dataset()
+
+
+def test_a_point_of_a_front_that_was_refused_keeps_what_was_said(tmp_path):
+    front = given.front()
+    refused = Refused(front.solutions[0].problem, "No decision can meet it.")
+    longer = Front(front.bound, np.append(front.values, -1.0), (*front.points, refused))
+    save(tmp_path, front=longer)
+    data = xarray.open_datatree(tmp_path / "results.nc")["front"].to_dataset()
+    assert list(data["why"].values) == [*("" if one.ok else one.why() for one in front.points), refused.why()]
+    assert "No decision can meet it." in str(data["why"].values[-1])
+    assert str(refused) == "Refused before it was solved: No decision can meet it."
 
 
 def test_a_front_that_was_interrupted_at_once_is_left_out(tmp_path):

@@ -160,6 +160,45 @@ def test_loose_tolerances_of_adaptive_integrators_are_seen_too(integrator):
     assert solution.certificate.grid_error.objective.error > 0
 
 
+ADVISED = {
+    "the fourth power": (lambda: swing(25, subject_to=[]), {}, "about 50 "),
+    "far off": (lambda: swing(5), {}, "at least 40 "),
+    "the largest of the instants": (
+        lambda: swing(40, subject_to=[al.peak("v").at_most(5.0, sigmas=2.0)]),
+        {},
+        "about",
+    ),
+    "pieces of a spline": (lambda: least_effort(80, 20), {}, "about 154 "),
+    "tolerances": (
+        lambda: swing(
+            20,
+            integrator=al.integrators.Tsit5(rtol=1e-3, atol=1e-4),
+            minimize=al.rms("v").mean,
+            subject_to=[],
+        ),
+        {"accuracy": 1e-6},
+        "steps and smaller tolerances of the integrator",
+    ),
+    "a search led astray": (lambda: lagging(300.0), {}, "at least 200 "),
+}
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow) if name == "tolerances" else name for name in ADVISED]
+)
+def test_as_many_steps_are_advised_as_refining_takes(name):
+    make, options, words = ADVISED[name]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", al.GridWarning)
+        coarse = al.solve(make(), throw=False, **options)
+        fine = al.solve(make(), refine=True, **options)
+    said, advised, taken = str(coarse.certificate.grid_error), coarse.certificate.grid_error.steps_needed, fine.problem
+    assert words in said
+    assert str(advised) in said
+    assert fine.certificate.grid_error.is_met
+    assert taken.grid.steps == advised if "at least" not in said else taken.grid.steps >= advised
+
+
 class Switched(al.System):
     """`x' = 1` after an instant that no uniform grid contains."""
 

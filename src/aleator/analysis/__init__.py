@@ -9,3 +9,4 @@ from aleator.analysis._multi_element import MultiElement as MultiElement
 from aleator.analysis._tolerance import Contribution as Contribution
 from aleator.analysis._tolerance import ToleranceAnalysis as ToleranceAnalysis
 from aleator.analysis._tolerance import tolerance_analysis as tolerance_analysis
+from aleator.analysis._zones import Zone as Zone

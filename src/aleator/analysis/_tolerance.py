@@ -44,6 +44,10 @@ class Contribution:
     linear: float
     total: float
 
+    def __str__(self) -> str:
+        shares = f"{self.linear:.1f} % of the variance linearly, {self.total:.1f} % in all"
+        return f"sensitivity {self.sensitivity:.4g}, {shares}"
+
 
 @final
 @dataclass(frozen=True)

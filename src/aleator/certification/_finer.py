@@ -6,15 +6,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from aleator.certification._reference import pieces
 from aleator.design import Problem, functionals_of, history
 from aleator.dynamics import Grid
 from aleator.nlp import Status
 from aleator.solution import TOLERATED, Solution
 
-# A grid has at least twice and at most eight times as many steps as the one before, and at most so many times as many
-# as the first.
-_LEAST, _MOST, _FINEST = 2, 8, 256
+# The finest grid has so many times as many steps as the first.
+_FINEST = 256
 # An error that falls by less than this, on a grid of twice as many steps or more, does not converge.
 _FALLS = 0.6
 _SOLVED = (Status.SOLVED, Status.COARSE, Status.NOT_HELD)
@@ -32,10 +30,8 @@ def refinement(solutions: Sequence[Solution]) -> Problem | None:
     grid, begun = problem.grid, solutions[0].problem.grid
     assert isinstance(grid, Grid)
     assert isinstance(begun, Grid)
-    steps = int(np.clip(error.steps_needed, _LEAST * grid.steps, _MOST * grid.steps))
-    # Steps that end where the pieces of splines do lose no order there.
-    parts = pieces(problem) or 1
-    steps = parts * -(-steps // parts)
+    # Between the instants limits may be exceeded on a grid whose error is tolerated.
+    steps = error.with_whole_pieces(2 * grid.steps) if error.is_met else error.steps_needed
     if steps > _FINEST * begun.steps or _does_not_help(solutions):
         return None
     return problem.on_grid(grid.divided(steps), problem.integrator.refined())

@@ -174,7 +174,7 @@ def grid_error(
         size = max(min(sizes, default=alone), max(_ROUNDING * reach, rounding.get(one, 0.0), _TINY) / accuracy)
         when = float(times[int(np.argmax(change.reshape(len(times), -1).max(axis=1)))]) if one.is_path else np.nan
         largest = max(float(np.max(change)), shown.get(one.text(), 0.0))
-        deviations[one.text()] = Deviation(_OWN_ERROR * largest, accuracy * size, when)
+        deviations[one.text()] = Deviation(_OWN_ERROR * largest, accuracy * size, when, one.order)
     objective = meaning.objective
     away = _OWN_ERROR * max(abs(objective - float(finer.values[0])), shown.get("", 0.0))
     floor = _NEGLIGIBLE_VALUE * _reach_of(problem.objective, reaches)
@@ -183,10 +183,17 @@ def grid_error(
         factor=finer.factor,
         integrator=finer.integrator,
         accuracy=accuracy,
-        objective=Deviation(away, max(accuracy * max(abs(objective), floor), _TINY)),
+        objective=Deviation(away, max(accuracy * max(abs(objective), floor), _TINY), order=_order(problem.objective)),
         functionals=deviations,
         broken=_broken(transcribed, meaning.constraints, finer, reaches, sizes_of_rows, accuracy),
+        pieces=pieces(problem) or 1,
+        by_tolerances=problem.integrator.refined() is not problem.integrator,
     )
+
+
+def _order(objective: Expression) -> int:
+    """By which power of a step the error of the objective falls: that of what is least accurate in it."""
+    return min([one.order for one in functionals_of((objective,))], default=Deviation.order)
 
 
 def rounding_of(transcribed: AbstractTranscribed, sizes: Float[np.ndarray, " rows"]) -> dict[Any, float]:

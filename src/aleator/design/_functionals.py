@@ -14,6 +14,9 @@ from aleator.design._statistic import AbstractFunctional, Taken, functionals_of,
 from aleator.dynamics import AbstractGrid, Grid
 from aleator.statistics import root
 
+# The order of what the integrator carries, at the instants of its grid.
+INTEGRATED = 4
+
 
 class AbstractIntegral(AbstractFunctional):
     """What follows from the time integral of a function of outputs, taken as accurately as the states are."""
@@ -21,6 +24,11 @@ class AbstractIntegral(AbstractFunctional):
     @abc.abstractmethod
     def integrand(self, now: Mapping[str, Array]) -> Array:
         """What is integrated, from the outputs at one time."""
+
+    @property
+    @override
+    def order(self) -> int:
+        return INTEGRATED
 
     def total(self, integral: Array, grid: Grid) -> Array:
         """The functional, from the integral over the grid: the integral itself, by default."""
@@ -75,6 +83,11 @@ class Rms(AbstractIntegral):
 class Terminal(AbstractFunctional):
     """An output at the final time."""
 
+    @property
+    @override
+    def order(self) -> int:
+        return INTEGRATED
+
     @override
     def evaluate(self, taken: Taken, grid: AbstractGrid) -> Array:
         del grid
@@ -93,6 +106,11 @@ class Path(AbstractFunctional):
     @override
     def is_path(self) -> bool:
         return True
+
+    @property
+    @override
+    def order(self) -> int:
+        return INTEGRATED
 
     @override
     def evaluate(self, taken: Taken, grid: AbstractGrid) -> Array:

@@ -69,6 +69,13 @@ class AbstractFunctional(AbstractRandom, AbstractMeasured[Expression]):
         return False
 
     @property
+    def order(self) -> int:
+        """The order of convergence in the step of the grid: by default 2, as for most rules on the instants, such as
+        the largest among them. Integrals and values at an instant have the order of the integrator.
+        """
+        return 2
+
+    @property
     def needs_time(self) -> bool:
         """Whether it is taken over time, of which algebraic systems have none."""
         return True

@@ -40,6 +40,9 @@ class Unseen:
         each = "" if len(named) == 1 else f", the outermost {100 * self.share:.2g} % of each"
         return f"the largest corner without a point ({where}{each}) holds {100 * self.probability:.2g} % of all systems"
 
+    def __str__(self) -> str:
+        return self.sentence()
+
 
 def unseen(basis: Basis, points: Float[np.ndarray, "points variables"]) -> Unseen | None:
     """The most probable corner without a point, with the same level for each variable; None without variables.

@@ -1,9 +1,6 @@
 """References to judge an expansion by: Monte Carlo, quasi-Monte Carlo, linearisation. Never imports `expansion`."""
 
 from aleator.references._estimate import Estimate as Estimate
-from aleator.references._estimate import estimate as estimate
-from aleator.references._estimate import group_count as group_count
-from aleator.references._estimate import pair as pair
 from aleator.references._linearise import Linearised as Linearised
 from aleator.references._linearise import linearise as linearise
 from aleator.references._monte_carlo import monte_carlo as monte_carlo

@@ -110,6 +110,7 @@ def front_dataset(front: Front) -> "xarray.Dataset":
     bound_unit = _units.of_expression(first.problem.named(front.bound)[0].expression, first.problem)
     unit = _objective_unit(first)
     active = [", ".join(one.active) if isinstance(one, Solution) else "" for one in front.points]
+    why = ["" if one.ok else one.why() for one in front.points]
     data: dict[str, Variable] = {
         "objective": _variable("bound", front.objectives, str(first.problem.objective), unit),
         "shadow_price": _variable(
@@ -118,6 +119,7 @@ def front_dataset(front: Front) -> "xarray.Dataset":
         "violation": _variable("bound", front.violations, "scaled violation", "1"),
         "status": _variable("bound", [one.status.name for one in front.points], "how each solve ended", ""),
         "active": _variable("bound", active, "active constraints", ""),
+        "why": _variable("bound", why, "why there is no optimum", ""),
     }
     for name, value in first.decisions.items():
         unknown = np.full(np.shape(value), np.nan)

@@ -8,6 +8,8 @@ from aleator.solution._effort import Effort as Effort
 from aleator.solution._effort import Times as Times
 from aleator.solution._expansion import ExpansionQuality as ExpansionQuality
 from aleator.solution._expansion import Moments as Moments
+from aleator.solution._expansion import Tangent as Tangent
+from aleator.solution._expansion import ends as ends
 from aleator.solution._grid_error import Deviation as Deviation
 from aleator.solution._grid_error import GridError as GridError
 from aleator.solution._opinion import SecondOpinion as SecondOpinion

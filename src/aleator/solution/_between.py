@@ -45,3 +45,6 @@ class Between:
             f"between the instants of the grid '{self.name}' exceeds its bound by {self.worst:.2g} of it{when}: "
             "use more steps"
         )
+
+    def __str__(self) -> str:
+        return self.sentence()

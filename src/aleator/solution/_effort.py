@@ -13,6 +13,9 @@ class Times:
     compile_: float
     solve: float
 
+    def __str__(self) -> str:
+        return f"import {self.import_:.2f} s, compile {self.compile_:.2f} s, solve {self.solve:.3f} s"
+
 
 @final
 @dataclass(frozen=True)
@@ -29,7 +32,4 @@ class Effort:
     times: Times
 
     def __str__(self) -> str:
-        return (
-            f"{self.iterations} iterations, {self.evaluations} evaluations; import {self.times.import_:.2f} s, "
-            f"compile {self.times.compile_:.2f} s, solve {self.times.solve:.3f} s"
-        )
+        return f"{self.iterations} iterations, {self.evaluations} evaluations; {self.times}"

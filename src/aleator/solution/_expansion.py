@@ -18,6 +18,15 @@ class Moments:
     mean: Float[np.ndarray, "*shape"]
     std: Float[np.ndarray, "*shape"]
 
+    def __str__(self) -> str:
+        return f"mean {ends(self.mean)}, standard deviation {ends(self.std)}"
+
+
+def ends(values: Float[np.ndarray, "*shape"]) -> str:
+    """A number, or from where to where many reach."""
+    least, most = float(np.min(values)), float(np.max(values))
+    return f"{least:.6g}" if np.ndim(values) == 0 else f"from {least:.6g} to {most:.6g}"
+
 
 class Tangent(NamedTuple):
     """The derivative of a functional by a parameter of a distribution, and the leave-one-out error of its expansion."""
@@ -25,6 +34,9 @@ class Tangent(NamedTuple):
     functional: str
     parameter: str
     error: float
+
+    def __str__(self) -> str:
+        return f"leave-one-out error {self.error:.2e} ({self.functional} by {self.parameter})"
 
 
 @final
@@ -91,10 +103,7 @@ class ExpansionQuality:
         worst = self.worst_tangent
         if worst is None:
             return ""
-        said = (
-            f"by distribution parameters: worst leave-one-out error {worst.error:.2e} "
-            f"({worst.functional} by {worst.parameter})"
-        )
+        said = f"by distribution parameters: worst {worst}"
         if worst.error <= self.tolerance:
             return said
         return (

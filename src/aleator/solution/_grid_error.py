@@ -6,8 +6,9 @@ from typing import final
 
 import numpy as np
 
-_MANY = 100  # factor of steps beyond which no number is given: an unstable integration does not converge with order 4
-_AHEAD = 1.2  # safety factor on the number of steps that fourth order predicts
+# Limits on the factor of steps from one grid to the next, since the error of a very coarse grid predicts no number of
+# steps; and the safety factor on the number that the order of convergence predicts.
+_LEAST, _MOST, _AHEAD = 2, 8, 1.2
 
 
 @final
@@ -17,17 +18,28 @@ class Deviation:
 
     - `error`: for a functional the largest change of its mean or its standard deviation, plus a quarter for the error
       of the finer grid itself; `tolerated`: the error that is accepted;
-    - `time`: when a path differs most (s); NaN for other functionals.
+    - `time`: when a path differs most (s); NaN for other functionals;
+    - `order`: the order of convergence: by which power of the step the error falls.
     """
 
     error: float
     tolerated: float
     time: float = float("nan")
+    order: int = 4
 
     @property
     def ratio(self) -> float:
         """The error over the tolerated error; infinite if the error is NaN."""
         return np.inf if np.isnan(self.error) else self.error / self.tolerated
+
+    @property
+    def finer(self) -> float:
+        """The factor of steps that meets the tolerance, by the order of convergence."""
+        return self.ratio ** (1 / self.order)
+
+    def __str__(self) -> str:
+        when = "" if np.isnan(self.time) else f" at t = {self.time:.4g} s"
+        return f"off by {self.error:.2g}{when}, where {self.tolerated:.2g} is tolerated"
 
 
 @final
@@ -41,7 +53,9 @@ class GridError:
     - `functionals`: deviations by the texts of the functionals;
     - `broken`: a sentence on the constraint that does not hold on the finer grid; empty if all hold;
     - `at_start`: a sentence on large errors of the grid at the initial design, which may have misled the search; empty
-      if there are none, or if that was not checked.
+      if there are none, or if that was not checked;
+    - `pieces`: the number of polynomial pieces of the splines that the system follows, whose ends should be instants;
+    - `by_tolerances`: whether the integrator has tolerances of its own, besides the steps of the grid.
     """
 
     steps: int
@@ -52,6 +66,8 @@ class GridError:
     functionals: Mapping[str, Deviation]
     broken: str = ""
     at_start: str = ""
+    pieces: int = 1
+    by_tolerances: bool = False
 
     @property
     def worst(self) -> str:
@@ -76,10 +92,22 @@ class GridError:
 
     @property
     def steps_needed(self) -> int:
-        """How many steps meet the tolerance, if the error falls with the fourth power of the step."""
-        ratio = self.ratio if np.isfinite(self.ratio) else 1e4
-        least = 1.0 if self.is_met else 2.0
-        return int(np.ceil(self.steps * max(least, _AHEAD * ratio**0.25)))
+        """The steps of the next grid: as many as meet the tolerance by the orders of convergence, but at most eight
+        times the present number. `solve(refine=True)` takes as many.
+        """
+        if self.is_met:
+            return self.steps
+        return self.with_whole_pieces(min(max(_LEAST, self._finer), _MOST) * self.steps)
+
+    def with_whole_pieces(self, steps: float) -> int:
+        """The least number of steps from `steps` on that ends one at each end of a spline's pieces: no order is lost
+        there.
+        """
+        return self.pieces * int(np.ceil(steps / self.pieces))
+
+    @property
+    def _finer(self) -> float:
+        return _AHEAD * max([self.objective.finer, *(one.finer for one in self.functionals.values())])
 
     def sentence(self) -> str:
         """What deviates most, by how much, and how much would be tolerated."""
@@ -91,16 +119,15 @@ class GridError:
             what, one = "the objective", self.objective
         else:
             what, one = f"'{self.worst}'", self.functionals[self.worst]
-        when = "" if np.isnan(one.time) else f" at t = {one.time:.4g} s"
-        return f"{what} is off by {one.error:.2g}{when}, where {one.tolerated:.2g} is tolerated"
+        return f"{what} is {one}"
 
     def __str__(self) -> str:
         where = f"seen on {self.factor} times as many steps"
         if self.is_met:
             return f"objective off by {self.objective.error:.1e}, {self._worst_text()}; {where}"
-        many = self.steps_needed > _MANY * self.steps
-        steps = "many more" if many else f"about {self.steps_needed}"
-        return f"{self.sentence()}; {where}: use {steps} steps, or refine=True"
+        told = "about" if self.ratio > 1 and self._finer <= _MOST else "at least"
+        also = " and smaller tolerances of the integrator" if self.by_tolerances else ""
+        return f"{self.sentence()}; {where}: use {told} {self.steps_needed} steps{also}, or refine=True"
 
     def _worst_text(self) -> str:
         if not self.worst:

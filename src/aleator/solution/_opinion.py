@@ -37,3 +37,6 @@ class SecondOpinion:
             worst = max(self.misses.values(), default=0.0)
             return f"{self.samples} fresh simulations agree, missed by {worst:.2e} of their standard deviation at worst"
         return f"{self.samples} fresh simulations disagree: {'; '.join(self.contradictions[:3])}"
+
+    def __str__(self) -> str:
+        return self.sentence()

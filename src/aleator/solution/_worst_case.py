@@ -40,6 +40,9 @@ class WorstRealisation:
         when = "" if self.time is None else f" at t = {self.time:.4g} s"
         return f"{self.name} reaches {self.value:.6g}{when} with {self.system}"
 
+    def __str__(self) -> str:
+        return self.sentence()
+
 
 @final
 @dataclass(frozen=True)
@@ -73,3 +76,6 @@ class WorstCase:
         """A line for each limit, then how they were found."""
         found = [one.sentence() for one in self.realisations]
         return [*found, f"the worst of {self.searched} realisations of the model, in {self.rounds} rounds"]
+
+    def __str__(self) -> str:
+        return "\n".join(self.rows())

@@ -16,6 +16,9 @@ class Trial:
     solution: Solution
     violation: Share
 
+    def __str__(self) -> str:
+        return f"{self.sigmas:8.4f} {self.solution.objective:12.6g}  {self.violation}"
+
 
 @final
 @dataclass(frozen=True)
@@ -76,7 +79,7 @@ class Calibration:
 
     def __str__(self) -> str:
         rows = [f"{'sigmas':>8} {'objective':>12}  violates {self.name}"]
-        rows += [f"{one.sigmas:8.4f} {one.solution.objective:12.6g}  {one.violation}" for one in self.trials]
+        rows += [str(one) for one in self.trials]
         rows.append(f"chosen: {self.sigmas:.4f}, {self.sentence()}")
         return "\n".join(rows)
 

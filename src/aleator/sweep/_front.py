@@ -42,6 +42,9 @@ class Refused:
         """Why there is no design."""
         return f"{self.status.value}. {self.reason}"
 
+    def __str__(self) -> str:
+        return f"Refused before it was solved: {self.reason}"
+
 
 @final
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from aleator.design import Problem, Statistic, expanded_functionals, functionals_of, is_worst_case, sizes
-from aleator.references import group_count
+from aleator.references._estimate import group_count
 from aleator.solution import Solution
 from aleator.statistics import (
     Correlation,

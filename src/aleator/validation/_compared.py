@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 from typing_extensions import override
 
 from aleator.design import AbstractScopeOfInstants, Constraint, Problem, Statistic, grid_at, step_at
-from aleator.references import pair
+from aleator.references._estimate import pair
 from aleator.statistics import AbstractStatistic
 from aleator.uncertainty import named_numbers
 from aleator.validation._disagreement import reach
@@ -62,6 +62,9 @@ class Compared:
         found = f"{self.value:.6g}" if not self.standard_error > 0 else pair(self.value, self.standard_error)
         verdict = {True: "met", False: "BROKEN", None: "within its error of the bound"}[self.meets]
         return f"{self.text}: sampled {found}{when}, {verdict}"
+
+    def __str__(self) -> str:
+        return self.sentence()
 
 
 @final

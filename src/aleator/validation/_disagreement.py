@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy import special
 
-from aleator.references import pair
+from aleator.references._estimate import pair
 from aleator.validation._proportion import Proportion
 
 # What is as rare as four standard deviations of a normal variable, on both sides together.
@@ -50,6 +50,9 @@ class Disagreement:
         when = "" if self.time is None else f" at t = {self.time:.4g} s"
         found = f"{self.estimate:.6g}" if not self.standard_error > 0 else pair(self.estimate, self.standard_error)
         return f"{self.text}{when} is {found}, not {self.expected:.6g} as by {self.source}"
+
+    def __str__(self) -> str:
+        return self.sentence()
 
 
 def reach(freedom: int, comparisons: int = 1) -> float:

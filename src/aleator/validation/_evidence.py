@@ -9,8 +9,8 @@ from jaxtyping import Bool, Float
 
 from aleator._core.errors import ProblemError
 from aleator.design import Statistic
-from aleator.references import pair
-from aleator.solution import Solution
+from aleator.references._estimate import pair
+from aleator.solution import Solution, ends
 from aleator.statistics import Mean, Std
 from aleator.validation._compared import Compared
 from aleator.validation._disagreement import Disagreement
@@ -44,6 +44,12 @@ class Sampled:
     expanded_std: Float[np.ndarray, "*shape"]
     std_error: Float[np.ndarray, "*shape"]
 
+    def __str__(self) -> str:
+        return (
+            f"{self.text}: sampled mean {ends(self.mean)} (expanded {ends(self.expanded_mean)}), "
+            f"standard deviation {ends(self.std)} (expanded {ends(self.expanded_std)})"
+        )
+
 
 @final
 @dataclass(frozen=True)
@@ -60,6 +66,10 @@ class Checked:
     estimate: float
     standard_error: float
 
+    def __str__(self) -> str:
+        found = pair(self.estimate, self.standard_error) if self.standard_error > 0 else f"{self.estimate:.6g}"
+        return f"{self.statistic.text()}: sampled {found}, expanded {self.expanded:.6g}"
+
 
 @final
 @dataclass(frozen=True)
@@ -75,6 +85,9 @@ class Trajectories:
     upper: float
     values: Float[np.ndarray, "kept instants"]
     violating: np.ndarray
+
+    def __str__(self) -> str:
+        return f"{self.name} of {len(self.values)} systems, {int(np.sum(self.violating))} of which violate it"
 
 
 @final

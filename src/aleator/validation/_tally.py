@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from aleator.design import AbstractFunctional, Problem, Statistic, functionals_of, is_over_time, joined, statistics_in
-from aleator.references import estimate, group_count
+from aleator.references._estimate import estimate, group_count
 from aleator.solution import Solution
 from aleator.statistics import Infimum, Mean, Sobol, Std, Supremum, TotalSobol, Variance
 from aleator.validation._alarms import Found, disagreements

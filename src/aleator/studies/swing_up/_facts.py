@@ -6,7 +6,7 @@ import numpy as np
 
 import aleator as al
 from aleator.nlp import HELD
-from aleator.references import estimate, group_count
+from aleator.references._estimate import estimate, group_count
 from aleator.reporting import Table, count, given, number
 from aleator.studies._motion.facts import duration
 from aleator.studies._motion.family import Family
