@@ -5,6 +5,7 @@ from typing import Any, TypeAlias
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Float
 
 Scalar: TypeAlias = float | Float[np.ndarray, ""] | Float[Array, ""]
@@ -21,9 +22,31 @@ def numbers_to_arrays(tree: Pytree) -> Pytree:
     """
 
     def convert(leaf: Any) -> Any:
-        return jnp.asarray(leaf, dtype=float) if is_number(leaf) else leaf
+        return jax_array(leaf, float) if is_number(leaf) else leaf
 
     return jax.tree.map(convert, tree)
+
+
+def jax_array(numbers: Any, kind: type | None = None) -> Array:
+    """Numbers as an array of JAX, of another `kind` if one is given: where they are known, a copy.
+
+    `jnp.asarray` compiles a program that copies for each new shape.
+    """
+    if any(isinstance(leaf, jax.Array) for leaf in jax.tree.leaves(numbers)):
+        return jnp.asarray(numbers, dtype=kind)
+    # What is made here may be kept: it must not belong to a function that is just being traced.
+    with jax.ensure_compile_time_eval():
+        return jax.device_put(np.array(numbers, dtype=kind))
+
+
+def in_library(*trees: Pytree) -> tuple[Any, ...]:
+    """The library to compute with, and trees of arrays as its own: NumPy where every number is known, else its like.
+
+    Outside of what is traced, JAX compiles a program for each operation on arrays of a new shape; NumPy has them all.
+    """
+    if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(trees)):
+        return jnp, *trees
+    return np, *(jax.tree.map(np.asarray, tree) for tree in trees)
 
 
 def is_number(leaf: Any) -> bool:

@@ -1,4 +1,4 @@
-"""Functions traced afresh at every use and compiled only when what they compute has changed.
+"""Functions traced afresh where their code may have changed, and compiled only when what they compute has.
 
 A function may read globals or closures that change between two uses, so its identity says nothing about what it
 computes. Its traced equations do: they are the key under which its compiled form is kept.
@@ -6,21 +6,71 @@ computes. Its traced equations do: they are the key under which its compiled for
 
 import threading
 from collections import OrderedDict
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from collections.abc import Callable, Hashable
+from typing import Any, Generic, NamedTuple, TypeVar, final
 
 import jax
 from jax.core import Tracer, eval_jaxpr
-from jax.extend.core import ClosedJaxpr
+from jax.extend.core import ClosedJaxpr, Jaxpr
 
 from aleator._core.arrays import Pytree
+from aleator._core.code import read_code
+from aleator._core.compilation import Use, compiled_for
 from aleator._core.equations import array_digest, equations_text
 from aleator._core.purity import steadily
 
-# Enough for a session's functions; beyond, the one unused for longest is dropped.
-_KEPT = 64
-_EXECUTABLES: OrderedDict[str, Callable[..., list[Any]]] = OrderedDict()
-_LOCK = threading.Lock()
+_Kept = TypeVar("_Kept")
+
+
+@final
+class _Memory(Generic[_Kept]):
+    """What was made for the last few keys; beyond, the one unused for longest is dropped. Threads share it."""
+
+    def __init__(self, most: int):
+        self._most, self._lock = most, threading.Lock()
+        self._made: OrderedDict[Hashable, _Kept] = OrderedDict()
+
+    def __len__(self) -> int:
+        return len(self._made)
+
+    def get(self, key: Hashable) -> _Kept | None:
+        """What is known by a key."""
+        with self._lock:
+            if key in self._made:
+                self._made.move_to_end(key)
+            return self._made.get(key)
+
+    def kept(self, key: Hashable, made: _Kept) -> _Kept:
+        """What is known by a key already, or else what has just been made."""
+        with self._lock:
+            made = self._made.setdefault(key, made)
+            self._made.move_to_end(key)
+            while len(self._made) > self._most:
+                self._made.popitem(last=False)
+            return made
+
+
+@final
+class _Executed:
+    """Equations to be evaluated: compiled for one use, or as a part of what an outer transformation traces."""
+
+    def __init__(self, jaxpr: Jaxpr, use: Use):
+        self._within = jax.jit(lambda constants, *leaves: eval_jaxpr(jaxpr, constants, *leaves))
+        self._use, self._lock = use, threading.Lock()
+        self._compiled: Callable[..., list[Any]] | None = None
+
+    def __call__(self, constants: list[Any], *leaves: Any) -> list[Any]:
+        if any(isinstance(one, Tracer) for one in (*constants, *leaves)):
+            return self._within(constants, *leaves)
+        with self._lock:
+            if self._compiled is None:
+                self._compiled = compiled_for(self._use, self._within.lower(constants, *leaves))
+        return self._compiled(constants, *leaves)
+
+
+# Enough for a session's functions.
+_EXECUTABLES: _Memory[_Executed] = _Memory(64)
+_TRACED: "_Memory[Traced]" = _Memory(64)
 
 
 class Traced(NamedTuple):
@@ -36,11 +86,13 @@ class Traced(NamedTuple):
         return jax.tree.unflatten(self.structure, values)
 
 
-def trace(function: Callable[..., Pytree], *arguments: Pytree, code: Pytree = None, name: str = "") -> Traced:
+def trace(
+    function: Callable[..., Pytree], *arguments: Pytree, code: Pytree = None, name: str = "", use: Use = Use.LOOPS
+) -> Traced:
     """Trace a function of arrays. It is compiled when evaluated, unless the same equations have been before.
 
     `code` is what of it is written by a user, called `name`: raises `ProblemError` if that computes something else each
-    time.
+    time. `use` is what it is compiled for.
     """
 
     def traced() -> tuple[ClosedJaxpr, Any]:
@@ -48,14 +100,9 @@ def trace(function: Callable[..., Pytree], *arguments: Pytree, code: Pytree = No
         return jax.make_jaxpr(lambda *given: function(*given), return_shape=True)(*arguments)
 
     (closed, shapes), _ = steadily(name, code, traced, lambda found: _told(found[0]))
-    key, jaxpr = equations_text(closed), closed.jaxpr
-    execute = jax.jit(lambda constants, *leaves: eval_jaxpr(jaxpr, constants, *leaves))
+    key, execute = equations_text(closed), _Executed(closed.jaxpr, use)
     if key is not None:
-        with _LOCK:
-            execute = _EXECUTABLES.setdefault(key, execute)
-            _EXECUTABLES.move_to_end(key)
-            while len(_EXECUTABLES) > _KEPT:
-                _EXECUTABLES.popitem(last=False)
+        execute = _EXECUTABLES.kept((key, use), execute)
     return Traced(closed, jax.tree.structure(shapes), execute)
 
 
@@ -65,6 +112,18 @@ def _told(closed: ClosedJaxpr) -> Any:
     return equations_text(closed), known
 
 
-def evaluate(function: Callable[..., Pytree], *arguments: Pytree) -> Pytree:
-    """A function of arrays, evaluated in compiled form."""
-    return trace(function, *arguments)(*arguments)
+def evaluate(function: Callable[..., Pytree], *arguments: Pytree, use: Use = Use.LOOPS) -> Pytree:
+    """A function of arrays, evaluated in compiled form; traced again where what its code reads is not known to be as it
+    was.
+    """
+    reading = read_code(function)
+    if reading.doubts:
+        return trace(function, *arguments, use=use)(*arguments)
+    leaves, structure = jax.tree.flatten(arguments)
+    key = use, reading.reads, structure, tuple(jax.typeof(leaf) for leaf in leaves)
+    known = _TRACED.get(key)
+    if known is None:
+        known = trace(function, *arguments, use=use)
+        if not any(isinstance(one, Tracer) for one in known.closed.consts):
+            _TRACED.kept(key, known)
+    return known(*arguments)

@@ -1,15 +1,19 @@
 """`expand`: any function of uncertain inputs as polynomials of them."""
 
 import warnings
+from collections.abc import Callable
 from functools import lru_cache, partial
 from typing import Any, overload
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 
 from aleator._core.arrays import Pytree
+from aleator._core.compilation import Use
 from aleator._core.errors import ExpansionWarning, ProblemError
+from aleator._core.tracing import evaluate
 from aleator.analysis._element_expanded import ElementExpanded
 from aleator.analysis._expanded import Expanded
 from aleator.analysis._expanded_text import extrapolates
@@ -161,6 +165,10 @@ def _warn_of_doubts(expanded: Expanded, collocation: Collocation, times: Any) ->
         warnings.warn(" ".join(said), ExpansionWarning, stacklevel=3)
 
 
+def _resolved_instants(tolerance: float) -> Callable[..., Array]:
+    return partial(evaluate, partial(resolved_instants, tolerance=tolerance), use=Use.ONCE)
+
+
 def _resolved_until(expanded: Expanded, times: np.ndarray) -> list[float | None]:
     """The last resolved instant of each output that is not resolved throughout; None for the others."""
     for leaf in jax.tree.leaves(expanded.samples):
@@ -169,9 +177,6 @@ def _resolved_until(expanded: Expanded, times: np.ndarray) -> list[float | None]
                 f"expand: times has {len(times)} instants, so each output needs a leading axis of {len(times)}; "
                 f"received shape {leaf.shape[1:]}."
             )
-    counts = [
-        concrete(count)
-        for count in jax.tree.leaves(expanded.checked(partial(resolved_instants, tolerance=expanded.tolerance)))
-    ]
+    counts = [concrete(count) for count in jax.tree.leaves(expanded.checked(_resolved_instants(expanded.tolerance)))]
     known = [len(times) if count is None else int(count) for count in counts]
     return [None if count == len(times) else float(times[max(count - 1, 0)]) for count in known]

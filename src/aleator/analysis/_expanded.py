@@ -1,5 +1,6 @@
 """`Expanded`: one expansion of a function of uncertain inputs, with its statistics and errors."""
 
+import math
 from collections.abc import Callable, Mapping
 from typing import Any, final
 
@@ -10,7 +11,8 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 from typing_extensions import override
 
-from aleator._core.arrays import Pytree, numbers_to_arrays
+from aleator._core.arrays import Pytree, in_library, jax_array, numbers_to_arrays
+from aleator._core.compilation import Use
 from aleator._core.tracing import evaluate
 from aleator.analysis._abstract_expanded import AbstractExpanded, checked_points, paired, prepared
 from aleator.analysis._expanded_text import as_lines, contributors, distribution_rows, nothing, output_rows, trust
@@ -22,6 +24,9 @@ from aleator.uncertainty import AbstractDistribution, AbstractGerm
 
 # Outputs that vary by less than this part of their size are constant up to rounding.
 _ROUNDING = 1e-12
+
+# Statistics of so few numbers take less time than a program that is any faster.
+_FEW = 16
 
 
 @final
@@ -61,17 +66,17 @@ class Expanded(AbstractExpanded):
             return eqx.combine(numbers, rest).of(terms, constants)
 
         constants = prepared(kind.preparation, self.basis)
-        return jax.tree.map(lambda terms: evaluate(of, numbers, constants, terms), self.coefficients)
+        return jax.tree.map(lambda terms: evaluate(of, numbers, constants, terms, use=_use(terms)), self.coefficients)
 
     @override
     def cdf(self, values: Float[Array, " n"]) -> Pytree:
         lines = prepared(lines_through, self.basis)
-        return jax.tree.map(lambda terms: evaluate(cdf, jnp.asarray(values), terms, lines), self.coefficients)
+        return jax.tree.map(lambda terms: _at(cdf, values, terms, lines), self.coefficients)
 
     @override
     def pdf(self, values: Float[Array, " n"]) -> Pytree:
         lines = prepared(lines_through, self.basis)
-        return jax.tree.map(lambda terms: evaluate(pdf, jnp.asarray(values), terms, lines), self.coefficients)
+        return jax.tree.map(lambda terms: _at(pdf, values, terms, lines), self.coefficients)
 
     def shapley(self, name: str) -> Pytree:
         """The share of the variance that an input contributes, correlated or not, from 0 to 1 (Shapley effect).
@@ -81,7 +86,7 @@ class Expanded(AbstractExpanded):
 
         Raises `ProblemError` for an unknown input, and for more than 12.
         """
-        matrix = jnp.asarray(shapley_matrix(self.distributions, self.basis, name))
+        matrix = jax_array(shapley_matrix(self.distributions, self.basis, name))
         return jax.tree.map(lambda terms: _part_of_variance(terms, matrix), self.coefficients)
 
     @property
@@ -111,15 +116,15 @@ class Expanded(AbstractExpanded):
         """
         order = self.basis.order
         exponent = order / (2 * max(order - _step(self.basis), 1))
-        worst = jax.tree.map(jnp.maximum, self.leave_one_out, self.jackknife)
+        worst = jax.tree.map(_larger, self.leave_one_out, self.jackknife)
         pairs = worst, self.highest_degree_share
-        return jax.tree.map(lambda error, share: jnp.where(jnp.isfinite(error), error, share**exponent), *pairs)
+        return jax.tree.map(lambda error, share: _or_decayed(error, share, exponent), *pairs)
 
     def checked(self, check: Callable[..., Any]) -> Pytree:
         """`check(collocation, samples, coefficients)` of each output; NaN if there are no samples."""
         if self.samples is None:
-            return jax.tree.map(lambda _: jnp.asarray(jnp.nan), self.coefficients)
-        return jax.tree.map(lambda *both: check(self.collocation, *both), self.samples, self.coefficients)
+            return jax.tree.map(lambda _: jax_array(jnp.nan), self.coefficients)
+        return jax.tree.map(lambda *both: jax_array(check(self.collocation, *both)), self.samples, self.coefficients)
 
     @property
     def highest_degree_share(self) -> Pytree:
@@ -139,7 +144,7 @@ class Expanded(AbstractExpanded):
     @override
     def at_germ(self, points: Float[np.ndarray, "n variables"]) -> Pytree:
         matrix = self.basis.matrix(checked_points(points, self.germs))
-        return jax.tree.map(lambda terms: jnp.tensordot(matrix, terms, axes=1), self.coefficients)
+        return jax.tree.map(lambda terms: _product(matrix, terms), self.coefficients)
 
     def __str__(self) -> str:
         checks = self.leave_one_out, self.jackknife, self.error
@@ -195,8 +200,34 @@ def _part_of_variance(terms: Float[Array, "terms *shape"], matrix: Float[Array, 
     return jnp.where(spreads, part / jnp.where(spreads, total, 1.0), 0.0)
 
 
+def _use(terms: Float[Array, "terms *shape"]) -> Use:
+    return Use.ONCE if math.prod(terms.shape[1:]) <= _FEW else Use.LOOPS
+
+
+def _at(function: Callable[..., Array], values: Any, terms: Float[Array, "terms *shape"], lines: Pytree) -> Array:
+    """The distribution function of an output, or its density, at some values."""
+    return evaluate(function, jax_array(values), terms, lines, use=_use(terms))
+
+
+def _product(matrix: Float[np.ndarray, "n terms"], terms: Float[Array, "terms *shape"]) -> Float[Array, "n *shape"]:
+    library, known = in_library(terms)
+    return jax_array(library.tensordot(matrix, known, axes=1))
+
+
+def _larger(one: Float[Array, "*shape"], other: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
+    library, *both = in_library(one, other)
+    return jax_array(library.maximum(*both))
+
+
+def _or_decayed(error: Float[Array, ""], share: Float[Array, ""], exponent: float) -> Float[Array, ""]:
+    library, error, share = in_library(error, share)
+    return jax_array(library.where(library.isfinite(error), error, share**exponent))
+
+
 def _share(terms: Float[Array, "terms *shape"], highest: np.ndarray) -> Float[Array, ""]:
-    total = jnp.sum(terms[1:] ** 2)
+    library, terms = in_library(terms)
+    total = library.sum(terms[1:] ** 2)
     # Compared so that NaN and infinite values do not pass for constant.
-    constant = (total == 0) | (total < _ROUNDING**2 * jnp.sum(terms**2))
-    return jnp.where(constant, 0.0, jnp.sum(terms[highest] ** 2) / jnp.where(constant, 1.0, total))
+    constant = (total == 0) | (total < _ROUNDING**2 * library.sum(terms**2))
+    of_highest = library.sum(terms[highest] ** 2)
+    return jax_array(library.where(constant, 0.0, of_highest / library.where(constant, 1.0, total)))

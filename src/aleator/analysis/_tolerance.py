@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from aleator._core.arrays import Pytree
+from aleator._core.arrays import Pytree, jax_array
 from aleator._core.errors import ProblemError, SimulationError
 from aleator._core.given import one_of, real_array
 from aleator.analysis._expand import expand
@@ -19,7 +19,7 @@ from aleator.analysis._zones import Zone, in_zones, zones_of
 from aleator.dynamics import AlgebraicSystem, explain_failure, simulate
 from aleator.expansion import Expansion
 from aleator.references import Linearised, linearise
-from aleator.statistics import Infimum, Kurtosis, Mean, Probability, Skewness, Std, Supremum, TotalSobol
+from aleator.statistics import Kurtosis, Mean, Skewness, Std, Supremum, TotalSobol
 from aleator.uncertainty import at_means, placements, realise
 
 PARTS_PER_MILLION = 1e6
@@ -132,6 +132,7 @@ def tolerance_analysis(
     if not isinstance(expanded.mean, jax.Array) or expanded.mean.ndim:
         raise ProblemError("tolerance_analysis: expected an output that is one number; received an array or a dict.")
     linear = linearise(function, model)
+    low, high = _beyond(expanded, lower, upper)
     return ToleranceAnalysis(
         output=name,
         nominal=float(linear.mean),
@@ -141,8 +142,8 @@ def tolerance_analysis(
         kurtosis=_number(expanded, Kurtosis()),
         lower=float(lower),
         upper=float(upper),
-        rejects_low=_rejects(expanded, below=lower),
-        rejects_high=_rejects(expanded, above=upper),
+        rejects_low=PARTS_PER_MILLION * low,
+        rejects_high=PARTS_PER_MILLION * high,
         worst_case=_worst_case(function, in_zones(model, zones), expansion),
         rss=float(linear.rss({name: zone.half_width for name, zone in zones.items()})),
         linear_std=float(linear.std),
@@ -194,18 +195,26 @@ def _worst_case(function: Callable[[Any], Any], model: Pytree, expansion: Expans
     Most outputs have their extremes at corners, where an expansion is least accurate.
     """
     over_zones = expand(function, model, expansion)
-    low, high = _number(over_zones, Infimum()), _number(over_zones, Supremum())
+    low, high = _range(over_zones)
     if over_zones.basis.variables > _MOST_CORNERS:
         return low, high
-    corners = jnp.asarray(list(product((-1.0, 1.0), repeat=over_zones.basis.variables)))
+    corners = jax_array(list(product((-1.0, 1.0), repeat=over_zones.basis.variables)))
     values = np.asarray(Sampler(function, model, traced=True).samples(corners))
     return min(low, float(values.min())), max(high, float(values.max()))
 
 
-def _rejects(expanded: Expanded, **limit: float) -> float:
-    """Proportion beyond a limit, parts per million."""
-    (value,) = limit.values()
-    return 0.0 if np.isinf(value) else PARTS_PER_MILLION * _number(expanded, Probability(**limit))
+def _range(expanded: Expanded) -> tuple[float, float]:
+    """Infimum and supremum, by one search: of the output and of its negative."""
+    both = jax_array(np.stack([-np.asarray(expanded.coefficients), expanded.coefficients], axis=-1))
+    low, high = np.asarray(Expanded(expanded.distributions, expanded.basis, both, None, None).statistic(Supremum()))
+    return -float(low), float(high)
+
+
+def _beyond(expanded: Expanded, lower: float, upper: float) -> tuple[float, float]:
+    """The probabilities of less than the lower limit, and of more than the upper one."""
+    limits = [limit for limit in (lower, upper) if np.isfinite(limit)]
+    levels = dict(zip(limits, np.asarray(expanded.cdf(jax_array(limits, float))).tolist(), strict=True))
+    return levels.get(lower, 0.0), 1 - levels.get(upper, 1.0)
 
 
 def _contributions(expanded: Expanded, linear: Linearised, zones: Mapping[str, Zone]) -> dict[str, Contribution]:

@@ -17,7 +17,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 from typing_extensions import override
 
-from aleator._core.arrays import Pytree
+from aleator._core.arrays import Pytree, jax_array
 from aleator._core.errors import ProblemError
 from aleator._core.tracing import Traced, trace
 from aleator.ensemble._batches import Part, each, fill, parts
@@ -60,7 +60,7 @@ class AbstractEnsemble(abc.ABC):
 
     def __init__(self, function: Function, model: Pytree, places: Placements):
         self._function, self._model, self.places = function, model, places
-        self._name, self._decisions = name_of(function), jnp.asarray(places.vector("initial"))
+        self._name, self._decisions = name_of(function), jax_array(places.vector("initial"))
 
     def __call__(self, points: Points, before: int = 0) -> Pytree:
         """The outputs at germ points, each with a leading axis for the points; `before`: how many points came earlier.
@@ -129,8 +129,8 @@ class TracedEnsemble(AbstractEnsemble):
 
         def outputs(points: Points) -> Pytree:
             if len(points) == size:
-                return traced(self._numbers, jnp.asarray(points))
-            values = traced(self._numbers, jnp.asarray(fill(np.asarray(points), size)))
+                return traced(self._numbers, jax_array(points))
+            values = traced(self._numbers, jax_array(fill(np.asarray(points), size)))
             return jax.tree.map(lambda leaf: np.asarray(leaf)[: len(points)], values)
 
         return outputs
@@ -140,7 +140,7 @@ class TracedEnsemble(AbstractEnsemble):
             model = eqx.combine(numbers, self._rest)
             return jax.vmap(lambda point: self._at(model, point, jnp))(points)
 
-        points = jnp.zeros((size, len(self.places.germs)))
+        points = jax.ShapeDtypeStruct((size, len(self.places.germs)), float)
         try:
             return trace(outputs, self._numbers, points, code=self._function, name=self._name)
         except UNTRACEABLE as error:

@@ -1,19 +1,26 @@
 """`Collocation`: the linear map from samples at germ points to the coefficients of an expansion (section 4.2).
 
 It depends on the germ alone, so it is built and factorised once per problem; the optimiser changes only the samples.
+Traced samples are worked on by JAX, and known ones by NumPy, which compiles nothing.
 """
 
 from typing import final
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float
+
+from aleator._core.arrays import in_library, jax_array
 
 # One minus the leverage counts as zero up to this: rounding of an exact zero.
 _LEAST_REMAINDER = 1e-8
 
 # Outputs that vary by less than this part of their size are constant up to rounding.
 _ROUNDING = 1e-12
+
+# NumPy would warn of NaN and infinite values, which are results here.
+_quietly = np.errstate(all="ignore")
 
 
 @final
@@ -37,7 +44,8 @@ class Collocation(eqx.Module):
 
     def coefficients(self, samples: Float[Array, "points *shape"]) -> Float[Array, "terms *shape"]:
         """Coefficients `rho = A# P` of samples of any shape, such as time histories (equations 29 and 47)."""
-        return jnp.tensordot(self.pseudo_inverse, samples, axes=1)
+        library, inverse, known = in_library(self.pseudo_inverse, samples)
+        return jax_array(library.tensordot(inverse, known, axes=1))
 
 
 def leave_one_out(
@@ -56,6 +64,7 @@ def leave_one_out(
     return relative_error(*(part.sum() for part in mean_squares(collocation, samples, coefficients)))
 
 
+@_quietly
 def jackknife(
     collocation: Collocation,
     samples: Float[Array, "points *shape"],
@@ -69,11 +78,12 @@ def jackknife(
     distributions, into which the polynomials extrapolate. Infinite and zero where `leave_one_out` is.
     Source: MacKinnon and White (1985), Some heteroskedasticity-consistent covariance matrix estimators (HC3).
     """
+    library, collocation, samples, coefficients = in_library(collocation, samples, coefficients)
     flat, terms = samples.reshape(len(samples), -1), coefficients.reshape(len(coefficients), -1)
     missed, predictable = _missed(collocation, flat, terms)
-    change = jnp.sum(collocation.pseudo_inverse**2, axis=0) @ missed**2
+    change = library.sum(collocation.pseudo_inverse**2, axis=0) @ missed**2
     _, variance, square = mean_squares(collocation, samples, coefficients)
-    return relative_error(jnp.where(predictable, change.sum(), jnp.inf), variance.sum(), square.sum())
+    return relative_error(library.where(predictable, change.sum(), jnp.inf), variance.sum(), square.sum())
 
 
 def leave_one_out_by_entry(
@@ -89,34 +99,40 @@ def leave_one_out_by_entry(
     return relative_error(*parts).reshape(samples.shape[1:])
 
 
+@_quietly
 def mean_squares(
     collocation: Collocation, samples: Float[Array, "points *shape"], coefficients: Float[Array, "terms *shape"]
 ) -> tuple[Float[Array, " entries"], Float[Array, " entries"], Float[Array, " entries"]]:
     """For each entry: the mean square of the leave-one-out residuals, the variance, and the mean square."""
+    library, collocation, samples, coefficients = in_library(collocation, samples, coefficients)
     flat, terms = samples.reshape(len(samples), -1), coefficients.reshape(len(coefficients), -1)
     missed, predictable = _missed(collocation, flat, terms)
     mean = collocation.weights @ flat
     return (
-        jnp.where(predictable, collocation.weights @ missed**2, jnp.inf),
+        library.where(predictable, collocation.weights @ missed**2, jnp.inf),
         collocation.weights @ (flat - mean[None, :]) ** 2,
         collocation.weights @ flat**2,
     )
 
 
+@_quietly
 def _missed(
     collocation: Collocation, flat: Float[Array, "points entries"], terms: Float[Array, "terms entries"]
 ) -> tuple[Float[Array, "points entries"], Bool[Array, ""]]:
     """The leave-one-out residual of each sample, and whether every sample can be predicted by the others."""
+    library, collocation, flat, terms = in_library(collocation, flat, terms)
     remainder = 1 - collocation.leverage
     predictable = remainder > _LEAST_REMAINDER
     residual = flat - collocation.matrix @ terms
-    return residual / jnp.where(predictable, remainder, 1.0)[:, None], predictable.all()
+    return residual / library.where(predictable, remainder, 1.0)[:, None], predictable.all()
 
 
+@_quietly
 def relative_error(
     error: Float[Array, "*n"], variance: Float[Array, "*n"], square: Float[Array, "*n"]
 ) -> Float[Array, "*n"]:
     """The root of error over variance; zero where the variance is rounding."""
     # Compared with `<=` so that NaN propagates and non-finite samples do not pass for constant.
+    library, error, variance, square = in_library(error, variance, square)
     constant = variance <= _ROUNDING**2 * square
-    return jnp.where(constant, 0.0, jnp.sqrt(error / jnp.where(constant, 1.0, variance)))
+    return library.where(constant, 0.0, library.sqrt(error / library.where(constant, 1.0, variance)))

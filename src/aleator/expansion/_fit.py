@@ -4,11 +4,11 @@ import abc
 from typing import ClassVar, final
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 from typing_extensions import override
 
+from aleator._core.arrays import jax_array
 from aleator._core.errors import ProblemError
 from aleator.expansion._basis import Basis
 from aleator.expansion._collocation import Collocation
@@ -132,7 +132,7 @@ def _collocation(
 ) -> Collocation:
     checked = np.ones(len(matrix)) if _is_blind(basis, nodes) else leverage
     parts = (nodes.points, nodes.weights, matrix, pseudo_inverse, checked, condition)
-    return Collocation(*(jnp.asarray(part) for part in parts))
+    return Collocation(*map(jax_array, parts))
 
 
 def _is_blind(basis: Basis, nodes: Nodes) -> bool:

@@ -7,11 +7,14 @@ from typing import Any, final
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
-from aleator._core.arrays import Pytree, Scalar
+from aleator._core.arrays import Pytree, Scalar, in_library, jax_array
+from aleator._core.compilation import Use
 from aleator._core.errors import ProblemError
-from aleator.ensemble import Function, part
+from aleator._core.tracing import trace
+from aleator.ensemble import Function, name_of, part
 from aleator.references._inputs import Inputs, traceable
 from aleator.statistics._moments import root
 from aleator.uncertainty import AbstractDistribution, HermiteGerm
@@ -44,12 +47,12 @@ class Linearised(eqx.Module):
     @property
     def sensitivities(self) -> dict[str, Pytree]:
         """The derivative of the outputs with respect to each input, by its name, in the outputs' unit over its unit."""
-        return {name: jax.tree.map(lambda leaf, i=i: leaf[i], self.jacobian) for i, name in enumerate(self.names)}
+        return self._by_name(self.jacobian)
 
     @property
     def variance(self) -> Pytree:
         """`S Sigma S^T`, entry by entry."""
-        return jax.tree.map(lambda shares: jnp.sum(shares, axis=0), self._shares())
+        return jax.tree.map(lambda shares: jax_array(shares.sum(axis=0)), self._shares())
 
     @property
     def std(self) -> Pytree:
@@ -64,31 +67,43 @@ class Linearised(eqx.Module):
         """
 
         def percent(shares: Float[Array, "inputs *shape"]) -> Float[Array, "inputs *shape"]:
-            total = jnp.sum(shares, axis=0)
-            return 100 * shares / jnp.where(total > 0, total, 1.0)[None]
+            library, shares = in_library(shares)
+            total = shares.sum(axis=0)
+            return 100 * shares / library.where(total > 0, total, 1.0)[None]
 
-        parts = jax.tree.map(percent, self._shares())
-        return {name: jax.tree.map(lambda leaf, i=i: leaf[i], parts) for i, name in enumerate(self.names)}
+        return self._by_name(jax.tree.map(percent, self._shares()))
 
     def worst_case(self, limits: Mapping[str, Scalar]) -> Pytree:
         """The largest deviation within tolerances, `sum |S_i| T_i`; `limits`: the tolerance of each input by name."""
         tolerances = self._tolerances("worst_case", limits)
-        return jax.tree.map(lambda leaf: jnp.tensordot(tolerances, jnp.abs(leaf), axes=1), self.jacobian)
+        return jax.tree.map(lambda leaf: _product(tolerances, abs(leaf)), self.jacobian)
 
     def rss(self, limits: Mapping[str, Scalar]) -> Pytree:
         """The statistical deviation `sqrt(sum (S_i T_i)^2)` (root sum square), as for independent inputs."""
         tolerances = self._tolerances("rss", limits)
-        return jax.tree.map(lambda leaf: root(jnp.tensordot(tolerances**2, leaf**2, axes=1)), self.jacobian)
+        return jax.tree.map(lambda leaf: root(_product(tolerances**2, leaf**2)), self.jacobian)
 
     def _shares(self) -> Pytree:
-        return jax.tree.map(lambda leaf: leaf * jnp.tensordot(self.covariance, leaf, axes=1), self.jacobian)
+        def shares(covariance: Any, slopes: Any) -> Any:
+            library, covariance, slopes = in_library(covariance, slopes)
+            return slopes * library.tensordot(covariance, slopes, axes=1)
+
+        return jax.tree.map(lambda slopes: shares(self.covariance, slopes), self.jacobian)
+
+    def _by_name(self, parts: Pytree) -> dict[str, Pytree]:
+        """What is known of all inputs, along a first axis, by their names."""
+
+        def of(i: int) -> Pytree:
+            return jax.tree.map(lambda leaf: jax_array(in_library(leaf)[1][i]), parts)
+
+        return {name: of(i) for i, name in enumerate(self.names)}
 
     def _tolerances(self, verb: str, limits: Mapping[str, Any]) -> Float[Array, " inputs"]:
         if set(limits) != set(self.names):
             raise ProblemError(
                 f"{verb}: expected one tolerance for each of {list(self.names)}; received {list(limits)}."
             )
-        return jnp.stack([jnp.asarray(limits[name], dtype=float) for name in self.names])
+        return _vector([limits[name] for name in self.names])
 
 
 def linearise(function: Function, model: Pytree) -> Linearised:
@@ -108,25 +123,44 @@ def linearise(function: Function, model: Pytree) -> Linearised:
     """
     inputs = Inputs("linearise", function, model)
     distributions = tuple(inputs.distributions.values())
-    means = jnp.stack([jnp.asarray(distribution.mean(), dtype=float) for distribution in distributions])
-    stds = jnp.stack([jnp.asarray(distribution.std(), dtype=float) for distribution in distributions])
+    means = _vector([one.mean() for one in distributions])
+    stds = _vector([one.std() for one in distributions])
     outputs = traceable("linearise", inputs.outputs)
-    mean = outputs(means)
-    jacobian = jax.tree.map(lambda leaf: jnp.moveaxis(leaf, -1, 0), jax.jacfwd(outputs)(means))
+
+    def twice(means: Float[Array, " inputs"]) -> tuple[Pytree, Pytree]:
+        found = outputs(means)
+        return found, found
+
+    def with_slopes(means: Float[Array, " inputs"]) -> tuple[Pytree, Pytree]:
+        slopes, found = jax.jacfwd(twice, has_aux=True)(means)
+        return found, jax.tree.map(lambda leaf: jnp.moveaxis(leaf, -1, 0), slopes)
+
+    mean, jacobian = trace(with_slopes, means, code=function, name=name_of(function), use=Use.ONCE)(means)
     inputs.refuse_nonfinite((mean, jacobian))
-    covariance = _correlation(distributions) * stds[:, None] * stds[None, :]
+    library, correlation, stds = in_library(_correlation(distributions), stds)
+    covariance = jax_array(correlation * library.multiply.outer(stds, stds))
     return Linearised(tuple(inputs.distributions), means, covariance, mean, jacobian)
+
+
+def _product(factors: Float[Array, " inputs"], parts: Any) -> Float[Array, "*shape"]:
+    library, factors, parts = in_library(factors, parts)
+    return jax_array(library.tensordot(factors, parts, axes=1))
+
+
+def _vector(numbers: Sequence[Scalar]) -> Float[Array, " n"]:
+    library, known = in_library(list(numbers))
+    return jax_array(library.stack([library.asarray(one, dtype=float) for one in known]))
 
 
 def _correlation(distributions: Sequence[AbstractDistribution]) -> Float[Array, "inputs inputs"]:
     """The correlation of the inputs; of correlated ones by Gauss quadrature of their copula."""
-    matrix = jnp.eye(len(distributions))
+    matrix: Any = np.eye(len(distributions))
     for (i, one), (j, other) in itertools.combinations(enumerate(distributions), 2):
         first, second = one.dependence, other.dependence
         if first is not None and second is not None and first.group == second.group:
             factor = jnp.asarray(first.factor)
             rho = factor[first.index] @ factor[second.index]
-            matrix = matrix.at[jnp.array([i, j]), jnp.array([j, i])].set(_pearson(one, other, rho))
+            matrix = jnp.asarray(matrix).at[jnp.array([i, j]), jnp.array([j, i])].set(_pearson(one, other, rho))
     return matrix
 
 

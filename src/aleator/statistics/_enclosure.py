@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from aleator._core.arrays import jax_array
 from aleator._core.errors import ProblemError
 from aleator.expansion import Basis
 from aleator.uncertainty import AbstractGerm
@@ -69,12 +70,12 @@ def enclosure(basis: Basis) -> Enclosure:
     indices = basis.indices[:, active]
     largest = [np.abs(matrix).max(axis=0)[degrees] for matrix, degrees in zip(bernstein, indices.T, strict=True)]
     return Enclosure(
-        bernstein=tuple(jnp.asarray(matrix) for matrix in bernstein),
-        halves=tuple(jnp.asarray(_halves(basis.degrees[i])) for i in active),
-        powers=jnp.asarray(_powers(bernstein)),
-        indices=jnp.asarray(indices),
-        place=jnp.asarray(indices @ np.array([math.prod(shape[k + 1 :]) for k in range(len(shape))], dtype=int)),
-        sizes=jnp.asarray(np.prod(largest, axis=0) * np.ones(basis.terms)),
+        bernstein=tuple(jax_array(matrix) for matrix in bernstein),
+        halves=tuple(jax_array(_halves(basis.degrees[i])) for i in active),
+        powers=jax_array(_powers(bernstein)),
+        indices=jax_array(indices),
+        place=jax_array(indices @ np.array([math.prod(shape[k + 1 :]) for k in range(len(shape))], dtype=int)),
+        sizes=jax_array(np.prod(largest, axis=0) * np.ones(basis.terms)),
     )
 
 

@@ -90,6 +90,8 @@ def _searched(
     if not form.shape:
         return coefficients[0]
     flat = coefficients.reshape(len(coefficients), -1)
+    if flat.shape[1] <= _TOGETHER:
+        return in_blocks(lambda terms: search(terms, form), coefficients, _TOGETHER)
     fixed = jax.lax.stop_gradient(flat)
     order = jnp.argsort(in_blocks(lambda terms: difficulty(terms, form), fixed, _EASY_TOGETHER))
     found = in_blocks(lambda terms: search(terms, form), flat[:, order], _TOGETHER)

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from aleator._core.arrays import jax_array
 from aleator.uncertainty import AbstractGerm
 
 _CELLS = 2048
@@ -66,7 +67,7 @@ def line_distribution(germs: list[AbstractGerm], orders: int) -> LineDistributio
     monomials = [_monomials(germ, *end, orders) for germ, end in both]
     powers = [np.linalg.inv(_monomials(germ, -1.0, 1.0, orders)) for germ in germs]
     table = [_table(germ, *end, orders) for germ, end in both]
-    return LineDistribution(*(jnp.asarray(np.stack(one)) for one in (table, monomials, powers)))
+    return LineDistribution(*(jax_array(np.stack(one)) for one in (table, monomials, powers)))
 
 
 def finite_ends(germ: AbstractGerm) -> tuple[float, float]:

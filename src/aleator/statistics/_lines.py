@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from aleator._core.arrays import jax_array
 from aleator._core.errors import ProblemError
 from aleator.expansion import Basis
 from aleator.statistics._line_distribution import LineDistribution, line_distribution
@@ -148,11 +149,11 @@ def lines_through(basis: Basis) -> Lines:
     by_degree = [basis.indices[:, i] == np.arange(orders)[:, None] for i in single]
     terms = basis.terms
     return Lines(
-        others=jnp.asarray(np.reshape(without, (len(single), len(points[0]), terms))),
-        degrees=jnp.asarray(np.reshape(by_degree, (len(single), orders, terms)), dtype=float),
+        others=jax_array(np.reshape(without, (len(single), len(points[0]), terms))),
+        degrees=jax_array(np.reshape(by_degree, (len(single), orders, terms)), float),
         rotation=_rotation(basis, normal, points[-1]) if normal else None,
-        contributing=jnp.asarray([np.any(basis.indices[:, group] > 0, axis=1) for group in directions], dtype=float),
-        preference=jnp.asarray([1.0] * len(single) + [_NORMAL_PREFERENCE] * bool(normal)),
+        contributing=jax_array([np.any(basis.indices[:, group] > 0, axis=1) for group in directions], float),
+        preference=jax_array([1.0] * len(single) + [_NORMAL_PREFERENCE] * bool(normal)),
         distribution=line_distribution([germs[group[0]] for group in directions], orders),
     )
 
@@ -198,7 +199,7 @@ def _rotation(basis: Basis, normal: list[int], points: np.ndarray) -> Rotation:
     varies = closed.indices[:, normal].T > 0
     linear = varies & (closed.indices.sum(axis=1) == 1)
     columns = (points[:, normal], closed.matrix(points), raised, factors, linear.astype(float), varies.astype(float))
-    return Rotation(*map(jnp.asarray, columns))
+    return Rotation(*map(jax_array, columns))
 
 
 def _with_divisors(

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 from typing_extensions import override
 
-from aleator._core.arrays import Pytree
+from aleator._core.arrays import Pytree, in_library, jax_array
 from aleator._core.units import squared
 from aleator.statistics._statistic import AbstractStatistic
 
@@ -85,5 +85,6 @@ def varies(coefficients: Float[Array, "terms *shape"]) -> Bool[Array, "*shape"]:
 def root(square: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
     """The square root, with derivative zero at zero; zero for negative numbers, which only rounding causes."""
     # Compared with `<=` so that NaN propagates.
+    library, square = in_library(square)
     zero = square <= 0
-    return jnp.where(zero, 0.0, jnp.sqrt(jnp.where(zero, 1.0, square)))
+    return jax_array(library.where(zero, 0.0, library.sqrt(library.where(zero, 1.0, square))))

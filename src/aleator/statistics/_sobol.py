@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from typing_extensions import override
 
+from aleator._core.arrays import jax_array
 from aleator._core.errors import ProblemError
 from aleator._core.units import PURE
 from aleator.expansion import Basis
@@ -113,7 +114,7 @@ class ExactlyOf:
             return jnp.zeros(basis.terms)  # nothing is uncertain
         chosen = np.zeros(basis.variables, bool)
         chosen[[place_of(basis, name) for name in self.variables]] = True
-        return jnp.asarray(np.all((basis.indices > 0) == chosen, axis=1), dtype=float)
+        return jax_array(np.all((basis.indices > 0) == chosen, axis=1), float)
 
 
 @final
@@ -127,7 +128,7 @@ class With:
         """The selection of a basis. Raises `ProblemError` for a name that it does not have."""
         if not basis.variables:
             return jnp.zeros(basis.terms)
-        return jnp.asarray(basis.indices[:, place_of(basis, self.variable)] > 0, dtype=float)
+        return jax_array(basis.indices[:, place_of(basis, self.variable)] > 0, float)
 
 
 def share(coefficients: Float[Array, "terms *shape"], selected: Float[Array, " terms"]) -> Float[Array, "*shape"]:

@@ -8,10 +8,10 @@ from typing import final
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from aleator._core.arrays import jax_array
 from aleator._core.errors import ProblemError
 from aleator.expansion import Basis
 from aleator.uncertainty import AbstractGerm
@@ -100,5 +100,5 @@ def _sorted(first: np.ndarray, second: np.ndarray, target: np.ndarray, values: n
     number[np.concatenate([own, np.setdiff1d(np.arange(count), own)])] = np.arange(count)
     target = number[target]
     order = np.argsort(target, kind="stable")
-    columns = (jnp.asarray(column[order]) for column in (first, second, target, values))
+    columns = (jax_array(column[order]) for column in (first, second, target, values))
     return Square(*columns, terms=count)
