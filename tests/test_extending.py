@@ -313,7 +313,7 @@ class Listing(Claiming):
 @pytest.mark.parametrize(
     ("solver", "words"),
     [
-        (Meddling(), r"Meddling\.minimise: expected the program as it was; received another `scaled\.lower`"),
+        (Meddling(), r"Meddling\.minimise: expected the program unchanged; received another `scaled\.lower`"),
         (Listing(), r"Listing\.minimise: expected `multipliers` as Multipliers, or None; received \[0\.0\]"),
     ],
 )

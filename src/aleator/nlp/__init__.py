@@ -1,4 +1,4 @@
-"""The nonlinear program and its solvers. Knows no physics."""
+"""The nonlinear program and its solvers, independent of any physics."""
 
 from aleator.nlp._elsewhere import feasible_elsewhere as feasible_elsewhere
 from aleator.nlp._elsewhere import variable_range as variable_range

@@ -12,9 +12,9 @@ Answered = Callable[[list[np.ndarray]], Sequence[np.ndarray]]
 
 
 def callbacks_of(casadi: Any, scaled: ScaledProgram) -> dict[str, Any]:
-    """The functions that IPOPT asks for: `f`, `grad_f`, and where there is any `g`, `jac_g`, `hess_lag`.
+    """The functions that IPOPT calls: `f`, `grad_f`, and `g`, `jac_g`, `hess_lag` if the program has them.
 
-    They die with their last Python reference: keep them as long as the solver.
+    CasADi keeps no references to them: keep them alive as long as the solver.
     """
     n, m = scaled.size, scaled.rows
     point, number = casadi.Sparsity.dense(n, 1), casadi.Sparsity.dense(1, 1)
@@ -39,7 +39,7 @@ def callbacks_of(casadi: Any, scaled: ScaledProgram) -> dict[str, Any]:
         found["g"] = callback("constraints", [point], [rows], parts("constraints"))
         found["jac_g"] = callback("jacobian", [point, nothing], [rows, sparsity], jacobian)
     if scaled.curved is not None:
-        # The lower triangle by rows is the upper one by columns, which CasADi asks for.
+        # The lower triangle by rows is the upper one by columns, which CasADi expects.
         upper = casadi.Sparsity(n, n, scaled.curved.indptr.tolist(), scaled.curved.indices.tolist())
         multipliers = casadi.Sparsity.dense(m, 1)
 
@@ -51,7 +51,7 @@ def callbacks_of(casadi: Any, scaled: ScaledProgram) -> dict[str, Any]:
 
 
 def _by_columns(casadi: Any, scaled: ScaledProgram) -> tuple[Any, Callable[[Any], np.ndarray]]:
-    """The sparsity of the Jacobian, and what orders the entries of one as CasADi has them: column by column."""
+    """The sparsity of the Jacobian, and a function that orders its entries column by column, as CasADi needs them."""
     entries = scaled.sparsity
     if isinstance(entries, np.ndarray):
         return casadi.Sparsity.dense(scaled.rows, scaled.size), lambda jacobian: np.ravel(jacobian, order="F")
@@ -66,7 +66,7 @@ def _by_columns(casadi: Any, scaled: ScaledProgram) -> tuple[Any, Callable[[Any]
 
 def _callback_class(casadi: Any) -> Any:
     class Answering(casadi.Callback):
-        """CasADi asks for the shapes of a subclass while it constructs it, so they are set before `construct`."""
+        """A callback. CasADi asks for its shapes during construction, so they are set before `construct`."""
 
         def __init__(self, name: str, inputs: list[Any], outputs: list[Any], answered: Answered):
             super().__init__()
@@ -89,7 +89,7 @@ def _callback_class(casadi: Any) -> Any:
             return True
 
         def eval_buffer(self, arguments: tuple[Any, ...], results: tuple[Any, ...]) -> int:
-            # CasADi passes None for inputs that are zero or empty, and for outputs that nobody needs.
+            # CasADi passes None for inputs that are zero or empty, and for outputs that are not needed.
             given = [
                 np.zeros(sparsity.nnz()) if one is None else np.frombuffer(one)
                 for one, sparsity in zip(arguments, self._inputs, strict=True)
@@ -97,7 +97,7 @@ def _callback_class(casadi: Any) -> Any:
             try:
                 answers = self._answered(given)
             except (NotFiniteError, HaltedError):
-                # A nonzero code is what IPOPT takes as "cannot be evaluated here".
+                # IPOPT takes a nonzero code as "cannot be evaluated here".
                 return 1
             for answer, buffer in zip(answers, results, strict=True):
                 if buffer is not None:

@@ -1,4 +1,4 @@
-"""What a point and its multipliers prove, computed the same way for every solver, in scaled quantities."""
+"""Optimality conditions at a point and its multipliers, computed alike for every solver, in scaled quantities."""
 
 from dataclasses import dataclass
 from typing import final
@@ -18,8 +18,8 @@ from aleator.nlp._matrices import (
 from aleator.nlp._program import Evaluation
 from aleator.nlp._scaling import Multipliers, ScaledProgram
 
-# Rows this close to a bound count as active when multipliers are fitted or infeasibility is examined; there, no further
-# off than this part of the largest violation, in whatever it is scaled.
+# Rows this close to a bound count as active when multipliers are fitted or infeasibility is examined; in the latter
+# case also no further off than this part of the largest violation, whatever the scale.
 _ACTIVE, _ACTIVE_FRACTION = 1e-5, 1e-3
 # A violation is stationary if one typical magnitude of every variable would lower it by less than this fraction.
 _STATIONARY_FRACTION = 1e-3
@@ -31,9 +31,9 @@ class Certificate:
     """Residuals of the Karush-Kuhn-Tucker conditions, dimensionless.
 
     - `violation`: largest `(c - upper) / scale` or `(lower - c) / scale` of a row or variable, at least 0;
-    - `stationarity`: `max |∇f + Jᵀλ + μ|`, over the largest term `λ_i J_ij` or `μ_j` in it where that is above 1;
-    - `complementarity`: largest product of a multiplier and the slack of the bound it pushes against (a slack above
-      1, or a bound that does not exist, counts as 1), over the largest multiplier where that is above 1.
+    - `stationarity`: `max |∇f + Jᵀλ + μ|`, divided by its largest term `λ_i J_ij` or `μ_j` if that is above 1;
+    - `complementarity`: largest product of a multiplier and the slack of its bound (a slack above 1, or a missing
+      bound, counts as 1), divided by the largest multiplier if that is above 1.
     """
 
     violation: float
@@ -56,7 +56,7 @@ def certify(scaled: ScaledProgram, z: np.ndarray, evaluation: Evaluation, multip
 
     largest = max(1.0, _largest(multipliers.rows), _largest(multipliers.bounds))
     gradient = lagrangian_gradient(evaluation, multipliers)
-    # Terms, and not multipliers: these grow with whatever a constraint is divided by.
+    # By terms, not by multipliers, which depend on the scale of the constraints.
     terms = max(1.0, _largest(multipliers.bounds), largest_term(multipliers.rows, evaluation.jacobian))
     return Certificate(
         violation=float(np.maximum(values - upper, lower - values).max(initial=0.0)),
@@ -70,7 +70,7 @@ def complementary(
 ) -> Multipliers:
     """Drop the multipliers whose product with their slack exceeds this fraction of the largest multiplier.
 
-    An interior point leaves such residues far from any bound, where they explain the gradient without meaning.
+    An interior point leaves such residues far from any bound, where they would balance the gradient spuriously.
     """
     ceiling = fraction * max(_largest(multipliers.rows), _largest(multipliers.bounds))
     rows, bounds = _products(scaled, z, evaluation, multipliers)
@@ -82,7 +82,7 @@ def complementary(
 def _products(
     scaled: ScaledProgram, z: np.ndarray, evaluation: Evaluation, multipliers: Multipliers
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Size of each multiplier times the slack, at most 1, of the bound that it pushes against."""
+    """Size of each multiplier times the slack, at most 1, of its bound."""
     rows, bounds = (
         np.abs(weights) * np.minimum(np.abs(np.where(weights > 0, upper - values, values - lower)), 1.0)
         for weights, values, lower, upper in (
@@ -103,10 +103,10 @@ def lagrangian_gradient(evaluation: Evaluation, multipliers: Multipliers) -> np.
 
 
 def fit_multipliers(scaled: ScaledProgram, z: np.ndarray, evaluation: Evaluation) -> Multipliers:
-    """Find the multipliers of the active rows and bounds that leave the least gradient of the Lagrangian.
+    """Find the multipliers of the active rows and bounds that minimise the norm of the Lagrangian's gradient.
 
-    A non-negative least-squares problem (Lawson and Hanson 1974), for solvers that give no multipliers or
-    stale ones.
+    A non-negative least-squares problem (Lawson and Hanson 1974), for solvers that return no multipliers or
+    outdated ones.
     """
     rows, row_signs = _active(evaluation.constraints, scaled.constraint_lower, scaled.constraint_upper)
     bounds, bound_signs = _active(z, scaled.lower, scaled.upper)
@@ -131,7 +131,7 @@ def is_least_violated(scaled: ScaledProgram, z: np.ndarray, evaluation: Evaluati
     outside = scaled.violation(evaluation.constraints)
     if outside.max(initial=0.0) <= 0:
         return False
-    # Beside an unstable simulation slopes are so steep that their squares overflow: no proof of anything.
+    # Near an unstable simulation slopes are so steep that their squares overflow, which proves nothing.
     with np.errstate(over="ignore", invalid="ignore"):
         return _sum_is_stationary(scaled, z, evaluation, outside) or _maximum_is_stationary(
             scaled, z, evaluation, outside

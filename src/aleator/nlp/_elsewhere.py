@@ -1,7 +1,7 @@
-"""Infeasible near one point, feasible at another: what is tried before a program is called infeasible.
+"""Further starting points that are tried before a program is called infeasible.
 
-Solvers prove that no small step from where they stand meets all constraints. Where a model saturates, or where a
-variable has to grow by many orders of magnitude from a start that says nothing of it, that is not the whole truth.
+Solvers prove that no small step from their point meets all constraints. There may still be a feasible point elsewhere:
+if a model saturates, or if a variable must change by many orders of magnitude from a poor start.
 """
 
 from collections.abc import Callable
@@ -12,10 +12,10 @@ import numpy as np
 from aleator.nlp._outcome import Outcome, Status
 from aleator.nlp._program import NonlinearProgram
 
-# How many points all over the range of the variables are looked at, and how far from the start where that has no end,
-# in typical magnitudes.
+# How many points in the whole range of the variables are evaluated, and how far from the start an unbounded range
+# extends, in typical magnitudes.
 _POINTS, _FAR = 8, 3.0
-# A point is less violated if its violation is lower by more than this part of it.
+# A violation is lower if it is so by more than this part.
 _LESS = 1e-2
 
 
@@ -25,10 +25,10 @@ def feasible_elsewhere(
     start: np.ndarray,
     again: Callable[[NonlinearProgram, np.ndarray], Outcome],
 ) -> Outcome:
-    """The outcome, or that of another start if it is called infeasible although some point violates less.
+    """The outcome, or that from another start if it is infeasible although some other point violates less.
 
-    `again` solves a program from a start: from the least violated of those looked at, `start` (shape (n,)) among them,
-    with variables scaled by what they have come to be.
+    `again` solves a program from a start: the least violated of the points evaluated, which include `start` (shape
+    (n,)), with variables scaled by their values there.
     """
     if outcome.status is not Status.INFEASIBLE:
         return outcome
@@ -47,13 +47,13 @@ def feasible_elsewhere(
 def variable_range(
     start: np.ndarray, lower: np.ndarray, upper: np.ndarray, scale: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The least and the greatest variables, or three typical magnitudes from the start where their range has no end."""
+    """The least and greatest values of the variables, or three typical magnitudes from the start if unbounded."""
     far = _FAR * scale
     return np.where(np.isfinite(lower), lower, start - far), np.where(np.isfinite(upper), upper, start + far)
 
 
 def _points(program: NonlinearProgram, start: np.ndarray) -> list[np.ndarray]:
-    """The corners of least and greatest variables, the middle between them, and points all over."""
+    """The corners of least and of greatest values, the middle between them, and points in the whole range."""
     lower, upper = variable_range(start, program.lower, program.upper, program.variable_scale)
     generator = np.random.default_rng(0)
     return [lower, upper, (lower + upper) / 2, *generator.uniform(lower, upper, (_POINTS, len(start)))]

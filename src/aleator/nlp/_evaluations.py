@@ -1,4 +1,4 @@
-"""One call of the model per point, whatever a solver asks for and however it goes wrong."""
+"""One evaluation of the model per point, whatever a solver requests, with its failures recorded."""
 
 import contextlib
 from collections import OrderedDict, deque
@@ -20,17 +20,17 @@ class NotFiniteError(ArithmeticError):
 
 @final
 class HaltedError(RuntimeError):
-    """The solve is to end: `Evaluations.halt` holds the reason."""
+    """The solve must end: `Evaluations.halt` holds the reason."""
 
 
 @final
 class NowhereFiniteError(ArithmeticError):
-    """So many points in a row could not be evaluated that stepping back further is hopeless."""
+    """Too many points in a row could not be evaluated for stepping back to help."""
 
 
-# A step halved this often is smaller than the rounding of what it started as.
+# A step halved this often is below rounding.
 _MOST_FAILURES = 60
-# A solver that gives up within this many points of a failed one gave up because of it.
+# A solver that gives up within this many points after a failed one is presumed to do so because of it.
 _RECENT = 20
 
 
@@ -38,8 +38,8 @@ _RECENT = 20
 class Evaluations:
     """Evaluates points, remembering the last few, and keeps the exception that ended the solve.
 
-    Solvers in C++ swallow exceptions of their callbacks, so the first one is kept in `halt` and every later
-    call refuses: the solver then ends quickly, and the caller of `solve` gets the exception itself.
+    Solvers in C++ swallow exceptions of their callbacks. So the first one is kept in `halt` and every later call
+    raises: the solver then ends quickly, and the caller of `solve` gets the original exception.
 
     It is made from
 
@@ -47,12 +47,12 @@ class Evaluations:
     - `variables`, `constraints`: n and m, and the `sparsity` of the Jacobian, checked at every call;
     - `remembered`: number of finite and of failed points kept;
 
-    and tells
+    and has the attributes
 
     - `count`: of calls of `evaluate`;
-    - `halt`: the exception that ends the solve, None while all is well;
-    - `last`: the latest evaluation asked for; not-a-number before the first;
-    - `failed_at`: the latest point asked for that could not be evaluated, shape (n,); None before the first.
+    - `halt`: the exception that ends the solve; None if there is none;
+    - `last`: the latest evaluation; NaN before the first;
+    - `failed_at`: the latest point that could not be evaluated, shape (n,); None if there is none.
     """
 
     def __init__(
@@ -82,7 +82,7 @@ class Evaluations:
         self.last = Evaluation(np.nan, np.full(variables, np.nan), np.full(constraints, np.nan), unknown)
 
     def at(self, x: np.ndarray) -> Evaluation:
-        """Evaluate `x`, whether the result is finite or not.
+        """Evaluate `x`; the result may be non-finite.
 
         Raises `HaltedError` if an exception ended the solve, now or before.
         """
@@ -95,7 +95,7 @@ class Evaluations:
         return self.last
 
     def asked(self, question: Callable[[], Any]) -> Any:
-        """What a model is asked, such as its second derivatives. Raises `HaltedError` as `at` does."""
+        """Call the model for something else, such as second derivatives. Raises `HaltedError` as `at` does."""
         if self.halt is not None:
             raise HaltedError from self.halt
         try:
@@ -138,7 +138,7 @@ class Evaluations:
         self._remember(key, evaluation)
 
     def _remember(self, key: bytes, evaluation: Evaluation) -> None:
-        # Failures must not push out finite points, to which a solver that steps back returns.
+        # Failures must not displace finite points, to which a solver returns when it steps back.
         finite = evaluation.is_finite
         points = self._points if finite else self._failed_points
         points[key] = evaluation
@@ -150,7 +150,7 @@ class Evaluations:
             raise NowhereFiniteError(f"not finite at {_MOST_FAILURES} points in a row")
 
     def _checked(self, evaluation: Evaluation) -> Evaluation:
-        # Copies, because a model may use its arrays again, unless nobody can write to them.
+        # Copied unless read-only, because a model may reuse its arrays.
         dense = evaluation[1:] if self._sparsity is None else evaluation[1:3]
         given = [np.asarray(part, dtype=float) for part in dense]
         arrays: list[Any] = [array.copy() if array.flags.writeable else array for array in given]

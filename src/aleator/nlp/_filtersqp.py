@@ -15,16 +15,16 @@ from aleator.nlp._solver import AbstractSolver
 from aleator.nlp._uno import load_unopy, run_uno, uno_version
 from aleator.nlp._verdict import Answer
 
-# Beyond this many pairs, the limited memory costs more than the curvature it remembers is worth.
+# With more pairs, the limited-memory Hessian costs more than it gains.
 _LARGEST_MEMORY = 20
 
 
 @final
 @dataclass(frozen=True)
 class FilterSQP(AbstractSolver):
-    """Sequential quadratic programming with a filter and a trust region, and BQPD subproblems. The Hessian is the
-    program's own if it has one, else of limited memory (L-BFGS).
+    """Sequential quadratic programming with a filter and a trust region, and BQPD subproblems.
 
+    The Hessian is the program's own if it has one, else an L-BFGS approximation.
     Fletcher and Leyffer 2002, "Nonlinear programming without a penalty function", in the implementation of
     Vanaret and Leyffer 2026 (Uno, https://github.com/cvanaret/Uno). Points that cannot be evaluated shrink
     the trust region.
@@ -85,7 +85,7 @@ class FilterSQP(AbstractSolver):
 
 
 def default_solver() -> AbstractSolver:
-    """`FilterSQP()` where unopy is installed, `Ipopt()` otherwise."""
+    """`FilterSQP()` if unopy is installed, else `Ipopt()`."""
     try:
         load_unopy("FilterSQP")
     except MissingExtraError:

@@ -16,11 +16,11 @@ from aleator.nlp._verdict import Answer
 @final
 @dataclass(frozen=True)
 class InteriorPoint(AbstractSolver):
-    """Primal-dual interior points with a filter line search, as IPOPT does it, in Uno's implementation.
+    """The primal-dual interior-point method with a filter line search of IPOPT, in Uno's implementation.
 
     For programs with sparse derivatives and a Hessian of their own (`NonlinearProgram.hessian`); without one the
-    Hessian is of limited memory. Vanaret and Leyffer 2026 (Uno, https://github.com/cvanaret/Uno), preset `ipopt`, with
-    MUMPS.
+    Hessian is a limited-memory approximation. Vanaret and Leyffer 2026 (Uno, https://github.com/cvanaret/Uno), preset
+    `ipopt`, with MUMPS.
     """
 
     @override

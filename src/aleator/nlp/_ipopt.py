@@ -1,4 +1,4 @@
-"""IPOPT through CasADi's wheel: many variables, or where unopy has no wheel."""
+"""IPOPT through CasADi's wheel: for many variables, and for platforms without a wheel of unopy."""
 
 from dataclasses import dataclass
 from typing import Any, final
@@ -17,16 +17,16 @@ _CLAIMS = {
     "Infeasible_Problem_Detected": Status.INFEASIBLE,
     "Maximum_Iterations_Exceeded": Status.ITERATION_LIMIT,
 }
-# MUMPS's number for it.
+# The code of this ordering in MUMPS.
 _APPROXIMATE_MINIMUM_DEGREE = 0
 
 
 @final
 @dataclass(frozen=True)
 class Ipopt(AbstractSolver):
-    """Primal-dual interior points with a filter line search. The Hessian is the program's own if it has one, else of
-    limited memory (BFGS).
+    """The primal-dual interior-point method with a filter line search.
 
+    The Hessian is the program's own if it has one, else a limited-memory BFGS approximation.
     Wächter and Biegler 2006, "On the implementation of an interior-point filter line-search algorithm for
     large-scale nonlinear programming". Points that cannot be evaluated shorten the step.
     """
@@ -43,7 +43,7 @@ class Ipopt(AbstractSolver):
         import casadi
 
         z = casadi.MX.sym("z", scaled.size)
-        # The callbacks die with their last Python reference, so this list must outlive the solver.
+        # CasADi keeps no references to the callbacks, so this list must outlive the solver.
         callbacks = callbacks_of(casadi, scaled)
         program = {"x": z, "f": callbacks["f"](z)}
         options = self._options(scaled, warm=multipliers is not None)
@@ -63,13 +63,13 @@ class Ipopt(AbstractSolver):
         return _answer(solver(**arguments), solver.stats())
 
     def _equality_slack(self, scaled: ScaledProgram) -> np.ndarray | float:
-        """Widen equalities that outnumber the variables, which IPOPT would refuse, within the tolerance."""
+        """Relax equalities within the tolerance if they outnumber the variables, which IPOPT would refuse."""
         equal = scaled.constraint_lower == scaled.constraint_upper
         return np.where(equal, self.aim, 0.0) if equal.sum() > scaled.size else 0.0
 
     def _options(self, scaled: ScaledProgram, warm: bool) -> dict[str, Any]:
         options = {
-            # CasADi needs no derivatives beyond those handed over.
+            # CasADi needs no derivatives beyond those passed in.
             "no_nlp_grad": True,
             "print_time": False,
             "show_eval_warnings": False,
@@ -81,12 +81,12 @@ class Ipopt(AbstractSolver):
             "ipopt.tol": self.aim,
             "ipopt.constr_viol_tol": self.aim,
             "ipopt.max_iter": self.max_iterations,
-            # The program is scaled already, and the model must not be asked outside the variables' bounds.
+            # The program is scaled already, and the model must not be evaluated outside the variables' bounds.
             "ipopt.nlp_scaling_method": "none",
             "ipopt.bound_relax_factor": 0.0,
         }
         if scaled.curved is not None:
-            # MUMPS's own choice of an ordering takes most of the time where many rows share a variable.
+            # MUMPS's default ordering takes most of the time if many rows share a variable.
             options["ipopt.mumps_pivot_order"] = _APPROXIMATE_MINIMUM_DEGREE
         if warm:
             options |= {"ipopt.warm_start_init_point": "yes", "ipopt.mu_init": 1e-6}
@@ -96,7 +96,7 @@ class Ipopt(AbstractSolver):
 
 
 def _warm(scaled: ScaledProgram, multipliers: np.ndarray) -> dict[str, np.ndarray]:
-    """Multipliers to begin with; the bounds' ones make the Lagrangian stationary at the start."""
+    """Initial multipliers; those of the bounds make the Lagrangian stationary at the start."""
     start = scaled.evaluate(scaled.start)
     remainder = -(start.gradient + multipliers @ start.jacobian)
     allowed = np.where(remainder > 0, np.isfinite(scaled.upper), np.isfinite(scaled.lower))

@@ -1,4 +1,4 @@
-"""Jacobians and Hessians, dense or of a declared sparsity: what solvers and certificates ask of either.
+"""Operations on Jacobians and Hessians, dense or of a declared sparsity, for solvers and certificates.
 
 A sparse matrix is a `scipy.sparse.csr_array` in canonical form. SciPy's sparse module is imported late: programs of few
 variables never need it.
@@ -10,13 +10,13 @@ import numpy as np
 
 from aleator._core.errors import ProblemError
 
-# SciPy says little of the types of its sparse arrays.
+# SciPy's sparse arrays are hardly typed.
 SparseMatrix: TypeAlias = Any
 Matrix: TypeAlias = np.ndarray | SparseMatrix
 
 
 def entries(matrix: Matrix) -> np.ndarray:
-    """The numbers of a matrix, those that its sparsity leaves out apart."""
+    """The numbers of a matrix; of a sparse one its stored entries."""
     return matrix if isinstance(matrix, np.ndarray) else matrix.data
 
 
@@ -33,7 +33,7 @@ def with_entries(sparsity: SparseMatrix, numbers: np.ndarray) -> SparseMatrix:
 
 
 def largest_term(weights: np.ndarray, matrix: Matrix) -> float:
-    """The largest `|w_i A_ij|`, zero where there is none."""
+    """The largest `|w_i A_ij|`; zero if there is none."""
     if isinstance(matrix, np.ndarray):
         used = np.flatnonzero(weights)
         return float(np.abs(weights[used, None] * matrix[used]).max(initial=0.0))
@@ -41,7 +41,7 @@ def largest_term(weights: np.ndarray, matrix: Matrix) -> float:
 
 
 def column_is_zero(matrix: Matrix, column: int) -> bool:
-    """Whether a column holds nothing but zeros."""
+    """Whether a column is zero."""
     return not entries(matrix[:, [column]]).any()
 
 
@@ -58,7 +58,7 @@ def gradients(matrix: Matrix, rows: np.ndarray, signs: np.ndarray) -> Matrix:
 
 
 def unit_columns(like: Matrix, places: np.ndarray, signs: np.ndarray) -> Matrix:
-    """Signed unit vectors as columns, dense or sparse as a matrix with as many columns as they are long."""
+    """Signed unit vectors as columns, as long as `like` has columns, and dense or sparse as it is."""
     size = like.shape[1]
     if isinstance(like, np.ndarray):
         return np.eye(size)[:, places] * signs
@@ -102,7 +102,7 @@ def nonnegative_fit(columns: Matrix, target: np.ndarray) -> np.ndarray:
     try:
         return nnls(columns, target)[0]
     except RuntimeError:
-        # SciPy's way of saying that its iterations are used up.
+        # SciPy raises this when its iterations are used up.
         return np.zeros(columns.shape[1])
 
 
@@ -127,7 +127,7 @@ class Block:
 
 
 def check_sparsity(name: str, sparsity: SparseMatrix, shape: tuple[int, int]) -> None:
-    """Refuse what is no sparsity of this shape: a `csr_array` with sorted columns and no entry twice."""
+    """Refuse anything but a sparsity of this shape: a `csr_array` with sorted columns and no duplicates."""
     from scipy.sparse import csr_array
 
     if not isinstance(sparsity, csr_array) or sparsity.shape != shape:

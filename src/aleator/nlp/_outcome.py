@@ -11,17 +11,17 @@ from aleator.nlp._program import Evaluation
 
 @final
 class Status(enum.Enum):
-    """How a solve ended; the value is a phrase to be read."""
+    """How a solve ended; the value is a phrase for users."""
 
     SOLVED = "solved: feasible and stationary within tolerance"
     NOT_HELD = "solved at the instants of the grid, but limits break between them"
-    COARSE = "solved on this grid, which is too coarse: a finer one gives something else"
+    COARSE = "solved on this grid, which is too coarse: a finer one gives another result"
     CONTRADICTED = "solved for the expansion, but fresh simulations contradict it"
     UNRESOLVED = "solved for the expansion, which is too coarse for what is asked of it"
     WORST_CASE_BROKEN = "solved for the realisations found so far, but others break a limit on the worst case"
     INFEASIBLE = "infeasible: the constraints cannot all be met near here"
     ITERATION_LIMIT = "stopped at the iteration limit"
-    EVALUATION_FAILED = "the model gave numbers that are not finite"
+    EVALUATION_FAILED = "the model returned numbers that are not finite"
     INTERRUPTED = "interrupted by the user"
     FAILED = "not solved: the solver stopped at a point that is no solution to the tolerance asked for"
 
@@ -35,31 +35,31 @@ class Outcome:
     upper bound is active and <= 0 where the lower one is, so the optimal objective changes by `-multiplier`
     per unit of the active bound.
 
-    - `status`: how it ended, judged from the certificate and not only from the solver's word;
-    - `point`: `x`, shape (n,). The least violated point seen where the status is INFEASIBLE; the best where it is
+    - `status`: how it ended, judged by the certificate and not only by the solver's claim;
+    - `point`: `x`, shape (n,). The least violated point seen if the status is INFEASIBLE; the best if it is
       INTERRUPTED or EVALUATION_FAILED;
     - `evaluation`: the model's values and derivatives at `point`;
     - `multipliers`: of the constraints, shape (m,), units of objective per constraint;
     - `bound_multipliers`: of the variables' bounds, shape (n,), units of objective per variable;
     - `violation`: largest violation of a constraint over its size (`sizes`), dimensionless;
-    - `stationarity`: largest component of the scaled Lagrangian's gradient, over the size of what cancels in it or of
-      its change over a typical magnitude, whichever is larger. Where the objective is closer to a value below which it
-      cannot fall, how close: over its change over a typical magnitude;
+    - `stationarity`: largest component of the scaled Lagrangian's gradient, relative to the terms that cancel in it or
+      to its change over a typical magnitude, whichever is larger. If the objective is even closer to its lower bound
+      (`NonlinearProgram.least`): its distance from that, relative to its change over a typical magnitude;
     - `complementarity`: largest product of a scaled multiplier and its slack, over the largest multiplier if above 1;
     - `iterations`: the solver's count, over all restarts;
     - `evaluations`: number of points at which `evaluate` was called;
     - `seconds`: wall-clock time;
     - `solver`: its name and version;
-    - `message`: what the solver itself said, with our objection where the status differs;
+    - `message`: that of the solver, with the reason if the status differs from its claim;
     - `active`: whether a constraint is at its bound, shape (m,): its scaled slack is at most 1e-6, or smaller than a
       scaled multiplier above 1e-6; equalities always are;
-    - `active_bounds`: the same of the variables, shape (n,); fixed ones always are;
+    - `active_bounds`: the same for the variables, shape (n,); fixed ones always are;
     - `sizes`: the magnitudes of the constraints at `point` to which a violation is relative, in their units,
       shape (m,);
-    - `failed_at`: the last point at which the model was not finite, shape (n,), where the status is EVALUATION_FAILED;
-      None otherwise;
-    - `idle`: variables left at their start by which nothing changes, as far as was looked; `blind`: those by which
-      something does, though its derivative is zero everywhere.
+    - `failed_at`: the last point at which the model was not finite, shape (n,), if the status is EVALUATION_FAILED;
+      else None;
+    - `idle`: variables left at their start that change nothing at the points checked; `blind`: those that do change
+      something although all derivatives by them are zero.
     """
 
     status: Status
@@ -88,7 +88,7 @@ class Outcome:
         return self.status is Status.SOLVED
 
     def with_effort_of(self, *others: "Outcome") -> "Outcome":
-        """The same with what other solves on the way to it have cost as well."""
+        """The same outcome with the effort of other solves on the way to it added."""
         every = (*others, self)
         return replace(
             self,

@@ -6,7 +6,7 @@ import numpy as np
 
 from aleator.nlp._matrices import Matrix, SparseMatrix, rows_of_entries
 
-# Beyond this share of entries other than zero, keeping them apart saves nothing.
+# Beyond this share of nonzero entries, sparsity saves nothing.
 _DENSE = 0.7
 # After this many extensions the Jacobian counts as dense.
 _MOST_WIDENINGS = 2
@@ -14,10 +14,9 @@ _MOST_WIDENINGS = 2
 
 @final
 class Pattern:
-    """The entries of a Jacobian that a solver is told of.
+    """The entries of a Jacobian that a solver works with.
 
-    An entry that shows up beside them outgrows the pattern: it is then `outgrown`, and the solver is to go on with
-    `widened()`.
+    If a nonzero entry turns up outside the pattern, it is `outgrown`, and the solver continues with `widened()`.
 
     - `rows`, `columns`: of the entries, column by column, shape (entries,).
     """
@@ -39,13 +38,13 @@ class Pattern:
         return found
 
     def widened(self) -> "Pattern":
-        """The pattern with the entries that outgrew it; of all entries when that happens again and again."""
+        """The pattern extended by the new entries; with all entries after too many extensions."""
         return Pattern(self._nonzero, self._widenings + 1)
 
 
 @final
 class DeclaredPattern:
-    """The sparsity that every Jacobian of a program has. It is never outgrown; see `Pattern`."""
+    """The declared sparsity of a program's Jacobians, which is never outgrown; see `Pattern`."""
 
     outgrown = False
 
@@ -57,7 +56,7 @@ class DeclaredPattern:
         return jacobian.data
 
     def widened(self) -> "DeclaredPattern":
-        """The same: there is nothing beside it."""
+        """The same pattern, because it is complete."""
         return self
 
 
@@ -65,5 +64,5 @@ AnyPattern: TypeAlias = Pattern | DeclaredPattern
 
 
 def pattern_of(sparsity: Matrix) -> AnyPattern:
-    """What a solver is told of where a program's Jacobian may be other than zero."""
+    """The pattern for a program's sparsity: a guess if dense, declared if sparse."""
     return Pattern(sparsity) if isinstance(sparsity, np.ndarray) else DeclaredPattern(sparsity)

@@ -1,4 +1,4 @@
-"""The nonlinear program: what is minimised, subject to what, and how large its numbers typically are."""
+"""The nonlinear program: objective, constraints, bounds, derivatives and typical magnitudes."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ class Evaluation(NamedTuple):
     - `objective`: `f(x)`, a number;
     - `gradient`: `∂f/∂x`, shape (n,);
     - `constraints`: `c(x)`, shape (m,);
-    - `jacobian`: `∂c/∂x`, shape (m, n): dense, or a `scipy.sparse.csr_array` where a program declares its sparsity.
+    - `jacobian`: `∂c/∂x`, shape (m, n): dense, or a `scipy.sparse.csr_array` if the program declares its sparsity.
     """
 
     objective: float
@@ -26,17 +26,17 @@ class Evaluation(NamedTuple):
 
     @property
     def is_finite(self) -> bool:
-        """Whether every number is finite: a solver can use nothing less."""
+        """Whether every number is finite, as solvers need."""
         numbers = self.gradient, self.constraints, entries(self.jacobian)
         return bool(np.isfinite(self.objective) and all(np.isfinite(part).all() for part in numbers))
 
 
 class Hessian(NamedTuple):
-    """The second derivatives of the Lagrangian `w f(x) + λᵀ c(x)`, of which the lower triangle is given.
+    """The lower triangle of the second derivatives of the Lagrangian `w f(x) + λᵀ c(x)`.
 
-    - `evaluate`: gives them as a `scipy.sparse.csr_array` at `x` of shape (n,), for a weight `w` of the objective and
+    - `evaluate`: returns it as a `scipy.sparse.csr_array` at `x` of shape (n,), for a weight `w` of the objective and
       multipliers `λ` of shape (m,), in the user's units;
-    - `sparsity`: which entries may be other than zero: a `csr_array` of shape (n, n), which each of them has.
+    - `sparsity`: a `csr_array` of shape (n, n) of the entries that may be nonzero, the same for all results.
     """
 
     evaluate: Callable[[np.ndarray, float, np.ndarray], SparseMatrix]
@@ -46,8 +46,8 @@ class Hessian(NamedTuple):
 class Magnitudes(NamedTuple):
     """How large the constraints are at a point, in user units, shape (m,) each.
 
-    - `size`: the magnitude to which a violation is relative, whatever a solver divides by;
-    - `scale`: what a solver had best divide by from here on.
+    - `size`: the magnitude to which a violation is relative, whatever the solver's scale;
+    - `scale`: the recommended scale for a solver that continues from here.
     """
 
     size: np.ndarray
@@ -61,22 +61,22 @@ class NonlinearProgram:
 
     Everything is in the user's units; the solvers scale inside.
 
-    - `evaluate`: gives the `Evaluation` at `x` of shape (n,). Non-finite numbers in it mean "cannot be evaluated
+    - `evaluate`: returns the `Evaluation` at `x` of shape (n,). Non-finite numbers in it mean "cannot be evaluated
       here", and solvers step back; an exception ends the solve and reaches its caller;
     - `start`: initial variables, shape (n,);
     - `lower`, `upper`: bounds of the variables, shape (n,), infinite where there is none, equal to fix a variable;
     - `constraint_lower`, `constraint_upper`: bounds of the constraints, shape (m,), infinite where there is none,
       equal for an equality;
-    - `constraint_scale`: what solvers divide the constraints by at first, shape (m,), positive: typical magnitudes;
+    - `constraint_scale`: typical magnitudes by which solvers divide the constraints at first, shape (m,), positive;
     - `variable_scale`: typical magnitudes of the variables, shape (n,), positive;
-    - `sparsity`: which entries of the Jacobian may be other than zero, shape (m, n); all by default. As dense truth
-      values it is a guess: solvers that use it notice where it was too narrow. As a `scipy.sparse.csr_array` it is the
-      sparsity that every Jacobian has, which then is one too: nothing of the size m x n is ever made;
-    - `hessian`: second derivatives, where they are known; all solvers but `Slsqp` use them;
-    - `magnitudes`: those of the constraints at a point `x` with its evaluation: by them, and not by what a solver
-      divided by, an answer is judged feasible. By default `constraint_scale`, as size and as scale, at every point;
-    - `least`: a value below which the objective cannot fall, such as 0 for a norm: there it is optimal, even if it
-      has a kink. Minus infinity where none is known.
+    - `sparsity`: the entries of the Jacobian that may be nonzero, shape (m, n); all by default. A dense array of truth
+      values is a guess: solvers that use it detect entries outside it. A `scipy.sparse.csr_array` is the sparsity of
+      every Jacobian, which then is sparse too: no dense array of size m x n is ever made;
+    - `hessian`: second derivatives, if known; all solvers but `Slsqp` use them;
+    - `magnitudes`: gives those of the constraints at a point `x` with its evaluation. Feasibility is judged by them,
+      not by the solver's scale. By default `constraint_scale`, as size and as scale, at every point;
+    - `least`: a lower bound of the objective, such as 0 for a norm: a point that attains it is optimal, even at a kink.
+      Minus infinity if none is known.
 
     Raises `ProblemError` if shapes differ, bounds cross, scales are not positive or the start is not finite.
     """

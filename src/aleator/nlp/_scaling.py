@@ -1,4 +1,4 @@
-"""The program as solvers see it: dimensionless, without fixed variables and without rows that bind nothing."""
+"""The program as solvers see it: dimensionless, without fixed variables and without unbounded rows."""
 
 from dataclasses import dataclass
 from typing import NamedTuple, final
@@ -12,11 +12,11 @@ from aleator.nlp._program import Evaluation, Magnitudes, NonlinearProgram
 # The steepest scaled slope at the start. Solvers begin without curvature, so it is also the length of their first
 # step, in typical magnitudes of the variables.
 _FIRST_STEP = 2.0
-# A gradient smaller than this fraction of the objective is little more than rounding, and scales nothing.
+# A gradient smaller than this fraction of the objective is little more than rounding, and not used for scaling.
 _ROUNDING = 1e-10
-# Below this, a row counts as met when points are ranked, so that the objective decides.
+# Violations below this count as none when points are ranked, so that the objective decides.
 _NEGLIGIBLE_VIOLATION = 1e-7
-# Slacks up to this are none, and multipliers up to this are residues of the solver.
+# Slacks and multipliers up to this count as zero; the latter are residues of the solver.
 _REACHED = 1e-6
 
 
@@ -30,13 +30,13 @@ class Multipliers:
 
 
 class Scales(NamedTuple):
-    """What the objective and the useful constraints, shape (m_useful,), are divided by."""
+    """The divisors of the objective and of the useful constraints, shape (m_useful,)."""
 
     objective: float
     constraints: np.ndarray
 
     def converted(self, multipliers: Multipliers | None, into: "Scales") -> Multipliers | None:
-        """The multipliers in other scales."""
+        """Multipliers converted into other scales."""
         if multipliers is None:
             return None
         ratio = self.objective / into.objective
@@ -55,20 +55,20 @@ class ScaledProgram:
 
     A solver sees it in scales that suit its steps; an answer is judged in those of its own magnitudes (`rescale`).
 
-    Only free variables and useful rows are seen: points `z` have shape (n_free,), constraints shape (m_useful,). The
-    model is never asked outside the bounds.
+    It has only free variables and useful rows: points `z` have shape (n_free,), constraints shape (m_useful,). The
+    model is never evaluated outside the bounds.
 
     - `size`, `rows`: n_free and m_useful;
-    - `sparsity`: which entries of the Jacobian may be other than zero, shape (m_useful, n_free): dense, or sparse as
-      the Jacobians are; `curved`: those of the Hessian's lower triangle, None where there is no Hessian;
+    - `sparsity`: the entries of the Jacobian that may be nonzero, shape (m_useful, n_free), dense or sparse as the
+      Jacobians are; `curved`: those of the Hessian's lower triangle, None if there is no Hessian;
     - `start`: scaled start, clipped to the bounds, shape (n_free,);
     - `lower`, `upper`: scaled bounds, shape (n_free,);
     - `constraint_lower`, `constraint_upper`: scaled bounds, shape (m_useful,);
     - `objective_scale`: from the gradient at the start, so that neither an offset nor a factor of the objective
-      matters; from `|f(start)|` where there is no gradient to speak of;
+      matters; from `|f(start)|` if the gradient is negligible;
     - `best`: the best point seen, with its evaluation in user units: feasible with the least objective, else the
       least violated one. None before `begin`;
-    - `evaluations`: the model behind.
+    - `evaluations`: of the user's model.
     """
 
     def __init__(self, program: NonlinearProgram, start: np.ndarray):
@@ -116,17 +116,17 @@ class ScaledProgram:
 
     @property
     def scales(self) -> Scales:
-        """The present scales."""
+        """The current scales."""
         return Scales(self.objective_scale, self._constraint_scale)
 
     def rescale(self, z: np.ndarray, scales: Scales) -> None:
-        """Go on from `z`, shape (n_free,), in other scales. Multipliers at hand are the caller's to convert."""
+        """Continue from `z`, shape (n_free,), in other scales. The caller must convert its multipliers."""
         self.start = np.clip(z, self.lower, self.upper)
         self.objective_scale = scales.objective
         self._scale_constraints(scales.constraints)
         self._last = None
         if self.best is not None:
-            # In other scales another violation counts as the least.
+            # In other scales another point may be the least violated.
             (point, user), self._best_rank = self.best, (np.inf, np.inf)
             self._rank(point, user, self.scale(user))
 
@@ -138,7 +138,7 @@ class ScaledProgram:
         self.constraint_upper = self._program.constraint_upper[self._useful] / scale
 
     def magnitudes(self, user: Evaluation, z: np.ndarray) -> Magnitudes:
-        """Those of the useful constraints at `z` with its evaluation in user units, shape (m_useful,) each."""
+        """Magnitudes of the useful constraints at `z` with its evaluation in user units, shape (m_useful,) each."""
         if self._program.magnitudes is None:
             scale = self._program.constraint_scale[self._useful]
             return Magnitudes(scale, scale)
@@ -152,8 +152,9 @@ class ScaledProgram:
         return sizes
 
     def above_least(self, user: Evaluation) -> float:
-        """By how much the objective exceeds a value below which it cannot fall, over its change over a typical
-        magnitude of the variables; infinite where no such value is known.
+        """The objective's distance from its lower bound, over its change over a typical magnitude of the variables.
+
+        Infinite if no lower bound is known.
         """
         change = float(np.abs(user.gradient[self._free] * self._variable_scale).sum())
         return max(user.objective - self._program.least, 0.0) / change if change > 0 else np.inf
@@ -161,14 +162,14 @@ class ScaledProgram:
     def unscaled(self, z: np.ndarray) -> np.ndarray:
         """All variables in user units, shape (n,), within their bounds."""
         x = self._fixed_variables.copy()
-        # The quotient's rounding must not carry a variable past its bound.
+        # Rounding of the quotient must not carry a variable past its bound.
         x[self._free] = z * self._variable_scale
         return np.clip(x, self._program.lower, self._program.upper)
 
     def evaluate(self, z: np.ndarray) -> Evaluation:
         """Evaluate `z`, scaled.
 
-        Raises `NotFiniteError` if the model cannot be evaluated here, `HaltedError` if the solve is to end.
+        Raises `NotFiniteError` if the model cannot be evaluated here, `HaltedError` if the solve must end.
         """
         key = np.asarray(z, dtype=float).tobytes()
         if self._last is None or self._last[0] != key or self.evaluations.halt is not None:
@@ -195,8 +196,8 @@ class ScaledProgram:
     def hessian(self, z: np.ndarray, weight: float, multipliers: np.ndarray) -> np.ndarray:
         """The entries of the scaled Hessian's lower triangle in the order of `curved`, shape (entries,).
 
-        `weight` is of the scaled objective, `multipliers` of the useful scaled rows. Raises `NotFiniteError` if some
-        are not finite, `HaltedError` if the solve is to end.
+        `weight` is that of the scaled objective, `multipliers` those of the useful scaled rows. Raises `NotFiniteError`
+        if some entries are not finite, `HaltedError` if the solve must end.
         """
         program = self._program
         assert program.hessian is not None
@@ -213,7 +214,7 @@ class ScaledProgram:
         return numbers
 
     def terms(self, evaluation: Evaluation, multipliers: Multipliers) -> float:
-        """The magnitude of what is added up in the Lagrangian, of which its rounding is a part; scaled."""
+        """The scaled magnitude of the terms of the Lagrangian, to which its rounding is relative."""
         objective = abs(evaluation.objective) + abs(self._objective_origin) / self.objective_scale
         return objective + float(np.abs(multipliers.rows) @ np.abs(evaluation.constraints))
 
@@ -224,7 +225,7 @@ class ScaledProgram:
     def active(
         self, z: np.ndarray, user: Evaluation, rows: np.ndarray, bounds: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Which of all constraints, shape (m,), and of all variables' bounds, shape (n,), hold the point where it is.
+        """The active constraints, shape (m,), and the active bounds of variables, shape (n,), as truth values.
 
         `rows` and `bounds` are the scaled multipliers at `z`.
         """
@@ -256,7 +257,7 @@ class ScaledProgram:
         Those of fixed variables make the Lagrangian stationary, given the `multipliers` of all rows in user units.
         """
         with np.errstate(invalid="ignore", over="ignore"):
-            # A model that is not finite leaves no multipliers to speak of, and nothing to warn about.
+            # If the model is not finite, the multipliers are meaningless, and no warning is needed.
             complete = -(user.gradient + multipliers @ user.jacobian)
         complete[self._free] = bound_multipliers * self.objective_scale / self._variable_scale
         return complete
@@ -270,7 +271,7 @@ class ScaledProgram:
 
 
 def _holding(values: np.ndarray, lower: np.ndarray, upper: np.ndarray, multipliers: np.ndarray) -> np.ndarray:
-    """A bound holds a value that has reached it, or that an interior point keeps off it by less than it pushes."""
+    """Whether a value is at its bound, or, from an interior point, nearer to it than the size of its multiplier."""
     with np.errstate(invalid="ignore"):
         reached = np.minimum(values - lower, upper - values) <= _REACHED
         slack = np.abs(np.where(multipliers > 0, upper - values, values - lower))

@@ -22,11 +22,11 @@ from aleator.nlp._verdict import Answer
 _CONVERGED, _INCOMPATIBLE, _ITERATION_LIMIT = 0, 4, 9
 # Added to the objective where the model cannot be evaluated, so that the line search steps back.
 _WALL = 1e6
-# Variables move at most this many typical magnitudes a round, lest rows that are left out let them run away.
+# Variables move at most this many typical magnitudes a round, so that they do not diverge while rows are left out.
 _REACH = 10.0
 # SLSQP stops on changes of the objective, which are second order in the distance to the solution.
 _CHANGE_PER_TOLERANCE = 1e-4
-# Searches for a feasible point, before the program counts as one that SLSQP cannot solve.
+# Most searches for a feasible point.
 _MOST_RESTARTS = 5
 # SLSQP's dense matrices grow with the square of the variables, and its time with their cube.
 _MOST_VARIABLES = 2000
@@ -44,11 +44,10 @@ class _Round(NamedTuple):
 class Slsqp(AbstractSolver):
     """Sequential least-squares quadratic programming (Kraft 1988) with an exchange of rows.
 
-    SLSQP is slow with thousands of rows. So a round sees only the equalities and those rows that are the
-    worst of their neighbours; rows that its solution violates join the next round, until none is violated:
-    the exchange method of semi-infinite programming (Hettich and Kortanek 1993). Where the linearised rows
-    contradict each other, minimising the largest violation finds a feasible point to go on from, or a point
-    of least violation.
+    SLSQP is slow with thousands of rows. So a round has only the equalities and those rows that are the worst among
+    their neighbours; rows that its solution violates join the next round, until none is violated: the exchange method
+    of semi-infinite programming (Hettich and Kortanek 1993). If the linearised rows contradict each other, minimising
+    the largest violation finds a feasible point to continue from, or a point of least violation.
 
     - `max_iterations`: over all rounds;
     - `max_rounds`: of the exchange.
@@ -70,7 +69,7 @@ class Slsqp(AbstractSolver):
 
     @override
     def minimise(self, scaled: ScaledProgram, multipliers: np.ndarray | None) -> Answer:
-        del multipliers  # SLSQP cannot use any.
+        del multipliers  # SLSQP has no use for them.
         if scaled.size > _MOST_VARIABLES:
             raise ProblemError(
                 f"Slsqp keeps dense matrices: expected at most {_MOST_VARIABLES} variables; received {scaled.size}. "
@@ -102,7 +101,7 @@ class Slsqp(AbstractSolver):
         return Answer(Status.ITERATION_LIMIT, point, None, iterations, "the exchange of rows reached its limit")
 
     def _met(self, scaled: ScaledProgram, point: np.ndarray, rows: np.ndarray) -> bool:
-        """Whether no row outside `rows` is violated more than those inside: another round would change nothing."""
+        """Whether no row outside `rows` is violated more than those inside, so that another round changes nothing."""
         outside = scaled.violation(scaled.evaluate(point).constraints)
         inside = float(outside[rows].max(initial=0.0))
         return float(outside.max(initial=0.0)) <= max(inside, self.aim)
@@ -116,7 +115,7 @@ def _worst_rows(scaled: ScaledProgram, point: np.ndarray) -> np.ndarray:
     """Find the rows that are worst among their neighbours, the worst first and no more than a few per variable."""
     outside = scaled.violation(scaled.evaluate(point).constraints)
     padded = np.concatenate([[-np.inf], outside, [-np.inf]])
-    # Of rows that are equally bad the first counts, so that a plateau does not crowd out the other extrema.
+    # Of equally bad rows only the first counts, so that a plateau does not crowd out other extrema.
     extrema = np.flatnonzero((outside > padded[:-2]) & (outside >= padded[2:]))
     return extrema[np.argsort(-outside[extrema])][: 2 * scaled.size + 10]
 
@@ -206,7 +205,7 @@ def _reachable(scaled: ScaledProgram, point: np.ndarray) -> list[tuple[float, fl
 
 
 def _walled(scaled: ScaledProgram, point: np.ndarray) -> Callable[[np.ndarray], Evaluation]:
-    """Return the model, with a wall on the latest finite evaluation where the model is not finite."""
+    """The model, which returns the latest finite evaluation plus a wall where it is not finite."""
     latest = scaled.evaluate(point)
     # Every row is violated behind the wall, so that searches that ignore the objective step back as well.
     outward = np.where(np.isfinite(scaled.constraint_upper), _WALL, -_WALL)
@@ -235,7 +234,7 @@ def _slsqp(
 
     options = {"ftol": tolerance * _CHANGE_PER_TOLERANCE, "maxiter": max_iterations}
     with warnings.catch_warnings():
-        # SLSQP's steps overshoot bounds by rounding; SciPy clips them, which is all we want.
+        # SLSQP's steps overshoot bounds by rounding; SciPy clips them and warns needlessly.
         warnings.filterwarnings("ignore", message="Values in x were outside bounds")
         found: Any = minimize(
             objective,

@@ -1,4 +1,4 @@
-"""The life of a solve, the same for every solver: scale, run, judge, report."""
+"""The stages of a solve, the same for every solver: scale, run, judge, report."""
 
 import abc
 import dataclasses
@@ -15,18 +15,18 @@ from aleator.nlp._program import NonlinearProgram
 from aleator.nlp._scaling import ScaledProgram
 from aleator.nlp._verdict import Answer, Verdict, better_scales, checked_answer, judge, settle
 
-# Each round of a steep start makes the objective flatter by many orders of magnitude.
+# Rounds from a steep start, each of which lowers the slope of the objective by many orders of magnitude.
 _MOST_ROUNDS = 4
-# Curvature met on a steep start can make a solver creep, so the first round leaves this part of the iterations, where
-# there are enough of them, to those that follow in a better scale.
+# Curvature from a steep start can make a solver very slow, so the first round leaves this part of the iterations, if
+# there are enough of them, to later rounds in a better scale.
 _LEFT_OVER, _WORTH_SHARING = 4, 50
-# Solvers aim at this part of the tolerance: the scale in which they run is not yet that in which they are judged.
+# Solvers aim at this part of the tolerance, because they run in another scale than that of the verdict.
 _AIM = 1e-2
-# No solver arrives closer than this.
+# No solver gets closer than this.
 _LEAST_AIM = 1e-13
-# What a solver is given of a program, and what its answer is judged by.
+# Attributes of the scaled program that solvers must not change: their answers are judged by them.
 _GIVEN = ("start", "lower", "upper", "constraint_lower", "constraint_upper")
-# A scale that differs from another by no more than this is no better.
+# Scales that differ by no more than this factor are equally good.
 _SAME_SCALE = 10.0
 
 
@@ -34,12 +34,12 @@ _SAME_SCALE = 10.0
 class AbstractSolver(abc.ABC):
     """Solves nonlinear programs. Implementations only run their library on the scaled program.
 
-    - `tolerance`: what "solved" means: no Karush-Kuhn-Tucker residual of the `Outcome` is larger, and no violation
-      either, nor than a millionth. The library itself aims at a hundredth of it (`aim`);
-    - `max_iterations`: after which the solver stops, restarts included.
+    - `tolerance`: the largest Karush-Kuhn-Tucker residual of an `Outcome` that counts as solved; a violation must also
+      be at most a millionth. The library itself aims at a hundredth of the tolerance (`aim`);
+    - `max_iterations`: the limit of iterations, restarts included.
 
-    A point that the library calls optimal, or at which it gives up, and which is not within the tolerance in scales
-    taken there, is where it starts once more in those scales; again only where these turn out to differ by much.
+    If the library ends at a point that is not within the tolerance in scales taken there, it is restarted from that
+    point in those scales; more restarts follow only if the scales then differ considerably.
     """
 
     tolerance: float = 1e-6
@@ -52,7 +52,7 @@ class AbstractSolver(abc.ABC):
 
     @property
     def aim(self) -> float:
-        """The tolerance that the library is given, in the scales in which it runs."""
+        """The tolerance for the library, in the scales in which it runs."""
         return max(_AIM * self.tolerance, _LEAST_AIM)
 
     def solve(
@@ -62,13 +62,13 @@ class AbstractSolver(abc.ABC):
         multipliers: np.ndarray | None = None,
         start: np.ndarray | None = None,
     ) -> Outcome:
-        """Solve `program`, given in user units; a failed solve is data with its status, not an exception.
+        """Solve `program`, given in user units; a failed solve returns an outcome with its status.
 
-        - `multipliers`: of the constraints, shape (m,), from an earlier `Outcome`, to begin near its solution;
+        - `multipliers`: of the constraints, shape (m,), from an earlier `Outcome`, for a warm start;
         - `start`: replaces `program.start`, shape (n,); clipped to the bounds.
 
         Raises `ProblemError` if `start` or `multipliers` have the wrong shape or are not finite, `MissingExtraError`
-        if the solver's library is not installed, and whatever `program.evaluate` raises, but for `KeyboardInterrupt`,
+        if the solver's library is not installed, and any exception of `program.evaluate` except `KeyboardInterrupt`,
         which ends the solve with `Status.INTERRUPTED`.
         """
         began = time.perf_counter()
@@ -99,7 +99,7 @@ class AbstractSolver(abc.ABC):
         """Raise `MissingExtraError` if the library is not installed."""
 
     def _answer(self, scaled: ScaledProgram, multipliers: np.ndarray | None) -> Answer:
-        """Run, and turn whatever ended the run into an answer or into the exception of the model."""
+        """Run, and return an answer for every way in which a run ends, or raise the model's exception."""
         try:
             answer = self._run(scaled, multipliers)
         except HaltedError:
@@ -133,12 +133,12 @@ class AbstractSolver(abc.ABC):
         answer = self._rounds(scaled, warm)
         if answer.claim is Status.FAILED and not scaled.evaluations.last.is_finite:
             answer = answer._replace(claim=Status.EVALUATION_FAILED)
-        # The verdict needs the model at the answer, which may have left the memory.
+        # The verdict needs the model at the answer, which may no longer be remembered.
         scaled.evaluations.at(scaled.unscaled(answer.point))
         return answer
 
     def _rounds(self, scaled: ScaledProgram, multipliers: np.ndarray | None) -> Answer:
-        """Minimise, and again from the answer in the scales that it has there, until it stands in them."""
+        """Minimise, and repeat from the answer in the scales taken there, until it is accepted in them."""
         spent, rounds, tried = 0, 0, False
         while True:
             rounds += 1
@@ -163,15 +163,15 @@ class AbstractSolver(abc.ABC):
             multipliers = None if known is None else known.rows
 
     def _claimed(self, scaled: ScaledProgram, multipliers: np.ndarray | None) -> Answer:
-        """What the library claims. Raises `ProblemError` for what is no answer to this program."""
+        """The library's answer. Raises `ProblemError` if it is no answer to this program."""
         before = {name: getattr(scaled, name).copy() for name in _GIVEN}
         try:
             answer = self.minimise(scaled, multipliers)
         except NotFiniteError:
-            return Answer(Status.EVALUATION_FAILED, scaled.start, None, 0, "a point that the model cannot be asked at")
+            return Answer(Status.EVALUATION_FAILED, scaled.start, None, 0, "the model cannot be evaluated there")
         who = f"{type(self).__name__}.minimise"
         if changed := [name for name, kept in before.items() if not np.array_equal(getattr(scaled, name), kept)]:
-            raise ProblemError(f"{who}: expected the program as it was; received another `scaled.{changed[0]}`.")
+            raise ProblemError(f"{who}: expected the program unchanged; received another `scaled.{changed[0]}`.")
         return checked_answer(who, answer, scaled)
 
 

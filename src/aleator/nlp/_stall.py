@@ -8,21 +8,21 @@ from aleator.nlp._certificate import lagrangian_gradient
 from aleator.nlp._evaluations import NotFiniteError
 from aleator.nlp._scaling import Multipliers, ScaledProgram
 
-# Steps along which it is looked, in typical magnitudes of the variables.
+# Lengths of the probing steps, in typical magnitudes of the variables.
 _STEPS = (1e-3, 1e-5, 1e-7)
-# A change below this many roundings of what it is a change of is not to be told from none.
+# A change below this many rounding errors cannot be distinguished from none.
 _ROUNDINGS = 1e3
-# The error of a first-order prediction falls with the square of the step: with less than this power, no derivative
-# predicts; with less than the second, the function jumps.
+# The error of a first-order prediction falls with the square of the step. Below the first of these powers the function
+# is not differentiable; below the second it jumps.
 _SMOOTH, _JUMP = 1.5, 0.5
 
 
 def stall(scaled: ScaledProgram, z: np.ndarray, multipliers: Multipliers) -> str:
-    """What is known of a point where a solver got stuck, in words that follow a colon; empty if nothing is.
+    """Why a solver may have got stuck at a point, in words that follow a colon; empty if unknown.
 
-    The Lagrangian is evaluated along its own steepest descent, over steps of different lengths. Where it is smooth,
-    what its derivative fails to predict falls with the square of the step; at a kink it falls with the step, at a jump
-    not at all. Nothing of it depends on what held the solver up.
+    The Lagrangian is evaluated along its own steepest descent, over steps of different lengths. If it is smooth, the
+    error of the first-order prediction falls with the square of the step; at a kink it falls with the step, at a jump
+    not at all. The result does not depend on the solver.
     """
     start = scaled.evaluate(z)
     remainder = lagrangian_gradient(start, multipliers)
@@ -47,7 +47,7 @@ def stall(scaled: ScaledProgram, z: np.ndarray, multipliers: Multipliers) -> str
         if error > max(rounding, abs(predicted) / 2):
             missed.append((step, error))
     if not seen:
-        return "what is left to gain is below the rounding of the objective, so that the arithmetic gives no more here"
+        return "the possible gain is below the rounding of the objective, so that no further progress is possible here"
     if len(missed) < 2:
         return ""
     power = min(
@@ -57,6 +57,6 @@ def stall(scaled: ScaledProgram, z: np.ndarray, multipliers: Multipliers) -> str
         return ""
     what = "jumps" if power < _JUMP else "has a kink"
     return (
-        f"the objective or an active constraint {what} close by, so that it does not change as its derivative says, "
-        "and no solver that goes by derivatives gets further"
+        f"the objective or an active constraint {what} close by, so that it does not change as its derivative "
+        "predicts, and no derivative-based solver gets further"
     )

@@ -1,7 +1,7 @@
-"""Variables that an answer left where they started: nothing pulls at them there, and a maximum passes for solved.
+"""Variables that an answer left at their start, where a maximum, a saddle or a flat model satisfies the conditions.
 
 First-order conditions hold at maxima, at saddles (a start on a line of symmetry never leaves it), and wherever a model
-is flat. Solvers descend, so that they end there only if they began there: a few points beside are looked at.
+is flat. Solvers descend, so that they end there only if they began there: a few points nearby are checked.
 """
 
 from collections.abc import Callable
@@ -16,18 +16,18 @@ from aleator.nlp._program import Evaluation, NonlinearProgram
 
 # A variable has moved if it differs by more than this part of its typical magnitude.
 _STILL = 1e-9
-# How far beside the answer is looked, in typical magnitudes, and where else if nothing changes there.
+# Distances of the points checked near the answer, in typical magnitudes, and further ones if nothing changes there.
 _BESIDE, _BEYOND = (-0.05, 0.05), (-3.0, -1.0, 1.0, 3.0)
-# At most so many variables are looked at: the first ones.
+# At most this many variables are checked: the first ones.
 _MOST = 12
-# What is lower by less than this part of the terms it consists of is rounding, or curvature not worth a solution.
+# A decrease by less than this part of the terms is rounding, or negligible curvature.
 _LOWER = 1e-7
-# Values that differ by less than this part of them are the same.
+# Values that differ by less than this part count as equal.
 _SAME = 1e-12
 
 
 class _Probe(NamedTuple):
-    """A point beside the answer, with one variable moved, and what was found there."""
+    """A point near the answer, with one variable moved, and its evaluation."""
 
     point: np.ndarray
     found: Evaluation
@@ -36,12 +36,11 @@ class _Probe(NamedTuple):
 def moved_on(
     program: NonlinearProgram, outcome: Outcome, start: np.ndarray, again: Callable[[np.ndarray], Outcome]
 ) -> Outcome:
-    """The outcome, or a better one where it stands at a point that is no minimum by variables that never moved.
+    """The outcome, or a better one if it is no minimum with respect to variables that never moved.
 
-    - `start`: where the outcome was begun, shape (n,); `again`: solves from another start.
+    - `start`: the start of the outcome, shape (n,); `again`: solves from another start.
 
-    `Outcome.idle` and `Outcome.blind` tell of variables that change nothing, and of those with no derivative though
-    they do.
+    The result's `idle` lists variables that change nothing, `blind` those that do although their derivatives are zero.
     """
     if outcome.status is not Status.SOLVED:
         return outcome
@@ -63,7 +62,7 @@ def moved_on(
 
 
 def _still(program: NonlinearProgram, outcome: Outcome, start: np.ndarray) -> np.ndarray:
-    """The variables that have not moved, though they may, and that no bound is seen to hold."""
+    """The free variables that have not moved and are not held by an active bound."""
     scale, evaluation = program.variable_scale, outcome.evaluation
     still = (np.abs(outcome.point - start) <= _STILL * scale) & (program.lower < program.upper)
     pulls = np.abs(outcome.bound_multipliers) * scale
@@ -72,7 +71,7 @@ def _still(program: NonlinearProgram, outcome: Outcome, start: np.ndarray) -> np
 
 
 def _probes(program: NonlinearProgram, outcome: Outcome, which: int) -> list[_Probe]:
-    """The points beside the answer, and all over the range of a variable by which nothing has a derivative."""
+    """Points near the answer and, if all derivatives by the variable are zero, in its whole range."""
     steps = _BESIDE + (_BEYOND if _is_flat(outcome.evaluation, which) else ())
     lower, upper, here = program.lower[which], program.upper[which], outcome.point[which]
     places = {float(np.clip(here + step * program.variable_scale[which], lower, upper)) for step in steps}

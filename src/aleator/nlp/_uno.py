@@ -1,4 +1,4 @@
-"""Programs as Uno knows them, and its answers: what its presets share.
+"""Conversion of programs to Uno and of its answers, shared by its presets.
 
 Vanaret and Leyffer 2026, Uno, https://github.com/cvanaret/Uno.
 """
@@ -22,13 +22,13 @@ _CLAIMS = {
     "FEASIBLE_KKT_POINT": Status.SOLVED,
     "INFEASIBLE_STATIONARY_POINT": Status.INFEASIBLE,
     "ITERATION_LIMIT": Status.ITERATION_LIMIT,
-    # In another thread than the main one, Uno alone hears of Ctrl-C.
+    # Outside the main thread, only Uno receives Ctrl-C.
     "USER_INTERRUPTION": Status.INTERRUPTED,
 }
 
 
 def load_unopy(who: str) -> Any:
-    """The library, imported late. Raises `MissingExtraError` where it is not installed."""
+    """The library, imported late. Raises `MissingExtraError` if it is not installed."""
     try:
         import unopy
     except ImportError as error:
@@ -49,9 +49,9 @@ def run_uno(
     max_iterations: int,
     options: Mapping[str, Any] = MappingProxyType({}),
 ) -> Answer:
-    """Run one of Uno's presets until it ends, the solve is to end, or derivatives are not zero beside `pattern`.
+    """Run one of Uno's presets until it ends, the solve must end, or a derivative outside `pattern` is nonzero.
 
-    - `aim`: the tolerance that Uno is given; `options`: those of the preset alone.
+    - `aim`: the tolerance for Uno; `options`: those of the preset alone.
     """
     unopy = load_unopy(preset)
     solver = unopy.UnoSolver()
@@ -60,7 +60,7 @@ def run_uno(
         "hessian_model": "LBFGS" if scaled.curved is None else "exact",
         "primal_tolerance": aim,
         "dual_tolerance": aim,
-        # The L2 norm of presets would demand more of a row, the more rows a grid has.
+        # With the L2 norm of the presets, the accuracy per row would depend on the number of rows.
         "residual_norm": "INF",
         "max_iterations": max_iterations,
         "logger": "SILENT",
@@ -79,12 +79,12 @@ def uno_version(who: str) -> str:
 def _model(
     unopy: Any, scaled: ScaledProgram, pattern: AnyPattern, start: np.ndarray, multipliers: np.ndarray | None
 ) -> Any:
-    """The scaled program, with second derivatives where it has them."""
+    """The scaled program, with second derivatives if it has them."""
     latest: list[bytes] = []
 
     def at(z: np.ndarray) -> Evaluation:
         if latest != [key := z.tobytes()]:
-            # Uno puts a handler of Ctrl-C in front of Python's, and ends the process at the second one.
+            # Uno installs its own handler of Ctrl-C before Python's, and ends the process at the second one.
             take_back()
             latest[:] = [key]
         return scaled.evaluate(z)
@@ -121,8 +121,8 @@ def _model(
 
 
 def _answer(result: Any) -> Answer:
-    """What Uno says of where it ended."""
-    # unopy's constants are plain integers, which its results never equal; only the names can be compared.
+    """Uno's result as an answer."""
+    # unopy's constants are plain integers, to which its results never compare equal; so names are compared.
     ended, solution = result.optimization_status.name, result.solution_status.name
     claim = _CLAIMS.get(solution if ended == "SUCCESS" else ended, Status.FAILED)
     bounds = np.array(result.lower_bound_dual_solution) + np.array(result.upper_bound_dual_solution)

@@ -1,4 +1,4 @@
-"""The verdict on a solver's answer: from what the point proves rather than from what the solver claims."""
+"""The verdict on a solver's answer, from the conditions at its point rather than from the solver's claim."""
 
 from numbers import Integral
 from typing import Any, NamedTuple
@@ -22,21 +22,21 @@ from aleator.nlp._scaling import Multipliers, ScaledProgram, Scales
 from aleator.nlp._stall import stall
 
 HELD = 1e-6
-"""A constraint holds where it misses its bound by no more than this part of its size: the magnitude of the bound and of
-the values around the answer."""
+"""A constraint holds if it exceeds its bound by at most this part of its size: the magnitude of the bound and of the
+values around the answer."""
 
-# Size of a probing step, in typical magnitudes: the change of the gradient must stand out from its rounding.
+# Size of a probing step in typical magnitudes, so large that the change of the gradient exceeds its rounding.
 _PROBE = 1e-4
 
 
 class Answer(NamedTuple):
     """What a solver claims, in scaled quantities.
 
-    - `claim`: the solver's own word;
+    - `claim`: the status that the solver claims;
     - `point`: shape (n_free,);
-    - `multipliers`: None where the solver gives none;
+    - `multipliers`: None if the solver gives none;
     - `iterations`: its count;
-    - `message`: what it said.
+    - `message`: its message.
     """
 
     claim: Status
@@ -47,7 +47,7 @@ class Answer(NamedTuple):
 
 
 def checked_answer(who: str, answer: Any, scaled: ScaledProgram) -> Answer:
-    """An answer to a program. Raises `ProblemError` in the name of `who` for what is none."""
+    """A checked answer to a program. Raises `ProblemError` in the name of `who` for anything else."""
     if not isinstance(answer, Answer):
         raise ProblemError(f"{who}: expected an Answer; received {type(answer).__name__} {answer!r}.")
     point = real_array(f"{who}: point", answer.point)
@@ -69,7 +69,7 @@ def checked_answer(who: str, answer: Any, scaled: ScaledProgram) -> Answer:
 
 
 class Verdict(NamedTuple):
-    """What is reported: a point with its evaluation in user units, scaled multipliers and their certificate.
+    """The result to report: a point with its evaluation in user units, scaled multipliers and their certificate.
 
     `sizes`: of the useful constraints at the point, in user units, shape (m_useful,).
     """
@@ -84,7 +84,7 @@ class Verdict(NamedTuple):
 
 
 def judge(scaled: ScaledProgram, answer: Answer, tolerance: float) -> Verdict:
-    """Judge `answer`, which `settle` has seen."""
+    """Judge `answer`, which `settle` has processed."""
     if scaled.best is None:
         return _unknown(scaled, answer)
     if scaled.evaluations.halt is not None or answer.claim is Status.INTERRUPTED:
@@ -98,7 +98,7 @@ def judge(scaled: ScaledProgram, answer: Answer, tolerance: float) -> Verdict:
     verdict = _at(scaled, answer, user, tolerance)
     status = _status(scaled, answer, verdict.certificate, tolerance)
     if status is Status.FAILED and scaled.evaluations.failed_recently:
-        # A solver that gives up beside points that cannot be evaluated gave up because of them.
+        # A solver that gives up next to points that cannot be evaluated is presumed to do so because of them.
         status = Status.EVALUATION_FAILED
     verdict = verdict._replace(status=status)
     if status is Status.FAILED:
@@ -106,7 +106,7 @@ def judge(scaled: ScaledProgram, answer: Answer, tolerance: float) -> Verdict:
         return verdict._replace(message=f"{reason} (the solver said: {answer.message})")
     if status is Status.EVALUATION_FAILED:
         return verdict._replace(
-            message=f"stuck beside points where the model is not finite; the solver said: {answer.message}"
+            message=f"stuck next to points where the model is not finite; the solver said: {answer.message}"
         )
     if status is Status.INFEASIBLE:
         least = _at_best(scaled, answer._replace(claim=status), tolerance)
@@ -135,9 +135,9 @@ def _is_least_violated(scaled: ScaledProgram, answer: Answer) -> bool:
 
 
 def _examined(scaled: ScaledProgram, answer: Answer, user: Evaluation, tolerance: float) -> Answer:
-    """The answer, its claim infeasible where that is proven in the scales in which the solver ran, and only there.
+    """The answer, which claims infeasibility if and only if that is proven in the scales in which the solver ran.
 
-    Which weights the violations have in the sum or maximum that no step lowers does not matter.
+    The weights of the violations in the sum or maximum that no step lowers do not matter.
     """
     size = scaled.magnitudes(user, answer.point).size
     outside = scaled.violation(scaled.scale(user).constraints) * scaled.scales.constraints / size
@@ -152,7 +152,7 @@ def _user(scaled: ScaledProgram, answer: Answer) -> Evaluation:
 
 
 def _framed(scaled: ScaledProgram, answer: Answer, user: Evaluation) -> Answer:
-    """The answer in scales that are the constraints' sizes at it, which are those of `scaled` from now on."""
+    """The answer in the constraints' sizes at its point as scales, which `scaled` has from now on."""
     size = scaled.magnitudes(user, answer.point).size
     return _rescaled(scaled, answer, scaled.scales._replace(constraints=size))
 
@@ -164,7 +164,7 @@ def _rescaled(scaled: ScaledProgram, answer: Answer, scales: Scales) -> Answer:
 
 
 def better_scales(scaled: ScaledProgram, answer: Answer) -> Scales:
-    """The scales in which a solver had best go on from an answer that `settle` has seen."""
+    """The best scales for a solver to continue in from an answer that `settle` has processed."""
     scale = scaled.magnitudes(_user(scaled, answer), answer.point).scale
     return scaled.scales._replace(constraints=scale)
 
@@ -178,7 +178,7 @@ def _at_best(scaled: ScaledProgram, answer: Answer, tolerance: float) -> Verdict
 
 
 def _at(scaled: ScaledProgram, answer: Answer, user: Evaluation, tolerance: float) -> Verdict:
-    """Report the answer's claim at its point, with the multipliers that prove most."""
+    """Report the answer's claim at its point, with the multipliers of the smallest residuals."""
     z, evaluation = answer.point, scaled.scale(user)
     candidates = []
     if answer.multipliers is not None:
@@ -194,13 +194,13 @@ def _at(scaled: ScaledProgram, answer: Answer, user: Evaluation, tolerance: floa
 
 
 def settle(scaled: ScaledProgram, answer: Answer, tolerance: float) -> tuple[Answer, bool]:
-    """Scale objective and constraints by what they are at the answer, and say whether the answer stands in that scale:
-    solved, infeasible, or not a point to go on from.
+    """Scale objective and constraints by their values at the answer, and say whether the answer is final in that scale:
+    solved, infeasible, or no point to continue from.
 
-    The start may be so steep that every slope near the answer is negligible beside it. So the answer is judged by
-    the terms that cancel in the gradient of its Lagrangian and, where these are no larger than the remainder (at an
-    optimum inside all bounds they vanish), by the change of that gradient over a typical magnitude of the variables,
-    for which the model is evaluated once more, close by. Neither depends on the start or on an offset.
+    The start may be so steep that every slope near the answer is negligible compared with it. So the answer is judged
+    by the terms that cancel in the gradient of its Lagrangian. If these are no larger than the remainder (at an optimum
+    inside all bounds they vanish), it is judged by the change of that gradient over a typical magnitude of the
+    variables, which takes one more evaluation close by. Neither depends on the start or on an offset.
     """
     user = _user(scaled, answer)
     if answer.claim in (Status.EVALUATION_FAILED, Status.INTERRUPTED):
@@ -217,7 +217,7 @@ def settle(scaled: ScaledProgram, answer: Answer, tolerance: float) -> tuple[Ans
 
 
 def _size_of_gradient(scaled: ScaledProgram, z: np.ndarray, multipliers: Multipliers, tolerance: float) -> float:
-    """What the remaining gradient of the Lagrangian at a feasible point is to be compared with."""
+    """The size with which the remaining gradient of the Lagrangian at a feasible point is compared."""
     evaluation = scaled.evaluate(z)
     multipliers = complementary(scaled, z, evaluation, multipliers, tolerance)
     remainder = lagrangian_gradient(evaluation, multipliers)
@@ -232,7 +232,7 @@ def _size_of_gradient(scaled: ScaledProgram, z: np.ndarray, multipliers: Multipl
 
 
 def _change_of_gradient(scaled: ScaledProgram, z: np.ndarray, multipliers: Multipliers, remainder: np.ndarray) -> float:
-    """Change of the Lagrangian's gradient over a typical magnitude against `remainder`; 0 if not known."""
+    """Change of the Lagrangian's gradient over a typical magnitude against `remainder`; 0 if unknown."""
     typical = max(1.0, float(np.abs(z).max()))
     direction = -_PROBE * typical * remainder / np.abs(remainder).max()
     for sign in (1, -1):
@@ -257,12 +257,12 @@ def _unknown(scaled: ScaledProgram, answer: Answer) -> Verdict:
 
 
 def _reason(scaled: ScaledProgram, verdict: Verdict, tolerance: float) -> str:
-    """Why a point is no solution: what is not met, and what is known of the reason."""
+    """Why a point is no solution: the condition that is not met and, if known, the reason."""
     certificate = verdict.certificate
     if certificate.violation > _held(tolerance):
         return (
             f"a constraint is missed by {certificate.violation:.1e} of its size, where {_held(tolerance):.0e} is "
-            "asked, though small steps would still lessen it"
+            "asked, although small steps would still reduce it"
         )
     residual = max(certificate.stationarity, certificate.complementarity)
     known = stall(scaled, verdict.point, verdict.multipliers)
