@@ -160,7 +160,7 @@ class Mistaken(ext.AbstractTranscription):
     [
         ("nothing", r"Mistaken\.transcribed: expected an AbstractTranscribed; received None"),
         ("rows", "rows: expected those of 2 constraints"),
-        ("row", "constraint 'x': expected the same of the program and of what its point means"),
+        ("row", "constraint 'x': expected equal numbers in the program and in the meaning of its point"),
     ],
 )
 def test_a_transcription_that_contradicts_itself_is_refused_and_harms_no_other(mistake, message):

@@ -1,4 +1,4 @@
-"""What a transcription gives: a problem's nonlinear program, and what the points of that program mean."""
+"""Abstract transcriptions: a problem's nonlinear program, and the meaning of that program's points."""
 
 import abc
 from collections.abc import Callable
@@ -23,14 +23,14 @@ from aleator.uncertainty import Placements
 
 
 class Meaning(NamedTuple):
-    """What a point of a program means in the words of its problem.
+    """The meaning of a program's point for its problem.
 
     - `decisions`: in the order of the problem's placements, shape (n,);
     - `objective`: its value; `constraints`: the rows of each, in order;
     - `samples`: each functional at the collocation points, in the order of `functionals_of`;
-    - `tangents`: the derivatives of these (of a path at a few instants, see `seen`) by the decisions that are
-      parameters of distributions; None where they are not taken;
-    - `statistics`: each that stands in the expressions, in the order of `statistics_in`;
+    - `tangents`: the derivatives of the samples (of a path at a few instants, see `seen`) by the decisions that are
+      parameters of distributions; None if they are not computed;
+    - `statistics`: all statistics in the expressions, in the order of `statistics_in`;
     - `times`: the instants of the grid, s.
     """
 
@@ -54,15 +54,15 @@ OUTPUTS_AT_POINTS = Compiled(_outputs_at_points, use=Use.ONCE, unchanged=refuse_
 
 @dataclass(frozen=True)
 class AbstractTranscribed(abc.ABC):
-    """A problem as a nonlinear program. All that solves, certifies or reports speaks to it alone.
+    """A problem as a nonlinear program, the only interface for solving, certifying and reporting.
 
     - `problem`; `traced`: the same with its numbers as arrays;
-    - `discretised`: what its statistics are taken with;
-    - `program`: in the user's units, its variables the decisions and whatever the transcription adds to them;
-    - `rows`: those of each constraint of the problem among the program's, which may have others;
+    - `discretised`: basis, collocation and constants of its statistics;
+    - `program`: in the user's units; its variables are the decisions and any that the transcription adds;
+    - `rows`: those of each constraint of the problem within the program, which may have further rows;
     - `scales`: the magnitude of each constraint at the start;
-    - `texts`: how the problem is written;
-    - `scenarios`: the realisations at which limits on the worst case are held; None where there are none.
+    - `texts`: the statistics, functionals and constraints as text;
+    - `scenarios`: the realisations at which limits on the worst case are imposed; None if there are no such limits.
     """
 
     problem: Problem
@@ -82,17 +82,15 @@ class AbstractTranscribed(abc.ABC):
 
     @abc.abstractmethod
     def point(self, decisions: Float[np.ndarray, " n"]) -> Float[np.ndarray, " variables"]:
-        """The point of the program to start from where the decisions are given: objective and constraints are the
-        problem's there.
-        """
+        """The program's starting point for given decisions: objective and constraints there are the problem's."""
 
     @abc.abstractmethod
     def at(self, point: Float[np.ndarray, " variables"]) -> Meaning:
-        """What a point means. The latest points are remembered."""
+        """The meaning of a point. The latest points are remembered."""
 
     @abc.abstractmethod
     def at_scenarios(self, scenarios: Scenarios) -> Self:
-        """The same, its limits on the worst case held at other scenarios."""
+        """The same problem with its limits on the worst case imposed at other scenarios."""
 
     def decisions(self, point: Float[np.ndarray, " variables"]) -> Float[np.ndarray, " n"]:
         """The problem's decisions at a point, or their part of any vector of the program's variables."""
@@ -110,12 +108,12 @@ class AbstractTranscribed(abc.ABC):
 
     @property
     def collocation(self) -> Collocation:
-        """The collocation points, and the least squares on them."""
+        """The collocation points with the map from samples to coefficients."""
         return self.discretised.collocation
 
     @property
     def constants(self) -> Constants:
-        """What the problem's statistics need of the basis."""
+        """The constants of the problem's statistics."""
         return self.discretised.constants
 
     @property
@@ -129,7 +127,7 @@ class AbstractTranscribed(abc.ABC):
         return OUTPUTS_AT_POINTS(self.traced, jnp.asarray(self.points), jnp.asarray(decisions))
 
     def statistics(self, point: Float[np.ndarray, " variables"]) -> dict[str, Float[np.ndarray, "..."]]:
-        """Every statistic that stands in the problem, by its text."""
+        """Every statistic in the problem, by its text."""
         return dict(zip(self.texts.statistics, self.at(point).statistics, strict=True))
 
     def resolve(self, point: Float[np.ndarray, " variables"]) -> dict[str, Resolved]:
@@ -142,7 +140,7 @@ class AbstractTranscribed(abc.ABC):
         return dict(zip(self.texts.functionals, known, strict=True))
 
     def prepare_resolution(self, point: Float[np.ndarray, " variables"]) -> None:
-        """Begin to compile what `resolve` will need, beside what is done next."""
+        """Begin to compile what `resolve` will need, in parallel with the next steps."""
         RESOLVE.prepare(*self._resolution(point))
 
     def _resolution(self, point: Float[np.ndarray, " variables"]) -> tuple:
@@ -151,25 +149,25 @@ class AbstractTranscribed(abc.ABC):
 
 
 Meanwhile = Callable[[Problem, Discretised], object]
-"""What is called just before a problem is compiled, to begin what can be done beside that."""
+"""A function that is called just before a problem is compiled, to begin work in parallel."""
 
 
 @dataclass(frozen=True)
 class AbstractTranscription(abc.ABC):
-    """A way from a problem to a nonlinear program. Equal ones give the same program.
+    """A method of transcribing a problem to a nonlinear program. Equal transcriptions give the same program.
 
-    `programs`: the compiled functions that its user waits for.
+    `programs`: the compiled functions whose compilation its user waits for.
     """
 
     programs: ClassVar[tuple[Compiled, ...]] = ()
 
     @abc.abstractmethod
     def transcribed(self, problem: Problem, meanwhile: Meanwhile) -> AbstractTranscribed:
-        """A problem transcribed: compiled, unless one of its structure has been before.
+        """Transcribe a problem, and compile it unless one of the same structure was compiled before.
 
-        Raises `ProblemError` for what it cannot transcribe.
+        Raises `ProblemError` if it cannot transcribe the problem.
         """
 
     def compile_seconds(self) -> float:
-        """How long all compilations that users of it have waited for have taken so far, s."""
+        """The total time so far, in s, that users of it have waited for compilations."""
         return sum(one.seconds for one in (RESOLVE, RESPOND, *self.programs))

@@ -1,4 +1,4 @@
-"""A transcription that contradicts itself is refused before it is used: what it gave, and what was expected."""
+"""Refuse an inconsistent transcription before it is used."""
 
 from typing import Any
 
@@ -11,14 +11,14 @@ from aleator.design import Problem
 from aleator.nlp import Evaluation, NonlinearProgram
 from aleator.transcription._abstract import AbstractTranscribed, AbstractTranscription, Meaning
 
-# How far a point's meaning may differ from the program at that point, by rounding.
+# Largest relative difference, due to rounding, between the program at a point and the point's meaning.
 _ROUNDING = 1e-9
 
 
 def checked(found: Any, transcription: AbstractTranscription, problem: Problem) -> AbstractTranscribed:
-    """What a transcription gave, as it is. Raises `ProblemError` where a user's own does not fit its problem.
+    """Return the result of a transcription. Raises `ProblemError` if a user's own does not fit its problem.
 
-    Where the initial decisions are given, program and meaning are asked for the same numbers.
+    At the initial decisions, the numbers of the program and of the point's meaning are compared.
     """
     who = f"{type(transcription).__name__}.transcribed"
     if not isinstance(found, AbstractTranscribed):
@@ -57,7 +57,7 @@ def _compare(what: str, program: Any, meaning: Any) -> None:
     if ours.shape == theirs.shape and np.allclose(ours, theirs, rtol=_ROUNDING, atol=_ROUNDING, equal_nan=True):
         return
     raise ProblemError(
-        f"{what}: expected the same of the program and of what its point means, where a search begins; received "
+        f"{what}: expected equal numbers in the program and in the meaning of its point, at the start; received "
         f"{_first(ours)} and {_first(theirs)}."
     )
 

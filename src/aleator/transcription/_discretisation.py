@@ -1,4 +1,4 @@
-"""The basis and the collocation of a problem: built once for all problems that they are the same for."""
+"""The basis and the collocation of a problem, built once and shared by all problems with the same ones."""
 
 from collections.abc import Hashable
 from dataclasses import dataclass, field
@@ -27,14 +27,14 @@ from aleator.expansion import Adaptive, Basis, Collocation, Discretisation, Expa
 from aleator.statistics import Constants, Preparation
 from aleator.uncertainty import AbstractGerm
 
-# Enough for the problems of a session; a front or a calibration needs one.
+# Kept discretisations: enough for the problems of a session; a front or a calibration needs one.
 _KEPT = 16
 
 
 class Discretised(NamedTuple):
-    """What a problem is evaluated with.
+    """The discretisation of a problem's uncertainty.
 
-    - `basis`, `collocation`: see `collocate`; `constants`: what the problem's statistics need of the basis.
+    - `basis`, `collocation`: see `collocate`; `constants`: of the problem's statistics.
     """
 
     basis: Basis
@@ -43,10 +43,10 @@ class Discretised(NamedTuple):
 
 
 def discretised(problem: Problem) -> Discretised:
-    """Basis, collocation and constants for a problem: those of an earlier one where nothing they depend on differs.
+    """Basis, collocation and constants for a problem, reused from an earlier one if all that they depend on is equal.
 
-    An expansion that chooses its terms by the model's outputs is asked once, at the initial decisions. Bounds and
-    margins are no part of that, so that it is the same all along a front and a calibration.
+    An expansion that chooses its terms by the model's outputs does so once, at the initial decisions. It does not
+    depend on bounds and margins, and so is the same throughout a front and a calibration.
 
     Raises `ProblemError` if the collocation, or the histories at its points, would not fit into memory.
     """
@@ -55,10 +55,10 @@ def discretised(problem: Problem) -> Discretised:
     needed = (one.kind.preparation for one in statistics_in(problem.expressions))
     preparations = tuple(dict.fromkeys(one for one in needed if one is not None))
     outputs = _Outputs.of(problem) if chooses and germs else None
-    # What a preparation of one's own reads may have changed: then what stands for the problem's code has as well.
+    # A user's own preparation may read something that has changed; then the key of the problem's code has changed too.
     code = problem.physics if has_own_statistics(problem.expressions) else ""
     found = _discretised(germs, expansion, preparations, outputs, code)
-    # Outputs that follow from one instant are differentiated there, by the few numbers that are known.
+    # Outputs of one instant are differentiated at that instant, by the few numbers known there.
     decided = problem.placements.vector("initial").size if problem.is_integrated else 0
     refuse_large_histories(
         problem, len(found.collocation.points), decided, "Take fewer steps, fewer points or a lower order."
@@ -73,7 +73,7 @@ Germs = tuple[tuple[str, AbstractGerm], ...]
 def _discretised(
     germs: Germs, expansion: Expansion, preparations: tuple[Preparation, ...], outputs: "_Outputs | None", code: str
 ) -> Discretised:
-    del code  # tells constants apart that the preparations themselves do not
+    del code  # part of the key: distinguishes constants whose preparations are equal
     basis, collocation = _collocated(germs, expansion, outputs)
     return Discretised(basis, collocation, Constants(preparations, tuple(one(basis) for one in preparations)))
 
@@ -86,14 +86,14 @@ def _collocated(germs: Germs, expansion: Expansion, outputs: "_Outputs | None") 
 @final
 @dataclass(frozen=True)
 class _Outputs:
-    """A problem's functionals at germ points and the initial decisions. Equal where they give the same numbers."""
+    """A problem's functionals at germ points and the initial decisions. Equal if they give the same numbers."""
 
     key: Hashable
     problem: Problem = field(compare=False)
 
     @classmethod
     def of(cls, problem: Problem) -> "_Outputs":
-        """Those of a problem, told apart by its equations, its numbers and its functionals, not by its bounds."""
+        """Those of a problem, distinguished by its equations, its numbers and its functionals, not by its bounds."""
         parts = numbers_to_arrays((problem.simulation, problem.grid, problem.integrator))
         numbers, rest = eqx.partition(parts, eqx.is_array)
         leaves, structure = jax.tree.flatten(numbers)

@@ -1,4 +1,4 @@
-"""Typical magnitudes of decisions and constraints, and other decisions of such magnitudes."""
+"""Typical magnitudes of decisions and constraints, and other decisions at such distances."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -12,22 +12,22 @@ from aleator.nlp import HELD, Evaluation, Magnitudes, variable_range
 from aleator.statistics import Mean, Std, Variance
 
 Values: TypeAlias = Sequence[Float[np.ndarray, "..."]]
-"""Rows of each constraint, whose number differs from one to the next."""
+"""Rows of each constraint; their number differs between constraints."""
 
-# How many decisions all over their range tell whether a constraint depends on them.
+# How many points in the whole range of the decisions show whether a constraint depends on them.
 _TRIED = 8
-# The largest size in bounds, the largest scale in sizes, and the largest size in values seen elsewhere.
+# The largest size over bounds, the largest scale over sizes, and the largest size over values seen elsewhere.
 _MOST_BOUNDS, _MOST_SIZES, _BEYOND = 1e3, 1e2, 10.0
-# What rounding of the decisions makes of a constraint, in roundings of its own terms.
+# The effect of rounding of the decisions on a constraint, in rounding errors of its own terms.
 _ROUNDINGS = 4.0
-# A constraint without a bound other than zero whose values are nowhere larger than this is zero but for rounding.
+# A constraint with zero bounds whose values are nowhere larger than this is zero up to rounding.
 _NOISE = 1e-13
-# A value at the start that is less than this part of its change says nothing of how large values are.
+# A value at the start that is less than this part of its change does not show how large values are.
 _LITTLE = 1e-6
 
 
 class Size(NamedTuple):
-    """How large a constraint is: `size`, to which a violation is relative, and `scale`, for solvers to divide by."""
+    """The magnitude of a constraint: `size`, to which a violation is relative, and `scale`, the divisor for solvers."""
 
     size: float
     scale: float
@@ -41,20 +41,18 @@ def constraint_size(
     decision_scale: Float[np.ndarray, " n"],
     away: float,
 ) -> Size:
-    """How large a constraint is at some decisions, in its own unit: the bound and the values there, all rows of them.
+    """The magnitude of a constraint at some decisions, in its own unit, from its bound and all its rows.
 
-    - Its size is that of its largest value, but no less than its bound and no more than a thousand times that, so that
-      what counts as rounding is at most a thousandth of the bound. Of two bounds the smaller one counts: a remote one
-      says nothing.
-    - A bound of zero says nothing either. There the size is that of the largest value or, where the only value has
-      come to be zero too, that of the values around: the change over a typical change of the decisions, but no more
-      than ten times `away`, the largest value seen elsewhere (at the start and beside it), since a derivative may be
-      wild.
-    - What rounding of the decisions alone changes is no violation; nor is, where the bound is zero, what is nowhere
-      more than 1e-13, as a difference of two numbers that are equal.
+    - Its size is its largest value, but at least its bound and at most a thousand times that, so that the tolerance is
+      at most a thousandth of the bound. Of two bounds the smaller one counts, because a remote one is uninformative.
+    - So is a bound of zero. Then the size is the largest value or, if the only value is zero too, its change over a
+      typical change of the decisions. As a derivative may be extreme, the latter is limited to ten times `away`, the
+      largest value seen elsewhere (at the start and near it).
+    - Changes due to rounding of the decisions are no violation. For a bound of zero, neither are values that are
+      nowhere more than 1e-13, such as a difference of two equal numbers.
 
-    A solver's scale is the change over a typical change of the decisions, or the bound where that is larger, but at
-    most a hundred sizes: what a solver then takes for zero, 1e-8 of its scale, is a millionth of the size.
+    A solver's scale is the change over a typical change of the decisions, or the bound if that is larger, but at most a
+    hundred sizes: a solver's zero, 1e-8 of its scale, is then a millionth of the size.
     """
     slopes = np.abs(derivatives)
     change, rounding = (_finite(np.max(slopes @ one, initial=0.0)) for one in (decision_scale, np.abs(decisions)))
@@ -65,7 +63,7 @@ def constraint_size(
         size = max(largest, min(change, _BEYOND * away) if away > 0 else change)
         size = size if max(size, change, away) > _NOISE else _NOISE / HELD
     rounded = _ROUNDINGS * np.finfo(float).eps / HELD * rounding
-    # One row that is steep beyond reason excuses no other.
+    # One extremely steep row must not loosen the tolerance of the others.
     size = max(size, min(rounded, _MOST_BOUNDS * bound) if bound else rounded) or 1.0
     return Size(size, min(max(bound or size, change), _MOST_SIZES * size))
 
@@ -73,7 +71,7 @@ def constraint_size(
 @final
 @dataclass(frozen=True)
 class Sizing:
-    """How large the constraints of a problem are at any decisions.
+    """The magnitudes of a problem's constraints at any decisions.
 
     - `rows`: those of each constraint in the program's constraint vector;
     - `decision_scale`: see `decision_scales`, shape (n,);
@@ -94,7 +92,7 @@ class Sizing:
         ]
 
     def at(self, decisions: Float[np.ndarray, " n"], evaluation: Evaluation) -> Magnitudes:
-        """The same for each row of the program."""
+        """The sizes and scales of all rows of the program."""
         values, derivatives = (
             [part[where] for where in self.rows] for part in (evaluation.constraints, evaluation.jacobian)
         )
@@ -119,7 +117,7 @@ def bound_size(constraint: Constraint) -> float:
 def needs_more(
     constraints: Iterable[Constraint], values: Values, derivatives: Values, decision_scale: Float[np.ndarray, " n"]
 ) -> bool:
-    """Whether the values at the start do not tell how large some constraint is: zero, like its bound."""
+    """Whether the values at the start do not show how large some constraint is, being zero like its bound."""
     return any(
         not bound_size(one) and float(np.max(np.abs(value))) <= _LITTLE * float(np.max(np.abs(slopes) @ decision_scale))
         for one, value, slopes in zip(constraints, values, derivatives, strict=True)
@@ -137,10 +135,10 @@ def _finite(number: float) -> float:
 
 
 def least_objective(problem: Problem) -> float:
-    """A value below which the objective cannot fall, minus infinity where none is known.
+    """A lower bound of the objective; minus infinity if none is known.
 
-    Norms and standard deviations are never negative, and have a kink where they are zero. What is never negative on a
-    realisation has no such mean by an expansion, but it has where nothing is uncertain.
+    Norms and standard deviations are never negative, and have a kink at zero. A quantity that is never negative on a
+    realisation may still have a negative mean by an expansion, unless nothing is uncertain.
     """
     objective = problem.objective
     terms = zip(objective.factors, objective.atoms, strict=True)
@@ -167,7 +165,7 @@ def decision_scales(start: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> 
 
 
 def elsewhere(start: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> list[Float[np.ndarray, " n"]]:
-    """Decisions near the start and all over their range: what is the same at all of them is moved by none."""
+    """Decisions near the start and in their whole range, to detect quantities that do not depend on them."""
     rng = np.random.default_rng(0)
     size = decision_scales(start, lower, upper)
     low, high = variable_range(start, lower, upper, size)

@@ -16,8 +16,8 @@ class Resolved(NamedTuple):
     """One functional at given decisions: its moments, and how well its expansion predicts a new sample.
 
     - `history`: the leave-one-out error of a path at each instant (see `leave_one_out_history`); None for a number;
-    - `tangents`: the leave-one-out error of its derivative by each parameter of a distribution that is decided, from
-      which follow the derivatives of its statistics; None where that is not known.
+    - `tangents`: the leave-one-out error of its derivative by each decision that is a parameter of a distribution;
+      derivatives of statistics follow from these. None if unknown.
     """
 
     mean: Float[Array, "*shape"]
@@ -27,12 +27,12 @@ class Resolved(NamedTuple):
     tangents: Float[Array, " parameters"] | None
 
 
-# Instants of a path, evenly spread, at which its derivatives are looked at: enough to tell how well they are resolved.
+# Evenly spread instants of a path at which its derivatives are checked: enough to show how well they are resolved.
 _SEEN = 50
 
 
 def seen(samples: Float[Array, "points *shape"], is_path: bool) -> Float[Array, "points *few"]:
-    """The samples of a functional whose derivatives are looked at: of a path some instants, the last among them."""
+    """The samples of a functional whose derivatives are checked: of a path at some instants, including the last."""
     return samples[:, :: -max(1, samples.shape[1] // _SEEN)] if is_path else samples
 
 
@@ -65,9 +65,9 @@ def _resolved(
 def _errors_of(
     collocation: Collocation, tangents: Float[Array, "points ... parameters"]
 ) -> Float[Array, " parameters"]:
-    """The leave-one-out error of each tangent's own expansion: its coefficients are the derivatives of those expanded.
+    """The leave-one-out error of each tangent's own expansion.
 
-    Fitting is linear, so that the derivative of a fit is the fit of the derivative.
+    A fit is linear, so that the derivatives of its coefficients are the coefficients of the derivative.
     """
     each = jnp.moveaxis(tangents, -1, 0)
     return jax.vmap(lambda one: leave_one_out(collocation, one, collocation.coefficients(one)))(each)

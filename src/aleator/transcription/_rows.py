@@ -1,4 +1,4 @@
-"""The rows of constraints in the vector of a program's constraints: where each stands, and its bounds there."""
+"""The rows of constraints in the vector of a program's constraints: their places and bounds."""
 
 import itertools
 from collections.abc import Sequence
@@ -20,7 +20,7 @@ def rows_of(sizes: Int[np.ndarray, " constraints"]) -> tuple[slice, ...]:
 def row_bounds(
     constraints: Sequence[Constraint], rows: tuple[slice, ...], scenarios: Scenarios | None
 ) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, " m"]]:
-    """The lower and upper bounds of all rows: infinite for limits on the worst case in slots that are empty."""
+    """The lower and upper bounds of all rows, infinite for limits on the worst case in empty slots."""
     lower = spread(rows, [float(one.lower) for one in constraints])
     upper = spread(rows, [float(one.upper) for one in constraints])
     for one, where in zip(constraints, rows, strict=True):
@@ -37,7 +37,7 @@ def as_read(
     multipliers: Float[np.ndarray, " rows"],
     active: Bool[np.ndarray, " rows"],
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A constraint's rows as they are read: those of a limit on the worst case are the worst of its scenarios."""
+    """A constraint's rows for reports: for a limit on the worst case, the worst over its scenarios."""
     if scenarios is None or not is_worst_case(constraint):
         return values, multipliers, active
     used = scenarios.used

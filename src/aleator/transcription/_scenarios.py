@@ -1,9 +1,9 @@
-"""Scenarios: the realisations of the model at which limits on the worst case are held.
+"""Scenarios: the realisations of the model at which limits on the worst case are imposed.
 
-A limit on the worst case is a limit on every realisation. The program holds it at a few of them, which are added as
-they are found to break it, and dropped where they no longer bind: the method of cutting sets (Mutapcic and Boyd, 2009,
-Cutting-set methods for robust convex optimization with pessimizing oracles). They stand in slots, whose germ points are
-numbers and whose bounds are infinite while they are empty, so that another scenario compiles nothing.
+A limit on the worst case is a limit on every realisation. The program imposes it at a few of them, which are added when
+they are found to break it, and dropped when they no longer bind: the method of cutting sets (Mutapcic and Boyd, 2009,
+Cutting-set methods for robust convex optimization with pessimizing oracles). They are stored in slots, whose germ
+points are data and whose bounds are infinite while they are empty, so that another scenario compiles nothing.
 """
 
 from typing import NamedTuple
@@ -18,19 +18,19 @@ _FEWEST_SLOTS = 8
 
 
 class Scenarios(NamedTuple):
-    """Germ points in slots: `points` of shape (slots, variables); `used`: which of them the limits are held at."""
+    """Germ points in slots: `points` of shape (slots, variables); `used`: the slots at which limits are imposed."""
 
     points: Float[np.ndarray, "slots variables"]
     used: Bool[np.ndarray, " slots"]
 
     @property
     def held(self) -> Float[np.ndarray, "scenarios variables"]:
-        """Those that limits are held at."""
+        """The points at which limits are imposed."""
         return self.points[self.used]
 
     @classmethod
     def of(cls, points: Float[np.ndarray, "scenarios variables"]) -> "Scenarios":
-        """Some points, in as many slots as they need."""
+        """Some points in as many slots as they need."""
         slots = _FEWEST_SLOTS
         while slots < len(points):
             slots *= 2
@@ -38,9 +38,9 @@ class Scenarios(NamedTuple):
         return cls(np.resize(points, (slots, points.shape[1])), np.arange(slots) < len(points))
 
     def joined(self, new: Float[np.ndarray, "new variables"], idle: Bool[np.ndarray, " slots"]) -> "Scenarios":
-        """With more points: in empty slots, then in the place of those that are `idle`, then in twice as many slots.
+        """Add points: in empty slots, then in the place of `idle` ones, then in twice as many slots.
 
-        The others stay in their slots, so that multipliers of their rows still belong to them.
+        The others keep their slots, so that multipliers of their rows remain theirs.
         """
         places = np.concatenate([np.flatnonzero(~self.used), np.flatnonzero(self.used & idle)])
         if len(places) < len(new):
@@ -55,7 +55,7 @@ class Scenarios(NamedTuple):
 def germ_box(problem: Problem) -> Float[np.ndarray, "variables 2"]:
     """The ends of each germ variable, between which realisations are searched.
 
-    Raises `ProblemError` where a variable has none.
+    Raises `ProblemError` if a variable is unbounded.
     """
     germs = problem.placements.germs
     unbounded = [name for name, germ in germs.items() if not np.all(np.isfinite(germ.support()))]
@@ -70,7 +70,7 @@ def germ_box(problem: Problem) -> Float[np.ndarray, "variables 2"]:
 
 
 def first_scenarios(problem: Problem) -> Scenarios | None:
-    """Two opposite corners of the germ's box to begin with; None where no limit is one on the worst case."""
+    """Two opposite corners of the germ's box to begin with; None if there is no limit on the worst case."""
     if not any(map(is_worst_case, problem.constraints)):
         return None
     box = germ_box(problem)

@@ -1,4 +1,4 @@
-"""Statistics of a problem's functionals by an expansion: where its expressions take their numbers."""
+"""The scope in which a problem's expressions are evaluated: statistics of its functionals by an expansion."""
 
 from collections.abc import Mapping
 from types import MappingProxyType
@@ -30,9 +30,9 @@ class ExpansionScope(AbstractScope):
     """Takes every statistic from the coefficients of expansions.
 
     - `samples`: each functional at the collocation points; `coefficients`: those of the expansions fitted to them;
-    - `numbers`: those of the model, by name; `between`: what integrals over time are taken from;
-    - `realised`: each functional on the realisations at which limits on the worst case are held;
-    - `taken`: the statistics that it has been asked for, in that order.
+    - `numbers`: those of the model, by name; `between`: the terms for integrals over time;
+    - `realised`: each functional on the realisations at which limits on the worst case are imposed;
+    - `taken`: the statistics taken so far, in that order.
     """
 
     def __init__(
@@ -53,7 +53,7 @@ class ExpansionScope(AbstractScope):
         self._between = between
 
     def evaluated(self, expressions: tuple[Expression, ...]) -> tuple[tuple[Array, ...], tuple[tuple[Array, ...], ...]]:
-        """Expressions, each flattened, and the statistics that each of them asked for."""
+        """Expressions, each flattened, and the statistics that each of them took."""
         blocks, taken = [], []
         for one in expressions:
             before = len(self.taken)
@@ -65,7 +65,7 @@ class ExpansionScope(AbstractScope):
     def statistic(self, functionals: tuple[AbstractFunctional, ...], kind: AbstractStatistic) -> Float[Array, "..."]:
         terms = joined([self._coefficients[one] for one in functionals])
         found = jnp.asarray(kind.of(terms, self._constants.of(kind)))
-        # Those of several taken jointly stand along a last axis.
+        # Joint statistics take their functionals along a last axis.
         expected = terms.shape[1:] if len(functionals) == 1 else terms.shape[1:-1]
         if found.shape != expected:
             raise ProblemError(
@@ -81,7 +81,7 @@ class ExpansionScope(AbstractScope):
         nodes, weights = self._between
         inner = ExpansionScope({}, {**self._coefficients, **nodes}, self._constants, self._numbers)
         integral = jnp.tensordot(weights, expression.evaluate(inner), axes=1)
-        # Every second node is an instant, at which statistics are told.
+        # Every second node is an instant, at which statistics are recorded.
         self.taken += [one if one.ndim == 0 else one[::2] for one in inner.taken]
         return integral
 
@@ -95,7 +95,7 @@ class ExpansionScope(AbstractScope):
 
 
 class Between(NamedTuple):
-    """What integrals of statistics over time are taken from.
+    """The terms for integrals of statistics over time.
 
     - `coefficients`: of paths at the instants and in the middles between them; `weights`: of the quadrature there.
     """
@@ -105,9 +105,9 @@ class Between(NamedTuple):
 
 
 class Terms(NamedTuple):
-    """What expressions are evaluated from, in the order of the functionals; of some points, their share of the sums.
+    """The terms from which expressions are evaluated, in the order of the functionals, or a share of some points.
 
-    - `coefficients`: of each functional; `nodes`: of each path that statistics are integrated of over time, at the
+    - `coefficients`: of each functional; `nodes`: of each path whose statistics are integrated over time, at the
       instants and in the middles between them;
     - `realised`: each functional at the scenarios of the worst case, if there are any.
     """
@@ -142,7 +142,7 @@ def simulated(
     scenarios: Float[Array, "scenarios variables"] | None,
     decisions: Float[Array, " n"],
 ) -> tuple[tuple[Float[Array, "points ..."], ...], Terms]:
-    """Functionals at some collocation points, and what these contribute to the coefficients.
+    """Functionals at some collocation points, and the contribution of these points to the coefficients.
 
     - `fit`: the columns of the collocation's `pseudo_inverse` that belong to the points.
     """

@@ -1,4 +1,4 @@
-"""How a problem is written, for what is told of its solution."""
+"""The texts of a problem's parts, for reports of its solution."""
 
 from typing import NamedTuple, final
 
@@ -7,7 +7,7 @@ from aleator.design import Problem, functionals_of, statistics_in
 
 @final
 class Texts(NamedTuple):
-    """How the statistics, the functionals and the constraints of a problem are written, in order."""
+    """The texts of the statistics, functionals and constraints of a problem, in order."""
 
     statistics: tuple[str, ...]
     functionals: tuple[str, ...]

@@ -1,4 +1,4 @@
-"""`transcribe`: from a declared problem to its nonlinear program, which is kept for a while."""
+"""`transcribe`: from a declared problem to its nonlinear program, with a cache."""
 
 import threading
 from collections import deque
@@ -14,9 +14,9 @@ from aleator.transcription._checked import checked
 from aleator.transcription.sequential import Sequential
 
 DEFAULT = Sequential()
-"""How problems are transcribed unless it is said."""
+"""The default transcription."""
 
-# Enough for a problem and its deterministic twin, each solved from many starts.
+# Size of the cache: enough for a problem and its deterministic twin, each solved from many starts.
 _KEPT = 4
 
 _RECENT: deque[tuple[AbstractTranscription, list[Any], AbstractTranscribed]] = deque(maxlen=_KEPT)
@@ -26,12 +26,12 @@ _LOCK = threading.Lock()
 def transcribe(
     problem: Problem, transcription: AbstractTranscription = DEFAULT, meanwhile: Meanwhile = lambda *_: None
 ) -> AbstractTranscribed:
-    """Turn a declared problem into a nonlinear program, compiling it if no problem of its structure has been before.
+    """Turn a declared problem into a nonlinear program, compiled unless one of the same structure was before.
 
-    `meanwhile` is called just before it is compiled, to begin what can be done beside that.
+    `meanwhile` is called just before compilation, to begin work in parallel.
 
-    A problem that was transcribed a short while ago, such as by a solution from another start, is not again. One whose
-    code has changed since it was declared is transcribed as it is now. Raises `ProblemError` if the problem has no
+    A problem that was transcribed recently, such as for a solve from another start, is reused. If the problem's code
+    has changed since its declaration, the present code is transcribed. Raises `ProblemError` if the problem has no
     decisions.
     """
     problem = current(problem)
@@ -53,7 +53,7 @@ def transcribe(
 
 
 def _same(first: list[Any], second: list[Any]) -> bool:
-    """Whether the numbers of a problem are still what they were: arrays can be changed in place."""
+    """Whether the numbers of a problem are unchanged: arrays can be modified in place."""
     return len(first) == len(second) and all(
         np.array_equal(one, other) if isinstance(one, np.ndarray) else one is other
         for one, other in zip(first, second, strict=True)

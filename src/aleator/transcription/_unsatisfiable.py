@@ -1,4 +1,4 @@
-"""Constraints that no decision can change, and that do not hold: a start inside an obstacle, an end beyond a limit."""
+"""Violated constraints that no decision can change: a start inside an obstacle, an end beyond a limit."""
 
 from collections.abc import Callable, Sequence
 
@@ -23,8 +23,8 @@ def refuse_unsatisfiable(
     """Raise `ProblemError` for a constraint that is violated whatever the decisions are.
 
     - `values`, `derivatives`: of the constraints at the initial decisions;
-    - `times`: the instants; `elsewhere`: the values at some other decisions: asked only where something is suspect, for
-      a derivative may vanish at one point by chance, or over a range.
+    - `times`: the instants; `elsewhere`: gives the values at some other decisions. It is called only for suspect
+      constraints, because a derivative may vanish at one point by chance, or over a range.
     """
     suspects = [
         (i, int(np.argmax(np.where(row, excess, -np.inf))))
@@ -42,14 +42,14 @@ def refuse_unsatisfiable(
 
 
 def refuse_blind(outcome: Outcome, transcribed: AbstractTranscribed) -> None:
-    """Raise `ProblemError` for decisions that change values but have no derivative wherever they were tried."""
+    """Raise `ProblemError` for decisions that change values although all derivatives by them are zero."""
     names = dict(zip(transcribed.decided.tolist(), transcribed.places.entry_names(), strict=True))
     blind = " and ".join(f"'{names[i]}'" for i in outcome.blind if i in names)
     if not blind:
         return
     raise ProblemError(
-        f"What is asked changes with {blind}, but its derivative is zero wherever it "
-        "was tried, so that no solver can choose: the model rounds, floors, casts to whole numbers or stops gradients. "
+        f"The objective or a constraint changes with {blind}, but all derivatives tried "
+        "are zero, so that no solver can choose: the model rounds, floors, casts to whole numbers or stops gradients. "
         "Make the effect smooth, or fix the number and compare its values one by one."
     )
 
@@ -62,7 +62,6 @@ def _sentence(constraint: Constraint, value: float, rows: int, row: int, times: 
     when = f" at t = {times[row * len(times) // rows]:.4g} s" if constraint.is_path else ""
     return (
         f"Constraint '{constraint.name}' ({constraint}) is {value:.6g}{when} whatever the decisions are, so that "
-        "no design "
-        "can meet it. Move what is fixed there (a start inside an obstacle, an end beyond a limit), or change "
-        "the bound."
+        "no design can meet it. Move what is fixed there (a start inside an obstacle, an end beyond a limit), or "
+        "change the bound."
     )

@@ -1,4 +1,4 @@
-"""Where a solution of a coarser or finer problem lets another one start: decisions by name, curves refitted."""
+"""Warm starts from a solution of a coarser or finer problem: decisions by name, curves refitted."""
 
 from collections.abc import Collection, Mapping
 from typing import Any
@@ -17,20 +17,20 @@ from aleator.solution import Solution
 from aleator.trajectories import AbstractTrajectory
 from aleator.uncertainty import Decision, at_means, realise
 
-# Points of comparison in each piece of two curves: polynomials of up to twice this degree less one are told apart.
+# Gauss points in each piece of the curves, at which they are compared.
 _POINTS = 12
 
 
 def started_from(problem: Problem, solution: Solution, given: Collection[str] = ()) -> Float[np.ndarray, " n"]:
     """The decisions of a problem that come closest to a solution of another one, within their bounds.
 
-    Numbers of the same name and shape are taken over. Where a trajectory in the same place has other control points,
-    knots, ends or another degree, its free numbers are those of least squares: the curve is the same over the fraction
-    of time wherever the new one can be it, as a spline can whose knots contain the old ones.
+    Numbers of the same name and shape are copied. If a trajectory in the same place has other control points, knots,
+    ends or another degree, its free numbers follow by least squares: the curve over the fraction of time stays the same
+    if the new one can represent it, as a spline can whose knots contain the old ones.
 
-    - `given`: names of decisions that are told otherwise.
+    - `given`: names of decisions whose values are given otherwise.
 
-    Raises `ProblemError` for a decision that the solution says nothing of.
+    Raises `ProblemError` for a decision that the solution does not have.
     """
     places, old = problem.placements, solution.problem
     curves, known = _curves(problem.simulation), _curves(old.simulation)
@@ -53,7 +53,7 @@ def started_from(problem: Problem, solution: Solution, given: Collection[str] = 
 
 
 def _curves(model: Pytree) -> dict[str, AbstractTrajectory]:
-    """The trajectories of a model that curves determine, by their places."""
+    """The trajectories of a model that are curves, by their places."""
     leaves = jax.tree_util.tree_leaves_with_path(model, is_leaf=_is_curve)
     return {jax.tree_util.keystr(path): leaf for path, leaf in leaves if _is_curve(leaf)}
 
@@ -63,7 +63,7 @@ def _is_curve(node: Any) -> bool:
 
 
 def _is_alike(new: AbstractTrajectory, old: AbstractTrajectory) -> bool:
-    """Whether the same decisions make the same curve of both."""
+    """Whether the same decisions give the same curve in both."""
     plain = (jax.tree.map(_plain, one, is_leaf=is_leaf) for one in (new, old))
     return eqx.tree_equal(*plain) is True
 
@@ -73,7 +73,7 @@ def _plain(leaf: Any) -> Any:
 
 
 def _sought(problem: Problem, curves: Collection[AbstractTrajectory]) -> tuple[set[str], set[str]]:
-    """The decisions that trajectories are affine in, by name, and those that only set where their pieces are."""
+    """The names of the decisions in which trajectories are affine, and of those that only move their breaks."""
     sought, framed = set(), set()
     for curve in curves:
         inside = {id(leaf) for field in curve.curve_fields for leaf in _decisions(getattr(curve, field))}
@@ -95,7 +95,7 @@ def _refitted(
     solution: Solution,
     paths: list[str],
 ) -> Float[np.ndarray, " n"]:
-    """Decisions whose entries `free` bring the curves in some places closest to those of a solution."""
+    """Decisions with entries `free` fitted, so that the curves in some places are closest to those of a solution."""
     old, known = _realised(solution.problem, jnp.asarray(solution.vector), paths)
     breaks = [one.breaks() for curves in (old, _realised(problem, jnp.asarray(vector), paths)[0]) for one in curves]
     fractions, weights = _nodes(np.unique(np.concatenate(breaks)))
@@ -112,7 +112,7 @@ def _refitted(
     missing = np.asarray(sampled(old, known) - new(start))
     slopes = np.asarray(jax.jit(jax.jacfwd(new))(start))
     result = vector.copy()
-    # What a curve does not depend on stays where it was: the solution of least norm.
+    # The solution of least norm leaves decisions unchanged that do not affect the curve.
     result[free] += np.linalg.lstsq(slopes, missing, rcond=None)[0]
     return result
 
@@ -137,6 +137,6 @@ def _unmatched(name: str, shape: tuple[int, ...], values: Mapping[str, Any]) -> 
     there = {known: np.shape(value) for known, value in values.items()}
     received = f"shape {there[name]}" if name in there else f"a solution with the decisions {list(there)}"
     return (
-        f"solve: the warm start says nothing of the decision '{name}': expected a decision of that name and {what}; "
+        f"solve: the warm start does not have the decision '{name}': expected a decision of that name and {what}; "
         f"received {received}. Give its value in start={{'{name}': ...}}, or start without the solution."
     )

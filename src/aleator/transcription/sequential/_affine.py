@@ -1,10 +1,10 @@
-"""Outputs that are affine in what the germ moves: the model is solved at few points, and all others are combinations.
+"""Outputs affine in features of the germ: the model is evaluated at a few points, of which all others are combinations.
 
-The torques that a motion takes are sums of numbers that the motion decides times masses and moments of inertia, which
-the germ decides. The torques at any collocation point are then a combination of those at a few, the anchors, with
-weights that no motion changes. That an output is of this kind is read off the traced equations, never guessed from
-values. (Reduced-basis methods call it affine parameter dependence: Hesthaven, Rozza, Stamm, Certified Reduced Basis
-Methods for Parametrized Partial Differential Equations, 2016, section 3.3.)
+The torques of a motion are sums of factors that depend on the motion times masses and moments of inertia, which depend
+on the germ. So the torques at any collocation point are a combination of those at a few points, the anchors, with
+weights that do not depend on the motion. Whether an output is of this kind follows from the traced equations, never
+from values. (Reduced-basis methods call it affine parameter dependence: Hesthaven, Rozza, Stamm, Certified Reduced
+Basis Methods for Parametrized Partial Differential Equations, 2016, section 3.3.)
 """
 
 import enum
@@ -19,27 +19,27 @@ import scipy.linalg
 from jax.extend.core import ClosedJaxpr, Literal
 from jaxtyping import Array, Float
 
-# What rounding leaves of a direction, relative to the largest one, in which no feature varies.
+# Directions below this part of the largest one are zero up to rounding: no feature varies along them.
 _ROUNDING = 1e-11
 
-# Equations that are linear in all their operands together, and those that are so in each by itself.
+# Primitives that are linear in all their operands together, and primitives linear in each operand by itself.
 _LINEAR = {
     *("add", "add_any", "sub", "neg", "copy", "reduce_sum", "cumsum"),
     *("reshape", "transpose", "broadcast_in_dim", "squeeze", "slice", "split", "stack", "concatenate", "pad", "rev"),
 }
 _BILINEAR = {"mul", "dot_general"}
-# Equations that are linear in their first operands, as many as stand here, where the others are certain.
+# Primitives linear in their first operands, by the number of these, if the others are certain.
 _LINEAR_IN_FIRST = {"div": 1, "gather": 1, "dynamic_slice": 1, "dynamic_update_slice": 2}
-# Equations that stand for others.
+# Primitives that contain other equations.
 _NESTED = {"jit": "jaxpr", "pjit": "jaxpr", "custom_jvp_call": "call_jaxpr"}
 
 
 @final
 class Anchors(eqx.Module):
-    """Collocation points that affine outputs are solved at, and what leads from these to all points.
+    """Collocation points at which affine outputs are evaluated, and the weights that extend them to all points.
 
     - `points`: shape (anchors, variables); `weights`: shape (points, anchors), each row adding up to one;
-    - `affine`: of each functional, whether it is so.
+    - `affine`: whether each functional is affine.
     """
 
     points: Float[Array, "anchors variables"]
@@ -52,9 +52,9 @@ def anchored(
     features: Float[np.ndarray, "points features"],
     affine: Iterable[bool],
 ) -> Anchors | None:
-    """The fewest points whose features span, by combinations that add up to one, the features at all points.
+    """The fewest points whose features span the features at all points, by combinations that add up to one.
 
-    None where that takes all of them, or where a feature is not finite.
+    None if that takes all points, or if a feature is not finite.
     """
     if not np.isfinite(features).all():
         return None
@@ -76,9 +76,9 @@ def affine_features(
     germ: Float[Array, " variables"],
     moved: Float[Array, " numbers"],
 ) -> tuple[Float[Array, " features"], tuple[bool, ...]]:
-    """Numbers of the germ alone that outputs of `function(germ, moved)` are affine in, and which outputs are so.
+    """Features of the germ alone in which outputs of `function(germ, moved)` are affine, and which outputs are.
 
-    What the function holds is known, and may be traced by an outer transformation.
+    Values that the function closes over are known, and may be traced by an outer transformation.
     """
     closed = jax.make_jaxpr(lambda *both: tuple(function(*both)))(germ, moved)
     given = [_Entry(_Kind.GERM, germ), _Entry(_Kind.MOVED)]
@@ -91,7 +91,7 @@ def affine_features(
 
 @final
 class _Kind(enum.Enum):
-    """What a number of the traced equations depends on."""
+    """The dependence of a number in the traced equations."""
 
     KNOWN = "nothing"
     GERM = "the germ alone"
@@ -105,7 +105,7 @@ _VALUED = {_Kind.KNOWN, _Kind.GERM}
 
 
 class _Entry(NamedTuple):
-    """A variable of the equations; its value is followed as long as nothing that is moved takes part in it."""
+    """A variable of the equations; its value is known as long as it does not depend on what is moved."""
 
     kind: _Kind
     value: Any = None
@@ -114,7 +114,7 @@ class _Entry(NamedTuple):
 def _walked(
     closed: ClosedJaxpr, arguments: Sequence[_Entry], features: list[Array], wanted: Sequence[Any]
 ) -> list[_Entry]:
-    """The entries of the variables `wanted`. What of the germ meets what is moved on the way is added to `features`."""
+    """The entries of the variables `wanted`. Numbers of the germ that are combined with moved ones join `features`."""
     jaxpr = closed.jaxpr
     known = [_Entry(_Kind.KNOWN, value) for value in closed.consts]
     entries = dict(zip([*jaxpr.constvars, *jaxpr.invars], [*known, *arguments], strict=True))
@@ -165,7 +165,7 @@ def _combined(equation: Any, operands: list[_Entry], features: list[Array]) -> _
 
 
 def _is_affine(equation: Any, uncertain: list[bool]) -> bool:
-    """Whether an equation is affine in all its uncertain operands together, the others being certain."""
+    """Whether an equation is jointly affine in its uncertain operands; the others are certain."""
     name = equation.primitive.name
     if name == "convert_element_type":
         return jnp.issubdtype(equation.params["new_dtype"], jnp.floating)

@@ -1,4 +1,4 @@
-"""A problem at one point: its values and their exact derivatives from one compiled function, remembered."""
+"""Evaluate a problem: values and exact derivatives from one compiled function, with the latest points remembered."""
 
 import threading
 from typing import Any, NamedTuple, final
@@ -24,11 +24,11 @@ class Blocks(NamedTuple):
 
     - `values`, `derivatives`: the objective, then the rows of each constraint, and their derivatives by the decisions:
       shapes (rows,) and (rows, n);
-    - `sizes`: how many rows each of them has;
-    - `statistics`: each that stands in the expressions, in the order of `statistics_in`;
+    - `sizes`: the number of rows of each;
+    - `statistics`: all statistics in the expressions, in the order of `statistics_in`;
     - `times`: the instants of the grid;
-    - `samples_in_parts`, `tangents_in_parts`: see `samples` and `tangents`, of the points as they were simulated, the
-      first `points` of which count.
+    - `samples_in_parts`, `tangents_in_parts`: `samples` and `tangents` in the parts in which they were simulated; only
+      the first `points` of them count.
     """
 
     values: Float[np.ndarray, " rows"]
@@ -47,8 +47,9 @@ class Blocks(NamedTuple):
 
     @property
     def tangents(self) -> tuple[Float[np.ndarray, "points ... parameters"] | None, ...]:
-        """The derivatives of each functional's samples (of a path at a few instants) by the decisions that are
-        parameters of distributions; None where they are not taken.
+        """The derivatives of each functional's samples by the decisions that are parameters of distributions.
+
+        Those of a path at a few instants; None if they are not computed.
         """
         every = zip(*self.tangents_in_parts, strict=True)
         return tuple(None if parts[0] is None else self._whole(parts) for parts in every)
@@ -57,7 +58,7 @@ class Blocks(NamedTuple):
         return np.asarray(parts[0]) if len(parts) == 1 else np.concatenate(parts)[: self.points]
 
     def by_constraint(self, rows: np.ndarray) -> list[np.ndarray]:
-        """The rows of each constraint among all, such as those of `derivatives`."""
+        """An array of rows, such as `derivatives`, split by constraint."""
         return np.split(rows, np.cumsum(self.sizes)[:-1])[1:]
 
 
@@ -70,7 +71,7 @@ def _evaluate(
 ) -> tuple[Any, ...]:
     """The parts of `Blocks`, with exact derivatives.
 
-    Expressions whose rows depend on one instant each are differentiated instant by instant.
+    Expressions with rows of one instant each are differentiated instant by instant.
     """
     which = instantaneous(problem)
     rest = tuple(i for i in range(len(problem.expressions)) if i not in which)
@@ -99,7 +100,7 @@ def _contribute(
 
 
 class _Given(NamedTuple):
-    """What is known when some shares are: `terms` and `slopes` of each, whether it is `finite`, and the `decisions`."""
+    """The shares of all parts: `terms` and `slopes` of each, whether it is `finite`, and the `decisions`."""
 
     terms: tuple[Terms, ...]
     slopes: tuple[Terms, ...]
@@ -115,7 +116,7 @@ def _combine(problem: Problem, constants: Constants, given: _Given) -> tuple[Any
 
 def _told(problem: Problem, parts: Combined, finite: Array, decisions: Float[Array, " n"]) -> tuple[Any, ...]:
     """The first parts of `Blocks`, those of all points together."""
-    # A statistic may hide that a system came to no end: a rare event has no probability, whatever it would have been.
+    # A statistic may hide a failed simulation: the probability of a rare event is zero if that system gives NaN.
     every = jnp.where(finite, jnp.concatenate(parts.values), jnp.nan)
     sizes = jnp.array([one.size for one in parts.values])
     statistics = tuple(one for part in parts.statistics for one in part)
@@ -133,7 +134,7 @@ COMBINE = Compiled(_combine, use=Use.ROWS, unchanged=refuse_changed_code)
 
 @final
 class _AtOnce:
-    """All of a problem in one program: a small one is ruled by the overheads of each."""
+    """A whole problem in one program, for small problems, whose time is mostly overhead per call."""
 
     def __init__(self, traced: Problem, collocation: Collocation, constants: Constants, anchors: Anchors | None):
         self._evaluate, self._points = EVALUATE.bound(traced, collocation, constants, anchors), len(collocation.points)
@@ -149,7 +150,7 @@ class _AtOnce:
 
 @final
 class _InParts:
-    """A problem whose points are simulated in parts, on as many cores as may be."""
+    """A problem whose points are simulated in parts, on all cores."""
 
     def __init__(self, traced: Problem, constants: Constants, parts: tuple[Part, ...], points: int):
         self._parts = [CONTRIBUTE.bound(traced, *map(jnp.asarray, one), packed=False) for one in parts]
@@ -161,7 +162,7 @@ class _InParts:
 
     def __call__(self, decisions: Float[np.ndarray, " n"]) -> Blocks:
         """The problem at a point."""
-        # A user's code is traced by the calling thread, before others take part.
+        # The calling thread traces a user's code before other threads start.
         for part in self._parts:
             part.prepare(decisions)
         shares: tuple[Share, ...] = tuple(in_order(lambda part: part(decisions), self._parts))
@@ -177,7 +178,7 @@ class _InParts:
 class Evaluator:
     """A compiled problem that remembers its two latest points.
 
-    So the start, needed to find scales, and the solution, needed for its moments, are not computed twice.
+    So neither the start, which sets the scales, nor the solution, which needs moments, is computed twice.
     """
 
     def __init__(self, traced: Problem, collocation: Collocation, constants: Constants, anchors: Anchors | None):

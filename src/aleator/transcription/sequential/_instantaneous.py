@@ -1,8 +1,8 @@
-"""Expressions of paths of a system without states: their rows depend on one instant each, and on few numbers there.
+"""Expressions of paths of a system without states: each row depends on one instant, and on few numbers there.
 
-A row of such an expression (a mean torque and its spread, at one instant) is a function of what is known at that
-instant, some tens of numbers, whatever the number of decisions behind them. Its derivatives by these numbers are taken
-instant by instant, and multiplied with the derivatives of the numbers by the decisions, which no model takes part in.
+A row of such an expression (a mean torque and its spread at one instant) is a function of some tens of numbers known at
+that instant, whatever the number of decisions behind them. Its derivatives by these numbers are taken instant by
+instant, and multiplied by the derivatives of the numbers by the decisions, which do not involve the model.
 """
 
 from collections.abc import Callable, Sequence
@@ -54,11 +54,11 @@ class Rows(NamedTuple):
 
 
 def instantaneous(problem: Problem) -> tuple[int, ...]:
-    """Which of a problem's expressions depend on one instant a row."""
+    """The indices of a problem's expressions whose rows depend on one instant each."""
     system = problem.system
     if not isinstance(system, System) or system.is_integrated:
         return ()
-    # Also those in the place of numbers: what is known at an instant is then not the same for all systems.
+    # Signals in the place of numbers count too: numbers known at an instant then differ between systems.
     signals = [one for one in jax.tree.leaves(system, is_leaf=_is_signal) if _is_signal(one)]
     if placements((signals, problem.inputs)).distributions:
         return ()
@@ -90,7 +90,7 @@ def instantaneous_rows(
     sizes: list[int] = []
 
     def row(numbers: Array) -> tuple[Array, tuple]:
-        """All expressions at one instant, from what is known there and the decisions that act on the model itself."""
+        """All expressions at one instant, from the numbers known there and the decisions in the model itself."""
         samples, coefficients = instant.expanded(collocation, anchors, numbers)
         realised = instant.realised(held, constants.scenarios, numbers)
         named = named_numbers(problem.simulation, decisions)
@@ -118,8 +118,8 @@ def _differentiated(
 ) -> tuple[Float[Array, "rows numbers"], Any]:
     """The derivatives of a function, and the auxiliary part of its result.
 
-    What its derivatives need of its values, sines for instance, stands behind barriers: the compiler would compute it
-    again for every derivative.
+    Intermediate values that the derivatives need, such as sines, are kept behind barriers; otherwise the compiler would
+    compute them again for every derivative.
     """
     _, along, found = jax.linearize(function, at, has_aux=True)
     along = jax.tree.map(_kept, along)
@@ -127,12 +127,12 @@ def _differentiated(
 
 
 def _kept(leaf: Array) -> Array:
-    # Matrices are left out: sums and products of the others, they cost more to keep than to compute again.
+    # Matrices are left out: as sums and products of other values, they cost more to keep than to recompute.
     return jax.lax.optimization_barrier(leaf) if jnp.issubdtype(leaf.dtype, jnp.floating) and leaf.ndim <= 1 else leaf
 
 
 def anchors_of(problem: Problem, collocation: Collocation, decisions: Float[np.ndarray, " n"]) -> Anchors | None:
-    """The collocation points that a traced problem's instantaneous functionals are solved at; None for all."""
+    """The collocation points at which a traced problem's instantaneous functionals are evaluated; None for all."""
     which = instantaneous(problem)
     if not which or collocation.points.size == 0:
         return None
@@ -145,7 +145,7 @@ def anchors_of(problem: Problem, collocation: Collocation, decisions: Float[np.n
 def _features(
     problem: Problem, which: tuple[int, ...], points: Float[Array, "points variables"], decisions: Float[Array, " n"]
 ) -> tuple[Float[Array, "points features"], Array]:
-    """The features that the functionals are affine in at all points, and which of them are so."""
+    """The features, at all points, in which functionals are affine, and which functionals are."""
     instant = _Instant.of(problem, tuple(problem.expressions[i] for i in which), decisions)
     numbers, affine = instant.numbers(decisions)[0], []
 
@@ -165,8 +165,8 @@ FEATURES = Compiled(_features, use=Use.ONCE, unchanged=refuse_changed_code)
 class _Instant:
     """The functionals of some expressions at one instant, as functions of a germ point and of a row of numbers.
 
-    - `known`: what is known at the instants, of which the row is one; then come the decisions of the model itself,
-      which are those at `direct` among all.
+    - `known`: the numbers known at the instants, one row each; the decisions in the model itself follow in the row,
+      which are those at `direct` among all decisions.
     """
 
     problem: Problem
@@ -213,8 +213,8 @@ class _Instant:
     ) -> tuple[dict[AbstractFunctional, Float[Array, " points"]], dict[AbstractFunctional, Float[Array, " terms"]]]:
         """All functionals at all collocation points, and the coefficients of their expansions.
 
-        Affine ones are solved at the anchors, and their coefficients are taken from these directly: the derivatives of
-        what they are at all points are then never needed.
+        Affine ones are evaluated at the anchors only, and their coefficients follow from these directly, so that their
+        derivatives at all points are never needed.
         """
         affine = anchors.affine if anchors else (False,) * len(self.functionals)
         samples: dict[AbstractFunctional, Array] = {}

@@ -1,8 +1,8 @@
-"""What collocation points contribute to a problem's expansions, and what follows from all contributions together.
+"""The contributions of collocation points to a problem's expansions, and the combination of all contributions.
 
-Simulating takes almost all of an evaluation, and no point knows of another until coefficients are formed, which are
-sums over the points. So a large problem is simulated in parts, a part a core, each of which gives its share of the
-coefficients, with derivatives; what remains is small.
+Simulation takes almost all the time of an evaluation, and points are independent until coefficients are formed, which
+are sums over the points. So a large problem is simulated in parts, one per core, each of which gives its share of the
+coefficients, with derivatives; the rest of the work is small.
 """
 
 from functools import reduce
@@ -20,20 +20,20 @@ from aleator.statistics import Constants
 from aleator.transcription._resolution import seen
 from aleator.transcription._scope import Terms, scope_from, simulated
 
-# A step of time of a part has overheads that so many points are worth at least, and threads those of so many numbers.
+# Fewest points per part that are worth the overhead of a time step, and fewest numbers worth that of threads.
 _FEWEST_POINTS, _FEWEST_NUMBERS = 16, 200_000
-# Two parts, until there are points enough for more cores than two.
+# Two parts, unless there are points enough for more.
 _POINTS_OF_A_PART, _MOST_PARTS = 128, 8
 
 
 class Share(NamedTuple):
-    """What some points contribute.
+    """The contribution of some points.
 
     - `samples`: each functional at the points; `finite`: whether all of these are;
     - `tangents`: the derivatives of samples (of a path at a few instants) by the decisions that are parameters of
-      distributions; None where there are no such decisions;
-    - `terms`: the points' share of what expressions are evaluated from; `slopes`: its derivatives by the decisions,
-      along a first axis of each array.
+      distributions; None if there are no such decisions;
+    - `terms`: the points' share of the terms of expressions; `slopes`: its derivatives by the decisions, along a first
+      axis of each array.
     """
 
     samples: tuple[Float[Array, "points ..."], ...]
@@ -66,9 +66,9 @@ def share_of(
     scenarios: Float[Array, "scenarios variables"] | None,
     decisions: Float[Array, " n"],
 ) -> Share:
-    """What some points, and the scenarios of the worst case, contribute to expressions of some functionals.
+    """The contribution of some points, and of the scenarios of the worst case, to expressions of some functionals.
 
-    Derivatives are taken forward: few decisions, thousands of rows.
+    Derivatives are computed in forward mode: few decisions, thousands of rows.
     """
     parameters = tuple(problem.placements.of_distributions.values())
 
@@ -80,7 +80,7 @@ def share_of(
     def along(direction: Array) -> tuple[Any, Any, Any]:
         return jax.jvp(contributed, (decisions,), (direction,), has_aux=True)
 
-    # Tangents in front: behind, the shortest of all axes would be the one that loops run over.
+    # Tangents along the first axis: along the last one, inner loops would run over the shortest of all axes.
     (terms, _), (slopes, looked_at), samples = jax.vmap(along, out_axes=(None, 0, None))(jnp.eye(decisions.size))
     of_distributions = tuple(jnp.moveaxis(one, 0, -1)[..., jnp.array(parameters)] for one in looked_at)
     finite = jnp.array([jnp.isfinite(one).all() for one in samples]).all()
@@ -110,15 +110,15 @@ def combined(
 
 
 def added(shares: tuple[Any, ...]) -> Any:
-    """The terms of all points, or their slopes, from those of parts of them."""
+    """The sum over all parts of terms or slopes."""
     return reduce(lambda one, other: jax.tree.map(jnp.add, one, other), shares)
 
 
 def parts_of(problem: Problem, collocation: Collocation, constants: Constants) -> tuple[Part, ...]:
-    """The collocation points in parts of one size, where simulating them takes long enough; one part otherwise.
+    """The collocation points in parts of one size if simulating them takes long enough, else one part.
 
-    How many there are follows from the problem alone, so that digits are the same on whatever number of cores. What is
-    left of the last part is filled up by its last point, which then contributes nothing.
+    The number of parts follows from the problem alone, so that digits do not depend on the number of cores. The last
+    part is filled up with copies of its last point, which contribute nothing.
     """
     points, fit = np.asarray(collocation.points), np.asarray(collocation.pseudo_inverse)
     grid, count = problem.grid, len(points)

@@ -1,11 +1,11 @@
-"""Which derivatives of constraints may be other than zero: rows of splines depend on few decisions each."""
+"""The sparsity of constraints' derivatives: rows of splines depend on few decisions each."""
 
 from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-# Decisions beside the start that tell which derivatives are zero everywhere, and how far from it they are.
+# How many points near the start show which derivatives are zero everywhere, and how far away they are.
 _NEARBY, _DISTANCE = 3, 0.1
 
 
@@ -15,7 +15,7 @@ def nearby(
     upper: Float[np.ndarray, " n"],
     size: Float[np.ndarray, " n"],
 ) -> list[Float[np.ndarray, " n"]]:
-    """Decisions beside the start, by a part of their typical magnitudes: few derivatives vanish at them all."""
+    """Decisions near the start, by a part of their typical magnitudes; few derivatives vanish at all of them."""
     steps = _DISTANCE * np.random.default_rng(0).uniform(-1, 1, (_NEARBY, len(start)))
     return list(np.clip(start + size * steps, lower, upper))
 
@@ -23,11 +23,11 @@ def nearby(
 def sparsity_of(
     nonzero: Bool[np.ndarray, "rows n"], paths: Sequence[slice], instants: int
 ) -> Bool[np.ndarray, "rows n"]:
-    """The derivatives that may be other than zero, from where they were so at some decisions.
+    """The derivatives that may be nonzero, from those that are nonzero at some decisions.
 
-    A constraint on a path, whose rows stand in `paths`, may depend on a decision at an instant if it did so at any
-    instant, and if any such constraint did so at this one: what bodies feel only while they are near each other is
-    counted wherever it may be felt. Other constraints may depend on everything.
+    A constraint on a path, whose rows are in `paths`, counts as depending on a decision at an instant if it did so at
+    any instant, and if any such constraint did so at this one: so interactions of bodies that are near each other only
+    for a while count wherever they may occur. Other constraints may depend on everything.
     """
     sparsity = np.ones_like(nonzero)
     felt = np.zeros((instants, nonzero.shape[1]), dtype=bool)

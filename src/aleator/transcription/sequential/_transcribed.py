@@ -1,7 +1,7 @@
 """Sequential transcription: simulate inside, optimise outside (SeqNLP, equations 93, 95 and 122).
 
-The decisions are the only variables of the nonlinear program; the dynamics are solved exactly at every evaluation. The
-values and the Jacobian of the objective and of all constraints come from one compiled function.
+The decisions are the only variables of the nonlinear program; every evaluation integrates the dynamics. The values and
+the Jacobian of the objective and of all constraints come from one compiled function.
 """
 
 from dataclasses import dataclass, replace
@@ -39,7 +39,7 @@ from aleator.transcription.sequential._sparsity import nearby, sparsity_of
 @final
 @dataclass(frozen=True, kw_only=True)
 class SequentiallyTranscribed(AbstractTranscribed):
-    """A problem as a program in its decisions alone. `sizing`: how large its constraints are anywhere."""
+    """A problem as a program in its decisions alone. `sizing`: the magnitudes of its constraints at any decisions."""
 
     evaluator: Evaluator
     sizing: Sizing
@@ -68,7 +68,7 @@ class SequentiallyTranscribed(AbstractTranscribed):
 
     @override
     def at_scenarios(self, scenarios: Scenarios) -> "SequentiallyTranscribed":
-        """The same program, its limits on the worst case held at other scenarios. More slots compile it anew."""
+        """The same program with limits on the worst case imposed at other scenarios; more slots need compilation."""
         constants = replace(self.constants, scenarios=jnp.asarray(scenarios.points))
         evaluator, program = self.evaluator.with_constants(constants), self.program
         same = self.scenarios is not None and len(scenarios.used) == len(self.scenarios.used)
@@ -95,8 +95,7 @@ class SequentiallyTranscribed(AbstractTranscribed):
 class Sequential(AbstractTranscription):
     """Simulate inside, optimise outside: few decisions, thousands of rows, dynamics that hold at every iterate.
 
-    The way for systems that can be simulated from their start to their end, whatever the decisions (SeqNLP, equations
-    93, 95 and 122).
+    For systems that can be simulated from start to end whatever the decisions are (SeqNLP, equations 93, 95 and 122).
     """
 
     programs: ClassVar[tuple[Compiled, ...]] = (EVALUATE, CONTRIBUTE, COMBINE, FEATURES)
@@ -114,7 +113,7 @@ class Sequential(AbstractTranscription):
         decision_scale = decision_scales(start, lower, upper)
         around = nearby(start, lower, upper, decision_scale)
         beside = [evaluator(one) for one in around] if instantaneous(problem) else []
-        # The start comes last, for it is asked for again: the evaluator remembers it.
+        # The start comes last, so that the evaluator still remembers it when it is needed again.
         at_start = evaluator(start)
         rows = rows_of(at_start.sizes[1:])
         values, derivatives = map(at_start.by_constraint, (at_start.values, at_start.derivatives))
