@@ -25,7 +25,7 @@ from jax.core import Tracer
 from aleator._core.arrays import Pytree, is_number
 from aleator._core.equations import array_digest, equations_text
 from aleator._core.libraries import is_library, is_moody
-from aleator._core.readings import Place, Plain, Reading, Same
+from aleator._core.readings import Again, Place, Plain, Reading, Same
 
 # Larger programs are not read to the end.
 _MOST = 5_000
@@ -105,14 +105,15 @@ class _Reader:
     def __init__(self) -> None:
         self.reads: list[tuple[Place, Any]] = []
         self.doubts: list[Place] = []
-        # Objects are kept as long as they stand here for having been read: an address can be used again.
-        self._seen: dict[int, Any] = {}
+        # Objects are kept as long as they stand here for having been read: an address can be used again. With each, as
+        # which it was read.
+        self._seen: dict[int, tuple[Any, int]] = {}
         self._classes: set[type] = set()
 
     def _is_new(self, it: Any) -> bool:
         if id(it) in self._seen:
             return False
-        self._seen[id(it)] = it
+        self._seen[id(it)] = it, len(self._seen)
         return True
 
     def data(self, it: Any, place: Place) -> None:
@@ -146,7 +147,7 @@ class _Reader:
         elif self._is_new(it):
             self._compound(it, place)
         else:
-            self.reads.append((place, Same(it)))
+            self.reads.append((place, Again(it, self._seen[id(it)][1])))
 
     def _compound(self, it: Any, place: Place) -> None:
         self._class(type(it))

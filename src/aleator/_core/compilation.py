@@ -7,7 +7,7 @@ import threading
 import time
 from collections.abc import Callable, Hashable
 from itertools import accumulate, pairwise
-from typing import Any, NamedTuple, final
+from typing import Any, NamedTuple, TypeAlias, final
 
 import equinox as eqx
 import jax
@@ -16,8 +16,10 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array
 
+from aleator._core import stored
 from aleator._core.beside import beside
 from aleator._core.errors import ProblemError
+from aleator._core.lasting import lasting_name
 from aleator._core.programs import PROGRAMS, Executable, Program
 
 # On a CPU, XLA takes `jax.lax.optimization_barrier` away before it fuses loops, and then computes an intermediate
@@ -100,7 +102,7 @@ class Compiled:
         def flat(*leaves: jax.Array) -> Any:
             return self._function(*eqx.combine(jax.tree.unflatten(structure, leaves), static))
 
-        build = functools.partial(self._compile, self._use_of(arguments), flat, *leaves)
+        build = functools.partial(self._compile, _Leaves, flat, *leaves)
         return self._known(self._key(arguments, "leaves", leaves, structure, static), arguments, build), leaves
 
     def bound(self, *fixed: Any, packed: bool = True) -> "Bound":
@@ -121,7 +123,7 @@ class Compiled:
         def result(vector: jax.Array, others: list[jax.Array], last: Any) -> Any:
             return self._function(*eqx.combine(unpacked(vector), jax.tree.unflatten(structure, others), static), last)
 
-        way, compiling = ("packed", self._compile_packed) if packed else ("bound", self._compile)
+        way, read_by = ("packed", _Packed) if packed else ("bound", _Leaves)
 
         def key(last: Any) -> Hashable:
             leaves, last_structure = jax.tree.flatten(last)
@@ -129,7 +131,7 @@ class Compiled:
             return self._key((*fixed, last), way, [*jax.tree.leaves(reals), *others, *leaves], trees, static)
 
         def program(key: Hashable, last: Any) -> Program:
-            build = functools.partial(compiling, self._use_of((*fixed, last)), result, vector, others, last)
+            build = functools.partial(self._compile, read_by, result, vector, others, last)
             return self._known(key, (*fixed, last), build)
 
         return Bound(key, program, (vector, others))
@@ -143,7 +145,7 @@ class Compiled:
         return self, way, structure, static_structure, tuple(static_leaves), kinds, shapes, code
 
     def _known(
-        self, key: Hashable, arguments: tuple[Any, ...], build: Callable[[], Callable[[], Executable]]
+        self, key: Hashable, arguments: tuple[Any, ...], build: Callable[..., Callable[[], Executable]]
     ) -> Program:
         """The program of a key, traced by `build` where there has been none before."""
         program, is_new = PROGRAMS.found(key)
@@ -154,10 +156,13 @@ class Compiled:
         return program
 
     def _checked(
-        self, key: Any, arguments: tuple[Any, ...], build: Callable[[], Callable[[], Executable]]
+        self, key: Any, arguments: tuple[Any, ...], build: Callable[..., Callable[[], Executable]]
     ) -> Callable[[], Executable]:
         """What compiles, once it is sure that what was traced is the code that it is kept for."""
-        built = build()
+        # What tells code apart by reading it alone is sure of it within one run, and not from one to the next.
+        use = self._use_of(arguments)
+        name = None if self._code else lasting_name(self._function, _alike(arguments), key[1], use)
+        built = build(use=use, name=name)
         if self._code and self._code(*arguments) != key[-1]:
             raise ProblemError("The code of the system has changed while it was compiled. Run it again.")
         if self._unchanged:
@@ -167,39 +172,57 @@ class Compiled:
     def _use_of(self, arguments: tuple[Any, ...]) -> Use:
         return self._use if isinstance(self._use, Use) else self._use(*arguments)
 
-    def _compile(self, use: Use, function: Callable[..., Any], *arguments: Any) -> Callable[[], Executable]:
-        """Trace a function; what is returned compiles it."""
+    def _compile(
+        self, way: "_Way", function: Callable[..., Any], *arguments: Any, use: Use, name: str | None
+    ) -> Callable[[], Executable]:
+        """Trace a function, unless an earlier run has kept its executable; what is returned compiles it."""
         started = time.perf_counter()
-        lowered = jax.jit(function).lower(*arguments)
-        traced = time.perf_counter() - started
+        content = stored.read(name)
+        trace = functools.partial(self._traced, way, function, *arguments, use=use, name=name)
+        made = trace() if content is None else functools.partial(_loaded, content, arguments, trace)
+        spent = time.perf_counter() - started
 
         def finish() -> Executable:
             started = time.perf_counter()
-            executable = compiled_for(use, lowered)
+            found = made()
             with self._lock:
-                self.seconds += traced + time.perf_counter() - started
+                self.seconds += spent + time.perf_counter() - started
                 self.compilations += 1
-            return functools.partial(_run, executable)
+            executable, read = functools.partial(_run, found.executable), found.results.read
+            return lambda *given: read(executable(*given))
 
         return finish
 
-    def _compile_packed(self, use: Use, function: Callable[..., Any], *arguments: Any) -> Callable[[], Executable]:
-        layout: list[_Layout] = []
+    def _traced(
+        self, way: "_Way", function: Callable[..., Any], *arguments: Any, use: Use, name: str | None
+    ) -> Callable[[], stored.Stored]:
+        """Trace a function; what is returned compiles it and keeps it for later runs."""
+        results: list[Any] = []
 
-        def packed(*arguments: Any) -> tuple[Array, list[Array]]:
+        def flat(*arguments: Any) -> list[Array]:
             result = function(*arguments)
-            layout[:] = [_Layout.of(result)]
-            leaves = jax.tree.leaves(result)
-            reals = [jnp.ravel(leaf) for leaf in leaves if _is_real(leaf)]
-            return jnp.concatenate([jnp.zeros(0), *reals]), [leaf for leaf in leaves if not _is_real(leaf)]
+            results[:] = [way.of(result)]
+            return way.arrays(result)
 
-        finish = self._compile(use, packed, *arguments)
+        lowered = jax.jit(flat).lower(*arguments)
 
-        def finished() -> Executable:
-            executable = finish()
-            return lambda *given: layout[0].unpacked(*executable(*given))
+        def finish() -> stored.Stored:
+            found = stored.Stored(compiled_for(use, lowered), results[0])
+            if name is not None:
+                stored.keep(name, lowered, found)
+            return found
 
-        return finished
+        return finish
+
+
+def _loaded(
+    content: bytes, arguments: tuple[Any, ...], trace: Callable[[], Callable[[], stored.Stored]]
+) -> stored.Stored:
+    """What an earlier run has kept, or traced and compiled after all where XLA cannot load it, for whatever reason."""
+    try:
+        return stored.loaded(content, arguments)
+    except Exception:  # XLA, JAX and pickle have no common one
+        return trace()()
 
 
 def compiled_for(use: Use, lowered: jax.stages.Lowered) -> jax.stages.Compiled:
@@ -257,7 +280,32 @@ def _run(executable: Executable, *arguments: Any) -> Any:
     return executable(*nothing)
 
 
-class _Layout(NamedTuple):
+def _alike(tree: Any) -> Any:
+    """A tree whose NumPy arrays, which are traced, stand there by shape and type alone."""
+    return jax.tree.map(
+        lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype) if isinstance(leaf, np.ndarray) else leaf, tree
+    )
+
+
+class _Leaves(NamedTuple):
+    """A tree of arrays, as they are."""
+
+    structure: Any
+
+    @classmethod
+    def of(cls, tree: Any) -> "_Leaves":
+        return cls(jax.tree.structure(tree))
+
+    @staticmethod
+    def arrays(tree: Any) -> list[Array]:
+        return jax.tree.leaves(tree)
+
+    def read(self, arrays: list[jax.Array]) -> Any:
+        """The tree of the same arrays."""
+        return jax.tree.unflatten(self.structure, arrays)
+
+
+class _Packed(NamedTuple):
     """A tree of arrays, of which the real ones stand side by side in one vector.
 
     - `shapes` of the leaves in order, None for those that stand by themselves; `ends` of the others in the vector.
@@ -268,20 +316,29 @@ class _Layout(NamedTuple):
     ends: tuple[tuple[int, int], ...]
 
     @classmethod
-    def of(cls, tree: Any) -> "_Layout":
+    def of(cls, tree: Any) -> "_Packed":
         leaves, structure = jax.tree.flatten(tree)
         shapes = tuple(leaf.shape if _is_real(leaf) else None for leaf in leaves)
         sizes = [math.prod(shape) for shape in shapes if shape is not None]
         return cls(structure, shapes, tuple(pairwise(accumulate(sizes, initial=0))))
 
-    def unpacked(self, vector: jax.Array, others: list[jax.Array]) -> Any:
+    @staticmethod
+    def arrays(tree: Any) -> list[Array]:
+        leaves = jax.tree.leaves(tree)
+        vector = jnp.concatenate([jnp.zeros(0), *(jnp.ravel(leaf) for leaf in leaves if _is_real(leaf))])
+        return [vector, *(leaf for leaf in leaves if not _is_real(leaf))]
+
+    def read(self, arrays: list[jax.Array]) -> Any:
         """The tree of NumPy arrays."""
-        numbers, alone, ends = np.asarray(vector), iter(others), iter(self.ends)
+        numbers, alone, ends = np.asarray(arrays[0]), iter(arrays[1:]), iter(self.ends)
         leaves = [
             np.asarray(next(alone)) if shape is None else numbers[slice(*next(ends))].reshape(shape)
             for shape in self.shapes
         ]
         return jax.tree.unflatten(self.structure, leaves)
+
+
+_Way: TypeAlias = type[_Leaves] | type[_Packed]
 
 
 def _is_real(leaf: Any) -> bool:

@@ -24,6 +24,7 @@ VARIABLE = "ALEATOR_CACHE"
 _MOST_BYTES = 500 * 2**20
 _ON = ("on", "yes", "1", "true")
 _OFF = ("off", "no", "none", "0", "false", "")
+_folder: Path | None = None
 
 
 def compilation_cache(folder: str | os.PathLike[str] | None) -> None:
@@ -58,6 +59,11 @@ def keep_by_default() -> None:
             warnings.warn(f"{VARIABLE}: {error} Nothing is kept.", stacklevel=2)
 
 
+def own_folder() -> Path | None:
+    """Where programs are kept; None if nowhere, or in a folder that JAX was given."""
+    return _folder
+
+
 def _usual() -> Path:
     """The user's cache folder. Raises `ProblemError` where nobody knows the user's home."""
     try:
@@ -67,6 +73,8 @@ def _usual() -> Path:
 
 
 def _keep_in(folder: Path | None) -> None:
+    global _folder
+    _folder = folder
     jax.config.update("jax_compilation_cache_dir", None if folder is None else str(folder))
     persistent.reset_cache()
     if folder is None:

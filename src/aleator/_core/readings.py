@@ -53,7 +53,6 @@ def _difference(before: list[Any], after: list[Any]) -> str:
     return f"was {shown[0]} and is {shown[1]}" if len(shown) == 2 and shown[0] != shown[1] else "has changed"
 
 
-@final
 class Same:
     """An object that is equal to itself alone, and lives as long as this does."""
 
@@ -67,6 +66,17 @@ class Same:
 
     def __hash__(self) -> int:
         return id(self.it)
+
+
+@final
+class Again(Same):
+    """An object that has been read before: the one that came as number `order`."""
+
+    __slots__ = ("order",)
+
+    def __init__(self, it: Any, order: int):
+        super().__init__(it)
+        self.order = order
 
 
 class Plain(NamedTuple):

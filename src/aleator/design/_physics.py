@@ -5,8 +5,8 @@ are alike. Tracing takes a while, so that it is done once, as long as all that t
 reading leaves a doubt, equations are traced at every use.
 """
 
-import itertools
 import threading
+import uuid
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
 from typing import Any, NamedTuple
@@ -24,7 +24,6 @@ from aleator.uncertainty import uncertain_again
 
 # Enough for a session's problems, and for as many states of the code of each.
 _KEPT, _STATES = 64, 8
-_UNTOLD = itertools.count()
 
 
 class Digest(NamedTuple):
@@ -76,7 +75,8 @@ def physics_of(problem: AbstractProblem, trace: Callable[[], Digest]) -> str:
     # Where equations do not tell what is computed, problems pass for the same if their code reads the same.
     alike = (one for one in states if one.digest == digest and (digest.whole or one.reads(reading)))
     same = next(alike, None)
-    physics = same.physics if same else digest.text + ("" if digest.whole else f" {next(_UNTOLD)}")
+    # Like no other, in whatever process: programs are kept on the disk too.
+    physics = same.physics if same else digest.text + ("" if digest.whole else f" {uuid.uuid4().hex}")
     with _lock:
         _known[structure] = [_Known(physics, digest, reading, moving), *_known.pop(structure, ())][:_STATES]
         while len(_known) > _KEPT:

@@ -1,0 +1,192 @@
+"""What tells a program from all others in another process too: its code, its structure, and whoever traced it.
+
+In one process a program is known by objects that are the same (classes, functions, equations). Another one has other
+objects, so that all they consist of is written out here. Whatever cannot be, or might differ where its text does not,
+is a doubt, for which a program is traced.
+"""
+
+import dataclasses
+import enum
+import functools
+import hashlib
+import os
+import platform
+import sys
+import types
+from collections.abc import Callable, Iterable, Iterator
+from decimal import Decimal
+from fractions import Fraction
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax
+import numpy as np
+
+from aleator._core.code import read_code
+from aleator._core.equations import array_digest
+from aleator._core.libraries import is_library
+from aleator._core.readings import Again, Plain, Reading, Same
+
+# What traces and compiles besides JAX, by whose versions the folder is told apart.
+_TRACING = ("equinox", "numpy", "scipy", "diffrax", "lineax", "optimistix")
+_PLAIN = (str, bytes, int, bool, float, complex, type(None), type(Ellipsis), range, Decimal, Fraction, np.dtype)
+# Settings of JAX that are no part of a program.
+_ASIDE = ("jax_compilation_cache_dir", "jax_persistent_cache", "jax_raise_persistent", "jax_log", "jax_explain")
+
+
+class _DoubtError(Exception):
+    """Something has no text that tells it from all others."""
+
+
+def lasting_name(function: Callable[..., Any], arguments: tuple[Any, ...], *how: Any) -> str | None:
+    """A name for a function of ours, traced for arguments of one structure and compiled in some way.
+
+    Two programs of one name compute the same, in whatever processes; None where that cannot be told. The numbers of
+    arrays are no part of it.
+    """
+    try:
+        # Code comes first: a program of ours alone has none that could change.
+        parts = [_surroundings(), *_named(function), *_texts(how), *_texts(arguments), *_read(read_code(arguments))]
+    except _DoubtError:
+        return None
+    return hashlib.sha256("\0".join(parts).encode()).hexdigest()
+
+
+def _surroundings() -> str:
+    """Whatever else a program depends on: settings of JAX, Equinox and XLA, devices, and libraries that trace it."""
+    # Attributes say what holds here and now, in a `with` statement too; not every value has one.
+    known = {name: getattr(jax.config, name, value) for name, value in jax.config.values.items()}
+    settings = [f"{name}={value}" for name, value in sorted(known.items()) if not name.startswith(_ASIDE)]
+    settings += [f"{name}={value}" for name, value in sorted(os.environ.items()) if name.startswith(("XLA_", "EQX_"))]
+    return "\n".join([_libraries(), jax.default_backend(), str(jax.device_count()), *settings])
+
+
+@functools.cache
+def _libraries() -> str:
+    """A digest of this package's sources, and the versions of the libraries that it traces with."""
+    digest = hashlib.sha256(sys.version.encode() + platform.python_implementation().encode())
+    own = Path(__file__).parents[1]
+    sources = sorted(own.rglob("*.py"))
+    if not sources:
+        raise _DoubtError
+    for path in sources:
+        digest.update(str(path.relative_to(own)).encode() + b"\0" + path.read_bytes() + b"\0")
+    for name in _TRACING:
+        try:
+            digest.update(f"{name} {metadata.version(name)}\n".encode())
+        except metadata.PackageNotFoundError:
+            digest.update(f"no {name}\n".encode())
+    return digest.hexdigest()
+
+
+def _texts(it: Any) -> Iterator[str]:
+    """The structure of a tree: all but the numbers of arrays that are traced, and the code of what is not ours."""
+    if isinstance(it, jax.Array | jax.ShapeDtypeStruct):
+        yield f"array {it.shape} {it.dtype} {it.weak_type}"
+    elif isinstance(it, np.ndarray | np.generic):
+        yield f"constant {array_digest(it)}" if np.asarray(it).dtype != object else _doubtful()
+    elif isinstance(it, _PLAIN) and type(it) in _PLAIN:
+        yield f"{type(it).__name__} {it.hex() if isinstance(it, float) else repr(it)}"
+    elif isinstance(it, enum.Enum):
+        yield f"{_name_of(type(it))}.{it.name}"
+    elif isinstance(it, type):
+        yield _name_of(it)
+    elif isinstance(it, types.FunctionType):
+        # A reading tells the code of a user's; it does not look into libraries.
+        yield from _named(it) if is_library(it.__module__) else [f"function {_name_of(it)}"]
+    elif isinstance(it, frozenset | set):
+        yield f"{type(it).__name__} {sorted(' '.join(_texts(one)) for one in it)}"
+    else:
+        yield from _compound(it)
+
+
+def _compound(it: Any) -> Iterator[str]:
+    yield f"{_name_of(type(it))}("
+    if isinstance(it, eqx.Module) or (dataclasses.is_dataclass(it) and not isinstance(it, type)):
+        parts: Iterable[tuple[Any, Any]] = vars(it).items()
+    elif isinstance(it, dict):
+        parts = it.items()
+    elif isinstance(it, tuple | list):
+        parts = enumerate(it)
+    elif is_library(type(it).__module__) and getattr(it, "__dict__", None) == {}:
+        parts = ()  # a mark, such as Equinox's for a field that is missing
+    else:
+        raise _DoubtError(type(it))
+    for name, value in parts:
+        yield from _texts(name)
+        yield from _texts(value)
+    yield ")"
+
+
+def _name_of(it: Any) -> str:
+    return f"{it.__module__}.{it.__qualname__}"
+
+
+def _named(it: Any) -> Iterator[str]:
+    """Something of a library, by the name under which it is found there."""
+    module, name = getattr(it, "__module__", None), getattr(it, "__qualname__", getattr(it, "__name__", ""))
+    if isinstance(it, np.ufunc):
+        module = "numpy"
+    if not isinstance(module, str) or not is_library(module):
+        raise _DoubtError(it)
+    found: Any = sys.modules.get(module)
+    for part in name.split("."):
+        found = getattr(found, part, None)
+    if found is not it:
+        raise _DoubtError(it)
+    yield f"{module}:{name}"
+
+
+def _read(reading: Reading) -> Iterator[str]:
+    """What code reads beside its arguments."""
+    if reading.doubts:
+        raise _DoubtError
+    for place, token in reading.reads:
+        yield f"{place.who}\t{place.kind}\t{place.name}"
+        if isinstance(token, str):
+            yield token
+        elif isinstance(token, Plain):
+            yield _name_of(token.kind)
+            yield from _texts(token.value)
+        elif isinstance(token, Again):
+            yield f"again {token.order}"
+        elif isinstance(token, Same):
+            yield from _same(token.it)
+        else:
+            raise _DoubtError
+
+
+def _same(it: Any) -> Iterator[str]:
+    """What is equal to itself alone."""
+    if isinstance(it, types.CodeType):
+        yield from _code(it)
+    elif isinstance(it, types.ModuleType):
+        yield f"module {it.__name__}"
+    elif isinstance(it, type):
+        yield _name_of(it)
+    elif isinstance(it, jax.Array):
+        yield array_digest(it)
+    elif isinstance(it, enum.Enum):
+        yield f"{_name_of(type(it))}.{it.name}"
+    elif hasattr(it, "__objclass__"):
+        yield f"{_name_of(it.__objclass__)}.{it.__name__}"
+    else:
+        yield from _named(it)
+
+
+def _code(code: types.CodeType) -> Iterator[str]:
+    """All of a function's code that tells what it computes: neither lines nor files."""
+    yield f"{code.co_code.hex()} {code.co_exceptiontable.hex()} {code.co_flags}"
+    yield f"{code.co_argcount} {code.co_posonlyargcount} {code.co_kwonlyargcount}"
+    yield f"{code.co_names} {code.co_varnames} {code.co_freevars} {code.co_cellvars}"
+    for constant in code.co_consts:
+        if isinstance(constant, types.CodeType):
+            yield from _code(constant)
+        else:
+            yield from _texts(constant)
+
+
+def _doubtful() -> str:
+    raise _DoubtError
