@@ -180,8 +180,8 @@ def test_where_there_is_no_solution_outputs_are_not_a_number_and_the_other_point
         (
             SliderCrank(crank=0.1, rod=0.05, angle=1.5),
             r"SliderCrank: Newton found no solution at crank=0\.1, rod=0\.05, angle=1\.5\. From the guess x=0\.1, "
-            r"rod_angle=0\.2 it came in \d+ steps to x=.*, rod_angle=.*, where equation 2 of 2 is left with a residual "
-            r"of 0\.0\d+.*Look whether a solution exists there, and guess closer to it\.$",
+            r"rod_angle=0\.2 it reached in \d+ steps x=.*, rod_angle=.*, where equation 2 of 2 is left with a residual "
+            r"of 0\.0\d+.*Check whether a solution exists there, and guess closer to it\.$",
         ),
         (Parabola(0.0), r"at level=0, start=1\..*the Jacobian is singular there: .* or two solutions meet"),
         (Parabola(np.nan), r"at level=nan.* equation 1 of 1 is left with a residual of nan, which is not a finite"),
@@ -267,7 +267,7 @@ GUESS, RESIDUAL = lambda self: {"x": 1.0}, lambda self, rho: (rho.x - 1.0,)
         ({}, r"Odd declares no outputs: expected outputs\(self\), or unknowns with guess and residual"),
         (
             {"unknowns": ("x",)},
-            "Odd declares unknowns, but not guess and residual: equations take all three; outputs in",
+            "Odd declares unknowns, but not guess and residual: implicit equations need all three, and",
         ),
         ({"unknowns": ("x",), "residual": RESIDUAL}, "Odd declares unknowns and residual, but not guess:"),
         ({"unknowns": ("x",), "guess": GUESS}, "Odd declares unknowns and guess, but not residual:"),

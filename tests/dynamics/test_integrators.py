@@ -247,7 +247,7 @@ def test_a_stiff_integrator_that_fails_within_a_design_is_a_status_and_names_the
     solution = al.solve(family(al.integrators.Kvaerno5(max_steps=200)), throw=False)
     assert solution.status is al.Status.EVALUATION_FAILED
     rate = float(re.search(r"\(rate=([\d.]+)\)", solution.message)[1])
-    reached = float(re.search(r"gets no further than t = ([\d.]+) s", solution.message)[1])
+    reached = float(re.search(r"stops at t = ([\d.]+) s", solution.message)[1])
     assert reached == pytest.approx(0.5 / rate, rel=1e-2)
 
 

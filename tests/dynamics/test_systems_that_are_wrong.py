@@ -34,7 +34,7 @@ def system(rhs=lambda z: (z.v, -z.x), outputs=lambda z: {"x": z.x}, initial=None
         ({"rhs": lambda z: jnp.stack([z.v, z.x])}, "returns one rate for each of .* as a tuple; received"),
         ({"rhs": lambda z: None}, "as a tuple; received None"),
         ({"rhs": lambda z: (z.v * jnp.ones(3), z.x)}, r"expected a rate of shape \(\) for 'x'; received \(3,\)"),
-        ({"initial": {"y": 1.0}}, r"initial names \['y'\], which are no states; expected some of \('x', 'v'\)"),
+        ({"initial": {"y": 1.0}}, r"initial names \['y'\], which are not states; expected some of \('x', 'v'\)"),
         ({"initial": [1.0, 2.0]}, r"Model\.initial returns a dict of initial values by state; received list \[1.0"),
         (
             {"rhs": lambda z: (jnp.ones(3), z.x)},

@@ -40,13 +40,13 @@ DISTRIBUTION, DECISION = al.Uniform(1.0, half_width=0.1), al.Decision(1.0, 0.0, 
 @pytest.mark.parametrize(
     ("system", "grid", "u", "message"),
     [
-        (Driven(), GRID, SHORT, r"Input 'u' is known from 0 to 1 s, but the grid asks for 0 to 3 s\. Give it for"),
-        (Driven(), GRID, al.Tabulated([0.5, 3.0], [0.0, 1.0]), "is known from 0.5 to 3 s, but the grid asks for 0 to"),
+        (Driven(), GRID, SHORT, r"Input 'u' is known from 0 to 1 s, but the grid runs from 0 to 3 s\. Give it for"),
+        (Driven(), GRID, al.Tabulated([0.5, 3.0], [0.0, 1.0]), "is known from 0.5 to 3 s, but the grid runs from 0 to"),
         (
             Driven(own=SHORT),
             GRID,
             RAMP,
-            "Signal 'shift' of Driven is known from 0 to 1 s, but the grid asks for 0 to 3",
+            "Signal 'shift' of Driven is known from 0 to 1 s, but the grid runs from 0 to 3",
         ),
         (Driven(), GRID, 1.0, r"Input 'u' must be a signal, such as al\.Tabulated\(times, values\); received float"),
         (Driven(DISTRIBUTION), GRID, RAMP, r"expected plain numbers.*: 'system\.gain' is a Uniform\. .*al\.expand or"),

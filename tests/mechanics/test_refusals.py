@@ -221,7 +221,7 @@ class Geared(Rates):
         (lambda: al.simulate(al.ForwardDynamics(Clash()), GRID), r"\['elbow', .*'shoulder'.*\] name two outputs each"),
         (lambda: al.Grid(al.Decision(1.0, 0.0, 2.0), 10), r"a decision that may be 0\.0: raise its lower bound"),
         (lambda: al.Grid(al.Decision(1.0), 10), "a decision that may be -inf"),
-        (lambda: al.Grid(al.Decision(np.ones(2), 0.5, 2.0), 10), "there is one final time"),
+        (lambda: al.Grid(al.Decision(np.ones(2), 0.5, 2.0), 10), "expected one final time"),
         (lambda: al.Grid(al.Uniform(1.0, half_width=0.1), 10), "t_final must be a finite number"),
         (lambda: problem(al.ForwardDynamics(Loaded(m_2=al.Uniform(1.0, half_width=1.2)))), "m_2"),
         (lambda: problem(al.ForwardDynamics(Loaded(m_2=al.Decision(1.0, -0.5, 2.0)))), "m_2"),

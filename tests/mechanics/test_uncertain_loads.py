@@ -161,7 +161,7 @@ class Thinning(Cart):
         (lambda: still(Thinning()), r"singular at t = 1 s \(x = 0\)"),
         (
             lambda: still(Cart(wind=al.Tabulated([0.0, 0.5], [1.0, 1.0]))),
-            "Signal 'parameters' of ForwardDynamics is known from 0 to 0.5 s, but the grid asks for 0 to 1 s",
+            "Signal 'parameters' of ForwardDynamics is known from 0 to 0.5 s, but the grid runs from 0 to 1 s",
         ),
         (lambda: still(Cart(mass=WIND)), "'mass' must stay positive, but a RandomProcess is Gaussian at every instant"),
         (lambda: still(Cart(mass=al.processes.signal(lambda t, p: 0.5 - t))), "is singular about t = 0.5 s"),

@@ -102,11 +102,11 @@ def test_uncertain_ends_are_realised():
         (lambda: al.PowerSeries(start=(0.0,), middle=1.0, middle_time=np.nan), "must be finite"),
         (
             lambda: al.PowerSeries(start=(0.0,), middle=1.0, middle_time=al.Decision(0.5, 0.0, 0.9)),
-            "or a distribution or a Decision within",
+            "or a distribution or a Decision in that range",
         ),
         (
             lambda: al.PowerSeries(start=(0.0,), middle=1.0, middle_time=al.Uniform(0.5, half_width=0.6)),
-            "or a distribution or a Decision within",
+            "or a distribution or a Decision in that range",
         ),
         (lambda: al.PowerSeries(start=(np.nan,)), "value at the start must be finite"),
         (lambda: al.PowerSeries(start=("here",)), "expected numbers, distributions or decisions"),

@@ -1,4 +1,4 @@
-"""`AbstractSystem`: what all kinds of systems are asked, whether they move in time or not."""
+"""`AbstractSystem`: the interface of all systems, dynamical or algebraic."""
 
 import abc
 from collections.abc import Mapping
@@ -8,9 +8,9 @@ import equinox as eqx
 
 
 class AbstractSystem(eqx.Module):
-    """What can be simulated: a `System`, which moves in time, or an `AlgebraicSystem`, which has none.
+    """What can be simulated: a `System`, which evolves in time, or an `AlgebraicSystem`, which has no time.
 
-    - `has_time`: whether it moves in time; `units`: those of its outputs as far as they are known, for reports.
+    - `has_time`: whether it evolves in time; `units`: the units of its outputs as far as they are known, for reports.
     """
 
     has_time: ClassVar[bool]
@@ -34,9 +34,9 @@ class AbstractSystem(eqx.Module):
         return ""
 
     def holding(self, grid: Any) -> Mapping[str, Any]:
-        """What it takes to stay at the start, by the names of outputs such as torques, where it is made to rest there.
+        """The holding torques: the outputs that keep the system at rest at its start, by name.
 
-        None by default, nor where it starts on the move or may begin to move.
+        Empty by default, and where the system does not start at rest or is free to move.
         """
         del grid
         return {}

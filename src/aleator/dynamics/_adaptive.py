@@ -16,22 +16,21 @@ from aleator.dynamics._integrators import AbstractIntegrator, Inputs
 from aleator.dynamics._record import Asked, Record
 from aleator.dynamics._system import System, derivative, initial_state
 
-# Tolerances below these ask for more than 64-bit arithmetic gives.
+# Smaller tolerances cannot be met in 64-bit arithmetic.
 _TIGHTEST_RELATIVE, _TIGHTEST_ABSOLUTE = 1e-12, 1e-14
 
-# An integrator whose later half of steps adds less than this to the time it has covered is not short of steps.
+# If the second half of the steps advances time by less than this fraction, more steps would not help.
 _STUCK = 0.01
 
 
 class AbstractAdaptive(AbstractIntegrator):
     """Adaptive integration by diffrax, to relative and absolute tolerances.
 
-    No step is longer than one of the grid, for smooth states would carry it past whatever outputs, integrals and loads
-    do meanwhile.
+    Steps are never longer than those of the grid: with smooth states, longer ones could pass over fast changes of
+    outputs, integrands or loads.
 
-    Where the solver gives up (more than `max_steps` steps between start and end) the outputs are not a number, which
-    the caller reports with the realisation at fault and what `explain` says of it. Loose tolerances give wrong
-    derivatives.
+    Where the solver gives up (after `max_steps` steps in all) the outputs are NaN, which the caller reports with the
+    realisation at fault and the text of `explain`. Loose tolerances give inaccurate derivatives.
     """
 
     rtol: float = eqx.field(static=True)
@@ -45,11 +44,11 @@ class AbstractAdaptive(AbstractIntegrator):
 
     @abc.abstractmethod
     def solver(self) -> Any:
-        """The method of diffrax."""
+        """The diffrax solver."""
 
     @override
     def record(self, system: System, grid: Grid, inputs: Inputs, asked: Asked) -> Record:
-        import diffrax  # late: it takes as long to import as all the rest
+        import diffrax  # late: its import takes as long as everything else
 
         stretched = {name: signal.over(grid.t_start, grid.t_final) for name, signal in inputs.items()}
 
@@ -59,7 +58,7 @@ class AbstractAdaptive(AbstractIntegrator):
         first = grid.times[0]
         start = initial_state(system)
         shapes = jax.eval_shape(lambda: asked.rates(system, first, start, now(first)))
-        # diffrax takes no empty containers: what it carries and saves are lists of arrays.
+        # diffrax accepts no empty containers, so states and saved values are lists of arrays.
         carried, structure = jax.tree.flatten((start, jax.tree.map(lambda one: jnp.zeros(one.shape), shapes)))
 
         def rates(t: Any, carried: list[Array], _: Any) -> list[Array]:
@@ -107,9 +106,9 @@ class AbstractAdaptive(AbstractIntegrator):
                 f"Give it more, al.integrators.{name}(max_steps={10 * self.max_steps}), or larger tolerances."
             )
         return (
-            f"{name} gets no further than t = {reached:.4g} s, where its steps become too short. Look for rates that "
-            "jump, grow without bound or are not a number there (a root or logarithm of a negative number, a division "
-            "by zero), or bound the distributions and decisions that lead there."
+            f"{name} stops at t = {reached:.4g} s, where its steps become too short. Check for rates that jump, grow "
+            "without bound or are not a number there (a root or logarithm of a negative number, a division by zero), "
+            "or bound the distributions and decisions that lead there."
         )
 
     def _solved(self, rates: Callable[..., Any], start: Any, grid: Grid, saved: Any, most: int) -> Any:
@@ -124,7 +123,7 @@ class AbstractAdaptive(AbstractIntegrator):
             y0=start,
             saveat=saved,
             stepsize_controller=diffrax.PIDController(rtol=self.rtol, atol=self.atol, dtmax=grid.step),
-            # Forward sensitivities: few decisions, many outputs.
+            # Forward mode, for few decisions and many outputs.
             adjoint=diffrax.ForwardMode(),
             max_steps=most,
             throw=False,
@@ -135,7 +134,7 @@ class AbstractAdaptive(AbstractIntegrator):
         return type(self)(**self.tighter())
 
     def tighter(self) -> dict[str, Any]:
-        """Arguments for a hundredth of the tolerances, as far as arithmetic goes."""
+        """Arguments for a hundredth of the tolerances, limited by 64-bit arithmetic."""
         return {
             "rtol": max(self.rtol / 100, _TIGHTEST_RELATIVE),
             "atol": max(self.atol / 100, _TIGHTEST_ABSOLUTE),
@@ -145,10 +144,10 @@ class AbstractAdaptive(AbstractIntegrator):
 
 @jax.custom_jvp
 def _slopes_of_numbers(rate: Array) -> Array:
-    """A rate as it is, its derivatives zero where it is not finite.
+    """The unchanged rate, with derivatives of zero where it is not finite.
 
-    A stage at which the rates are not finite is rejected, and its derivatives with it. Until then they must be numbers:
-    diffrax's linear solvers raise an error of the whole program where they meet others.
+    A stage with non-finite rates is rejected, and its derivatives with it. Until then these must be finite, or
+    diffrax's linear solvers would raise an error for the whole program.
     """
     return rate
 
@@ -160,7 +159,7 @@ def _slopes(rates: tuple[Array], slopes: tuple[Array]) -> tuple[Array, Array]:
 
 @final
 class Tsit5(AbstractAdaptive):
-    """Adaptive explicit Runge-Kutta of order 5 (Tsitouras, 2011), for smooth systems that are not stiff."""
+    """Adaptive explicit Runge-Kutta of order 5 (Tsitouras, 2011), for smooth, non-stiff systems."""
 
     @override
     def solver(self) -> Any:
@@ -200,7 +199,7 @@ class Kvaerno5(AbstractAdaptive):
 
     @override
     def reference(self) -> AbstractIntegrator:
-        """The method of order 4, to tolerances that it is held to as well."""
+        """The method of order 4, at the same tolerances."""
         return Kvaerno4(**self.tighter())
 
 

@@ -1,4 +1,4 @@
-"""`AlgebraicSystem`: outputs in closed form, or by implicit equations between named unknowns, and their solution."""
+"""`AlgebraicSystem`: outputs in closed form, or from implicit equations for named unknowns, and their solution."""
 
 import inspect
 from collections.abc import Callable, Mapping
@@ -24,10 +24,10 @@ _GOLDEN = (5**0.5 - 1) / 2
 
 
 class AlgebraicSystem(AbstractSystem):
-    """A system without time: closed formulas, statics, equilibria, kinematic assemblies.
+    """A system without time: explicit formulas, statics, equilibria, kinematic assemblies.
 
     Subclass it with the parameters as fields; any number in a field may then be replaced by a distribution or a
-    decision. Where the outputs follow from these in closed form, `def outputs(self)` is all that it takes:
+    decision. Outputs that follow from these in closed form need only `def outputs(self)`:
 
         class Pin(al.AlgebraicSystem):
             hole: al.Number
@@ -36,14 +36,14 @@ class AlgebraicSystem(AbstractSystem):
             def outputs(self):
                 return {"gap": self.hole - self.pin}
 
-    Where some numbers are only known by equations (dissertation, equations 17 and 24), name them in `unknowns` and
-    declare `guess` and `residual`; `residual(rho)` and `outputs(rho)` then get them as a named tuple (`rho.chi`, or
+    Where numbers are defined implicitly by equations (dissertation, equations 17 and 24), name them in `unknowns` and
+    declare `guess` and `residual`; `residual(rho)` and `outputs(rho)` then receive them as a named tuple (`rho.chi`, or
     unpacked). The equations are solved by Newton's method from `guess`, and derivatives follow from the implicit
-    function theorem. Of several solutions it is the one that Newton reaches from the guess. To stay on one branch over
-    a wide range of parameters, let the guess depend on them.
+    function theorem. Of several solutions, Newton's method finds the one it reaches from the guess. To stay on one
+    branch over a wide range of parameters, let the guess depend on them.
 
     `units` may give the units of outputs, for reports. Raises `ProblemError` for a class that declares only some of
-    `unknowns`, `guess` and `residual`, or whose `outputs` takes something else.
+    `unknowns`, `guess` and `residual`, or whose `outputs` takes other arguments.
     """
 
     has_time: ClassVar[bool] = False
@@ -58,19 +58,19 @@ class AlgebraicSystem(AbstractSystem):
         _check_declared(self)
 
     def guess(self) -> Mapping[str, Any]:
-        """A number (or an array, for an unknown that is one) near the solution for each unknown, by name."""
+        """A value near the solution for each unknown, by name: a number, or an array for an unknown array."""
         return {}
 
     def residual(self, rho: Any) -> Any:
-        """The equations, as a sequence of numbers or arrays that vanish at the solution: as many as unknowns."""
+        """The equations: a sequence of numbers or arrays that vanish at the solution, as many as there are unknowns."""
         del rho
         return ()
 
     @override
     def outputs(self, *args: Any, **kwargs: Any) -> dict[str, Any]:
-        """`outputs(self)`, or `outputs(self, rho)` of a system with unknowns: quantities of interest by name.
+        """`outputs(self)`, or `outputs(self, rho)` for a system with unknowns: quantities of interest by name.
 
-        By default the unknowns themselves.
+        The unknowns themselves by default.
         """
         del kwargs
         (rho,) = args
@@ -80,10 +80,9 @@ class AlgebraicSystem(AbstractSystem):
 class Solved(NamedTuple):
     """The solution of an algebraic system.
 
-    - `unknowns`: as a named tuple; not a number where Newton failed, or found a solution that is not one by itself;
-    - `residual_norm`: the largest residual, each relative to how much it changes as the unknowns change by their own
-      scale;
-    - `iterations`: how many Newton steps were taken.
+    - `unknowns`: as a named tuple; NaN where Newton failed, or found a solution that is not isolated;
+    - `residual_norm`: the largest residual, each relative to its change when the unknowns change by their own scale;
+    - `iterations`: the number of Newton steps.
     """
 
     unknowns: Any
@@ -95,8 +94,8 @@ class Solved(NamedTuple):
 def solve_algebraic(system: AlgebraicSystem) -> Solved:
     """Solve one realised system (plain numbers in its fields). May be vectorised and differentiated repeatedly.
 
-    Raises `ProblemError` if guess and equations do not fit the unknowns. Where Newton fails, the unknowns are not a
-    number: see `explain_failure`.
+    Raises `ProblemError` if guess or equations do not match the unknowns. Where Newton fails, the unknowns are NaN: see
+    `explain_failure`.
     """
     guess = first_guess(system)
     if not system.unknowns:
@@ -111,14 +110,14 @@ def solve_algebraic(system: AlgebraicSystem) -> Solved:
 
 
 def algebraic_outputs(system: AlgebraicSystem) -> dict[str, Float[Array, "..."]]:
-    """The outputs at the solution; not a number where there is none."""
+    """The outputs at the solution; NaN where there is none."""
     solved = solve_algebraic(system)
     values = outputs_at(system, solved.unknowns)
     return {name: jnp.where(solved.converged, value, jnp.nan) for name, value in values.items()}
 
 
 def outputs_at(system: AlgebraicSystem, rho: Any) -> dict[str, Float[Array, "..."]]:
-    """`system.outputs` at any unknowns as arrays by name, checked to be a dict."""
+    """`system.outputs` at given unknowns as arrays by name, checked to be a dict."""
     given = (rho,) if _is_implicit(system) else ()
     return as_outputs(system, called(system, system.outputs, *given))
 
@@ -126,7 +125,7 @@ def outputs_at(system: AlgebraicSystem, rho: Any) -> dict[str, Float[Array, "...
 def explain_failure(system: AlgebraicSystem) -> str:
     """Why Newton fails for one realised system: the system's numbers, where it stopped, the residual and a remedy.
 
-    Empty if it does not fail. Runs on the host: call it for the realisation at fault.
+    Empty if it does not fail. Not traceable: call it for the one realisation at fault.
     """
     guess = first_guess(system)
     if not system.unknowns:
@@ -137,35 +136,35 @@ def explain_failure(system: AlgebraicSystem) -> str:
     worst = int(np.argmax(np.nan_to_num(np.abs(root.relative), nan=np.inf)))
     return (
         f"{type(system).__name__}: Newton found no solution at {_listed(_numbers(system)) or 'any numbers'}. From the "
-        f"guess {_listed(guess._asdict())} it came in {int(root.steps)} steps to "
+        f"guess {_listed(guess._asdict())} it reached in {int(root.steps)} steps "
         f"{_listed(named(root.point)._asdict())}, where equation {worst + 1} of {root.relative.size} is left with a "
-        f"residual of {float(root.residuals[worst]):.3g}{_remark(root)}. Look whether a solution exists there, and "
+        f"residual of {float(root.residuals[worst]):.3g}{_remark(root)}. Check whether a solution exists there, and "
         "guess closer to it."
     )
 
 
 def _declares(system: AlgebraicSystem, part: str) -> bool:
-    """Whether the class of a system says something of its own of `part`."""
+    """Whether the class of a system declares its own `part`."""
     default = getattr(AlgebraicSystem, part)
     own = getattr(type(system), part)
     return own is not default and (part != "unknowns" or own != ())
 
 
 def _is_implicit(system: AlgebraicSystem) -> bool:
-    """Whether a system has equations to solve, be there unknowns in them or not."""
+    """Whether a system has equations to solve, even without unknowns."""
     return _declares(system, "residual")
 
 
 def _check_declared(system: AlgebraicSystem) -> None:
-    """Refuse a class that is neither explicit, by `outputs` alone, nor implicit, by all that equations take."""
+    """Refuse a class that is neither explicit (only `outputs`) nor implicit (`unknowns`, `guess` and `residual`)."""
     name = type(system).__name__
     parts = {part: _declares(system, part) for part in ("unknowns", "guess", "residual")}
     parts["unknowns"] |= bool(system.unknowns)
     has, lacks = ([part for part, declared in parts.items() if declared is one] for one in (True, False))
     if has and lacks:
         raise ProblemError(
-            f"{name} declares {' and '.join(has)}, but not {' and '.join(lacks)}: equations take all three; outputs in "
-            "closed form take none of them, only outputs(self)."
+            f"{name} declares {' and '.join(has)}, but not {' and '.join(lacks)}: implicit equations need all three, "
+            "and outputs in closed form need none of them, only outputs(self)."
         )
     if not (has or _declares(system, "outputs")):
         raise ProblemError(
@@ -202,16 +201,17 @@ def _listed(numbers: Mapping[str, Any]) -> str:
 
 
 def _root(system: AlgebraicSystem, guess: Any) -> tuple[Root, Callable[[Array], Any]]:
-    """The root over all unknowns as one vector, and what makes a named tuple of such a vector."""
+    """The root, with all unknowns as one vector, and the function that turns such a vector into a named tuple."""
     start, named = ravel_pytree(guess)
     terms = constant_terms(system, guess, start.size)
     return newton(lambda vector: equations(system, named(vector), start.size), start, terms), named
 
 
 def constant_terms(system: AlgebraicSystem, guess: Any, expected: int) -> Float[Array, " n"]:
-    """The sizes of what the system's own numbers add to each equation: as they round, so do the unknowns.
+    """The magnitudes of the terms that the system's own numbers add to each equation: their rounding limits the
+    unknowns.
 
-    By derivatives along all numbers at once, with weights in which terms of opposite signs do not cancel.
+    Computed by derivatives along all numbers at once, with weights under which terms of opposite sign do not cancel.
     """
     dynamic, static = eqx.partition(numbers_to_arrays(system), eqx.is_inexact_array)
     numbers, combined = ravel_pytree(dynamic)
@@ -247,7 +247,7 @@ def equations(system: AlgebraicSystem, rho: Any, expected: int) -> Float[Array, 
     vector = jnp.concatenate([jnp.zeros(0), *(jnp.ravel(traceable(f"{name}.residual", value)) for value in values)])
     if vector.size != expected:
         raise ProblemError(
-            f"{name}.residual: expected as many equations as numbers in the unknowns {system.unknowns}, "
-            f"which are {expected}; received {vector.size}."
+            f"{name}.residual: expected as many equations as there are numbers in the unknowns {system.unknowns}, "
+            f"{expected}; received {vector.size}."
         )
     return vector

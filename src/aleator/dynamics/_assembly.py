@@ -1,4 +1,4 @@
-"""`Assembly`: a kinematic assembly from a short description of its vector loops."""
+"""`Assembly`: a kinematic assembly, described by its vector loops."""
 
 from collections.abc import Collection, Iterable, Mapping
 from typing import Any, NamedTuple, final
@@ -18,7 +18,7 @@ from aleator.dynamics._vectors import Chain, is_chain, read_chain
 
 
 class _Description(NamedTuple):
-    """What an assembly is apart from its dimensions: structure, which compiles."""
+    """An assembly without its dimensions: the static structure, which determines the compiled program."""
 
     guesses: tuple[tuple[str, float], ...]
     loops: tuple[Chain, ...]
@@ -30,7 +30,7 @@ class _Description(NamedTuple):
 @final
 @transparent("dimensions")
 class Assembly(AlgebraicSystem):
-    """Parts that fit together, as a designer draws them: vectors that close (dissertation, equations 1, 2 and 121).
+    """Parts that fit together, described by closed vector loops (dissertation, equations 1, 2 and 121).
 
         Assembly(
             dimensions={"a": Normal(27.645, 0.0167), "c": Normal(11.43, 0.0033), "e": Normal(50.8, 0.0042)},
@@ -41,19 +41,19 @@ class Assembly(AlgebraicSystem):
     - `dimensions`: the independent numbers by name; any may be a distribution or a decision;
     - `unknowns`: the dependent numbers by name, each with a guess near its nominal value;
     - `loops`: closed loops (2), each a list of vectors that add up to zero: two equations in the plane, three in space;
-    - `equations`: further equations by which angles or lengths hang together, such as `"chi + gamma = 180"`;
-    - `features`: what is of interest besides the unknowns, by name (1): a formula for a gap, such as
-      `"housing - 3*plate"`, or a list of vectors for the position of its tip, an open loop: x, y and, in space, z;
+    - `equations`: further relations between angles or lengths, such as `"chi + gamma = 180"`;
+    - `features`: quantities of interest besides the unknowns, by name (1): a formula, such as `"housing - 3*plate"` for
+      a gap, or an open loop, a list of vectors whose tip has the coordinates x, y and, in space, z;
     - `units`: the units of unknowns and features by name, for reports.
 
     A vector is `(length, direction)`. Lengths, directions, equations and features are formulas: a number, a name, an
     expression of names (`"e - c"`; + - * / **, parentheses, `pi`, `sqrt`, `sin`, `cos`, `tan`, `asin`, `acos`, `atan`)
-    or a Python function of all named values (`lambda v: v.e - v.c`). **All angles are in degrees**, counted from the
-    x axis: directions, dimensions and unknowns used in them, their guesses, and what the functions above take or give.
-    A direction relative to that of the vector before it is written with the word `previous`: `"previous + 90"`. In
-    space a direction is a pair, azimuth and elevation.
+    or a Python function of all named values (`lambda v: v.e - v.c`). **All angles are in degrees**, measured from the x
+    axis: directions, the dimensions and unknowns used in them, their guesses, and arguments and values of the functions
+    above. A direction relative to that of the preceding vector uses the word `previous`: `"previous + 90"`. In space a
+    direction is a pair of azimuth and elevation.
 
-    The unknowns and the features are its outputs. Raises `ProblemError` if the description does not fit together.
+    The unknowns and the features are its outputs. Raises `ProblemError` if the description is inconsistent.
     """
 
     dimensions: dict[str, Any]
@@ -90,7 +90,7 @@ class Assembly(AlgebraicSystem):
 
     @property
     def units(self) -> dict[str, str]:  # type: ignore[override]
-        """The units of outputs, as far as they were given."""
+        """The units of outputs, as far as they are given."""
         return dict(self.description.units)
 
     @override
@@ -98,7 +98,7 @@ class Assembly(AlgebraicSystem):
         return dict(self.description.guesses)
 
     def residual(self, rho: Any) -> list[Float[Array, "..."]]:
-        """The resultant of each closed loop, then what is left of each further equation."""
+        """The resultant of each closed loop, then the residual of each further equation."""
         values = self._values(rho)
         closed = [loop.resultant(values) for loop in self.description.loops]
         return closed + [evaluate(left, values) - evaluate(right, values) for left, right in self.description.equations]
@@ -133,11 +133,11 @@ def _check_names(
             seen[name] = kind
     stray = sorted(set(units) - set(unknowns) - set(features))
     if stray:
-        raise ProblemError(f"Assembly: units are given to {stray}, which are no unknowns or features.")
+        raise ProblemError(f"Assembly: units are given for {stray}, which are not unknowns or features.")
 
 
 def _dimension(name: str, value: Any) -> Any:
-    """A number as a float, so that changing it compiles nothing; distributions and decisions as they are."""
+    """A number as a float, so that changing it causes no recompilation; distributions and decisions unchanged."""
     if isinstance(value, AbstractLeaf | jax.Array):
         return value
     return _number(value, f"dimension '{name}'", "a finite number, a distribution or a decision")
@@ -159,23 +159,21 @@ def _read_feature(name: str, given: Any, known: Collection[str]) -> Formula | Ch
 
 
 def _check_equations(description: _Description) -> None:
-    """Refuse as many equations as do not determine the unknowns, and unknowns that no equation holds."""
+    """Refuse a wrong number of equations, and unknowns that no equation contains."""
     unknowns = [name for name, _ in description.guesses]
     closed = sum(loop.components for loop in description.loops)
     if closed + len(description.equations) != len(unknowns):
         raise ProblemError(
             f"Assembly: expected as many equations as unknowns, {len(unknowns)} for {unknowns}; received "
             f"{closed + len(description.equations)}: {closed} from {len(description.loops)} closed loops (two from a "
-            f"plane loop, three from a spatial one) and {len(description.equations)} others. Add the equations that "
-            "are missing, or make dimensions of unknowns or unknowns of dimensions."
+            f"plane loop, three from a spatial one) and {len(description.equations)} others. Add the missing "
+            "equations, or turn unknowns into dimensions or dimensions into unknowns."
         )
     formulas = [formula for loop in description.loops for formula in loop.formulas]
     formulas += [side for equation in description.equations for side in equation]
     if any(callable(formula) for formula in formulas):
-        return  # what a function uses is not known
+        return  # the names that a function uses are not known
     used = frozenset[str]().union(*map(names_in, formulas))
     for name in unknowns:
         if name not in used:
-            raise ProblemError(
-                f"Assembly: unknown '{name}' stands in no loop and no equation. Leave it out, or use it."
-            )
+            raise ProblemError(f"Assembly: unknown '{name}' is in no loop and no equation. Drop it, or use it.")

@@ -38,18 +38,18 @@ _FUNCTIONS: dict[str, Callable[[Any], Any]] = {
     "sqrt": jnp.sqrt,
 }
 PREVIOUS = "previous"
-"""In the direction of a vector: the direction of the vector before it."""
+"""The word that stands for the direction of the preceding vector."""
 
 
 class _Expression(NamedTuple):
-    """An expression that has been read: the names in it, and its value as a function of theirs."""
+    """A parsed expression: the names in it, and its value as a function of theirs."""
 
     names: frozenset[str]
     value: Callable[[Mapping[str, Any]], Any]
 
 
 def read_formula(given: Any, known: Collection[str], where: str) -> Formula:
-    """A formula as it is kept, after checking that it can be read and that it uses `known` names only."""
+    """A formula in parsed form, checked to use only `known` names."""
     if callable(given):
         return given
     if isinstance(given, int | float | np.number) and not isinstance(given, bool) and math.isfinite(given):
@@ -57,7 +57,7 @@ def read_formula(given: Any, known: Collection[str], where: str) -> Formula:
     if not isinstance(given, str):
         raise ProblemError(
             f"{where}: expected a name, a finite number, an expression such as 'e - c', or a function of the named "
-            f"values; received {given!r}. What is uncertain or decided goes among the dimensions, under a name."
+            f"values; received {given!r}. Put uncertain or decided numbers among the dimensions, under a name."
         )
     try:
         names = _expression(given).names
@@ -71,7 +71,7 @@ def read_formula(given: Any, known: Collection[str], where: str) -> Formula:
 
 
 def read_equation(given: Any, known: Collection[str], where: str) -> tuple[Formula, Formula]:
-    """The two sides of an equation `left = right`; of a formula alone, it and zero."""
+    """The two sides of an equation `left = right`; for a formula alone, the formula and zero."""
     left, *rest = given.split("=") if isinstance(given, str) else (given,)
     if len(rest) > 1:
         raise ProblemError(f"{where}: expected 'left = right'; received {given!r}.")
@@ -79,12 +79,12 @@ def read_equation(given: Any, known: Collection[str], where: str) -> tuple[Formu
 
 
 def names_in(formula: Formula) -> frozenset[str]:
-    """The names of values that a formula uses; of a function none are known."""
+    """The names of values that a formula uses; none for a function, whose names are not known."""
     return _expression(formula).names if isinstance(formula, str) else frozenset()
 
 
 def evaluate(formula: Formula, values: Mapping[str, Any]) -> Float[Array, ""]:
-    """The number that a formula stands for."""
+    """The value of a formula."""
     if isinstance(formula, str):
         number = _expression(formula).value(values)
     else:
@@ -97,11 +97,11 @@ def evaluate(formula: Formula, values: Mapping[str, Any]) -> Float[Array, ""]:
 
 @cache
 def _expression(text: str) -> _Expression:
-    """Read an expression. Raises `ProblemError` for all but arithmetic."""
+    """Parse an expression. Raises `ProblemError` for anything but arithmetic."""
     try:
         return _read(ast.parse(text.strip(), mode="eval").body)
     except SyntaxError as error:
-        raise ProblemError(f"'{text}' is no arithmetic expression ({error.msg}).") from error
+        raise ProblemError(f"'{text}' is not an arithmetic expression ({error.msg}).") from error
 
 
 def _read(node: ast.expr) -> _Expression:
@@ -134,7 +134,7 @@ def check_name(name: Any, kind: str) -> None:
     """Refuse a name that no expression could use."""
     taken = {*_FUNCTIONS, "pi", PREVIOUS}
     usable = isinstance(name, str) and name.isidentifier() and not (keyword.iskeyword(name) or name.startswith("_"))
-    # Python reads names in a normal form: the micro sign as the Greek letter.
+    # Python normalises names: the micro sign becomes the Greek letter.
     if not usable or name in taken or unicodedata.normalize("NFKC", name) != name:
         raise ProblemError(
             f"Assembly: a {kind} is named like a variable of Python, and not {', '.join(sorted(taken))}; "

@@ -19,18 +19,18 @@ from aleator.trajectories import instants
 
 
 class AbstractGrid(eqx.Module):
-    """The instants at which outputs are known: the leading axis of every history. `steps` lie between them."""
+    """The instants at which outputs are known, `steps` steps: the leading axis of every history."""
 
     steps: eqx.AbstractVar[int]
 
     @abc.abstractmethod
     def finer(self, factor: int) -> Self:
-        """The same time in `factor` times as many steps."""
+        """The same time span with `factor` times as many steps."""
 
     @property
     @abc.abstractmethod
     def step(self) -> Scalar:
-        """Length of one step, s; one where there is no time, so that a sum over instants is a value."""
+        """Length of one step, s; 1 where there is no time, so that a sum over instants is the value itself."""
 
     @property
     @abc.abstractmethod
@@ -40,9 +40,9 @@ class AbstractGrid(eqx.Module):
 
 @final
 class Grid(AbstractGrid):
-    """Uniform instants from `t_start` to `t_final`, `steps` steps apart: `steps + 1` instants, in seconds.
+    """Uniform instants from `t_start` to `t_final`, in seconds: `steps` steps, so `steps + 1` instants.
 
-    `t_final` may be a `Decision`: a free final time. Trajectories among the inputs fill the grid, however long it is.
+    `t_final` may be a `Decision`: a free final time. Trajectories among the inputs are stretched to the grid.
     """
 
     t_final: Any
@@ -55,7 +55,7 @@ class Grid(AbstractGrid):
         free = _is_decided(t_final)
         earliest = _earliest(t_final)
         if free and realised_shape(t_final) != ():
-            raise ProblemError(f"Grid: there is one final time; received an array of decisions {t_final!r}.")
+            raise ProblemError(f"Grid: expected one final time; received an array of decisions {t_final!r}.")
         if not (_is_finite(t_start) and _is_finite(earliest) and earliest > t_start):
             raise ProblemError(
                 f"Grid: t_final must be a finite number after t_start={t_start!r}; received "
@@ -66,7 +66,7 @@ class Grid(AbstractGrid):
 
     @property
     def latest(self) -> float:
-        """The final time, or the largest one that may be chosen, s."""
+        """The final time, or the largest that may be chosen, s."""
         return float(self.t_final if (latest := highest(self.t_final)) is None else latest)
 
     @override
@@ -74,7 +74,7 @@ class Grid(AbstractGrid):
         return self.divided(factor * self.steps)
 
     def divided(self, steps: int) -> "Grid":
-        """The same time in so many steps."""
+        """The same time span with `steps` steps."""
         return Grid(self.t_final, steps, float(self.t_start))
 
     @property
@@ -84,7 +84,7 @@ class Grid(AbstractGrid):
 
     @property
     def fractions(self) -> Float[np.ndarray, " instants"]:
-        """All instants as fractions of the duration: known whatever the final time is."""
+        """All instants as fractions of the duration, which do not depend on the final time."""
         return np.linspace(0.0, 1.0, self.steps + 1)
 
     @property
@@ -99,17 +99,17 @@ class Grid(AbstractGrid):
 
     @property
     def node_fractions(self) -> Float[np.ndarray, " nodes"]:
-        """The instants and the middles of the steps between them, as fractions of the duration."""
+        """The instants and the midpoints of the steps, as fractions of the duration."""
         return np.linspace(0.0, 1.0, 2 * self.steps + 1)
 
     @property
     def node_times(self) -> Float[Array, " nodes"]:
-        """The instants and the middles of the steps between them."""
+        """The instants and the midpoints of the steps, s."""
         return instants(self.node_fractions, self.t_start, self.t_final)
 
     @property
     def node_weights(self) -> Float[Array, " nodes"]:
-        """Weights of Simpson's rule on instants and middles: of order 4, as the default integrator is."""
+        """Weights of Simpson's rule on instants and midpoints: of order 4, like the default integrator."""
         weights = np.tile([2.0, 4.0], self.steps + 1)[:-1]
         weights[[0, -1]] = 1.0
         return jnp.asarray(self.step / 6 * weights)
@@ -117,7 +117,7 @@ class Grid(AbstractGrid):
 
 @final
 class Instant(AbstractGrid):
-    """No time: the one instant, `t = 0`, of a system of algebraic equations. A sum over it is the value itself."""
+    """The single instant `t = 0` of an algebraic system, which has no time. A sum over it is the value itself."""
 
     steps: int = eqx.field(static=True, default=0)
 
@@ -146,7 +146,7 @@ def _earliest(t_final: Any) -> Any:
 
 
 def _scalar(number: Any) -> Any:
-    """An array of one known number, without axes, as a float; everything else as it is."""
+    """A known zero-dimensional array as a float; everything else unchanged."""
     is_array = isinstance(number, np.ndarray | jax.Array) and not isinstance(number, Tracer) and not is_masked(number)
     return float(number) if is_array and number.shape == () and number.dtype.kind in "iuf" else number
 

@@ -1,4 +1,4 @@
-"""Systems without states: their outputs follow from what is known at one instant alone."""
+"""Systems without states, whose outputs at an instant depend only on the inputs at that instant."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -24,7 +24,7 @@ Take: TypeAlias = Callable[[System, Any, Any, dict[str, Array]], Pytree]
 
 
 class Known(NamedTuple):
-    """What is known at each instant, as one row of numbers: the time, and all inputs side by side.
+    """The data at each instant as one row of numbers: the time, then all inputs side by side.
 
     - `rows`: shape (instants, numbers); `inputs`: the shape of each input by name, in order.
     """
@@ -43,7 +43,7 @@ class Known(NamedTuple):
 
 
 def known_at(system: System, grid: Grid, inputs: Inputs, fractions: Fractions | None = None) -> Known:
-    """What a realised system and its inputs make known at each instant of a grid, or at other fractions of it."""
+    """The data of a realised system and its inputs at each instant of a grid, or at given fractions of it."""
     fractions = grid.fractions if fractions is None else fractions
     at = sampled({**system.signals(), **inputs}, grid, fractions)
     columns = [values.reshape(len(values), -1) for values in at.values()]
@@ -53,13 +53,13 @@ def known_at(system: System, grid: Grid, inputs: Inputs, fractions: Fractions | 
 
 
 def observed_at(system: System, known: Known, row: Float[Array, " numbers"]) -> dict[str, Array]:
-    """The outputs of a system without states at one row of what is known."""
+    """The outputs of a system without states at one row of data."""
     t, now = known.unpack(row)
     return observation(system, t, initial_state(system), now)
 
 
 def observed(system: System, grid: Grid, inputs: Inputs, asked: Asked) -> Record:
-    """The record of a system without states: its integrals are taken by Simpson's rule, which sees between instants."""
+    """The record of a system without states. Integrals are taken by Simpson's rule, which sees midpoints of steps."""
 
     def over(fractions: Fractions, take: Take) -> Pytree:
         known = known_at(system, grid, inputs, fractions)
@@ -81,9 +81,9 @@ def at_each_instant(
 ) -> Pytree:
     """`function(parameters, row)` at every instant: arrays with a leading axis of instants.
 
-    However many decisions move the numbers of an instant, what they can do there is said by the derivatives by these
-    few numbers. They are taken once, and multiplied with the change of the numbers: the chain rule in the order that is
-    cheap for many decisions.
+    However many decisions there are, they act on an instant only through its few numbers. The derivatives with respect
+    to these numbers are computed once and multiplied by the numbers' own derivatives: the chain rule in the order that
+    is cheap for many decisions.
     """
     numbers, rest = eqx.partition(parameters, eqx.is_inexact_array)
 

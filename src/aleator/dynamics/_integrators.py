@@ -1,7 +1,7 @@
-"""Integrators: what they all are, and fixed-step Runge-Kutta for optimisation.
+"""Integrators: their abstract base, and fixed-step Runge-Kutta methods for optimisation.
 
-Integrals over time are further states, whose rates are the integrands: they are as accurate as the states are, and an
-input that is wild only where nothing is evaluated is as cheap, or as dear, for the one as for the other.
+Integrals over time are additional states whose rates are the integrands, so that they are as accurate as the states and
+evaluated at the same instants.
 """
 
 import abc
@@ -24,30 +24,31 @@ Inputs = dict[str, AbstractSignal]
 
 
 class AbstractIntegrator(eqx.Module):
-    """How a system's states are carried from one instant of a grid to the next."""
+    """How a system's states are advanced from one instant of a grid to the next."""
 
     @abc.abstractmethod
     def record(self, system: System, grid: Grid, inputs: Inputs, asked: Asked) -> Record:
-        """Simulate a realised system and record what is asked; `inputs` are all signals, its own among them."""
+        """Simulate a realised system and record what is asked for; `inputs` include the system's own signals."""
 
     @abc.abstractmethod
     def reference(self) -> "AbstractIntegrator":
-        """A more accurate integrator of another order, by which the error of this one is told."""
+        """A more accurate integrator of another order, by which this one's error is estimated."""
 
     def explain(self, system: System, grid: Grid, inputs: Inputs) -> str:
-        """Why it comes to no end with one realised system, with the remedy; empty if it does, or cannot tell."""
+        """Why it fails on one realised system, with the remedy; empty if it does not fail, or cannot tell."""
         del system, grid, inputs
         return ""
 
     def refined(self) -> "AbstractIntegrator":
-        """The same to smaller tolerances of its own, if it has any: most follow the steps of the grid."""
+        """The same integrator with smaller tolerances, if it has any: most follow the steps of the grid."""
         return self
 
 
 class Tableau(NamedTuple):
     """An explicit Runge-Kutta method (Hairer, Nørsett and Wanner, Solving Ordinary Differential Equations I, II.1).
 
-    - `nodes`: of the stages, as fractions of a step; `couplings`: of each stage with those before it; `weights`.
+    - `nodes`: the stages' times as fractions of a step; `couplings`: the coefficients of each stage on those before it;
+      `weights`: those of the stages in the result.
     """
 
     nodes: tuple[float, ...]
@@ -56,9 +57,9 @@ class Tableau(NamedTuple):
 
 
 class AbstractFixedStep(AbstractIntegrator):
-    """An explicit Runge-Kutta method, one step of it between two instants.
+    """An explicit Runge-Kutta method that takes one step between two instants.
 
-    Its steps do not depend on the numbers, so that derivatives of the result are exact and free of noise.
+    Its steps do not depend on the numbers, so derivatives of the result are exact and free of noise.
     """
 
     tableau: ClassVar[Tableau]
@@ -84,12 +85,12 @@ class AbstractFixedStep(AbstractIntegrator):
                 slopes.append(stage[0])
                 growths.append(stage[1])
             end = _moved(z, h, weights, slopes)
-            # Outputs are taken inside the loop, while the state is at hand: states need not be stored.
+            # Outputs are taken inside the loop, so that states need not be stored.
             found = asked.at_instant(system, t + h, end, last)
             halfway = {}
             if asked.nodes:
                 arrived = derivative(system, t + h, end, last)
-                # The cubic through both ends and their slopes, as accurate as the ends are.
+                # Cubic Hermite interpolation between both ends, as accurate as these are.
                 centre = jax.tree.map(lambda a, b, da, db: (a + b) / 2 + h / 8 * (da - db), z, end, slopes[0], arrived)
                 halfway = asked.at_node(system, t + h / 2, centre, signals[0.5])
             return (end, _moved(integrals, h, weights, growths)), (found, halfway)
@@ -121,7 +122,7 @@ def _moved(z: Pytree, h: Any, weights: tuple[float, ...], slopes: list[Pytree]) 
 
 
 def _interleaved(history: dict[str, Array], middles: dict[str, Array]) -> dict[str, Array]:
-    """What is known at the instants and in the middles between them, in the order of time."""
+    """Values at the instants and at the midpoints of the steps, in order of time."""
     found = {}
     for name, inside in middles.items():
         ends = history[name]
@@ -132,7 +133,7 @@ def _interleaved(history: dict[str, Array], middles: dict[str, Array]) -> dict[s
 
 @final
 class RungeKutta4(AbstractFixedStep):
-    """The classical Runge-Kutta method of order 4: the default inside optimisation."""
+    """The classical Runge-Kutta method of order 4, the default."""
 
     tableau: ClassVar[Tableau] = Tableau(
         nodes=(0.0, 0.5, 0.5, 1.0),
@@ -147,9 +148,9 @@ class RungeKutta4(AbstractFixedStep):
 
 @final
 class DormandPrince5(AbstractFixedStep):
-    """The method of order 5 by Dormand and Prince (1980), with steps that are given.
+    """The method of order 5 by Dormand and Prince (1980), with fixed steps.
 
-    Its stages stand elsewhere in a step than those of `RungeKutta4`, so that it sees what happens between these.
+    Its stages lie at other fractions of a step than those of `RungeKutta4`, so it sees what these miss.
     """
 
     tableau: ClassVar[Tableau] = Tableau(

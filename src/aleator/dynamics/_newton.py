@@ -1,4 +1,4 @@
-"""Newton's method for implicit equations: damped, indifferent to scales, differentiable as often as wanted."""
+"""Newton's method for implicit equations: damped, scale-invariant, differentiable to any order."""
 
 from collections.abc import Callable
 from typing import NamedTuple, TypeAlias
@@ -13,14 +13,14 @@ Matrix: TypeAlias = Float[Array, "n n"]
 
 _MOST_STEPS = 50
 _SMALLEST_DAMPING = 2.0**-12
-# Lengths of steps, relative to the unknowns' own sizes. Newton goes on to the first, below the noise of rounding in
-# most equations; where the noise is larger it is content with the second.
+# Step lengths relative to the sizes of the unknowns. Newton iterates to the first, below the rounding noise of most
+# equations; where the noise is larger it accepts the second.
 _FINISHED = 1e-13
 _CLOSE = 1e-10
-# Rounding leaves this share of an equation's terms open.
+# The relative rounding error of an equation's terms.
 _ROUNDING = 32 * float(jnp.finfo(float).eps)
-# Near a regular solution steps shrink quadratically; towards one where the Jacobian is singular, by halves. The two are
-# told apart by steps no longer than the first of these, which come after one longer than the second: above rounding.
+# Steps shrink quadratically near a regular solution, but only by halves near one where the Jacobian is singular. They
+# are told apart by steps no longer than the first of these that follow one longer than the second, above rounding.
 _SHORT = 1e-6
 _ABOVE_NOISE = 1e-9
 _REGULAR_SHRINKAGE = 0.25
@@ -32,12 +32,12 @@ _BALANCING_SWEEPS = 10
 class Root(NamedTuple):
     """Where Newton's method ended, and how.
 
-    - `residuals`: the equations there, in their own units; `relative`: each divided by the size of its terms;
-    - `step`: length of the last Newton step relative to the sizes of the unknowns, as far as it is above rounding;
-      `shrinkage`: the largest ratio of a step to the one before, once they are short;
-    - `regularity`: distance of the Jacobian from a singular one, between 0 and 1 (the inverse of its condition number
-      in the maximum norm, balanced so that no scale of an equation or an unknown counts); `change`: how much it
-      changes, relative to itself, within what rounding leaves open; `steps`: how many were taken.
+    - `residuals`: the residuals there, in the equations' own units; `relative`: each divided by the size of its terms;
+    - `step`: length of the last Newton step relative to the sizes of the unknowns, as far as it exceeds rounding;
+      `shrinkage`: the largest ratio of a step to the one before, once steps are short;
+    - `regularity`: distance of the Jacobian from a singular one, between 0 and 1 (the reciprocal condition number in
+      the maximum norm, balanced so that it does not depend on the scales of equations and unknowns); `change`: its
+      relative change within the rounding errors of the unknowns; `steps`: the number of steps taken.
     """
 
     point: Vector
@@ -51,18 +51,18 @@ class Root(NamedTuple):
 
     @property
     def regular(self) -> Bool[Array, ""]:
-        """Whether the Jacobian determines the step, also if it is not a number: then it does not."""
+        """Whether the Jacobian determines the step; false where `regularity` is NaN."""
         steady = (self.shrinkage <= _REGULAR_SHRINKAGE) & (self.change <= _REGULAR_CHANGE)
         return (self.regularity >= _LEAST_REGULARITY) & steady
 
     @property
     def converged(self) -> Bool[Array, ""]:
-        """Whether `point` is a solution, one by itself."""
+        """Whether `point` is an isolated solution."""
         return self.regular & (self.step <= _CLOSE) & jnp.isfinite(self.point).all()
 
 
 class _Balanced(NamedTuple):
-    """A Jacobian over the scales of its rows and columns, which make its entries comparable."""
+    """A Jacobian divided by scales of its rows and columns, so that its entries are comparable."""
 
     matrix: Matrix
     rows: Vector
@@ -87,16 +87,16 @@ def newton(
     """Solve `function(unknowns) = 0` from a guess.
 
     Steps are shortened until they pass the natural monotonicity test of Deuflhard (*Newton Methods for Nonlinear
-    Problems*, 2004, section 3.3), which does not depend on the scales of the equations. Unknowns are measured by
-    themselves, by the largest value that each has taken, guess included; those of one number in `kin`, such as the
-    coefficients of one expansion, by the largest that any of them has taken. One that is zero up to rounding has no
-    such size: steps no longer than rounding leaves open count as none. That is `|J⁻¹| m` times the unit of rounding
-    (Skeel, Journal of the ACM 26, 1979), where `m` are the sizes of the equations' terms: of unknowns and of `terms`,
-    those that do not depend on unknowns (default: none). It stops where rounding lets it go no further.
+    Problems*, 2004, section 3.3), which does not depend on the scales of the equations. The scale of an unknown is the
+    largest magnitude that it has taken, guess included; unknowns with the same number in `kin`, such as the
+    coefficients of one expansion, share the largest of theirs. An unknown that is zero up to rounding has no such
+    scale, so steps within rounding error count as zero. That error is `|J⁻¹| m` times the unit roundoff (Skeel, Journal
+    of the ACM 26, 1979), where `m` are the magnitudes of the equations' terms: those in the unknowns, and `terms`,
+    those independent of them (default: none). The iteration stops where rounding prevents further progress.
 
-    `point` is differentiable in whatever `function` closes over, forwards, backwards and repeatedly, by the implicit
-    function theorem at the solution; all else in the result has derivative zero. May be vectorised: each root is found
-    by itself. Nothing is raised: see `Root.converged`, which is of one root.
+    `point` is differentiable with respect to whatever `function` closes over, in forward and reverse mode and
+    repeatedly, by the implicit function theorem at the solution; everything else in the result has derivative zero. May
+    be vectorised: roots are found independently. Nothing is raised: see `Root.converged`, which is for one root.
     """
     constant = jnp.zeros_like(guess) if terms is None else jax.lax.stop_gradient(terms)
     point, account = jax.lax.custom_root(
@@ -108,10 +108,10 @@ def newton(
 def _iterate(
     function: Callable[[Vector], Vector], guess: Vector, terms: Vector, kin: Int[np.ndarray, " n"] | None
 ) -> tuple[Vector, tuple[Array, ...]]:
-    """The root and, as a tuple, the rest of `Root`."""
+    """The root and, as a tuple, the other fields of `Root`."""
 
     def sizes_of(values: Vector) -> Vector:
-        """By what each unknown is measured."""
+        """The scale of each unknown."""
         sizes = jnp.abs(values)
         return sizes if kin is None else jnp.zeros_like(sizes).at[kin].max(sizes)[kin]
 
@@ -127,13 +127,13 @@ def _iterate(
 
         direction = correction(point)
         noise = _noise(jacobian, balanced, inverse, jnp.maximum(state.size, sizes_of(point + direction)), terms)
-        # What is zero up to rounding has no size of its own, as long as it is not known where it goes.
+        # An unknown that is zero up to rounding has no scale yet, since its final magnitude is not known.
         size = jnp.where(state.size > noise, state.size, jnp.maximum(noise, sizes_of(direction)))
         step = _length(direction, size, noise)
 
         def is_refused(damping: Array) -> Bool[Array, ""]:
             ahead = _length(correction(point + damping * direction), size, noise)
-            # Not the same as `ahead > ...`, where a number is not one.
+            # Unlike `ahead > ...`, this refuses NaN.
             return ~(ahead <= (1 - damping / 4) * step)
 
         last = step <= _FINISHED
@@ -171,21 +171,21 @@ def _iterate(
 
 
 def _length(step: Vector, size: Vector, noise: Vector) -> Float[Array, ""]:
-    """The length of a step relative to the sizes of the unknowns; what is not above rounding counts as none."""
+    """The length of a step relative to the scales of the unknowns; components within rounding count as zero."""
     return jnp.where(jnp.abs(step) <= noise, 0.0, jnp.abs(step) / jnp.where(size > 0, size, 1.0)).max()
 
 
 def _noise(jacobian: Matrix, balanced: _Balanced, inverse: Matrix, size: Vector, terms: Vector) -> Vector:
-    """What rounding leaves open of the unknowns."""
+    """The rounding errors of the unknowns."""
     open_rows = (jnp.abs(jacobian) @ size + terms) / balanced.rows
     return _ROUNDING * balanced.columns * (jnp.abs(inverse) @ open_rows)
 
 
 def _balanced(jacobian: Matrix) -> _Balanced:
-    """The Jacobian with rows and columns of sum 1 (in absolute value), as nearly as there are such scales.
+    """The Jacobian scaled to row and column sums of 1 (of absolute values), as nearly as possible.
 
     Sinkhorn and Knopp, Pacific Journal of Mathematics 21 (1967). The result does not depend on the units of equations
-    and unknowns. Where an equation does not depend on the unknowns, or an unknown is in none, it is not a number.
+    and unknowns. It is NaN where an equation does not depend on any unknown, or an unknown is in no equation.
     """
     sizes = jnp.abs(jax.lax.stop_gradient(jacobian))
 

@@ -1,4 +1,4 @@
-"""What is asked of a simulation, and what it records."""
+"""What a simulation is asked to record, and its record."""
 
 from collections.abc import Callable, Collection, Mapping
 from typing import Any, NamedTuple, TypeAlias
@@ -14,13 +14,12 @@ Integrand: TypeAlias = Callable[[Mapping[str, Array]], Float[Array, "..."]]
 
 
 class Asked(NamedTuple):
-    """What is asked of a simulation.
+    """What a simulation is asked to record.
 
-    - `instants`: the outputs that are recorded at every instant, by name; None for all;
-    - `nodes`: those recorded at every instant and in the middle of every step too, some of those at instants, where
-      statistics of many realisations are to be integrated over time;
-    - `integrands`: what is integrated over time along the realisation, with the accuracy of its states; `integrated`:
-      the outputs that these are functions of.
+    - `instants`: the outputs to record at every instant, by name; None for all;
+    - `nodes`: those of them to record at the midpoints of the steps too, for statistics that are integrated over time;
+    - `integrands`: functions integrated over time along the realisation, as accurately as its states; `integrated`: the
+      outputs that they depend on.
     """
 
     instants: frozenset[str] | None = None
@@ -33,7 +32,7 @@ class Asked(NamedTuple):
         return chosen(system, observation(system, t, z, now), self.instants)
 
     def at_node(self, system: System, t: Any, z: Any, now: dict[str, Array]) -> dict[str, Array]:
-        """What is recorded in the middle of a step, and at its ends."""
+        """What is recorded at the midpoint of a step, and at its ends."""
         return chosen(system, observation(system, t, z, now), self.nodes)
 
     def rates(self, system: System, t: Any, z: Any, now: dict[str, Array]) -> tuple[Array, ...]:
@@ -47,7 +46,7 @@ class Asked(NamedTuple):
 class Record(NamedTuple):
     """What a simulation recorded.
 
-    - `history`: outputs at every instant, shape (instants, ...); `nodes`: outputs at every instant and in the middle
+    - `history`: outputs at every instant, shape (instants, ...); `nodes`: outputs at every instant and at the midpoint
       of every step, shape (2 steps + 1, ...);
     - `integrals`: in the order of the integrands.
     """
@@ -58,7 +57,7 @@ class Record(NamedTuple):
 
 
 def chosen(system: Any, found: dict[str, Array], only: Collection[str] | None) -> dict[str, Array]:
-    """The outputs that are asked for. Raises `ProblemError` for some that the system does not have."""
+    """The outputs that are asked for. Raises `ProblemError` for any that the system does not have."""
     if only is None:
         return found
     if not set(only) <= set(found):

@@ -1,4 +1,4 @@
-"""What is refused before a system is simulated: numbers that are not known yet, and signals that do not reach."""
+"""Refusals before a simulation: numbers not realised yet, and signals that do not cover the grid."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -15,7 +15,7 @@ from aleator.trajectories import AbstractSignal
 
 
 def refuse_unrealised(**parts: Any) -> None:
-    """Raise `ProblemError` if a distribution or a decision is left in what is to be simulated; traced numbers pass."""
+    """Raise `ProblemError` if a distribution or a decision is left in the parts to simulate; traced numbers pass."""
     for name, leaf in named_leaves(parts):
         refuse_missing(name, leaf)
     found = [
@@ -25,17 +25,17 @@ def refuse_unrealised(**parts: Any) -> None:
     ]
     if found:
         raise ProblemError(
-            f"simulate: expected plain numbers, of one realised system; received others: {', '.join(found)}. Put "
-            "numbers in their places; or declare an al.Problem, or give a function that simulates to al.expand or "
+            f"simulate: expected one realised system, with plain numbers throughout; received {', '.join(found)}. "
+            "Replace these by numbers, declare an al.Problem, or pass a function that simulates to al.expand or "
             "al.references.monte_carlo, which realise the system."
         )
 
 
 def check_signals(system: System, grid: Grid, inputs: Mapping[str, Any]) -> None:
-    """Refuse inputs that are not those of a system, or no signals, and signals that are not known on the whole grid.
+    """Refuse missing or unknown inputs, inputs that are not signals, and signals not known on the whole grid.
 
-    That is asked of inputs and of the system's own signals alike, up to the largest final time that may be chosen, but
-    not where numbers are traced: then it is not known.
+    The system's own signals are checked too. The grid extends to the largest final time that may be chosen; where its
+    numbers are traced, the span is not checked.
     """
     check_inputs(system, inputs)
     for name, signal in inputs.items():
@@ -51,12 +51,12 @@ def check_signals(system: System, grid: Grid, inputs: Mapping[str, Any]) -> None
 
 
 def _check_span(who: str, signal: AbstractSignal, grid: Grid) -> None:
-    # What follows is known, also where a function that simulates is being traced.
+    # These are known even while a function that simulates is traced.
     with jax.ensure_compile_time_eval():
         first, last = signal.span()
     start, end = float(grid.t_start), grid.latest
     if start < first or end > last:
         raise ProblemError(
-            f"{who} is known from {first:g} to {last:g} s, but the grid asks for {start:g} to {end:g} s. Give it for "
+            f"{who} is known from {first:g} to {last:g} s, but the grid runs from {start:g} to {end:g} s. Give it for "
             "the whole time, or change the grid."
         )

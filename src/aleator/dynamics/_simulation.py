@@ -1,4 +1,4 @@
-"""`Simulation`: what is simulated, all in one place. `simulate`: the same for one system by itself."""
+"""`Simulation`: a system with everything needed to simulate it. `simulate`: outputs of one realised system."""
 
 from collections.abc import Collection, Mapping
 from typing import final
@@ -22,10 +22,10 @@ from aleator.trajectories import AbstractSignal
 @final
 @transparent("system", "grid")
 class Simulation(eqx.Module):
-    """What is simulated: a system with its inputs on a grid, and how its states are carried forward.
+    """What is simulated: a system with its inputs, a grid, and an integrator.
 
-    Any of its numbers may be a distribution or a decision; realised, it can be recorded. Kinds of systems are told
-    apart here alone.
+    Any of its numbers may be a distribution or a decision; once realised, it can be recorded. Only here are kinds of
+    systems told apart.
     """
 
     system: AbstractSystem
@@ -34,7 +34,7 @@ class Simulation(eqx.Module):
     integrator: AbstractIntegrator
 
     def record(self, asked: Asked) -> Record:
-        """What is asked of it, once its numbers are known. Raises `ProblemError` where its parts do not fit."""
+        """Simulate with known numbers, recording what is asked for. Raises `ProblemError` if parts do not match."""
         refuse_unrealised(system=self.system, grid=self.grid, inputs=self.inputs)
         if isinstance(self.system, AlgebraicSystem):
             return Record(chosen(self.system, self._solved(self.system), asked.instants), {}, ())
@@ -50,11 +50,11 @@ class Simulation(eqx.Module):
         return self.integrator.record(system, grid, {**system.signals(), **self.inputs}, asked)
 
     def history(self) -> History:
-        """All outputs at every instant, by name, once its numbers are known: shape (instants, ...)."""
+        """All outputs at every instant, by name, with known numbers: shape (instants, ...)."""
         return self.record(Asked()).history
 
     def explain(self) -> str:
-        """Why it has no solution, as far as its equations or its integrator can tell; empty if it has one."""
+        """Why it has no solution, as far as its equations or its integrator can tell; empty if there is one."""
         if isinstance(self.system, AlgebraicSystem):
             return explain_failure(self.system)
         if not (isinstance(self.system, System) and isinstance(self.grid, Grid) and self.system.states):
@@ -62,14 +62,14 @@ class Simulation(eqx.Module):
         return self.integrator.explain(self.system, self.grid, {**self.system.signals(), **self.inputs})
 
     def on(self, grid: AbstractGrid, integrator: AbstractIntegrator | None = None) -> "Simulation":
-        """The same on another grid, by another integrator if one is given."""
+        """The same simulation on another grid, by another integrator if one is given."""
         return Simulation(self.system, self.inputs, grid, integrator or self.integrator)
 
     def _grid(self, system: System) -> Grid:
         if not isinstance(self.grid, Grid):
             raise ProblemError(
-                f"{type(system).__name__} moves in time: expected a grid, such as al.Grid(t_final, steps); "
-                f"received {type(self.grid).__name__}."
+                f"{type(system).__name__} evolves in time: expected a grid, such as al.Grid(t_final, steps); received "
+                f"{type(self.grid).__name__}."
             )
         return self.grid
 
@@ -77,7 +77,7 @@ class Simulation(eqx.Module):
         name = type(system).__name__
         if not isinstance(self.grid, Instant):
             raise ProblemError(
-                f"{name} is algebraic and knows no time: expected al.Instant() as its grid; received "
+                f"{name} is algebraic, without time: expected al.Instant() as its grid; received "
                 f"{type(self.grid).__name__}."
             )
         if self.inputs:
@@ -93,16 +93,16 @@ def simulate(
     *,
     only: Collection[str] | None = None,
 ) -> History:
-    """Outputs of one realised system (plain numbers in its fields) at every instant, by name: shape (instants, ...).
+    """Simulate one realised system (plain numbers in its fields): all outputs at every instant, by name.
 
-    The default integrator is `RungeKutta4`. An `AlgebraicSystem` knows one instant, takes no inputs and needs no
-    integrator: `simulate(system)`. A system without states is not integrated either: its outputs follow from its inputs
-    at each instant. `only` lists the outputs that are asked for, by name. Where its equations are not solved, or an
-    adaptive integrator gives up, the outputs are not a number.
+    Returns a dict of arrays of shape (instants, ...). The default integrator is `RungeKutta4`. An `AlgebraicSystem` has
+    one instant and takes no grid, inputs or integrator: `simulate(system)`. A system without states is not integrated
+    either: its outputs follow from its inputs at each instant. `only` lists the names of the outputs wanted (default:
+    all). Where the equations could not be solved, or an adaptive integrator gives up, the outputs are NaN.
 
-    Raises `ProblemError` if a distribution or a decision is left in system, grid or inputs, if grid or inputs do not
-    fit the system, if a signal is not known on the whole grid (unless it is traced), or outputs are asked for that the
-    system does not have.
+    Raises `ProblemError` if system, grid or inputs contain a distribution or a decision, if grid or inputs do not match
+    the system, if a signal is not known on the whole grid (unless traced), or if `only` names an output that the system
+    does not have.
     """
     one_of("simulate: system", system, (System, AlgebraicSystem))
     if not isinstance(inputs, Mapping | None):
@@ -120,7 +120,7 @@ def simulation_of(
     inputs: Mapping[str, AbstractSignal] | None,
     integrator: AbstractIntegrator | None,
 ) -> Simulation:
-    """A simulation as it is given; what is left out is that of its kind: one instant, no inputs, `RungeKutta4`."""
+    """A simulation from the given parts, with the defaults of its kind: one instant, no inputs, `RungeKutta4`."""
     has_time = not isinstance(system, AbstractSystem) or system.has_time
     instants = Instant() if grid is None and not has_time else grid
     return Simulation(system, dict(inputs or {}), instants, RungeKutta4() if integrator is None else integrator)  # type: ignore[arg-type]

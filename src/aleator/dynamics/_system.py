@@ -20,7 +20,7 @@ from aleator._core.given import traceable
 from aleator.dynamics._abstract_system import AbstractSystem
 from aleator.trajectories import AbstractSignal
 
-# As much of the text of another library's error as a sentence quotes.
+# The longest quotation of another library's error message.
 _LONGEST = 160
 
 
@@ -29,11 +29,12 @@ class System(AbstractSystem):
 
     Subclass it with the parameters as fields and the states' names in `states`; any number in a field may then be
     replaced by a distribution or a decision. In `rhs` and `outputs` the state is a named tuple (`z.z_s`, or unpacked),
-    and each further argument is an input of that name: `def rhs(self, t, z, road)`. Each of the two is given only the
-    inputs that it names (all of them, if it ends in `**inputs`). `signal_fields` are those that `signals` alone reads.
+    and each further argument is the input of that name: `def rhs(self, t, z, road)`. Each method receives only the
+    inputs that it names (all of them, if it ends in `**inputs`). `signal_fields` are the fields that only `signals`
+    reads.
 
-    The two are declared with open signatures here, so that each system names its own inputs. `units` may give the units
-    of outputs, for reports.
+    Their signatures are open here, so that each system names its own inputs. `units` may give the units of outputs, for
+    reports.
     """
 
     has_time: ClassVar[bool] = True
@@ -47,29 +48,29 @@ class System(AbstractSystem):
 
     @abc.abstractmethod
     def rhs(self, *args: Any, **kwargs: Any) -> Any:
-        """`rhs(self, t, z, ...)`: time derivatives of the states, as a sequence in the order of `states`."""
+        """`rhs(self, t, z, ...)`: the time derivatives of the states, as a sequence in the order of `states`."""
 
     @abc.abstractmethod
     @override
     def outputs(self, *args: Any, **kwargs: Any) -> dict[str, Any]:
-        """`outputs(self, t, z, ...)`: quantities of interest by name: accelerations, distances, forces."""
+        """`outputs(self, t, z, ...)`: quantities of interest by name, such as accelerations, distances and forces."""
 
     def initial(self) -> Mapping[str, Any]:
-        """Initial values by state; states left out start at zero."""
+        """Initial values by state; states not named start at zero."""
         return {}
 
     def signals(self) -> Mapping[str, AbstractSignal]:
-        """Inputs that are part of the system itself, by name: the motion or the torques that it is made for."""
+        """Inputs that are part of the system itself, by name, such as a prescribed motion or torques."""
         return {}
 
     def focused(self, only: Collection[str]) -> "System":
-        """The same system for those who ask for some outputs `only`: it may spare itself the work of others."""
+        """The same system where only the outputs `only` are needed, so that it may skip the work for others."""
         del only
         return self
 
 
 def state_type(names: tuple[str, ...]) -> Any:
-    """The named tuple that carries a state. Raises `ProblemError` unless an attribute can have each of the names."""
+    """The named tuple type of a state. Raises `ProblemError` unless each name is valid as an attribute."""
     if not isinstance(names, tuple) or not all(isinstance(name, str) for name in names):
         raise ProblemError(f"Expected names of states or unknowns as a tuple, such as ('x', 'v'); received {names!r}.")
     return _state_type(names)
@@ -81,8 +82,8 @@ def _state_type(names: tuple[str, ...]) -> Any:
         return namedtuple("State", names)  # type: ignore[misc]
     except ValueError as error:
         raise ProblemError(
-            f"States and unknowns are named as attributes are, each once and without an underscore at the beginning; "
-            f"received {names}: {_first_line(error)}."
+            "Names of states and unknowns must be distinct Python names without a leading underscore; received "
+            f"{names}: {_first_line(error)}."
         ) from error
 
 
@@ -97,14 +98,14 @@ def initial_state(system: System) -> Any:
     unknown = set(given) - set(system.states)
     if unknown:
         raise ProblemError(
-            f"{type(system).__name__}.initial names {sorted(unknown)}, which are no states; "
-            f"expected some of {system.states}."
+            f"{type(system).__name__}.initial names {sorted(unknown)}, which are not states; expected some of "
+            f"{system.states}."
         )
     return state_type(system.states)(*starting(f"{type(system).__name__}.initial", system.states, given))
 
 
 def starting(what: str, names: tuple[str, ...], given: Mapping[str, Any]) -> list[Array]:
-    """Initial values or guesses by name as arrays, zero where none is given: finite as far as they are known."""
+    """Initial values or guesses by name as arrays, zero where not given; known ones are checked to be finite."""
     values = [traceable(f"{what}, '{name}'", given.get(name, 0.0)) for name in names]
     for name, value in zip(names, values, strict=True):
         if not isinstance(value, Tracer) and not np.isfinite(value).all():
@@ -139,7 +140,7 @@ def observation(system: System, t: Any, z: Any, inputs: dict[str, Array]) -> dic
 
 
 def as_outputs(system: eqx.Module, values: Any) -> dict[str, Array]:
-    """What `system.outputs` returned, as arrays by name."""
+    """The return value of `system.outputs` as arrays by name."""
     if not isinstance(values, dict):
         raise ProblemError(
             f"{type(system).__name__}.outputs returns a dict of arrays by name; received {type(values).__name__}."
@@ -152,8 +153,8 @@ def as_outputs(system: eqx.Module, values: Any) -> dict[str, Array]:
         found[name] = traceable(f"{who}, '{name}'", value)
         if found[name].size == 0:
             raise ProblemError(
-                f"{who}, '{name}': expected one number at least; received an array of shape {found[name].shape}, "
-                "on which every constraint would hold. Leave the output out."
+                f"{who}, '{name}': expected at least one number; received an array of shape {found[name].shape}, on "
+                "which every constraint would hold. Drop the output."
             )
     return found
 
@@ -166,7 +167,7 @@ def _evaluated(system: System, method: Callable[..., Any], t: Any, z: Any, input
 
 
 def called(system: eqx.Module, method: Callable[..., Any], *arguments: Any, **named: Any) -> Any:
-    """`method` of `system`, called. Raises `ProblemError` for whatever a user's code raises, with a remedy if known."""
+    """Call `method` of `system`. Raises `ProblemError` for whatever the user's code raises, with a remedy if known."""
     who = f"{type(system).__name__}.{method.__name__}"
     try:
         return method(*arguments, **named)
@@ -174,13 +175,13 @@ def called(system: eqx.Module, method: Callable[..., Any], *arguments: Any, **na
         raise
     except jax.errors.TracerBoolConversionError as error:
         raise ProblemError(
-            f"{who} branches on a number that is only known at run time: "
-            "use jnp.where(condition, a, b) in the place of `if`, and jnp.minimum or jnp.maximum in that of min or max."
+            f"{who} branches on a number that is only known at run time: use jnp.where(condition, a, b) instead of "
+            "`if`, and jnp.minimum or jnp.maximum instead of min or max."
         ) from error
     except jax.errors.JAXTypeError as error:
         raise ProblemError(
-            f"{who} takes a number that is only known at run time out of JAX: use jax.numpy, such as jnp.sin, in the "
-            "place of numpy and math, and neither float(), int(), range(), .item() nor .tolist()."
+            f"{who} converts a number that is only known at run time to plain Python or NumPy: use jax.numpy, such as "
+            "jnp.sin, instead of numpy and math, and avoid float(), int(), range(), .item() and .tolist()."
         ) from error
     except Exception as error:
         raise ProblemError(f"{who} raised {type(error).__name__}: {_first_line(error)}{_hint(error)}") from error
@@ -192,13 +193,13 @@ def _first_line(error: Exception) -> str:
 
 
 def _hint(error: Exception) -> str:
-    """The names that a state has, where code asked for another one."""
+    """The names of a state, where the code asked for an unknown one."""
     names = getattr(getattr(error, "obj", None), "_fields", ())
     return f"; expected one of {names}." if isinstance(error, AttributeError) and names else ""
 
 
 class _Inputs(NamedTuple):
-    """The inputs that a method names, those of them without default, and whether it takes all others as well."""
+    """The inputs that a method names, those without a default, and whether it takes `**inputs`."""
 
     named: tuple[str, ...]
     needed: tuple[str, ...]
@@ -217,7 +218,7 @@ def _inputs_of(method: Callable[..., Any]) -> _Inputs:
 
 
 def input_names(system: System) -> tuple[str, ...]:
-    """The inputs that a system's `rhs` and `outputs` take from outside: their arguments after time and state."""
+    """The external inputs of a system's `rhs` and `outputs`: their arguments after time and state."""
     named = dict.fromkeys(_inputs_of(system.rhs).named + _inputs_of(system.outputs).named)
     return tuple(name for name in named if name not in system.signals())
 

@@ -1,4 +1,4 @@
-"""Chains of vectors, plane or spatial: from a short description to their resultant."""
+"""Chains of vectors in the plane or in space: from a short description to their resultant."""
 
 from collections.abc import Collection, Mapping
 from typing import Any, NamedTuple
@@ -18,13 +18,13 @@ class Vector(NamedTuple):
 
 
 class Chain(NamedTuple):
-    """Vectors one after the other, each from the tip of the one before."""
+    """Vectors in a row, each starting at the tip of the one before."""
 
     vectors: tuple[Vector, ...]
 
     @property
     def components(self) -> int:
-        """2 in the plane, 3 in space: where any vector has an elevation."""
+        """3 if any vector has an elevation (space), else 2 (plane)."""
         return 1 + max(len(one.direction) for one in self.vectors)
 
     @property
@@ -53,12 +53,12 @@ def _padded(direction: tuple[Formula, ...]) -> tuple[Formula, ...]:
 
 
 def is_chain(given: Any) -> bool:
-    """Whether a description is one of vectors, and not of one formula."""
+    """Whether a description is a list of vectors rather than a formula."""
     return isinstance(given, list | tuple)
 
 
 def read_chain(given: Any, known: Collection[str], where: str) -> Chain:
-    """A chain from its description, `[(length, direction), ...]`."""
+    """A chain from its description `[(length, direction), ...]`."""
     if not is_chain(given) or len(given) < 2:
         raise ProblemError(f"{where}: expected two or more vectors, [(length, direction), ...]; received {given!r}.")
     return Chain(tuple(_read_vector(one, known, f"{where}, vector {i + 1}", i == 0) for i, one in enumerate(given)))

@@ -1,4 +1,4 @@
-"""`Body`: what bounded shapes have in common, a box of any rank with rounded edges."""
+"""`Body`: the common form of bounded shapes, a box of any rank with rounded edges."""
 
 import itertools
 from typing import NamedTuple
@@ -38,7 +38,7 @@ class Body(NamedTuple):
         return self.extents[:, None] * self.directions
 
     def points(self, signs: Float[np.ndarray, "n k"]) -> Float[Array, "n d"]:
-        """The points of the core at given multiples of its half edges."""
+        """The points of the core at the given multiples of its half edges."""
         return self.center[None, :] + jnp.asarray(signs) @ self.generators
 
     def vertices(self) -> Float[Array, "n d"]:
@@ -47,25 +47,25 @@ class Body(NamedTuple):
 
 
 def sign_table(rank: int) -> Float[np.ndarray, "n k"]:
-    """Every choice of `rank` signs, one a row."""
+    """Every choice of `rank` signs, one per row."""
     return np.array(list(itertools.product((-1.0, 1.0), repeat=rank))).reshape(2**rank, rank)
 
 
 def unit(
     vectors: Float[Array, "*n d"], smallest_square: float
 ) -> tuple[Float[Array, "*n d"], Float[Array, "*n"], Array]:
-    """Vectors divided by their lengths, the lengths, and which of them are long enough to be divided.
+    """Unit vectors, their original lengths, and which of them were long enough to be normalised.
 
-    A vector that is too short stays as it is and has length 0, with finite derivatives.
+    A vector that is too short is returned unchanged with length 0; its derivatives are finite.
     """
     squares = jnp.sum(vectors**2, axis=-1)
     is_long = squares > smallest_square
-    # The root is guarded before it is taken: its derivative at zero is infinite, even where it is not used.
+    # The argument of the root is guarded: its derivative at zero is infinite, even in a branch that is not used.
     lengths = jnp.sqrt(jnp.where(is_long, squares, 1.0))
     return vectors / lengths[..., None], jnp.where(is_long, lengths, 0.0), is_long
 
 
 def cross(first: Float[Array, "*n 3"], second: Float[Array, "*m 3"]) -> Float[Array, "*nm 3"]:
-    """The cross product, in fewer operations than `jnp.cross`: it is compiled many times over."""
+    """The cross product, in fewer operations than `jnp.cross`, since it is compiled many times."""
     after, before = np.array([1, 2, 0]), np.array([2, 0, 1])
     return first[..., after] * second[..., before] - first[..., before] * second[..., after]

@@ -11,30 +11,30 @@ from aleator.geometry._separation import separation
 from aleator.geometry._shapes import AbstractBounded, AbstractShape, HalfSpace
 
 ROUNDING = 1e-12
-"""The gap of two cores, in multiples of their size, below which their nearest points give no direction."""
+"""The gap between two cores, relative to their size, below which their nearest points define no direction."""
 
 
 def distance(first: AbstractShape, second: AbstractShape) -> Float[Array, ""]:
-    """The signed distance (m) of two solid shapes, in either order: their gap, or minus the depth of their overlap.
+    """The signed distance (m) between two solid shapes: their gap, or minus the depth of their overlap.
 
-    It is exact for every pair: 0 at contact and, where they overlap, minus the penetration depth, the length of the
-    shortest translation that takes them apart. The derivative is a unit direction that pushes them apart; it never
-    vanishes and is finite everywhere, also where centres coincide or a segment runs through the centre of an obstacle
-    (one of the two sides is chosen there).
+    It is symmetric and exact for every pair: 0 at contact and, where they overlap, minus the penetration depth, which
+    is the length of the shortest translation that separates them. The derivative is a unit direction that pushes them
+    apart. It is finite and nonzero everywhere, even where centres coincide or a segment passes through the centre of an
+    obstacle (one of the two sides is chosen there).
 
-    How smooth it is. It is Lipschitz continuous everywhere (a translation by `d` changes it by at most `|d|`). Outside
-    of the cores (the centre of a sphere, the segment of a capsule, the box itself) it is continuously differentiable,
-    through contact and into the overlap of the rounded parts, except where the nearest points jump: at parallel
-    segments, edges and faces, where a rotation moves them from one end to the other. Its second derivative jumps where
-    a nearest point passes from the inside of a feature to its end. Where cores overlap (boxes; two segments that cross
-    in the plane) and between a half-space and a segment or box it is piecewise smooth, with kinks where another
-    direction becomes the shortest way out or another vertex the lowest.
+    Smoothness. The distance is Lipschitz continuous everywhere (a translation by `d` changes it by at most `|d|`).
+    Outside the cores (the centre of a sphere, the segment of a capsule, the box itself) it is continuously
+    differentiable, through contact and into the overlap of the rounded parts, except where the nearest points jump: at
+    parallel segments, edges and faces, where a rotation moves them from one end to the other. Its second derivative
+    jumps where a nearest point passes from the interior of a feature to its end. Where cores overlap (boxes; two
+    segments that cross in the plane), and between a half-space and a segment or box, it is piecewise smooth, with kinks
+    where another direction becomes the shortest way out or another vertex the lowest.
 
-    Method: the difference of two cores is a convex polytope. Outside, the distance is the least over pairs of features;
-    inside, it follows from separating axes (Gottschalk, Lin and Manocha, 1996); radii are subtracted.
+    Method. The difference of two cores is a convex polytope. Outside it, the distance is the minimum over pairs of
+    features; inside, it follows from separating axes (Gottschalk, Lin and Manocha, 1996); radii are subtracted.
 
-    Raises `ProblemError` if both are half-spaces, if one lies in the plane and the other in space, or if a number is
-    not realised.
+    Raises `ProblemError` if both are half-spaces, if one is in the plane and the other in space, or if a number is not
+    realised.
     """
     if isinstance(first, AbstractBounded) and isinstance(second, AbstractBounded):
         bodies = first.body(), second.body()
@@ -50,7 +50,7 @@ def distance(first: AbstractShape, second: AbstractShape) -> Float[Array, ""]:
     )
 
 
-@jax.jit  # traced once for each pair of kinds, however often a model asks for it
+@jax.jit  # traced once for each pair of kinds, however often a model calls it
 def between_bodies(first: Body, second: Body) -> Float[Array, ""]:
     """The signed distance of two bodies of the same dimension."""
     overlap = separation(first, second)

@@ -1,4 +1,4 @@
-"""Many distances at once: those of an arm's links, and a smooth lower bound of the smallest."""
+"""Many distances at once: between an arm's links, and a smooth lower bound of the smallest."""
 
 from collections import defaultdict
 from collections.abc import Sequence
@@ -17,11 +17,11 @@ from aleator.geometry._shapes import AbstractBounded
 
 
 def link_distances(links: Sequence[AbstractBounded], apart: int = 2) -> Float[Array, " pairs"]:
-    """The signed distances (m) of an arm's links from each other, for a constraint against self-collision.
+    """The signed distances (m) between an arm's links, for a constraint against self-collision.
 
-    `links` are the shapes of the links in order. Pairs are left out whose places differ by less than `apart`:
-    neighbours share a joint and always touch. The others come in the order (0, apart), (0, apart + 1), ...,
-    (1, 1 + apart), ...; see `distance` for each. Pairs of the same kinds of shapes are computed as one vector.
+    `links` are the shapes of the links in order. Pairs whose places differ by less than `apart` are excluded, since
+    neighbours share a joint and always touch. The others are in the order (0, apart), (0, apart + 1), ..., (1, 1 +
+    apart), ...; see `distance` for each. Pairs of the same kinds of shapes are computed as one vector.
 
     Raises `ProblemError` if `apart` is not positive, if no pair is left, if a link is a half-space or if links lie in
     different spaces.
@@ -58,8 +58,8 @@ def link_distances(links: Sequence[AbstractBounded], apart: int = 2) -> Float[Ar
 def smallest(distances: Any, sharpness: Any = 1e3) -> Float[Array, ""]:
     """A smooth lower bound of several distances: `-log(sum(exp(-sharpness * distances))) / sharpness`.
 
-    It is never above the true minimum and at most `log(n) / sharpness` below it, for `n` distances: with the 1000 per
-    metre of the default, 2.3 mm for ten distances. Where it is positive, so are all of them; the exact minimum is
+    It is never above the true minimum and at most `log(n) / sharpness` below it, for `n` distances: with the default of
+    1000 per metre, 2.3 mm for ten distances. Where it is positive, so are all distances. The exact minimum is
     `jnp.min`, whose derivative jumps where another distance becomes the smallest.
 
     `distances` is an array of any shape, or a sequence of numbers (m); `sharpness` is in 1/m.
@@ -74,7 +74,7 @@ def smallest(distances: Any, sharpness: Any = 1e3) -> Float[Array, ""]:
     values = jnp.ravel(traceable("smallest: 'distances'", distances))
     if values.size == 0:
         raise ProblemError("smallest: expected at least one distance; received none.")
-    # Taken relative to the least, no exponential overflows and the logarithm is of a number that is at least 1.
+    # Relative to the minimum, no exponential overflows and the logarithm's argument is at least 1.
     least = jax.lax.stop_gradient(jnp.min(values))
     return least - jnp.log(jnp.sum(jnp.exp(-sharpness * (values - least)))) / sharpness
 

@@ -1,4 +1,4 @@
-"""The squared distance of two bodies' cores that do not overlap: the least over all pairs of features."""
+"""The squared distance between two disjoint cores: the minimum over all pairs of features."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -9,7 +9,7 @@ from aleator.geometry._separation import PARALLEL
 
 
 def squared_distance(first: Body, second: Body) -> Float[Array, ""]:
-    """The squared distance of two disjoint cores.
+    """The squared distance between two disjoint cores.
 
     The nearest points of convex polytopes lie on a vertex of one of them or, in space, on an edge of each. Every pair
     of features gives two points of the cores, so that no candidate is below the distance and the least is exact.
@@ -32,15 +32,15 @@ def _from_vertices(body: Body, other: Body) -> Float[Array, " n"]:
 
 
 def _between_edges(first: Body, second: Body) -> Float[Array, " n"]:
-    """The squared distance of each edge of one core to each of the other, where both nearest points are inside.
+    """The squared distance of each edge of one core to each of the other, where both nearest points are interior.
 
-    Where they are not, the two points are not the nearest, but a vertex then has the lesser distance.
+    Where they are not, the two points are not the nearest, but then a vertex is closer.
     """
     one, other = first.directions[:, None, :], second.directions[None, :, :]
     normals = cross(one, other)
     squares = jnp.sum(normals**2, axis=-1, keepdims=True)
     crosses = squares > PARALLEL
-    # Of parallel edges any two points will do: a vertex is as near.
+    # For parallel edges any two points will do, since a vertex is as near.
     normals = jnp.where(crosses, normals / jnp.where(crosses, squares, 1.0), 0.0)
     apart = _edge_centers(second)[None, None] - _edge_centers(first)[:, :, None, None]
     on_first, on_second = (
@@ -55,6 +55,6 @@ def _between_edges(first: Body, second: Body) -> Float[Array, " n"]:
 
 
 def _edge_centers(body: Body) -> Float[Array, "k m 3"]:
-    """The middle of each edge, by direction."""
+    """The midpoint of each edge, by direction."""
     signs = [np.insert(sign_table(body.rank - 1), i, 0.0, axis=1) for i in range(body.rank)]
     return body.points(np.concatenate(signs)).reshape(body.rank, -1, 3)

@@ -1,4 +1,4 @@
-"""The numbers of a shape: what a user gives, checked and stored; and what realisation leaves, as arrays."""
+"""The numbers of a shape: checked and stored as given, and returned as arrays once realised."""
 
 from typing import Any
 
@@ -15,8 +15,8 @@ from aleator._core.leaves import AbstractLeaf, lowest, realised_shape
 def stored(owner: str, name: str, value: Any) -> Any:
     """The numbers of a field as a shape keeps them.
 
-    Plain numbers become a float or a NumPy copy, checked to be finite. Distributions, decisions and traced arrays stay
-    as they are, also inside a sequence, which becomes a tuple. Raises `ProblemError` for anything else.
+    Plain numbers become a float or a NumPy copy, checked to be finite. Distributions, decisions and traced arrays are
+    kept unchanged, even inside a sequence, which becomes a tuple. Raises `ProblemError` for anything else.
     """
     if _is_open(value):
         return value
@@ -36,7 +36,7 @@ def shape_of(value: Any) -> tuple[int, ...]:
 
 
 def plain(value: Any) -> np.ndarray | None:
-    """The values of a stored field if they are known; nothing where they are uncertain, decided or traced."""
+    """The values of a stored field if they are known; `None` where they are uncertain, decided or traced."""
     return np.asarray(value) if isinstance(value, float | np.ndarray) else None
 
 
@@ -64,7 +64,7 @@ def check_number(owner: str, name: str, value: Any) -> None:
 
 
 def check_radius(owner: str, value: Any) -> None:
-    """Raise `ProblemError` unless `value` is one number that cannot become negative, as far as it is known."""
+    """Raise `ProblemError` unless `value` is one number that cannot become negative, as far as that is known."""
     check_number(owner, "radius", value)
     least = lowest(value)
     if least is not None and least < 0:
@@ -102,7 +102,7 @@ def realised(owner: str, name: str, value: Any) -> Float[Array, "..."]:
 
 
 def realised_point(owner: str, name: str, value: Any) -> Float[Array, " d"]:
-    """A vector of the plane or of space as an array, checked again: a batch shows only when distances are taken."""
+    """A vector of the plane or of space as an array, checked again: batches show only when distances are taken."""
     point = realised(owner, name, value)
     check_point(owner, name, point)
     return point
@@ -122,5 +122,5 @@ def _has_open(value: Any) -> bool:
 def _common_shape(parts: tuple[Any, ...]) -> tuple[int, ...]:
     shapes = {shape_of(part) for part in parts}
     if len(shapes) > 1:
-        raise ProblemError(f"A shape's numbers make no array: their parts have shapes {sorted(shapes)}.")
+        raise ProblemError(f"A shape's numbers do not form an array: their parts have shapes {sorted(shapes)}.")
     return shapes.pop()

@@ -29,9 +29,9 @@ from aleator.geometry._numbers import (
 class AbstractShape(eqx.Module):
     """A solid in the plane or in space.
 
-    Every number may be plain, traced by JAX or, before the model is realised, a distribution or a decision: a shape may
-    be a field of a model (an obstacle whose place is uncertain) or be built in a system's outputs (a link between two
-    joints). A vector may be an array or a sequence that mixes all of these.
+    Every number may be plain, traced by JAX or, before the model is realised, a distribution or a decision. So a shape
+    may be a field of a model (an obstacle at an uncertain position) or be built in a system's outputs (a link between
+    two joints). A vector may be an array or a sequence that mixes all of these.
     """
 
 
@@ -47,8 +47,8 @@ class AbstractBounded(AbstractShape):
 class Sphere(AbstractBounded):
     """The ball of the given `radius` (m) around `center` (m); a disc in the plane, a point where the radius is 0.
 
-    Raises `ProblemError` if `center` has not 2 or 3 numbers, if a plain number is not finite, or if the
-    radius can become negative: plain, by its distribution or by the bounds of its decision.
+    Raises `ProblemError` if `center` does not have 2 or 3 numbers, if a plain number is not finite, or if the radius
+    can become negative by its value, its distribution or the bounds of its decision.
     """
 
     center: Any
@@ -71,11 +71,11 @@ class Sphere(AbstractBounded):
 class Capsule(AbstractBounded):
     """All points within `radius` (m) of the segment from `start` to `end` (m); the segment itself where it is 0.
 
-    A link of an arm between two joints. Where start and end coincide it is a sphere; derivatives there are finite, and
-    those with respect to the two ends are the sphere's, shared evenly.
+    For example, a link of an arm between two joints. Where start and end coincide it is a sphere; derivatives are
+    finite there, and those with respect to the two ends are the sphere's, shared equally.
 
-    Raises `ProblemError` if the ends have not both 2 or both 3 numbers, if a plain number is not finite, or if the
-    radius can become negative: plain, by its distribution or by the bounds of its decision.
+    Raises `ProblemError` unless both ends have 2 or both have 3 numbers, if a plain number is not finite, or if the
+    radius can become negative by its value, its distribution or the bounds of its decision.
     """
 
     start: Any
@@ -102,14 +102,14 @@ class Capsule(AbstractBounded):
 
 @final
 class Box(AbstractBounded):
-    """The box around `center` (m) that reaches `half_sizes` (m) along each of its own axes; a rectangle in the plane.
+    """The box around `center` (m) that extends `half_sizes` (m) along each of its own axes; a rectangle in the plane.
 
     `orientation` turns the box's axes: an angle (rad) in the plane, a rotation matrix of shape (3, 3) in space, whose
-    columns are the box's axes. Without it they are the axes of the coordinates.
+    columns are the box's axes. By default they are the coordinate axes.
 
-    Raises `ProblemError` if vectors have not both 2 or both 3 numbers, if `orientation` does not fit, if a plain number
-    is not finite or a plain orientation no rotation, or if a half size can become zero or negative: plain, by its
-    distribution or by the bounds of its decision.
+    Raises `ProblemError` unless both vectors have 2 or both have 3 numbers, if `orientation` has another shape, if a
+    plain number is not finite or a plain orientation is not a rotation, or if a half size can become zero or negative
+    by its value, its distribution or the bounds of its decision.
     """
 
     center: Any
@@ -150,7 +150,8 @@ class HalfSpace(AbstractShape):
     `normal` points out of the solid and need not be of unit length; `offset` is in m times that length. The floor at
     height 0 is `HalfSpace([0.0, 0.0, 1.0], 0.0)`.
 
-    Raises `ProblemError` if `normal` has not 2 or 3 numbers, or if a plain number is not finite or a plain normal zero.
+    Raises `ProblemError` if `normal` does not have 2 or 3 numbers, or if a plain number is not finite or a plain normal
+    is zero.
     """
 
     normal: Any
@@ -183,4 +184,4 @@ def _check_orientation(orientation: Any, dimension: int) -> None:
         )
     matrix = plain(orientation)
     if dimension == 3 and matrix is not None and not np.allclose(matrix @ matrix.T, np.eye(3), rtol=0.0, atol=1e-6):
-        raise ProblemError(f"Box: 'orientation' is no rotation matrix: its columns are not orthonormal; {matrix}.")
+        raise ProblemError(f"Box: 'orientation' is not a rotation matrix: its columns are not orthonormal; {matrix}.")

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 
 
 def clamped(interior: Any, degree: int) -> Any:
-    """The knots of a clamped spline over [0, 1]: its ends `degree + 1` times, and the interior ones between."""
+    """The knots of a clamped spline over [0, 1]: each end `degree + 1` times, with the interior knots in between."""
     xp = _library(interior)
     return xp.concatenate([xp.zeros(degree + 1), xp.asarray(interior), xp.ones(degree + 1)])
 
@@ -18,7 +18,7 @@ def clamped(interior: Any, degree: int) -> Any:
 def basis(u: Any, knots: Any, degree: int) -> Any:
     """All basis functions at the points `u`, by the Cox-de Boor recursion (equation 53): shape (points, functions).
 
-    The first and the last interval reach beyond the ends, where rounding may lead.
+    The first and the last interval extend beyond the ends, since rounding may put a point there.
     """
     xp = _library(u, knots)
     u, knots = xp.asarray(u)[:, None], xp.asarray(knots)
@@ -65,7 +65,9 @@ def _fixed_matrix(u: bytes, knots: tuple[float, ...], degree: int, order: int) -
 
 
 def basis_matrix(u: Any, knots: tuple[float, ...] | Array, degree: int, order: int) -> Any:
-    """See `matrix`; computed once for plain points and fixed knots, and then a constant of what is compiled."""
+    """The same as `matrix`, but cached for plain points and fixed knots, where it is a constant of the compiled
+    program.
+    """
     if isinstance(u, np.ndarray) and isinstance(knots, tuple):
         return _fixed_matrix(np.ascontiguousarray(u, dtype=float).tobytes(), knots, degree, order)
     return matrix(u, jnp.asarray(knots), degree, order)

@@ -1,4 +1,4 @@
-"""`BSpline`: clamped B-splines whose ends are given and whose other control points are free."""
+"""`BSpline`: clamped B-splines with given end conditions and free control points in between."""
 
 from typing import Any, ClassVar, final
 
@@ -24,17 +24,17 @@ class BSpline(AbstractTrajectory):
     """A clamped B-spline of any degree (section 5.2.2): `B(u) = sum of basis_i(u) p_i` over the duration, equation
     (52).
 
-    - `free`: the control points that are not given by the ends, shape (free, ...): `al.Decision(guess, -3.0, 3.0)`, or
-      numbers. One point may be a number, or a vector of one number a joint;
-    - `start`, `end`: `(value, velocity, acceleration)` there, or the first one or two of them, or none: each takes one
-      control point out of the free ones. Their numbers may be uncertain or decided too;
-    - `degree`: of the polynomials between knots;
-    - `knots`: the interior ones, increasing, between 0 and 1; uniform by default. Or `spans`: the lengths from knot to
-      knot in proportion, positive numbers, distributions or a `Decision`; knots that are decided so stay in order.
+    - `free`: the control points that the end conditions do not determine, shape (free, ...):
+      `al.Decision(guess, -3.0, 3.0)`, or numbers. A point is a number, or a vector with one number per joint;
+    - `start`, `end`: `(value, velocity, acceleration)` there, or the first one or two of them, or none: each condition
+      determines one control point besides the free ones. Its numbers may be uncertain or decided too;
+    - `degree`: the degree of the polynomials between knots;
+    - `knots`: the interior knots, increasing, between 0 and 1; uniform by default. Or `spans`: relative lengths between
+      successive knots, as positive numbers, distributions or a `Decision`, which keeps decided knots in order.
 
-    The curve stays in the convex hull of its control points: bounds of those are bounds of it at all times; see `hull`.
-    Raises `ProblemError` for too few control points, ends of another shape, an end condition on a derivative that the
-    degree does not have, or knots out of order or not plain.
+    The curve stays in the convex hull of its control points, so bounds on these hold for the curve at all times; see
+    `hull`. Raises `ProblemError` for too few control points, end conditions of another shape or on a derivative that
+    the degree does not have, and knots that are out of order or not plain numbers.
     """
 
     free: Any
@@ -67,8 +67,8 @@ class BSpline(AbstractTrajectory):
         most = max(len(self.start), len(self.end)) - 1
         if most > self.degree:
             raise ProblemError(
-                f"{_KIND}: a curve of degree {self.degree} has no derivative of order {most} to give at an end: raise "
-                "the degree, or leave that condition out."
+                f"{_KIND}: a curve of degree {self.degree} has no derivative of order {most} to prescribe at an end: "
+                "raise the degree, or drop that condition."
             )
         interior = self.count - self.degree - 1
         if interior < 0:
@@ -93,7 +93,7 @@ class BSpline(AbstractTrajectory):
         return shape_of(self.free)[0] + len(self.start) + len(self.end)
 
     def values(self, fractions: Fractions, duration: Any = 1.0, order: int = 0) -> Float[Array, "n ..."]:
-        """See `AbstractTrajectory.values`; the derivative splines of equations (56) and (57)."""
+        """As in `AbstractTrajectory.values`; derivatives by the splines of equations (56) and (57)."""
         weights = basis_matrix(fractions, self.all_knots(), self.degree, order)
         return jnp.tensordot(jnp.asarray(weights), self.control_points(duration), axes=1) / duration**order
 
@@ -106,11 +106,11 @@ class BSpline(AbstractTrajectory):
 
     @override
     def breaks(self) -> Float[np.ndarray, " ends"]:
-        """Its knots."""
+        """The distinct knots, ends included."""
         return np.unique(np.asarray(self.all_knots()))
 
     def control_points(self, duration: Any = 1.0, order: int = 0) -> Float[Array, "n ..."]:
-        """All control points, or those of a derivative by time (equation 54), for a duration in s."""
+        """All control points, or those of a time derivative (equation 54), for a duration in s."""
         if order > self.degree:
             return jnp.zeros((1, *self.shape))
         points = jnp.concatenate([self._eliminated(0, duration), as_array(self.free), self._eliminated(1, duration)])
@@ -121,12 +121,12 @@ class BSpline(AbstractTrajectory):
         return jnp.tensordot(jnp.asarray(change), points, axes=1) / duration**order
 
     def hull(self, duration: Any = 1.0, order: int = 0) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
-        """Bounds that the curve, or a derivative of it by time, keeps at all times: of its control points."""
+        """Lower and upper bounds of the curve, or of a time derivative, at all times: those of its control points."""
         points = self.control_points(duration, order)
         return jnp.min(points, axis=0), jnp.max(points, axis=0)
 
     def _eliminated(self, side: int, duration: Any) -> Float[Array, "fixed ..."]:
-        """The control points that the conditions at one end determine, the first of them outermost."""
+        """The control points that the conditions at one end determine, outermost first."""
         given = (self.start, self.end)[side]
         points: list[Array] = []
         for order, condition in enumerate(given):
@@ -142,21 +142,22 @@ class BSpline(AbstractTrajectory):
 def fit_control_points(
     path: Any, free: int, *, start: Any = (), end: Any = (), degree: int = 3, duration: float = 1.0
 ) -> Float[np.ndarray, "free ..."]:
-    """The free control points of the `BSpline` with these ends that comes closest to a path, in least squares.
+    """The free control points of the `BSpline` with these end conditions that fits a path best, in least squares.
 
-    - `path`: its values at uniform instants from start to end, shape (instants, ...): at least `free` of them;
-    - `start`, `end`, `degree`: as of the `BSpline`, of plain numbers;
-    - `duration`: s, by which velocities and accelerations at the ends count.
+    - `path`: values at uniform instants from start to end, shape (instants, ...), at least `free` of them;
+    - `start`, `end`, `degree`: as for `BSpline`, in plain numbers;
+    - `duration`: s, which scales velocities and accelerations at the ends.
 
-    A first guess for an optimiser: `al.Decision(al.fit_control_points(np.linspace(q_0, q_f, 50), 8, start=...,
-    end=...))`. Raises `ProblemError` for fewer instants, or numbers that are not finite or not plain.
+    A first guess for an optimiser:
+    `al.Decision(al.fit_control_points(np.linspace(q_0, q_f, 50), 8, start=..., end=...))`. Raises `ProblemError` for
+    too few instants, and for numbers that are not finite or not plain.
     """
     who = "fit_control_points"
     samples, free = check.real_array(f"{who}: path", path), check.whole(f"{who}: free", free)
     duration = check.positive(f"{who}: duration", duration)
     if samples.ndim == 0 or len(samples) < free or not np.isfinite(samples).all():
         raise ProblemError(
-            f"fit_control_points: expected finite values at {free} instants at least; received shape {samples.shape}."
+            f"fit_control_points: expected finite values at {free} or more instants; received shape {samples.shape}."
         )
     if any(is_leaf(one) for one in jax.tree.leaves((start, end), is_leaf=is_leaf)):
         raise ProblemError(
@@ -180,8 +181,8 @@ def _checked_knots(knots: Any, interior: int) -> tuple[float, ...]:
         return tuple((i / (interior + 1)) for i in range(1, interior + 1))
     if any(isinstance(one, AbstractLeaf | Tracer) for one in jax.tree.leaves(knots, is_leaf=is_leaf)):
         raise ProblemError(
-            f"{_KIND}: expected plain numbers as knots; received {knots!r}. Decided or uncertain knots "
-            f"are told by the lengths between them, such as spans=al.Decision(np.ones({interior + 1}), 0.2, 5.0)."
+            f"{_KIND}: expected plain numbers as knots; received {knots!r}. Decided or uncertain knots are given by "
+            f"the lengths between them, such as spans=al.Decision(np.ones({interior + 1}), 0.2, 5.0)."
         )
     kept = tuple(np.ravel(check.real_array(f"{_KIND}: knots", knots)).tolist())
     ordered = all(a < b for a, b in zip((0.0, *kept), (*kept, 1.0), strict=True))
@@ -195,8 +196,7 @@ def _checked_spans(spans: Any, count: int) -> Any:
     least = lowest(kept)
     if shape_of(kept) != (count,) or (least is not None and least <= 0):
         raise ProblemError(
-            f"{_KIND}: expected {count} positive spans, or distributions that stay positive, or a Decision of as many "
-            "with "
-            f"positive lower bounds, such as al.Decision(np.ones({count}), 0.2, 5.0); received {spans!r}."
+            f"{_KIND}: expected {count} positive spans, or distributions that stay positive, or a Decision of that "
+            f"many with positive lower bounds, such as al.Decision(np.ones({count}), 0.2, 5.0); received {spans!r}."
         )
     return kept

@@ -1,4 +1,4 @@
-"""`PowerSeries`: one polynomial over the whole duration, by its conditions at the ends and a point between."""
+"""`PowerSeries`: one polynomial over the whole duration, from conditions at the ends and at a point in between."""
 
 import math
 from typing import Any, ClassVar, final
@@ -20,7 +20,7 @@ class PowerSeries(AbstractTrajectory):
 
     - `start`, `end`: `(value, velocity, acceleration)` there, or the first one or two of them;
     - `middle`: the value at one more instant, such as a `Decision`, or None; `middle_time`: that instant, as a fraction
-      of the duration: a number between 0 and 1, or a distribution or `Decision` within.
+      of the duration: a number strictly between 0 and 1, or a distribution or `Decision` in that range.
 
     There are as many coefficients as conditions. Raises `ProblemError` for conditions of different shapes, and for a
     middle time that can reach an end.
@@ -58,7 +58,7 @@ class PowerSeries(AbstractTrajectory):
         return jnp.tensordot(powers, coefficients, axes=1) / duration**order
 
     def coefficients(self, duration: Any = 1.0) -> Float[Array, "n ..."]:
-        """The coefficients by fractions of the duration, from the linear system (51)."""
+        """The coefficients in powers of the fraction of the duration, from the linear system (51)."""
         ends = [(0.0, order, value) for order, value in enumerate(self.start)]
         ends += [(1.0, order, value) for order, value in enumerate(self.end)]
         inner = [] if self.middle is None else [(self.middle_time, 0, self.middle)]
@@ -83,5 +83,5 @@ def _check_inside(time: Any) -> None:
     if shape_of(time) != () or not all(0 < end < 1 for end in known):
         raise ProblemError(
             f"{_KIND}: expected a middle time strictly between 0 and 1, as a fraction of the duration, or a "
-            f"distribution or a Decision within; received {time!r}."
+            f"distribution or a Decision in that range; received {time!r}."
         )

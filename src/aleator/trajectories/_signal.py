@@ -1,4 +1,4 @@
-"""Functions of time: what a system is driven by, and what a motion follows."""
+"""Functions of time: inputs of a system and prescribed motions."""
 
 import abc
 from typing import Any, ClassVar
@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 class AbstractSignal(eqx.Module):
     """An input of a system as a function of time. It is part of the model: its numbers may be uncertain or decided.
 
-    `unbounded` says that no bound of its values is known whatever its numbers are, such as of a Gaussian process.
+    `unbounded` says that its values have no bound whatever its numbers are, as for a Gaussian process.
     """
 
     unbounded: ClassVar[bool] = False
@@ -27,7 +27,7 @@ class AbstractSignal(eqx.Module):
         """The first and last time at which the signal is known (infinite if everywhere)."""
 
     def over(self, t_start: Any, t_final: Any) -> "AbstractSignal":
-        """The signal as it acts on a grid from `t_start` to `t_final`: trajectories are stretched to fill it."""
+        """The signal on a grid from `t_start` to `t_final`, s: trajectories are stretched to fill it."""
         del t_start, t_final
         return self
 
@@ -38,5 +38,5 @@ class AbstractSignal(eqx.Module):
 
 def instants(fractions: Float[np.ndarray, " n"], t_start: Any, t_final: Any) -> Float[Array, " n"]:
     """Fractions of the time from `t_start` to `t_final` as times; 1 is `t_final` to the last bit."""
-    # Beyond its end by rounding a signal or an adaptive integrator knows nothing.
+    # A signal is undefined even a rounding error beyond its end, and so is an adaptive integrator's solution.
     return jnp.where(fractions < 1, t_start + jnp.asarray(fractions) * (t_final - t_start), t_final)

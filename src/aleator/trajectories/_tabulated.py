@@ -51,7 +51,7 @@ class Tabulated(AbstractSignal):
     def from_csv(cls, path: str | Path, time: str, value: str) -> Self:
         """Read the columns `time` and `value` of a CSV file; lines that start with `#` are comments.
 
-        Raises `ProblemError` if there is no such file, if it is no table, or if it has not each of the columns once.
+        Raises `ProblemError` if the file does not exist, is not a table, or does not have each of the two columns once.
         """
         names, rows = _table(path)
         for name in (time, value):
@@ -75,7 +75,7 @@ class Tabulated(AbstractSignal):
 
 
 def _entry(row: list[str], column: int) -> float:
-    """A number in a row of a table; none where the row has no such column, or nothing in it."""
+    """A number in a row of a table; NaN where the column is missing or empty."""
     return float((row[column] if column < len(row) else "") or "nan")
 
 
@@ -115,7 +115,7 @@ def _numbers(name: str, values: Any) -> np.ndarray:
 
 
 def _shape(values: Any) -> tuple[int, ...]:
-    """The shape of numbers, or of what realisation puts in the place of a distribution (a number) or decision."""
+    """The shape of numbers, or of those that replace a distribution (a single one) or a decision on realisation."""
     if isinstance(values, tuple):
         return (len(values),)
     return realised_shape(values)

@@ -1,4 +1,4 @@
-"""Trajectories: functions over a duration that is decided elsewhere, with their derivatives."""
+"""Trajectories: functions over a duration that is set elsewhere, with their derivatives."""
 
 import abc
 from typing import Any, ClassVar, final
@@ -19,18 +19,18 @@ Fractions = Float[np.ndarray, " n"] | Float[Array, " n"]
 
 
 class AbstractTrajectory(AbstractSignal):
-    """A signal that fills the time grid of its problem, whatever the final time: a free final time only scales it.
+    """A signal that spans the time grid of its problem: a free final time only scales it.
 
-    It is known by fractions of the duration, 0 at the start and 1 at the end; its derivatives are by time, in seconds.
-    Called by itself it lasts one second. `curve_fields` names the fields in which the curve is affine, from which a
-    solution of a coarser problem can be refitted.
+    It is a function of the fraction of the duration, from 0 at the start to 1 at the end; its derivatives are with
+    respect to time, in seconds. When called by itself it lasts one second. `curve_fields` names the fields in which the
+    curve is affine, to which a solution of a coarser problem can be refitted.
     """
 
     curve_fields: ClassVar[tuple[str, ...]] = ()
 
     @abc.abstractmethod
     def values(self, fractions: Fractions, duration: Any = 1.0, order: int = 0) -> Float[Array, "n ..."]:
-        """The derivative of some order by time (0: the value) at fractions of the duration, s."""
+        """The time derivative of order `order` (0: the value) at fractions of the duration (s): shape (n, ...)."""
 
     @property
     @abc.abstractmethod
@@ -38,11 +38,11 @@ class AbstractTrajectory(AbstractSignal):
         """The shape of one value: `()` for a number, `(n,)` for n joints."""
 
     def breaks(self) -> Float[np.ndarray, " ends"]:
-        """The fractions at which its smooth pieces begin and end, of a realised trajectory: by default there is one."""
+        """The fractions at which the smooth pieces of a realised trajectory begin and end; one piece by default."""
         return np.array([0.0, 1.0])
 
     def derivative(self, order: int = 1) -> "Derivative":
-        """The derivative by time as a trajectory of its own. Raises `ProblemError` for an order that is negative."""
+        """The time derivative as a trajectory of its own. Raises `ProblemError` for a negative order."""
         if isinstance(order, bool) or not isinstance(order, int) or order < 0:
             raise ProblemError(f"derivative: expected an order of 0, 1, 2, ...; received {order!r}.")
         return Derivative(self, order)
@@ -53,7 +53,7 @@ class AbstractTrajectory(AbstractSignal):
 
     @override
     def span(self) -> tuple[float, float]:
-        """It fills any."""
+        """Unlimited: it is stretched to any span."""
         return -np.inf, np.inf
 
     @override
@@ -62,13 +62,13 @@ class AbstractTrajectory(AbstractSignal):
 
     @override
     def sampled(self, fractions: Float[np.ndarray, " n"], t_start: Any, t_final: Any) -> Float[Array, "n ..."]:
-        """At fixed fractions, what depends on them alone is computed once."""
+        """As for any signal; at fixed fractions, whatever depends on these alone is computed once."""
         return self.values(fractions, t_final - t_start)
 
 
 @final
 class Derivative(AbstractTrajectory):
-    """A derivative of a trajectory by time; see `AbstractTrajectory.derivative`."""
+    """A time derivative of a trajectory; see `AbstractTrajectory.derivative`."""
 
     trajectory: AbstractTrajectory
     order: int = eqx.field(static=True)
@@ -85,7 +85,7 @@ class Derivative(AbstractTrajectory):
 
 @final
 class Stack(AbstractTrajectory):
-    """Trajectories of one number each, side by side: one trajectory of several joints."""
+    """Scalar trajectories side by side: one trajectory of several joints."""
 
     parts: tuple[AbstractTrajectory, ...]
 
@@ -101,7 +101,7 @@ class Stack(AbstractTrajectory):
 
 @final
 class _Stretched(AbstractSignal):
-    """A trajectory between two times."""
+    """A trajectory stretched between two times."""
 
     trajectory: AbstractTrajectory
     t_start: Any
@@ -116,9 +116,7 @@ class _Stretched(AbstractSignal):
 
 
 def shape_of(number: Any) -> tuple[int, ...]:
-    """The shape of what stands in a field: numbers, or what realisation puts in the place of a distribution or a
-    decision.
-    """
+    """The shape of a field once it is realised: of numbers, of a distribution or of a decision."""
     if isinstance(number, list | tuple):
         return (len(number), *(shape_of(number[0]) if number else ()))
     return realised_shape(number)
@@ -150,16 +148,15 @@ def conditions(kind: str, where: str, given: Any, shape: tuple[int, ...]) -> tup
                 f"{kind}: expected a {name} of shape {shape} at the {where}, that of its control points; "
                 f"received shape {shape_of(number)}."
             )
-        # A whole number would be structure, and each one compiled apart.
+        # An integer would be static, so that each value would be compiled anew.
         kept.append(np.zeros(shape) if is_zero else copied(kind, f"{name} at the {where}", number))
     return tuple(kept)
 
 
 def copied(kind: str, name: str, number: Any) -> Any:
-    """Numbers as an array of their own; distributions, decisions and traced numbers, and sequences with some, as they
-    are.
+    """Plain numbers as a new array; distributions, decisions, traced numbers and sequences that contain any, unchanged.
 
-    Raises `ProblemError` for what is neither, and for numbers that are not finite.
+    Raises `ProblemError` for anything else, and for numbers that are not finite.
     """
     if isinstance(number, AbstractLeaf | Tracer):
         return number
