@@ -301,9 +301,7 @@ def test_unknowns_may_be_a_field_or_a_property():
 
 
 def test_a_system_of_equations_refuses_time_and_inputs():
-    with pytest.raises(
-        al.ProblemError, match=r"Parabola is algebraic and knows no time: expected al\.Instant\(\).*Grid"
-    ):
+    with pytest.raises(al.ProblemError, match=r"Parabola is algebraic, without time: expected al\.Instant\(\).*Grid"):
         al.simulate(Parabola(), al.Grid(1.0, 1))
     with pytest.raises(al.ProblemError, match=r"Parabola is algebraic and takes no inputs; received \['road'\]"):
         al.simulate(Parabola(), inputs={"road": al.Tabulated([0.0, 1.0], [0.0, 1.0])})
@@ -321,7 +319,7 @@ class Still(al.System):
 
 @pytest.mark.parametrize("grid", [None, al.Instant()])
 def test_a_system_that_moves_needs_a_grid_in_time(grid):
-    with pytest.raises(al.ProblemError, match=r"Still moves in time: expected a grid, such as al\.Grid"):
+    with pytest.raises(al.ProblemError, match=r"Still evolves in time: expected a grid, such as al\.Grid"):
         al.simulate(Still(), grid)
 
 

@@ -59,13 +59,11 @@ def test_components_of_a_quaternion_that_a_start_leaves_out_are_those_of_no_turn
 def test_a_prescribed_quaternion_that_passes_through_zero_is_refused_with_its_joint_and_time():
     motion = {"b_w": 0.0, "b_x": al.PowerSeries(start=(1.0, 0.0), end=(-1.0, 0.0)), "b_y": 0.0, "b_z": 0.0}
     diagnosis = al.InverseDynamics(Top(), motion=motion).diagnose(al.Grid(1.0, 10))
-    assert "quaternion of 'b_w' has no length at t = 0.5 s" in diagnosis
+    assert "quaternion of 'b_w' is zero at t = 0.5 s" in diagnosis
     long = motion | {"b_y": 7.0}
     assert al.InverseDynamics(Top(), motion=long).diagnose(al.Grid(1.0, 10)) == ""
     turned = {name.replace("b_", "head_"): one for name, one in motion.items()}
-    assert "'head_w' has no length at t = 0.5 s" in al.HybridDynamics(Swivel(), motion=turned).diagnose(
-        al.Grid(1.0, 10)
-    )
+    assert "'head_w' is zero at t = 0.5 s" in al.HybridDynamics(Swivel(), motion=turned).diagnose(al.Grid(1.0, 10))
 
 
 @pytest.mark.slow
@@ -121,5 +119,5 @@ def test_a_prescribed_head_of_any_quaternion_moves_its_slide_back():
 
 
 def test_part_of_a_joint_cannot_be_prescribed():
-    with pytest.raises(al.ProblemError, match=r"the joint of 'base' moves by .* together; received \['base_x'\] alone"):
+    with pytest.raises(al.ProblemError, match=r"of the joint of 'base' belong together; received only \['base_x'\]"):
         al.HybridDynamics(Flyer(), motion={"base_x": 0.0})

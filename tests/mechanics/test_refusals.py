@@ -151,7 +151,7 @@ class Geared(Rates):
             lambda: al.InverseDynamics(
                 Matrices(), motion={"shoulder": al.Tabulated([0.0, 1.0], [0.0, 1.0]), "elbow": 0.0}
             ),
-            "a motion is followed with its velocity and acceleration",
+            "a prescribed motion needs velocity and acceleration",
         ),
         (lambda: al.ForwardDynamics(Matrices(), torque={"hip_torque": 1.0}), r"no \['hip_torque'\]"),
         (
@@ -160,8 +160,11 @@ class Geared(Rates):
         ),
         (lambda: al.ForwardDynamics(Matrices(), torque={"elbow_torque": TORQUE}), r"one number; received shape \(2,\)"),
         (lambda: al.ForwardDynamics(Matrices(), start={"hip": 1.0}), r"no \['hip'\] to start; expected some of"),
-        (lambda: al.ForwardDynamics(Matrices(), start=(0.1, 0.2)), "expected a start by names"),
-        (lambda: al.ForwardDynamics(Matrices(), start={"elbow": np.zeros(2)}), "expected one number to start 'elbow'"),
+        (lambda: al.ForwardDynamics(Matrices(), start=(0.1, 0.2)), "expected a start by name"),
+        (
+            lambda: al.ForwardDynamics(Matrices(), start={"elbow": np.zeros(2)}),
+            "expected one number as the start of 'elbow'",
+        ),
         (lambda: al.ForwardDynamics(Matrices(), start={"elbow": np.nan}), "start of 'elbow' must be finite"),
         (lambda: al.ForwardDynamics(Matrices(), start={"elbow": "up"}), "expected numbers, distributions or decisions"),
         (lambda: al.HybridDynamics(Pendubot(), motion={"hip": 1.0}), r"for some of \['shoulder', 'elbow'\]"),
@@ -177,9 +180,9 @@ class Geared(Rates):
         ),
         (
             lambda: al.HybridDynamics(Pendubot(), motion={"shoulder": 1.0}, torque={"shoulder_torque": 1.0}),
-            r"the torques to find \(none\) cannot realise a prescribed motion of shoulder: expected at least 1",
+            r"the unknown torques \(none\) cannot realise a prescribed motion of shoulder: expected at least 1",
         ),
-        (lambda: al.HybridDynamics(Passive(), motion={"shoulder": 1.0}), r"the torques to find \(none\)"),
+        (lambda: al.HybridDynamics(Passive(), motion={"shoulder": 1.0}), r"the unknown torques \(none\)"),
         (
             lambda: problem(
                 al.HybridDynamics(
@@ -188,7 +191,7 @@ class Geared(Rates):
                     torque={"shoulder_torque": 1.0},
                 )
             ),
-            r"the torques to find \(elbow_torque\) cannot realise",
+            r"the unknown torques \(elbow_torque\) cannot realise",
         ),
         (lambda: problem(al.ForwardDynamics(Flat(matrix=((1.0, 1.0), (1.0, 1.0))))), "singular at the start .*resists"),
         (
@@ -212,10 +215,16 @@ class Geared(Rates):
             r"one value for each of \['shoulder_torque', 'elbow_torque'\]; received shape \(\)",
         ),
         (lambda: problem(al.ForwardDynamics(OneRate())), r"accelerations\(q, v, torque\): expected shape \(2,\)"),
-        (lambda: problem(al.ForwardDynamics(Motor(), torque={"motor": 1.0})), r"along which velocity \['motor'\] act"),
-        (lambda: problem(al.ForwardDynamics(Quadratic())), "expected them to be affine in the torques"),
-        (lambda: problem(al.ForwardDynamics(Geared())), "whatever the velocities are"),
-        (lambda: problem(al.ForwardDynamics(Taken())), r"\['elbow'\] are outputs of every such system; rename yours"),
+        (
+            lambda: problem(al.ForwardDynamics(Motor(), torque={"motor": 1.0})),
+            r"\['motor'\] do not say along which velocity",
+        ),
+        (lambda: problem(al.ForwardDynamics(Quadratic())), "expected accelerations affine in the torques"),
+        (lambda: problem(al.ForwardDynamics(Geared())), "independent of the velocities"),
+        (
+            lambda: problem(al.ForwardDynamics(Taken())),
+            r"\['elbow'\] are standard outputs of every mechanical system; rename yours",
+        ),
         (lambda: problem(al.ForwardDynamics(NoDict())), "outputs returns a dict of arrays by name"),
         (lambda: al.simulate(al.ForwardDynamics(Twice()), GRID), r"\['x_rate'\] name two outputs each"),
         (lambda: al.simulate(al.ForwardDynamics(Clash()), GRID), r"\['elbow', .*'shoulder'.*\] name two outputs each"),

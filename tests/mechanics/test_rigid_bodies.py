@@ -186,7 +186,7 @@ def test_body_rates_that_pass_for_rates_of_angles_are_refused():
         velocity_names = None
 
     diagnosis = al.ForwardDynamics(Misnamed()).diagnose(al.Grid(1.0, 10))
-    assert "the velocity 'yaw_rate' is called the rate of 'yaw'" in diagnosis
+    assert "the velocity 'yaw_rate' is named as the rate of 'yaw'" in diagnosis
     assert "velocity_names" in diagnosis
 
 

@@ -1,4 +1,4 @@
-"""How a mechanical system is actuated, told from its actuation map (section 2.3)."""
+"""The actuation scheme of a mechanical system, from its actuation map (section 2.3)."""
 
 from enum import Enum
 
@@ -11,7 +11,7 @@ from aleator.mechanics._mechanical import AbstractMechanical, actuation_map
 
 
 class Actuation(Enum):
-    """The schemes of figure 2.2."""
+    """The actuation schemes of figure 2.2."""
 
     PASSIVE = "passive"
     FULL = "fully actuated"
@@ -21,7 +21,7 @@ class Actuation(Enum):
 
 
 def actuation_of(model: AbstractMechanical, q: Float[Array, " coordinates"]) -> Actuation:
-    """How a realised system is actuated in a posture: by the rank of its map `B(q)` and the number of its torques."""
+    """The actuation scheme of a realised system in a posture, from the rank of `B(q)` and the number of torques."""
     one_of("actuation_of", model, AbstractMechanical, "an al.Multibody")
     return scheme(np.asarray(actuation_map(model, q)))
 
@@ -40,7 +40,7 @@ def scheme(B: Float[np.ndarray, "speeds actuators"]) -> Actuation:
 def torques(
     model: AbstractMechanical, q: Float[Array, " coordinates"], force: Float[Array, " speeds"]
 ) -> Float[Array, " actuators"]:
-    """The torques that give a generalised force; of many, those of least norm."""
+    """The torques that produce a generalised force; those of least norm where there are many."""
     if model.acts_directly:
         return force
     return solve_any(actuation_map(model, q), force)

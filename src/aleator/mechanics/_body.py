@@ -1,4 +1,4 @@
-"""`Body`: one rigid body of a tree, where its joint is, and how its mass is spread."""
+"""`Body`: one rigid body of a tree, with its joint and its mass properties."""
 
 from typing import Any, final
 
@@ -10,26 +10,27 @@ from aleator._core.given import a_name
 from aleator.mechanics._joints import AbstractJoint, Fixed
 from aleator.mechanics._spatial import Block, Inertia, Pose, all_known, as_array, from_angles, is_known, library, skew
 
-# What rounding may take from an inertia that is only just possible, relative to its largest moment.
+# The rounding error allowed in an inertia on the verge of the possible, relative to its largest moment.
 _ROUNDING = 1e-9
 
 
 @final
 class Body(eqx.Module):
-    """A rigid body of an `al.Multibody`, with the joint that binds it to its parent. Lengths in m, angles in rad.
+    """A rigid body of an `al.Multibody`, with the joint that connects it to its parent. Lengths in m, angles in rad.
 
-    - `name`, `parent`: its own name and that of the body it is bound to; `None` for the ground;
-    - `joint`: `al.joints.Revolute`, `al.joints.Prismatic`, `al.joints.Ball`, `al.joints.Free`, or `al.joints.Fixed`
-      for a part of its parent;
+    - `name`, `parent`: its own name and that of the body it is connected to; `None` for the ground;
+    - `joint`: `al.joints.Revolute`, `al.joints.Prismatic`, `al.joints.Ball`, `al.joints.Free`, or `al.joints.Fixed` for
+      a part rigidly fixed to its parent;
     - `position` (3,), `orientation`: the joint's frame in the parent's frame; the orientation is roll, pitch and yaw
-      (about x, then y, then z of the parent), or a rotation matrix (3, 3). At rest, the body's frame is the joint's;
+      (about x, then y, then z of the parent), or a rotation matrix (3, 3). At zero coordinates the body's frame is the
+      joint's;
     - `mass` in kg, `center` (3,): the centre of mass in the body's frame;
     - `inertia` in kg·m², about the centre of mass and along the body's axes: three principal moments, the six numbers
-      xx, yy, zz, xy, xz, yz, or a matrix (3, 3). One moment alone, such as `(0, 0, J)`, is what a plane model needs.
+      xx, yy, zz, xy, xz, yz, or a matrix (3, 3). A plane model needs only one moment, such as `(0, 0, J)`.
 
-    Each number may also be a tracer, alone or within a sequence. What is known is checked when the tree is built
-    (of distributions, the numbers at their ends, when a problem is made):
-    `ProblemError` is raised for a negative mass, an orientation that is no rotation, and an inertia that no body has.
+    Each number may also be a tracer, alone or within a sequence. Known numbers are checked when the tree is built (for
+    distributions, those at the ends of their support, when a problem is declared): `ProblemError` is raised for a
+    negative mass, an orientation that is not a rotation, and an inertia that no body can have.
     """
 
     name: str = eqx.field(static=True)
@@ -82,7 +83,7 @@ def inertia(body: Body) -> Inertia:
 
 
 def _moments(body: Body) -> Block:
-    """The second moments about the centre of mass, as a matrix."""
+    """The inertia about the centre of mass, as a matrix."""
     where = f"Body '{body.name}': inertia"
     given = as_array(body.inertia, where, (3,), (6,), (3, 3))
     matrix = _matrix(given)
@@ -102,7 +103,7 @@ def _matrix(given: Block) -> Block:
 
 
 def _check_moments(matrix: np.ndarray, where: str) -> None:
-    """Refuse what is not symmetric or has principal moments that no body has."""
+    """Refuse a matrix that is not symmetric or has principal moments that no body can have."""
     slack = _ROUNDING * np.abs(matrix).max()
     if np.abs(matrix - matrix.T).max() > slack:
         raise ProblemError(f"{where}: expected a symmetric matrix; received {matrix.tolist()}.")
@@ -111,6 +112,6 @@ def _check_moments(matrix: np.ndarray, where: str) -> None:
         raise ProblemError(f"{where}: expected principal moments that are not negative; received {smallest:.6g}.")
     if middle > slack and largest > smallest + middle + slack:
         raise ProblemError(
-            f"{where}: no body has a principal moment ({largest:.6g}) beyond the sum of the other two "
-            f"({smallest:.6g} + {middle:.6g}). For a plane model give the one moment that counts and two zeros."
+            f"{where}: no body has a principal moment ({largest:.6g}) beyond the sum of the other two ({smallest:.6g} "
+            f"+ {middle:.6g}). For a plane model give the one moment that matters and two zeros."
         )

@@ -1,4 +1,4 @@
-"""`BodyLoad`: what pushes or turns one body from outside; and the check that bodies stay where they are."""
+"""`BodyLoad`: an external force and moment on one body; and the check that joints' places do not depend on time."""
 
 from collections.abc import Callable, Sequence
 from typing import Any, final
@@ -21,13 +21,13 @@ from aleator.mechanics._tree import GROUND, Tree
 
 @final
 class BodyLoad(eqx.Module):
-    """A force and a moment from outside on one body of an `al.Multibody`: wind, contact, thrust.
+    """An external force and moment on one body of an `al.Multibody`: wind, contact, thrust.
 
-    - `body`: its name; `at` (3,): where the force acts, in the body's frame, m; by default at its origin;
-    - `force` (3,), N, and `moment` (3,), N·m: in the world's axes. A force that turns with its body is
+    - `body`: its name; `at` (3,): where the force acts, in the body's frame, m; by default its origin;
+    - `force` (3,), N, and `moment` (3,), N·m: in the world's axes. A force that rotates with its body is
       `self.poses(q)["rocket"].rotation @ jnp.array([0.0, 0.0, thrust])`.
 
-    Raises `ProblemError` for other shapes and for numbers that are not finite.
+    Raises `ProblemError` for other shapes and for non-finite numbers.
     """
 
     body: str = eqx.field(static=True)
@@ -42,9 +42,10 @@ class BodyLoad(eqx.Module):
 
 
 def wrenches_of(kind: str, tree: Tree, q: Float[Array, " coordinates"], loads: Any) -> Sequence[Wrench]:
-    """The wrench of some loads on each link, in its own frame and at its origin. What is fixed to the ground bears any.
+    """The wrench of the loads on each link, in its own frame at its origin. Loads on bodies fixed to the ground drop
+    out.
 
-    Raises `ProblemError` for what is no load, and for a name that is no body.
+    Raises `ProblemError` for anything but a load, and for an unknown body.
     """
     if not isinstance(loads, tuple | list) or not all(isinstance(one, BodyLoad) for one in loads):
         raise ProblemError(f"{kind}.body_loads returns a tuple of al.BodyLoad; received {loads!r}.")
@@ -68,9 +69,10 @@ def wrenches_of(kind: str, tree: Tree, q: Float[Array, " coordinates"], loads: A
 
 
 def refuse_moving_places(kind: str, bodies: Callable[[Array], Sequence[Body]]) -> None:
-    """Raise `ProblemError` if where a body's joint is, or its axis, depends on the time in `bodies(time)`.
+    """Raise `ProblemError` if the place or the axis of a body's joint depends on the time in `bodies(time)`.
 
-    The recursions would not know of the velocity that it has by that. It is told by the equations, not by values.
+    The recursions would miss the velocity that this causes. The dependence is read off the traced equations, not off
+    values.
     """
     names: list[str] = []
 
@@ -88,6 +90,6 @@ def refuse_moving_places(kind: str, bodies: Callable[[Array], Sequence[Body]]) -
     for i, variable in enumerate(closed.jaxpr.outvars):
         if not isinstance(variable, Literal) and variable in moved:
             raise ProblemError(
-                f"{kind}.bodies: the place or the axis of '{names[i // 3]}' depends on time: expected masses and "
-                "inertias alone to do so. Put a joint there, and prescribe its motion in al.HybridDynamics."
+                f"{kind}.bodies: the place or the axis of '{names[i // 3]}' depends on time: only masses and inertias "
+                "may do so. Put a joint there, and prescribe its motion in al.HybridDynamics."
             )

@@ -1,4 +1,4 @@
-"""What can be wrong with a realised mechanical system, in words: shapes, singular matrices, where and when."""
+"""Diagnosis of a realised mechanical system: wrong shapes and singular matrices, with posture and time."""
 
 import functools
 from collections.abc import Callable
@@ -16,20 +16,20 @@ from aleator.dynamics import Grid, RungeKutta4, System, simulate
 from aleator.mechanics._instant import Instants, instants_of, is_timed
 from aleator.mechanics._mechanical import AbstractMechanical, mass_of, rate_map
 
-# Reciprocal condition numbers below this are rounding of zero: answers would have no correct digit left.
+# Reciprocal condition numbers below this count as zero: results would have no correct digit left.
 _SINGULAR = 1e-12
 
-# A quaternion shorter than this has no direction worth the name.
+# A quaternion shorter than this has no meaningful direction.
 _VANISHING = 1e-3
 
-# Coordinates this many times as large as at the start are no posture of the model any more.
+# Coordinates this many times as large as at the start are no longer a meaningful posture.
 _ABSURD = 1e4
 
 
 def diagnosis_at(model: AbstractMechanical, q: Any, when: str) -> str:
-    """What is wrong in one posture: a mass matrix that is not positive definite, a singular velocity map.
+    """What is wrong in one posture: a mass matrix that is not positive definite, or a singular velocity map.
 
-    Raises `ProblemError` for a mass matrix of another shape than expected, and for what is no body.
+    Raises `ProblemError` for a mass matrix of the wrong shape, and for an impossible body.
     """
     M = np.asarray(mass_of(model, q))
     return model.diagnose(q) or _mass_diagnosis(model, M, q, when) or _map_diagnosis(model, q, when)
@@ -41,7 +41,7 @@ def _mass_diagnosis(model: AbstractMechanical, M: np.ndarray, q: Any, when: str)
         return f"The mass matrix of {type(model).__name__} is not finite {when} ({posture})."
     if not np.allclose(M, M.T, rtol=1e-8, atol=1e-12 * np.abs(M).max(initial=1.0)):
         return f"The mass matrix of {type(model).__name__} is not symmetric {when} ({posture})."
-    # Beside their own diagonal entries: metres and kilogrammes do not go together with radians and grammes.
+    # Scaled by the diagonal entries, since metres and kilograms are not comparable with radians and grams.
     size = np.sqrt(np.abs(np.diagonal(M)))
     size = np.where(size > 0, size, 1.0)
     values, vectors = np.linalg.eigh(M / np.outer(size, size))
@@ -49,8 +49,8 @@ def _mass_diagnosis(model: AbstractMechanical, M: np.ndarray, q: Any, when: str)
         worst = model.speeds[int(np.argmax(np.abs(vectors[:, 0])))]
         kind = "singular" if abs(values[0]) <= _SINGULAR * max(values[-1], 0.0) else "not positive definite"
         return (
-            f"The mass matrix of {type(model).__name__} is {kind} {when} ({posture}): nothing resists '{worst}'. "
-            "Give a mass or an inertia to what moves with it, and check the signs of masses."
+            f"The mass matrix of {type(model).__name__} is {kind} {when} ({posture}): nothing resists '{worst}'. Give "
+            "mass or inertia to the bodies that move with it, and check the signs of masses."
         )
     return ""
 
@@ -64,16 +64,16 @@ def _map_diagnosis(model: AbstractMechanical, q: Any, when: str) -> str:
     worst = model.coordinates[int(np.argmax(np.where(np.isfinite(H), np.abs(H), np.inf).max(axis=1)))]
     return (
         f"The velocity map H of {type(model).__name__} is singular {when} ({_posture(model, q)}): the rate of "
-        f"'{worst}' is not determined (gimbal lock). Stay away from this posture, or choose other coordinates, such as "
+        f"'{worst}' is not determined (gimbal lock). Avoid this posture, or choose other coordinates, such as "
         "quaternions."
     )
 
 
 def _are_regular(maps: np.ndarray) -> Any:
-    """Whether velocity maps, in the last two axes, tell the rates of all coordinates."""
+    """Whether velocity maps, in the last two axes, determine the rates of all coordinates."""
     finite: Any = np.isfinite(maps).all(axis=(-2, -1))
     maps = np.where(finite[..., None, None], maps, 0.0)
-    # In sizes of their own: nanometres and radians do not go together.
+    # Scaled row by row, since nanometres and radians are not comparable.
     scaled = maps / _sizes(maps, -1)
     scaled = scaled / _sizes(scaled, -2)
     values, alike = (np.linalg.svd(one, compute_uv=False) for one in (maps, scaled))
@@ -86,24 +86,24 @@ def _sizes(maps: np.ndarray, axis: int) -> np.ndarray:
 
 
 def _name_diagnosis(model: AbstractMechanical, H: np.ndarray, when: str) -> str:
-    """A velocity that is called the rate of a coordinate and is none: outputs of that name would not be it."""
+    """A velocity named as the rate of a coordinate that is not: the output of that name would be wrong."""
     for i, name in enumerate(model.coordinates):
         if f"{name}_rate" not in model.speeds:
             continue
         alone = np.arange(len(model.speeds)) == model.speeds.index(f"{name}_rate")
         if not np.allclose(H[i], alone, rtol=0, atol=1e-12):
             return (
-                f"{type(model).__name__}: the velocity '{name}_rate' is called the rate of '{name}', which "
-                f"velocity_map(q) makes another {when}. Name the velocities in velocity_names."
+                f"{type(model).__name__}: the velocity '{name}_rate' is named as the rate of '{name}', but by "
+                f"velocity_map(q) it is not {when}. Name the velocities in velocity_names."
             )
     return ""
 
 
 def diagnosis_of_path(now: Instants, path: Any, effects: Any = None) -> str:
-    """The first posture of a path in which something is wrong, with its time.
+    """What is wrong in the first bad posture of a path, with its time.
 
-    `path` holds coordinates as given, quaternions of any length; `effects` are the matrices by which torques act on
-    what they must move, where they are to be looked at: each needs the rank of its number of rows.
+    `path` holds coordinates as given, with quaternions of any length; `effects` are the matrices by which torques act
+    on the motions they must realise, where these are to be checked: each needs full row rank.
     """
     model, times, path = now.model, np.asarray(now.times), jnp.asarray(path)
     if found := quaternion_diagnosis(model, times, path) or _map_diagnosis_along(now, path) or _mass_along(now, path):
@@ -112,7 +112,7 @@ def diagnosis_of_path(now: Instants, path: Any, effects: Any = None) -> str:
 
 
 def quaternion_diagnosis(model: AbstractMechanical, times: np.ndarray, path: Any) -> str:
-    """Where a path of coordinates as given passes near a quaternion of zeros, which has no direction."""
+    """Where a path of given coordinates passes near a zero quaternion, which has no direction."""
     if model.moves_directly:
         return ""
     normalised = np.asarray(jax.vmap(model.normalised)(path))
@@ -121,9 +121,9 @@ def quaternion_diagnosis(model: AbstractMechanical, times: np.ndarray, path: Any
         return ""
     instant, coordinate = (int(found[0]) for found in np.nonzero(vanished))
     return (
-        f"{type(model).__name__}: the quaternion of '{model.coordinates[coordinate]}' has no length at t = "
-        f"{times[instant]:.4g} s ({_posture(model, path[instant])}), and so no direction. Prescribe quaternions that "
-        "keep away from zero."
+        f"{type(model).__name__}: the quaternion of '{model.coordinates[coordinate]}' is zero at t = "
+        f"{times[instant]:.4g} s ({_posture(model, path[instant])}), and so has no direction. Prescribe quaternions "
+        "that stay away from zero."
     )
 
 
@@ -136,7 +136,7 @@ def _map_diagnosis_along(now: Instants, path: Array) -> str:
 
 
 def _mass_along(now: Instants, path: Array) -> str:
-    """Where a mass that changes with time is none any more; of others the start tells."""
+    """Where a time-dependent mass matrix is no longer positive definite; constant ones are checked at the start."""
     if not is_timed(now.model):
         return ""
     q = jax.vmap(now.model.normalised)(path)
@@ -152,7 +152,7 @@ def _first_diagnosis(now: Instants, q: Array, bad: np.ndarray) -> str:
 
 
 def _effect_diagnosis_along(model: AbstractMechanical, times: np.ndarray, path: Array, effects: np.ndarray) -> str:
-    """Where torques lose their effect: at an instant, or between two as the determinant changes its sign."""
+    """Where torques lose their effect: at an instant, or between two where the determinant changes sign."""
     finite: Any = np.isfinite(effects).all(axis=(1, 2))
     effects = np.where(finite[:, None, None], effects, 0.0)
     size = np.abs(effects).max(axis=(0, 2), initial=0.0)
@@ -171,7 +171,7 @@ def _effect_diagnosis_along(model: AbstractMechanical, times: np.ndarray, path: 
         when = f"between t = {times[first]:.4g} s and t = {times[first + 1]:.4g} s"
     return (
         f"The torques of {type(model).__name__} lose their effect {when} ({_posture(model, path[first])}): the matrix "
-        "by which they act on what they must move is singular there. Start from a motion that stays away from this "
+        "by which they act on the motion they must realise is singular there. Start from a motion that avoids this "
         "posture, or add a torque."
     )
 
@@ -179,10 +179,10 @@ def _effect_diagnosis_along(model: AbstractMechanical, times: np.ndarray, path: 
 def diagnosis_along(
     system: System, grid: Grid, effects: Callable[[System, Instants, Array], Array] | None = None
 ) -> str:
-    """What is wrong along an integrated motion, or in the posture in which it ends to be finite; empty if nothing.
+    """What is wrong along an integrated motion, or in the last posture that is finite; empty if nothing.
 
-    `effects(system, now, path)`: see `diagnosis_of_path`. A motion that grows out of all bounds says nothing of the
-    model: steps that are too long for a stiff one make it grow as well.
+    `effects(system, now, path)`: see `diagnosis_of_path`. A motion that grows without bound does not show a fault of
+    the model: steps too long for a stiff model have the same effect.
     """
     model: AbstractMechanical = system.model  # type: ignore[attr-defined]
     system, times = numbers_to_arrays(system), np.asarray(grid.times)
@@ -194,7 +194,7 @@ def diagnosis_along(
     following = int(np.argmin(moderate))
     last = max(following - 1, 0)
     if effects is not None and not np.isfinite(path[following]).all():
-        # At once, and not by growing: what is prescribed is known there too, and tells whether torques still act.
+        # It ends abruptly, not by growth: the prescribed motion is known there, and shows whether torques still act.
         onward = np.where(np.isfinite(path[following]), path[following], path[last])
         known = jnp.asarray(np.where(np.arange(len(path))[:, None] < following, path, onward))
         if found := _effect_diagnosis_along(model, times, known, np.asarray(effects(system, now, known))):
@@ -208,7 +208,7 @@ def _followed(system: System, grid: Grid) -> Array:
     return jnp.stack([found[name] for name in names], axis=1)
 
 
-# Once for all systems of a family: each is asked.
+# Compiled once for all systems of a family, each of which is checked.
 _FOLLOWED = Compiled(_followed, use=Use.ONCE, code=functools.partial(told_apart, _followed))
 
 

@@ -15,22 +15,22 @@ from aleator.mechanics._mechanical import AbstractNamed, actuation_map, bias_of,
 class Mechanical(AbstractNamed):
     """A mechanical system by its matrices: `M(q) v̇ + C(q, v) v + N(q, v) = B(q) τ + Q(q, v)`, `q̇ = H(q) v`, (3), (4).
 
-    Subclass it with the coordinates' names in `names`, and write `mass_matrix(q)`; where there are such, `coriolis(q,
-    v)`, `forces(q, v)` (gravity, springs, friction; on the left-hand side, so that weight is positive upwards),
+    Subclass it with the coordinates' names in `names`, and write `mass_matrix(q)`; as needed, also `coriolis(q, v)`,
+    `forces(q, v)` (gravity, springs, friction; on the left-hand side, so that weight is positive upwards),
     `actuation(q)`, `velocity_map(q)`, and `load(q, v)`, the external force on the side of the torques.
 
-    Each may name the time as well: `mass_matrix(q, t)`. The equation is then (3) with the matrices of the instant: mass
-    comes and goes with the velocity of what it belongs to, as sand that runs out of a cart does, and `Ṁ v` is no part
-    of it. What leaves at another velocity is a force of its own: a rocket's thrust is a `load`.
+    Each may also take the time: `mass_matrix(q, t)`. Equation (3) then holds with the matrices of the instant, without
+    a term `Ṁ v`: mass is gained or lost at the velocity of its body, like sand that runs out of a cart. Mass that
+    leaves at another velocity exerts a force of its own: a rocket's thrust is a `load`.
     """
 
     def coriolis(self, q: Float[Array, " coordinates"], v: Float[Array, " speeds"]) -> Float[Array, "speeds speeds"]:
-        """`C(q, v)`: centrifugal, gyroscopic and Coriolis effects; none by default."""
+        """`C(q, v)`: centrifugal, gyroscopic and Coriolis effects; zero by default."""
         del q
         return jnp.zeros((len(v), len(v)))
 
     def forces(self, q: Float[Array, " coordinates"], v: Float[Array, " speeds"]) -> Float[Array, " speeds"]:
-        """`N(q, v)`: gravity, springs and friction; none by default."""
+        """`N(q, v)`: gravity, springs and friction; zero by default."""
         del q
         return jnp.zeros(len(v))
 
@@ -42,15 +42,15 @@ class Mechanical(AbstractNamed):
 
 
 class Lagrangian(AbstractNamed):
-    """A mechanical system by its energies, with `v = q̇`: Lagrange's equations, by exact derivatives.
+    """A mechanical system by its energies, with `v = q̇`: Lagrange's equations, with exact derivatives.
 
-    Subclass it with the coordinates' names in `names`, and write `kinetic_energy(q, v)` and, where there are such,
-    `potential_energy(q)` and `dissipation(q, v)`, Rayleigh's function `R` with friction `-dR/dv`. All give one number,
-    J (`R`: W).
+    Subclass it with the coordinates' names in `names`, and write `kinetic_energy(q, v)` and, as needed,
+    `potential_energy(q)` and `dissipation(q, v)`, Rayleigh's function `R` with friction `-dR/dv`. Each returns one
+    number, J (`R`: W).
 
-    Each may name the time as well, `kinetic_energy(q, v, t)`: of a pendulum whose support is moved, with the velocities
-    in space. Lagrange's equations then hold in full, `d/dt(dT/dv) - dT/dq`: where masses change with time, momentum is
-    kept, as if what comes had been at rest, and `Ṁ v` is part of them. Unlike in `al.Mechanical`.
+    Each may also take the time, `kinetic_energy(q, v, t)`: for example, for a pendulum with a moving support, with
+    absolute velocities. Lagrange's equations then hold in full, `d/dt(dT/dv) - dT/dq`. Unlike in `al.Mechanical`,
+    masses that change with time conserve momentum, as if added mass had been at rest, and a term `Ṁ v` is included.
     """
 
     @abc.abstractmethod
@@ -58,12 +58,12 @@ class Lagrangian(AbstractNamed):
         """The kinetic energy, J: a quadratic function of `v`."""
 
     def potential_energy(self, q: Float[Array, " n"]) -> Any:
-        """The potential energy, J; none by default."""
+        """The potential energy, J; zero by default."""
         del q
         return 0.0
 
     def dissipation(self, q: Float[Array, " n"], v: Float[Array, " n"]) -> Any:
-        """Rayleigh's dissipation function, W; none by default."""
+        """Rayleigh's dissipation function, W; zero by default."""
         del q, v
         return 0.0
 
@@ -72,7 +72,7 @@ class Lagrangian(AbstractNamed):
         return self._inertia(q, jnp.zeros_like(q))
 
     def coriolis(self, q: Float[Array, " n"], v: Float[Array, " n"]) -> Float[Array, "n n"]:
-        """`C(q, v)` by Christoffel's symbols of `M`: the choice that makes `Ṁ - 2 C` skew-symmetric."""
+        """`C(q, v)` by the Christoffel symbols of `M`: the choice that makes `Ṁ - 2 C` skew-symmetric."""
         slope = jax.jacfwd(lambda at: mass_of(self, at))(q)  # [i, j, k]: dM_ij / dq_k
         along = slope @ v
         across = jnp.einsum("ikj,k->ij", slope, v)
@@ -80,9 +80,9 @@ class Lagrangian(AbstractNamed):
 
     @override
     def bias(self, q: Float[Array, " n"], v: Float[Array, " n"]) -> Float[Array, " n"]:
-        """`d/dt(dT/dv) - dT/dq` without acceleration, `dV/dq` and `dR/dv`.
+        """`d/dt(dT/dv) - dT/dq` without its acceleration term, plus `dV/dq` and `dR/dv`.
 
-        The momentum `dT/dv` changes with the coordinates, with the time, and with the parameters that depend on it.
+        The momentum `dT/dv` changes with the coordinates, with time, and with parameters that depend on time.
         """
 
         def momentum(model: Lagrangian, at: Array) -> Array:
@@ -93,14 +93,14 @@ class Lagrangian(AbstractNamed):
 
     @override
     def diagnose(self, q: Float[Array, " n"]) -> str:
-        """A kinetic energy that is not quadratic in the velocities."""
+        """Report a kinetic energy that is not quadratic in the velocities."""
         at_rest, moving = (self._inertia(q, v) for v in (jnp.zeros_like(q), jnp.linspace(0.4, 0.7, len(q))))
         slack = 1e-9 * float(jnp.abs(at_rest).max(initial=0.0))
         if jnp.allclose(moving, at_rest, rtol=1e-6, atol=slack, equal_nan=True):
             return ""
         return (
             f"{type(self).__name__}.kinetic_energy(q, v): expected a quadratic function of the velocities, whose "
-            "second derivatives are the mass matrix whatever the velocities are. Write al.Accelerations for others."
+            "second derivatives are the mass matrix at any velocity. Use al.Accelerations for others."
         )
 
     def _forces(self, q: Array, v: Array) -> Array:
@@ -117,8 +117,9 @@ class Lagrangian(AbstractNamed):
 class Accelerations(AbstractNamed):
     """A mechanical system by any right-hand side `v̇ = f(q, v, τ)` that is affine in the torques.
 
-    Subclass it with the coordinates' names in `names`, and write `accelerations(q, v, torque)`. Its mass matrix is one,
-    and its forces are accelerations. What the torques do may depend on the coordinates, not on the velocities.
+    Subclass it with the coordinates' names in `names`, and write `accelerations(q, v, torque)`. Its mass matrix is the
+    identity, and its forces are accelerations. The effect of the torques may depend on the coordinates, not on the
+    velocities.
     """
 
     @abc.abstractmethod
@@ -126,7 +127,7 @@ class Accelerations(AbstractNamed):
         """The accelerations `v̇`, shape (speeds,): affine in `torque`, shape (actuators,)."""
 
     def mass_matrix(self, q: Float[Array, " coordinates"]) -> Float[Array, "speeds speeds"]:
-        """One: see `AbstractMechanical.mass_matrix`."""
+        """The identity."""
         del q
         return jnp.eye(len(self.speeds))
 
@@ -136,20 +137,20 @@ class Accelerations(AbstractNamed):
 
     @override
     def actuation(self, q: Float[Array, " coordinates"]) -> Float[Array, "speeds actuators"]:
-        """How the accelerations change with the torques, at rest."""
+        """The derivative of the accelerations with respect to the torques, at rest."""
         at_rest = jnp.zeros(len(self.speeds))
         return jax.jacfwd(lambda torque: self._rates(q, at_rest, torque))(jnp.zeros(len(self.actuators)))
 
     @override
     def diagnose(self, q: Float[Array, " coordinates"]) -> str:
-        """Accelerations that are not affine in the torques."""
+        """Report accelerations that are not affine in the torques."""
         v, torque = jnp.linspace(0.4, 0.7, len(self.speeds)), jnp.linspace(0.6, 1.3, len(self.actuators))
         expected = actuation_map(self, q) @ torque - bias_of(self, q, v)
         if jnp.allclose(self._rates(q, v, torque), expected, rtol=1e-6, atol=1e-9, equal_nan=True):
             return ""
         return (
-            f"{type(self).__name__}.accelerations(q, v, torque): expected them to be affine in the torques, whatever "
-            "the velocities are. Make what is not affine part of the torque that is planned."
+            f"{type(self).__name__}.accelerations(q, v, torque): expected accelerations affine in the torques, with an "
+            "effect independent of the velocities. Plan the non-affine term itself as the torque."
         )
 
     def _rates(self, q: Array, v: Array, torque: Array) -> Array:

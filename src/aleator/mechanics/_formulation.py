@@ -1,4 +1,4 @@
-"""What forward, inverse and hybrid dynamics are: systems that a mechanical model moves in."""
+"""The base class of forward, inverse and hybrid dynamics: systems made from a mechanical model."""
 
 from typing import Any
 
@@ -12,14 +12,14 @@ from aleator.mechanics._mechanical import AbstractMechanical
 
 @transparent("model")
 class AbstractFormulation(System):
-    """A system that solves the equations of motion of a mechanical model for what is not given.
+    """A system that solves the equations of motion of a mechanical model for the unknown motions and torques.
 
-    The model's numbers go by their own names in it.
+    The model's numbers keep their own names, without the prefix `model`.
     """
 
     model: eqx.AbstractVar[AbstractMechanical]
 
 
 def model_given(who: str, model: Any) -> AbstractMechanical:
-    """The model of a formulation as it is. Raises `ProblemError` for what is no mechanical system."""
+    """The model, unchanged. Raises `ProblemError` for anything but a mechanical system."""
     return one_of(f"{who}: model", model, AbstractMechanical, "al.Lagrangian or al.Multibody")

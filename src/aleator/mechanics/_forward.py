@@ -1,4 +1,4 @@
-"""`ForwardDynamics`: torques are given, motion follows by integration (equation 68)."""
+"""`ForwardDynamics`: torques are given, the motion follows by integration (equation 68)."""
 
 from collections.abc import Mapping
 from typing import Any, ClassVar, final
@@ -22,14 +22,15 @@ from aleator.trajectories import AbstractSignal, AbstractTrajectory
 
 @final
 class ForwardDynamics(AbstractFormulation):
-    """A mechanical system driven by torques: `v̇ = M⁻¹ (B τ + Q - C v - N)`, `q̇ = H v` (Table 5.2: τ known, motion not).
+    """A mechanical system driven by torques: `v̇ = M⁻¹ (B τ + Q - C v - N)`, `q̇ = H v` (table 5.2: known torques).
 
-    - `model`: the mechanical system; of any actuation scheme;
-    - `torque`: a trajectory (or any signal) of all actuators, or one by name; those left out are zero;
-    - `start`: initial coordinates and velocities by name; those left out are zero (of a quaternion `(1, 0, 0, 0)`).
+    - `model`: the mechanical system, of any actuation scheme;
+    - `torque`: one trajectory (or any signal) for all actuators, or one for each by name; those not named are zero;
+    - `start`: initial coordinates and velocities by name; those not named are zero (for a quaternion `(1, 0, 0, 0)`).
 
-    The torques act as given, on every system of the family alike. They are part of the system: its control points are
-    called `torque.free`. Raises `ProblemError` for torques and starts of what the model does not have.
+    Every realisation receives the same torques. They are part of the system: their control points are named
+    `torque.free`. Raises `ProblemError` for torques and starts of actuators, coordinates or velocities that the model
+    does not have.
     """
 
     model: AbstractMechanical
@@ -45,7 +46,7 @@ class ForwardDynamics(AbstractFormulation):
 
     @property
     def units(self) -> Mapping[str, str]:  # type: ignore[override]
-        """The units that the model declares, and those that its kind tells."""
+        """The units that the model declares, and the standard units of its kind."""
         return {**self.model.standard_units, **self.model.units}
 
     @override
@@ -91,8 +92,8 @@ class ForwardDynamics(AbstractFormulation):
         if jnp.shape(torque) not in ((n,), () if n == 1 else (n,)):
             raise ProblemError(
                 f"ForwardDynamics of {type(self.model).__name__}: expected a torque signal of shape ({n},), one value "
-                f"for each of {list(self.model.actuators)}; received shape {jnp.shape(torque)}. Give signals of one "
-                "number each in a dict by these names."
+                f"for each of {list(self.model.actuators)}; received shape {jnp.shape(torque)}. Give scalar signals in "
+                "a dict by these names."
             )
         return jnp.reshape(torque, (n,))
 

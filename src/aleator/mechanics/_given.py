@@ -1,4 +1,4 @@
-"""What a user gives to dynamics: motions and torques by name or as one trajectory, and a start."""
+"""The arguments of dynamics: motions and torques, by name or as one trajectory, and a start."""
 
 from collections.abc import Collection, Mapping
 from typing import Any, final
@@ -16,7 +16,7 @@ from aleator.trajectories._trajectory import copied, shape_of
 
 @final
 class Columns(AbstractSignal):
-    """Signals of one number each, side by side."""
+    """Scalar signals side by side."""
 
     parts: tuple[AbstractSignal, ...]
 
@@ -39,13 +39,13 @@ class Columns(AbstractSignal):
 
 
 Given = AbstractSignal | dict[str, AbstractSignal]
-"""Signals as a user gives them: one of all names, or one a name. Decisions in them are called by these names."""
+"""Signals as given: one for all names, or one for each name, after which its decisions are named."""
 
 
 def signals_for(names: tuple[str, ...], given: Any, what: str) -> Given:
-    """Signals for all names, as given; what is left out of a mapping is zero.
+    """Signals for all names, as given; names missing from a mapping get zero.
 
-    Raises `ProblemError` for unknown names, for what is no signal, and for a signal of another size.
+    Raises `ProblemError` for unknown names, for values that are not signals, and for a signal of another size.
     """
     if isinstance(given, AbstractTrajectory) and given.shape != (len(names),):
         raise ProblemError(
@@ -64,20 +64,20 @@ def signals_for(names: tuple[str, ...], given: Any, what: str) -> Given:
 
 
 def motions_for(names: tuple[str, ...], given: Any, what: str) -> Given:
-    """Trajectories for all names. Raises `ProblemError` for a name without one, or a signal that has no derivatives."""
+    """Trajectories for all names. Raises `ProblemError` for a missing one, or a signal without derivatives."""
     if isinstance(given, Mapping) and (missing := [name for name in names if name not in given]):
         raise ProblemError(f"{what}: expected a trajectory for each of {list(names)}; received none for {missing}.")
     found = signals_for(names, given, what)
     if not isinstance(combined(names, found), AbstractTrajectory):
         raise ProblemError(
-            f"{what}: a motion is followed with its velocity and acceleration: expected trajectories, such as "
-            f"al.BSpline or al.PowerSeries; received {given!r}."
+            f"{what}: a prescribed motion needs velocity and acceleration: expected trajectories, such as al.BSpline "
+            f"or al.PowerSeries; received {given!r}."
         )
     return found
 
 
 def combined(names: tuple[str, ...], given: Given) -> AbstractSignal:
-    """One signal of all names in order: a trajectory where each of them is one."""
+    """One signal of all names in order; it is a trajectory if each of them is one."""
     if not isinstance(given, Mapping):
         return given
     parts = tuple(given[name] for name in names)
@@ -86,20 +86,20 @@ def combined(names: tuple[str, ...], given: Given) -> AbstractSignal:
 
 
 def combined_motion(names: tuple[str, ...], given: Given) -> AbstractTrajectory:
-    """One trajectory of all names in order, of motions that have been checked."""
+    """One trajectory of all names in order, from checked motions."""
     found = combined(names, given)
     assert isinstance(found, AbstractTrajectory)
     return found
 
 
 def followed(motion: AbstractTrajectory, torque_rates: bool) -> dict[str, AbstractSignal]:
-    """A motion with the derivatives that dynamics take of it: one more where torques are differentiated as well."""
+    """A motion with the derivatives that dynamics need: one more where torques are differentiated too."""
     names = ("velocity", "acceleration", "jerk")[: 3 if torque_rates else 2]
     return {"position": motion, **{name: motion.derivative(k) for k, name in enumerate(names, 1)}}
 
 
 def asks_torque_rates(model: AbstractMechanical, only: Collection[str]) -> bool:
-    """Whether the rate of any torque is among some outputs."""
+    """Whether the outputs `only` include the rate of a torque."""
     return any(f"{name}_rate" in only for name in model.actuators)
 
 
@@ -110,32 +110,34 @@ def _single(given: Any, where: str) -> AbstractSignal:
         return given
     if shape_of(given) != ():
         raise ProblemError(f"{where}: expected a trajectory or one number; received {given!r}.")
-    # A number, uncertain or decided as it may be, is a constant.
+    # A number, even an uncertain or decided one, is a constant signal.
     return PowerSeries(start=(given,))
 
 
 def checked_start(model: AbstractMechanical, names: tuple[str, ...], start: Any, kind: str) -> dict[str, Any]:
-    """A start by name, with arrays of their own. Refuses what is no coordinate or velocity that is integrated."""
+    """A start by name, with arrays copied. Refuses names that are not integrated coordinates or velocities."""
     what = f"{kind} of {type(model).__name__}"
     if not isinstance(start, Mapping | None):
-        raise ProblemError(f"{what}: expected a start by names, for some of {list(names)}; received {start!r}.")
+        raise ProblemError(f"{what}: expected a start by name, for some of {list(names)}; received {start!r}.")
     given = dict(start or {})
     if unknown := sorted(set(given) - set(names)):
         raise ProblemError(f"{what}: there is no {unknown} to start; expected some of {list(names)}.")
     for name, number in given.items():
         if shape_of(number) != ():
-            raise ProblemError(f"{what}: expected one number to start '{name}'; received shape {shape_of(number)}.")
+            raise ProblemError(
+                f"{what}: expected one number as the start of '{name}'; received shape {shape_of(number)}."
+            )
     return {name: copied(what, f"start of '{name}'", number) for name, number in given.items()}
 
 
 def coordinates_at(model: AbstractMechanical, start: Mapping[str, Any]) -> Float[Array, " coordinates"]:
-    """Initial coordinates; those left out are zero, or where they are part of a quaternion that of no turn."""
+    """Initial coordinates; those not given are zero, or those of the identity quaternion."""
     names = model.coordinates
     unturned = model.normalised(jnp.zeros(len(names)))
     return vector(names, {**dict(zip(names, unturned, strict=True)), **start})
 
 
 def vector(names: tuple[str, ...], start: Mapping[str, Any]) -> Float[Array, " names"]:
-    """Initial values in order; those left out are zero."""
+    """Initial values in order; those not given are zero."""
     values = [jnp.asarray(start.get(name, 0.0), dtype=float) for name in names]
     return jnp.stack(values) if values else jnp.zeros(0)

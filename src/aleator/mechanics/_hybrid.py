@@ -1,4 +1,4 @@
-"""`HybridDynamics`: some coordinates are prescribed, the others integrated, torques follow (equations 70 and 71)."""
+"""`HybridDynamics`: some coordinates are prescribed, others integrated, and torques follow (equations 70 and 71)."""
 
 import functools
 from collections.abc import Collection, Mapping
@@ -41,20 +41,20 @@ from aleator.trajectories import AbstractSignal, AbstractTrajectory
 
 @final
 class HybridDynamics(AbstractFormulation):
-    """A mechanical system some of whose coordinates are prescribed, the others moving as they must (Table 5.2).
+    """A mechanical system with some coordinates prescribed; the others follow from the dynamics (table 5.2).
 
     - `model`: a mechanical system, under-actuated or not;
-    - `motion`: trajectories by the names of the prescribed coordinates: as many as there are torques to find, or fewer
+    - `motion`: trajectories by the names of the prescribed coordinates: as many as there are unknown torques, or fewer
       (then the torques of least norm are found);
     - `torque`: trajectories or signals of those actuators whose torque is known, by name; the others are found;
-    - `start`: initial values of the other coordinates and velocities, by name; those left out are zero (of a
+    - `start`: initial values of the other coordinates and velocities, by name; those not named are zero (for a
       quaternion `(1, 0, 0, 0)`);
     - `torque_rates`: whether the rates of torques are among the outputs.
 
-    Partial feedback linearisation: with `a` the prescribed and `u` the other velocities, the torques are those under
-    which `M v̇ + C v + N = B τ` holds with the given `v̇_a`. Coordinates that share their velocities, such as those of a
-    quaternion, are prescribed together. Raises `ProblemError` for motions, torques and starts of
-    what the model does not have, and for fewer torques to find than prescribed coordinates.
+    This is partial feedback linearisation: with `a` the prescribed and `u` the other velocities, the torques are those
+    for which `M v̇ + C v + N = B τ` holds with the given `v̇_a`. Coordinates that share velocities, such as those of a
+    quaternion, must be prescribed together. Raises `ProblemError` for motions, torques and starts of names that the
+    model does not have, and for fewer unknown torques than prescribed coordinates.
     """
 
     model: AbstractMechanical
@@ -91,7 +91,7 @@ class HybridDynamics(AbstractFormulation):
 
     @property
     def units(self) -> Mapping[str, str]:  # type: ignore[override]
-        """The units that the model declares, and those that its kind tells."""
+        """The units that the model declares, and the standard units of its kind."""
         return {**self.model.standard_units, **self.model.units}
 
     @override
@@ -106,7 +106,7 @@ class HybridDynamics(AbstractFormulation):
 
     @override
     def focused(self, only: Collection[str]) -> "HybridDynamics":
-        """Torque rates take a further derivative of everything."""
+        """Without torque rates where they are not asked for: they need one more derivative of everything."""
         asked = asks_torque_rates(self.model, only)
         given = {"motion": self.motion, "torque": self.torque, "start": self.start}
         return HybridDynamics(self.model, **given, torque_rates=asked)  # type: ignore[arg-type]
@@ -172,7 +172,7 @@ class HybridDynamics(AbstractFormulation):
         return found or diagnosis_along(self, grid, _EFFECTS)
 
     def _effect(self, model: AbstractMechanical, q: Float[Array, " coordinates"]) -> Float[Array, "driven unknown"]:
-        """How the torques to find act along the prescribed velocities, the others moving as they must."""
+        """The effect of the unknown torques on the prescribed accelerations, with the others following the dynamics."""
         M, B = mass_of(model, q), actuation_map(model, q)
         a, u, free = self.driven, self._undriven(), self._unknown()
         return block(B, a, free) - block(M, a, u) @ solve_positive(block(M, u, u), block(B, u, free))
@@ -181,28 +181,28 @@ class HybridDynamics(AbstractFormulation):
         """Why the prescribed rates do not determine velocities of their own; empty if they do."""
         if model.moves_directly:
             return ""
-        # A posture apart, in which no angle happens to be zero.
+        # A generic posture, in which no angle happens to be zero.
         H = np.asarray(rate_map(model, q + jnp.linspace(0.2, 0.3, len(q))))
         if not np.any(block(H, self.prescribed, self._undriven())):
             return ""
         names = ", ".join(self.model.coordinates[i] for i in self.prescribed)
         return (
             f"HybridDynamics of {type(self.model).__name__}: velocities of coordinates that are not prescribed enter "
-            f"the rates of the prescribed ones ({names}). Prescribe all coordinates that share their velocities, such "
-            "as all three angles of a body."
+            f"the rates of the prescribed ones ({names}). Prescribe all coordinates that share velocities, such as all "
+            "three angles of a body."
         )
 
     def _unrealisable(self) -> str:
         names = ", ".join(self._followed())
         found = ", ".join(self.model.actuators[i] for i in self._unknown()) or "none"
         return (
-            f"HybridDynamics of {type(self.model).__name__}: the torques to find ({found}) cannot realise a prescribed "
-            f"motion of {names}: expected at least {len(self.driven)} that act on it. Prescribe as many "
-            "velocities as there are unknown torques."
+            f"HybridDynamics of {type(self.model).__name__}: the unknown torques ({found}) cannot realise a prescribed "
+            f"motion of {names}: expected at least {len(self.driven)} that act on it. Prescribe no more velocities "
+            "than there are unknown torques."
         )
 
     def _solve(self, model: AbstractMechanical, given: Prescribed, q_u: Array, v_u: Array) -> Solved:
-        """Coordinates, velocities, accelerations and torques, from what is given and what is integrated."""
+        """Coordinates, velocities, accelerations and torques, from the prescribed and the integrated quantities."""
         a, u = np.array(self.driven), self._undriven()
         q, v_a, v_dot_a = self._prescribed_velocities(model, given, q_u, v_u)
         v = self._joined(v_a, v_u)
@@ -213,7 +213,7 @@ class HybridDynamics(AbstractFormulation):
         M_ua = block(M, u, a)
         eliminated = solve_positive(block(M, u, u), jnp.concatenate([M_ua, rest[u][:, None], B_free[u]], axis=1))
         inner, force, effect = eliminated[:, : len(a)], eliminated[:, len(a)], eliminated[:, len(a) + 1 :]
-        # The equations of the prescribed coordinates, without the other accelerations.
+        # The equations of the prescribed coordinates, with the other accelerations eliminated.
         needed = (block(M, a, a) - M_ua.T @ inner) @ v_dot_a + rest[a] - M_ua.T @ force
         found = solve_any(B_free[a] - M_ua.T @ effect, needed)
         v_dot_u = effect @ found - inner @ v_dot_a - force
@@ -223,7 +223,7 @@ class HybridDynamics(AbstractFormulation):
     def _prescribed_velocities(
         self, model: AbstractMechanical, given: Prescribed, q_u: Array, v_u: Array
     ) -> tuple[Array, Array, Array]:
-        """Equations (66) and (67) for the prescribed coordinates alone, whose rates no other velocity enters."""
+        """Equations (66) and (67) for the prescribed coordinates alone, whose rates depend on no other velocity."""
         if model.moves_directly:
             return self._merged(given.position, q_u), given.velocity, given.acceleration
 
@@ -239,11 +239,11 @@ class HybridDynamics(AbstractFormulation):
         return q, v_a, solve_any(own(model, q), acceleration[a] - change)
 
     def _merged(self, prescribed: Array, others: Array) -> Array:
-        """Coordinates in their order."""
+        """All coordinates in the model's order."""
         return jnp.concatenate([prescribed, others])[order((*self.prescribed, *self._others()))]
 
     def _joined(self, driven: Array, others: Array) -> Array:
-        """Velocities in their order."""
+        """All velocities in the model's order."""
         return jnp.concatenate([driven, others])[order((*self.driven, *self._undriven()))]
 
     def _followed(self) -> tuple[str, ...]:
@@ -279,7 +279,7 @@ _EFFECTS = Compiled(_effects, use=Use.ONCE, code=functools.partial(told_apart, _
 
 
 def _check_names(model: AbstractMechanical, motion: Any, torque: Any) -> None:
-    """Refuse motions and torques of what is no coordinate or actuator."""
+    """Refuse motions and torques of unknown coordinates and actuators."""
     for given, names, what in ((motion, model.coordinates, "motion"), (torque, model.actuators, "torque")):
         if not isinstance(given, Mapping) or not set(given) <= set(names):
             raise ProblemError(

@@ -1,8 +1,8 @@
-"""A mechanical system at one instant: numbers in the place of the signals in its fields, and how these change.
+"""A mechanical system at one instant: signals in its fields replaced by their values, with their derivatives.
 
-A parameter `θ(t)` is a signal in the place of a number, as a distribution is. At an instant the model is the same tree
-with the signals' values. It remembers the time and the signals' derivatives, so that whatever follows from it can be
-differentiated by time in total, as equation (65) does: `∂/∂t` and `θ̇ ∂/∂θ` together.
+A parameter `θ(t)` is a signal in place of a number, like a distribution. At an instant the model is the same tree with
+the signals' values. It stores the time and the signals' derivatives, so that any quantity computed from it has a total
+time derivative, as in equation (65): `∂/∂t` and `θ̇ ∂/∂θ` together.
 """
 
 from collections.abc import Callable, Sequence
@@ -26,10 +26,10 @@ Model = TypeVar("Model", bound=eqx.Module)
 
 @final
 class When(eqx.Module):
-    """What a model remembers of its instant.
+    """The time data of a model at one instant.
 
-    - `t`: the time, s; `rates`: for each order of derivative from one on, those of all signals, by time;
-    - `places`: where the signals' values are among the leaves of the model.
+    - `t`: the time, s; `rates`: for each order from one, the time derivatives of all signals;
+    - `places`: the positions of the signals' values among the leaves of the model.
     """
 
     t: Any
@@ -39,7 +39,7 @@ class When(eqx.Module):
 
 @final
 class Course(AbstractSignal):
-    """The signals in a model's fields side by side, each as a row of numbers: values, then derivatives."""
+    """The signals in a model's fields side by side, as rows of numbers: values, then derivatives."""
 
     parts: tuple[tuple[AbstractSignal, ...], ...]
 
@@ -68,7 +68,7 @@ class Course(AbstractSignal):
 
 @final
 class Rate(AbstractSignal):
-    """The derivative of a signal by time."""
+    """The time derivative of a signal."""
 
     signal: AbstractSignal
 
@@ -86,7 +86,7 @@ class Rate(AbstractSignal):
 
 
 def course(model: eqx.Module, orders: int) -> dict[str, AbstractSignal]:
-    """The signals in a model's fields with as many derivatives as are needed, as dynamics take them; none of none."""
+    """The signals in a model's fields with `orders` derivatives, as an input of dynamics; empty if there are none."""
     parts = [leaf for leaf in _leaves(model) if isinstance(leaf, AbstractSignal)]
     if not parts:
         return {}
@@ -97,12 +97,12 @@ def course(model: eqx.Module, orders: int) -> dict[str, AbstractSignal]:
 
 
 def is_timed(model: eqx.Module) -> bool:
-    """Whether a model depends on time: by signals in its fields, or by methods that name the time."""
+    """Whether a model depends on time, by signals in its fields or by methods that take the time."""
     return bool(timed_methods(type(model))) or any(isinstance(leaf, AbstractSignal) for leaf in _leaves(model))
 
 
 def at(model: Model, t: Any, parameters: Float[Array, "orders numbers"] | None) -> Model:
-    """A model at an instant, with what its `course` gives there. One that does not depend on time stays as it is."""
+    """A model at an instant, with the values of its `course` there; unchanged if it does not depend on time."""
     leaves, structure = jax.tree.flatten(model, is_leaf=_is_signal)
     places = tuple(i for i, leaf in enumerate(leaves) if isinstance(leaf, AbstractSignal))
     if bool(places) != (parameters is not None):
@@ -118,7 +118,7 @@ def at(model: Model, t: Any, parameters: Float[Array, "orders numbers"] | None) 
 
 
 def later(model: Model, s: Any) -> Model:
-    """A model at an instant, a time `s` later, as far as its derivatives tell: to be differentiated by `s` at zero."""
+    """The Taylor expansion of a model a time `s` after its instant, to be differentiated by `s` at zero."""
     when: When | None = model._when  # type: ignore[attr-defined]
     if when is None:
         return model
@@ -133,7 +133,7 @@ def later(model: Model, s: Any) -> Model:
 def along_time(
     function: Callable[..., Any], model: Any, primals: Sequence[Any], tangents: Sequence[Any], *, has_aux: bool = False
 ) -> Any:
-    """`function(model, *at)` and its total derivative by time, of arguments that change at the rates `tangents`."""
+    """`function(model, *at)` and its total time derivative, where the arguments change at the rates `tangents`."""
     zero, one = jnp.zeros(()), jnp.ones(())
 
     def moved(s: Array, *where: Any) -> Any:
@@ -154,7 +154,7 @@ class Instants(NamedTuple):
         return at(self.model, self.times[i], None if self.parameters is None else self.parameters[i])
 
     def each(self, function: Callable[..., Any], *given: Array) -> Any:
-        """`function(model, *given)` at every instant, of what is given there."""
+        """`function(model, *given)` at every instant, with the rows of `given` there."""
         return jax.vmap(lambda t, row, *own: function(at(self.model, t, row), *own))(
             self.times, self.parameters, *given
         )
@@ -186,7 +186,7 @@ def _split(row: Float[Array, " numbers"], signals: Sequence[AbstractSignal]) -> 
 
 
 def _taylor(orders: Sequence[Array], s: Any) -> Array:
-    """The value after a time `s`, from a value and its derivatives."""
+    """The value after a time `s`, by the Taylor polynomial of a value and its derivatives."""
     found = orders[-1]
     for k in range(len(orders) - 1, 0, -1):
         found = orders[k - 1] + s / k * found
@@ -195,5 +195,5 @@ def _taylor(orders: Sequence[Array], s: Any) -> Array:
 
 def _remembering(model: Model, when: When | None) -> Model:
     found = copy(model)
-    object.__setattr__(found, "_when", when)  # of a copy that nobody has seen yet
+    object.__setattr__(found, "_when", when)  # a fresh copy, not shared yet
     return found

@@ -1,4 +1,4 @@
-"""`InverseDynamics`: motion is given, torques follow by algebra (equation 69). Nothing is integrated."""
+"""`InverseDynamics`: the motion is given, torques follow algebraically (equation 69). Nothing is integrated."""
 
 from collections.abc import Collection, Mapping
 from typing import Any, ClassVar, final
@@ -25,15 +25,16 @@ from aleator.trajectories import AbstractSignal, AbstractTrajectory
 
 @final
 class InverseDynamics(AbstractFormulation):
-    """A mechanical system on a prescribed motion: `τ = B⁻¹ (M v̇ + C v + N - Q)` (Table 5.2: motion known, τ not).
+    """A mechanical system on a prescribed motion: `τ = B⁻¹ (M v̇ + C v + N - Q)` (table 5.2: known motion).
 
-    - `model`: a fully actuated mechanical system; of an over-actuated one the torques of least norm are found;
-    - `motion`: a trajectory of all coordinates, or one by name;
+    - `model`: a fully actuated mechanical system, or an over-actuated one, for which the torques of least norm are
+      found;
+    - `motion`: one trajectory of all coordinates, or one for each by name;
     - `torque_rates`: whether the rates of torques are among the outputs.
 
-    Each system of the family follows the same motion, and needs torques of its own. The motion is part of the system:
-    its control points are called `motion.free`. Raises `ProblemError` for motions of what the model does not have, and
-    for models with fewer torques than velocities.
+    Every realisation follows the same motion, with its own torques. The motion is part of the system: its control
+    points are named `motion.free`. Raises `ProblemError` for motions of unknown coordinates, and for models with fewer
+    torques than velocities.
     """
 
     model: AbstractMechanical
@@ -52,7 +53,7 @@ class InverseDynamics(AbstractFormulation):
 
     @property
     def units(self) -> Mapping[str, str]:  # type: ignore[override]
-        """The units that the model declares, and those that its kind tells."""
+        """The units that the model declares, and the standard units of its kind."""
         return {**self.model.standard_units, **self.model.units}
 
     @override
@@ -61,7 +62,7 @@ class InverseDynamics(AbstractFormulation):
 
     @override
     def focused(self, only: Collection[str]) -> "InverseDynamics":
-        """Torque rates take a further derivative of everything."""
+        """Without torque rates where they are not asked for: they need one more derivative of everything."""
         asked = asks_torque_rates(self.model, only)
         return InverseDynamics(self.model, motion=self.motion, torque_rates=asked)
 
@@ -106,7 +107,7 @@ class InverseDynamics(AbstractFormulation):
 
     @override
     def holding(self, grid: Grid) -> Mapping[str, Any]:
-        """The torques, where the motion starts at rest and without acceleration."""
+        """The holding torques, where the motion starts at rest and without acceleration."""
         curve = [self._motion().derivative(k).sampled(np.zeros(1), grid.t_start, grid.t_final)[0] for k in range(3)]
         torque, start = _torques(instants_of(self.model, grid).at(0), *curve)
         if jnp.any(jnp.abs(jnp.stack([start.v, start.v_dot])) > 1e-9):
@@ -128,7 +129,7 @@ class InverseDynamics(AbstractFormulation):
 def _torques(
     model: AbstractMechanical, position: Array, velocity: Array, acceleration: Array
 ) -> tuple[Array, Followed]:
-    """The torques that a motion takes, and the motion."""
+    """The torques that a motion requires, and the motion."""
     path = follow(model, position, velocity, acceleration)
     return torques(model, path.q, required_force(model, path.q, path.v, path.v_dot)), path
 

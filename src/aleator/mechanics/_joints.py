@@ -1,4 +1,4 @@
-"""Joints: how a body may move against its parent, its coordinates and speeds."""
+"""Joints: how a body may move relative to its parent, with its coordinates and speeds."""
 
 import abc
 from typing import Any, ClassVar, final
@@ -27,10 +27,10 @@ _AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
 
 class AbstractJoint(eqx.Module):
-    """What binds a body to its parent: coordinates `q`, speeds `v`, and the motion that they describe.
+    """The connection of a body to its parent: coordinates `q`, speeds `v`, and the motion that they describe.
 
-    `coordinates` and `speeds` are endings: the body's name and one of them make the name of a coordinate or speed.
-    `units` are those of the first coordinates (quaternions, which have none, are last), `speed_units` of all speeds.
+    `coordinates` and `speeds` are suffixes: appended to the body's name, they name its coordinates and speeds. `units`
+    are those of the first coordinates (quaternions, which have none, are last), `speed_units` of all speeds.
     """
 
     coordinates: ClassVar[tuple[str, ...]]
@@ -44,19 +44,19 @@ class AbstractJoint(eqx.Module):
 
     @abc.abstractmethod
     def subspace(self, q: Float[Array, " coordinates"]) -> Twist:
-        """`S(q)`: the body's twist against its parent, in the body's axes, for each speed as a column."""
+        """`S(q)`: the body's twist relative to its parent, in the body's axes, one column per speed."""
 
     def twist(self, q: Float[Array, " coordinates"], v: Float[Array, " speeds"]) -> Twist:
         """`S(q) v`."""
         return Twist(*(None if block is None else block @ v for block in self.subspace(q)))
 
     def drift(self, q: Float[Array, " coordinates"], v: Float[Array, " speeds"]) -> Twist:
-        """The change of `S(q)` times `v`, in the body's axes."""
+        """`Ṡ(q) v`, in the body's axes."""
         del q, v
         return Twist(None, None)
 
     def passive(self, q: Float[Array, " coordinates"], v: Float[Array, " speeds"]) -> Float[Array, " speeds"]:
-        """The force of springs and dampers along each speed."""
+        """The force of springs and dampers along each speed, N or N·m."""
         del q
         return jnp.zeros_like(v)
 
@@ -70,16 +70,16 @@ class AbstractJoint(eqx.Module):
         """`H(q)`, from speeds to the rates of the coordinates."""
 
     def normalised(self, q: Float[Array, " coordinates"]) -> Float[Array, " coordinates"]:
-        """The coordinates, with quaternions of length one; one of zeros becomes that of no turn."""
+        """The coordinates, with quaternions normalised; a zero quaternion becomes the identity."""
         return q
 
 
 class AbstractAxial(AbstractJoint):
     """A joint along or about one axis, with a spring and a damper: force `-damping rate - stiffness (q - rest)`.
 
-    - `axis`: "x", "y", "z", or a vector of any length but zero, in the joint's frame (which is also the body's);
-    - `damping`: N·m·s/rad, or N·s/m, not negative; `stiffness`: N·m/rad, or N/m; `rest`: the coordinate without force,
-      rad or m.
+    - `axis`: "x", "y", "z", or a nonzero vector of any length, in the joint's frame (which is also the body's);
+    - `damping`: N·m·s/rad, or N·s/m, not negative; `stiffness`: N·m/rad, or N/m; `rest`: the coordinate at which the
+      spring is free of force, rad or m.
     """
 
     axis: Any
@@ -98,13 +98,13 @@ class AbstractAxial(AbstractJoint):
                 as_array(value, f"{type(self).__name__}: {part}", ())
 
     def direction(self) -> Any:
-        """The axis as a unit vector. Raises `ProblemError` if it is none."""
+        """The axis as a unit vector. Raises `ProblemError` for anything but an axis."""
         name = type(self).__name__
         if isinstance(self.axis, str) and self.axis not in _AXES:
             raise ProblemError(f"{name}: expected the axis 'x', 'y' or 'z', or a vector; received '{self.axis}'.")
         axis = as_array(_AXES[self.axis] if isinstance(self.axis, str) else self.axis, f"{name}: axis", (3,))
         if is_known(axis) and not 0 < np.linalg.norm(np.asarray(axis)) < np.inf:
-            raise ProblemError(f"{name}: expected an axis of finite length, and not zero; received {self.axis}.")
+            raise ProblemError(f"{name}: expected an axis of finite, nonzero length; received {self.axis}.")
         return unit(axis)
 
     @override
@@ -129,7 +129,7 @@ class AbstractAxial(AbstractJoint):
 
 @final
 class Revolute(AbstractAxial):
-    """A hinge: the body turns about an axis through its origin, by one angle in rad. See `AbstractAxial`."""
+    """A hinge: the body rotates about an axis through its origin, by one angle in rad. See `AbstractAxial`."""
 
     units: ClassVar[tuple[str, ...]] = ("rad",)
     speed_units: ClassVar[tuple[str, ...]] = ("rad/s",)
@@ -151,7 +151,7 @@ class Revolute(AbstractAxial):
 
 @final
 class Prismatic(AbstractAxial):
-    """A slide: the body moves along an axis, by one length in m. See `AbstractAxial`."""
+    """A slider: the body moves along an axis, by one length in m. See `AbstractAxial`."""
 
     units: ClassVar[tuple[str, ...]] = ("m",)
     speed_units: ClassVar[tuple[str, ...]] = ("m/s",)
@@ -174,9 +174,9 @@ class Prismatic(AbstractAxial):
 
 @final
 class Ball(AbstractJoint):
-    """The body turns about a point. Coordinates: a unit quaternion `(w, x, y, z)`, from the joint's axes to the body's;
-    speeds: the angular velocity against the parent, in the body's axes, rad/s. A start may leave components out, which
-    are then those of no turn, `(1, 0, 0, 0)`.
+    """The body rotates about a point. Coordinates: a unit quaternion `(w, x, y, z)`, from the joint's axes to the
+    body's; speeds: the angular velocity relative to the parent, in the body's axes, rad/s. Components missing from a
+    start are those of the identity, `(1, 0, 0, 0)`.
     """
 
     coordinates: ClassVar[tuple[str, ...]] = ("_w", "_x", "_y", "_z")
@@ -211,7 +211,7 @@ class Ball(AbstractJoint):
 class Free(AbstractJoint):
     """The body moves freely. Coordinates: the position of its origin in the joint's frame, m, then a unit quaternion
     `(w, x, y, z)`; speeds: the rates of that position, in the joint's axes (those of the parent, unless `orientation`
-    turns them), m/s, then the angular velocity against the parent, in the body's axes, rad/s.
+    rotates them), m/s, then the angular velocity relative to the parent, in the body's axes, rad/s.
     """
 
     coordinates: ClassVar[tuple[str, ...]] = ("_x", "_y", "_z", "_qw", "_qx", "_qy", "_qz")
@@ -248,4 +248,4 @@ class Free(AbstractJoint):
 
 @final
 class Fixed(eqx.Module):
-    """The body is part of its parent: no coordinates, no speeds, and no cost beyond that of one body."""
+    """The body is rigidly fixed to its parent: no coordinates, no speeds, and no additional cost."""

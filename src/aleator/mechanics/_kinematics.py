@@ -26,14 +26,14 @@ def rates(model: AbstractMechanical, q: Array, v: Array) -> Float[Array, " coord
 
 
 def accelerations(model: AbstractMechanical, q: Array, v: Array, v_dot: Array) -> Float[Array, " coordinates"]:
-    """`q̈ = H v̇ + Ḣ v`, equation (65): `Ḣ` in total along the motion, by a directional derivative."""
+    """`q̈ = H v̇ + Ḣ v`, equation (65), with the total derivative `Ḣ` along the motion as a directional derivative."""
     if model.moves_directly:
         return v_dot
     return along_time(rates, model, (q, v), (rates(model, q, v), v_dot))[1]
 
 
 def follow(model: AbstractMechanical, position: Array, velocity: Array, acceleration: Array) -> Followed:
-    """The motion that a curve of coordinates prescribes, equations (66) and (67)."""
+    """The motion prescribed by a curve of coordinates, equations (66) and (67)."""
     q, q_dot, q_ddot = on_manifold(model, position, velocity, acceleration)
     if model.moves_directly:
         return Followed(q, q_dot, q_ddot, q_dot, q_ddot)
@@ -44,7 +44,7 @@ def follow(model: AbstractMechanical, position: Array, velocity: Array, accelera
 
 
 def on_manifold(model: AbstractMechanical, position: Array, velocity: Array, acceleration: Array) -> Any:
-    """The curve where coordinates may be (quaternions of length one), and its derivatives by time."""
+    """The curve projected to valid coordinates (unit quaternions), with its time derivatives."""
     if model.moves_directly:
         return position, velocity, acceleration
 

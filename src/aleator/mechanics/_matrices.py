@@ -1,6 +1,6 @@
 """Small dense systems of equations, solved entry by entry: under `vmap` each operation then serves all points at once.
 
-A library call for each matrix would cost more than the arithmetic. A singular matrix gives not a number.
+A library call for each matrix would cost more than the arithmetic. Singular matrices give NaN.
 """
 
 import jax.numpy as jnp
@@ -11,14 +11,14 @@ from jaxtyping import Array, Float
 # Beyond this size the unrolled operations take longer to compile than they save.
 _UNROLLED = 8
 
-# A pivot this small beside the diagonal is rounding of zero.
+# A pivot this small relative to the diagonal counts as zero.
 _SINGULAR = 64 * float(np.finfo(float).eps)
 
 
 def solve_positive(M: Float[Array, "n n"], b: Float[Array, "n ..."]) -> Float[Array, "n ..."]:
-    """Solve `M x = b` for a symmetric positive definite `M`; not a number where it is not.
+    """Solve `M x = b` for a symmetric positive definite `M`; NaN where it is not.
 
-    By the factors `L D Lᵀ`. `b` is a vector, or a matrix of several columns.
+    Uses the factorisation `L D Lᵀ`. `b` is a vector, or a matrix of several columns.
     """
     n = len(M)
     if n == 0:
@@ -44,7 +44,7 @@ def solve_positive(M: Float[Array, "n n"], b: Float[Array, "n ..."]) -> Float[Ar
 
 
 def solve_any(A: Float[Array, "m n"], b: Float[Array, " m"]) -> Float[Array, " n"]:
-    """The `x` of `A x = b`; the shortest of many, or the one of least squares; not a number where rank is missing."""
+    """The solution of `A x = b`, the shortest if there are many, else by least squares; NaN without full rank."""
     rows, columns = A.shape
     if rows == columns == 1:
         return b / A[0]

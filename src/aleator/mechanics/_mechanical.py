@@ -1,4 +1,4 @@
-"""`AbstractMechanical`: what forward, inverse and hybrid dynamics need of a mechanical system."""
+"""`AbstractMechanical`: the interface of mechanical systems to forward, inverse and hybrid dynamics."""
 
 import abc
 from collections.abc import Collection, Mapping, Sequence
@@ -21,17 +21,17 @@ from aleator.mechanics._signatures import call_of, timed_methods
 class AbstractMechanical(eqx.Module):
     """A mechanical system `M(q) v̇ + C(q, v) v + N(q, v) = B(q) τ + Q(q, v)`, `q̇ = H(q) v`, equations (3) and (4).
 
-    Its parameters are fields, and any number in a field may be a distribution or a decision, or a signal: a parameter
-    `θ(t)` that changes with time, such as `al.processes.signal`, `al.processes.RandomProcess` or a trajectory. In
-    methods it is a number, its value at the instant. A method may name the time besides, after its other arguments:
-    `mass_matrix(self, q, t)`. Equation (3) is taken at each instant: see `al.Mechanical` and `al.Lagrangian` for
-    masses that change.
+    Its parameters are fields, and any number in a field may be a distribution, a decision or a signal: a parameter
+    `θ(t)` that varies with time, such as `al.processes.signal`, `al.processes.RandomProcess` or a trajectory. Methods
+    see its value at the instant, a number. A method may also take the time, after its other arguments:
+    `mass_matrix(self, q, t)`. Equation (3) holds at each instant: see `al.Mechanical` and `al.Lagrangian` for variable
+    masses.
 
-    `Q` is the external `load(q, v)`, which torques work against in all three dynamics. What is known of its motion is
-    said by `al.ForwardDynamics`, `al.InverseDynamics` or `al.HybridDynamics`; each makes a system of it, whose outputs
-    are, by the names of `coordinates`, `speeds` and `actuators`,
+    `Q` is the external `load(q, v)`, included in all three dynamics. `al.ForwardDynamics`, `al.InverseDynamics` or
+    `al.HybridDynamics` states which motions and torques are known, and makes a system of the model. Its outputs are, by
+    the names of `coordinates`, `speeds` and `actuators`,
 
-    - `<coordinate>`, `<coordinate>_rate`, `<coordinate>_acceleration`; `<speed>`, where it is no rate, and
+    - `<coordinate>`, `<coordinate>_rate`, `<coordinate>_acceleration`; `<speed>`, where it is not a rate, and
       `<speed>_rate`;
     - `<actuator>`, `<actuator>_rate` (`elbow_torque`, `elbow_torque_rate`);
     - and those of its own `outputs(motion)`.
@@ -47,7 +47,7 @@ class AbstractMechanical(eqx.Module):
         timed_methods(type(self))
 
     def at(self, t: Any) -> Self:
-        """The realised model at the time `t`, s: with values in the place of signals. Trajectories last one second."""
+        """The realised model at the time `t`, s: signals are replaced by values. Trajectories last one second."""
         now = jnp.asarray(t, dtype=float)
         found = [signal(now) for signal in course(self, 2).values()]
         return at(self, now, found[0] if found else None)
@@ -69,12 +69,12 @@ class AbstractMechanical(eqx.Module):
 
     @property
     def standard_units(self) -> Mapping[str, str]:
-        """The units of coordinates, velocities and torques, as far as they are known; `units` comes before them."""
+        """The units of coordinates, velocities and torques, as far as known; `units` overrides them."""
         return {}
 
     @property
     def moves_directly(self) -> bool:
-        """Whether the velocities are known to be the rates of the coordinates, whatever these are."""
+        """Whether the velocities are known to be the rates of the coordinates in every posture."""
         return type(self).velocity_map is AbstractMechanical.velocity_map
 
     @property
@@ -94,41 +94,42 @@ class AbstractMechanical(eqx.Module):
 
     @abc.abstractmethod
     def bias(self, q: Float[Array, " coordinates"], v: Float[Array, " speeds"]) -> Float[Array, " speeds"]:
-        """`C(q, v) v + N(q, v)`: the force that no acceleration takes."""
+        """`C(q, v) v + N(q, v)`: the generalised force at zero acceleration."""
 
     def actuation(self, q: Float[Array, " coordinates"]) -> Float[Array, "speeds actuators"]:
-        """`B(q)`, from torques to generalised forces: by default each torque acts along the velocity of its name.
+        """`B(q)`, from torques to generalised forces: by default each torque acts along the velocity that it is named
+        after.
 
-        Raises `ProblemError` where the names do not tell: where `elbow_torque` stands beside no `elbow_rate`.
+        Raises `ProblemError` where a name does not match: `elbow_torque` without `elbow_rate`.
         """
         del q
         return jnp.asarray(self._named_map())
 
     def velocity_map(self, q: Float[Array, " coordinates"]) -> Float[Array, "coordinates speeds"]:
-        """`H(q)`, from velocities to the rates of the coordinates (equation 4): by default they are the same."""
+        """`H(q)`, from velocities to the rates of the coordinates (equation 4): the identity by default."""
         del q
         return jnp.eye(len(self.coordinates))
 
     def load(self, q: Float[Array, " coordinates"], v: Float[Array, " speeds"]) -> Float[Array, " speeds"]:
-        """`Q(q, v)`: the external generalised force, such as wind or contact, along each velocity; none by default.
+        """`Q(q, v)`: the external generalised force, such as wind or contact, along each velocity; zero by default.
 
-        It stands on the side of the torques: positive where it drives the velocity on.
+        It has the sign of the torques: positive where it accelerates in the direction of the velocity.
         """
         del q
         return jnp.zeros_like(v)
 
     def external(self, q: Float[Array, " coordinates"], v: Float[Array, " speeds"]) -> Float[Array, " speeds"]:
-        """All external loads together, as a generalised force."""
+        """The sum of all external loads, as a generalised force."""
         return shaped(self, "load", (q, v), (len(self.speeds),))
 
     def normalised(self, q: Float[Array, " coordinates"]) -> Float[Array, " coordinates"]:
-        """The coordinates as they may be, such as quaternions of length one: by default any."""
+        """The coordinates projected to valid ones, such as unit quaternions; unchanged by default."""
         return q
 
     def speeds_along(self, coordinates: Collection[str]) -> tuple[int, ...]:
-        """The places of the velocities that some coordinates determine: by default the coordinates' own places.
+        """The positions of the velocities that some coordinates determine: by default the coordinates' own positions.
 
-        Raises `ProblemError` where they determine none by themselves.
+        Raises `ProblemError` where they do not determine any by themselves.
         """
         if len(self.coordinates) != len(self.speeds):
             raise ProblemError(
@@ -140,17 +141,17 @@ class AbstractMechanical(eqx.Module):
     def inverse_dynamics(
         self, q: Float[Array, " coordinates"], v: Float[Array, " speeds"], v_dot: Float[Array, " speeds"]
     ) -> Float[Array, " speeds"]:
-        """The generalised force `M v̇ + C v + N` that a motion takes (equation 3)."""
+        """The generalised force `M v̇ + C v + N` that a motion requires (equation 3)."""
         return mass_of(self, q) @ v_dot + bias_of(self, q, v)
 
     def forward_dynamics(
         self, q: Float[Array, " coordinates"], v: Float[Array, " speeds"], force: Float[Array, " speeds"]
     ) -> Float[Array, " speeds"]:
-        """The acceleration `v̇` under a generalised force; not a number where `M` is singular."""
+        """The acceleration `v̇` under a generalised force; NaN where `M` is singular."""
         return solve_positive(mass_of(self, q), force - bias_of(self, q, v))
 
     def diagnose(self, q: Float[Array, " coordinates"]) -> str:
-        """What is wrong with the realised model itself, in a sentence; empty if nothing."""
+        """What is wrong with the realised model itself, as a sentence; empty if nothing."""
         del q
         return ""
 
@@ -159,21 +160,21 @@ class AbstractMechanical(eqx.Module):
         along, actuators = [f"{name.removesuffix('_rate')}_torque" for name in self.speeds], self.actuators
         if unknown := [name for name in actuators if name not in along]:
             raise ProblemError(
-                f"{type(self).__name__}: along which velocity {unknown} act is not told by their names, which are none "
-                f"of {along}. Rename them, or write actuation(q)."
+                f"{type(self).__name__}: the names {unknown} do not say along which velocity these torques act; "
+                f"expected some of {along}. Rename them, or write actuation(q)."
             )
         return np.array([[float(name == one) for one in actuators] for name in along]).reshape(len(along), -1)
 
     def outputs(self, motion: Motion) -> Mapping[str, Any]:
-        """Further quantities of interest by name: positions, distances. `motion` knows `q`, `v`, `torque` and more."""
+        """Further quantities of interest by name: positions, distances. `motion` has `q`, `v`, `torque` and more."""
         del motion
         return {}
 
 
 class AbstractNamed(AbstractMechanical):
-    """A mechanical system whose names are given in its class: `names = ("shoulder", "elbow")`.
+    """A mechanical system with names declared in its class: `names = ("shoulder", "elbow")`.
 
-    `velocity_names` and `actuator_names` may be given beside, where they are not one for each coordinate.
+    `velocity_names` and `actuator_names` may be declared too, where there is not one for each coordinate.
     """
 
     names: ClassVar[tuple[str, ...]]
@@ -184,8 +185,8 @@ class AbstractNamed(AbstractMechanical):
         for field in ("names", "velocity_names", "actuator_names"):
             if isinstance(given := getattr(self, field, None), str):
                 raise ProblemError(
-                    f"{type(self).__name__}.{field}: expected names in a tuple; received the text {given!r}. One name "
-                    f"alone takes a comma: ({given!r},)."
+                    f"{type(self).__name__}.{field}: expected names in a tuple; received the text {given!r}. A single "
+                    f"name needs a comma: ({given!r},)."
                 )
 
     @property
@@ -225,12 +226,12 @@ def load_on(model: AbstractMechanical, q: Float[Array, " coordinates"], v: Float
 
 
 def required_force(model: AbstractMechanical, q: Array, v: Array, v_dot: Array) -> Float[Array, " speeds"]:
-    """The generalised force that actuators must give for a motion, under the external load (equation 69)."""
+    """The generalised force that the actuators must provide for a motion, under the external load (equation 69)."""
     return shaped(model, "inverse_dynamics", (q, v, v_dot), (len(model.speeds),)) - load_on(model, q, v)
 
 
 def driven(model: AbstractMechanical, q: Array, v: Array, force: Array) -> Float[Array, " speeds"]:
-    """The acceleration under a generalised force of actuators and the external load (equation 68)."""
+    """The acceleration under the actuators' generalised force and the external load (equation 68)."""
     return shaped(model, "forward_dynamics", (q, v, force + load_on(model, q, v)), (len(model.speeds),))
 
 
@@ -247,7 +248,7 @@ def rate_map(model: AbstractMechanical, q: Float[Array, " coordinates"]) -> Floa
 def shaped(
     model: AbstractMechanical, name: str, arguments: tuple[Any, ...], shape: tuple[int, ...]
 ) -> Float[Array, "..."]:
-    """What a user's method gives, as an array. Raises `ProblemError` for another shape, which would broadcast."""
+    """The value of a user's method as an array. Raises `ProblemError` for another shape, which would broadcast."""
     found = jnp.asarray(evaluated(model, name, *arguments), dtype=float)
     if found.shape != shape:
         raise ProblemError(f"{type(model).__name__}.{call_of(name)}: expected shape {shape}; received {found.shape}.")
@@ -255,10 +256,12 @@ def shaped(
 
 
 def evaluated(model: AbstractMechanical, name: str, *arguments: Any) -> Any:
-    """A user's method, given the time if it names it. Raises `ProblemError` where the time is needed and not known."""
+    """The value of a user's method, called with the time if it takes it. Raises `ProblemError` if the time is not
+    known.
+    """
     if model._when is None and is_timed(model):
         raise ProblemError(
-            f"{type(model).__name__} depends on time, which is not known here: ask the model at an instant, such as "
+            f"{type(model).__name__} depends on time, which is not known here: use the model at an instant, such as "
             f"model.at(0.0).{name}(...)."
         )
     time = {"t": model._when.t} if model._when is not None and name in timed_methods(type(model)) else {}

@@ -1,4 +1,4 @@
-"""`Motion`: all that is known of a mechanical system at one instant."""
+"""`Motion`: the state of a mechanical system at one instant, with accelerations and torques."""
 
 from typing import Any, NamedTuple
 
@@ -6,11 +6,11 @@ from jaxtyping import Array, Float
 
 
 class Motion(NamedTuple):
-    """A mechanical system at one instant, whichever of its dynamics told the rest.
+    """A mechanical system at one instant, from forward, inverse or hybrid dynamics.
 
     - `t`: s; `q`, `q_dot`, `q_ddot`: coordinates and their time derivatives, shape (coordinates,);
     - `v`, `v_dot`: generalised velocities and their time derivatives, shape (speeds,); `q_dot = H(q) v`;
-    - `torque`: what the actuators give, shape (actuators,).
+    - `torque`: the actuators' torques, shape (actuators,).
     """
 
     t: Any

@@ -31,7 +31,7 @@ from aleator.trajectories import AbstractSignal
 
 
 class Multibody(AbstractMechanical):
-    """A tree of rigid bodies that hangs on the ground. Subclass it with parameters as fields, and `bodies()`.
+    """A tree of rigid bodies rooted at the ground. Subclass it with parameters as fields, and write `bodies()`.
 
         class Pendulum(al.Multibody):
             length: al.Number = 1.0
@@ -40,34 +40,32 @@ class Multibody(AbstractMechanical):
                 return (al.Body("bob", joint=al.joints.Revolute("y"), mass=1.0, center=(0.0, 0.0, -self.length)),)
 
     Coordinates, speeds and forces are those of the joints: `bob` (rad), `bob_rate` (rad/s) and a torque (N·m); see
-    `al.joints.Ball` and `al.joints.Free` for theirs. They come in the order of the bodies, parents first. `gravity` is
-    in m/s² and in the world's axes; a field or property may take its place.
+    `al.joints.Ball` and `al.joints.Free` for theirs. They are in the order of the bodies, parents first. `gravity` is
+    in m/s², in the world's axes; a field or property may replace it.
 
-    Friction, drag and the forces of rotors are added to the bodies' by overriding `bias`, the inertia of geared motors
-    by overriding `mass_matrix`:
+    Override `bias` to add friction, drag and forces of rotors, and `mass_matrix` to add the inertia of geared motors:
 
         def bias(self, q, v):
             return super().bias(q, v) + 0.2 * jnp.tanh(v / 1e-3)
 
-    Forces from outside, such as wind and contact, are a tuple of `al.BodyLoad` by `body_loads(q, v)`, or a generalised
-    force by `load(q, v)`; both act together.
+    External forces, such as wind and contact, are given by `body_loads(q, v)`, as a tuple of `al.BodyLoad`, or by
+    `load(q, v)`, as a generalised force; the two add up.
 
-    Any number of a field may be a distribution, a decision or a signal, but which bodies and joints there are is
-    structure. Masses and inertias may change with time, as in `al.Mechanical`: what leaves a body has its velocity.
-    Where joints are may not: that is the motion of one more joint, which `al.HybridDynamics` prescribes.
-    Inverse and forward dynamics cost in proportion to the number of bodies (Featherstone, Rigid Body Dynamics
-    Algorithms, 2008), and a body on `al.joints.Fixed` none at all; with a `bias` or a `mass_matrix` of one's own they
-    go by these.
+    Any number in a field may be a distribution, a decision or a signal, but the set of bodies and joints is fixed.
+    Masses and inertias may vary with time, as in `al.Mechanical`: mass leaves a body at the body's velocity. The places
+    of joints may not: use one more joint, with its motion prescribed in `al.HybridDynamics`. The cost of inverse and
+    forward dynamics is proportional to the number of bodies (Featherstone, Rigid Body Dynamics Algorithms, 2008), and a
+    body on `al.joints.Fixed` is free; where `bias` or `mass_matrix` is overridden, they use these instead.
 
-    Raises `ProblemError` if the bodies are no tree.
+    Raises `ProblemError` if the bodies do not form a tree.
     """
 
-    # Without a type: a dataclass would put a field that takes its place before all others of a subclass.
+    # Not annotated: otherwise a dataclass would put a subclass's field of this name before all its others.
     gravity = (0.0, 0.0, -9.81)
 
     @abc.abstractmethod
     def bodies(self) -> Sequence[Body]:
-        """The bodies, from the numbers in the fields."""
+        """The bodies, as functions of the numbers in the fields."""
 
     @property
     def coordinates(self) -> tuple[str, ...]:
@@ -77,7 +75,7 @@ class Multibody(AbstractMechanical):
     @property
     @override
     def moves_directly(self) -> bool:
-        """So of joints with one degree of freedom each."""
+        """True if every joint has one degree of freedom."""
         own = type(self).velocity_map is Multibody.velocity_map
         return own and all(joint.coordinates == ("",) for _, joint in self._joints())
 
@@ -89,7 +87,7 @@ class Multibody(AbstractMechanical):
     @property
     @override
     def standard_units(self) -> Mapping[str, str]:
-        """As the joints tell. Those of torques go by their names."""
+        """The units of the joints. Those of torques are by the torques' names."""
         found = {}
         for name, joint in self._joints():
             found |= {name + end: unit for end, unit in zip(joint.coordinates, joint.units, strict=False)}
@@ -104,13 +102,13 @@ class Multibody(AbstractMechanical):
         return mass_matrix(self._tree(), q)
 
     def bias(self, q: Float[Array, " coordinates"], v: Float[Array, " speeds"]) -> Float[Array, " speeds"]:
-        """`C(q, v) v + N(q, v)`, of gravity, springs and dampers too, by the recursive Newton-Euler algorithm."""
+        """`C(q, v) v + N(q, v)`, with gravity, springs and dampers, by the recursive Newton-Euler algorithm."""
         return inverse_dynamics(self._tree(), self._gravity(), q, v, jnp.zeros_like(v))
 
     def inverse_dynamics(
         self, q: Float[Array, " coordinates"], v: Float[Array, " speeds"], v_dot: Float[Array, " speeds"]
     ) -> Float[Array, " speeds"]:
-        """The generalised force that a motion takes, by the recursive Newton-Euler algorithm."""
+        """The generalised force that a motion requires, by the recursive Newton-Euler algorithm."""
         if not self._is_bodies_alone():
             return super().inverse_dynamics(q, v, v_dot)
         return inverse_dynamics(self._tree(), self._gravity(), q, v, v_dot)
@@ -120,14 +118,14 @@ class Multibody(AbstractMechanical):
     ) -> Float[Array, " speeds"]:
         """The acceleration `v̇` under a generalised force, by the articulated-body algorithm.
 
-        Not a number where a joint moves no inertia.
+        NaN where a joint moves no inertia.
         """
         if not self._is_bodies_alone():
             return super().forward_dynamics(q, v, force)
         return forward_dynamics(self._tree(), self._gravity(), q, v, force)
 
     def body_loads(self, q: Float[Array, " coordinates"], v: Float[Array, " speeds"]) -> Sequence[BodyLoad]:
-        """Forces and moments from outside on the bodies; none by default."""
+        """External forces and moments on the bodies; none by default."""
         del q, v
         return ()
 
@@ -138,19 +136,19 @@ class Multibody(AbstractMechanical):
 
     @override
     def external(self, q: Float[Array, " coordinates"], v: Float[Array, " speeds"]) -> Float[Array, " speeds"]:
-        """The load, and what pushes the bodies."""
+        """The sum of `load` and the loads on the bodies."""
         tree = self._tree()
         wrenches = wrenches_of(type(self).__name__, tree, q, evaluated(self, "body_loads", q, v))
         return super().external(q, v) + generalised(tree, q, wrenches)
 
     def velocity_map(self, q: Float[Array, " coordinates"]) -> Float[Array, "coordinates speeds"]:
-        """`H(q)`, with `q̇ = H(q) v`: a block for each joint."""
+        """`H(q)`, with `q̇ = H(q) v`: block diagonal, one block per joint."""
         tree = self._tree()
         blocks = [link.joint.velocity_map(q[link.q]) for link in tree.links]
         return jax.scipy.linalg.block_diag(*blocks) if blocks else jnp.zeros((0, 0))
 
     def normalised(self, q: Float[Array, " coordinates"]) -> Float[Array, " coordinates"]:
-        """The coordinates, with quaternions of length one; one of zeros becomes that of no turn."""
+        """The coordinates, with quaternions normalised; a zero quaternion becomes the identity."""
         joints = [joint for _, joint in self._joints()]
         ends = np.cumsum([0, *(len(joint.coordinates) for joint in joints)])
         parts = [joint.normalised(q[i:j]) for joint, i, j in zip(joints, ends[:-1], ends[1:], strict=True)]
@@ -158,7 +156,7 @@ class Multibody(AbstractMechanical):
 
     @override
     def diagnose(self, q: Float[Array, " coordinates"]) -> str:
-        """Nothing beside what joints refuse by themselves, such as a negative damping."""
+        """Nothing more than what joints refuse themselves, such as negative damping."""
         tree = self._tree()
         for link in tree.links:
             link.joint.passive(q[link.q], jnp.zeros(link.v.stop - link.v.start))
@@ -166,7 +164,7 @@ class Multibody(AbstractMechanical):
 
     @override
     def speeds_along(self, coordinates: Collection[str]) -> tuple[int, ...]:
-        """Those of the joints, of which all coordinates are needed."""
+        """The velocities of the joints concerned, each of which needs all its coordinates."""
         found: list[int] = []
         first = 0
         for name, joint in self._joints():
@@ -174,8 +172,8 @@ class Multibody(AbstractMechanical):
             given = [one for one in own if one in coordinates]
             if given and given != own:
                 raise ProblemError(
-                    f"{type(self).__name__}: the joint of '{name}' moves by {own} together; received {given} alone. "
-                    "Prescribe all of them, or none."
+                    f"{type(self).__name__}: the coordinates {own} of the joint of '{name}' belong together; received "
+                    f"only {given}. Prescribe all of them, or none."
                 )
             found += range(first, first + len(joint.speeds)) if given else ()
             first += len(joint.speeds)
@@ -189,7 +187,7 @@ class Multibody(AbstractMechanical):
         return 0.5 * sum(energies, start=jnp.zeros(()))
 
     def potential_energy(self, q: Float[Array, " coordinates"]) -> Float[Array, ""]:
-        """The energy of weights (zero at the world's origin) and of springs, J."""
+        """The energy of gravity (zero at the world's origin) and of springs, J."""
         tree, gravity, total = self._tree(), self._gravity(), jnp.zeros(())
         for link, pose in zip(tree.links, world_poses(tree, q), strict=True):
             first = link.inertia.mass * pose.position + pose.rotation @ link.inertia.first
@@ -203,7 +201,7 @@ class Multibody(AbstractMechanical):
         return {name: _placed(place, carriers) for name, place in tree.places.items()}
 
     def point(self, q: Float[Array, " coordinates"], body: str, local: Any = (0.0, 0.0, 0.0)) -> Float[Array, "3"]:
-        """Where a point of a body, `local` in its frame, is in the world, m."""
+        """The position in the world of a point of a body, `local` in its frame, m."""
         pose = _of(self.poses(q), body)
         return jnp.asarray(pose.position + pose.rotation @ _local(local))
 
@@ -224,7 +222,7 @@ class Multibody(AbstractMechanical):
         return world_poses(tree, q)[index].rotation @ plus(twist.linear, cross(twist.angular, arm))
 
     def _is_bodies_alone(self) -> bool:
-        """Whether the equations of motion are those of the bodies: nothing is added, which recursions know not of."""
+        """Whether the equations of motion are those of the bodies alone, without overrides."""
         return type(self).bias is Multibody.bias and type(self).mass_matrix is Multibody.mass_matrix
 
     def _tree(self) -> Tree:
@@ -239,7 +237,7 @@ class Multibody(AbstractMechanical):
         return given
 
     def _joints(self) -> list[tuple[str, AbstractJoint]]:
-        """The bodies that move, with their joints: asked for before distributions and decisions have become numbers."""
+        """The moving bodies with their joints; also available before distributions and decisions are realised."""
         plain = jax.tree.map(_as_number, self, is_leaf=_is_no_number)
         now = plain if self._when is not None else at(plain, jnp.zeros(()), None)
         bodies = sorted_bodies(now._bodies())
@@ -254,7 +252,7 @@ def _is_no_number(node: Any) -> bool:
 
 
 def _as_number(leaf: Any) -> Any:
-    """Any number, of a decision's or a signal's shape, in the place of a distribution, a decision or a signal."""
+    """A placeholder number of the right shape for a distribution, a decision or a signal."""
     if isinstance(leaf, AbstractSignal):
         plain = jax.tree.map(_as_number, leaf, is_leaf=is_leaf)
         return jnp.ones(jax.eval_shape(plain, jnp.zeros(())).shape)

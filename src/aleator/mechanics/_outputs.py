@@ -1,4 +1,4 @@
-"""The outputs that every mechanical system has, under the names of its coordinates, velocities and actuators."""
+"""The standard outputs of every mechanical system, named after its coordinates, velocities and actuators."""
 
 from collections import Counter
 from collections.abc import Mapping
@@ -14,7 +14,7 @@ from aleator.mechanics._motion import Motion
 def standard_outputs(model: AbstractMechanical, motion: Motion, torque_rate: Array | None) -> dict[str, Any]:
     """Coordinates, rates, accelerations, torques and their rates by name, and the model's own outputs.
 
-    Raises `ProblemError` where two of them have one name, and where the model's own take a name that is taken.
+    Raises `ProblemError` where two of them have the same name, or one of the model's own has a name already taken.
     """
     listed: list[tuple[str, Any]] = []
     for i, name in enumerate(model.coordinates):
@@ -40,5 +40,7 @@ def standard_outputs(model: AbstractMechanical, motion: Motion, torque_rate: Arr
             f"{type(model).__name__}.outputs returns a dict of arrays by name; received {type(own).__name__}."
         )
     if taken := sorted(set(found) & set(own)):
-        raise ProblemError(f"{type(model).__name__}.outputs: {taken} are outputs of every such system; rename yours.")
+        raise ProblemError(
+            f"{type(model).__name__}.outputs: {taken} are standard outputs of every mechanical system; rename yours."
+        )
     return {**found, **own}

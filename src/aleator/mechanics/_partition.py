@@ -1,4 +1,4 @@
-"""Coordinates and velocities of which some are prescribed and the others integrated: what is known of both."""
+"""The partition of coordinates and velocities into prescribed and integrated ones."""
 
 from typing import Any, NamedTuple
 
@@ -16,7 +16,7 @@ class Prescribed(NamedTuple):
 
 
 class Solved(NamedTuple):
-    """All that is known of the motion at one instant."""
+    """The complete motion at one instant."""
 
     q: Array
     v: Array
@@ -30,5 +30,5 @@ def block(M: Any, rows: Any, columns: Any) -> Any:
 
 
 def order(places: tuple[int, ...]) -> np.ndarray:
-    """Which entry of what is listed by places comes first, second, and so on."""
+    """The permutation that puts entries listed by their places in order."""
     return np.argsort(np.array(places, dtype=int))

@@ -1,4 +1,4 @@
-"""Dynamics of trees of rigid bodies, in a few passes over their links.
+"""Dynamics of trees of rigid bodies, by a few passes over their links.
 
 Featherstone, Rigid Body Dynamics Algorithms, 2008. All quantities of a link are in its own frame. The loops over links
 are unrolled.
@@ -38,7 +38,9 @@ _NO_MOTION = Twist(None, None)
 
 
 class Moving(NamedTuple):
-    """For each link its pose in its parent, its velocity, and the acceleration that it has beside `S v̇`."""
+    """For each link its pose in its parent, its velocity, and the part of its acceleration that does not depend on
+    `v̇`.
+    """
 
     poses: list[Pose]
     twists: list[Twist]
@@ -78,7 +80,7 @@ def inverse_dynamics(
 ) -> Float[Array, " speeds"]:
     """The generalised force of a motion, by the recursive Newton-Euler algorithm (table 5.1 there).
 
-    Springs and dampers are taken off it. The ground accelerates against gravity, in the place of weights.
+    Forces of springs and dampers are subtracted. Gravity is represented by an upward acceleration of the ground.
     """
     poses, twists, drifts = moving(tree, q, v)
     accelerations: list[Twist] = []
@@ -99,7 +101,7 @@ def inverse_dynamics(
 
 
 def generalised(tree: Tree, q: Float[Array, " coordinates"], loads: Sequence[Wrench]) -> Float[Array, " speeds"]:
-    """The generalised force of a wrench on each link, in its own frame: from the leaves inwards, as in dynamics."""
+    """The generalised force of a wrench on each link, in its own frame, by a pass from the leaves to the root."""
     poses, wrenches = local_poses(tree, q), list(loads)
     forces: list[Any] = []
     for i, link in reversed(list(enumerate(tree.links))):
@@ -138,7 +140,7 @@ def forward_dynamics(
 ) -> Float[Array, " speeds"]:
     """The acceleration under a generalised force, by the articulated-body algorithm (table 7.1 there).
 
-    No mass matrix is formed. Not a number where the inertia that a joint moves is singular.
+    No mass matrix is formed. NaN where the inertia that a joint moves is singular.
     """
     poses, twists, drifts = moving(tree, q, v)
     subspaces = [link.joint.subspace(q[link.q]) for link in tree.links]
@@ -147,7 +149,7 @@ def forward_dynamics(
         added(Wrench(np.zeros(3), np.zeros(3)), cross_force(twist, momentum(link.inertia, twist)))
         for link, twist in zip(tree.links, twists, strict=True)
     ]
-    # For each link: what its joint accelerates by itself, and how much less so where the link itself accelerates.
+    # For each link: its joint's own acceleration, and how the link's acceleration reduces it.
     own: list[Any] = [None] * len(tree.links)
     gains: list[Any] = [None] * len(tree.links)
     for i, link in reversed(list(enumerate(tree.links))):

@@ -1,4 +1,4 @@
-"""Which methods of a mechanical system depend on time: told once for each class, by their signatures."""
+"""Which methods of a mechanical system depend on time, read from their signatures once per class."""
 
 import inspect
 from collections.abc import Mapping
@@ -23,7 +23,7 @@ ARGUMENTS: Mapping[str, tuple[str, ...]] = {
     "forward_dynamics": ("q", "v", "force"),
     "bodies": (),
 }
-"""The methods that a subclass may write, and what they are given. Each may name the time `t`, in s, after these."""
+"""The methods that a subclass may write, with their arguments. Each may take the time `t`, in s, after these."""
 
 _OPEN = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
 
@@ -35,9 +35,9 @@ def call_of(name: str) -> str:
 
 @cache
 def timed_methods(kind: type) -> frozenset[str]:
-    """The methods of a class of mechanical systems that name the time.
+    """The methods of a class of mechanical systems that take the time.
 
-    Raises `ProblemError` for a method that takes too little, or something that is not known.
+    Raises `ProblemError` for a method with missing or unknown arguments.
     """
     return frozenset(name for name in ARGUMENTS if hasattr(kind, name) and _names_time(kind, name))
 
@@ -53,6 +53,6 @@ def _names_time(kind: type, name: str) -> bool:
         with_time = ", ".join((*ARGUMENTS[name], "t"))
         raise ProblemError(
             f"{kind.__name__}.{name}: expected {call_of(name)}, or {name}({with_time}) where it depends on time; "
-            f"received {name}({', '.join(str(one) for one in parameters)}). What else it needs stands in fields."
+            f"received {name}({', '.join(str(one) for one in parameters)}). Put anything else it needs into fields."
         )
     return any(one.name == "t" for one in further)

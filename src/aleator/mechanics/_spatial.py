@@ -1,8 +1,9 @@
-"""Algebra of rigid bodies: rotations, twists, wrenches and inertias, as pairs of 3-vectors in the place of 6-vectors.
+"""Spatial algebra of rigid bodies: rotations, twists, wrenches and inertias, as pairs of 3-vectors instead of
+6-vectors.
 
-Twists and wrenches are taken at the origin of a frame and in its axes. Each part of one is a vector, or a matrix with
-several as its columns; `None` stands for a part that is always zero and costs nothing. What is known when a function is
-traced stays in NumPy, so that it is computed once and not at every point.
+Twists and wrenches are taken at the origin of a frame and in its axes. Each part is a vector, or a matrix with several
+as its columns; `None` stands for a part that is always zero and costs nothing. Values known when a function is traced
+stay in NumPy, so that they are computed once and not at every point.
 """
 
 import functools
@@ -20,20 +21,18 @@ from aleator._core.given import real_array, refusal
 from aleator._core.leaves import is_leaf
 
 Block: TypeAlias = Any
-"""A vector (3,), a matrix of columns (3, n), or `None` for zero; of NumPy where it is known, else of JAX."""
+"""A vector (3,), a matrix of columns (3, n), or `None` for zero; a NumPy array where known, else a JAX array."""
 
 
 class Pose(NamedTuple):
-    """Where a frame is: `rotation` (3, 3) turns its axes into the outer ones, `position` (3,) is its origin there,
-    m.
-    """
+    """The pose of a frame in an outer one: `rotation` (3, 3) from its axes to the outer axes, `position` (3,) in m."""
 
     rotation: Block
     position: Block
 
 
 class Twist(NamedTuple):
-    """A motion: angular part (velocity in rad/s) and linear part at the frame's origin (m/s), or their derivatives."""
+    """A motion: angular velocity (rad/s) and linear velocity of the frame's origin (m/s), or their derivatives."""
 
     angular: Block
     linear: Block
@@ -55,7 +54,7 @@ class Inertia(NamedTuple):
 
 
 class Articulated(NamedTuple):
-    """The inertia that a body shows when those behind it can move: blocks of `[[A, B], [Bᵀ, M]]`, each (3, 3)."""
+    """The apparent inertia of a body whose descendants can move: blocks of `[[A, B], [Bᵀ, M]]`, each (3, 3)."""
 
     angular: Block
     mixed: Block
@@ -68,9 +67,9 @@ def library(*values: Any) -> Any:
 
 
 def _either(function: Callable[..., Block], *blocks: Block) -> Block:
-    """`function`, a program of many small operations, of NumPy where all is known; else traced once for all its uses.
+    """A function of many small operations, in NumPy where all arguments are known; else traced once for all its uses.
 
-    Tracing its operations anew at every use would take longer than all the rest of a model.
+    Tracing its operations again at every use would take longer than the rest of a model.
     """
     return _jitted(function)(*blocks) if library(*blocks) is jnp else function(*blocks)
 
@@ -81,14 +80,14 @@ def _jitted(function: Callable[..., Block]) -> Callable[..., Block]:
 
 
 def is_known(value: Any) -> bool:
-    """Whether numbers can be looked at (through NumPy: within a trace JAX would trace what it computes of them)."""
+    """Whether values can be inspected. (By NumPy: within a trace, JAX would trace whatever it computes of them.)"""
     return not isinstance(value, Tracer)
 
 
 def as_array(given: Any, what: str, *shapes: tuple[int, ...]) -> Block:
     """Numbers, or nested sequences of numbers and tracers, as one array.
 
-    Raises `ProblemError` if its shape is none of `shapes`, or if a number that is known is not finite.
+    Raises `ProblemError` if its shape is not one of `shapes`, or if a known number is not finite.
     """
     try:
         array = _stacked(given)
@@ -102,7 +101,7 @@ def as_array(given: Any, what: str, *shapes: tuple[int, ...]) -> Block:
 
 
 def all_known(*given: Any) -> bool:
-    """Whether nothing in what a user gave is a leaf or a number of JAX, so that it can be checked at once."""
+    """Whether the given values contain no distribution, decision or tracer, so that they can be checked at once."""
     leaves = jax.tree.leaves(given, is_leaf=is_leaf)
     return not any(isinstance(one, jax.Array) or is_leaf(one) for one in leaves)
 
@@ -119,7 +118,7 @@ def _any_of(shapes: tuple[tuple[int, ...], ...]) -> str:
 
 
 def plus(*terms: Block) -> Block:
-    """The sum of what is not zero."""
+    """The sum of the terms that are not `None`."""
     total = None
     for term in terms:
         total = term if total is None else total if term is None else total + term
@@ -132,7 +131,7 @@ def times(matrix: Block, block: Block) -> Block:
 
 
 def cross(a: Block, b: Block) -> Block:
-    """`a × b` of a vector and a vector, or each of several columns."""
+    """`a × b` of two vectors, or column by column."""
     return None if a is None or b is None else _either(_cross, a, b)
 
 
@@ -161,7 +160,7 @@ def _skew(a: Block) -> Block:
 def about(axis: Block, angle: Any, before: Block) -> Float[Array, "3 3"]:
     """`before` times the rotation by an angle about a unit axis (Rodrigues).
 
-    The products with the axis are known beforehand, so that turning costs no product of matrices.
+    The products with the axis are computed beforehand, so that a rotation needs no matrix product.
     """
     across = before @ skew(axis)
     return _turned(angle, before, across, across @ skew(axis))
@@ -186,7 +185,7 @@ def from_angles(angles: Block) -> Block:
 
 
 def from_quaternion(quaternion: Float[Array, " 4"]) -> Float[Array, "3 3"]:
-    """The rotation of a quaternion `(w, x, y, z)`, after bringing it to length one."""
+    """The rotation of a quaternion `(w, x, y, z)`, which is normalised first."""
     w, x, y, z = unit(quaternion)
     return jnp.stack(
         [
@@ -198,36 +197,36 @@ def from_quaternion(quaternion: Float[Array, " 4"]) -> Float[Array, "3 3"]:
 
 
 def quaternion_rates(quaternion: Float[Array, " 4"]) -> Float[Array, "4 3"]:
-    """The matrix from the angular velocity in the body's axes to the rates of a quaternion: half its product."""
+    """The matrix from the angular velocity in the body's axes to the rates of a quaternion."""
     w, x, y, z = unit(quaternion)
     rows = [[-x, -y, -z], [w, -z, y], [z, w, -x], [-y, x, w]]
     return 0.5 * jnp.stack([jnp.stack(row) for row in rows])
 
 
 def unit(vector: Block) -> Block:
-    """A vector brought to length one."""
+    """A vector divided by its length."""
     return vector / library(vector).sqrt(vector @ vector)
 
 
 def unit_quaternion(given: Float[Array, " 4"]) -> Float[Array, " 4"]:
-    """A quaternion brought to length one; of zeros, as where none was given, that of no turn."""
+    """A quaternion divided by its length; the identity for a zero quaternion, as where none was given."""
     return unit(jnp.where(given @ given == 0, jnp.array([1.0, 0.0, 0.0, 0.0]), given))
 
 
 def composed(outer: Pose, inner: Pose) -> Pose:
-    """The pose in the outermost frame of what is given in the frame of `outer`."""
+    """The pose `inner`, given in the frame of `outer`, expressed in the outermost frame."""
     return Pose(outer.rotation @ inner.rotation, outer.position + outer.rotation @ inner.position)
 
 
 def twist_within(pose: Pose, twist: Twist) -> Twist:
-    """An outer twist, as seen in the frame at `pose`."""
+    """An outer twist expressed in the frame at `pose`."""
     inward = pose.rotation.T
     at_origin = plus(twist.linear, cross(twist.angular, pose.position))
     return Twist(times(inward, twist.angular), times(inward, at_origin))
 
 
 def wrench_outside(pose: Pose, wrench: Wrench) -> Wrench:
-    """A wrench in the frame at `pose`, as seen in the outer frame."""
+    """A wrench in the frame at `pose`, expressed in the outer frame."""
     force = pose.rotation @ wrench.force
     return Wrench(pose.rotation @ wrench.moment + cross(pose.position, force), force)
 
@@ -238,7 +237,7 @@ def added(first: Any, *others: Any) -> Any:
 
 
 def cross_motion(twist: Twist, other: Twist) -> Twist:
-    """How a twist fixed in a frame that moves with `twist` changes."""
+    """The rate of a twist `other` that is fixed in a frame moving with `twist`."""
     return Twist(
         cross(twist.angular, other.angular),
         plus(cross(twist.angular, other.linear), cross(twist.linear, other.angular)),
@@ -246,7 +245,7 @@ def cross_motion(twist: Twist, other: Twist) -> Twist:
 
 
 def cross_force(twist: Twist, wrench: Wrench) -> Wrench:
-    """How a wrench, or momentum, fixed in a frame that moves with `twist` changes."""
+    """The rate of a wrench or momentum that is fixed in a frame moving with `twist`."""
     return Wrench(
         plus(cross(twist.angular, wrench.moment), cross(twist.linear, wrench.force)),
         cross(twist.angular, wrench.force),
@@ -254,7 +253,7 @@ def cross_force(twist: Twist, wrench: Wrench) -> Wrench:
 
 
 def momentum(inertia: Inertia, twist: Twist) -> Wrench:
-    """The inertia times a twist: momentum of a velocity, load of an acceleration."""
+    """The inertia times a twist: momentum for a velocity, wrench for an acceleration."""
     along = None if twist.linear is None else inertia.mass * twist.linear
     turning = None if twist.angular is None else -cross(inertia.first, twist.angular)
     return Wrench(
@@ -264,12 +263,12 @@ def momentum(inertia: Inertia, twist: Twist) -> Wrench:
 
 
 def power(twist: Twist, wrench: Wrench) -> Block:
-    """The product of twist and wrench; of columns, the matrix of all products."""
+    """The scalar product of twist and wrench; for columns, the matrix of all products."""
     return plus(dot(twist.angular, wrench.moment), dot(twist.linear, wrench.force))
 
 
 def inertia_outside(pose: Pose, inertia: Inertia) -> Inertia:
-    """The inertia of a body in the frame at `pose`, as seen in the outer frame."""
+    """The inertia of a body in the frame at `pose`, expressed in the outer frame."""
     first = pose.rotation @ inertia.first
     across = skew(pose.position)
     # -P H' - H' P - m P P, with the moment moved to the outer origin (parallel axes).
@@ -279,7 +278,7 @@ def inertia_outside(pose: Pose, inertia: Inertia) -> Inertia:
 
 
 def articulated(inertia: Inertia) -> Articulated:
-    """A rigid inertia as one that may be articulated."""
+    """A rigid inertia as an articulated one."""
     return Articulated(inertia.second, skew(inertia.first), inertia.mass * np.eye(3))
 
 
@@ -292,7 +291,7 @@ def load(inertia: Articulated, twist: Twist) -> Wrench:
 
 
 def articulated_outside(pose: Pose, inertia: Articulated) -> Articulated:
-    """The articulated inertia in the frame at `pose`, as seen in the outer frame."""
+    """The articulated inertia in the frame at `pose`, expressed in the outer frame."""
     R, across = pose.rotation, skew(pose.position)
     angular, mixed, linear = (R @ block @ R.T for block in inertia)
     moved = across @ linear

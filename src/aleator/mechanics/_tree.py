@@ -1,4 +1,4 @@
-"""Bodies in the order of their tree, with rigid ones made part of what carries them: what the recursions run over."""
+"""The tree of bodies in order, with fixed bodies merged into their carriers, for the recursions."""
 
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
@@ -9,15 +9,15 @@ from aleator.mechanics._joints import AbstractJoint, Fixed
 from aleator.mechanics._spatial import Inertia, Pose, added, composed, inertia_outside
 
 GROUND = -1
-"""The parent of links that hang on the ground."""
+"""The parent of links that are attached to the ground."""
 
 
 class Link(NamedTuple):
-    """A body that moves, with all that is fixed to it.
+    """A moving body, with everything fixed to it.
 
     - `parent`: the index of the link that carries it, or `GROUND`;
     - `placement`: its joint's frame in that link's frame;
-    - `q`, `v`: where its coordinates and speeds are in the vectors of all.
+    - `q`, `v`: the slices of its coordinates and speeds in the full vectors.
     """
 
     name: str
@@ -30,7 +30,7 @@ class Link(NamedTuple):
 
 
 class Tree(NamedTuple):
-    """Links, parents before children; and for each body the link that it is part of and its pose there."""
+    """Links, parents before children; and for each body the link to which it belongs and its pose there."""
 
     links: tuple[Link, ...]
     places: dict[str, tuple[int, Pose | None]]
@@ -42,7 +42,9 @@ class Tree(NamedTuple):
 
 
 def build_tree(bodies: Iterable[Body]) -> Tree:
-    """The tree of some bodies. Raises `ProblemError` for what is no tree, or no body (see `Body`)."""
+    """The tree of some bodies. Raises `ProblemError` if they do not form a tree, or for an impossible body (see
+    `Body`).
+    """
     links: list[Link] = []
     places: dict[str, tuple[int, Pose | None]] = {}
     for body in sorted_bodies(bodies):
@@ -63,7 +65,7 @@ def build_tree(bodies: Iterable[Body]) -> Tree:
 
 
 def sorted_bodies(bodies: Iterable[Body]) -> list[Body]:
-    """The bodies, parents before children, else in their own order.
+    """The bodies, parents before children, otherwise in the given order.
 
     Raises `ProblemError` for names that occur twice, for unknown parents and for cycles.
     """
@@ -75,7 +77,7 @@ def sorted_bodies(bodies: Iterable[Body]) -> list[Body]:
         following = next((body for body in waiting if body.parent in known), None)
         if following is None:
             names = [body.name for body in waiting]
-            raise ProblemError(f"bodies() needs a tree that hangs on the ground; {names} carry each other in a cycle.")
+            raise ProblemError(f"bodies() must return a tree rooted at the ground; {names} form a cycle.")
         waiting.remove(following)
         ready.append(following)
     return ready
