@@ -35,7 +35,7 @@ def test_what_is_taken_over_time_is_refused_where_there_is_none(functional):
 
 def test_an_output_without_time_is_refused_where_there_is_time():
     problem = gain_problem()
-    with pytest.raises(al.ProblemError, match=r"Gain moves in time.*al\.terminal\('loss'\)"):
+    with pytest.raises(al.ProblemError, match=r"Gain evolves in time.*al\.terminal\('loss'\)"):
         al.Problem(problem.system, grid=ONE_STEP, minimize=al.output("loss").mean)
 
 
@@ -44,7 +44,7 @@ def test_an_output_without_time_is_refused_where_there_is_time():
     [
         (
             lambda: al.Problem(SYSTEM, minimize=X.mean, grid=al.Grid(1.0, 2)),
-            "'grid' must be a Instant; received Grid .*leave the grid out",
+            "'grid' must be a Instant; received Grid .*drop the grid",
         ),
         (lambda: al.Problem(SYSTEM, minimize=X.mean, inputs={"f": sine()}), r"takes no inputs; received \['f'\]"),
         (lambda: al.Problem(SYSTEM, minimize=al.output("y").mean), "no output of Hardening 'y'"),

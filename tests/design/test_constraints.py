@@ -154,7 +154,7 @@ def test_a_constraint_without_a_finite_bound_is_refused():
     ],
 )
 def test_arithmetic_on_a_functional_without_a_statistic_is_refused_in_words(mistake):
-    with pytest.raises(al.ProblemError, match=r"differs from one realisation to the next: name a statistic of it"):
+    with pytest.raises(al.ProblemError, match=r"differs between realisations: take a statistic of it"):
         mistake(al.rms("x"))
 
 

@@ -92,8 +92,8 @@ def test_functionals_are_shown_as_mathematics():
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
-        (lambda: Y.mean + Y, r"'rms\(y\)' differs from one realisation to the next: name a statistic"),
-        (lambda: Y.mean <= W, r"'∫w dt' differs from one realisation to the next"),
+        (lambda: Y.mean + Y, r"'rms\(y\)' differs between realisations: take a statistic"),
+        (lambda: Y.mean <= W, r"'∫w dt' differs between realisations"),
         (lambda: Y.mean * Y.std, "Only numbers can multiply an expression by; received Expression"),
         (lambda: Y.mean / W.mean, "Only numbers can divide"),
         (lambda: Y.mean + "one", "received str 'one'"),

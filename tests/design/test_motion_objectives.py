@@ -176,7 +176,7 @@ def test_objectives_speak_of_their_outputs():
         (lambda: al.objectives.effort(), "effort: expected at least one output"),
         (lambda: al.objectives.power({}), "power: expected at least one output"),
         (lambda: al.objectives.coefficient_power({}), "coefficient_power: expected at least one output"),
-        (lambda: al.objectives.effort("a", "b", weights=[1.0]), "expected 2 weights, one a term; received 1"),
+        (lambda: al.objectives.effort("a", "b", weights=[1.0]), "expected 2 weights, one per term; received 1"),
         (lambda: al.objectives.effort("a", weights=["heavy"]), "Only numbers can multiply"),
         (
             lambda: al.objectives.effort("a", weights=[np.nan]),
@@ -186,7 +186,7 @@ def test_objectives_speak_of_their_outputs():
             lambda: al.objectives.torque_rate("a", weights=[np.inf]),
             "Only finite numbers can multiply an expression by; received inf",
         ),
-        (lambda: al.objectives.effort("a", "b", weights=2.0), "expected 2 weights, one a term; received 1"),
+        (lambda: al.objectives.effort("a", "b", weights=2.0), "expected 2 weights, one per term; received 1"),
         (
             lambda: al.objectives.effort("a", "b", weights={"b": 1.0, "a": 2.0}),
             "effort: weights are numbers in the order",
@@ -198,12 +198,15 @@ def test_objectives_speak_of_their_outputs():
         (lambda: al.objectives.torque_rate(["a", "b"]), r"An output is given by its name.*received list \['a', 'b'\]"),
         (lambda: al.objectives.terminal_variance(["a"]), "An output is given by its name"),
         (lambda: al.path(3), "An output is given by its name.*received int 3"),
-        (lambda: al.objectives.power([("a", "b")]), "power: expected the rate that each torque acts on, by its name"),
-        (lambda: al.objectives.coefficient_power("a"), "coefficient_power: expected the rate that each torque acts on"),
+        (lambda: al.objectives.power([("a", "b")]), "power: expected the rate along which each torque acts, by name"),
+        (
+            lambda: al.objectives.coefficient_power("a"),
+            "coefficient_power: expected the rate along which each torque acts",
+        ),
         (lambda: al.objectives.power({"a": 3}), "An output is given by its name.*received int 3"),
         (
             lambda: al.objectives.power({"a": "b"}, smoothing=-1.0),
-            "power: smoothing is a power, W, not below zero; received -1",
+            "power: expected smoothing as a power of at least 0 W; received -1",
         ),
         (
             lambda: al.objectives.power({"a": "b"}, smoothing=np.inf),
@@ -211,7 +214,7 @@ def test_objectives_speak_of_their_outputs():
         ),
         (
             lambda: al.objectives.coefficient_power({"a": "b"}, smoothing=-0.1),
-            "coefficient_power: smoothing is a power",
+            "coefficient_power: expected smoothing as a power",
         ),
         (
             lambda: al.objectives.coefficient_power({"a": "b"}, smoothing=np.nan),
@@ -219,7 +222,7 @@ def test_objectives_speak_of_their_outputs():
         ),
         (
             lambda: al.objectives.terminal_mean_error("x"),
-            "terminal_mean_error: expected what each output is to be at the end",
+            "terminal_mean_error: expected the target of each output at the end",
         ),
         (lambda: al.objectives.terminal_mean_error({"x": np.nan}), "Only finite numbers can be added to or compared"),
         (lambda: np.nan * al.objectives.effort("a"), "Only finite numbers can multiply"),
@@ -229,9 +232,9 @@ def test_objectives_speak_of_their_outputs():
         (lambda: al.cost.reciprocal("k", bias=np.nan, scale=1.0), "Only finite numbers can be a coefficient of a cost"),
         (lambda: al.objectives.norm(), "norm: expected at least one expression"),
         (lambda: al.objectives.terminal_mean_error({}), "norm: expected at least one expression"),
-        (lambda: al.objectives.norm(al.terminal("x")), "differs from one realisation to the next"),
+        (lambda: al.objectives.norm(al.terminal("x")), "differs between realisations"),
         (lambda: al.time_integral(al.terminal("x").mean), "expected statistics of a path; received 'μ"),
-        (lambda: al.time_integral(al.path("x")), "differs from one realisation to the next"),
+        (lambda: al.time_integral(al.path("x")), "differs between realisations"),
         (lambda: problem([al.objectives.effort("torqe") <= 1.0]), "Did you mean 'torque'"),
         (lambda: problem([al.objectives.norm(al.value("gian")) <= 1.0]), "Did you mean 'gain'"),
     ],

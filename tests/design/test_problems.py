@@ -55,7 +55,7 @@ def declare(system=None, **changes):
         ({"grid": al.Grid(al.Decision(4.0, 3.0, 6.0), 80)}, "Input 'force' is known .* the grid runs from 0 to 6 s"),
         ({"grid": al.Grid(4.0, 80, t_start=-1.0)}, "but the grid runs from -1 to 4 s"),
         ({"minimize": al.path("x").mean}, r"objective must be one number, but 'μ\[x\(t\)\]' has shape \(81,\)"),
-        ({"minimize": al.rms("x")}, "differs from one realisation to the next"),
+        ({"minimize": al.rms("x")}, "differs between realisations"),
         ({"minimize": "x"}, "received str 'x'"),
         ({"subject_to": [True]}, "expected constraints, such as .*received bool 'True'"),
         ({"subject_to": [al.rms("x").mean]}, "expected constraints.*received Expression"),
@@ -92,7 +92,7 @@ def test_terms_whose_shapes_do_not_go_together_are_refused():
         def outputs(self, t, z):
             return {"pair": np.ones(2), "triple": np.ones(3)}
 
-    with pytest.raises(al.ProblemError, match="have shapes that do not go together"):
+    with pytest.raises(al.ProblemError, match="have incompatible shapes"):
         declare(
             Two(),
             inputs={},

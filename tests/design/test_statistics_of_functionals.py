@@ -72,7 +72,7 @@ def test_a_sobol_index_of_an_unknown_germ_variable_is_refused_with_a_hint(index)
 
 def test_functionals_of_different_shapes_have_no_covariance():
     problem = oscillator_problem()
-    with pytest.raises(al.ProblemError, match="have shapes that do not go together"):
+    with pytest.raises(al.ProblemError, match="have incompatible shapes"):
         oscillator_problem(subject_to=[al.covariance(al.path("x"), al.rms("v")) <= 1])
     assert problem.names == ("x",)
 

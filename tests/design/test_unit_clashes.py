@@ -43,7 +43,7 @@ PLACE, ACCELERATION = out("place"), out("acceleration")
     ("expression", "words"),
     [
         (PLACE.mean + ACCELERATION.mean, r"'μ\[place\]' is in m and 'μ\[acceleration\]' in m/s², which measure diff"),
-        (PLACE.mean + ACCELERATION.std, "is in m and .* in m/s², which measure different things: bring both to one"),
+        (PLACE.mean + ACCELERATION.std, "is in m and .* in m/s², which measure different things: convert both to one"),
         (PLACE.mean - ACCELERATION.quantile(0.9), "is in m and .* in m/s², which measure"),
         (0.5 * (PLACE.mean + ACCELERATION.mean), "is in m and .* in m/s², which measure"),
         (out("bare").mean + PLACE.mean + 3.0 + ACCELERATION.mean, "is in m and .* in m/s²"),
@@ -54,9 +54,9 @@ PLACE, ACCELERATION = out("place"), out("acceleration")
         (PLACE.mean + al.value("x"), "is in m and 'x' in N, which measure"),
         (
             PLACE.mean + al.value("y.half_width"),
-            r"is in m and 'y\.half_width' in mm, which differ in size, for 1 mm is 0\.",
+            r"is in m and 'y\.half_width' in mm, which differ in size: 1 mm is 0\.",
         ),
-        (PLACE.mean + out("long").mean, "which differ in size, for 1 mm is 0.001 m: bring both to one unit, or mult"),
+        (PLACE.mean + out("long").mean, "which differ in size: 1 mm is 0.001 m: convert both to one unit"),
         (out("angle").mean - out("turned").mean, "is in rad and .* in deg, .* 1 deg is 0.0174533 rad"),
         (out("turned").mean + out("angle").std, "is in deg and .* in rad, .* 1 rad is 57.2958 deg"),
         (out("share").mean + out("percent").mean, r"is in - and .* in %, .* 1 % is 0\.01 \(-\)"),

@@ -1,4 +1,4 @@
-"""Refuse a problem that does not fit together, before anything is compiled: what was expected, what was received."""
+"""Checks of a problem before anything is compiled; each refusal says what was expected and what was received."""
 
 import difflib
 import hashlib
@@ -46,7 +46,7 @@ from aleator.uncertainty import Placements, named_numbers, refuse_nonpositive, u
 
 
 def check(problem: AbstractProblem) -> str:
-    """Raise `ProblemError` for the first thing found wrong, from the outside inwards. Returns `physics`."""
+    """Raise `ProblemError` for the first fault found, from the outside inwards. Returns `physics`."""
     _check_types(problem)
     _check_inputs(problem)
     _check_time(problem)
@@ -59,11 +59,11 @@ def check(problem: AbstractProblem) -> str:
 
 
 def equations_now(problem: AbstractProblem) -> str:
-    """What `physics` is now: of a deterministic problem, that of the uncertain one that it stands for.
+    """The present value of `physics`; for a deterministic problem, that of the uncertain one that it stands for.
 
-    That is a digest of the traced equations, expressions included: two problems that differ in it are compiled apart,
-    also where the difference lies in what their code reads and not in their fields. Raises `ProblemError` if outputs
-    and expressions do not go together.
+    It is a digest of the traced equations, expressions included: problems with different digests are compiled
+    separately, even where the difference lies in globals or closures rather than in fields. Raises `ProblemError` if
+    outputs and expressions do not match.
     """
     return physics_of(problem, lambda: _digest(problem))
 
@@ -74,7 +74,7 @@ def _digest(problem: AbstractProblem) -> Digest:
     _check_outputs(whole, outputs)
     texts = [physics, _check_shapes(whole, outputs)]
     told = "\n".join(text or "" for text in texts)
-    # Statistics of one's own are not in these equations: problems with such are told apart by what their code reads.
+    # A user's own statistics are not in these equations: such problems are told apart by what their code reads.
     return Digest(
         hashlib.sha256(told.encode()).hexdigest(), None not in texts and not has_own_statistics(whole.expressions)
     )
@@ -91,14 +91,14 @@ def _check_types(problem: AbstractProblem) -> None:
     )
     for name, value, kinds in expected:
         if not isinstance(value, kinds):
-            remedy = " An algebraic system knows no time: leave the grid out." if kinds == (Instant,) else ""
+            remedy = " An algebraic system has no time: drop the grid." if kinds == (Instant,) else ""
             raise ProblemError(
                 f"Problem: '{name}' must be a {' or '.join(kind.__name__ for kind in kinds)}; "
                 f"received {type(value).__name__} {value!r}.{remedy}"
             )
     if has_no_time:
         return
-    # A system without states moves only if a motion is given to it.
+    # A system without states evolves only by a motion that is given to it.
     names = getattr(system, "states", None)
     assert isinstance(system, System)
     if names is None or not (names or problem.inputs or system.signals()):
@@ -115,17 +115,17 @@ def _check_inputs(problem: AbstractProblem) -> None:
 
 
 def _check_time(problem: AbstractProblem) -> None:
-    """Refuse what is taken over time of a system that has none, and the other way round."""
+    """Refuse functionals over time of a system without time, and `output` of one with time."""
     has_time, name = problem.system.has_time, type(problem.system).__name__
     for functional in functionals_of(problem.expressions):
         if functional.needs_time and not has_time:
             raise ProblemError(
-                f"'{functional.text()}' is taken over time, but {name} is algebraic and knows none: "
-                f"use al.output('{functional.output}')."
+                f"'{functional.text()}' is taken over time, but {name} is algebraic, without time: use "
+                f"al.output('{functional.output}')."
             )
         if has_time and not functional.needs_time:
             raise ProblemError(
-                f"al.output is for systems without time, but {name} moves in time: say what is meant, such as "
+                f"al.output is for systems without time, but {name} evolves in time: choose a functional, such as "
                 f"al.terminal('{functional.output}'), al.path('{functional.output}') or al.rms('{functional.output}')."
             )
 
@@ -139,7 +139,7 @@ def _check_values(problem: AbstractProblem) -> None:
 
 
 def _check_germs(problem: AbstractProblem) -> None:
-    """Refuse Sobol indices of what is no germ variable, or belongs to a correlated group."""
+    """Refuse Sobol indices of unknown germ variables, and of those in a correlated group."""
     known = list(problem.placements.germ_names)
     for one in statistics_in(problem.expressions):
         kind = one.kind
@@ -157,10 +157,10 @@ def _unknown(kind: str, name: str, known: list[str]) -> str:
 
 
 def _trace(problem: AbstractProblem, function: Callable[..., Any], *arguments: Any) -> tuple[str | None, Any]:
-    """Trace `function(problem, *arguments)` without computing: its equations as text, and the shapes of its results.
+    """Trace `function(problem, *arguments)` without computing; returns its equations as text and the results' shapes.
 
-    The problem's numbers are variables of the equations, so that the text does not depend on them; constants are what
-    the code itself holds. There is no text where the equations do not tell what is computed.
+    The problem's numbers are variables of the equations, so that the text does not depend on them; constants are those
+    in the code itself. There is no text where the equations do not determine what is computed.
     """
     dynamic, static = eqx.partition(numbers_to_arrays(problem), eqx.is_array)
     closed, shapes = jax.make_jaxpr(
@@ -182,7 +182,7 @@ def _check_outputs(problem: AbstractProblem, outputs: dict[str, jax.ShapeDtypeSt
 
 
 def _check_shapes(problem: AbstractProblem, outputs: dict[str, jax.ShapeDtypeStruct]) -> str | None:
-    """Check that the terms of expressions go together, and that the objective is one number; the equations as text."""
+    """Check that terms of expressions match, and that the objective is one number. Returns the equations as text."""
     zeros = {name: jnp.zeros(one.shape) for name, one in outputs.items()}
 
     def values(traced: AbstractProblem) -> list[jax.Array]:
@@ -195,31 +195,31 @@ def _check_shapes(problem: AbstractProblem, outputs: dict[str, jax.ShapeDtypeStr
     text, shaped = _trace(problem, values)
     if shaped[0].shape != ():
         raise ProblemError(
-            f"The objective must be one number, but '{problem.objective}' has shape {shaped[0].shape}: "
-            "use integral, rms, peak or terminal in the place of path."
+            f"The objective must be one number, but '{problem.objective}' has shape {shaped[0].shape}: use integral, "
+            "rms, peak or terminal instead of path."
         )
     return text
 
 
 def _evaluated(expression: Expression, scope: AbstractScope, written: Expression) -> jax.Array:
-    """The value of a traced expression, which cannot be printed; `written` can."""
+    """The value of a traced expression; `written` is the same expression in a form that can be printed."""
     try:
         return jnp.asarray(expression.evaluate(scope))
     except AleatorError:
         raise
     except (TypeError, ValueError) as error:
-        raise ProblemError(f"The terms of '{written}' have shapes that do not go together: {error}") from error
+        raise ProblemError(f"The terms of '{written}' have incompatible shapes: {error}") from error
 
 
 class _ShapeScope(AbstractScope):
-    """Statistics of the right shapes and no particular value."""
+    """Statistics of the right shapes, with arbitrary values."""
 
     def __init__(self, problem: AbstractProblem, outputs: dict[str, jax.Array]):
         self._outputs = outputs
         self._grid = grid_at(problem, jnp.zeros(problem.placements.size))
 
     def statistic(self, functionals: tuple[AbstractFunctional, ...], kind: AbstractStatistic) -> jax.Array:
-        # Every statistic has the shape of what it is taken of, without the axis of those taken jointly.
+        # A statistic has the shape of its functional, without the axis of jointly taken ones.
         del kind
         values = joined([self._evaluated(one) for one in functionals])
         return values if len(functionals) == 1 else values[..., 0]
@@ -236,7 +236,7 @@ class _ShapeScope(AbstractScope):
         value = traceable(who, called(functional, functional.evaluate, taken, self._grid))
         instants = len(self._outputs[functional.output])
         if functional.is_path and value.shape[:1] != (instants,):
-            raise ProblemError(f"{who}: expected one number an instant, {instants} of them; received {value.shape}.")
+            raise ProblemError(f"{who}: expected one number per instant, {instants} in all; received {value.shape}.")
         return value
 
     def time_integral(self, expression: Expression) -> jax.Array:

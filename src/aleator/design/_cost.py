@@ -1,4 +1,4 @@
-"""Cost-uncertainty curves: what it costs to make a spread small (equation 125 and the curves listed in [107])."""
+"""Cost-uncertainty curves: the cost of a small spread (equation 125 and the curves listed in [107])."""
 
 from collections.abc import Callable
 from typing import final
@@ -36,7 +36,7 @@ class CostCurve(AbstractAtom):
 
     @override
     def unit(self, units: Units) -> str:
-        """A curve does not say."""
+        """Unknown: a curve has no declared unit."""
         del units
         return ""
 
@@ -80,7 +80,7 @@ def exponential(name: str, *, bias: float, scale: float, rate: float) -> Express
 
 
 def cost_curve(name: str, curve: Curve) -> Expression:
-    """Cost `curve(spread)` by a function of your own, written with `jax.numpy` so that it can be differentiated."""
+    """Cost `curve(spread)` by your own function, written with `jax.numpy` so that it can be differentiated."""
     if not callable(curve):
         raise refusal("cost_curve", "a function of the number", curve)
     return _expression(name, curve, f"{getattr(curve, '__name__', 'curve')}({{spread}})")

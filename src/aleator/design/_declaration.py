@@ -1,4 +1,4 @@
-"""What a problem is made of, for all that reads problems: checks, responses, texts."""
+"""The parts of a problem, as read by checks, responses and texts."""
 
 import equinox as eqx
 
@@ -11,10 +11,10 @@ from aleator.uncertainty import Placements, placements
 
 
 class AbstractProblem(eqx.Module):
-    """The parts of a problem, and what follows from them. See `Problem`, its only implementation.
+    """The parts of a problem and what follows from them; implemented by `Problem` alone.
 
-    `physics` stands for the traced equations, so that two problems whose code reads other globals, class attributes or
-    closures are told apart where their fields are alike. It is that of the time of declaration: see `current`.
+    `physics` is a digest of the traced equations. It tells apart problems with equal fields whose code reads different
+    globals, class attributes or closures. It dates from the declaration: see `current`.
     """
 
     simulation: Simulation
@@ -25,7 +25,7 @@ class AbstractProblem(eqx.Module):
 
     @property
     def system(self) -> AbstractSystem:
-        """The physics."""
+        """The system."""
         return self.simulation.system
 
     @property
@@ -40,7 +40,7 @@ class AbstractProblem(eqx.Module):
 
     @property
     def integrator(self) -> AbstractIntegrator:
-        """How states are carried forward."""
+        """How states are advanced in time."""
         return self.simulation.integrator
 
     @property

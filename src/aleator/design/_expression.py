@@ -1,7 +1,7 @@
-"""Expressions of statistics and numbers, and the constraints that comparing them makes.
+"""Expressions of statistics and numbers, and the constraints made by comparing them.
 
 All of it is data: an expression can be evaluated on any source of statistics (an expansion, a Monte Carlo sample),
-differentiated, swept and printed as mathematics. The two refer to each other and therefore live together.
+differentiated, swept and printed as mathematics. The two classes refer to each other, hence one module.
 """
 
 from typing import Any, ClassVar, Self, final
@@ -21,9 +21,9 @@ from aleator.design._scope import AbstractAtom, AbstractRandom, AbstractScope, U
 
 @final
 class Expression(eqx.Module):
-    """`constant + sum of factor * atom`. The factors are data: changing them compiles nothing anew."""
+    """`constant + sum of factor * atom`. The factors are data: changing them causes no recompilation."""
 
-    # So that NumPy leaves products with its own numbers to this class.
+    # Makes NumPy defer to this class in products with its own numbers.
     __array_ufunc__: ClassVar[None] = None
 
     factors: tuple[Scalar, ...]
@@ -31,12 +31,12 @@ class Expression(eqx.Module):
     constant: Scalar = 0.0
 
     def evaluate(self, scope: AbstractScope) -> Float[Array, "..."]:
-        """The value in a scope: a number, or one number an instant if a `path` stands in it."""
+        """The value in a scope: a number, or one number per instant if it contains a `path`."""
         terms = (factor * atom.evaluate(scope) for factor, atom in zip(self.factors, self.atoms, strict=True))
         return jnp.asarray(sum(terms, start=self.constant))
 
     def unit(self, units: Units) -> str:
-        """The unit that its terms share; empty where they differ or one of them is unknown."""
+        """The common unit of its terms; empty where they differ or one is unknown."""
         return common(atom.unit(units) for factor, atom in self._terms() if float(factor) != 0)
 
     def __add__(self, other: Any) -> "Expression":
@@ -73,7 +73,7 @@ class Expression(eqx.Module):
         return _compare(self - other, upper=False)
 
     def __lt__(self, other: Any) -> "Constraint":
-        raise ProblemError(f"A bound holds up to and including its value: write <= or >= with '{self}', not < or >.")
+        raise ProblemError(f"Bounds include their value: write <= or >= with '{self}', not < or >.")
 
     __gt__ = __lt__
 
@@ -94,12 +94,12 @@ class Expression(eqx.Module):
 
     @property
     def leaves(self) -> tuple[AbstractAtom, ...]:
-        """All statistics and values in it, those inside of norms and integrals too."""
+        """All statistics and values in it, including those inside norms and integrals."""
         return tuple(part for atom in self.atoms for part in atom.parts)
 
     @property
     def is_path(self) -> bool:
-        """Whether it is one number an instant instead of one number."""
+        """Whether it is one number per instant instead of one number."""
         return any(atom.is_path for atom in self.atoms)
 
     @property
@@ -109,7 +109,7 @@ class Expression(eqx.Module):
         return max(multiples) if multiples else None
 
     def with_sigmas(self, sigmas: float) -> Self:
-        """The same expression, its largest multiple of a standard deviation at `sigmas`, the others in proportion."""
+        """The expression with its largest multiple of a standard deviation set to `sigmas`, others in proportion."""
         largest = self.sigmas
         if not largest:
             raise ProblemError(f"There is no standard deviation to scale in '{self}'.")
@@ -130,12 +130,12 @@ class Expression(eqx.Module):
 
 @final
 class Constraint(eqx.Module):
-    """`lower <= expression <= upper`, at every instant if a `path` stands in the expression.
+    """`lower <= expression <= upper`, at every instant if the expression contains a `path`.
 
-    Constraints of one `name` belong together: a sweep moves their bounds together, evidence counts a system that
-    violates any of them once. The bounds are data: changing them compiles nothing anew.
+    Constraints with the same `name` belong together: a sweep moves their bounds together, and evidence counts a system
+    that violates any of them once. The bounds are data: changing them causes no recompilation.
 
-    Raises `ProblemError` for bounds in the wrong order or not a number.
+    Raises `ProblemError` for bounds in the wrong order or NaN.
     """
 
     expression: Expression
@@ -164,20 +164,20 @@ class Constraint(eqx.Module):
 
     @property
     def subject(self) -> str:
-        """The outputs (or numbers) that it speaks of: its name, unless it was given one."""
+        """The outputs (or numbers) in it: its name by default."""
         return ", ".join(dict.fromkeys(name for one in self.expression.atoms for name in one.subjects)) or "constant"
 
     @property
     def measure(self) -> str:
-        """The functionals that it speaks of: tells constraints on one output apart."""
+        """The functionals in it, which distinguish constraints on the same output."""
         return ", ".join(dict.fromkeys(text for one in self.expression.atoms for text in one.measures))
 
     def named(self, name: str) -> "Constraint":
-        """The same constraint under a name of your own."""
+        """The same constraint with another name."""
         return Constraint(self.expression, lower=self.lower, upper=self.upper, name=a_name("Constraint: name", name))
 
     def with_bounds(self, lower: float, upper: float) -> Self:
-        """The same constraint between other bounds. Raises `ProblemError` if they are in the wrong order."""
+        """The same constraint with other bounds. Raises `ProblemError` if they are in the wrong order."""
         return eqx.tree_at(lambda tree: (tree.lower, tree.upper), self, ordered(self.name, lower, upper))
 
     @property
@@ -203,7 +203,7 @@ class Constraint(eqx.Module):
 
 
 def ordered(name: str, lower: Scalar, upper: Scalar) -> tuple[float, float]:
-    """The bounds as floats. Raises `ProblemError` if they are in the wrong order or not a number."""
+    """The bounds as floats. Raises `ProblemError` if they are in the wrong order or NaN."""
     lower, upper = (real_array(f"Constraint '{name}'", bound, "numbers as bounds") for bound in (lower, upper))
     if lower.ndim or upper.ndim:
         raise ProblemError(f"Constraint '{name}': expected one number as a bound; received {lower} and {upper}.")
@@ -224,7 +224,7 @@ def _product(factor: float, atom: str) -> str:
 
 
 def number_given(value: Any, action: str) -> float:
-    """A finite number as a float. Raises `ProblemError` for anything else, saying what only numbers can do."""
+    """A finite number as a float. Raises `ProblemError` for anything else: "Only numbers can" do `action`."""
     if is_masked(value):
         raise ProblemError(f"Only numbers can {action}; received {value}.")
     number = value
@@ -238,7 +238,7 @@ def number_given(value: Any, action: str) -> float:
 
 
 def as_expression(value: Any) -> Expression:
-    """An expression as it is, a number as a constant. Raises `ProblemError` for anything else."""
+    """An expression unchanged, or a number as a constant. Raises `ProblemError` for anything else."""
     if isinstance(value, Expression):
         return value
     if isinstance(value, AbstractRandom):
@@ -247,7 +247,7 @@ def as_expression(value: Any) -> Expression:
 
 
 def _compare(difference: Expression, *, upper: bool) -> "Constraint":
-    """`difference <= 0` (or `>= 0`), with its constant brought to the right as the bound."""
+    """`difference <= 0` (or `>= 0`), with its constant moved to the right-hand side as the bound."""
     bound = -difference.constant + 0.0
     left = Expression(difference.factors, difference.atoms)
     return Constraint(left, upper=bound) if upper else Constraint(left, lower=bound)

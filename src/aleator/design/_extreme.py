@@ -1,4 +1,4 @@
-"""`Extreme`: the worst value of a functional over all realisations of the model, as the term of a limit."""
+"""`Extreme`: the worst value of a functional over all realisations of the model, as a term of a limit."""
 
 from typing import Any, final
 
@@ -14,7 +14,7 @@ from aleator.design._scope import AbstractAtom, AbstractScope, Units
 class Extreme(AbstractAtom):
     """The largest (`side = 1`) or smallest (`side = -1`) value of a functional over all realisations of the model.
 
-    It evaluates to the functional on each realisation that is at hand: a bound on it is a bound on each of them.
+    It evaluates to the functional on each realisation available: a bound on it is a bound on each of them.
     """
 
     functional: Any
@@ -39,7 +39,7 @@ class Extreme(AbstractAtom):
 
     @property
     def functionals(self) -> tuple[Any, ...]:
-        """What it is taken of, as a statistic tells it."""
+        """The functional, in a tuple as for statistics."""
         return (self.functional,)
 
     @property
@@ -59,6 +59,6 @@ def is_worst_case(constraint: Constraint) -> bool:
 
 
 def extreme_functionals(expressions: tuple[Expression, ...]) -> tuple[Any, ...]:
-    """The functionals whose worst case stands in some expressions, each once."""
+    """The functionals whose worst case appears in the expressions, each once."""
     leaves = (leaf for one in expressions for leaf in one.leaves)
     return tuple(dict.fromkeys(leaf.functional for leaf in leaves if isinstance(leaf, Extreme)))

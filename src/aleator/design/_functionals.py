@@ -19,11 +19,11 @@ INTEGRATED = 4
 
 
 class AbstractIntegral(AbstractFunctional):
-    """What follows from the time integral of a function of outputs, taken as accurately as the states are."""
+    """A function of the time integral of outputs, which is computed as accurately as the states."""
 
     @abc.abstractmethod
     def integrand(self, now: Mapping[str, Array]) -> Array:
-        """What is integrated, from the outputs at one time."""
+        """The integrand, from the outputs at one time."""
 
     @property
     @override
@@ -31,7 +31,7 @@ class AbstractIntegral(AbstractFunctional):
         return INTEGRATED
 
     def total(self, integral: Array, grid: Grid) -> Array:
-        """The functional, from the integral over the grid: the integral itself, by default."""
+        """The functional, from the integral over the grid; the integral itself by default."""
         del grid
         return integral
 
@@ -63,7 +63,7 @@ class Integral(AbstractIntegral):
 
 @final
 class Rms(AbstractIntegral):
-    """The root of an output's mean square over time, equations (109) and (110)."""
+    """The root mean square of an output over time, equations (109) and (110)."""
 
     @override
     def integrand(self, now: Mapping[str, Array]) -> Array:
@@ -71,7 +71,7 @@ class Rms(AbstractIntegral):
 
     @override
     def total(self, integral: Array, grid: Grid) -> Array:
-        # An output that is zero throughout has rms zero, with derivative zero (its smallest subgradient).
+        # An output that is zero throughout has rms zero and derivative zero (the smallest subgradient).
         return root(integral / grid.duration)
 
     @override
@@ -171,7 +171,7 @@ def terminal(output: str) -> Terminal:
 
 
 def path(output: str) -> Path:
-    """An output at every instant: its bounds hold at each of them."""
+    """An output at every instant: bounds on it hold at each."""
     return Path((output,))
 
 
@@ -186,10 +186,10 @@ def output(name: str) -> Output:
 
 
 def is_over_time(constraint: Constraint) -> bool:
-    """Whether a constraint limits a path, or the peak of one: the instants between those of the grid count too."""
+    """Whether a constraint limits a path or a peak, so that times between the grid's instants count too."""
     return constraint.is_path or any(isinstance(one, Peak) for one in functionals_of((constraint.expression,)))
 
 
 def expanded_functionals(expressions: tuple[Expression, ...]) -> tuple[AbstractFunctional, ...]:
-    """The functionals that some expressions ask a statistic of, and not only a worst case: those that are expanded."""
+    """The functionals in the expressions that need an expansion: those with a statistic, not only a worst case."""
     return tuple(dict.fromkeys(one for atom in statistics_in(expressions) for one in atom.functionals))

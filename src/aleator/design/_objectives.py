@@ -1,4 +1,4 @@
-"""Objectives of motion planning: time, effort, power, rate of torque (75)-(84); what is left at the end (85), (86)."""
+"""Objectives of motion planning: time, effort, power, rate of torque (75)-(84); terminal errors (85), (86)."""
 
 import abc
 from collections.abc import Mapping, Sequence
@@ -19,7 +19,7 @@ from aleator.design._statistic import name_given, statistic
 from aleator.statistics import CoefficientProduct, root
 
 Weights: TypeAlias = float | Sequence[float] | Array | None
-"""A factor for each term, in their order; one number for one term. None is all ones."""
+"""One factor per term, in order; a number for a single term. `None` means ones."""
 
 
 @final
@@ -41,9 +41,9 @@ class SquareIntegral(AbstractIntegral):
 
 @final
 class Work(AbstractIntegral):
-    """The time integral of the magnitude of a product, such as torque times rate: the energy that goes to and fro.
+    """The time integral of the magnitude of a product, such as torque times rate: the energy exchanged.
 
-    With a `smoothing` `s`, the magnitude is `sqrt(x² + s²) - s`: smooth, and below `|x|` by `s` at most.
+    With a `smoothing` `s`, the magnitude is `sqrt(x² + s²) - s`: smooth, and at most `s` below `|x|`.
     """
 
     smoothing: float = eqx.field(static=True, default=0.0)
@@ -64,7 +64,7 @@ class Work(AbstractIntegral):
 
 
 class AbstractComposite(AbstractAtom):
-    """An atom made of expressions: it speaks of all that they speak of."""
+    """An atom made of expressions: its subjects and measures are theirs."""
 
     @property
     @abc.abstractmethod
@@ -123,7 +123,7 @@ class Norm(AbstractComposite):
 
 @final
 class TimeIntegral(AbstractComposite):
-    """The time integral of an expression of paths: of statistics at instants and in the middles between them."""
+    """The time integral of an expression of paths, from statistics at instants and at midpoints of steps."""
 
     expression: Expression
 
@@ -166,8 +166,8 @@ def effort(*torques: str, weights: Weights = None) -> Expression:
 
 
 def torque_rate(*torques: str, weights: Weights = None) -> Expression:
-    """The expected rate of torques, `sum of w_i E[∫ τ̇_i² dt]`: `J_D4` (78) and `J_S3` (84), which the dissertation
-    calls jerk; of the outputs `<torque>_rate`.
+    """The expected rate of torques, `sum of w_i E[∫ τ̇_i² dt]`: `J_D4` (78) and `J_S3` (84), called jerk there. It uses
+    the outputs `<torque>_rate`.
     """
     return _weighted([SquareIntegral((f"{name_given(name)}_rate",)).mean for name in torques], weights, "torque_rate")
 
@@ -175,21 +175,21 @@ def torque_rate(*torques: str, weights: Weights = None) -> Expression:
 def power(pairs: Mapping[str, str], *, weights: Weights = None, smoothing: float = 0.0) -> Expression:
     """The expected energy exchanged, `sum of w_i E[∫ |τ_i q̇_i| dt]`: `J_D3` (77) and `J_S2` (83).
 
-    - `pairs`: the rate that each torque acts on: `{"elbow_torque": "elbow_rate"}`.
+    - `pairs`: for each torque, the rate along which it acts: `{"elbow_torque": "elbow_rate"}`.
 
-    The magnitude is taken of each realisation. It has a kink wherever a power changes its sign, at which an optimiser
-    may stall: `smoothing`, W, rounds it, and lowers the result by at most as many joules a second. `coefficient_power`
-    is the sum that the dissertation prints.
+    The magnitude is taken on each realisation. It has a kink wherever a power changes sign, where an optimiser may
+    stall: `smoothing`, W, rounds the kink, and lowers the integrand by at most that much. `coefficient_power` is the
+    sum printed in the dissertation.
     """
     smoothing, given = _smoothing("power", smoothing), _pairs("power", pairs)
     return _weighted([Work(pair, smoothing).mean for pair in given], weights, "power")
 
 
 def coefficient_power(pairs: Mapping[str, str], *, weights: Weights = None, smoothing: float = 0.0) -> Expression:
-    """`sum of w_i ∫ Σ_j |τ_i^j q̇_i^j| <Ψ^j, Ψ^j> dt`, as equation (83) prints it: from coefficients one by one.
+    """`sum of w_i ∫ Σ_j |τ_i^j q̇_i^j| <Ψ^j, Ψ^j> dt`, as printed in equation (83): coefficient by coefficient.
 
-    It is no expected value, but smooth wherever no coefficient changes its sign; `smoothing`, W, as in `power`. Where
-    the rates are certain, as those of a prescribed joint, it is the energy exchanged by the expected torque,
+    It is not an expected value, but it is smooth wherever no coefficient changes sign; `smoothing`, W, as in `power`.
+    Where the rates are certain, as for a prescribed joint, it is the energy exchanged by the expected torque,
     `∫ |E[τ] q̇| dt`.
     """
     kind = CoefficientProduct(_smoothing("coefficient_power", smoothing))
@@ -202,7 +202,7 @@ def terminal_mean_error(references: Mapping[str, float]) -> Expression:
     """The norm of the expected error at the end, `‖E[y(t_f)] - y_ref‖`: `J_S4` (85)."""
     if not isinstance(references, Mapping):
         raise ProblemError(
-            "terminal_mean_error: expected what each output is to be at the end, by its name, such as {'reach': 1.2}; "
+            "terminal_mean_error: expected the target of each output at the end, by name, such as {'reach': 1.2}; "
             f"received {type(references).__name__} {references!r}."
         )
     return norm(*(terminal(name).mean - reference for name, reference in references.items()))
@@ -214,9 +214,9 @@ def terminal_variance(*outputs: str) -> Expression:
 
 
 def norm(*expressions: Expression) -> Expression:
-    """The Euclidean norm of expressions; its derivative is taken as zero where all of them are zero.
+    """The Euclidean norm of expressions, with derivative zero where all of them are zero.
 
-    Raises `ProblemError` for none.
+    Raises `ProblemError` if there are none.
     """
     if not expressions:
         raise ProblemError("norm: expected at least one expression, such as al.terminal('x').variance; received none.")
@@ -237,7 +237,7 @@ def _pairs(name: str, pairs: Any) -> list[tuple[str, str]]:
     if isinstance(pairs, Mapping):
         return list(pairs.items())
     raise ProblemError(
-        f"{name}: expected the rate that each torque acts on, by its name, such as {{'elbow_torque': 'elbow_rate'}}; "
+        f"{name}: expected the rate along which each torque acts, by name, such as {{'elbow_torque': 'elbow_rate'}}; "
         f"received {type(pairs).__name__} {pairs!r}."
     )
 
@@ -245,7 +245,7 @@ def _pairs(name: str, pairs: Any) -> list[tuple[str, str]]:
 def _smoothing(name: str, smoothing: Any) -> float:
     number = number_given(smoothing, "smooth a power")
     if number < 0:
-        raise ProblemError(f"{name}: smoothing is a power, W, not below zero; received {number:g}.")
+        raise ProblemError(f"{name}: expected smoothing as a power of at least 0 W; received {number:g}.")
     return number
 
 
@@ -256,6 +256,6 @@ def _weighted(terms: Sequence[Expression], weights: Any, name: str) -> Expressio
         raise ProblemError(f"{name}: weights are numbers in the order of the outputs; received {weights!r}.")
     factors = [1.0] * len(terms) if weights is None else list(weights) if np.ndim(weights) else [weights]
     if len(factors) != len(terms):
-        raise ProblemError(f"{name}: expected {len(terms)} weights, one a term; received {len(factors)}.")
+        raise ProblemError(f"{name}: expected {len(terms)} weights, one per term; received {len(factors)}.")
     first, *rest = (factor * term for factor, term in zip(factors, terms, strict=True))
     return sum(rest, start=first)

@@ -1,8 +1,8 @@
-"""Whether the code of a problem is still what it was: a digest of its equations, and a reading of its code.
+"""Detection of changed code: a digest of a problem's traced equations, and a reading of its code.
 
-The digest is taken of traced equations, and tells problems apart wherever their code differs, also where their fields
-are alike. Tracing takes a while, so that it is done once, as long as all that the code reads stays the same. Where a
-reading leaves a doubt, equations are traced at every use.
+The digest of the traced equations tells problems with different code apart, even where their fields are equal. Tracing
+is slow, so it is repeated only when something that the code reads has changed. Where a reading is inconclusive,
+equations are traced at every use.
 """
 
 import threading
@@ -22,22 +22,22 @@ from aleator._core.readings import Place, Reading, changed_places
 from aleator.design._declaration import AbstractProblem
 from aleator.uncertainty import uncertain_again
 
-# Enough for a session's problems, and for as many states of the code of each.
+# Enough for the problems of one run, and for the states of their code.
 _KEPT, _STATES = 64, 8
 
 
 class Digest(NamedTuple):
-    """A digest of equations; `whole` unless they call Python code, of which no equation tells what it computes."""
+    """A digest of equations; not `whole` if they call Python code, whose computation the equations do not show."""
 
     text: str
     whole: bool
 
 
 class _Known(NamedTuple):
-    """A state of some code.
+    """A known state of a problem's code.
 
-    - `physics`: what stands for its equations; `reading`: what the code reads;
-    - `moving`: what tracing it changes by itself, such as a list of all calls, without a change of the equations.
+    - `physics`: the digest of its equations; `reading`: what the code reads;
+    - `moving`: what tracing itself changes, such as a list of all calls, without changing the equations.
     """
 
     physics: str
@@ -50,7 +50,7 @@ class _Known(NamedTuple):
         return self.reading.reads == reading.reads or not self.changed(reading)
 
     def changed(self, reading: Reading) -> dict[Place, str]:
-        """Where a later reading differs, and in which words."""
+        """Where a later reading differs, and how, in words."""
         found = changed_places(self.reading, reading)
         return {place: how for place, how in found.items() if place not in self.moving}
 
@@ -60,9 +60,9 @@ _lock = threading.Lock()
 
 
 def physics_of(problem: AbstractProblem, trace: Callable[[], Digest]) -> str:
-    """What stands for the equations of a problem as its code is now; `trace` is called only if that is not known.
+    """The digest of a problem's equations with its present code; `trace` is called only if it is not known.
 
-    Raises `ProblemError` if its code computes something else at every trace.
+    Raises `ProblemError` if its code computes something different at every trace.
     """
     parts = _code_of(problem)
     structure, reading = _structure(parts), read_code(parts)
@@ -72,7 +72,7 @@ def physics_of(problem: AbstractProblem, trace: Callable[[], Digest]) -> str:
         if not (reading.doubts or one.moving) and one.reads(reading):
             return one.physics
     digest, moving = steadily(type(problem.system).__name__, parts, trace, told=lambda digest: digest)
-    # Where equations do not tell what is computed, problems pass for the same if their code reads the same.
+    # Where equations do not show what is computed, problems count as equal if their code reads the same.
     alike = (one for one in states if one.digest == digest and (digest.whole or one.reads(reading)))
     same = next(alike, None)
     # Like no other, in whatever process: programs are kept on the disk too.
@@ -85,9 +85,9 @@ def physics_of(problem: AbstractProblem, trace: Callable[[], Digest]) -> str:
 
 
 def changes(problem: AbstractProblem) -> str:
-    """What the code of a problem reads now that it did not when `problem.physics` was taken; empty if nothing.
+    """What has changed, in what the code of a problem reads, since `problem.physics` was taken; empty if nothing.
 
-    What cannot be told is not named.
+    Changes that cannot be detected are not named.
     """
     reading = read_code(_code_of(problem))
     with _lock:
@@ -99,28 +99,28 @@ def changes(problem: AbstractProblem) -> str:
 
 
 def refuse_changed_code(problem: AbstractProblem, *_: Any) -> None:
-    """Raise `ProblemError` if a problem's code is not what its equations were taken from, once it is compiled.
+    """Raise `ProblemError` if a problem's code has changed since its equations were traced; called at compilation.
 
-    That may have happened at any time since then; whoever uses a solution asks beforehand (`refuse_changed`).
+    It may have changed at any time since then; users of a solution check beforehand (`refuse_changed`).
     """
     if found := changes(problem):
         raise ProblemError(
-            f"The code of {type(problem.system).__name__} is not what it was when its problem was last solved or "
-            f"declared: {found}. Solve it again, or put back what has changed."
+            f"The code of {type(problem.system).__name__} has changed since its problem was last solved or declared: "
+            f"{found}. Solve it again, or undo the change."
         )
 
 
 def _code_of(problem: AbstractProblem) -> tuple[Any, ...]:
-    """The parts of a problem that hold a user's code, with their distributions: the same for its deterministic twin.
+    """The parts of a problem with a user's code, with their distributions: the same for its deterministic version.
 
-    Grid and integrator are none: the same problem on a finer grid, by which its own is judged, has the same code.
+    Grid and integrator are not among them: the same problem on a finer grid, used for verification, has the same code.
     """
     simulation = uncertain_again(problem.simulation)
     return simulation.system, simulation.inputs, problem.objective, problem.constraints
 
 
 def _structure(parts: Any) -> Hashable:
-    """Equal for parts that differ in numbers alone; never equal where that cannot be told."""
+    """Equal for parts that differ only in numbers; never equal where that cannot be determined."""
     leaves, structure = jax.tree.flatten(parts)
     found = structure, tuple(map(_told, leaves))
     try:
@@ -131,7 +131,7 @@ def _structure(parts: Any) -> Hashable:
 
 
 def _told(leaf: Any) -> Hashable:
-    """What of a leaf is structure: the shape alone of numbers that are traced."""
+    """The static part of a leaf: only the shape for traced numbers."""
     if is_number(leaf):
         return np.shape(leaf)
     return (leaf.shape, str(leaf.dtype)) if isinstance(leaf, jax.Array) else (type(leaf), leaf)

@@ -1,4 +1,4 @@
-"""`Problem`: a declared design problem. Data only; how it is solved is decided elsewhere."""
+"""`Problem`: a declared design problem. It is data only; solvers are elsewhere."""
 
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, Self, final
@@ -29,15 +29,16 @@ from aleator.uncertainty import at_means, uncertain_again
 
 @final
 class Problem(AbstractProblem):
-    """An optimal design problem: the decisions in `system` are what to choose, its distributions what is uncertain.
+    """An optimal design problem: `system` contains the decisions to optimise and the distributions of what is
+    uncertain.
 
-    - `system`: the physics, a `System` that moves in time or an `AlgebraicSystem`, which has no time, grid and inputs;
+    - `system`: the physics, a `System`, which evolves in time, or an `AlgebraicSystem`, without time, grid and inputs;
     - `grid`: the instants; `inputs`: a signal for each input of the system, by name;
     - `minimize`: an expression of statistics; `subject_to`: constraints;
-    - `expansion`: how outputs are expanded; `integrator`: how states are carried forward.
+    - `expansion`: how outputs are expanded; `integrator`: how states are advanced in time.
 
-    `print(problem)` shows it as mathematics. Raises `ProblemError`, before anything is compiled, for anything that does
-    not fit together: a missing input or output, a wrong shape, an unknown name, a mass that can reach zero.
+    `print(problem)` shows it as mathematics. Raises `ProblemError`, before anything is compiled, for any inconsistency:
+    a missing input or output, a wrong shape, an unknown name, a mass that can reach zero.
     """
 
     def __init__(
@@ -61,21 +62,21 @@ class Problem(AbstractProblem):
         self.physics = check(self)
 
     def on_grid(self, grid: AbstractGrid, integrator: AbstractIntegrator | None = None) -> "Problem":
-        """The same problem on another grid, by another integrator if one is given. It is not checked again."""
+        """The same problem on another grid, with another integrator if one is given. It is not checked again."""
         return _with_simulation(self, self.simulation.on(grid, integrator))
 
     def with_bound(self, name: str, bound: float | tuple[float, float]) -> Self:
-        """The same problem with the bound of the constraints called `name` at `bound`.
+        """The same problem with the bound of the constraints called `name` set to `bound`.
 
-        One number moves an upper or a lower bound, the number that an expression equals, or both of a symmetric pair
-        (to `-bound` and `bound`); other pairs take `(lower, upper)`. Raises `ProblemError` for a pair in the wrong
+        One number sets an upper or a lower bound, the right-hand side of an equality, or both bounds of a symmetric
+        pair (to `-bound` and `bound`); other pairs need `(lower, upper)`. Raises `ProblemError` for a pair in the wrong
         order.
         """
         lower, upper = _new_bounds(self.named(name), name, bound)
         return self._with(name, lambda one: one.with_bounds(*(_moved(one.lower, lower), _moved(one.upper, upper))))
 
     def with_sigmas(self, name: str, sigmas: float) -> Self:
-        """The same problem with the multiple of the standard deviation in the constraints called `name` at `sigmas`."""
+        """The same problem with the standard deviation's multiple in the constraints called `name` set to `sigmas`."""
         sigmas = positive(f"Constraint '{name}': sigmas", sigmas)
         self.named(name)
         return self._with(
@@ -92,12 +93,12 @@ class Problem(AbstractProblem):
 
 
 def _copied(tree: Any) -> Any:
-    """A tree with its NumPy arrays copied: a problem is what it was declared as, whatever becomes of them."""
+    """A tree with its NumPy arrays copied, so that later changes of these do not affect a problem."""
     return jax.tree.map(lambda leaf: leaf.copy() if isinstance(leaf, np.ndarray) else leaf, tree)
 
 
 def _flatten(constraints: Any) -> Iterator[Constraint]:
-    """Constraints out of any nesting of sequences: `within` gives a pair."""
+    """Constraints from arbitrarily nested sequences, since `within` gives a pair."""
     if isinstance(constraints, Constraint):
         yield constraints
         return
@@ -111,9 +112,9 @@ def _flatten(constraints: Any) -> Iterator[Constraint]:
 
 
 def _told_apart(constraints: tuple[Constraint, ...]) -> tuple[Constraint, ...]:
-    """Constraints that were given no name and speak of one output in different ways are called by their measure.
+    """Unnamed constraints on different functionals of one output, renamed by their measure.
 
-    So `path("x")` and `terminal("x")` are called `x(t)` and `x(t_f)`, and a sweep moves one of them.
+    So `path("x")` and `terminal("x")` are called `x(t)` and `x(t_f)`, and a sweep moves only one of them.
     """
     measures: dict[str, set[str]] = {}
     for one in constraints:
@@ -149,10 +150,10 @@ def _new_bounds(
 
 
 def current(problem: Problem) -> Problem:
-    """A problem with its code as it is now: the same unless what the code reads has changed.
+    """A problem with its present code: the same object unless something that the code reads has changed.
 
-    Globals, class attributes and closures may have another value than they had at declaration. A problem that has
-    changed is declared, and so checked, anew.
+    Globals, class attributes and closures may have changed since the declaration. A changed problem is declared anew,
+    and so checked.
     """
     if equations_now(problem) == problem.physics:
         return problem
@@ -168,23 +169,23 @@ def current(problem: Problem) -> Problem:
 
 
 def refuse_changed(verb: str, problem: Problem, since: str) -> None:
-    """Raise `ProblemError` if the code of a problem computes something else than it did, naming what has changed."""
+    """Raise `ProblemError`, naming the change, if the code of a problem no longer computes what it did."""
     if equations_now(problem) == problem.physics:
         return
-    found = changes(problem) or "what it computes has changed, in a way that its code does not show"
+    found = changes(problem) or "it computes something else, although its code reads the same"
     raise ProblemError(
         f"{verb}: the code of {type(problem.system).__name__} is not what it was {since}: {found}. Solve it again, or "
-        "put back what has changed."
+        "undo the change."
     )
 
 
 def deterministic(problem: Problem) -> Problem:
-    """The same problem with every distribution at its mean and no spread (dOpt, equations 93 and 113)."""
+    """The same problem with every distribution held at its mean (dOpt, equations 93 and 113)."""
     return _with_simulation(one_of("deterministic", problem, Problem), at_means(problem.simulation))
 
 
 def uncertain(problem: Problem) -> Problem:
-    """The problem with its distributions again: the inverse of `deterministic`."""
+    """The problem with its distributions restored: the inverse of `deterministic`."""
     one_of("uncertain", problem, Problem)
     return _with_simulation(problem, uncertain_again(problem.simulation))
 

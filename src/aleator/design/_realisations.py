@@ -1,4 +1,4 @@
-"""What a system says of itself once its numbers are known: asked at the initial decisions, before compilation."""
+"""Diagnosis of a problem's realised systems at the initial decisions, before compilation."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -17,16 +17,15 @@ from aleator.mechanics import AbstractFormulation
 from aleator.statistics import Mean
 from aleator.uncertainty import AbstractGerm, at_means, placements, realise, uncertain_numbers
 
-# An unbounded variable is tried this far out on either side: beyond lies one realisation in a billion.
+# Quantile at which unbounded variables are tried, on either side: one realisation in a billion lies beyond.
 _TAIL = 1e-9
 
 
 def refuse_diagnosed(problem: AbstractProblem) -> None:
-    """Raise `ProblemError` for what a system finds wrong with itself, or where it cannot hold its start.
+    """Raise `ProblemError` for any fault that a system diagnoses, or if its torques cannot hold its start.
 
-    It is asked at the means, then with each uncertain number at either end of its distribution, the others at their
-    medians, and with each decided number of the system itself (not of the motion that it is made for) at either of its
-    bounds.
+    Systems are diagnosed at the means; then with each uncertain number at either end of its distribution and the others
+    at their medians; and with each decided number of the system itself (not of a prescribed motion) at either bound.
     """
     if not _speaks(problem.system):
         return
@@ -69,9 +68,9 @@ def _extremes(germs: list[AbstractGerm]) -> Iterator[Float[np.ndarray, " variabl
 
 
 def _bounds(problem: AbstractProblem) -> Iterator[tuple[str, Float[np.ndarray, " n"]]]:
-    """Decisions with one number of the system itself at a finite bound, the others at their start; and which it is.
+    """Decisions with one number of the system at a finite bound and the others at their start, with its name.
 
-    Entries of arrays go together, such as the moments of a body: one alone at a bound says nothing of the others.
+    Entries of an array are moved together: the moments of a body, for example, may be impossible one at a time.
     """
     system = problem.system
     places, own = (
@@ -92,7 +91,7 @@ def _bounds(problem: AbstractProblem) -> Iterator[tuple[str, Float[np.ndarray, "
 
 
 def _refuse_unheld(problem: AbstractProblem) -> None:
-    """Refuse limits of torques that cannot hold the start, where the system rests there whatever the decisions are."""
+    """Refuse limits below the holding torques, where the system starts at rest whatever the decisions are."""
     held = _held(problem)
     for constraint in problem.constraints:
         least, most = _range(constraint.expression, held)
@@ -104,14 +103,14 @@ def _refuse_unheld(problem: AbstractProblem) -> None:
 def _unheld(constraint: Constraint, torques: dict[str, float]) -> str:
     needed = ", ".join(f"{name} = {value:.4g}" for name, value in torques.items())
     return (
-        f"Constraint '{constraint.name}' ({constraint}) cannot hold the system still at the start, which takes "
-        f"{needed} at the means. Raise the limit, lighten the load, start in another posture, or leave the "
-        "acceleration at the start open."
+        f"Constraint '{constraint.name}' ({constraint}) cannot hold the system still at the start, which needs "
+        f"{needed} at the means. Raise the limit, lighten the load, start in another posture, or do not prescribe the "
+        "acceleration at the start."
     )
 
 
 def _range(expression: Expression, held: dict[str, float]) -> tuple[float, float]:
-    """Between what an expression of means and spreads of torques is at the start; anything for other expressions."""
+    """The range of an expression of means and spreads of torques at the start; unbounded for other expressions."""
     value, least, most = float(expression.constant), 0.0, 0.0
     for factor, atom in zip(expression.factors, expression.atoms, strict=True):
         path = isinstance(atom, Statistic) and isinstance(atom.functionals[0], Path) and atom.functionals[0].output
@@ -120,13 +119,13 @@ def _range(expression: Expression, held: dict[str, float]) -> tuple[float, float
         if not atom.is_spread:
             value += float(factor) * held[path]
         elif factor != 0:
-            # How far torques spread is not known here, but not below zero.
+            # The spread of torques is not known here, except that it is not negative.
             least, most = (least, np.inf) if factor > 0 else (-np.inf, most)
     return value + least, value + most
 
 
 def _held(problem: AbstractProblem) -> dict[str, float]:
-    """What holds the start at the means, as far as it is the same at other decisions, far from the first."""
+    """The holding torques at the means, as far as they are the same at other, distant decisions."""
     start, lower, upper = (problem.placements.vector(name) for name in ("initial", "lower", "upper"))
     along = np.linspace(0.25, 0.45, len(start))
     between = np.isfinite(lower) & np.isfinite(upper)
@@ -144,6 +143,6 @@ def _holding(problem: AbstractProblem, decisions: Float[np.ndarray, " n"]) -> di
     try:
         held = simulation.system.holding(simulation.grid)
     except ProblemError:
-        # What cannot be built there is held by nothing.
+        # A system that cannot be built there needs no torque.
         return {}
     return {name: float(one) for name, one in held.items()}

@@ -25,12 +25,12 @@ def history(problem: AbstractProblem, germ: Float[Array, " variables"], decision
 
 
 def grid_at(problem: AbstractProblem, decisions: Float[Array, " n"]) -> AbstractGrid:
-    """The problem's grid, its final time as decided."""
+    """The problem's grid, with the decided final time."""
     return realise(at_means(problem.simulation), jnp.zeros(0), decisions).grid
 
 
 def step_at(problem: AbstractProblem, decisions: Float[Array, " n"]) -> Array:
-    """The time between two instants, s; one where there is no time."""
+    """The time between two instants, s; 1 where there is no time."""
     return jnp.asarray(grid_at(problem, decisions).step)
 
 
@@ -45,9 +45,9 @@ def responses(
 
 
 class Sampled(NamedTuple):
-    """What a family of realisations yields: arrays whose first axis is the germ points.
+    """The response of a family of realisations: arrays whose first axis is the germ points.
 
-    - `values`: of each functional; `nodes`: of each of some paths, at the instants and in the middles between them.
+    - `values`: of each functional; `nodes`: of each of some paths, at the instants and at the midpoints of steps.
     """
 
     values: tuple[Float[Array, "points ..."], ...]
@@ -61,7 +61,7 @@ def sampled(
     germ: Float[Array, "points variables"],
     decisions: Float[Array, " n"],
 ) -> Sampled:
-    """Functionals at each germ point, and some `paths` among them between the instants too."""
+    """Functionals at each germ point; those in `paths` at the midpoints of steps too."""
     integrals = tuple(one for one in functionals if isinstance(one, AbstractIntegral))
     asked = Asked(
         instants=_outputs([one for one in functionals if not isinstance(one, AbstractIntegral)]),
@@ -88,13 +88,13 @@ def _outputs(functionals: Iterable[AbstractFunctional]) -> frozenset[str]:
 
 
 def unsolved(problem: AbstractProblem, germ: Float[Array, " variables"], decisions: Float[Array, " n"]) -> str:
-    """Why one realisation has no solution, as far as its equations or its integrator can tell; empty if it has one."""
+    """Why one realisation has no solution, as far as its equations or its integrator can tell; empty if it has."""
     return realise(problem.simulation, germ, decisions).explain()
 
 
 @final
 class OneSystem(AbstractScopeOfInstants):
-    """A single system: its mean, its quantiles and its extremes are its value, and nothing spreads."""
+    """A single system: its mean, quantiles and extremes are its value, and every spread is zero."""
 
     def __init__(self, values: Mapping[AbstractFunctional, Array], numbers: Mapping[str, Array], step: Array):
         self._values, self._numbers, self.step = values, numbers, step
@@ -122,18 +122,20 @@ class _Numbers(AbstractScope):
 
     def statistic(self, functionals: tuple[Any, ...], kind: AbstractStatistic) -> Array:
         received = Statistic(functionals, kind).text()
-        raise ProblemError(f"Only the model's own numbers are known here; received {received}.")
+        raise ProblemError(f"Only numbers of the model itself are known here; received {received}.")
 
     def realised(self, functional: Any) -> Array:
-        raise ProblemError(f"Only the model's own numbers are known here; received {functional.text()}.")
+        raise ProblemError(f"Only numbers of the model itself are known here; received {functional.text()}.")
 
     def time_integral(self, expression: Expression) -> Array:
-        raise ProblemError(f"Only the model's own numbers are known here; received the time integral of {expression}.")
+        raise ProblemError(
+            f"Only numbers of the model itself are known here; received the time integral of {expression}."
+        )
 
     def value(self, name: str) -> Array:
         return self._numbers[name]
 
 
 def value_at(expression: Expression, problem: AbstractProblem, decisions: Any) -> float:
-    """An expression of the model's own numbers alone, such as a cost, at given decisions."""
+    """The value at given decisions of an expression of the model's own numbers alone, such as a cost."""
     return float(expression.evaluate(_Numbers(problem, decisions)))

@@ -1,4 +1,4 @@
-"""How much memory the histories of a problem take: counted before anything is simulated."""
+"""The memory that the histories of a problem need, estimated before anything is simulated."""
 
 from aleator._core.memory import NUMBER, refuse_beyond_memory
 from aleator.design._declaration import AbstractProblem
@@ -7,9 +7,9 @@ from aleator.design._statistic import functionals_of
 
 
 def refuse_large_histories(problem: AbstractProblem, systems: int, derivatives: int, advice: str) -> None:
-    """Raise `ProblemError` if the outputs of so many systems would not fit into memory together.
+    """Raise `ProblemError` if the outputs of `systems` systems would not fit into memory together.
 
-    They are held at every instant where a functional is taken of them there, each with its `derivatives`.
+    Outputs are stored at every instant where a functional needs them there, each with its `derivatives`.
     """
     histories = [one for one in functionals_of(problem.expressions) if not isinstance(one, AbstractIntegral)]
     outputs = len({name for one in histories for name in one.outputs})

@@ -1,4 +1,4 @@
-"""What an expression is made of, and where it takes its numbers from."""
+"""The atoms of expressions, and the scopes in which expressions are evaluated."""
 
 import abc
 from collections.abc import Mapping
@@ -14,7 +14,7 @@ from aleator.statistics import AbstractStatistic
 
 
 class AbstractScope(abc.ABC):
-    """Where an expression takes its numbers from."""
+    """The source of the numbers in an expression: an expansion, one system, a sample."""
 
     @abc.abstractmethod
     def statistic(self, functionals: tuple[Any, ...], kind: AbstractStatistic) -> Float[Array, "..."]:
@@ -23,13 +23,13 @@ class AbstractScope(abc.ABC):
     def realised(self, functional: Any) -> Float[Array, "..."]:
         """A functional on single realisations, along a new last axis where there are several.
 
-        Raises `ProblemError` where none are known: there, limits on the worst case are left out.
+        Raises `ProblemError` where none are known; limits on the worst case are omitted there.
         """
         raise ProblemError(f"No single realisations are known here; received {functional.text()}.")
 
     @abc.abstractmethod
     def time_integral(self, expression: Any) -> Float[Array, ""]:
-        """The integral over time of an expression of paths."""
+        """The time integral of an expression of paths."""
 
     @abc.abstractmethod
     def value(self, name: str) -> Float[Array, ""]:
@@ -37,8 +37,8 @@ class AbstractScope(abc.ABC):
 
 
 class AbstractScopeOfInstants(AbstractScope):
-    """Paths at instants `step` seconds apart, whose integrals over time are taken by the trapezoidal rule: for what is
-    compared or counted, and not optimised.
+    """A scope with paths at instants `step` seconds apart, integrated by the trapezoidal rule: for comparisons and
+    counts, not for optimisation.
     """
 
     step: Any
@@ -52,7 +52,7 @@ class Units(NamedTuple):
     """The units of a problem as far as they are known, as text (see `_core.units`).
 
     - `outputs`: of outputs, by name;
-    - `numbers`: of numbers of the model, by name (`k_s`, `k_s.half_width`), for those that expressions speak of.
+    - `numbers`: of those numbers of the model that expressions use, by name (`k_s`, `k_s.half_width`).
     """
 
     outputs: Mapping[str, str]
@@ -60,7 +60,7 @@ class Units(NamedTuple):
 
 
 class AbstractAtom(eqx.Module):
-    """A term of an expression that is no sum or multiple of others."""
+    """An elementary term of an expression, not a sum or multiple of others."""
 
     @abc.abstractmethod
     def evaluate(self, scope: AbstractScope) -> Float[Array, "..."]:
@@ -72,36 +72,36 @@ class AbstractAtom(eqx.Module):
 
     @abc.abstractmethod
     def unit(self, units: Units) -> str:
-        """The term's unit, from those of what it speaks of; empty where it does not follow from them."""
+        """The term's unit, from those of its outputs or numbers; empty where it does not follow from them."""
 
     @property
     @abc.abstractmethod
     def subjects(self) -> tuple[str, ...]:
-        """The outputs or numbers of the model that it speaks of, by name."""
+        """The outputs or numbers of the model in it, by name."""
 
     @property
     def parts(self) -> "tuple[AbstractAtom, ...]":
-        """Itself, or the atoms that it is made of, in the order in which it evaluates them."""
+        """Itself, or the atoms that it consists of, in the order of evaluation."""
         return (self,)
 
     @property
     def inner(self) -> tuple[Any, ...]:
-        """The expressions that it is made of."""
+        """The expressions that it consists of."""
         return ()
 
     @property
     def integrated(self) -> "tuple[AbstractAtom, ...]":
-        """Those of its parts that are integrated over time: their paths are asked for between the instants too."""
+        """Its parts that are integrated over time, whose paths are needed at midpoints of steps too."""
         return ()
 
     @property
     def measures(self) -> tuple[str, ...]:
-        """The functionals that it speaks of, as mathematics."""
+        """The functionals in it, as mathematics."""
         return ()
 
     @property
     def is_path(self) -> bool:
-        """Whether it is one number an instant instead of one number."""
+        """Whether it is one number per instant instead of one number."""
         return False
 
     @property
@@ -135,18 +135,18 @@ class Value(AbstractAtom):
 
 
 class AbstractRandom(eqx.Module):
-    """What differs from one realisation to the next: only its statistics can be added, compared and bounded."""
+    """A quantity that differs between realisations: only its statistics can be added, compared and bounded."""
 
     @abc.abstractmethod
     def text(self) -> str:
-        """It as mathematics."""
+        """The quantity as mathematics."""
 
     def refuse(self, other: Any = None) -> Any:
-        """What it answers to arithmetic and comparisons. Raises `ProblemError`."""
+        """Raise `ProblemError`: arithmetic and comparisons need a statistic."""
         del other
         raise ProblemError(
-            f"'{self.text()}' differs from one realisation to the next: name a statistic of it, "
-            "such as .mean, .std or .quantile(0.99), or use .at_most(...)."
+            f"'{self.text()}' differs between realisations: take a statistic of it, such as .mean, .std or "
+            ".quantile(0.99), or use .at_most(...)."
         )
 
     __add__ = __radd__ = __sub__ = __rsub__ = __mul__ = __rmul__ = __truediv__ = __neg__ = refuse

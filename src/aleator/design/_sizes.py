@@ -1,4 +1,4 @@
-"""Of what magnitudes functionals are made: what is rounding of them, and what is not."""
+"""The magnitudes behind functionals, which determine what counts as rounding."""
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -15,9 +15,9 @@ from aleator.design._statistic import functionals_of
 def sizes(
     problem: AbstractProblem, germ: Float[Array, " variables"], decisions: Float[Array, " n"]
 ) -> tuple[Float[Array, ""], ...]:
-    """The magnitude of what each functional is made of, on one realisation: its output at the largest in time.
+    """The magnitude behind each functional on one realisation: the largest of its output over time.
 
-    The rate at the end of a motion that comes to rest is a sum of rates that were not zero.
+    For example, the rate at the end of a motion that comes to rest is small only by cancellation.
     """
     return _SIZES(numbers_to_arrays(problem), germ, decisions)
 

@@ -1,4 +1,4 @@
-"""Functionals have statistics: `AbstractFunctional`, what each of its kinds shares, and `Statistic`, an atom."""
+"""`AbstractFunctional`, the base class of functionals, and `Statistic`, an atom of expressions."""
 
 import abc
 from collections.abc import Iterable, Mapping, Sequence
@@ -20,10 +20,10 @@ from aleator.statistics import AbstractMeasured, AbstractStatistic, Correlation,
 
 
 class AbstractFunctional(AbstractRandom, AbstractMeasured[Expression]):
-    """A quantity of an output, or of several, taken on each realisation. Made by `integral`, `rms`, `terminal`, ...
+    """A quantity computed from one or more outputs on each realisation. Made by `integral`, `rms`, `terminal`, ...
 
-    Its statistics over the uncertainty (`mean`, `std`, `quantile(0.99)`, `supremum`, ...) are to be added, multiplied
-    by numbers and compared with bounds; `at_most`, `at_least` and `within` bound one end of its distribution.
+    Its statistics over the uncertainty (`mean`, `std`, `quantile(0.99)`, `supremum`, ...) can be added, multiplied by
+    numbers and compared with bounds; `at_most`, `at_least` and `within` bound one or both ends of its distribution.
     """
 
     outputs: tuple[str, ...] = eqx.field(static=True)
@@ -38,29 +38,29 @@ class AbstractFunctional(AbstractRandom, AbstractMeasured[Expression]):
             name_given(name)
         if found := [jax.tree_util.keystr(path) for path, _ in jax.tree_util.tree_leaves_with_path(self)]:
             raise ProblemError(
-                f"{type(self).__name__}: expected numbers that tell one functional from another, such as "
-                f"`target: float = eqx.field(static=True)`; received {', '.join(found)} without it."
+                f"{type(self).__name__}: expected its numbers as static fields, such as `target: float = "
+                f"eqx.field(static=True)`; received {', '.join(found)} without it."
             )
 
     @property
     def output(self) -> str:
-        """The output that it is taken of: the first where it is taken of several."""
+        """The output that it is computed from; the first where there are several."""
         return self.outputs[0]
 
     @abc.abstractmethod
     def evaluate(self, taken: "Taken", grid: AbstractGrid) -> Float[Array, "..."]:
-        """The quantity on what was taken of one realisation: a number, or for `path` one number an instant."""
+        """The quantity on one realisation: a number, or for `path` one number per instant."""
 
     def reach(self, peaks: Mapping[str, Array], grid: AbstractGrid) -> Float[Array, "..."]:
-        """How large it could be at most, were its outputs at their peaks all the time.
+        """The largest possible magnitude, if its outputs were at their peaks all the time.
 
-        A quantity that happens to be small, such as the speed at the end of a motion, is judged beside it.
+        It is the scale for quantities that happen to be small, such as the speed at the end of a motion.
         """
         del grid
         return peaks[self.output]
 
     def unit(self, outputs: Mapping[str, str]) -> str:
-        """Its unit, from those of outputs as far as they are known (see `_core.units`): by default its output's own."""
+        """Its unit, from those of outputs as far as known (see `_core.units`): by default that of its output."""
         return outputs.get(self.output, "")
 
     @property
@@ -77,7 +77,7 @@ class AbstractFunctional(AbstractRandom, AbstractMeasured[Expression]):
 
     @property
     def needs_time(self) -> bool:
-        """Whether it is taken over time, of which algebraic systems have none."""
+        """Whether it is taken over time, which algebraic systems do not have."""
         return True
 
     @override
@@ -87,11 +87,11 @@ class AbstractFunctional(AbstractRandom, AbstractMeasured[Expression]):
     def at_most(
         self, upper: float, *, sigmas: float = 0.0, probability: float | None = None, worst_case: bool = False
     ) -> Constraint:
-        """`mean + sigmas * std <= upper`, or in its place one of two limits that need no normal distribution.
+        """The limit `mean + sigmas * std <= upper`, or one of two that do not assume a normal distribution.
 
-        - `probability`: at most `upper` with this probability (`quantile(probability) <= upper`); of a path at each
-          instant by itself, so that other systems may be beyond it at other instants: for whole systems, limit its
-          `peak`, or use `calibrate`;
+        - `probability`: at most `upper` with this probability (`quantile(probability) <= upper`). For a path this holds
+          at each instant separately, so that different systems may exceed it at different instants; for whole systems,
+          limit its `peak`, or use `calibrate`;
         - `worst_case`: at most `upper` on the worst realisation that `solve` finds, for bounded distributions.
 
         Raises `ProblemError` if more than one of the three is given.
@@ -101,7 +101,7 @@ class AbstractFunctional(AbstractRandom, AbstractMeasured[Expression]):
     def at_least(
         self, lower: float, *, sigmas: float = 0.0, probability: float | None = None, worst_case: bool = False
     ) -> Constraint:
-        """`mean - sigmas * std >= lower`, or in its place one of two limits that need no normal distribution.
+        """The limit `mean - sigmas * std >= lower`, or one of two that do not assume a normal distribution.
 
         - `probability`: at least `lower` with this probability (`quantile(1 - probability) >= lower`);
         - `worst_case`: at least `lower` on the worst realisation that `solve` finds, for bounded distributions.
@@ -144,7 +144,7 @@ class AbstractFunctional(AbstractRandom, AbstractMeasured[Expression]):
 
 
 class Taken(NamedTuple):
-    """What functionals are evaluated on: one realisation's outputs over time, and the integrals that they ask for."""
+    """The data of one realisation for functionals: its outputs over time, and the integrals that they need."""
 
     history: History
     integrals: Mapping[AbstractFunctional, Float[Array, "..."]]
@@ -152,7 +152,7 @@ class Taken(NamedTuple):
 
 @final
 class Statistic(AbstractAtom):
-    """A statistic of a functional, or of several jointly: those of a covariance."""
+    """A statistic of a functional, or of several jointly, as for a covariance."""
 
     functionals: tuple[AbstractFunctional, ...]
     kind: AbstractStatistic
@@ -191,7 +191,7 @@ class Statistic(AbstractAtom):
 
 
 def name_given(name: Any) -> str:
-    """The name of an output as it is. Raises `ProblemError` for what is no name."""
+    """The name of an output, unchanged. Raises `ProblemError` for anything but a name."""
     if isinstance(name, str) and name:
         return name
     raise ProblemError(
@@ -205,7 +205,7 @@ def statistic(kind: AbstractStatistic, *functionals: AbstractFunctional) -> Expr
 
 
 def covariance(first: AbstractFunctional, second: AbstractFunctional) -> Expression:
-    """The covariance of two functionals, at every instant where both are paths."""
+    """The covariance of two functionals; at every instant if both are paths."""
     return _joint(Covariance(), first, second)
 
 
@@ -225,42 +225,42 @@ def _joint(kind: AbstractStatistic, *functionals: Any) -> Expression:
 
 
 def joined(values: Sequence[Float[Array, "..."]]) -> Float[Array, "..."]:
-    """What a statistic is taken of: the values of one functional, or those of several along a new last axis."""
+    """The argument of a statistic: the values of one functional, or of several along a new last axis."""
     return values[0] if len(values) == 1 else jnp.stack(values, axis=-1)
 
 
 def functionals_of(expressions: tuple[Expression, ...]) -> tuple[AbstractFunctional, ...]:
-    """All functionals that stand in some expressions, each once, in order of appearance."""
+    """All functionals in the expressions, each once, in order of appearance."""
     atoms = (atom for one in expressions for atom in one.leaves if isinstance(atom, Statistic | Extreme))
     return tuple(dict.fromkeys(one for atom in atoms for one in atom.functionals))
 
 
 def integrated_paths(expressions: tuple[Expression, ...]) -> tuple[AbstractFunctional, ...]:
-    """The paths whose statistics are integrated over time in some expressions, each once."""
+    """The paths whose statistics the expressions integrate over time, each once."""
     atoms = (part for one in expressions for atom in one.atoms for part in atom.integrated)
     functionals = (one for atom in atoms if isinstance(atom, Statistic) for one in atom.functionals)
     return tuple(dict.fromkeys(one for one in functionals if one.is_path))
 
 
 def statistics_in(expressions: tuple[Expression, ...]) -> tuple[Statistic, ...]:
-    """All statistics that stand in some expressions, in order of appearance."""
+    """All statistics in the expressions, in order of appearance."""
     return tuple(atom for one in expressions for atom in one.leaves if isinstance(atom, Statistic))
 
 
 def has_own_statistics(expressions: tuple[Expression, ...]) -> bool:
-    """Whether statistics stand in some expressions that are a user's own code."""
+    """Whether the expressions contain statistics of a user's own code."""
     return not all(is_library(type(one.kind).__module__) for one in statistics_in(expressions))
 
 
 def numbers_of(
     functionals: Iterable[AbstractFunctional], taken: Taken, grid: AbstractGrid
 ) -> tuple[Float[Array, "..."], ...]:
-    """What functionals give of one realisation, as arrays of real numbers."""
+    """The values of functionals on one realisation, as arrays of real numbers."""
     return tuple(jnp.asarray(one.evaluate(taken, grid), dtype=float) for one in functionals)
 
 
 def _multiple(functional: AbstractFunctional, sigmas: Any) -> float:
-    """A multiple of a standard deviation as a float. Raises `ProblemError` unless it makes a margin."""
+    """A multiple of a standard deviation as a float. Raises `ProblemError` if it is negative."""
     number = number_given(sigmas, "multiply a standard deviation")
     if number < 0:
         raise ProblemError(f"'{functional.text()}': sigmas must not be negative; received {sigmas}.")

@@ -14,7 +14,7 @@ from aleator.uncertainty import AbstractDistribution, AbstractGerm, Decision
 
 
 def problem_text(problem: AbstractProblem) -> str:
-    """Objective, decisions, constraints, uncertainty, dynamics and expansion, a line each."""
+    """Objective, decisions, constraints, uncertainty, dynamics and expansion, one line per item."""
     places = problem.placements
     rows = [("minimise", str(problem.objective))]
     rows += _labelled("over", [_decision_text(name, place.decision) for name, place in places.decisions.items()])
@@ -37,14 +37,14 @@ def _decision_text(name: str, decision: object) -> str:
 
 
 def _distribution_texts(distributions: Mapping[str, AbstractDistribution]) -> Iterator[str]:
-    """A line for each distribution; numbered ones of one kind, such as the modes of a process, share theirs."""
+    """One line per distribution; numbered ones of one kind, such as the modes of a process, share a line."""
     for _, group in itertools.groupby(distributions.items(), key=_numbered):
         (first, distribution), *others = group
         yield f"{first}{f' … {others[-1][0]}' if others else ''} ~ {distribution}"
 
 
 def _numbered(named: tuple[str, AbstractDistribution]) -> tuple[str, str]:
-    """What numbered distributions of one kind have in common: the name before the number, and the distribution."""
+    """The common part of numbered distributions: the name before the number, and the distribution."""
     name, distribution = named
     before, _, number = name.rpartition(".")
     return (before if number.isdigit() else name), str(distribution)

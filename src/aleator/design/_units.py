@@ -1,4 +1,4 @@
-"""Units in a problem: what is known of them, and a refusal of numbers that are added though their units differ."""
+"""Units in a problem, as far as known, and refusal of sums and comparisons of different units."""
 
 import itertools
 from collections.abc import Iterator, Mapping
@@ -21,7 +21,7 @@ from aleator.mechanics import AbstractFormulation
 from aleator.uncertainty import AbstractDistribution, fields_of
 from aleator.uncertainty._at_mean import free
 
-# Those parameters of distributions that are in the unit of the uncertain number itself.
+# The parameters of distributions that have the unit of the uncertain number itself.
 _LIKE_THE_NUMBER = (
     *("mean", "std", "half_width", "lower", "upper", "mode", "median", "location", "scale"),
     *("nominal", "tolerance", "plus", "minus"),
@@ -30,19 +30,19 @@ _TIMES = {"t_start": "s", "t_final": "s"}
 
 
 def units_of(expression: Expression, problem: AbstractProblem) -> Units:
-    """The units of all that an expression speaks of, as far as a problem's model declares them."""
+    """The units of the outputs and numbers in an expression, as far as a problem's model declares them."""
     return _units_in(expression, output_units(problem), _field_units(problem))
 
 
 def number_unit(name: str, problem: AbstractProblem) -> str:
-    """The unit of a number of the model, by the name under which it is decided."""
+    """The unit of a number of the model, by the decision's name."""
     return _unit_of_number(name, _field_units(problem))
 
 
 def output_units(problem: AbstractProblem) -> dict[str, str]:
-    """The units that a system declares, and those of the rates that every mechanical system has.
+    """The units that a system declares, and those of the standard rates of mechanical systems.
 
-    Raises `ProblemError` where `units` is no dict.
+    Raises `ProblemError` if `units` is not a dict.
     """
     declared = problem.system.units
     if not isinstance(declared, Mapping):
@@ -76,11 +76,11 @@ def _units_in(expression: Expression, outputs: Mapping[str, str], fields: Mappin
 
 
 def refuse_clashes(problem: AbstractProblem) -> None:
-    """Raise `ProblemError` where known units differ in what is added, compared or shared.
+    """Raise `ProblemError` where quantities of different known units are added, compared or shared.
 
-    Two terms of a sum clash where neither's factor can be what brings the one to the unit of the other: where the
-    factors are of one size, or, in a constraint, where one is the multiple of a standard deviation, a margin. Efforts,
-    energies and norms, whose weights are one unless others are given, clash with nothing.
+    Two terms of a sum clash where neither factor can be a unit conversion: where the factors are equal in size or, in a
+    constraint, where one is the multiple of a standard deviation, a margin. Efforts, energies and norms never clash,
+    since their weights of one may stand for weights with units.
     """
     _refuse_shared(problem)
     outputs, fields = output_units(problem), _field_units(problem)
@@ -98,21 +98,21 @@ def _refuse_sum(where: str, expression: Expression, units: Units, *, is_limit: b
             clash = _clash(first, second)
             if clash:
                 raise ProblemError(
-                    f"{where}: '{one.text()}' is in {first} and '{other.text()}' in {second}, {clash}: bring both to "
-                    "one unit, or multiply one by a factor that does."
+                    f"{where}: '{one.text()}' is in {first} and '{other.text()}' in {second}, {clash}: convert both to "
+                    "one unit, or multiply one by a conversion factor."
                 )
     for inner in (inner for _, atom in terms for inner in atom.inner):
         _refuse_sum(where, inner, units, is_limit=is_limit)
 
 
 def _unit(atom: AbstractAtom, units: Units) -> str:
-    """The unit of a term; none of those whose weights carry units."""
+    """The unit of a term; empty for terms whose weights carry units."""
     weighted = isinstance(atom, Statistic) and any(isinstance(one, SquareIntegral | Work) for one in atom.functionals)
     return "" if weighted else atom.unit(units)
 
 
 def _refuse_shared(problem: AbstractProblem) -> None:
-    """Refuse one number, shared by its name, in fields of different units."""
+    """Refuse one number, shared by name, in fields of different units."""
     seen: dict[str, tuple[str, str]] = {}
     for place, unit, name in _shared(problem.system):
         first_place, first = seen.setdefault(name, (place, unit))
@@ -125,7 +125,7 @@ def _refuse_shared(problem: AbstractProblem) -> None:
 
 
 def _shared(model: Any) -> Iterator[tuple[str, str, str]]:
-    """The shared numbers in fields with a unit: place, unit, and the name that they are shared by."""
+    """The shared numbers in fields with a unit: place, unit and shared name."""
     for place, field, value in fields_of(model):
         unit = field.metadata.get("unit", "")
         if not (isinstance(unit, str) and unit) or (isinstance(value, eqx.Module) and not is_leaf(value)):
@@ -140,13 +140,13 @@ def _shared(model: Any) -> Iterator[tuple[str, str, str]]:
 
 
 def _clash(first: str, second: str) -> str:
-    """How two units differ, as the end of a sentence; empty where they do not, or where one is not known."""
+    """How two units differ, as the end of a sentence; empty where they agree or one is unknown."""
     one, other = measure(first), measure(second)
     if one is None or other is None or is_same(one, other):
         return ""
     if one.powers != other.powers:
         return "which measure different things"
-    return f"which differ in size, for 1 {_counted(second)} is {_ratio(other, one):.6g} {_counted(first)}"
+    return f"which differ in size: 1 {_counted(second)} is {_ratio(other, one):.6g} {_counted(first)}"
 
 
 def _counted(unit: str) -> str:
