@@ -97,8 +97,8 @@ def test_an_interrupted_search_returns_what_is_finished():
     [
         (0, "number of starts is a whole number of at least 1; received 0"),
         ([], "at least one start"),
-        ({"x": 1.0}, "a list of starts by names"),
-        (2.5, "a list of starts by names"),
+        ({"x": 1.0}, "a list of starts by name"),
+        (2.5, "a list of starts by name"),
         ([{"x": 1.0}, {"y": 1.0}], r"decisions by their names, some of \['x'\]; received \{'y': 1.0\}"),
         ([1.0], "decisions by their names"),
         ([{"x": [1.0, 2.0]}], r"start: 'x': expected finite numbers of shape \(\); received \[1.0, 2.0\]"),
@@ -125,4 +125,4 @@ def test_mirrored_optima_count_as_one_and_the_list_says_so():
     starts = al.multistart(wells("bowls"), [{"x": 0.3}, {"x": 1.7}])
     assert [round(one.decisions["x"], 4) for one in starts.solutions] == [0.0, 2.0]
     assert [count for _, count in starts.optima] == [2]
-    assert "of equal objective counted as one" in str(starts)
+    assert "local optima (equal objectives count as one)" in str(starts)

@@ -161,7 +161,7 @@ def test_constraints_on_moments_alone_are_left_out_and_joint_counts_a_system_onc
     assert evidence.violation("low", "high") == evidence.joint
     assert evidence.violation("high") == evidence.violations["high"]
     for names in ((), ("spread",), ("low", "travel")):
-        with pytest.raises(al.ProblemError, match=r"systems are counted against, \['high', 'low'\]"):
+        with pytest.raises(al.ProblemError, match=r"which systems are counted, \['high', 'low'\]"):
             evidence.violation(*names)
 
 
@@ -187,7 +187,7 @@ def test_a_design_of_which_nothing_is_uncertain_is_simulated_on_a_finer_grid():
     evidence = al.validate(al.solve(gain_problem(theta=1.0)))
     assert evidence.agrees
     assert evidence.joint.count == 0
-    assert "nothing is uncertain: the one system simulated on 10 times as many steps" in str(evidence)
+    assert "nothing is uncertain: the one system simulated with 10 times as many steps" in str(evidence)
 
 
 def test_a_coarse_grid_behind_a_design_without_uncertainty_is_found_out():

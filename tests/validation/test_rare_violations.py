@@ -131,7 +131,7 @@ def test_what_cannot_happen_is_counted_instead():
     ("options", "message"),
     [
         ({"solution": None}, "expected a Solution, from al.solve; received NoneType"),
-        ({"names": "travel"}, r"systems are counted against, \['response'\]; received \['travel'\]"),
+        ({"names": "travel"}, r"which systems are counted, \['response'\]; received \['travel'\]"),
         ({"names": ()}, "expected names of constraints"),
         ({"samples": 1.5}, "samples as a whole number of at least 2; received 1.5"),
         ({"seed": -1}, "seed as a whole number of at least 0; received -1"),

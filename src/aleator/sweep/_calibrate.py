@@ -1,4 +1,4 @@
-"""`calibrate`: the multiple of the standard deviation that makes violations as rare as asked (sections 5.6 and 6.5)."""
+"""`calibrate`: the multiple of the standard deviation that meets a target for violations (sections 5.6 and 6.5)."""
 
 import bisect
 import warnings
@@ -19,15 +19,15 @@ from aleator.sweep._calibration import Calibration, Trial
 from aleator.sweep._margins import MarginSearch
 from aleator.validation import Evidence, Proportion, Share, rare_violation, validate, why_uncounted
 
-# All looks at fresh systems together confirm a design that violates too often in one calibration of so many.
+# All looks at fresh systems together wrongly confirm a design in one calibration out of this many.
 _WRONG = 1 / 40
-# Fresh systems, as multiples of those of a trial: more are drawn as long as they are likely to confirm the design.
+# Fresh systems, as multiples of those in a trial: more are drawn while they are likely to confirm the design.
 _FRESH = (2, 4, 8)
-# Violations that are expected at the target: with fewer they are not counted, but sampled where they are.
+# With fewer violations expected at the target, importance sampling replaces counting.
 _COUNTED = 20
 _FEWEST_WEIGHTED = 1000
 _MOST_COUNTED = 2_000_000
-_LIKELY = 0.84  # standard deviations: fresh systems confirm what meets the aim in four cases of five
+_LIKELY = 0.84  # standard deviations: fresh systems confirm a design that meets the aim in four cases out of five
 
 
 def calibrate(
@@ -44,25 +44,26 @@ def calibrate(
 ) -> Calibration:
     """Find the `sigmas` at which systems violate the constraints called `names` no more often than `target`.
 
-    Of several names, a system that breaks any counts once; their multiples, of each name the largest that is given,
-    keep their ratios, and are set as `Problem.with_sigmas` sets them. `sigmas` is the largest. Each trial solves the
-    problem, warm-started and compiled once, and counts violations of its design on the same `samples` random systems.
-    The search is a secant on the normal quantile of the probability, which is nearly straight, kept inside a bracket;
-    it ends within `precision` (relative) below an aim, which lies so far below the target that fresh systems are likely
-    to confirm the design.
+    With several names, a system that violates any of them counts once, and the ratios between their multiples are kept
+    (for each name the largest multiple in it, set as by `Problem.with_sigmas`); `sigmas` is the largest. Each trial
+    solves the problem, warm-started and compiled once, and counts violations of its design on the same `samples` random
+    systems. The search is a bracketed secant method on the normal quantile of the probability, which is nearly linear.
+    It ends within `precision` (relative) below an aim, which lies far enough below the target that fresh systems are
+    likely to confirm the design.
 
-    These are drawn then, twice as many: the design is confirmed if the upper end of their interval lies below the
-    target. If it does not, up to four times as many again are drawn where that is likely to suffice, or the margin is
-    widened, until a design is confirmed. Each look at fresh systems is given half of the error of that before, so that
-    of all calibrations at most 2.5 % confirm a design that is violated more often than asked.
+    Then twice as many fresh systems are drawn: the design is confirmed if the upper end of their confidence interval
+    lies below the target. If it does not, up to four times as many again are drawn where that is likely to suffice, or
+    the margin is widened, until a design is confirmed. Each look at fresh systems is given half the error of the one
+    before, so that at most 2.5 % of all calibrations confirm a design that is violated more often than the target.
 
     Where fewer than 20 violations are expected among the samples at the target, they are estimated by importance
-    sampling (`al.rare_violation`), and counted on 20 over the target where that fails.
+    sampling (`al.rare_violation`) or, where that fails, counted on 20 / `target` systems.
 
-    What cannot be confirmed is returned too, with a `CalibrationWarning` that says what is missing: see
-    `Calibration.confirmed`. So is what Ctrl-C leaves after the first trial; a solve that fails later bounds the search.
+    An unconfirmed result is returned too, with a `CalibrationWarning` that says what is missing: see
+    `Calibration.confirmed`. So is the result when Ctrl-C is pressed after the first trial. A later solve that fails
+    bounds the search.
 
-    Raises `ProblemError`, before anything is solved, for arguments that make no sense, and what the first solve raises.
+    Raises `ProblemError`, before anything is solved, for invalid arguments, and whatever the first solve raises.
     """
     names = _checked(problem, names, target, samples, seed, precision, max_trials)
     sampler = _Sampler(names, float(target), samples, seed)
@@ -90,9 +91,9 @@ def calibrate(
 
 @final
 class _Run:
-    """Search and confirmation in turns, until a design is confirmed or `missing` says why not.
+    """Alternating search and confirmation, until a design is confirmed or `missing` says why not.
 
-    - `chosen`, `fresh`, `evidence`: the design that fresh systems were looked at last, and what they said.
+    - `chosen`, `fresh`, `evidence`: the design last checked on fresh systems, and the results.
     """
 
     def __init__(self, search: MarginSearch, sampler: "_Sampler", max_trials: int, progress: Progress):
@@ -105,12 +106,12 @@ class _Run:
         self.heed: Callable[[], None] = lambda: None
 
     def finish(self) -> None:
-        """Search and confirm until a design is confirmed, or nothing is left to try."""
+        """Search and confirm until a design is confirmed or there is nothing left to try."""
         while True:
             self._seek()
             best = self._search.best
             if best.violation.estimate > self._sampler.target:
-                self.missing = f"no margin that was tried is violated so rarely, {self._why_no_wider()}"
+                self.missing = f"no margin tried is violated rarely enough, {self._why_no_wider()}"
                 return
             if self._confirm(best):
                 self._progress(self._task, self._max_trials, self._max_trials)
@@ -133,7 +134,7 @@ class _Run:
             self.heed()
 
     def _confirm(self, trial: Trial) -> bool:
-        """Whether fresh systems confirm a design: more of them as long as that is likely."""
+        """Whether fresh systems confirm a design; more are drawn while that is likely to confirm it."""
         self.chosen, self.fresh, self.evidence = trial, None, None
         for times in _FRESH:
             self.fresh, self.evidence = self._sampler.fresh(trial.solution, times)
@@ -145,7 +146,7 @@ class _Run:
         return False
 
     def _enough_samples(self) -> str:
-        """How many fresh systems would confirm the design, if they violate it as often as those before."""
+        """How many fresh systems would confirm the design, if they violated it as often as those before."""
         if self.fresh is None or self.fresh.estimate >= self._sampler.target:
             return ""
         factors = (2.0**power for power in range(1, 30))
@@ -164,7 +165,7 @@ class _Run:
 
 @final
 class _Sampler:
-    """How often designs are violated: on the sample of all trials, and on fresh ones, each looked at once."""
+    """How often designs are violated: on the common sample of all trials, and on fresh samples, each used once."""
 
     def __init__(self, names: tuple[str, ...], target: float, samples: int, seed: int):
         self.names, self.target = names, target
@@ -172,11 +173,11 @@ class _Sampler:
         self._looks = 0
 
     def trial(self, solution: Solution) -> Share:
-        """On the sample of all trials."""
+        """On the common sample of all trials."""
         return self._drawn(solution, 1, self._stream(1), keep=0)[0]
 
     def fresh(self, solution: Solution, times: int) -> tuple[Share, Evidence]:
-        """On systems that were never drawn before, so many times as many as in a trial."""
+        """On systems never drawn before, `times` as many as in a trial."""
         self._looks += 1
         seed = self._stream(1 + self._looks)
         share, evidence = self._drawn(solution, times, seed, keep=200)
@@ -185,7 +186,7 @@ class _Sampler:
         return replace(share, confidence=_confidence(self._looks)), evidence
 
     def hoped(self, share: Share, times: float) -> Share:
-        """What the next look at so many times as many systems would say if they violated as often."""
+        """The expected result of the next look, at `times` as many systems, if they violated as often."""
         samples, confidence = round(times * share.samples), _confidence(self._looks + 1)
         if isinstance(share, Proportion):
             return Proportion(round(share.estimate * samples), samples, confidence)
@@ -193,9 +194,10 @@ class _Sampler:
         return replace(share, variance=variance, largest=largest, samples=samples, confidence=confidence)
 
     def aim(self, share: Share) -> float:
-        """How often the sample of a trial may violate, so that the next look is likely to confirm the design.
+        """The violation rate of a trial's sample at which the next look is likely to confirm the design.
 
-        Both are in error: the first by `p / n`, the second, of twice as many systems, by half of that (variances).
+        Both have sampling errors: a variance of `p / n` for the first, and half of that for the second, with twice as
+        many systems.
         """
         confidence = _confidence(self._looks + 1)
         if not isinstance(share, Proportion):
@@ -204,7 +206,7 @@ class _Sampler:
         samples = _FRESH[0] * share.samples
         counts = range(int(self.target * samples) + 1)
         most = bisect.bisect_right(counts, self.target, key=lambda count: Proportion(count, samples, confidence).upper)
-        # The count expected, so that it stays at `most - 1` or below with its error and that of the trial.
+        # The expected count that stays at `most - 1` or below, allowing for its error and that of the trial.
         error = _LIKELY * np.sqrt(1 + _FRESH[0])
         return float((np.sqrt(error**2 + 4 * max(most - 0.5, 0.0)) - error) ** 2 / 4 / samples)
 
@@ -219,12 +221,12 @@ class _Sampler:
         return evidence.violation(*self.names), evidence
 
     def _stream(self, number: int) -> int:
-        """Seeds of independent streams: evidence that a user gathers with the same seed is fresh all the same."""
+        """Seeds of independent streams: evidence that a user gathers with the same seed is still fresh."""
         return int(np.random.SeedSequence([self._seed, number]).generate_state(1)[0])
 
 
 def _confidence(look: int) -> float:
-    """Of a look at fresh systems, counted from 1: half of the error that the one before was given."""
+    """The confidence of a look at fresh systems, counted from 1: each is given half the error of the one before."""
     return 1 - 2 * _WRONG / 2**look
 
 
@@ -237,7 +239,7 @@ def _checked(
     precision: Any,
     max_trials: Any,
 ) -> tuple[str, ...]:
-    """The names, each once. Raises `ProblemError` for arguments that make no sense."""
+    """The names, each once. Raises `ProblemError` for invalid arguments."""
     if not isinstance(problem, Problem):
         raise ProblemError(f"calibrate: expected a Problem; received {type(problem).__name__}.")
     for what, number in (("target", target), ("precision", precision)):
@@ -252,7 +254,7 @@ def _checked(
     fewest = min(int(np.ceil(_COUNTED / target)), _FEWEST_WEIGHTED)
     if samples < fewest:
         raise ProblemError(
-            f"calibrate: a violation of {target:g} needs at least {fewest} samples to be told; received {samples}."
+            f"calibrate: expected at least {fewest} samples to resolve a violation of {target:g}; received {samples}."
         )
     given = (names,) if isinstance(names, str) else tuple(names) if isinstance(names, Sequence) else ()
     if not given or not all(isinstance(name, str) for name in given):
@@ -267,7 +269,7 @@ def _is_real(number: Any) -> bool:
 
 
 def _check_margin(problem: Problem, name: str) -> None:
-    """Refuse constraints that no margin can be found for."""
+    """Refuse constraints for which no margin can be found."""
     constraints = problem.named(name)
     if reason := why_uncounted(problem, name):
         raise ProblemError(
@@ -275,7 +277,7 @@ def _check_margin(problem: Problem, name: str) -> None:
         )
     if not any(one.expression.sigmas for one in constraints):
         raise ProblemError(
-            f"calibrate: the constraints called '{name}' hold no standard deviation; set sigmas=1 in them."
+            f"calibrate: the constraints called '{name}' contain no standard deviation; set sigmas=1 in them."
         )
     if not problem.placements.germs:
         held = " (al.deterministic holds them at their means)" if uncertain(problem).placements.germs else ""

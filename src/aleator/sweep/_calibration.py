@@ -1,4 +1,4 @@
-"""`Calibration`: the margin found, what was promised of it and what fresh systems say."""
+"""`Calibration`: the margin found, its target, and the result on fresh systems."""
 
 from dataclasses import dataclass
 from typing import final
@@ -10,7 +10,7 @@ from aleator.validation import Evidence, Proportion, Share
 @final
 @dataclass(frozen=True)
 class Trial:
-    """One multiple of the standard deviation that was tried: its optimal design and how often that is violated."""
+    """One multiple of the standard deviation that was tried: its optimal design and how often it is violated."""
 
     sigmas: float
     solution: Solution
@@ -23,15 +23,15 @@ class Trial:
 @final
 @dataclass(frozen=True)
 class Calibration:
-    """The margin whose design is violated no more often than asked. `print(calibration)` shows it.
+    """The margin whose design is violated no more often than the target. `print(calibration)` shows it.
 
-    - `names`: the limits; a system that breaks any of them violates; `target`: how often it may;
-    - `trials`: all that was tried, on one and the same random sample; `chosen`: the one that is recommended;
-    - `confirmation`: how often fresh systems, in no part of the search, violate the chosen design, None where it did
-      not come to that. Its interval is so wide that of all calibrations at most one in forty confirms a design that is
-      violated more often than asked, however often fresh systems had to be looked at;
-    - `evidence`: the chosen design on fresh systems; of rare violations it is a second sample, beside `confirmation`;
-    - `missing`: what it takes to confirm it, empty if it is confirmed; `interrupted`: whether it was stopped early.
+    - `names`: the limits; a system that breaks any of them counts; `target`: how often that may happen;
+    - `trials`: all trials, on the same random sample; `chosen`: the recommended one;
+    - `confirmation`: how often fresh systems, not used in the search, violate the chosen design; None where none were
+      drawn. Its interval is wide enough that at most one calibration in forty confirms a design that is violated more
+      often than the target, however many looks at fresh systems were needed;
+    - `evidence`: the chosen design on fresh systems; for rare violations a second sample, besides `confirmation`;
+    - `missing`: what is needed to confirm it, empty if it is confirmed; `interrupted`: whether it was stopped early.
     """
 
     names: tuple[str, ...]
@@ -45,17 +45,17 @@ class Calibration:
 
     @property
     def confirmed(self) -> bool:
-        """Whether the upper end of the interval on fresh systems lies at the target or below."""
+        """Whether the upper end of the interval on fresh systems is at or below the target."""
         return self.confirmation is not None and self.confirmation.upper <= self.target
 
     @property
     def name(self) -> str:
-        """The limits in words."""
+        """The limits' names as text."""
         return " or ".join(self.names)
 
     @property
     def sigmas(self) -> float:
-        """The calibrated multiple of the standard deviation, of several limits the largest: see `margins`."""
+        """The calibrated multiple of the standard deviation; the largest of several limits: see `margins`."""
         return self.chosen.sigmas
 
     @property
@@ -66,11 +66,11 @@ class Calibration:
 
     @property
     def solution(self) -> Solution:
-        """The design it gives."""
+        """The design with this margin."""
         return self.chosen.solution
 
     def sentence(self, who: str = "systems") -> str:
-        """What was promised, whether it is confirmed and with which confidence, in one sentence."""
+        """The target, whether it is confirmed, and with which confidence, in one sentence."""
         fresh = "" if self.confirmation is None else _fresh(self.confirmation, who)
         if self.confirmed:
             return f"confirmed for the target of {100 * self.target:g} %: {fresh}"
@@ -85,5 +85,5 @@ class Calibration:
 
 
 def _fresh(share: Share, who: str) -> str:
-    how = "" if isinstance(share, Proportion) else f", weighted, worth {share.effective:.0f} that violate"
+    how = "" if isinstance(share, Proportion) else f", weighted, with {share.effective:.0f} effective violations"
     return f"{share} of {share.samples} fresh {who}{how}, at {100 * share.confidence:g} % confidence"

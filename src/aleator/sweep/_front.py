@@ -22,7 +22,7 @@ from aleator.solving import solve
 class Refused:
     """A point of a front that was refused before it was solved, because no decision can meet the bound.
 
-    - `problem`: with that bound; `reason`: what was said.
+    - `problem`: the problem with that bound; `reason`: the message.
     """
 
     problem: Problem
@@ -35,7 +35,7 @@ class Refused:
 
     @property
     def status(self) -> Status:
-        """How it ended: no design exists there."""
+        """The status: no design exists there."""
         return Status.INFEASIBLE
 
     def why(self) -> str:
@@ -52,9 +52,9 @@ class Front:
     """Optimal designs along a bound. `print(front)` shows them.
 
     - `bound`: the name of the constraint; `values`: its bounds, shape (points,);
-    - `points`: what was found at each: a solution, also where the problem is infeasible (see `Solution.status` and
-      `Solution.why()`), or that the bound was `Refused`;
-    - `interrupted`: whether the sweep was stopped early; the points finished by then are all here.
+    - `points`: the result at each: a solution, even where the problem is infeasible (see `Solution.status` and
+      `Solution.why()`), or `Refused`;
+    - `interrupted`: whether the sweep was stopped early; the points finished by then are included.
     """
 
     bound: str
@@ -64,7 +64,7 @@ class Front:
 
     @property
     def solutions(self) -> tuple[Solution, ...]:
-        """The points that were solved, or tried to."""
+        """The points that were solved, successfully or not."""
         return tuple(one for one in self.points if isinstance(one, Solution))
 
     @property
@@ -79,24 +79,24 @@ class Front:
 
     @property
     def objectives(self) -> Float[np.ndarray, " points"]:
-        """The optimum at each point, not a number where there is none."""
+        """The optimum at each point; NaN where there is none."""
         return self._numbers(lambda one: one.objective if one.ok else np.nan)
 
     @property
     def shadow_prices(self) -> Float[np.ndarray, " points"]:
-        """How much the optimum falls for each unit by which the bound is relaxed; not a number where there is none."""
+        """The decrease of the optimum per unit by which the bound is relaxed; NaN where there is none."""
         return self._numbers(lambda one: one.multiplier(self.bound) if one.ok else np.nan)
 
     @property
     def violations(self) -> Float[np.ndarray, " points"]:
-        """The scaled violation at each point: the least one found where the problem is infeasible.
+        """The scaled violation at each point; where the problem is infeasible, the smallest found.
 
-        Not a number where it was refused.
+        NaN where it was refused.
         """
         return self._numbers(lambda one: one.certificate.violation)
 
     def _numbers(self, measure: Callable[[Solution], float]) -> Float[np.ndarray, " points"]:
-        """A number of each point, not a number where it was refused."""
+        """A number for each point; NaN where it was refused."""
         return np.array([measure(one) if isinstance(one, Solution) else np.nan for one in self.points])
 
     def __str__(self) -> str:
@@ -120,11 +120,11 @@ def pareto(
     solver: AbstractSolver | None = None,
     progress: Progress = silent,
 ) -> Front:
-    """Solve a problem for each value of the bound called `bound`, each from the nearest solution found so far.
+    """Solve a problem for each value of the bound called `bound`, starting from the nearest solution so far.
 
-    The problem is compiled once: bounds are data. A point that fails is tried again from the problem's own start, and
-    then kept with its status, its least violation and the reason. One that is refused, because no decision can meet the
-    bound, is kept as `Refused` with what was said. Ctrl-C ends the sweep and returns the points that are finished, if
+    The problem is compiled once, since bounds are data. A point that fails is tried again from the problem's own start,
+    and then kept with its status, its smallest violation and the reason. One that is refused, because no decision can
+    meet the bound, is kept as `Refused` with the message. Ctrl-C ends the sweep and returns the finished points, if
     there are any.
 
     A value given twice is solved once. Raises `ProblemError` if there is no such constraint or no value, or if every
@@ -171,7 +171,7 @@ def _nearest(solutions: Mapping[float, Solution], value: float) -> Solution | No
 
 
 def _point(problem: Problem, neighbour: Solution | None, solver: AbstractSolver | None) -> Solution:
-    """The solution at one point; where it fails from the neighbour and from the start, the less violated of the two."""
+    """The solution at one point; if it fails from the neighbour and from the start, the less violated of the two."""
     first = solve(problem, solver, warm_start=neighbour, throw=False)
     if first.ok or neighbour is None:
         return first

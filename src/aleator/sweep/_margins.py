@@ -1,4 +1,4 @@
-"""The search of a calibration: margins tried one after another, and which to try next."""
+"""The search of a calibration: the margins tried, and the choice of the next."""
 
 from collections.abc import Callable, Mapping
 from typing import final
@@ -15,7 +15,7 @@ from aleator.sweep._calibration import Trial
 from aleator.validation import Proportion, Share
 
 _SMALLEST, _LARGEST = 0.02, 20.0
-# Margins that differ by less, relatively, give the same design.
+# Margins with a smaller relative difference give the same design.
 _SAME = 1e-3
 
 
@@ -23,12 +23,12 @@ _SAME = 1e-3
 class MarginSearch:
     """A bracketed secant on the normal quantile of the violation probability, which falls as the multiple grows.
 
-    - `given`: the multiples to start from, by the names of their constraints, whose ratios are kept: a margin that is
-      tried is the largest of them;
-    - `measure`: how often a design is violated, on one random sample for all designs;
-    - `aim`: how often it may be by such a measurement, so that fresh systems are likely to confirm it.
+    - `given`: the initial multiples, by the names of their constraints. Their ratios are kept, and a margin is the
+      largest of them;
+    - `measure`: how often a design is violated, on one random sample common to all designs;
+    - `aim`: the measured rate at which fresh systems are likely to confirm a design.
 
-    `tighten` lowers that aim, after fresh systems did not.
+    `tighten` lowers that aim after fresh systems did not confirm a design.
     """
 
     def __init__(
@@ -49,35 +49,35 @@ class MarginSearch:
 
     @property
     def ceiling(self) -> float:
-        """The smallest multiple beyond all trials that has no design; infinite if none is known."""
+        """The smallest multiple beyond all trials that is known to have no design; else infinite."""
         widest = max((one.sigmas for one in self.trials), default=0.0)
         return min((sigmas for sigmas in self.failures if sigmas > widest), default=np.inf)
 
     @property
     def exhausted(self) -> bool:
-        """Whether no wider margin is left to try: it is at its largest, or as large as there are designs."""
+        """Whether no wider margin is left to try: it is at its maximum, or wider ones have no design."""
         widest = max((one.sigmas for one in self.trials), default=0.0)
         return widest >= min(_LARGEST, (1 - _SAME) * self.ceiling)
 
     @property
     def done(self) -> bool:
-        """Whether a trial is close below the aim, or below it as closely as a margin can bring it.
+        """Whether a trial is just below the aim, or as close below it as any margin can be.
 
-        Or whether there is nothing left to try.
+        Also true if there is nothing left to try.
         """
         meeting = [one for one in self.trials if self._meets(one)]
         return any(map(self._settles, meeting)) or (not meeting and self.exhausted)
 
     @property
     def best(self) -> Trial:
-        """The smallest margin that meets the aim; where none does, the one that is violated least often."""
+        """The smallest margin that meets the aim; if none does, the one violated least often."""
         meeting = [one for one in self.trials if self._meets(one)]
         if meeting:
             return min(meeting, key=lambda one: one.sigmas)
         return min(self.trials, key=lambda one: (one.violation.estimate, -one.sigmas))
 
     def step(self) -> None:
-        """Try one more multiple. One that has no design, or none that can be sampled, only bounds the search.
+        """Try one more multiple. One without a design, or whose design cannot be sampled, only bounds the search.
 
         Raises what the first trial raises.
         """
@@ -93,7 +93,7 @@ class MarginSearch:
         self._next = self._propose()
 
     def tighten(self, trial: Trial, fresh: Share) -> None:
-        """Aim lower, since fresh systems violate a trial too often: by as much, and a little more."""
+        """Lower the aim by the factor, and a little more, by which fresh systems violated a trial too often."""
         measured = trial.violation.estimate
         self._tightened *= 0.85
         self._lowered = self._tightened * min(measured / fresh.estimate, 1.0) if fresh.estimate > 0 else self._tightened
@@ -119,14 +119,14 @@ class MarginSearch:
 
     def _settles(self, trial: Trial) -> bool:
         low = max((sigmas for sigmas in self._too_small() if sigmas < trial.sigmas), default=0.0)
-        # Where the constraints are not active, the margin does not shape the design.
+        # Where the constraints are inactive, the margin does not affect the design.
         idle = not set(self._shares) & set(trial.solution.active)
         closest = trial.sigmas - low < _SAME * trial.sigmas or trial.sigmas <= _SMALLEST
         return self._is_close(trial.violation) or idle or closest
 
     def _is_close(self, share: Share) -> bool:
         least = (1 - self._precision) * self._limit(share)
-        # Of few systems, no whole number may lie in between.
+        # With few systems there may be no integer count in between.
         if isinstance(share, Proportion):
             return share.count >= np.floor(least * share.samples)
         return share.estimate >= least
@@ -135,7 +135,7 @@ class MarginSearch:
         return [one.sigmas for one in self.trials if not self._meets(one)] + list(self.failures)
 
     def _propose(self) -> float:
-        """The secant through the two trials around the aim, aimed a little below it."""
+        """The secant through the two trials on either side of the aim, solved for a little below it."""
         meeting = sorted((one for one in self.trials if self._meets(one)), key=lambda one: one.sigmas)
         if not meeting:
             widest = max((one.sigmas for one in self.trials), default=self._next)
@@ -153,7 +153,7 @@ class MarginSearch:
         return low.sigmas + (high.sigmas - low.sigmas) * float(np.clip(share, 0.1, 0.9))
 
     def _level(self, trial: Trial) -> float:
-        """Distance from the aim on the scale of the normal quantile: positive where violated too often."""
+        """The distance from the aim in normal quantiles: positive where violated too often."""
         one, aim = trial.violation, self._limit(trial.violation) * (1 - self._precision / 2)
         estimate = (one.count + 0.5) / (one.samples + 1) if isinstance(one, Proportion) else one.estimate
         return float(special.ndtri(estimate) - special.ndtri(aim))

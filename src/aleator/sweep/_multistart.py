@@ -1,4 +1,4 @@
-"""`multistart`: one problem from several starts, its local optima in order."""
+"""`multistart`: one problem solved from several starts, with its local optima in order."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ from aleator.nlp import AbstractSolver
 from aleator.solution import Solution
 from aleator.solving import solve
 
-# Objectives that differ by less, relatively, are those of one local optimum, and so are decisions.
+# Objectives, or decisions, with a smaller relative difference belong to one local optimum.
 _SAME = 1e-4
 
 
@@ -25,8 +25,8 @@ _SAME = 1e-4
 class Starts:
     """A problem solved from several starts. `print(starts)` lists its local optima.
 
-    - `solutions`: one a start, in order, also where it failed;
-    - `interrupted`: whether it was stopped early; what was finished by then is all here.
+    - `solutions`: one per start, in order, failed ones included;
+    - `interrupted`: whether it was stopped early; the solutions finished by then are included.
     """
 
     solutions: tuple[Solution, ...]
@@ -34,7 +34,7 @@ class Starts:
 
     @property
     def best(self) -> Solution:
-        """The best of the solved; where none is, the least violated."""
+        """The best solved one; if none is solved, the least violated."""
         solved = [one for one in self.solutions if one.ok]
         if solved:
             return min(solved, key=lambda one: one.objective)
@@ -42,10 +42,10 @@ class Starts:
 
     @property
     def optima(self) -> tuple[tuple[Solution, int], ...]:
-        """The local optima, best first, each with how many starts led to it.
+        """The local optima, best first, each with the number of starts that led to it.
 
-        Solutions of the same objective are one, mirrored plans too, and so are those of the same decisions, whose
-        objective may be zero.
+        Solutions with the same objective count as one, mirrored plans included, and so do those with the same
+        decisions, since the objective may be zero.
         """
         solved = sorted((one for one in self.solutions if one.ok), key=lambda one: one.objective)
         starts = [one.problem.placements.vector("initial") for one in solved]
@@ -65,7 +65,7 @@ class Starts:
         rows = [f"{one.objective:14.8g}  from {count} of {len(self.solutions)} starts" for one, count in self.optima]
         failed = sum(not one.ok for one in self.solutions)
         return "\n".join(
-            ["local optima, of equal objective counted as one", *rows, *([f"{failed} starts failed"] if failed else [])]
+            ["local optima (equal objectives count as one)", *rows, *([f"{failed} starts failed"] if failed else [])]
         )
 
 
@@ -82,20 +82,20 @@ def multistart(
     solver: AbstractSolver | None = None,
     progress: Progress = silent,
 ) -> Starts:
-    """Solve a problem from several starts: given ones, by decisions' names, or so many random ones.
+    """Solve a problem from several starts, given by decisions' names, or from a number of random ones.
 
-    The first random start is the problem's own; the others differ from it by up to `spread` of each decision's range
-    (where a bound is infinite: of its magnitude), drawn from `seed`. The problem is compiled once. A start that fails
-    is kept with its status; Ctrl-C ends the search and returns what is finished.
+    The first random start is the problem's own; the others, drawn from `seed`, differ from it by up to `spread` of each
+    decision's range (of its magnitude where a bound is infinite). The problem is compiled once. A start that fails is
+    kept with its status; Ctrl-C ends the search and returns the finished solutions.
 
-    Raises `ProblemError`, before anything is solved, for no start, decisions that are not there, and values that are
-    not finite or of the wrong shape.
+    Raises `ProblemError`, before anything is solved, if there is no start, for unknown decisions, and for values that
+    are not finite or of the wrong shape.
     """
     one_of("multistart: problem", problem, Problem)
     spread, seed = positive("multistart: spread", spread), whole("multistart: seed", seed, least=0)
     if isinstance(starts, bool | Mapping | str) or not isinstance(starts, int | np.integer | Sequence):
         raise ProblemError(
-            f"multistart: expected a number of starts, or a list of starts by names; received {starts!r}."
+            f"multistart: expected a number of starts, or a list of starts by name; received {starts!r}."
         )
     if not isinstance(starts, Sequence):
         starts = _random(problem, whole("multistart: the number of starts", starts), spread, seed)

@@ -1,4 +1,4 @@
-"""What sampled evidence contradicts of a solution: every statistic that both give, and limits that none may break."""
+"""Where sampled evidence contradicts a solution: statistics that both give, and limits that hold for all systems."""
 
 from collections.abc import Iterator, Mapping
 from typing import NamedTuple
@@ -28,12 +28,12 @@ from aleator.validation._disagreement import Disagreement, is_rare, worst_disagr
 from aleator.validation._evidence import Checked, Sampled
 from aleator.validation._proportion import Proportion
 
-# A spread below this part of what a functional is made of is rounding.
+# A spread below this fraction of the magnitude behind a functional is rounding.
 _ROUNDING = 1e-11
 
 
 class Found(NamedTuple):
-    """What was sampled of a problem, and its solution; see the fields of `Evidence`. `values`: samples of numbers."""
+    """The samples of a problem, and its solution; see the fields of `Evidence`. `values`: samples of numbers."""
 
     solution: Solution
     problem: Problem
@@ -46,7 +46,7 @@ class Found(NamedTuple):
 
 
 def disagreements(found: Found) -> tuple[Disagreement, ...]:
-    """The numbers that samples contradict; none of a deterministic design, behind which no expansion stands."""
+    """The numbers that samples contradict; none for a deterministic design, which has no expansion."""
     if not found.solution.problem.placements.germs:
         return ()
     told = [*_moments(found), *_statistics(found), *_limits(found)]
@@ -55,7 +55,7 @@ def disagreements(found: Found) -> tuple[Disagreement, ...]:
 
 def _moments(found: Found) -> Iterator[Disagreement]:
     times, samples = found.solution.instants, found.samples
-    # Nobody relies on the expansion of what only a worst case is asked of.
+    # Functionals with only a worst case do not use the expansion.
     for text in (one.text() for one in expanded_functionals(found.problem.expressions)):
         one = found.functionals[text]
         when = times if np.ndim(one.mean) else None
@@ -81,7 +81,7 @@ def _moments(found: Found) -> Iterator[Disagreement]:
 
 
 def _of_the_grid(solution: Solution, text: str) -> float:
-    """How far a functional is known to be off by its grid: what is sampled on a finer one differs by that."""
+    """The known grid error of a functional, by which samples on a finer grid differ."""
     error = solution.certificate.grid_error
     deviation = None if error is None else error.functionals.get(text)
     return 0.0 if deviation is None or np.isnan(deviation.error) else deviation.error
@@ -111,7 +111,7 @@ def _statistics(found: Found) -> Iterator[Disagreement]:
 
 
 def _size(statistic: Statistic, values: list[Float[np.ndarray, " samples"]]) -> float:
-    """The magnitude that rounding of a statistic is relative to; zero for those without a unit."""
+    """The magnitude to which rounding of a statistic is relative; zero for dimensionless statistics."""
     largest = [float(np.max(np.abs(one))) for one in values]
     if isinstance(statistic.kind, Covariance | Variance):
         return largest[0] * largest[-1]
@@ -119,7 +119,7 @@ def _size(statistic: Statistic, values: list[Float[np.ndarray, " samples"]]) -> 
 
 
 def _limits(found: Found) -> Iterator[Disagreement]:
-    """Limits on statistics that the samples break, and limits for all systems that some of them break."""
+    """Limits on statistics that the samples break, and limits for all systems that some samples break."""
     for one in found.compared:
         if one.meets is False:
             yield Disagreement(one.text, one.bound, one.value, one.standard_error, one.time, "its bound")
@@ -132,7 +132,7 @@ def _limits(found: Found) -> Iterator[Disagreement]:
 
 
 def _is_rounding(one: Disagreement, found: Found) -> bool:
-    """Whether a disagreement is about rounding: of a rate, say, that is zero at the end of every motion."""
+    """Whether a disagreement is mere rounding, such as of a rate that is zero at the end of every motion."""
     functionals = functionals_of(found.problem.expressions)
     centre = jnp.asarray([germ.quantile(np.array(0.5)) for germ in found.problem.placements.germs.values()])
     magnitudes = sizes(found.problem, centre, jnp.asarray(found.solution.vector))

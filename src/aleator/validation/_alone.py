@@ -1,4 +1,4 @@
-"""The evidence of a design of which nothing is uncertain: its one system, on a finer grid."""
+"""The evidence of a design without uncertainty: its one system, on a finer grid."""
 
 import time
 
@@ -16,23 +16,25 @@ from aleator.validation._evidence import Evidence, Sampled
 from aleator.validation._proportion import Proportion
 from aleator.validation._sampling import SIMULATE_BATCH
 
-# How many times as many steps.
+# Refinement factor of the grid.
 _FINER = 10
 
-# Differences up to this part of a number's own size are none.
+# Relative differences up to this are ignored.
 _RELATIVE = 1e-3
 
 
 def alone(solution: Solution, started: float) -> Evidence:
-    """Simulate the one system that a design without uncertainty has, on a finer grid where it moves in time.
+    """Simulate the one system of a design without uncertainty, on a finer grid if it evolves in time.
 
-    Raises `ProblemError` if its code is not what it was when the design was solved, or if there is nothing to simulate.
+    Raises `ProblemError` if its code has changed since the design was solved, or if there is nothing to simulate.
     """
     refuse_changed("validate", solution.problem, "when the design was solved")
     problem, factor = solution.problem, 1
     functionals = functionals_of(problem.expressions)
     if not functionals:
-        raise ProblemError("validate: no functional of an output stands in this problem: there is nothing to simulate.")
+        raise ProblemError(
+            "validate: this problem contains no functional of an output, so there is nothing to simulate."
+        )
     if problem.system.has_time:
         factor = _FINER
         problem = problem.on_grid(problem.grid.finer(factor))

@@ -1,4 +1,4 @@
-"""Limits that speak of no single system: what the samples give in the place of their statistics, beside the bounds."""
+"""Limits on statistics of all systems: the sampled statistics compared with the bounds."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -15,12 +15,12 @@ from aleator.statistics import AbstractStatistic
 from aleator.uncertainty import named_numbers
 from aleator.validation._disagreement import reach
 
-# Standard errors to either side in which the true number lies with 95 % confidence.
+# Half-width of a 95 % confidence interval, in standard errors.
 _CONFIDENT = 1.96
 
 
 class Estimated(NamedTuple):
-    """A statistic of the samples with its standard error: numbers, or one number an instant."""
+    """A statistic of the samples with its standard error: numbers, or one number per instant."""
 
     value: Float[np.ndarray, "*shape"]
     standard_error: Float[np.ndarray, "*shape"]
@@ -29,13 +29,13 @@ class Estimated(NamedTuple):
 @final
 @dataclass(frozen=True)
 class Compared:
-    """A limit on a statistic, with the sampled statistic in the place of the expansion's.
+    """A limit on a statistic, evaluated with the sampled statistic instead of the expansion's.
 
-    - `value`, `standard_error`: its expression by the samples, at the `time` (s) that is closest to or furthest beyond
-      the bound, None for a number; the error is an upper bound where several statistics stand in it;
-    - `bound`: the one that is nearer or further exceeded; `beyond`: by how much it is exceeded, negative inside;
-      `tolerance`: up to how much is none;
-    - `reach`: how many standard errors are no chance, for the number of its instants.
+    - `value`, `standard_error`: its expression by the samples, at the `time` (s) closest to or furthest beyond the
+      bound, None for a number; the error is an upper bound where it contains several statistics;
+    - `bound`: the nearer, or the more exceeded, of the two bounds; `beyond`: by how much it is exceeded, negative
+      inside; `tolerance`: the excess that is ignored;
+    - `reach`: how many standard errors are beyond chance, given the number of its instants.
     """
 
     name: str
@@ -50,14 +50,14 @@ class Compared:
 
     @property
     def meets(self) -> bool | None:
-        """Whether the limit is met, with 95 % confidence; None where the samples do not tell."""
-        # What is no number meets nothing; the standard error of an extreme is none.
+        """Whether the limit is met, with 95 % confidence; None where the samples cannot decide."""
+        # NaN meets no limit; an extreme has no standard error.
         if np.isnan(self.beyond) or self.beyond > self.tolerance + self.reach * self.standard_error:
             return False
         return True if self.beyond + _CONFIDENT * self.standard_error <= self.tolerance else None
 
     def sentence(self) -> str:
-        """What was found, and what it says of the limit."""
+        """The sampled value, and the verdict on the limit."""
         when = "" if self.time is None else f" at t = {self.time:.4g} s"
         found = f"{self.value:.6g}" if not self.standard_error > 0 else pair(self.value, self.standard_error)
         verdict = {True: "met", False: "BROKEN", None: "within its error of the bound"}[self.meets]
@@ -69,7 +69,7 @@ class Compared:
 
 @final
 class _SampledScope(AbstractScopeOfInstants):
-    """Takes statistics from the samples, one of them moved by its standard error where it is `moved`."""
+    """Takes statistics from the samples, with the statistic `moved`, if any, shifted by its standard error."""
 
     def __init__(self, known: Mapping[Any, Estimated], numbers: Mapping[str, Array], step: Array, moved: Any = None):
         self._known, self._numbers, self.step, self._moved = known, numbers, step, moved
@@ -93,7 +93,7 @@ def compared(
     tolerance: float,
     freedom: int,
 ) -> Compared | None:
-    """A limit with sampled statistics, which are `known` by their texts; None where one that it needs is not."""
+    """A limit evaluated with sampled statistics, `known` by their texts; None where one that it needs is missing."""
     expression = constraint.expression
     needed = {leaf.text() for leaf in expression.leaves if isinstance(leaf, Statistic)}
     if not needed or not needed <= set(known):
@@ -106,7 +106,7 @@ def compared(
         return np.asarray(expression.evaluate(_SampledScope(known, numbers, step, moved)))
 
     value = evaluated()
-    # Errors add up at worst: how the statistics of one sample depend on each other is not known.
+    # The sum of the errors is the worst case: the dependence between statistics of one sample is not known.
     error = sum((np.abs(evaluated(one) - value) for one in needed), start=np.zeros(value.shape))
     lower, upper = float(constraint.lower), float(constraint.upper)
     beyond = np.maximum(value - upper, lower - value)

@@ -1,4 +1,4 @@
-"""Which constraints single systems are counted against, why the others are not, and on how fine a grid."""
+"""The constraints against which single systems are counted, why the others are not, and on which grid."""
 
 import numpy as np
 from jaxtyping import Float
@@ -11,46 +11,47 @@ _AN_ORDER_BELOW = 0.1
 
 
 def is_counted(constraint: Constraint) -> bool:
-    """Whether systems can be counted against a constraint: it speaks of one system, and is no equality."""
+    """Whether systems can be counted against a constraint: it applies to a single system, and is not an equality."""
     return not _reason(constraint)
 
 
 def uncounted(problem: Problem) -> dict[str, str]:
-    """The constraints that no system is counted against, as mathematics, and why."""
+    """The constraints against which no system is counted, as mathematics, with the reasons."""
     return {str(one): reason for one in problem.constraints if (reason := _reason(one))}
 
 
 def tolerances(solution: Solution) -> Float[np.ndarray, " constraints"]:
-    """How far a system may be beyond each constraint and does not break it: a limit met is not broken by rounding."""
+    """The excess over each constraint that does not count as a violation, so that rounding does not break a limit."""
     return np.array([HELD * one.scale for one in solution.constraints])
 
 
 def why_uncounted(problem: Problem, name: str) -> str:
-    """Why no system can be counted against the constraints called `name`; empty where one is counted."""
+    """Why no system can be counted against the constraints called `name`; empty where it can."""
     reasons = [_reason(one) for one in problem.named(name)]
     return "" if "" in reasons else reasons[0]
 
 
 def sampled_by(solution: Solution) -> int:
-    """How many times finer than a solution's own grid that is on which systems are sampled.
+    """The refinement factor, relative to a solution's own grid, of the grid for sampling systems.
 
-    1 if the error of its own is an order below what is tolerated; otherwise the grid that its error was told by.
+    1 if the error of its own grid is an order of magnitude below the tolerance; otherwise that of the grid used to
+    estimate it.
     """
     error = solution.certificate.grid_error
     return 1 if error is None or error.ratio <= _AN_ORDER_BELOW else error.factor
 
 
 def finer_by(solution: Solution) -> int:
-    """How many times finer than a solution's own grid that is on which systems are counted against limits over time.
+    """The refinement factor, relative to a solution's own grid, of the grid for counting against limits over time.
 
-    That is the grid on which these were held between instants, where they were; otherwise that of all samples.
+    It is that of the grid on which limits were held between instants, if they were; otherwise that of all samples.
     """
     between = solution.certificate.between
     return between.factor if between is not None and between.is_strict else sampled_by(solution)
 
 
 def _reason(constraint: Constraint) -> str:
-    """Why systems are not counted against a constraint; empty if they are."""
+    """Why no system is counted against a constraint; empty if systems are."""
     expression = constraint.expression
     if float(constraint.lower) == float(constraint.upper):
         return "an equality, which no single system meets"
@@ -63,7 +64,7 @@ def _reason(constraint: Constraint) -> str:
 
 
 def _speaks_of_one_system(expression: Expression) -> bool:
-    """Whether the value of a single system is part of it: not so of a spread, nor of the gap between two quantiles."""
+    """Whether it involves the value of a single system: a spread, or the gap between two quantiles, does not."""
     if any(isinstance(atom, Extreme) for atom in expression.atoms):
         return True
     factors: dict[tuple[AbstractFunctional, ...], float] = {}

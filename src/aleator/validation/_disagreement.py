@@ -1,13 +1,14 @@
 """Where samples and an expansion disagree: beyond chance, and by an amount that matters.
 
 Two numbers disagree if they differ by more than four standard errors of the sampled one, and by more than a hundredth
-of what one system adds to it (its standard error times the root of the number of samples): a larger sample sees more,
-but does not call a thousandth a disagreement. Where many instants are compared, the worst of them by chance is allowed
-for (Bonferroni's correction).
+of what one system contributes (the standard error times the square root of the number of samples): a larger sample
+resolves more, but a difference of a thousandth is never a disagreement. Where many instants are compared, Bonferroni's
+correction accounts for the worst of them by chance.
 
-Over time, what is off by less than a hundredth of the largest spread at any instant is none either, as in the second
-opinion on a solution. Where a distance is to begin with that to a part which does not move, its spread starts from zero
-with a kink: there all points of an expansion may agree to rounding, where one system in a thousand has moved by a hair.
+Over time, a difference below a hundredth of the largest spread at any instant is not a disagreement either, as in the
+second opinion on a solution. For example, where a distance is initially to a part that does not move, its spread starts
+from zero with a kink: all points of the expansion may agree there to rounding, while one system in a thousand has moved
+slightly.
 """
 
 from dataclasses import dataclass
@@ -20,11 +21,11 @@ from scipy import special
 from aleator.references._estimate import pair
 from aleator.validation._proportion import Proportion
 
-# What is as rare as four standard deviations of a normal variable, on both sides together.
+# The two-sided probability beyond four standard deviations of a normal variable.
 _RARE = 2 * float(special.ndtr(-4.0))
 
 _RELATIVE = 0.01
-"""Differences up to this part of what one system adds to a statistic, or of the largest spread over time, are none."""
+"""Differences up to this fraction of one system's contribution, or of the largest spread over time, are ignored."""
 
 _ROUNDING = 1e-9
 
@@ -34,8 +35,9 @@ _ROUNDING = 1e-9
 class Disagreement:
     """A number of the solution that fresh simulations contradict.
 
-    - `text`: as mathematics, such as `σ[x(t)]`; `time`: the instant (s) at which it is worst, None for a number;
-    - `expected`: by the solution, `source` says by which part of it; `estimate`, `standard_error`: of the samples.
+    - `text`: the number as mathematics, such as `σ[x(t)]`; `time`: the worst instant (s), None for a number;
+    - `expected`: its value by the solution, of which `source` names the part; `estimate`, `standard_error`: by the
+      samples.
     """
 
     text: str
@@ -46,7 +48,7 @@ class Disagreement:
     source: str = "the expansion"
 
     def sentence(self) -> str:
-        """What was found beside what was expected."""
+        """The sampled and the expected value."""
         when = "" if self.time is None else f" at t = {self.time:.4g} s"
         found = f"{self.estimate:.6g}" if not self.standard_error > 0 else pair(self.estimate, self.standard_error)
         return f"{self.text}{when} is {found}, not {self.expected:.6g} as by {self.source}"
@@ -56,9 +58,7 @@ class Disagreement:
 
 
 def reach(freedom: int, comparisons: int = 1) -> float:
-    """How many standard errors are no chance, by Student's t distribution: four for one comparison and a large
-    sample.
-    """
+    """How many standard errors are beyond chance, by Student's t: four for one comparison and a large sample."""
     return float(-special.stdtrit(freedom, _RARE / 2 / comparisons))
 
 
@@ -75,10 +75,10 @@ def worst_disagreement(
     known: float = 0.0,
     times: Float[np.ndarray, " instants"] | None = None,
 ) -> Disagreement | None:
-    """Where a sampled number, or one number an instant, disagrees most with what was expected; None if it agrees.
+    """The worst disagreement of a sampled number, or one per instant, with the expected one; None if it agrees.
 
-    `size` is a magnitude to which rounding is relative, besides those of the numbers themselves; `spread`, of a
-    functional over time, its largest standard deviation at any instant; `known`: a difference that is told elsewhere.
+    `size` is a magnitude to which rounding is relative, besides those of the numbers themselves; `spread`, for a
+    functional over time, its largest standard deviation at any instant; `known`, a difference reported elsewhere.
     """
     expected, estimate, standard_error = (np.asarray(one, float) for one in (expected, estimate, standard_error))
     expected = np.broadcast_to(expected, estimate.shape)
@@ -87,7 +87,7 @@ def worst_disagreement(
     limit = max(reach(freedom, estimate.size), _RELATIVE * np.sqrt(samples)) * standard_error
     allowed = np.maximum(limit, floor)
     difference = np.abs(estimate - expected)
-    # What has no standard error cannot be told.
+    # Without a standard error there is no verdict.
     ratio = np.where(np.isnan(allowed) | (difference == 0), 0.0, difference / np.where(allowed > 0, allowed, 1e-300))
     i = int(np.argmax(ratio))
     if not ratio.flat[i] > 1:
@@ -97,7 +97,7 @@ def worst_disagreement(
 
 
 def is_rare(count: int, samples: int, probability: float) -> bool:
-    """Whether a count disagrees with a probability: by the exact interval, and by an amount that matters."""
+    """Whether a count disagrees with a probability, by the exact interval and by an amount that matters."""
     share = Proportion(count, samples, confidence=1 - _RARE)
     inside = share.lower <= probability <= share.upper
     return not inside and abs(share.estimate - probability) > _RELATIVE * np.sqrt(probability * (1 - probability))

@@ -1,4 +1,4 @@
-"""`Evidence`: what fresh Monte Carlo says of a design."""
+"""`Evidence`: a fresh Monte Carlo simulation of a design."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -16,9 +16,9 @@ from aleator.validation._compared import Compared
 from aleator.validation._disagreement import Disagreement
 from aleator.validation._proportion import Proportion
 
-_NO_LIMITS = "  no constraint is a limit on single systems, so that none is counted"
+_NO_LIMITS = "  no constraint is a limit on single systems, so none is counted"
 
-# Disagreements that a sentence names.
+# The most disagreements that a message lists.
 _TOLD = 3
 
 PERCENTILES = (1.0, 5.0, 25.0, 50.0, 75.0, 95.0, 99.0)
@@ -27,12 +27,12 @@ PERCENTILES = (1.0, 5.0, 25.0, 50.0, 75.0, 95.0, 99.0)
 @final
 @dataclass(frozen=True)
 class Sampled:
-    """One functional over the samples, beside what the expansion said of it.
+    """One functional over the samples, compared with the expansion.
 
-    - `mean`, `std`: of the samples, a number or one number an instant; `standard_error`: of that mean;
-    - `percentiles`: at `PERCENTILES`, of functionals that are numbers; None for a path;
+    - `mean`, `std`: of the samples, a number or one number per instant; `standard_error`: of that mean;
+    - `percentiles`: the sample's `PERCENTILES`, for functionals that are numbers; None for a path;
     - `expanded_mean`, `expanded_std`: by the expansion at the solution (for a deterministic design, its nominal value);
-    - `std_error`: standard error of the sampled standard deviation.
+    - `std_error`: the standard error of the sampled standard deviation.
     """
 
     text: str
@@ -54,11 +54,11 @@ class Sampled:
 @final
 @dataclass(frozen=True)
 class Checked:
-    """One statistic that stands in the problem, as the expansion gives it and as the samples do.
+    """One statistic of the problem, by the expansion and by the samples.
 
     - `expanded`: by the expansion at the solution (for a deterministic design, its nominal value);
-    - `estimate`: of the samples; `standard_error`: of that estimate, by the delete-a-group jackknife. Not a number for
-      a supremum or infimum: that of a sample is always inside, how far is not known.
+    - `estimate`: by the samples; `standard_error`: of that estimate, by the delete-a-group jackknife. NaN for a
+      supremum or infimum: that of a sample lies inside the true one, by an unknown amount.
     """
 
     statistic: Statistic
@@ -74,7 +74,7 @@ class Checked:
 @final
 @dataclass(frozen=True)
 class Trajectories:
-    """The value of one path constraint's expression on some sampled systems.
+    """The expression of one path constraint on some sampled systems.
 
     - `values`: shape (kept, instants);
     - `violating`: shape (kept,), whether the system breaks any constraint of this name.
@@ -95,23 +95,25 @@ class Trajectories:
 class Evidence:
     """A design re-simulated on fresh random systems, without any expansion. `print(evidence)` shows it.
 
-    - `violations`: by constraint name, how often a system violates any constraint of that name at any instant;
-    - `joint`: how often a system violates at least one of them;
-    - `uncounted`: the constraints left out of both, as mathematics, with the reason: they say nothing of one system, as
-      a bound on a `std`, or cannot be met by one exactly, as an equality;
-    - `instants`: at how many instants limits over time were counted, None where there are none. More than those of the
-      design's grid where its limits hold between them too;
-    - `functionals`: mean and standard deviation of each, sampled, beside the expansion's;
-    - `statistics`: each statistic in the problem by its text (`"Q0.99[rms(x)]"`), sampled, beside the expansion's;
-      those of paths, and those that a sample cannot tell (Sobol indices: see `al.references.sobol_indices`), are left
-      out;
-    - `trajectories`: some systems, for drawing;
-    - `compared`: limits on statistics of all systems together, such as a bound on a `std`, with the sampled statistics
-      in them; those that need statistics of paths other than mean, `std` and variance are left out;
-    - `disagreements`: the numbers of the solution that the samples contradict, and the limits that were to hold for all
-      systems and are broken; none where `agrees`;
-    - `alone`: where nothing is uncertain, how many times as many steps the one system was simulated on; else None;
-    - `broken`: by constraint name, which of the sampled systems violate it, shape (samples,).
+    - `violations`: by constraint name, the proportion of systems that violate any constraint of that name at any
+      instant;
+    - `joint`: the proportion of systems that violate at least one of them;
+    - `uncounted`: the constraints excluded from both, as mathematics, with the reason: they do not apply to a single
+      system, like a bound on a `std`, or no single system meets them exactly, like an equality;
+    - `instants`: the number of instants at which limits over time were counted, None if there are none; more than the
+      design's grid has where its limits hold between instants too;
+    - `functionals`: sampled mean and standard deviation of each, with the expansion's;
+    - `statistics`: each statistic in the problem by its text (`"Q0.99[rms(x)]"`), sampled, with the expansion's;
+      without those of paths, and those that a sample cannot estimate (Sobol indices: see
+      `al.references.sobol_indices`);
+    - `trajectories`: some systems, for plots;
+    - `compared`: limits on statistics of all systems together, such as a bound on a `std`, with sampled statistics;
+      without those that need statistics of paths other than mean, `std` and variance;
+    - `disagreements`: the numbers of the solution that the samples contradict, and broken limits that should hold for
+      all systems; empty where `agrees`;
+    - `alone`: where nothing is uncertain, the refinement factor of the grid on which the one system was simulated; else
+      None;
+    - `broken`: by constraint name, which sampled systems violate it, shape (samples,).
     """
 
     solution: Solution
@@ -136,21 +138,22 @@ class Evidence:
         return not self.disagreements
 
     def alarm(self) -> str:
-        """What the simulations contradict, at most three numbers of it, and what to do."""
+        """What the simulations contradict, with at most three numbers, and the remedy."""
         told = [one.sentence() for one in self.disagreements[:_TOLD]]
         more = f"; and {len(self.disagreements) - _TOLD} more" if len(self.disagreements) > _TOLD else ""
         remedy = "Use more steps." if self.alone else "Raise the order of the expansion (and check the grid)."
         return f"fresh simulations contradict the solution: {'; '.join(told)}{more}. {remedy}"
 
     def violation(self, *names: str) -> Proportion:
-        """How often a system violates any of the constraints of these names: a system that breaks two counts once.
+        """The proportion of systems that violate any of the constraints of these names; one that violates two counts
+        once.
 
-        Raises `ProblemError` for names that no system is counted against, and for none.
+        Raises `ProblemError` for no names, and for names against which no system is counted.
         """
         unknown = [name for name in names if name not in self.broken]
         if unknown or not names:
             raise ProblemError(
-                f"violation: expected names of constraints that systems are counted against, {list(self.broken)}; "
+                f"violation: expected names of constraints against which systems are counted, {list(self.broken)}; "
                 f"received {unknown}."
             )
         mask = np.any([self.broken[name] for name in names], axis=0)
@@ -177,7 +180,7 @@ class Evidence:
             return f"{self.samples} fresh samples, seed {self.seed}, {self.seconds:.1f} s"
         if self.alone == 1:
             return "nothing is uncertain and there is no time: the one system simulated again"
-        return f"nothing is uncertain: the one system simulated on {self.alone} times as many steps"
+        return f"nothing is uncertain: the one system simulated with {self.alone} times as many steps"
 
 
 def _row(one: Sampled) -> str:

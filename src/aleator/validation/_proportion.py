@@ -9,10 +9,10 @@ from scipy import special
 @final
 @dataclass(frozen=True)
 class Proportion:
-    """How often something was counted in independent samples, as a probability.
+    """A count in independent samples, as an estimate of a probability.
 
     `lower` and `upper` enclose the true probability with at least the given confidence (Clopper and Pearson, 1934),
-    also where nothing or everything was counted.
+    even where nothing or everything was counted.
     """
 
     count: int

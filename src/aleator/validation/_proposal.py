@@ -1,10 +1,10 @@
-"""Importance sampling of rare violations: what to draw from, found by the cross-entropy method.
+"""Importance sampling of rare violations: the proposal distribution, found by the cross-entropy method.
 
-Every germ variable is a function of a standard normal one, by their probability levels. In the space of these normals
-the proposal is a mixture of normal distributions: one for each limit, moved to where the limit is broken, beside the
-given distribution itself and a wide one, so that no weight exceeds ten. Sources: Rubinstein and Kroese, The
-Cross-Entropy Method (2004); Papaioannou, Geyer and Straub, Reliability Engineering & System Safety 191 (2019); Owen
-and Zhou, Journal of the American Statistical Association 95 (2000), on mixtures that keep the given distribution.
+Every germ variable is a function of a standard normal one, at equal probability. In the space of these normals the
+proposal is a mixture of normal distributions: one for each limit, moved to where the limit is broken, the given
+distribution itself, and a wide one, so that no weight exceeds ten. Sources: Rubinstein and Kroese, The Cross-Entropy
+Method (2004); Papaioannou, Geyer and Straub, Reliability Engineering & System Safety 191 (2019); Owen and Zhou, Journal
+of the American Statistical Association 95 (2000), on mixtures that keep the given distribution.
 """
 
 from collections.abc import Callable
@@ -17,11 +17,11 @@ from scipy import linalg
 from aleator.validation._weighted import WeightedProportion
 
 Scores: TypeAlias = Callable[[Float[np.ndarray, "systems variables"]], Float[np.ndarray, "limits systems"]]
-"""How far systems at given normals are beyond each limit: positive where they break it."""
+"""The excess over each limit of systems at given normals: positive where they break it."""
 
-_PLAIN, _WIDE = 0.1, 0.2  # shares of the given distribution and of the wide one in every proposal
+_PLAIN, _WIDE = 0.1, 0.2  # shares of the given and of the wide distribution in every proposal
 _MOST_LEVELS = 12
-_STALLED = 0.01  # of the first distance to a limit, gained by a level
+_STALLED = 0.01  # least progress of a level, as a fraction of the first distance to a limit
 
 
 class Component(NamedTuple):
@@ -37,7 +37,7 @@ class Component(NamedTuple):
 
 
 class Proposal(NamedTuple):
-    """A mixture of normal distributions, the first of which is the given one, standard normal."""
+    """A mixture of normal distributions, of which the first is the given one, standard normal."""
 
     components: tuple[Component, ...]
     shares: Float[np.ndarray, " components"]
@@ -52,7 +52,7 @@ class Proposal(NamedTuple):
         return points
 
     def weights(self, points: Float[np.ndarray, "systems variables"]) -> Float[np.ndarray, " systems"]:
-        """The given density over that of the proposal, exactly; at most one over the share of the given one."""
+        """The exact ratio of the given density to the proposal's, at most the reciprocal of the given one's share."""
         logs = np.stack([one.log_density(points) for one in self.components])
         return np.exp(logs[0] - np.logaddexp.reduce(logs + np.log(self.shares)[:, None], axis=0))
 
@@ -60,9 +60,10 @@ class Proposal(NamedTuple):
 def adapted(scores: Scores, variables: int, reach: float, samples: int, generator: np.random.Generator) -> Proposal:
     """A proposal whose systems often break each limit.
 
-    Level by level, each limit's component is fitted to the worst systems that suffice for a fit, until those that break
-    the limit do; a limit that cannot be broken is left where its worst systems are. `reach` is how many standard
-    deviations off the middle such systems are expected, `samples` the systems of one level.
+    Level by level, each limit's component is fitted to the fewest worst systems that suffice for a fit, until those
+    that break the limit suffice; the component of a limit that cannot be broken stays at its worst systems. `reach` is
+    the distance from the origin, in standard deviations, at which such systems are expected; `samples` the number of
+    systems per level.
     """
     enough = max(100, 5 * variables)
     proposal = _mixture(variables, reach, [])
@@ -88,7 +89,7 @@ def weighted(
     generator: np.random.Generator,
     tell: Callable[[int], None],
 ) -> WeightedProportion:
-    """How often any limit is broken, from fresh samples of a proposal. `tell` hears how many are done."""
+    """How often any limit is broken, from fresh samples of a proposal. `tell` is called with the number done."""
     found = []
     for done in range(0, samples, batch):
         tell(done)
@@ -98,7 +99,7 @@ def weighted(
 
 
 def _mixture(variables: int, reach: float, fitted: list[Component]) -> Proposal:
-    """The given distribution, a wide one that reaches all directions, and those fitted to the limits."""
+    """The given distribution, a wide one that covers all directions, and those fitted to the limits."""
     middle, one = np.zeros(variables), np.eye(variables)
     wide = Component(middle, np.sqrt(1 + reach**2 / variables) * one)
     shares = np.array([_PLAIN, _WIDE, *((1 - _PLAIN - _WIDE) / len(fitted) for _ in fitted)])
@@ -108,7 +109,7 @@ def _mixture(variables: int, reach: float, fitted: list[Component]) -> Proposal:
 def _elite(
     beyond: Float[np.ndarray, " systems"], weights: Float[np.ndarray, " systems"], enough: int
 ) -> Int[np.ndarray, " elite"]:
-    """The worst systems, as few as make up so many equal weights; all that break the limit where these do."""
+    """The fewest worst systems with the required effective number; all that break the limit where these suffice."""
     order = np.argsort(-beyond, kind="stable")
     sums, squares = np.cumsum(weights[order]), np.cumsum(weights[order] ** 2)
     suffice = np.flatnonzero(sums**2 >= enough * squares)
@@ -117,10 +118,10 @@ def _elite(
 
 
 def _fitted(points: Float[np.ndarray, "elite variables"], weights: Float[np.ndarray, " elite"]) -> Component:
-    """The normal distribution of the weighted points, its covariance drawn towards that of the given distribution.
+    """The normal distribution of the weighted points, its covariance shrunk towards that of the given distribution.
 
-    The more so the fewer points there are for its entries, and always a little: a proposal that is too narrow gives
-    large weights just beyond it.
+    The fewer points there are for its entries, the more it is shrunk, and always a little: a proposal that is too
+    narrow gives large weights just outside it.
     """
     variables, total = points.shape[1], weights.sum()
     mean = weights @ points / total

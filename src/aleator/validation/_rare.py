@@ -1,4 +1,4 @@
-"""`rare_violation`: how often systems break limits that are broken too rarely to be counted, by importance sampling."""
+"""`rare_violation`: the probability of violations too rare to be counted, by importance sampling."""
 
 from collections.abc import Sequence
 from typing import final
@@ -18,9 +18,9 @@ from aleator.validation._systems import Systems
 from aleator.validation._validate import validate
 from aleator.validation._weighted import Share
 
-# An estimate that rests on fewer equal weights is no better than a count, and its interval is not to be trusted.
+# With a smaller effective sample size an estimate is no better than a count, and its interval is unreliable.
 _ENOUGH = 100
-# So many standard deviations off the middle, violations are looked for at first; one in ten thousand lies beyond.
+# The search for violations starts at this many standard deviations; one system in ten thousand lies beyond.
 _REACH = 3.7
 
 
@@ -33,19 +33,19 @@ def rare_violation(
     batch: int = 250,
     progress: Progress = silent,
 ) -> Share:
-    """How often systems of a design break any of the limits called `names` (all by default), for rare violations.
+    """Estimate how often systems of a design break any of the limits called `names` (default: all), if rarely.
 
-    First the systems that break each limit are looked for, on simulations of their own, level by level (the
-    cross-entropy method); then `samples` fresh systems are drawn where they were found, and weighted by their
-    likelihood ratio. The estimate is unbiased whatever was found, and needs some thousand samples where a count needs a
-    hundred over the probability. Any distributions will do, correlated ones too; with more than some twenty uncertain
-    numbers the weights degenerate.
+    First, separate simulations search level by level for systems that break each limit (the cross-entropy method). Then
+    `samples` fresh systems are drawn where these were found, and weighted by their likelihood ratios. The estimate is
+    unbiased whatever was found. It needs some thousand samples where a count needs a hundred divided by the
+    probability. It works for any distributions, correlated ones too; beyond some twenty uncertain numbers the weights
+    degenerate.
 
-    Where the weights are as good as fewer than a hundred equal ones, the result is a plain count of `samples` systems
-    in the place of the estimate: a `Proportion`. What no sample can tell is a way to break a limit that was never met:
-    it is the less likely, the fewer uncertain numbers there are. Where much depends on it, count with `al.validate`.
+    Where the effective sample size is below a hundred, the result is a plain count of `samples` systems instead: a
+    `Proportion`. No sampling method can account for a way of breaking a limit that it never met; the fewer uncertain
+    numbers, the less likely that is. Where much depends on it, count with `al.validate`.
 
-    Raises `ProblemError` as `al.validate` does, and for names that no system is counted against.
+    Raises `ProblemError` as `al.validate` does, and for names against which no system is counted.
     """
     if not isinstance(solution, Solution):
         raise ProblemError(f"rare_violation: expected a Solution, from al.solve; received {type(solution).__name__}.")
@@ -67,14 +67,14 @@ def rare_violation(
     tell(samples)
     if found.effective >= _ENOUGH:
         return found
-    # A stream of its own, so that the count does not know what was tried.
+    # A separate random stream, so that the count is independent of the search.
     fresh = int(np.random.SeedSequence([seed, 1]).generate_state(1)[0])
     return validate(solution, samples, seed=fresh, batch=batch, keep=0).violation(*limits.names)
 
 
 @final
 class _Limits:
-    """How far systems are beyond each of some limits, as a function of standard normal numbers."""
+    """The excess of systems over each of some limits, as a function of standard normal numbers."""
 
     def __init__(self, solution: Solution, names: str | Sequence[str] | None, batch: int):
         self.systems, self.batch = Systems(solution, "rare_violation"), batch
@@ -86,7 +86,7 @@ class _Limits:
         unknown = [name for name in self.names if name not in counted]
         if unknown or not self.names:
             raise ProblemError(
-                f"rare_violation: expected names of constraints that systems are counted against, {list(counted)}; "
+                f"rare_violation: expected names of constraints against which systems are counted, {list(counted)}; "
                 f"received {unknown}."
             )
         self._rows = [i for i, one in enumerate(constraints) if one.name in self.names and is_counted(one)]

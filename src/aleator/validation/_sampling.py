@@ -23,12 +23,12 @@ from aleator.uncertainty import named_numbers
 
 
 class Batch(NamedTuple):
-    """What one batch of systems yields.
+    """The results of one batch of systems.
 
     - `scalars`: by functional (those that are numbers), shape (systems,);
-    - `paths`: by functional (those that are paths), the mean and the sums of second, third and fourth powers of what
-      deviates from it, each of shape (instants,);
-    - `excess`: by constraint, how far it is beyond its bound at worst, shape (constraints, systems);
+    - `paths`: by functional (those that are paths), the mean and the sums of the second, third and fourth powers of
+      deviations from it, each of shape (instants,);
+    - `excess`: by constraint, the largest excess over its bounds, shape (constraints, systems);
     - `values`: by path constraint, its expression, shape (systems, instants);
     - `finite`: whether every functional of a system is finite, shape (systems,).
     """
@@ -47,9 +47,9 @@ def _simulate_batch(
     count: Int[Array, ""],
     finer: int,
 ) -> Batch:
-    """Simulate as many systems as germ points. Those after the first `count` fill up the batch and do not count.
+    """Simulate one system per germ point. Those after the first `count` are padding and do not count.
 
-    Of paths, every `finer`th instant is kept: where the grid is so many times finer than that of the design.
+    Of paths, every `finer`th instant is kept, where the grid is that many times finer than the design's.
     """
     functionals = functionals_of(problem.expressions)
     samples = responses(problem, functionals, germ, decisions)
@@ -80,7 +80,7 @@ def _simulate_batch(
 def _sums(
     values: Float[Array, "systems *shape"], wanted: Bool[Array, " systems"]
 ) -> tuple[Float[Array, "*shape"], ...]:
-    """Of the systems that are wanted: the mean, and the sums of second, third and fourth powers of deviations."""
+    """Over the `wanted` systems, the mean and the sums of the second, third and fourth powers of deviations."""
     counted = wanted.reshape(len(wanted), *(1,) * (values.ndim - 1))
     mean = jnp.sum(jnp.where(counted, values, 0.0), axis=0) / jnp.sum(wanted)
     away = jnp.where(counted, values - mean[None], 0.0)
@@ -89,13 +89,13 @@ def _sums(
     def added(one: tuple[Array, ...], other: tuple[Array, ...]) -> tuple[Array, ...]:
         return tuple(a + b for a, b in zip(one, other, strict=True))
 
-    # In one pass over all values, which three sums would read, and raise to powers, three times.
+    # One pass over all values; three separate sums would each read and raise them to powers again.
     zeros = (jnp.zeros((), values.dtype),) * 3
     return mean, *jax.lax.reduce((square, square * away, square**2), zeros, added, (0,))
 
 
 def _judge(constraint: Constraint, scope: AbstractScope) -> tuple[Array, Array]:
-    """How far one system is beyond a constraint's bounds at worst, and the constraint's expression."""
+    """One system's largest excess over a constraint's bounds, and the constraint's expression."""
     value = jnp.asarray(constraint.expression.evaluate(scope))
     excess = jnp.max(jnp.maximum(value - constraint.upper, constraint.lower - value))
     return excess, value
@@ -104,9 +104,9 @@ def _judge(constraint: Constraint, scope: AbstractScope) -> tuple[Array, Array]:
 def _excess_over_time(
     problem: Problem, germ: Float[Array, "systems variables"], decisions: Float[Array, " n"]
 ) -> Float[Array, "limits systems"]:
-    """How far each system is beyond each limit over time at worst.
+    """Each system's largest excess over each limit over time.
 
-    A few systems at a time, so that a fine grid takes no more memory than a coarse one does for all.
+    A few systems at a time, so that a fine grid needs no more memory than a coarse one for all.
     """
     limits = tuple(one for one in problem.constraints if is_over_time(one))
     functionals = functionals_of(tuple(one.expression for one in limits))

@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 @final
 class Sums(NamedTuple):
-    """How many samples there are, their mean, and the sums of the powers 2 to 4 of what deviates from it."""
+    """The number of samples, their mean, and the sums of the powers 2 to 4 of deviations from it."""
 
     number: int
     mean: Float[np.ndarray, "*shape"]
@@ -18,13 +18,13 @@ class Sums(NamedTuple):
 
     @classmethod
     def of(cls, values: Float[np.ndarray, "samples *shape"]) -> Self:
-        """Those of one batch."""
+        """The sums of one batch."""
         mean = values.mean(axis=0)
         away = values - mean
         return cls(len(values), mean, *(np.sum(away**power, axis=0) for power in (2, 3, 4)))
 
     def merged(self, other: Self) -> Self:
-        """Those of both batches together."""
+        """The sums of both batches together."""
         (n, mean, second, third, fourth), (m, *_) = self, other
         total, shift = n + m, other.mean - mean
         return type(self)(

@@ -1,4 +1,4 @@
-"""Systems of a design, simulated batch by batch as evidence counts them."""
+"""Systems of a design, simulated batch by batch for evidence."""
 
 from typing import final
 
@@ -17,14 +17,13 @@ from aleator.validation._sampling import EXCESS_OVER_TIME, SIMULATE_BATCH, Batch
 
 @final
 class Systems:
-    """The uncertain systems of a solution, at its decisions: a batch of them for a batch of germ points.
+    """The uncertain systems of a solution, at its decisions: one for each germ point of a batch.
 
-    - `problem`: with its distributions, which a deterministic design holds at their means; `germs`: their variables;
-    - `sampled`: the problem on the grid that its systems are simulated on, whose error is an order below what is
-      tolerated.
+    - `problem`: the problem with its distributions restored; `germs`: their variables;
+    - `sampled`: the problem on the grid for simulations, whose error is an order of magnitude below the tolerance.
 
-    Raises `ProblemError`, in the name of `who` asks, where nothing is uncertain or nothing can be sampled, and
-    where the code of the system is not what it was when the design was solved.
+    Raises `ProblemError`, in the name of the caller `who`, where nothing is uncertain or nothing can be sampled, and
+    where the code of the system has changed since the design was solved.
     """
 
     def __init__(self, solution: Solution, who: str):
@@ -34,7 +33,9 @@ class Systems:
         if not self.germs:
             raise ProblemError(f"{who}: nothing in this problem is uncertain, so there is nothing to sample.")
         if not functionals_of(self.problem.expressions):
-            raise ProblemError(f"{who}: no functional of an output stands in this problem: there is nothing to sample.")
+            raise ProblemError(
+                f"{who}: this problem contains no functional of an output, so there is nothing to sample."
+            )
         self._vector = solution.vector
         self._decisions, self._factor = jnp.asarray(solution.vector), sampled_by(solution)
         self.sampled = _on_finer(self.problem, self._factor)
@@ -43,16 +44,16 @@ class Systems:
         self._finer = None if counted == self._factor else _for_limits(self.problem, counted)
 
     def prepare(self, batch: int) -> None:
-        """Begin to compile what batches of so many systems need. A user's code is traced here, by one thread alone."""
+        """Start compiling for batches of `batch` systems. The user's code is traced here, by one thread alone."""
         germ = jnp.zeros((batch, len(self.germs)))
         SIMULATE_BATCH.prepare(self._traced, germ, self._decisions, jnp.asarray(batch), self._factor)
         if self._finer is not None:
             EXCESS_OVER_TIME.prepare(self._finer, germ, self._decisions)
 
     def simulate(self, germ: Float[np.ndarray, "systems variables"], count: int) -> Batch:
-        """The systems at some germ points. Those after the first `count` fill up the batch and do not count.
+        """Simulate the systems at some germ points. Those after the first `count` are padding and do not count.
 
-        Raises `SimulationError` if a system gives numbers that are not finite, naming its parameter values.
+        Raises `SimulationError` if a system's results are not finite, naming its parameter values.
         """
         result = SIMULATE_BATCH(self._traced, jnp.asarray(germ), self._decisions, jnp.asarray(count), self._factor)
         if self._finer is not None:

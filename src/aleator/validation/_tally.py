@@ -1,4 +1,4 @@
-"""What batches of systems add up to: counts, estimates of statistics, moments of paths; evidence in the end."""
+"""Accumulation of batches of systems into evidence: counts, estimates of statistics, moments of paths."""
 
 from collections.abc import Mapping
 from typing import final
@@ -22,7 +22,7 @@ from aleator.validation._sums import Sums
 
 @final
 class Tally:
-    """What has been sampled so far. Moments of paths are merged batch by batch."""
+    """The samples so far. Moments of paths are merged batch by batch."""
 
     def __init__(self, problem: Problem, tolerances: Float[np.ndarray, " constraints"], samples: int, keep: int):
         self._problem = problem
@@ -84,7 +84,7 @@ class Tally:
     def _compared(
         self, solution: Solution, functionals: Mapping[str, Sampled], statistics: Mapping[str, Checked]
     ) -> tuple[Compared, ...]:
-        """The limits that no system is counted against, with sampled statistics, where these are known."""
+        """The limits against which no system is counted, with sampled statistics, where these are known."""
         known = {
             text: Estimated(np.asarray(one.estimate), np.asarray(one.standard_error))
             for text, one in statistics.items()
@@ -103,13 +103,13 @@ class Tally:
         return tuple(one for one in found if one is not None)
 
     def _instants(self, solution: Solution) -> int | None:
-        """At how many instants limits over time were counted; None where there are none to count."""
+        """The number of instants at which limits over time were counted; None where there are no such limits."""
         if not any(is_over_time(one) and is_counted(one) for one in self._problem.constraints):
             return None
         return (len(solution.instants) - 1) * finer_by(solution) + 1
 
     def _countable_statistics(self) -> tuple[Statistic, ...]:
-        """The statistics in the problem that the samples of its functionals, kept where they are numbers, can tell."""
+        """The statistics in the problem that can be estimated from the samples of functionals that are numbers."""
         known = [self._functionals[i] for i in self._scalars]
         return tuple(
             atom
@@ -121,7 +121,7 @@ class Tally:
         values = joined([jnp.asarray(self._scalars[self._functionals.index(one)]) for one in statistic.functionals])
         expanded = float(solution.statistics[statistic.text()])
         if isinstance(statistic.kind, Supremum | Infimum):
-            # How far the extremes of a sample are from those of the distribution, the sample does not tell.
+            # A sample does not show how far its extremes are from those of the distribution.
             return Checked(statistic, expanded, float(statistic.kind.of_sample(values)), np.nan)
         found = estimate(statistic.kind.of_sample, np.asarray(values), group_count(self._samples))
         return Checked(statistic, expanded, float(found.value), float(found.standard_error))

@@ -1,4 +1,4 @@
-"""`validate`: a design on fresh random systems, batch by batch, independent of the expansion that found it."""
+"""`validate`: a design re-simulated on fresh random systems, independently of the expansion that found it."""
 
 import time
 import warnings
@@ -29,22 +29,22 @@ def validate(
     keep: int = 200,
     progress: Progress = silent,
 ) -> Evidence:
-    """Simulate `samples` fresh random systems at a solution's decisions, with the distributions the problem declared.
+    """Simulate `samples` fresh random systems at a solution's decisions, from the problem's own distributions.
 
-    A deterministic design is validated on the uncertain systems it stands for. Systems are simulated `batch` at a time
-    on each core, so that memory does not grow with their number; `keep` of them are kept whole, for drawing. `seed`
-    makes it repeatable.
+    A deterministic design is validated on the uncertain systems that it stands for. Systems are simulated `batch` at a
+    time on each core, so that memory does not grow with their number; the trajectories of `keep` of them are kept, for
+    plots. `seed` makes the result reproducible.
 
-    Systems are simulated on the design's own grid if its error is an order below what is tolerated (see
-    `Solution.grid_error`), and otherwise on the finer one that told it. Where the design holds its limits over time
-    between the instants of its grid too, systems are counted against them on that finer grid.
+    Systems are simulated on the design's own grid if its error is an order of magnitude below the tolerance (see
+    `Solution.grid_error`), and otherwise on the finer grid used to estimate it. Where the design's limits over time
+    also hold between the instants of its grid, systems are counted against them on that finer grid.
 
     Every sampled statistic is compared with the expansion's (see `Disagreement`), and limits on statistics are compared
-    with their bounds. Where nothing at all is uncertain, the one system is simulated on a grid ten times finer.
+    with their bounds. Where nothing is uncertain, the one system is simulated on a grid ten times finer.
 
-    Warns with `ExpansionWarning` where samples and solution disagree. Raises `ProblemError` if there is nothing to
-    simulate or if so many systems would not fit into memory, `SimulationError` if a system gives numbers that are not
-    finite, naming its parameter values.
+    Issues an `ExpansionWarning` where samples and solution disagree. Raises `ProblemError` if there is nothing to
+    simulate or if the results would not fit into memory, and `SimulationError` if a system's results are not finite,
+    naming its parameter values.
     """
     if not isinstance(solution, Solution):
         raise ProblemError(f"validate: expected a Solution, from al.solve; received {type(solution).__name__}.")
@@ -77,7 +77,7 @@ def _told(evidence: Evidence) -> Evidence:
 
 
 def _refuse_large(systems: Systems, samples: int, batch: int) -> None:
-    """Refuse what would not fit into memory: a number for each limit and functional of all systems, or one batch."""
+    """Refuse a run that would not fit into memory: a number per limit and functional of all systems, or one batch."""
     problem = systems.problem
     columns = 2 * len(problem.constraints) + len(functionals_of(problem.expressions))
     what = f"validate: {columns} numbers of each of {samples} systems"

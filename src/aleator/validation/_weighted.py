@@ -13,15 +13,15 @@ from aleator.validation._proportion import Proportion, percent
 @final
 @dataclass(frozen=True)
 class WeightedProportion:
-    """How often something happens, estimated from samples of another distribution by their likelihood ratios.
+    """The probability of an event, estimated from samples of another distribution by their likelihood ratios.
 
-    With the weight `w` of a sample where it happened and 0 elsewhere, `estimate` is the mean of the weights, which is
-    unbiased whatever the samples were drawn from; `variance` is the sum of their squares over the squared number of
-    samples, and `largest` the largest weight over that number.
+    With the weight `w` of a sample in the event and 0 elsewhere, `estimate` is the mean of the weights, which is
+    unbiased whatever distribution the samples were drawn from; `variance` is the sum of their squares divided by the
+    squared number of samples, and `largest` the largest weight divided by that number.
 
     `lower` and `upper` are those of Fay and Feuer (Statistics in Medicine 16, 1997) for weighted counts: by the gamma
     distribution, with one more count of the largest weight at the upper end; for equal weights they are the exact
-    interval of a Poisson count. They hold as far as the samples have met every way in which it happens.
+    interval of a Poisson count. They are valid if the samples have met every way in which the event happens.
     """
 
     estimate: float
@@ -32,7 +32,7 @@ class WeightedProportion:
 
     @classmethod
     def of(cls, weights: Float[np.ndarray, " samples"]) -> "WeightedProportion":
-        """From the weights of all samples, 0 where it did not happen."""
+        """From the weights of all samples, 0 outside the event."""
         count = len(weights)
         return cls(
             float(weights.mean()), float(np.sum(weights**2)) / count**2, float(weights.max(initial=0.0)) / count, count
@@ -40,7 +40,9 @@ class WeightedProportion:
 
     @property
     def effective(self) -> float:
-        """Of how many equal weights the estimate is as sure (Kish's effective sample size, of those that count)."""
+        """The number of equal weights with the same relative variance (Kish's effective sample size, of those in the
+        event).
+        """
         return self.estimate**2 / self.variance if self.variance > 0 else 0.0
 
     @property
@@ -50,7 +52,7 @@ class WeightedProportion:
 
     @property
     def upper(self) -> float:
-        """Upper end of the confidence interval; 1 where it never happened, for then nothing is known."""
+        """Upper end of the confidence interval; 1 where it never happened, since nothing is known then."""
         if self.variance == 0:
             return 1.0
         mean, variance = self.estimate + self.largest, self.variance + self.largest**2
@@ -61,7 +63,7 @@ class WeightedProportion:
 
 
 Share: TypeAlias = Proportion | WeightedProportion
-"""How often systems do something, counted or weighted: both have `estimate`, `lower`, `upper` and `confidence`."""
+"""A probability estimate, counted or weighted: both have `estimate`, `lower`, `upper` and `confidence`."""
 
 
 def _gamma_quantile(mean: float, variance: float, level: float) -> float:
