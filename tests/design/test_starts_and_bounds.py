@@ -45,7 +45,7 @@ def planned(model, start, limit=3.0, final=1.0, limits=None):
 )
 def test_a_start_that_is_kept_at_rest_beyond_its_limits_is_refused(model):
     for final in (1.0, al.Decision(1.0, 0.5, 5.0)):
-        message = rf"cannot hold the system still at the start, which takes a_torque = -{LEVEL:.4g} "
+        message = rf"cannot hold the system still at the start, which needs a_torque = -{LEVEL:.4g} "
         with pytest.raises(al.ProblemError, match=message):
             planned(model, (0.0, 0.0, 0.0), final=final)
         assert planned(model, (0.0, 0.0, 0.0), 1.01 * LEVEL, final=final).constraints

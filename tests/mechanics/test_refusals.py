@@ -265,7 +265,7 @@ def holding_torques():
 
 def test_limits_of_torques_that_cannot_hold_the_start_are_refused():
     shoulder, elbow = holding_torques()
-    message = rf"'elbow_torque' .*cannot hold the system still at the start, which takes elbow_torque = {elbow:.4g} "
+    message = rf"'elbow_torque' .*cannot hold the system still at the start, which needs elbow_torque = {elbow:.4g} "
     with pytest.raises(al.ProblemError, match=message):
         problem(
             al.InverseDynamics(Matrices(), motion=MOTION),
