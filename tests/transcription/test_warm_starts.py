@@ -135,7 +135,7 @@ def test_what_a_solution_does_not_know_is_named(coarse):
         (problem(spline(np.zeros(5), degree=1), gain=al.Decision(1.0, 0.5, 2.0)), "decision 'gain'"),
         (problem(al.processes.signal(lambda t, p: p.high * t, high=al.Decision(1.0))), "decision 'inputs.u.p.high'"),
     ):
-        with pytest.raises(al.ProblemError, match=f"says nothing of the {received}.*received a solution with the"):
+        with pytest.raises(al.ProblemError, match=f"does not have the {received}.*received a solution with the"):
             al.solve(unknown, warm_start=coarse)
     told = problem(spline(np.zeros(9), degree=1), gain=al.Decision(1.0, 0.5, 2.0))
     assert started_from(told, coarse, ["gain"]).shape == (10,)

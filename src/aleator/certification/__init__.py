@@ -1,4 +1,4 @@
-"""What an answer is worth: between the instants, on a finer grid, in the worst case, and on fresh systems."""
+"""Checks of an answer: between the instants, on a finer grid, in the worst case, and on fresh systems."""
 
 from aleator.certification._ahead import prepare_judges as prepare_judges
 from aleator.certification._diagnosis import diagnose as diagnose

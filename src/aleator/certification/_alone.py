@@ -1,4 +1,4 @@
-"""One system of a problem's family by itself: what its expressions and functionals are for it."""
+"""One system of a problem's family by itself: the values of expressions and functionals for it."""
 
 from collections.abc import Callable, Mapping
 from typing import NamedTuple
@@ -23,7 +23,7 @@ from aleator.dynamics import Grid
 from aleator.expansion import Collocation
 from aleator.uncertainty import named_numbers
 
-# Elsewhere is a prime number of steps: the first from here on, and from so many times those of the finer grid.
+# The other instants come from a prime number of steps: at least this many, and this many times those of the finer grid.
 _STEPS, _BEYOND = 4099, 1.5
 
 
@@ -35,7 +35,7 @@ class Alone(NamedTuple):
 
 
 def middle(collocation: Collocation) -> int:
-    """Which collocation point is closest to the mean of all."""
+    """The index of the collocation point that is closest to the mean of all."""
     points, weights = np.asarray(collocation.points), np.asarray(collocation.weights)
     away = points - weights @ points
     size = np.sqrt(weights @ away**2)
@@ -65,11 +65,11 @@ def alone_elsewhere(
 ) -> Callable[[], Alone]:
     """The system in the middle of a problem's family, at a few thousand instants that no grid of the problem has.
 
-    It is simulated on another core; what is returned waits for that.
+    It is simulated on another core; the function returned waits for the result.
 
-    A grid and those with a whole multiple of its steps share their instants. A ripple whose period is a step is the
-    same number at all of them, and a shock between two of them was never there. Instants whose number is prime fall
-    elsewhere, and there are more of them than on the grid of `factor` times as many steps.
+    A grid and those with a whole multiple of its steps share their instants. A ripple whose period is one step is
+    constant at all of them, and a shock between two of them is invisible. A prime number of steps gives other instants,
+    and more of them than the grid of `factor` times as many steps.
     """
     assert isinstance(problem.grid, Grid)
     steps = _prime_from(max(_STEPS, int(_BEYOND * factor * problem.grid.steps)))

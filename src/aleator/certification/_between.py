@@ -1,4 +1,4 @@
-"""Limits between the instants of the grid: how far a solution exceeds them there, and margins that make it hold."""
+"""Limits between the instants of the grid: how far a solution exceeds them, and margins that enforce them."""
 
 from dataclasses import replace
 from typing import NamedTuple
@@ -18,10 +18,10 @@ Margins = tuple[Float[np.ndarray, " instants"] | None, ...]
 class Excess(NamedTuple):
     """How far limits over time are exceeded on a finer grid.
 
-    - `shifts`: of each constraint that limits a path or a peak, by how much its bound is to move inwards at each
-      instant for the worst value beside it to meet the bound, negative where it may move outwards; None for others;
-    - `worst`: the largest excess of a limit over time, relative to its bound (to the constraint's scale where that is
-      zero), or zero; `where`: its constraint, `when`: its time, s.
+    - `shifts`: for each constraint that limits a path or a peak, how far its bound must move inwards at each instant
+      so that the worst value near it meets the bound, negative if it may move outwards; None for other constraints;
+    - `worst`: the largest excess of a limit over time, relative to its bound (to the constraint's scale if that is
+      zero), or zero; `where`: its constraint; `when`: its time, s.
     """
 
     shifts: Margins
@@ -52,27 +52,27 @@ def excess_between(
         ]
         shifts.append(_shifts(rows, factor, sides) if one.is_path else rows)
         candidates = [(float(rows.max()), int(np.argmax(rows))), *((max(side[1:]), int(side[0])) for side in sides)]
-        # A number that is none is beyond all.
+        # NaN counts as the largest excess.
         largest, place = max((np.inf if np.isnan(excess) else excess, place) for excess, place in candidates)
         if largest / scale > worst[0]:
             worst = largest / scale, one.name, float(meaning.times[place // factor]) if one.is_path else np.nan
         if float(one.lower) == float(one.upper):
-            shifts[-1] = None  # no margin makes both sides hold
+            shifts[-1] = None  # no margin can enforce both sides of an equality
     return Excess(tuple(shifts), *worst)
 
 
 def _excess(constraint: Constraint, values: Float[np.ndarray, "rows entries"]) -> Float[np.ndarray, " rows"]:
-    """How far each row is beyond a constraint's bounds at worst."""
+    """The largest excess of each row over a constraint's bounds."""
     return np.maximum(values - float(constraint.upper), float(constraint.lower) - values).max(axis=1)
 
 
 def _shifts(
     beyond: Float[np.ndarray, " finer"], factor: int, sides: list[tuple[float, float, float]]
 ) -> Float[np.ndarray, " instants"]:
-    """What the worst value in each interval asks of its two ends, in proportion to how close they are.
+    """The shifts at both ends of each interval that its worst value requires, in proportion to their proximity.
 
-    Shifts `e (1 - s)` and `e s` over their squares' sum change a straight line between them by `e` at the fraction `s`.
-    An end beyond a jump has no part in that; `sides` are the jumps, with the excess before and after.
+    Shifts `e (1 - s)` and `e s`, divided by `(1 - s)² + s²`, change a straight line between them by `e` at the fraction
+    `s`. An end beyond a jump does not count; `sides` are the jumps, with the excess before and after.
     """
     places = np.arange(0, len(beyond) - 1, factor)[:, None] + np.arange(factor + 1)[None, :]
     inside = beyond[places]
@@ -86,12 +86,12 @@ def _shifts(
 
 
 def no_margins(excess: Excess) -> Margins:
-    """Margins to begin with."""
+    """The initial margins: zero."""
     return tuple(None if one is None else np.zeros(len(one)) for one in excess.shifts)
 
 
 def margins_for(margins: Margins, excess: Excess, *, relax: bool) -> Margins:
-    """Margins that follow the excess. With `relax` they shrink where limits hold, so that nothing is given away."""
+    """Margins updated by the excess. With `relax` they shrink where limits hold with slack."""
     return tuple(
         None if old is None or new is None else np.maximum(old + (new if relax else 1.2 * np.maximum(new, 0.0)), 0.0)
         for old, new in zip(margins, excess.shifts, strict=True)

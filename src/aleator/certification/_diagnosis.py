@@ -1,4 +1,4 @@
-"""Where a simulation went wrong: the realisation, its parameter values, the output and the time."""
+"""Where a simulation failed: the realisation, its parameter values, the output and the time."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -9,25 +9,25 @@ from aleator.dynamics import Grid
 from aleator.ensemble import inputs_at, listed
 from aleator.transcription import AbstractTranscribed
 
-# As many numbers as are read at a glance.
+# Most numbers in a message.
 _MOST_NUMBERS = 5
 
 
 def diagnose(transcribed: AbstractTranscribed, decisions: Float[np.ndarray, " n"]) -> str:
-    """The first point, output and instant whose value is not finite: the reason, then a few numbers."""
+    """A message on the first point, output and instant whose value is not finite: the reason, then a few numbers."""
     outputs = {name: np.asarray(values) for name, values in transcribed.outputs(decisions).items()}
     times = grid_at(transcribed.problem, jnp.asarray(decisions)).times
     broken = {name: _first(values) for name, values in outputs.items() if not np.isfinite(values).all()}
     numbers = dict(zip(transcribed.places.entry_names(), decisions.tolist(), strict=True))
     if not broken:
         return (
-            "Where the solver stopped every simulation is finite, but the objective, a constraint or its derivative is "
-            "not: look for a root or logarithm of zero, or a division by zero, in outputs or cost curves. The "
+            "Where the solver stopped, every simulation is finite, but the objective, a constraint or its derivative "
+            "is not: look for a root or logarithm of zero, or a division by zero, in outputs or cost curves. The "
             f"decisions are {_few(numbers, _MOST_NUMBERS)}."
         )
     name, (point, instant) = min(broken.items(), key=lambda item: item[1][1])
     uncertain = inputs_at(transcribed.places, transcribed.points[point], jnp.asarray(decisions))
-    # Most of them are of the realisation: one of many is wrong, all of them have the same decisions.
+    # The realisation's numbers take precedence: one of many failed, while all have the same decisions.
     realised = min(len(uncertain), _MOST_NUMBERS - min(len(numbers), 2))
     count = len(transcribed.collocation.points)
     place = f"collocation point {point + 1} of {count}" if point < count else "a scenario of the worst case"

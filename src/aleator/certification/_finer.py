@@ -1,4 +1,4 @@
-"""Finer grids for a problem whose own is too coarse, and why they may not help."""
+"""Finer grids for a problem whose own is too coarse, and reasons why they may not help."""
 
 from collections.abc import Sequence
 
@@ -11,17 +11,17 @@ from aleator.dynamics import Grid
 from aleator.nlp import Status
 from aleator.solution import TOLERATED, Solution
 
-# The finest grid has so many times as many steps as the first.
+# The finest grid has at most this many times as many steps as the first.
 _FINEST = 256
-# An error that falls by less than this, on a grid of twice as many steps or more, does not converge.
+# An error that falls by less than this factor with at least twice as many steps does not converge.
 _FALLS = 0.6
 _SOLVED = (Status.SOLVED, Status.COARSE, Status.NOT_HELD)
 
 
 def refinement(solutions: Sequence[Solution]) -> Problem | None:
-    """The problem on a grid whose error is tolerated, as far as the last of some solutions tells; None to end.
+    """The problem on a finer grid that should meet the tolerance, judging by the last solution; None to end.
 
-    They are those on the grids so far, the coarsest first.
+    `solutions`: those on the grids so far, the coarsest first.
     """
     last, problem = solutions[-1], solutions[-1].problem
     error = last.certificate.grid_error
@@ -30,7 +30,7 @@ def refinement(solutions: Sequence[Solution]) -> Problem | None:
     grid, begun = problem.grid, solutions[0].problem.grid
     assert isinstance(grid, Grid)
     assert isinstance(begun, Grid)
-    # Between the instants limits may be exceeded on a grid whose error is tolerated.
+    # Limits may be exceeded between the instants even if the error of the grid is tolerated.
     steps = error.with_whole_pieces(2 * grid.steps) if error.is_met else error.steps_needed
     if steps > _FINEST * begun.steps or _does_not_help(solutions):
         return None
@@ -40,14 +40,14 @@ def refinement(solutions: Sequence[Solution]) -> Problem | None:
 def _does_not_help(solutions: Sequence[Solution]) -> bool:
     """Whether finer grids do not lower the error.
 
-    A finer grid may lead to another design, whose error is another one: only two in a row that do not help tell.
+    A finer grid may lead to another design with another error, so that only two failures in a row count.
     """
     ratios = [_ratio(one) for one in solutions[-3:]]
     return len(ratios) == 3 and min(ratios[1:]) > _FALLS * ratios[0]
 
 
 def _ratio(solution: Solution) -> float:
-    """The error of the grid, or what is beyond a limit between its instants, over what is tolerated."""
+    """The error of the grid, or the excess between its instants, over the tolerance."""
     error, between = solution.certificate.grid_error, solution.certificate.between
     if error is None:
         return np.inf
@@ -56,20 +56,20 @@ def _ratio(solution: Solution) -> float:
 
 
 def unconverged(solutions: Sequence[Solution]) -> str:
-    """Why finer grids do not bring the error down to what is asked, with the instant; empty if they do."""
+    """Why finer grids do not bring the error down to the tolerance, with the instant; empty if they do."""
     last = solutions[-1]
     error = last.certificate.grid_error
     if len(solutions) == 1 or error is None or error.is_met or last.status not in _SOLVED:
         return ""
     return (
-        f"As far as {error.steps} steps the "
-        f"error does not fall to what is asked: the model seems to jump in time, near t = {_when(last):.4g} s. Let the "
-        "jump fall on an instant of the grid, make it smooth, or ask for less accuracy"
+        f"With up to {error.steps} steps the "
+        f"error does not reach the tolerance: the model seems to jump in time, near t = {_when(last):.4g} s. Put the "
+        "jump on an instant of the grid, make it smooth, or ask for less accuracy"
     )
 
 
 def _when(solution: Solution) -> float:
-    """The instant from which on twice as many steps give something else, at the means of what is uncertain."""
+    """The instant from which twice as many steps give another result, with uncertain numbers at their means."""
     problem = solution.problem
     grid = problem.grid
     assert isinstance(grid, Grid)

@@ -11,14 +11,12 @@ from aleator.nlp import HELD, AbstractSolver, Outcome, Status
 from aleator.solution import Between
 from aleator.transcription import AbstractTranscribed
 
-# How often limits between instants are tightened, until they hold or it is given up.
+# How often limits between instants are tightened at most.
 _MOST_TIGHTENINGS = 12
 
 
 class Held(NamedTuple):
-    """An outcome, how far it exceeds limits between instants (None where none was looked at), and its numbers on the
-    finer grid (None where there is none).
-    """
+    """An outcome, its excess between instants (None if not checked), and its numbers on the finer grid, if any."""
 
     outcome: Outcome
     between: Between | None
@@ -28,9 +26,9 @@ class Held(NamedTuple):
 def held_between(
     transcribed: AbstractTranscribed, solver: AbstractSolver, outcome: Outcome, between: int | None
 ) -> Held:
-    """Tighten the bounds beside the instants between which limits are exceeded, and solve again, until they hold.
+    """Tighten the bounds at instants between which limits are exceeded, and solve again, until they hold.
 
-    `between`: see `solve`. An outcome that is not solved is left as it is.
+    `between`: see `solve`. An outcome that is not solved is returned unchanged.
     """
     problem = transcribed.problem
     factor = reference_factor(problem, between)
@@ -42,7 +40,7 @@ def held_between(
     excess = excess_between(transcribed, outcome.point, finer)
     margins, done = no_margins(excess), 0
     while HELD < excess.worst < np.inf and done < _MOST_TIGHTENINGS:
-        # At first nothing is given away; then it must come to an end.
+        # Margins may shrink in the first rounds; later they only grow, so that the iteration ends.
         margins = margins_for(margins, excess, relax=done < _MOST_TIGHTENINGS // 2)
         again = solver.solve(tightened(transcribed, margins), start=outcome.point, multipliers=outcome.multipliers)
         if again.status is Status.INTERRUPTED:

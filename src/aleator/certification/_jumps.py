@@ -1,6 +1,6 @@
 """Jumps of outputs at the knots of trajectories, such as torques of a motion of degree 2: both sides of them.
 
-An instant knows one side of a jump alone, so that what happens before and after it is judged apart.
+An instant has the value of one side of a jump only, so that the sides before and after it are judged separately.
 """
 
 from typing import Any, NamedTuple
@@ -14,14 +14,14 @@ from aleator.design import Problem
 from aleator.trajectories import BSpline
 from aleator.uncertainty import at_means, realise
 
-# A jump is larger than this many changes from one fine instant to the next, and than this part of the values.
+# A jump exceeds this many changes between neighbouring fine instants, and this part of the values.
 _STEEP, _LEAST = 5.0, 1e-6
-# A knot this close to an instant, in steps, is at it up to rounding.
+# A knot within this many steps of an instant coincides with it up to rounding.
 _AT = 1e-6
 
 
 class Jump(NamedTuple):
-    """One jump of a path: where, in steps of the finer grid, and the values on both sides, shape (entries,)."""
+    """One jump of a path: its place in steps of the finer grid, and the values on both sides, shape (entries,)."""
 
     place: float
     before: Float[np.ndarray, " entries"]
@@ -29,7 +29,7 @@ class Jump(NamedTuple):
 
 
 def splines_in(tree: Any) -> list[BSpline]:
-    """All splines in a model or a part of one, also inside other trajectories."""
+    """All splines in a model or a part of it, including those inside other trajectories."""
 
     def is_spline(node: Any) -> bool:
         return isinstance(node, BSpline)
@@ -46,7 +46,7 @@ def knots(problem: Problem, decisions: Float[np.ndarray, " n"]) -> Float[np.ndar
 
 
 def jumps(values: Float[np.ndarray, "finer entries"], at: Float[np.ndarray, " knots"]) -> list[Jump]:
-    """The jumps of a path at knots, its values on both sides continued to them along straight lines."""
+    """The jumps of a path at knots, from linear extrapolation on both sides."""
     found = []
     last, size = len(values) - 1, float(np.abs(values).max(initial=0.0))
     for place in at * last:
@@ -67,9 +67,10 @@ def one_sided(
     inside: Float[np.ndarray, "intervals fine"],
     found: list[tuple[float, float, float]],
 ) -> None:
-    """Let the ends of intervals with jumps answer for their own sides alone; changes `first` and `last` in place.
+    """Let each end of an interval with a jump account for its own side only; changes `first` and `last` in place.
 
-    - `first`, `last`: what is asked of the left and right ends of intervals; `inside`: the excess at fine instants;
+    - `first`, `last`: the shifts required at the left and right ends of intervals; `inside`: the excess at fine
+      instants;
     - `found`: jumps, as place in fine steps and excess before and after.
     """
     factor = inside.shape[1] - 1
@@ -78,7 +79,7 @@ def one_sided(
         here = [one for one in here if -_AT <= one[0] <= 1 + _AT]
         fine = np.arange(factor + 1) / factor
         earliest, latest = min(one[0] for one in here), max(one[0] for one in here)
-        # At a jump itself an instant's value is that of either side, by rounding.
+        # Exactly at a jump, rounding decides which side an instant's value belongs to.
         left = inside[i][fine < earliest - _AT].tolist() + [before for at, before, _ in here if at == earliest]
         right = inside[i][fine > latest + _AT].tolist() + [after for at, _, after in here if at == latest]
         first[i] = max(left) if earliest > _AT else -np.inf
@@ -86,5 +87,5 @@ def one_sided(
 
 
 def _intervals(place: float, count: int) -> set[int]:
-    """The intervals that a place, in steps, is in: two where it is an instant."""
+    """The intervals that contain a place, in steps: two if it is an instant."""
     return {i for i in (int(np.floor(place - _AT)), int(np.floor(place + _AT))) if 0 <= i < count}

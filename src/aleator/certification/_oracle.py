@@ -1,4 +1,4 @@
-"""The model at given realisations: how far beyond the limits on the worst case it is there, and when."""
+"""The model at given realisations: its excess over the limits on the worst case, and when."""
 
 from typing import NamedTuple, final
 
@@ -32,10 +32,10 @@ def worst_case_limits(problem: Problem) -> tuple[Constraint, ...]:
 
 
 class Reached(NamedTuple):
-    """Limits on the worst case at some realisations, where each is closest to its bound or furthest beyond it.
+    """Limits on the worst case at some realisations, each where it is closest to its bound or furthest beyond it.
 
-    - `beyond`: how far, negative inside; `value`: of the functional; `time`: when, s, not a number where
-      the limit is none over time.
+    - `beyond`: the excess over the bound, negative inside; `value`: of the functional; `time`: when (s), NaN if the
+      limit is not over time.
     """
 
     beyond: Float[np.ndarray, "points limits"]
@@ -58,7 +58,7 @@ def _reached(
         for limit in limits:
             value = jnp.asarray(limit.expression.evaluate(scope))
             beyond = jnp.ravel(jnp.maximum(value - limit.upper, limit.lower - value))
-            # The first that is not a number counts as the largest.
+            # The first NaN counts as the largest.
             worst = jnp.argmax(beyond)
             time = times[worst * len(times) // beyond.size] if limit.is_path else jnp.nan
             found.append((beyond[worst], jnp.ravel(value)[worst], time))
@@ -72,9 +72,9 @@ REACHED = Compiled(_reached, unchanged=refuse_changed_code)
 
 @final
 class Oracle:
-    """The model of a problem at realisations, some together, on a grid `factor` times as fine as its own.
+    """The model of a problem at realisations, in batches, on a grid with `factor` times as many steps as its own.
 
-    `asked`: at how many realisations it was simulated.
+    `asked`: the number of realisations that were simulated.
     """
 
     def __init__(self, problem: Problem, factor: int):
@@ -87,7 +87,7 @@ class Oracle:
         return Reached(*in_batches(REACHED, self._traced, germ, jnp.asarray(decisions)))
 
     def germ(self, points: Points) -> Float[np.ndarray, "points variables"]:
-        """Points of the unit box in the germ's box."""
+        """Map points of the unit box into the germ's box."""
         return self.low + points * (self.high - self.low)
 
     def unit(self, germ: Float[np.ndarray, "points variables"]) -> Points:

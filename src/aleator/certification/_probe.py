@@ -1,4 +1,4 @@
-"""What happens where nobody looked: one system at other instants than those of a problem's grids."""
+"""Check one system at other instants than those of a problem's grids."""
 
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
@@ -12,20 +12,20 @@ from aleator.design import Constraint, Problem, functionals_of, is_over_time
 from aleator.dynamics import Grid
 from aleator.transcription import AbstractTranscribed, bound_size
 
-# What one system shows beside the instants of the finer grid counts from this part of a limit on: less is the error of
-# its integration. Of an integral more, for a grid is better than this one where it has the instants of a jump.
+# A difference at the other instants counts from this part of a limit on; less is integration error. For integrals it
+# is more, because a grid with an instant at a jump is more accurate than this one.
 _SHOWS, _SHOWS_OF_NUMBERS = 5e-3, 2e-2
-# A grid is far off where it makes something so many times as large as it is.
+# A grid is far off if it makes a quantity this many times too large.
 _FAR_OFF = 10.0
 
 
 class Probed(NamedTuple):
-    """What one system shows between the instants of the finer grid.
+    """The behaviour of one system between the instants of the finer grid.
 
-    - `worst`: by how much it exceeds a limit over time, as the family does there, relative to its bound (to the
-      constraint's scale where that is zero), or zero; `where`: its constraint; `when`: its time, s;
-    - `numbers`: by how much functionals that are numbers differ, by their texts, and the objective, under "". Zero
-      where that is no more than a grid errs.
+    - `worst`: the largest excess over a limit over time, transferred to the family there, relative to its bound (to the
+      constraint's scale if that is zero), or zero; `where`: its constraint; `when`: its time, s;
+    - `numbers`: the differences of functionals that are numbers, by their texts, and of the objective, under "". Zero
+      if no more than the error of a grid.
     """
 
     worst: float
@@ -35,7 +35,7 @@ class Probed(NamedTuple):
 
 
 def probed(transcribed: AbstractTranscribed, point: Float[np.ndarray, " variables"], finer: Reference) -> Probed:
-    """What one system of a problem shows beside the instants of its finer grid at a point."""
+    """Compare one system of a problem with its finer grid at a point."""
     problem = transcribed.problem
     seen = finer.elsewhere
     times = transcribed.at(point).times
@@ -51,14 +51,14 @@ def probed(transcribed: AbstractTranscribed, point: Float[np.ndarray, " variable
 def whether_misled(
     transcribed: AbstractTranscribed, start: Float[np.ndarray, " variables"], factor: int
 ) -> Callable[[], str]:
-    """A sentence on a functional that a problem's grid is far off at the start of a search; empty if there is none.
+    """A sentence on a functional for which the grid is far off at the start of a search; empty if there is none.
 
-    It is found out beside the search; what is returned waits for that.
+    It runs in parallel with the search; the function returned waits for the result.
 
-    `factor`: how many times as many steps the finer grid has that the answer will be judged by.
+    `factor`: how many times as many steps the finer grid for judging the answer has.
 
-    A step that is too long for a design makes it look unstable, and a search flees to one that does nothing: there the
-    grid is found to be exact.
+    A step that is too long for a design makes it appear unstable. The search may then avoid it for a design at rest,
+    where the grid appears exact.
     """
     problem = transcribed.problem
     if not problem.is_integrated:
@@ -78,19 +78,19 @@ def _misled(
         if not (own <= _FAR_OFF * true or own <= rounding().get(one, 0.0)):
             return (
                 f"at the start of the search {problem.grid.steps} steps give {one.text()} as {own:.3g}, where "
-                f"{true:.3g} is right: a search may flee from good designs"
+                f"{true:.3g} is right: the search may have avoided good designs"
             )
     return ""
 
 
 def _shown(own: np.ndarray, other: np.ndarray) -> float:
-    """How far two numbers differ; zero where it is no more than grids may."""
+    """How far two numbers differ; zero if no more than grids may."""
     difference, size = float(np.max(np.abs(own - other))), float(np.max(np.maximum(np.abs(own), np.abs(other))))
     return 0.0 if difference <= _SHOWS_OF_NUMBERS * size else difference
 
 
 def _exceeded(transcribed: AbstractTranscribed, finer: Reference) -> Iterator[tuple[float, str, float]]:
-    """How far each limit over time is exceeded, relative to its bound; its name; and at what fraction of the time."""
+    """For each limit over time: its excess relative to its bound, its name, and the fraction of the time."""
     parts = zip(
         transcribed.problem.constraints,
         transcribed.scales,
@@ -111,7 +111,7 @@ def _exceeded(transcribed: AbstractTranscribed, finer: Reference) -> Iterator[tu
             )
             more = (probe - alike[windows].max(axis=1)).max(axis=1)
             beyond = rows.max(axis=1)[windows].max(axis=1) - sign * bound + more
-            # A number that is none is beyond all.
+            # NaN counts as the largest excess.
             beyond = np.where(np.isnan(beyond), np.inf, beyond)
             k = int(np.argmax(np.where(more <= _SHOWS * size, -np.inf, beyond)))
             if not (more[k] <= _SHOWS * size or beyond[k] <= _SHOWS * size):
@@ -124,6 +124,6 @@ def _sides(constraint: Constraint) -> list[tuple[float, float]]:
 
 
 def _windows(instants: int, fractions: Float[np.ndarray, " probe"]) -> Int[np.ndarray, "probe around"]:
-    """The instants of a uniform grid around others: two on each side."""
+    """The instants of a uniform grid around given fractions of time: two on each side."""
     first = np.minimum(fractions * (instants - 1), instants - 2).astype(int)
     return np.clip(first[:, None] + np.arange(-1, 3)[None, :], 0, instants - 1)

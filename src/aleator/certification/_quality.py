@@ -1,4 +1,4 @@
-"""How far the expansions of a problem can be trusted at a solution, and what is said where they cannot."""
+"""How far the expansions of a problem can be trusted at a solution, with warnings if they cannot."""
 
 from collections.abc import Mapping
 
@@ -12,17 +12,17 @@ from aleator.solution import ExpansionQuality, SecondOpinion
 from aleator.statistics import Covariance, Mean, Std, Variance
 from aleator.transcription import AbstractTranscribed, Resolved
 
-# The part of a standard deviation that an expansion may miss where moments are asked of it.
+# The relative error of an expansion that is tolerated for moments.
 _TRUSTED = {Mean: 1.0, Std: 1 / 3, Variance: 1 / 3, Covariance: 1 / 3}
 
-# A spread below this part of what a functional is made of is rounding.
+# A spread below this part of the magnitude of a functional's terms is rounding.
 _ROUNDING = 1e-11
 
 
 def quality_of(
     transcribed: AbstractTranscribed, resolved: Mapping[str, Resolved], point: Float[np.ndarray, " variables"]
 ) -> ExpansionQuality:
-    """The quality of the expansions at a point, where `resolved` was taken."""
+    """The quality of the expansions at a point, from `resolved` there."""
     basis, collocation = transcribed.basis, transcribed.collocation
     tolerance, meaning = transcribed.problem.expansion.tolerance, transcribed.at(point)
     errors = {text: float(one.leave_one_out) for text, one in resolved.items()}
@@ -53,9 +53,9 @@ def _rounding(
     errors: Mapping[str, float],
     decisions: Float[np.ndarray, " n"],
 ) -> dict[str, float]:
-    """Those functionals that are numbers and spread by rounding alone, with no error: looked for among the unresolved.
+    """Unresolved functionals that are numbers and spread by rounding alone, whose error therefore counts as zero.
 
-    The rate at the end of a motion that comes to rest is zero in every system, up to rounding of the rates before.
+    For example, the rate at the end of a motion that comes to rest is zero in every system, up to rounding.
     """
     tolerance = transcribed.problem.expansion.tolerance
     suspects = {text for text, error in errors.items() if not error <= tolerance and np.ndim(resolved[text].std) == 0}
@@ -70,18 +70,18 @@ def _rounding(
 
 
 def untrusted(problem: Problem, quality: ExpansionQuality) -> str:
-    """A sentence on the statistic that an expansion is least fit for, where it cannot be acted on; empty for none.
+    """A sentence on the statistic whose expansion is least accurate, if too inaccurate to act on; empty if none is.
 
-    What an expansion misses adds to a variance by its square: a third of the standard deviation is a ninth of it. Tails
-    know no such mercy, and are trusted up to the expansion's tolerance alone; a mean is less delicate. A higher
-    tolerance is the user's own word for all of them.
+    An error adds to a variance by its square: a third of the standard deviation is a ninth of the variance. Tails have
+    no such advantage, and are trusted only up to the expansion's tolerance; a mean is less sensitive. A user who sets a
+    higher tolerance accepts it for all of them.
     """
     worst, sentence = 1.0, ""
     for one in statistics_in(problem.expressions):
         most = max(quality.tolerance, _TRUSTED.get(type(one.kind), 0.0))
         for functional in one.functionals:
             error = quality.leave_one_out.get(functional.text(), 0.0)
-            # Where nothing is left to check it by, the error is infinite, and fresh simulations are the judge.
+            # If no points are left to check it by, the error is infinite, and fresh simulations decide.
             if not np.isinf(error) and not error <= worst * most:
                 worst = error / most
                 sentence = (
@@ -92,11 +92,11 @@ def untrusted(problem: Problem, quality: ExpansionQuality) -> str:
 
 
 def doubts(quality: ExpansionQuality, opinion: SecondOpinion | None) -> list[str]:
-    """Why the statistics of an expansion cannot be trusted, a sentence each; none where they can."""
+    """Why the statistics of an expansion cannot be trusted, a sentence each; empty if they can."""
     sentences = []
     if not quality.is_conditioned:
         sentences.append(
-            f"The collocation matrix has condition number {quality.condition_number:.1e} (warned of beyond "
+            f"The collocation matrix has condition number {quality.condition_number:.1e} (limit "
             f"{ILL_CONDITIONED:.0e}), so coefficients lose digits. Use more points, a lower order, or "
             "al.points.ChristoffelPoints()"
         )

@@ -1,4 +1,4 @@
-"""A problem on a finer grid and by an integrator of another order: what its own grid is judged by."""
+"""A problem on a finer grid with an integrator of another order, by which its own grid is judged."""
 
 from collections.abc import Iterator, Mapping
 from types import MappingProxyType
@@ -31,16 +31,16 @@ from aleator.statistics import Constants, Mean, Std, Variance
 from aleator.trajectories import AbstractTrajectory
 from aleator.transcription import AbstractTranscribed, Discretised, scope_of
 
-# How many times as many steps: for systems that follow trajectories, whose limits are held between instants, for
-# others; and the least number of steps in all, and of steps from knot to knot.
+# Factor of steps for systems that follow trajectories, whose limits are enforced between instants, and for others;
+# then the least number of steps in all, and between two knots.
 _FOLLOWING, _PLAIN, _FEWEST, _BY_PIECE = 10, 2, 100, 4
-# A bound is missed on a finer grid because of the grid if so much of it comes from there.
+# An excess on a finer grid is an error of the grid if the grids differ by at least this part of it.
 _OF_THE_GRID = 0.1
-# The other grid has an error of its own, much smaller than what it is asked about.
+# Allowance for the error of the finer grid itself, which is much smaller.
 _OWN_ERROR = 1.25
-# A magnitude smaller than this part of what it could be is zero up to the errors of integration.
+# A magnitude below this part of its possible size is zero up to integration error.
 _NEGLIGIBLE_SPREAD, _NEGLIGIBLE_VALUE, _ROUNDING = 1e-6, 1e-3, 1e-9
-# Nothing is told from nothing.
+# Avoids a division of zero by zero.
 _TINY = 1e-30
 
 
@@ -89,7 +89,7 @@ REFERENCE = Compiled(_referenced, use=Use.ROWS, unchanged=refuse_changed_code)
 
 
 def reference_factor(problem: Problem, between: int | None) -> int:
-    """How many times as many steps the finer grid of a problem has; 1 where time plays no part."""
+    """How many times as many steps the finer grid of a problem has; 1 for a problem without time."""
     grid = problem.grid
     if not (isinstance(grid, Grid) and functionals_of(problem.expressions)):
         return 1
@@ -99,12 +99,12 @@ def reference_factor(problem: Problem, between: int | None) -> int:
 
 
 def follows_trajectories(problem: Problem) -> bool:
-    """Whether a problem's system follows trajectories, which may do anything between two instants."""
+    """Whether a problem's system follows trajectories, which are arbitrary between two instants."""
     return pieces(problem) > 0
 
 
 def pieces(problem: Problem) -> int:
-    """Of how many polynomial pieces the trajectories consist that a problem's system follows, at most; 0 for none."""
+    """The largest number of polynomial pieces of the trajectories that a problem's system follows; 0 for none."""
 
     def is_trajectory(node: Any) -> bool:
         return isinstance(node, AbstractTrajectory)
@@ -115,7 +115,7 @@ def pieces(problem: Problem) -> int:
 
 
 def reference(transcribed: AbstractTranscribed, point: Float[np.ndarray, " variables"], factor: int) -> Reference:
-    """A problem's numbers on a grid of `factor` times as many steps, by another integrator."""
+    """A problem's numbers on a grid of `factor` times as many steps, with another integrator."""
     problem, collocation, decisions = transcribed.problem, transcribed.collocation, transcribed.decisions(point)
     elsewhere = alone_elsewhere(problem, collocation, decisions, factor)
     arguments = _arguments(problem, transcribed.discretised, factor, decisions)
@@ -148,10 +148,9 @@ def grid_error(
     accuracy: float,
     shown: Mapping[str, float] = MappingProxyType({}),
 ) -> GridError:
-    """The error of a problem's own grid at a point, by what a finer one gives there.
+    """The error of a problem's own grid at a point, by comparison with a finer one.
 
-    `shown`: by how much functionals differ at instants that the finer one does not have either; the objective's under
-    "".
+    `shown`: differences of functionals at instants that the finer one does not have either; of the objective under "".
     """
     problem, resolved = transcribed.problem, transcribed.resolve(point)
     assert isinstance(problem.grid, Grid)
@@ -169,7 +168,7 @@ def grid_error(
         limits = _limits(problem, one)
         spread, value, reach = float(np.max(std)), float(np.max(np.abs(mean))), reaches[one]
         sizes = [*limits, *([spread] if spread > _NEGLIGIBLE_SPREAD * reach else [])]
-        # What is to be zero, and is, has no magnitude of its own.
+        # A quantity that has to be zero, and is, has no magnitude of its own.
         alone = value if value > _NEGLIGIBLE_VALUE * reach else reach
         size = max(min(sizes, default=alone), max(_ROUNDING * reach, rounding.get(one, 0.0), _TINY) / accuracy)
         when = float(times[int(np.argmax(change.reshape(len(times), -1).max(axis=1)))]) if one.is_path else np.nan
@@ -192,14 +191,14 @@ def grid_error(
 
 
 def _order(objective: Expression) -> int:
-    """By which power of a step the error of the objective falls: that of what is least accurate in it."""
+    """The order of convergence of the objective: the lowest among its parts."""
     return min([one.order for one in functionals_of((objective,))], default=Deviation.order)
 
 
 def rounding_of(transcribed: AbstractTranscribed, sizes: Float[np.ndarray, " rows"]) -> dict[Any, float]:
-    """What is rounding of functionals, as far as constraints on them tell, whose rows have the magnitudes `sizes`.
+    """The rounding of functionals, as far as constraints on them show it, whose rows have the magnitudes `sizes`.
 
-    What meets a bound of zero is a difference of numbers of that magnitude.
+    A functional with a bound of zero is a difference of numbers of that magnitude.
     """
     found: dict[Any, float] = {}
     for one, rows in zip(transcribed.problem.constraints, transcribed.rows, strict=True):
@@ -239,7 +238,7 @@ def _limits(problem: Problem, functional: Any) -> list[float]:
 
 
 def _reach_of(expression: Expression, reaches: dict[Any, float]) -> float:
-    """How large an expression could be, were the functionals in it as large as they could: zero where none tells."""
+    """The possible size of an expression, from that of its functionals; zero if unknown."""
     return sum(
         abs(float(factor)) * sum(_reach(part, reaches) for part in atom.parts)
         for factor, atom in zip(expression.factors, expression.atoms, strict=True)
@@ -247,7 +246,7 @@ def _reach_of(expression: Expression, reaches: dict[Any, float]) -> float:
 
 
 def _reach(atom: Any, reaches: dict[Any, float]) -> float:
-    """How large a statistic could be; a spread is no larger than what spreads."""
+    """The possible size of a statistic; a spread is no larger than the functional itself."""
     if not isinstance(atom, Statistic):
         return 0.0
     reach = reaches[atom.functionals[0]]
@@ -266,7 +265,7 @@ def _broken(
 ) -> str:
     """A sentence on the constraint, no limit over time, that is broken most on the finer grid; empty if all hold.
 
-    What is the same on both grids is none of their error, however small what it is compared with.
+    A difference that is equal on both grids is no error of the grid, however small its tolerance.
     """
     problem = transcribed.problem
     worst, sentence = accuracy, ""
@@ -280,12 +279,10 @@ def _broken(
         size = bound_size(one) or max(_reach_of(one.expression, reaches), float(np.max(sizes[rows])))
         if excess > worst * size > 0 and changed > _OF_THE_GRID * excess:
             worst = excess / size
-            sentence = f"on a finer grid '{one.name}' ({one}) misses its bound by {excess:.2g}"
+            sentence = f"on a finer grid '{one.name}' ({one}) exceeds its bound by {excess:.2g}"
     return sentence
 
 
 def bound_size(constraint: Constraint) -> float:
-    """The smaller of a constraint's bounds in magnitude; zero where one of them is zero, which says nothing of
-    sizes.
-    """
+    """The smaller of a constraint's bounds in magnitude; zero if one of them is zero."""
     return min(abs(bound) for bound in map(float, (constraint.lower, constraint.upper)) if np.isfinite(bound))

@@ -1,4 +1,4 @@
-"""Search for the worst realisations of a model in the box of its germ: by values alone, many at once."""
+"""Derivative-free search for the worst realisations of a model in the box of its germ, many at once."""
 
 from collections.abc import Callable
 from typing import NamedTuple, TypeAlias
@@ -10,28 +10,28 @@ Points: TypeAlias = Float[np.ndarray, "points variables"]
 """Points of the box, scaled to between 0 and 1 in each variable."""
 
 Ask: TypeAlias = Callable[[Points], Float[np.ndarray, "points limits"]]
-"""How far beyond each of some limits the model is at some points; not a number where it has no value."""
+"""The model's excess over each limit at some points; NaN where it has no value."""
 
-# Points spread over the box in each search, and corners that are tried: all of as many.
+# Points spread over the box in each search, and the most corners that are tried.
 _SPREAD, _MOST_CORNERS = 128, 128
-# From how many points the search goes on for each limit, and how far apart they are at least.
+# From how many points the search continues for each limit, and their least distance.
 _STARTS, _APART = 3, 0.15
-# Of a step: the first, the last, and how many points are tried beside those along the axes, of which so many.
+# The first and the last step, the number of points in other directions than the axes, and the most axes tried.
 _FIRST_STEP, _LAST_STEP, _BESIDE, _MOST_AXES = 0.5, 1e-5, 6, 12
 _MOST_SWEEPS = 60
 
 
 class Found(NamedTuple):
-    """The worst points of each limit, the worst first, and how far beyond it they are: one array a limit."""
+    """The worst points of each limit, the worst first, and their excess over it: one array per limit."""
 
     points: tuple[Points, ...]
     beyond: tuple[Float[np.ndarray, " points"], ...]
 
 
 def candidates(variables: int, seed: int, rank: Callable[[Points], np.ndarray]) -> Points:
-    """Points at which a worst case is looked for: the middle, corners, ends of each variable, and some of the inside.
+    """Initial points of the search: the middle, corners, ends of each variable, and some points inside.
 
-    - `rank`: which of many points are the worst by a model that costs nothing, the expansion: their numbers.
+    - `rank`: gives the indices of the worst of many points by a cheap model, the expansion.
     """
     from scipy.stats import qmc  # late: it takes a second to import
 
@@ -49,10 +49,10 @@ def candidates(variables: int, seed: int, rank: Callable[[Points], np.ndarray]) 
 
 
 def search(ask: Ask, tried: Points, beyond: Float[np.ndarray, "points limits"], seed: int) -> Found:
-    """Go on from the worst of the points that were tried, to a worst one beside each, for every limit.
+    """Search from the worst of the points tried to a local worst point near each, for every limit.
 
-    Along the axes and to points beside at random, by steps that shrink where nothing worse is found: it needs no
-    derivatives, takes kinks, and stops at faces and corners of the box.
+    It tries points along the axes and in random directions, with steps that shrink if nothing worse is found. It needs
+    no derivatives, tolerates kinks, and stops at faces and corners of the box.
     """
     generator = np.random.default_rng(seed)
     starts = [_apart(tried, column) for column in np.nan_to_num(beyond, nan=np.inf).T]
@@ -73,7 +73,7 @@ def search(ask: Ask, tried: Points, beyond: Float[np.ndarray, "points limits"], 
         reached, where = values[np.arange(len(going)), k], places[np.arange(len(going)), k]
         better = reached > best[going]
         moved = np.max(np.abs(where - at[going]), axis=1)
-        # A short way to a worse point tells that it is near; a long one that it may be far.
+        # If the worse point was close, the maximum is presumed near; if it was far, possibly far.
         step[going] = np.where(better, np.clip(2 * moved, step[going] / 8, step[going]), step[going] / 4)
         at[going] = np.where(better[:, None], where, at[going])
         best[going] = np.maximum(best[going], reached)
@@ -82,7 +82,7 @@ def search(ask: Ask, tried: Points, beyond: Float[np.ndarray, "points limits"], 
 
 
 def _apart(points: Points, beyond: Float[np.ndarray, " points"]) -> np.ndarray:
-    """The numbers of the worst points that are no neighbours of a worse one."""
+    """The indices of the worst points that are not close to a worse one."""
     chosen: list[int] = []
     for i in np.argsort(-beyond, kind="stable"):
         if all(np.max(np.abs(points[i] - points[j])) >= _APART for j in chosen):
@@ -93,7 +93,7 @@ def _apart(points: Points, beyond: Float[np.ndarray, " points"]) -> np.ndarray:
 
 
 def _beside(at: Points, step: Float[np.ndarray, " starts"], generator: np.random.Generator) -> np.ndarray:
-    """Points beside each: one step up and down along (some of) the axes, and some in other directions."""
+    """Points near each: one step up and down along (some of) the axes, and some in other directions."""
     starts, variables = at.shape
     axes = generator.permutation(variables)[:_MOST_AXES]
     moves = np.zeros((starts, 2 * len(axes) + _BESIDE, variables))
@@ -107,7 +107,7 @@ def _beside(at: Points, step: Float[np.ndarray, " starts"], generator: np.random
 
 
 def _values(ask: Ask, places: np.ndarray, limit: np.ndarray) -> np.ndarray:
-    """How far beyond its own limit each start's places are; what has no value is infinitely far."""
+    """The excess of each start's points over its own limit; infinite where there is no value."""
     found = ask(places.reshape(-1, places.shape[-1])).reshape(*places.shape[:2], -1)
     own = np.take_along_axis(found, limit[:, None, None], axis=2)[..., 0]
     return np.nan_to_num(own, nan=np.inf)
@@ -116,7 +116,7 @@ def _values(ask: Ask, places: np.ndarray, limit: np.ndarray) -> np.ndarray:
 def _leaps(
     at: Points, step: np.ndarray, best: np.ndarray, places: np.ndarray, values: np.ndarray
 ) -> Float[np.ndarray, "starts variables"]:
-    """To the vertices of the parabolas along all axes at once; a whole step uphill along those that do not bend."""
+    """Leaps to the vertices of the parabolas along all axes at once; a full step uphill along straight ones."""
     leap = at.copy()
     for start in range(len(at)):
         for i in range(0, places.shape[1] - _BESIDE, 2):

@@ -1,7 +1,7 @@
-"""A second opinion on a solution: fresh simulations at the answer, beside what the expansions predict of them.
+"""A second opinion on a solution: fresh simulations at the answer, compared with predictions of the expansions.
 
-Optimisers go where an expansion is wrong. What it misses of a few fresh systems corrects each statistic (a control
-variate: the expansion's own number, plus the mean of what it misses), with a standard error by the jackknife.
+Optimisers exploit errors of an expansion. Its errors at a few fresh systems correct each statistic (a control variate:
+the expansion's own number plus the mean error), with a standard error by the jackknife.
 """
 
 from collections.abc import Callable, Mapping
@@ -40,24 +40,24 @@ from aleator.statistics import (
 from aleator.transcription import RESPOND, AbstractTranscribed, Meaning
 from aleator.uncertainty import named_numbers
 
-# Fresh systems: enough for a standard error, and few beside the points of one evaluation with derivatives.
+# Fresh systems: enough for a standard error, and cheap compared with one evaluation with derivatives.
 _FRESH = 32
 
-# What is as rare as four standard deviations of a normal variable, on both sides together.
+# The two-sided probability of four standard deviations of a normal variable.
 _RARE = 2 * float(special.ndtr(-4.0))
 
-# Shifts up to this part of what one spread would make of an expression are none; one beyond a bound by more than the
-# second part breaks it.
+# Shifts up to the first part of the effect of one standard deviation are negligible; an excess over a bound by more
+# than the second part breaks it.
 _NONE, _BREAKS = 0.01, 0.05
 
-# Outputs that vary by less than this part of their size are constant, but for rounding.
+# Outputs that vary by less than this part of their size are constant up to rounding.
 _ROUNDING = 1e-11
 
 _FOLLOW_THE_SPREAD = (Quantile, CornishFisher, ConditionalValueAtRisk, Supremum, Infimum)
 
 
 class _Fresh(NamedTuple):
-    """A functional at the fresh points: simulated, predicted; and its mean and variance by the expansion."""
+    """A functional at the fresh points, simulated and predicted, with its mean and variance by the expansion."""
 
     values: Float[np.ndarray, "fresh ..."]
     predicted: Float[np.ndarray, "fresh ..."]
@@ -72,11 +72,11 @@ class _Fresh(NamedTuple):
         return float(np.sqrt(np.sum(np.mean((self.values - self.predicted) ** 2, axis=0)) / total))
 
     def is_rounding(self, size: float) -> bool:
-        """Whether a number spreads by no more than rounding of what it is made of, which has the magnitude `size`."""
+        """Whether a number spreads by no more than rounding of its terms, which have the magnitude `size`."""
         return self.values.ndim == 1 and bool(np.sqrt(self.variance) <= _ROUNDING * size)
 
     def corrections(self) -> "_Corrections":
-        """What the fresh systems make of mean and variance."""
+        """The corrections of mean and variance by the fresh systems."""
         shift = _means(self.values - self.predicted)
         squares = _means((self.values - self.mean) ** 2 - (self.predicted - self.mean) ** 2) - shift**2
         wider = np.sqrt(np.maximum(self.variance[..., None] + squares, 0.0)) - np.sqrt(self.variance)[..., None]
@@ -84,7 +84,7 @@ class _Fresh(NamedTuple):
 
 
 class _Corrections(NamedTuple):
-    """By how much mean, variance and standard deviation of a functional are off, in all replicates."""
+    """The errors of a functional's mean, variance and standard deviation, in all replicates."""
 
     mean: Float[np.ndarray, "... replicates"]
     variance: Float[np.ndarray, "... replicates"]
@@ -92,7 +92,7 @@ class _Corrections(NamedTuple):
 
 
 def _means(missed: Float[np.ndarray, "fresh ..."]) -> Float[np.ndarray, "... replicates"]:
-    """The mean of what is missed: zero, of all, and of all but one (the jackknife), as a last axis."""
+    """The mean error along a last axis of replicates: zero, of all, and of all but one (the jackknife)."""
     every, count = missed.mean(axis=0), len(missed)
     rest = (count * every[None] - missed) / (count - 1)
     return np.moveaxis(np.concatenate([0 * every[None], every[None], rest]), 0, -1)
@@ -103,7 +103,7 @@ class _Replicated(AbstractScopeOfInstants):
     """Statistics with a last axis of replicates: those of `_means`, then one for each statistic that is moved."""
 
     def __init__(self, known: Mapping[str, np.ndarray], numbers: Callable[[], Mapping[str, Array]], step: float):
-        # The model's numbers take longer than all the rest, and few problems ask for any.
+        # The model's numbers take longer than all the rest, and few problems need any.
         self._known, self._numbers, self.step = known, numbers, step
 
     @override
@@ -116,7 +116,7 @@ class _Replicated(AbstractScopeOfInstants):
 
 
 def second_opinion(transcribed: AbstractTranscribed, point: Float[np.ndarray, " variables"]) -> SecondOpinion | None:
-    """What fresh simulations say of the expansions at a point; None where nothing is uncertain.
+    """Compare the expansions at a point with fresh simulations; None if nothing is uncertain.
 
     The fresh systems are the same at every call, so that a solution is repeatable; no solver has seen them.
     """
@@ -152,12 +152,12 @@ def prepare_opinion(problem: Problem) -> None:
 def _opinion(
     transcribed: AbstractTranscribed, fresh: Mapping[str, _Fresh], point: Float[np.ndarray, " variables"]
 ) -> SecondOpinion:
-    # Nobody relies on the expansion of what only a worst case is asked of.
+    # Functionals that only limits on the worst case use do not rely on their expansion.
     asked = {one.text() for one in expanded_functionals(transcribed.problem.expressions)}
     fresh = {text: one for text, one in fresh.items() if text in asked}
     misses = {text: one.miss() for text, one in fresh.items()}
     told = [
-        f"the expansion misses fresh simulations of {text} by {miss:.2g} of their standard deviation"
+        f"the expansion predicts fresh simulations of {text} with an error of {miss:.2g} of their standard deviation"
         for text, miss in misses.items()
         if not miss <= 2 * transcribed.problem.expansion.tolerance
     ]
@@ -184,9 +184,9 @@ def _fresh(
 def _corrected(
     kind: AbstractStatistic, expanded: np.ndarray, one: _Fresh, off: _Corrections
 ) -> tuple[np.ndarray, np.ndarray]:
-    """A statistic in all replicates, and how far one spread of its functional would move it.
+    """A statistic in all replicates, and its change by one standard deviation of its functional.
 
-    Quantiles and their like are moved and stretched with mean and spread; those of several functionals are left alone.
+    Quantiles and the like are shifted and scaled with mean and spread; joint statistics are not corrected.
     """
     std, base = np.sqrt(one.variance), np.asarray(expanded)[..., None]
     if isinstance(kind, Mean):
@@ -213,11 +213,11 @@ def _inside(kind: Probability, values: np.ndarray) -> np.ndarray:
 def _judged(
     transcribed: AbstractTranscribed, fresh: Mapping[str, _Fresh], point: Float[np.ndarray, " variables"]
 ) -> tuple[list[str], str]:
-    """The expressions that shift beyond chance, a sentence each; and what is broken by it, if anything."""
+    """The expressions that change beyond chance, a sentence each, and what the correction breaks, if anything."""
     problem, meaning, expanded = transcribed.problem, transcribed.at(point), transcribed.statistics(point)
     known, spreads = {}, {}
     corrections = {text: one.corrections() for text, one in fresh.items()}
-    # Those that stand in several expressions are the same in all.
+    # Statistics that occur in several expressions are equal in all.
     atoms = dict(zip(transcribed.texts.statistics, statistics_in(problem.expressions), strict=True))
     for text, atom in atoms.items():
         base = np.asarray(expanded[text])
@@ -240,13 +240,13 @@ def _judged(
         shift = _shift(np.asarray(expression.evaluate(scope)))
         if shift is None:
             continue
-        told.append(f"{expression} is {shift.by:+.3g} ± {shift.error:.2g} off by fresh simulations")
+        told.append(f"{expression} differs by {shift.by:+.3g} ± {shift.error:.2g} in fresh simulations")
         broken = broken or _break(transcribed, which, shift, meaning)
     return told, broken
 
 
 class _Shift(NamedTuple):
-    """By how much an expression is off at worst, in the entry `where`, and what one spread would make of it."""
+    """The largest error of an expression, in the entry `where`, and its change by one standard deviation."""
 
     by: float
     error: float
@@ -255,7 +255,7 @@ class _Shift(NamedTuple):
 
 
 def _shift(values: Float[np.ndarray, "... replicates"]) -> _Shift | None:
-    """How far fresh simulations move an expression beyond chance and by what matters; None where they do not."""
+    """The change of an expression by fresh simulations, if beyond chance and not negligible; else None."""
     rows = values.reshape(-1, values.shape[-1])
     rest = rows[:, 2 : 2 + _FRESH]
     by = rows[:, 1] - rows[:, 0]
@@ -269,13 +269,13 @@ def _shift(values: Float[np.ndarray, "... replicates"]) -> _Shift | None:
 
 
 def _break(transcribed: AbstractTranscribed, which: int, shift: _Shift, meaning: Meaning) -> str:
-    """What a shift breaks: a limit, by a twentieth of a spread, or all that was gained; empty for nothing."""
+    """What a shift breaks: a limit, by a twentieth of a spread, or the whole gain; empty if nothing."""
     problem, margin = transcribed.problem, _BREAKS * shift.scale
     if which == 0:
         gained = abs(transcribed.at(transcribed.program.start).objective - meaning.objective)
         if abs(shift.by) <= max(gained, margin):
             return ""
-        return f"the objective is {shift.by:+.3g} ± {shift.error:.2g} off, more than was gained ({gained:.3g})"
+        return f"the objective differs by {shift.by:+.3g} ± {shift.error:.2g}, more than was gained ({gained:.3g})"
     limit = problem.constraints[which - 1]
     value = float(meaning.constraints[which - 1][shift.where]) + shift.by
     beyond = max(value - float(limit.upper), float(limit.lower) - value)

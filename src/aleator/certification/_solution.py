@@ -31,16 +31,15 @@ def solution_of(
     misled: str,
     compiled: float,
 ) -> Solution:
-    """The solution that an outcome stands for, in the problem's own words.
+    """The solution of a problem for an outcome of its program.
 
-    `between`, `error`, `worst_case`, `misled`: what was found of it, see `Certificate`; `compiled`: how long
-    compilations for it took, s.
+    `between`, `error`, `worst_case`, `misled`: parts of its `Certificate`; `compiled`: time of its compilations, s.
     """
     problem, places = transcribed.problem, transcribed.places
     meaning, resolved = transcribed.at(outcome.point), transcribed.resolve(outcome.point)
     names, decided = places.entry_names(), transcribed.decided
     entries = dict(zip(decided.tolist(), names, strict=True))
-    # Limits on the worst case ask the model itself.
+    # Limits on the worst case use the model itself.
     asked = {one.text() for one in expanded_functionals(problem.expressions)}
     expanded = {text: one for text, one in resolved.items() if text in asked}
     return Solution(
@@ -108,5 +107,5 @@ def _constraint_results(
 
 
 def _shaped(rows: np.ndarray, times: np.ndarray | None) -> np.ndarray:
-    """A constraint's rows by instant, where it has several at each."""
+    """A constraint's rows by instant, if it has several at each."""
     return rows if times is None or len(rows) == len(times) else rows.reshape(len(times), -1)

@@ -1,4 +1,4 @@
-"""Limits on the worst case: the model's own, found by a search over its realisations, not its expansion's."""
+"""Limits on the worst case of the model itself, found by a search over its realisations, not by its expansion."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -16,9 +16,9 @@ from aleator.nlp import HELD, Outcome, Status
 from aleator.solution import WorstCase, WorstRealisation
 from aleator.transcription import AbstractTranscribed, Scenarios
 
-# How often scenarios are added and the program is solved again.
+# How often scenarios are added and the program is solved again at most.
 _MOST_ROUNDS = 20
-# At most so many new ones a limit and round, none that breaks it by less than this part of the worst.
+# The most new scenarios per limit and round, and the least excess of a new one, relative to the worst.
 _NEW, _WORTH = 2, 0.3
 # Slack beyond this part of the scale makes a scenario idle.
 _IDLE = 1e-3
@@ -28,7 +28,7 @@ _RANKED_INSTANTS, _RANKED = 200, 16
 T = TypeVar("T")
 
 Attempt: TypeAlias = Callable[[AbstractTranscribed, np.ndarray | None, np.ndarray | None], tuple[Outcome, T]]
-"""Solves a transcribed problem from a start with multipliers, where they fit; what else it found comes along."""
+"""Solves a transcribed problem from a start with multipliers, if they fit; returns the outcome and further results."""
 
 
 def held_at_worst(
@@ -40,13 +40,13 @@ def held_at_worst(
     factor: int,
     known: WorstCase | None,
 ) -> tuple[AbstractTranscribed, Outcome, T, WorstCase | None]:
-    """Solve, look for realisations that break a limit on the worst case, hold the limits there too, and solve again.
+    """Solve, search for realisations that break a limit on the worst case, impose the limits there, and solve again.
 
-    - `factor`: how many times as fine the grid is on which realisations are judged; `known`: the worst case of an
-      earlier solution, whose scenarios are the first.
+    - `factor`: how many times as many steps the grid has on which realisations are judged; `known`: the worst case of
+      an earlier solution, whose scenarios are the first.
 
-    Returns the program as it was solved last, its outcome with what `attempt` found beside it, and the worst case; None
-    where no limit is on the worst case, or nothing is uncertain.
+    Returns the program that was solved last, its outcome with the further results of `attempt`, and the worst case;
+    the latter is None if no limit is on the worst case, or nothing is uncertain.
     """
     if transcribed.scenarios is None or not transcribed.problem.placements.germs:
         return transcribed, *attempt(transcribed, start, multipliers), None
@@ -73,7 +73,7 @@ def held_at_worst(
 def _first(
     transcribed: AbstractTranscribed, oracle: Oracle, start: np.ndarray | None, known: WorstCase | None
 ) -> Scenarios:
-    """The scenarios to begin with: those of an earlier solution, or else what breaks each limit most at the start."""
+    """The initial scenarios: those of an earlier solution, or those that break each limit most at the start."""
     box = np.stack([oracle.low, oracle.high], axis=1)
     if known is not None and known.scenarios.shape[1] == len(box):
         return Scenarios.of(np.clip(known.scenarios, *box.T))
@@ -85,7 +85,7 @@ def _first(
 
 
 def _candidates(transcribed: AbstractTranscribed, oracle: Oracle, point: np.ndarray, seed: int) -> Points:
-    """Where a worst case is looked for first: see `candidates`; the collocation points; the scenarios at hand."""
+    """The initial points of the search: see `candidates`; the collocation points; the present scenarios."""
     assert transcribed.scenarios is not None
     germ = np.concatenate([transcribed.scenarios.held, np.asarray(transcribed.collocation.points)])
     expanded = _expansions(transcribed, point)
@@ -124,13 +124,13 @@ def _functional(limit: Constraint) -> AbstractFunctional:
 def _searched(
     transcribed: AbstractTranscribed, oracle: Oracle, outcome: Outcome, seed: int
 ) -> tuple[Float[np.ndarray, "new variables"], Float[np.ndarray, "limits variables"]]:
-    """Realisations that break a limit on the worst case by more than those at hand do, and the worst of each limit."""
+    """Realisations that break a limit on the worst case by more than the present ones, and the worst of each limit."""
     assert transcribed.scenarios is not None
     decisions = transcribed.decisions(outcome.point)
     points = _candidates(transcribed, oracle, outcome.point, seed)
     beyond = oracle(oracle.germ(points), decisions).beyond
     found = search(lambda places: oracle(oracle.germ(places), decisions).beyond, points, beyond, seed)
-    # Between instants, where those at hand may exceed a limit too, margins have to hold it.
+    # Present scenarios may exceed a limit between instants too: margins have to enforce it there.
     at_hand = beyond[: len(transcribed.scenarios.held)].max(axis=0)
     allowed = np.maximum(at_hand, 0.0) + HELD / 2 * _sizes(transcribed, outcome)
     new = [
@@ -144,7 +144,7 @@ def _searched(
 def _told(
     transcribed: AbstractTranscribed, outcome: Outcome, oracle: Oracle, worst: np.ndarray, rounds: int
 ) -> WorstCase:
-    """What is said of the worst realisations: those of the last search, or the scenarios where they are worse."""
+    """The worst realisations to report: those of the last search, or scenarios that are worse."""
     assert transcribed.scenarios is not None
     germ = np.concatenate([worst, transcribed.scenarios.held])
     decisions = transcribed.decisions(outcome.point)
