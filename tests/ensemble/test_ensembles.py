@@ -2,6 +2,7 @@
 
 import threading
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -129,11 +130,58 @@ def test_one_output_without_a_name_is_called_so():
         (lambda m: "text", "real array.* received str"),
         (lambda m: [m["a"], "text"], "real array.* received str"),
         (lambda m: m["a"] + 1j, "real array.* complex"),
+        (lambda m: {"y": m["a"], "z": None}, "real array.* received NoneType"),
+        (lambda m: np.zeros(0), r"its output: expected one number at least; received an array of shape \(0,\)"),
+        (
+            lambda m: {"y": m["a"], "z": np.zeros((3, 0))},
+            r"output 'z': expected .* received an array of shape \(3, 0\)",
+        ),
     ],
 )
 def test_what_is_no_real_array_is_refused(kind, function, message):
     with pytest.raises(al.ProblemError, match=message):
         ensemble(kind, function)(np.zeros((3, 2)))
+
+
+class Plate(eqx.Module):
+    """A model that is no dict."""
+
+    width: al.Number
+    length: al.Number = 2.0
+
+
+@KINDS
+@pytest.mark.parametrize(
+    ("function", "model", "message"),
+    [
+        (lambda m: m["A"], MODEL, r"asks for the input 'A': expected one of \['a', 'b', 'c'\]"),
+        (lambda m: m.widht, Plate(al.Normal(1.0, 0.1)), r"asks for 'widht': expected one of \['width', 'length'\]"),
+    ],
+)
+def test_an_input_that_there_is_not_is_named_with_those_there_are(kind, function, model, message):
+    with pytest.raises(al.ProblemError, match=message):
+        ensemble(kind, function, model)(np.zeros((3, len(placements(model).germs))))
+
+
+def test_a_called_function_that_fails_names_the_germ_point_and_the_values_there():
+    def diverging(m):
+        if m["a"] > 1.2:
+            raise ValueError("no root\nwas found")
+        return m["a"]
+
+    points = np.array([[0.0, 0.0], [0.5, -1.0], [0.0, 0.5]])
+    where = r"germ point \(0\.5, -1\), where a=1\.25, b=1\.9\."
+    with pytest.raises(al.SimulationError, match=rf"'diverging' raised ValueError: no root, at {where}") as raised:
+        ensemble(CalledEnsemble, diverging)(points)
+    assert isinstance(raised.value.__cause__, ValueError)
+
+
+def test_what_a_traced_function_raises_is_told_with_its_name():
+    def wrong(m):
+        raise IndexError("out of range")
+
+    with pytest.raises(al.ProblemError, match=r"'wrong' raised IndexError: out of range\."):
+        ensemble(TracedEnsemble, wrong)(np.zeros((3, 2)))
 
 
 @pytest.mark.parametrize("size", [1, 2, 13])

@@ -249,8 +249,49 @@ def test_a_sample_that_is_not_finite_is_named(bound, kind):
         expansion=al.Expansion(1),
     )
     solution = al.solve(problem)
-    with pytest.raises(al.SimulationError, match=r"system with theta=1\.29\d* is not finite"):
+    said = r"system with theta=1\.29\d* is not finite: output 'x' from t = 0 s on"
+    with pytest.raises(al.SimulationError, match=said):
         al.validate(solution, 2000)
+
+
+class Ending(Fragile):
+    """Whose output is the root of a negative number after half a second."""
+
+    def outputs(self, t, z):
+        return {"x": jnp.where(self.theta > 1.29, jnp.sqrt(0.5 - t), self.theta), "gain": self.gain}
+
+
+@pytest.mark.parametrize("limit", [al.path("x").at_most(5.0), al.integral("x").mean <= 5.0], ids=["path", "integral"])
+def test_what_becomes_not_finite_on_the_way_is_named_with_its_instant(limit):
+    problem = al.Problem(
+        Ending(al.Decision(1.0, 0.5, 2.0), al.Uniform(1.0, half_width=HALF_WIDTH), "nan"),
+        grid=al.Grid(1.0, 100),
+        minimize=al.terminal("gain").mean,
+        subject_to=[limit],
+        expansion=al.Expansion(1),
+    )
+    said = r"theta=1\.29\d* is not finite: output 'x' from t = 0\.5[01]\d* s on"
+    with pytest.raises(al.SimulationError, match=said):
+        al.validate(al.solve(problem), 2000)
+
+
+class Overflowing(Fragile):
+    """Whose output is finite, but not its square."""
+
+    def outputs(self, t, z):
+        return {"x": self.gain * jnp.where(self.theta > 1.29, 1e200, self.theta), "gain": self.gain}
+
+
+def test_a_functional_that_is_not_finite_of_outputs_that_are_is_named():
+    problem = al.Problem(
+        Overflowing(al.Decision(1.0, 0.5, 2.0), al.Uniform(1.0, half_width=HALF_WIDTH), "nan"),
+        grid=ONE_STEP,
+        minimize=al.terminal("gain").mean,
+        subject_to=[al.rms("x").mean <= 100.0],
+        expansion=al.Expansion(1),
+    )
+    with pytest.raises(al.SimulationError, match=r"theta=1\.29\d* is not finite: rms\(x\)\."):
+        al.validate(al.solve(problem), 2000)
 
 
 def test_a_broken_system_beyond_the_samples_asked_for_is_no_matter():

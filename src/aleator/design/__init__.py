@@ -42,6 +42,7 @@ from aleator.design._problem import refuse_changed as refuse_changed
 from aleator.design._problem import uncertain as uncertain
 from aleator.design._response import OneSystem as OneSystem
 from aleator.design._response import Sampled as Sampled
+from aleator.design._response import first_broken as first_broken
 from aleator.design._response import grid_at as grid_at
 from aleator.design._response import history as history
 from aleator.design._response import responses as responses

@@ -5,6 +5,7 @@ from typing import Any, NamedTuple, final
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 from typing_extensions import override
 
@@ -85,6 +86,25 @@ def sampled(
 
 def _outputs(functionals: Iterable[AbstractFunctional]) -> frozenset[str]:
     return frozenset(name for one in functionals for name in one.outputs)
+
+
+class Broken(NamedTuple):
+    """Where outputs are not finite first: the output's name, the realisation's place among all, and the instant's."""
+
+    name: str
+    point: int
+    instant: int
+
+
+def first_broken(outputs: Mapping[str, Float[np.ndarray, "points instants ..."]]) -> Broken | None:
+    """The earliest value of some realisations that is not finite; None if all are."""
+    found = []
+    for name, values in outputs.items():
+        bad = ~np.isfinite(values.reshape(*values.shape[:2], -1)).all(axis=2)
+        if bad.any():
+            instant = int(np.argmax(bad.any(axis=0)))
+            found.append(Broken(name, int(np.argmax(bad[:, instant])), instant))
+    return min(found, key=lambda one: one.instant, default=None)
 
 
 def unsolved(problem: AbstractProblem, germ: Float[Array, " variables"], decisions: Float[Array, " n"]) -> str:

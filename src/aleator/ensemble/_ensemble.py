@@ -28,7 +28,7 @@ from aleator.ensemble._outputs import (
     inputs_at,
     listed,
     name_of,
-    real_array,
+    outputs_of,
     refuse_nonfinite,
 )
 from aleator.uncertainty import Placements, placements, realise
@@ -89,8 +89,13 @@ class AbstractEnsemble(abc.ABC):
 
     def _at(self, model: Pytree, point: Any, library: Any) -> Pytree:
         """The outputs at one realisation, as arrays of `library`."""
-        outputs = self._function(self._given(realise(model, jnp.asarray(point), self._decisions)))
-        return jax.tree.map(lambda value: real_array(value, self._name, library), outputs)
+        realised = self._given(realise(model, jnp.asarray(point), self._decisions))
+        return outputs_of(self._function, realised, library, None if self.at_once else lambda: self._place(point))
+
+    def _place(self, point: Any) -> str:
+        """A realisation in words: its germ point and the values there."""
+        germ = ", ".join(f"{value:.6g}" for value in np.asarray(point))
+        return f"germ point ({germ}), where {listed(inputs_at(self.places, point, self._decisions))}"
 
     def _given(self, realised: Pytree) -> Pytree:
         """A realised model in the form in which the function takes it."""

@@ -1,6 +1,7 @@
 """Outputs of a function of uncertain inputs, checked to be real and finite; errors name the inputs."""
 
 from collections.abc import Callable, Mapping
+from dataclasses import fields, is_dataclass
 from typing import Any, TypeAlias
 
 import jax
@@ -10,7 +11,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from aleator._core.arrays import Pytree
-from aleator._core.errors import ProblemError, SimulationError
+from aleator._core.errors import AleatorError, ProblemError, SimulationError
 from aleator.uncertainty import Placements, uncertain_numbers
 
 Function: TypeAlias = Callable[[Any], Pytree]
@@ -20,9 +21,63 @@ UNTRACEABLE = (jax.errors.JAXTypeError, jax.errors.NonConcreteBooleanIndexError)
 """Errors that JAX raises if a function needs concrete values while it is traced."""
 
 
+# As much of an error's text as a message repeats.
+_LONGEST = 200
+
+
 def name_of(function: Callable[..., Any]) -> str:
     """The name of a user's function in messages."""
     return f"'{getattr(function, '__name__', type(function).__name__)}'"
+
+
+def outputs_of(function: Function, realised: Pytree, library: Any, point: Callable[[], str] | None = None) -> Pytree:
+    """What a user's function gives of a realised model, as arrays of `library` (NumPy or its like in JAX).
+
+    - `point`: which realisation it is, in words, where one at a time is asked for.
+
+    Raises `ProblemError` for an output that is no real array or has no numbers, for an input that there is not, and for
+    whatever else the function raises (`SimulationError` where the point is known); errors of JAX's tracing pass.
+    """
+    name = name_of(function)
+    try:
+        given = function(realised)
+    except (MemoryError, jax.errors.JaxRuntimeError, *UNTRACEABLE):
+        raise
+    except Exception as error:
+        if isinstance(error, AleatorError) and point is None:
+            raise
+        if absent := _absent(error, realised):
+            raise ProblemError(f"{name} asks for {absent}.") from error
+        said = next(iter(str(error).splitlines()), "")[:_LONGEST].rstrip(".")
+        raised = f"{name} raised {type(error).__name__}{said and ': '}{said}"
+        if point is None:
+            raise ProblemError(f"{raised}.") from error
+        raise SimulationError(f"{raised}, at {point()}.") from error
+    if given is None:
+        raise ProblemError(f"{name} returns nothing; expected an array or a dict of arrays.")
+    outputs = jax.tree.map(lambda value: real_array(value, name, library), given, is_leaf=lambda one: one is None)
+    for path, leaf in jax.tree_util.tree_leaves_with_path(outputs):
+        if leaf.size == 0:
+            raise ProblemError(
+                f"{name}, {_output(path)}: expected one number at least; received an array of shape {leaf.shape}, of "
+                "which there are no statistics. Leave it out."
+            )
+    return outputs
+
+
+def _absent(error: Exception, realised: Pytree) -> str:
+    """The name that a function asks its model for in vain, and those that there are; empty for other errors."""
+    if isinstance(error, KeyError) and isinstance(realised, dict) and error.args and error.args[0] not in realised:
+        return f"the input {error.args[0]!r}: expected one of {list(realised)}"
+    if isinstance(error, AttributeError) and getattr(error, "obj", None) is realised and is_dataclass(realised):
+        return f"'{error.name}': expected one of {[one.name for one in fields(realised)]}"
+    return ""
+
+
+def _output(path: tuple[Any, ...]) -> str:
+    """An output by its place among all, in words."""
+    name = jax.tree_util.keystr(path, simple=True, separator=".")
+    return f"output '{name}'" if name else "its output"
 
 
 def real_array(value: Any, name: str, library: Any) -> Any:
@@ -77,9 +132,7 @@ def refuse_nonfinite(who: str, outputs: Pytree, inputs: Callable[[int], str], be
         bad = np.asarray(~np.isfinite(known.reshape(len(known), -1)).all(axis=1))
         first = int(np.argmax(bad))
         after = f" after {before} finite ones" if before else ""
-        name = jax.tree_util.keystr(path, simple=True, separator=".")
-        what = f"output '{name}'" if name else "its output"
         raise SimulationError(
-            f"{who} is not finite at {bad.sum()} of {len(bad)} points{after}: {what} first at point "
+            f"{who} is not finite at {bad.sum()} of {len(bad)} points{after}: {_output(path)} first at point "
             f"{before + first + 1} ({inputs(first)}). Narrow the distributions of the inputs, or fix it there."
         )

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 
 from aleator._core.arrays import Pytree
 from aleator._core.errors import ProblemError, SimulationError
-from aleator.ensemble import UNTRACEABLE, Function, concrete, name_of, real_array, uncertain_places
+from aleator.ensemble import UNTRACEABLE, Function, concrete, outputs_of, uncertain_places
 from aleator.uncertainty import Normal, Placements, placements, realise, uncertain_numbers, with_distributions
 
 
@@ -40,7 +40,7 @@ class Inputs:
     def outputs(self, values: Float[Array, " inputs"]) -> Pytree:
         """The outputs at given values of the inputs, in their units and in the order of `distributions`."""
         realised = realise(self._in_units, values, _initial(placements(self._in_units)))
-        return jax.tree.map(lambda value: real_array(value, name_of(self._function), jnp), self._function(realised))
+        return outputs_of(self._function, realised, jnp)
 
     def refuse_nonfinite(self, expanded: Pytree) -> None:
         """Raise `SimulationError` if a value or derivative at the means is not finite, as far as values are known."""

@@ -15,6 +15,7 @@ from aleator.validation._disagreement import Disagreement
 from aleator.validation._evidence import Evidence, Sampled
 from aleator.validation._proportion import Proportion
 from aleator.validation._sampling import SIMULATE_BATCH
+from aleator.validation._systems import refuse_broken
 
 # Refinement factor of the grid.
 _FINER = 10
@@ -41,6 +42,7 @@ def alone(solution: Solution, started: float) -> Evidence:
     batch = SIMULATE_BATCH(
         numbers_to_arrays(problem), jnp.zeros((1, 0)), jnp.asarray(solution.vector), jnp.asarray(1), 1
     )
+    refuse_broken(problem, np.asarray(batch.finite), np.zeros((1, 0)), solution.vector)
     sampled, told = {}, []
     for i, one in enumerate(functionals):
         text = one.text()

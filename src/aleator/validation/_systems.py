@@ -4,11 +4,22 @@ from typing import final
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from aleator._core.arrays import numbers_to_arrays
 from aleator._core.errors import ProblemError, SimulationError
-from aleator.design import Problem, functionals_of, is_over_time, refuse_changed, uncertain, unsolved
+from aleator.design import (
+    Problem,
+    first_broken,
+    functionals_of,
+    grid_at,
+    history,
+    is_over_time,
+    refuse_changed,
+    responses,
+    uncertain,
+    unsolved,
+)
 from aleator.ensemble import inputs_at, listed
 from aleator.solution import Solution
 from aleator.validation._counted import finer_by, is_counted, sampled_by
@@ -56,11 +67,13 @@ class Systems:
         Raises `SimulationError` if a system's results are not finite, naming its parameter values.
         """
         result = SIMULATE_BATCH(self._traced, jnp.asarray(germ), self._decisions, jnp.asarray(count), self._factor)
-        if self._finer is not None:
-            beyond = EXCESS_OVER_TIME(self._finer, jnp.asarray(germ), self._decisions)
-            result = _with_limits(self.problem, result, beyond)
-        _refuse_broken(self.problem, result, germ[:count], self._vector)
-        return result
+        refuse_broken(self.sampled, np.asarray(result.finite)[:count], germ[:count], self._vector)
+        if self._finer is None:
+            return result
+        beyond = EXCESS_OVER_TIME(self._finer, jnp.asarray(germ), self._decisions)
+        refuse_broken(self._finer, np.isfinite(beyond).all(axis=0)[:count], germ[:count], self._vector)
+        rows = jnp.array([i for i, one in enumerate(self.problem.constraints) if is_over_time(one)])
+        return result._replace(excess=result.excess.at[rows].set(beyond))
 
 
 def _on_finer(problem: Problem, factor: int) -> Problem:
@@ -74,21 +87,35 @@ def _for_limits(problem: Problem, factor: int) -> Problem | None:
     return numbers_to_arrays(_on_finer(problem, factor)) if limits else None
 
 
-def _with_limits(problem: Problem, batch: Batch, beyond: Float[Array, "limits systems"]) -> Batch:
-    """A batch with its limits over time judged on a finer grid."""
-    rows = jnp.array([i for i, one in enumerate(problem.constraints) if is_over_time(one)])
-    finite = batch.finite & jnp.isfinite(beyond).all(axis=0)
-    return batch._replace(excess=batch.excess.at[rows].set(beyond), finite=finite)
+def refuse_broken(
+    problem: Problem,
+    finite: Bool[np.ndarray, " systems"],
+    germ: Float[np.ndarray, "systems variables"],
+    vector: np.ndarray,
+) -> None:
+    """Raise `SimulationError` for the first system that is not `finite`: its numbers, and what is not from when on.
 
-
-def _refuse_broken(problem: Problem, batch: Batch, germ: np.ndarray, decisions: np.ndarray) -> None:
-    good = np.asarray(batch.finite)[: len(germ)]
-    if good.all():
+    `problem`: on the grid on which they were simulated.
+    """
+    if finite.all():
         return
-    point = jnp.asarray(germ[np.argmin(good)])
-    where = listed(inputs_at(problem.placements, point, jnp.asarray(decisions)))
+    point, decisions = jnp.asarray(germ[np.argmin(finite)]), jnp.asarray(vector)
+    numbers = listed(inputs_at(problem.placements, point, decisions))
     remedy = "Shorten the time step, use an implicit integrator (al.integrators.Kvaerno5), or bound the distributions."
     raise SimulationError(
-        f"Monte Carlo: the simulation of the system with {where} is not finite. "
-        f"{unsolved(problem, point, jnp.asarray(decisions)) or remedy}"
+        f"Monte Carlo: the simulation of the system{numbers and ' with '}{numbers} is not finite"
+        f"{_what(problem, point, decisions)}. {unsolved(problem, point, decisions) or remedy}"
     )
+
+
+def _what(problem: Problem, point: Float[Array, " variables"], decisions: Float[Array, " n"]) -> str:
+    """What of one system is not finite, and from when on; empty if a simulation of it alone is finite."""
+    outputs = {name: np.asarray(values)[None] for name, values in history(problem, point, decisions).items()}
+    if (broken := first_broken(outputs)) is not None:
+        times = np.asarray(grid_at(problem, decisions).times)
+        since = f" from t = {times[broken.instant]:.4g} s on" if problem.system.has_time else ""
+        return f": output '{broken.name}'{since}"
+    functionals = functionals_of(problem.expressions)
+    values = responses(problem, functionals, point[None], decisions)
+    bad = [one.text() for one, value in zip(functionals, values, strict=True) if not np.isfinite(value).all()]
+    return f": {bad[0]}" if bad else ""
