@@ -100,7 +100,7 @@ def first_broken(outputs: Mapping[str, Float[np.ndarray, "points instants ..."]]
     """The earliest value of some realisations that is not finite; None if all are."""
     found = []
     for name, values in outputs.items():
-        bad = ~np.isfinite(values.reshape(*values.shape[:2], -1)).all(axis=2)
+        bad = np.asarray(~np.isfinite(values.reshape(*values.shape[:2], -1)).all(axis=2))
         if bad.any():
             instant = int(np.argmax(bad.any(axis=0)))
             found.append(Broken(name, int(np.argmax(bad[:, instant])), instant))

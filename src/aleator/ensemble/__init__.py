@@ -18,6 +18,7 @@ from aleator.ensemble._outputs import Function as Function
 from aleator.ensemble._outputs import concrete as concrete
 from aleator.ensemble._outputs import inputs_at as inputs_at
 from aleator.ensemble._outputs import listed as listed
+from aleator.ensemble._outputs import name_of as name_of
 from aleator.ensemble._outputs import outputs_of as outputs_of
 from aleator.ensemble._outputs import part as part
 from aleator.ensemble._outputs import refuse_nonfinite as refuse_nonfinite
