@@ -68,7 +68,7 @@ def test_the_correction_is_that_of_the_closed_form():
     with pytest.warns(al.ExpansionWarning, match="fresh simulations disagree"):
         solution = al.solve(comb_problem(0.6, Y.mean <= 50.0))
     (told,) = (one for one in solution.certificate.opinion.contradictions if one.startswith("μ[y(t_f)]"))
-    by, error = (float(part) for part in told.split(" is ")[1].split(" off")[0].split(" ± "))
+    by, error = (float(part) for part in told.split(" differs by ")[1].split(" in ")[0].split(" ± "))
     # The teeth's mean, and its standard error over 32 systems: cos² spreads by 1 / sqrt(8).
     gain = solution.decisions["gain"]
     assert error == pytest.approx(gain * 0.6 / np.sqrt(8 * 32), rel=0.3)

@@ -1,6 +1,4 @@
-"""What every other part may use: array types and errors. Sets JAX up, here and nowhere else: 64 bit, and where
-compiled programs are kept.
-"""
+"""Foundations for all other parts. Only this module configures JAX: 64 bit, and the folder of compiled programs."""
 
 import jax
 

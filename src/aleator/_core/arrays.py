@@ -12,13 +12,13 @@ Scalar: TypeAlias = float | Float[np.ndarray, ""] | Float[Array, ""]
 Pytree: TypeAlias = Any
 
 Number: TypeAlias = Any
-"""A number of a model: plain, uncertain or decided. (A type checker cannot follow how it is realised.)"""
+"""A number of a model: plain, uncertain or decided. (A type checker cannot follow its realisation.)"""
 
 
 def numbers_to_arrays(tree: Pytree) -> Pytree:
     """Turn every float and NumPy array of `tree` into a 64-bit JAX array, so that changing it recompiles nothing.
 
-    Whole numbers and everything else stay as they are: they may steer Python control flow.
+    Whole numbers and everything else are unchanged, because Python control flow may depend on them.
     """
 
     def convert(leaf: Any) -> Any:
@@ -28,21 +28,21 @@ def numbers_to_arrays(tree: Pytree) -> Pytree:
 
 
 def jax_array(numbers: Any, kind: type | None = None) -> Array:
-    """Numbers as an array of JAX, of another `kind` if one is given: where they are known, a copy.
+    """Numbers as an array of JAX, of another `kind` if one is given; known numbers are copied.
 
-    `jnp.asarray` compiles a program that copies for each new shape.
+    `jnp.asarray` would compile a copying program for each new shape.
     """
     if any(isinstance(leaf, jax.Array) for leaf in jax.tree.leaves(numbers)):
         return jnp.asarray(numbers, dtype=kind)
-    # What is made here may be kept: it must not belong to a function that is just being traced.
+    # The array may be kept, and so must not belong to a function that is being traced.
     with jax.ensure_compile_time_eval():
         return jax.device_put(np.array(numbers, dtype=kind))
 
 
 def in_library(*trees: Pytree) -> tuple[Any, ...]:
-    """The library to compute with, and trees of arrays as its own: NumPy where every number is known, else its like.
+    """The library to compute with, and trees of its arrays: NumPy if every number is known, else `jax.numpy`.
 
-    Outside of what is traced, JAX compiles a program for each operation on arrays of a new shape; NumPy has them all.
+    Outside traced code, JAX compiles a program for each operation on arrays of a new shape; NumPy needs none.
     """
     if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(trees)):
         return jnp, *trees

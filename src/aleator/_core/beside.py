@@ -1,4 +1,4 @@
-"""Work on all cores: Python's threads, for Python runs on while XLA computes or compiles."""
+"""Work on all cores by Python's threads: XLA releases the interpreter's lock while it computes or compiles."""
 
 import contextvars
 import os
@@ -22,14 +22,14 @@ CORES = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os
 VARIABLE = "ALEATOR_THREADS"
 """Environment variable: how many threads may work at once."""
 
-# What the main thread must not be torn from by a signal.
+# Runs functions that no signal in the main thread may interrupt.
 _UNDISTURBED = ThreadPoolExecutor(1, thread_name_prefix="aleator, undisturbed")
 _DROPPED: contextvars.ContextVar[tuple[threading.Event, ...]] = contextvars.ContextVar("dropped", default=())
 
 
 @final
 class _Team:
-    """The threads that work at once: `size` of them, of which whoever waits for the others is one."""
+    """The threads that work in parallel: `size` of them, including the one that waits for the others."""
 
     def __init__(self, size: int):
         self.size = size
@@ -37,26 +37,26 @@ class _Team:
 
 
 def threads(count: int | None) -> None:
-    """Let at most `count` threads compute at once from now on; with `None` as many as there are cores.
+    """Limit the number of threads that compute in parallel from now on; `None` means the number of cores.
 
     Collocation points, batches of Monte Carlo and compilations are shared among them; results do not depend on their
-    number, to the last digit. The environment variable `ALEATOR_THREADS` says the same from the beginning. What is
-    begun already is finished by the threads it was begun with. XLA has threads of its own for products of large
-    matrices; these follow the cores that the process may use (`taskset`, `os.sched_setaffinity`).
+    number, to the last digit. The environment variable `ALEATOR_THREADS` sets the number from the start. Work already
+    begun is finished by the threads that began it. XLA has its own threads for products of large matrices; these follow
+    the cores that the process may use (`taskset`, `os.sched_setaffinity`).
 
-    Raises `ProblemError` unless `count` is a whole number, one at least.
+    Raises `ProblemError` unless `count` is a whole number of at least one.
     """
     global _TEAM
     _TEAM = _Team(CORES if count is None else whole("threads: count", count, least=1))
 
 
 def working() -> int:
-    """How many threads may work at once."""
+    """How many threads may work in parallel."""
     return _TEAM.size
 
 
 def _wanted() -> int:
-    """The number of threads that the environment asks for."""
+    """The number of threads set in the environment."""
     wanted = os.environ.get(VARIABLE, "").strip()
     if not wanted:
         return CORES
@@ -74,11 +74,11 @@ _TEAM = _Team(_wanted())
 
 
 def beside(function: Callable[..., _Result], *arguments: object) -> Callable[[], _Result]:
-    """Begin `function(*arguments)` on another core. What is returned waits for the result, or raises what it raised.
+    """Begin `function(*arguments)` on another core; the function returned waits for the result or raises its exception.
 
-    Where one thread is to do it all, it begins when the result is asked for.
+    With a single thread, it begins when the result is requested.
 
-    Not for functions that begin others in this way: with all cores waiting, none of them would end.
+    Not for functions that themselves call `beside`: with all threads waiting, none would end.
     """
     if working() > 1:
         return _begun(function, *arguments).result
@@ -98,7 +98,7 @@ def _unless_dropped(function: Callable[..., _Result], *arguments: object) -> _Re
 
 @contextmanager
 def dropped_on_failure() -> Iterator[None]:
-    """What is begun inside, and waits for a core still, is dropped where the inside raises: Ctrl-C is to end soon."""
+    """Drop work begun inside that still waits for a core if the inside raises, so that Ctrl-C takes effect soon."""
     own = threading.Event()
     before = _DROPPED.set((*_DROPPED.get(), own))
     try:
@@ -111,9 +111,9 @@ def dropped_on_failure() -> Iterator[None]:
 
 
 def undisturbed(function: Callable[[], _Result]) -> _Result:
-    """The result of a function that no signal tears apart: Ctrl-C ends the waiting, and the process waits for the rest.
+    """Call a function that no signal may interrupt: Ctrl-C ends the waiting, but the process lets the function finish.
 
-    Signals arrive in the main thread alone; in others the function is just called.
+    Signals arrive only in the main thread; in other threads the function is called directly.
     """
     if threading.current_thread() is not threading.main_thread():
         return function()
@@ -121,10 +121,10 @@ def undisturbed(function: Callable[[], _Result]) -> _Result:
 
 
 def in_order(work: Callable[[_Item], _Result], items: Iterable[_Item]) -> Iterator[_Result]:
-    """What `work` gives for each item, in their order, of which as many are worked on at once as threads may be.
+    """The results of `work` for each item, in order, computed by as many threads as allowed.
 
-    Results are those of a plain loop, to the last digit. What `work` raises is raised in its turn. Nobody waits for a
-    core: what no other thread has begun when its turn comes is worked on by the caller.
+    Results are those of a plain loop, to the last digit; an exception of `work` is raised at its item's turn. Nothing
+    waits for a core: the caller computes an item that no other thread has begun when its turn comes.
     """
     items = iter(items)
     while some := list(islice(items, working())):

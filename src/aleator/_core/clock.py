@@ -1,3 +1,3 @@
-"""How long the package took to import: part of every solution's account of time."""
+"""The time that the import of the package took, part of every solution's times."""
 
 import_seconds = 0.0

@@ -1,10 +1,10 @@
-"""What code reads beside its arguments: globals, closures, class attributes, found without running it.
+"""Everything that code reads besides its arguments (globals, closures, class attributes), found without running it.
 
-JAX traces a function once and keeps what it read on the way. Whether that is still so is told from two readings of the
-code: what a function names is looked up where Python would look it up, and what is found there is read in turn. More is
-read than is used: two readings that are equal are then proof that nothing has changed, and two that differ are no proof
-of the contrary, for which code must be traced again. What cannot be read, such as the state of a generator of random
-numbers, is a doubt. Libraries are presumed not to change; names in them that stand for something else now are noticed.
+JAX traces a function once and keeps the values that it read. Two readings of the code show whether these are current:
+every name in a function is looked up as Python would do, and the object found is read in turn. A reading covers more
+than the code uses. So equal readings prove that nothing has changed, while different ones prove nothing, and the code
+must be traced again. Anything that cannot be read, such as the state of a random number generator, is a doubt.
+Libraries are presumed not to change; names in them that are bound to other objects now are detected.
 """
 
 import dis
@@ -27,13 +27,13 @@ from aleator._core.equations import array_digest, equations_text
 from aleator._core.libraries import is_library, is_moody
 from aleator._core.readings import Again, Place, Plain, Reading, Same
 
-# Larger programs are not read to the end.
+# Most objects of a reading: larger programs are not read to the end.
 _MOST = 5_000
-# What these methods give differs from one call to the next.
+# Methods whose results differ between calls.
 _MOODY_NAMES = {"rvs"}
-# What these read, no name in the code tells.
+# Functions that read objects which no name in the code shows.
 _HIDDEN = {"eval", "exec", "compile", "globals", "locals", "vars", "getattr", "open", "input", "__import__"}
-# Instructions that end so look a name up in an object, not among globals.
+# Instructions with these endings look a name up in an object, not among globals.
 _OF_OBJECTS = ("_ATTR", "_METHOD")
 _JITTED = type(jax.jit(lambda: None))
 _PLAIN = (str, bytes, int, bool, complex, type(None), type(Ellipsis), range, Decimal, Fraction, np.dtype)
@@ -55,9 +55,9 @@ _BOOKKEEPING = {
 
 
 def read_code(tree: Pytree) -> Reading:
-    """What the code in a tree reads: that of its modules' classes, and of the functions and objects that it holds.
+    """A reading of the code in a tree: its modules' classes, and the functions and objects that it holds.
 
-    Numbers and arrays of the tree are data, no part of its code.
+    Numbers and arrays of the tree are data, not part of its code.
     """
     reader = _Reader()
     reader.data(tree, Place(type(tree).__name__, "attribute", ""))
@@ -75,9 +75,9 @@ def told_apart(function: Callable[..., Pytree], *arguments: Pytree) -> Hashable:
 
 
 class _Names(NamedTuple):
-    """What a function's code names, inner functions included, and the modules that it imports itself.
+    """The names in a function's code, inner functions included, and the modules that it imports itself.
 
-    Some `names` are looked up in attributes alone, as in `self.gain`; `bare` are those that may be globals.
+    Some `names` are looked up only as attributes, as in `self.gain`; `bare` are those that may be globals.
     """
 
     names: tuple[str, ...]
@@ -105,8 +105,7 @@ class _Reader:
     def __init__(self) -> None:
         self.reads: list[tuple[Place, Any]] = []
         self.doubts: list[Place] = []
-        # Objects are kept as long as they stand here for having been read: an address can be used again. With each, as
-        # which it was read.
+        # Objects already read are kept alive, because an address can be reused; each with its number in the order.
         self._seen: dict[int, tuple[Any, int]] = {}
         self._classes: set[type] = set()
 
@@ -193,7 +192,7 @@ class _Reader:
             self.value(part, place)
 
     def _known(self, it: Any, place: Place, *, doubtful: bool) -> None:
-        """Something that is what it is, as long as it is the same object."""
+        """Something that is unchanged as long as it is the same object."""
         self.reads.append((place, Same(it)))
         if doubtful:
             self.doubts.append(place)
@@ -214,7 +213,7 @@ class _Reader:
         kind = type(it)
         module = getattr(it, "__module__", None)
         if isinstance(it, _JITTED | functools._lru_cache_wrapper):
-            # They remember what they have read before.
+            # They remember earlier values.
             self._known(it, place, doubtful=not is_library(module))
             if not is_library(module):
                 self.value(getattr(it, "__wrapped__", None), place)
@@ -274,7 +273,7 @@ class _Reader:
                 self._named(sys.modules[name], Place(who, "module", name), names, modules)
 
     def _named(self, it: Any, place: Place, names: tuple[str, ...], modules: set[int]) -> None:
-        """What a name stands for: of a module, whatever of it is named beside it, such as `physics.GRAVITY`."""
+        """The object bound to a name; for a module, its attributes that the code names, such as `physics.GRAVITY`."""
         self.value(it, place)
         if not isinstance(it, types.ModuleType) or id(it) in modules:
             return

@@ -22,19 +22,19 @@ from aleator._core.errors import ProblemError
 from aleator._core.lasting import lasting_name
 from aleator._core.programs import PROGRAMS, Executable, Program
 
-# On a CPU, XLA takes `jax.lax.optimization_barrier` away before it fuses loops, and then computes an intermediate
-# result again wherever it is used: the sine of an angle for each derivative that it takes part in. With its pass of
-# this name left out, barriers last.
+# On a CPU, XLA removes `jax.lax.optimization_barrier` before it fuses loops, and then recomputes an intermediate result
+# wherever it is used, such as the sine of an angle for each derivative that depends on it. Without the pass of this
+# name, barriers last.
 _BARRIERS: dict[str, str | bool] = {"xla_disable_hlo_passes": "cse_barrier_expander"}
 
 
 class Use(enum.Enum):
-    """What a program is compiled for, and by which options of XLA on a CPU: compiling takes longer than most runs.
+    """The use of a program, with its options of XLA on a CPU, because compilation takes longer than most runs.
 
-    - `LOOPS`: steps in time, again and again;
-    - `ROWS`: large equations without loops, again and again. Without the emitters for fused operations, which make
-      loops faster and nothing else, it is ready sooner;
-    - `ONCE`: a few runs in all. Hardly optimised, it is ready much sooner.
+    - `LOOPS`: many runs of steps in time;
+    - `ROWS`: many runs of large equations without loops. Compiled faster without the emitters for fused operations,
+      which speed up loops only;
+    - `ONCE`: a few runs in all. Compiled much faster with hardly any optimisation.
     """
 
     LOOPS = _BARRIERS
@@ -42,7 +42,7 @@ class Use(enum.Enum):
     ONCE = ROWS | {"xla_backend_optimization_level": "0"}
 
 
-# By this name the checks of Equinox, and of what is built on it, are known among the errors of XLA.
+# This name marks the run-time checks of Equinox, and of libraries built on it, among the errors of XLA.
 _CHECKED = "_EquinoxRuntimeError"
 
 
@@ -51,15 +51,16 @@ class Compiled:
     """A function compiled ahead of time: once for each structure of its arguments, whatever their numbers are.
 
     Arrays in the arguments (also deep inside a problem) are traced; all the rest is structure. `compilations` and
-    `seconds` count what has been compiled so far. Several threads may call it: what one of them is compiling, the
-    others wait for.
+    `seconds` count all compilations so far. Several threads may call it: they wait for a program that one of them is
+    compiling.
 
-    - `use`: what programs are compiled for, or what tells it from the arguments.
+    - `use`: the use of its programs, or a function of the arguments that gives it.
 
-    Where the arguments hold code, such as the methods of a system, what that reads beside them must be told apart too:
+    If the arguments hold code, such as the methods of a system, the objects that this code reads must be distinguished
+    too:
 
-    - `code(*arguments)`: equal for code that computes the same, if the arguments do not say it themselves;
-    - `unchanged(*arguments)`: raises if that may have changed while it was compiled, and nothing is kept.
+    - `code(*arguments)`: a key, equal for code that computes the same, if the arguments themselves are no such key;
+    - `unchanged(*arguments)`: raises if the code may have changed during compilation; nothing is kept then.
     """
 
     def __init__(
@@ -80,22 +81,22 @@ class Compiled:
         return program()(*leaves)
 
     def prepare(self, *arguments: Any) -> None:
-        """Begin to compile, on another core, what a call with arguments of this structure needs.
+        """Begin to compile, on another core, the program for arguments of this structure.
 
-        The function is traced here and now: a user's code is never run by two threads of ours at once, which it need
-        not bear. The numbers of the arguments do not matter.
+        The function is traced immediately in this thread: a user's code need not be thread-safe. The numbers of the
+        arguments do not matter.
         """
         program, _ = self._found(arguments)
         if not program.is_ready:
             beside(program)
 
     def begin(self, *arguments: Any) -> Callable[[], Any]:
-        """Begin a call on another core; what is returned waits for its result. Traced here and now, as by `prepare`."""
+        """Begin a call on another core; the function returned waits for the result. Traced immediately."""
         program, leaves = self._found(arguments)
         return beside(lambda: program()(*leaves))
 
     def _found(self, arguments: tuple[Any, ...]) -> tuple[Program, list[Any]]:
-        """The program for some arguments, and their arrays, which it is given."""
+        """The program for some arguments, and their arrays, which are its inputs."""
         dynamic, static = eqx.partition(arguments, eqx.is_array)
         leaves, structure = jax.tree.flatten(dynamic)
 
@@ -108,16 +109,15 @@ class Compiled:
     def bound(self, *fixed: Any, packed: bool = True) -> "Bound":
         """The function with all arguments but the last fixed, for many calls that differ in that one: a tree of arrays.
 
-        At every call, each array that an executable is given or gives takes its time. So all real numbers of the fixed
-        arguments travel as one vector, and so do those of the result: NumPy arrays, not to be written to.
+        Every array passed to or from an executable costs time at each call. So all real numbers of the fixed arguments
+        are packed into one vector, and so are those of the result: NumPy arrays, not to be written to.
 
-        - `packed`: whether the result travels so. A large one takes longer to be copied than to be given as it is: as
-          arrays of JAX.
+        - `packed`: whether to pack the result. Copying a large one takes longer than returning it as arrays of JAX.
         """
         reals, rest = eqx.partition(fixed, _is_real)
         vector, unpacked = ravel_pytree(reals)
         arrays, static = eqx.partition(rest, eqx.is_array)
-        # Leaves in the place of trees, which would be taken apart at every call.
+        # Leaves instead of trees, which would be flattened at every call.
         others, structure = jax.tree.flatten(arrays)
 
         def result(vector: jax.Array, others: list[jax.Array], last: Any) -> Any:
@@ -137,7 +137,7 @@ class Compiled:
         return Bound(key, program, (vector, others))
 
     def _key(self, arguments: tuple[Any, ...], way: str, leaves: list[Any], structure: Any, static: Any) -> Hashable:
-        """What arguments of one structure have in common."""
+        """The key of arguments of one structure."""
         static_leaves, static_structure = jax.tree.flatten(static)
         shapes = tuple((leaf.shape, leaf.dtype) for leaf in leaves)
         kinds = tuple(type(leaf) for leaf in static_leaves)  # 1 and True are equal, but not the same structure
@@ -147,7 +147,7 @@ class Compiled:
     def _known(
         self, key: Hashable, arguments: tuple[Any, ...], build: Callable[..., Callable[[], Executable]]
     ) -> Program:
-        """The program of a key, traced by `build` where there has been none before."""
+        """The program of a key, traced by `build` if there is none yet."""
         program, is_new = PROGRAMS.found(key)
         if is_new:
             program.trace(functools.partial(self._checked, key, arguments, build))
@@ -158,8 +158,8 @@ class Compiled:
     def _checked(
         self, key: Any, arguments: tuple[Any, ...], build: Callable[..., Callable[[], Executable]]
     ) -> Callable[[], Executable]:
-        """What compiles, once it is sure that what was traced is the code that it is kept for."""
-        # What tells code apart by reading it alone is sure of it within one run, and not from one to the next.
+        """The function that compiles, once it is certain that the code traced is that of the key."""
+        # A key from a reading of code alone is certain within one run, but not between runs.
         use = self._use_of(arguments)
         name = None if self._code else lasting_name(self._function, _alike(arguments), key[1], use)
         built = build(use=use, name=name)
@@ -175,7 +175,7 @@ class Compiled:
     def _compile(
         self, way: "_Way", function: Callable[..., Any], *arguments: Any, use: Use, name: str | None
     ) -> Callable[[], Executable]:
-        """Trace a function, unless an earlier run has kept its executable; what is returned compiles it."""
+        """Trace a function, unless an earlier run has kept its executable; the function returned compiles it."""
         started = time.perf_counter()
         content = stored.read(name)
         trace = functools.partial(self._traced, way, function, *arguments, use=use, name=name)
@@ -196,7 +196,7 @@ class Compiled:
     def _traced(
         self, way: "_Way", function: Callable[..., Any], *arguments: Any, use: Use, name: str | None
     ) -> Callable[[], stored.Stored]:
-        """Trace a function; what is returned compiles it and keeps it for later runs."""
+        """Trace a function; the function returned compiles it and keeps it for later runs."""
         results: list[Any] = []
 
         def flat(*arguments: Any) -> list[Array]:
@@ -218,7 +218,7 @@ class Compiled:
 def _loaded(
     content: bytes, arguments: tuple[Any, ...], trace: Callable[[], Callable[[], stored.Stored]]
 ) -> stored.Stored:
-    """What an earlier run has kept, or traced and compiled after all where XLA cannot load it, for whatever reason."""
+    """The executable kept by an earlier run, or a newly compiled one if XLA cannot load it, for whatever reason."""
     try:
         return stored.loaded(content, arguments)
     except Exception:  # XLA, JAX and pickle have no common one
@@ -226,7 +226,7 @@ def _loaded(
 
 
 def compiled_for(use: Use, lowered: jax.stages.Lowered) -> jax.stages.Compiled:
-    """Compile what was traced. An XLA that does not know our options goes by its own."""
+    """Compile a traced program, with default options if this XLA does not know ours."""
     try:
         return lowered.compile(compiler_options=use.value if jax.default_backend() == "cpu" else {})
     except jax.errors.JaxRuntimeError as error:
@@ -250,12 +250,12 @@ class Bound:
         self._executable: Executable | None = None
 
     def is_known(self, last: Any) -> bool:
-        """Whether a program of this structure has been made before."""
+        """Whether there is a program for this structure already."""
         self._key = self._find_key(last)
         return self._key in PROGRAMS
 
     def prepare(self, last: Any) -> Executable:
-        """What calls with arguments of this structure run, compiled now if it has not been."""
+        """The executable for arguments of this structure, compiled now if it has not been."""
         if self._executable is None:
             self._executable = self._program(self._key or self._find_key(last), last)()
         return self._executable
@@ -266,10 +266,10 @@ class Bound:
 
 
 def _run(executable: Executable, *arguments: Any) -> Any:
-    """What an executable gives; numbers that are none where the checks of a library inside stop it.
+    """The results of an executable; NaN if run-time checks of a library inside stop it.
 
-    The linear solvers of stiff integrators do so where they meet derivatives that are not finite. Given no numbers at
-    all, the same executable gives none, in the right shapes.
+    The linear solvers of stiff integrators do so for derivatives that are not finite. Called with NaN throughout, the
+    same executable returns NaN in the right shapes.
     """
     try:
         return jax.block_until_ready(executable(*arguments))
@@ -281,14 +281,14 @@ def _run(executable: Executable, *arguments: Any) -> Any:
 
 
 def _alike(tree: Any) -> Any:
-    """A tree whose NumPy arrays, which are traced, stand there by shape and type alone."""
+    """A tree whose NumPy arrays, which are traced, are replaced by their shapes and types."""
     return jax.tree.map(
         lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype) if isinstance(leaf, np.ndarray) else leaf, tree
     )
 
 
 class _Leaves(NamedTuple):
-    """A tree of arrays, as they are."""
+    """The layout of a tree of arrays that are passed one by one."""
 
     structure: Any
 
@@ -306,9 +306,9 @@ class _Leaves(NamedTuple):
 
 
 class _Packed(NamedTuple):
-    """A tree of arrays, of which the real ones stand side by side in one vector.
+    """The layout of a tree of arrays whose real ones are packed into one vector.
 
-    - `shapes` of the leaves in order, None for those that stand by themselves; `ends` of the others in the vector.
+    - `shapes`: of the leaves in order, None for those passed separately; `ends`: of the others in the vector.
     """
 
     structure: Any

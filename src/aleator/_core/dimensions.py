@@ -1,9 +1,8 @@
-"""What a unit written as text measures: its dimension and its size in SI units, or that it is not known.
+"""Units written as text: their dimension and size in SI units, or that they are unknown.
 
-Read are the units of the SI with their prefixes, and some that are used beside them, in the usual ways of writing:
-`N m`, `N·m`, `N*m`, `kg m²/s²`, `kg m^2 s^-2`, `J/(kg K)`. Not known, and so never in conflict with another, is what
-can be read in two ways: `W/m² K`; `rpm`; `g`, `C` and `F` alone (gram or gravity, coulomb or Celsius, farad or
-Fahrenheit).
+The parser knows SI units with their prefixes, and some others in common use, in the usual notations: `N m`, `N·m`,
+`N*m`, `kg m²/s²`, `kg m^2 s^-2`, `J/(kg K)`. An ambiguous text is unknown, and so never in conflict with another:
+`W/m² K`; `rpm`; `g`, `C` and `F` alone (gram or gravity, coulomb or Celsius, farad or Fahrenheit).
 """
 
 import math
@@ -23,8 +22,8 @@ _ROUNDING = 1e-9
 class Measure(NamedTuple):
     """A unit: powers of metre, kilogram, second, ampere, kelvin, mole and candela, and its size in these.
 
-    Angles are pure numbers, the radian is one. Degrees Celsius are kelvins, since differences of temperatures are in
-    either.
+    Angles are pure numbers, and the radian is one. Degrees Celsius count as kelvins, because temperature differences
+    are equal in both.
     """
 
     powers: tuple[int, ...]
@@ -93,12 +92,12 @@ _AMBIGUOUS = ("g", "C", "F", "pH")
 
 
 class _UnknownError(Exception):
-    """A text that is no unit, or more than one."""
+    """A text that is no unit, or ambiguous."""
 
 
 @lru_cache(maxsize=256)
 def measure(unit: str) -> Measure | None:
-    """What a unit measures; nothing where that is not known."""
+    """The measure of a unit; None if unknown."""
     text = unit.strip()
     if text == "-":
         return _PURE
@@ -111,12 +110,12 @@ def measure(unit: str) -> Measure | None:
 
 
 def is_same(first: Measure, second: Measure) -> bool:
-    """Whether two units measure the same, in the same size."""
+    """Whether two units have the same dimension and size."""
     return first.powers == second.powers and math.isclose(first.scale, second.scale, rel_tol=_ROUNDING)
 
 
 def all_same(units: Iterable[str]) -> bool:
-    """Whether all units are known, and one and the same however they are written."""
+    """Whether all units are known and equal, however they are written."""
     first, *others = map(measure, units)
     return first is not None and all(one is not None and is_same(first, one) for one in others)
 
@@ -127,7 +126,7 @@ class _Token(NamedTuple):
 
 
 def _tokens(text: str) -> list[_Token]:
-    """The parts of a text, the last first."""
+    """The tokens of a text in reverse order."""
     found, at = [], 0
     while at < len(text):
         match = _TOKENS.match(text, at)
@@ -150,7 +149,7 @@ def _quotient(tokens: list[_Token]) -> Measure:
 
 
 def _product(tokens: list[_Token]) -> tuple[Measure, int]:
-    """The product that comes next, and of how many factors it is."""
+    """The next product, and the number of its factors."""
     result, factors = _factor(tokens), 1
     while tokens and tokens[-1].text not in ("/", ")"):
         if tokens[-1].kind == "mark" and tokens[-1].text != "(":
@@ -177,7 +176,7 @@ def _factor(tokens: list[_Token]) -> Measure:
 
 
 def _power(tokens: list[_Token], base: Measure) -> int:
-    """The power that stands behind a factor. Plain digits make one of lengths and times only, `m2`; `s-1` of any."""
+    """The power after a factor. Plain digits are one for lengths and times only, as in `m2`; signed ones for any."""
     if not tokens or tokens[-1].kind not in ("power", "digits"):
         return 1
     token = tokens.pop()

@@ -1,4 +1,4 @@
-"""What traced code computes, as a text: two functions of the same text compute, and differentiate, the same."""
+"""Traced code as text: two functions with the same text have the same values and derivatives."""
 
 import hashlib
 import inspect
@@ -12,20 +12,20 @@ import numpy as np
 from jax.core import Tracer
 from jax.extend.core import ClosedJaxpr
 
-# What equations that call Python code name it: `jax.pure_callback` and its like, and the rules of `jax.custom_vjp`.
+# Parameters of equations that hold Python code: of `jax.pure_callback` and the like, and rules of `jax.custom_vjp`.
 _OPAQUE = {"callback", "bwd", "fwd_jaxpr_thunk"}
 
-# Rules that say nothing beyond the equations, as JAX describes functions. Each is told by its very place: what JAX or a
-# decorator wraps around a user's rule passes for a function of theirs.
+# Rules that add nothing to the equations, as JAX describes functions. Each is identified by its place in the source: a
+# user's rule that JAX or a decorator wraps would otherwise pass for a function of theirs.
 _DERIVED: set[str] = set()
 
 
 def equations_text(closed: ClosedJaxpr) -> str | None:
-    """The equations of a traced function, and a digest of what does not show in them when they are printed.
+    """The equations of a traced function, and a digest of their parts that are not printed.
 
-    That is the arrays that inner functions hold, and the rules by which they are differentiated. Arrays that the
-    outermost function holds are its constants, and no part of the text. None if the text cannot tell what is computed:
-    where an inner function or a rule holds an array that is itself being traced, and where Python code is called, by
+    These are the arrays that inner functions hold, and their rules of differentiation. Arrays that the outermost
+    function holds are its constants, and not part of the text. None if the text does not determine the computation: if
+    an inner function or a rule holds an array that is itself being traced, or if Python code is called, by
     `jax.pure_callback` or as the rules of `jax.custom_vjp`.
     """
     digest = hashlib.sha256()
@@ -37,7 +37,7 @@ def equations_text(closed: ClosedJaxpr) -> str | None:
 
 
 def derived(rule: FunctionType) -> FunctionType:
-    """A rule of a `jax.custom_jvp` function that holds nothing but what the function's own equations show."""
+    """Mark a rule of a `jax.custom_jvp` function that holds nothing beyond the function's own equations."""
     code = inspect.unwrap(rule).__code__
     _DERIVED.add(f"{rule.__name__} at {code.co_filename}:{code.co_firstlineno}")
     return rule
@@ -50,9 +50,9 @@ def array_digest(array: Any) -> str:
 
 
 def _hidden(jaxpr: Any, *, rules: bool = True) -> Iterator[Any]:
-    """What the printed equations do not show: arrays as they are, rules of differentiation as texts, in order.
+    """The parts that printed equations do not show: arrays, and rules of differentiation as texts, in order.
 
-    A rule may use the function that it belongs to, so that rules inside of rules are told by their place in the source.
+    A rule may use its own function, so that rules inside rules are identified by their place in the source.
     """
     for equation in jaxpr.eqns:
         if rules and equation.primitive.name == "custom_jvp_call":
@@ -72,13 +72,13 @@ def _hidden(jaxpr: Any, *, rules: bool = True) -> Iterator[Any]:
 
 
 def _opaque() -> None:
-    """Stands for Python code that is no function itself."""
+    """A placeholder for callable objects that are no Python functions."""
 
 
 def _forward_rule(equation: Any) -> Iterator[Any]:
-    """The rule of a `jax.custom_jvp` function, traced: it may hold numbers that do not show in the source.
+    """The traced rule of a `jax.custom_jvp` function, because it may hold numbers that the source does not show.
 
-    One that is `derived` does not, and tracing it may take longer than tracing all the rest.
+    A `derived` one does not, and tracing it may take longer than all the rest.
     """
     traced = equation.params["jvp_jaxpr_fun"]
     source = "" if traced.debug_info is None else traced.debug_info.func_src_info or ""

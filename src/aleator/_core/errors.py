@@ -1,4 +1,4 @@
-"""Everything that `aleator` raises or warns of on purpose.
+"""The exceptions and warnings of `aleator`.
 
 Each message is one clear sentence (or two) that names the thing, what was expected, what was received and what to do.
 """
@@ -9,7 +9,7 @@ class AleatorError(Exception):
 
 
 class ProblemError(AleatorError, ValueError):
-    """The declared problem makes no sense: found before anything is compiled or simulated."""
+    """The declared problem is invalid: found before anything is compiled or simulated."""
 
 
 class SimulationError(AleatorError, ArithmeticError):
@@ -29,7 +29,7 @@ class MissingExtraError(AleatorError, ImportError):
 
 
 class AleatorWarning(UserWarning):
-    """Base of every warning of `aleator`'s own."""
+    """Base of every warning that `aleator` issues."""
 
 
 class ExpansionWarning(AleatorWarning):
@@ -41,4 +41,4 @@ class GridWarning(AleatorWarning):
 
 
 class CalibrationWarning(AleatorWarning):
-    """A calibration ended without a design that is confirmed to be violated no more often than asked."""
+    """A calibration ended without a design whose frequency of violation was confirmed to be low enough."""

@@ -1,7 +1,7 @@
-"""What a user gives, checked at the border: numbers, whole numbers, names, and objects of a kind.
+"""Checks of a user's inputs: numbers, whole numbers, names, and objects of a type.
 
-Each check returns what was given in the form in which it is kept, and raises `ProblemError` otherwise: one sentence
-with what was expected and what was received. `what` begins the sentence: "Grid: steps", "validate: the seed".
+Each check returns its value in the form in which it is stored, or raises `ProblemError`: one sentence with what was
+expected and what was received. `what` begins the sentence: "Grid: steps", "validate: the seed".
 """
 
 import reprlib
@@ -18,7 +18,7 @@ from aleator._core.errors import ProblemError
 
 Kind = TypeVar("Kind")
 
-# As much of a value as a sentence shows.
+# Most characters of a value in a message.
 _SHOWN = 80
 
 _reprs = reprlib.Repr()
@@ -26,7 +26,7 @@ _reprs.maxstring = _reprs.maxother = _SHOWN
 
 
 def shown(value: Any) -> str:
-    """A value as a message shows it: its type where that is not plain to see, and not too much of it."""
+    """A value for messages: shortened, and with its type if that is not obvious."""
     text = " ".join(_reprs.repr(value).split())
     is_plain = value is None or isinstance(value, bool | int | float | complex | str | bytes | list | tuple | dict)
     kind = type(value).__name__
@@ -34,18 +34,18 @@ def shown(value: Any) -> str:
 
 
 def refusal(what: str, expected: str, value: Any) -> ProblemError:
-    """The error that says what was expected in the place of `value`."""
+    """The error that says what was expected instead of `value`."""
     return ProblemError(f"{what}: expected {expected}; received {shown(value)}.")
 
 
 def is_masked(value: Any) -> bool:
-    """Whether numbers of a masked array are missing, which would be taken for whatever stands behind the mask."""
+    """Whether numbers of a masked array are missing, which NumPy would replace by the data behind the mask."""
     parts = value if isinstance(value, list | tuple) else (value,)
     return any(isinstance(part, np.ma.MaskedArray) and bool(np.ma.is_masked(part)) for part in parts)
 
 
 def real_array(what: str, value: Any, expected: str = "real numbers") -> Float[np.ndarray, "..."]:
-    """Known numbers as an array of their own. Text, truth values and missing ones are no numbers."""
+    """Known numbers as a new array. Text, truth values and missing values are no numbers."""
     try:
         array = None if is_masked(value) else np.asarray(value)
     except (TypeError, ValueError):
@@ -64,7 +64,7 @@ def real(what: str, value: Any, expected: str = "a finite number") -> float:
 
 
 def positive(what: str, value: Any, *, below: float = np.inf, most: float = np.inf) -> float:
-    """A positive finite number, `below` another one or at `most` one where that is given."""
+    """A positive finite number, `below` a limit or at `most` a limit if one is given."""
     limit = f" below {below:g}" if below < np.inf else f" of at most {most:g}" if most < np.inf else ""
     expected = f"a positive number{limit}"
     number = real(what, value, expected)
@@ -74,21 +74,21 @@ def positive(what: str, value: Any, *, below: float = np.inf, most: float = np.i
 
 
 def whole(what: str, value: Any, *, least: int = 1) -> int:
-    """A whole number, also one of NumPy."""
+    """A whole number, of Python or NumPy."""
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
         raise ProblemError(f"{what} is a whole number of at least {least}; received {shown(value)}.")
     return int(value)
 
 
 def a_name(what: str, value: Any) -> str:
-    """A name: text that is not empty."""
+    """A name: a non-empty text."""
     if not isinstance(value, str) or not value:
         raise refusal(what, "a name", value)
     return value
 
 
 def one_of(what: str, value: Any, kinds: type[Kind] | tuple[type[Kind], ...], example: str = "") -> Kind:
-    """An object of a kind, or of one of some kinds."""
+    """An object of one of some types."""
     if isinstance(value, kinds):
         return value
     names = " or ".join(kind.__name__ for kind in (kinds if isinstance(kinds, tuple) else (kinds,)))
@@ -96,7 +96,7 @@ def one_of(what: str, value: Any, kinds: type[Kind] | tuple[type[Kind], ...], ex
 
 
 def members(what: str, value: Any, kinds: type[Kind] | tuple[type[Kind], ...]) -> Sequence[Kind]:
-    """A sequence of objects of a kind. A text is none, though its letters would pass for texts."""
+    """A sequence of objects of some types. A text is refused, although its letters are texts."""
     names = " or ".join(kind.__name__ for kind in (kinds if isinstance(kinds, tuple) else (kinds,)))
     expected = f"a list of {'texts' if kinds is str else names}"
     if isinstance(value, str | bytes) or not isinstance(value, Sequence):
@@ -108,7 +108,7 @@ def members(what: str, value: Any, kinds: type[Kind] | tuple[type[Kind], ...]) -
 
 
 def traceable(what: str, value: Any) -> Float[Array, "..."]:
-    """Real numbers, known or traced, as an array: what a model's own code gives back."""
+    """Real numbers, known or traced, as an array, for values that a model's own code returns."""
     expected = "real numbers"
     if is_masked(value):
         raise refusal(what, expected, value)
@@ -124,7 +124,7 @@ def traceable(what: str, value: Any) -> Float[Array, "..."]:
 
 
 def refuse_missing(name: str, value: Any) -> None:
-    """Raise `ProblemError` for a number of a model that is none: masked, or not a number."""
+    """Raise `ProblemError` for a missing number of a model: masked, or NaN."""
     is_nan = isinstance(value, float | np.floating | np.ndarray | jax.Array) and not isinstance(value, Tracer)
     if is_masked(value) or (is_nan and bool(np.any(np.isnan(value)))):
         raise refusal(f"'{name}'", "numbers", value)

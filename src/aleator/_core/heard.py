@@ -1,4 +1,4 @@
-"""Ctrl-C where the exception itself may be lost: in a solver's own code, or in a callback of the garbage collector."""
+"""Ctrl-C where its exception may be lost: in a solver's own code, or in a callback of the garbage collector."""
 
 import signal
 import threading
@@ -8,7 +8,7 @@ from contextlib import contextmanager
 
 @contextmanager
 def noting(note: Callable[[], None]) -> Iterator[None]:
-    """Call `note` at each SIGINT as well as what is called otherwise. Does nothing outside the main thread."""
+    """Call `note` at each SIGINT, in addition to the present handler. Does nothing outside the main thread."""
     previous = signal.getsignal(signal.SIGINT)
     if threading.current_thread() is not threading.main_thread() or not callable(previous):
         yield
@@ -26,9 +26,9 @@ def noting(note: Callable[[], None]) -> Iterator[None]:
 
 
 def take_back() -> None:
-    """Let Python hear SIGINT again, where a library has put a handler of its own in front of Python's.
+    """Restore Python's handler of SIGINT after a library has installed its own.
 
-    Does nothing outside the main thread, and nothing that lasts: the library puts back what it found.
+    Does nothing outside the main thread. The effect is temporary: the library restores the handler that it found.
     """
     present = signal.getsignal(signal.SIGINT)
     if threading.current_thread() is threading.main_thread() and callable(present):
@@ -37,7 +37,7 @@ def take_back() -> None:
 
 @contextmanager
 def heeding() -> Iterator[Callable[[], None]]:
-    """Gives what raises `KeyboardInterrupt`, between two steps of some work, for a Ctrl-C that was lost in one."""
+    """Gives a function that raises `KeyboardInterrupt` between two steps of some work if a Ctrl-C was lost in one."""
     heard: list[bool] = []
 
     def raise_if_heard() -> None:

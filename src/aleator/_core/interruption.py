@@ -1,4 +1,4 @@
-"""SIGINT (Ctrl-C) and SIGTERM during a long run: nothing that was finished is lost, and the process says so."""
+"""SIGINT (Ctrl-C) and SIGTERM during a long run: finished results are kept, and the process says so."""
 
 import logging
 import math
@@ -16,29 +16,30 @@ from typing import Any, final
 
 STOPPING = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM") if hasattr(signal, name))
 
-# How long work may take to come to an end once it was interrupted: a compilation, for instance, notices nothing.
+# How long work may take to end after an interrupt: a compilation, for instance, does not react.
 _PATIENCE = 3.0
 
-# Signals that come together are one wish: some programs send theirs to a process and to its group.
+# Signals within this time count as one: some programs send theirs both to a process and to its group.
 _ONE_WISH = 0.5
 
-# A terminal's cursor, which bars of progress hide.
+# Shows a terminal's cursor, which progress bars hide.
 _SHOW_CURSOR = "\x1b[?25h"
 
-# What a signal would find: nothing to lose, work that it may end, or results that are not yet on the disk.
+# The state when a signal arrives: nothing to lose, work that it may end, or results not yet on the disk.
 _IDLE, _WORKING, _WRITING = range(3)
 
 
 @final
 class Interruptions:
-    """Watches for signals that ask a run to end, in a thread of its own: Python looks for them only between its steps.
+    """Watches for termination signals in a thread of its own, because Python handles them only between its steps.
 
-    Inside `work()` the first signal raises `KeyboardInterrupt` in the main thread, so that what was finished can be
-    kept; if that is not heard, and at a second signal, the process ends at once. From there to `rest()`, while results
-    are written, it waits for the next `work()`, and only a second signal ends the process. Before the first work and
-    after `rest()` it ends at once. The exit code is 128 plus the number of the signal, and `said` gives the last words.
+    Inside `work()` the first signal raises `KeyboardInterrupt` in the main thread, so that finished results can be
+    kept; if that has no effect, or at a second signal, the process ends immediately. Between `work()` and `rest()`,
+    while results are written, a signal takes effect at the next `work()`, and only a second one ends the process.
+    Before the first `work()` and after `rest()` it ends immediately. The exit code is 128 plus the number of the
+    signal, and `said` gives the final message.
 
-    Signals that were ignored when the process was started stay so. Works in the main thread only.
+    Signals that were ignored when the process started remain ignored. Works in the main thread only.
     """
 
     def __init__(self, said: Callable[[], str]):
@@ -76,12 +77,12 @@ class Interruptions:
 
     @property
     def exit_code(self) -> int:
-        """The exit code of a run that was interrupted."""
+        """The exit code of an interrupted run."""
         return 128 + (self.received or signal.SIGINT)
 
     @contextmanager
     def work(self) -> Iterator[None]:
-        """Work that a signal ends by `KeyboardInterrupt`, also one that has come before."""
+        """Work that a signal, even an earlier one, ends by `KeyboardInterrupt`."""
         self._place = _WORKING
         try:
             if self.received is not None and not self._raised:
@@ -92,29 +93,29 @@ class Interruptions:
             self._place = _WRITING
 
     def rest(self) -> None:
-        """From here on there is nothing to lose."""
+        """Declare that all results are safe from here on."""
         self._place = _IDLE
 
     def conclude(self) -> None:
-        """The main thread says the last words, unless the watching thread is about to: then it does not return."""
+        """Write the final message from the main thread; does not return if the watching thread is about to do so."""
         self._speaker.acquire()
 
     def _interrupt(self, number: int, frame: FrameType | None) -> None:
-        """In the main thread, as soon as Python comes to it."""
+        """The handler, which Python calls in the main thread between two steps."""
         self.received = self.received or number
         if self._place != _WORKING or self._raised:
             return
-        # A solver's library may swallow the exception, so whoever runs one notes each SIGINT by a handler of its own.
+        # A solver's library may swallow the exception, so the code that runs one notes each SIGINT by its own handler.
         noting = signal.getsignal(signal.SIGINT)
         if number != signal.SIGINT and callable(noting) and noting != self._interrupt:
             noting(signal.SIGINT, frame)
         self._raised = True
-        # Libraries would show on their way what ends them.
+        # Libraries would print the exceptions that end them.
         logging.disable()
         raise KeyboardInterrupt
 
     def _watch(self) -> None:
-        """In the watching thread: end the process where the main thread may not come to it."""
+        """In the watching thread: end the process if the main thread may not react."""
         first, deadline = math.inf, math.inf
         while True:
             left = max(0.0, deadline - time.monotonic())
@@ -135,7 +136,7 @@ class Interruptions:
                 self._end()
 
     def _end(self) -> None:
-        """End the process here and now, with a word. Nothing else runs: whatever is half done stays half done."""
+        """End the process immediately, with a message. Nothing else runs: unfinished work stays unfinished."""
         if not self._speaker.acquire(blocking=False):
             return
         text = f"{self._said()}\n"
@@ -145,6 +146,6 @@ class Interruptions:
         os._exit(self.exit_code)
 
     def _hush(self, unraisable: Any) -> None:
-        """Exceptions that Python cannot pass on, such as an interrupt in the place of a destructor, are not shown."""
+        """Suppress messages on exceptions that Python cannot propagate, such as an interrupt inside a destructor."""
         if self.received is None:
             self._unraisable(unraisable)

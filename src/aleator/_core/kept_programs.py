@@ -1,6 +1,6 @@
-"""Compiled programs kept between runs, by JAX's persistent compilation cache, in a folder of the user's own.
+"""Compiled programs kept between runs by JAX's persistent compilation cache, in the user's own folder.
 
-What is compiled is machine code: it stays among machines of one kind, and in a folder that nobody else writes to.
+They are machine code: each kind of machine has its own part of the folder, which nobody else should write to.
 """
 
 import hashlib
@@ -20,7 +20,7 @@ from aleator._core.given import refusal
 VARIABLE = "ALEATOR_CACHE"
 """Environment variable: a folder, or "off"."""
 
-# Beyond so many bytes the programs unused for longest go, when a process begins.
+# Beyond this many bytes, the least recently used programs are deleted when a process starts.
 _MOST_BYTES = 500 * 2**20
 _ON = ("on", "yes", "1", "true")
 _OFF = ("off", "no", "none", "0", "false", "")
@@ -28,14 +28,14 @@ _folder: Path | None = None
 
 
 def compilation_cache(folder: str | os.PathLike[str] | None) -> None:
-    """Keep compiled programs in `folder` from now on, or with `None` no longer, so that another run need not compile.
+    """Keep compiled programs in `folder` from now on, so that other runs need not compile; `None` ends this.
 
     By default they are kept in the user's own cache folder, at most 500 MB, unless JAX has been given a folder; the
-    environment variable `ALEATOR_CACHE`, a folder or `off`, says otherwise. Entries that are damaged, or
-    come from another machine or version, are passed over. Whoever may write to the folder may have this process run
-    what they like: share it with nobody.
+    environment variable `ALEATOR_CACHE`, a folder or `off`, overrides this. Entries that are damaged, or come from
+    another machine or version, are ignored. Anyone who can write to the folder can make this process run any code: do
+    not share it.
 
-    Raises `ProblemError` if the folder cannot be made or written to.
+    Raises `ProblemError` if the folder cannot be created or written to.
     """
     if folder is not None and not (isinstance(folder, str | os.PathLike) and str(folder)):
         raise refusal("compilation_cache: folder", "a folder, or None", folder)
@@ -43,9 +43,9 @@ def compilation_cache(folder: str | os.PathLike[str] | None) -> None:
 
 
 def keep_by_default() -> None:
-    """Keep programs where the environment says, or in the user's cache folder; called once, when JAX is set up.
+    """Keep programs in the folder set in the environment, or in the user's cache folder; called once, at set-up.
 
-    A folder that JAX was given stays. One that cannot be written to is warned of where it was asked for.
+    A folder given to JAX is left unchanged. A warning is given if a folder set by the user cannot be written to.
     """
     wanted = os.environ.get(VARIABLE)
     if wanted is None and jax.config.jax_compilation_cache_dir is not None:  # type: ignore[attr-defined]
@@ -60,12 +60,12 @@ def keep_by_default() -> None:
 
 
 def own_folder() -> Path | None:
-    """Where programs are kept; None if nowhere, or in a folder that JAX was given."""
+    """The folder of kept programs; None if they are not kept, or kept in a folder given to JAX."""
     return _folder
 
 
 def _usual() -> Path:
-    """The user's cache folder. Raises `ProblemError` where nobody knows the user's home."""
+    """The user's cache folder. Raises `ProblemError` if the user's home is unknown."""
     try:
         return platformdirs.user_cache_path("aleator")
     except RuntimeError as error:
@@ -79,17 +79,17 @@ def _keep_in(folder: Path | None) -> None:
     persistent.reset_cache()
     if folder is None:
         return
-    # Small programs too: hundreds of them are compiled one by one where a model is asked for single numbers.
+    # Small programs too: hundreds of them are compiled one by one when single numbers of a model are evaluated.
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
-    # What cannot be read is compiled, what cannot be written is compiled again: neither is news to a user.
+    # Unreadable entries are compiled, unwritable ones compiled again: users need not know of either.
     warnings.filterwarnings("ignore", message="Error (reading|writing) persistent compilation cache")
     _forget_oldest(folder)
 
 
 def _made(folder: Path) -> Path:
-    """The part of a folder that belongs to machines of this kind. Raises `ProblemError` if it cannot be written to."""
+    """The part of a folder for machines of this kind. Raises `ProblemError` if it cannot be written to."""
     try:
-        # Absolute, for a program may go to another folder later.
+        # Absolute, because the working directory may change later.
         own = folder.expanduser().absolute() / _kind()
         own.mkdir(mode=0o700, parents=True, exist_ok=True)
         trial = own / f".{os.getpid()}"
@@ -105,7 +105,7 @@ def _made(folder: Path) -> Path:
 
 
 def _kind() -> str:
-    """A name for this kind of machine and these versions: code for one processor may stop another."""
+    """A name for this kind of machine and these versions: code for one processor may crash on another."""
     about = [platform.system(), platform.machine(), platform.processor(), jax.__version__, metadata.version("jaxlib")]
     try:
         lines = Path("/proc/cpuinfo").read_text().split("\n\n")[0].splitlines()
@@ -116,7 +116,7 @@ def _kind() -> str:
 
 
 def _forget_oldest(folder: Path) -> None:
-    """Delete the programs unused for longest beyond what may be kept. Another process may be doing the same."""
+    """Delete the least recently used programs beyond the limit. Another process may be doing the same."""
     found = []
     for path in folder.glob("*-cache"):
         try:

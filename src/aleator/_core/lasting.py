@@ -1,8 +1,8 @@
-"""What tells a program from all others in another process too: its code, its structure, and whoever traced it.
+"""Names of programs that are valid in other processes too, from code, structure and the versions of libraries.
 
-In one process a program is known by objects that are the same (classes, functions, equations). Another one has other
-objects, so that all they consist of is written out here. Whatever cannot be, or might differ where its text does not,
-is a doubt, for which a program is traced.
+Within one process a program is identified by its objects (classes, functions, equations). Another process has other
+objects, so that their contents are written out here. Anything that cannot be written out, or might differ although its
+text does not, is a doubt; then the program is traced.
 """
 
 import dataclasses
@@ -29,25 +29,25 @@ from aleator._core.equations import array_digest
 from aleator._core.libraries import is_library
 from aleator._core.readings import Again, Plain, Reading, Same
 
-# What traces and compiles besides JAX, by whose versions the folder is told apart.
+# Libraries besides JAX that trace and compile; the folder is separate for each version of JAX.
 _TRACING = ("equinox", "numpy", "scipy", "diffrax", "lineax", "optimistix")
 _PLAIN = (str, bytes, int, bool, float, complex, type(None), type(Ellipsis), range, Decimal, Fraction, np.dtype)
-# Settings of JAX that are no part of a program.
+# Settings of JAX that do not affect a program.
 _ASIDE = ("jax_compilation_cache_dir", "jax_persistent_cache", "jax_raise_persistent", "jax_log", "jax_explain")
 
 
 class _DoubtError(Exception):
-    """Something has no text that tells it from all others."""
+    """Something has no text that identifies it."""
 
 
 def lasting_name(function: Callable[..., Any], arguments: tuple[Any, ...], *how: Any) -> str | None:
-    """A name for a function of ours, traced for arguments of one structure and compiled in some way.
+    """A name for one of our functions, traced for arguments of one structure and compiled in some way.
 
-    Two programs of one name compute the same, in whatever processes; None where that cannot be told. The numbers of
-    arrays are no part of it.
+    Programs of the same name compute the same, in any process; None if that is uncertain. The numbers of arrays are not
+    part of it.
     """
     try:
-        # Code comes first: a program of ours alone has none that could change.
+        # Code comes first: a program without a user's code has none that could change.
         parts = [_surroundings(), *_named(function), *_texts(how), *_texts(arguments), *_read(read_code(arguments))]
     except _DoubtError:
         return None
@@ -55,8 +55,8 @@ def lasting_name(function: Callable[..., Any], arguments: tuple[Any, ...], *how:
 
 
 def _surroundings() -> str:
-    """Whatever else a program depends on: settings of JAX, Equinox and XLA, devices, and libraries that trace it."""
-    # Attributes say what holds here and now, in a `with` statement too; not every value has one.
+    """All else that a program depends on: settings of JAX, Equinox and XLA, devices, and libraries that trace it."""
+    # Attributes give the present values, even within a `with` statement; not every setting has one.
     known = {name: getattr(jax.config, name, value) for name, value in jax.config.values.items()}
     settings = [f"{name}={value}" for name, value in sorted(known.items()) if not name.startswith(_ASIDE)]
     settings += [f"{name}={value}" for name, value in sorted(os.environ.items()) if name.startswith(("XLA_", "EQX_"))]
@@ -65,7 +65,7 @@ def _surroundings() -> str:
 
 @functools.cache
 def _libraries() -> str:
-    """A digest of this package's sources, and the versions of the libraries that it traces with."""
+    """A digest of this package's sources and of the versions of libraries that trace."""
     digest = hashlib.sha256(sys.version.encode() + platform.python_implementation().encode())
     own = Path(__file__).parents[1]
     sources = sorted(own.rglob("*.py"))
@@ -82,7 +82,7 @@ def _libraries() -> str:
 
 
 def _texts(it: Any) -> Iterator[str]:
-    """The structure of a tree: all but the numbers of arrays that are traced, and the code of what is not ours."""
+    """The structure of a tree, without the numbers of traced arrays, and the code of a user's objects."""
     if isinstance(it, jax.Array | jax.ShapeDtypeStruct):
         yield f"array {it.shape} {it.dtype} {it.weak_type}"
     elif isinstance(it, np.ndarray | np.generic):
@@ -94,7 +94,7 @@ def _texts(it: Any) -> Iterator[str]:
     elif isinstance(it, type):
         yield _name_of(it)
     elif isinstance(it, types.FunctionType):
-        # A reading tells the code of a user's; it does not look into libraries.
+        # A reading covers a user's code; it does not enter libraries.
         yield from _named(it) if is_library(it.__module__) else [f"function {_name_of(it)}"]
     elif isinstance(it, frozenset | set):
         yield f"{type(it).__name__} {sorted(' '.join(_texts(one)) for one in it)}"
@@ -125,7 +125,7 @@ def _name_of(it: Any) -> str:
 
 
 def _named(it: Any) -> Iterator[str]:
-    """Something of a library, by the name under which it is found there."""
+    """An object of a library, by its name there."""
     module, name = getattr(it, "__module__", None), getattr(it, "__qualname__", getattr(it, "__name__", ""))
     if isinstance(it, np.ufunc):
         module = "numpy"
@@ -140,7 +140,7 @@ def _named(it: Any) -> Iterator[str]:
 
 
 def _read(reading: Reading) -> Iterator[str]:
-    """What code reads beside its arguments."""
+    """A reading as texts."""
     if reading.doubts:
         raise _DoubtError
     for place, token in reading.reads:
@@ -159,7 +159,7 @@ def _read(reading: Reading) -> Iterator[str]:
 
 
 def _same(it: Any) -> Iterator[str]:
-    """What is equal to itself alone."""
+    """An object that is equal only to itself."""
     if isinstance(it, types.CodeType):
         yield from _code(it)
     elif isinstance(it, types.ModuleType):
@@ -177,7 +177,7 @@ def _same(it: Any) -> Iterator[str]:
 
 
 def _code(code: types.CodeType) -> Iterator[str]:
-    """All of a function's code that tells what it computes: neither lines nor files."""
+    """The parts of a function's code that affect what it computes: neither lines nor files."""
     yield f"{code.co_code.hex()} {code.co_exceptiontable.hex()} {code.co_flags}"
     yield f"{code.co_argcount} {code.co_posonlyargcount} {code.co_kwonlyargcount}"
     yield f"{code.co_names} {code.co_varnames} {code.co_freevars} {code.co_cellvars}"

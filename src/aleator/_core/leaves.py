@@ -1,4 +1,4 @@
-"""Leaves of a model as all layers know them: what may stand in the place of a number, and how places are named."""
+"""Leaves of a model, for all layers: objects that may take the place of a number, and the names of places."""
 
 import abc
 from collections import Counter
@@ -17,26 +17,26 @@ _Class = TypeVar("_Class", bound=type)
 
 
 class AbstractLeaf(eqx.Module):
-    """What stands in the place of a number of a model until realisation replaces it: a distribution or a decision.
+    """A distribution or a decision in the place of a number of a model, until realisation replaces it.
 
-    Leaves are told by this type alone, so that a model's own classes may have any fields.
+    Leaves are recognised by this type alone, so that a model's own classes may have any fields.
     """
 
     UNCERTAIN: ClassVar[bool]
-    """Whether realisations differ: true of distributions, false of decisions."""
+    """Whether realisations differ: true for distributions, false for decisions."""
 
     shared_name: eqx.AbstractVar[str | None]
 
     @property
     @abc.abstractmethod
     def shape(self) -> tuple[int, ...]:
-        """The shape of what realisation leaves in its place."""
+        """The shape of the number or array that replaces it in a realisation."""
 
     @abc.abstractmethod
     def lowest(self) -> float | None:
         """The smallest value of any entry, for every realisation and decision; -inf if unbounded.
 
-        Nothing where none is known, since numbers are traced.
+        None if unknown because numbers are traced.
         """
 
     @abc.abstractmethod
@@ -55,14 +55,14 @@ def is_traced(tree: Pytree) -> bool:
 
 
 def realised_shape(leaf: Any) -> tuple[int, ...]:
-    """The shape of what realisation leaves in the place of a number or a leaf."""
+    """The shape that a number or a leaf has in a realisation."""
     return leaf.shape if isinstance(leaf, AbstractLeaf) else np.shape(leaf)
 
 
 def lowest(number: Any) -> float | None:
     """The smallest value that a number of a model can take, for every realisation and decision; -inf if unbounded.
 
-    Of an array, or a sequence, it is the smallest of all entries. Nothing where none is known: numbers may be traced.
+    For an array or a sequence, the smallest of all entries. None if unknown because numbers are traced.
     """
     return _end(number, lambda leaf: leaf.lowest(), lambda array: np.min(array, initial=np.inf), min)
 
@@ -85,10 +85,10 @@ _HIDDEN: dict[type, frozenset[str]] = {}
 
 
 def transparent(*fields: str) -> Callable[[_Class], _Class]:
-    """A class decorator: these fields only hold the rest, and do not show in the names of the numbers inside.
+    """A class decorator: these container fields are left out of the names of the numbers inside.
 
-    So a mass of `ForwardDynamics(model=arm)` is called `mass`, and not `model.mass`. The class itself says so;
-    fields of the same name in a user's classes show.
+    So a mass of `ForwardDynamics(model=arm)` is called `mass`, not `model.mass`. This applies to the decorated class
+    only, not to fields of the same name in a user's classes.
     """
 
     def told(cls: _Class) -> _Class:
@@ -99,15 +99,15 @@ def transparent(*fields: str) -> Callable[[_Class], _Class]:
 
 
 def is_transparent(node: Any, field: str) -> bool:
-    """Whether a field of `node` does not show in names."""
+    """Whether a field of `node` is left out of names."""
     return any(field in _HIDDEN.get(cls, ()) for cls in type(node).__mro__)
 
 
 def named_leaves(model: Pytree) -> list[tuple[str, Any]]:
     """Every leaf of a model with its name, in the order of `jax.tree.leaves(model, is_leaf=is_leaf)`.
 
-    That is the name under which it is shared, or its place, in which transparent fields do not show. Where two leaves
-    would have one name for that reason, both go by their full places.
+    The name is the one under which the leaf is shared, or its place without transparent fields. If two leaves would
+    then have the same name, both have their full places as names.
     """
     paths, _ = tree_flatten_with_path(model, is_leaf=is_leaf)
     short = [_shared_name(leaf) or _text(shown(model, path) or path) for path, leaf in paths]
@@ -142,4 +142,4 @@ def _child(node: Any, key: Any) -> Any:
             return getattr(node, name, None)
         case DictKey(key=name) | SequenceKey(idx=name):
             return node[name]
-    return None  # a container of someone else's, which knows no transparent fields
+    return None  # a container of another library, which has no transparent fields

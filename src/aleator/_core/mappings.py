@@ -1,6 +1,6 @@
-"""Room in the address space: Linux lets a process have so many memory mappings, and compiled code takes hundreds.
+"""Memory mappings: Linux limits their number for each process, and compiled code takes hundreds.
 
-Beyond that, memory is refused to LLVM, which ends the process without a word.
+Beyond the limit LLVM gets no memory and ends the process without a message.
 """
 
 from pathlib import Path
@@ -9,7 +9,7 @@ _OWN, _MOST = Path("/proc/self/maps"), Path("/proc/sys/vm/max_map_count")
 
 
 def mappings() -> int:
-    """How many memory mappings this process has; 0 where the system does not say."""
+    """How many memory mappings this process has; 0 if unknown."""
     try:
         with _OWN.open("rb") as lines:
             return sum(1 for _ in lines)
@@ -18,7 +18,7 @@ def mappings() -> int:
 
 
 def most_mappings() -> float:
-    """How many it may have; infinite where the system sets no limit."""
+    """How many it may have; infinite if the system sets no limit."""
     try:
         return int(_MOST.read_text())
     except (OSError, ValueError):

@@ -1,4 +1,4 @@
-"""How much memory there is, and a refusal of what would need more: before it is asked for, in one sentence."""
+"""The machine's memory, and a check before allocation that refuses requests beyond it."""
 
 import os
 from functools import lru_cache
@@ -9,13 +9,13 @@ from aleator._core.errors import ProblemError
 NUMBER = 8
 """Bytes of a real number."""
 
-# What one array program may take of the machine's memory: the rest of a solve, and the machine, need theirs.
+# The part of the machine's memory that one array program may take: the rest of a solve, and the machine, need some.
 _SHARE = 0.5
 
-# Where the machine does not say how much it has.
+# Used if the machine's memory is unknown.
 _ASSUMED = 8 * 2**30
 
-# Beyond this many bytes, it does not matter how many there are.
+# Larger numbers of bytes are not printed.
 _BEYOND = 2**100
 
 _GROUPS = Path("/sys/fs/cgroup")
@@ -23,9 +23,9 @@ _OWN_GROUP = Path("/proc/self/cgroup")
 
 
 def refuse_beyond_memory(what: str, size: int, advice: str) -> None:
-    """Raise `ProblemError` if `what`, a noun, needs more memory than there is for it: `size` in bytes, of any number.
+    """Raise `ProblemError` if `what`, a noun, needs more memory than is available: `size` in bytes.
 
-    `advice` is a sentence that says what to do. Counts are to be checked before anything is enumerated.
+    `advice`: a sentence with the remedy. Check counts before anything is enumerated.
     """
     there = memory()
     if size > _SHARE * there:
@@ -37,7 +37,7 @@ def refuse_beyond_memory(what: str, size: int, advice: str) -> None:
 
 @lru_cache(maxsize=1)
 def memory() -> int:
-    """The memory of this machine in bytes, or what a container leaves of it."""
+    """The memory of this machine in bytes, or the limit of a container."""
     try:
         machine = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     except (AttributeError, ValueError, OSError):
@@ -46,7 +46,7 @@ def memory() -> int:
 
 
 def _group_limits() -> list[int]:
-    """The limits of the control groups that this process is in, of both versions; none where there are no groups."""
+    """The limits of this process's control groups, of both versions; empty if there are none."""
     limits = []
     for line in _read(_OWN_GROUP).splitlines():
         _, _, own = line.partition("::")

@@ -1,4 +1,4 @@
-"""Programs: what is traced once, compiled by whoever needs it first, and kept while there is room."""
+"""Programs: traced once, compiled by the first thread that needs them, and kept while there is room."""
 
 import gc
 import threading
@@ -14,22 +14,22 @@ from aleator._core.mappings import mappings, most_mappings
 
 Executable = Callable[..., Any]
 
-# Enough for a session's problems; beyond, the one unused for longest is dropped, with the classes it holds.
+# Enough for a session's problems; beyond, the least recently used one is dropped, with the classes it holds.
 _KEPT = 256
 
 
 @final
 class Program:
-    """What one thread traces, and the first that needs it compiles, while others wait.
+    """A program that one thread traces, and the first thread that needs it compiles while others wait.
 
-    Nobody waits for a core here: a program that is begun on another one, and not there yet, is compiled by its caller.
-    What fails is forgotten; tracing that fails does so for all that wait.
+    Nothing waits for a core: if another thread was to compile a program and has not begun, its caller compiles it. A
+    program that fails is forgotten; if tracing fails, it does so for all threads that wait.
     """
 
     def __init__(self, key: Hashable):
         self.key = key
         self._traced: Future[None] = Future()
-        # What was traced is held no longer than until it is compiled.
+        # The traced function is released once it is compiled.
         self._finish: Callable[[], Executable] | None = None
         self._executable: Executable | None = None
         self._lock = threading.Lock()
@@ -40,7 +40,7 @@ class Program:
         return self._executable is not None
 
     def trace(self, build: Callable[[], Callable[[], Executable]]) -> None:
-        """Trace it, by the one thread that is to: `build` gives what compiles it."""
+        """Trace it, in the one thread responsible: `build` returns the function that compiles it."""
         try:
             self._finish = build()
         except BaseException as error:
@@ -55,7 +55,7 @@ class Program:
 
     def __call__(self) -> Executable:
         """The executable, compiled now if it has not been."""
-        # Ctrl-C would leave XLA compiling by itself, and a process that ends meanwhile is aborted.
+        # After Ctrl-C, XLA would go on compiling, and a process that ends meanwhile is aborted.
         return self._executable or undisturbed(self._compiled)
 
     def _compiled(self) -> Executable:
@@ -75,17 +75,17 @@ class Program:
 
 @final
 class Programs:
-    """Programs by their keys, of which those unused for longest are dropped where there are too many.
+    """Programs by their keys; the least recently used are dropped if there are too many.
 
-    `most` bounds their number. The memory mappings of the process bound it too: where half of what the system allows
-    is taken, the older half of the programs goes, and what JAX keeps by itself if that does not help.
+    `most` bounds their number. So do the memory mappings of the process: when half of those that the system allows are
+    taken, the older half of the programs is dropped and, if that does not help, JAX's own caches are cleared.
     """
 
     def __init__(self, most: int = _KEPT):
         self._most = most
         self._kept: OrderedDict[Hashable, Program] = OrderedDict()
         self._lock = threading.Lock()
-        # Mappings that are not ours to give back.
+        # Mappings that cannot be released here.
         self._foreign = 0
 
     def __contains__(self, key: Hashable) -> bool:
@@ -93,7 +93,7 @@ class Programs:
             return key in self._kept
 
     def found(self, key: Hashable) -> tuple[Program, bool]:
-        """The program of a key, and whether it is a new one, which its finder is to trace."""
+        """The program of a key, and whether it is a new one, which the caller must trace."""
         with self._lock:
             known = self._kept.get(key)
             program = self._kept.setdefault(key, known or Program(key))
@@ -103,13 +103,13 @@ class Programs:
         return program, known is None
 
     def forget(self, program: Program) -> None:
-        """Drop a program, so that it is traced anew when it is needed again."""
+        """Drop a program, so that it is traced again when needed."""
         with self._lock:
             if self._kept.get(program.key) is program:
                 del self._kept[program.key]
 
     def make_room(self) -> None:
-        """See to it that another program can be mapped into memory."""
+        """Ensure that another program can be mapped into memory."""
         while self._is_crowded() and self._forget_older_half():
             gc.collect()
         if self._is_crowded():
@@ -121,7 +121,7 @@ class Programs:
         return mappings() > (self._foreign + most_mappings()) / 2
 
     def _forget_older_half(self) -> bool:
-        """Whether there was any program to forget."""
+        """Drop the older half of the programs; return whether there were any."""
         with self._lock:
             ready = [key for key, program in self._kept.items() if program.is_ready]
             for key in ready[: -(-len(ready) // 2)]:

@@ -1,4 +1,4 @@
-"""How long work tells how far it is: a function called with the task, the steps done and their total."""
+"""Progress of long work: a function called with the task, the steps done and their total."""
 
 from collections.abc import Callable
 from typing import TypeAlias
@@ -7,5 +7,5 @@ Progress: TypeAlias = Callable[[str, int, int], None]
 
 
 def silent(task: str, done: int, total: int) -> None:
-    """Say nothing."""
+    """Report nothing."""
     del task, done, total

@@ -1,4 +1,4 @@
-"""Code that computes something else each time it is asked is refused: random numbers, clocks, counters."""
+"""Refuse code that computes something different at each call: random numbers, clocks, counters."""
 
 from collections.abc import Callable
 from typing import Any, TypeVar
@@ -14,10 +14,10 @@ _Traced = TypeVar("_Traced")
 def steadily(
     name: str, code: Pytree, trace: Callable[[], _Traced], told: Callable[[_Traced], Any]
 ) -> tuple[_Traced, frozenset[Place]]:
-    """What `trace` gives, and what of the code it changed by itself; `told` is equal for traces that compute the same.
+    """The result of `trace`, and the places in the code that tracing changed; `told` gives a key of what is computed.
 
-    Code that might compute something else each time is traced twice. Raises `ProblemError` where it does, in the name
-    of its owner.
+    Code that might compute something different at each call is traced twice. Raises `ProblemError` if it does, in the
+    name of its owner.
     """
     before = read_code(code)
     found = trace()
@@ -26,7 +26,7 @@ def steadily(
     if (moved or after.doubts) and told(trace()) != told(found):
         suspects = ", ".join(dict.fromkeys(str(one) for one in [*moved, *after.doubts]))
         raise ProblemError(
-            f"{name} computes something else each time it is asked, so that nothing can be said of it. Look at "
+            f"{name} computes something else each time it is called, so that no result holds. Check "
             f"{suspects}. Expected code that depends on its arguments and fields alone: put a distribution, such as "
             "al.Normal(0.0, 1.0), in the place of a random number."
         )

@@ -1,10 +1,10 @@
-"""Readings of code: what is read where, and in which words two of them differ."""
+"""Readings of code, and descriptions of the differences between two of them."""
 
 from typing import Any, NamedTuple, final
 
 
 class Place(NamedTuple):
-    """Where something is read: by whom, as what (a global, a closure variable, ...), under which name."""
+    """A place where code reads something: the owner, the kind (a global, a closure variable, ...) and the name."""
 
     who: str
     kind: str
@@ -22,16 +22,16 @@ class Place(NamedTuple):
 
 @final
 class Reading(NamedTuple):
-    """All that some code reads.
+    """Everything that some code reads.
 
-    - `reads`: place by place, what is there: equal for what is the same; `doubts`: where this cannot be told.
+    - `reads`: the object at each place, equal if unchanged; `doubts`: places where a change cannot be detected.
     """
 
     reads: tuple[tuple[Place, Any], ...]
     doubts: tuple[Place, ...]
 
     def by_place(self) -> dict[Place, list[Any]]:
-        """What is read at each place."""
+        """The objects read at each place."""
         found: dict[Place, list[Any]] = {}
         for place, token in self.reads:
             found.setdefault(place, []).append(token)
@@ -39,7 +39,7 @@ class Reading(NamedTuple):
 
 
 def changed_places(old: Reading, new: Reading) -> dict[Place, str]:
-    """The places at which two readings differ, and in which words."""
+    """The places at which two readings differ, each with a description of the difference."""
     before, after = old.by_place(), new.by_place()
     return {
         place: _difference(before.get(place, []), after.get(place, []))
@@ -54,7 +54,7 @@ def _difference(before: list[Any], after: list[Any]) -> str:
 
 
 class Same:
-    """An object that is equal to itself alone, and lives as long as this does."""
+    """An object that is equal only to itself, kept alive."""
 
     __slots__ = ("it",)
 
@@ -80,7 +80,7 @@ class Again(Same):
 
 
 class Plain(NamedTuple):
-    """A value that nothing can change: 1 and True differ, and so do 0.0 and -0.0."""
+    """An immutable value: 1 and True differ, and so do 0.0 and -0.0."""
 
     kind: type
     value: Any

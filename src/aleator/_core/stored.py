@@ -1,7 +1,7 @@
-"""Executables on the disk, by lasting names: a later run traces, lowers and compiles nothing that an earlier one has.
+"""Executables on the disk, by lasting names: later runs need not trace, lower or compile them again.
 
-They stand in the folder of compiled programs (`kept_programs`), beside those that JAX keeps by itself. JAX finds its
-own by the text that a program is lowered to, for which it must be traced first: that takes longer than all the rest.
+They are in the folder of compiled programs (`kept_programs`), beside those that JAX itself keeps. JAX finds its own by
+the lowered text of a program, for which it must be traced first: that takes longer than all the rest.
 """
 
 import contextlib
@@ -20,16 +20,16 @@ from jax.experimental import serialize_executable
 
 from aleator._core import kept_programs
 
-# The functions outside of XLA that a program calls, as they are written in its text.
+# Calls of functions outside XLA in the text of a program.
 _CALLED, _LAPACK = re.compile(r"custom_call @([^(]+)"), "lapack_"
 _DIGEST = hashlib.sha256().digest_size
 
 
 class Stored(NamedTuple):
-    """An executable and what its results are to be read by.
+    """An executable and the layout of its results.
 
-    - `executable`: takes the arguments that it was compiled for, gives the list of the results' arrays;
-    - `results`: how results follow from these arrays, anything that can be pickled.
+    - `executable`: takes the arguments that it was compiled for and returns the list of the results' arrays;
+    - `results`: how results follow from these arrays; it must be picklable.
     """
 
     executable: jax.stages.Compiled
@@ -37,7 +37,7 @@ class Stored(NamedTuple):
 
 
 def read(name: str | None) -> bytes | None:
-    """The file of a name, whole and undamaged; None if there is none."""
+    """The content of the file with a name, if complete and undamaged; else None."""
     path = None if name is None else _path(name)
     if path is None:
         return None
@@ -50,7 +50,7 @@ def read(name: str | None) -> bytes | None:
 
 
 def loaded(content: bytes, arguments: tuple[Any, ...]) -> Stored:
-    """What `keep` was given, to be called with arguments of this structure. Raises whatever may be wrong with it."""
+    """The executable that was passed to `keep`, for arguments of this structure. Raises any error of loading it."""
     _prepare_lapack()
     payload, results, count = pickle.loads(content)
     given, given_back = jax.tree.structure((arguments, {})), jax.tree.structure([0] * count)
@@ -58,10 +58,10 @@ def loaded(content: bytes, arguments: tuple[Any, ...]) -> Stored:
 
 
 def keep(name: str, lowered: jax.stages.Lowered, found: Stored) -> None:
-    """Keep an executable for later runs. What cannot be written is not kept: that is no news to a user.
+    """Keep an executable for later runs; silently skipped if it cannot be written.
 
-    Neither is what calls anything outside of XLA but LAPACK: what that may be, and whether it is there in another run,
-    nobody knows. Python code is called so as well.
+    It is skipped too if it calls anything outside XLA other than LAPACK, such as Python code: such a function may not
+    exist in another run.
     """
     path = _path(name)
     if path is None or not all(one.startswith(_LAPACK) for one in _CALLED.findall(lowered.as_text())):
@@ -82,8 +82,9 @@ def keep(name: str, lowered: jax.stages.Lowered, found: Stored) -> None:
 
 @functools.cache
 def _prepare_lapack() -> None:
-    """JAX looks LAPACK's functions up when it lowers a call of one; a program that calls before goes nowhere, and ends
-    the process.
+    """Make JAX look up LAPACK's functions, which it does otherwise only when it lowers a call of one.
+
+    A loaded program that calls one before crashes the process.
     """
     jax.jit(jnp.linalg.cholesky).lower(jax.ShapeDtypeStruct((1, 1), float))
 

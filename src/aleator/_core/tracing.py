@@ -1,7 +1,7 @@
-"""Functions traced afresh where their code may have changed, and compiled only when what they compute has.
+"""Functions traced again if their code may have changed, and compiled only if their equations have.
 
-A function may read globals or closures that change between two uses, so its identity says nothing about what it
-computes. Its traced equations do: they are the key under which its compiled form is kept.
+A function may read globals or closures that change between two uses, so that its identity does not determine what it
+computes. Its traced equations do: they are the key of its compiled form.
 """
 
 import threading
@@ -24,7 +24,7 @@ _Kept = TypeVar("_Kept")
 
 @final
 class _Memory(Generic[_Kept]):
-    """What was made for the last few keys; beyond, the one unused for longest is dropped. Threads share it."""
+    """A cache of values for the most recently used keys, shared by threads."""
 
     def __init__(self, most: int):
         self._most, self._lock = most, threading.Lock()
@@ -34,14 +34,14 @@ class _Memory(Generic[_Kept]):
         return len(self._made)
 
     def get(self, key: Hashable) -> _Kept | None:
-        """What is known by a key."""
+        """The value of a key; None if there is none."""
         with self._lock:
             if key in self._made:
                 self._made.move_to_end(key)
             return self._made.get(key)
 
     def kept(self, key: Hashable, made: _Kept) -> _Kept:
-        """What is known by a key already, or else what has just been made."""
+        """The value of a key if there is one already, else the new one."""
         with self._lock:
             made = self._made.setdefault(key, made)
             self._made.move_to_end(key)
@@ -52,7 +52,7 @@ class _Memory(Generic[_Kept]):
 
 @final
 class _Executed:
-    """Equations to be evaluated: compiled for one use, or as a part of what an outer transformation traces."""
+    """Equations to be evaluated: compiled for one use, or as part of an outer transformation's trace."""
 
     def __init__(self, jaxpr: Jaxpr, use: Use):
         self._within = jax.jit(lambda constants, *leaves: eval_jaxpr(jaxpr, constants, *leaves))
@@ -68,7 +68,7 @@ class _Executed:
         return self._compiled(constants, *leaves)
 
 
-# Enough for a session's functions.
+# Size of the cache: enough for a session's functions.
 _EXECUTABLES: _Memory[_Executed] = _Memory(64)
 _TRACED: "_Memory[Traced]" = _Memory(64)
 
@@ -81,7 +81,7 @@ class Traced(NamedTuple):
     execute: Callable[..., list[Any]]
 
     def __call__(self, *arguments: Pytree) -> Pytree:
-        """The function's value. Arguments and what the function holds may be traced by an outer transformation."""
+        """The function's value. Arguments and closed-over values may be traced by an outer transformation."""
         values = self.execute(self.closed.consts, *jax.tree.leaves(arguments))
         return jax.tree.unflatten(self.structure, values)
 
@@ -89,14 +89,14 @@ class Traced(NamedTuple):
 def trace(
     function: Callable[..., Pytree], *arguments: Pytree, code: Pytree = None, name: str = "", use: Use = Use.LOOPS
 ) -> Traced:
-    """Trace a function of arrays. It is compiled when evaluated, unless the same equations have been before.
+    """Trace a function of arrays. It is compiled when evaluated, unless the same equations were before.
 
-    `code` is what of it is written by a user, called `name`: raises `ProblemError` if that computes something else each
-    time. `use` is what it is compiled for.
+    `code` is its part written by a user, called `name`: raises `ProblemError` if that computes something different at
+    each call. `use` is the use that it is compiled for.
     """
 
     def traced() -> tuple[ClosedJaxpr, Any]:
-        # A new function each time: JAX remembers the traces of those that it has seen.
+        # A new function each time, because JAX caches traces by function.
         return jax.make_jaxpr(lambda *given: function(*given), return_shape=True)(*arguments)
 
     (closed, shapes), _ = steadily(name, code, traced, lambda found: _told(found[0]))
@@ -107,15 +107,13 @@ def trace(
 
 
 def _told(closed: ClosedJaxpr) -> Any:
-    """What is computed, as far as it can be told while an outer transformation may be tracing constants."""
+    """A key of the computation, as far as it is known while an outer transformation may be tracing constants."""
     known = [None if isinstance(one, Tracer) else array_digest(one) for one in closed.consts]
     return equations_text(closed), known
 
 
 def evaluate(function: Callable[..., Pytree], *arguments: Pytree, use: Use = Use.LOOPS) -> Pytree:
-    """A function of arrays, evaluated in compiled form; traced again where what its code reads is not known to be as it
-    was.
-    """
+    """Evaluate a function of arrays in compiled form; it is traced again if its code may have changed."""
     reading = read_code(function)
     if reading.doubts:
         return trace(function, *arguments, use=use)(*arguments)

@@ -1,7 +1,8 @@
-"""Units as text: what becomes of them in sums, products, squares, rates and integrals over time.
+"""Units as text: the units of sums, products, squares, rates and integrals over time.
 
-A unit is what a model declares, such as `N m` or `m²/s⁴`, and is read no further than these need (`_core.dimensions`
-reads what it measures). An empty text is an unknown unit, of which nothing follows; `-` is that of a pure number.
+A unit is a text that a model declares, such as `N m` or `m²/s⁴`, and is parsed only as far as needed here
+(`_core.dimensions` parses it fully). An empty text is an unknown unit, from which nothing follows; `-` is the unit of a
+pure number.
 """
 
 import re
@@ -11,7 +12,7 @@ from aleator._core.dimensions import all_same
 
 PURE = "-"
 
-# Force or torque, and the rate that it acts on.
+# Units of force or torque, and of the rate that each acts on.
 _POWERS = ({"N", "m/s"}, {"N m", "rad/s"}, {"N·m", "rad/s"}, {"Nm", "rad/s"})
 _SECONDS = ("s", "s²", "s³", "s⁴")
 _INTEGRALS = {"": "", PURE: "s", "W": "J"}
@@ -63,11 +64,11 @@ def rate(unit: str) -> str:
 
 
 def _by_time(unit: str) -> tuple[str, int]:
-    """What a unit divides by a power of seconds, and the power; 0 where it does not end in such a division."""
+    """The numerator of a unit that ends in a division by a power of seconds, and the power; 0 if it does not."""
     base, _, seconds = unit.rpartition("/")
     return (base, 1 + _SECONDS.index(seconds)) if base and seconds in _SECONDS else (unit, 0)
 
 
 def _factor(unit: str) -> str:
-    """A unit as a factor of others: in brackets where it divides."""
+    """A unit as a factor of a product: in brackets if it contains a division."""
     return f"({unit})" if "/" in re.sub(r"\([^()]*\)", "", unit) else unit
