@@ -5,7 +5,7 @@ from jaxtyping import Float
 
 from aleator._core.arrays import Pytree
 from aleator._core.errors import ProblemError
-from aleator._core.progress import Progress, silent
+from aleator._core.progress import Progress, check_progress, silent
 from aleator.ensemble import Function, random_levels
 from aleator.references._estimate import group_count
 from aleator.references._evaluation import check_whole, ensemble_of, evaluate, refuse_large_sample
@@ -38,6 +38,7 @@ def monte_carlo(
     is uncertain or the sample is too large, `SimulationError` if an output is not finite, naming the inputs there.
     """
     check_whole("monte_carlo", samples=samples, seed=seed, batch=batch)
+    check_progress("monte_carlo", progress)
     if samples < 4:
         raise ProblemError(f"monte_carlo: expected at least 4 samples; received {samples}.")
     ensemble = ensemble_of("monte_carlo", function, model, traced=traced)
@@ -66,6 +67,7 @@ def quasi_monte_carlo(
     those of `monte_carlo`. Source: Owen (1997), Scrambled net variance for integrals of smooth functions.
     """
     check_whole("quasi_monte_carlo", samples=samples, replicates=replicates, seed=seed, batch=batch)
+    check_progress("quasi_monte_carlo", progress)
     ensemble = ensemble_of("quasi_monte_carlo", function, model, traced=traced)
     levels = scrambled_nets("quasi_monte_carlo", len(ensemble.places.germs), samples, replicates, seed)
     values = evaluate(ensemble, levels, batch=batch, progress=progress)

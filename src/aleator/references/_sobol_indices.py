@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from aleator._core.arrays import Pytree
 from aleator._core.errors import ProblemError
-from aleator._core.progress import Progress, silent
+from aleator._core.progress import Progress, check_progress, silent
 from aleator.ensemble import Function
 from aleator.references._estimate import Estimate, estimate
 from aleator.references._evaluation import check_whole, ensemble_of, evaluate, refuse_large_sample
@@ -52,6 +52,7 @@ def sobol_indices(
     analysis of model output, table 2 (b) for the first order and (f), by Jansen (1999), for the total.
     """
     check_whole("sobol_indices", samples=samples, replicates=replicates, seed=seed, batch=batch)
+    check_progress("sobol_indices", progress)
     ensemble = ensemble_of("sobol_indices", function, model, traced=traced)
     names = list(ensemble.places.germs)
     refuse_large_sample("sobol_indices", (len(names) + 2) * samples, len(names))

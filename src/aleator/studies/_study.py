@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, ClassVar, Protocol, TypeVar
 
 from aleator._core.given import one_of, refusal
-from aleator._core.progress import Progress, silent
+from aleator._core.progress import Progress, check_progress, silent
 from aleator.reporting import (
     HOW_TO_READ,
     PAGE,
@@ -98,6 +98,7 @@ class AbstractStudy(abc.ABC):
     def run(self, stage: str, progress: Progress = silent) -> None:
         """Run one stage and keep its results."""
         self.check_declaration()
+        check_progress(f"{type(self).__name__}.run", progress)
         if stage not in self.stages:
             raise refusal(f"{type(self).__name__}.run", f"one of the stages {words(list(self.stages))}", stage)
         try:

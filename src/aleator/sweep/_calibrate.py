@@ -11,7 +11,8 @@ from scipy import special
 
 from aleator._core.errors import CalibrationWarning, ProblemError
 from aleator._core.heard import heeding
-from aleator._core.progress import Progress, silent
+from aleator._core.progress import Progress, check_progress, silent
+from aleator._core.warned import warned_of
 from aleator.design import Problem, uncertain
 from aleator.nlp import AbstractSolver
 from aleator.solution import Solution
@@ -65,6 +66,7 @@ def calibrate(
 
     Raises `ProblemError`, before anything is solved, for invalid arguments, and whatever the first solve raises.
     """
+    check_progress("calibrate", progress)
     names = _checked(problem, names, target, samples, seed, precision, max_trials)
     sampler = _Sampler(names, float(target), samples, seed)
     given = {name: max(one.expression.sigmas or 0.0 for one in problem.named(name)) for name in names}
@@ -137,7 +139,8 @@ class _Run:
         """Whether fresh systems confirm a design; more are drawn while that is likely to confirm it."""
         self.chosen, self.fresh, self.evidence = trial, None, None
         for times in _FRESH:
-            self.fresh, self.evidence = self._sampler.fresh(trial.solution, times)
+            with warned_of(f"calibrate, at sigmas = {trial.sigmas:.4g}"):
+                self.fresh, self.evidence = self._sampler.fresh(trial.solution, times)
             self.heed()
             if self.fresh.upper <= self._sampler.target:
                 return True

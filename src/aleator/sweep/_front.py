@@ -10,7 +10,8 @@ from jaxtyping import Float
 from aleator._core.errors import ProblemError
 from aleator._core.given import a_name, one_of, real_array
 from aleator._core.heard import heeding
-from aleator._core.progress import Progress, silent
+from aleator._core.progress import Progress, check_progress, silent
+from aleator._core.warned import warned_of
 from aleator.design import Problem, current, refuse_changed
 from aleator.nlp import AbstractSolver, Status
 from aleator.solution import Solution
@@ -132,6 +133,7 @@ def pareto(
     """
     one_of("pareto: problem", problem, Problem)
     a_name("pareto: bound", bound)
+    check_progress("pareto", progress)
     bounds = list(dict.fromkeys(np.ravel(real_array("pareto: values", values)).tolist()))
     if not bounds:
         raise ProblemError("pareto: expected at least one value of the bound; received none.")
@@ -147,7 +149,8 @@ def pareto(
                 progress(f"front over {bound}", done, len(bounds))
                 refuse_changed("pareto", one, "when the front was begun")
                 try:
-                    solutions[value] = _point(one, _nearest(solutions, value), solver)
+                    with warned_of(f"pareto, at {bound} = {value:g}"):
+                        solutions[value] = _point(one, _nearest(solutions, value), solver)
                 except ProblemError as error:
                     first = first or error
                     refused[value] = Refused(one, str(error))

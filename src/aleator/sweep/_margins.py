@@ -7,6 +7,7 @@ import numpy as np
 from scipy import special
 
 from aleator._core.errors import AleatorError, SolveError
+from aleator._core.warned import warned_of
 from aleator.design import Problem, current, refuse_changed
 from aleator.nlp import AbstractSolver
 from aleator.solution import Solution
@@ -84,8 +85,9 @@ class MarginSearch:
         refuse_changed("calibrate", self._problem, "at the first trial")
         sigmas = self._next
         try:
-            solution = self._solved(sigmas)
-            self.trials.append(Trial(sigmas, solution, self._measure(solution)))
+            with warned_of(f"calibrate, at sigmas = {sigmas:.4g}"):
+                solution = self._solved(sigmas)
+                self.trials.append(Trial(sigmas, solution, self._measure(solution)))
         except AleatorError as error:
             if not self.trials:
                 raise

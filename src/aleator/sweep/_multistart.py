@@ -10,7 +10,8 @@ from jaxtyping import Float
 from aleator._core.errors import ProblemError
 from aleator._core.given import one_of, positive, whole
 from aleator._core.heard import heeding
-from aleator._core.progress import Progress, silent
+from aleator._core.progress import Progress, check_progress, silent
+from aleator._core.warned import warned_of
 from aleator.design import Problem, current, refuse_changed
 from aleator.nlp import AbstractSolver
 from aleator.solution import Solution
@@ -92,6 +93,7 @@ def multistart(
     are not finite or of the wrong shape.
     """
     one_of("multistart: problem", problem, Problem)
+    check_progress("multistart", progress)
     spread, seed = positive("multistart: spread", spread), whole("multistart: seed", seed, least=0)
     if isinstance(starts, bool | Mapping | str) or not isinstance(starts, int | np.integer | Sequence):
         raise ProblemError(
@@ -113,7 +115,8 @@ def multistart(
             for done, start in enumerate(given):
                 progress("starts", done, len(given))
                 refuse_changed("multistart", problem, "at the first start")
-                solutions.append(solve(problem, solver, start=start, throw=False))
+                with warned_of(f"multistart, from start {done + 1}"):
+                    solutions.append(solve(problem, solver, start=start, throw=False))
                 heed()
         interrupted = False
         progress("starts", len(given), len(given))

@@ -9,7 +9,7 @@ from scipy import special
 
 from aleator._core.errors import ProblemError
 from aleator._core.given import refusal
-from aleator._core.progress import Progress, silent
+from aleator._core.progress import Progress, check_progress, silent
 from aleator.ensemble import Part, at_levels, each, fill, parts
 from aleator.solution import Solution
 from aleator.validation._counted import is_counted, tolerances
@@ -54,6 +54,7 @@ def rare_violation(
             raise ProblemError(
                 f"rare_violation: expected {name} as a whole number of at least {least}; received {number!r}."
             )
+    check_progress("rare_violation", progress)
     limits = _Limits(solution, names, min(batch, samples))
     generator = np.random.default_rng(seed)
 

@@ -9,7 +9,7 @@ from aleator._core.beside import working
 from aleator._core.errors import ExpansionWarning, ProblemError
 from aleator._core.given import whole
 from aleator._core.memory import NUMBER, refuse_beyond_memory
-from aleator._core.progress import Progress, silent
+from aleator._core.progress import Progress, check_progress, silent
 from aleator.design import functionals_of, refuse_large_histories, uncertain
 from aleator.ensemble import Part, draw, each, fill
 from aleator.solution import Solution
@@ -50,6 +50,7 @@ def validate(
         raise ProblemError(f"validate: expected a Solution, from al.solve; received {type(solution).__name__}.")
     least = {"samples": (samples, 2), "batch": (batch, 1), "seed": (seed, 0), "keep": (keep, 0)}
     samples, batch, seed, keep = (whole(f"validate: {name}", one, least=n) for name, (one, n) in least.items())
+    check_progress("validate", progress)
     started = time.perf_counter()
     if not uncertain(solution.problem).placements.germs:
         return _told(alone(solution, started))
