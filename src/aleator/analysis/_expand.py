@@ -62,13 +62,14 @@ def expand(
     - `model`: a dict of distributions or any other pytree with distributions in it, such as a `System`. Decisions are
       held at their initial values;
     - `expansion`: order, index set, points and fit, default `Expansion()`; or `MultiElement()` for responses with jumps
-      and kinks and for long times, which gives an `ElementExpanded`;
+      and kinks and for long times;
     - `times`: instants of the outputs' leading axis, so that a warning can say from when on the order is too low;
     - `traced`: False calls the function with plain numbers, point by point, if JAX cannot trace it.
 
-    Differentiable by JAX with respect to all numbers of the model, as far as the function is continuous: derivatives at
-    fixed points miss jumps that move between them. The derivative by the shape parameter of a distribution has a weak
-    singularity at the ends of its support, which `al.points.GaussPoints` integrates best.
+    Returns an `Expanded`, or with `MultiElement()` an `ElementExpanded`: statistics, densities, errors. Differentiable
+    by JAX with respect to all numbers of the model, as far as the function is continuous: derivatives at fixed points
+    miss jumps that move between them. The derivative by the shape parameter of a distribution has a weak singularity at
+    the ends of its support, which `al.points.GaussPoints` integrates best.
 
     Raises `ProblemError` if nothing is uncertain or the function cannot be traced, `SimulationError` if an output is
     not finite. Warns with `ExpansionWarning` if an output is not resolved, or if the condition number of the

@@ -117,6 +117,8 @@ def tolerance_analysis(
       others;
     - `expansion`: default order 3.
 
+    Returns a `ToleranceAnalysis`, which prints as a table.
+
     Raises `ProblemError` for limits in the wrong order, an unknown output, a tolerance of an unknown dimension.
     """
     limits = [real_array(f"tolerance_analysis: {name}", one) for name, one in (("lower", lower), ("upper", upper))]

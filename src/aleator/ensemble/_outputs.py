@@ -31,12 +31,12 @@ def name_of(function: Callable[..., Any]) -> str:
 
 
 def outputs_of(function: Function, realised: Pytree, library: Any, point: Callable[[], str] | None = None) -> Pytree:
-    """What a user's function gives of a realised model, as arrays of `library` (NumPy or its like in JAX).
+    """The outputs of a user's function for a realised model, as arrays of `library` (`numpy` or `jax.numpy`).
 
-    - `point`: which realisation it is, in words, where one at a time is asked for.
+    - `point`: describes the realisation, if they are evaluated one at a time.
 
-    Raises `ProblemError` for an output that is no real array or has no numbers, for an input that there is not, and for
-    whatever else the function raises (`SimulationError` where the point is known); errors of JAX's tracing pass.
+    Raises `ProblemError` for an output that is no real array or is empty, for an unknown input, and for any other
+    exception of the function (`SimulationError` if the point is known); errors of JAX's tracing pass unchanged.
     """
     name = name_of(function)
     try:

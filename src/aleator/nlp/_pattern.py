@@ -1,4 +1,4 @@
-"""Where a Jacobian may be other than zero: solvers work less on rows that depend on few variables."""
+"""Sparsity patterns of Jacobians: solvers work less on rows that depend on few variables."""
 
 from typing import TypeAlias, final
 

@@ -64,8 +64,8 @@ class NonlinearProgram:
     - `evaluate`: returns the `Evaluation` at `x` of shape (n,). Non-finite numbers in it mean "cannot be evaluated
       here", and solvers step back; an exception ends the solve and reaches its caller;
     - `start`: initial variables, shape (n,);
-    - `lower`, `upper`: bounds of the variables, shape (n,), infinite where there is none, equal to fix a variable;
-    - `constraint_lower`, `constraint_upper`: bounds of the constraints, shape (m,), infinite where there is none,
+    - `lower`, `upper`: bounds of the variables, shape (n,), infinite if there is none, equal to fix a variable;
+    - `constraint_lower`, `constraint_upper`: bounds of the constraints, shape (m,), infinite if there is none,
       equal for an equality;
     - `constraint_scale`: typical magnitudes by which solvers divide the constraints at first, shape (m,), positive;
     - `variable_scale`: typical magnitudes of the variables, shape (n,), positive;

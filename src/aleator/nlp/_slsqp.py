@@ -1,4 +1,4 @@
-"""SciPy's SLSQP as a second opinion, with an exchange of rows where there are thousands."""
+"""SciPy's SLSQP as a second opinion, with an exchange method for thousands of rows."""
 
 import warnings
 from collections.abc import Callable

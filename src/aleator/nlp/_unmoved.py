@@ -103,7 +103,7 @@ def _lagrangian(outcome: Outcome, evaluation: Evaluation) -> tuple[float, float]
 
 
 def _better(before: Outcome, after: Outcome) -> Outcome:
-    """The later outcome if it is solved and lower, with what both have cost."""
+    """The later outcome if it is solved and lower, with the effort of both."""
     gain = before.evaluation.objective - after.evaluation.objective
     lower = after.status is Status.SOLVED and gain > _LOWER * abs(before.evaluation.objective)
     interrupted = after.status is Status.INTERRUPTED

@@ -91,7 +91,7 @@ class Linearised(eqx.Module):
         return jax.tree.map(lambda slopes: shares(self.covariance, slopes), self.jacobian)
 
     def _by_name(self, parts: Pytree) -> dict[str, Pytree]:
-        """What is known of all inputs, along a first axis, by their names."""
+        """Values of all inputs along a first axis, split by name."""
 
         def of(i: int) -> Pytree:
             return jax.tree.map(lambda leaf: jax_array(in_library(leaf)[1][i]), parts)
@@ -113,10 +113,10 @@ def linearise(function: Function, model: Pytree) -> Linearised:
       arrays, written with jax.numpy;
     - `model`: a dict or any other pytree with distributions in it. Decisions are held at their initial values.
 
-    Means and standard deviations are those of the distributions, whatever their form; correlations are those of
-    `al.correlated`. The method is exact for linear functions. Source: dissertation, section 7.2; Chase, Gao and
-    Magleby, General 2-D tolerance analysis of mechanical assemblies with small kinematic adjustments, Journal of Design
-    and Manufacturing 5 (1995).
+    Returns `Linearised`: means, exact sensitivities, spreads and contributions. Means and standard deviations are those
+    of the distributions, whatever their form; correlations are those of `al.correlated`. The method is exact for linear
+    functions. Source: dissertation, section 7.2; Chase, Gao and Magleby, General 2-D tolerance analysis of mechanical
+    assemblies with small kinematic adjustments, Journal of Design and Manufacturing 5 (1995).
 
     Raises `ProblemError` if nothing is uncertain or JAX cannot differentiate the function, and `SimulationError` if its
     value or derivative at the means is not finite.

@@ -34,8 +34,9 @@ def monte_carlo(
     - `traced`: False calls the function with plain numbers, point by point, if JAX cannot trace it;
     - `batch`: how many inputs to evaluate at a time; lower it to save memory. The sample does not depend on it.
 
-    The whole sample is kept, at most 2 GiB. Standard errors fall as `samples^(-1/2)`. Raises `ProblemError` if nothing
-    is uncertain or the sample is too large, `SimulationError` if an output is not finite, naming the inputs there.
+    Returns a `RandomSample`, whose statistics are estimates with standard errors. The whole sample is kept, at most 2
+    GiB. Standard errors fall as `samples^(-1/2)`. Raises `ProblemError` if nothing is uncertain or the sample is too
+    large, `SimulationError` if an output is not finite, naming the inputs there.
     """
     check_whole("monte_carlo", samples=samples, seed=seed, batch=batch)
     check_progress("monte_carlo", progress)
@@ -61,10 +62,11 @@ def quasi_monte_carlo(
 ) -> RandomSample:
     """Evaluate a function at scrambled Sobol points.
 
-    `samples` inputs in all are divided among `replicates` nets that are scrambled independently, so that the spread of
-    the nets gives a valid standard error. Both are powers of two. For smooth functions standard errors fall nearly as
-    `samples^(-3/2)`, and never much slower than those of plain Monte Carlo. The other arguments, and the errors, are
-    those of `monte_carlo`. Source: Owen (1997), Scrambled net variance for integrals of smooth functions.
+    Returns a `RandomSample` of `samples` inputs in all, divided among `replicates` nets that are scrambled
+    independently, so that the spread of the nets gives a valid standard error. Both are powers of two. For smooth
+    functions standard errors fall nearly as `samples^(-3/2)`, and never much slower than those of plain Monte Carlo.
+    The other arguments, and the errors, are those of `monte_carlo`. Source: Owen (1997), Scrambled net variance for
+    integrals of smooth functions.
     """
     check_whole("quasi_monte_carlo", samples=samples, replicates=replicates, seed=seed, batch=batch)
     check_progress("quasi_monte_carlo", progress)

@@ -92,8 +92,9 @@ class GridError:
 
     @property
     def steps_needed(self) -> int:
-        """The steps of the next grid: as many as meet the tolerance by the orders of convergence, but at most eight
-        times the present number. `solve(refine=True)` takes as many.
+        """The number of steps of the next grid, which `solve(refine=True)` takes.
+
+        It meets the tolerance by the orders of convergence, but is at most eight times the present number.
         """
         if self.is_met:
             return self.steps

@@ -133,7 +133,7 @@ class Solution:
     def _at_bound(self, name: str) -> str:
         idle = [entry for entry in self.idle if entry.split("[")[0] == name]
         if idle:
-            return f" (at its start: nothing asked here was seen to depend on {', '.join(idle)})"
+            return f" (at its start: nothing in the problem was found to depend on {', '.join(idle)})"
         return " (at its bound)" if self.is_at_bound(name) else ""
 
 

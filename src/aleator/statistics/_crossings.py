@@ -20,7 +20,7 @@ _AT_THE_EDGE, _ROUNDING = 1e-6, 1e-14
 def extrema(powers: Float[Array, "orders *lines"]) -> Float[Array, "edges *lines"]:
     """The edges between which each polynomial is monotone: -1, its extrema, 1.
 
-    Polynomials are given by their coefficients of `x^0, x^1, ...`. Where one has fewer extrema, edges coincide.
+    Polynomials are given by their coefficients of `x^0, x^1, ...`. If one has fewer extrema, edges coincide.
     """
     degree = len(powers) - 1
     end = jnp.ones((1, *powers.shape[1:]))

@@ -91,7 +91,7 @@ def _bernstein(germ: AbstractGerm, degree: int) -> Float[np.ndarray, "n n"]:
 
 
 def _halves(degree: int) -> Float[np.ndarray, "2 n n"]:
-    """De Casteljau's algorithm at the middle, as matrices: exact, for all entries are binary fractions."""
+    """De Casteljau's algorithm at the middle, as matrices: exact, because all entries are binary fractions."""
     lower = np.array([[math.comb(j, k) / 2.0**j for k in range(degree + 1)] for j in range(degree + 1)])
     return np.stack([lower, lower[::-1, ::-1]])
 

@@ -51,7 +51,7 @@ class AbstractMeasured(abc.ABC, Generic[_Result]):
 
     @property
     def supremum(self) -> _Result:
-        """The largest value: of an expansion, for bounded distributions (equation 88); the model's may be larger.
+        """The largest value; for an expansion an upper bound (equation 88), which the model may exceed.
 
         Raises `ProblemError` for an expansion in unbounded distributions.
         """
@@ -59,7 +59,7 @@ class AbstractMeasured(abc.ABC, Generic[_Result]):
 
     @property
     def infimum(self) -> _Result:
-        """The smallest value: of an expansion, for bounded distributions (equation 88); the model's may be smaller.
+        """The smallest value; for an expansion a lower bound (equation 88), below which the model may fall.
 
         Raises `ProblemError` for an expansion in unbounded distributions.
         """
@@ -78,7 +78,7 @@ class AbstractMeasured(abc.ABC, Generic[_Result]):
         return self.statistic(Probability(above=above, below=below))
 
     def conditional_value_at_risk(self, level: Scalar, *, lower: bool = False) -> _Result:
-        """The mean of what lies above the quantile at `level`, or with `lower` below it."""
+        """The mean of the values above the quantile at `level`, or with `lower=True` of those below it."""
         return self.statistic(ConditionalValueAtRisk(level, lower=lower))
 
     def sobol(self, *variables: str) -> _Result:

@@ -187,7 +187,7 @@ def pdf(
 ) -> Float[Array, "n *shape"]:
     """The probability density at some values, per unit of the output, for each entry. Constants: `lines_through`.
 
-    Where an output has an extremum along a line its density there is infinite, which shows as noise near the extremes.
+    At an extremum of an output along a line its density is infinite, which shows as noise near the extremes.
     """
     return _at_each(
         lambda distribution, value: distribution.density(value - distribution.mean), values, coefficients, constants
