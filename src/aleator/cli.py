@@ -1,7 +1,7 @@
 """The command line: `aleator list` and `aleator run STUDY`.
 
-Exit codes: 0 done, 1 a solve, a simulation or writing failed, 2 wrong usage, 130 interrupted, 143 terminated. Finished
-results are written in every case.
+Exit codes: 0 success, 1 a solve, a simulation or writing failed, 2 wrong usage, 130 interrupted, 143 terminated.
+Finished results are written in every case.
 """
 
 import time
@@ -50,16 +50,16 @@ def run(
 
 
 def run_study(study: AbstractStudy, folder: str | Path) -> int:
-    """Run a study of one's own as `aleator run` runs ours; returns the exit code.
+    """Run your own study as `aleator run` runs the built-in ones; returns the exit code.
 
-    Stages are run in order, with progress; whatever is finished is saved into `folder` after each of them, also on
-    Ctrl-C; then the page is written and the tables are printed.
+    Stages run in order, with progress bars. Finished results are saved into `folder` after each stage, and on Ctrl-C;
+    then the page is written and the tables are printed.
     """
     return _executed(lambda: study, Path(folder))
 
 
 def _executed(loaded: Callable[[], AbstractStudy], out: Path) -> int:
-    """Load a study and run it, with no other run writing into its folder; returns the exit code."""
+    """Load a study and run it while no other run writes into its folder; returns the exit code."""
     course = _Run()
     with ExitStack() as held:
         held.enter_context(course.interruptions)
@@ -82,7 +82,7 @@ def _executed(loaded: Callable[[], AbstractStudy], out: Path) -> int:
 
 @final
 class _Run:
-    """One run of a study: what it has finished, which is on the disk, and what there is to say of it."""
+    """One run of a study: its finished stages, which are on disk, and its messages."""
 
     def __init__(self) -> None:
         self._console, self._errors = _console(), _console(stderr=True)
@@ -96,7 +96,7 @@ class _Run:
     def execute(self, job: AbstractStudy, folder: Path) -> int:
         """Run all stages, saving after each, write the page, and print the tables; returns the exit code.
 
-        Warnings of ours are sentences for whoever runs a study: without the place in the code that they come from.
+        Our warnings are shown to the user as sentences, without their place in the code.
         """
         with warnings.catch_warnings():
             elsewhere = warnings.showwarning
@@ -132,13 +132,13 @@ class _Run:
         return self.interruptions.received is not None or code == self.interruptions.exit_code
 
     def _attempt(self, job: AbstractStudy, where: str, part: Callable[[], None]) -> int:
-        """Do a part of the run; returns the exit code. The study keeps what fails, for its page."""
+        """Do a part of the run; returns the exit code. The study records failures for its page."""
         try:
             part()
         except KeyboardInterrupt:
             return self.interruptions.exit_code
         except Exception as error:
-            # On its way through libraries, an interrupt may have become another exception.
+            # Libraries may have turned an interrupt into another exception.
             if self.interruptions.received is not None:
                 job.failed_parts = ()
                 return self.interruptions.exit_code
@@ -150,7 +150,7 @@ class _Run:
         return 0
 
     def _tell(self, error: Exception) -> None:
-        """Say what went wrong, once. A mistake in a study's own code is raised when all is written, for its place."""
+        """Report an error, once. One in a study's own code is raised again after writing, for its traceback."""
         said = f"{error}"
         if not isinstance(error, AleatorError | MemoryError | OSError):
             self._mistake = self._mistake or error
@@ -163,11 +163,11 @@ class _Run:
         return f" during '{self._stage}'" if self._stage else ""
 
     def complain(self, what: str, error: Exception | str) -> None:
-        """Say what went wrong."""
+        """Print an error."""
         self._errors.print(Text.assemble((what, "bold red"), f": {error}"))
 
     def _last_words(self) -> str:
-        """What a run that was interrupted has kept."""
+        """What an interrupted run has saved."""
         if not self._paths:
             return f"Interrupted{self._during()}: no stage was finished; nothing was written."
         kept = words([f"'{name}'" for name in self._finished], "what was found")
@@ -200,12 +200,12 @@ class _Run:
         self._tables = tables_of(job)
 
     def _save_rest(self, job: AbstractStudy) -> None:
-        """Save what a stage has found that did not come to its end."""
+        """Save the results of a stage that was not completed."""
         if len(self._finished) < len(job.stages):
             self._save(job, self._finished)
 
     def _write_page(self, job: AbstractStudy) -> None:
-        """Write the page, never beside results of an earlier run; one of what is left where the study's own fails."""
+        """Write the page, never beside results of an earlier run; a reduced one where the study's own fails."""
         if not self._paths:
             self._paths = list(save_study(self._folder, {}))
         try:
@@ -237,12 +237,12 @@ def _run_stage(job: AbstractStudy, stage: str, bars: Progress) -> None:
 
 
 def _console(*, stderr: bool = False) -> Console:
-    """A console that prints text as it is: nothing in it is markup."""
+    """A console that prints text literally, without markup."""
     return Console(stderr=stderr, markup=False, emoji=False, highlight=False)
 
 
 def _rich(table: Table) -> RichTable:
-    """A report's table for the terminal."""
+    """A table of a report for the terminal."""
     shown = RichTable(*table.header, title=table.caption, caption=table.note, caption_justify="left")
     for row in table.rows:
         shown.add_row(*map(str, row))
@@ -250,5 +250,5 @@ def _rich(table: Table) -> RichTable:
 
 
 def main() -> None:
-    """Entry point of the command, once the package is imported."""
+    """Entry point of the command, after the package is imported."""
     application()

@@ -1,4 +1,4 @@
-"""What your own distributions, statistics, functionals, solvers, transcriptions and studies derive from.
+"""Base classes for your own distributions, statistics, functionals, solvers, transcriptions and studies.
 
 See `docs/extending.md`.
 

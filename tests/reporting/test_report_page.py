@@ -66,7 +66,7 @@ def test_names_are_escaped_everywhere(page):
 def test_the_page_carries_the_problem_the_certificate_and_how_to_read_it(page):
     text = Reader(page).text
     assert str(given.solution().problem) in text
-    for words in ("Stationarity", "Leave-one-out error", "How to read this", "Monte Carlo beside the expansion"):
+    for words in ("Stationarity", "Leave-one-out error", "How to read this", "Monte Carlo and the expansion compared"):
         assert words in text
 
 

@@ -1,4 +1,4 @@
-"""The report: figures, one HTML page, and files of results, from result objects only."""
+"""Reports: figures, a self-contained HTML page, and files of results, made from result objects only."""
 
 from aleator.reporting._blocks import Block as Block
 from aleator.reporting._blocks import Card as Card

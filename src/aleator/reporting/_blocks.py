@@ -1,4 +1,4 @@
-"""What a page is made of: a verdict, and sections of text, tables and figures. Each is checked where it is made."""
+"""The parts of a page: a verdict, and sections of text, tables and figures. Each is checked when it is created."""
 
 import re
 from collections.abc import Sequence
@@ -16,7 +16,7 @@ Level = Literal["good", "caution", "bad"]
 @final
 @dataclass(frozen=True)
 class Card:
-    """A key number: what it is, the number, and what to make of it."""
+    """A key number: its name, its value, and a note on its meaning."""
 
     label: str
     value: str
@@ -62,7 +62,7 @@ class Text:
 @final
 @dataclass(frozen=True)
 class Code:
-    """Text in fixed width, such as a problem printed as mathematics, folded away unless `opened`."""
+    """Text in a fixed-width font, such as a problem printed as mathematics, collapsed unless `opened`."""
 
     heading: str
     text: str
@@ -96,7 +96,7 @@ class Table:
 @final
 @dataclass(frozen=True)
 class Drawing:
-    """One figure, or several in a row that shares a caption: its number, what it shows and what to see in it."""
+    """One figure, or several in a row with a common heading and a caption that says what to see in it."""
 
     figures: "Sequence[Figure]"
     heading: str
@@ -114,7 +114,7 @@ class Drawing:
 @final
 @dataclass(frozen=True)
 class Schematic:
-    """Drawings of a system as SVG made by `sketch`, and beside them its mathematics."""
+    """Drawings of a system as SVG made by `sketch`, with its mathematics beside them."""
 
     drawings: Sequence[str]
     heading: str
@@ -129,7 +129,7 @@ class Schematic:
         members(f"Schematic '{self.heading}': beside", self.beside, Code)
 
     def __html__(self) -> str:
-        """The drawings as markup, for the template: `sketch` escapes what it is given."""
+        """The drawings as markup for the template; `sketch` has escaped all text in them."""
         return "".join(f'<div class="sketch">{one}</div>' for one in self.drawings)
 
 
@@ -139,7 +139,7 @@ Block = Text | Code | Table | Drawing | Schematic
 @final
 @dataclass(frozen=True)
 class Section:
-    """A heading and what stands under it."""
+    """A heading and the blocks under it."""
 
     heading: str
     blocks: Sequence[Block]
@@ -150,11 +150,11 @@ class Section:
 
     @property
     def anchor(self) -> str:
-        """The heading as a place to link to."""
+        """The heading as a link target."""
         return re.sub(r"[^a-z0-9]+", "-", self.heading.lower()).strip("-") or "section"
 
 
 def _texts(block: Any, *fields: str) -> None:
-    """Refuse fields of a block that are no text."""
+    """Refuse fields of a block that are not text."""
     for field in fields:
         one_of(f"{type(block).__name__}: {field}", getattr(block, field), str)

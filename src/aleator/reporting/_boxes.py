@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 @final
 @dataclass(frozen=True)
 class Axis:
-    """One requirement: its name and unit, and its limits by the text that names them."""
+    """One requirement: its name and unit, and its limits by their labels."""
 
     name: str
     unit: str = ""
@@ -26,7 +26,7 @@ class Axis:
 class Box:
     """A design among requirements: the centre and the half-widths of its box, by the requirement's key.
 
-    `design` gives it its look and its place in the legend; `dash` its line.
+    `design` determines its look and its legend entry; `dash` its line style.
     """
 
     design: str
@@ -43,7 +43,7 @@ def projection_figure(
     figure = blank(label(axes[across].name, axes[across].unit), label(axes[up].name, axes[up].unit), height=height)
     seen: set[str] = set()
     styles = looks(dict.fromkeys(box.design for box in boxes))
-    # All boxes first, so that none veils a point.
+    # All boxes first, so that none covers a point.
     for box in boxes:
         _add_box(figure, box, (across, up), styles[box.design])
     for box in boxes:
@@ -88,7 +88,7 @@ def _add_box(figure: "Figure", box: Box, keys: tuple[str, str], look: Look) -> N
 
 
 def _reach(boxes: Sequence[Box], key: str, axes: Mapping[str, Axis]) -> list[float]:
-    """A range that shows every box and limit whole."""
+    """A range that shows every box and limit completely."""
     ends = [box.centre[key] + side * box.half[key] for box in boxes for side in (-1, 1)]
     return padded([*ends, *axes[key].limits.values()])
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     import xarray
 
 Variable = tuple[Any, Any, dict[str, str], dict[str, Any]]
-# Time histories shrink to about half; stronger compression takes longer and saves little more.
+# This halves time histories; stronger compression takes longer and saves little more.
 _PACKED = {"zlib": True, "complevel": 1, "shuffle": True}
 
 
@@ -66,7 +66,7 @@ def solution_dataset(solution: Solution) -> "xarray.Dataset":
 
 
 def evidence_dataset(evidence: Evidence) -> "xarray.Dataset":
-    """Violations with their intervals, sampled statistics, percentiles and the trajectories that were kept."""
+    """Violations with their intervals, sampled statistics, percentiles and the kept trajectories."""
     import xarray
 
     problem = evidence.solution.problem
@@ -132,7 +132,7 @@ def front_dataset(front: Front) -> "xarray.Dataset":
 
 
 def calibration_dataset(calibration: Calibration) -> "xarray.Dataset":
-    """Objective and violation for each margin tried; what was chosen, and its violation on fresh samples."""
+    """Objective and violation for each margin tried; the chosen one, and its violation on fresh samples."""
     import xarray
 
     trials = sorted(calibration.trials, key=lambda one: one.sigmas)
@@ -156,7 +156,7 @@ def calibration_dataset(calibration: Calibration) -> "xarray.Dataset":
 
 
 def dataset(result: "Solution | Evidence | Front | Calibration | xarray.Dataset") -> "xarray.Dataset":
-    """Any result as a dataset; one that is a dataset already stays as it is."""
+    """Any result as a dataset; a dataset is returned unchanged."""
     if isinstance(result, Solution):
         return solution_dataset(result)
     if isinstance(result, Evidence):
@@ -165,7 +165,7 @@ def dataset(result: "Solution | Evidence | Front | Calibration | xarray.Dataset"
         return front_dataset(result)
     if isinstance(result, Calibration):
         return calibration_dataset(result)
-    # A study may keep one array of its own: xarray takes it for a dataset of that array.
+    # A study may keep a single array of its own, which becomes a dataset of that array.
     return result
 
 
@@ -186,7 +186,7 @@ def _objective_unit(solution: Solution) -> str:
 
 
 def _key(text: str) -> str:
-    """A name that netCDF takes: a slash would open a group."""
+    """A name valid in netCDF, where a slash would open a group."""
     return text.replace("/", "∕")
 
 
@@ -195,7 +195,7 @@ def _entries(name: str, value: Any) -> tuple[str, ...]:
 
 
 def _axes(values: Any, is_path: bool) -> tuple[str, ...]:
-    """`time` first for a path; further axes are named by their length, so that equal ones are shared."""
+    """`time` first for a path; further axes are named after their length, so that equal ones are shared."""
     shape = np.shape(values)
     rest = tuple(f"component of {size}, {i}" for i, size in enumerate(shape[1:] if is_path else shape))
     return ("time", *rest) if is_path else rest
@@ -218,7 +218,7 @@ def _with_time(data: "xarray.Dataset", solution: Solution) -> "xarray.Dataset":
 
 
 def tree(results: Mapping[str, Any]) -> "xarray.DataTree":
-    """Nested mappings of results as a tree of datasets; empty branches are left out."""
+    """Nested mappings of results as a tree of datasets, without empty branches."""
     import xarray
 
     nodes: dict[str, xarray.Dataset] = {}

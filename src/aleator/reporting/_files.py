@@ -1,4 +1,4 @@
-"""Files that are either whole or not there, and files that belong together: written beside their place, then moved."""
+"""Atomic writing of files, alone or several that belong together: written beside their place, then moved."""
 
 import contextlib
 import os
@@ -11,16 +11,16 @@ from typing import Any
 from aleator._core.errors import ProblemError
 from aleator.reporting._lock import only_writer
 
-# Names of what is on its way into a folder, or out of it. What a process that was killed has left is removed by the
-# next one that writes there.
+# Names of temporary files on their way into a folder, or out of it. The remains of a killed process are removed by
+# the next one that writes there.
 _STAGED = ".aleator-staged-"
 
-# As much of a path as a message shows.
+# The longest path shown in a message.
 _SHOWN = 200
 
 
 def check_writable(folder: str | Path) -> Path:
-    """Create a folder if it is missing and try to write in it, before work begins whose results belong there.
+    """Create a folder if it is missing and test that it can be written to, before the work whose results go there.
 
     Raises `ProblemError`, naming the folder, if nothing can be written.
     """
@@ -37,9 +37,9 @@ def check_writable(folder: str | Path) -> Path:
 
 
 def write_whole(path: str | Path, write: Callable[[Path], object]) -> Path:
-    """Let `write` fill a temporary file in the folder of `path`, then move it to `path` in one step.
+    """Let `write` fill a temporary file in the folder of `path`, then move it to `path` atomically.
 
-    A process killed in between leaves what was at `path` before. Raises `ProblemError` if the file cannot be written.
+    If the process is killed in between, the earlier file stays. Raises `ProblemError` if the file cannot be written.
     """
     path = as_path(path)
     folder = check_writable(path.parent)
@@ -60,17 +60,17 @@ def write_whole(path: str | Path, write: Callable[[Path], object]) -> Path:
 
 
 def write_text(path: str | Path, text: str) -> Path:
-    """Write a text file whole, in UTF-8."""
+    """Write a text file atomically, in UTF-8."""
     return write_whole(path, lambda file: file.write_bytes(text.encode("utf-8")))
 
 
 def write_together(folder: str | Path, files: Mapping[str, bytes | None]) -> tuple[Path, ...]:
-    """Replace files of a folder that belong together by new ones, by name; None takes one away. Returns the new paths.
+    """Replace files of a folder that belong together by new ones, by name; None removes one. Returns the new paths.
 
-    Never do files of two calls stand side by side, whatever ends the process in between and whoever else writes: all
-    are written before the first is moved, the old ones but for the first go before it is replaced, and the new ones
-    come after it. A process killed between these moves leaves the first file, whole, without the others. Where
-    something cannot be written, all stays as it was.
+    The folder never holds files of two calls, whatever ends the process and whoever else writes: all files are written
+    before the first is moved, the old ones except the first are removed before it is replaced, and the new ones follow
+    it. A process killed between these moves leaves the first file, complete, without the others. If anything cannot be
+    written, nothing changes.
 
     Raises `ProblemError` if the folder cannot be written to, or if another process keeps writing into it.
     """
@@ -89,11 +89,11 @@ def write_together(folder: str | Path, files: Mapping[str, bytes | None]) -> tup
     return tuple(folder / name for name in staged)
 
 
-_ADVICE = "what was last written there is kept. Make room, or name another place."
+_ADVICE = "the files last written there are kept. Free some space, or name another place."
 
 
 def _exchange(folder: Path, names: list[str], staged: Mapping[str, Path]) -> None:
-    """Move the old files but for the first out of the way, then the new ones into their places, the first one first."""
+    """Move the old files except the first out of the way, then the new ones into their places, the first one first."""
     first, *others = names
     aside: dict[str, Path] = {}
     try:
@@ -131,13 +131,13 @@ def _place_beside(folder: Path) -> Path:
 
 
 def _finish(file: Path) -> None:
-    """Give a temporary file the rights of an ordinary one, and have all of it on the disk before it gets its name."""
+    """Give a temporary file ordinary permissions, and flush it to disk before it gets its final name."""
     file.chmod(0o666 & ~_umask())
     _flush(file, os.O_RDWR)
 
 
 def _sync(folder: Path) -> None:
-    """Have the names in a folder on the disk before anything that follows."""
+    """Flush a folder's names to disk before anything that follows."""
     if os.name != "posix":  # elsewhere a folder cannot be opened
         return
     _flush(folder, os.O_RDONLY)
@@ -152,7 +152,7 @@ def _flush(path: Path, how: int) -> None:
 
 
 def _clear(folder: Path) -> None:
-    """Remove what is on its way: nobody else's, for only one process writes at a time."""
+    """Remove temporary files. They are nobody else's, since only one process writes at a time."""
     for one in folder.glob(f"{_STAGED}*"):
         with contextlib.suppress(OSError):
             one.unlink()
@@ -164,7 +164,7 @@ def _refuse_folder(path: Path) -> None:
 
 
 def as_path(path: Any) -> Path:
-    """The path of a file or a folder. Raises `ProblemError` for what is none."""
+    """The path of a file or a folder. Raises `ProblemError` for anything else."""
     try:
         return Path(path)
     except TypeError:

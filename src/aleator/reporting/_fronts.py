@@ -42,8 +42,8 @@ def front_figure(
 ) -> "Figure":
     """The optimum (or another `measure` of each design) against the bound, one line for each front.
 
-    A marker is filled where the swept bound is active and open where something else holds the design. Points without
-    a solution stand as crosses on the axis; their hover text says what cannot be met. `limits` are drawn as lines;
+    A marker is filled where the swept bound is active and open where something else limits the design. Points without a
+    solution are crosses on the axis; their hover text says what cannot be met. `limits` are drawn as lines;
     `infeasible` shades the bounds at which another design does not exist.
     """
     figure = blank(label(x, x_unit), label(y, y_unit), title=title)
@@ -55,7 +55,7 @@ def front_figure(
         _add_solved(figure, name, front, look, shown, (x_unit, y_unit))
         _add_infeasible(figure, name, front, look, low - step * (row + 1), x_unit)
     rows = 1 + max((i + 1 for i, one in enumerate(fronts.values()) if not one.solved.all()), default=0)
-    # The name of the shaded band stands below the data, too.
+    # Leaves room below the data for the label of the shaded band.
     rows += 1 if infeasible else 0
     figure.update_yaxes(range=[low - step * rows, high + step])
     for text, value in (limits or {}).items():
@@ -74,7 +74,7 @@ def _range(fronts: Mapping[str, Front], measure: Measure, extra: tuple[float, ..
 def _add_solved(
     figure: "Figure", name: str, front: Front, look: Look, measure: Measure, units: tuple[str, str]
 ) -> None:
-    """The solved points as one line; it is broken where a point between them has no solution."""
+    """The solved points as one line, interrupted where a point between them has no solution."""
     values = [measure(one) if one else None for one in front.optima]
     legend_entry(figure, name, look)
     figure.add_scatter(
@@ -113,7 +113,7 @@ def _hover(front: Front, i: int) -> str:
 
 
 def _add_infeasible(figure: "Figure", name: str, front: Front, look: Look, height: float, unit: str) -> None:
-    """Points without a solution, on the axis: where, and by how little the limits are missed."""
+    """Points without a solution, on the axis, with the smallest violations."""
     missing = [i for i, one in enumerate(front.points) if not one.ok]
     if not missing:
         return
@@ -141,15 +141,15 @@ def _ends(front: Front) -> tuple[float, float]:
 
 
 def _why(solution: Solution | Refused) -> str:
-    """Status and the least violations, one a line, for hovering."""
+    """Status and smallest violations, one per line, as hover text."""
     if isinstance(solution, Refused):
         return f"{plain(solution.status.value)}<br>{plain(solution.reason)}"
     lines = [plain(solution.status.value), *(plain(one.sentence()) for one in solution.violated)]
-    return "<br>".join([*lines, f"least scaled violation {number(solution.certificate.violation, 3)}"])
+    return "<br>".join([*lines, f"smallest scaled violation {number(solution.certificate.violation, 3)}"])
 
 
 def _shade_infeasible(figure: "Figure", name: str, front: Front) -> None:
-    """A band over the bounds at which a design does not exist, out to the middle of the next interval."""
+    """A band over the bounds at which a design does not exist, up to the middle of the next interval."""
     missing = front.values[~front.solved]
     if not len(missing):
         return
@@ -174,7 +174,7 @@ def _shade_infeasible(figure: "Figure", name: str, front: Front) -> None:
 def shadow_price_figure(
     fronts: Mapping[str, Front], *, x: str, y: str, x_unit: str = "", y_unit: str = "", scale: float = 1.0
 ) -> "Figure":
-    """What a relaxed bound is worth: the multiplier along each front, times `scale`."""
+    """The value of relaxing a bound: the multiplier along each front, times `scale`."""
     figure = blank(label(x, x_unit), label(y, y_unit), height=360)
     for name, front in fronts.items():
         look = looks(fronts)[name]
@@ -205,7 +205,7 @@ def decision_path_figure(
     lower: float | None = None,
     lower_text: str = "",
 ) -> "Figure":
-    """Two decisions against each other along each front (figure 6.8); the end furthest right carries its bound."""
+    """Two decisions against each other along each front (figure 6.8); the rightmost end is labelled with its bound."""
     figure = blank(plain(x), plain(y))
     for name, front in fronts.items():
         look = looks(fronts)[name]
@@ -238,14 +238,14 @@ def decision_path_figure(
 
 
 def _last_label(places: list[float], texts: list[str]) -> list[str]:
-    """The text of the point furthest right alone: labels at both ends of several fronts would overlap."""
+    """The label of the rightmost point only: labels at both ends of several fronts would overlap."""
     return [text if place == max(places) else "" for place, text in zip(places, texts, strict=True)]
 
 
 def relative_figure(
     front: Front, names: Mapping[str, str], *, x: str, y: str, x_unit: str = "", reference: str = "initial value"
 ) -> "Figure":
-    """Decisions along a front in percent of where they started (figure 7.5); `names` are their labels."""
+    """Decisions along a front in percent of their initial values (figure 7.5); `names` are their labels."""
     figure = blank(label(x, x_unit), plain(y))
     starts = {name: front.solutions[0].problem.placements.decisions[name].decision.initial for name in names}
     styles: dict[str, dict[str, Any]] = {

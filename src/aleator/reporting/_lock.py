@@ -1,4 +1,4 @@
-"""One writer at a time in a folder of results, among processes and among threads."""
+"""One writer at a time in a folder of results, among processes and threads."""
 
 import contextlib
 import errno
@@ -13,19 +13,19 @@ from pathlib import Path
 from aleator._core.errors import ProblemError
 
 NAME = ".aleator-lock"
-"""The file in a folder that is locked while its results are written. It stays there, empty."""
+"""The file in a folder that is locked while results are written. It stays there, empty."""
 
-# Longer than a generation of results takes to be moved into place.
+# Longer than moving a set of results into place takes.
 _PATIENCE, _PAUSE = 2.0, 0.05
 
-# What the system says of a file that another process has locked, and where files cannot be locked at all.
+# Error numbers for a file locked by another process, and for file systems without locks.
 _TAKEN = {errno.EAGAIN, errno.EACCES, errno.EWOULDBLOCK, errno.EDEADLK}
 _IMPOSSIBLE = {errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP, errno.EINVAL}
 
 
 @dataclass
 class _Place:
-    """A folder that this process may be writing into: how often it is held, and the locked file."""
+    """A folder that this process may be writing into: its nesting depth, and the locked file."""
 
     turn: threading.RLock = field(default_factory=threading.RLock)
     depth: int = 0
@@ -40,8 +40,8 @@ _list = threading.Lock()
 def only_writer(folder: Path) -> Iterator[None]:
     """Keep others from writing results into a folder. May be nested; threads of this process take turns.
 
-    The operating system lets go of the folder when the process ends, however it ends. Raises `ProblemError` if another
-    process holds it for longer than a moment.
+    The operating system releases the lock however the process ends. Raises `ProblemError` if another process holds it
+    for more than a moment.
     """
     with _list:
         place = _places.setdefault(folder.resolve(), _Place())
@@ -58,7 +58,7 @@ def only_writer(folder: Path) -> Iterator[None]:
 
 
 def _locked(folder: Path) -> int:
-    """The lock's file, opened and locked. Where the file system knows no locks, only opened."""
+    """The lock's file, opened and locked; only opened where the file system has no locks."""
     try:
         handle = os.open(folder / NAME, os.O_RDWR | os.O_CREAT, 0o666)
     except OSError as error:

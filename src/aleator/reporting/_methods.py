@@ -1,4 +1,4 @@
-"""Figures of uncertainty analysis: errors over effort, distributions against limits, shares as bars."""
+"""Figures of uncertainty analysis: error against effort, densities against limits, shares as bars."""
 
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, NamedTuple
@@ -23,7 +23,7 @@ class Trial(NamedTuple):
 
 
 def effort_figure(methods: Mapping[str, Sequence[Trial]], *, error: str, unit: str = "", by: str = "calls") -> "Figure":
-    """The error of some methods over their effort, both axes logarithmic: `by` is `calls` or `seconds`."""
+    """The error of methods against their effort, on logarithmic axes: `by` is `calls` or `seconds`."""
     axis = {"calls": label("Model calls"), "seconds": label("Wall time", "s")}[by]
     figure = blank(axis, label(error, unit))
     for name, look in looks(methods).items():
@@ -54,9 +54,9 @@ def density_figure(
     logarithmic: bool = False,
     title: str = "",
 ) -> "Figure":
-    """Probability densities of one quantity against its limits; what lies beyond them is filled.
+    """Probability densities of one quantity against its limits; the area beyond them is filled.
 
-    `tails` says how much lies below and above the limits. Tails too thin to be seen show on a `logarithmic` axis.
+    `tails` are the probabilities below and above the limits. Tails too thin to be seen show on a `logarithmic` axis.
     """
     figure = blank(label(x, unit), label("Density", f"1/{unit}" if unit else ""), title=title, height=380)
     for name, look in looks(densities).items():
@@ -105,7 +105,7 @@ def density_figure(
 
 
 def bars_figure(groups: Mapping[str, Mapping[str, float]], *, y: str, unit: str = "") -> "Figure":
-    """Numbers side by side: one colour for each group, one place for each name."""
+    """Grouped bars: one colour for each group, one position for each name."""
     figure = blank("", label(y, unit), height=360)
     for name, look in looks(groups).items():
         shown = groups[name]

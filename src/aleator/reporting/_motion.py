@@ -1,4 +1,4 @@
-"""Figures of motion: a mechanism that moves with its whole family, paths in the plane, histories with their spread."""
+"""Figures of motion: an animated family of mechanisms, paths in the plane, histories with their spread."""
 
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -20,7 +20,7 @@ Systems = Float[np.ndarray, "systems instants"]
 
 
 class Scene(NamedTuple):
-    """What stands still in the plane: round obstacles as `(x, y, radius)`, m, and a wall to the left of `wall`."""
+    """The fixed objects in the plane: round obstacles as `(x, y, radius)`, m, and a wall to the left of `wall`."""
 
     discs: Sequence[tuple[float, float, float]] = ()
     wall: float | None = None
@@ -39,7 +39,7 @@ def bands_figure(
     """Histories of a family of systems: their mean, the band of one standard deviation about it, and their range.
 
     - `families`: each quantity on its systems, shape (systems, instants);
-    - `limits`: drawn as lines; `targets`: where a quantity is to end, drawn as a ring.
+    - `limits`: drawn as lines; `targets`: the final value wanted of a quantity, drawn as a ring.
     """
     figure = blank(label("Time", "s"), label(y, unit), title=title, height=380)
     styles = looks(families)
@@ -105,9 +105,9 @@ def plane_figure(
     title: str = "",
     drawn: int = 4 * DRAWN,
 ) -> "Figure":
-    """Where a point of each system goes in the plane (m), and where that of the nominal one goes.
+    """The paths of a point in the plane (m), of each system and of the nominal one.
 
-    The systems that are `broken`, shape (systems,), stand out.
+    Systems that are `broken`, shape (systems,), are highlighted.
     """
     scene = scene or Scene()
     figure = _plane(title, _extent([paths[:drawn], nominal], scene), scene)
@@ -148,8 +148,8 @@ def linkage_animation(
 ) -> "Figure":
     """A planar linkage in motion, with a button that plays it and a slider over time.
 
-    - `joints`: where its joints are, from the fixed one to the tip, m: the first `drawn` systems are shown;
-    - `nominal`: the same of the nominal system, which stands out.
+    - `joints`: positions of its joints, from the fixed one to the tip, m; the first `drawn` systems are shown;
+    - `nominal`: the same for the nominal system, which is highlighted.
     """
     from plotly.graph_objects import Frame
 
@@ -261,7 +261,7 @@ def _plane(title: str, extent: tuple[list[float], list[float]], scene: Scene, he
 
 
 def _extent(parts: Sequence[np.ndarray], scene: Scene) -> tuple[list[float], list[float]]:
-    """Ranges that hold all points and what stands still."""
+    """Ranges that contain all points and fixed objects."""
     xs = [edge(part[..., 0]) for part in parts for edge in (np.min, np.max)]
     ys = [edge(part[..., 1]) for part in parts for edge in (np.min, np.max)]
     xs += [x + side * radius for x, _, radius in scene.discs for side in (-1, 1)]
@@ -289,7 +289,7 @@ def _strokes(rows: Float[np.ndarray, "systems points 2"]) -> tuple[list[float | 
 
 
 def _listed(values: np.ndarray) -> list[float | None]:
-    """Millimetres are more than a screen shows; a gap is None."""
+    """Coordinates rounded to the resolution of a screen, with None for gaps."""
     return [None if value != value else round(value, 3) for value in np.asarray(values, dtype=float).tolist()]
 
 

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
 
     from aleator.validation import Share
 
-_THIN = "\u202f"  # narrow space that does not break a line
+_THIN = "\u202f"  # narrow no-break space
 _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
@@ -35,7 +35,7 @@ def _magnitude(value: float, digits: int) -> str:
 
 
 def given(value: float, unit: str = "") -> str:
-    """A number as someone chose it, without digits that say nothing: `0.034 m`, `220`."""
+    """A number as it was given, without redundant digits: `0.034 m`, `220`."""
     text = f"{float(value):.6g}".replace("-", "−")
     return f"{text}{_THIN}{unit}" if unit not in ("", "-") else text
 

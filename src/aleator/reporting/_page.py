@@ -1,4 +1,4 @@
-"""A page: verdict first, then sections of text, tables and figures, in one HTML file that needs no network."""
+"""A page: the verdict, then sections of text, tables and figures, in one HTML file that needs no network."""
 
 import html
 import json
@@ -26,7 +26,7 @@ class Page:
 
 
 def page_html(page: Page) -> str:
-    """The page as one HTML document: styles, scripts and data are inside."""
+    """The page as one HTML document that contains styles, scripts and data."""
     import jinja2
     from plotly.offline import get_plotlyjs
 
@@ -47,12 +47,12 @@ def page_html(page: Page) -> str:
 
 
 def write_page(page: Page, path: str | Path) -> Path:
-    """Write the page; see `page_html`. A page that was at `path` before stays whole until the new one is."""
+    """Write the page; see `page_html`. An earlier page at `path` is replaced atomically."""
     return write_text(path, page_html(page))
 
 
 def _anchors(page: Page) -> list[str]:
-    """One anchor a section, each once."""
+    """A unique anchor for each section."""
     found: list[str] = []
     for section in page.sections:
         repeats = sum(re.fullmatch(rf"{re.escape(section.anchor)}(-\d+)?", one) is not None for one in found)
@@ -65,7 +65,7 @@ def _drawings(page: Page) -> list[Drawing]:
 
 
 def _panels(drawing: Drawing, place: int) -> list[dict[str, Any]]:
-    """What the template needs of each figure of a drawing. Titles become HTML, which wraps on narrow screens."""
+    """The data of each figure in a drawing for the template. Titles become HTML, which wraps on narrow screens."""
     panels = []
     for i, figure in enumerate(drawing.figures):
         content = json.loads(figure.to_json() or "{}")
@@ -85,7 +85,7 @@ def _panels(drawing: Drawing, place: int) -> list[dict[str, Any]]:
 
 
 def _raw(text: str) -> Any:
-    """Trusted text that the template puts in as it is: our own styles and scripts, and JSON without any `<`."""
+    """Trusted text that the template inserts without escaping: our own styles and scripts, and JSON without any `<`."""
     from markupsafe import Markup
 
     return Markup(text)

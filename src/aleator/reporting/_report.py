@@ -35,16 +35,16 @@ OFTEN = 0.05
 
 HOW_TO_READ = (
     (
-        "The decisions are the numbers the optimiser chose. μ and σ are mean and standard deviation over the declared "
-        "uncertainty, found by a polynomial chaos expansion."
+        "The decisions are the numbers that the optimiser chose. μ and σ are mean and standard deviation over the "
+        "declared uncertainty, computed by a polynomial chaos expansion."
     ),
     (
-        "A limit on mean ± a·σ is a margin, not a promise: how often single systems break the limit is counted on fresh"
-        " random systems, without the expansion, and given with its 95 % confidence interval."
+        "A limit on mean ± a·σ is a margin, not a guarantee: how often single systems break the limit is counted on "
+        "fresh random systems, without the expansion, and given with a 95 % confidence interval."
     ),
     (
-        "An active limit is one that holds the design where it is. Its shadow price says how much the objective would"
-        " fall for each unit by which the limit is relaxed; a limit that is not active has shadow price zero."
+        "An active limit is one that the design meets with equality. Its shadow price is the amount by which the "
+        "objective would fall for each unit that the limit is relaxed; the shadow price of an inactive limit is zero."
     ),
     "In the figures, hover over a point for its numbers. Drag to zoom, double-click to return.",
 )
@@ -60,8 +60,8 @@ def report(
 ) -> Path:
     """Write the results of any problem as one HTML page that works offline, and return its path.
 
-    One solution, its evidence and its front may be given as they are; several by name, evidence and fronts under the
-    names of their designs. What is missing is left out; a design that was not solved is reported as such, first.
+    Give one solution with its evidence and front, or several of each by name, with evidence and fronts under the names
+    of their designs. Sections without results are omitted; a design that was not solved is reported as such, first.
 
     Raises `ProblemError` if there is no solution or the file cannot be written.
     """
@@ -91,7 +91,7 @@ def _named(given: Result | Mapping[str, Result] | None, kind: type[Result], name
 
 
 def _check_belongs(name: str, evidence: Evidence, designs: Mapping[str, Solution]) -> None:
-    """Raise `ProblemError` for evidence on no design, or on another than the one under its name."""
+    """Raise `ProblemError` for evidence on an unknown design, or on another than the one under its name."""
     if name not in designs:
         raise ProblemError(
             f"report: there is evidence on '{name}', but no design of that name; expected one of {list(designs)}."
@@ -122,7 +122,7 @@ def _page(designs: dict[str, Solution], evidence: dict[str, Evidence], fronts: d
 
 
 def footer() -> str:
-    """Which program wrote the page, and when."""
+    """The program that wrote the page, and the time."""
     import datetime
 
     import aleator
@@ -135,7 +135,7 @@ def footer() -> str:
 
 
 def verdict(designs: Mapping[str, Solution], evidence: Mapping[str, Evidence]) -> Verdict:
-    """What the results allow to say: is all solved, how often are limits violated, can the moments be trusted?"""
+    """The verdict: is everything solved, how often are limits violated, can the moments be trusted?"""
     failed = {name: one for name, one in designs.items() if not one.ok}
     coarse = unresolved(designs)
     sentences = [f"{name}: {one.why()}" for name, one in failed.items()]
@@ -148,7 +148,7 @@ def verdict(designs: Mapping[str, Solution], evidence: Mapping[str, Evidence]) -
         for name, (text, error) in coarse.items()
     ]
     if not evidence:
-        sentences.append("No Monte Carlo evidence is given: how often single systems violate the limits is not known.")
+        sentences.append("There is no Monte Carlo evidence: how often single systems violate the limits is not known.")
     cards = [*_solution_cards(designs), *_violation_cards(evidence)][:4]
     if failed:
         headline = f"{words(list(failed))} {'is' if len(failed) == 1 else 'are'} not solved: do not use as a design."
@@ -161,10 +161,10 @@ def verdict(designs: Mapping[str, Solution], evidence: Mapping[str, Evidence]) -
         return Verdict("bad", "Contradicted", headline, sentences, cards)
     unchecked = [name for name in designs if name not in evidence]
     if unchecked:
-        headline = f"{solved} to tolerance; no Monte Carlo evidence is given for {words(unchecked)}."
+        headline = f"{solved} to tolerance, but there is no Monte Carlo evidence for {words(unchecked)}."
         return Verdict("caution", "Solved, not checked", headline, sentences, cards)
     if not any(one.violations for one in evidence.values()):
-        headline = f"{solved} to tolerance; no limit speaks of single systems, so that none was counted."
+        headline = f"{solved} to tolerance; no limit applies to single systems, so none was counted."
         return Verdict("good", "Solved", headline, sentences, cards)
     worst = max(evidence.values(), key=lambda one: one.joint.estimate).joint
     share = f"{percent(worst.estimate)} [{interval(worst)}]"
@@ -178,7 +178,7 @@ def verdict(designs: Mapping[str, Solution], evidence: Mapping[str, Evidence]) -
 def _violation_sentence(name: str, evidence: Evidence) -> str:
     if not evidence.violations:
         why = "; ".join(f"{text}: {reason}" for text, reason in evidence.uncounted.items())
-        return f"{name}: no limit speaks of single systems, so there is nothing to count{f' ({why})' if why else ''}."
+        return f"{name}: no limit applies to single systems, so there is nothing to count{f' ({why})' if why else ''}."
     parts = [f"{limit} {percent(share.estimate)}" for limit, share in evidence.violations.items()]
     over_time = f", limits over time counted at {count(evidence.instants)} instants" if evidence.instants else ""
     return (
@@ -223,14 +223,16 @@ def _trajectory_blocks(evidence: Mapping[str, Evidence]) -> list[Block]:
             figure = trajectory_figure(one, limit, unit=unit)
             blocks.append(
                 Drawing(
-                    [figure], f"{limit} of {name}", "Sampled systems over time; those that leave the limits stand out."
+                    [figure],
+                    f"{limit} of {name}",
+                    "Sampled systems over time; those that violate a limit are highlighted.",
                 )
             )
     return blocks
 
 
 def _front_blocks(fronts: Mapping[str, Front]) -> list[Block]:
-    """For each bound that was swept: the optimum along it, and the shadow price of the bound."""
+    """For each swept bound: the optimum along it, and the shadow price of the bound."""
     blocks: list[Block] = []
     for bound in dict.fromkeys(one.bound for one in fronts.values()):
         group = {name: one for name, one in fronts.items() if one.bound == bound}
@@ -240,8 +242,8 @@ def _front_blocks(fronts: Mapping[str, Front]) -> list[Block]:
         x = f"Limit of {bound}"
         per = f"{y_unit or '1'} per {x_unit}" if x_unit else ""
         caption = (
-            f"Filled markers: {bound} is active; open markers: something else holds the design. "
-            "Crosses on the axis: no design meets all limits there; hover to see what is missed."
+            f"Filled markers: {bound} is active; open markers: something else limits the design. Crosses on the axis: "
+            "no design meets all limits there; hover to see which are missed."
         )
         figures: list[Figure] = [front_figure(group, y="Objective", y_unit=y_unit, x=x, x_unit=x_unit)]
         blocks.append(Drawing(figures, f"Optimum against the limit of {bound}", caption))

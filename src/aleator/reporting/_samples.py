@@ -1,4 +1,4 @@
-"""Figures of evidence: sampled trajectories, percentiles, the calibration of a margin. And of input signals."""
+"""Figures of evidence: sampled trajectories, percentiles, the calibration of a margin; and of input signals."""
 
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
@@ -44,7 +44,7 @@ def trajectory_figure(
 ) -> "Figure":
     """Sampled systems over time against the bounds of the constraints called `name` (figures 6.9 and 6.10).
 
-    Those that violate any of them stand out. The title says how often that happens, over all samples.
+    Those that violate any of them are highlighted. The title gives the proportion over all samples.
     """
     share = evidence.violations.get(name)
     figure = blank(label("Time", "s"), label(y or name, unit), title=_violation_title(share, who), height=380)
@@ -68,7 +68,7 @@ def trajectory_figure(
 
 
 def _curves(values: np.ndarray, violating: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """One row a curve, and whether its system violates; a vector over time is one curve for each component."""
+    """One row per curve, and whether its system violates; a vector over time gives one curve per component."""
     broken = np.asarray(violating, dtype=bool)
     if values.ndim == 2:
         return values, broken
@@ -83,7 +83,7 @@ def _violation_title(share: object, who: str) -> str:
 
 
 def _distinct(kept: list[Trajectories]) -> list[Trajectories]:
-    """Without those whose values repeat: the two sides of a pair of bounds measure the same quantity."""
+    """Without repeated values, since both sides of a pair of bounds measure the same quantity."""
     found: list[Trajectories] = []
     for one in kept:
         if not any(np.array_equal(one.values, other.values) for other in found):
@@ -98,7 +98,7 @@ def _add_lines(
     if not len(rows):
         return
     if legend:
-        # Thick enough to tell the colour by.
+        # Thick enough for its colour to be seen.
         figure.add_scatter(x=[None], y=[None], mode="lines", name=name, line={"color": colour, "width": 4})
     gap = np.full((len(rows), 1), np.nan)
     figure.add_scatter(
@@ -169,7 +169,7 @@ def percentile_figure(
 
 
 def calibration_figure(calibration: Calibration, *, who: str = "systems") -> "Figure":
-    """How often a design violates against its margin, with intervals; the target; the choice on fresh samples."""
+    """The violation rate against the margin, with intervals; the target; the chosen margin on fresh samples."""
     figure = blank(
         "Margin a (multiples of σ)", plain(f"{who.capitalize()} that violate {calibration.name} (%)"), height=380
     )

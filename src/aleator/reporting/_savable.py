@@ -1,4 +1,4 @@
-"""What can be saved: results by name, nested as needed, with what can not told by its place."""
+"""Which results can be saved: by name, nested as needed, with refusals that name the place."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -12,7 +12,7 @@ from aleator.validation import Evidence
 
 
 def savable(what: str, results: Any) -> tuple[dict[str, Any], list[ProblemError]]:
-    """The results that can be saved, and a refusal for each that cannot, beginning with `what` and its place."""
+    """The results that can be saved, and a refusal for each of the others, beginning with `what` and its place."""
     if not isinstance(results, Mapping):
         raise refusal(what, "results by name: a mapping", results)
     kept: dict[str, Any] = {}
@@ -31,14 +31,14 @@ def savable(what: str, results: Any) -> tuple[dict[str, Any], list[ProblemError]
 
 
 def _name(what: str, name: Any) -> str:
-    """A name of a group, which `.` and `..` are not: they stand for others."""
+    """A valid name of a group; `.` and `..` stand for other groups."""
     if not isinstance(name, str | int | float) or str(name) in ("", ".", ".."):
         raise refusal(what, "results by name", name)
     return str(name)
 
 
 def _leaf(what: str, one: Any) -> Any:
-    """A result, or data of one's own that netCDF takes."""
+    """A result, or a user's own data in a form that netCDF can hold."""
     if one is None or not is_own_data(one):
         kinds = (Solution, Evidence, Front, Calibration)
         return one if one is None else one_of(what, one, kinds, "what `solve` gives, or a dataset of xarray")
@@ -47,7 +47,5 @@ def _leaf(what: str, one: Any) -> Any:
     try:
         xarray.DataTree.from_dict({"/one": one}).to_netcdf(engine="h5netcdf")
     except (TypeError, ValueError, NotImplementedError) as error:
-        raise ProblemError(
-            f"{what}: expected data that netCDF can hold; received some that it cannot: {error}"
-        ) from error
+        raise ProblemError(f"{what}: expected data that netCDF can hold; received other data: {error}") from error
     return one

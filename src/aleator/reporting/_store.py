@@ -30,11 +30,11 @@ def save(folder: str | Path, /, **results: "Result | Mapping[str, Any] | None") 
     """Write results into a folder and return the paths: `results.nc`, and `designs.json` if there is a solution.
 
     Each keyword is a result, a dataset, or a mapping of these by name, nested as needed: a group of the netCDF file.
-    Solutions become entries of the JSON file, with the violations of the evidence that speaks of them. Both files are
-    of one generation, whose name they carry: what an earlier run left stays until the new ones are complete.
+    Solutions become entries of the JSON file, with the violations in their evidence. Both files always belong to the
+    same call, and carry a common identifier; files of an earlier run are kept until the new ones are complete.
 
-    Raises `ProblemError` for what is no result, naming its place, if the folder cannot be written, or if another
-    process keeps writing into it.
+    Raises `ProblemError` for anything that is not a result, naming its place, if the folder cannot be written to, or if
+    another process keeps writing into it.
     """
     kept, refused = savable("save", results)
     if refused:
@@ -43,18 +43,18 @@ def save(folder: str | Path, /, **results: "Result | Mapping[str, Any] | None") 
 
 
 def save_study(folder: str | Path, results: Mapping[str, Any]) -> tuple[Path, ...]:
-    """Write results that are `savable`, and take away the page of earlier ones: it would show other numbers."""
+    """Write results that are `savable`, and remove an earlier page, which would show other numbers."""
     return _write(folder, results, (PAGE,))
 
 
 def _write(folder: str | Path, results: Mapping[str, Any], outdated: Sequence[str]) -> tuple[Path, ...]:
-    """Write one generation of results, and take outdated files away with the earlier one."""
+    """Write one set of results, and remove outdated files with the earlier set."""
     generation = uuid.uuid4().hex
     nodes = tree(results)
     nodes.attrs["generation"] = generation
     document = {place: {**one, "generation": generation} for place, one in designs_document(results).items()}
     files = {
-        # In memory: on a full disk HDF5 ends the process, failing to close its file.
+        # In memory, since on a full disk HDF5 fails to close its file and ends the process.
         "results.nc": bytes(nodes.to_netcdf(engine="h5netcdf")),
         "designs.json": json_text(document).encode("utf-8") if document else None,
     }
@@ -62,7 +62,7 @@ def _write(folder: str | Path, results: Mapping[str, Any], outdated: Sequence[st
 
 
 def json_text(document: Any) -> str:
-    """Strict JSON, readable: numbers that are not finite become null."""
+    """Strict, readable JSON: non-finite numbers become null."""
     return json.dumps(strict(document), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
 
 
@@ -84,7 +84,7 @@ def strict(value: Any) -> Any:
 
 
 def designs_document(results: Mapping[str, Any]) -> dict[str, Any]:
-    """Every solution among the results by its place, in a form to be read by people."""
+    """Every solution among the results by its place, in human-readable form."""
     found = dict(_leaves("", results))
     judged = {id(one.solution): one for one in found.values() if isinstance(one, Evidence)}
     return {
@@ -162,7 +162,7 @@ def solution_document(solution: Solution, evidence: Evidence | None = None) -> d
 
 
 def _constraint(one: ConstraintResult, unit: str) -> dict[str, Any]:
-    """A constraint by its worst instant: histories are in the netCDF file."""
+    """A constraint at its worst instant; histories are in the netCDF file."""
     return {
         "name": one.name,
         "text": one.text,

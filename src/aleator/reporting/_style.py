@@ -1,4 +1,4 @@
-"""One look for all figures: colours that colour-blind readers can tell apart, one colour and marker for each design."""
+"""The style of all figures: colours that colour-blind readers can distinguish, one colour and marker per design."""
 
 import html
 from collections.abc import Iterable
@@ -26,7 +26,7 @@ class Look:
     symbol: str
 
     def fill(self, opacity: float = 0.1) -> str:
-        """The colour, see-through."""
+        """The colour, translucent."""
         red, green, blue = (int(self.colour[i : i + 2], 16) for i in (1, 3, 5))
         return f"rgba({red},{green},{blue},{opacity})"
 
@@ -35,7 +35,7 @@ KNOWN = {"dOpt": Look("#d55e00", "circle"), "uOpt": Look("#0072b2", "square"), "
 
 
 def looks(names: Iterable[str]) -> dict[str, Look]:
-    """A look for each design: that of the known one whose name it begins with, or the next of the palette."""
+    """A look for each design: that of the known design whose name begins it, or the next in the palette."""
     found: dict[str, Look] = {}
     for i, name in enumerate(names):
         known = KNOWN.get(name.split(",")[0].strip())
@@ -44,7 +44,7 @@ def looks(names: Iterable[str]) -> dict[str, Look]:
 
 
 def plain(text: str) -> str:
-    """Text that plotly shows as it is: it would read `<b>` as markup."""
+    """Text escaped for plotly, which would read `<b>` as markup."""
     return html.escape(text, quote=False)
 
 
@@ -70,7 +70,7 @@ def blank(x: str, y: str, *, title: str = "", height: int = 420) -> "Figure":
         "automargin": True,
     }
     figure.update_layout(
-        # Our own template alone: plotly's default one would add 7 kB to every figure of a page.
+        # Only our own template: plotly's default one would add 7 kB to every figure of a page.
         template="none",
         title={"text": title, "font": {"size": SIZE + 2}, "x": 0, "xref": "paper"} if title else None,
         font={"family": FONT, "size": SIZE, "color": INK},
@@ -97,7 +97,7 @@ def blank(x: str, y: str, *, title: str = "", height: int = 420) -> "Figure":
 
 
 def padded(values: Iterable[float], share: float = 0.07) -> list[float]:
-    """A range that leaves room around all values."""
+    """A range with a margin around all values."""
     numbers = [float(value) for value in values]
     low, high = min(numbers, default=0.0), max(numbers, default=1.0)
     room = share * ((high - low) or abs(high) or 1.0)
@@ -105,7 +105,7 @@ def padded(values: Iterable[float], share: float = 0.07) -> list[float]:
 
 
 def legend_entry(figure: "Figure", name: str, look: Look, *, line: bool = True) -> None:
-    """An entry in the legend that shows the filled marker, whatever the first point's looks like."""
+    """A legend entry with the filled marker, whatever the first point's marker is."""
     figure.add_scatter(
         x=[None],
         y=[None],
@@ -130,8 +130,8 @@ def limit_line(
 ) -> None:
     """A limit as a line across the whole figure, with its name at its end, inside the plot.
 
-    The name of a vertical limit runs along it, or stands `upright` beside its foot; that of a
-    horizontal one stands on it, or `under` it.
+    The name of a vertical limit is written along it, or `upright` beside its foot; that of a horizontal one above it,
+    or `under` it.
     """
     note = {
         "text": plain(text),

@@ -15,7 +15,7 @@ from aleator.validation import Checked, Evidence
 STATUS_WORDS = {
     Status.NOT_HELD: "limits break between the instants",
     Status.COARSE: "the grid is too coarse",
-    Status.UNRESOLVED: "the expansion is too coarse for what is asked of it",
+    Status.UNRESOLVED: "the expansion is too coarse for the statistics asked of it",
     Status.CONTRADICTED: "fresh simulations contradict the expansion",
     Status.WORST_CASE_BROKEN: "the worst case breaks a limit",
     Status.SOLVED: "solved",
@@ -32,7 +32,7 @@ def _union(groups: Sequence[Sequence[str]]) -> list[str]:
 
 
 def designs_table(solutions: Mapping[str, Solution], evidence: Mapping[str, Evidence]) -> Table:
-    """The designs side by side: decisions, objective, constraints, what holds them, and violations by Monte Carlo."""
+    """The designs side by side: decisions, objective, constraints, active limits, and violations by Monte Carlo."""
     every = list(solutions.values())
     rows: list[list[str]] = [["Status", *(STATUS_WORDS[one.status] for one in every)]]
     for name in _union([list(one.decisions) for one in every]):
@@ -47,7 +47,7 @@ def designs_table(solutions: Mapping[str, Solution], evidence: Mapping[str, Evid
         "Decisions, limits and violations",
         ["", *solutions],
         rows,
-        "Shadow prices: how much the objective falls for each unit the bound is relaxed.",
+        "Shadow price: the decrease of the objective per unit by which the bound is relaxed.",
     )
 
 
@@ -105,7 +105,7 @@ def _shadow_price(solution: Solution, name: str) -> str:
 
 
 def certificate_table(solutions: Mapping[str, Solution]) -> Table:
-    """What certifies each design: residuals of the optimality conditions, effort, quality of the expansion."""
+    """The certificate of each design: residuals of the optimality conditions, effort, quality of the expansion."""
     every = list(solutions.values())
     certificates, efforts = [one.certificate for one in every], [one.effort for one in every]
     expanded = [one.expansion for one in certificates if _expanded(one)]
@@ -141,7 +141,7 @@ def certificate_table(solutions: Mapping[str, Solution]) -> Table:
 
 
 def _said(certificates: list[Certificate]) -> list[list[str]]:
-    """What a finer grid, the worst case and fresh systems say of each design, where any was asked."""
+    """The results of a finer grid, the worst case and fresh systems for each design, where there are any."""
     rows = [
         ["Error of the grid", *("–" if one.grid_error is None else str(one.grid_error) for one in certificates)],
         ["Worst case", *("; ".join(one.worst_case.rows()) if one.worst_case else "–" for one in certificates)],
@@ -186,7 +186,7 @@ def _tangent(certificate: Certificate) -> str:
 
 
 def evidence_table(evidence: Mapping[str, Evidence]) -> Table:
-    """Sampled statistics beside what the expansion said of them, and percentiles."""
+    """Sampled statistics compared with the expansion's, and percentiles."""
     rows = []
     for name, one in evidence.items():
         units = _units.of_moments(one.solution.problem)
@@ -212,11 +212,11 @@ def evidence_table(evidence: Mapping[str, Evidence]) -> Table:
         f"{samples} fresh random systems for each design, independent of the expansion; ± is one standard error of the"
         " mean."
     )
-    return Table("Monte Carlo beside the expansion", header, rows, note)
+    return Table("Monte Carlo and the expansion compared", header, rows, note)
 
 
 def statistics_table(evidence: Mapping[str, Evidence]) -> Table | None:
-    """The other statistics in the problems, sampled, beside what the expansion said of them; None without any."""
+    """The other statistics in the problems, sampled and by the expansion; None if there are none."""
     rows = []
     for name, one in evidence.items():
         for text, checked in one.statistics.items():
@@ -240,7 +240,7 @@ def _estimated(one: Checked) -> str:
 
 
 def unresolved(solutions: Mapping[str, Solution]) -> dict[str, tuple[str, float]]:
-    """The designs whose expansion misses too much of a functional's variance: which, from when on, and how much."""
+    """The designs whose expansion misses too much of a functional's variance, with the functional and the error."""
     found = {}
     for name, one in solutions.items():
         quality = one.certificate.expansion

@@ -1,4 +1,4 @@
-"""Units of decisions, functionals and expressions, as far as a system declares them; empty where it does not say."""
+"""Units of decisions, functionals and expressions, as far as a system declares them; else empty."""
 
 from aleator._core.units import PURE
 from aleator.design import (
@@ -30,7 +30,7 @@ def of_expression(expression: Expression, problem: Problem) -> str:
 
 
 def of_decision(name: str, problem: Problem) -> str:
-    """The unit of a decision: that of the field it stands in, or stands in a distribution of."""
+    """The unit of a decision: that of its field, even if it is inside a distribution there."""
     return _shown(number_unit(name, problem))
 
 

@@ -1,7 +1,7 @@
 """Schematic drawings as SVG: lines, bodies, springs, dampers, angles and dimensions as text, in the page's own colour.
 
-Every function gives the text of one element; points are in pixels of the drawing, `y` downwards. `View` brings a
-model's metres or millimetres there. A `kind` becomes the element's class, by which it can be found.
+Every function returns the text of one element; points are in pixels of the drawing, `y` downwards. `View` converts a
+model's metres or millimetres to these. A `kind` becomes the element's class, by which it can be found.
 """
 
 import html
@@ -19,7 +19,7 @@ DASHED = "6 5"
 @final
 @dataclass(frozen=True)
 class View:
-    """Where a model's coordinates, `y` upwards, lie in a drawing: its origin there, and pixels per unit of length."""
+    """The map from a model's coordinates, `y` upwards, to a drawing: the origin there, and pixels per unit."""
 
     origin: Point
     scale: float
@@ -30,7 +30,7 @@ class View:
 
 
 def drawing(elements: Sequence[str], *, width: float, height: float, title: str) -> str:
-    """A whole drawing that grows and shrinks with the page; `title` is what it shows, in words."""
+    """A complete drawing that scales with the page; `title` says in words what it shows."""
     said = html.escape(title)
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {_text(width)} {_text(height)}" role="img"'
@@ -39,7 +39,7 @@ def drawing(elements: Sequence[str], *, width: float, height: float, title: str)
 
 
 def path(points: Sequence[Point], *, kind: str = "", width: float = 2.0, dash: str = "", closed: bool = False) -> str:
-    """Straight pieces from point to point."""
+    """A polyline through the points."""
     steps = " L ".join(f"{_text(x)} {_text(y)}" for x, y in points)
     return f'<path d="M {steps}{" Z" if closed else ""}" {INK}{_look(kind, width, dash)}/>'
 
@@ -54,7 +54,7 @@ def circle(centre: Point, radius: float, *, kind: str = "", width: float = 2.0, 
 def arc(
     centre: Point, radius: float, start: float, end: float, *, kind: str = "", width: float = 1.4, arrow: bool = False
 ) -> str:
-    """A piece of a circle between two directions, degrees counterclockwise from the right; an `arrow` at its end."""
+    """An arc between two directions, in degrees counterclockwise from the right, with an `arrow` at its end."""
     count = max(2, math.ceil(abs(end - start) / 3) + 1)
     angles = [math.radians(start + (end - start) * i / (count - 1)) for i in range(count)]
     points = [(centre[0] + radius * math.cos(one), centre[1] - radius * math.sin(one)) for one in angles]
@@ -62,7 +62,7 @@ def arc(
 
 
 def label(place: Point, text: str, *, anchor: str = "middle", size: float = 15.0) -> str:
-    """A word beside a part; `anchor` is start, middle or end."""
+    """A text label; `anchor` is start, middle or end."""
     x, y = place
     return (
         f'<text x="{_text(x)}" y="{_text(y)}" text-anchor="{anchor}" font-size="{_text(size)}" fill="currentColor">'
@@ -71,12 +71,12 @@ def label(place: Point, text: str, *, anchor: str = "middle", size: float = 15.0
 
 
 def arrow(start: Point, end: Point, *, kind: str = "", both: bool = False) -> str:
-    """A thin line with a head at its end, or at both."""
+    """A thin line with an arrowhead at its end, or at both."""
     return path([start, end], kind=kind, width=1.4) + _head(start, end) + (_head(end, start) if both else "")
 
 
 def dimension(start: Point, end: Point, text: str, *, beside: Point, anchor: str = "middle", kind: str = "") -> str:
-    """How far it is from one point to another: a line with two heads, and its length `beside` it."""
+    """A dimension between two points: a line with two arrowheads, and its length `beside` it."""
     return arrow(start, end, kind=kind, both=True) + label(beside, text, anchor=anchor)
 
 
@@ -100,7 +100,7 @@ def damper(start: Point, end: Point, *, kind: str = "", half_width: float = 12.0
 
 
 def ground(start: Point, end: Point, *, kind: str = "", spacing: float = 11.0) -> str:
-    """What does not move: a line with strokes on its right, seen from start to end."""
+    """The fixed ground: a line with hatching on its right, seen from start to end."""
     length = math.dist(start, end)
     count = max(1, int(length / spacing))
     strokes = []
@@ -111,7 +111,7 @@ def ground(start: Point, end: Point, *, kind: str = "", spacing: float = 11.0) -
 
 
 def _beside(start: Point, end: Point, share: float, side: float) -> Point:
-    """A point at a share of the way, some pixels to the right of it in the drawing."""
+    """A point at the fraction `share` of the way, `side` pixels to its right in the drawing."""
     length = math.dist(start, end)
     along = ((end[0] - start[0]) / length, (end[1] - start[1]) / length)
     x, y = (start[i] + share * (end[i] - start[i]) for i in (0, 1))
