@@ -1,8 +1,8 @@
 """An arm, its counterweight, its fastest motion and the tolerance of its payload, decided together.
 
-A lifting arm of one joint carries a payload whose mass the supplier keeps within a tolerance. A tighter tolerance costs
-more; a longer counterweight arm holds the payload better but has to be moved as well. The motion is a B-spline from
-rest to rest. What is least is the cost: of time, of the tolerance, and of the counterweight.
+A lifting arm with one joint carries a payload whose mass the supplier keeps within a tolerance. A tighter tolerance
+costs more; a longer counterweight arm balances the payload better but has to be moved as well. The motion is a B-spline
+from rest to rest. The objective is the total cost of time, of the tolerance, and of the counterweight.
 
     python examples/co_design.py
 """
@@ -31,11 +31,11 @@ class Lift(al.Lagrangian):
         return (self.payload * self.reach**2 + self.counterweight * self.lever**2 + beam) * v[0] ** 2 / 2
 
     def potential_energy(self, q: Any) -> Any:
-        """What the payload gains in height, the counterweight loses."""
+        """The payload rises as the counterweight descends."""
         return 9.81 * (self.payload * self.reach - self.counterweight * self.lever) * jnp.sin(q[0])
 
     def outputs(self, motion: al.Motion) -> dict[str, Any]:
-        """How high the payload is, m."""
+        """The height of the payload, m."""
         return {"height": self.reach * jnp.sin(motion.q[0])}
 
 

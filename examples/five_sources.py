@@ -1,8 +1,8 @@
 """Uncertain parameter, initial condition, sensor, actuator and forcing, all in one expansion.
 
 A heated stage is held at 60 °C by a proportional controller. Its insulation varies with its manufacture and its first
-temperature with its past; the thermometer and the heater are noisy; the air around it wanders. How cheap, that is how
-noisy, may the thermometer be if the stage must end within half a degree, and what gain goes with it?
+temperature with its history; the thermometer and the heater are noisy; the temperature of the air drifts. How cheap,
+that is, how noisy, may the thermometer be if the stage must end within half a degree, and which gain is best?
 """
 
 from typing import ClassVar
@@ -15,7 +15,7 @@ NOMINAL_LOSS = 0.8  # W/K
 
 
 class HeatedStage(al.System):
-    """A stage of one temperature (°C), heated by what the controller commands and cooled by the air."""
+    """A stage of uniform temperature (°C), heated by the controller and cooled by the air."""
 
     states = ("temperature",)
     units: ClassVar = {"error": "K", "power": "W"}
@@ -25,19 +25,19 @@ class HeatedStage(al.System):
     gain: al.Number = al.parameter("W/K")
 
     def initial(self):
-        """What the stage's past has left."""
+        """The first temperature, which depends on the stage's history."""
         return {"temperature": self.first}
 
     def power(self, z, sensor, heater):
-        """The heater's own power for the setpoint, corrected by what the noisy thermometer reads."""
+        """The nominal power for the setpoint, corrected by the reading of the noisy thermometer."""
         return heater + self.gain * (SETPOINT - (z.temperature + sensor))
 
     def rhs(self, t, z, sensor, heater, air):
-        """The balance of heat."""
+        """The heat balance."""
         return ((self.power(z, sensor, heater) - self.loss * (z.temperature - air)) / self.capacity,)
 
     def outputs(self, t, z, sensor, heater):
-        """How far from the setpoint, and the power that this takes."""
+        """The deviation from the setpoint, and the heater's power."""
         return {"error": z.temperature - SETPOINT, "power": self.power(z, sensor, heater)}
 
 

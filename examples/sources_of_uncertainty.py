@@ -24,7 +24,7 @@ class Drawer(al.System):
         return z.v, -self.damping / self.mass * z.v
 
     def outputs(self, t, z):
-        """How far and how fast."""
+        """Distance and speed."""
         return {"closed": z.x, "speed": z.v}
 
 
