@@ -163,7 +163,7 @@ def test_the_verdict_names_what_to_tighten(results):
     said = verdict(results)
     assert said.word == "Build"
     assert said.headline.startswith("Tighten the hub a, widen the roller c and ring e")
-    assert "no worst case may leave 6° to 8°" in said.headline
+    assert "the worst case must stay within 6° to 8°" in said.headline
     assert any(one.startswith("The given tolerances") and "breaks 6°" in one for one in said.sentences)
 
 

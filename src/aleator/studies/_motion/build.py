@@ -1,7 +1,7 @@
-"""The design to build of a motion study: the plan whose limits hold as often as an engineer asks, and what it costs.
+"""The design to build of a motion study: the plan whose limits hold as often as required, and its cost.
 
-A margin of one standard deviation, as printed, leaves a fifth to two fifths of the systems beyond a limit. So every
-study goes on until fresh systems confirm a margin for `TARGET`, all limits of the problem counted jointly.
+The dissertation's margin of one standard deviation leaves a fifth to two fifths of the systems beyond a limit. So every
+study calibrates a margin until fresh systems confirm it for `TARGET`, counting all limits of the problem jointly.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -20,23 +20,23 @@ from aleator.reporting import (
 from aleator.studies._designs import margin_drawing, signed
 
 TARGET = 0.01
-"""How many systems may break a limit, any of them."""
+"""The share of systems that may break any limit."""
 
 CALIBRATED = "calibrated"
 
 TRIED = 1.6
-"""The margin from which the search sets out: of a uniform distribution, four in a hundred are beyond it on one side."""
+"""The margin at which the search starts: four in a hundred of a uniform distribution lie beyond it on one side."""
 
 
 def meets(found: al.results.Calibration | None) -> bool:
-    """Whether fresh systems confirm a calibrated plan, and its other limits hold as often as those it was made for."""
+    """Whether fresh systems confirm a calibrated plan, and its other limits hold as often as the calibrated ones."""
     if found is None or found.evidence is None:
         return False
     return found.confirmed and found.evidence.joint.upper <= found.target
 
 
 def price(built: float, printed: float, unit: str) -> str:
-    """What a plan takes beside the plan of the printed margin: `113.0 J, 0.8 % more than a = 1 (112.1 J)`."""
+    """A plan's cost compared with that at the published margin: `113.0 J, 0.8 % more than with a = 1 (112.1 J)`."""
     change = built / printed - 1
     side = "more" if change >= 0 else "less"
     return f"{number(built, 4, unit)}, {percent(abs(change))} {side} than with a = 1 ({number(printed, 4, unit)})"
@@ -52,14 +52,14 @@ def build_verdict(
     sentences: Sequence[str] = (),
     cards: Sequence[Card] = (),
 ) -> Verdict:
-    """Whether there is a design to build, which, and what it costs beside the `printed` one.
+    """Whether there is a design to build, which it is, and its cost compared with the `printed` one.
 
-    - `unit`: of what is minimised; `who`: what the systems are called; `beside`: what else there is to say of the plan.
+    - `unit`: of the objective; `who`: what the systems are called; `beside`: a further sentence about the plan.
     """
     if found is None:
         headline = (
-            f"No design to build yet: no margin was calibrated for at most {given(100 * TARGET)} % of the {who}"
-            " beyond a limit."
+            f"No design to build yet: no margin was calibrated at which at most {given(100 * TARGET)} % of the {who} "
+            "break a limit."
         )
         return Verdict("caution", "Not calibrated", headline, sentences, cards)
     cost = price(found.solution.objective, printed.objective, unit)
@@ -81,7 +81,7 @@ def price_table(
     printed: str,
     measure: str,
 ) -> Table:
-    """What each margin costs, and how often it fails; `sigmas` are those of the plans to show."""
+    """The cost of each margin, and how often it fails; `sigmas` are those of the plans to show."""
     rows = []
     for name, margin in sigmas.items():
         if name in plans and printed in plans:
@@ -101,8 +101,8 @@ def price_table(
 
 
 def margin_blocks(found: al.results.Calibration | None, prices: Table, who: str) -> Iterator[Block]:
-    """The chapter about margins: prices, and the search for the one that is confirmed."""
+    """The chapter on margins: their costs, and the search for the confirmed one."""
     if prices.rows:
         yield prices
     if found is not None:
-        yield margin_drawing(found, "The margin that a tolerated share asks for", who)
+        yield margin_drawing(found, "The margin for a tolerated share of violations", who)

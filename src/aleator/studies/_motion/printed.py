@@ -1,4 +1,4 @@
-"""Whether computed values compare with printed ones, said of the numbers alone: in sign, in order, in size."""
+"""Comparison of computed with published values in sign, order and size, from the numbers alone."""
 
 from collections.abc import Mapping, Sequence
 
@@ -8,14 +8,14 @@ from aleator.reporting import words
 from aleator.studies._designs import signed
 
 SAME_SIZE = 0.1
-"""Changes that differ by at most this part of the printed one are of one size."""
+"""Changes agree in size if they differ by at most this fraction of the published one."""
 
 
 def compared(printed: Mapping[str, float], ours: Mapping[str, float], what: str) -> str:
-    """How far `what` compares between plans of the same names, in a sentence; the first plan is what others change.
+    """Whether `what` agrees between plans of the same names, in a sentence; others are relative to the first plan.
 
-    Signs compare if every plan changes the first one's value to the same side, the order if it is the same from the
-    least to the largest, sizes if the relative changes differ by at most a tenth of the printed ones.
+    Signs agree if every plan changes the first one's value in the same direction, orders if they are the same from
+    smallest to largest, sizes if the relative changes differ by at most a tenth of the published ones.
     """
     names = [name for name in printed if name in ours and np.isfinite(ours[name])]
     if len(names) < 2:

@@ -1,4 +1,4 @@
-"""What the clutch's page says of its results: tables, all computed from them."""
+"""The tables of the clutch's page, all computed from its results."""
 
 import math
 from typing import NamedTuple
@@ -20,14 +20,14 @@ REFERENCE_ORDER = "gPC, order 3"
 
 
 def method(results: ClutchResults, name: str) -> Method | None:
-    """A row of the comparison, if it was reached."""
+    """A row of the comparison, if it was computed."""
     return next((one for one in results.methods if one.name == name), None)
 
 
 def samples_for(results: ClutchResults, error: float) -> float:
-    """How many Monte Carlo samples bring the standard error of three standard deviations down to `error`.
+    """The number of Monte Carlo samples for which the standard error of three standard deviations is `error`.
 
-    A standard error falls with the root of the number of samples.
+    A standard error falls with the square root of the number of samples.
     """
     sampled = method(results, "Monte Carlo")
     if sampled is None or sampled.standard_error is None or error == 0:
@@ -36,7 +36,7 @@ def samples_for(results: ClutchResults, error: float) -> float:
 
 
 def times_cheaper(results: ClutchResults) -> float:
-    """Wall time that Monte Carlo needs for the error of order 3, over that of order 3; measured, and scaled up."""
+    """The wall time of Monte Carlo for the same error, relative to that of order 3; measured, and scaled up."""
     expanded, sampled = method(results, REFERENCE_ORDER), method(results, "Monte Carlo")
     if expanded is None or sampled is None:
         return math.nan
@@ -45,15 +45,15 @@ def times_cheaper(results: ClutchResults) -> float:
 
 
 def methods_table(results: ClutchResults) -> Table:
-    """Table 7.2 and its extension, beside what the dissertation prints."""
+    """Table 7.2 and its extension, with the published values."""
     rows = [_method_row(one, results.exact) for one in results.methods]
     rows.append(["exact", "–", number(results.exact, 8), "0", "–", "–", "–"])
     note = (
-        "Exact: Gauss quadrature of the closed form, which shares nothing with the other rows. Times are of this run on"
-        " a warm process, most of an expansion's for tracing the equations anew; those of the dissertation are of"
-        " Mathematica on a laptop of 2012. A sampled value may be off by a few of its standard errors: that of"
-        " 2.5 million samples is larger than all that separates gPC from the exact value, so Monte Carlo cannot be"
-        " the truth here. Order 2 depends on the point set in its fourth digit."
+        "Exact: Gauss quadrature of the closed form, independent of the other rows. Times are of this run in a warm "
+        "process, most of an expansion's being spent on tracing the equations; the published times are of Mathematica "
+        "on a laptop of 2012. A sampled value may be off by a few standard errors. Even with 2.5 million samples the "
+        "standard error exceeds the difference between gPC and the exact value, so Monte Carlo cannot be the reference "
+        "here. Order 2 depends on the point set in its fourth digit."
     )
     header = ["", "Published (°)", "3σ of χ (°)", "Error (°)", "Assemblies solved", "Time", "Published time (s)"]
     return Table("Table 7.2 and more: three standard deviations of the pressure angle", header, rows, note)
@@ -95,8 +95,8 @@ def analysis_table(results: ClutchResults) -> Table:
         ["Root sum square, ± (°)", *(number(one.rss, 5) for one in every)],
     ]
     note = (
-        "Rejects are those of the distribution of the expansion, skewness included; worst case is over all dimensions"
-        " within their tolerances at once, enclosed by the expansion."
+        "Rejects are those of the expansion's distribution, skewness included. The worst case is over all dimensions "
+        "within their tolerances at once, enclosed by bounds of the expansion."
     )
     if GIVEN in results.counts:
         tails = results.counts[GIVEN].by_name
@@ -108,7 +108,7 @@ def analysis_table(results: ClutchResults) -> Table:
 
 
 def contributions_table(results: ClutchResults) -> Table:
-    """Which dimension makes the angle spread."""
+    """Which dimensions cause the spread of the angle."""
     parts = results.analyses["limits"].contributions
     rows = [
         [NAMES[name], f"± {given(TOLERANCES[name])}", number(one.sensitivity, 4), *_shares(one)]
@@ -129,7 +129,7 @@ def per_million(share: al.results.Proportion) -> str:
 
 
 def rejected_tails(results: ClutchResults, name: str) -> tuple[str, ...]:
-    """What the given tolerances leave below and above the limits of a specification, in parts per million."""
+    """The rejects of the given tolerances below and above the limits of a specification, in parts per million."""
     if GIVEN not in results.counts:
         return ()
     tails = results.counts[GIVEN].by_name[name]
@@ -137,14 +137,14 @@ def rejected_tails(results: ClutchResults, name: str) -> tuple[str, ...]:
 
 
 def worst_text(counts: Counts, limits: tuple[float, float] = LIMITS) -> str:
-    """The exact worst case, and which limits it breaks, by default the function's: `5.957° to 7.938°, breaks 6°`."""
+    """The exact worst case, and which limits it breaks (default: the function's): `5.957° to 7.938°, breaks 6°`."""
     ends = [f"{number(end, 4)}°" for end in counts.worst_case]
     broken = [f"{number(limit, 4) if limit % 1 else given(limit)}°" for limit in counts.broken(limits)]
     return f"{' to '.join(ends)}, {f'breaks {words(broken)}' if broken else 'within the limits'}"
 
 
 def counts_table(results: ClutchResults) -> Table:
-    """The given, the cheapest and the safe tolerances, each judged by a count and by the exact worst case."""
+    """The given, the cheapest and the safe tolerances, each with a count and the exact worst case."""
     shown = {name: results.counts[name] for name in (GIVEN, CHEAPEST, SAFE) if name in results.counts}
     every = list(shown.values())
     rows = [[f"{NAMES[name]}, ± (mm)", *(number(one.tolerances[name], 4) for one in every)] for name in TOLERANCES]
@@ -158,20 +158,21 @@ def counts_table(results: ClutchResults) -> Table:
         ["Outside nominal ± 0.6°, counted", *(share_text(one.deviation.either) for one in every)],
     ]
     note = (
-        f"{count(every[0].function.low.samples)} assemblies counted for each column, in closed form; in brackets"
-        " 95 % confidence. The worst case has every dimension anywhere within its tolerance. Parts are normal, and one"
-        " in 370 lies outside its tolerance: a few assemblies may leave the limits even where the worst case does not."
+        f"{count(every[0].function.low.samples)} assemblies counted for each column, in closed form; 95 % confidence "
+        "intervals in brackets. The worst case is over all dimensions within their tolerances. Dimensions are normally "
+        "distributed, and one part in 370 lies outside its tolerance: a few assemblies may exceed the limits even "
+        "where the worst case does not."
     )
     return Table("Three sets of tolerances, counted", ["", *(name.capitalize() for name in shown)], rows, note)
 
 
 def given_cost() -> float:
-    """What the given tolerances cost, 1/mm."""
+    """The cost of the given tolerances, 1/mm."""
     return sum(1 / tolerance for tolerance in TOLERANCES.values())
 
 
 def allocation_table(results: ClutchResults) -> Table:
-    """The given tolerances beside the cheapest ones."""
+    """The given and the cheapest tolerances."""
     solution, evidence = results.allocation, results.evidence
     assert solution is not None
     chosen = tolerances_of(solution)
@@ -181,8 +182,8 @@ def allocation_table(results: ClutchResults) -> Table:
     if evidence is not None:
         rows.append([f"Rejects counted, {count(evidence.samples)} assemblies", "–", _counted_text(evidence)])
     note = (
-        f"Specification: nominal ± 0.6°, that is {number(DEVIATION[0], 5)}° to {number(DEVIATION[1], 5)}°. The cheapest"
-        " tolerances leave no more rejects than the given ones; ± is one standard error."
+        f"Specification: nominal ± 0.6°, that is {number(DEVIATION[0], 5)}° to {number(DEVIATION[1], 5)}°. The "
+        "cheapest tolerances have no more rejects than the given ones; ± is one standard error."
     )
     return Table("Allocation of the tolerances", ["", "Given", "Cheapest"], rows, note)
 

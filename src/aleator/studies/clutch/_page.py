@@ -1,4 +1,4 @@
-"""The chapters of the clutch's page: the methods against the truth, the tolerances, their allocation."""
+"""The chapters of the clutch's page: the methods against the exact value, the tolerances, their allocation."""
 
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
@@ -39,13 +39,16 @@ if TYPE_CHECKING:
 GLOSSARY = (
     ("χ", "Pressure angle between roller and ring, degrees. The clutch holds and releases between 6° and 8°."),
     ("Tolerance T", "A dimension is normal about its nominal value with standard deviation T/3."),
-    ("DLM", "Direct linearisation: spreads through the sensitivities at the nominal dimensions."),
+    ("DLM", "Direct linearisation method: standard deviations from the sensitivities at the nominal dimensions."),
     ("gPC", "Generalized polynomial chaos: the angle as a polynomial of the dimensions, by least squares."),
-    ("Cp, Cpk", "Width of the limits over 6σ; distance of mean and nearer limit over 3σ. 1.33 is usually asked."),
-    ("ppm", "Rejects in a million assemblies."),
+    (
+        "Cp, Cpk",
+        "Width of the limits over 6σ; distance from the mean to the nearer limit over 3σ. Usually 1.33 is required.",
+    ),
+    ("ppm", "Rejects per million assemblies."),
     ("Worst case", "All dimensions within their tolerances at once, in the worst combination."),
     ("Σ 1/T", "Cost of manufacture: halving a tolerance doubles its cost."),
-    ("Shadow price", "How much cheaper the tolerances become for each unit by which the limit on rejects is relaxed."),
+    ("Shadow price", "The decrease in cost per unit by which the limit on rejects is relaxed."),
 )
 LOOP = f"""The vectors (length ∠ direction) close, (121):
   a∠90° + b∠0° + c∠90°
@@ -60,7 +63,7 @@ The clutch works between χ = {given(LIMITS[0])}° and {given(LIMITS[1])}°."""
 
 
 def sections(results: ClutchResults) -> list[Section]:
-    """What was found, as far as the study has come."""
+    """The sections for the results available so far."""
     return [
         Section("The clutch", [_schematic()]),
         Section("Table 7.2", list(_methods(results))),
@@ -71,7 +74,7 @@ def sections(results: ClutchResults) -> list[Section]:
 
 
 def cut_short(results: ClutchResults) -> Iterator[str]:
-    """How much of the front is there, where it was interrupted."""
+    """How much of an interrupted front is available."""
     front = results.front
     if front is not None and front.interrupted:
         yield f"Of the front {len(front.values)} of {results.effort.front_points} points are finished and shown."
@@ -94,14 +97,14 @@ def _methods(results: ClutchResults) -> Iterator[Block]:
     trials = _trials(results)
     figures = [effort_figure(trials, error="Error of 3σ", unit="°", by=by) for by in ("calls", "seconds")]
     caption = (
-        "Each order of the expansion gains about a digit; sampling gains one for a hundred times the effort. The error"
-        " of a sampled value is its standard error."
+        "Each order of the expansion gains about one digit; sampling gains one digit for a hundred times the effort. "
+        "The error of a sampled value is its standard error."
     )
-    yield Drawing(figures, "Error over effort", caption)
+    yield Drawing(figures, "Error against effort", caption)
 
 
 def _trials(results: ClutchResults) -> dict[str, list[Trial]]:
-    """The methods by family, and plain Monte Carlo at smaller numbers of samples, by its distribution of the root."""
+    """The methods by family, with plain Monte Carlo scaled to fewer samples by the square-root law."""
     names = ("gPC", "DLM and second order", "quasi-Monte Carlo", "Monte Carlo")
     families: dict[str, list[Trial]] = {name: [] for name in names}
     for one in results.methods:
@@ -124,9 +127,9 @@ def _analyses(results: ClutchResults) -> Iterator[Block]:
     yield contributions_table(results)
     yield analysis_table(results)
     caption = (
-        "The angle is skewed: its lower tail is longer, so the lower limit rejects more than the upper one. Shaded:"
-        " rejects, in parts per million, counted. Those of the function's limits are so few that only a logarithmic"
-        " axis shows them."
+        "The angle is skewed: its lower tail is longer, so the lower limit rejects more than the upper one. Shaded: "
+        "counted rejects, in parts per million. Those beyond the function's limits are so few that only a logarithmic "
+        "axis shows them."
     )
     figures = [_density(results, name) for name in results.analyses]
     yield Drawing(figures, "Distribution of the angle, limits and rejects", caption)
@@ -166,7 +169,7 @@ def _allocation(results: ClutchResults) -> Iterator[Block]:
     if results.front is not None:
         figure = front_figure({"cheapest": results.front}, x="Rejects allowed", y="Cost Σ 1/T", y_unit="1/mm")
         figure.update_xaxes(type="log", exponentformat="power", title="Rejects allowed (share)")
-        yield Drawing([figure], "What fewer rejects cost", "Each point is an optimum; hover for its tolerances.")
+        yield Drawing([figure], "The cost of fewer rejects", "Each point is an optimum; hover for its tolerances.")
     yield Code("The problem as mathematics", str(results.allocation.problem))
 
 

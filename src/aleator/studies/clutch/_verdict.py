@@ -1,4 +1,4 @@
-"""Which tolerances to put on the drawing, and how far to trust the numbers: the first screen of the clutch's page."""
+"""The first screen of the clutch's page: which tolerances to specify, and how far to trust the numbers."""
 
 from collections.abc import Iterator
 
@@ -18,11 +18,11 @@ from aleator.studies.clutch._facts import (
 from aleator.studies.clutch._run import ClutchResults
 
 SURPRISE = 4.0
-"""Standard errors between a count and its prediction that are no accident."""
+"""The difference between a count and its prediction, in standard errors, that counts as significant."""
 
 
 def verdict(results: ClutchResults) -> Verdict:
-    """What to build and why, as far as the study has come."""
+    """What to build and why, from the results available so far."""
     sentences, cards = list(_sentences(results)), list(_cards(results))
     solution = results.allocation
     if solution is None or results.evidence is None:
@@ -49,15 +49,15 @@ def _headline(results: ClutchResults) -> str:
 
 
 def _safe_headline(results: ClutchResults) -> str:
-    """What it costs that no assembly of parts within their tolerances leaves the limits, where the cheapest ones do."""
+    """The cost of tolerances whose worst case meets the limits, where that of the cheapest ones does not."""
     if SAFE not in results.counts or CHEAPEST not in results.counts or not results.counts[CHEAPEST].broken():
         return ""
     cost = results.counts[SAFE].cost
     lower, upper = map(given, LIMITS)
     change = 1 - cost / given_cost()
     return (
-        f" Where no worst case may leave {lower}° to {upper}°, build the worst-case tolerances, for"
-        f" {percent(abs(change))} {'less' if change > 0 else 'more'} than the given ones."
+        f" If even the worst case must stay within {lower}° to {upper}°, build the worst-case tolerances, for "
+        f"{percent(abs(change))} {'less' if change > 0 else 'more'} than the given ones."
     )
 
 
@@ -84,7 +84,7 @@ def _sentences(results: ClutchResults) -> Iterator[str]:
 
 
 def _worst_sentences(results: ClutchResults) -> Iterator[str]:
-    """How far each set of tolerances can leave the function's limits, and how often it does."""
+    """By how much each set of tolerances can exceed the function's limits, and how often it does."""
     lower, upper = map(given, LIMITS)
     for name, one in ((name, results.counts[name]) for name in (GIVEN, CHEAPEST, SAFE) if name in results.counts):
         title = {GIVEN: "The given", CHEAPEST: "The cheapest", SAFE: "The worst-case"}[name]

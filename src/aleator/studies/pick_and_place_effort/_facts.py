@@ -1,4 +1,4 @@
-"""What the page of the effort-optimal study says in numbers: published and reference values, spreads, a lesson."""
+"""The numbers on the page of the effort-optimal study: published and reference values, spreads, a lesson."""
 
 from collections.abc import Mapping
 
@@ -20,7 +20,7 @@ UNIT = "(N m)² s"
 
 
 def published_table(done: MotionResults) -> Table:
-    """What the dissertation prints and what an independent program finds, beside ours."""
+    """Published values and those of an independent program, compared with ours."""
     shown = [name for name in done.plans if name in REFERENCE]
     flown = {name: done.families.get(name) for name in shown}
     efforts = {name: np.nan if one is None else effort_of(one) for name, one in flown.items()}
@@ -43,15 +43,15 @@ def published_table(done: MotionResults) -> Table:
         ["– ours", *(pair_text(None if one is None else terminal_spread(one)) for one in flown.values())],
     ]
     note = (
-        "Reference: an independent program for the same arm, with limits at the 61 instants alone. The published"
-        " efforts are sums over an unstated number of samples, for another inertia model, another obstacle and a"
-        f" payload of standard deviation 0.5. {compared(PUBLISHED, efforts, 'the efforts')}"
+        "Reference: an independent program for the same arm, with limits only at the 61 instants. The published "
+        "efforts are sums over an unstated number of samples, for another inertia model, another obstacle and a "
+        f"payload with a standard deviation of 0.5 kg. {compared(PUBLISHED, efforts, 'the efforts')}"
     )
     return Table("Published and reference values beside ours", ["", *shown], rows, note)
 
 
 def spreads_table(spreads: Mapping[str, Mapping[str, Spread]]) -> Table:
-    """The joints' spreads at the end by payload: sampled and by the expansion."""
+    """The joints' standard deviations at the end by payload: sampled and by the expansion."""
     rows = [
         [f"{name}(t_f), {payload}", number(one.sampled, 3), number(one.expanded, 3), percent(one.error)]
         for payload, ends in spreads.items()
@@ -59,8 +59,8 @@ def spreads_table(spreads: Mapping[str, Mapping[str, Spread]]) -> Table:
     ]
     header = ["", "σ sampled (rad)", "σ by order 5 (rad)", "Leave-one-out error"]
     note = (
-        f"More than {given(100 * TOLERANCE)} % counts as not resolved: a solve warns, and means and spreads are not"
-        " to be trusted."
+        f"Above {given(100 * TOLERANCE)} % an output counts as unresolved: a solve warns, and means and standard "
+        "deviations are not to be trusted."
     )
     return Table("The robust plan with the payload of this study and with a wider one", header, rows, note)
 
@@ -72,7 +72,7 @@ def effort_of(family: Family) -> float:
 
 
 def terminal_spread(family: Family) -> tuple[float, float]:
-    """The standard deviations of the tip's place at the end, x and y, m."""
+    """The standard deviations of the tip's final position, x and y, m."""
     return float(family.systems["tip_x"][:, -1].std()), float(family.systems["tip_y"][:, -1].std())
 
 
@@ -91,9 +91,9 @@ def pair_text(values: tuple[float, float] | None) -> str:
 
 LESSON = (
     (
-        "The dissertation's payload has a standard deviation of 0.5 kg. The same torques then send a light payload and"
-        " a heavy one to different corners of the plane, and the joints' angles bend too sharply over the payload for"
-        " a polynomial of order 5. The expansion says so itself, by its leave-one-out error."
+        "The dissertation's payload has a standard deviation of 0.5 kg. The same torques then send a light and a heavy "
+        "payload to quite different places, and the joint angles as functions of the payload are too strongly curved "
+        "for a polynomial of order 5. The expansion's leave-one-out error shows this."
     ),
-    "What helps is feedback, or a plan of the motion instead of the torques: see the study pick-and-place-time.",
+    "The remedy is feedback, or planning the motion instead of the torques: see the study pick-and-place-time.",
 )

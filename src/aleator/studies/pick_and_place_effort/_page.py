@@ -1,4 +1,4 @@
-"""The chapters of the effort-optimal study's page: the motion, where the arm goes, a front, a wider payload."""
+"""The chapters of the effort-optimal study's page: the motion, histories, a front, a wider payload."""
 
 from collections.abc import Iterator, Mapping, Sequence
 
@@ -12,9 +12,12 @@ from aleator.studies.two_link_arm import TARGET, TORQUE
 from aleator.studies.two_link_arm._views import SCENE, TIP, joints, touches
 
 GLOSSARY = (
-    ("Deterministic plan", "The least effort that brings the mean payload to its target (72)."),
-    ("Robust plan", "The least effort that does so in the mean, one σ off obstacle and wall, (79) and (90)."),
-    ("Least variance", "Under the same limits, the least norm of the tip's variances at the end (86)."),
+    ("Deterministic plan", "The minimum effort that brings the mean payload to its target (72)."),
+    (
+        "Robust plan",
+        "The minimum effort that does so in the mean, with one σ of clearance from obstacle and wall, (79) and (90).",
+    ),
+    ("Least variance", "Under the same limits, the minimum norm of the tip's variances at the end (86)."),
     ("Effort", f"∫ τ₁² + τ₂² dt, {UNIT}."),
     ("Forward dynamics", "The torques act as planned, open loop; the payload changes where the arm goes."),
     ("μ, σ", "Mean and standard deviation over all payloads."),
@@ -30,8 +33,8 @@ def motion(families: Mapping[str, Family], names: Sequence[str]) -> Iterator[Blo
     yield animations(families, shown, joints, TIP, SCENE, names)
     figures = [tip_paths(one, name, joints, TIP, SCENE, touches(one), names) for name, one in families.items()]
     caption = (
-        "The same torques with another payload lead elsewhere. Arms that touch obstacle or wall, with either link,"
-        " stand out."
+        "With another payload, the same torques lead elsewhere. Arms that touch obstacle or wall, with either link, "
+        "are highlighted."
     )
     yield Drawing(figures, "Path of the tip", caption)
 
@@ -54,11 +57,11 @@ def histories(families: Mapping[str, Family]) -> Iterator[Block]:
         for name, one in families.items()
     ]
     if torques:
-        yield Drawing(torques, "Torques", "They act as planned on every arm: nothing spreads.")
+        yield Drawing(torques, "Torques", "They act as planned on every arm, and so have no spread.")
 
 
 def trade_off(front: al.results.Front | None) -> Iterator[Block]:
-    """Effort against spread."""
+    """The trade-off between effort and spread."""
     if front is None:
         return
     figure = front_figure(
@@ -69,17 +72,17 @@ def trade_off(front: al.results.Front | None) -> Iterator[Block]:
         y_unit="m²",
     )
     caption = (
-        "Each point is the plan whose tip spreads least for its effort. The first steps beyond the robust plan's"
-        " effort buy most; at the right end the torques are at their limits wherever that helps."
+        "Each point is the plan with the smallest spread of the tip for its effort. The first increases beyond the "
+        "robust plan's effort gain most; at the right end the torques are at their limits wherever that helps."
     )
-    yield Drawing([figure], "What a smaller spread costs", caption)
+    yield Drawing([figure], "The cost of a smaller spread", caption)
 
 
 def lesson(wide: Family | None, spreads: Mapping[str, Mapping[str, Spread]], names: Sequence[str]) -> Iterator[Block]:
-    """What a wider payload does to one plan."""
+    """The effect of a wider payload distribution on one plan."""
     if wide is None:
         return
-    yield Text(LESSON, lead="An open-loop plan for widely spread payloads is not one plan.")
+    yield Text(LESSON, lead="No single open-loop plan suits widely spread payloads.")
     yield spreads_table(spreads)
     paths = tip_paths(wide, ROBUST, joints, TIP, SCENE, touches(wide), names)
     yield Drawing([angles_figure(wide, "Joints"), paths], f"The robust plan with payload {WIDE}", SHADES)

@@ -1,4 +1,4 @@
-"""Which plan of least effort to build, and why: the first screen of the page, from the results alone."""
+"""The first screen of the page, from the results alone: which plan of minimum effort to build, and why."""
 
 from collections.abc import Iterator, Mapping
 
@@ -11,34 +11,33 @@ from aleator.studies.pick_and_place_effort._run import LEAST, MEAN, ROBUST, WIDE
 
 
 def sentences(done: MotionResults, spreads: Mapping[str, Mapping[str, Spread]]) -> Iterator[str]:
-    """What there is to say of the plans there are, and of how far the joints spread at the end, by payload."""
+    """Sentences on the plans available, and on the joints' spread at the end by payload."""
     families = done.families
     if {MEAN, ROBUST} <= set(done.evidence):
         mean, robust = (done.evidence[name].violations["obstacle"] for name in (MEAN, ROBUST))
         yield (
-            "The deterministic plan grazes the obstacle with the mean payload, so that"
-            f" {share_text(mean)} of all payloads hit it. One σ of clearance, as printed, leaves"
-            f" {share_text(robust)}: the share of payloads that a uniform distribution has beyond one σ on one side is"
-            " 21.1 %."
+            f"The deterministic plan grazes the obstacle with the mean payload, so that {share_text(mean)} of all "
+            f"payloads hit it. With one σ of clearance, as published, {share_text(robust)} hit it: for a uniform "
+            "distribution 21.1 % of the payloads lie beyond one σ on one side."
         )
     if {ROBUST, LEAST} <= set(families):
         robust, least = (terminal_spread(families[name]) for name in (ROBUST, LEAST))
         efforts = [effort_of(families[name]) for name in (ROBUST, LEAST)]
         yield (
-            f"At the end the tip spreads by σ = {pair_text(robust)} m in x and y. The most that torques can do,"
-            f" with {number(efforts[1] / efforts[0], 3)} times the effort, is {pair_text(least)} m: no open-loop"
-            " plan brings it to zero."
+            f"At the end the tip has σ = {pair_text(robust)} m in x and y. The best that torques can achieve, with "
+            f"{number(efforts[1] / efforts[0], 3)} times the effort, is {pair_text(least)} m: no open-loop plan brings "
+            "it to zero."
         )
     if wide := spreads.get(str(WIDE)):
         spread, error = (max(parts) for parts in zip(*((one.sampled, one.error) for one in wide.values()), strict=True))
         yield (
-            f"With payloads that spread five times as much a joint ends with σ = {number(spread, 2, 'rad')}, and"
-            f" order 5 misses a new payload by {percent(error)} of it: there the expansion must not be trusted."
+            f"With five times the spread of payloads a joint ends with σ = {number(spread, 2, 'rad')}, and order 5 "
+            f"misses a new payload by {percent(error)} of it: there the expansion must not be trusted."
         )
 
 
 def cards(done: MotionResults) -> Iterator[Card]:
-    """What the robust plans take, and how often they fail."""
+    """The cost of the robust plans, and how often they fail."""
     plans = done.plans
     if ROBUST in plans:
         note = f"margin a = 1; reference {REFERENCE[ROBUST]}"
@@ -50,8 +49,8 @@ def cards(done: MotionResults) -> Iterator[Card]:
 
 
 def left_to_feedback(done: MotionResults) -> str:
-    """What clearance does not do: it does not bring every payload to its place."""
+    """The remaining spread at the end, which clearance does not reduce."""
     if CALIBRATED not in done.families:
         return ""
     spread = pair_text(terminal_spread(done.families[CALIBRATED]))
-    return f" At the end its tip spreads by σ = {spread} m in x and y: feedback has to do the rest."
+    return f" At the end its tip has σ = {spread} m in x and y: feedback has to do the rest."

@@ -1,4 +1,4 @@
-"""What the page of the time-optimal study says in numbers: published and reference values, what a margin is worth."""
+"""The numbers on the page of the time-optimal study: published and reference values, the effect of a margin."""
 
 import numpy as np
 from scipy import stats
@@ -15,9 +15,7 @@ PUBLISHED = {MEAN: 1.12, ONE: 1.20}
 
 
 def predicted_share(sigmas: float) -> float:
-    """How many payloads lie more than `sigmas` standard deviations off their mean: of a uniform distribution, `1 -
-    a/√3`.
-    """
+    """The share of payloads more than `sigmas` standard deviations from the mean: `1 - a/√3` if uniform."""
     return max(0.0, 1.0 - sigmas / np.sqrt(3.0))
 
 
@@ -28,7 +26,7 @@ def torques_of(family: Family, *, nominal: bool = False) -> dict[str, np.ndarray
 
 
 def published_table(done: MotionResults) -> Table:
-    """What the dissertation prints and what an independent program finds, beside ours."""
+    """Published values and those of an independent program, compared with ours."""
     rows, ours = [], {name: duration(plan) for name, plan in done.plans.items()}
     for name, plan in done.plans.items():
         printed, reference = PUBLISHED.get(name), REFERENCE.get(name)
@@ -42,17 +40,16 @@ def published_table(done: MotionResults) -> Table:
             ]
         )
     note = (
-        "Reference: an independent program for the same arm, with limits at the 91 instants alone. No digit of the"
-        " published times is to be met: the dissertation prints neither the arm's inertias nor its obstacle, and no"
-        " arm whose parameters are all one gives both of its times."
-        f" {compared(PUBLISHED, ours, 'the published times')}"
+        "Reference: an independent program for the same arm, with limits only at the 91 instants. The published times "
+        "cannot be reproduced: the dissertation gives neither the arm's inertias nor its obstacle, and no arm whose "
+        f"parameters are all one has both of its times. {compared(PUBLISHED, ours, 'the published times')}"
     )
     header = ["t_f", "Published", "Reference", "Ours, at the instants", "Ours, between them too"]
     return Table("Published and reference values beside ours", header, rows, note)
 
 
 def margins_table(done: MotionResults) -> Table:
-    """What a margin leaves outside: by the closed form, and counted."""
+    """The share of payloads outside a margin: in closed form, and counted."""
     rows = []
     for name in (ONE, WORST):
         if (one := done.evidence.get(name)) and name in done.families:
@@ -66,10 +63,10 @@ def margins_table(done: MotionResults) -> Table:
             )
     header = ["Plan", "Payloads outside μ ± a·σ", "Payloads that overload a joint", "Largest skewness of a torque"]
     note = (
-        "Skewness is of the sampled torques, at the instant where it is largest; its sampling error is"
-        f" {number(float(np.sqrt(6 / done.effort.family)), 2)}."
+        "Skewness is that of the sampled torques at the instant where it is largest; its sampling error is "
+        f"{number(float(np.sqrt(6 / done.effort.family)), 2)}."
     )
-    return Table("What a margin is worth", header, rows, note)
+    return Table("The effect of a margin", header, rows, note)
 
 
 def _largest_skewness(family: Family) -> float:

@@ -15,20 +15,19 @@ GLOSSARY = (
     ("Deterministic plan", "The fastest plan for the mean payload (73)."),
     ("Robust plan", "The fastest plan whose torques keep their limits with μ ± a·σ, (80) and (91)."),
     ("μ, σ", "Mean and standard deviation over all payloads."),
-    ("Margin a", "How many σ are kept between the mean torque and its limit."),
-    ("Inverse dynamics", "The joints follow the plan exactly; the payload changes the torques that this takes."),
+    ("Margin a", "The number of σ kept between the mean torque and its limit."),
+    ("Inverse dynamics", "The joints follow the plan exactly; the payload changes the torques needed."),
     ("t_f", "Duration of the motion, chosen by the plan."),
 )
 _WHY = (
     (
-        "Along a given motion each torque is a straight line in the payload: τ = τ₀(t) + τ₁(t)·M. So it is uniform as"
-        " the payload is, its skewness is zero, and μ ± σ covers the share 1/√3 = 57.7 % of the payloads at every"
-        " instant. Where a heavier payload and a lighter one both meet a limit, 1 − 1/√3 = 42.3 % overload a joint."
+        "Along a given motion each torque is affine in the payload: τ = τ₀(t) + τ₁(t)·M. So it is uniformly "
+        "distributed like the payload, its skewness is zero, and μ ± σ covers 1/√3 = 57.7 % of the payloads at every "
+        "instant. Where both heavier and lighter payloads reach a limit, 1 − 1/√3 = 42.3 % overload a joint."
     ),
     (
         "For one uniform payload a = √3 is the exact worst case. For other distributions, or several uncertain "
-        "numbers, the"
-        " share that a margin leaves outside is not known beforehand: count it and calibrate a, as below (section 5.6)."
+        "numbers, the share outside a margin is not known beforehand: count it and calibrate a, as below (section 5.6)."
     ),
 )
 
@@ -49,8 +48,8 @@ def _torques(families: Mapping[str, Family]) -> Iterator[Block]:
             torques_figure(times, torques_of(families[MEAN]), TORQUE, "All payloads"),
         ]
         caption = (
-            "The fastest plan holds one torque or the other at its limit almost throughout. Another payload on the"
-            f" same path asks for more. {SHADES}"
+            "The fastest plan keeps one torque or the other at its limit almost throughout. Another payload on the "
+            f"same path needs more. {SHADES}"
         )
         yield Drawing(figures, "Torques of the deterministic plan", caption, "5.5")
     if robust := {name: families[name] for name in (ONE, WORST) if name in families}:
@@ -58,8 +57,8 @@ def _torques(families: Mapping[str, Family]) -> Iterator[Block]:
             torques_figure(one.times, torques_of(one), TORQUE, name.capitalize()) for name, one in robust.items()
         ]
         caption = (
-            "The margin pushes the bands inside the limits: with a = 1 the dark band of one σ, with a = √3 the"
-            " light band of all payloads, for a uniform distribution ends √3 σ off its mean."
+            "The margin moves the bands inside the limits: with a = 1 the dark band of one σ, with a = √3 the light "
+            "band of all payloads, since a uniform distribution ends √3 σ from its mean."
         )
         yield Drawing(figures, "Torques of the robust plans", caption, "5.6")
 
@@ -70,12 +69,12 @@ def _motion(families: Mapping[str, Family], names: Sequence[str]) -> Iterator[Bl
         return
     yield animations(families, shown, joints, TIP, SCENE, names)
     figure = angles_figure(families[shown[-1]], shown[-1].capitalize())
-    caption = "The joints follow the plan whatever the payload: nothing spreads."
+    caption = "The joints follow the plan whatever the payload, and so have no spread."
     yield Drawing([figure], "Configuration over time", caption, "5.7")
 
 
 def why_one_sigma(done: MotionResults) -> Iterator[Block]:
-    """Why one σ leaves so many outside."""
+    """Why one σ excludes so many payloads."""
     if done.evidence:
-        yield Text(_WHY, lead="Why one σ leaves four payloads in ten outside.")
+        yield Text(_WHY, lead="Why one σ excludes four payloads in ten.")
         yield margins_table(done)

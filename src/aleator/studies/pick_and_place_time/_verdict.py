@@ -1,4 +1,4 @@
-"""Which of the fastest plans to run, and why: the first screen of the page, from the results alone."""
+"""The first screen of the page, from the results alone: which of the fastest plans to run, and why."""
 
 from collections.abc import Iterator
 
@@ -24,7 +24,7 @@ def worst_case_broken(done: MotionResults) -> str:
 
 
 def headline(done: MotionResults) -> str:
-    """The worst-case plan, its price, and what tolerating a few payloads beyond a limit would save."""
+    """The worst-case plan, its cost, and the time saved by tolerating a few violations."""
     plan, one, found = done.plans[WORST], done.plans[ONE], done.evidence[WORST].joint
     said = (
         f"The worst-case plan, a = √3, for {price(duration(plan), duration(one), 's')}: none of"
@@ -37,16 +37,16 @@ def headline(done: MotionResults) -> str:
 
 
 def sentences(done: MotionResults) -> Iterator[str]:
-    """What there is to say of the plans there are."""
+    """Sentences on the plans available."""
     if one := done.evidence.get(MEAN):
         yield (
-            "Do not run the plan for the mean payload: it drives the torques to their limits, and"
-            f" {share_text(one.joint)} of the payloads ask for more."
+            "Do not run the plan for the mean payload: it drives the torques to their limits, and "
+            f"{share_text(one.joint)} of the payloads need more."
         )
     if one := done.evidence.get(ONE):
         yield (
-            f"The printed margin of one σ is not safe: {share_text(one.joint)} of the payloads overload a joint."
-            f" That is right: {percent(predicted_share(1.0))} of uniform payloads lie outside μ ± σ."
+            f"The published margin of one σ is not safe: {share_text(one.joint)} of the payloads overload a joint. "
+            f"This agrees with theory: {percent(predicted_share(1.0))} of uniform payloads lie outside μ ± σ."
         )
     if (found := done.calibration) is not None:
         yield (
@@ -56,8 +56,8 @@ def sentences(done: MotionResults) -> Iterator[str]:
 
 
 def cards(done: MotionResults) -> Iterator[Card]:
-    """How long the robust plans take, and how often they fail."""
-    notes = {ONE: "the printed margin", WORST: "fastest for all payloads"}
+    """The durations of the robust plans, and how often they fail."""
+    notes = {ONE: "the published margin", WORST: "fastest for all payloads"}
     for name, note in notes.items():
         if plan := done.plans.get(name):
             yield Card(f"Duration, {name}", number(duration(plan), 4, "s"), note)

@@ -1,4 +1,4 @@
-"""The figures of chapters 6 and 7, in the order in which the study's page tells them."""
+"""The figures of chapters 6 and 7, in the order of the study's page."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -39,7 +39,7 @@ from aleator.studies.suspension._facts import (
 from aleator.studies.suspension._run import HOLDING, NARROW_TRAVEL, RIDE, TRAVEL, SuspensionResults
 
 RIDE_NAME, TRAVEL_NAME, HOLDING_NAME = "Ride ∫ z̈ₛ² dt, μ + σ", "Travel limit R", "Holding limit H"
-HOW_TO_SEE = "Filled markers: the swept limit holds the design; open markers: another limit does."
+HOW_TO_SEE = "Filled markers: the swept limit is active; open markers: another limit is."
 
 
 def _axes(ride_limit: bool) -> dict[str, Axis]:
@@ -65,22 +65,22 @@ def robust_design(results: SuspensionResults) -> Iterator[Block]:
         yield Drawing(
             [_ride_front(pair, TRAVEL_NAME)],
             f"Ride against the travel limit, H = {HOLDING:g} m",
-            f"{HOW_TO_SEE} {_transition(pair, 'travel', 'm')} Accounting for uncertainty shifts the whole trade-off up;"
-            " where the curves are flat, holding is active and more travel buys nothing.",
+            f"{HOW_TO_SEE} {_transition(pair, 'travel', 'm')} Accounting for uncertainty shifts the whole trade-off "
+            "up; where the curves are flat, holding is active and more travel brings no gain.",
             "6.4",
         )
-        yield _shadow_price(pair, TRAVEL_NAME, "travel", "What a centimetre of travel is worth", 0.01, "cm")
+        yield _shadow_price(pair, TRAVEL_NAME, "travel", "The value of a centimetre of travel", 0.01, "cm")
     if results.holding_fronts:
         yield Drawing(
             [_ride_front(results.holding_fronts, HOLDING_NAME)],
             f"Ride against the holding limit, R = {TRAVEL:g} m",
-            f"{HOW_TO_SEE} {_transition(results.holding_fronts, 'holding', 'm')} The uncertain design changes over"
-            " first, because its box meets the travel limit earlier (figure 6.7). Crosses: no design meets all"
+            f"{HOW_TO_SEE} {_transition(results.holding_fronts, 'holding', 'm')} The robust design changes its active "
+            "limit first, because its box meets the travel limit earlier (figure 6.7). Crosses: no design meets all"
             " limits.",
             "6.5",
         )
         yield _shadow_price(
-            results.holding_fronts, HOLDING_NAME, "holding", "What a millimetre of holding is worth", 0.001, "mm"
+            results.holding_fronts, HOLDING_NAME, "holding", "The value of a millimetre of holding", 0.001, "mm"
         )
     both = [name for name in ("dOpt", "uOpt") if name in results.designs]
     if len(both) == 2:
@@ -89,8 +89,8 @@ def robust_design(results: SuspensionResults) -> Iterator[Block]:
             both,
             "Why uncertainty changes the active limit",
             "6.6",
-            "The same limits, different ones active: dOpt stands on the holding limit; uOpt's box touches the travel"
-            " limit, which keeps its mean away from both.",
+            "With the same limits, different ones are active: dOpt lies on the holding limit; uOpt's box touches the "
+            "travel limit, which keeps its mean away from both.",
         )
     if results.boxes:
         yield _holding_boxes(results)
@@ -111,13 +111,13 @@ def _shadow_price(
     return Drawing(
         [figure],
         heading,
-        f"The multiplier of the {bound} limit: how much ride improves if it is relaxed by 1 {unit}. Zero: relaxing it"
-        " buys nothing.",
+        f"The multiplier of the {bound} limit: the improvement of ride if it is relaxed by 1 {unit}. Zero: relaxing it "
+        "brings no gain.",
     )
 
 
 def _transition(fronts: dict[str, al.results.Front], bound: str, unit: str) -> str:
-    """Up to which value of its limit each front is held by it."""
+    """Up to which value of its limit it is active on each front."""
     parts = []
     for name, front in fronts.items():
         held = [
@@ -139,8 +139,8 @@ def _holding_boxes(results: SuspensionResults) -> Drawing:
     return Drawing(
         [projection_figure(boxes, "holding", "travel", axes, height=520)],
         "From an active holding limit to an active travel limit",
-        "Each box is drawn like the holding limit it belongs to. As H grows, uOpt's box climbs until it meets the"
-        " travel limit, and stays there: its last boxes coincide. dOpt, a point, still follows H.",
+        "Each box has the line style of its holding limit. As H grows, uOpt's box rises until it meets the travel "
+        "limit, and stays there: its last boxes coincide. dOpt, a point, still follows H.",
         "6.7",
     )
 
@@ -158,8 +158,8 @@ def _decision_path(results: SuspensionResults) -> Drawing:
         lower_text=f"lower bound of kₛ, {number(lowest)} N/m",
     )
     caption = (
-        "Along figure 6.5: the damper does the work; the spring leaves its lower bound only at the tightest holding"
-        " limits. Labels: the tightest limit that each design reaches."
+        "Along figure 6.5 mainly the damper changes; the spring leaves its lower bound only at the tightest holding "
+        "limits. Labels: the tightest limit that each design reaches."
     )
     return Drawing([figure], f"Spring and damper along the front, R = {TRAVEL:g} m", caption, "6.8")
 
@@ -168,10 +168,10 @@ def violations(results: SuspensionResults) -> Iterator[Block]:
     captions = {
         "dOpt": (
             "6.9",
-            "The deterministic design on random cars: best for the nominal car, no reserve for the others.",
+            "The deterministic design on random cars: best for the nominal car, without reserve for the others.",
         ),
-        ROBUST_NARROW: ("6.10 a", "The robust design with a margin of 1 σ: an orderly bundle, few cars outside."),
-        WIDER_NARROW: ("6.10 b", "A little more margin, a = 1.25, and violations become rare."),
+        ROBUST_NARROW: ("6.10 a", "The robust design with a margin of 1 σ: a narrow bundle, with few cars outside."),
+        WIDER_NARROW: ("6.10 b", "With a slightly larger margin, a = 1.25, violations become rare."),
     }
     for name, (label, caption) in captions.items():
         if one := results.narrow_evidence.get(name):
@@ -181,7 +181,7 @@ def violations(results: SuspensionResults) -> Iterator[Block]:
     for name, one in results.built.items():
         yield margin_drawing(one, f"The margin to build {name} with", "cars", margins_text(one.margins))
     if results.calibration is not None:
-        yield margin_drawing(results.calibration, "The margin that makes violations as rare as asked", "cars")
+        yield margin_drawing(results.calibration, "The margin that meets the target for violations", "cars")
 
 
 def apportionment(results: SuspensionResults) -> Iterator[Block]:
@@ -200,9 +200,9 @@ def apportionment(results: SuspensionResults) -> Iterator[Block]:
                     limits={} if start is None else {f"initial spreads ${cost(start):.2f}": cost(start)},
                 )
             ],
-            f"Cost to build against the travel limit (ride ≤ {RIDE:g}, H = {HOLDING:g} m)",
-            f"{HOW_TO_SEE} Above the line, spreads must be tighter than they are today; at the crosses no choice of"
-            " spreads meets all limits.",
+            f"Cost of the spreads against the travel limit (ride ≤ {RIDE:g}, H = {HOLDING:g} m)",
+            f"{HOW_TO_SEE} Above the line, spreads must be tighter than the initial ones; at the crosses no choice of "
+            "spreads meets all limits.",
             "7.3",
         )
     if rides:
@@ -218,17 +218,17 @@ def apportionment(results: SuspensionResults) -> Iterator[Block]:
                     infeasible={} if front is None else {"aOpt": front},
                 )
             ],
-            "Why narrow travel has no apportioned design",
-            "Where uOpt lies above the ride limit, aOpt must tighten spreads to come below it. In the grey band even"
-            " that is not enough: the load mₛ and the tyre kᵤ keep their spread.",
+            "Why there is no apportioned design for narrow travel",
+            "Where uOpt lies above the ride limit, aOpt must tighten spreads to meet it. In the grey band even that is "
+            "not enough: the load mₛ and the tyre kᵤ keep their spreads.",
             "7.4",
         )
     if front is not None and front.solved.any():
         names = {name: f"{text} (initially ±{_initial(front, name)})" for name, text in SPREADS.items()}
         figure = relative_figure(front, names, x=TRAVEL_NAME, x_unit="m", y="Half-width (% of its initial value)")
         caption = (
-            "The share of today's spread that each travel limit allows: above 100 % is cheaper than today, below is"
-            " dearer. Limits of the search: 5 % and 400 %."
+            "The spreads that each travel limit allows, relative to the initial ones: above 100 % they are cheaper, "
+            "below more expensive. Bounds of the search: 5 % and 400 %."
         )
         yield Drawing([figure], "Apportioned spreads against the travel limit", caption, "7.5")
 

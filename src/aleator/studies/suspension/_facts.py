@@ -1,4 +1,4 @@
-"""What the suspension's page says of its designs: costs, boxes and tables, all computed from the results."""
+"""The numbers on the suspension's page: costs, boxes and tables, all computed from the results."""
 
 from collections.abc import Iterator, Sequence
 
@@ -23,7 +23,7 @@ UNITS = {"k_s": "N/m", "b_s": "N s/m", "eta": ""}
 
 
 def cost(solution: al.Solution) -> float:
-    """What a design's spreads cost to make, $: equation (125), for dOpt and uOpt with the initial spreads."""
+    """The manufacturing cost of a design's spreads, $: equation (125), for dOpt and uOpt with the initial spreads."""
     return value_at(COST, solution.problem, solution.vector)
 
 
@@ -33,7 +33,7 @@ def figure_of(solution: al.Solution, name: str) -> float:
 
 
 def start_of(solution: al.Solution, name: str) -> float:
-    """Where the search for a decision started."""
+    """The initial value of a decision."""
     return float(solution.problem.placements.decisions[name].decision.initial)
 
 
@@ -57,19 +57,19 @@ def box(solution: al.Solution, design: str, dash: str = "solid", note: str = "")
 
 
 def saving(results: SuspensionResults) -> float | None:
-    """By which share of the initial cost the apportioned design is cheaper."""
+    """The saving of the apportioned design as a share of the initial cost."""
     apportioned, robust = solved(results, "aOpt"), solved(results, "uOpt") or solved(results, "dOpt")
     return None if apportioned is None or robust is None else 1 - cost(apportioned) / cost(robust)
 
 
 def solved(results: SuspensionResults, name: str) -> al.Solution | None:
-    """A design of the study, if it was reached and solved."""
+    """A design of the study, if it is available and solved."""
     found = results.designs.get(name)
     return found if found is not None and found.ok else None
 
 
 def constraints_active(solution: al.Solution) -> tuple[str, ...]:
-    """The requirements that hold a design, without the decisions at their own bounds."""
+    """The active requirements of a design, without decisions at their bounds."""
     return tuple(name for name in solution.active if name not in solution.at_bounds)
 
 
@@ -89,18 +89,18 @@ def designs_table(results: SuspensionResults) -> Table:
     rows.append([f"Travel, μ ± σ (m), limit ±{TRAVEL:g}", *(_spread(one, "travel") for one in boxes)])
     rows.append([f"Holding, μ ± σ (m), limit {HOLDING:g}", *(_spread(one, "holding") for one in boxes)])
     rows.append(["Cost of the spreads", *(dollars(cost(one)) for one in every)])
-    rows.append(["Held by", *(words(constraints_active(one), "nothing") for one in every)])
+    rows.append(["Active limits", *(words(constraints_active(one), "none") for one in every)])
     rows += violation_rows([results.evidence.get(name) for name in results.designs], "Cars beyond")
     note = (
-        "dOpt is judged at the nominal car, so its σ is 0. Travel is at its most critical instant, with the spread as"
-        " equation (119) adds it, σ of z_s plus σ of z_u. Intervals are 95 % confidence (Clopper and Pearson). Ride is"
-        f" a limit ({given(RIDE, RIDE_UNIT)}) for aOpt only; for dOpt and uOpt it is the objective."
+        "dOpt is evaluated on the nominal car, so its σ is 0. Travel is at its most critical instant, with the spread "
+        "of equation (119): σ of z_s plus σ of z_u. Intervals are 95 % confidence (Clopper and Pearson). Ride is a "
+        f"limit ({given(RIDE, RIDE_UNIT)}) for aOpt only; for dOpt and uOpt it is the objective."
     )
     return Table("Decisions, performance and violations", ["", *results.designs], rows, note)
 
 
 def decision_rows(designs: Sequence[al.Solution]) -> Iterator[list[str]]:
-    """Means and spreads of spring, damper and damping ratio: rows of a table whose columns are designs."""
+    """Means and spreads of spring, damper and damping ratio, as rows of a table with designs as columns."""
     means = {"k_s.mean": "Spring, mean kₛ", "b_s.mean": "Damper, mean bₛ"}
     for name, text in (means | {name: f"± half-width, {text}" for name, text in SPREADS.items()}).items():
         yield [text, *(_decided(one, name) for one in designs)]

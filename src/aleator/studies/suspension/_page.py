@@ -34,9 +34,9 @@ from aleator.studies.suspension._run import (
 )
 
 GLOSSARY = (
-    ("dOpt", "Deterministic optimum: the nominal spring and damper that ride best, for the nominal car only."),
+    ("dOpt", "Deterministic optimum: the nominal spring and damper with the best ride for the nominal car only."),
     ("uOpt", "Robust optimum: the same two decisions, for all cars that the uncertainty allows."),
-    ("aOpt", "Apportioned optimum: the means and the manufacturing spreads are chosen together, at least cost."),
+    ("aOpt", "Apportioned optimum: the means and the manufacturing spreads are chosen together at minimum cost."),
     (
         "Ride",
         "Integral of the squared acceleration of the passenger over the road, m²/s³. Smaller is more comfortable.",
@@ -44,25 +44,25 @@ GLOSSARY = (
     ("Travel (rattle), R", "Distance between body and wheel from rest, m; limited to ±R at every instant."),
     ("Holding, H", "Root mean square of the tyre's deflection, m; at most H. Smaller keeps the wheel on the ground."),
     ("μ, σ", "Mean and standard deviation over all cars."),
-    ("Margin a", "The limit is asked of μ + a·σ. It makes violations rare; only counting says how rare."),
+    ("Margin a", "The limit applies to μ + a·σ. It makes violations rare; only counting shows how rare."),
     (
         "To build",
-        "With the smallest margins, in a given ratio, at which fresh cars confirm that at most 1 % break any limit.",
+        "With the smallest margins, in a fixed ratio, at which fresh cars confirm that at most 1 % break any limit.",
     ),
-    ("Half-width", "A uniform spread reaches from the mean minus to the mean plus its half-width."),
-    ("Active", "A limit that the design touches: without it, the design would be better."),
-    ("Shadow price", "How much better the objective would be for each unit by which an active limit is relaxed."),
+    ("Half-width", "A uniform distribution extends from the mean minus to the mean plus its half-width."),
+    ("Active", "A limit that the design meets with equality: without it, a better design would exist."),
+    ("Shadow price", "The improvement of the objective per unit by which an active limit is relaxed."),
     ("95 % interval", "Clopper and Pearson: encloses the true share of cars in at least 95 of 100 such countings."),
 )
 
 
 def sections(results: SuspensionResults) -> list[Section]:
-    """What was found, as far as the study has come."""
+    """The sections for the results available so far."""
     return [
         Section("The car", [_schematic(results)]),
         Section("The designs to build", [built_table(results)] if results.built else []),
         Section("The three designs", _designs(results)),
-        Section("Published beside ours", [published_table(results)] if results.designs else []),
+        Section("Comparison with published values", [published_table(results)] if results.designs else []),
         Section("Robust design (chapter 6)", list(robust_design(results))),
         Section("How often cars violate", list(violations(results))),
         Section("Apportionment (chapter 7)", list(apportionment(results))),
@@ -72,7 +72,7 @@ def sections(results: SuspensionResults) -> list[Section]:
 
 
 def cut_short(results: SuspensionResults) -> Iterator[str]:
-    """How much of each front that was interrupted is there."""
+    """How much of each interrupted front is available."""
     points = results.effort.front_points
     groups = (
         (results.travel_fronts, "over travel", points),
@@ -89,9 +89,9 @@ def _schematic(results: SuspensionResults) -> Schematic:
     profile = road()
     drawing = car_drawing(nominal(), np.asarray(profile.times), np.asarray(profile.values))
     caption = (
-        "A scheme: boxes are as large as their masses, the road is the model's own. ± is the half-width of a uniform"
-        " distribution; means that a design chooses have the index 0. The damper is η times"
-        " as strong in compression as in extension."
+        "Schematic: the size of boxes shows their masses; the road is that of the model. ± is the half-width of a "
+        "uniform distribution; means that a design chooses have the index 0. The damper is η times as strong in "
+        "compression as in extension."
     )
     beside = [Code(f"The problem of {name} as mathematics", str(one.problem)) for name, one in results.designs.items()]
     return Schematic([drawing], "Quarter car on its road", caption, "6.1 and 6.3", beside)
@@ -101,13 +101,11 @@ def _designs(results: SuspensionResults) -> list[Block]:
     blocks: list[Block] = [designs_table(results)] if results.designs else []
     if len(results.designs) > 1:
         caption = (
-            "Points are means, boxes reach one σ to each side. dOpt has no box: it knows of no spread, and stands on"
-            " the holding limit. The box of uOpt ends at the travel limit, so its mean had to move inward. aOpt has the"
-            " largest box: its spreads grow until they meet the ride and travel limits."
+            "Points are means, boxes extend one σ to each side. dOpt has no box: it has no spread, and lies on the "
+            "holding limit. The box of uOpt ends at the travel limit, so its mean had to move inward. aOpt has the "
+            "largest box: its spreads grow until they meet the ride and travel limits."
         )
-        blocks.append(
-            projections(results, list(results.designs), "Where the designs stand among their limits", "7.2", caption)
-        )
+        blocks.append(projections(results, list(results.designs), "The designs among their limits", "7.2", caption))
     return blocks
 
 

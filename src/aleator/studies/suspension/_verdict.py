@@ -1,4 +1,4 @@
-"""Which suspension to build and why: the first screen of the study's page, from the results alone."""
+"""The first screen of the study's page, from the results alone: which suspension to build and why."""
 
 from collections.abc import Iterator
 
@@ -26,7 +26,7 @@ from aleator.studies.suspension._run import BUILT, DESIGNS, HOLDING, NARROW_TRAV
 
 
 def verdict(results: SuspensionResults) -> Verdict:
-    """Which design to build and why, as far as the study has come."""
+    """Which design to build and why, from the results available so far."""
     sentences, cards = list(_sentences(results)), _cards(results)
     built = {f"{name} to build": one.solution for name, one in results.built.items()}
     if missing := no_recommendation(results.designs, results.evidence, DESIGNS, sentences, cards, also=built):
@@ -44,11 +44,11 @@ def verdict(results: SuspensionResults) -> Verdict:
 
 
 def _printed(results: SuspensionResults) -> str:
-    """What the printed margins leave."""
+    """The violations at the published margins."""
     shares = {name: percent(results.evidence[name].joint.estimate) for name in BUILT}
     return (
-        f"At the printed margins of 1 σ, {shares['uOpt']} of the cars of uOpt and {shares['aOpt']} of those of aOpt"
-        " break a limit."
+        f"At the published margins of 1 σ, {shares['uOpt']} of the cars of uOpt and {shares['aOpt']} of those of aOpt "
+        "break a limit."
     )
 
 
@@ -76,10 +76,10 @@ def _sentences(results: SuspensionResults) -> Iterator[str]:
     if (one := results.evidence.get("dOpt")) and "uOpt" in results.evidence:
         robust = results.evidence["uOpt"]
         yield (
-            f"Do not build dOpt: it is the best ride of the nominal car, and {percent(one.joint.estimate)}"
-            f" [{interval_text(one.joint)}] of all cars leave ±{given(TRAVEL, 'm')} of travel or {given(HOLDING, 'm')}"
-            f" of holding. uOpt {_damper(results)} and brings that to {percent(robust.joint.estimate)}"
-            f" [{interval_text(robust.joint)}]."
+            f"Do not build dOpt: it has the best ride for the nominal car, but {percent(one.joint.estimate)} "
+            f"[{interval_text(one.joint)}] of all cars leave ±{given(TRAVEL, 'm')} of travel or {given(HOLDING, 'm')} "
+            f"of holding. uOpt {_damper(results)} and brings that to {percent(robust.joint.estimate)} "
+            f"[{interval_text(robust.joint)}]."
         )
     if apportioned := solved(results, "aOpt"):
         ride = apportioned.moments[RIDE_TEXT]
@@ -92,14 +92,14 @@ def _sentences(results: SuspensionResults) -> Iterator[str]:
     if narrow := results.narrow_evidence.get(ROBUST_NARROW):
         share = narrow.violations["travel"]
         text = (
-            f"What a margin of 1 σ is worth: designed for ±{given(NARROW_TRAVEL, 'm')} at mean + 1 σ,"
-            f" {percent(share.estimate)} [{interval_text(share)}] of the cars still exceed it."
+            f"The effect of a margin of 1 σ: designed for ±{given(NARROW_TRAVEL, 'm')} at mean + 1 σ, "
+            f"{percent(share.estimate)} [{interval_text(share)}] of the cars still exceed it."
         )
         yield text + _calibrated(results)
 
 
 def _damper(results: SuspensionResults) -> str:
-    """What the robust design does to the damper."""
+    """How the robust design changes the damper."""
     before, after = (figure_of(results.designs[name], "b_s.mean") for name in ("dOpt", "uOpt"))
     return (
         f"takes a {'stiffer' if after > before else 'softer'} damper ({number(after, 4)} for"
@@ -112,7 +112,7 @@ def _factors(apportioned: al.Solution) -> dict[str, float]:
 
 
 def _beside(results: SuspensionResults) -> str:
-    """The apportioned design beside the robust one, limit by limit."""
+    """The apportioned design compared with the robust one, limit by limit."""
     ours, robust = results.evidence.get("aOpt"), results.evidence.get("uOpt")
     if ours is None or robust is None:
         return ""

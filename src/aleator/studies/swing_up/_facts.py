@@ -1,4 +1,4 @@
-"""What the page of the swing-up study says of its families: where they are, what they miss, what finer steps change."""
+"""The numbers on the page of the swing-up study: final states, misses, and the effect of finer steps."""
 
 from collections.abc import Callable, Mapping
 
@@ -22,17 +22,17 @@ REFERENCE = {MEAN: 27.8, EXPECTED: 30.6}
 PUBLISHED = {MEAN: ("1060", "5.66"), EXPECTED: ("310", "4.46")}
 PUBLISHED_VARIANCE = 0.0032
 FAR = 0.2
-"""An end further than this from upright, m, is a miss."""
+"""A tip that ends further than this from upright, m, is a miss."""
 
 FRICTION = (
     (
-        "The motion of the first joint is given, so the second link obeys its own equation, in which every term but"
-        " friction is proportional to its mass: inertia, weight, and the pull of the first link. Without friction the"
-        " mass cancels, all pendulums of the family swing alike, and the tip does not spread."
+        "The motion of the first joint is given, so the second link obeys its own equation, in which every term but "
+        "friction is proportional to its mass: inertia, weight, and the coupling force of the first link. Without "
+        "friction the mass cancels, all pendulums of the family swing alike, and the tip has no spread."
     ),
     (
-        "Friction also decides the energy: without it, whatever is put in stays in, so that any motion which never"
-        " brakes costs the same, the difference of the potential energy. With it, each second costs."
+        "Friction also determines the energy: without it energy is conserved, so that any motion that never brakes "
+        "costs the same, the difference in potential energy. With it, every second costs energy."
     ),
 )
 
@@ -44,12 +44,12 @@ def joints(outputs: Outputs) -> np.ndarray:
 
 
 def overloads(family: Family) -> np.ndarray:
-    """Which systems ask for more torque than there is, at any time."""
+    """Which systems need more torque than available, at any time."""
     return np.abs(family.extremes["q1_torque"]).max(axis=1) > TORQUE * (1 + HELD)
 
 
 def missed(family: Family) -> al.results.Proportion:
-    """How many systems end too far from upright."""
+    """The share of systems that end too far from upright."""
     x, y = (family.systems[name][:, -1] for name in ("tip_x", "tip_y"))
     return al.results.Proportion(int(np.sum(np.hypot(x - TIP[0], y - TIP[1]) > FAR)), len(x))
 
@@ -75,7 +75,7 @@ def _ends(family: Family) -> list[str]:
 
 
 def published_table(done: MotionResults) -> Table:
-    """What the dissertation prints and what an independent search finds, beside ours."""
+    """Published values and those of an independent search, compared with ours."""
     printed = {name: float(energy) for name, (energy, _) in PUBLISHED.items()}
     rows, ours = [], {name: plan.objective for name, plan in done.plans.items()}
     for name, plan in done.plans.items():
@@ -115,7 +115,7 @@ def published_table(done: MotionResults) -> Table:
 
 
 def steps_table(families: Mapping[str, Family], finer: Mapping[str, Family]) -> Table:
-    """The same systems with the steps of the problem and with finer ones."""
+    """The same systems with the problem's steps and with finer ones."""
     rows = []
     for name, fine in finer.items():
         for label, family in ((f"{name}, {STEPS} steps", families[name]), (f"{FINER * STEPS}", fine)):
@@ -129,12 +129,12 @@ def steps_table(families: Mapping[str, Family], finer: Mapping[str, Family]) -> 
     ]
     first = next(iter(finer.values()))
     note = (
-        f"The same {count(len(first.systems['q2']))} random pendulums, integrated with RK4 in {STEPS} steps and in"
-        f" {FINER} times as many; ± is one standard error of that sample, which both rows of a plan share. What differs"
-        " between them is the error of the integration and, in the last column, above all that finer instants meet the"
-        " peak between the coarser ones. The robust plans are made so that the true means are zero and the true"
-        f" variance is at most {given(VARIANCE, 'm²')}: what is off by no more than the sample's error says nothing"
-        " against that. The deterministic plan brings up the pendulum of mean mass, not the mean of all pendulums."
+        f"The same {count(len(first.systems['q2']))} random pendulums, integrated with RK4 in {STEPS} steps and in "
+        f"{FINER} times as many; ± is one standard error of that sample, which both rows of a plan share. Differences "
+        "between the rows are integration errors and, in the last column, mainly the peaks between the coarser "
+        "instants. The robust plans require true means of zero and a true variance of at most "
+        f"{given(VARIANCE, 'm²')}: deviations within the sample's error do not contradict that. The deterministic plan "
+        "swings up the pendulum of mean mass, not the mean of all pendulums."
     )
     return Table("The plans with finer steps", header, rows, note)
 
@@ -145,6 +145,6 @@ def final_spread(family: Family) -> float:
 
 
 def friction_table(families: Mapping[str, Family], frictionless: Mapping[str, Family]) -> Table:
-    """How far the second joint spreads, with friction and without."""
+    """The spread of the second joint, with and without friction."""
     rows = [[name, *(number(final_spread(one[name]), 2) for one in (families, frictionless))] for name in frictionless]
     return Table("σ of q₂ at the end (rad)", ["Plan", "With friction", "Without"], rows)

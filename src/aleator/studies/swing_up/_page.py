@@ -1,4 +1,4 @@
-"""The chapters of the swing-up study's page: the motion, both plans on the family, finer steps, friction."""
+"""The chapters of the swing-up study's page: the motion, the plans on the family, finer steps, friction."""
 
 from collections.abc import Iterator, Mapping, Sequence
 
@@ -13,12 +13,15 @@ from aleator.studies.swing_up._run import EXPECTED, MEAN
 
 GLOSSARY = (
     ("Deterministic plan", "The swing-up of the mean pendulum that exchanges the least energy (74)."),
-    ("Robust plan", "The same for all pendulums: upright in the mean, torque within its limits at μ ± σ (92)."),
-    ("Expected torque", "Minimised: ∫ |E[τ₁] q̇₁| dt, the sum that (83) prints."),
+    (
+        "Robust plan",
+        "The same for all pendulums: upright in the mean, with μ ± σ of the torque within its limits (92).",
+    ),
+    ("Expected torque", "Minimised: ∫ |E[τ₁] q̇₁| dt, the sum in equation (83)."),
     ("Expected energy", "Minimised: E[∫ |τ₁ q̇₁| dt]."),
-    ("Hybrid dynamics", "The first joint follows the plan exactly, the second swings as it must (70), (71)."),
-    ("Energy exchanged", "Given and taken back both count: ∫ |τ₁ q̇₁| dt."),
-    ("Miss", f"The tip ends more than {given(FAR, 'm')} from its upright place."),
+    ("Hybrid dynamics", "The first joint follows the plan exactly, the second follows from the dynamics (70), (71)."),
+    ("Energy exchanged", "Energy supplied and absorbed both count: ∫ |τ₁ q̇₁| dt."),
+    ("Miss", f"The tip ends more than {given(FAR, 'm')} from its upright position."),
 )
 
 
@@ -41,7 +44,7 @@ def motion(families: Mapping[str, Family], names: Sequence[str]) -> Iterator[Blo
         tip_paths(families[name], name, joints, TIP, Scene(), overloads(families[name]), names)
         for name in (*shown, *([CALIBRATED] if CALIBRATED in families else []))
     ]
-    caption = "The first joint is the same for all; the tips part as the second links swing. Cross: upright."
+    caption = "The first joint moves alike in all systems; the tips diverge as the second links swing. Cross: upright."
     yield Drawing(figures, "Path of the tip", caption)
 
 
@@ -56,13 +59,13 @@ def histories(family: Family | None, torque: str, joint: str) -> Iterator[Block]
 
 
 def finer_steps(families: Mapping[str, Family], finer: Mapping[str, Family]) -> Iterator[Block]:
-    """How far to trust the steps."""
+    """The accuracy of the integration steps."""
     if finer:
         yield steps_table(families, finer)
 
 
 def friction(families: Mapping[str, Family], frictionless: Mapping[str, Family]) -> Iterator[Block]:
-    """What friction does."""
+    """The effect of friction."""
     if frictionless:
         yield Text(FRICTION)
         yield friction_table(families, frictionless)

@@ -1,4 +1,4 @@
-"""Which swing-up to build, and why: the first screen of the page, from the results alone."""
+"""The first screen of the page, from the results alone: which swing-up to build, and why."""
 
 from collections.abc import Iterator, Mapping
 
@@ -12,7 +12,7 @@ from aleator.studies.swing_up._run import ENERGY, EXPECTED, MEAN
 
 
 def sentences(done: MotionResults, frictionless: Mapping[str, Family]) -> Iterator[str]:
-    """What there is to say of the plans there are, and of what friction does."""
+    """Sentences on the plans available, and on the effect of friction."""
     if MEAN in done.evidence and MEAN in done.families:
         yield (
             "Do not use the deterministic plan: flown on the family, it breaks the torque limit in"
@@ -22,23 +22,22 @@ def sentences(done: MotionResults, frictionless: Mapping[str, Family]) -> Iterat
     if {MEAN, EXPECTED} <= set(done.plans) and EXPECTED in done.evidence:
         more = percent(done.plans[EXPECTED].objective / done.plans[MEAN].objective - 1)
         yield (
-            f"The robust plan of the printed margin, a = 1, brings the family up for {more} more energy, but"
-            f" {share_text(done.evidence[EXPECTED].joint)} of the pendulums ask for more torque than there is."
+            f"The robust plan with the published margin, a = 1, swings the family up with {more} more energy, but "
+            f"{share_text(done.evidence[EXPECTED].joint)} of the pendulums need more torque than available."
         )
     if {EXPECTED, ENERGY} <= set(done.plans):
         first, second = (done.plans[name] for name in (EXPECTED, ENERGY))
         yield (
-            f"Whether the energy of the expected torque is made least ({number(first.objective, 4, 'J')} in"
-            f" {number(duration(first), 3, 's')}) or the expected energy ({number(second.objective, 4, 'J')} in"
-            f" {number(duration(second), 3, 's')}) makes little difference: the torque spreads little where power"
-            " flows."
+            f"Whether the energy of the expected torque is minimised ({number(first.objective, 4, 'J')} in "
+            f"{number(duration(first), 3, 's')}) or the expected energy ({number(second.objective, 4, 'J')} in "
+            f"{number(duration(second), 3, 's')}) makes little difference: the torque spreads little where power flows."
         )
     if EXPECTED in frictionless and EXPECTED in done.families:
         with_friction, without = (final_spread(one[EXPECTED]) for one in (done.families, frictionless))
         yield (
-            f"Friction makes the masses differ: the second joint ends with σ = {number(with_friction, 2, 'rad')};"
-            f" without friction all masses swing alike (σ = {number(without, 1, 'rad')}), and nothing would be"
-            " uncertain but the torque."
+            f"With friction the mass matters: the second joint ends with σ = {number(with_friction, 2, 'rad')}; "
+            f"without friction all masses swing alike (σ = {number(without, 1, 'rad')}), and only the torque would be "
+            "uncertain."
         )
 
 
@@ -51,7 +50,7 @@ def cards(done: MotionResults) -> Iterator[Card]:
 
 
 def left_below(done: MotionResults) -> str:
-    """How many pendulums the plan to build does not bring up: no limit of the problem says so."""
+    """The share of pendulums that miss upright with the plan to build, which no limit of the problem covers."""
     if CALIBRATED not in done.families:
         return ""
     share = share_text(missed(done.families[CALIBRATED]))
