@@ -78,14 +78,17 @@ def galerkin(
 ) -> Expanded:
     """Expand all outputs of an uncertain system by intrusive Galerkin projection, equation (22).
 
-    The outputs of a `System` are histories on `grid`: the coefficients of all states are integrated as one large
-    system, whose right-hand side (21) is projected by quadrature at each evaluation. An `AlgebraicSystem` takes neither
-    grid nor inputs: the coefficients of all unknowns solve the projected equations (20),
-    `<Psi_n, A(sum_j rho_j Psi_j, theta)> = 0`, by Newton's method. Both converge to the result of `expand`, which is
-    cheaper for many variables; as a check they share neither points nor fit with it.
+    - `system`: a `System`, whose outputs are histories on `grid`, or an `AlgebraicSystem`, which takes neither grid nor
+      inputs;
+    - `inputs`: signals by name; `integrator`: of the coefficients;
+    - `expansion`: order and index set, and the quadrature if its points are `GaussPoints` or `SmolyakPoints`; the
+      default is a full Gauss grid that integrates products of three polynomials of the basis.
 
-    `expansion` gives order and index set, and the quadrature if its points are `GaussPoints` or `SmolyakPoints`; the
-    default is a full Gauss grid that integrates products of three polynomials of the basis.
+    Returns an `Expanded` without samples. For a `System` the coefficients of all states are integrated as one large
+    system, whose right-hand side (21) is projected by quadrature at each evaluation. For an `AlgebraicSystem` the
+    coefficients of all unknowns solve the projected equations (20), `<Psi_n, A(sum_j rho_j Psi_j, theta)> = 0`, by
+    Newton's method. Both converge to the result of `expand`, which is cheaper for many variables; as a check they share
+    neither points nor fit with it.
 
     Raises `ProblemError` if nothing is uncertain or the quadrature is too large, `SimulationError` if the coefficients
     diverge or the projected equations have no solution. Warns with `ExpansionWarning` if the terms of the highest

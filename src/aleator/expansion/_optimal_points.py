@@ -25,6 +25,7 @@ _FINE = 60
 class InducedPoints(AbstractCountedPoints):
     """Hammersley points mapped by the quantiles of the densities `Psi_j^2 f` of the terms in turn, weighted by `1 / K`.
 
+    `count`: by default as many points as the fit needs, for least squares three per term.
     They have the density of `ChristoffelPoints`, but are even and not random, and cover the tails of unbounded
     distributions, where polynomials are large. Quantiles of evenly spread levels do not reach into the tails, so that a
     polynomial fitted to them extrapolates there unchecked. Source: Cohen and Migliorati (2017), Optimal weighted
@@ -62,6 +63,7 @@ class AbstractBasisPoints(AbstractCountedPoints):
 class ChristoffelPoints(AbstractBasisPoints):
     """Random points of density `f K / n_b` with the Christoffel function `K = sum of Psi_j^2`, weighted by `1 / K`.
 
+    `count`: by default as many points as the fit needs, for least squares three per term; `seed`: of the random points.
     Where polynomials are large, as in the tails of a normal distribution, there are many points of small weight. So the
     weighted collocation matrix stays well conditioned at any order, unlike that of quantiles of evenly spread levels.
     Each term gets the same number of points. Source: Cohen and Migliorati (2017), Optimal weighted least-squares
@@ -77,6 +79,7 @@ class ChristoffelPoints(AbstractBasisPoints):
 class OptimalPoints(AbstractBasisPoints):
     """A selection of one in ten Christoffel points, for a large determinant of the weighted collocation matrix.
 
+    `count`: by default as many points as the fit needs, for least squares three per term; `seed`: of the random points.
     A QR factorisation with column pivoting selects as many points as terms; further ones are selected in the same way
     from the rest. Source: Bos, De Marchi, Sommariva and Vianello (2010), Computing multivariate Fekete and Leja points
     by numerical linear algebra; Diaz, Doostan and Hampton (2018) with weights.

@@ -56,7 +56,7 @@ class AbstractPoints(eqx.Module):
 
 
 class AbstractCountedPoints(AbstractPoints):
-    """A point set of any size: by default as many as the fit needs, for least squares three per term."""
+    """A point set of any size: by default as many points as the fit needs, for least squares three per term."""
 
     count: int | None = eqx.field(static=True, default=None, converter=count_given)
 
@@ -78,6 +78,7 @@ class AbstractEvenPoints(AbstractCountedPoints):
 class HammersleyPoints(AbstractEvenPoints):
     """The Hammersley set: `(i - 1/2)/count` and the radical inverses of `i = 1 .. count` in the prime bases.
 
+    `count`: by default as many points as the fit needs, for least squares three per term.
     The half and the start at 1 keep every coordinate away from 0 and 1, where unbounded distributions are infinite.
     Source: Hammersley (1960), Annals of the New York Academy of Sciences 86.
     """
@@ -92,6 +93,7 @@ class HammersleyPoints(AbstractEvenPoints):
 class HaltonPoints(AbstractEvenPoints):
     """The Halton sequence from `i = 1` on: the radical inverses of `i` in the prime bases. Nested.
 
+    `count`: by default as many points as the fit needs, for least squares three per term.
     Beyond about ten variables its columns are correlated unless there are very many points: take `SobolPoints` there.
     Source: Halton (1960), Numerische Mathematik 2.
     """
@@ -113,6 +115,7 @@ class AbstractDrawnPoints(AbstractEvenPoints):
 class SobolPoints(AbstractDrawnPoints):
     """The Sobol sequence with Owen's scrambling. Nested; most even if the count is a power of two.
 
+    `count`: by default as many points as the fit needs, for least squares three per term; `seed`: of the scrambling.
     Source: Owen (1998), Scrambling Sobol' and Niederreiter-Xing points; directions by Joe and Kuo (2008), by SciPy.
     """
 
@@ -131,6 +134,7 @@ class SobolPoints(AbstractDrawnPoints):
 class LatinHypercubePoints(AbstractDrawnPoints):
     """A Latin hypercube: one random point in each of `count` slices of equal probability of every variable.
 
+    `count`: by default as many points as the fit needs, for least squares three per term; `seed`: of the random points.
     Source: McKay, Beckman and Conover (1979), Technometrics 21; by SciPy.
     """
 
@@ -143,7 +147,10 @@ class LatinHypercubePoints(AbstractDrawnPoints):
 
 @final
 class RandomPoints(AbstractDrawnPoints):
-    """Independent random points, as in Monte Carlo. Nested."""
+    """Independent random points, as in Monte Carlo. Nested.
+
+    `count`: by default as many points as the fit needs, for least squares three per term; `seed`: of the random points.
+    """
 
     nested: ClassVar[bool] = True
 

@@ -29,6 +29,7 @@ class FilterSQP(AbstractSolver):
     Vanaret and Leyffer 2026 (Uno, https://github.com/cvanaret/Uno). Points that cannot be evaluated shrink
     the trust region.
 
+    - `tolerance`, `max_iterations`: see `AbstractSolver`;
     - `radius`: initial trust region, in typical magnitudes of the variables.
     """
 

@@ -21,6 +21,8 @@ class InteriorPoint(AbstractSolver):
     For programs with sparse derivatives and a Hessian of their own (`NonlinearProgram.hessian`); without one the
     Hessian is a limited-memory approximation. Vanaret and Leyffer 2026 (Uno, https://github.com/cvanaret/Uno), preset
     `ipopt`, with MUMPS.
+
+    - `tolerance`, `max_iterations`: see `AbstractSolver`.
     """
 
     @override

@@ -29,6 +29,8 @@ class Ipopt(AbstractSolver):
     The Hessian is the program's own if it has one, else a limited-memory BFGS approximation.
     Wächter and Biegler 2006, "On the implementation of an interior-point filter line-search algorithm for
     large-scale nonlinear programming". Points that cannot be evaluated shorten the step.
+
+    - `tolerance`, `max_iterations`: see `AbstractSolver`.
     """
 
     @property

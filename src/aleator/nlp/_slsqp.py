@@ -49,7 +49,7 @@ class Slsqp(AbstractSolver):
     of semi-infinite programming (Hettich and Kortanek 1993). If the linearised rows contradict each other, minimising
     the largest violation finds a feasible point to continue from, or a point of least violation.
 
-    - `max_iterations`: over all rounds;
+    - `tolerance`: see `AbstractSolver`; `max_iterations`: over all rounds;
     - `max_rounds`: of the exchange.
     """
 
