@@ -13,7 +13,7 @@ from aleator.solution import TOLERATED, Solution
 
 # The finest grid has at most this many times as many steps as the first.
 _FINEST = 256
-# An error that falls by less than this factor with at least twice as many steps does not converge.
+# An error above this part of the last one, with at least twice as many steps, does not converge.
 _FALLS = 0.6
 _SOLVED = (Status.SOLVED, Status.COARSE, Status.NOT_HELD)
 

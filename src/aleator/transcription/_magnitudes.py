@@ -45,9 +45,9 @@ def constraint_size(
 
     - Its size is its largest value, but at least its bound and at most a thousand times that, so that the tolerance is
       at most a thousandth of the bound. Of two bounds the smaller one counts, because a remote one is uninformative.
-    - So is a bound of zero. Then the size is the largest value or, if the only value is zero too, its change over a
-      typical change of the decisions. As a derivative may be extreme, the latter is limited to ten times `away`, the
-      largest value seen elsewhere (at the start and near it).
+    - So is a bound of zero. Then the size is the largest value or, for values near zero too, the change over a typical
+      change of the decisions, whichever is larger. As a derivative may be extreme, the change is limited to ten times
+      `away`, the largest value seen elsewhere (at the start and near it).
     - Changes due to rounding of the decisions are no violation. For a bound of zero, neither are values that are
       nowhere more than 1e-13, such as a difference of two equal numbers.
 
