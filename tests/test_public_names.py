@@ -30,6 +30,7 @@ TOPICS = (
     "processes",
     "references",
     "results",
+    "schemes",
     "shapes",
     "solvers",
 )

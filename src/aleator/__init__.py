@@ -20,6 +20,7 @@ from aleator import processes as processes  # noqa: E402
 from aleator import references as references  # noqa: E402
 from aleator import reporting as reporting  # noqa: E402
 from aleator import results as results  # noqa: E402
+from aleator import schemes as schemes  # noqa: E402
 from aleator import shapes as shapes  # noqa: E402
 from aleator import solvers as solvers  # noqa: E402
 from aleator._core import clock as _clock  # noqa: E402
@@ -87,6 +88,7 @@ from aleator.trajectories import PowerSeries as PowerSeries  # noqa: E402
 from aleator.trajectories import Tabulated as Tabulated  # noqa: E402
 from aleator.trajectories import fit_control_points as fit_control_points  # noqa: E402
 from aleator.transcription import Sequential as Sequential  # noqa: E402
+from aleator.transcription import Simultaneous as Simultaneous  # noqa: E402
 from aleator.uncertainty import Beta as Beta  # noqa: E402
 from aleator.uncertainty import Decision as Decision  # noqa: E402
 from aleator.uncertainty import Density as Density  # noqa: E402

@@ -31,7 +31,7 @@ from aleator.certification import (
     whether_misled,
 )
 from aleator.design import Problem, is_over_time
-from aleator.nlp import AbstractSolver, Outcome, Status, default_solver, feasible_elsewhere, moved_on
+from aleator.nlp import AbstractSolver, Outcome, Status, feasible_elsewhere, moved_on
 from aleator.solution import TOLERATED, Between, Solution, WorstCase
 from aleator.transcription import (
     DEFAULT,
@@ -86,8 +86,9 @@ def solve(
     contradict it (where that breaks a limit, the solution has failed: see `SecondOpinion`), with `GridWarning` if the
     grid is too coarse.
     """
-    solver = solver or default_solver()
-    _check_arguments(problem, solver, transcription, warm_start, between, accuracy)
+    one_of("solve: transcription", transcription, AbstractTranscription, "al.Sequential()")
+    solver = solver or transcription.solver
+    _check_arguments(problem, solver, warm_start, between, accuracy)
     first = _first(problem, warm_start, start)
     known = (None, None) if warm_start is None else (warm_start.multipliers, warm_start.certificate.worst_case)
     # Ctrl-C may be lost where Python cannot raise: in a callback of the garbage collector, of which JAX has one.
@@ -228,7 +229,6 @@ def _with_opinion(stages: _Stages, answer: _Answer) -> Solution:
 def _check_arguments(
     problem: Problem,
     solver: AbstractSolver,
-    transcription: AbstractTranscription,
     warm_start: Solution | None,
     between: int | None,
     accuracy: float,
@@ -237,7 +237,6 @@ def _check_arguments(
         raise ProblemError(f"solve: expected a Problem; received {type(problem).__name__}.")
     if not isinstance(solver, AbstractSolver):
         raise ProblemError(f"solve: expected a solver, such as al.solvers.Ipopt(); received {solver!r}.")
-    one_of("solve: transcription", transcription, AbstractTranscription, "al.Sequential()")
     if between is not None:
         whole("solve: between", between)
     if isinstance(accuracy, bool) or not isinstance(accuracy, int | float) or not _FINEST <= accuracy < 1:

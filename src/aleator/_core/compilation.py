@@ -260,6 +260,12 @@ class Bound:
             self._executable = self._program(self._key or self._find_key(last), last)()
         return self._executable
 
+    def begin(self, last: Any) -> None:
+        """Begin to compile on another core what calls with arguments of this structure run; traced here and now."""
+        program = self._program(self._find_key(last), last)
+        if not program.is_ready:
+            beside(program)
+
     def __call__(self, last: Any) -> Any:
         """The function's value."""
         return self.prepare(last)(*self._given, last)

@@ -64,7 +64,8 @@ def held_at_worst(
         before, idle = outcome, _idle(transcribed, outcome.point)
         assert transcribed.scenarios is not None
         transcribed = transcribed.at_scenarios(transcribed.scenarios.joined(new, idle))
-        outcome, beside = attempt(transcribed, before.point, before.multipliers)
+        begun = transcribed.point(transcribed.decisions(before.point))
+        outcome, beside = attempt(transcribed, begun, before.multipliers)
         outcome = outcome.with_effort_of(before)
         rounds += 1
     return transcribed, outcome, beside, _told(transcribed, outcome, oracle, worst, rounds)

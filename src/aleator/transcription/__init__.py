@@ -16,3 +16,4 @@ from aleator.transcription._transcribe import transcribe as transcribe
 from aleator.transcription._unsatisfiable import refuse_blind as refuse_blind
 from aleator.transcription._warm_start import started_from as started_from
 from aleator.transcription.sequential import Sequential as Sequential
+from aleator.transcription.simultaneous import Simultaneous as Simultaneous

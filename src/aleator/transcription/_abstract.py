@@ -13,7 +13,7 @@ from jaxtyping import Array, Float, Int
 from aleator._core.compilation import Compiled, Use
 from aleator.design import Problem, functionals_of, history, refuse_changed_code
 from aleator.expansion import Basis, Collocation
-from aleator.nlp import NonlinearProgram
+from aleator.nlp import AbstractSolver, NonlinearProgram, default_solver
 from aleator.statistics import Constants
 from aleator.transcription._discretisation import RESPOND, Discretised
 from aleator.transcription._resolution import RESOLVE, Resolved
@@ -167,6 +167,11 @@ class AbstractTranscription(abc.ABC):
 
         Raises `ProblemError` if it cannot transcribe the problem.
         """
+
+    @property
+    def solver(self) -> AbstractSolver:
+        """The solver that its programs suit, where none is given."""
+        return default_solver()
 
     def compile_seconds(self) -> float:
         """The total time so far, in s, that users of it have waited for compilations."""

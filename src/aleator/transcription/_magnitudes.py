@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from aleator.design import AbstractAtom, Constraint, Norm, Peak, Problem, Rms, Statistic
-from aleator.nlp import HELD, Evaluation, Magnitudes, variable_range
+from aleator.nlp import HELD, Evaluation, Magnitudes, Matrix, variable_range
 from aleator.statistics import Mean, Std, Variance
 
 Values: TypeAlias = Sequence[Float[np.ndarray, "..."]]
@@ -36,7 +36,7 @@ class Size(NamedTuple):
 def constraint_size(
     constraint: Constraint,
     values: Float[np.ndarray, " rows"],
-    derivatives: Float[np.ndarray, "rows n"],
+    derivatives: Matrix,
     decisions: Float[np.ndarray, " n"],
     decision_scale: Float[np.ndarray, " n"],
     away: float,
@@ -83,7 +83,7 @@ class Sizing:
     decision_scale: Float[np.ndarray, " n"]
     away: list[float]
 
-    def each(self, decisions: Float[np.ndarray, " n"], values: Values, derivatives: Values) -> list[Size]:
+    def each(self, decisions: Float[np.ndarray, " n"], values: Values, derivatives: Sequence[Matrix]) -> list[Size]:
         """The size of each constraint, from its rows and their derivatives at some decisions."""
         parts = zip(self.constraints, values, derivatives, self.away, strict=True)
         return [

@@ -9,14 +9,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple, final
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from aleator._core.compilation import Compiled, Use
-from aleator._core.leaves import is_leaf
 from aleator.design import (
     AbstractFunctional,
     Expression,
@@ -30,13 +28,13 @@ from aleator.design import (
     numbers_of,
     refuse_changed_code,
 )
-from aleator.dynamics import Grid, Known, Simulation, System, known_at, observed_at
+from aleator.dynamics import Grid, Known, System, known_at, observed_at
 from aleator.expansion import Collocation
 from aleator.statistics import Constants
-from aleator.trajectories import AbstractSignal
+from aleator.transcription._frozen import frozen, has_random_signals
 from aleator.transcription._scope import ExpansionScope
 from aleator.transcription.sequential._affine import Anchors, affine_features, anchored
-from aleator.uncertainty import Decision, named_numbers, placements, realise
+from aleator.uncertainty import named_numbers, realise
 
 
 class Rows(NamedTuple):
@@ -58,15 +56,9 @@ def instantaneous(problem: Problem) -> tuple[int, ...]:
     system = problem.system
     if not isinstance(system, System) or system.is_integrated:
         return ()
-    # Signals in the place of numbers count too: numbers known at an instant then differ between systems.
-    signals = [one for one in jax.tree.leaves(system, is_leaf=_is_signal) if _is_signal(one)]
-    if placements((signals, problem.inputs)).distributions:
+    if has_random_signals(problem):
         return ()
     return tuple(i for i, one in enumerate(problem.expressions) if _is_instantaneous(one))
-
-
-def _is_signal(node: Any) -> bool:
-    return isinstance(node, AbstractSignal)
 
 
 def _is_instantaneous(expression: Expression) -> bool:
@@ -178,7 +170,7 @@ class _Instant:
     @classmethod
     def of(cls, problem: Problem, expressions: tuple[Expression, ...], decisions: Float[Array, " n"]) -> "_Instant":
         functionals = functionals_of(expressions)
-        return cls(problem, functionals, *_frozen(problem), _known(problem, functionals, decisions))
+        return cls(problem, functionals, *frozen(problem), _known(problem, functionals, decisions))
 
     def numbers(self, decisions: Float[Array, " n"]) -> Float[Array, "instants numbers"]:
         """The rows of all instants."""
@@ -243,22 +235,3 @@ def _known(problem: Problem, functionals: Sequence[AbstractFunctional], decision
 
 def _needed(functionals: Sequence[AbstractFunctional]) -> set[str]:
     return {name for one in functionals for name in one.outputs}
-
-
-def _frozen(problem: Problem) -> tuple[Problem, np.ndarray]:
-    """The problem without the decisions of its signals and its final time, and where the others are in `x`."""
-
-    def plain(leaf: Any) -> Any:
-        return jnp.asarray(leaf.initial) if isinstance(leaf, Decision) else leaf
-
-    def still(tree: Any) -> Any:
-        return jax.tree.map(plain, tree, is_leaf=is_leaf)
-
-    system = problem.system
-    for name in system.signal_fields:  # type: ignore[union-attr]
-        system = eqx.tree_at(lambda tree, name=name: getattr(tree, name), system, still(getattr(system, name)))
-    simulation = Simulation(system, still(problem.inputs), still(problem.grid), problem.integrator)
-    frozen = eqx.tree_at(lambda tree: tree.simulation, problem, simulation)
-    places = problem.placements.decisions
-    where = [np.arange(places[name].where.start, places[name].where.stop) for name in frozen.placements.decisions]
-    return frozen, np.concatenate([np.zeros(0, dtype=int), *where])

@@ -1,0 +1,154 @@
+"""Collocation schemes: how the states of a simultaneous program follow their rates from one node to the next.
+
+Over each interval of a mesh the states are polynomials whose rates agree with the dynamics at the scheme's stages. What
+tells one scheme from another is where the stages stand (Hairer, Nørsett and Wanner, Solving Ordinary Differential
+Equations I, II.7; Betts, Practical Methods for Optimal Control, chapter 4).
+"""
+
+import abc
+from dataclasses import dataclass
+from functools import cached_property
+from typing import final
+
+import numpy as np
+from jaxtyping import Float
+from numpy.polynomial import legendre
+from typing_extensions import override
+
+from aleator._core.errors import ProblemError
+from aleator._core.given import whole
+
+# Beyond it the points cannot be told with the accuracy of the arithmetic, and no program gains.
+_MOST_STAGES = 12
+
+
+@dataclass(frozen=True)
+class AbstractScheme(abc.ABC):
+    """A collocation scheme, told by its stages: all else follows from them."""
+
+    @property
+    @abc.abstractmethod
+    def nodes(self) -> Float[np.ndarray, " stages"]:
+        """Where rates agree with the dynamics, as fractions of an interval in ascending order."""
+
+    @property
+    @abc.abstractmethod
+    def order(self) -> int:
+        """The power of the interval's length by which the error of the states at the nodes falls."""
+
+    @cached_property
+    def points(self) -> Float[np.ndarray, " points"]:
+        """Where the states are variables: the stages and both ends of the interval."""
+        inner = [node for node in self.nodes if 0 < node < 1]
+        return np.array([0.0, *inner, 1.0])
+
+    @cached_property
+    def stages(self) -> slice:
+        """The stages among the points."""
+        return slice(0 if self.nodes[0] == 0 else 1, None if self.nodes[-1] == 1 else -1)
+
+    @cached_property
+    def weights(self) -> Float[np.ndarray, "later stages"]:
+        """The integral of the rates' interpolant from the interval's start to each later point, for a unit interval.
+
+        The last row is the scheme's quadrature.
+        """
+        count = len(self.nodes)
+        interpolation = np.linalg.inv(legendre.legvander(2 * self.nodes - 1, count - 1))
+        ends = legendre.legvander(2 * self.points[1:] - 1, count)
+        start = legendre.legvander(np.array([-1.0]), count)
+        integrals = np.stack([_integral(ends, j) - _integral(start, j) for j in range(count)], axis=1)
+        return integrals @ interpolation / 2
+
+
+def _integral(values: Float[np.ndarray, "points degrees"], degree: int) -> Float[np.ndarray, " points"]:
+    """An integral of a Legendre polynomial, from the values of all polynomials up to one degree more."""
+    return values[:, 1] if degree == 0 else (values[:, degree + 1] - values[:, degree - 1]) / (2 * degree + 1)
+
+
+@final
+@dataclass(frozen=True)
+class Trapezoid(AbstractScheme):
+    """The trapezoidal rule, of order 2: robust on coarse meshes and where controls jump."""
+
+    @property
+    @override
+    def nodes(self) -> Float[np.ndarray, " stages"]:
+        return np.array([0.0, 1.0])
+
+    @property
+    @override
+    def order(self) -> int:
+        return 2
+
+
+@final
+@dataclass(frozen=True)
+class HermiteSimpson(AbstractScheme):
+    """Hermite's cubic and Simpson's rule, of order 4, the state in the middle being a variable (Lobatto IIIA)."""
+
+    @property
+    @override
+    def nodes(self) -> Float[np.ndarray, " stages"]:
+        return np.array([0.0, 0.5, 1.0])
+
+    @property
+    @override
+    def order(self) -> int:
+        return 4
+
+
+@final
+@dataclass(frozen=True)
+class Radau(AbstractScheme):
+    """Radau's points with the interval's end among them (Radau IIA), of order `2 stages - 1`: for stiff systems.
+
+    Raises `ProblemError` unless there are 1 to 12 stages.
+    """
+
+    stage_count: int = 3
+
+    def __post_init__(self) -> None:
+        _check_count("Radau", self.stage_count)
+
+    @cached_property
+    @override
+    def nodes(self) -> Float[np.ndarray, " stages"]:  # pyright: ignore[reportIncompatibleMethodOverride]
+        series = np.zeros(self.stage_count + 1)
+        series[-2:] = -1.0, 1.0
+        inner = np.sort(legendre.legroots(series).real)[:-1]
+        return np.append((1 + inner) / 2, 1.0)
+
+    @property
+    @override
+    def order(self) -> int:
+        return 2 * self.stage_count - 1
+
+
+@final
+@dataclass(frozen=True)
+class GaussLegendre(AbstractScheme):
+    """Gauss's points, of order `2 stages`, none of them at an end: for long smooth motions and controls that jump.
+
+    Raises `ProblemError` unless there are 1 to 12 stages.
+    """
+
+    stage_count: int = 3
+
+    def __post_init__(self) -> None:
+        _check_count("GaussLegendre", self.stage_count)
+
+    @cached_property
+    @override
+    def nodes(self) -> Float[np.ndarray, " stages"]:  # pyright: ignore[reportIncompatibleMethodOverride]
+        return (1 + legendre.leggauss(self.stage_count)[0]) / 2
+
+    @property
+    @override
+    def order(self) -> int:
+        return 2 * self.stage_count
+
+
+def _check_count(scheme: str, stages: int) -> None:
+    if whole(f"{scheme}: stages", stages) > _MOST_STAGES:
+        raise ProblemError(f"{scheme}: expected 1 to {_MOST_STAGES} stages; received {stages}.")

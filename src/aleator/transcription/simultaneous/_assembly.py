@@ -1,0 +1,142 @@
+"""Assembly: from blocks to the sparse Jacobian and Hessian of a program, whose patterns are known by construction.
+
+The constraints of a simultaneous program are `L z + C r(z)`: constant matrices, and the rows `r` of its blocks. So the
+entries of the Jacobian are linear in those of the blocks' Jacobians, and the entries of the Hessian are sums of those
+of the blocks' Hessians, by constant matrices that are put together once.
+"""
+
+from dataclasses import dataclass
+from typing import Any, final
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from aleator.nlp import SparseMatrix
+
+
+@final
+@dataclass(frozen=True)
+class Pattern:
+    """Which variables the blocks of a family depend on, and where its rows stand among those of all blocks.
+
+    - `columns`: shape (outer, inner, columns); `rows`: shape (outer, inner, rows).
+    """
+
+    columns: Int[np.ndarray, "outer inner columns"]
+    rows: Int[np.ndarray, "outer inner rows"]
+
+    @classmethod
+    def of(cls, shared: np.ndarray, own: np.ndarray, rows: np.ndarray) -> "Pattern":
+        """That of blocks with some shared and some own variables."""
+        shared = np.broadcast_to(shared, (*own.shape[:2], shared.size))
+        return cls(np.concatenate([shared, own], axis=2), rows)
+
+    @property
+    def entry_count(self) -> int:
+        """How many entries the Jacobians have."""
+        return self.rows.size * self.columns.shape[2]
+
+    @property
+    def entries(self) -> tuple[np.ndarray, np.ndarray]:
+        """The row and the column of each entry of the Jacobians, block by block and row by row."""
+        rows, columns = np.broadcast_arrays(self.rows[..., :, None], self.columns[..., None, :])
+        return rows.ravel(), columns.ravel()
+
+    @property
+    def lower(self) -> tuple[np.ndarray, np.ndarray]:
+        """The row and the column of each entry of the Hessians' lower triangles, in the program's own."""
+        first, second = np.tril_indices(self.columns.shape[2])
+        one, other = self.columns[..., first].ravel(), self.columns[..., second].ravel()
+        return np.maximum(one, other), np.minimum(one, other)
+
+
+@final
+@dataclass(frozen=True)
+class Jacobian:
+    """The Jacobian of `L z + C r(z)`.
+
+    - `sparsity`: its pattern; `constant`: the entries of `L` in it; `gather`: gives, of the entries of the blocks'
+      Jacobians, what they add.
+    """
+
+    sparsity: SparseMatrix
+    constant: Float[np.ndarray, " entries"]
+    gather: SparseMatrix
+
+    @classmethod
+    def of(cls, linear: SparseMatrix, combined: SparseMatrix, patterns: list[Pattern]) -> "Jacobian":
+        """That of constant matrices and blocks, with the rows of `linear` in the order of the constraints."""
+        from scipy.sparse import csr_array
+
+        count = linear.shape[1]
+        rows, columns = (np.concatenate(parts) for parts in zip(*(one.entries for one in patterns), strict=True))
+        # Every entry of a block's row goes wherever that row does.
+        order = np.argsort(rows, kind="stable")
+        starts = np.searchsorted(rows[order], np.arange(combined.shape[1] + 1))
+        terms = combined.tocoo()
+        sizes = np.diff(starts)[terms.col]
+        which = np.repeat(np.arange(terms.nnz), sizes)
+        inside = np.arange(sizes.sum()) - np.repeat(np.cumsum(sizes) - sizes, sizes)
+        entry = order[starts[terms.col][which] + inside]
+        keys = terms.row[which].astype(np.int64) * count + columns[entry]
+        known = linear.tocoo()
+        own = known.row.astype(np.int64) * count + known.col
+        every = np.unique(np.concatenate([own, keys]))
+        sparsity = _pattern(every, linear.shape)
+        constant = np.zeros(every.size)
+        np.add.at(constant, np.searchsorted(every, own), known.data)
+        places = np.searchsorted(every, keys)
+        gather = csr_array((terms.data[which], (places, entry)), shape=(every.size, rows.size))
+        return cls(sparsity, constant, gather)
+
+    def at(self, entries: Float[np.ndarray, " block_entries"]) -> SparseMatrix:
+        """The matrix, from the entries of the blocks' Jacobians."""
+        return _with(self.sparsity, self.constant + self.gather @ entries)
+
+
+@final
+@dataclass(frozen=True)
+class Curvature:
+    """The lower triangle of the Hessian of a Lagrangian: a sum of blocks."""
+
+    sparsity: SparseMatrix
+    gather: SparseMatrix
+
+    @classmethod
+    def of(cls, patterns: list[Pattern], count: int) -> "Curvature":
+        """That of all blocks, for so many variables."""
+        from scipy.sparse import csr_array
+
+        rows, columns = (np.concatenate(parts) for parts in zip(*(one.lower for one in patterns), strict=True))
+        every, places = np.unique(rows.astype(np.int64) * count + columns, return_inverse=True)
+        gather = csr_array((np.ones(rows.size), (places, np.arange(rows.size))), shape=(every.size, rows.size))
+        return cls(_pattern(every, (count, count)), gather)
+
+    def at(self, entries: Float[np.ndarray, " block_entries"]) -> SparseMatrix:
+        """The matrix, from the entries of the blocks' Hessians."""
+        return _with(self.sparsity, self.gather @ entries)
+
+
+def matrix(entries: list[tuple[Any, Any, Any]], shape: tuple[int, int]) -> SparseMatrix:
+    """A sparse matrix from the rows, columns and numbers of its entries: arrays that are broadcast, several times."""
+    from scipy.sparse import coo_array
+
+    parts = [tuple(np.ravel(one) for one in np.broadcast_arrays(*some)) for some in entries]
+    rows, columns, numbers = (np.concatenate([np.zeros(0), *some]) for some in zip(*parts, strict=True))
+    return coo_array((numbers, (rows.astype(int), columns.astype(int))), shape=shape).tocsr()
+
+
+def _pattern(keys: Int[np.ndarray, " entries"], shape: tuple[int, int]) -> SparseMatrix:
+    from scipy.sparse import csr_array
+
+    rows, columns = np.divmod(keys, shape[1])
+    starts = np.searchsorted(rows, np.arange(shape[0] + 1))
+    found = csr_array((np.ones(keys.size, dtype=bool), columns, starts), shape=shape)
+    found.has_canonical_format = True
+    return found
+
+
+def _with(sparsity: SparseMatrix, numbers: np.ndarray) -> SparseMatrix:
+    from scipy.sparse import csr_array
+
+    return csr_array((numbers, sparsity.indices, sparsity.indptr), shape=sparsity.shape)

@@ -1,0 +1,156 @@
+"""A problem's equations as families of blocks: signals, initial states, rates, records, and its expressions."""
+
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from aleator.design import (
+    AbstractFunctional,
+    Expression,
+    Problem,
+    expanded_functionals,
+    extreme_functionals,
+    functionals_of,
+)
+from aleator.statistics import Constants
+from aleator.transcription._scope import ExpansionScope
+from aleator.transcription.simultaneous._blocks import Family
+from aleator.transcription.simultaneous._layout import Layout, Variables
+from aleator.uncertainty import named_numbers
+
+
+class Families(NamedTuple):
+    """All families of a program.
+
+    - `known`: the signals at all mesh points, then the duration: one block;
+    - `initial`: the initial states of each realisation;
+    - `rates`: those of states, then integrands, where the scheme asks for them;
+    - `paths`, `ends`: outputs at every instant, and at the last; `composed`: functionals of histories and integrals;
+    - `expressions`: the objective, then the constraints.
+    """
+
+    known: Family
+    initial: Family
+    rates: Family
+    paths: Family
+    ends: Family
+    composed: Family
+    expressions: tuple[Family, ...]
+
+    @property
+    def every(self) -> tuple[Family, ...]:
+        """All of them in order."""
+        return (*self[:6], *self.expressions)
+
+
+def families(
+    layout: Layout,
+    problem: Problem,
+    constants: Constants,
+    points: Float[Array, "realisations germs"],
+    variables: Variables,
+) -> Families:
+    """The families of a problem, with the variables that they are given: their values, or their numbers.
+
+    - `points`: the germ points of the realisations.
+    """
+    asked, mesh = layout.asked, layout.plan.mesh
+    fractions, instants = jnp.asarray(mesh.fractions), mesh.instants(asked.grid.fractions)
+    model = jnp.concatenate([variables.decisions[asked.direct], variables.duration])
+    none = jnp.asarray(variables.decisions)[None, None, :0]
+    integrals = variables.integrals.shape[1]
+    histories = variables.paths.reshape(len(variables.paths), -1)
+    recorded = jnp.concatenate([variables.integrals, histories if layout.needs_histories else histories[:, :0]], axis=1)
+
+    def at(which: np.ndarray) -> Array:
+        """Signals and states at some mesh points of every realisation."""
+        states = variables.states[:, which]
+        signals = jnp.broadcast_to(variables.signals[which], (*states.shape[:2], variables.signals.shape[1]))
+        return jnp.concatenate([signals, states], axis=2)
+
+    def observed(names: tuple[str, ...], which: np.ndarray) -> Family:
+        return Family(partial(asked.outputs, names), model, at(which), points, fractions[which])
+
+    def known(outer: Any, inner: Any, shared: Array, own: Array) -> Array:
+        del outer, inner, own
+        return jnp.append(asked.known(mesh.fractions, shared).ravel(), asked.duration(shared))
+
+    def initial(germ: Array, inner: Any, shared: Array, own: Array) -> Array:
+        del inner, own
+        return asked.initial(germ, shared)
+
+    def composed(outer: Any, inner: Any, shared: Array, own: Array) -> Array:
+        del outer, inner
+        return asked.composites(layout.shapes, shared[0], own[:integrals], own[integrals:])
+
+    return Families(
+        Family(known, jnp.asarray(variables.decisions), none),
+        Family(initial, model[:-1], jnp.broadcast_to(none, (len(points), 1, 0)), points),
+        Family(asked.rates, model, at(mesh.asked), points, fractions[mesh.asked]),
+        observed(asked.paths, instants),
+        observed(asked.ends, instants[-1:]),
+        Family(composed, jnp.asarray(variables.duration), recorded[:, None]),
+        tuple(_limit(layout, problem, constants, one, variables) for one in problem.expressions),
+    )
+
+
+class _Part(NamedTuple):
+    """Some variables of a limit: the coefficients of a functional, or its values on the scenarios."""
+
+    functional: AbstractFunctional
+    is_expanded: bool
+    shape: tuple[int, ...]
+
+
+def _limit(
+    layout: Layout, problem: Problem, constants: Constants, expression: Expression, variables: Variables
+) -> Family:
+    """An expression: one block an instant where it is one number an instant, else a single one."""
+    samples, coefficients = layout.samples(variables), layout.coefficients(variables)
+    decisions = jnp.asarray(variables.decisions if _speaks_of_numbers(expression) else variables.decisions[:0])
+    given = [(one, True, coefficients[one]) for one in expanded_functionals((expression,))]
+    given += [(one, False, samples[one][layout.plan.points :]) for one in extreme_functionals((expression,))]
+    moving, still = [], []
+    for functional, is_expanded, numbers in given:
+        is_own = expression.is_path and functional.is_path
+        # One part an instant, the first axis.
+        numbers = jnp.moveaxis(numbers, 1, 0) if is_own else numbers
+        part = _Part(functional, is_expanded, numbers.shape[1:] if is_own else numbers.shape)
+        (moving if is_own else still).append((part, numbers.reshape(len(numbers), -1) if is_own else numbers.ravel()))
+    shared = jnp.concatenate([decisions, *(numbers for _, numbers in still)])
+    none = jnp.asarray(variables.decisions)[None, :0]
+    own = jnp.concatenate([numbers for _, numbers in moving], axis=1) if moving else none
+    block = partial(_expression, problem, constants, expression, decisions.size)
+    parts = [part for part, _ in still], [part for part, _ in moving]
+    return Family(lambda _, __, s, o: block(parts, s, o), shared, own[None])
+
+
+def _expression(
+    problem: Problem,
+    constants: Constants,
+    expression: Expression,
+    decisions: int,
+    parts: tuple[list[_Part], list[_Part]],
+    shared: Array,
+    own: Array,
+) -> Float[Array, " rows"]:
+    numbers = named_numbers(problem.simulation, shared[:decisions]) if decisions else {}
+    found = [*_taken(parts[0], shared[decisions:]), *_taken(parts[1], own)]
+    coefficients = {one.functional: values for one, values in found if one.is_expanded}
+    realised = {one.functional: values for one, values in found if not one.is_expanded}
+    return jnp.ravel(expression.evaluate(ExpansionScope({}, coefficients, constants, numbers, realised=realised)))
+
+
+def _taken(parts: list[_Part], numbers: Array) -> list[tuple[_Part, Array]]:
+    """Parts with their values, from these side by side."""
+    ends = np.cumsum([int(np.prod(one.shape)) for one in parts])[:-1]
+    values = jnp.split(numbers, ends) if parts else []
+    return [(part, one.reshape(part.shape)) for part, one in zip(parts, values, strict=True)]
+
+
+def _speaks_of_numbers(expression: Expression) -> bool:
+    """Whether the numbers of the model stand in an expression, beside statistics."""
+    return any(not functionals_of((Expression((1.0,), (one,)),)) for one in expression.leaves)

@@ -1,0 +1,186 @@
+"""The variables of a simultaneous program: what they are, and where they stand.
+
+Beside the decisions they are the duration, the signals and the states at the mesh points of each realisation, what is
+recorded of it, and the coefficients of the expansions. Realisations are coupled through these alone: every block
+depends on few variables, and no entry of the Hessian on two realisations.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple, final
+
+import jax
+import numpy as np
+from jaxtyping import Array, Float
+
+from aleator.design import (
+    AbstractFunctional,
+    AbstractIntegral,
+    Path,
+    Problem,
+    Taken,
+    expanded_functionals,
+    functionals_of,
+)
+from aleator.transcription.simultaneous._mesh import Mesh
+from aleator.transcription.simultaneous._pointwise import Pointwise, Shapes
+
+
+class Variables(NamedTuple):
+    """The variables of a program by what they are: their numbers, or their values.
+
+    - `decisions`: shape (n,); `duration`: (1,); `signals`: (mesh points, signals);
+    - `states`: (realisations, mesh points, states);
+    - `integrals`, `paths`, `ends`, `composed`: what is recorded of each realisation, the first axis; of `paths` the
+      second are the instants;
+    - `coefficients`: of each functional that is expanded, shape (terms, ...).
+    """
+
+    decisions: Any
+    duration: Any
+    signals: Any
+    states: Any
+    integrals: Any
+    paths: Any
+    ends: Any
+    composed: Any
+    coefficients: tuple[Any, ...]
+
+
+@final
+@dataclass(frozen=True)
+class Plan:
+    """What the layout of a program follows from, beside its problem.
+
+    - `points`, `scenarios`: how many collocation points there are, and realisations at which the worst case is held;
+    - `terms`: of the expansions.
+    """
+
+    mesh: Mesh
+    points: int
+    scenarios: int
+    terms: int
+
+    @property
+    def realisations(self) -> int:
+        """How many there are: the collocation points, then the scenarios."""
+        return self.points + self.scenarios
+
+
+@final
+@dataclass(frozen=True)
+class Layout:
+    """Where the variables of a program stand, and what is recorded of its problem."""
+
+    plan: Plan
+    asked: Pointwise
+    shapes: Shapes
+    composed: tuple[tuple[int, ...], ...]
+    sizes: Variables
+
+    @classmethod
+    def of(cls, problem: Problem, plan: Plan) -> "Layout":
+        """That of a problem."""
+        asked = Pointwise.of(problem)
+        shapes = asked.shapes()
+        composed = tuple(_shape(one, asked, shapes) for one in asked.composed)
+        every, points, instants = plan.realisations, len(plan.mesh.fractions), asked.grid.steps + 1
+        sizes = Variables(
+            decisions=(problem.placements.size,),
+            duration=(1,),
+            signals=(points, shapes.signals),
+            states=(every, points, shapes.states),
+            integrals=(every, sum(map(_count, shapes.integrals))),
+            paths=(every, instants, shapes.size(asked.paths)),
+            ends=(every, shapes.size(asked.ends)),
+            composed=(every, sum(map(_count, composed))),
+            coefficients=(),
+        )
+        found = cls(plan, asked, shapes, composed, sizes)
+        samples = found.samples(found.numbers)
+        terms = tuple((plan.terms, *samples[one].shape[1:]) for one in found.expanded)
+        return cls(plan, asked, shapes, composed, sizes._replace(coefficients=terms))
+
+    @property
+    def needs_histories(self) -> bool:
+        """Whether some functional is taken of a whole history."""
+        return any(not isinstance(one, AbstractIntegral) for one in self.asked.composed)
+
+    @property
+    def expanded(self) -> tuple[AbstractFunctional, ...]:
+        """The functionals whose coefficients are variables."""
+        return expanded_functionals(self.asked.problem.expressions)
+
+    @property
+    def count(self) -> int:
+        """How many variables there are."""
+        return sum(map(_count, _shapes_of(self.sizes)))
+
+    @property
+    def numbers(self) -> Variables:
+        """The numbers of all variables."""
+        return self.view(np.arange(self.count))
+
+    def view(self, variables: Any) -> Variables:
+        """The variables of a point by what they are."""
+        parts, first = [], 0
+        for shape in _shapes_of(self.sizes):
+            parts.append(variables[first : first + _count(shape)].reshape(shape))
+            first += _count(shape)
+        alone = dict(zip(Variables._fields, parts[:8], strict=False))
+        return Variables(**alone, coefficients=tuple(parts[8:]))
+
+    @property
+    def stages(self) -> tuple[np.ndarray, ...]:
+        """The numbers of the variables that follow from others: signals and duration; then, from states, what is
+        recorded; functionals composed of that; coefficients.
+        """
+        one = self.numbers
+        recorded = one.integrals.ravel(), one.paths.ravel(), one.ends.ravel()
+        return (
+            np.append(one.signals.ravel(), one.duration),
+            np.concatenate(recorded),
+            one.composed.ravel(),
+            np.concatenate([np.zeros(0, dtype=int), *(some.ravel() for some in one.coefficients)]),
+        )
+
+    def samples(self, variables: Variables) -> dict[AbstractFunctional, Any]:
+        """Each functional on every realisation, shape (realisations, ...)."""
+        asked, shapes = self.asked, self.shapes
+        found: dict[AbstractFunctional, Any] = {}
+        first = 0
+        for one, shape in zip(asked.composed, self.composed, strict=True):
+            found[one] = variables.composed[:, first : first + _count(shape)].reshape(-1, *shape)
+            first += _count(shape)
+        for one in functionals_of(asked.problem.expressions):
+            if one not in found:
+                is_path = isinstance(one, Path)
+                names, table = (asked.paths, variables.paths) if is_path else (asked.ends, variables.ends)
+                chosen = table[..., shapes.columns(names, one.output)]
+                found[one] = chosen.reshape(*table.shape[:-1], *shapes.outputs[one.output])
+        return found
+
+    def coefficients(self, variables: Variables) -> dict[AbstractFunctional, Any]:
+        """The coefficients of each functional that is expanded, shape (terms, ...)."""
+        return dict(zip(self.expanded, variables.coefficients, strict=True))
+
+
+def _shapes_of(sizes: Variables) -> Sequence[tuple[int, ...]]:
+    return [*sizes[:8], *sizes.coefficients]
+
+
+def _count(shape: tuple[int, ...]) -> int:
+    return int(np.prod(shape))
+
+
+def _shape(functional: AbstractFunctional, asked: Pointwise, shapes: Shapes) -> tuple[int, ...]:
+    """The shape of a functional that is composed of others."""
+    if isinstance(functional, AbstractIntegral):
+        return shapes.integrals[asked.integrals.index(functional)]
+    instants = asked.grid.steps + 1
+
+    def evaluated(history: dict[str, Float[Array, "instants ..."]]) -> Array:
+        return functional.evaluate(Taken(history, {}), asked.grid)
+
+    given = {name: jax.ShapeDtypeStruct((instants, *shapes.outputs[name]), float) for name in functional.outputs}
+    return jax.eval_shape(evaluated, given).shape

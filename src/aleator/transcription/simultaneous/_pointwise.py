@@ -1,0 +1,206 @@
+"""What a problem's equations say at one mesh point of one realisation: rates, integrands, outputs.
+
+Time runs by the fraction of the grid's duration: multiplied by the duration, rates and integrands are those by the
+fraction, so that a free final time stands in them and the scheme stays linear.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, final
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, Float, Int
+
+from aleator.design import (
+    AbstractFunctional,
+    AbstractIntegral,
+    Path,
+    Problem,
+    Taken,
+    functionals_of,
+    grid_at,
+    numbers_of,
+    terminal,
+)
+from aleator.dynamics import Asked, Grid, System, derivative, initial_state, known_at, observation
+from aleator.transcription._frozen import frozen, has_random_signals
+from aleator.uncertainty import realise
+
+
+@final
+@dataclass(frozen=True)
+class Pointwise:
+    """The equations of a problem, taken apart: made anew wherever they are traced.
+
+    - `frozen`: the problem without the decisions of its signals; `direct`: where the others are among all;
+    - `integrals`: functionals that are integrated; `paths`, `ends`: outputs that are recorded at every instant, and at
+      the last one alone, by name; `composed`: functionals of these.
+    """
+
+    problem: Problem
+    frozen: Problem
+    direct: Int[np.ndarray, " direct"]
+    is_random: bool
+    integrals: tuple[AbstractIntegral, ...]
+    paths: tuple[str, ...]
+    ends: tuple[str, ...]
+    composed: tuple[AbstractFunctional, ...]
+
+    @classmethod
+    def of(cls, problem: Problem) -> "Pointwise":
+        """Those of a problem that moves in time."""
+        functionals, is_random = functionals_of(problem.expressions), has_random_signals(problem)
+        every = np.arange(problem.placements.size)
+        fixed, direct = (problem, every) if is_random else frozen(problem)
+        last = type(terminal("y"))
+        whole = [one for one in functionals if not isinstance(one, AbstractIntegral | last)]
+        return cls(
+            problem,
+            fixed,
+            direct,
+            is_random,
+            tuple(one for one in functionals if isinstance(one, AbstractIntegral)),
+            tuple(dict.fromkeys(name for one in whole for name in one.outputs)),
+            tuple(dict.fromkeys(one.output for one in functionals if isinstance(one, last))),
+            tuple(one for one in functionals if not isinstance(one, Path | last)),
+        )
+
+    @property
+    def grid(self) -> Grid:
+        """The problem's grid as it is declared."""
+        assert isinstance(self.problem.grid, Grid)
+        return self.problem.grid
+
+    def known(
+        self, fractions: Float[np.ndarray, " points"], decisions: Float[Array, " n"]
+    ) -> Float[Array, "points signals"]:
+        """All signals at some fractions of the duration, side by side; none where they are uncertain."""
+        if self.is_random:
+            return jnp.zeros((len(fractions), 0))
+        system, grid, inputs = self._known_parts(decisions)
+        return known_at(system, grid, inputs, fractions).rows[:, 1:]
+
+    def duration(self, decisions: Float[Array, " n"]) -> Float[Array, ""]:
+        """From the first instant to the last, s."""
+        grid = grid_at(self.problem, decisions)
+        assert isinstance(grid, Grid)
+        return jnp.asarray(grid.duration, dtype=float)
+
+    def initial(self, germ: Array, direct: Array) -> Float[Array, " states"]:
+        """The initial states of one realisation, side by side."""
+        return _flat(initial_state(self._system(germ, direct)))
+
+    def rates(self, germ: Array, fraction: Array, shared: Array, own: Array) -> Float[Array, " rates"]:
+        """The rates of the states, then the integrands, both by the fraction of the duration.
+
+        - `shared`: the decisions of the model itself, then the duration; `own`: the signals, then the states.
+        """
+        system, t, z, now = self._at(germ, fraction, shared, own)
+        asked = Asked(frozenset(), integrands=tuple(one.integrand for one in self.integrals))
+        parts = [_flat(derivative(system, t, z, now))] if system.states else []
+        return shared[-1] * _flat([*parts, asked.rates(system, t, z, now)])
+
+    def outputs(self, names: tuple[str, ...], germ: Array, fraction: Array, shared: Array, own: Array) -> Array:
+        """Some outputs, side by side."""
+        system, t, z, now = self._at(germ, fraction, shared, own)
+        found = observation(system, t, z, now)
+        return _flat([found[name] for name in names])
+
+    def composites(self, shapes: "Shapes", duration: Array, integrals: Array, paths: Array) -> Float[Array, " rows"]:
+        """The functionals of integrals and of whole histories of one realisation, side by side."""
+        ends = np.cumsum([int(np.prod(one)) for one in shapes.integrals])[:-1]
+        parts = jnp.split(integrals, ends) if shapes.integrals else []
+        each = zip(self.integrals, parts, shapes.integrals, strict=True)
+        totals: dict[AbstractFunctional, Array] = {one: part.reshape(shape) for one, part, shape in each}
+        history = shapes.histories(self.paths, paths)
+        grid = eqx.tree_at(lambda one: one.t_final, self.grid, self.grid.t_start + duration)
+        return _flat(list(numbers_of(self.composed, Taken(history, totals), grid)))
+
+    def shapes(self) -> "Shapes":
+        """The shapes of what is recorded: nothing is computed."""
+        germ, fraction = jnp.zeros(len(self.problem.placements.germ_names)), jnp.zeros(())
+        decisions = jnp.zeros(self.problem.placements.size)
+        signals = jax.eval_shape(lambda x: self.known(np.zeros(1), x), decisions).shape[1]
+        states = jax.eval_shape(lambda: self.initial(germ, decisions[self.direct])).size
+        shared, own = jnp.append(decisions[self.direct], 1.0), jnp.zeros(signals + states)
+
+        def found() -> tuple[Any, ...]:
+            system, t, z, now = self._at(germ, fraction, shared, own)
+            asked = Asked(frozenset(), integrands=tuple(one.integrand for one in self.integrals))
+            outputs = observation(system, t, z, now)
+            return asked.rates(system, t, z, now), {name: outputs[name] for name in (*self.paths, *self.ends)}
+
+        integrals, outputs = jax.eval_shape(found)
+        return Shapes(
+            states, signals, tuple(one.shape for one in integrals), {name: one.shape for name, one in outputs.items()}
+        )
+
+    def _known_parts(self, decisions: Float[Array, " n"]) -> tuple[System, Grid, Any]:
+        germ = jnp.zeros(len(self.problem.placements.germ_names))
+        simulation = realise(self.problem.simulation, germ, decisions)
+        assert isinstance(simulation.system, System)
+        assert isinstance(simulation.grid, Grid)
+        return self._focused(simulation.system), simulation.grid, simulation.inputs
+
+    def _focused(self, system: System) -> System:
+        names = {name for one in functionals_of(self.problem.expressions) for name in one.outputs}
+        return system.focused(names)
+
+    def _system(self, germ: Array, direct: Array) -> System:
+        system = realise(self.frozen.simulation, germ, direct).system
+        assert isinstance(system, System)
+        return self._focused(system)
+
+    def _at(self, germ: Array, fraction: Array, shared: Array, own: Array) -> tuple[System, Array, Any, dict[str, Any]]:
+        """A realised system with its time, states and inputs at one mesh point."""
+        direct, duration = shared[:-1], shared[-1]
+        simulation = realise(self.frozen.simulation, germ, direct)
+        assert isinstance(simulation.system, System)
+        system = self._focused(simulation.system)
+        start = initial_state(system)
+        flat, unravel = ravel_pytree(start)
+        signals, states = own[: own.size - flat.size], own[own.size - flat.size :]
+        t = jnp.asarray(self.grid.t_start + fraction * duration)
+        each = {**system.signals(), **simulation.inputs}
+        if self.is_random:
+            now = {name: one.over(self.grid.t_start, self.grid.t_start + duration)(t) for name, one in each.items()}
+        else:
+            known = known_at(system, simulation.grid, simulation.inputs, np.zeros(1))
+            _, now = known.unpack(jnp.concatenate([t[None], signals]))
+        return system, t, unravel(states), now
+
+
+@final
+@dataclass(frozen=True)
+class Shapes:
+    """How many states and signals there are, and the shapes of integrals and of outputs at one instant."""
+
+    states: int
+    signals: int
+    integrals: tuple[tuple[int, ...], ...]
+    outputs: dict[str, tuple[int, ...]]
+
+    def size(self, names: Sequence[str]) -> int:
+        """How many numbers some outputs are."""
+        return sum(int(np.prod(self.outputs[name])) for name in names)
+
+    def columns(self, names: Sequence[str], name: str) -> slice:
+        """Where an output stands among some that are side by side."""
+        before = names[: list(names).index(name)]
+        return slice(self.size(before), self.size(before) + self.size([name]))
+
+    def histories(self, names: Sequence[str], rows: Float[Array, " numbers"]) -> dict[str, Array]:
+        """Histories of some outputs by name, from all of their numbers, instant by instant."""
+        if not names:
+            return {}
+        table = rows.reshape(-1, self.size(names))
+        return {name: table[:, self.columns(names, name)].reshape(-1, *self.outputs[name]) for name in names}
+
+
+def _flat(tree: Any) -> Float[Array, " numbers"]:
+    leaves = [jnp.ravel(one) for one in jax.tree.leaves(tree)]
+    return jnp.concatenate([jnp.zeros(0), *leaves])

@@ -1,0 +1,114 @@
+"""The rows of a simultaneous program: the problem's own, then those that tie lifted variables to what they stand for.
+
+Each row is a sum of variables and of rows of blocks: constant matrices.
+"""
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple, final
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from aleator.nlp import SparseMatrix
+from aleator.transcription.simultaneous._assembly import matrix
+from aleator.transcription.simultaneous._layout import Layout
+
+
+@final
+class Numbering:
+    """Hands out consecutive numbers, in arrays of a shape."""
+
+    def __init__(self) -> None:
+        self.count = 0
+
+    def take(self, shape: tuple[int, ...]) -> Int[np.ndarray, "..."]:
+        """The next numbers."""
+        first, self.count = self.count, self.count + int(np.prod(shape))
+        return np.arange(first, self.count).reshape(shape)
+
+
+class Ties(NamedTuple):
+    """The rows after the problem's own, each of which ties a variable to what it stands for.
+
+    - `where`: these rows; `stands_for`: the variable of each (of the two states of an interval, the later one).
+    """
+
+    where: slice
+    stands_for: Int[np.ndarray, " ties"]
+
+
+@final
+@dataclass(frozen=True)
+class Rows:
+    """The constraints `L z + C r(z)` of a program: `linear`, `combined`.
+
+    - `own`: the rows of each of the problem's constraints; `ties`: the others.
+    """
+
+    linear: SparseMatrix
+    combined: SparseMatrix
+    own: tuple[slice, ...]
+    ties: Ties
+
+
+def rows_of(
+    layout: Layout,
+    blocks: list[Int[np.ndarray, "..."]],
+    fit: Float[np.ndarray, "terms points"],
+    is_known: bool,
+) -> Rows:
+    """The rows of a program.
+
+    - `blocks`: the number of each row of each family's blocks, in the order of `Families.every`;
+    - `fit`: see `Collocation.pseudo_inverse`;
+    - `is_known`: whether signals and duration are the same at all decisions, and so no variables.
+    """
+    known, initial, rates, paths, ends, composed, _, *limits = blocks
+    variables, mesh = layout.numbers, layout.plan.mesh
+    numbers, linear, combined, stands_for = Numbering(), [], [], []
+    own = []
+    for one in limits:
+        rows = numbers.take((one.size,))
+        combined.append((rows, one.ravel(), 1.0))
+        own.append(slice(int(rows[0]), int(rows[-1]) + 1) if one.size else slice(numbers.count, numbers.count))
+
+    def tied(these: Any, to: Any) -> None:
+        """Variables that are rows of blocks."""
+        rows = numbers.take(np.shape(these))
+        linear.append((rows, these, 1.0))
+        combined.append((rows, np.reshape(to, np.shape(these)), -1.0))
+        stands_for.append(np.ravel(these))
+
+    if not is_known:
+        tied(np.append(variables.signals.ravel(), variables.duration), known)
+    tied(variables.states[:, 0], initial[:, 0])
+    states = variables.states.shape[2]
+    lengths, scheme = mesh.lengths, mesh.scheme
+    ends_of = variables.states[:, mesh.points]
+    rows = numbers.take(ends_of[:, :, 1:].shape)
+    linear += [(rows, ends_of[:, :, 1:], 1.0), (rows, ends_of[:, :, :1], -1.0)]
+    stands_for.append(ends_of[:, :, 1:].ravel())
+    stages = rates[:, mesh.stages]
+    for i in range(stages.shape[2]):
+        shares = lengths[:, None] * scheme.weights[:, i]
+        combined.append((rows, stages[:, :, i : i + 1, :states], -shares[None, :, :, None]))
+    rows = numbers.take(variables.integrals.shape)
+    linear.append((rows, variables.integrals, 1.0))
+    combined.append((rows[:, None], rates[:, :, states:], -mesh.weights[None, :, None]))
+    stands_for.append(variables.integrals.ravel())
+    tied(variables.paths, paths)
+    tied(variables.ends, ends)
+    tied(variables.composed, composed)
+    samples = layout.samples(variables)
+    for functional, terms in layout.coefficients(variables).items():
+        rows = numbers.take(terms.shape)
+        at = samples[functional][: layout.plan.points]
+        linear.append((rows, terms, 1.0))
+        shares = -fit.reshape(*fit.shape, *(1,) * (at.ndim - 1))
+        linear.append((rows[:, None], at[None], shares))
+        stands_for.append(terms.ravel())
+    shape = numbers.count, layout.count
+    count = sum(one.size for one in blocks)
+    first = own[-1].stop if own else 0
+    ties = Ties(slice(first, numbers.count), np.concatenate(stands_for).astype(int))
+    return Rows(matrix(linear, shape), matrix(combined, (shape[0], count)), tuple(own), ties)

@@ -1,0 +1,73 @@
+"""Typical magnitudes of the variables of a simultaneous program, at a point.
+
+By them a solver scales, and violations are judged: so they are those of the point itself, not of a start that may be
+wild. What is zero there has the magnitude that typical changes of what it is tied to would give it.
+"""
+
+import jax
+import numpy as np
+from jaxtyping import Float
+
+from aleator.nlp import Evaluation
+from aleator.transcription.simultaneous._layout import Layout
+from aleator.transcription.simultaneous._rows import Ties
+
+# A magnitude below this is rounding.
+_NOTHING = 1e-12
+# Along a chain of so many states, each the rate of the next, forces reach a state that is zero.
+_CHAIN = 4
+
+
+def scales(
+    layout: Layout,
+    ties: Ties,
+    point: Float[np.ndarray, " variables"],
+    evaluation: Evaluation,
+    decisions: Float[np.ndarray, " n"],
+) -> Float[np.ndarray, " variables"]:
+    """A typical magnitude of each variable: the largest of its kind, or what it would be if all that it is tied to
+    changed by a typical magnitude.
+
+    - `decisions`: typical magnitudes of the decisions.
+    """
+    numbers, slopes = layout.numbers, abs(evaluation.jacobian[ties.where])
+    found = _by_kind(layout, np.abs(point))
+    found[numbers.decisions] = decisions
+    signals, *later = layout.stages
+    found = _reached(layout, ties, slopes, found, signals)
+    intervals = len(layout.plan.mesh.lengths)
+    for _ in range(_CHAIN):
+        still = numbers.states[found[numbers.states] <= _NOTHING]
+        if not still.size:
+            break
+        found = _reached(layout, ties, intervals * slopes, found, still)
+    for some in later:
+        found = _reached(layout, ties, slopes, found, some)
+    return np.where(found > _NOTHING, found, 1.0)
+
+
+def _reached(
+    layout: Layout, ties: Ties, slopes: np.ndarray, found: Float[np.ndarray, " variables"], which: np.ndarray
+) -> Float[np.ndarray, " variables"]:
+    """Magnitudes, those of some variables being no less than what they are tied to may change them by."""
+    change, these = slopes @ found, np.isin(ties.stands_for, which)
+    own = ties.stands_for[these]
+    larger = found.copy()
+    larger[own] = np.maximum(found[own], np.nan_to_num(change[these] - found[own], posinf=0.0))
+    return np.where(np.isin(np.arange(layout.count), which), _by_kind(layout, larger), found)
+
+
+def _by_kind(layout: Layout, sizes: Float[np.ndarray, " variables"]) -> Float[np.ndarray, " variables"]:
+    """The largest of each kind of variables: one state at all points, one output at all instants."""
+
+    def largest(part: np.ndarray, keep: int) -> np.ndarray:
+        over = tuple(range(part.ndim - keep))
+        finite = np.where(np.isfinite(part), part, 0.0)
+        return np.broadcast_to(finite.max(axis=over, initial=0.0), part.shape)
+
+    found, values = np.zeros(layout.count), layout.view(sizes)
+    each = jax.tree.map(lambda one: largest(one, 1), values._replace(coefficients=()))
+    each = each._replace(coefficients=tuple(largest(one, 0) for one in values.coefficients))
+    for where, scale in zip(jax.tree.leaves(layout.numbers), jax.tree.leaves(each), strict=True):
+        found[where] = scale
+    return found

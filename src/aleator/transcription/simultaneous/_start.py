@@ -1,0 +1,95 @@
+"""Where a simultaneous program starts: states as simulated, and all that follows from them."""
+
+from typing import Any, final
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from typing_extensions import override
+
+from aleator._core.arrays import numbers_to_arrays
+from aleator._core.compilation import Compiled, Use
+from aleator.design import Problem, refuse_changed_code
+from aleator.dynamics import Asked, Grid, Simulation, System, derivative
+from aleator.transcription.simultaneous._mesh import Mesh
+from aleator.uncertainty import realise
+
+# Steps of a simulation in each of the grid: points of a mesh between instants are interpolated.
+_FINER = 4
+_STATES = "states"
+# States that grow by more than this after the first tenth of the time are those of a system that runs away.
+_BEGINNING, _MOST_GROWTH = 10, 1e4
+
+
+@final
+class _Recorded(System):
+    """A system whose one output are its states, side by side."""
+
+    system: System
+    states: tuple[str, ...] = eqx.field(static=True)  # type: ignore[misc]
+
+    @override
+    def rhs(self, t: Any, z: Any, **inputs: Any) -> Any:
+        return derivative(self.system, t, z, inputs)
+
+    @override
+    def outputs(self, t: Any, z: Any, **inputs: Any) -> dict[str, Any]:
+        del t, inputs
+        return {_STATES: jnp.concatenate([jnp.ravel(one) for one in jax.tree.leaves(z)])}
+
+    @override
+    def initial(self) -> Any:
+        return self.system.initial()
+
+    @override
+    def signals(self) -> Any:
+        return self.system.signals()
+
+
+def _simulated(
+    problem: Problem, points: Float[Array, "realisations germs"], decisions: Float[Array, " n"]
+) -> Float[Array, "realisations instants states"]:
+    def one(germ: Array) -> Array:
+        found = realise(problem.simulation, germ, decisions)
+        assert isinstance(found.system, System)
+        recorded = _Recorded(system=found.system, states=found.system.states)
+        simulation = Simulation(recorded, found.inputs, found.grid, found.integrator)
+        return simulation.record(Asked(frozenset({_STATES}))).history[_STATES]
+
+    return jax.vmap(one)(points)
+
+
+SIMULATED = Compiled(_simulated, use=Use.ONCE, unchanged=refuse_changed_code)
+
+
+def simulated_states(
+    problem: Problem,
+    mesh: Mesh,
+    points: Float[np.ndarray, "realisations germs"],
+    decisions: Float[np.ndarray, " n"],
+) -> Float[np.ndarray, "realisations points states"]:
+    """The states of all realisations at the points of a mesh. If one of them cannot be simulated at these decisions,
+    or grows beyond reason, all rest at their initial states: a program may begin where nothing can be simulated.
+    """
+    if not problem.is_integrated:
+        return np.zeros((len(points), len(mesh.fractions), 0))
+    assert isinstance(problem.grid, Grid)
+    finer = numbers_to_arrays(problem.on_grid(problem.grid.finer(_FINER)))
+    found = np.array(SIMULATED(finer, jnp.asarray(points), jnp.asarray(decisions)))
+    begun = np.abs(found[:, : 1 + found.shape[1] // _BEGINNING]).max(axis=(0, 1))
+    grown = np.abs(found).max(axis=(0, 1)) > _MOST_GROWTH * np.where(begun > 0, begun, np.inf)
+    if not np.isfinite(found).all() or grown.any():
+        found = np.repeat(found[:, :1], found.shape[1], axis=1)
+    return _interpolated(found, mesh.fractions)
+
+
+def _interpolated(
+    table: Float[np.ndarray, "realisations instants states"], fractions: Float[np.ndarray, " points"]
+) -> Float[np.ndarray, "realisations points states"]:
+    """Between instants that are evenly spaced, linearly."""
+    place = fractions * (table.shape[1] - 1)
+    before = np.minimum(place.astype(int), table.shape[1] - 2)
+    share = (place - before)[None, :, None]
+    return (1 - share) * table[:, before] + share * table[:, before + 1]

@@ -1,0 +1,230 @@
+"""Simultaneous transcription: the states of every realisation are variables of the program, tied by a scheme.
+
+Nothing is simulated while it is solved (dissertation, section 3.3; SimNLP, equations 95 and 123): so systems that are
+unstable, stiff or held within bounds can be designed that cannot be simulated at every decision on the way.
+"""
+
+from dataclasses import dataclass, field, replace
+from typing import Any, ClassVar, final
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, Int
+from typing_extensions import override
+
+from aleator._core.arrays import numbers_to_arrays
+from aleator._core.compilation import Compiled, Use
+from aleator._core.errors import ProblemError
+from aleator._core.given import one_of
+from aleator.design import (
+    Problem,
+    expanded_functionals,
+    extreme_functionals,
+    functionals_of,
+    integrated_paths,
+    refuse_changed_code,
+)
+from aleator.dynamics import AbstractScheme, Grid, HermiteSimpson
+from aleator.nlp import HELD, AbstractSolver, Evaluation, Ipopt, Magnitudes, NonlinearProgram
+from aleator.statistics import Constants
+from aleator.transcription._abstract import AbstractTranscribed, AbstractTranscription, Meaning, Meanwhile
+from aleator.transcription._discretisation import Discretised, discretised
+from aleator.transcription._magnitudes import Sizing, decision_scales, least_objective, spread
+from aleator.transcription._rows import row_bounds
+from aleator.transcription._scenarios import Scenarios, first_scenarios
+from aleator.transcription._scope import ExpansionScope
+from aleator.transcription._texts import Texts
+from aleator.transcription.simultaneous._first_point import started
+from aleator.transcription.simultaneous._layout import Layout, Plan
+from aleator.transcription.simultaneous._mesh import Mesh
+from aleator.transcription.simultaneous._program import CURVE, EVALUATE, Assembled
+from aleator.transcription.simultaneous._scales import scales
+from aleator.transcription.simultaneous._start import SIMULATED
+from aleator.uncertainty import named_numbers, placements
+
+
+def _told(problem: Problem, constants: Constants, at: tuple[Any, ...]) -> tuple[jax.Array, ...]:
+    """Every statistic that stands in a problem, from decisions, coefficients, and values on the scenarios."""
+    decisions, coefficients, realised = at
+    scope = ExpansionScope(
+        {},
+        dict(zip(expanded_functionals(problem.expressions), coefficients, strict=True)),
+        constants,
+        named_numbers(problem.simulation, decisions),
+        realised=dict(zip(extreme_functionals(problem.expressions), realised, strict=True)),
+    )
+    _, taken = scope.evaluated(problem.expressions)
+    return tuple(one for some in taken for one in some)
+
+
+TOLD = Compiled(_told, use=Use.ONCE, unchanged=refuse_changed_code)
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class SimultaneouslyTranscribed(AbstractTranscribed):
+    """A problem as a sparse program in its decisions and in the states of all realisations at the points of a mesh."""
+
+    layout: Layout
+    assembled: Assembled
+
+    @property
+    @override
+    def decided(self) -> Int[np.ndarray, " n"]:
+        return self.layout.numbers.decisions
+
+    @override
+    def point(self, decisions: Float[np.ndarray, " n"]) -> Float[np.ndarray, " variables"]:
+        return started(self.layout, self.assembled, self.problem, self.points, decisions)
+
+    @override
+    def at(self, point: Float[np.ndarray, " variables"]) -> Meaning:
+        evaluation, variables = self.assembled(point), self.layout.view(point)
+        every, numbers = self.layout.samples(variables), self.layout.samples(self.layout.numbers)
+        count, expressions = len(self.collocation.points), self.problem.expressions
+        samples = {one: self._apart(values, numbers[one]) for one, values in every.items()}
+        fitted = [
+            self.collocation.coefficients(jnp.asarray(samples[one][:count]))
+            for one in expanded_functionals(expressions)
+        ]
+        realised = [jnp.asarray(samples[one][count:]) for one in extreme_functionals(expressions)]
+        taken = TOLD(self.traced, self.constants, (jnp.asarray(variables.decisions), fitted, realised))
+        functionals, grid = functionals_of(expressions), self.problem.grid
+        assert isinstance(grid, Grid)
+        return Meaning(
+            decisions=variables.decisions.copy(),
+            objective=evaluation.objective,
+            constraints=[evaluation.constraints[one] for one in self.rows],
+            samples=tuple(samples[one][:count] for one in functionals),
+            tangents=(None,) * len(functionals),
+            statistics=tuple(np.asarray(one) for one in taken),
+            times=float(grid.t_start) + grid.fractions * float(variables.duration[0]),
+        )
+
+    def _apart(self, samples: np.ndarray, numbers: np.ndarray) -> np.ndarray:
+        """Samples without what their equations leave open: realisations that differ by less are the same."""
+        open_ = HELD * self.program.variable_scale[numbers].max(axis=0)
+        middle = samples.mean(axis=0)
+        return np.where(np.abs(samples - middle).max(axis=0) <= open_, middle, samples)
+
+    @override
+    def at_scenarios(self, scenarios: Scenarios) -> "SimultaneouslyTranscribed":
+        found = self.discretised._replace(constants=replace(self.constants, scenarios=jnp.asarray(scenarios.points)))
+        return _transcribed(self.problem, self.traced, found, scenarios, self.layout.plan.mesh)
+
+
+def _transcribed(
+    problem: Problem, traced: Problem, found: Discretised, scenarios: Scenarios | None, mesh: Mesh
+) -> SimultaneouslyTranscribed:
+    collocation, constants = found.collocation, found.constants
+    points = np.asarray(collocation.points)
+    every = points if scenarios is None else np.concatenate([points, scenarios.points])
+    fit = np.asarray(collocation.pseudo_inverse)
+    layout = Layout.of(problem, Plan(mesh, len(points), len(every) - len(points), len(fit)))
+    is_known = not _decides_signals(problem)
+    assembled = Assembled.of(layout, traced, constants, every, fit, is_known)
+    first, lower, upper = (problem.placements.vector(name) for name in ("initial", "lower", "upper"))
+    start = started(layout, assembled, problem, every, first)
+    typical, ties = decision_scales(first, lower, upper), assembled.rows.ties
+    evaluation = assembled(start)
+    scale = scales(layout, ties, start, evaluation, typical)
+    lowest, highest = np.full(layout.count, -np.inf), np.full(layout.count, np.inf)
+    lowest[: first.size], highest[: first.size] = lower, upper
+    if is_known:
+        fixed = np.append(layout.numbers.signals.ravel(), layout.numbers.duration)
+        lowest[fixed] = highest[fixed] = start[fixed]
+    rows = assembled.rows
+    own_lower, own_upper = row_bounds(problem.constraints, rows.own, scenarios)
+    tied = np.zeros(len(ties.stands_for))
+    sizing = Sizing(problem.constraints, rows.own, scale, [0.0] * len(rows.own))
+
+    def magnitudes(variables: np.ndarray, evaluation: Evaluation) -> Magnitudes:
+        here = scales(layout, ties, variables, evaluation, typical)
+        size, by = replace(sizing, decision_scale=here).at(variables, evaluation)
+        return Magnitudes(np.append(size, here[ties.stands_for]), np.append(by, here[ties.stands_for]))
+
+    values, slopes = ([part[one] for one in rows.own] for part in (evaluation.constraints, evaluation.jacobian))
+    sizes = sizing.each(start, values, slopes)
+    program = NonlinearProgram(
+        evaluate=assembled,
+        start=start,
+        lower=lowest,
+        upper=highest,
+        constraint_lower=np.append(own_lower, tied),
+        constraint_upper=np.append(own_upper, tied),
+        constraint_scale=np.append(spread(rows.own, [one.scale for one in sizes]), scale[ties.stands_for]),
+        variable_scale=scale,
+        structure=assembled.jacobian.sparsity,
+        hessian=assembled.hessian,
+        magnitudes=magnitudes,
+        least=least_objective(problem),
+    )
+    return SimultaneouslyTranscribed(
+        problem,
+        traced,
+        found,
+        program,
+        rows.own,
+        tuple(one.size for one in sizes),
+        Texts.of(problem),
+        scenarios,
+        layout=layout,
+        assembled=assembled,
+    )
+
+
+def _decides_signals(problem: Problem) -> bool:
+    """Whether signals or the final time are decided."""
+    signals = [getattr(problem.system, name) for name in problem.system.signal_fields]  # type: ignore[union-attr]
+    return bool(placements((signals, problem.inputs, problem.grid)).decisions)
+
+
+@final
+@dataclass(frozen=True)
+class Simultaneous(AbstractTranscription):
+    """States are variables of the program, and a collocation scheme holds them to the dynamics: direct collocation.
+
+    The way for long, unstable or stiff systems and for limits on states. Its programs are large and sparse, with exact
+    second derivatives, and solved by interior points.
+
+    - `scheme`: how states follow their rates, such as `al.schemes.Radau(3)`.
+
+    Raises `ProblemError` for an algebraic system, and for statistics that are integrated over time.
+    """
+
+    scheme: AbstractScheme = field(default_factory=HermiteSimpson)
+
+    programs: ClassVar[tuple[Compiled, ...]] = (EVALUATE, CURVE, SIMULATED, TOLD)
+
+    def __post_init__(self) -> None:
+        one_of("Simultaneous: scheme", self.scheme, AbstractScheme, "al.schemes.HermiteSimpson()")
+
+    @property
+    @override
+    def solver(self) -> AbstractSolver:
+        return Ipopt()
+
+    @override
+    def transcribed(self, problem: Problem, meanwhile: Meanwhile) -> SimultaneouslyTranscribed:
+        _refuse(problem)
+        scenarios, found, traced = first_scenarios(problem), discretised(problem), numbers_to_arrays(problem)
+        if scenarios is not None:
+            found = found._replace(constants=replace(found.constants, scenarios=jnp.asarray(scenarios.points)))
+        meanwhile(problem, found)
+        assert isinstance(problem.grid, Grid)
+        mesh = Mesh(tuple(problem.grid.fractions.tolist()), self.scheme)
+        return _transcribed(problem, traced, found, scenarios, mesh)
+
+
+def _refuse(problem: Problem) -> None:
+    if not isinstance(problem.grid, Grid):
+        raise ProblemError(
+            f"al.Simultaneous ties states over time: expected a system that moves in time; received "
+            f"{type(problem.system).__name__}, which is algebraic. Use al.Sequential()."
+        )
+    if integrated_paths(problem.expressions):
+        raise ProblemError(
+            "al.Simultaneous does not take statistics that are integrated over time (al.time_integral, "
+            "al.objectives.coefficient_power): use al.Sequential(), or the statistic of an integral."
+        )

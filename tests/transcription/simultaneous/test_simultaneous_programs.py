@@ -1,0 +1,76 @@
+"""Simultaneous programs: their derivatives, their sparsity, and what their first point means."""
+
+import numpy as np
+import pytest
+from collocated_problems import crane, everything, oscillator
+
+import aleator as al
+from aleator.transcription import transcribe
+
+SCHEMES = {
+    "Hermite and Simpson": al.schemes.HermiteSimpson(),
+    "Radau": al.schemes.Radau(2),
+    "Gauss": al.schemes.GaussLegendre(2),
+}
+_COLUMNS = 60
+
+
+def _point_beside(program):
+    rng = np.random.default_rng(1)
+    return rng, program.start + 0.05 * program.variable_scale * rng.standard_normal(program.start.size)
+
+
+@pytest.mark.parametrize("scheme", SCHEMES)
+def test_derivatives_of_both_orders_are_those_of_central_differences(scheme):
+    program = transcribe(everything(), al.Simultaneous(SCHEMES[scheme])).program
+    rng, point = _point_beside(program)
+    found = program.evaluate(point)
+    jacobian, multipliers = found.jacobian.toarray(), rng.standard_normal(len(found.constraints))
+    lower = program.hessian.evaluate(point, 1.3, multipliers).toarray()
+    hessian = lower + np.tril(lower, -1).T
+    # All decisions, and some of every other kind of variable.
+    for i in np.append(np.arange(9), rng.choice(point.size, _COLUMNS, replace=False)):
+        step = 1e-6 * program.variable_scale[i] * np.eye(point.size)[i]
+        one, other = program.evaluate(point + step), program.evaluate(point - step)
+        h = 2 * step[i]
+        slope, gradient = (one.constraints - other.constraints) / h, (one.objective - other.objective) / h
+        bend = [1.3 * part.gradient + multipliers @ part.jacobian for part in (one, other)]
+        np.testing.assert_allclose(jacobian[:, i], slope, atol=1e-7 * max(1, np.abs(slope).max()))
+        assert found.gradient[i] == pytest.approx(gradient, abs=1e-7)
+        difference = (bend[0] - bend[1]) / h
+        np.testing.assert_allclose(hessian[:, i], difference, atol=1e-6 * max(1, np.abs(difference).max()))
+
+
+def test_no_entry_of_the_hessian_couples_two_realisations():
+    transcribed = transcribe(everything(), al.Simultaneous())
+    owner = np.full(transcribed.program.start.size, -1)
+    numbers = transcribed.layout.numbers
+    for part in (numbers.states, numbers.paths, numbers.integrals):
+        for i, some in enumerate(part):
+            owner[some] = i
+    entries = transcribed.program.hessian.sparsity.tocoo()
+    first, second = owner[entries.row], owner[entries.col]
+    assert np.all((first == second) | (first < 0) | (second < 0))
+
+
+@pytest.mark.parametrize("problem", [everything, crane, oscillator])
+def test_the_first_point_is_the_simulation(problem):
+    problem = problem()
+    usual, other = transcribe(problem), transcribe(problem, al.Simultaneous())
+    one, same = usual.at(usual.program.start), other.at(other.program.start)
+    assert same.objective == pytest.approx(one.objective, rel=5e-3)
+    for ours, theirs in zip(same.constraints, one.constraints, strict=True):
+        np.testing.assert_allclose(ours, theirs, atol=5e-3 * max(1.0, np.abs(theirs).max()))
+    for ours, theirs in zip(same.statistics, one.statistics, strict=True):
+        np.testing.assert_allclose(ours, theirs, atol=5e-3 * max(1.0, np.abs(theirs).max()))
+    np.testing.assert_allclose(same.times, one.times, rtol=1e-14)
+
+
+def test_entries_grow_with_intervals_and_points_alone():
+    sizes = []
+    for intervals in (10, 20):
+        program = transcribe(crane(intervals), al.Simultaneous()).program
+        sizes.append((program.structure.nnz, program.hessian.sparsity.nnz))
+    (jacobian, hessian), (twice, twice_hessian) = sizes
+    assert twice < 2.1 * jacobian
+    assert twice_hessian < 2.1 * hessian
