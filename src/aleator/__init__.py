@@ -113,7 +113,7 @@ __version__ = "0.1.0"
 _clock.import_seconds = _time.perf_counter() - _started
 
 _TOPICS = {cost, fits, index_sets, integrators, joints, objectives, points, processes}
-_TOPICS |= {references, reporting, results, shapes, solvers}
+_TOPICS |= {references, reporting, results, schemes, shapes, solvers}
 
 
 def __dir__() -> list[str]:

@@ -70,7 +70,7 @@ def test_entries_grow_with_intervals_and_points_alone():
     sizes = []
     for intervals in (10, 20):
         program = transcribe(crane(intervals), al.Simultaneous()).program
-        sizes.append((program.structure.nnz, program.hessian.sparsity.nnz))
+        sizes.append((program.sparsity.nnz, program.hessian.sparsity.nnz))
     (jacobian, hessian), (twice, twice_hessian) = sizes
     assert twice < 2.1 * jacobian
     assert twice_hessian < 2.1 * hessian

@@ -155,7 +155,7 @@ def _transcribed(
         constraint_upper=np.append(own_upper, tied),
         constraint_scale=np.append(spread(rows.own, [one.scale for one in sizes]), scale[ties.stands_for]),
         variable_scale=scale,
-        structure=assembled.jacobian.sparsity,
+        sparsity=assembled.jacobian.sparsity,
         hessian=assembled.hessian,
         magnitudes=magnitudes,
         least=least_objective(problem),
