@@ -10,8 +10,10 @@ import numpy as np
 from jaxtyping import Array, Float
 from typing_extensions import override
 
+from aleator._core.arrays import is_number
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import is_leaf
+from aleator._core.once import once_for_each
 from aleator.mechanics._body import Body
 from aleator.mechanics._body_load import BodyLoad, refuse_moving_places, wrenches_of
 from aleator.mechanics._instant import at, later
@@ -149,10 +151,9 @@ class Multibody(AbstractMechanical):
 
     def normalised(self, q: Float[Array, " coordinates"]) -> Float[Array, " coordinates"]:
         """The coordinates, with quaternions normalised; a zero quaternion becomes the identity."""
-        joints = [joint for _, joint in self._joints()]
-        ends = np.cumsum([0, *(len(joint.coordinates) for joint in joints)])
-        parts = [joint.normalised(q[i:j]) for joint, i, j in zip(joints, ends[:-1], ends[1:], strict=True)]
-        return jnp.concatenate([jnp.zeros(0), *parts])
+        if all(type(joint).normalised is AbstractJoint.normalised for _, joint in self._joints()):
+            return q
+        return jnp.concatenate([link.joint.normalised(q[link.q]) for link in self._tree().links])
 
     @override
     def diagnose(self, q: Float[Array, " coordinates"]) -> str:
@@ -237,14 +238,25 @@ class Multibody(AbstractMechanical):
         return given
 
     def _joints(self) -> list[tuple[str, AbstractJoint]]:
-        """The moving bodies with their joints; also available before distributions and decisions are realised."""
-        plain = jax.tree.map(_as_number, self, is_leaf=_is_no_number)
-        now = plain if self._when is not None else at(plain, jnp.zeros(()), None)
-        bodies = sorted_bodies(now._bodies())
-        return [(body.name, body.joint) for body in bodies if isinstance(body.joint, AbstractJoint)]
+        """The moving bodies with the structure of their joints; also before distributions are realised."""
+        return _joints_of(self)
 
     def _gravity(self) -> Block:
         return as_array(self.gravity, f"{type(self).__name__}.gravity", (3,))
+
+
+@once_for_each
+def _joints_of(model: Multibody) -> list[tuple[str, AbstractJoint]]:
+    """The moving bodies of a model with their joints. Building bodies takes long, and names are asked for often."""
+    plain = jax.tree.map(_as_number, model, is_leaf=_is_no_number)
+    now = plain if model._when is not None else at(plain, jnp.zeros(()), None)
+    bodies = sorted_bodies(now._bodies())
+    return [(body.name, _without_numbers(body.joint)) for body in bodies if isinstance(body.joint, AbstractJoint)]
+
+
+def _without_numbers(joint: AbstractJoint) -> AbstractJoint:
+    """The structure of a joint: it outlives the trace in which its numbers may have been made."""
+    return jax.tree.map(lambda leaf: np.zeros(np.shape(leaf)) if is_number(leaf) else leaf, joint)
 
 
 def _is_no_number(node: Any) -> bool:

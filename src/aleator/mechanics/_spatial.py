@@ -110,7 +110,7 @@ def _stacked(given: Any) -> Block:
     if isinstance(given, tuple | list):
         parts = [_stacked(one) for one in given]
         return library(*parts).stack(parts)
-    return jnp.asarray(given, dtype=float) if isinstance(given, jax.Array) else real_array("", given)
+    return jnp.asarray(given, dtype=float) if isinstance(given, Tracer) else real_array("", given)
 
 
 def _any_of(shapes: tuple[tuple[int, ...], ...]) -> str:
@@ -163,12 +163,12 @@ def about(axis: Block, angle: Any, before: Block) -> Float[Array, "3 3"]:
     The products with the axis are computed beforehand, so that a rotation needs no matrix product.
     """
     across = before @ skew(axis)
-    return _turned(angle, before, across, across @ skew(axis))
+    return _either(_turned, angle, before, across, across @ skew(axis))
 
 
-@jax.jit
 def _turned(angle: Any, before: Block, across: Block, twice: Block) -> Float[Array, "3 3"]:
-    return before + jnp.sin(angle) * across + (1 - jnp.cos(angle)) * twice
+    xp = library(angle)
+    return before + xp.sin(angle) * across + (1 - xp.cos(angle)) * twice
 
 
 def from_angles(angles: Block) -> Block:

@@ -131,7 +131,7 @@ class BSpline(AbstractTrajectory):
         points: list[Array] = []
         for order, condition in enumerate(given):
             # At an end, a derivative of order k depends on the outermost k + 1 control points only.
-            weights = jnp.asarray(basis_matrix(np.array([float(side)]), self.all_knots(), self.degree, order))[0]
+            weights = basis_matrix(np.array([float(side)]), self.all_knots(), self.degree, order)[0]
             weights = weights[::-1] if side else weights
             known = sum((weights[i] * point for i, point in enumerate(points)), start=jnp.zeros(self.shape))
             points.append((as_array(condition) * duration**order - known) / weights[order])
