@@ -15,10 +15,11 @@ _ROUNDINGS = 1e3
 # The error of a first-order prediction falls with the square of the step. Below the first of these powers the function
 # is not differentiable; below the second it jumps.
 _SMOOTH, _JUMP = 1.5, 0.5
+_EXCLUDE = "Exclude those points by the bounds of the decisions"
 
 
-def stall(scaled: ScaledProgram, z: np.ndarray, multipliers: Multipliers) -> str:
-    """Why a solver may have got stuck at a point, in words that follow a colon; empty if unknown.
+def stall(scaled: ScaledProgram, z: np.ndarray, multipliers: Multipliers) -> tuple[str, str]:
+    """Why a solver may have got stuck at a point, in words that follow a colon, and the remedy; empty if unknown.
 
     The Lagrangian is evaluated along its own steepest descent, over steps of different lengths. If it is smooth, the
     error of the first-order prediction falls with the square of the step; at a kink it falls with the step, at a jump
@@ -28,7 +29,7 @@ def stall(scaled: ScaledProgram, z: np.ndarray, multipliers: Multipliers) -> str
     remainder = lagrangian_gradient(start, multipliers)
     largest = float(np.abs(remainder).max(initial=0.0))
     if largest == 0:
-        return ""
+        return "", ""
     typical = max(1.0, float(np.abs(z).max()))
     rounding = _ROUNDINGS * np.finfo(float).eps * scaled.terms(start, multipliers)
     missed: list[tuple[float, float]] = []
@@ -38,7 +39,7 @@ def stall(scaled: ScaledProgram, z: np.ndarray, multipliers: Multipliers) -> str
         try:
             there = scaled.evaluate(moved)
         except NotFiniteError:
-            return "the model is not finite close by, where it would be less"
+            return "the model is not finite close by, where it would be less", _EXCLUDE
         predicted = float(remainder @ (moved - z))
         seen = seen or abs(predicted) > rounding
         rows = float(multipliers.rows @ (there.constraints - start.constraints))
@@ -47,16 +48,17 @@ def stall(scaled: ScaledProgram, z: np.ndarray, multipliers: Multipliers) -> str
         if error > max(rounding, abs(predicted) / 2):
             missed.append((step, error))
     if not seen:
-        return "the possible gain is below the rounding of the objective, so that no further progress is possible here"
+        why = "the possible gain is below the rounding of the objective, so that no further progress is possible here"
+        return why, "Accept it by a larger tolerance of the solver"
     if len(missed) < 2:
-        return ""
+        return "", ""
     power = min(
         np.log(error / finer) / np.log(step / smaller) for (step, error), (smaller, finer) in itertools.pairwise(missed)
     )
     if power > _SMOOTH:
-        return ""
+        return "", ""
     what = "jumps" if power < _JUMP else "has a kink"
     return (
         f"the objective or an active constraint {what} close by, so that it does not change as its derivative "
         "predicts, and no derivative-based solver gets further"
-    )
+    ), "Make it smooth there, or replace a largest or absolute value by limits on each of its parts"

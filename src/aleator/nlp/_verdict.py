@@ -27,6 +27,17 @@ values around the answer."""
 
 # Size of a probing step in typical magnitudes, so large that the change of the gradient exceeds its rounding.
 _PROBE = 1e-4
+# A variable without a bound that is so many typical magnitudes away from zero may have no optimum.
+_FAR = 100.0
+# What to do where nothing more is known.
+_REMEDIES = {
+    Status.EVALUATION_FAILED: (
+        "Stuck next to points where the model is not finite: exclude these by the bounds of the decisions"
+    ),
+    Status.INFEASIBLE: "Relax a limit, widen the bounds of the decisions, or try other starts with al.multistart",
+    Status.ITERATION_LIMIT: "Allow the solver more iterations, by its max_iterations, or start closer to the solution",
+    Status.FAILED: "Try another solver, such as al.solvers.Ipopt(), or other starts with al.multistart",
+}
 
 
 class Answer(NamedTuple):
@@ -101,17 +112,11 @@ def judge(scaled: ScaledProgram, answer: Answer, tolerance: float) -> Verdict:
         # A solver that gives up next to points that cannot be evaluated is presumed to do so because of them.
         status = Status.EVALUATION_FAILED
     verdict = verdict._replace(status=status)
-    if status is Status.FAILED:
-        reason = _reason(scaled, verdict, tolerance)
-        return verdict._replace(message=f"{reason} (the solver said: {answer.message})")
-    if status is Status.EVALUATION_FAILED:
-        return verdict._replace(
-            message=f"stuck next to points where the model is not finite; the solver said: {answer.message}"
-        )
     if status is Status.INFEASIBLE:
         least = _at_best(scaled, answer._replace(claim=status), tolerance)
-        return least if least.certificate.violation > _held(tolerance) else verdict
-    return verdict
+        verdict = least if least.certificate.violation > _held(tolerance) else verdict
+    said = _advice(scaled, verdict, tolerance)
+    return verdict._replace(message=f"{said} (the solver said: {answer.message})") if said else verdict
 
 
 def _held(tolerance: float) -> float:
@@ -256,14 +261,33 @@ def _unknown(scaled: ScaledProgram, answer: Answer) -> Verdict:
     return Verdict(answer.claim, answer.point, scaled.evaluations.last, zero, nowhere, answer.message, sizes)
 
 
-def _reason(scaled: ScaledProgram, verdict: Verdict, tolerance: float) -> str:
-    """Why a point is no solution: the condition that is not met and, if known, the reason."""
+def _advice(scaled: ScaledProgram, verdict: Verdict, tolerance: float) -> str:
+    """Why a point is no solution and what to do, in words; empty for a solution."""
+    if verdict.status not in _REMEDIES:
+        return ""
+    if verdict.status not in (Status.ITERATION_LIMIT, Status.FAILED):
+        return _REMEDIES[verdict.status]
+    reason, remedy = _reason(scaled, verdict, tolerance)
+    if not remedy and _has_run_away(scaled, verdict.point):
+        reason += ", and decisions are far out on a side without a bound, where there may be no optimum"
+        remedy = "Give all decisions bounds, or allow the solver more iterations, by its max_iterations"
+    return f"{reason}. {remedy or _REMEDIES[verdict.status]}"
+
+
+def _has_run_away(scaled: ScaledProgram, z: np.ndarray) -> bool:
+    """Whether a variable is many typical magnitudes away from zero, on a side on which it has no bound."""
+    open_ended = np.where(z > 0, np.isposinf(scaled.upper), np.isneginf(scaled.lower))
+    return bool(np.any(open_ended & (np.abs(z) > _FAR)))
+
+
+def _reason(scaled: ScaledProgram, verdict: Verdict, tolerance: float) -> tuple[str, str]:
+    """Why a point is no solution: the condition that is not met with, if known, the reason; and the remedy for that."""
     certificate = verdict.certificate
     if certificate.violation > _held(tolerance):
         return (
             f"a constraint is missed by {certificate.violation:.1e} of its size, where {_held(tolerance):.0e} is "
             "asked, although small steps would still reduce it"
-        )
+        ), ""
     residual = max(certificate.stationarity, certificate.complementarity)
-    known = stall(scaled, verdict.point, verdict.multipliers)
-    return f"stationarity is {residual:.1e}, where {tolerance:.0e} is asked{known and ': '}{known}"
+    known, remedy = stall(scaled, verdict.point, verdict.multipliers)
+    return f"stationarity is {residual:.1e}, where {tolerance:.0e} is asked{known and ': '}{known}", remedy

@@ -109,7 +109,8 @@ class Solution:
             )
         broken = "; ".join(one.sentence() + self._realisation(one) for one in self.violated)
         coarse = f" Perhaps for its grid: {found.misled}. Use more steps." if found.misled else ""
-        return f"{self.status.value}. {broken or self.message}.{coarse}"
+        said = ". ".join(part.rstrip(".") for part in (self.status.value, broken, self.message) if part)
+        return f"{said}.{coarse}"
 
     def _realisation(self, one: ConstraintResult) -> str:
         """The system that breaks a limit on the worst case, in words; empty for other constraints."""
