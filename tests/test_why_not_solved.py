@@ -29,8 +29,8 @@ class Plane(al.AlgebraicSystem):
 
 
 def plane(kind, reach=10.0, limits=()):
-    decisions = (al.Decision(start, -reach, reach) for start in (-1.2, 1.0))
-    return al.Problem(Plane(*decisions, kind), minimize=al.output("f").mean, subject_to=limits)
+    system = Plane(x=al.Decision(-1.2, -reach, reach), y=al.Decision(1.0, -reach, reach), kind=kind)
+    return al.Problem(system, minimize=al.output("f").mean, subject_to=limits)
 
 
 SQUARE = al.output("square").mean
