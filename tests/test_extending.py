@@ -367,7 +367,7 @@ def test_a_study_that_fails_keeps_what_it_has_and_says_why(mistake, tmp_path, ca
         with pytest.raises(ValueError, match="a slip"):
             ext.run_study(Half(), tmp_path)
     assert {path.name for path in tmp_path.iterdir()} >= {"results.nc", "designs.json", "report.html"}
-    assert "Not reached, or not to its end: second." in (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "Not reached or not completed: second." in (tmp_path / "report.html").read_text(encoding="utf-8")
     assert f"error during 'second': {'' if isinstance(mistake, al.AleatorError) else 'ValueError: '}{mistake}" in (
         capsys.readouterr().err
     )

@@ -127,8 +127,8 @@ def test_a_quick_run_leaves_the_margins_to_the_full_one_and_says_so(sampled):
     assert not QUICK.calibration_samples
     quick = having(sampled)
     assert verdict(sampled).word == "A first look"
-    assert "left out are the margins to build with" in quick.page().verdict.headline
-    assert "left out are the margins to build with" in quick.headline()
+    assert "without the margins to build with" in quick.page().verdict.headline
+    assert "without the margins to build with" in quick.headline()
     assert not {"designs to build", "calibration"} & set(quick.stages)
 
 

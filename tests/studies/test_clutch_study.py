@@ -192,7 +192,7 @@ def test_the_page_has_every_section(study):
 def test_the_page_says_first_what_was_not_reached():
     begun = ClutchStudy(SMALL)
     assert begun.verdict().word == "Incomplete"
-    assert "Not reached, or not to its end: methods" in begun.page().sections[0].blocks[0].paragraphs[0]
+    assert "Not reached or not completed: methods" in begun.page().sections[0].blocks[0].paragraphs[0]
 
 
 @pytest.mark.slow

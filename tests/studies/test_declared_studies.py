@@ -88,7 +88,7 @@ def test_a_study_that_came_to_its_end_has_its_sections_and_the_glossary():
 
 
 def test_a_study_that_has_not_begun_names_all_its_stages():
-    assert unfinished(Two()) == ["Not reached, or not to its end: design and sweep."]
+    assert unfinished(Two()) == ["Not reached or not completed: design and sweep."]
     assert headings(Two()) == ["This run", "How to read this"]
 
 
@@ -99,13 +99,13 @@ def test_a_stage_that_was_cut_short_keeps_what_it_found_and_is_not_finished():
         study.run("sweep")
     assert study.swept is study.sweep
     assert study.finished == ("design",)
-    assert unfinished(study) == ["Not reached, or not to its end: sweep.", "Of the sweep, half is kept."]
+    assert unfinished(study) == ["Not reached or not completed: sweep.", "Of the sweep, half is kept."]
 
 
 def test_a_quick_run_says_what_it_leaves_out_in_its_verdict():
     study = finished(left_out="the sweep")
-    assert study.page().verdict.headline == "It decays. A quick run: left out are the sweep."
-    assert study.headline().endswith("left out are the sweep.")
+    assert study.page().verdict.headline == "It decays. This was a quick run, without the sweep."
+    assert study.headline().endswith("without the sweep.")
 
 
 def test_two_studies_do_not_share_what_they_have_finished():
@@ -131,7 +131,7 @@ def test_every_study_of_the_list_begins_with_nothing(name, quick):
     assert study.tables() == []
     assert study.headline().startswith("Incomplete: ")
     assert all(stage.share > 0 for stage in study.stages.values())
-    assert unfinished(study)[0].startswith(f"Not reached, or not to its end: {next(iter(study.stages))}, ")
+    assert unfinished(study)[0].startswith(f"Not reached or not completed: {next(iter(study.stages))}, ")
     assert bool(study.left_out) == (quick and name != "clutch")
 
 

@@ -39,7 +39,7 @@ def test_the_studies_are_listed_and_begin_with_nothing(name):
     begun = load(name, quick=True)
     assert begun.headline().startswith("Incomplete")
     assert begun.tables() == []
-    assert "Not reached, or not to its end: plans" in page_html(begun.page())
+    assert "Not reached or not completed: plans" in page_html(begun.page())
 
 
 def test_a_search_that_was_cut_short_keeps_its_finished_starts_and_the_page_says_so(study, monkeypatch):
@@ -50,7 +50,7 @@ def test_a_search_that_was_cut_short_keeps_its_finished_starts_and_the_page_says
         begun.run("plans")
     assert begun.done.plans == {MEAN: finished.best}
     html = page_html(begun.page())
-    assert "Not reached, or not to its end: plans" in html
+    assert "Not reached or not completed: plans" in html
     assert f"{len(finished.solutions)} are finished and kept" in html
     assert begun.headline().startswith("Incomplete")
 
@@ -189,7 +189,7 @@ def test_the_quick_run_writes_a_report_and_says_what_it_leaves_out(name, figures
     assert result.exit_code == 0, result.output
     told = " ".join(result.output.split())
     assert verdict in told
-    assert "A quick run: left out are" in told
+    assert "This was a quick run, without" in told
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert all(f"Figure {number}" in page for number in figures)
     assert "Not reached" not in page

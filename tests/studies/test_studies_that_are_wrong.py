@@ -237,7 +237,7 @@ def test_a_study_that_fails_in_its_first_stage_writes_a_page_that_says_so(error,
     page = page_of(tmp_path)
     assert "No recommendation after an error in the stage &#39;design&#39;." in page
     assert str(error).replace("'", "&#39;") in page
-    assert "Not reached, or not to its end: design and second." in page
+    assert "Not reached or not completed: design and second." in page
     assert "Build" not in page
     assert "Build" not in printed
 

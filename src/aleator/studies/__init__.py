@@ -1,8 +1,8 @@
-"""The case studies, each a package: its text reads like its chapter, and what is run and shown of it stands beside.
+"""The case studies. Each is a package that reads like its chapter, with running and presentation in separate modules.
 
     __init__    the physics and the problems
-    _run        what is computed: stages and what they find
-    _facts      tables and numbers of what was found
+    _run        the computations: stages and their results
+    _facts      tables and numbers of the results
     _verdict    what to build, and why
     _page       the chapters of the page, with _drawing for a scheme of the system
     _study      the declaration that joins these, as any study is declared (`docs/extending.md`)

@@ -1,4 +1,4 @@
-"""What a study declares, checked where it is asked for: each refusal names the study's class and the member.
+"""Checks of a study's declaration, made where members are used; refusals name the study's class and the member.
 
 `what` begins the sentence: "Filling.stages".
 """
@@ -17,14 +17,14 @@ Member = TypeVar("Member")
 
 
 class Stage(NamedTuple):
-    """A part of a study: its work, and roughly how long that takes compared with the other stages."""
+    """A part of a study: its work, and its approximate duration relative to the other stages."""
 
     work: Callable[[Progress], None]
     share: float
 
 
 class PartlySavedError(ProblemError):
-    """Results that cannot be saved, while all others are: in `paths`."""
+    """Some results could not be saved; all others are in `paths`."""
 
     def __init__(self, message: str, paths: list[Path]):
         super().__init__(message)
@@ -32,19 +32,19 @@ class PartlySavedError(ProblemError):
 
 
 class Failure(NamedTuple):
-    """What failed of a study, and why."""
+    """The part of a study that failed, and why."""
 
     where: str
     why: str
 
     @classmethod
     def of(cls, where: str, error: Exception) -> "Failure":
-        """A failure by its error: the messages of ours say all."""
+        """A failure from its exception; the messages of our own exceptions suffice."""
         kind = "" if isinstance(error, AleatorError) else f"{type(error).__name__}: "
         return cls(where, f"{kind}{error}")
 
     def sentence(self) -> str:
-        """The failure as the page tells it."""
+        """The failure as a sentence for the page."""
         return f"In {self.where}: {self.why}"
 
 
@@ -76,9 +76,9 @@ def _takes_progress(what: str, work: Any) -> None:
 
 
 def asked(study: object, member: str) -> tuple[str, Any]:
-    """What a method of a study gives, and its place in words.
+    """The result of a study's method, and its place in words.
 
-    What a study's own code raises passes; a refusal of ours becomes one that names the place.
+    Exceptions in a study's own code pass through; our refusals are extended by the place.
     """
     what, method = f"{type(study).__name__}.{member}", getattr(study, member)
     if not callable(method):
@@ -108,7 +108,7 @@ def tables_of(study: object) -> Sequence[Table]:
 
 
 def cut_short(study: object) -> list[str]:
-    """What a study says of the parts that were interrupted."""
+    """A study's sentences on interrupted parts."""
     what, value = asked(study, "cut_short")
     try:
         return list(members(what, list(value), str))

@@ -1,4 +1,4 @@
-"""What studies of designs say alike: when there is no recommendation, how often limits are broken, what changes."""
+"""Common parts of design studies: missing recommendations, violation rates, relative changes."""
 
 from collections.abc import Iterator, Mapping, Sequence
 
@@ -27,7 +27,7 @@ def no_recommendation(
 ) -> Verdict | None:
     """The verdict where something is missing, not solved or not resolved; None where all designs can be judged.
 
-    - `awaited`: the designs that evidence is awaited of; `also`: further solutions that have to be resolved.
+    - `awaited`: the designs that need evidence; `also`: further solutions whose expansions must be resolved.
     """
     if failed := [name for name, one in designs.items() if not one.ok]:
         why = [f"{name}: {designs[name].why()}" for name in failed]
@@ -43,7 +43,7 @@ def no_recommendation(
 
 
 def violation_rows(evidence: Sequence[al.results.Evidence | None], broken: str) -> Iterator[list[str]]:
-    """Rows of a table whose columns are designs: how often fresh systems break each limit, and any of them.
+    """Rows of a table with designs as columns: how often fresh systems break each limit, and any limit.
 
     `broken` begins each row: `Cars beyond`, `Systems that break`.
     """
@@ -60,11 +60,11 @@ def signed(change: float) -> str:
 
 
 def margin_drawing(found: al.results.Calibration, heading: str, who: str, margin: str = "") -> Drawing:
-    """The search for a margin, with what fresh systems say of the one chosen; `margin` names that in words."""
+    """The search for a margin, with the result on fresh systems for the chosen one; `margin` names it in words."""
     chosen = margin or f"a = {number(found.sigmas, 4)}"
     caption = (
-        f"Each trial is a full design, counted on the same random {who}, until at most {given(100 * found.target)} % of"
-        f" them break a limit. The margin chosen, {chosen}, is {found.sentence(who)}. Bars: 95 % intervals, on fresh"
-        f" {who} at their own confidence."
+        f"Each trial is a full design, counted on the same random {who}, until at most {given(100 * found.target)} % "
+        f"of them break a limit. The chosen margin, {chosen}, is {found.sentence(who)}. Bars: 95 % intervals; on fresh "
+        f"{who} at the confidence stated."
     )
     return Drawing([calibration_figure(found, who=who)], heading, caption)

@@ -1,4 +1,4 @@
-"""`AbstractStudy`: what a case study declares; running, saving and the frame of its page follow."""
+"""`AbstractStudy`: the declaration of a case study; running, saving and the frame of its page follow."""
 
 import abc
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -32,15 +32,15 @@ _TERMS = ("Term", "Meaning")
 
 
 class AbstractStudy(abc.ABC):
-    """A case study: named stages that are run in order, and what there is to say of whatever they have found.
+    """A case study: named stages that are run in order, and the presentation of their results.
 
     Results are saved after each stage; after the last one, an interruption or a failure, the page is written and the
-    tables are printed. So each method works with what there is. A page that is written after a failure says what failed
-    and where, and recommends nothing.
+    tables are printed. So each method must work with incomplete results. A page written after a failure says what
+    failed and where, and recommends nothing.
 
     - `title`, `subtitle`: of the page;
     - `glossary`: its terms and their meanings;
-    - `finished`: the stages that have come to their end;
+    - `finished`: the completed stages;
     - `failed_parts`: what failed, and why.
     """
 
@@ -57,18 +57,18 @@ class AbstractStudy(abc.ABC):
 
     @abc.abstractmethod
     def results(self) -> Mapping[str, Any]:
-        """What was found, as `aleator.extending.save` takes it: solutions, evidence, fronts, and mappings of these.
+        """The results in a form for `aleator.extending.save`: solutions, evidence, fronts, and mappings of these.
 
-        What has not been reached is None or empty.
+        Results not available yet are None or empty.
         """
 
     @abc.abstractmethod
     def verdict(self) -> Verdict:
-        """The first screen of the page: what to build and why, as far as the study has come."""
+        """The first screen of the page: what to build and why, from the results available so far."""
 
     @abc.abstractmethod
     def sections(self) -> Sequence[Section]:
-        """The chapters of the page; those without blocks are left out."""
+        """The chapters of the page; those without blocks are omitted."""
 
     @abc.abstractmethod
     def tables(self) -> list[Table]:
@@ -76,15 +76,15 @@ class AbstractStudy(abc.ABC):
 
     @property
     def left_out(self) -> str:
-        """What this run leaves out to be quick, in words: by default nothing."""
+        """The parts that this run skips to be quick, in words; empty by default."""
         return ""
 
     def cut_short(self) -> Iterator[str]:
-        """What there is of the parts that were interrupted, in sentences: by default none."""
+        """Sentences on what is available of interrupted parts; none by default."""
         yield from ()
 
     def check_declaration(self) -> None:
-        """Refuse what can be told to be wrong before anything is computed.
+        """Refuse an invalid declaration before anything is computed.
 
         Raises `ProblemError`, naming the study's class and the member.
         """
@@ -109,7 +109,7 @@ class AbstractStudy(abc.ABC):
         self.finished = (*self.finished, stage)
 
     def note_failure(self, where: str, error: Exception) -> None:
-        """Keep what failed, for the page; each failure once."""
+        """Record a failure for the page, once."""
         failure = Failure.of(where, error)
         if failure.why not in [one.why for one in self.failed_parts]:
             self.failed_parts = (*self.failed_parts, failure)
@@ -117,7 +117,7 @@ class AbstractStudy(abc.ABC):
     def save(self, folder: Path) -> list[Path]:
         """Write all results as netCDF and JSON files; returns their paths.
 
-        Raises `ProblemError` for what cannot be saved, once all else is.
+        Raises `ProblemError` for results that cannot be saved, after saving all others.
         """
         kept, refused = savable(*_declared.asked(self, "results"))
         paths = list(save_study(folder, kept))
@@ -126,7 +126,7 @@ class AbstractStudy(abc.ABC):
         return paths
 
     def page(self) -> Page:
-        """The page as data: verdict, what this run did not come to, the study's chapters, and how to read them."""
+        """The page as data: verdict, parts that this run did not reach, the study's chapters, and how to read them."""
         glossary = [Table("Glossary", _TERMS, self.glossary)] if self.glossary else []
         sections = [
             Section("This run", self._unfinished()),
@@ -140,7 +140,7 @@ class AbstractStudy(abc.ABC):
         return write_page(self.page(), folder / PAGE)
 
     def write_what_is_left(self, folder: Path) -> Path:
-        """Write a page without what cannot be made of it, once that is among the failures; returns its path."""
+        """Write a page without the parts that fail, which are recorded as failures; returns its path."""
         verdict = _or_else(self._whole_verdict, self._no_verdict())
         sections = _or_else(lambda: [one for one in _declared.sections_of(self) if one.blocks], [])
         unfinished = _or_else(self._unfinished, [])
@@ -151,7 +151,7 @@ class AbstractStudy(abc.ABC):
             return write_page(self._framed(self._no_verdict(), []), folder / PAGE)
 
     def headline(self) -> str:
-        """The verdict in a sentence."""
+        """The verdict as a sentence."""
         said = self._no_verdict() if self.failed_parts else self._whole_verdict()
         return f"{said.word}: {said.headline}"
 
@@ -159,13 +159,13 @@ class AbstractStudy(abc.ABC):
         return Page(title=self.title, subtitle=self.subtitle, verdict=verdict, sections=sections, footer=footer())
 
     def _whole_verdict(self) -> Verdict:
-        """The verdict, and what the run leaves out. After a failure there is none: its numbers alone are kept."""
+        """The verdict, with the parts that a quick run skips. After a failure only its key numbers are kept."""
         said = _declared.verdict_of(self)
         if self.failed_parts:
             return self._no_verdict(said.cards)
         if not self.left_out:
             return said
-        return replace(said, headline=f"{said.headline} A quick run: left out are {self.left_out}.")
+        return replace(said, headline=f"{said.headline} This was a quick run, without {self.left_out}.")
 
     def _no_verdict(self, cards: Sequence[Card] = ()) -> Verdict:
         headline = f"No recommendation after an error in {words([one.where for one in self.failed_parts])}."
@@ -175,12 +175,12 @@ class AbstractStudy(abc.ABC):
         missing = [stage for stage in self.stages if stage not in self.finished]
         if not missing:
             return []
-        said = f"Not reached, or not to its end: {words(missing)}."
+        said = f"Not reached or not completed: {words(missing)}."
         return [Text([said, *_declared.cut_short(self)], lead="The study was stopped early.")]
 
 
 def _or_else(part: Callable[[], Part], otherwise: Part) -> Part:
-    """A part of a page, or what stands for it where a study's own code fails: that has been told."""
+    """A part of a page, or a substitute where a study's own code fails, which has been reported."""
     try:
         return part()
     except Exception:
@@ -188,16 +188,16 @@ def _or_else(part: Callable[[], Part], otherwise: Part) -> Part:
 
 
 class Interruptible(Protocol):
-    """What Ctrl-C may cut short, with what it has found so far: a search, a front, a calibration."""
+    """Work that Ctrl-C may interrupt, with its results so far: a search, a front, a calibration."""
 
     @property
     def interrupted(self) -> bool:
-        """Whether it was cut short."""
+        """Whether it was interrupted."""
         ...
 
 
 def stop_if_interrupted(found: Interruptible) -> None:
-    """End a stage where Ctrl-C has cut its work short; to be called once what was found is kept.
+    """End a stage whose work was interrupted by Ctrl-C; call it after storing the results.
 
     Raises `KeyboardInterrupt`.
     """

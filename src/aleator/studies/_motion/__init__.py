@@ -1,1 +1,1 @@
-"""What the studies of motion planning share: their stages, what they find, and how they tell it."""
+"""Common parts of the motion planning studies: stages, results and presentation."""

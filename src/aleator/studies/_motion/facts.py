@@ -1,4 +1,4 @@
-"""What every study of motion says of its plans in numbers: tables, cards, and how its limits are called."""
+"""Tables and cards of every motion study's plans, and the names of its limits."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
@@ -11,19 +11,19 @@ from aleator.studies._designs import violation_rows
 
 
 def named(problem: al.Problem, together: Mapping[str, str]) -> al.Problem:
-    """The problem with its constraints by other names: those of one name count as one limit."""
+    """The problem with renamed constraints; those of one name count as one limit."""
     constraints = tuple(one.named(together.get(one.name, one.name)) for one in problem.constraints)
     changed: Any = eqx.tree_at(lambda tree: tree.constraints, problem, constraints)
     return changed
 
 
 def duration(plan: al.Solution) -> float:
-    """How long a plan takes, s."""
+    """The duration of a plan, s."""
     return float(plan.instants[-1])
 
 
 def held_by(plan: al.Solution) -> str:
-    """What holds a plan where it is; the bounds of an array of decisions count as one."""
+    """The active limits of a plan; the bounds of an array of decisions count as one."""
     bounds = {name: f"bounds of {name.split('[')[0].removesuffix('.free')}" for name in plan.at_bounds}
     return words(list(dict.fromkeys(bounds.get(name, name) for name in plan.active)), "nothing")
 
@@ -31,14 +31,14 @@ def held_by(plan: al.Solution) -> str:
 def plans_table(
     plans: Mapping[str, al.Solution], evidence: Mapping[str, al.results.Evidence], measures: Mapping[str, str]
 ) -> Table:
-    """The plans side by side: objective, duration, what holds them, and how often fresh systems break a limit."""
+    """The plans side by side: objective, duration, active limits, and how often fresh systems break a limit."""
     every = list(plans.values())
     rows = [
         ["Status", *("solved" if one.ok else "not solved: see the verdict" for one in every)],
         ["Minimised", *(measures[name] for name in plans)],
         ["Its value", *(number(one.objective, 5) for one in every)],
         ["Duration", *(number(duration(one), 4, "s") for one in every)],
-        ["Held by", *(held_by(one) for one in every)],
+        ["Active limits", *(held_by(one) for one in every)],
     ]
     found = [evidence.get(name) for name in plans]
     rows += violation_rows(found, "Systems that break")
@@ -53,7 +53,7 @@ def plans_table(
 
 
 def optima_table(searches: Mapping[str, al.results.Starts]) -> Table:
-    """The local optima that each search found, best first, and how many starts led to each."""
+    """The local optima found by each search, best first, with the number of starts that led to each."""
     rows = []
     for name, search in searches.items():
         total = len(search.solutions)
@@ -63,9 +63,8 @@ def optima_table(searches: Mapping[str, al.results.Starts]) -> Table:
         if failed := sum(not one.ok for one in search.solutions):
             rows.append([name if not search.optima else "", "no optimum reached", "–", f"{failed} of {total}"])
     note = (
-        "The problem is not convex: each start leads to the optimum of its own valley, or to none. The best of them is"
-        " the plan; that there is no better one is not proved. Plans of equal objective count as one, mirrored ones"
-        " too."
+        "The problem is not convex: each start leads to a local optimum nearby, or to none. The plan is the best of "
+        "them, but there may be a better one. Plans of equal objective, such as mirrored ones, count as one."
     )
     return Table("Local optima of the searches", ["Plan", "Objective", "Duration (s)", "Starts"], rows, note)
 

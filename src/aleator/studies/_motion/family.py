@@ -1,4 +1,4 @@
-"""`fly`: one plan on its whole family of systems, every output kept; what a problem does not speak of is known too."""
+"""`fly`: one plan simulated on its family of systems, with every output kept, even those not in the problem."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -23,10 +23,10 @@ class Family:
     """One plan on many random systems.
 
     - `times`: the instants, shape (instants,), s;
-    - `nominal`: the outputs of the system in the middle of every distribution, by name, shape (instants,);
-    - `systems`: those of the random ones, shape (systems, instants);
-    - `extremes`: the least and the largest that each output of each random system takes, shape (systems, 2): between
-      the instants too, where the plan holds its limits there.
+    - `nominal`: the outputs of the system at the median of every distribution, by name, shape (instants,);
+    - `systems`: those of the random systems, shape (systems, instants);
+    - `extremes`: the minimum and maximum of each output of each random system, shape (systems, 2); between the instants
+      too, where the plan holds its limits there.
     """
 
     times: Float[np.ndarray, " instants"]
@@ -81,7 +81,7 @@ def fly(problem: al.Problem, decisions: Any, count: int, *, seed: int = 0, finer
 
 
 def _bare(problem: al.Problem, finer: int) -> Any:
-    """The systems of a problem alone: what is asked of them would be compiled anew for every plan."""
+    """The systems of a problem alone, since objectives and constraints would be compiled anew for every plan."""
     whole: Any = uncertain(problem)
     anything = al.terminal(whole.system.model.coordinates[0]).mean
     return al.Problem(whole.system, grid=whole.grid.finer(finer), minimize=anything)

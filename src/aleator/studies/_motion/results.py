@@ -1,4 +1,4 @@
-"""What a study of motion planning computes: searches from several starts, a margin, evidence and families."""
+"""The computations of a motion study: searches from several starts, a margin, evidence and families."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -25,7 +25,7 @@ class Effort:
     - `starts`: of the search for each plan;
     - `samples`: Monte Carlo samples of the evidence; `family`: systems of which every output is kept;
     - `front_points`: on a front; `calibration_samples`: of each trial of a margin;
-    - `whole`: whether what a first look can do without is computed too; what that is the study says (`left_out`).
+    - `whole`: whether the parts that a quick run skips are computed too; the study names them (`left_out`).
     """
 
     starts: int
@@ -39,12 +39,12 @@ class Effort:
 @final
 @dataclass
 class MotionResults:
-    """Everything a study of motion has finished so far, by the names of its plans.
+    """Everything that a motion study has finished so far, by the names of its plans.
 
     - `searches`: every start of each plan's search; `plans`: the best of each;
-    - `coarse`: the plans whose limits hold at the instants of the grid alone, as in the reference;
-    - `calibration`: the margin at which as few systems as asked break a limit; its plan is one of the plans;
-    - `evidence`: fresh systems counted; `families`: some of them whole, with every output.
+    - `coarse`: the plans with limits only at the instants of the grid, as in the reference;
+    - `calibration`: the margin that meets the target for violations; its plan is one of the plans;
+    - `evidence`: counts on fresh systems; `families`: some of these systems with every output.
     """
 
     effort: Effort
@@ -58,7 +58,7 @@ class MotionResults:
     def search(
         self, name: str, problem: al.Problem, starts: int | Sequence[Mapping[str, Any]], progress: Progress
     ) -> al.Solution:
-        """Solve for a plan from several starts and keep the best, of a search that Ctrl-C cut short, too."""
+        """Solve for a plan from several starts and keep the best, even of a search interrupted by Ctrl-C."""
         found = al.multistart(problem, starts, progress=lambda _, done, total: progress(name, done, total))
         self.searches[name] = found
         if found.best.ok or not found.interrupted:
@@ -67,12 +67,12 @@ class MotionResults:
         return found.best
 
     def solve_at_instants(self) -> None:
-        """The same plans with limits at the instants of the grid alone, to compare with the reference."""
+        """The same plans with limits only at the instants of the grid, for comparison with the reference."""
         for name, plan in self.plans.items() if self.effort.whole else ():
             self.coarse[name] = al.solve(plan.problem, start=plan.decisions, between=1, throw=False)
 
     def calibrate(self, problem: al.Problem, limits: Sequence[str], progress: Progress) -> None:
-        """Find the margin at which no more systems than `TARGET` break a limit, and keep its plan and its evidence."""
+        """Find the margin at which at most `TARGET` of the systems break a limit, and keep its plan and evidence."""
         samples = self.effort.calibration_samples
         found = al.calibrate(problem, limits, TARGET, samples=samples, precision=PRECISION, progress=progress)
         self.calibration = found
@@ -82,7 +82,7 @@ class MotionResults:
             self.evidence[CALIBRATED] = found.evidence
 
     def gather_evidence(self, progress: Progress) -> None:
-        """Count on fresh systems how often each plan breaks its limits; of a calibrated one that is known."""
+        """Count on fresh systems how often each plan breaks its limits; for a calibrated one this is known."""
         for name, plan in self.plans.items():
             if name not in self.evidence:
                 self.evidence[name] = al.validate(plan, self.effort.samples, seed=1, keep=KEPT, progress=progress)
@@ -94,6 +94,6 @@ class MotionResults:
             self.families[name] = self.flown(plan, plan.problem, seed=2)
 
     def flown(self, plan: al.Solution, problem: al.Problem, *, seed: int) -> Family:
-        """A plan on the systems of a problem; its extremes between the instants too, but for a quick run."""
+        """A plan on the systems of a problem, with extremes between the instants too, except in a quick run."""
         between = finer_by(plan) if self.effort.whole else 1
         return fly(problem, plan.vector, self.effort.family, seed=seed, between=between)

@@ -1,4 +1,4 @@
-"""What the studies of motion planning share: their stages, what they save, and the chapters that all of them have."""
+"""The base class of motion studies: their common stages, saved results and chapters."""
 
 import abc
 from collections.abc import Iterator, Mapping, Sequence
@@ -24,19 +24,19 @@ class AbstractMotionStudy(AbstractStudy):
     names: ClassVar[tuple[str, ...]]
     """Its plans."""
     spared: ClassVar[tuple[str, ...]] = ()
-    """Those of them that a quick run leaves out."""
+    """The plans that a quick run skips."""
     only_whole: ClassVar[str]
-    """All that a quick run leaves out, in words."""
+    """Everything that a quick run skips, in words."""
     sigmas: ClassVar[Mapping[str, float]]
-    """The margins of its robust plans that were given; the first is the one that is printed."""
+    """The given margins of its robust plans; the first is the published one."""
     limits: ClassVar[tuple[str, ...]]
-    """The limits that hold with a margin, which is calibrated for all of them."""
+    """The limits with a margin, which is calibrated for all of them."""
     who: ClassVar[str]
-    """What its systems are called."""
+    """The name of its systems."""
     measures: ClassVar[Mapping[str, str]]
-    """What each plan minimises, with its unit."""
+    """The objective of each plan, with its unit."""
     unit: ClassVar[str]
-    """The unit of what the printed plan minimises."""
+    """The unit of the published plan's objective."""
 
     def __init__(self, effort: Effort):
         self.done = MotionResults(effort)
@@ -47,19 +47,19 @@ class AbstractMotionStudy(AbstractStudy):
 
     @abc.abstractmethod
     def margin_problem(self) -> al.Problem:
-        """The problem whose margin is calibrated, to be solved from the printed plan."""
+        """The problem whose margin is calibrated, to be solved from the published plan."""
 
     @abc.abstractmethod
     def sentences(self) -> Iterator[str]:
-        """What the first screen says of the plans there are."""
+        """The sentences of the first screen, on the plans available."""
 
     @abc.abstractmethod
     def cards(self) -> Iterator[Card]:
-        """The numbers of the first screen, of the plans there are."""
+        """The key numbers of the first screen, of the plans available."""
 
     @abc.abstractmethod
     def published(self) -> Table:
-        """Published and reference values beside computed ones; called once there is a plan."""
+        """Published and reference values compared with computed ones; called once there is a plan."""
 
     @abc.abstractmethod
     def schematic(self) -> Schematic:
@@ -67,22 +67,22 @@ class AbstractMotionStudy(AbstractStudy):
 
     @abc.abstractmethod
     def chapters(self) -> Sequence[Section]:
-        """The figures; called with whatever there is."""
+        """The chapters with figures; called with whatever results are available."""
 
     def more_stages(self) -> Mapping[str, Stage]:
-        """The stages after plans, evidence and families: by default none."""
+        """The stages after plans, evidence and families; none by default."""
         return {}
 
     def more_results(self) -> Mapping[str, Any]:
-        """What these stages found that can be saved: by default nothing."""
+        """The results of these stages to save; none by default."""
         return {}
 
     def beside(self) -> str:
-        """What else there is to say of the plan to build: by default nothing."""
+        """A further sentence on the plan to build; none by default."""
         return ""
 
     def recommendation(self, sentences: Sequence[str], cards: Sequence[Card]) -> Verdict:
-        """What to build; called once all plans and their evidence are there."""
+        """What to build; called once all plans and their evidence are available."""
         return build_verdict(
             self.done.calibration,
             self.done.plans[self.printed],
@@ -95,7 +95,7 @@ class AbstractMotionStudy(AbstractStudy):
 
     @property
     def printed(self) -> str:
-        """The plan of the printed margin."""
+        """The plan with the published margin."""
         return next(iter(self.sigmas))
 
     @property
@@ -154,12 +154,12 @@ class AbstractMotionStudy(AbstractStudy):
         ]
 
     def _plans(self) -> list[Table]:
-        """The plans side by side, and beside what is published."""
+        """The plans side by side, and compared with published values."""
         done = self.done
         return [plans_table(done.plans, done.evidence, self.measures), self.published()] if done.plans else []
 
     def margin(self) -> Iterator[Block]:
-        """The chapter about margins."""
+        """The chapter on margins."""
         done = self.done
         calibrated = {CALIBRATED: done.calibration.sigmas} if done.calibration is not None else {}
         margins = dict(self.sigmas) | calibrated

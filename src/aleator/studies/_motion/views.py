@@ -1,4 +1,4 @@
-"""What every study of motion shows of its plans: the linkage in motion, where its tip goes, histories of its family."""
+"""The figures of every motion study: the linkage in motion, paths of its tip, histories of its family."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 Outputs = Mapping[str, Float[np.ndarray, "..."]]
 
-SHADES = "Line: mean. Dark band: one σ to each side. Light band: from the least to the largest of all systems."
+SHADES = "Line: mean. Dark band: one σ to each side. Light band: from the minimum to the maximum over all systems."
 
 
 def linkage(elbow: Float[np.ndarray, "... 2"], outputs: Outputs) -> Float[np.ndarray, "... joints 2"]:
@@ -35,7 +35,8 @@ def animations(
     every: Sequence[str],
     figure: str = "",
 ) -> Drawing:
-    """Some plans flown on their families, side by side; `every` are all plans of the study, which gives the colours.
+    """Some plans flown on their families, side by side; `every` are all plans of the study, which determines the
+    colours.
 
     `figure` is the number of the figure in the dissertation that shows the same.
     """
@@ -64,7 +65,7 @@ def tip_paths(
     broken: np.ndarray,
     every: Sequence[str],
 ) -> "Figure":
-    """Where the tip of each system goes, and which systems break a limit on the way."""
+    """The path of each system's tip, and which systems break a limit."""
     return plane_figure(
         joints(family.systems)[..., -1, :],
         joints(family.nominal)[..., -1, :],
@@ -83,7 +84,7 @@ def angles_figure(family: Family, title: str, targets: Mapping[str, float] | Non
 
 
 def joints_and_tip(family: Family, angles: Sequence[float], tip: Sequence[float]) -> list["Figure"]:
-    """Both joints' angles and the place of the tip over time, and where they are to end (rad, m)."""
+    """Both joints' angles and the position of the tip over time, with their targets (rad, m)."""
     places = {"x": family.systems["tip_x"], "y": family.systems["tip_y"]}
     ends = {"x": float(tip[0]), "y": float(tip[1])}
     return [

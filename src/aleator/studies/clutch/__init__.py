@@ -17,7 +17,7 @@ TOLERANCES = {"a": 0.05, "c": 0.01, "e": 0.0125}
 NAMES = {"a": "hub a", "c": "roller c", "e": "ring e"}
 
 LIMITS = (6.0, 8.0)
-"""Between which pressure angles the clutch works, degrees."""
+"""The range of pressure angles in which the clutch works, degrees."""
 
 NOMINAL = float(np.rad2deg(np.arccos((MEANS["a"] + MEANS["c"]) / (MEANS["e"] - MEANS["c"]))))
 DEVIATION = (NOMINAL - 0.6, NOMINAL + 0.6)
@@ -51,12 +51,12 @@ def pressure_angle(
 
 
 def published_expansion(order: int) -> al.Expansion:
-    """An expansion at the points of the dissertation, which those of normal distributions by default are not."""
+    """An expansion at the points of the dissertation, which differ from the default ones for normal distributions."""
     return al.Expansion(order, points=al.points.HammersleyPoints())
 
 
 def allocation_problem(rejects: float = 0.0065) -> al.Problem:
-    """Optimal uncertainty apportionment (122): the tolerances that cost least, `Σ 1/T`, at a limit on the rejects.
+    """Optimal uncertainty apportionment (122): the tolerances of minimum cost `Σ 1/T`, at a limit on the rejects.
 
     `rejects` is the share of assemblies whose angle may lie outside the second specification.
     """

@@ -1,6 +1,6 @@
-"""What tolerances of the clutch leave of its specifications: rejects counted one by one, and the exact worst case.
+"""Rejects of the clutch for given tolerances, counted one by one, and the exact worst case.
 
-All of it is computed from the closed form of the angle, so that it shares nothing with the expansion that it judges.
+Everything is computed from the closed form of the angle, independently of the expansion that it verifies.
 """
 
 from collections.abc import Mapping
@@ -22,7 +22,7 @@ ROUNDING = 1e-9
 @final
 @dataclass(frozen=True)
 class Tails:
-    """How many of the assemblies counted lie below and above the limits of a specification."""
+    """The proportions of counted assemblies below and above the limits of a specification."""
 
     low: al.results.Proportion
     high: al.results.Proportion
@@ -36,10 +36,10 @@ class Tails:
 @final
 @dataclass(frozen=True)
 class Counts:
-    """What some tolerances (mm) leave of both specifications.
+    """The rejects of some tolerances (mm) under both specifications.
 
     - `function`: rejects by the limits between which the clutch works; `deviation`: by the second specification;
-    - `worst_case`: least and largest angle with each dimension anywhere within its tolerance, degrees.
+    - `worst_case`: smallest and largest angle with each dimension anywhere within its tolerance, degrees.
     """
 
     tolerances: Mapping[str, float]
@@ -80,7 +80,7 @@ def count_rejects(
 
 
 def worst_case(tolerances: Mapping[str, float]) -> tuple[float, float]:
-    """Least and largest pressure angle with each dimension anywhere within its tolerance, degrees.
+    """Smallest and largest pressure angle with each dimension anywhere within its tolerance, degrees.
 
     The angle falls with the hub and the roller and rises with the ring, so that two corners of the box bound it.
     """
@@ -106,8 +106,8 @@ def worst_case_tolerances() -> dict[str, float]:
     """The cheapest tolerances, by the sum of 1/T, whose worst case stays within the function's limits, mm.
 
     At a limit, the worst case is linear in the tolerances: `Σ w T <= room`. Of such tolerances the cheapest are
-    `T = room / (sqrt(w) Σ sqrt(w))`. The limit of less room decides: the weights at both are alike to
-    half a percent, their rooms to a tenth.
+    `T = room / (sqrt(w) Σ sqrt(w))`. The limit with less room decides, since the weights at both limits agree within
+    half a percent, their rooms only within a tenth.
     """
     weights, room = min((_margin(limit) for limit in LIMITS), key=lambda one: abs(one[1]))
     roots = {name: float(np.sqrt(abs(weight))) for name, weight in weights.items()}

@@ -116,7 +116,7 @@ class ClutchResults:
 def exact_variation() -> float:
     """Three standard deviations of the pressure angle, degrees: tensor Gauss quadrature of the closed form.
 
-    It shares nothing with the methods that it judges: neither the vector loop nor Newton's method nor an expansion.
+    It is independent of the methods that it verifies: it uses no vector loop, Newton's method or expansion.
     """
     nodes, weights = HermiteGerm().gauss(EXACT_NODES)
     columns = [MEANS[name] + TOLERANCES[name] / 3 * nodes for name in MEANS]
@@ -161,7 +161,7 @@ def _sampled(name: str, drawn: al.references.RandomSample, samples: int, seconds
 
 
 def _timed(work: Callable[[], Any], repeats: int = 0) -> tuple[Any, float]:
-    """What some work gives, and its shortest time, s: of `repeats` runs after a first one that compiles, if any."""
+    """The result of some work, and its shortest time, s, of `repeats` runs after a first one that compiles, if any."""
     result, times = None, []
     for done in range(repeats + 1):
         start = time.perf_counter()
@@ -182,7 +182,7 @@ def analyse_tolerances(results: ClutchResults, progress: Progress) -> None:
 
 
 def allocate(results: ClutchResults, progress: Progress) -> None:
-    """The cheapest tolerances that leave no more rejects than the given ones, and a count of their rejects."""
+    """The cheapest tolerances with no more rejects than the given ones, and a count of their rejects."""
     results.allocation = al.solve(allocation_problem(results.given))
     results.evidence = al.validate(results.allocation, results.effort.evidence_samples, seed=1, progress=progress)
     if results.allocation.ok:
@@ -191,14 +191,14 @@ def allocate(results: ClutchResults, progress: Progress) -> None:
 
 
 def sweep_rejects(results: ClutchResults, progress: Progress) -> None:
-    """The least cost over the rejects allowed."""
+    """The minimum cost against the rejects allowed."""
     values = np.geomspace(0.05, 1e-6, results.effort.front_points)
     results.front = al.pareto(allocation_problem(), "rejects", values, progress=progress)
     stop_if_interrupted(results.front)
 
 
 def stages(results: ClutchResults) -> dict[str, Stage]:
-    """All that is computed, in order of usefulness."""
+    """All stages, the most useful first."""
     return {
         "methods": Stage(partial(compare_methods, results), 0.4),
         "tolerances": Stage(partial(analyse_tolerances, results), 0.1),

@@ -1,4 +1,4 @@
-"""What the clutch study finds beside designs, as labelled arrays for its file of results."""
+"""The clutch study's results other than designs, as labelled arrays for its file of results."""
 
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING

@@ -1,4 +1,4 @@
-"""The clutch study as the command line runs it."""
+"""The clutch study."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, final

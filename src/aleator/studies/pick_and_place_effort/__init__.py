@@ -1,8 +1,8 @@
-"""Pick and place with the least effort: forward dynamics (dissertation, section 5.5.1).
+"""Pick and place with minimum effort: forward dynamics (dissertation, section 5.5.1).
 
-The torques are planned and act as they are on every arm of the family, so that the payload changes where the arm goes.
-The robust plan keeps the mean of the motion on its target and its spread away from obstacle and wall (79), (90); a
-third plan makes the spread at the end least (86).
+The torques are planned and act alike on every arm of the family, so that the payload changes the motion. The robust
+plan brings the mean motion to its target and keeps its spread away from obstacle and wall (79), (90); a third plan
+minimises the spread at the end (86).
 """
 
 from typing import Any
@@ -24,21 +24,22 @@ PAYLOAD = al.Uniform(1.0, std=0.1)
 DURATION = 1.5
 STEPS = 90
 FREE = 12
-"""Control points a joint, all free: torques need not start or end at zero."""
+"""Control points per joint, all free: torques need not start or end at zero."""
 
 TORQUES = ("q1_torque", "q2_torque")
 TIP = ("tip_x", "tip_y")
 
 
 TOLERANCE = 0.15
-"""Order 5 misses the joints' rates at the end by a tenth of their spread. Of these only the means are limited; the
-distances, whose spreads matter, are met to a fiftieth."""
+"""Order 5 misses the joints' final rates by a tenth of their spread, but only their means are limited. The distances,
+whose spreads matter, have an error of a fiftieth.
+"""
 
 
 def deterministic_problem(
     obstacle: al.shapes.Sphere | None = OBSTACLE, *, guess: np.ndarray | None = None
 ) -> al.Problem:
-    """The plan of least effort for the mean payload (72)."""
+    """The plan of minimum effort for the mean payload (72)."""
     return al.deterministic(robust_problem(0.0, obstacle, guess=guess))
 
 
@@ -49,7 +50,7 @@ def robust_problem(
     payload: al.Uniform = PAYLOAD,
     guess: np.ndarray | None = None,
 ) -> al.Problem:
-    """The plan of least effort that keeps its distances `sigmas` standard deviations off, on target in the mean."""
+    """The plan of minimum effort with `sigmas` standard deviations of clearance, on target in the mean."""
     arm = TwoLinkArm(payload=payload, obstacle=obstacle)
     return _problem(arm, al.objectives.effort(*TORQUES), sigmas, guess)
 
@@ -61,8 +62,8 @@ def terminal_variance_problem(
     effort: float | None = None,
     guess: np.ndarray | None = None,
 ) -> al.Problem:
-    """The plan whose tip spreads least at the end (86), under the same constraints; of bounded effort where one is
-    given.
+    """The plan with the smallest final spread of the tip (86), under the same constraints and an optional bound on
+    effort.
     """
     arm = TwoLinkArm(payload=PAYLOAD, obstacle=obstacle)
     limits = [] if effort is None else [(al.objectives.effort(*TORQUES) <= effort).named("effort")]

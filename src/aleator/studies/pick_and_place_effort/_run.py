@@ -1,4 +1,4 @@
-"""What the effort-optimal study computes: its plans, a front between two of them, and a plan on a wider payload."""
+"""The computations of the effort-optimal study: its plans, a front between two of them, and a wider payload."""
 
 from collections.abc import Collection
 from typing import NamedTuple
@@ -26,7 +26,7 @@ from aleator.transcription import transcribe
 MEAN, ROBUST, LEAST = "deterministic", "robust", "least variance"
 WIDE = al.Uniform(1.0, std=0.5)
 BENDS = (1.2, 0.6, 2.5)
-"""How far the elbow is bent on the paths from which searches start beside the problem's own, rad."""
+"""The bend of the elbow on the paths from which searches start, besides the problem's own, rad."""
 
 MOST = 2 * TORQUE**2 * DURATION
 """The effort of both torques at their limits throughout: no plan takes more."""
@@ -54,7 +54,7 @@ def margin_problem(plan: al.Solution) -> al.Problem:
 def sweep_effort(
     least: al.Solution, robust: al.Solution, most: float, points: int, progress: Progress
 ) -> al.results.Front:
-    """The least terminal variance for each effort, from where more effort helps no more down to the robust plan."""
+    """The minimum terminal variance for each effort, from where more effort brings no gain down to the robust plan."""
     problem = named(terminal_variance_problem(effort=MOST, guess=least.decisions["torque.free"]), TOGETHER)
     return al.pareto(problem, "effort", np.linspace(most, 1.01 * robust.objective, points), progress=progress)
 
@@ -68,7 +68,7 @@ class Spread(NamedTuple):
 
 
 def on_payload(done: MotionResults, payload: al.Uniform) -> tuple[Family, dict[str, Spread]]:
-    """The robust plan on another payload: flown, and how its joints spread at the end, as the expansion sees it too."""
+    """The robust plan on another payload: its family, and its joints' final spread, sampled and by the expansion."""
     plan, problem = done.plans[ROBUST], named(robust_problem(payload=payload), TOGETHER)
     family = done.flown(plan, problem, seed=3)
     resolved = transcribe(problem).resolve(plan.vector)
@@ -80,4 +80,4 @@ def on_payload(done: MotionResults, payload: al.Uniform) -> tuple[Family, dict[s
 
 
 PAYLOADS = (PAYLOAD, WIDE)
-"""The payload of the study, and one that spreads five times as much."""
+"""The payload of the study, and one with five times the spread."""

@@ -1,4 +1,4 @@
-"""Pick and place with the least effort as the command line runs it."""
+"""The study of pick and place with minimum effort."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, ClassVar, final
@@ -23,9 +23,9 @@ from aleator.studies.two_link_arm._drawing import arm_schematic
 
 @final
 class PickAndPlaceEffort(AbstractMotionStudy):
-    """The plans of least effort and of least terminal variance, what lies between them, and a wider payload."""
+    """The plans of minimum effort and of minimum terminal variance, the front between them, and a wider payload."""
 
-    title = "Pick and place with the least effort: forward dynamics"
+    title = "Pick and place with minimum effort: forward dynamics"
     subtitle = (
         f"Two-link arm, payload in kg: {PAYLOAD}; {given(DURATION)} s, torques within ±{given(TORQUE)} N m;"
         " dissertation, section 5.5.1"
@@ -65,14 +65,14 @@ class PickAndPlaceEffort(AbstractMotionStudy):
         return {"front": Stage(self.sweep_effort, 0.2), "wider payload": Stage(self.widen_payload, 0.1)}
 
     def sweep_effort(self, progress: Progress) -> None:
-        """What a smaller spread costs."""
+        """The cost of a smaller spread."""
         plans, most = self.done.plans, effort_of(self.done.families[LEAST])
         points = self.done.effort.front_points
         self.front = _run.sweep_effort(plans[LEAST], plans[ROBUST], most, points, progress)
         stop_if_interrupted(self.front)
 
     def widen_payload(self, progress: Progress) -> None:
-        """The robust plan on payloads that spread five times as much: sampled, and as the expansion sees it."""
+        """The robust plan on payloads with five times the spread, sampled and by the expansion."""
         for i, payload in enumerate(PAYLOADS):
             progress(f"payload {payload}", i, len(PAYLOADS))
             self.flown[str(payload)], self.spreads[str(payload)] = _run.on_payload(self.done, payload)

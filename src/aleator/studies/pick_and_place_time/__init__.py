@@ -1,7 +1,7 @@
-"""Pick and place in the least time: inverse dynamics (dissertation, section 5.5.2).
+"""Pick and place in minimum time: inverse dynamics (dissertation, section 5.5.2).
 
-The joints follow B-splines exactly, whatever the payload; what the payload changes are the torques that this takes. The
-robust plan is the fastest whose torques stay within their limits `sigmas` standard deviations off (equation 91).
+The joints follow B-splines exactly, whatever the payload; the payload changes the torques needed. The robust plan is
+the fastest whose torques stay within their limits by `sigmas` standard deviations (equation 91).
 """
 
 import numpy as np
@@ -19,7 +19,7 @@ from aleator.studies.two_link_arm import (
 
 PAYLOAD = al.Uniform(1.0, std=0.5)
 FREE = 8
-"""Free control points a joint: of 12, two at each end make the motion start and end at rest."""
+"""Free control points per joint: of 12, two at each end make the motion start and end at rest."""
 
 INSTANTS = 90
 """Steps of the grid: nine spans of ten, so that all knots are among the instants."""
@@ -44,7 +44,7 @@ def robust_problem(
     steps: int = INSTANTS,
     guess: np.ndarray | None = None,
 ) -> al.Problem:
-    """The fastest plan whose torques keep their limits `sigmas` standard deviations off (80), (91).
+    """The fastest plan whose torques keep `sigmas` standard deviations from their limits (80), (91).
 
     `guess` are the control points to start from; by default those of `bent_path`.
     """

@@ -1,4 +1,4 @@
-"""Where the searches of the time-optimal study start, and how much of everything is computed."""
+"""The computations of the time-optimal study: starts of its searches, and numbers of samples."""
 
 import numpy as np
 
@@ -18,7 +18,7 @@ QUICK = Effort(starts=3, samples=4_000, family=400, calibration_samples=2_000, w
 
 
 def search_plans(done: MotionResults, progress: Progress) -> None:
-    """Each plan from several starts: the first at random, the robust ones from the optima found before, too."""
+    """Each plan from several starts: the first from random ones, the robust ones also from the optima before."""
     plan = done.search(MEAN, named(deterministic_problem(), TOGETHER), done.effort.starts, progress)
     for name, sigmas in SIGMAS.items():
         problem = named(robust_problem(sigmas, guess=plan.decisions["motion.free"]), TOGETHER)

@@ -1,4 +1,4 @@
-"""Pick and place in the least time as the command line runs it."""
+"""The study of pick and place in minimum time."""
 
 from collections.abc import Iterator, Sequence
 from typing import ClassVar, final
@@ -19,9 +19,9 @@ from aleator.studies.two_link_arm._drawing import arm_schematic
 
 @final
 class PickAndPlaceTime(AbstractMotionStudy):
-    """The fastest plans for the mean payload and for all payloads, and the margin that a tolerated share asks for."""
+    """The fastest plans for the mean payload and for all payloads, and the margin for a tolerated violation rate."""
 
-    title = "Pick and place in the least time: inverse dynamics"
+    title = "Pick and place in minimum time: inverse dynamics"
     subtitle = (
         f"Two-link arm, payload in kg: {PAYLOAD}; torques within ±{given(TORQUE)} N m;"
         " dissertation, sections 5.5.2 and 5.6"

@@ -1,8 +1,8 @@
-"""The fastest pick and place of an industrial six-axis arm with a payload of uncertain mass and centre.
+"""The fastest pick and place of an industrial six-axis arm with a payload of uncertain mass and centre of mass.
 
-The arm is a UR5e (its masses, inertias and frames are public: see the head of `ur5e.csv`). Its joints follow
-B-splines; torques follow by recursive inverse dynamics, and their means and spreads stay within limits that hold the
-heaviest payload just so. The straight way in joint space would hit a pillar.
+The arm is a UR5e (its masses, inertias and frames are public: see the head of `ur5e.csv`). Its joints follow B-splines;
+torques follow by recursive inverse dynamics, and their means and spreads stay within limits just sufficient to hold the
+heaviest payload. The straight line in joint space would hit a pillar.
 """
 
 import csv
@@ -17,7 +17,7 @@ JOINTS = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist
 START = np.deg2rad([-60.0, -60.0, 100.0, -130.0, -90.0, 0.0])
 TARGET = np.deg2rad([60.0, -75.0, 90.0, -105.0, -90.0, 90.0])
 SHARE_OF_TORQUE = 0.36
-"""Share of the catalogue's peak torques that is allowed: just above what holds the heaviest payload still."""
+"""The share of the catalogue's peak torques allowed: just above the holding torques for the heaviest payload."""
 
 PAYLOAD = al.Uniform(2.0, half_width=0.8)
 OFFSET = al.Uniform(0.05, half_width=0.03)
@@ -38,13 +38,14 @@ MEAN_PLAN = (
     (0.65, -1.44, 1.83, -1.58, -1.74, 1.71),
     (0.93, -1.43, 1.85, -2.03, -1.21, 1.21),
 )
-"""Where the search for the mean payload starts, rad: the fastest plan for all payloads, rounded. Its optimum lies where
-joints move as fast as they may, so that limits at neighbouring instants say the same; from afar some searches for it do
-not end."""
+"""The start of the search for the mean payload, rad: the fastest plan for all payloads, rounded. At its optimum joints
+move at their speed limits, so that limits at neighbouring instants are nearly dependent; from distant starts some
+searches do not converge.
+"""
 
 
 def _table() -> list[dict[str, Any]]:
-    """One row a joint and the link behind it, from public data."""
+    """One row per joint with the link behind it, from public data."""
     text = (resources.files("aleator.studies.six_axis_arm") / "ur5e.csv").read_text(encoding="utf-8")
     rows = csv.DictReader(line for line in text.splitlines() if not line.startswith("#"))
     return [{key: value if key == "joint" else float(value) for key, value in row.items()} for row in rows]
@@ -77,7 +78,7 @@ class SixAxisArm(al.Multibody):
         return (*links, load)
 
     def outputs(self, motion: al.Motion) -> dict[str, Any]:
-        """How high the tool is, and how far forearm and tool are from the pillar, m."""
+        """The height of the tool, and the distances of forearm and tool from the pillar, m."""
         tool = self.point(motion.q, "wrist_3", (0.0, 0.0, 0.05))
         found: dict[str, Any] = {"height": tool[2]}
         if self.pillar is not None:
@@ -110,7 +111,7 @@ def deterministic_problem(
 def robust_problem(
     sigmas: float = 1.0, obstacle: al.shapes.Capsule | None = PILLAR, *, guess: np.ndarray | None = None
 ) -> al.Problem:
-    """The fastest plan whose torques keep their limits `sigmas` standard deviations off."""
+    """The fastest plan whose torques keep `sigmas` standard deviations from their limits."""
     arm = SixAxisArm(payload=PAYLOAD, offset=OFFSET, pillar=obstacle)
     ends: dict[str, Any] = {"start": (START, 0.0), "end": (TARGET, 0.0)}
     points = al.fit_control_points(raised_path(), FREE, **ends) if guess is None else guess

@@ -1,11 +1,12 @@
 """Suspension of a quarter car: robust design and optimal apportionment (dissertation, sections 6.4 and 7.4).
 
 A passive suspension carries a car over four bumps. A soft, weakly damped one rides well but needs travel; road holding
-asks for damping. Five parameters are uncertain. Three designs answer, one problem with decisions in other places:
+needs damping. Five parameters are uncertain. There are three designs, from one problem with decisions in different
+places:
 
 - dOpt chooses the nominal spring and damper for the nominal car (equation 113);
 - uOpt chooses them for all cars that the uncertainty allows (equations 116-120);
-- aOpt chooses the manufacturing spreads as well, at least cost (equations 125-128).
+- aOpt chooses the manufacturing spreads as well, at minimum cost (equations 125-128).
 """
 
 from importlib import resources
@@ -30,7 +31,7 @@ class QuarterCar(al.System):
     k_u: al.Number = al.parameter("N/m", positive=True)
 
     def accelerations(self, z: Any, road: Any) -> tuple[Any, Any]:
-        """Of the sprung and the unsprung mass, m/s²; positions are measured from equilibrium."""
+        """The accelerations of the sprung and the unsprung mass, m/s²; positions are measured from equilibrium."""
         closing = z.v_s - z.v_u
         damping = self.b_s * jnp.where(closing >= 0, closing, self.eta * closing)
         suspension = self.k_s * (z.z_s - z.z_u) + damping
@@ -88,7 +89,7 @@ COST = (
     + al.cost.reciprocal_power("b_s.half_width", bias=0.75, scale=3.31e5, power=2.0)
     + al.cost.reciprocal_power("eta.half_width", bias=0.85, scale=0.733, power=1.0)
 )
-"""Cost to make the spreads so small, $: equation (125) with the numbers of table 7.3."""
+"""The manufacturing cost of the spreads, $: equation (125) with the numbers of table 7.3."""
 
 
 def limits(travel: float, holding: float, sigmas: float) -> list[al.Constraint]:
@@ -103,7 +104,8 @@ def limits(travel: float, holding: float, sigmas: float) -> list[al.Constraint]:
 
 
 def robust_problem(travel: float = 0.203, holding: float = 0.034, sigmas: float = 1.0) -> al.Problem:
-    """uOpt: the best ride, mean and spread, of a car that holds its limits `sigmas` standard deviations off (116-120).
+    """uOpt: the best ride, mean plus spread, of a car that keeps `sigmas` standard deviations from its limits
+    (116-120).
 
     `travel` (m) bounds the suspension at all times, `holding` (m) the rms deflection of the tyre.
     """

@@ -1,4 +1,4 @@
-"""The designs to build, with calibrated margins, beside the printed ones: what they promise and what that costs."""
+"""The designs to build, with calibrated margins, compared with the published ones."""
 
 from collections.abc import Iterator
 
@@ -23,7 +23,7 @@ def confirmed(results: SuspensionResults) -> bool:
 
 
 def measure(name: str, solution: al.Solution) -> float:
-    """What a design minimises: uOpt its ride, μ + σ in m²/s³, aOpt the cost of its spreads in $."""
+    """A design's objective: the ride of uOpt, μ + σ in m²/s³, the cost of the spreads of aOpt in $."""
     if name == "aOpt":
         return cost(solution)
     ride = solution.moments[RIDE_TEXT]
@@ -36,7 +36,7 @@ def measure_text(name: str, value: float) -> str:
 
 
 def price_text(results: SuspensionResults, name: str) -> str:
-    """What the margin of a design to build costs: `192.5 m²/s³ instead of 185.3 m²/s³ (+3.9 %)`."""
+    """The cost of the margin of a design to build: `192.5 m²/s³ instead of 185.3 m²/s³ (+3.9 %)`."""
     before, after = measure(name, results.designs[name]), measure(name, results.built[name].solution)
     change = after / before - 1
     said = f"×{number(after / before, 3)}" if change > 1 else signed(change)
@@ -52,7 +52,7 @@ def margins_text(margins: dict[str, float]) -> str:
 
 
 def headline(results: SuspensionResults) -> str:
-    """Which designs to build and at which price, once their margins are confirmed."""
+    """Which designs to build and at which cost, once their margins are confirmed."""
     shares = {name: percent(one.confirmation.estimate) for name, one in results.built.items() if one.confirmation}
     before = {name: percent(results.evidence[name].joint.estimate) for name in BUILT}
     today, apportioned = cost(results.built["uOpt"].solution), cost(results.built["aOpt"].solution)
@@ -67,7 +67,7 @@ def headline(results: SuspensionResults) -> str:
 
 
 def sentences(results: SuspensionResults) -> Iterator[str]:
-    """What is known of each design to build."""
+    """Sentences on each design to build."""
     for name, one in results.built.items():
         price = f" Its price: {price_text(results, name)}." if name in results.designs else ""
         yield (
@@ -77,7 +77,7 @@ def sentences(results: SuspensionResults) -> Iterator[str]:
 
 
 def cards(results: SuspensionResults) -> Iterator[Card]:
-    """How often the designs to build break a limit, and their price."""
+    """How often the designs to build break a limit, and their cost."""
     for name, one in results.built.items():
         if one.confirmation is None or name not in results.designs:
             continue
@@ -87,7 +87,7 @@ def cards(results: SuspensionResults) -> Iterator[Card]:
 
 
 def built_table(results: SuspensionResults) -> Table:
-    """The designs to build beside the printed ones they come from."""
+    """The designs to build and the published ones from which they are derived."""
     columns: dict[str, tuple[al.Solution, al.results.Evidence | None, dict[str, float]]] = {}
     for name, one in results.built.items():
         if name in results.designs:
@@ -101,7 +101,7 @@ def built_table(results: SuspensionResults) -> Table:
     rows.append(["Cost of the spreads", *(dollars(cost(one)) for one, _, _ in every)])
     rows += violation_rows([one for _, one, _ in every], "Cars beyond")
     note = (
-        f"The margins to build with are the smallest, in their ratio, at which fresh cars confirm that at most {WITHIN}"
-        " of them break any limit of their design. Intervals are 95 % confidence."
+        "The margins to build with are the smallest, in a fixed ratio, at which fresh cars confirm that at most "
+        f"{WITHIN} of them break any limit of their design. Intervals are 95 % confidence."
     )
     return Table("The designs to build and the printed ones", ["", *columns], rows, note)

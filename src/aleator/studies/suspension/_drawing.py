@@ -1,6 +1,6 @@
-"""The quarter car on its road as a drawing (figures 6.1 and 6.3): a scheme with the model's own numbers.
+"""The quarter car on its road as a schematic drawing (figures 6.1 and 6.3) with the model's own numbers.
 
-The masses are boxes whose areas are as the masses; the road is the model's own, its heights drawn larger.
+The masses are boxes with areas proportional to the masses; the road is that of the model, with heights exaggerated.
 """
 
 import math
@@ -22,7 +22,7 @@ AREA_PER_KG = 32.0
 SYMBOLS = {"m_s": "mₛ", "m_u": "mᵤ", "k_s": "kₛ", "b_s": "bₛ", "eta": "η", "k_u": "kᵤ"}
 UNITS = {"m_s": "kg", "m_u": "kg", "k_s": "N/m", "b_s": "N s/m", "eta": "", "k_u": "N/m"}
 BUMP = 40.0
-"""Pixels from the road's lowest place to its highest."""
+"""Pixels from the road's lowest to its highest point."""
 
 
 def car_drawing(car: QuarterCar, times: Float[np.ndarray, " samples"], heights: Float[np.ndarray, " samples"]) -> str:

@@ -1,4 +1,4 @@
-"""What chapters 6 and 7 print beside what was computed here, and what may be said of how they compare."""
+"""Published values of chapters 6 and 7 compared with the computed ones."""
 
 from collections.abc import Iterator
 from typing import NamedTuple
@@ -26,11 +26,11 @@ HELD = {"dOpt": {"holding"}, "uOpt": {"travel"}, "aOpt": {"ride"}}
 COST, SAVING = 17.70, 0.74
 CHANGES = {"k_s.half_width": 11_250.0, "b_s.half_width": 423.08, "eta.half_width": 0.5213}
 ALIKE = 2.0
-"""A factor within which two numbers are called of like size."""
+"""Two numbers within this factor count as of similar size."""
 
 
 class Pair(NamedTuple):
-    """A number of the dissertation and ours, None where it was not reached."""
+    """A number of the dissertation and ours, None where not available."""
 
     text: str
     published: float
@@ -50,7 +50,7 @@ class Pair(NamedTuple):
 
 
 def published_table(results: SuspensionResults) -> Table:
-    """What the dissertation prints beside what was computed here."""
+    """The dissertation's values compared with the computed ones."""
     shares, others, changes = list(_shares(results)), list(_costs(results)), list(_changes(results))
     rows = [one.row() for one in shares]
     for i, (name, printed) in enumerate(HELD.items()):
@@ -64,8 +64,8 @@ def published_table(results: SuspensionResults) -> Table:
     rows.append(["Spring at its lower bound, figure 6.8", "most designs", *_spring_at_bound(results)])
     note = " ".join(
         [
-            "The dissertation's road is not printed; this study's road has the same bumps and another noise: digits"
-            " cannot compare.",
+            "The dissertation's road is not published; this study's road has the same bumps and another noise, so that "
+            "digits cannot agree.",
             *agreement(results, shares, others, changes),
             "Published violations are of 1000 samples. Erratum: 20.19 % in table 7.4 is a misprint, for 423.08 N s/m"
             " are 169.2 % of the initial 250 N s/m.",
@@ -75,7 +75,7 @@ def published_table(results: SuspensionResults) -> Table:
 
 
 def agreement(results: SuspensionResults, shares: list[Pair], others: list[Pair], changes: list[Pair]) -> Iterator[str]:
-    """What compares and what does not, each sentence as the numbers say; nothing of what was not reached."""
+    """Sentences on agreement and disagreement, computed from the numbers available."""
     ours = [one.ours for one in shares]
     if None not in ours:
         found = np.argsort(np.array(ours, dtype=float)).tolist()

@@ -19,11 +19,11 @@ HOLDING_BOXES = (0.0305, 0.032, 0.0335, 0.035)
 TARGET = 0.01
 DRAWN = 60
 MARGIN, RIDE_MARGIN = 1.6, 2.4
-"""Where the search for the margins to build with starts: of travel and holding, and of ride. It keeps their ratio.
+"""The initial margins of the search for those to build with, of travel and holding, and of ride. Their ratio is kept.
 
-Equation (119) adds the spreads of both masses, which is more than that of their distance, and ride is skewed upwards:
-so ride takes more multiples of σ for the same share. With one margin for all, no spreads keep the limits in 99 of 100
-cars; of the ratios between 1.3 and 1.7, this one costs least, to a tenth.
+Equation (119) adds the standard deviations of both masses, more than that of their distance, and ride is skewed
+upwards; so ride needs a larger multiple of σ for the same share. With one margin for all, no spreads keep the limits in
+99 of 100 cars; of the ratios between 1.3 and 1.7, this one has the lowest cost, to a tenth.
 """
 DESIGNS = ("dOpt", "uOpt", "aOpt")
 BUILT = {"uOpt": ("travel", "holding"), "aOpt": ("travel", "holding", "ride")}
@@ -50,15 +50,15 @@ QUICK = Effort(front_points=4, samples=4_000, calibration_samples=0)
 @final
 @dataclass
 class SuspensionResults:
-    """Everything the study has finished so far; what has not been reached is empty.
+    """Everything that the study has finished so far; missing results are empty.
 
     - `designs`, `evidence`: dOpt, uOpt and aOpt at travel 0.203 m, holding 0.034 m, ride 220 m²/s³;
-    - `built`: uOpt and aOpt with the margins at which all their limits together are broken by 1 % of the cars at most;
+    - `built`: uOpt and aOpt with the margins at which at most 1 % of the cars break any of their limits;
     - `narrow`, `narrow_evidence`: dOpt, and uOpt with margins of 1 and 1.25 sigma, at travel 0.152 m (6.9, 6.10);
     - `travel_fronts`: dOpt, uOpt and aOpt over the travel bound;
     - `holding_fronts`: dOpt and uOpt over the holding bound;
     - `boxes`: dOpt and uOpt at the holding bounds of figure 6.7;
-    - `calibration`: the margin at which 1 % of systems leave the narrow travel.
+    - `calibration`: the margin at which 1 % of the systems exceed the narrow travel.
     """
 
     effort: Effort
@@ -107,7 +107,7 @@ def sample_designs(results: SuspensionResults, progress: Progress) -> None:
 
 
 def calibrate_designs(results: SuspensionResults, progress: Progress) -> None:
-    """The margins at which uOpt and aOpt can be built: fresh cars break their limits no more often than asked."""
+    """The margins at which uOpt and aOpt can be built: fresh cars break their limits no more often than the target."""
     problems = {
         "uOpt": robust_problem(TRAVEL, HOLDING, sigmas=MARGIN),
         "aOpt": apportionment_problem(TRAVEL, HOLDING, RIDE, sigmas=MARGIN, ride_sigmas=RIDE_MARGIN),
@@ -143,13 +143,13 @@ def sweep_holding(results: SuspensionResults, progress: Progress) -> None:
 
 
 def _keep(fronts: dict[str, al.results.Front], name: str, front: al.results.Front) -> None:
-    """Keep what is finished of a front; one that Ctrl-C cut short ends the study, too."""
+    """Keep the finished part of a front; one interrupted by Ctrl-C ends the study."""
     fronts[name] = front
     stop_if_interrupted(front)
 
 
 def stages(results: SuspensionResults) -> dict[str, Stage]:
-    """All that is computed, in order of usefulness: without calibrations where these have no samples."""
+    """All stages, the most useful first; without calibrations if these have no samples."""
     calibrations = {
         "designs to build": Stage(partial(calibrate_designs, results), 0.25),
         "calibration": Stage(partial(calibrate_margin, results), 0.08),

@@ -1,4 +1,4 @@
-"""The suspension study as the command line runs it."""
+"""The suspension study."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, final

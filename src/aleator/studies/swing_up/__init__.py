@@ -1,8 +1,8 @@
-"""Swing-up of a double pendulum that only its first joint drives: hybrid dynamics (dissertation, section 5.5.3).
+"""Swing-up of a double pendulum driven only at its first joint: hybrid dynamics (dissertation, section 5.5.3).
 
-The first joint follows a B-spline exactly; the second swings as it must, differently for each mass of the second link,
-and the torque that the first joint takes follows. The robust plan brings the mean of the family up, keeps the spread
-of the torque within its limits and that of the tip at the end small (81), (92).
+The first joint follows a B-spline exactly; the motion of the second follows from the dynamics, differently for each
+mass of the second link, as does the torque of the first joint. The robust plan swings the mean of the family up, keeps
+mean and spread of the torque within its limits, and bounds the spread of the tip at the end (81), (92).
 
 The viscous damping at the joints matters: without it the passive motion would not depend on the second link's mass at
 all, and any motion of positive power would exchange the same energy.
@@ -29,8 +29,9 @@ ENDS: dict[str, Any] = {"start": (-np.pi, 0.0), "end": (0.0, 0.0)}
 
 
 SMOOTHING = 0.01
-"""W: the magnitude of a power has a kink wherever the power changes its sign, at which a search stalls. Rounding it off
-lowers the energy by at most so many joules a second."""
+"""W: the magnitude of a power has a kink wherever the power changes sign, where a search stalls. Rounding the kink
+lowers the energy by at most this many joules per second.
+"""
 
 SWINGS = (-3.208, -3.3414, -3.3707, -2.342, -4.0307, -3.1935, -1.6233, -4.9035, -4.0438, 1.0433, -0.8108, 0.3314)
 DURATION = 7.5558
@@ -82,7 +83,7 @@ class DoublePendulum(al.Mechanical):
         return jnp.array([[-h * v[1], -h * (v[0] + v[1])], [h * v[0], 0.0]])
 
     def forces(self, q: Float[Array, " 2"], v: Float[Array, " 2"]) -> Float[Array, " 2"]:
-        """Friction and weight, N m: upright, both links are in unstable balance."""
+        """Friction and weight, N m: both links are in unstable equilibrium when upright."""
         outer = self.mass_2 * self.length_2 / 2 * jnp.sin(q[0] + q[1])
         inner = (self.mass_1 / 2 + self.mass_2) * self.length_1 * jnp.sin(q[0])
         return self.damping * v - self.gravity * jnp.array([inner + outer, outer])
@@ -92,7 +93,7 @@ class DoublePendulum(al.Mechanical):
         return jnp.array([[1.0], [0.0]])
 
     def outputs(self, motion: al.Motion) -> dict[str, Any]:
-        """Where the tip is, from the first joint, and how far the links are from an obstacle, m."""
+        """The position of the tip relative to the first joint, and the links' distances from an obstacle, m."""
         first, second = motion.q[0], motion.q[0] + motion.q[1]
         elbow = self.length_1 * jnp.array([-jnp.sin(first), jnp.cos(first)])
         tip = elbow + self.length_2 * jnp.array([-jnp.sin(second), jnp.cos(second)])
@@ -114,7 +115,7 @@ def deterministic_problem(
     duration: float = DURATION,
     smoothing: float = SMOOTHING,
 ) -> al.Problem:
-    """The swing-up that exchanges the least energy, for the mean pendulum (74)."""
+    """The swing-up with minimum energy exchange, for the mean pendulum (74)."""
     plan = _plan(DoublePendulum(mass_2=MASS_2, obstacle=obstacle), np.array(SWINGS) if guess is None else guess)
     return al.deterministic(_problem(plan, al.objectives.power(POWER, smoothing=smoothing), 0.0, [], duration))
 
@@ -129,10 +130,10 @@ def robust_problem(
     mass_2: al.Uniform = MASS_2,
     smoothing: float = SMOOTHING,
 ) -> al.Problem:
-    """The swing-up that exchanges the least energy and holds for the family (81), (92).
+    """The swing-up with minimum energy exchange for the family (81), (92).
 
-    `expected`: whether the energy is that of the expected torque (`"torque"`, the sum that (83) prints: the first
-    joint's rate is certain) or the expected energy (`"energy"`).
+    `expected`: minimise the energy of the expected torque (`"torque"`, the sum in (83), since the first joint's rate is
+    certain) or the expected energy (`"energy"`).
     """
     energy = al.objectives.coefficient_power if expected == "torque" else al.objectives.power
     plan = _plan(DoublePendulum(mass_2=mass_2, obstacle=obstacle), np.array(FAMILY_SWINGS) if guess is None else guess)

@@ -1,4 +1,4 @@
-"""What the swing-up study computes: where its searches start, and its pendulums once more, finer and frictionless."""
+"""The computations of the swing-up study: its searches, and its pendulums with finer steps and without friction."""
 
 from collections.abc import Collection
 from typing import Any
@@ -16,7 +16,7 @@ from aleator.studies.swing_up import DEGREE, ENDS, FREE, deterministic_problem, 
 
 MEAN, EXPECTED, ENERGY = "deterministic", "robust, expected torque", "robust, expected energy"
 FINER = 4
-"""How many times as many steps judge those of the problem."""
+"""The refinement factor for checking the problem's steps."""
 
 FULL = Effort(starts=7, calibration_samples=5_000)
 QUICK = Effort(starts=1, samples=1_000, family=200, whole=False)
@@ -24,7 +24,7 @@ QUICK = Effort(starts=1, samples=1_000, family=200, whole=False)
 _TOGETHER = {"q1_torque": "torque", "q2": "upright", "q2_rate": "upright"}
 
 Swing = tuple[float, int, float, int]
-"""Duration (s), half swings, their width (rad), and how late the joint rises, of a motion to start a search from."""
+"""Duration (s), half swings, their width (rad), and lateness of the rise, for a motion to start a search from."""
 
 SWINGS: tuple[Swing, ...] = (
     (3.0, 6, 0.8, 5),
@@ -36,7 +36,7 @@ SWINGS: tuple[Swing, ...] = (
     (3.0, 5, -0.8, 2),
 )
 FAMILY_SWINGS: tuple[Swing, ...] = ((3.0, 4, -0.8, 2), (3.0, 5, -0.8, 2), (4.0, 3, -0.8, 2), (3.0, 6, -0.8, 5))
-"""The swings from which plans for the whole family are reached: late and wide ones spread it too far."""
+"""The swings from which searches for the whole family start: late and wide ones spread it too far."""
 
 
 def search_plans(results: MotionResults, names: Collection[str], progress: Progress) -> None:
@@ -55,7 +55,7 @@ def search_plans(results: MotionResults, names: Collection[str], progress: Progr
 
 
 def margin_problem(plan: al.Solution) -> al.Problem:
-    """The problem of least energy of the expected torque, to be solved from a plan."""
+    """The problem of minimum energy of the expected torque, to be solved from a plan."""
     duration = float(plan.decisions["t_final"])
     return named(robust_problem(TRIED, guess=plan.decisions["motion.q1.free"], duration=duration), _TOGETHER)
 
@@ -72,7 +72,7 @@ def flown_frictionless(plan: al.Solution, count: int) -> Family:
 
 
 def _start(duration: float, halves: int, width: float, late: int) -> dict[str, np.ndarray | float]:
-    """A motion that rises `late`, with so many half swings of growing width on it."""
+    """A motion that rises `late`, superposed with `halves` half swings of growing width."""
     fractions = np.linspace(0.0, 1.0, 80)
     swing = -np.pi * (1 - fractions**late) + width * np.sin(halves * np.pi * fractions) * fractions
     return {"motion.q1.free": al.fit_control_points(swing, FREE, degree=DEGREE, **ENDS), "t_final": duration}

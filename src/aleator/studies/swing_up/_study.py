@@ -1,4 +1,4 @@
-"""Swing-up of a double pendulum as the command line runs it."""
+"""The study of the swing-up of a double pendulum."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from typing import ClassVar, final
@@ -20,7 +20,7 @@ from aleator.studies.swing_up._run import ENERGY, EXPECTED, MEAN
 
 @final
 class SwingUp(AbstractMotionStudy):
-    """The swing-ups of least energy for the mean pendulum and for all pendulums."""
+    """The swing-ups of minimum energy for the mean pendulum and for all pendulums."""
 
     title = "Swing-up of a double pendulum: hybrid dynamics"
     subtitle = (
@@ -32,8 +32,8 @@ class SwingUp(AbstractMotionStudy):
     names = (MEAN, ENERGY, EXPECTED, CALIBRATED)
     spared = (ENERGY, CALIBRATED)
     only_whole = (
-        "the calibration of the margin, the plan of least expected energy, finer steps, what friction does, and what"
-        " the systems drawn do between instants"
+        "the calibration of the margin, the plan of minimum expected energy, finer steps, the effect of friction, and "
+        "the motion of the systems drawn between instants"
     )
     sigmas: ClassVar = {EXPECTED: 1.0}
     limits = ("torque",)
@@ -99,6 +99,6 @@ class SwingUp(AbstractMotionStudy):
             Section("The motion", list(_page.motion(families, self.names))),
             Section("The deterministic plan on the family", list(_page.histories(mean, "5.10", "5.11"))),
             Section("The robust plan", list(_page.histories(robust, "5.13", "5.14"))),
-            Section("How far to trust the steps", list(_page.finer_steps(families, self.finer))),
-            Section("What friction does", list(_page.friction(families, self.frictionless))),
+            Section("Accuracy of the steps", list(_page.finer_steps(families, self.finer))),
+            Section("The effect of friction", list(_page.friction(families, self.frictionless))),
         ]

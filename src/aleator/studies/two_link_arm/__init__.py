@@ -19,7 +19,7 @@ OBSTACLE = al.shapes.Sphere((0.65, 0.80), 0.30)
 class TwoLinkArm(al.Mechanical):
     """Two uniform rods and a point mass at the tip; `q2` is measured from the first link, and gravity does no work.
 
-    `obstacle` is what the links keep away from; None leaves it out.
+    `obstacle` is a shape that the links must avoid, or None.
     """
 
     names = ("q1", "q2")
@@ -52,7 +52,7 @@ class TwoLinkArm(al.Mechanical):
         return jnp.array([[-h * v[1], -h * (v[0] + v[1])], [h * v[0], 0.0]])
 
     def outputs(self, motion: al.Motion) -> dict[str, Any]:
-        """Where elbow and tip are, and how far the links are from the obstacle."""
+        """The positions of elbow and tip, and the links' distances from the obstacle, m."""
         elbow, tip = self.places(motion.q)
         places = {"elbow_x": elbow[0], "elbow_y": elbow[1], "tip_x": tip[0], "tip_y": tip[1]}
         if self.obstacle is None:
@@ -70,8 +70,8 @@ class TwoLinkArm(al.Mechanical):
 def bent_path(bend: float = 1.9, instants: int = 61) -> Float[np.ndarray, "instants 2"]:
     """A path from start to target, at rest at both, that draws the tip in by bending the elbow `bend` rad more.
 
-    It goes around the obstacle on the side of the base: the plans that are fast and take little effort do. From other
-    paths, a search ends at others.
+    It passes the obstacle on the side of the base, as fast plans and plans of little effort do. Searches from other
+    paths end at other plans.
     """
     fractions = np.linspace(0.0, 1.0, instants)
     rise = 10 * fractions**3 - 15 * fractions**4 + 6 * fractions**5
@@ -80,8 +80,8 @@ def bent_path(bend: float = 1.9, instants: int = 61) -> Float[np.ndarray, "insta
 
 
 def clear_of_wall_and_obstacle(arm: TwoLinkArm, sigmas: float = 0.0) -> list[al.Constraint]:
-    """Elbow and tip stay before the wall at x = 0, and both links off the obstacle, `sigmas` standard deviations
-    off.
+    """Elbow and tip stay before the wall at x = 0, and both links clear of the obstacle, by `sigmas` standard
+    deviations.
     """
     kept = ["elbow_x", "tip_x"] + ([] if arm.obstacle is None else ["gap_1", "gap_2"])
     return [al.path(name).at_least(0.0, sigmas=sigmas) for name in kept]

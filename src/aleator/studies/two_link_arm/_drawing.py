@@ -13,7 +13,7 @@ from aleator.studies.two_link_arm import OBSTACLE, START, TARGET, TwoLinkArm
 
 WIDTH, MARGIN = 420.0, 34.0
 REACH = 250.0
-"""Pixels that the longer way, along both links, takes."""
+"""Pixels along the longer path, that of both links."""
 
 
 def arm_drawing(arm: TwoLinkArm, start: Sequence[float] = START, target: Sequence[float] = TARGET) -> str:
@@ -49,8 +49,8 @@ def arm_drawing(arm: TwoLinkArm, start: Sequence[float] = START, target: Sequenc
 def arm_schematic(payload: al.Uniform) -> Schematic:
     """The drawing with its caption, for the page of a study."""
     caption = (
-        f"To scale, seen from above: the arm at its start (solid) and at its target (dashed). Mass of the payload M in"
-        f" kg: {payload}. Elbow and tip stay before the wall, both links off the obstacle."
+        "To scale, seen from above: the arm at its start (solid) and at its target (dashed). Mass of the payload M in "
+        f"kg: {payload}. Elbow and tip stay before the wall, both links clear of the obstacle."
     )
     drawing = arm_drawing(TwoLinkArm(payload=payload, obstacle=OBSTACLE))
     return Schematic([drawing], "Two-link arm", caption, "5.1")

@@ -1,4 +1,4 @@
-"""What both pick-and-place studies show of the arm: where its joints are, what stands around it, its limits by name."""
+"""The common views of the pick-and-place studies: the arm's joints, its surroundings, the names of its limits."""
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -9,7 +9,7 @@ from aleator.studies._motion.views import Outputs, linkage
 from aleator.studies.two_link_arm import OBSTACLE, TARGET
 
 TIP = (np.cos(TARGET[0]) + np.cos(sum(TARGET)), np.sin(TARGET[0]) + np.sin(sum(TARGET)))
-"""Where the tip is to end, m."""
+"""The target of the tip, m."""
 
 SCENE = Scene(((float(OBSTACLE.center[0]), float(OBSTACLE.center[1]), float(OBSTACLE.radius)),), wall=0.0)
 
@@ -22,7 +22,7 @@ TOGETHER = {
     "tip_x": "wall",
     **dict.fromkeys(("q1", "q2", "q1_rate", "q2_rate"), "target"),
 }
-"""What the limits of the arm's problems keep off, or bring about, by the names of their outputs."""
+"""The names of the limits of the arm's problems, by their outputs."""
 
 
 def joints(outputs: Outputs) -> Float[np.ndarray, "... joints 2"]:
