@@ -68,8 +68,9 @@ class AbstractComposite(AbstractAtom):
 
     @property
     @abc.abstractmethod
+    @override
     def parts(self) -> tuple[AbstractAtom, ...]:
-        """See `AbstractAtom.parts`."""
+        """The atoms of its expressions, in the order of evaluation."""
 
     @property
     @override
