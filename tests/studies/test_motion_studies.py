@@ -169,7 +169,7 @@ def test_the_study_writes_its_files_and_tables(study, tmp_path):
     assert saved[f"plans/{ONE}"]["objective"]["value"] == study.done.plans[ONE].objective
     assert [table.caption for table in study.tables()] == [
         "Plans, limits and violations",
-        "Published and reference values beside ours",
+        "Published and reference values compared with ours",
         "Local optima of the searches",
     ]
 

@@ -103,17 +103,17 @@ def test_the_table_of_margins_shows_those_that_were_reached(found, printed):
 @pytest.mark.parametrize(
     ("ours", "told"),
     [
-        ({"a": 10.0, "b": 12.1, "c": 14.8}, "signs, order and sizes compare:"),
-        ({"a": 10.0, "b": 11.0, "c": 15.0}, "signs and order compare, sizes do not:"),
-        ({"a": 10.0, "b": 14.0, "c": 13.0}, "signs compare, order and sizes do not:"),
-        ({"a": 10.0, "b": 9.0, "c": 15.0}, "signs, order and sizes do not compare:"),
+        ({"a": 10.0, "b": 12.1, "c": 14.8}, "signs, order and sizes agree:"),
+        ({"a": 10.0, "b": 11.0, "c": 15.0}, "signs and order agree, sizes do not:"),
+        ({"a": 10.0, "b": 14.0, "c": 13.0}, "signs agree, order and sizes do not:"),
+        ({"a": 10.0, "b": 9.0, "c": 15.0}, "signs, order and sizes do not agree:"),
     ],
 )
 def test_what_compares_with_printed_numbers_follows_from_the_numbers(ours, told):
     sentence = compared({"a": 1.0, "b": 1.2, "c": 1.5}, ours, "efforts")
     assert sentence.startswith("Of efforts, ")
     assert told in sentence
-    changes = [float(one) for one in re.findall(r"[+−]([\d.]+)\u202f% \(printed", sentence)]
+    changes = [float(one) for one in re.findall(r"[+−]([\d.]+)\u202f% \(published", sentence)]
     np.testing.assert_allclose(changes, [abs(ours[name] / 10 - 1) * 100 for name in "bc"], rtol=5e-3)
 
 

@@ -74,8 +74,8 @@ class BSpline(AbstractTrajectory):
         if interior < 0:
             raise ProblemError(
                 f"{_KIND}: degree {degree} needs at least {degree + 1} control points in all; received "
-                f"{shape_of(self.free)[0]} free ones beside {len(self.start)} conditions at the start and "
-                f"{len(self.end)} at the end. Give {-interior} more free control points."
+                f"{shape_of(self.free)[0]} free ones and {len(self.start)} conditions at the start and {len(self.end)} "
+                f"at the end. Give {-interior} more free control points."
             )
         if knots is not None and spans is not None:
             raise ProblemError(f"{_KIND}: expected knots or spans; received both.")
@@ -89,7 +89,7 @@ class BSpline(AbstractTrajectory):
 
     @property
     def count(self) -> int:
-        """How many control points there are in all."""
+        """The total number of control points."""
         return shape_of(self.free)[0] + len(self.start) + len(self.end)
 
     def values(self, fractions: Fractions, duration: Any = 1.0, order: int = 0) -> Float[Array, "n ..."]:

@@ -1,4 +1,4 @@
-"""Distributions held at their means: a deterministic model that knows what it stands for."""
+"""Distributions held at their means: a deterministic model that retains its distributions."""
 
 from collections.abc import Callable
 from typing import Any, ClassVar, final
@@ -12,7 +12,7 @@ from aleator.uncertainty._distribution import AbstractDistribution
 
 @final
 class AtMean(AbstractLeaf):
-    """A distribution held at its mean: what `deterministic` puts in the place of each distribution."""
+    """A distribution held at its mean: `deterministic` replaces each distribution by one."""
 
     UNCERTAIN: ClassVar[bool] = False
 

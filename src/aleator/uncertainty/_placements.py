@@ -58,7 +58,7 @@ class Placements(NamedTuple):
 
     @property
     def of_distributions(self) -> dict[str, int]:
-        """Where the decisions that are parameters of distributions stand in the decision vector, by `entry_names`."""
+        """The positions in the decision vector of decisions that are parameters of distributions, by `entry_names`."""
         # A set would be ordered differently in each process, and with it the program that is made of this.
         owned = dict.fromkeys(
             name for place, distribution in self.distributions.items() for name, _ in _decisions_in(place, distribution)

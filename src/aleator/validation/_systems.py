@@ -109,7 +109,7 @@ def refuse_broken(
 
 
 def _what(problem: Problem, point: Float[Array, " variables"], decisions: Float[Array, " n"]) -> str:
-    """What of one system is not finite, and from when on; empty if a simulation of it alone is finite."""
+    """Which outputs of one system are not finite, and from when on; empty if simulated alone it is finite."""
     outputs = {name: np.asarray(values)[None] for name, values in history(problem, point, decisions).items()}
     if (broken := first_broken(outputs)) is not None:
         times = np.asarray(grid_at(problem, decisions).times)

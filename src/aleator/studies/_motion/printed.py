@@ -27,12 +27,12 @@ def compared(printed: Mapping[str, float], ours: Mapping[str, float], what: str)
         "sizes": bool(np.all(np.abs(found - theirs) <= SAME_SIZE * np.abs(theirs))),
     }
     yes, no = ([one for one in said if said[one] is told] for told in (True, False))
-    parts = [f"{words(yes)} compare"] * bool(yes) + [f"{words(no)} do not{'' if yes else ' compare'}"] * bool(no)
+    parts = [f"{words(yes)} agree"] * bool(yes) + [f"{words(no)} do not{'' if yes else ' agree'}"] * bool(no)
     changes = [
-        f"{name} {signed(one)} (printed {signed(other)})"
+        f"{name} {signed(one)} (published {signed(other)})"
         for name, one, other in zip(names[1:], found, theirs, strict=True)
     ]
-    return f"Of {what}, {', '.join(parts)}: beside {names[0]}, {words(changes)}."
+    return f"Of {what}, {', '.join(parts)}: relative to {names[0]}, {words(changes)}."
 
 
 def _changes(values: Sequence[float]) -> np.ndarray:

@@ -47,7 +47,7 @@ def published_table(done: MotionResults) -> Table:
         "efforts are sums over an unstated number of samples, for another inertia model, another obstacle and a "
         f"payload with a standard deviation of 0.5 kg. {compared(PUBLISHED, efforts, 'the efforts')}"
     )
-    return Table("Published and reference values beside ours", ["", *shown], rows, note)
+    return Table("Published and reference values compared with ours", ["", *shown], rows, note)
 
 
 def spreads_table(spreads: Mapping[str, Mapping[str, Spread]]) -> Table:

@@ -45,7 +45,7 @@ def published_table(done: MotionResults) -> Table:
         f"parameters are all one has both of its times. {compared(PUBLISHED, ours, 'the published times')}"
     )
     header = ["t_f", "Published", "Reference", "Ours, at the instants", "Ours, between them too"]
-    return Table("Published and reference values beside ours", header, rows, note)
+    return Table("Published and reference values compared with ours", header, rows, note)
 
 
 def margins_table(done: MotionResults) -> Table:

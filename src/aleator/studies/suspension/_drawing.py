@@ -81,7 +81,7 @@ def _labels(car: QuarterCar, rows: tuple[float, float, float, float]) -> list[st
 
 
 def _place(name: str, height: float) -> list[str]:
-    """How far a body, or the ground, has moved up."""
+    """The upward displacement of a body or the ground."""
     return [
         sketch.path([(14.0, height), (34.0, height)], width=1.2),
         sketch.arrow((24.0, height), (24.0, height - 36.0)),

@@ -121,7 +121,7 @@ def _beside(results: SuspensionResults) -> str:
         for name, share in robust.violations.items()
     ]
     pairs += [
-        f"{name}, asked of aOpt only, in {percent(share.estimate)}"
+        f"{name}, a limit of aOpt only, in {percent(share.estimate)}"
         for name, share in ours.violations.items()
         if name not in robust.violations
     ]

@@ -94,12 +94,11 @@ def published_table(done: MotionResults) -> Table:
             ]
         )
     note = (
-        "The published numbers are called powers, in W, and are sums over an unstated number of samples for another"
-        f" friction. {compared(printed, ours, 'the energies')} Reference:"
-        " what an independent search found. Variances are those of the random pendulums flown, ± one standard error"
-        f" of that sample; the limit of the true one is {given(VARIANCE, 'm²')}, asked of the robust plans only."
-        " Powers are rounded off where they are zero, which lowers an energy by at most"
-        f" {given(SMOOTHING)} J a second."
+        "The published numbers are called powers, in W, and are sums over an unstated number of samples for another "
+        f"friction. {compared(printed, ours, 'the energies')} Reference: the results of an independent search. "
+        "Variances are those of the random pendulums flown, ± one standard error of that sample; the true one is "
+        f"limited to {given(VARIANCE, 'm²')} in the robust plans only. Powers are rounded off where they are zero, "
+        f"which lowers an energy by at most {given(SMOOTHING)} J a second."
     )
     header = [
         "",
@@ -111,7 +110,7 @@ def published_table(done: MotionResults) -> Table:
         "Published variance (m²)",
         "Ours (m²)",
     ]
-    return Table("Published and reference values beside ours", header, rows, note)
+    return Table("Published and reference values compared with ours", header, rows, note)
 
 
 def steps_table(families: Mapping[str, Family], finer: Mapping[str, Family]) -> Table:

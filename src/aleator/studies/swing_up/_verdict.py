@@ -42,7 +42,7 @@ def sentences(done: MotionResults, frictionless: Mapping[str, Family]) -> Iterat
 
 
 def cards(done: MotionResults) -> Iterator[Card]:
-    """What the robust plans take, and how often they fail."""
+    """The energy of the robust plans, and how often they fail."""
     for name in (EXPECTED, CALIBRATED):
         if plan := done.plans.get(name):
             yield Card(f"Energy, {name}", number(plan.objective, 4, "J"), f"in {number(duration(plan), 3, 's')}")
