@@ -19,8 +19,8 @@ def worst_case_holds(done: MotionResults) -> bool:
 def worst_case_broken(done: MotionResults) -> str:
     """How often the worst-case plan breaks a limit."""
     return (
-        f" The plan with a = √3 is not safe either: {share_text(done.evidence[WORST].joint)} of the payloads break one of its "
-        "limits."
+        f" The plan with a = √3 is not safe either: {share_text(done.evidence[WORST].joint)} of the payloads break a "
+        "limit."
     )
 
 
