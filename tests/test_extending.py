@@ -281,7 +281,7 @@ class Asking(Middle):
         (lambda: problem(Asking(("x",)).mean), r"Asking\.evaluate raised KeyError: 'foo'"),
         (
             lambda: problem(al.terminal("x").mean, subject_to=[Paths(("x",)).mean <= 1.0]),
-            r"Paths\.evaluate: expected one number an instant, 21 of them; received \(\)",
+            r"Paths\.evaluate: expected one number per instant, 21 in all; received \(\)",
         ),
         (lambda: Middle("x"), r"Middle: expected the names of outputs as a tuple, .*; received 'x'"),
         (lambda: al.terminal("x").statistic(3), r"expected a statistic, .*; received 3"),
