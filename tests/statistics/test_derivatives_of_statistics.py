@@ -32,7 +32,7 @@ from aleator.statistics import (
     prepare,
 )
 from aleator.uncertainty import HermiteGerm, JacobiGerm, LaguerreGerm, LegendreGerm
-from compiling import optimised
+from compiling import compiled
 
 BOUNDED = basis_of([LegendreGerm(), JacobiGerm(2.0, 3.0)], 3)
 MIXED = basis_of([HermiteGerm(), LegendreGerm(), HermiteGerm(), LaguerreGerm(3.0)], 2)
@@ -95,11 +95,11 @@ def test_forward_and_reverse_derivatives_are_those_of_finite_differences(statist
     def function(c):
         return statistic.of(c, constants)
 
-    expected = np.asarray(central_difference(optimised(function), coefficients, 1e-6))
+    expected = np.asarray(central_difference(compiled(function), coefficients, 1e-6))
     largest = np.abs(expected).max()
     # Backwards once for each statistic: compiling is what takes time here.
     for derivative in (jax.jacfwd(function), jax.jacrev(function)) if basis is BOUNDED else (jax.jacfwd(function),):
-        exact = np.asarray(optimised(derivative)(coefficients))
+        exact = np.asarray(compiled(derivative)(coefficients))
         assert np.abs(exact - expected).max() < 1e-6 * max(largest, 1.0)
 
 
@@ -119,7 +119,7 @@ def test_derivatives_in_levels_and_thresholds_are_those_of_finite_differences(st
     constants = prepare([statistic], MIXED).of(statistic)
     function = jax.value_and_grad(lambda x: eqx.tree_at(where, statistic, x).of(coefficients, constants))
     at = jnp.asarray(where(statistic))
-    (above, _), (below, _), (_, exact) = map(optimised(function), (at + 1e-6, at - 1e-6, at))
+    (above, _), (below, _), (_, exact) = map(compiled(function), (at + 1e-6, at - 1e-6, at))
     assert exact == pytest.approx(float(above - below) / 2e-6, rel=1e-6)
 
 
@@ -129,8 +129,8 @@ def test_the_density_has_the_derivative_of_finite_differences():
     def function(c):
         return pdf(jnp.array([0.3]), c, lines)
 
-    exact = np.asarray(optimised(jax.jacfwd(function))(coefficients))
-    assert exact == pytest.approx(np.asarray(central_difference(optimised(function), coefficients, 1e-6)), abs=1e-6)
+    exact = np.asarray(compiled(jax.jacfwd(function))(coefficients))
+    assert exact == pytest.approx(np.asarray(central_difference(compiled(function), coefficients, 1e-6)), abs=1e-6)
 
 
 VECTORISED = [Kurtosis(), Probability(above=0.3), Supremum()]
@@ -140,6 +140,6 @@ VECTORISED = [Kurtosis(), Probability(above=0.3), Supremum()]
 def test_statistics_work_under_vmap_with_traced_constants(statistic):
     several = jnp.stack([random_coefficients(BOUNDED, seed=s) for s in range(3)])
     constants = prepare([statistic], BOUNDED).of(statistic)
-    together = optimised(jax.vmap(statistic.of, in_axes=(0, None)))(several, constants)
-    alone = [optimised(statistic.of)(one, constants) for one in several]
+    together = compiled(jax.vmap(statistic.of, in_axes=(0, None)))(several, constants)
+    alone = [compiled(statistic.of)(one, constants) for one in several]
     assert np.asarray(together) == pytest.approx(np.asarray(jnp.stack(alone)), rel=1e-8)

@@ -10,7 +10,7 @@ from scipy import integrate, stats
 from aleator.expansion import Expansion, HammersleyPoints, collocate
 from aleator.statistics import Mean, Std, Variance
 from aleator.uncertainty import Beta, Decision, Gamma, Normal, Uniform, placements, realise
-from compiling import optimised
+from compiling import compiled
 
 
 def mean(coefficients):
@@ -134,7 +134,7 @@ def test_the_standard_deviation_is_the_root_of_the_variance():
 def test_a_certain_output_has_no_spread_and_finite_derivatives():
     certain = jnp.zeros((6, 2)).at[0].set(3.0)
     assert std(certain).tolist() == [0.0, 0.0]
-    for derivative in (jax.jacrev(std), optimised(jax.jacfwd(std))):
+    for derivative in (jax.jacrev(std), compiled(jax.jacfwd(std))):
         assert np.all(np.asarray(derivative(certain)) == 0.0)
 
 
@@ -188,7 +188,7 @@ def moments():
         coefficients = coefficients_of(MODEL, response, order=4, decisions=x)
         return jnp.stack([mean(coefficients), std(coefficients)])
 
-    return optimised(both), optimised(jax.jacfwd(both)), optimised(jax.grad(lambda x: both(x).sum()))
+    return compiled(both), compiled(jax.jacfwd(both)), compiled(jax.grad(lambda x: both(x).sum()))
 
 
 @pytest.mark.parametrize("x", POINTS.values(), ids=POINTS.keys())

@@ -10,9 +10,9 @@ from aleator._core.errors import ProblemError
 from aleator.expansion import Basis
 from aleator.statistics import Infimum, Supremum, _branch_and_bound, _enclosure, prepare
 from aleator.uncertainty import HermiteGerm, JacobiGerm, LaguerreGerm, LegendreGerm
-from compiling import optimised
+from compiling import compiled
 
-both = optimised(lambda statistic, c, constants: (statistic.of(c, constants), statistic.attained(c, constants)))
+both = compiled(lambda statistic, c, constants: (statistic.of(c, constants), statistic.attained(c, constants)))
 
 
 def ends(statistic, coefficients, basis):
@@ -75,7 +75,7 @@ def test_the_gap_falls_with_the_square_of_the_width_of_the_boxes(monkeypatch):
     for most in (1, 8, 64):
         monkeypatch.setattr(_branch_and_bound, "_FEWEST_BOXES", 1)
         monkeypatch.setattr(_branch_and_bound, "_MOST_BOXES", most)
-        gaps.append(optimised(lambda c: Supremum().of(c, constants) - Supremum().attained(c, constants))(coefficients))
+        gaps.append(compiled(lambda c: Supremum().of(c, constants) - Supremum().attained(c, constants))(coefficients))
     assert gaps[1] < gaps[0] / 20
     assert gaps[2] < gaps[1] / 20
 

@@ -17,9 +17,9 @@ from aleator.statistics import ConditionalValueAtRisk, Probability, Quantile, cd
 from aleator.statistics._crossings import bracketed_roots, extrema, horner
 from aleator.statistics._line_distribution import finite_ends, line_distribution
 from aleator.uncertainty import HermiteGerm, JacobiGerm, LaguerreGerm, LegendreGerm
-from compiling import optimised
+from compiling import compiled
 
-of = optimised(lambda statistic, coefficients, constants: statistic.of(coefficients, constants))
+of = compiled(lambda statistic, coefficients, constants: statistic.of(coefficients, constants))
 
 
 def value(statistic, coefficients, basis):
@@ -152,23 +152,19 @@ def test_density_and_cdf_are_those_of_the_distribution_and_of_each_entry():
     path = jnp.stack([one, 2 * one], axis=1)
     values, lines = jnp.linspace(-20.0, 20.0, 9), lines_through(basis)
     for k, distribution in enumerate((stats.norm(1, 5), stats.norm(2, 10))):
-        assert np.asarray(optimised(cdf)(values, path, lines))[:, k] == pytest.approx(
-            distribution.cdf(values), abs=1e-8
-        )
-        assert np.asarray(optimised(pdf)(values, path, lines))[:, k] == pytest.approx(
-            distribution.pdf(values), abs=1e-6
-        )
+        assert np.asarray(compiled(cdf)(values, path, lines))[:, k] == pytest.approx(distribution.cdf(values), abs=1e-8)
+        assert np.asarray(compiled(pdf)(values, path, lines))[:, k] == pytest.approx(distribution.pdf(values), abs=1e-6)
 
 
 def test_the_density_integrates_to_one_and_the_quantile_inverts_the_distribution():
     basis = basis_of([LegendreGerm(), HermiteGerm(), JacobiGerm(2.0, 3.0)], 3)
     coefficients, lines = random_coefficients(basis, decay=0.2), lines_through(basis)
     values = jnp.linspace(-5.0, 5.0, 401)
-    density = optimised(pdf)(values, coefficients, lines)
+    density = compiled(pdf)(values, coefficients, lines)
     assert float(jnp.trapezoid(density, values)) == pytest.approx(1.0, abs=1e-3)
     for level in (0.001, 0.4, 0.99):
         at = value(Quantile(level), coefficients, basis)
-        assert float(optimised(cdf)(at[None], coefficients, lines)[0]) == pytest.approx(level, rel=1e-10)
+        assert float(compiled(cdf)(at[None], coefficients, lines)[0]) == pytest.approx(level, rel=1e-10)
 
 
 def test_a_path_is_taken_entry_by_entry():
@@ -185,7 +181,7 @@ def test_a_certain_output_is_its_own_quantile_with_a_finite_derivative():
     for statistic in (Quantile(0.9), ConditionalValueAtRisk(0.9)):
         constants = prepare([statistic], basis).of(statistic)
         assert float(of(statistic, certain, constants)) == 3.0
-        gradient = np.asarray(optimised(jax.grad(statistic.of))(certain, constants))
+        gradient = np.asarray(compiled(jax.grad(statistic.of))(certain, constants))
         assert np.all(np.isfinite(gradient))
         assert gradient[0] == pytest.approx(1.0)
     assert value(Probability(above=2.0), certain, basis) == 1.0
@@ -202,7 +198,7 @@ def test_a_change_of_level_or_threshold_compiles_nothing():
     coefficients = random_coefficients(basis)
     traces = []
 
-    @optimised
+    @compiled
     def both(quantile, probability, constants):
         traces.append(1)
         return quantile.of(coefficients, constants), probability.of(coefficients, constants)
@@ -253,8 +249,8 @@ def test_all_roots_of_polynomials_are_found_between_their_extrema():
     for degree in (1, 2, 5, 7):
         roots = np.sort(generator.uniform(-1.5, 1.5, (degree, 50)), axis=0)
         powers = jnp.asarray(np.stack([np.polynomial.polynomial.polyfromroots(one) for one in roots.T], axis=1))
-        edges = optimised(extrema)(powers)
-        found, _ = optimised(bracketed_roots)(powers, edges)
+        edges = compiled(extrema)(powers)
+        found, _ = compiled(bracketed_roots)(powers, edges)
         residuals = np.asarray(horner(powers, found))
         is_root = (np.asarray(found) > edges[:-1]) & (np.asarray(found) < edges[1:])
         assert is_root.sum(axis=0).tolist() == (np.abs(roots) < 1).sum(axis=0).tolist()

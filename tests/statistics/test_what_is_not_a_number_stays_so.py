@@ -27,7 +27,7 @@ from aleator.statistics import (
     root,
 )
 from aleator.uncertainty import HermiteGerm, LegendreGerm
-from compiling import optimised
+from compiling import compiled
 
 BASES = {"bounded": basis_of([LegendreGerm()] * 2, 2), "normal": basis_of([HermiteGerm()] * 2, 2)}
 OF_SAMPLES = [
@@ -62,7 +62,7 @@ def test_one_coefficient_that_is_no_number_spoils_its_own_entry_and_no_other(sta
     basis = BASES[distribution]
     coefficients = random_coefficients(basis, shape=shape_of(statistic))
     constants = prepare([statistic], basis).of(statistic)
-    found = np.asarray(optimised(lambda c: statistic.of(c, constants))(coefficients.at[2, 1].set(jnp.nan)))
+    found = np.asarray(compiled(lambda c: statistic.of(c, constants))(coefficients.at[2, 1].set(jnp.nan)))
     np.testing.assert_array_equal(np.isnan(found), [False, True, False])
 
 
