@@ -10,10 +10,13 @@ from aleator._core.errors import ProblemError
 from aleator.expansion import Expansion, collocate
 from aleator.statistics import Sobol, TotalSobol, prepare
 from aleator.uncertainty import HermiteGerm, LegendreGerm
+from compiling import compiled
+
+of = compiled(lambda statistic, coefficients, constants: statistic.of(coefficients, constants))
 
 
 def value(statistic, coefficients, basis):
-    return np.asarray(statistic.of(coefficients, prepare([statistic], basis).of(statistic)))
+    return np.asarray(of(statistic, coefficients, prepare([statistic], basis).of(statistic)))
 
 
 @pytest.fixture(scope="module")

@@ -5,11 +5,10 @@ from dataclasses import dataclass
 from typing import final
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from aleator._core.arrays import Pytree
+from aleator._core.arrays import Pytree, jax_array
 from aleator.analysis._box import Box
 from aleator.analysis._inputs import plain
 from aleator.analysis._sampling import Sampler
@@ -45,9 +44,9 @@ def element(box: Box, germs: Mapping[str, AbstractGerm], expansion: Expansion, s
     basis, collocation = collocate(box.germs(germs), expansion)
     samples = sampler.samples(collocation.points)
     values = flat(samples)
-    known = [np.asarray(collocation.coefficients(jnp.asarray(one))) for one in values]
+    known = [np.asarray(collocation.coefficients(jax_array(one))) for one in values]
     errors = [
-        float(leave_one_out(collocation, jnp.asarray(one), jnp.asarray(terms))) ** 2 * one.var(axis=0).sum()
+        float(leave_one_out(collocation, jax_array(one), jax_array(terms))) ** 2 * one.var(axis=0).sum()
         for one, terms in zip(values, known, strict=True)
     ]
     coefficients = jax.tree.map(collocation.coefficients, samples)

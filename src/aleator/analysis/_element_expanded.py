@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from typing_extensions import override
 
-from aleator._core.arrays import Pytree
+from aleator._core.arrays import Pytree, in_library, jax_array
 from aleator._core.tracing import evaluate
 from aleator.analysis import _sampled_distribution as sampled_distribution
 from aleator.analysis._abstract_expanded import AbstractExpanded, checked_points, paired, prepared
@@ -136,12 +136,14 @@ class ElementExpanded(AbstractExpanded):
         return self.partition.cloud.evaluate(coefficients)
 
     def _mean(self, coefficients: Float[Array, "elements terms *shape"]) -> Float[Array, "*shape"]:
-        return jnp.tensordot(self.partition.probability, coefficients[:, 0], axes=1)
+        library, terms = in_library(coefficients)
+        return jax_array(library.tensordot(self.partition.probability, terms[:, 0], axes=1))
 
     def _variance(self, coefficients: Float[Array, "elements terms *shape"]) -> Float[Array, "*shape"]:
-        away = coefficients[:, 0] - self._mean(coefficients)[None]
-        within = jnp.sum(coefficients[:, 1:] ** 2, axis=1)
-        return jnp.tensordot(self.partition.probability, within + away**2, axes=1)
+        library, terms, mean = in_library(coefficients, self._mean(coefficients))
+        away = terms[:, 0] - mean[None]
+        within = library.sum(terms[:, 1:] ** 2, axis=1)
+        return jax_array(library.tensordot(self.partition.probability, within + away**2, axes=1))
 
     def _std(self, coefficients: Float[Array, "elements terms *shape"]) -> Float[Array, "*shape"]:
         return root(self._variance(coefficients))
@@ -149,26 +151,31 @@ class ElementExpanded(AbstractExpanded):
     def _share(self, coefficients: Float[Array, "elements terms *shape"], of_part: Rule) -> Float[Array, "*shape"]:
         """A part of the variance over all of it; zero, with derivative zero, if the variance is zero."""
         mean, variance = self._mean(coefficients), self._variance(coefficients)
-        spreads = varies(jnp.stack([mean, root(variance)]))
-        found = of_part(coefficients.at[:, 0].add(-mean)) / jnp.where(spreads, variance, 1.0)
-        return jnp.where(spreads, jnp.clip(found, 0.0, 1.0), 0.0)
+        library, away, mean, variance = in_library(coefficients, mean, variance)
+        spreads = library.asarray(varies(library.stack([mean, root(variance)])))
+        away = library.concatenate([away[:, :1] - mean[None, None], away[:, 1:]], axis=1)
+        found = library.asarray(of_part(away)) / library.where(spreads, variance, 1.0)
+        return jax_array(library.where(spreads, library.clip(found, 0.0, 1.0), 0.0))
 
     def _covariance(self, coefficients: Float[Array, "elements terms *shape 2"]) -> Float[Array, "*shape"]:
-        away = coefficients[:, 0] - self._mean(coefficients)[None]
-        within = jnp.sum(jnp.prod(coefficients[:, 1:], axis=-1), axis=1)
-        return jnp.tensordot(self.partition.probability, within + jnp.prod(away, axis=-1), axes=1)
+        library, terms, mean = in_library(coefficients, self._mean(coefficients))
+        away = terms[:, 0] - mean[None]
+        within = library.sum(library.prod(terms[:, 1:], axis=-1), axis=1)
+        return jax_array(library.tensordot(self.partition.probability, within + library.prod(away, axis=-1), axes=1))
 
     def _standard_moment(
         self, coefficients: Float[Array, "elements terms *shape"], power: int
     ) -> Float[Array, "*shape"]:
         """The mean of a power of the standardised output, by quadrature in each element; zero if nothing varies."""
-        mean, std = self._mean(coefficients)[None], self._std(coefficients)[None]
-        scale = jnp.where(std > 0, std, 1.0)
+        library, elements, mean, std = in_library(coefficients, self._mean(coefficients), self._std(coefficients))
+        scale = library.where(std > 0, std, 1.0)[None]
         moments = [
-            jnp.tensordot(weights, ((jnp.tensordot(matrix, terms, axes=1) - mean) / scale) ** power, axes=1)
-            for terms, (matrix, weights) in zip(coefficients, self.partition.quadrature, strict=True)
+            library.tensordot(
+                weights, ((library.tensordot(matrix, terms, axes=1) - mean[None]) / scale) ** power, axes=1
+            )
+            for terms, (matrix, weights) in zip(elements, self.partition.quadrature, strict=True)
         ]
-        return jnp.tensordot(self.partition.probability, jnp.stack(moments), axes=1)
+        return jax_array(library.tensordot(self.partition.probability, library.stack(moments), axes=1))
 
     @override
     def at_germ(self, points: Float[np.ndarray, "n variables"]) -> Pytree:

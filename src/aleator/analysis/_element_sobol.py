@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from aleator._core.arrays import in_library, jax_array
 from aleator._core.memory import NUMBER, refuse_beyond_memory
 from aleator.analysis._partition import Partition
 from aleator.analysis._restricted_germ import restricted
@@ -38,7 +39,12 @@ def variance_part(partition: Partition, kind: Sobol | TotalSobol) -> Rule:
         place = place_of(whole, kind.variable)
         others = _explained(partition, tuple(i for i in range(whole.variables) if i != place))
         everything = partition.probability
-        return lambda terms: jnp.tensordot(everything, jnp.sum(terms**2, axis=1), axes=1) - others(terms)
+
+        def part(terms: Float[Array, "elements terms *shape"]) -> Float[Array, "*shape"]:
+            library, known = in_library(terms)
+            return jax_array(library.tensordot(everything, library.sum(known**2, axis=1), axes=1)) - others(terms)
+
+        return part
     places = sorted(place_of(whole, name) for name in kind.variables)
     signed = [
         ((-1) ** (len(places) - size), _explained(partition, known))
@@ -70,8 +76,9 @@ def _explained(partition: Partition, known: tuple[int, ...]) -> Rule:
         form *= gram[of_rows[0][:, None], of_rows[0][None], of_rows[1][:, None], of_rows[1][None]]
 
     def variance(terms: Float[Array, "elements terms *shape"]) -> Float[Array, "*shape"]:
+        library, terms = in_library(terms)
         kept = terms[:, chosen].reshape(size, *terms.shape[2:])
-        return jnp.sum(kept * jnp.tensordot(form, kept, axes=1), axis=0)
+        return jax_array(library.sum(kept * library.tensordot(form, kept, axes=1), axis=0))
 
     return variance
 

@@ -6,11 +6,10 @@ from functools import lru_cache, partial
 from typing import Any, overload
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from aleator._core.arrays import Pytree
+from aleator._core.arrays import Pytree, in_library, jax_array
 from aleator._core.compilation import Use
 from aleator._core.errors import ExpansionWarning, ProblemError
 from aleator._core.tracing import evaluate
@@ -94,7 +93,7 @@ def _in_elements(sampler: Sampler, wish: MultiElement) -> ElementExpanded:
     refinement.run()
     elements, calls, error = refinement.elements, refinement.calls, refinement.error
     boxes, bases = tuple(one.box for one in elements), tuple(one.basis for one in elements)
-    coefficients = jax.tree.map(lambda *terms: jnp.stack(terms), *(one.coefficients for one in elements))
+    coefficients = jax.tree.map(_stacked, *(one.coefficients for one in elements))
     partition = Partition(refinement.germs, boxes, bases)
     if not error <= wish.error:
         warnings.warn(
@@ -104,6 +103,11 @@ def _in_elements(sampler: Sampler, wish: MultiElement) -> ElementExpanded:
             stacklevel=3,
         )
     return ElementExpanded(sampler.distributions, partition, coefficients, tuple(refinement.splits), calls, error)
+
+
+def _stacked(*terms: Array) -> Array:
+    library, known = in_library(list(terms))
+    return jax_array(library.stack(known))
 
 
 def _discretised(sampler: Sampler, expansion: Expansion) -> Discretisation:

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Array
 
 from aleator._core.arrays import Pytree, numbers_to_arrays
+from aleator._core.compilation import Use
 from aleator._core.errors import ExpansionWarning, ProblemError, SimulationError
 from aleator._core.given import one_of, refusal
 from aleator._core.leaves import transparent
@@ -117,9 +118,9 @@ def galerkin(
         outputs = simulate(GalerkinSystem(system.states, realised, quadrature), grid, {}, integrator)
         return {name: jnp.moveaxis(values, 1, 0) for name, values in outputs.items()}
 
-    coefficients = trace(projected, numbers, quadrature, code=(model, integrator), name=type(system).__name__)(
-        numbers, quadrature
-    )
+    use = Use.ONCE if isinstance(system, AlgebraicSystem) else Use.LOOPS
+    written = {"code": (model, integrator), "name": type(system).__name__}
+    coefficients = trace(projected, numbers, quadrature, **written, use=use)(numbers, quadrature)
     distributions = {name: distribution.initial() for name, distribution in places.distributions.items()}
     expanded = Expanded(distributions, basis, coefficients, None, None, expansion.tolerance)
     if isinstance(grid, Grid):

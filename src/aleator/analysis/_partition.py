@@ -5,10 +5,10 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple, final
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from aleator._core.arrays import in_library, jax_array
 from aleator.analysis._box import Box
 from aleator.expansion import Basis, GaussPoints, HammersleyPoints
 from aleator.uncertainty import AbstractGerm
@@ -29,10 +29,9 @@ class Scattered(NamedTuple):
 
     def evaluate(self, coefficients: Float[Array, "elements terms *shape"]) -> Float[Array, "points *shape"]:
         """A piecewise expansion at the points, in the order given."""
-        pieces = [
-            jnp.tensordot(matrix, coefficients[k], axes=1) for k, matrix in enumerate(self.matrices) if len(matrix)
-        ]
-        return jnp.concatenate(pieces)[self.back]
+        library, terms = in_library(coefficients)
+        pieces = [library.tensordot(matrix, terms[k], axes=1) for k, matrix in enumerate(self.matrices) if len(matrix)]
+        return jax_array(library.concatenate(pieces)[self.back])
 
 
 @final

@@ -3,10 +3,10 @@
 from dataclasses import replace
 from typing import final
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from aleator._core.arrays import jax_array
 from aleator.analysis._box import Box
 from aleator.analysis._element import Element, element, flat
 from aleator.analysis._multi_element import MultiElement
@@ -83,7 +83,7 @@ class Refinement:
         """Raise the errors of elements to those at fresh points, which no fit has used."""
         levels = random_levels(self._generator, _FRESH_POINTS, len(self.germs))
         points = at_levels(self.germs.values(), levels)
-        values = flat(self._sampler.samples(jnp.asarray(points)))
+        values = flat(self._sampler.samples(jax_array(points)))
         self.calls += _FRESH_POINTS
         self._fresh_variance = np.array([one.var(axis=0).sum() for one in values])
         for k, one in enumerate(self.elements):

@@ -4,11 +4,10 @@ from collections.abc import Callable
 from typing import Any, final
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from aleator._core.arrays import Pytree, numbers_to_arrays
+from aleator._core.arrays import Pytree, jax_array, numbers_to_arrays
 from aleator.analysis._inputs import plain
 from aleator.ensemble import CalledEnsemble, Function, TracedEnsemble, uncertain_places
 from aleator.uncertainty import AbstractDistribution
@@ -46,7 +45,7 @@ class Sampler:
 
     def known(self, points: Float[Any, "points variables"]) -> Pytree:
         """The same as plain numbers, even under differentiation. Raises `ProblemError` inside `jax.jit`."""
-        return plain(self.samples(jnp.asarray(points)))
+        return plain(self.samples(jax_array(points)))
 
 
 @final
@@ -58,9 +57,10 @@ class _Once:
         self._known: dict[bytes, Pytree] = {}
 
     def __call__(self, points: Float[Array, "points variables"]) -> Pytree:
-        keys = [point.tobytes() for point in np.asarray(points)]
-        new = {key: point for key, point in zip(keys, points, strict=True) if key not in self._known}
+        known = np.asarray(points)
+        keys = [point.tobytes() for point in known]
+        new = {key: point for key, point in zip(keys, known, strict=True) if key not in self._known}
         if new:
-            outputs = self._ensemble(jnp.stack(list(new.values())), before=len(self._known))
+            outputs = self._ensemble(np.stack(list(new.values())), before=len(self._known))
             self._known |= {key: jax.tree.map(lambda leaf, i=i: leaf[i], outputs) for i, key in enumerate(new)}
-        return jax.tree.map(lambda *values: jnp.asarray(np.stack(values)), *(self._known[key] for key in keys))
+        return jax.tree.map(lambda *values: jax_array(np.stack(values)), *(self._known[key] for key in keys))

@@ -13,9 +13,11 @@ from jaxtyping import Array, Bool, Float, Int
 from typing_extensions import override
 
 from aleator._core.arrays import is_number, numbers_to_arrays
+from aleator._core.compilation import Use
 from aleator._core.errors import ProblemError
 from aleator._core.given import traceable
 from aleator._core.leaves import named_leaves
+from aleator._core.tracing import trace
 from aleator.dynamics._abstract_system import AbstractSystem
 from aleator.dynamics._newton import Root, newton
 from aleator.dynamics._system import as_outputs, called, starting, state_type
@@ -130,7 +132,8 @@ def explain_failure(system: AlgebraicSystem) -> str:
     guess = first_guess(system)
     if not system.unknowns:
         return ""
-    root, named = _root(system, guess)
+    _, named = ravel_pytree(guess)
+    root = trace(lambda: _root(system, guess)[0], use=Use.ONCE)()
     if root.converged:
         return ""
     worst = int(np.argmax(np.nan_to_num(np.abs(root.relative), nan=np.inf)))

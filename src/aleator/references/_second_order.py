@@ -9,8 +9,10 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from aleator._core.arrays import Pytree
+from aleator._core.compilation import Use
 from aleator._core.errors import ProblemError
-from aleator.ensemble import Function, part
+from aleator._core.tracing import evaluate, trace
+from aleator.ensemble import Function, name_of, part
 from aleator.references._inputs import Inputs, traceable
 from aleator.statistics._moments import root
 from aleator.uncertainty import AbstractGerm, HermiteGerm, SampleGerm
@@ -75,9 +77,14 @@ def second_order(function: Function, model: Pytree) -> SecondOrder:
 
     checked, means = traceable("second_order", outputs), variables.means
     gradient = jax.jacfwd(checked)
-    expansion = checked(means), gradient(means), jax.jacfwd(gradient)(means)
+
+    def taylor(means: Float[Array, " variables"]) -> tuple[Pytree, Pytree, Pytree]:
+        return checked(means), gradient(means), jax.jacfwd(gradient)(means)
+
+    expansion = trace(taylor, means, code=function, name=name_of(function), use=Use.ONCE)(means)
     inputs.refuse_nonfinite(expansion)
-    moments = [_moments(variables, *leaves) for leaves in zip(*map(jax.tree.leaves, expansion), strict=True)]
+    leaves = zip(*map(jax.tree.leaves, expansion), strict=True)
+    moments = [evaluate(_moments, variables, *each, use=Use.ONCE) for each in leaves]
     structure = jax.tree.structure(expansion[0])
     return SecondOrder(*(jax.tree.unflatten(structure, one) for one in zip(*moments, strict=True)))
 

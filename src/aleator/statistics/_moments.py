@@ -77,9 +77,10 @@ _ROUNDING = 1e-12
 
 def varies(coefficients: Float[Array, "terms *shape"]) -> Bool[Array, "*shape"]:
     """Whether an output varies beyond rounding. NaN and infinite values count as varying."""
-    variance = jnp.sum(coefficients[1:] ** 2, axis=0)
-    constant = (variance == 0) | (variance < _ROUNDING**2 * jnp.sum(coefficients**2, axis=0))
-    return ~constant
+    library, coefficients = in_library(coefficients)
+    variance = library.sum(coefficients[1:] ** 2, axis=0)
+    constant = (variance == 0) | (variance < _ROUNDING**2 * library.sum(coefficients**2, axis=0))
+    return jax_array(~constant)
 
 
 def root(square: Float[Array, "*shape"]) -> Float[Array, "*shape"]:

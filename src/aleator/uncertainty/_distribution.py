@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from aleator._core.arrays import Scalar
+from aleator._core.arrays import Scalar, jax_array
 from aleator._core.errors import ProblemError
 from aleator._core.given import a_name
 from aleator._core.leaves import AbstractLeaf, is_traced
@@ -211,7 +211,7 @@ class AbstractDistribution(AbstractLeaf):
             germ = self.transport(germ, reference, shape)
         elif is_traced(shape):
             germ = self.anchor(germ, shape)
-        return jnp.asarray(location + scale * germ)
+        return jax_array(location + scale * germ)
 
     def value_at_normal(self, normal: Float[Array, ""]) -> Float[Array, ""]:
         """The number at the same probability level as the standard normal value `normal`."""

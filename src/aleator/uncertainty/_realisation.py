@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from aleator._core.arrays import Pytree, is_number
+from aleator._core.arrays import Pytree, in_library, is_number
 from aleator._core.leaves import is_leaf, named_leaves
 from aleator.uncertainty._at_mean import AtMean, free
 from aleator.uncertainty._decision import Decision
@@ -39,7 +39,8 @@ def uncertain_numbers(
     places: Placements, germ: Float[Array, " variables"], decisions: Float[Array, " n"]
 ) -> dict[str, Float[Array, ""]]:
     """The values of a model's distributions at one germ point, by name."""
-    variables = dict(zip(places.germ_names, germ, strict=True))
+    _, numbers = in_library(germ)
+    variables = dict(zip(places.germ_names, numbers, strict=True))
     values = {}
     for name, distribution in places.distributions.items():
         own = tuple(variables[variable] for variable in distribution.germ_names(name))
