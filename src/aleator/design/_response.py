@@ -89,7 +89,7 @@ def _outputs(functionals: Iterable[AbstractFunctional]) -> frozenset[str]:
 
 
 class Broken(NamedTuple):
-    """Where outputs are not finite first: the output's name, the realisation's place among all, and the instant's."""
+    """The first non-finite output: its name, and the indices of the realisation and of the instant."""
 
     name: str
     point: int

@@ -1,7 +1,7 @@
-"""Collocation schemes: how the states of a simultaneous program follow their rates from one node to the next.
+"""Collocation schemes for simultaneous transcription: how states follow from their rates between nodes.
 
-Over each interval of a mesh the states are polynomials whose rates agree with the dynamics at the scheme's stages. What
-tells one scheme from another is where the stages stand (Hairer, Nørsett and Wanner, Solving Ordinary Differential
+Over each interval of a mesh the states are polynomials whose rates agree with the dynamics at the scheme's stages.
+Schemes differ only in the positions of their stages (Hairer, Nørsett and Wanner, Solving Ordinary Differential
 Equations I, II.7; Betts, Practical Methods for Optimal Control, chapter 4).
 """
 
@@ -18,33 +18,33 @@ from typing_extensions import override
 from aleator._core.errors import ProblemError
 from aleator._core.given import whole
 
-# Beyond it the points cannot be told with the accuracy of the arithmetic, and no program gains.
+# With more stages the points lose accuracy in 64-bit arithmetic, without any gain.
 _MOST_STAGES = 12
 
 
 @dataclass(frozen=True)
 class AbstractScheme(abc.ABC):
-    """A collocation scheme, told by its stages: all else follows from them."""
+    """A collocation scheme, determined by its stages."""
 
     @property
     @abc.abstractmethod
     def nodes(self) -> Float[np.ndarray, " stages"]:
-        """Where rates agree with the dynamics, as fractions of an interval in ascending order."""
+        """The stages: points where rates agree with the dynamics, as increasing fractions of an interval."""
 
     @property
     @abc.abstractmethod
     def order(self) -> int:
-        """The power of the interval's length by which the error of the states at the nodes falls."""
+        """The order of convergence of the states at the nodes in the interval's length."""
 
     @cached_property
     def points(self) -> Float[np.ndarray, " points"]:
-        """Where the states are variables: the stages and both ends of the interval."""
+        """The points where states are variables: the stages and both ends of the interval."""
         inner = [node for node in self.nodes if 0 < node < 1]
         return np.array([0.0, *inner, 1.0])
 
     @cached_property
     def stages(self) -> slice:
-        """The stages among the points."""
+        """The slice of the stages among the points."""
         return slice(0 if self.nodes[0] == 0 else 1, None if self.nodes[-1] == 1 else -1)
 
     @cached_property
@@ -85,7 +85,7 @@ class Trapezoid(AbstractScheme):
 @final
 @dataclass(frozen=True)
 class HermiteSimpson(AbstractScheme):
-    """Hermite's cubic and Simpson's rule, of order 4, the state in the middle being a variable (Lobatto IIIA)."""
+    """The Hermite-Simpson method of order 4, with the midpoint state as a variable (Lobatto IIIA)."""
 
     @property
     @override
@@ -101,7 +101,7 @@ class HermiteSimpson(AbstractScheme):
 @final
 @dataclass(frozen=True)
 class Radau(AbstractScheme):
-    """Radau's points with the interval's end among them (Radau IIA), of order `2 stages - 1`: for stiff systems.
+    """Radau points, including the interval's end (Radau IIA), of order `2 stages - 1`: for stiff systems.
 
     Raises `ProblemError` unless there are 1 to 12 stages.
     """
@@ -128,7 +128,7 @@ class Radau(AbstractScheme):
 @final
 @dataclass(frozen=True)
 class GaussLegendre(AbstractScheme):
-    """Gauss's points, of order `2 stages`, none of them at an end: for long smooth motions and controls that jump.
+    """Gauss points, of order `2 stages`, without the ends: for long smooth motions and controls that jump.
 
     Raises `ProblemError` unless there are 1 to 12 stages.
     """

@@ -247,7 +247,7 @@ class Multibody(AbstractMechanical):
 
 @once_for_each
 def _joints_of(model: Multibody) -> list[tuple[str, AbstractJoint]]:
-    """The moving bodies of a model with their joints. Building bodies takes long, and names are asked for often."""
+    """The moving bodies of a model with their joints; cached, since building bodies is slow."""
     plain = jax.tree.map(_as_number, model, is_leaf=_is_no_number)
     now = plain if model._when is not None else at(plain, jnp.zeros(()), None)
     bodies = sorted_bodies(now._bodies())
