@@ -143,6 +143,13 @@ def test_files_that_are_damaged_or_cannot_be_loaded_are_traced_again(first_run, 
     assert traced >= len(files)
 
 
+def test_what_jax_found_in_its_own_cache_is_not_written_again(first_run, tmp_path):
+    shutil.copytree(first_run[0], tmp_path, dirs_exist_ok=True)
+    for path in tmp_path.glob("programs/*/aleator_*-cache"):
+        path.unlink()
+    assert [ran(tmp_path)[0] for _ in range(2)] == [first_run[1]] * 2
+
+
 def test_numbers_alone_trace_nothing(first_run, tmp_path):
     shutil.copytree(first_run[0], tmp_path, dirs_exist_ok=True)
     answer, traced = ran(tmp_path, ("half_width=1e-3", "half_width=0.1"))

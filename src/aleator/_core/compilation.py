@@ -207,8 +207,9 @@ class Compiled:
         lowered = jax.jit(flat).lower(*arguments)
 
         def finish() -> stored.Stored:
+            before = stored.found_by_jax()
             found = stored.Stored(compiled_for(use, lowered), results[0])
-            if name is not None:
+            if name is not None and stored.found_by_jax() == before:
                 stored.keep(name, lowered, found)
             return found
 

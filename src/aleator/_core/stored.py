@@ -57,6 +57,22 @@ def loaded(content: bytes, arguments: tuple[Any, ...]) -> Stored:
     return Stored(serialize_executable.deserialize_and_load(payload, given, given_back), results)
 
 
+_heard = threading.local()
+
+
+def _hear(event: str, **_: Any) -> None:
+    if event.endswith("/cache_hits"):
+        _heard.hits = found_by_jax() + 1
+
+
+jax.monitoring.register_event_listener(_hear)
+
+
+def found_by_jax() -> int:
+    """How many programs this thread has found in JAX's own cache. Written again, such a program has lost its code."""
+    return getattr(_heard, "hits", 0)
+
+
 def keep(name: str, lowered: jax.stages.Lowered, found: Stored) -> None:
     """Keep an executable for later runs; silently skipped if it cannot be written.
 
