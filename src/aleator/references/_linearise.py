@@ -10,10 +10,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from aleator._core.arrays import Pytree, Scalar, in_library, jax_array
+from aleator._core.arrays import Pytree, Scalar, in_library, jax_array, numbers_to_arrays
 from aleator._core.compilation import Use
 from aleator._core.errors import ProblemError
-from aleator._core.tracing import trace
+from aleator._core.tracing import evaluate, trace
 from aleator.ensemble import Function, name_of, part
 from aleator.references._inputs import Inputs, traceable
 from aleator.statistics._moments import root
@@ -160,8 +160,18 @@ def _correlation(distributions: Sequence[AbstractDistribution]) -> Float[Array, 
         if first is not None and second is not None and first.group == second.group:
             factor = jnp.asarray(first.factor)
             rho = factor[first.index] @ factor[second.index]
-            matrix = jnp.asarray(matrix).at[jnp.array([i, j]), jnp.array([j, i])].set(_pearson(one, other, rho))
+            matrix = jnp.asarray(matrix).at[jnp.array([i, j]), jnp.array([j, i])].set(_in_one_program(one, other, rho))
     return matrix
+
+
+def _in_one_program(one: AbstractDistribution, other: AbstractDistribution, rho: Float[Array, ""]) -> Float[Array, ""]:
+    numbers, rest = eqx.partition(numbers_to_arrays((one, other)), eqx.is_array)
+
+    def correlation(numbers: Pytree, rho: Float[Array, ""]) -> Float[Array, ""]:
+        first, second = eqx.combine(numbers, rest)
+        return _pearson(first, second, rho)
+
+    return evaluate(correlation, numbers, rho, use=Use.ONCE)
 
 
 def _pearson(one: AbstractDistribution, other: AbstractDistribution, rho: Float[Array, ""]) -> Float[Array, ""]:
