@@ -204,6 +204,10 @@ class Compiled:
             results[:] = [way.of(result)]
             return way.arrays(result)
 
+        if stored.is_kept(name):
+            # JAX finds programs by their text, this one among others: else it would find one of another name, which
+            # could not be kept under this one.
+            flat.__name__ = f"flat_{name}"
         lowered = jax.jit(flat).lower(*arguments)
 
         def finish() -> stored.Stored:

@@ -36,6 +36,11 @@ class Stored(NamedTuple):
     results: Any
 
 
+def is_kept(name: str | None) -> bool:
+    """Whether programs of a name are kept at all."""
+    return name is not None and _path(name) is not None
+
+
 def read(name: str | None) -> bytes | None:
     """The content of the file with a name, if complete and undamaged; else None."""
     path = None if name is None else _path(name)
