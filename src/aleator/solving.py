@@ -147,6 +147,8 @@ class _Stages(NamedTuple):
         transcribed = transcribe(problem, self.transcription, functools.partial(prepare_judges, factor))
         self.heed()
         begun = None if start is None else transcribed.point(start)
+        if self.transcription.refines:
+            transcribed, begun = self._meshed(transcribed, begun)
         astray = self._astray(transcribed, begun, factor) if multipliers is None else lambda: ""
         transcribed, outcome, (between, finer), worst_case = held_at_worst(
             transcribed, self._attempt, begun, multipliers, factor=factor if is_between else 1, known=known
@@ -170,6 +172,22 @@ class _Stages(NamedTuple):
         misled = at_start if outcome.status in _UNSOLVED else ""
         found = solution_of(transcribed, outcome, between, error, worst_case, misled, self.compiled)
         return _Answer(found, transcribed, outcome.point)
+
+    def _meshed(
+        self, transcribed: AbstractTranscribed, begun: np.ndarray | None
+    ) -> tuple[AbstractTranscribed, np.ndarray | None]:
+        """The problem on a mesh that is fine enough, and where the last one led; where one fails, it stays."""
+        while True:
+            self.heed()
+            outcome = _optimise(transcribed, self.solver, begun, None)
+            if outcome.status is Status.INTERRUPTED:
+                raise KeyboardInterrupt
+            if outcome.status is not Status.SOLVED:
+                return transcribed, begun
+            finer = transcribed.refined(outcome.point)
+            if finer is None:
+                return transcribed, outcome.point
+            transcribed, begun = finer
 
     @staticmethod
     def _astray(transcribed: AbstractTranscribed, start: np.ndarray | None, factor: int) -> Callable[[], str]:

@@ -72,6 +72,7 @@ def solution_of(
             evaluations=outcome.evaluations,
             times=Times(clock.import_seconds, compiled, outcome.seconds),
         ),
+        meshes=transcribed.meshes_at(outcome.point),
     )
 
 

@@ -53,12 +53,24 @@ class AbstractScheme(abc.ABC):
 
         The last row is the scheme's quadrature.
         """
+        return self.integrals(self.points[1:])
+
+    def integrals(self, at: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n stages"]:
+        """The integral of the rates' interpolant from the interval's start to other points, for a unit interval."""
         count = len(self.nodes)
-        interpolation = np.linalg.inv(legendre.legvander(2 * self.nodes - 1, count - 1))
-        ends = legendre.legvander(2 * self.points[1:] - 1, count)
+        ends = legendre.legvander(2 * np.asarray(at) - 1, count)
         start = legendre.legvander(np.array([-1.0]), count)
         integrals = np.stack([_integral(ends, j) - _integral(start, j) for j in range(count)], axis=1)
-        return integrals @ interpolation / 2
+        return integrals @ self._interpolation / 2
+
+    def interpolated(self, at: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n stages"]:
+        """The rates' interpolant at other points of the interval, from the rates at the stages."""
+        return legendre.legvander(2 * np.asarray(at) - 1, len(self.nodes) - 1) @ self._interpolation
+
+    @cached_property
+    def _interpolation(self) -> Float[np.ndarray, "degrees stages"]:
+        """From the rates at the stages to their coefficients in Legendre polynomials."""
+        return np.linalg.inv(legendre.legvander(2 * self.nodes - 1, len(self.nodes) - 1))
 
 
 def _integral(values: Float[np.ndarray, "points degrees"], degree: int) -> Float[np.ndarray, " points"]:

@@ -12,6 +12,7 @@ from aleator.solution._expansion import Tangent as Tangent
 from aleator.solution._expansion import ends as ends
 from aleator.solution._grid_error import Deviation as Deviation
 from aleator.solution._grid_error import GridError as GridError
+from aleator.solution._mesh import MeshError as MeshError
 from aleator.solution._opinion import SecondOpinion as SecondOpinion
 from aleator.solution._solution import Solution as Solution
 from aleator.solution._worst_case import WorstCase as WorstCase

@@ -14,6 +14,7 @@ from aleator.solution._certificate import Certificate, lines
 from aleator.solution._constraint import ConstraintResult
 from aleator.solution._effort import Effort
 from aleator.solution._expansion import Moments
+from aleator.solution._mesh import MeshError
 
 
 @final
@@ -31,7 +32,8 @@ class Solution:
     - `idle`: names of the decisions that were left at their start because nothing was found to depend on them;
     - `multipliers`: of all rows of constraints in one vector, for warm starts; `bound_multipliers`: of the decisions'
       own bounds, by name;
-    - `certificate`: how far the answer can be trusted; `effort`: iterations, evaluations and times.
+    - `certificate`: how far the answer can be trusted; `effort`: iterations, evaluations and times;
+    - `meshes`: of a simultaneous program, with their errors, the one of the answer last; empty for others.
     """
 
     problem: Problem
@@ -49,6 +51,7 @@ class Solution:
     bound_multipliers: Mapping[str, Any]
     certificate: Certificate
     effort: Effort
+    meshes: tuple[MeshError, ...] = ()
 
     @property
     def ok(self) -> bool:
@@ -127,6 +130,7 @@ class Solution:
                 *(("decision", text) for text in decisions),
                 *(("constraint", str(one)) for one in self.constraints),
                 *self.certificate.rows(),
+                *(("mesh", str(one)) for one in self.meshes[-1:]),
                 ("effort", str(self.effort)),
             ]
         )

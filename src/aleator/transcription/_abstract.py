@@ -14,6 +14,7 @@ from aleator._core.compilation import Compiled, Use
 from aleator.design import Problem, functionals_of, history, refuse_changed_code
 from aleator.expansion import Basis, Collocation
 from aleator.nlp import AbstractSolver, NonlinearProgram, default_solver
+from aleator.solution import MeshError
 from aleator.statistics import Constants
 from aleator.transcription._discretisation import RESPOND, Discretised
 from aleator.transcription._resolution import RESOLVE, Resolved
@@ -92,6 +93,19 @@ class AbstractTranscribed(abc.ABC):
     def at_scenarios(self, scenarios: Scenarios) -> Self:
         """The same problem with its limits on the worst case imposed at other scenarios."""
 
+    def meshes_at(self, point: Float[np.ndarray, " variables"]) -> tuple[MeshError, ...]:
+        """The meshes up to this program's own and their errors, at a point of it; none where states are simulated."""
+        del point
+        return ()
+
+    def refined(self, point: Float[np.ndarray, " variables"]) -> tuple[Self, Float[np.ndarray, " variables"]] | None:
+        """The problem on a finer mesh, and the point there that a point of this program stands for.
+
+        None where the mesh is fine enough, or there is none.
+        """
+        del point
+        return None
+
     def decisions(self, point: Float[np.ndarray, " variables"]) -> Float[np.ndarray, " n"]:
         """The problem's decisions at a point, or their part of any vector of the program's variables."""
         return point[self.decided]
@@ -167,6 +181,11 @@ class AbstractTranscription(abc.ABC):
 
         Raises `ProblemError` if it cannot transcribe the problem.
         """
+
+    @property
+    def refines(self) -> bool:
+        """Whether its programs are to be solved on finer meshes until these are fine enough, see `refined`."""
+        return False
 
     @property
     def solver(self) -> AbstractSolver:

@@ -55,6 +55,12 @@ class Mesh:
         np.add.at(found, self.stages, self.lengths[:, None] * self.scheme.weights[-1])
         return found
 
+    def divided(self, parts: Int[np.ndarray, " intervals"]) -> "Mesh":
+        """The mesh with each interval in so many equal parts."""
+        ends = zip(self.nodes[:-1], self.nodes[1:], parts, strict=True)
+        inside = [np.linspace(first, last, count + 1)[:-1] for first, last, count in ends]
+        return Mesh((*np.concatenate(inside).tolist(), self.nodes[-1]), self.scheme)
+
     def instants(self, fractions: Float[np.ndarray, " instants"]) -> Int[np.ndarray, " instants"]:
         """The numbers of the points that the instants of a grid are."""
         nearest = np.abs(np.array(self.nodes) - np.asarray(fractions)[:, None]).argmin(axis=1)

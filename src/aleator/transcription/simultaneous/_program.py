@@ -6,7 +6,7 @@ from typing import final
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from aleator._core.compilation import Bound, Compiled, Use
 from aleator.design import Problem, refuse_changed_code
@@ -55,8 +55,8 @@ CURVE = Compiled(_curve, use=Use.ROWS, unchanged=refuse_changed_code)
 class Assembled:
     """Evaluates a program: its blocks by compiled functions, its matrices by assembly.
 
-    - `gradient_columns`: the variables of the objective; `objective`: its row and its entries among those of all
-      blocks.
+    - `objective`: its row and its entries among those of all blocks, and the variables of these; `rates`: the rows of
+      the rates at the points where the scheme asks for them.
     """
 
     rows: Rows
@@ -65,6 +65,7 @@ class Assembled:
     jacobian: Jacobian
     curvature: Curvature
     objective: tuple[int, slice, np.ndarray]
+    rates: Int[np.ndarray, "realisations asked rates"]
 
     @classmethod
     def of(
@@ -99,6 +100,7 @@ class Assembled:
             Jacobian.of(rows.linear, rows.combined, patterns),
             Curvature.of(patterns, layout.count),
             (int(objective.rows.item()), entries, objective.columns.ravel()),
+            patterns[2].rows,
         )
 
     def blocks(self, variables: Float[np.ndarray, " n"]) -> tuple[np.ndarray, np.ndarray]:

@@ -5,7 +5,7 @@ unstable, stiff or held within bounds can be designed that cannot be simulated a
 """
 
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar, final
+from typing import Any, ClassVar, NamedTuple, final
 
 import jax
 import jax.numpy as jnp
@@ -16,7 +16,7 @@ from typing_extensions import override
 from aleator._core.arrays import numbers_to_arrays
 from aleator._core.compilation import Compiled, Use
 from aleator._core.errors import ProblemError
-from aleator._core.given import one_of
+from aleator._core.given import one_of, positive
 from aleator.design import (
     Problem,
     expanded_functionals,
@@ -27,6 +27,7 @@ from aleator.design import (
 )
 from aleator.dynamics import AbstractScheme, Grid, HermiteSimpson
 from aleator.nlp import HELD, AbstractSolver, Evaluation, Ipopt, Magnitudes, NonlinearProgram
+from aleator.solution import MeshError
 from aleator.statistics import Constants
 from aleator.transcription._abstract import AbstractTranscribed, AbstractTranscription, Meaning, Meanwhile
 from aleator.transcription._discretisation import Discretised, discretised
@@ -38,10 +39,14 @@ from aleator.transcription._texts import Texts
 from aleator.transcription.simultaneous._first_point import started
 from aleator.transcription.simultaneous._layout import Layout, Plan
 from aleator.transcription.simultaneous._mesh import Mesh
+from aleator.transcription.simultaneous._mesh_error import BETWEEN, interval_errors, parts_of, states_on
 from aleator.transcription.simultaneous._program import CURVE, EVALUATE, Assembled
 from aleator.transcription.simultaneous._scales import scales
-from aleator.transcription.simultaneous._start import SIMULATED
+from aleator.transcription.simultaneous._start import SIMULATED, simulated_states
 from aleator.uncertainty import named_numbers, placements
+
+# So many meshes at most, and the least error that may be asked for.
+_MOST_MESHES, _LEAST_ERROR = 8, 1e-12
 
 
 def _told(problem: Problem, constants: Constants, at: tuple[Any, ...]) -> tuple[jax.Array, ...]:
@@ -64,10 +69,15 @@ TOLD = Compiled(_told, use=Use.ONCE, unchanged=refuse_changed_code)
 @final
 @dataclass(frozen=True, kw_only=True)
 class SimultaneouslyTranscribed(AbstractTranscribed):
-    """A problem as a sparse program in its decisions and in the states of all realisations at the points of a mesh."""
+    """A problem as a sparse program in its decisions and in the states of all realisations at the points of a mesh.
+
+    - `accuracy`: the error of an interval that is asked for, infinite for none; `meshes`: those before.
+    """
 
     layout: Layout
     assembled: Assembled
+    accuracy: float
+    meshes: tuple[MeshError, ...] = ()
 
     @property
     @override
@@ -76,7 +86,8 @@ class SimultaneouslyTranscribed(AbstractTranscribed):
 
     @override
     def point(self, decisions: Float[np.ndarray, " n"]) -> Float[np.ndarray, " variables"]:
-        return started(self.layout, self.assembled, self.problem, self.points, decisions)
+        states = simulated_states(self.problem, self.layout.plan.mesh, self.points, decisions)
+        return started(self.layout, self.assembled, decisions, states)
 
     @override
     def at(self, point: Float[np.ndarray, " variables"]) -> Meaning:
@@ -111,67 +122,107 @@ class SimultaneouslyTranscribed(AbstractTranscribed):
     @override
     def at_scenarios(self, scenarios: Scenarios) -> "SimultaneouslyTranscribed":
         found = self.discretised._replace(constants=replace(self.constants, scenarios=jnp.asarray(scenarios.points)))
-        return _transcribed(self.problem, self.traced, found, scenarios, self.layout.plan.mesh)
+        way = _Way(self.problem, self.traced, found, scenarios, self.accuracy)
+        return replace(way.transcribed(self.layout.plan.mesh), meshes=self.meshes)
+
+    @override
+    def meshes_at(self, point: Float[np.ndarray, " variables"]) -> tuple[MeshError, ...]:
+        return *self.meshes, self._mesh_error(point)
+
+    @override
+    def refined(
+        self, point: Float[np.ndarray, " variables"]
+    ) -> "tuple[SimultaneouslyTranscribed, Float[np.ndarray, ' variables']] | None":
+        error, mesh = self._mesh_error(point), self.layout.plan.mesh
+        if error.is_met or len(self.meshes) + 1 == _MOST_MESHES:
+            return None
+        finer = mesh.divided(parts_of(error.errors, self.accuracy, len(mesh.scheme.nodes)))
+        values = self.layout.view(point)
+        states = states_on(mesh, finer, values.states, self._rates(point))
+        way = _Way(self.problem, self.traced, self.discretised, self.scenarios, self.accuracy)
+        found = way.transcribed(finer, (values.decisions, states))
+        return replace(found, meshes=(*self.meshes, error)), found.program.start
+
+    def _rates(self, point: Float[np.ndarray, " variables"]) -> Float[np.ndarray, "realisations asked rates"]:
+        return self.assembled.blocks(point)[0][self.assembled.rates]
+
+    def _mesh_error(self, point: Float[np.ndarray, " variables"]) -> MeshError:
+        layout, size = self.layout, self.program.variable_scale
+        errors = interval_errors(self.traced, layout, self.points, self._rates(point), point, size)
+        times = self.at(point).times
+        nodes = times[0] + np.array(layout.plan.mesh.nodes) * (times[-1] - times[0])
+        return MeshError(nodes, errors, self.accuracy)
 
 
-def _transcribed(
-    problem: Problem, traced: Problem, found: Discretised, scenarios: Scenarios | None, mesh: Mesh
-) -> SimultaneouslyTranscribed:
-    collocation, constants = found.collocation, found.constants
-    points = np.asarray(collocation.points)
-    every = points if scenarios is None else np.concatenate([points, scenarios.points])
-    fit = np.asarray(collocation.pseudo_inverse)
-    layout = Layout.of(problem, Plan(mesh, len(points), len(every) - len(points), len(fit)))
-    is_known = not _decides_signals(problem)
-    assembled = Assembled.of(layout, traced, constants, every, fit, is_known)
-    first, lower, upper = (problem.placements.vector(name) for name in ("initial", "lower", "upper"))
-    start = started(layout, assembled, problem, every, first)
-    typical, ties = decision_scales(first, lower, upper), assembled.rows.ties
-    evaluation = assembled(start)
-    scale = scales(layout, ties, start, evaluation, typical)
-    lowest, highest = np.full(layout.count, -np.inf), np.full(layout.count, np.inf)
-    lowest[: first.size], highest[: first.size] = lower, upper
-    if is_known:
-        fixed = np.append(layout.numbers.signals.ravel(), layout.numbers.duration)
-        lowest[fixed] = highest[fixed] = start[fixed]
-    rows = assembled.rows
-    own_lower, own_upper = row_bounds(problem.constraints, rows.own, scenarios)
-    tied = np.zeros(len(ties.stands_for))
-    sizing = Sizing(problem.constraints, rows.own, scale, [0.0] * len(rows.own))
+class _Way(NamedTuple):
+    """What a program is made from, beside a mesh."""
 
-    def magnitudes(variables: np.ndarray, evaluation: Evaluation) -> Magnitudes:
-        here = scales(layout, ties, variables, evaluation, typical)
-        size, by = replace(sizing, decision_scale=here).at(variables, evaluation)
-        return Magnitudes(np.append(size, here[ties.stands_for]), np.append(by, here[ties.stands_for]))
+    problem: Problem
+    traced: Problem
+    found: Discretised
+    scenarios: Scenarios | None
+    accuracy: float
 
-    values, slopes = ([part[one] for one in rows.own] for part in (evaluation.constraints, evaluation.jacobian))
-    sizes = sizing.each(start, values, slopes)
-    program = NonlinearProgram(
-        evaluate=assembled,
-        start=start,
-        lower=lowest,
-        upper=highest,
-        constraint_lower=np.append(own_lower, tied),
-        constraint_upper=np.append(own_upper, tied),
-        constraint_scale=np.append(spread(rows.own, [one.scale for one in sizes]), scale[ties.stands_for]),
-        variable_scale=scale,
-        sparsity=assembled.jacobian.sparsity,
-        hessian=assembled.hessian,
-        magnitudes=magnitudes,
-        least=least_objective(problem),
-    )
-    return SimultaneouslyTranscribed(
-        problem,
-        traced,
-        found,
-        program,
-        rows.own,
-        tuple(one.size for one in sizes),
-        Texts.of(problem),
-        scenarios,
-        layout=layout,
-        assembled=assembled,
-    )
+    def transcribed(self, mesh: Mesh, begun: tuple[np.ndarray, np.ndarray] | None = None) -> SimultaneouslyTranscribed:
+        """The program on a mesh. It begins at given decisions and states, or where the problem's own are simulated."""
+        problem, traced, found, scenarios = self.problem, self.traced, self.found, self.scenarios
+        collocation, constants = found.collocation, found.constants
+        points = np.asarray(collocation.points)
+        every = points if scenarios is None else np.concatenate([points, scenarios.points])
+        fit = np.asarray(collocation.pseudo_inverse)
+        layout = Layout.of(problem, Plan(mesh, len(points), len(every) - len(points), len(fit)))
+        is_known = not _decides_signals(problem)
+        assembled = Assembled.of(layout, traced, constants, every, fit, is_known)
+        first, lower, upper = (problem.placements.vector(name) for name in ("initial", "lower", "upper"))
+        decisions, states = begun or (first, simulated_states(problem, mesh, every, first))
+        start = started(layout, assembled, decisions, states)
+        typical, ties = decision_scales(first, lower, upper), assembled.rows.ties
+        evaluation = assembled(start)
+        scale = scales(layout, ties, start, evaluation, typical)
+        lowest, highest = np.full(layout.count, -np.inf), np.full(layout.count, np.inf)
+        lowest[: first.size], highest[: first.size] = lower, upper
+        if is_known:
+            fixed = np.append(layout.numbers.signals.ravel(), layout.numbers.duration)
+            lowest[fixed] = highest[fixed] = start[fixed]
+        rows = assembled.rows
+        own_lower, own_upper = row_bounds(problem.constraints, rows.own, scenarios)
+        tied = np.zeros(len(ties.stands_for))
+        sizing = Sizing(problem.constraints, rows.own, scale, [0.0] * len(rows.own))
+
+        def magnitudes(variables: np.ndarray, evaluation: Evaluation) -> Magnitudes:
+            here = scales(layout, ties, variables, evaluation, typical)
+            size, by = replace(sizing, decision_scale=here).at(variables, evaluation)
+            return Magnitudes(np.append(size, here[ties.stands_for]), np.append(by, here[ties.stands_for]))
+
+        values, slopes = ([part[one] for one in rows.own] for part in (evaluation.constraints, evaluation.jacobian))
+        sizes = sizing.each(start, values, slopes)
+        program = NonlinearProgram(
+            evaluate=assembled,
+            start=start,
+            lower=lowest,
+            upper=highest,
+            constraint_lower=np.append(own_lower, tied),
+            constraint_upper=np.append(own_upper, tied),
+            constraint_scale=np.append(spread(rows.own, [one.scale for one in sizes]), scale[ties.stands_for]),
+            variable_scale=scale,
+            sparsity=assembled.jacobian.sparsity,
+            hessian=assembled.hessian,
+            magnitudes=magnitudes,
+            least=least_objective(problem),
+        )
+        return SimultaneouslyTranscribed(
+            problem,
+            traced,
+            found,
+            program,
+            rows.own,
+            tuple(one.size for one in sizes),
+            Texts.of(problem),
+            scenarios,
+            layout=layout,
+            assembled=assembled,
+            accuracy=self.accuracy,
+        )
 
 
 def _decides_signals(problem: Problem) -> bool:
@@ -188,17 +239,31 @@ class Simultaneous(AbstractTranscription):
     The way for long, unstable or stiff systems and for limits on states. Its programs are large and sparse, with exact
     second derivatives, and solved by interior points.
 
-    - `scheme`: how states follow their rates, such as `al.schemes.Radau(3)`.
+    - `scheme`: how states follow their rates, such as `al.schemes.Radau(3)`;
+    - `error`: the error of the states that is asked of every interval of the mesh, relative to their magnitudes. The
+      mesh begins as the steps of the grid; intervals that err more are divided until all are as accurate. None leaves
+      it as it is.
 
     Raises `ProblemError` for an algebraic system, and for statistics that are integrated over time.
     """
 
     scheme: AbstractScheme = field(default_factory=HermiteSimpson)
+    error: float | None = None
 
-    programs: ClassVar[tuple[Compiled, ...]] = (EVALUATE, CURVE, SIMULATED, TOLD)
+    programs: ClassVar[tuple[Compiled, ...]] = (EVALUATE, CURVE, SIMULATED, TOLD, BETWEEN)
 
     def __post_init__(self) -> None:
         one_of("Simultaneous: scheme", self.scheme, AbstractScheme, "al.schemes.HermiteSimpson()")
+        if self.error is not None and not _LEAST_ERROR <= positive("Simultaneous: error", self.error) < 1:
+            raise ProblemError(
+                f"Simultaneous: error: expected {_LEAST_ERROR:g} (64-bit arithmetic gives no more) to below 1; "
+                f"received {self.error!r}."
+            )
+
+    @property
+    @override
+    def refines(self) -> bool:
+        return self.error is not None
 
     @property
     @override
@@ -214,7 +279,8 @@ class Simultaneous(AbstractTranscription):
         meanwhile(problem, found)
         assert isinstance(problem.grid, Grid)
         mesh = Mesh(tuple(problem.grid.fractions.tolist()), self.scheme)
-        return _transcribed(problem, traced, found, scenarios, mesh)
+        accuracy = np.inf if self.error is None else float(self.error)
+        return _Way(problem, traced, found, scenarios, accuracy).transcribed(mesh)
 
 
 def _refuse(problem: Problem) -> None:

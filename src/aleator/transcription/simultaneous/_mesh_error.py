@@ -1,0 +1,103 @@
+"""The error of a mesh: how far states drift from their equations between the points at which a scheme holds them.
+
+Over an interval a scheme's states are polynomials. The integral of the magnitude by which their rates miss those of the
+dynamics is an estimate of the error that the interval adds (Betts, Practical Methods for Optimal Control, 4.6).
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+from numpy.polynomial import legendre
+
+from aleator._core.compilation import Compiled, Use
+from aleator.design import Problem, refuse_changed_code
+from aleator.transcription.simultaneous._layout import Layout
+from aleator.transcription.simultaneous._mesh import Mesh
+from aleator.transcription.simultaneous._pointwise import Pointwise
+
+# Between two meshes an interval is divided into at most so many parts; each is to be this much better than asked.
+_MOST_PARTS, _AHEAD = 8, 2.0
+
+
+def _between(
+    problem: Problem, points: Float[Array, "realisations germs"], fractions: tuple[float, ...], at: tuple[Array, ...]
+) -> Float[Array, "realisations asked rates"]:
+    """The rates of all states at some fractions of the duration, from decisions, duration and the states there."""
+    decisions, duration, states = at
+    asked = Pointwise.of(problem)
+    signals, shared = asked.known(np.array(fractions), decisions), jnp.append(decisions[asked.direct], duration)
+
+    def one(germ: Array, fraction: Array, signal: Array, state: Array) -> Array:
+        return asked.rates(germ, fraction, shared, jnp.concatenate([signal, state]))[: state.size]
+
+    inner = jax.vmap(one, in_axes=(None, 0, 0, 0))
+    return jax.vmap(inner, in_axes=(0, None, None, 0))(points, jnp.asarray(fractions), signals, states)
+
+
+BETWEEN = Compiled(_between, use=Use.ONCE, unchanged=refuse_changed_code)
+
+
+def interval_errors(
+    traced: Problem,
+    layout: Layout,
+    points: Float[np.ndarray, "realisations germs"],
+    rates: Float[np.ndarray, "realisations asked rates"],
+    variables: Float[np.ndarray, " n"],
+    scales: Float[np.ndarray, " n"],
+) -> Float[np.ndarray, " intervals"]:
+    """The largest error of each interval over realisations and states, relative to the magnitudes of these.
+
+    - `rates`: of the states at the points where the scheme asks for them.
+    """
+    mesh, values = layout.plan.mesh, layout.view(variables)
+    count = values.states.shape[2]
+    if not count:
+        return np.zeros(len(mesh.lengths))
+    nodes, weights = legendre.leggauss(len(mesh.scheme.nodes) + 2)
+    inner, weights = (1 + nodes) / 2, weights / 2
+    fractions = np.array(mesh.nodes)[:-1, None] + mesh.lengths[:, None] * inner
+    states = states_within(mesh, values.states, rates, inner)
+    flat = states.reshape(len(states), -1, count)
+    at = jnp.asarray(values.decisions), jnp.asarray(values.duration[0]), jnp.asarray(flat)
+    found = np.asarray(BETWEEN(traced, jnp.asarray(points), tuple(fractions.ravel().tolist()), at))
+    polynomial = np.einsum("qi,pkis->pkqs", mesh.scheme.interpolated(inner), rates[:, mesh.stages, :count])
+    missed = np.abs(polynomial - found.reshape(states.shape))
+    drift = mesh.lengths[None, :, None] * np.einsum("q,pkqs->pks", weights, missed)
+    size = layout.view(scales).states[:, :1]
+    return np.max(drift / size, axis=(0, 2))
+
+
+def states_within(
+    mesh: Mesh,
+    states: Float[np.ndarray, "realisations points states"],
+    rates: Float[np.ndarray, "realisations asked rates"],
+    inner: Float[np.ndarray, " inner"],
+) -> Float[np.ndarray, "realisations intervals inner states"]:
+    """The states at some fractions of every interval, by the scheme's own polynomials."""
+    slopes = rates[:, mesh.stages, : states.shape[2]]
+    moved = np.einsum("qi,pkis->pkqs", mesh.scheme.integrals(inner), slopes)
+    return states[:, mesh.points[:, 0], None] + mesh.lengths[None, :, None, None] * moved
+
+
+def states_on(
+    mesh: Mesh,
+    finer: Mesh,
+    states: Float[np.ndarray, "realisations points states"],
+    rates: Float[np.ndarray, "realisations asked rates"],
+) -> Float[np.ndarray, "realisations finer states"]:
+    """The states at the points of a finer mesh, by the polynomials of a coarser one."""
+    at = finer.fractions
+    which = np.clip(np.searchsorted(mesh.nodes, at, side="right") - 1, 0, len(mesh.lengths) - 1)
+    inside = (at - np.array(mesh.nodes)[which]) / mesh.lengths[which]
+    moved = np.einsum("mi,pmis->pms", mesh.scheme.integrals(inside), rates[:, mesh.stages, : states.shape[2]][:, which])
+    return states[:, mesh.points[which, 0]] + mesh.lengths[which][None, :, None] * moved
+
+
+def parts_of(errors: Float[np.ndarray, " intervals"], asked: float, stages: int) -> Int[np.ndarray, " intervals"]:
+    """In how many parts each interval of a mesh is to be divided, for its error to be what is asked.
+
+    Between the stages, rates that are interpolated err by the power of their number, and states by one more.
+    """
+    needed = np.ceil((_AHEAD * errors / asked) ** (1 / (stages + 1))).astype(int)
+    return np.where(errors > asked, np.clip(needed, 2, _MOST_PARTS), 1)
