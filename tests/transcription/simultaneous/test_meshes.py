@@ -46,7 +46,7 @@ def test_a_mesh_is_refined_until_its_error_is_what_is_asked(name):
 
 
 def test_the_estimated_error_is_that_of_the_states():
-    """The estimate is no less than a tenth of the error, and falls by the fourth power, that of three stages and one."""
+    """It is no less than a tenth of the error, and falls by the fourth power: that of three stages, and one more."""
     found = [al.solve(swing(n), transcription=al.Simultaneous(), accuracy=0.5) for n in (40, 80)]
     exact = al.solve(swing(1600)).objective
     errors = [abs(one.objective - exact) for one in found]
