@@ -184,6 +184,13 @@ _CONSTRUCTORS: dict[str, tuple[Callable[..., Any], dict[str, Any], dict[str, Map
     "Kvaerno5": (al.integrators.Kvaerno5, {}, {"rtol": POSITIVE, "atol": POSITIVE, "max_steps": COUNT}),
     "Tsit5": (al.integrators.Tsit5, {}, {"rtol": POSITIVE, "max_steps": COUNT}),
     "FilterSQP": (al.solvers.FilterSQP, {}, {"tolerance": POSITIVE, "max_iterations": COUNT, "radius": POSITIVE}),
+    "Simultaneous": (
+        al.Simultaneous,
+        {},
+        {"scheme": NO_OBJECT, "error": without(POSITIVE, "nothing") | {"two": 2.0, "tiny": 1e-15}},
+    ),
+    "Radau": (al.schemes.Radau, {}, {"stages": COUNT | {"fifty": 50}}),
+    "GaussLegendre": (al.schemes.GaussLegendre, {}, {"stages": COUNT | {"fifty": 50}}),
     "Ipopt": (al.solvers.Ipopt, {}, {"tolerance": POSITIVE, "max_iterations": COUNT}),
     "InteriorPoint": (al.solvers.InteriorPoint, {}, {"tolerance": POSITIVE, "max_iterations": COUNT}),
     "Slsqp": (al.solvers.Slsqp, {}, {"tolerance": POSITIVE, "max_iterations": COUNT, "max_rounds": COUNT}),
@@ -398,6 +405,12 @@ _STUDIES: dict[str, tuple[Callable[..., Any], dict[str, Any], dict[str, Mapping[
         },
     ),
     "solve itself": (al.solve, {}, {"#0": REQUIRED}),
+    "cross_check": (
+        lambda **a: al.cross_check(problem(), **a),
+        {},
+        {"first": REQUIRED, "second": NO_OBJECT, "tolerance": POSITIVE},
+    ),
+    "cross_check itself": (al.cross_check, {}, {"#0": REQUIRED}),
     "validate": (OfSolution(al.validate), {}, SAMPLING | {"batch": COUNT}),
     "validate itself": (al.validate, {}, {"#0": REQUIRED}),
     "rare_violation": (

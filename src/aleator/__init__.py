@@ -40,6 +40,7 @@ from aleator.analysis import MultiElement as MultiElement  # noqa: E402
 from aleator.analysis import expand as expand  # noqa: E402
 from aleator.analysis import galerkin as galerkin  # noqa: E402
 from aleator.analysis import tolerance_analysis as tolerance_analysis  # noqa: E402
+from aleator.crosschecking import cross_check as cross_check  # noqa: E402
 from aleator.design import Constraint as Constraint  # noqa: E402
 from aleator.design import Expression as Expression  # noqa: E402
 from aleator.design import Problem as Problem  # noqa: E402

@@ -5,6 +5,7 @@ from aleator.analysis import ElementExpanded as ElementExpanded
 from aleator.analysis import Expanded as Expanded
 from aleator.analysis import ToleranceAnalysis as ToleranceAnalysis
 from aleator.analysis import Zone as Zone
+from aleator.crosschecking import CrossChecked as CrossChecked
 from aleator.expansion import Unseen as Unseen
 from aleator.solution import Between as Between
 from aleator.solution import Certificate as Certificate
@@ -13,6 +14,7 @@ from aleator.solution import Deviation as Deviation
 from aleator.solution import Effort as Effort
 from aleator.solution import ExpansionQuality as ExpansionQuality
 from aleator.solution import GridError as GridError
+from aleator.solution import MeshError as MeshError
 from aleator.solution import Moments as Moments
 from aleator.solution import SecondOpinion as SecondOpinion
 from aleator.solution import Tangent as Tangent

@@ -43,7 +43,7 @@ class AbstractScheme(abc.ABC):
         return np.array([0.0, *inner, 1.0])
 
     @cached_property
-    def stages(self) -> slice:
+    def asked(self) -> slice:
         """The slice of the stages among the points."""
         return slice(0 if self.nodes[0] == 0 else 1, None if self.nodes[-1] == 1 else -1)
 
@@ -118,15 +118,15 @@ class Radau(AbstractScheme):
     Raises `ProblemError` unless there are 1 to 12 stages.
     """
 
-    stage_count: int = 3
+    stages: int = 3
 
     def __post_init__(self) -> None:
-        _check_count("Radau", self.stage_count)
+        _check_count("Radau", self.stages)
 
     @cached_property
     @override
     def nodes(self) -> Float[np.ndarray, " stages"]:  # pyright: ignore[reportIncompatibleMethodOverride]
-        series = np.zeros(self.stage_count + 1)
+        series = np.zeros(self.stages + 1)
         series[-2:] = -1.0, 1.0
         inner = np.sort(legendre.legroots(series).real)[:-1]
         return np.append((1 + inner) / 2, 1.0)
@@ -134,7 +134,7 @@ class Radau(AbstractScheme):
     @property
     @override
     def order(self) -> int:
-        return 2 * self.stage_count - 1
+        return 2 * self.stages - 1
 
 
 @final
@@ -145,20 +145,20 @@ class GaussLegendre(AbstractScheme):
     Raises `ProblemError` unless there are 1 to 12 stages.
     """
 
-    stage_count: int = 3
+    stages: int = 3
 
     def __post_init__(self) -> None:
-        _check_count("GaussLegendre", self.stage_count)
+        _check_count("GaussLegendre", self.stages)
 
     @cached_property
     @override
     def nodes(self) -> Float[np.ndarray, " stages"]:  # pyright: ignore[reportIncompatibleMethodOverride]
-        return (1 + legendre.leggauss(self.stage_count)[0]) / 2
+        return (1 + legendre.leggauss(self.stages)[0]) / 2
 
     @property
     @override
     def order(self) -> int:
-        return 2 * self.stage_count
+        return 2 * self.stages
 
 
 def _check_count(scheme: str, stages: int) -> None:

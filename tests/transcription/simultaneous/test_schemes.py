@@ -42,11 +42,11 @@ def _solved(scheme, intervals):
     for k in range(intervals):
         t, unknown = h * (k + scheme.nodes), np.full(len(scheme.points) - 1, x)
         for _ in range(30):
-            states = np.append(x, unknown)[scheme.stages]
+            states = np.append(x, unknown)[scheme.asked]
             residual = unknown - x - h * scheme.weights @ (np.cos(3 * t) - states**2)
             slopes = np.eye(len(unknown))
-            inside = slice(1, None) if scheme.stages.start == 0 else slice(None)
-            columns = np.arange(len(scheme.points))[scheme.stages][inside] - 1
+            inside = slice(1, None) if scheme.asked.start == 0 else slice(None)
+            columns = np.arange(len(scheme.points))[scheme.asked][inside] - 1
             slopes[:, columns] += h * scheme.weights[:, inside] * 2 * states[inside]
             unknown = unknown - np.linalg.solve(slopes, residual)
         x = unknown[-1]

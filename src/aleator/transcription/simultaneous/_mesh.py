@@ -41,12 +41,12 @@ class Mesh:
     @property
     def asked(self) -> Int[np.ndarray, " asked"]:
         """The numbers of the points at which rates are asked, each once, in ascending order."""
-        return np.unique(self.points[:, self.scheme.stages])
+        return np.unique(self.points[:, self.scheme.asked])
 
     @property
     def stages(self) -> Int[np.ndarray, "intervals stages"]:
         """Which of the points `asked` the stages of each interval are."""
-        return np.searchsorted(self.asked, self.points[:, self.scheme.stages])
+        return np.searchsorted(self.asked, self.points[:, self.scheme.asked])
 
     @property
     def weights(self) -> Float[np.ndarray, " asked"]:
