@@ -104,7 +104,7 @@ CALLS = {
 }
 
 
-@pytest.mark.parametrize("progress", [3, None, True, "bar", lambda task: None], ids=str)
+@pytest.mark.parametrize("progress", [3, None, True, "bar", lambda task: None], ids=lambda one: type(one).__name__)
 @pytest.mark.parametrize("name", CALLS)
 def test_what_is_no_progress_is_refused_before_any_work(name, progress, solution):
     with pytest.raises(al.ProblemError, match=f"^{name}: progress: expected a function of three arguments.*received"):

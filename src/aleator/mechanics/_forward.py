@@ -38,6 +38,7 @@ class ForwardDynamics(AbstractFormulation):
     start: dict[str, Any]
 
     states: ClassVar[tuple[str, ...]] = ("q", "v")
+    signal_fields: ClassVar[tuple[str, ...]] = ("torque",)
 
     def __init__(self, model: AbstractMechanical, *, torque: Any = None, start: Mapping[str, Any] | None = None):
         self.model = model_given("ForwardDynamics", model)

@@ -67,6 +67,7 @@ class HybridDynamics(AbstractFormulation):
     torque_rates: bool = eqx.field(static=True)
 
     states: ClassVar[tuple[str, ...]] = ("q", "v")
+    signal_fields: ClassVar[tuple[str, ...]] = ("motion", "torque")
 
     def __init__(
         self,

@@ -1,5 +1,8 @@
 """Simultaneous programs: their derivatives, their sparsity, and what their first point means."""
 
+from typing import Any
+
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from collocated_problems import crane, everything, oscillator
@@ -74,3 +77,38 @@ def test_entries_grow_with_intervals_and_points_alone():
     (jacobian, hessian), (twice, twice_hessian) = sizes
     assert twice < 2.1 * jacobian
     assert twice_hessian < 2.1 * hessian
+
+
+class Swing(al.Lagrangian):
+    """A point mass of one kilogram on a rod."""
+
+    names = ("angle",)
+
+    length: Any = 1.0
+
+    def kinetic_energy(self, q, q_dot):
+        return 0.5 * (self.length * q_dot[0]) ** 2
+
+    def potential_energy(self, q):
+        return -9.81 * self.length * jnp.cos(q[0])
+
+
+def test_signals_of_the_system_itself_depend_on_decisions():
+    """Torques are part of `ForwardDynamics`: each mesh point depends on them through the signals alone."""
+    torque = {"angle_torque": al.BSpline(al.Decision(np.zeros(6), -5.0, 5.0))}
+    problem = al.Problem(
+        al.ForwardDynamics(Swing(length=al.Uniform(1.0, half_width=0.1)), torque=torque, start={"angle": 0.3}),
+        grid=al.Grid(1.0, 5),
+        minimize=al.objectives.effort("angle_torque"),
+        subject_to=[al.terminal("angle").mean.equals(0.5)],
+        expansion=al.Expansion(order=1),
+    )
+    transcribed = transcribe(problem, al.Simultaneous())
+    numbers, program = transcribed.layout.numbers, transcribed.program
+    assert np.all(program.lower[numbers.signals] < program.upper[numbers.signals])
+    jacobian = program.evaluate(program.start).jacobian
+    ties = transcribed.assembled.rows.ties
+    of_states = np.isin(ties.stands_for, numbers.states)
+    assert abs(jacobian[ties.where][of_states][:, numbers.decisions]).nnz == 0
+    of_signals = np.isin(ties.stands_for, numbers.signals)
+    assert abs(jacobian[ties.where][of_signals][:, numbers.decisions]).nnz > 0

@@ -28,7 +28,7 @@ from aleator.design import (
 )
 from aleator.dynamics import Asked, Grid, System, derivative, initial_state, known_at, observation
 from aleator.transcription._frozen import frozen, has_random_signals
-from aleator.uncertainty import realise
+from aleator.uncertainty import placements, realise
 
 
 @final
@@ -68,6 +68,19 @@ class Pointwise:
             tuple(dict.fromkeys(one.output for one in functionals if isinstance(one, last))),
             tuple(one for one in functionals if not isinstance(one, Path | last)),
         )
+
+    @property
+    def decides_signals(self) -> bool:
+        """Whether signals or the duration may depend on decisions: those of the system's own are not asked."""
+        decided = bool(placements((self.problem.inputs, self.problem.grid)).decisions)
+        own: list[str] = []
+
+        def named(decisions: Array) -> Array:
+            own.extend(self._known_parts(decisions)[0].signals())
+            return decisions
+
+        jax.eval_shape(named, jnp.zeros(self.problem.placements.size))
+        return decided or bool(own)
 
     @property
     def grid(self) -> Grid:

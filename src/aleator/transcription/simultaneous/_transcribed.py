@@ -43,7 +43,7 @@ from aleator.transcription.simultaneous._mesh_error import BETWEEN, interval_err
 from aleator.transcription.simultaneous._program import CURVE, EVALUATE, Assembled
 from aleator.transcription.simultaneous._scales import scales
 from aleator.transcription.simultaneous._start import SIMULATED, simulated_states
-from aleator.uncertainty import named_numbers, placements
+from aleator.uncertainty import named_numbers
 
 # So many meshes at most, and the least error that may be asked for.
 _MOST_MESHES, _LEAST_ERROR = 8, 1e-12
@@ -171,7 +171,7 @@ class _Way(NamedTuple):
         every = points if scenarios is None else np.concatenate([points, scenarios.points])
         fit = np.asarray(collocation.pseudo_inverse)
         layout = Layout.of(problem, Plan(mesh, len(points), len(every) - len(points), len(fit)))
-        is_known = not _decides_signals(problem)
+        is_known = not layout.asked.decides_signals
         assembled = Assembled.of(layout, traced, constants, every, fit, is_known)
         first, lower, upper = (problem.placements.vector(name) for name in ("initial", "lower", "upper"))
         decisions, states = begun or (first, simulated_states(problem, mesh, every, first))
@@ -223,12 +223,6 @@ class _Way(NamedTuple):
             assembled=assembled,
             accuracy=self.accuracy,
         )
-
-
-def _decides_signals(problem: Problem) -> bool:
-    """Whether signals or the final time are decided."""
-    signals = [getattr(problem.system, name) for name in problem.system.signal_fields]  # type: ignore[union-attr]
-    return bool(placements((signals, problem.inputs, problem.grid)).decisions)
 
 
 @final
