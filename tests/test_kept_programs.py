@@ -187,9 +187,11 @@ def test_a_relative_folder_stays_where_it_was(tmp_path):
 
 def test_the_programs_unused_for_longest_are_forgotten(tmp_path, monkeypatch):
     monkeypatch.setattr(kept_programs, "_MOST_BYTES", 250)
+    folder = tmp_path / kept_programs._kind()
+    folder.mkdir()
     for age, name in enumerate(("newest", "new", "old", "oldest")):
-        path = tmp_path / f"{name}-cache"
+        path = folder / f"{name}-cache"
         path.write_bytes(bytes(100))
         os.utime(path, (1e9 - age, 1e9 - age))
-    kept_programs._forget_oldest(tmp_path)
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["new-cache", "newest-cache"]
+    kept_programs._forget_oldest(folder)
+    assert sorted(path.name for path in folder.iterdir()) == ["new-cache", "newest-cache"]

@@ -177,25 +177,31 @@ class Compiled:
     ) -> Callable[[], Executable]:
         """Trace a function, unless an earlier run has kept its executable; the function returned compiles it."""
         started = time.perf_counter()
-        content = stored.read(name)
         trace = functools.partial(self._traced, way, function, *arguments, use=use, name=name)
-        made = trace() if content is None else functools.partial(_loaded, content, arguments, trace)
+        # In this thread, as tracing is: if it cannot be loaded, the function is traced here.
+        earlier = stored.found(name, arguments)
+
+        def anew() -> Executable:
+            if name is not None:
+                stored.forget(name)
+            return trace()()
+
+        made = trace() if earlier is None else functools.partial(_Tried, _ready(earlier), anew)
         spent = time.perf_counter() - started
 
         def finish() -> Executable:
             started = time.perf_counter()
-            found = made()
+            executable = made()
             with self._lock:
                 self.seconds += spent + time.perf_counter() - started
                 self.compilations += 1
-            executable, read = functools.partial(_run, found.executable), found.results.read
-            return lambda *given: read(executable(*given))
+            return executable
 
         return finish
 
     def _traced(
         self, way: "_Way", function: Callable[..., Any], *arguments: Any, use: Use, name: str | None
-    ) -> Callable[[], stored.Stored]:
+    ) -> Callable[[], Executable]:
         """Trace a function; the function returned compiles it and keeps it for later runs."""
         results: list[Any] = []
 
@@ -210,24 +216,43 @@ class Compiled:
             flat.__name__ = f"flat_{name}"
         lowered = jax.jit(flat).lower(*arguments)
 
-        def finish() -> stored.Stored:
+        def finish() -> Executable:
             before = stored.found_by_jax()
             found = stored.Stored(compiled_for(use, lowered), results[0])
             if name is not None and stored.found_by_jax() == before:
                 stored.keep(name, lowered, found)
-            return found
+            return _ready(found)
 
         return finish
 
 
-def _loaded(
-    content: bytes, arguments: tuple[Any, ...], trace: Callable[[], Callable[[], stored.Stored]]
-) -> stored.Stored:
-    """The executable kept by an earlier run, or a newly compiled one if XLA cannot load it, for whatever reason."""
-    try:
-        return stored.loaded(content, arguments)
-    except Exception:  # XLA, JAX and pickle have no common one
-        return trace()()
+@final
+class _Tried:
+    """An executable of an earlier run, replaced by one compiled anew if its first run fails, for whatever reason."""
+
+    def __init__(self, earlier: Executable, anew: Callable[[], Executable]):
+        self._executable = earlier
+        self._anew: Callable[[], Executable] | None = anew
+        self._lock = threading.Lock()
+
+    def __call__(self, *given: Any) -> Any:
+        if self._anew is None:
+            return self._executable(*given)
+        try:
+            result = self._executable(*given)
+        except Exception:  # XLA and JAX have no common one
+            with self._lock:
+                if self._anew is not None:
+                    self._executable, self._anew = self._anew(), None
+            return self._executable(*given)
+        self._anew = None  # with what it holds: it can run
+        return result
+
+
+def _ready(found: stored.Stored) -> Executable:
+    """An executable that returns results in their own layout."""
+    executable, read = functools.partial(_run, found.executable), found.results.read
+    return lambda *given: read(executable(*given))
 
 
 def compiled_for(use: Use, lowered: jax.stages.Lowered) -> jax.stages.Compiled:

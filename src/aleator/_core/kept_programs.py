@@ -1,11 +1,13 @@
 """Compiled programs kept between runs by JAX's persistent compilation cache, in the user's own folder.
 
-They are machine code: each kind of machine has its own part of the folder, which nobody else should write to.
+They are machine code: each kind of machine has its own part of the folder, which nobody else may write to.
 """
 
+import contextlib
 import hashlib
 import os
 import platform
+import sys
 import warnings
 from importlib import metadata
 from pathlib import Path
@@ -22,6 +24,10 @@ VARIABLE = "ALEATOR_CACHE"
 
 # Beyond this many bytes, the least recently used programs are deleted when a process starts.
 _MOST_BYTES = 500 * 2**20
+# Names of the folders for each kind of machine; others beside them are not ours.
+_DIGITS = 16
+_KIND_GLOB = "[0-9a-f]" * _DIGITS
+_PROCESSOR = Path("/proc/cpuinfo")
 _ON = ("on", "yes", "1", "true")
 _OFF = ("off", "no", "none", "0", "false", "")
 _folder: Path | None = None
@@ -32,10 +38,11 @@ def compilation_cache(folder: str | os.PathLike[str] | None) -> None:
 
     By default they are kept in the user's own cache folder, at most 500 MB, unless JAX has been given a folder; the
     environment variable `ALEATOR_CACHE`, a folder or `off`, overrides this. Entries that are damaged, or come from
-    another machine or version, are ignored. Anyone who can write to the folder can make this process run any code: do
-    not share it.
+    another machine or version, are ignored. Anyone who can write to them can make this process run any code, so that
+    they are in a part of the folder that is closed to others.
 
-    Raises `ProblemError` if the folder cannot be created or written to.
+    Raises `ProblemError` if the folder cannot be created or written to, or if its part for this machine belongs to
+    another user or can be written to by others.
     """
     if folder is not None and not (isinstance(folder, str | os.PathLike) and str(folder)):
         raise refusal("compilation_cache: folder", "a folder, or None", folder)
@@ -62,6 +69,11 @@ def keep_by_default() -> None:
 def own_folder() -> Path | None:
     """The folder of kept programs; None if they are not kept, or kept in a folder given to JAX."""
     return _folder
+
+
+def is_private(status: os.stat_result) -> bool:
+    """Whether a file or folder belongs to this user, and nobody else can write to it; assumed on Windows."""
+    return sys.platform == "win32" or (status.st_uid == os.getuid() and not status.st_mode & 0o022)
 
 
 def _usual() -> Path:
@@ -95,6 +107,8 @@ def _made(folder: Path) -> Path:
         trial = own / f".{os.getpid()}"
         trial.touch()
         trial.unlink()
+        if not is_private(own.stat()):
+            raise ValueError(f"{own} belongs to another user, or others can write to it")
     except (OSError, RuntimeError, ValueError) as error:
         reason = (error.strerror if isinstance(error, OSError) else "") or str(error).rstrip(".")
         raise ProblemError(
@@ -108,17 +122,20 @@ def _kind() -> str:
     """A name for this kind of machine and these versions: code for one processor may crash on another."""
     about = [platform.system(), platform.machine(), platform.processor(), jax.__version__, metadata.version("jaxlib")]
     try:
-        lines = Path("/proc/cpuinfo").read_text().split("\n\n")[0].splitlines()
+        lines = _PROCESSOR.read_text().split("\n\n")[0].splitlines()
         about += [line for line in lines if line.startswith(("model name", "flags", "Features", "CPU part"))]
     except OSError:
-        pass
-    return hashlib.sha256("\n".join(about).encode()).hexdigest()[:16]
+        about.append(platform.node())  # Nothing tells what its processor can do: a machine of its own.
+    return hashlib.sha256("\n".join(about).encode()).hexdigest()[:_DIGITS]
 
 
 def _forget_oldest(folder: Path) -> None:
-    """Delete the least recently used programs beyond the limit. Another process may be doing the same."""
-    found = []
-    for path in folder.glob("*-cache"):
+    """Delete the least recently used programs beyond the limit, also those of other versions and kinds of machines.
+
+    Another process may be doing the same.
+    """
+    found: list[tuple[float, int, Path]] = []
+    for path in folder.parent.glob(f"{_KIND_GLOB}/*-cache"):
         try:
             status = path.stat()
         except OSError:
@@ -128,5 +145,6 @@ def _forget_oldest(folder: Path) -> None:
     for _, size, path in sorted(found):
         if total <= _MOST_BYTES:
             return
-        path.unlink(missing_ok=True)
-        total -= size
+        with contextlib.suppress(OSError):
+            path.unlink(missing_ok=True)
+            total -= size

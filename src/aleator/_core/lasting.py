@@ -12,6 +12,7 @@ import hashlib
 import os
 import platform
 import sys
+import time
 import types
 from collections.abc import Callable, Iterable, Iterator
 from decimal import Decimal
@@ -24,6 +25,7 @@ import equinox as eqx
 import jax
 import numpy as np
 
+from aleator._core.beside import CORES
 from aleator._core.code import read_code
 from aleator._core.equations import array_digest
 from aleator._core.libraries import is_library
@@ -34,6 +36,10 @@ _TRACING = ("equinox", "numpy", "scipy", "diffrax", "lineax", "optimistix")
 _PLAIN = (str, bytes, int, bool, float, complex, type(None), type(Ellipsis), range, Decimal, Fraction, np.dtype)
 # Settings of JAX that do not affect a program.
 _ASIDE = ("jax_compilation_cache_dir", "jax_persistent_cache", "jax_raise_persistent", "jax_log", "jax_explain")
+
+# Environment variables that affect compilation begin with these.
+_VARIABLES = ("XLA_", "TF_XLA_", "LIBTPU_", "EQX_")
+_BEGAN = time.time()
 
 
 class _DoubtError(Exception):
@@ -49,29 +55,40 @@ def lasting_name(function: Callable[..., Any], arguments: tuple[Any, ...], *how:
     try:
         # Code comes first: a program without a user's code has none that could change.
         parts = [_surroundings(), *_named(function), *_texts(how), *_texts(arguments), *_read(read_code(arguments))]
-    except _DoubtError:
+    except Exception:  # besides doubts: a user's object may raise any if it is looked at, and may hold itself
         return None
-    return hashlib.sha256("\0".join(parts).encode()).hexdigest()
+    return hashlib.sha256("\0".join(parts).encode(errors="surrogatepass")).hexdigest()
 
 
 def _surroundings() -> str:
     """All else that a program depends on: settings of JAX, Equinox and XLA, devices, and libraries that trace it."""
+    if jax.device_count() > 1:
+        raise _DoubtError  # On which of them a program runs is no part of its name.
     # Attributes give the present values, even within a `with` statement; not every setting has one.
     known = {name: getattr(jax.config, name, value) for name, value in jax.config.values.items()}
     settings = [f"{name}={value}" for name, value in sorted(known.items()) if not name.startswith(_ASIDE)]
-    settings += [f"{name}={value}" for name, value in sorted(os.environ.items()) if name.startswith(("XLA_", "EQX_"))]
-    return "\n".join([_libraries(), jax.default_backend(), str(jax.device_count()), *settings])
+    settings += [f"{name}={value}" for name, value in sorted(os.environ.items()) if name.startswith(_VARIABLES)]
+    device = jax.devices()[0]
+    # When XLA compiles, it divides loops among the cores that the process may use.
+    machine = [device.client.platform_version, device.device_kind, f"cores={CORES}"]
+    return "\n".join([_libraries(), jax.default_backend(), *machine, *settings])
 
 
 @functools.cache
 def _libraries() -> str:
-    """A digest of this package's sources and of the versions of libraries that trace."""
+    """A digest of this package's sources and of the versions of libraries that trace.
+
+    A doubt if a source has changed since this process began: others may be loaded than those on the disk.
+    """
     digest = hashlib.sha256(sys.version.encode() + platform.python_implementation().encode())
     own = Path(__file__).parents[1]
     sources = sorted(own.rglob("*.py"))
     if not sources:
         raise _DoubtError
     for path in sources:
+        status = path.stat()
+        if max(status.st_mtime, status.st_ctime) > _BEGAN:
+            raise _DoubtError
         digest.update(str(path.relative_to(own)).encode() + b"\0" + path.read_bytes() + b"\0")
     for name in _TRACING:
         try:
