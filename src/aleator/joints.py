@@ -1,7 +1,8 @@
-"""How a body of `al.Multibody` moves beside its parent."""
+"""How a body of `al.Multibody` moves beside its parent, and how loops of bodies are closed."""
 
 from aleator.mechanics import AbstractJoint as AbstractJoint
 from aleator.mechanics import Ball as Ball
+from aleator.mechanics import Closure as Closure
 from aleator.mechanics import Fixed as Fixed
 from aleator.mechanics import Free as Free
 from aleator.mechanics import Prismatic as Prismatic

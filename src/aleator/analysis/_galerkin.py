@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
+from typing_extensions import override
 
 from aleator._core.arrays import Pytree, numbers_to_arrays
 from aleator._core.compilation import Use
@@ -55,10 +56,16 @@ class GalerkinSystem(System):
         """The coefficients of the outputs."""
         return self._projected(observation, t, z)
 
-    def initial(self) -> dict[str, Array]:
+    @override
+    def starting(self, t: Any, inputs: Mapping[str, Any]) -> dict[str, Array]:
         """The coefficients of the initial state."""
-        states = eqx.filter_vmap(lambda model: initial_state(model.system))(self.realised)
-        return jax.tree.map(self.quadrature.project, states)._asdict()
+        del inputs
+
+        def at_node(model: _Model) -> Any:
+            assert isinstance(model.system, System)
+            return initial_state(model.system, t, {name: signal(t) for name, signal in model.inputs.items()})
+
+        return jax.tree.map(self.quadrature.project, eqx.filter_vmap(at_node)(self.realised))._asdict()
 
     def _projected(self, function: Any, t: Any, z: Any) -> Any:
         """The coefficients of `function(system, t, z, inputs)`."""

@@ -17,6 +17,8 @@ from aleator.dynamics._instantaneous import observed_at as observed_at
 from aleator.dynamics._integrators import AbstractIntegrator as AbstractIntegrator
 from aleator.dynamics._integrators import Inputs as Inputs
 from aleator.dynamics._integrators import RungeKutta4 as RungeKutta4
+from aleator.dynamics._newton import Root as Root
+from aleator.dynamics._newton import newton as newton
 from aleator.dynamics._record import Asked as Asked
 from aleator.dynamics._record import History as History
 from aleator.dynamics._record import Record as Record

@@ -56,7 +56,7 @@ class AbstractAdaptive(AbstractIntegrator):
             return {name: signal(t) for name, signal in stretched.items()}
 
         first = grid.times[0]
-        start = initial_state(system)
+        start = initial_state(system, first, now(first))
         shapes = jax.eval_shape(lambda: asked.rates(system, first, start, now(first)))
         # diffrax accepts no empty containers, so states and saved values are lists of arrays.
         carried, structure = jax.tree.flatten((start, jax.tree.map(lambda one: jnp.zeros(one.shape), shapes)))
@@ -87,11 +87,16 @@ class AbstractAdaptive(AbstractIntegrator):
 
         stretched = {name: signal.over(grid.t_start, grid.t_final) for name, signal in inputs.items()}
 
+        def now(t: Any) -> dict[str, Array]:
+            return {name: signal(t) for name, signal in stretched.items()}
+
         def rates(t: Any, z: Any, _: Any) -> Any:
-            return derivative(system, t, z, {name: signal(t) for name, signal in stretched.items()})
+            return derivative(system, t, z, now(t))
+
+        start = initial_state(system, grid.times[0], now(grid.times[0]))
 
         def tried(most: int) -> Any:
-            return self._solved(rates, initial_state(system), grid, diffrax.SaveAt(t1=True), most)
+            return self._solved(rates, start, grid, diffrax.SaveAt(t1=True), most)
 
         solution = tried(self.max_steps)
         if bool(solution.result == diffrax.RESULTS.successful):

@@ -55,7 +55,7 @@ def known_at(system: System, grid: Grid, inputs: Inputs, fractions: Fractions | 
 def observed_at(system: System, known: Known, row: Float[Array, " numbers"]) -> dict[str, Array]:
     """The outputs of a system without states at one row of data."""
     t, now = known.unpack(row)
-    return observation(system, t, initial_state(system), now)
+    return observation(system, t, initial_state(system, t, now), now)
 
 
 def observed(system: System, grid: Grid, inputs: Inputs, asked: Asked) -> Record:
@@ -66,7 +66,7 @@ def observed(system: System, grid: Grid, inputs: Inputs, asked: Asked) -> Record
 
         def one(realised: System, row: Array) -> Pytree:
             t, now = known.unpack(row)
-            return take(realised, t, initial_state(realised), now)
+            return take(realised, t, initial_state(realised, t, now), now)
 
         return at_each_instant(one, system, known.rows)
 

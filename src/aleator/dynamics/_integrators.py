@@ -67,8 +67,9 @@ class AbstractFixedStep(AbstractIntegrator):
     @override
     def record(self, system: System, grid: Grid, inputs: Inputs, asked: Asked) -> Record:
         nodes, couplings, weights = self.tableau
-        h, start = grid.step, initial_state(system)
-        at_instants = sampled(inputs, grid, grid.fractions)
+        h, at_instants = grid.step, sampled(inputs, grid, grid.fractions)
+        now = {name: values[0] for name, values in at_instants.items()}
+        start = initial_state(system, grid.times[0], now)
         inner = sorted({node for node in (*nodes, *([0.5] if asked.nodes else [])) if 0 < node < 1})
         between = [sampled(inputs, grid, grid.fractions[:-1] + node / grid.steps) for node in inner]
 
@@ -95,17 +96,15 @@ class AbstractFixedStep(AbstractIntegrator):
                 halfway = asked.at_node(system, t + h / 2, centre, signals[0.5])
             return (end, _moved(integrals, h, weights, growths)), (found, halfway)
 
-        zeros = jax.tree.map(lambda one: jnp.zeros(one.shape), _rate_shapes(asked, system, grid, start, at_instants))
+        zeros = jax.tree.map(lambda one: jnp.zeros(one.shape), _rate_shapes(asked, system, grid, start, now))
         spans = (grid.times[:-1], _rows(at_instants, slice(None, -1)), _rows(at_instants, slice(1, None)), *between)
         (_, integrals), (rest, middles) = jax.lax.scan(advance, (start, zeros), spans)
-        now = {name: values[0] for name, values in at_instants.items()}
         first = asked.at_instant(system, grid.times[0], start, now)
         history = {name: jnp.concatenate([first[name][None], rest[name]]) for name in first}
         return Record(history, _interleaved(history, middles), integrals)
 
 
-def _rate_shapes(asked: Asked, system: System, grid: Grid, start: Any, at: dict[str, Array]) -> Any:
-    now = {name: values[0] for name, values in at.items()}
+def _rate_shapes(asked: Asked, system: System, grid: Grid, start: Any, now: dict[str, Array]) -> Any:
     return jax.eval_shape(lambda: asked.rates(system, grid.times[0], start, now))
 
 

@@ -59,6 +59,11 @@ class System(AbstractSystem):
         """Initial values by state; states not named start at zero."""
         return {}
 
+    def starting(self, t: Any, inputs: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Initial values at the time `t` with the inputs' values there: those of `initial`, if it tells them all."""
+        del t, inputs
+        return self.initial()
+
     def signals(self) -> Mapping[str, AbstractSignal]:
         """Inputs that are part of the system itself, by name, such as a prescribed motion or torques."""
         return {}
@@ -87,9 +92,9 @@ def _state_type(names: tuple[str, ...]) -> Any:
         ) from error
 
 
-def initial_state(system: System) -> Any:
-    """The initial state as a named tuple of arrays."""
-    given = system.initial()
+def initial_state(system: System, t: Any = None, inputs: Mapping[str, Any] | None = None) -> Any:
+    """The initial state as a named tuple of arrays: at the time `t`, with the inputs there, if these are given."""
+    given = system.initial() if inputs is None else system.starting(t, inputs)
     if not isinstance(given, Mapping):
         raise ProblemError(
             f"{type(system).__name__}.initial returns a dict of initial values by state; "

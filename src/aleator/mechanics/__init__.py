@@ -4,6 +4,7 @@ from aleator.mechanics._actuation import Actuation as Actuation
 from aleator.mechanics._actuation import actuation_of as actuation_of
 from aleator.mechanics._body import Body as Body
 from aleator.mechanics._body_load import BodyLoad as BodyLoad
+from aleator.mechanics._closure import Closure as Closure
 from aleator.mechanics._equations import Accelerations as Accelerations
 from aleator.mechanics._equations import Lagrangian as Lagrangian
 from aleator.mechanics._equations import Mechanical as Mechanical

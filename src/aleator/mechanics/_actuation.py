@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from aleator._core.given import one_of
+from aleator.mechanics._constraints import jacobian_of
 from aleator.mechanics._matrices import solve_any
 from aleator.mechanics._mechanical import AbstractMechanical, actuation_map
 
@@ -21,9 +22,16 @@ class Actuation(Enum):
 
 
 def actuation_of(model: AbstractMechanical, q: Float[Array, " coordinates"]) -> Actuation:
-    """The actuation scheme of a realised system in a posture, from the rank of `B(q)` and the number of torques."""
+    """The actuation scheme of a realised system in a posture, from the rank of `B(q)` and the number of torques.
+
+    For a system with constraints, `B` is taken on the motions that these leave free, in a posture that satisfies them.
+    """
     one_of("actuation_of", model, AbstractMechanical, "an al.Multibody")
-    return scheme(np.asarray(actuation_map(model, q)))
+    B = np.asarray(actuation_map(model, q))
+    if model.constraints:
+        G = np.asarray(jacobian_of(model, q))
+        B = np.linalg.svd(G)[2][len(G) :] @ B
+    return scheme(B)
 
 
 def scheme(B: Float[np.ndarray, "speeds actuators"]) -> Actuation:

@@ -60,12 +60,16 @@ class Body(eqx.Module):
 
 def placement(body: Body) -> Pose:
     """The frame of a body's joint in its parent's frame."""
-    where = f"Body '{body.name}': orientation"
-    given = as_array(body.orientation, where, (3,), (3, 3))
+    return frame(f"Body '{body.name}'", body.position, body.orientation)
+
+
+def frame(what: str, position: Any, orientation: Any) -> Pose:
+    """A frame by its origin and by three angles or a rotation matrix. Raises `ProblemError` for what is none."""
+    given = as_array(orientation, f"{what}: orientation", (3,), (3, 3))
     rotation = from_angles(given) if given.shape == (3,) else given
     if is_known(rotation) and not _turns(np.asarray(rotation)):
-        raise ProblemError(f"{where}: expected a rotation matrix; received {body.orientation!r}.")
-    return Pose(rotation, as_array(body.position, f"Body '{body.name}': position", (3,)))
+        raise ProblemError(f"{what}: orientation: expected a rotation matrix; received {orientation!r}.")
+    return Pose(rotation, as_array(position, f"{what}: position", (3,)))
 
 
 def _turns(matrix: np.ndarray) -> bool:

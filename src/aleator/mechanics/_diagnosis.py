@@ -13,6 +13,8 @@ from aleator._core.arrays import numbers_to_arrays
 from aleator._core.code import told_apart
 from aleator._core.compilation import Compiled, Use
 from aleator.dynamics import Grid, RungeKutta4, System, simulate
+from aleator.mechanics._constraint_diagnosis import constraint_diagnosis_along, lost_rank
+from aleator.mechanics._constraints import Loose
 from aleator.mechanics._instant import Instants, instants_of, is_timed
 from aleator.mechanics._mechanical import AbstractMechanical, mass_of, rate_map
 
@@ -153,22 +155,10 @@ def _first_diagnosis(now: Instants, q: Array, bad: np.ndarray) -> str:
 
 def _effect_diagnosis_along(model: AbstractMechanical, times: np.ndarray, path: Array, effects: np.ndarray) -> str:
     """Where torques lose their effect: at an instant, or between two where the determinant changes sign."""
-    finite: Any = np.isfinite(effects).all(axis=(1, 2))
-    effects = np.where(finite[:, None, None], effects, 0.0)
-    size = np.abs(effects).max(axis=(0, 2), initial=0.0)
-    effects = effects / np.where(size > 0, size, 1.0)[:, None]
-    values = np.linalg.svd(effects, compute_uv=False)
-    lost = ~finite | (values[:, -1] <= _SINGULAR * values.max(initial=0.0))
-    turned = np.zeros(len(lost), dtype=bool)
-    if effects.shape[1] == effects.shape[2]:
-        signs = np.linalg.slogdet(effects)[0]
-        turned[:-1] = signs[:-1] * signs[1:] < 0
-    if not (lost | turned).any():
+    found = lost_rank(times, effects)
+    if found is None:
         return ""
-    first = int(np.argmax(lost | turned))
-    when = f"at t = {times[first]:.4g} s"
-    if not lost[first]:
-        when = f"between t = {times[first]:.4g} s and t = {times[first + 1]:.4g} s"
+    when, first = found
     return (
         f"The torques of {type(model).__name__} lose their effect {when} ({_posture(model, path[first])}): the matrix "
         "by which they act on the motion they must realise is singular there. Start from a motion that avoids this "
@@ -177,12 +167,16 @@ def _effect_diagnosis_along(model: AbstractMechanical, times: np.ndarray, path: 
 
 
 def diagnosis_along(
-    system: System, grid: Grid, effects: Callable[[System, Instants, Array], Array] | None = None
+    system: System,
+    grid: Grid,
+    effects: Callable[[System, Instants, Array], Array] | None = None,
+    loose: Loose | None = None,
 ) -> str:
     """What is wrong along an integrated motion, or in the last posture that is finite; empty if nothing.
 
-    `effects(system, now, path)`: see `diagnosis_of_path`. A motion that grows without bound does not show a fault of
-    the model: steps too long for a stiff model have the same effect.
+    `effects(system, now, path)`: see `diagnosis_of_path`; `loose`: what follows the constraints, if there are any. A
+    motion that grows without bound does not show a fault of the model: steps too long for a stiff model have the same
+    effect.
     """
     model: AbstractMechanical = system.model  # type: ignore[attr-defined]
     system, times = numbers_to_arrays(system), np.asarray(grid.times)
@@ -190,9 +184,17 @@ def diagnosis_along(
     path = np.asarray(_FOLLOWED(system, numbers_to_arrays(grid)))
     moderate = np.isfinite(path).all(axis=1) & (np.abs(path) <= _ABSURD * (1 + np.abs(path[0]).max())).all(axis=1)
     if moderate.all():
+        if loose is not None and (found := constraint_diagnosis_along(now, jnp.asarray(path), loose)):
+            return found
         return diagnosis_of_path(now, path, effects and effects(system, now, jnp.asarray(path)))
     following = int(np.argmin(moderate))
     last = max(following - 1, 0)
+    if loose is not None and np.isnan(path[following]).all():
+        return (
+            f"The constraints of {type(model).__name__} cannot be obeyed beyond about t = {times[last]:.4g} s "
+            f"({_posture(model, path[last])}): a dead centre, or lengths that do not reach. Change lengths or motion "
+            "so that it keeps away from there, or take shorter steps if it moves far in one."
+        )
     if effects is not None and not np.isfinite(path[following]).all():
         # It ends abruptly, not by growth: the prescribed motion is known there, and shows whether torques still act.
         onward = np.where(np.isfinite(path[following]), path[following], path[last])

@@ -8,8 +8,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 from typing_extensions import override
 
+from aleator._core.errors import ProblemError
 from aleator.mechanics._instant import along_time
-from aleator.mechanics._mechanical import AbstractNamed, actuation_map, bias_of, mass_of, shaped
+from aleator.mechanics._mechanical import actuation_map, bias_of, mass_of, shaped
+from aleator.mechanics._named import AbstractNamed
 
 
 class Mechanical(AbstractNamed):
@@ -121,6 +123,13 @@ class Accelerations(AbstractNamed):
     identity, and its forces are accelerations. The effect of the torques may depend on the coordinates, not on the
     velocities.
     """
+
+    def __check_init__(self):
+        if self.constraint_names:
+            raise ProblemError(
+                f"{type(self).__name__}: constraints act by forces, for which masses must be known: write "
+                "al.Mechanical or al.Lagrangian in the place of al.Accelerations."
+            )
 
     @abc.abstractmethod
     def accelerations(self, q: Array, v: Array, torque: Array) -> Any:

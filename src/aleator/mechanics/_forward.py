@@ -1,7 +1,7 @@
 """`ForwardDynamics`: torques are given, the motion follows by integration (equation 68)."""
 
 from collections.abc import Mapping
-from typing import Any, ClassVar, final
+from typing import Any, ClassVar, NamedTuple, final
 
 import jax.numpy as jnp
 from jaxtyping import Array
@@ -9,14 +9,32 @@ from typing_extensions import override
 
 from aleator._core.errors import ProblemError
 from aleator.dynamics import Grid
+from aleator.mechanics._consistent import begun, checked_guess, consistent_start, kept_of, start_unknown
+from aleator.mechanics._constraint_diagnosis import start_diagnosis
+from aleator.mechanics._constraints import (
+    all_loose,
+    constrained_acceleration,
+    jacobian_of,
+    put_back,
+    put_back_velocities,
+    saddle,
+)
 from aleator.mechanics._diagnosis import diagnosis_along, diagnosis_at
 from aleator.mechanics._formulation import AbstractFormulation, model_given
-from aleator.mechanics._given import Given, checked_start, combined, coordinates_at, signals_for, vector
-from aleator.mechanics._instant import at, course, instants_of
+from aleator.mechanics._given import (
+    Given,
+    checked_start,
+    combined,
+    coordinates_at,
+    course_of,
+    signals_for,
+    vector,
+)
+from aleator.mechanics._instant import at, instants_of, is_timed
 from aleator.mechanics._kinematics import accelerations, rates
-from aleator.mechanics._mechanical import AbstractMechanical, actuation_map, driven
+from aleator.mechanics._mechanical import AbstractMechanical, actuation_map, bias_of, driven, load_on, mass_of
 from aleator.mechanics._motion import Motion
-from aleator.mechanics._outputs import standard_outputs
+from aleator.mechanics._outputs import constrained_outputs, standard_outputs
 from aleator.trajectories import AbstractSignal, AbstractTrajectory
 
 
@@ -26,7 +44,13 @@ class ForwardDynamics(AbstractFormulation):
 
     - `model`: the mechanical system, of any actuation scheme;
     - `torque`: one trajectory (or any signal) for all actuators, or one for each by name; those not named are zero;
-    - `start`: initial coordinates and velocities by name; those not named are zero (for a quaternion `(1, 0, 0, 0)`).
+    - `start`: initial coordinates and velocities by name; those not named are zero (for a quaternion `(1, 0, 0, 0)`);
+    - `guess`: for a system with constraints, coordinates near which those not named in `start` are found.
+
+    Constraints are solved together with the accelerations (equation 6), and every output satisfies them. Values named
+    in `start` are kept; the other coordinates are those nearest to `guess`, and the other velocities those nearest to
+    rest, that satisfy the constraints, in each realisation separately. `constraint_drift` is how far the integrated
+    coordinates had left the constraints before they were projected back: a measure of the grid's error.
 
     Every realisation receives the same torques. They are part of the system: their control points are named
     `torque.free`. Raises `ProblemError` for torques and starts of actuators, coordinates or velocities that the model
@@ -36,14 +60,23 @@ class ForwardDynamics(AbstractFormulation):
     model: AbstractMechanical
     torque: Given
     start: dict[str, Any]
+    guess: dict[str, Any]
 
     states: ClassVar[tuple[str, ...]] = ("q", "v")
     signal_fields: ClassVar[tuple[str, ...]] = ("torque",)
 
-    def __init__(self, model: AbstractMechanical, *, torque: Any = None, start: Mapping[str, Any] | None = None):
+    def __init__(
+        self,
+        model: AbstractMechanical,
+        *,
+        torque: Any = None,
+        start: Mapping[str, Any] | None = None,
+        guess: Mapping[str, Any] | None = None,
+    ):
         self.model = model_given("ForwardDynamics", model)
         self.torque = signals_for(model.actuators, {} if torque is None else torque, "ForwardDynamics, torque")
         self.start = checked_start(model, (*model.coordinates, *model.speeds), start, "ForwardDynamics")
+        self.guess = checked_guess("ForwardDynamics", model, model.coordinates, self.start, guess, 0)
 
     @property
     def units(self) -> Mapping[str, str]:  # type: ignore[override]
@@ -52,7 +85,7 @@ class ForwardDynamics(AbstractFormulation):
 
     @override
     def signals(self) -> Mapping[str, AbstractSignal]:
-        found = course(self.model, 2)
+        found = course_of(self.model)
         if not self.model.actuators:
             return found
         torque = combined(self.model.actuators, self.torque)
@@ -61,30 +94,50 @@ class ForwardDynamics(AbstractFormulation):
 
     @override
     def initial(self) -> Mapping[str, Any]:
-        q = self.model.normalised(coordinates_at(self.model, self.start))
-        return {"q": q, "v": vector(self.model.speeds, self.start)}
+        if self.model.constraints and is_timed(self.model):
+            raise ProblemError(start_unknown("ForwardDynamics", self.model))
+        return self._beginning(self.model)
+
+    @override
+    def starting(self, t: Any, inputs: Mapping[str, Any]) -> Mapping[str, Any]:
+        return self._beginning(at(self.model, t, inputs.get("parameters")))
+
+    def _beginning(self, model: AbstractMechanical) -> Mapping[str, Any]:
+        """The start of a model at an instant, as its constraints allow."""
+        q, v = self._near()
+        if model.constraints:
+            q, v = consistent_start(model, q, v, kept_of(model, self.start).loose(model))
+        return {"q": q, "v": v}
+
+    def _near(self) -> tuple[Array, Array]:
+        """Coordinates and velocities as they are given."""
+        q = self.model.normalised(coordinates_at(self.model, {**self.guess, **self.start}))
+        return q, vector(self.model.speeds, self.start)
 
     @override
     def rhs(self, t: Any, z: Any, torque: Any = None, parameters: Any = None) -> tuple[Array, Array]:
         model = at(self.model, t, parameters)
-        q = model.normalised(z.q)
-        return rates(model, q, z.v), _accelerated(model, q, z.v, self._given(torque))
+        found = _moving(model, z.q, z.v, self._given(torque))
+        return rates(model, found.q, found.v), found.v_dot
 
     @override
     def outputs(
         self, t: Any, z: Any, torque: Any = None, torque_rate: Any = None, parameters: Any = None
     ) -> dict[str, Any]:
         model, torque = at(self.model, t, parameters), self._given(torque)
-        q = model.normalised(z.q)
-        v_dot = _accelerated(model, q, z.v, torque)
-        motion = Motion(t, q, rates(model, q, z.v), accelerations(model, q, z.v, v_dot), z.v, v_dot, torque)
-        return standard_outputs(model, motion, torque_rate)
+        q, v, v_dot, multipliers, kept = _moving(model, z.q, z.v, torque)
+        motion = Motion(t, q, rates(model, q, v), accelerations(model, q, v, v_dot), v, v_dot, torque, multipliers)
+        return constrained_outputs(model, standard_outputs(model, motion, torque_rate), z.q, kept)
 
     @override
     def diagnose(self, grid: Grid) -> str:
-        start = self.initial()
-        first = instants_of(self.model, grid).at(0)
-        return diagnosis_at(first, start["q"], "at the start") or diagnosis_along(self, grid)
+        near, first = self._near(), instants_of(self.model, grid).at(0)
+        if not self.model.constraints:
+            return diagnosis_at(first, near[0], "at the start") or diagnosis_along(self, grid)
+        loose = kept_of(self.model, self.start).loose(self.model)
+        q, v = begun(first, *near, loose)
+        found = start_diagnosis(first, near[0], (q, v), loose) or diagnosis_at(first, q, "at the start")
+        return found or diagnosis_along(self, grid, loose=all_loose(self.model))
 
     def _given(self, torque: Any) -> Array:
         n = len(self.model.actuators)
@@ -99,5 +152,28 @@ class ForwardDynamics(AbstractFormulation):
         return jnp.reshape(torque, (n,))
 
 
-def _accelerated(model: AbstractMechanical, q: Array, v: Array, torque: Array) -> Array:
-    return driven(model, q, v, torque if model.acts_directly else actuation_map(model, q) @ torque)
+class _Moving(NamedTuple):
+    """The motion under given torques, and whether its constraints could be obeyed."""
+
+    q: Array
+    v: Array
+    v_dot: Array
+    multipliers: Array
+    kept: Any
+
+
+def _moving(model: AbstractMechanical, q: Array, v: Array, torque: Array) -> _Moving:
+    if not model.constraints:
+        q = model.normalised(q)
+        return _Moving(q, v, driven(model, q, v, _force(model, q, torque)), jnp.zeros(0), True)
+    loose = all_loose(model)
+    q, kept = put_back(model, q, loose)
+    M = mass_of(model, q)
+    v = put_back_velocities(model, q, v, M, loose)
+    force = _force(model, q, torque) + load_on(model, q, v) - bias_of(model, q, v)
+    v_dot, multipliers = saddle(M, jacobian_of(model, q), force, constrained_acceleration(model, q, v))
+    return _Moving(q, v, v_dot, multipliers, kept)
+
+
+def _force(model: AbstractMechanical, q: Array, torque: Array) -> Array:
+    return torque if model.acts_directly else actuation_map(model, q) @ torque

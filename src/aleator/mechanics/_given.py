@@ -9,6 +9,7 @@ from jaxtyping import Array, Float
 from typing_extensions import override
 
 from aleator._core.errors import ProblemError
+from aleator.mechanics._instant import course
 from aleator.mechanics._mechanical import AbstractMechanical
 from aleator.trajectories import AbstractSignal, AbstractTrajectory, PowerSeries, Stack
 from aleator.trajectories._trajectory import copied, shape_of
@@ -96,6 +97,11 @@ def followed(motion: AbstractTrajectory, torque_rates: bool) -> dict[str, Abstra
     """A motion with the derivatives that dynamics need: one more where torques are differentiated too."""
     names = ("velocity", "acceleration", "jerk")[: 3 if torque_rates else 2]
     return {"position": motion, **{name: motion.derivative(k) for k, name in enumerate(names, 1)}}
+
+
+def course_of(model: AbstractMechanical, torque_rates: bool = False) -> dict[str, AbstractSignal]:
+    """The signals in a model's fields with as many derivatives as dynamics take: constraints take one more."""
+    return course(model, 2 + torque_rates + bool(model.constraints))
 
 
 def asks_torque_rates(model: AbstractMechanical, only: Collection[str]) -> bool:

@@ -15,6 +15,8 @@ from aleator._core.code import told_apart
 from aleator._core.compilation import Compiled, Use
 from aleator._core.errors import ProblemError
 from aleator.dynamics import Grid
+from aleator.mechanics._consistent import Kept, begun, checked_guess, consistent_start, kept_of, start_unknown
+from aleator.mechanics._constraint_diagnosis import start_diagnosis
 from aleator.mechanics._diagnosis import diagnosis_along, diagnosis_at, quaternion_diagnosis
 from aleator.mechanics._formulation import AbstractFormulation, model_given
 from aleator.mechanics._given import (
@@ -24,18 +26,19 @@ from aleator.mechanics._given import (
     combined,
     combined_motion,
     coordinates_at,
+    course_of,
     followed,
     motions_for,
     signals_for,
     vector,
 )
-from aleator.mechanics._instant import Instants, along_time, at, course, instants_of
-from aleator.mechanics._kinematics import accelerations, on_manifold, rates
-from aleator.mechanics._matrices import solve_any, solve_positive
-from aleator.mechanics._mechanical import AbstractMechanical, actuation_map, bias_of, load_on, mass_of, rate_map
+from aleator.mechanics._instant import Instants, along_time, at, instants_of
+from aleator.mechanics._kinematics import accelerations, rates
+from aleator.mechanics._mechanical import AbstractMechanical, rate_map
 from aleator.mechanics._motion import Motion
-from aleator.mechanics._outputs import standard_outputs
-from aleator.mechanics._partition import Prescribed, Solved, block, order
+from aleator.mechanics._outputs import constrained_outputs, standard_outputs
+from aleator.mechanics._partial import effect_of_torques, prescribed_velocities, solved
+from aleator.mechanics._partition import Partition, Prescribed, block
 from aleator.trajectories import AbstractSignal, AbstractTrajectory
 
 
@@ -49,6 +52,8 @@ class HybridDynamics(AbstractFormulation):
     - `torque`: trajectories or signals of those actuators whose torque is known, by name; the others are found;
     - `start`: initial values of the other coordinates and velocities, by name; those not named are zero (for a
       quaternion `(1, 0, 0, 0)`);
+    - `guess`: of a system with constraints, coordinates near which those that the start leaves out are found; see
+      `al.ForwardDynamics`;
     - `torque_rates`: whether the rates of torques are among the outputs.
 
     This is partial feedback linearisation: with `a` the prescribed and `u` the other velocities, the torques are those
@@ -61,12 +66,12 @@ class HybridDynamics(AbstractFormulation):
     motion: Given
     torque: Given
     start: dict[str, Any]
+    guess: dict[str, Any]
     prescribed: tuple[int, ...] = eqx.field(static=True)
     driven: tuple[int, ...] = eqx.field(static=True)
     known: tuple[int, ...] = eqx.field(static=True)
     torque_rates: bool = eqx.field(static=True)
 
-    states: ClassVar[tuple[str, ...]] = ("q", "v")
     signal_fields: ClassVar[tuple[str, ...]] = ("motion", "torque")
 
     def __init__(
@@ -76,6 +81,7 @@ class HybridDynamics(AbstractFormulation):
         motion: Mapping[str, Any],
         torque: Mapping[str, Any] | None = None,
         start: Mapping[str, Any] | None = None,
+        guess: Mapping[str, Any] | None = None,
         torque_rates: bool = True,
     ):
         self.model = model_given("HybridDynamics", model)
@@ -87,8 +93,14 @@ class HybridDynamics(AbstractFormulation):
         self.known = tuple(i for i, name in enumerate(model.actuators) if name in (torque or {}))
         self.torque = signals_for(self._commanded(), torque or {}, "HybridDynamics, torque")
         self.start = checked_start(model, (*self._loose(), *self._loose_speeds()), start, "HybridDynamics")
-        if len(self._unknown()) < len(self.driven):
+        self.guess = checked_guess("HybridDynamics", model, self._loose(), self.start, guess, len(self.driven))
+        if len(self._parts.unknown) < len(self.driven):
             raise ProblemError(self._unrealisable())
+
+    @property
+    def states(self) -> tuple[str, ...]:  # type: ignore[override]
+        """Coordinates and velocities that are not prescribed; no velocities where constraints determine all of them."""
+        return ("q",) if 0 < len(self._parts.undriven) == len(self.model.constraints) else ("q", "v")
 
     @property
     def units(self) -> Mapping[str, str]:  # type: ignore[override]
@@ -98,7 +110,7 @@ class HybridDynamics(AbstractFormulation):
     @override
     def signals(self) -> Mapping[str, AbstractSignal]:
         found = followed(combined_motion(self._followed(), self.motion), self.torque_rates)
-        found |= course(self.model, 2 + self.torque_rates)
+        found |= course_of(self.model, self.torque_rates)
         if self.known:
             found["known"] = known = combined(self._commanded(), self.torque)
             if isinstance(known, AbstractTrajectory):
@@ -110,12 +122,24 @@ class HybridDynamics(AbstractFormulation):
         """Without torque rates where they are not asked for: they need one more derivative of everything."""
         asked = asks_torque_rates(self.model, only)
         given = {"motion": self.motion, "torque": self.torque, "start": self.start}
+        if self.model.constraints:
+            given["guess"] = self.guess
         return HybridDynamics(self.model, **given, torque_rates=asked)  # type: ignore[arg-type]
 
     @override
     def initial(self) -> Mapping[str, Any]:
-        q = self.model.normalised(coordinates_at(self.model, self.start))
-        return {"q": q[self._others()], "v": vector(self._loose_speeds(), self.start)}
+        if self.model.constraints:
+            raise ProblemError(start_unknown("HybridDynamics", self.model))
+        return self._stated(self._others_near(), vector(self._loose_speeds(), self.start))
+
+    @override
+    def starting(self, t: Any, inputs: Mapping[str, Any]) -> Mapping[str, Any]:
+        if not self.model.constraints:
+            return self.initial()
+        model = at(self.model, t, inputs.get("parameters"))
+        given = Prescribed(inputs["position"], inputs["velocity"], inputs["acceleration"], self._known(None))
+        q, v = consistent_start(model, *self._near(model, given), self._begins().loose(model))
+        return self._stated(q[self._parts.others], v[self._parts.undriven])
 
     @override
     def rhs(
@@ -127,10 +151,12 @@ class HybridDynamics(AbstractFormulation):
         acceleration: Array,
         known: Any = None,
         parameters: Any = None,
-    ) -> tuple[Array, Array]:
+    ) -> tuple[Array, ...]:
         model = at(self.model, t, parameters)
-        solved = self._solve(model, Prescribed(position, velocity, acceleration, self._known(known)), z.q, z.v)
-        return rates(model, solved.q, solved.v)[self._others()], solved.v_dot[self._undriven()]
+        given = Prescribed(position, velocity, acceleration, self._known(known))
+        found = solved(model, self._parts, given, z.q, self._velocities(z))
+        q_dot, v_dot = rates(model, found.q, found.v)[self._parts.others], found.v_dot[self._parts.undriven]
+        return tuple(self._stated(q_dot, v_dot).values())
 
     @override
     def outputs(
@@ -146,37 +172,41 @@ class HybridDynamics(AbstractFormulation):
         parameters: Any = None,
     ) -> dict[str, Any]:
         given, model = Prescribed(position, velocity, acceleration, self._known(known)), at(self.model, t, parameters)
-        solved = self._solve(model, given, z.q, z.v)
-        q_dot = rates(model, solved.q, solved.v)
+        parts, v_u = self._parts, self._velocities(z)
+        found = solved(model, parts, given, z.q, v_u)
+        q_dot = rates(model, found.q, found.v)
         torque_rate = None
         if jerk is not None and (known is None or known_rate is not None):
             change = Prescribed(velocity, acceleration, jerk, self._known(known_rate))
-            along = (change, q_dot[self._others()], solved.v_dot[self._undriven()])
-            torque_rate = along_time(lambda *now: self._solve(*now).torque, model, (given, z.q, z.v), along)[1]
-        q_ddot = accelerations(model, solved.q, solved.v, solved.v_dot)
-        motion = Motion(t, solved.q, q_dot, q_ddot, solved.v, solved.v_dot, solved.torque)
-        return standard_outputs(model, motion, torque_rate)
+            along = (change, q_dot[parts.others], found.v_dot[parts.undriven])
+            torque_rate = along_time(
+                lambda now, *where: solved(now, parts, *where).torque, model, (given, z.q, v_u), along
+            )[1]
+        q_ddot = accelerations(model, found.q, found.v, found.v_dot)
+        motion = Motion(t, found.q, q_dot, q_ddot, found.v, found.v_dot, found.torque, found.multipliers)
+        outputs = standard_outputs(model, motion, torque_rate)
+        return constrained_outputs(model, outputs, parts.merged(position, z.q), found.kept)
 
     @override
     def diagnose(self, grid: Grid) -> str:
         motion = combined_motion(self._followed(), self.motion).sampled(grid.fractions, grid.t_start, grid.t_final)
-        others = self.initial()["q"]
-        given = jax.vmap(lambda position: self._merged(position, others))(motion)
+        others = self._others_near()
+        given = jax.vmap(lambda position: self._parts.merged(position, others))(motion)
         q = self.model.normalised(given[0])
         first = instants_of(self.model, grid).at(0)
+        if self.model.constraints:
+            loose = self._begins().loose(self.model)
+            near, v = self._near(first, self._prescribed_at(grid))
+            q, v = begun(first, near, v, loose)
+            if found := start_diagnosis(first, near, (q, v), loose):
+                return found
         if found := diagnosis_at(first, q, "at the start"):
             return found
-        effect = np.asarray(self._effect(first, q))
+        effect = np.asarray(effect_of_torques(first, self._parts, q))
         if not effect.size or np.linalg.matrix_rank(effect) < len(self.driven):
             return self._unrealisable()
         found = self._entangled(first, q) or quaternion_diagnosis(self.model, np.asarray(grid.times), given)
-        return found or diagnosis_along(self, grid, _EFFECTS)
-
-    def _effect(self, model: AbstractMechanical, q: Float[Array, " coordinates"]) -> Float[Array, "driven unknown"]:
-        """The effect of the unknown torques on the prescribed accelerations, with the others following the dynamics."""
-        M, B = mass_of(model, q), actuation_map(model, q)
-        a, u, free = self.driven, self._undriven(), self._unknown()
-        return block(B, a, free) - block(M, a, u) @ solve_positive(block(M, u, u), block(B, u, free))
+        return found or diagnosis_along(self, grid, _EFFECTS, self._parts.loose if self.model.constraints else None)
 
     def _entangled(self, model: AbstractMechanical, q: Array) -> str:
         """Why the prescribed rates do not determine velocities of their own; empty if they do."""
@@ -184,7 +214,7 @@ class HybridDynamics(AbstractFormulation):
             return ""
         # A generic posture, in which no angle happens to be zero.
         H = np.asarray(rate_map(model, q + jnp.linspace(0.2, 0.3, len(q))))
-        if not np.any(block(H, self.prescribed, self._undriven())):
+        if not np.any(block(H, self.prescribed, self._parts.undriven)):
             return ""
         names = ", ".join(self.model.coordinates[i] for i in self.prescribed)
         return (
@@ -195,57 +225,45 @@ class HybridDynamics(AbstractFormulation):
 
     def _unrealisable(self) -> str:
         names = ", ".join(self._followed())
-        found = ", ".join(self.model.actuators[i] for i in self._unknown()) or "none"
+        found = ", ".join(self.model.actuators[i] for i in self._parts.unknown) or "none"
         return (
             f"HybridDynamics of {type(self.model).__name__}: the unknown torques ({found}) cannot realise a prescribed "
             f"motion of {names}: expected at least {len(self.driven)} that act on it. Prescribe no more velocities "
             "than there are unknown torques."
         )
 
-    def _solve(self, model: AbstractMechanical, given: Prescribed, q_u: Array, v_u: Array) -> Solved:
-        """Coordinates, velocities, accelerations and torques, from the prescribed and the integrated quantities."""
-        a, u = np.array(self.driven), self._undriven()
-        q, v_a, v_dot_a = self._prescribed_velocities(model, given, q_u, v_u)
-        v = self._joined(v_a, v_u)
-        M, B = mass_of(model, q), actuation_map(model, q)
-        bias = bias_of(model, q, v) - load_on(model, q, v)
-        rest = bias - B[:, list(self.known)] @ given.known
-        B_free = B[:, self._unknown()]
-        M_ua = block(M, u, a)
-        eliminated = solve_positive(block(M, u, u), jnp.concatenate([M_ua, rest[u][:, None], B_free[u]], axis=1))
-        inner, force, effect = eliminated[:, : len(a)], eliminated[:, len(a)], eliminated[:, len(a) + 1 :]
-        # The equations of the prescribed coordinates, with the other accelerations eliminated.
-        needed = (block(M, a, a) - M_ua.T @ inner) @ v_dot_a + rest[a] - M_ua.T @ force
-        found = solve_any(B_free[a] - M_ua.T @ effect, needed)
-        v_dot_u = effect @ found - inner @ v_dot_a - force
-        torque = jnp.concatenate([found, given.known])[order((*self._unknown(), *self.known))]
-        return Solved(q, v, self._joined(v_dot_a, v_dot_u), torque)
+    @property
+    def _parts(self) -> Partition:
+        return Partition.of(self.model, self.prescribed, self.driven, self.known)
 
-    def _prescribed_velocities(
-        self, model: AbstractMechanical, given: Prescribed, q_u: Array, v_u: Array
-    ) -> tuple[Array, Array, Array]:
-        """Equations (66) and (67) for the prescribed coordinates alone, whose rates depend on no other velocity."""
-        if model.moves_directly:
-            return self._merged(given.position, q_u), given.velocity, given.acceleration
+    def _stated(self, q: Array, v: Array) -> dict[str, Array]:
+        """The states by name, or their rates."""
+        return dict(zip(self.states, (q, v), strict=False))
 
-        def own(now: AbstractMechanical, where: Array) -> Array:
-            return block(rate_map(now, where), self.prescribed, self.driven)
+    def _velocities(self, z: Any) -> Array:
+        """The integrated velocities; zero where constraints determine them."""
+        return z.v if "v" in self.states else jnp.zeros(len(self._parts.undriven))
 
-        still, a = jnp.zeros_like(q_u), np.array(self.prescribed)
-        curve = (self._merged(given.position, q_u), *(self._merged(one, still) for one in given[1:3]))
-        q, rate, acceleration = on_manifold(model, *curve)
-        v_a = solve_any(own(model, q), rate[a])
-        q_dot = rates(model, q, self._joined(v_a, v_u))
-        change = along_time(lambda *now: own(*now) @ v_a, model, (q,), (q_dot,))[1]
-        return q, v_a, solve_any(own(model, q), acceleration[a] - change)
+    def _others_near(self) -> Array:
+        """The coordinates that are not prescribed at the start, as they are given."""
+        q = self.model.normalised(coordinates_at(self.model, {**self.guess, **self.start}))
+        return q[self._parts.others]
 
-    def _merged(self, prescribed: Array, others: Array) -> Array:
-        """All coordinates in the model's order."""
-        return jnp.concatenate([prescribed, others])[order((*self.prescribed, *self._others()))]
+    def _near(self, model: AbstractMechanical, given: Prescribed) -> tuple[Array, Array]:
+        """Coordinates and velocities at the start, those that are not prescribed as they are given."""
+        v_u = vector(self._loose_speeds(), self.start)
+        q, v_a, _ = prescribed_velocities(model, self._parts, given, self._others_near(), v_u)
+        return q, self._parts.joined(v_a, v_u)
 
-    def _joined(self, driven: Array, others: Array) -> Array:
-        """All velocities in the model's order."""
-        return jnp.concatenate([driven, others])[order((*self.driven, *self._undriven()))]
+    def _prescribed_at(self, grid: Grid) -> Prescribed:
+        """The prescribed motion where the grid begins."""
+        motion = combined_motion(self._followed(), self.motion)
+        curve = [motion.derivative(k).sampled(np.zeros(1), grid.t_start, grid.t_final)[0] for k in range(3)]
+        return Prescribed(curve[0], curve[1], curve[2], self._known(None))
+
+    def _begins(self) -> Kept:
+        """What stays at the start."""
+        return kept_of(self.model, self.start, self.prescribed, self.driven)
 
     def _followed(self) -> tuple[str, ...]:
         return tuple(self.model.coordinates[i] for i in self.prescribed)
@@ -253,27 +271,18 @@ class HybridDynamics(AbstractFormulation):
     def _commanded(self) -> tuple[str, ...]:
         return tuple(self.model.actuators[i] for i in self.known)
 
-    def _others(self) -> np.ndarray:
-        return np.array([i for i in range(len(self.model.coordinates)) if i not in self.prescribed], dtype=int)
-
-    def _undriven(self) -> np.ndarray:
-        return np.array([i for i in range(len(self.model.speeds)) if i not in self.driven], dtype=int)
-
-    def _unknown(self) -> list[int]:
-        return [i for i in range(len(self.model.actuators)) if i not in self.known]
-
     def _loose(self) -> tuple[str, ...]:
-        return tuple(self.model.coordinates[i] for i in self._others())
+        return tuple(self.model.coordinates[i] for i in self._parts.others)
 
     def _loose_speeds(self) -> tuple[str, ...]:
-        return tuple(self.model.speeds[i] for i in self._undriven())
+        return tuple(self.model.speeds[i] for i in self._parts.undriven)
 
     def _known(self, given: Any) -> Float[Array, " known"]:
         return jnp.zeros(len(self.known)) if given is None else given
 
 
 def _effects(system: HybridDynamics, now: Instants, path: Array) -> Array:
-    return now.each(system._effect, path)
+    return now.each(lambda model, q: effect_of_torques(model, system._parts, q), path)
 
 
 _EFFECTS = Compiled(_effects, use=Use.ONCE, code=functools.partial(told_apart, _effects))

@@ -162,7 +162,8 @@ class Instants(NamedTuple):
 
 def instants_of(model: eqx.Module, grid: Grid) -> Instants:
     """A realised model at the instants of a grid."""
-    found = [one.sampled(grid.fractions, grid.t_start, grid.t_final) for one in course(model, 2).values()]
+    orders = 2 + bool(model.constraints)  # type: ignore[attr-defined]
+    found = [one.sampled(grid.fractions, grid.t_start, grid.t_final) for one in course(model, orders).values()]
     return Instants(model, grid.times, found[0] if found else None)
 
 

@@ -12,9 +12,11 @@ from typing_extensions import override
 from aleator._core.errors import ProblemError
 from aleator.dynamics import Grid
 from aleator.mechanics._actuation import Actuation, actuation_of, torques
+from aleator.mechanics._consistent import checked_guess
 from aleator.mechanics._diagnosis import diagnosis_at, diagnosis_of_path
 from aleator.mechanics._formulation import AbstractFormulation, model_given
 from aleator.mechanics._given import Given, asks_torque_rates, combined_motion, followed, motions_for
+from aleator.mechanics._hybrid import HybridDynamics
 from aleator.mechanics._instant import along_time, at, course, instants_of
 from aleator.mechanics._kinematics import Followed, follow
 from aleator.mechanics._mechanical import AbstractMechanical, actuation_map, required_force
@@ -30,7 +32,13 @@ class InverseDynamics(AbstractFormulation):
     - `model`: a fully actuated mechanical system, or an over-actuated one, for which the torques of least norm are
       found;
     - `motion`: one trajectory of all coordinates, or one for each by name;
-    - `torque_rates`: whether the rates of torques are among the outputs.
+    - `torque_rates`: whether the rates of torques are among the outputs;
+    - `guess`: for a system with constraints, coordinates near which those that are not prescribed start.
+
+    With constraints, as many coordinates are prescribed, by name, as the constraints leave free: a driven crank. The
+    others follow in each realisation separately, on the branch that starts near `guess`; torques and multipliers are
+    solved together, and there must be as many torques as prescribed velocities. The coordinates that follow are then
+    states: they are integrated to stay on the branch, and projected onto the constraints in every output.
 
     Every realisation follows the same motion, with its own torques. The motion is part of the system: its control
     points are named `motion.free`. Raises `ProblemError` for motions of unknown coordinates, and for models with fewer
@@ -39,16 +47,26 @@ class InverseDynamics(AbstractFormulation):
 
     model: AbstractMechanical
     motion: Given
+    guess: dict[str, Any]
     torque_rates: bool = eqx.field(static=True)
 
-    states: ClassVar[tuple[str, ...]] = ()
     signal_fields: ClassVar[tuple[str, ...]] = ("motion",)
 
-    def __init__(self, model: AbstractMechanical, *, motion: Any, torque_rates: bool = True):
+    def __init__(
+        self,
+        model: AbstractMechanical,
+        *,
+        motion: Any,
+        guess: Mapping[str, Any] | None = None,
+        torque_rates: bool = True,
+    ):
         self.model = model_given("InverseDynamics", model)
         self.torque_rates = torque_rates
-        self.motion = motions_for(model.coordinates, motion, "InverseDynamics, motion")
-        if len(model.actuators) < len(model.speeds):
+        prescribed = _driving(model, motion) if model.constraints else model.coordinates
+        self.motion = motions_for(prescribed, motion, "InverseDynamics, motion")
+        followed = tuple(name for name in model.coordinates if name not in prescribed)
+        self.guess = checked_guess("InverseDynamics", model, followed, (), guess, len(model.speeds_along(prescribed)))
+        if len(model.actuators) < len(model.speeds) - len(model.constraints):
             raise ProblemError(self._unrealisable("under-actuated"))
 
     @property
@@ -56,21 +74,40 @@ class InverseDynamics(AbstractFormulation):
         """The units that the model declares, and the standard units of its kind."""
         return {**self.model.standard_units, **self.model.units}
 
+    @property
+    def states(self) -> tuple[str, ...]:  # type: ignore[override]
+        """The coordinates that follow by constraints; none without."""
+        return self._driven().states if self.model.constraints else ()
+
     @override
     def signals(self) -> Mapping[str, AbstractSignal]:
+        if self.model.constraints:
+            return self._driven().signals()
         return {**followed(self._motion(), self.torque_rates), **course(self.model, 2 + self.torque_rates)}
 
     @override
     def focused(self, only: Collection[str]) -> "InverseDynamics":
         """Without torque rates where they are not asked for: they need one more derivative of everything."""
         asked = asks_torque_rates(self.model, only)
-        return InverseDynamics(self.model, motion=self.motion, torque_rates=asked)
+        guess = self.guess if self.model.constraints else None
+        return InverseDynamics(self.model, motion=self.motion, guess=guess, torque_rates=asked)
 
     @override
-    def rhs(self, t: Any, z: Any) -> tuple[()]:
-        """Nothing is integrated."""
-        del t, z
-        return ()
+    def initial(self) -> Mapping[str, Any]:
+        return self._driven().initial() if self.model.constraints else {}
+
+    @override
+    def starting(self, t: Any, inputs: Mapping[str, Any]) -> Mapping[str, Any]:
+        return self._driven().starting(t, inputs) if self.model.constraints else {}
+
+    @override
+    def rhs(
+        self, t: Any, z: Any, position: Array, velocity: Array, acceleration: Array, parameters: Array | None = None
+    ) -> tuple[Array, ...]:
+        """The rates of the coordinates that follow; nothing is integrated without constraints."""
+        if not self.model.constraints:
+            return ()
+        return self._driven().rhs(t, z, position, velocity, acceleration, parameters=parameters)
 
     @override
     def outputs(
@@ -83,7 +120,8 @@ class InverseDynamics(AbstractFormulation):
         jerk: Array | None = None,
         parameters: Array | None = None,
     ) -> dict[str, Any]:
-        del z
+        if self.model.constraints:
+            return self._driven().outputs(t, z, position, velocity, acceleration, jerk, parameters=parameters)
         model, curve = at(self.model, t, parameters), (position, velocity, acceleration)
         if jerk is None:
             torque, path = _torques(model, *curve)
@@ -94,6 +132,8 @@ class InverseDynamics(AbstractFormulation):
 
     @override
     def diagnose(self, grid: Grid) -> str:
+        if self.model.constraints:
+            return self._driven().diagnose(grid)
         now, path = instants_of(self.model, grid), self._motion().sampled(grid.fractions, grid.t_start, grid.t_final)
         model = now.at(0)
         q = model.normalised(path[0])
@@ -107,7 +147,9 @@ class InverseDynamics(AbstractFormulation):
 
     @override
     def holding(self, grid: Grid) -> Mapping[str, Any]:
-        """The holding torques, where the motion starts at rest and without acceleration."""
+        """The holding torques, where the motion starts at rest and without acceleration; none with constraints."""
+        if self.model.constraints:
+            return {}
         curve = [self._motion().derivative(k).sampled(np.zeros(1), grid.t_start, grid.t_final)[0] for k in range(3)]
         torque, start = _torques(instants_of(self.model, grid).at(0), *curve)
         if jnp.any(jnp.abs(jnp.stack([start.v, start.v_dot])) > 1e-9):
@@ -122,8 +164,26 @@ class InverseDynamics(AbstractFormulation):
             "there are torques, or al.ForwardDynamics."
         )
 
+    def _driven(self) -> HybridDynamics:
+        """The same with constraints: what is prescribed determines all other coordinates."""
+        motion = self.motion if isinstance(self.motion, dict) else {}
+        return HybridDynamics(self.model, motion=motion, guess=self.guess, torque_rates=self.torque_rates)
+
     def _motion(self) -> AbstractTrajectory:
         return combined_motion(self.model.coordinates, self.motion)
+
+
+def _driving(model: AbstractMechanical, motion: Any) -> tuple[str, ...]:
+    """The coordinates that a motion of a constrained model prescribes: as many as may be chosen."""
+    freedoms = len(model.speeds) - len(model.constraints)
+    names = tuple(name for name in model.coordinates if isinstance(motion, Mapping) and name in motion)
+    if not names or len(model.speeds_along(names)) != freedoms:
+        raise ProblemError(
+            f"InverseDynamics of {type(model).__name__}: expected trajectories by name for {freedoms} of "
+            f"{list(model.coordinates)}: as many as its {len(model.constraints)} constraints leave free; received "
+            f"{motion!r}. Use al.HybridDynamics to prescribe fewer."
+        )
+    return names
 
 
 def _torques(

@@ -1,14 +1,14 @@
 """`AbstractMechanical`: the interface of mechanical systems to forward, inverse and hybrid dynamics."""
 
 import abc
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from typing import Any, ClassVar, Self
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
-from typing_extensions import override
 
 from aleator._core.errors import ProblemError
 from aleator.dynamics import called
@@ -34,6 +34,8 @@ class AbstractMechanical(eqx.Module):
     - `<coordinate>`, `<coordinate>_rate`, `<coordinate>_acceleration`; `<speed>`, where it is not a rate, and
       `<speed>_rate`;
     - `<actuator>`, `<actuator>_rate` (`elbow_torque`, `elbow_torque_rate`);
+    - of a system with constraints `<constraint>_multiplier`, `<coordinate>_reaction` (their force along each velocity),
+      and `constraint_error`, `constraint_rate_error`: the largest `|g|` and `|ġ|`;
     - and those of its own `outputs(motion)`.
 
     Write it as a subclass of `al.Mechanical` (from its matrices), `al.Lagrangian` (from its energies),
@@ -49,7 +51,7 @@ class AbstractMechanical(eqx.Module):
     def at(self, t: Any) -> Self:
         """The realised model at the time `t`, s: signals are replaced by values. Trajectories last one second."""
         now = jnp.asarray(t, dtype=float)
-        found = [signal(now) for signal in course(self, 2).values()]
+        found = [signal(now) for signal in course(self, 2 + bool(self.constraints)).values()]
         return at(self, now, found[0] if found else None)
 
     @property
@@ -71,6 +73,25 @@ class AbstractMechanical(eqx.Module):
     def standard_units(self) -> Mapping[str, str]:
         """The units of coordinates, velocities and torques, as far as known; `units` overrides them."""
         return {}
+
+    @property
+    def constraints(self) -> tuple[str, ...]:
+        """The names of the equations `g(q, t) = 0` that bind the coordinates; none by default."""
+        return ()
+
+    def constraint(self, q: Float[Array, " coordinates"]) -> Any:
+        """`g(q)`: what is zero in every posture that the system can take, one number for each of `constraints`.
+
+        Its multipliers `λ` are those of `M v̇ + C v + N + Gᵀ λ = B τ + Q`, with `G v = ġ` (equation 6): positive where
+        the constraint pushes towards smaller `g`.
+        """
+        del q
+        return jnp.zeros(0)
+
+    def constraint_jacobian(self, q: Float[Array, " coordinates"]) -> Float[Array, "constraints speeds"]:
+        """`G(q)`, of `ġ = G v + ∂g/∂t`: by derivatives of `constraint(q)`."""
+        slope = jax.jacfwd(lambda at: constraint_of(self, at))(q)
+        return slope if self.moves_directly else slope @ rate_map(self, q)
 
     @property
     def moves_directly(self) -> bool:
@@ -133,7 +154,7 @@ class AbstractMechanical(eqx.Module):
         """
         if len(self.coordinates) != len(self.speeds):
             raise ProblemError(
-                f"HybridDynamics of {type(self).__name__}: expected one velocity for each coordinate, as Euler angles "
+                f"{type(self).__name__}: expected one velocity for each coordinate that is given, as Euler angles "
                 f"have; received {len(self.coordinates)} coordinates and {len(self.speeds)} velocities."
             )
         return tuple(i for i, name in enumerate(self.coordinates) if name in coordinates)
@@ -171,42 +192,6 @@ class AbstractMechanical(eqx.Module):
         return {}
 
 
-class AbstractNamed(AbstractMechanical):
-    """A mechanical system with names declared in its class: `names = ("shoulder", "elbow")`.
-
-    `velocity_names` and `actuator_names` may be declared too, where there is not one for each coordinate.
-    """
-
-    names: ClassVar[tuple[str, ...]]
-    velocity_names: ClassVar[Sequence[str] | None] = None
-    actuator_names: ClassVar[Sequence[str] | None] = None
-
-    def __check_init__(self):
-        for field in ("names", "velocity_names", "actuator_names"):
-            if isinstance(given := getattr(self, field, None), str):
-                raise ProblemError(
-                    f"{type(self).__name__}.{field}: expected names in a tuple; received the text {given!r}. A single "
-                    f"name needs a comma: ({given!r},)."
-                )
-
-    @property
-    @override
-    def coordinates(self) -> tuple[str, ...]:
-        return tuple(self.names)
-
-    @property
-    @override
-    def speeds(self) -> tuple[str, ...]:
-        given = self.velocity_names
-        return tuple(f"{name}_rate" for name in self.names) if given is None else tuple(given)
-
-    @property
-    @override
-    def actuators(self) -> tuple[str, ...]:
-        given = self.actuator_names
-        return tuple(f"{name.removesuffix('_rate')}_torque" for name in self.speeds) if given is None else tuple(given)
-
-
 def mass_of(model: AbstractMechanical, q: Float[Array, " coordinates"]) -> Float[Array, "speeds speeds"]:
     """`M(q)` as an array. Raises `ProblemError` for another shape."""
     n = len(model.speeds)
@@ -218,6 +203,16 @@ def bias_of(
 ) -> Float[Array, " speeds"]:
     """`C(q, v) v + N(q, v)` as an array. Raises `ProblemError` for another shape."""
     return shaped(model, "bias", (q, v), (len(model.speeds),))
+
+
+def constraint_of(model: AbstractMechanical, q: Float[Array, " coordinates"]) -> Float[Array, " constraints"]:
+    """`g(q)` as an array. Raises `ProblemError` for another shape."""
+    return shaped(model, "constraint", (q,), (len(model.constraints),))
+
+
+def jacobian_of(model: AbstractMechanical, q: Float[Array, " coordinates"]) -> Float[Array, "constraints speeds"]:
+    """`G(q)` as an array. Raises `ProblemError` for another shape."""
+    return shaped(model, "constraint_jacobian", (q,), (len(model.constraints), len(model.speeds)))
 
 
 def load_on(model: AbstractMechanical, q: Float[Array, " coordinates"], v: Float[Array, " speeds"]) -> Any:

@@ -2,6 +2,7 @@
 
 from typing import Any, NamedTuple
 
+import numpy as np
 from jaxtyping import Array, Float
 
 
@@ -10,7 +11,8 @@ class Motion(NamedTuple):
 
     - `t`: s; `q`, `q_dot`, `q_ddot`: coordinates and their time derivatives, shape (coordinates,);
     - `v`, `v_dot`: generalised velocities and their time derivatives, shape (speeds,); `q_dot = H(q) v`;
-    - `torque`: the actuators' torques, shape (actuators,).
+    - `torque`: the actuators' torques, shape (actuators,);
+    - `multipliers`: Lagrange multipliers `λ` of the constraints, shape (constraints,).
     """
 
     t: Any
@@ -20,3 +22,4 @@ class Motion(NamedTuple):
     v: Float[Array, " speeds"]
     v_dot: Float[Array, " speeds"]
     torque: Float[Array, " actuators"]
+    multipliers: Float[Array, " constraints"] = np.zeros(0)  # type: ignore[assignment]

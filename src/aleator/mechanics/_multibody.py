@@ -2,7 +2,7 @@
 
 import abc
 from collections.abc import Collection, Mapping, Sequence
-from typing import Any
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -16,6 +16,7 @@ from aleator._core.leaves import is_leaf
 from aleator._core.once import once_for_each
 from aleator.mechanics._body import Body
 from aleator.mechanics._body_load import BodyLoad, refuse_moving_places, wrenches_of
+from aleator.mechanics._closure import Closure, checked_closures, residuals
 from aleator.mechanics._instant import at, later
 from aleator.mechanics._joints import AbstractJoint
 from aleator.mechanics._mechanical import AbstractMechanical, evaluated
@@ -30,6 +31,8 @@ from aleator.mechanics._recursions import (
 from aleator.mechanics._spatial import Block, Pose, as_array, composed, cross, momentum, plus, power
 from aleator.mechanics._tree import GROUND, Tree, build_tree, sorted_bodies
 from aleator.trajectories import AbstractSignal
+
+Part = TypeVar("Part", bound=AbstractJoint | Closure)
 
 
 class Multibody(AbstractMechanical):
@@ -53,6 +56,8 @@ class Multibody(AbstractMechanical):
     External forces, such as wind and contact, are given by `body_loads(q, v)`, as a tuple of `al.BodyLoad`, or by
     `load(q, v)`, as a generalised force; the two add up.
 
+    Loops are closed by `closures()`, a tuple of `al.joints.Closure`: joints between bodies of the tree.
+
     Any number in a field may be a distribution, a decision or a signal, but the set of bodies and joints is fixed.
     Masses and inertias may vary with time, as in `al.Mechanical`: mass leaves a body at the body's velocity. The places
     of joints may not: use one more joint, with its motion prescribed in `al.HybridDynamics`. The cost of inverse and
@@ -68,6 +73,10 @@ class Multibody(AbstractMechanical):
     @abc.abstractmethod
     def bodies(self) -> Sequence[Body]:
         """The bodies, as functions of the numbers in the fields."""
+
+    def closures(self) -> Sequence[Closure]:
+        """The joints that close loops, from the numbers in the fields; none by default."""
+        return ()
 
     @property
     def coordinates(self) -> tuple[str, ...]:
@@ -96,8 +105,29 @@ class Multibody(AbstractMechanical):
             for end, unit in zip(joint.speeds, joint.speed_units, strict=True):
                 speed = name + end
                 found[speed] = unit
-                found[f"{speed.removesuffix('_rate')}_torque"] = "N" if unit == "m/s" else "N·m"
+                for force in ("torque", "reaction"):
+                    found[f"{speed.removesuffix('_rate')}_{force}"] = "N" if unit == "m/s" else "N·m"
+        for closure in self._loops():
+            found |= {f"{name}_multiplier": unit for name, unit in zip(closure.names, closure.units, strict=True)}
         return found
+
+    @property
+    @override
+    def constraints(self) -> tuple[str, ...]:
+        return tuple(name for closure in self._loops() for name in closure.names)
+
+    @override
+    def constraint(self, q: Float[Array, " coordinates"]) -> Float[Array, " constraints"]:
+        """What is left of the equations of the closures, in their order."""
+        return residuals(type(self).__name__, self._closures(), self.poses(q))
+
+    @override
+    def constraint_jacobian(self, q: Float[Array, " coordinates"]) -> Float[Array, "constraints speeds"]:
+        if type(self).constraint is not Multibody.constraint:
+            return super().constraint_jacobian(q)
+        tree, poses = self._tree(), self.poses(q)
+        rows = [closure.jacobian(tree, q, poses) for closure in self._closures()]
+        return jnp.concatenate([jnp.zeros((0, tree.speeds)), *rows])
 
     def mass_matrix(self, q: Float[Array, " coordinates"]) -> Float[Array, "speeds speeds"]:
         """`M(q)`, by the composite-rigid-body algorithm."""
@@ -237,9 +267,16 @@ class Multibody(AbstractMechanical):
             raise ProblemError(f"{type(self).__name__}.bodies returns a tuple of al.Body; received {given!r}.")
         return given
 
+    def _closures(self) -> Sequence[Closure]:
+        return checked_closures(type(self).__name__, evaluated(self, "closures"))
+
     def _joints(self) -> list[tuple[str, AbstractJoint]]:
         """The moving bodies with the structure of their joints; also before distributions are realised."""
         return _joints_of(self)
+
+    def _loops(self) -> Sequence[Closure]:
+        """The closures, of which only the structure counts; also before distributions are realised."""
+        return () if type(self).closures is Multibody.closures else _closures_of(self)
 
     def _gravity(self) -> Block:
         return as_array(self.gravity, f"{type(self).__name__}.gravity", (3,))
@@ -248,15 +285,25 @@ class Multibody(AbstractMechanical):
 @once_for_each
 def _joints_of(model: Multibody) -> list[tuple[str, AbstractJoint]]:
     """The moving bodies of a model with their joints; cached, since building bodies is slow."""
-    plain = jax.tree.map(_as_number, model, is_leaf=_is_no_number)
-    now = plain if model._when is not None else at(plain, jnp.zeros(()), None)
-    bodies = sorted_bodies(now._bodies())
+    bodies = sorted_bodies(_with_numbers(model)._bodies())
     return [(body.name, _without_numbers(body.joint)) for body in bodies if isinstance(body.joint, AbstractJoint)]
 
 
-def _without_numbers(joint: AbstractJoint) -> AbstractJoint:
-    """The structure of a joint: it outlives the trace in which its numbers may have been made."""
-    return jax.tree.map(lambda leaf: np.zeros(np.shape(leaf)) if is_number(leaf) else leaf, joint)
+@once_for_each
+def _closures_of(model: Multibody) -> list[Closure]:
+    """The closures of a model; cached too."""
+    return [_without_numbers(closure) for closure in _with_numbers(model)._closures()]
+
+
+def _with_numbers(model: Multibody) -> Multibody:
+    """The model with numbers in the place of distributions, decisions and signals."""
+    plain = jax.tree.map(_as_number, model, is_leaf=_is_no_number)
+    return plain if model._when is not None else at(plain, jnp.zeros(()), None)
+
+
+def _without_numbers(part: Part) -> Part:
+    """The structure of a joint or a closure: it outlives the trace in which its numbers may have been made."""
+    return jax.tree.map(lambda leaf: np.zeros(np.shape(leaf)) if is_number(leaf) else leaf, part)
 
 
 def _is_no_number(node: Any) -> bool:

@@ -4,10 +4,12 @@ from collections import Counter
 from collections.abc import Mapping
 from typing import Any
 
+import jax.numpy as jnp
 from jaxtyping import Array
 
 from aleator._core.errors import ProblemError
-from aleator.mechanics._mechanical import AbstractMechanical
+from aleator.mechanics._constraints import constraint_rate, reactions
+from aleator.mechanics._mechanical import AbstractMechanical, constraint_of
 from aleator.mechanics._motion import Motion
 
 
@@ -28,6 +30,8 @@ def standard_outputs(model: AbstractMechanical, motion: Motion, torque_rate: Arr
         listed.append((name, motion.torque[i]))
         if torque_rate is not None:
             listed.append((f"{name}_rate", torque_rate[i]))
+    if model.constraints:
+        listed += _of_constraints(model, motion)
     found = dict(listed)
     if len(found) < len(listed):
         twice = sorted(name for name, count in Counter(name for name, _ in listed).items() if count > 1)
@@ -44,3 +48,28 @@ def standard_outputs(model: AbstractMechanical, motion: Motion, torque_rate: Arr
             f"{type(model).__name__}.outputs: {taken} are standard outputs of every mechanical system; rename yours."
         )
     return {**found, **own}
+
+
+def constrained_outputs(
+    model: AbstractMechanical, found: dict[str, Any], integrated: Array, kept: Any
+) -> dict[str, Any]:
+    """The outputs of a system with constraints: not a number where these were not obeyed, and how far they had drifted.
+
+    `integrated` are the coordinates before they were put back.
+    """
+    if not model.constraints:
+        return found
+    drift = {"constraint_drift": jnp.abs(constraint_of(model, model.normalised(integrated))).max()}
+    return {name: jnp.where(kept, value, jnp.nan) for name, value in {**drift, **found}.items()}
+
+
+def _of_constraints(model: AbstractMechanical, motion: Motion) -> list[tuple[str, Any]]:
+    listed: list[tuple[str, Any]] = [
+        ("constraint_error", jnp.abs(constraint_of(model, motion.q)).max()),
+        ("constraint_rate_error", jnp.abs(constraint_rate(model, motion.q, motion.v)).max()),
+    ]
+    listed += [(f"{name}_multiplier", value) for name, value in zip(model.constraints, motion.multipliers, strict=True)]
+    forces = reactions(model, motion.q, motion.multipliers)
+    return listed + [
+        (f"{name.removesuffix('_rate')}_reaction", force) for name, force in zip(model.speeds, forces, strict=True)
+    ]

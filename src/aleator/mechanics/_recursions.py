@@ -4,7 +4,7 @@ Featherstone, Rigid Body Dynamics Algorithms, 2008. All quantities of a link are
 are unrolled.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -22,11 +22,13 @@ from aleator.mechanics._spatial import (
     articulated,
     articulated_outside,
     composed,
+    cross,
     cross_force,
     cross_motion,
     inertia_outside,
     load,
     momentum,
+    plus,
     power,
     times,
     twist_within,
@@ -98,6 +100,31 @@ def inverse_dynamics(
         if link.parent != GROUND:
             wrenches[link.parent] = added(wrenches[link.parent], wrench_outside(poses[i], wrenches[i]))
     return jnp.concatenate([jnp.zeros(0), *forces])
+
+
+def motion_apart(tree: Tree, q: Float[Array, " coordinates"], first: int, second: int) -> Twist:
+    """How one link moves against another for each speed, as columns: at the world's origin and in its axes."""
+    poses, chains = world_poses(tree, q), [set(_chain(tree, index)) for index in (first, second)]
+    angular: list[Any] = []
+    linear: list[Any] = []
+    for i, link in enumerate(tree.links):
+        turning = moving = np.zeros((3, link.v.stop - link.v.start))
+        if i in chains[0] ^ chains[1]:
+            sign = 1.0 if i in chains[0] else -1.0
+            own = link.joint.subspace(q[link.q])
+            turning = turning if own.angular is None else sign * (poses[i].rotation @ own.angular)
+            moving = moving if own.linear is None else sign * (poses[i].rotation @ own.linear)
+            moving = plus(moving, cross(poses[i].position, turning))
+        angular.append(turning)
+        linear.append(moving)
+    return Twist(jnp.concatenate(angular, axis=1), jnp.concatenate(linear, axis=1))
+
+
+def _chain(tree: Tree, index: int) -> Iterator[int]:
+    """A link and all that carry it."""
+    while index != GROUND:
+        yield index
+        index = tree.links[index].parent
 
 
 def generalised(tree: Tree, q: Float[Array, " coordinates"], loads: Sequence[Wrench]) -> Float[Array, " speeds"]:

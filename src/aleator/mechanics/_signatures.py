@@ -14,6 +14,8 @@ ARGUMENTS: Mapping[str, tuple[str, ...]] = {
     "bias": ("q", "v"),
     "coriolis": ("q", "v"),
     "forces": ("q", "v"),
+    "constraint": ("q",),
+    "constraint_jacobian": ("q",),
     "load": ("q", "v"),
     "body_loads": ("q", "v"),
     "kinetic_energy": ("q", "v"),
@@ -22,6 +24,7 @@ ARGUMENTS: Mapping[str, tuple[str, ...]] = {
     "inverse_dynamics": ("q", "v", "v_dot"),
     "forward_dynamics": ("q", "v", "force"),
     "bodies": (),
+    "closures": (),
 }
 """The methods that a subclass may write, with their arguments. Each may take the time `t`, in s, after these."""
 

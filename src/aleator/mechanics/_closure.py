@@ -1,0 +1,187 @@
+"""`Closure`: a joint that closes a tree of bodies to a loop, as equations between the frames of two bodies."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, TypeAlias, final
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from aleator._core.errors import ProblemError
+from aleator._core.given import a_name, refusal
+from aleator._core.leaves import is_leaf
+from aleator.mechanics._body import frame
+from aleator.mechanics._joints import AbstractAxial, Ball, Fixed, Prismatic, Revolute
+from aleator.mechanics._recursions import motion_apart
+from aleator.mechanics._spatial import Block, Pose, all_known, composed, cross, library, plus, skew, unit
+from aleator.mechanics._tree import GROUND, Tree
+
+Closing: TypeAlias = Revolute | Prismatic | Ball | Fixed
+"""The joints that may close a loop."""
+
+_AXES = "xyz"
+
+
+@final
+class Closure(eqx.Module):
+    """A joint between two bodies of an `al.Multibody` that have joints of their own already: it closes a loop.
+
+    - `name`: that of the closure, which its constraints and their multipliers are called by; `parent`, `child`: the
+      bodies that it binds, `None` for the ground;
+    - `joint`: what it leaves free. `al.joints.Ball()` binds the point: 3 equations, `<name>_x`, `_y`, `_z`;
+      `al.joints.Revolute(axis)` the point and the direction of the axis: 5; `al.joints.Prismatic(axis)` all but the way
+      along the axis: 5; `al.joints.Fixed()` all: 6;
+    - `position` (3,), `orientation`: the joint's frame in the parent's frame, as in `al.Body`; `child_position`,
+      `child_orientation`: the same frame in the child's;
+    - `planar`: whether the loop moves in the plane across the axis of `al.joints.Revolute`, where the other equations
+      would say nothing new: 2, the point in this plane.
+
+    The equations are the parent's frame minus the child's, in the axes of the parent's, m, and the angles (small, or
+    zero) between them: so that multipliers are the force, N, and the moment, N·m, by which the parent acts on the
+    child. Each number may be uncertain, decided or a signal.
+
+    Raises `ProblemError` for other joints, and for springs and dampers, which belong to joints with coordinates.
+    """
+
+    name: str = eqx.field(static=True)
+    parent: str | None = eqx.field(static=True, kw_only=True)
+    child: str | None = eqx.field(static=True, kw_only=True)
+    joint: Closing = eqx.field(kw_only=True)
+    position: Any = eqx.field(default=(0.0, 0.0, 0.0), kw_only=True)
+    child_position: Any = eqx.field(default=(0.0, 0.0, 0.0), kw_only=True)
+    orientation: Any = eqx.field(default=(0.0, 0.0, 0.0), kw_only=True)
+    child_orientation: Any = eqx.field(default=(0.0, 0.0, 0.0), kw_only=True)
+    planar: bool = eqx.field(static=True, default=False, kw_only=True)
+
+    def __check_init__(self):
+        a_name("Closure: name", self.name)
+        for end in ("parent", "child"):
+            if getattr(self, end) is not None:
+                a_name(f"Closure '{self.name}': {end}", getattr(self, end))
+        if self.parent == self.child:
+            raise ProblemError(f"Closure '{self.name}': expected two bodies; received '{self.parent}' twice.")
+        if not isinstance(self.joint, Closing):
+            raise refusal(
+                f"Closure '{self.name}': joint", "al.joints.Revolute('z'), Prismatic, Ball or Fixed", self.joint
+            )
+        if self.planar and not isinstance(self.joint, Revolute):
+            raise ProblemError(
+                f"Closure '{self.name}': expected planar=True with al.joints.Revolute, whose axis stands on the plane; "
+                f"received {type(self.joint).__name__}."
+            )
+        if isinstance(self.joint, AbstractAxial) and not _is_passive(self.joint):
+            raise ProblemError(
+                f"Closure '{self.name}': expected a joint without spring and damper, since it has no coordinate; "
+                "received one with them. Close the loop at another joint, or add their force by load(q, v)."
+            )
+        for given in ((self.position, self.orientation), (self.child_position, self.child_orientation)):
+            if all_known(*given):
+                frame(f"Closure '{self.name}'", *given)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of its equations."""
+        return tuple(f"{self.name}_{end}" for end in (*self._point_ends(), *self._turn_ends()))
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """The units of its multipliers."""
+        return ("N",) * len(self._point_ends()) + ("N·m",) * len(self._turn_ends())
+
+    def residual(self, poses: Mapping[str, Pose]) -> Float[Array, " equations"]:
+        """What is left of its equations, from the poses of the bodies in the world."""
+        outer, inner = self._frames(poses)
+        apart = outer.rotation.T @ (outer.position - inner.position)
+        turned = outer.rotation.T @ inner.rotation
+        return jnp.concatenate([self._point(apart), self._turn(turned)])
+
+    def jacobian(
+        self, tree: Tree, q: Float[Array, " coordinates"], poses: Mapping[str, Pose]
+    ) -> Float[Array, "equations speeds"]:
+        """How they change with the speeds: exact wherever the bodies are."""
+        first, second = (GROUND if end is None else tree.places[end][0] for end in (self.parent, self.child))
+        outer, inner = self._frames(poses)
+        motion = motion_apart(tree, q, first, second)
+        apart = outer.rotation.T @ plus(motion.linear, -cross(inner.position, motion.angular))
+        turned, turning = outer.rotation.T @ inner.rotation, -outer.rotation.T @ motion.angular
+        columns = [
+            jnp.concatenate([self._point(apart[:, i]), self._turn(skew(turning[:, i]) @ turned)])
+            for i in range(apart.shape[1])
+        ]
+        return jnp.stack(columns, axis=1)
+
+    def _frames(self, poses: Mapping[str, Pose]) -> tuple[Pose, Pose]:
+        """The frames in the world that it brings together: on the parent and on the child."""
+        outer = frame(f"Closure '{self.name}'", self.position, self.orientation)
+        inner = frame(f"Closure '{self.name}'", self.child_position, self.child_orientation)
+        return (
+            outer if self.parent is None else composed(poses[self.parent], outer),
+            inner if self.child is None else composed(poses[self.child], inner),
+        )
+
+    def _point(self, apart: Block) -> Block:
+        if isinstance(self.joint, Prismatic) or self.planar:
+            return _across(self.joint.direction()) @ apart  # type: ignore[union-attr]
+        return apart
+
+    def _turn(self, turned: Block) -> Block:
+        xp = library(turned)
+        if self.planar or isinstance(self.joint, Ball):
+            return np.zeros(0)
+        if isinstance(self.joint, Revolute):
+            axis = self.joint.direction()
+            first, second = _across(axis) @ (turned @ axis)
+            return xp.stack([second, -first])
+        skewed = 0.5 * (turned.T - turned)
+        return xp.stack([skewed[2, 1], skewed[0, 2], skewed[1, 0]])
+
+    def _point_ends(self) -> tuple[str, ...]:
+        return _ends(self.joint) if isinstance(self.joint, Prismatic) or self.planar else tuple(_AXES)
+
+    def _turn_ends(self) -> tuple[str, ...]:
+        if self.planar or isinstance(self.joint, Ball):
+            return ()
+        ends = _ends(self.joint) if isinstance(self.joint, Revolute) else tuple(_AXES)
+        return tuple(f"turn_{end}" for end in ends)
+
+
+def checked_closures(kind: str, given: Any) -> Sequence[Closure]:
+    """What a user's `closures` gives. Raises `ProblemError` for what is none."""
+    if not isinstance(given, tuple | list) or not all(isinstance(one, Closure) for one in given):
+        raise ProblemError(f"{kind}.closures returns a tuple of al.joints.Closure; received {given!r}.")
+    return given
+
+
+def residuals(kind: str, closures: Sequence[Closure], poses: Mapping[str, Pose]) -> Float[Array, " constraints"]:
+    """What is left of all equations, from the poses of the bodies. Raises `ProblemError` for what is no body."""
+    for closure in closures:
+        for end in (closure.parent, closure.child):
+            if end is not None and end not in poses:
+                raise ProblemError(
+                    f"{kind}.closures: '{closure.name}' binds '{end}', which is no body; expected some of "
+                    f"{sorted(poses)}, or None for the ground."
+                )
+    return jnp.concatenate([jnp.zeros(0), *(closure.residual(poses) for closure in closures)])
+
+
+def _is_passive(joint: AbstractAxial) -> bool:
+    given = joint.damping, joint.stiffness
+    return not any(is_leaf(one) or not isinstance(one, int | float) or one != 0 for one in given)
+
+
+def _ends(joint: Any) -> tuple[str, ...]:
+    """The names of the two directions across an axis."""
+    if not isinstance(joint.axis, str):
+        return ("first", "second")
+    along = _AXES.index(joint.axis)
+    return _AXES[(along + 1) % 3], _AXES[(along + 2) % 3]
+
+
+def _across(axis: Block) -> Block:
+    """Two unit vectors as rows that stand on a unit vector and on one another, all three right-handed."""
+    xp = library(axis)
+    # The axis of coordinates after the nearest one: y for x, so that the directions across z are x and y.
+    following = xp.roll(xp.eye(3)[xp.argmax(xp.abs(axis))], 1)
+    first = unit(following - (following @ axis) * axis)
+    return xp.stack([first, cross(axis, first)])

@@ -1,0 +1,183 @@
+"""What can be wrong with constraints, in words: a start that contradicts them, redundancy, singular postures."""
+
+import functools
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from aleator._core.arrays import numbers_to_arrays
+from aleator._core.code import told_apart
+from aleator._core.compilation import Compiled, Use
+from aleator.mechanics._constraints import Loose, jacobian_of
+from aleator.mechanics._instant import Instants
+from aleator.mechanics._mechanical import AbstractMechanical, constraint_of
+
+# Singular values smaller than this beside the largest, in sizes of their own, are rounding of zero.
+_SINGULAR = 1e-9
+
+# What may be left of a constraint, beside its slope times the coordinates.
+_LEFT = 1e-8
+
+_MOST_STEPS = 50
+
+
+def start_diagnosis(model: AbstractMechanical, near: Any, found: Any, loose: Loose) -> str:
+    """Why no posture at the start obeys the constraints, or why they do not determine one; empty if all is well.
+
+    `near` is the start as it is given, with coordinates that stay and those that are `loose`; `found` are the
+    coordinates and velocities that were found from it, not a number where they were not.
+    """
+    q, left, slope, jacobian = _brought_near(model, np.asarray(near, dtype=float), np.array(loose.coordinates))
+    what = type(model).__name__
+    size = np.abs(slope).max(axis=1, initial=0.0) * (1 + np.abs(q).max(initial=0.0))
+    if not (np.abs(left) <= _LEFT * size).all():
+        return (
+            f"{what}: no start near {_listed(model.coordinates, near)} satisfies its constraints: at "
+            f"{_listed(model.coordinates, q)} they are left with {_listed(model.constraints, left)}. Check its "
+            "lengths, keep less in start, or guess nearer to a posture that it can take."
+        )
+    if _rank(jacobian) < len(jacobian):
+        return _dependence(what, model, q, jacobian)
+    if not np.isfinite(np.concatenate(found)).all():
+        return (
+            f"{what}: at {_listed(model.coordinates, q)} its constraints do not determine how "
+            f"{_named([model.coordinates[i] for i in loose.coordinates])} follow the rest (a dead centre). Keep or "
+            "prescribe another coordinate, or start beside this posture."
+        )
+    return ""
+
+
+def constraint_diagnosis_along(now: Instants, path: Array, loose: Loose) -> str:
+    """Where along a path the constraints lose their rank, at an instant or between two; empty if nowhere."""
+    model, times = now.model, np.asarray(now.times)
+    jacobians = np.asarray(_JACOBIANS(numbers_to_arrays(now), path))[:, :, np.array(loose.speeds)]
+    when = lost_rank(times, jacobians)
+    if when is None:
+        return ""
+    text, i = when
+    return (
+        f"The constraints of {type(model).__name__} lose their rank {text} "
+        f"({_listed(model.coordinates, np.asarray(path[i]))}): how {_named([model.speeds[j] for j in loose.speeds])} "
+        "follow is not determined there (a dead centre). Stay away from this posture, or prescribe another coordinate."
+    )
+
+
+def lost_rank(times: np.ndarray, matrices: Float[np.ndarray, "instants m n"]) -> tuple[str, int] | None:
+    """When matrices along a path first lose the rank of their rows, and at which instant: there or right after it."""
+    finite: Any = np.isfinite(matrices).all(axis=(1, 2))
+    matrices = np.where(finite[:, None, None], matrices, 0.0)
+    size = np.abs(matrices).max(axis=(0, 2), initial=0.0)
+    matrices = matrices / np.where(size > 0, size, 1.0)[:, None]
+    values = np.linalg.svd(matrices, compute_uv=False)
+    lost = ~finite | (values[:, -1] <= 1e-12 * values.max(initial=0.0))
+    turned = np.zeros(len(lost), dtype=bool)
+    if matrices.shape[1] == matrices.shape[2]:
+        signs = np.linalg.slogdet(matrices)[0]
+        turned[:-1] = signs[:-1] * signs[1:] < 0
+    if not (lost | turned).any():
+        return None
+    first = int(np.argmax(lost | turned))
+    if lost[first]:
+        return f"at t = {times[first]:.4g} s", first
+    return f"between t = {times[first]:.4g} s and t = {times[first + 1]:.4g} s", first
+
+
+def _dependence(what: str, model: AbstractMechanical, q: np.ndarray, jacobian: np.ndarray) -> str:
+    """Constraints that depend on one another: wherever the system is, or in one posture alone."""
+    rank, names = _rank(jacobian), _dependent(model, jacobian)
+    everything = np.arange(len(model.coordinates))
+    # A posture apart, in which no angle happens to be zero.
+    apart, left, slope, elsewhere = _brought_near(model, q + np.linspace(0.02, 0.05, len(q)), everything)
+    reached = (np.abs(left) <= _LEFT * np.abs(slope).max(axis=1) * (1 + np.abs(apart).max())).all()
+    if reached and _rank(elsewhere) == len(jacobian):
+        return (
+            f"{what}: its {len(jacobian)} constraints have only rank {rank} at {_listed(model.coordinates, q)}, where "
+            f"{_dependent_text(names)} (a singular posture, in which it may go on in several ways). Start "
+            "beside it, or choose lengths that keep away from it."
+        )
+    return (
+        f"{what}: redundant constraints: expected {len(jacobian)} that are independent; their rank is {rank}, for "
+        f"{_dependent_text(names)}. Leave out {len(jacobian) - rank} of these; a loop of hinges in one "
+        "plane is closed by al.joints.Closure(..., planar=True)."
+    )
+
+
+def _dependent_text(names: list[str]) -> str:
+    return f"{_named(names)} binds nothing" if len(names) == 1 else f"{_named(names)} depend on one another"
+
+
+def _dependent(model: AbstractMechanical, jacobian: np.ndarray) -> list[str]:
+    """The names of constraints that take part in combinations which bind nothing."""
+    scaled = _scaled(jacobian)
+    vectors, values, _ = np.linalg.svd(scaled)
+    values = np.append(values, np.zeros(len(vectors) - len(values)))
+    vanishing = vectors[:, values <= _SINGULAR * max(values[0], 1.0)]
+    return [name for name, row in zip(model.constraints, vanishing, strict=True) if np.abs(row).max() > 1e-6]
+
+
+def _rank(matrix: np.ndarray) -> int:
+    values = np.linalg.svd(_scaled(matrix), compute_uv=False)
+    return int(np.sum(values > _SINGULAR * values.max(initial=0.0)))
+
+
+def _scaled(matrix: np.ndarray) -> np.ndarray:
+    """Each row by its largest entry; columns, metres beside radians, by theirs."""
+    for axis in (1, 0):
+        size = np.abs(matrix).max(axis=axis, keepdims=True, initial=0.0)
+        matrix = matrix / np.where(size > 1e-12 * size.max(initial=0.0), size, np.where(size > 0, size.max(), 1.0))
+    return matrix
+
+
+def _brought_near(model: AbstractMechanical, q: np.ndarray, moving: np.ndarray) -> tuple[np.ndarray, ...]:
+    """A posture that obeys the constraints as nearly as Gauss and Newton bring it, what is left, slope and Jacobian.
+
+    On the host, and by least squares, so that dependent constraints are told from contradictory ones.
+    """
+    model = numbers_to_arrays(model)
+
+    def linearised(at: np.ndarray) -> tuple[np.ndarray, ...]:
+        return tuple(np.nan_to_num(np.asarray(one)) for one in _LINEARISED(model, jnp.asarray(at)))
+
+    left, slope, jacobian = linearised(q)
+    for _ in range(_MOST_STEPS):
+        step = np.linalg.lstsq(slope[:, moving], left, rcond=_SINGULAR)[0]
+        damping, moved, following = 1.0, q, (left, slope, jacobian)
+        while damping > 1e-3:
+            moved = q.copy()
+            moved[moving] -= damping * step
+            following = linearised(moved)
+            if np.linalg.norm(following[0]) < np.linalg.norm(left):
+                break
+            damping /= 2
+        else:
+            break
+        q, (left, slope, jacobian) = moved, following
+        if np.abs(step).max(initial=0.0) <= 1e-14 * (1 + np.abs(q).max(initial=0.0)):
+            break
+    return np.asarray(model.normalised(jnp.asarray(q))), left, slope, jacobian
+
+
+def _linearised(model: AbstractMechanical, q: Array) -> tuple[Array, Array, Array]:
+    def bound(at: Array) -> Array:
+        return constraint_of(model, model.normalised(at))
+
+    return bound(q), jax.jacfwd(bound)(q), jacobian_of(model, model.normalised(q))
+
+
+def _jacobians(now: Instants, path: Array) -> Array:
+    return now.each(jacobian_of, path)
+
+
+_LINEARISED = Compiled(_linearised, use=Use.ONCE, code=functools.partial(told_apart, _linearised))
+_JACOBIANS = Compiled(_jacobians, use=Use.ONCE, code=functools.partial(told_apart, _jacobians))
+
+
+def _listed(names: tuple[str, ...], values: Any) -> str:
+    return ", ".join(f"{name} = {float(value):.4g}" for name, value in zip(names, np.asarray(values), strict=True))
+
+
+def _named(names: list[str]) -> str:
+    return ", ".join(f"'{name}'" for name in names)
