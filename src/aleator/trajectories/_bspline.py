@@ -95,7 +95,8 @@ class BSpline(AbstractTrajectory):
     def values(self, fractions: Fractions, duration: Any = 1.0, order: int = 0) -> Float[Array, "n ..."]:
         """As in `AbstractTrajectory.values`; derivatives by the splines of equations (56) and (57)."""
         weights = basis_matrix(fractions, self.all_knots(), self.degree, order)
-        return jnp.tensordot(jnp.asarray(weights), self.control_points(duration), axes=1) / duration**order
+        values = jnp.tensordot(jnp.asarray(weights), self.control_points(duration), axes=1)
+        return values / duration**order if order else values
 
     def all_knots(self) -> tuple[float, ...] | Float[Array, " knots"]:
         """All knots over [0, 1], the ends repeated `degree + 1` times."""

@@ -48,7 +48,11 @@ def crane(intervals: int = 20, **options: Any) -> al.Problem:
     )
 
 
-def everything() -> al.Problem:
+def free_force(**options: Any) -> al.BSpline:
+    return al.BSpline(al.Decision(np.linspace(1.0, -1.0, 5), -20.0, 20.0), degree=2, **options)
+
+
+def everything(force: al.BSpline | None = None) -> al.Problem:
     """A final time, a damper, a spread and a motion to choose, and every kind of functional."""
     return al.Problem(
         Cart(
@@ -57,7 +61,7 @@ def everything() -> al.Problem:
             damping=al.Decision(0.4, 0.0, 2.0),
         ),
         grid=al.Grid(al.Decision(1.5, 0.5, 4.0), 6),
-        inputs={"force": al.BSpline(al.Decision(np.linspace(1.0, -1.0, 5), -20.0, 20.0), degree=2)},
+        inputs={"force": force or free_force()},
         minimize=al.objectives.final_time() + 0.1 * al.rms("force").mean + al.integral("effort").std,
         subject_to=[
             al.terminal("x").mean.equals(0.4),

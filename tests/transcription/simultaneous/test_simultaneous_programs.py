@@ -5,7 +5,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from collocated_problems import crane, everything, oscillator
+from collocated_problems import crane, everything, free_force, oscillator
 
 import aleator as al
 from aleator.transcription import transcribe
@@ -23,9 +23,17 @@ def _point_beside(program):
     return rng, program.start + 0.05 * program.variable_scale * rng.standard_normal(program.start.size)
 
 
-@pytest.mark.parametrize("scheme", SCHEMES)
-def test_derivatives_of_both_orders_are_those_of_central_differences(scheme):
-    program = transcribe(everything(), al.Simultaneous(SCHEMES[scheme])).program
+DECIDED_KNOTS = free_force(spans=al.Decision(np.ones(3), 0.2, 5.0))
+PROGRAMS = {
+    **{name: (everything, scheme) for name, scheme in SCHEMES.items()},
+    "decided knots": (lambda: everything(DECIDED_KNOTS), al.schemes.Radau(1)),
+}
+
+
+@pytest.mark.parametrize("name", PROGRAMS)
+def test_derivatives_of_both_orders_are_those_of_central_differences(name):
+    problem, scheme = PROGRAMS[name]
+    program = transcribe(problem(), al.Simultaneous(scheme)).program
     rng, point = _point_beside(program)
     found = program.evaluate(point)
     jacobian, multipliers = found.jacobian.toarray(), rng.standard_normal(len(found.constraints))
@@ -67,6 +75,32 @@ def test_the_first_point_is_the_simulation(problem):
     for ours, theirs in zip(same.statistics, one.statistics, strict=True):
         np.testing.assert_allclose(ours, theirs, atol=5e-3 * max(1.0, np.abs(theirs).max()))
     np.testing.assert_allclose(same.times, one.times, rtol=1e-14)
+
+
+FORCES = {
+    "control points": (free_force(), True),
+    "an end at a decided speed": (free_force(end=(0.0, al.Decision(0.1))), False),
+    "decided knots": (DECIDED_KNOTS, False),
+}
+
+
+@pytest.mark.parametrize("name", FORCES)
+def test_signals_are_affine_unless_decisions_are_multiplied_or_divided(name):
+    """The final time is decided as well: a speed at the end sets a control point by the duration times it."""
+    force, is_affine = FORCES[name]
+    assert transcribe(everything(force), al.Simultaneous()).layout.plan.is_affine == is_affine
+
+
+def test_a_spline_with_a_control_point_at_each_instant_stays_sparse():
+    """Between two instants it depends on degree + 1 of them."""
+    sizes = []
+    for count in (10, 20, 40):
+        force = al.BSpline(al.Decision(np.zeros(count + 1), -20.0, 20.0), degree=1)
+        program = transcribe(crane(count, inputs={"force": force}), al.Simultaneous()).program
+        sizes.append((program.sparsity.nnz, program.hessian.sparsity.nnz))
+    first, second = np.diff(sizes, axis=0)
+    # Where an instant is a knot but for rounding, one entry more or less.
+    np.testing.assert_allclose(second, 2 * first, rtol=1e-4)
 
 
 def test_entries_grow_with_intervals_and_points_alone():

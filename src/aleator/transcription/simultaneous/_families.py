@@ -19,13 +19,15 @@ from aleator.statistics import Constants
 from aleator.transcription._scope import ExpansionScope
 from aleator.transcription.simultaneous._blocks import Family
 from aleator.transcription.simultaneous._layout import Layout, Variables
+from aleator.transcription.simultaneous._signals import known_numbers
 from aleator.uncertainty import named_numbers
 
 
 class Families(NamedTuple):
     """All families of a program.
 
-    - `known`: the signals at all mesh points, then the duration: one block;
+    - `known`: the signals at all mesh points, then the duration: one block; without decisions if these are affine,
+      for matrices then hold how they act;
     - `initial`: the initial states of each realisation;
     - `rates`: those of states, then integrands, where the scheme asks for them;
     - `paths`, `ends`: outputs at every instant, and at the last; `composed`: functionals of histories and integrals;
@@ -76,7 +78,7 @@ def families(
 
     def known(outer: Any, inner: Any, shared: Array, own: Array) -> Array:
         del outer, inner, own
-        return jnp.append(asked.known(mesh.fractions, shared).ravel(), asked.duration(shared))
+        return known_numbers(asked, mesh, shared if shared.size else jnp.zeros(layout.sizes.decisions))
 
     def initial(germ: Array, inner: Any, shared: Array, own: Array) -> Array:
         del inner, own
@@ -87,7 +89,7 @@ def families(
         return asked.composites(layout.shapes, shared[0], own[:integrals], own[integrals:])
 
     return Families(
-        Family(known, jnp.asarray(variables.decisions), none),
+        Family(known, jnp.asarray(variables.decisions)[: 0 if layout.plan.is_affine else None], none),
         Family(initial, model[:-1], jnp.broadcast_to(none, (len(points), 1, 0)), points),
         Family(asked.rates, model, at(mesh.asked), points, fractions[mesh.asked]),
         observed(asked.paths, instants),

@@ -16,8 +16,7 @@ def started(
     """The point of a program at some decisions and states: all else follows from them."""
     variables, numbers = np.zeros(layout.count), layout.numbers
     variables[numbers.decisions] = decisions
-    known = assembled.blocks(variables)[0][: numbers.signals.size + 1]
-    variables[np.append(numbers.signals.ravel(), numbers.duration)] = known
+    variables[np.append(numbers.signals.ravel(), numbers.duration)] = assembled.known(variables)
     variables[numbers.states] = states
     # Each is tied to those before it: what is missing from zero is what it stands for.
     ties = assembled.rows.ties

@@ -53,13 +53,15 @@ class Plan:
     """What the layout of a program follows from, beside its problem.
 
     - `points`, `scenarios`: how many collocation points there are, and realisations at which the worst case is held;
-    - `terms`: of the expansions.
+    - `terms`: of the expansions;
+    - `is_affine`: whether signals and duration depend on the decisions in an affine way.
     """
 
     mesh: Mesh
     points: int
     scenarios: int
     terms: int
+    is_affine: bool
 
     @property
     def realisations(self) -> int:

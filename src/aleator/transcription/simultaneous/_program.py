@@ -15,7 +15,8 @@ from aleator.statistics import Constants
 from aleator.transcription.simultaneous._assembly import Curvature, Jacobian, Pattern
 from aleator.transcription.simultaneous._families import Families, families
 from aleator.transcription.simultaneous._layout import Layout, Plan
-from aleator.transcription.simultaneous._rows import Rows, rows_of
+from aleator.transcription.simultaneous._rows import Given, Rows, rows_of
+from aleator.transcription.simultaneous._signals import constant_slopes
 
 
 def _families(problem: Problem, constants: Constants, points: Array, plan: Plan, variables: Array) -> Families:
@@ -55,11 +56,13 @@ CURVE = Compiled(_curve, use=Use.ROWS, unchanged=refuse_changed_code)
 class Assembled:
     """Evaluates a program: its blocks by compiled functions, its matrices by assembly.
 
+    - `slopes`: how the decisions act on signals and duration, where that is constant, shape (known, decisions);
     - `objective`: its row and its entries among those of all blocks, and the variables of these; `rates`: the rows of
       the rates at the points where the scheme asks for them.
     """
 
     rows: Rows
+    slopes: SparseMatrix
     evaluate_blocks: Bound
     curve_blocks: Bound
     jacobian: Jacobian
@@ -75,7 +78,7 @@ class Assembled:
         constants: Constants,
         points: Float[np.ndarray, "realisations germs"],
         fit: Float[np.ndarray, "terms points"],
-        is_known: bool,
+        given: Given,
     ) -> "Assembled":
         """That of a problem."""
         fixed = traced, constants, jnp.asarray(points), layout.plan
@@ -87,7 +90,8 @@ class Assembled:
             rows = np.arange(first, first + shape.size).reshape(shape.shape)
             patterns.append(Pattern.of(np.asarray(one.shared), np.asarray(one.own), rows))
             first += shape.size
-        rows = rows_of(layout, [one.rows for one in patterns], fit, is_known)
+        slopes = constant_slopes(traced, layout)
+        rows = rows_of(layout, [one.rows for one in patterns], fit, slopes, given)
         before = sum(one.entry_count for one in patterns[:6])
         objective = patterns[6]
         entries = slice(before, before + objective.entry_count)
@@ -95,6 +99,7 @@ class Assembled:
         curve.begin((np.zeros(layout.count), np.zeros(first)))
         return cls(
             rows,
+            slopes,
             evaluate,
             curve,
             Jacobian.of(rows.linear, rows.combined, patterns),
@@ -107,6 +112,11 @@ class Assembled:
         """The rows of all blocks, and the entries of their Jacobians."""
         values, entries = self.evaluate_blocks(variables)
         return np.asarray(values), np.asarray(entries)
+
+    def known(self, variables: Float[np.ndarray, " n"]) -> Float[np.ndarray, " known"]:
+        """The signals at all mesh points, then the duration, as they follow from the decisions."""
+        count, decisions = self.slopes.shape
+        return self.blocks(variables)[0][:count] + self.slopes @ variables[:decisions]
 
     def constraints(self, variables: Float[np.ndarray, " n"]) -> Float[np.ndarray, " rows"]:
         """The rows of the program."""

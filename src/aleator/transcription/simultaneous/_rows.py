@@ -12,6 +12,8 @@ from jaxtyping import Float, Int
 from aleator.nlp import SparseMatrix
 from aleator.transcription.simultaneous._assembly import matrix
 from aleator.transcription.simultaneous._layout import Layout
+from aleator.transcription.simultaneous._pointwise import Pointwise
+from aleator.uncertainty import placements
 
 
 @final
@@ -37,6 +39,18 @@ class Ties(NamedTuple):
     stands_for: Int[np.ndarray, " ties"]
 
 
+class Given(NamedTuple):
+    """What is the same at all decisions, and so no variables of the program: the signals, the duration."""
+
+    signals: bool
+    duration: bool
+
+    @classmethod
+    def of(cls, asked: Pointwise) -> "Given":
+        """That of a problem. Conditions on derivatives of signals depend on the duration."""
+        return cls(not asked.decides_signals, not placements(asked.problem.grid).decisions)
+
+
 @final
 @dataclass(frozen=True)
 class Rows:
@@ -55,13 +69,14 @@ def rows_of(
     layout: Layout,
     blocks: list[Int[np.ndarray, "..."]],
     fit: Float[np.ndarray, "terms points"],
-    is_known: bool,
+    slopes: SparseMatrix,
+    given: Given,
 ) -> Rows:
     """The rows of a program.
 
     - `blocks`: the number of each row of each family's blocks, in the order of `Families.every`;
     - `fit`: see `Collocation.pseudo_inverse`;
-    - `is_known`: whether signals and duration are the same at all decisions, and so no variables.
+    - `slopes`: how the decisions act on signals and duration beside their blocks.
     """
     known, initial, rates, paths, ends, composed, _, *limits = blocks
     variables, mesh = layout.numbers, layout.plan.mesh
@@ -79,8 +94,10 @@ def rows_of(
         combined.append((rows, np.reshape(to, np.shape(these)), -1.0))
         stands_for.append(np.ravel(these))
 
-    if not is_known:
-        tied(np.append(variables.signals.ravel(), variables.duration), known)
+    decided = np.append(np.full(variables.signals.size, not given.signals), not given.duration)
+    acting, first = slopes[decided].tocoo(), numbers.count
+    tied(np.append(variables.signals.ravel(), variables.duration)[decided], known.ravel()[decided])
+    linear.append((first + acting.row, variables.decisions[acting.col], -acting.data))
     tied(variables.states[:, 0], initial[:, 0])
     states = variables.states.shape[2]
     lengths, scheme = mesh.lengths, mesh.scheme

@@ -40,8 +40,11 @@ from aleator.transcription.simultaneous._first_point import started
 from aleator.transcription.simultaneous._layout import Layout, Plan
 from aleator.transcription.simultaneous._mesh import Mesh
 from aleator.transcription.simultaneous._mesh_error import BETWEEN, interval_errors, parts_of, states_on
+from aleator.transcription.simultaneous._pointwise import Pointwise
 from aleator.transcription.simultaneous._program import CURVE, EVALUATE, Assembled
+from aleator.transcription.simultaneous._rows import Given
 from aleator.transcription.simultaneous._scales import scales
+from aleator.transcription.simultaneous._signals import ALONG, are_affine
 from aleator.transcription.simultaneous._start import SIMULATED, simulated_states
 from aleator.uncertainty import named_numbers
 
@@ -170,9 +173,10 @@ class _Way(NamedTuple):
         points = np.asarray(collocation.points)
         every = points if scenarios is None else np.concatenate([points, scenarios.points])
         fit = np.asarray(collocation.pseudo_inverse)
-        layout = Layout.of(problem, Plan(mesh, len(points), len(every) - len(points), len(fit)))
-        is_known = not layout.asked.decides_signals
-        assembled = Assembled.of(layout, traced, constants, every, fit, is_known)
+        asked = Pointwise.of(problem)
+        plan = Plan(mesh, len(points), len(every) - len(points), len(fit), are_affine(asked, mesh))
+        layout, given = Layout.of(problem, plan), Given.of(asked)
+        assembled = Assembled.of(layout, traced, constants, every, fit, given)
         first, lower, upper = (problem.placements.vector(name) for name in ("initial", "lower", "upper"))
         decisions, states = begun or (first, simulated_states(problem, mesh, every, first))
         start = started(layout, assembled, decisions, states)
@@ -181,9 +185,9 @@ class _Way(NamedTuple):
         scale = scales(layout, ties, start, evaluation, typical)
         lowest, highest = np.full(layout.count, -np.inf), np.full(layout.count, np.inf)
         lowest[: first.size], highest[: first.size] = lower, upper
-        if is_known:
-            fixed = np.append(layout.numbers.signals.ravel(), layout.numbers.duration)
-            lowest[fixed] = highest[fixed] = start[fixed]
+        for is_given, some in zip(given, (layout.numbers.signals, layout.numbers.duration), strict=True):
+            if is_given:
+                lowest[some] = highest[some] = start[some]
         rows = assembled.rows
         own_lower, own_upper = row_bounds(problem.constraints, rows.own, scenarios)
         tied = np.zeros(len(ties.stands_for))
@@ -244,7 +248,7 @@ class Simultaneous(AbstractTranscription):
     scheme: AbstractScheme = field(default_factory=HermiteSimpson)
     error: float | None = None
 
-    programs: ClassVar[tuple[Compiled, ...]] = (EVALUATE, CURVE, SIMULATED, TOLD, BETWEEN)
+    programs: ClassVar[tuple[Compiled, ...]] = (EVALUATE, CURVE, SIMULATED, ALONG, TOLD, BETWEEN)
 
     def __post_init__(self) -> None:
         one_of("Simultaneous: scheme", self.scheme, AbstractScheme, "al.schemes.HermiteSimpson()")
