@@ -51,7 +51,7 @@ def test_an_uncertain_gain_spreads_the_end_by_its_own_spread():
 def test_the_trapezoid_is_coarse_and_says_so():
     solution = al.solve(move(), transcription=al.Simultaneous(al.schemes.Trapezoid()), throw=False)
     assert solution.status is al.Status.COARSE
-    assert "misses its bound" in solution.why()
+    assert "exceeds its bound" in solution.why()
 
 
 def test_least_time_to_move_a_block():
