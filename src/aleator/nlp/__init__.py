@@ -8,6 +8,7 @@ from aleator.nlp._interior_point import InteriorPoint as InteriorPoint
 from aleator.nlp._ipopt import Ipopt as Ipopt
 from aleator.nlp._matrices import Matrix as Matrix
 from aleator.nlp._matrices import SparseMatrix as SparseMatrix
+from aleator.nlp._matrices import with_entries as with_entries
 from aleator.nlp._outcome import Outcome as Outcome
 from aleator.nlp._outcome import Status as Status
 from aleator.nlp._program import Evaluation as Evaluation

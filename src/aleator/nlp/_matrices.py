@@ -4,6 +4,7 @@ A sparse matrix is a `scipy.sparse.csr_array` in canonical form. SciPy's sparse 
 variables never need it.
 """
 
+import copy
 from typing import Any, TypeAlias, final
 
 import numpy as np
@@ -27,9 +28,10 @@ def rows_of_entries(matrix: SparseMatrix) -> np.ndarray:
 
 def with_entries(sparsity: SparseMatrix, numbers: np.ndarray) -> SparseMatrix:
     """The matrix with these entries, in the order of a sparsity."""
-    from scipy.sparse import csr_array
-
-    return csr_array((numbers, sparsity.indices, sparsity.indptr), shape=sparsity.shape)
+    # The constructor would check the sparsity each time.
+    found = copy.copy(sparsity)
+    found.data = numbers
+    return found
 
 
 def largest_term(weights: np.ndarray, matrix: Matrix) -> float:

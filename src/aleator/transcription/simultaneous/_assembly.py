@@ -11,7 +11,7 @@ from typing import Any, final
 import numpy as np
 from jaxtyping import Float, Int
 
-from aleator.nlp import SparseMatrix
+from aleator.nlp import SparseMatrix, with_entries
 
 
 @final
@@ -91,7 +91,7 @@ class Jacobian:
 
     def at(self, entries: Float[np.ndarray, " block_entries"]) -> SparseMatrix:
         """The matrix, from the entries of the blocks' Jacobians."""
-        return _with(self.sparsity, self.constant + self.gather @ entries)
+        return with_entries(self.sparsity, self.constant + self.gather @ entries)
 
 
 @final
@@ -114,7 +114,7 @@ class Curvature:
 
     def at(self, entries: Float[np.ndarray, " block_entries"]) -> SparseMatrix:
         """The matrix, from the entries of the blocks' Hessians."""
-        return _with(self.sparsity, self.gather @ entries)
+        return with_entries(self.sparsity, self.gather @ entries)
 
 
 def matrix(entries: list[tuple[Any, Any, Any]], shape: tuple[int, int]) -> SparseMatrix:
@@ -134,9 +134,3 @@ def _pattern(keys: Int[np.ndarray, " entries"], shape: tuple[int, int]) -> Spars
     found = csr_array((np.ones(keys.size, dtype=bool), columns, starts), shape=shape)
     found.has_canonical_format = True
     return found
-
-
-def _with(sparsity: SparseMatrix, numbers: np.ndarray) -> SparseMatrix:
-    from scipy.sparse import csr_array
-
-    return csr_array((numbers, sparsity.indices, sparsity.indptr), shape=sparsity.shape)

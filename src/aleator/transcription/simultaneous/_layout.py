@@ -5,8 +5,10 @@ recorded of it, and the coefficients of the expansions. Realisations are coupled
 depends on few variables, and no entry of the Hessian on two realisations.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, NamedTuple, final
 
 import jax
@@ -118,7 +120,7 @@ class Layout:
         """How many variables there are."""
         return sum(map(_count, _shapes_of(self.sizes)))
 
-    @property
+    @cached_property
     def numbers(self) -> Variables:
         """The numbers of all variables."""
         return self.view(np.arange(self.count))
@@ -132,7 +134,7 @@ class Layout:
         alone = dict(zip(Variables._fields, parts[:8], strict=False))
         return Variables(**alone, coefficients=tuple(parts[8:]))
 
-    @property
+    @cached_property
     def stages(self) -> tuple[np.ndarray, ...]:
         """The numbers of the variables that follow from others: signals and duration; then, from states, what is
         recorded; functionals composed of that; coefficients.
@@ -172,7 +174,7 @@ def _shapes_of(sizes: Variables) -> Sequence[tuple[int, ...]]:
 
 
 def _count(shape: tuple[int, ...]) -> int:
-    return int(np.prod(shape))
+    return math.prod(shape)
 
 
 def _shape(functional: AbstractFunctional, asked: Pointwise, shapes: Shapes) -> tuple[int, ...]:
