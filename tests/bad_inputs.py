@@ -183,6 +183,7 @@ _CONSTRUCTORS: dict[str, tuple[Callable[..., Any], dict[str, Any], dict[str, Map
     ),
     "Kvaerno5": (al.integrators.Kvaerno5, {}, {"rtol": POSITIVE, "atol": POSITIVE, "max_steps": COUNT}),
     "Tsit5": (al.integrators.Tsit5, {}, {"rtol": POSITIVE, "max_steps": COUNT}),
+    "Condensing": (al.solvers.Condensing, {}, {"tolerance": POSITIVE, "max_iterations": COUNT}),
     "FilterSQP": (al.solvers.FilterSQP, {}, {"tolerance": POSITIVE, "max_iterations": COUNT, "radius": POSITIVE}),
     "Simultaneous": (
         al.Simultaneous,

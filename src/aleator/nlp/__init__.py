@@ -1,5 +1,6 @@
 """The nonlinear program and its solvers, independent of any physics."""
 
+from aleator.nlp._condensing import Condensing as Condensing
 from aleator.nlp._elsewhere import feasible_elsewhere as feasible_elsewhere
 from aleator.nlp._elsewhere import variable_range as variable_range
 from aleator.nlp._filtersqp import FilterSQP as FilterSQP
@@ -19,6 +20,7 @@ from aleator.nlp._scaling import Multipliers as Multipliers
 from aleator.nlp._scaling import ScaledProgram as ScaledProgram
 from aleator.nlp._slsqp import Slsqp as Slsqp
 from aleator.nlp._solver import AbstractSolver as AbstractSolver
+from aleator.nlp._ties import Ties as Ties
 from aleator.nlp._unmoved import moved_on as moved_on
 from aleator.nlp._verdict import HELD as HELD
 from aleator.nlp._verdict import Answer as Answer

@@ -110,7 +110,7 @@ def nonnegative_fit(columns: Matrix, target: np.ndarray) -> np.ndarray:
 
 @final
 class Block:
-    """Some rows and columns of matrices that share a sparsity, times a factor for each row and each column.
+    """Some rows and columns of matrices that share a sparsity, times a factor for each entry.
 
     - `sparsity`: of the block.
     """
@@ -122,9 +122,12 @@ class Block:
         self.sparsity = with_entries(numbered, np.ones(numbered.nnz, dtype=bool))
         self._rows = rows_of_entries(numbered)
 
-    def of(self, matrix: SparseMatrix, row_factors: np.ndarray, column_factors: np.ndarray) -> SparseMatrix:
-        """The block of one of these matrices, times its factors."""
-        factors = row_factors[self._rows] * column_factors[self.sparsity.indices]
+    def factors(self, row_factors: np.ndarray, column_factors: np.ndarray) -> np.ndarray:
+        """The factor of each entry, shape (entries,), from those of rows and columns."""
+        return row_factors[self._rows] * column_factors[self.sparsity.indices]
+
+    def of(self, matrix: SparseMatrix, factors: np.ndarray) -> SparseMatrix:
+        """The block of one of these matrices, times the factors of its entries."""
         return with_entries(self.sparsity, matrix.data[self._places] * factors)
 
 

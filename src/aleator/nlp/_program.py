@@ -8,6 +8,7 @@ import numpy as np
 
 from aleator._core.errors import ProblemError
 from aleator.nlp._matrices import Matrix, SparseMatrix, check_sparsity, entries, rows_of_entries
+from aleator.nlp._ties import Ties, check_ties
 
 
 class Evaluation(NamedTuple):
@@ -73,6 +74,7 @@ class NonlinearProgram:
       values is a guess: solvers that use it detect entries outside it. A `scipy.sparse.csr_array` is the sparsity of
       every Jacobian, which then is sparse too: no dense array of size m x n is ever made;
     - `hessian`: second derivatives, if known; all solvers but `Slsqp` use them;
+    - `ties`: equalities that determine variables from the others, if known; `Condensing` uses them;
     - `magnitudes`: gives those of the constraints at a point `x` with its evaluation. Feasibility is judged by them,
       not by the solver's scale. By default `constraint_scale`, as size and as scale, at every point;
     - `least`: a lower bound of the objective, such as 0 for a norm: a point that attains it is optimal, even at a kink.
@@ -93,6 +95,7 @@ class NonlinearProgram:
     hessian: Hessian | None = None
     magnitudes: Callable[[np.ndarray, Evaluation], Magnitudes] | None = None
     least: float = -np.inf
+    ties: Ties | None = None
 
     def __post_init__(self) -> None:
         for name, length in _expected_lengths(self).items():
@@ -109,6 +112,8 @@ class NonlinearProgram:
             _check_lower_triangle(self.hessian, self.start.size)
         _check_bounds("lower", "upper", self.lower, self.upper)
         _check_bounds("constraint_lower", "constraint_upper", self.constraint_lower, self.constraint_upper)
+        if self.ties is not None:
+            check_ties(self.ties, self.constraint_lower == self.constraint_upper, self.start.size)
         _check_positive("variable_scale", self.variable_scale)
         _check_positive("constraint_scale", self.constraint_scale)
         if not np.isfinite(self.start).all():

@@ -61,6 +61,7 @@ class ScaledProgram:
     - `size`, `rows`: n_free and m_useful;
     - `sparsity`: the entries of the Jacobian that may be nonzero, shape (m_useful, n_free), dense or sparse as the
       Jacobians are; `curved`: those of the Hessian's lower triangle, None if there is no Hessian;
+    - `ties`: those of the useful rows and free variables, None if none are known;
     - `start`: scaled start, clipped to the bounds, shape (n_free,);
     - `lower`, `upper`: scaled bounds, shape (n_free,);
     - `constraint_lower`, `constraint_upper`: scaled bounds, shape (m_useful,);
@@ -93,7 +94,9 @@ class ScaledProgram:
             self.sparsity = self._block.sparsity
         if program.hessian is not None:
             self._hessian_block = Block(program.hessian.sparsity, self._free, self._free)
+            self._hessian_factor = self._hessian_block.factors(self._variable_scale, self._variable_scale)
         self.curved = None if self._hessian_block is None else self._hessian_block.sparsity
+        self.ties = None if program.ties is None else program.ties.kept(self._useful, self._free)
         self.lower = program.lower[self._free] / self._variable_scale
         self.upper = program.upper[self._free] / self._variable_scale
         self.start = np.clip(self._fixed_variables[self._free] / self._variable_scale, self.lower, self.upper)
@@ -134,6 +137,8 @@ class ScaledProgram:
         self._constraint_scale = scale
         if self._block is None:
             self._jacobian_factor = self._variable_scale / scale[:, None]
+        else:
+            self._jacobian_factor = self._block.factors(1 / scale, self._variable_scale)
         self.constraint_lower = self._program.constraint_lower[self._useful] / scale
         self.constraint_upper = self._program.constraint_upper[self._useful] / scale
 
@@ -190,7 +195,7 @@ class ScaledProgram:
 
     def _scaled_jacobian(self, jacobian: Matrix) -> Matrix:
         if self._block is not None:
-            return self._block.of(jacobian, 1 / self._constraint_scale, self._variable_scale)  # type: ignore[arg-type]
+            return self._block.of(jacobian, self._jacobian_factor)
         return (jacobian if self._is_whole else jacobian[np.ix_(self._useful, self._free)]) * self._jacobian_factor
 
     def hessian(self, z: np.ndarray, weight: float, multipliers: np.ndarray) -> np.ndarray:
@@ -206,9 +211,8 @@ class ScaledProgram:
         rows[self._useful] = multipliers / self._constraint_scale
         given = self.unscaled(z), weight / self.objective_scale, rows
         found = self.evaluations.asked(lambda: program.hessian.evaluate(*given))  # type: ignore[union-attr]
-        scale = self._variable_scale
         whole = checked_sparse("Hessian", found, program.hessian.sparsity)
-        numbers = self._hessian_block.of(whole, scale, scale).data
+        numbers = self._hessian_block.of(whole, self._hessian_factor).data
         if not np.isfinite(numbers).all():
             raise NotFiniteError
         return numbers

@@ -232,7 +232,7 @@ def test_eulers_method_makes_a_program_as_large_as_the_dissertation_says():
     transcribed = transcribe(problem, al.Simultaneous(al.schemes.Radau(1)))
     program, numbers = transcribed.program, transcribed.layout.numbers
     free, states = program.lower < program.upper, numbers.states[0, 1:]
-    ties = transcribed.assembled.rows.ties.stands_for
+    ties = transcribed.assembled.rows.ties.variables
     assert free[numbers.decisions].sum() + states.size == 22
     assert np.isin(ties, states).sum() == 20
     # Every other free variable has a row of its own that says what it is.

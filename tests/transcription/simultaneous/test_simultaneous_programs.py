@@ -8,6 +8,7 @@ import pytest
 from collocated_problems import crane, everything, free_force, oscillator
 
 import aleator as al
+from aleator.nlp import Condensing, Ipopt
 from aleator.transcription import transcribe
 
 SCHEMES = {
@@ -142,7 +143,27 @@ def test_signals_of_the_system_itself_depend_on_decisions():
     assert np.all(program.lower[numbers.signals] < program.upper[numbers.signals])
     jacobian = program.evaluate(program.start).jacobian
     ties = transcribed.assembled.rows.ties
-    of_states = np.isin(ties.stands_for, numbers.states)
-    assert abs(jacobian[ties.where][of_states][:, numbers.decisions]).nnz == 0
-    of_signals = np.isin(ties.stands_for, numbers.signals)
-    assert abs(jacobian[ties.where][of_signals][:, numbers.decisions]).nnz > 0
+    of_states = np.isin(ties.variables, numbers.states)
+    assert abs(jacobian[ties.rows][of_states][:, numbers.decisions]).nnz == 0
+    of_signals = np.isin(ties.variables, numbers.signals)
+    assert abs(jacobian[ties.rows][of_signals][:, numbers.decisions]).nnz > 0
+
+
+@pytest.mark.parametrize("limits", [{}, {"grid": al.Grid(al.Decision(2.0, 1.5, 3.0), 8)}], ids=["fixed", "final time"])
+def test_condensing_has_the_optimum_of_ipopt(limits):
+    program = transcribe(crane(8, **limits), al.Simultaneous()).program
+    own, other = Condensing().solve(program), Ipopt().solve(program)
+    assert own.message == "solved"
+    assert own.evaluation.objective == pytest.approx(other.evaluation.objective, rel=1e-6)
+    np.testing.assert_allclose(own.point, other.point, rtol=1e-4, atol=1e-5)
+
+
+def test_ties_name_the_realisation_of_each_variable():
+    transcribed = transcribe(crane(4), al.Simultaneous())
+    ties, numbers = transcribed.program.ties, transcribed.layout.numbers
+    owners = dict(zip(ties.variables, ties.owners, strict=True))
+    for p, (states, ends) in enumerate(zip(numbers.states, numbers.ends, strict=True)):
+        assert {owners[one] for one in (*states.ravel(), *ends)} == {p}
+    assert {owners[one] for one in numbers.signals.ravel()} == {-1}
+    decided = np.setdiff1d(np.arange(transcribed.layout.count), ties.variables)
+    np.testing.assert_array_equal(decided, numbers.decisions)

@@ -21,6 +21,6 @@ def started(
     # Each is tied to those before it: what is missing from zero is what it stands for.
     ties = assembled.rows.ties
     for some in layout.stages[1:]:
-        these = np.isin(ties.stands_for, some)
-        variables[ties.stands_for[these]] = -assembled.constraints(variables)[ties.where][these]
+        these = np.isin(ties.variables, some)
+        variables[ties.variables[these]] = -assembled.constraints(variables)[ties.rows][these]
     return variables

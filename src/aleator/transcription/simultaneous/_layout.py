@@ -135,6 +135,14 @@ class Layout:
         return Variables(**alone, coefficients=tuple(parts[8:]))
 
     @cached_property
+    def owners(self) -> np.ndarray:
+        """The realisation to which each variable belongs, -1 for none, shape (n,)."""
+        numbers, found = self.numbers, np.full(self.count, -1)
+        for some in (numbers.states, numbers.integrals, numbers.paths, numbers.ends, numbers.composed):
+            found[some] = np.arange(len(some)).reshape(-1, *(1,) * (some.ndim - 1))
+        return found
+
+    @cached_property
     def stages(self) -> tuple[np.ndarray, ...]:
         """The numbers of the variables that follow from others: signals and duration; then, from states, what is
         recorded; functionals composed of that; coefficients.

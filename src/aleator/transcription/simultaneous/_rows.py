@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, final
 import numpy as np
 from jaxtyping import Float, Int
 
-from aleator.nlp import SparseMatrix
+from aleator.nlp import SparseMatrix, Ties
 from aleator.transcription.simultaneous._assembly import matrix
 from aleator.transcription.simultaneous._layout import Layout
 from aleator.transcription.simultaneous._pointwise import Pointwise
@@ -29,16 +29,6 @@ class Numbering:
         return np.arange(first, self.count).reshape(shape)
 
 
-class Ties(NamedTuple):
-    """The rows after the problem's own, each of which ties a variable to what it stands for.
-
-    - `where`: these rows; `stands_for`: the variable of each (of the two states of an interval, the later one).
-    """
-
-    where: slice
-    stands_for: Int[np.ndarray, " ties"]
-
-
 class Given(NamedTuple):
     """What is the same at all decisions, and so no variables of the program: the signals, the duration."""
 
@@ -56,7 +46,8 @@ class Given(NamedTuple):
 class Rows:
     """The constraints `L z + C r(z)` of a program: `linear`, `combined`.
 
-    - `own`: the rows of each of the problem's constraints; `ties`: the others.
+    - `own`: the rows of each of the problem's constraints; `ties`: the others, each with the variable that stands for
+      something else (of the two states of an interval, the later one).
     """
 
     linear: SparseMatrix
@@ -127,5 +118,6 @@ def rows_of(
     shape = numbers.count, layout.count
     count = sum(one.size for one in blocks)
     first = own[-1].stop if own else 0
-    ties = Ties(slice(first, numbers.count), np.concatenate(stands_for).astype(int))
+    tied_variables = np.concatenate(stands_for).astype(int)
+    ties = Ties(np.arange(first, numbers.count), tied_variables, layout.owners[tied_variables])
     return Rows(matrix(linear, shape), matrix(combined, (shape[0], count)), tuple(own), ties)

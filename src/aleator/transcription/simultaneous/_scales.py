@@ -8,9 +8,8 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from aleator.nlp import Evaluation
+from aleator.nlp import Evaluation, Ties
 from aleator.transcription.simultaneous._layout import Layout
-from aleator.transcription.simultaneous._rows import Ties
 
 # A magnitude below this is rounding.
 _NOTHING = 1e-12
@@ -30,7 +29,7 @@ def scales(
 
     - `decisions`: typical magnitudes of the decisions.
     """
-    numbers, slopes = layout.numbers, abs(evaluation.jacobian[ties.where])
+    numbers, slopes = layout.numbers, abs(evaluation.jacobian[ties.rows])
     found = _by_kind(layout, np.abs(point))
     found[numbers.decisions] = decisions
     signals, *later = layout.stages
@@ -50,8 +49,8 @@ def _reached(
     layout: Layout, ties: Ties, slopes: np.ndarray, found: Float[np.ndarray, " variables"], which: np.ndarray
 ) -> Float[np.ndarray, " variables"]:
     """Magnitudes, those of some variables being no less than what they are tied to may change them by."""
-    change, these = slopes @ found, np.isin(ties.stands_for, which)
-    own = ties.stands_for[these]
+    change, these = slopes @ found, np.isin(ties.variables, which)
+    own = ties.variables[these]
     larger = found.copy()
     larger[own] = np.maximum(found[own], np.nan_to_num(change[these] - found[own], posinf=0.0))
     return np.where(np.isin(np.arange(layout.count), which), _by_kind(layout, larger), found)

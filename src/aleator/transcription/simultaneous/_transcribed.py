@@ -190,13 +190,13 @@ class _Way(NamedTuple):
                 lowest[some] = highest[some] = start[some]
         rows = assembled.rows
         own_lower, own_upper = row_bounds(problem.constraints, rows.own, scenarios)
-        tied = np.zeros(len(ties.stands_for))
+        tied = np.zeros(len(ties.variables))
         sizing = Sizing(problem.constraints, rows.own, scale, [0.0] * len(rows.own))
 
         def magnitudes(variables: np.ndarray, evaluation: Evaluation) -> Magnitudes:
             here = scales(layout, ties, variables, evaluation, typical)
             size, by = replace(sizing, decision_scale=here).at(variables, evaluation)
-            return Magnitudes(np.append(size, here[ties.stands_for]), np.append(by, here[ties.stands_for]))
+            return Magnitudes(np.append(size, here[ties.variables]), np.append(by, here[ties.variables]))
 
         values, slopes = ([part[one] for one in rows.own] for part in (evaluation.constraints, evaluation.jacobian))
         sizes = sizing.each(start, values, slopes)
@@ -207,12 +207,13 @@ class _Way(NamedTuple):
             upper=highest,
             constraint_lower=np.append(own_lower, tied),
             constraint_upper=np.append(own_upper, tied),
-            constraint_scale=np.append(spread(rows.own, [one.scale for one in sizes]), scale[ties.stands_for]),
+            constraint_scale=np.append(spread(rows.own, [one.scale for one in sizes]), scale[ties.variables]),
             variable_scale=scale,
             sparsity=assembled.jacobian.sparsity,
             hessian=assembled.hessian,
             magnitudes=magnitudes,
             least=least_objective(problem),
+            ties=ties,
         )
         return SimultaneouslyTranscribed(
             problem,
