@@ -176,6 +176,7 @@ def test_contradicting_limits_are_infeasible():
     upper[3] = 0.1
     outcome = Condensing().solve(replace(program, upper=upper))
     assert outcome.status is Status.INFEASIBLE, outcome.message
+    assert "by IPOPT, because no step was acceptable" in outcome.message
 
 
 def test_a_realisation_that_is_not_determined_is_named_and_left_to_ipopt():

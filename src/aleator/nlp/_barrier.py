@@ -10,6 +10,8 @@ from aleator.nlp._scaling import ScaledProgram
 
 # The multiplier of a bound stays within this factor of what its gap and the barrier ask.
 _CONSISTENT = 1e10
+# A gap may be lost in rounding, although a step never uses it up.
+_LEAST_GAP = 1e-15
 # Multipliers up to this size leave the residuals as they are.
 _USUAL_MULTIPLIER = 100.0
 
@@ -33,7 +35,7 @@ class Slacked:
     """A scaled program whose inequalities have slacks: equalities and bounds alone.
 
     - `size`: of the variables; `unequal`: the rows that are inequalities; `lower`, `upper`: the bounds of variables,
-      then slacks.
+      then slacks; `equal_to`: the bound of each equality, else 0, shape (m,).
     """
 
     size: int
@@ -65,7 +67,7 @@ class Slacked:
 
     def gaps(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The distances from the lower and upper bounds; infinite where there is none."""
-        return values - self.lower, self.upper - values
+        return np.maximum(values - self.lower, _LEAST_GAP), np.maximum(self.upper - values, _LEAST_GAP)
 
     def residual(self, values: np.ndarray, evaluation: Evaluation) -> np.ndarray:
         """What the rows miss, shape (m,)."""

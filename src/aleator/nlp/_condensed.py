@@ -74,7 +74,8 @@ class Condensed:
     def regularise(self, curvature: float, rows: float) -> tuple[int, int]:
         """Add to the curvature of the decided variables, subtract from the diagonal of equalities.
 
-        Returns how many positive and how many negative eigenvalues a minimum would have more.
+        Returns how many positive and how many negative eigenvalues a minimum would have more. Raises
+        `IllConditionedError` if some numbers are not finite.
         """
         self._shift, self._row_shift = curvature, rows
         hard = self._slopes[~self._soft]
@@ -83,6 +84,8 @@ class Condensed:
         whole[:size, :size] = self._curvature + curvature * np.eye(size)
         whole[size:, :size], whole[:size, size:] = hard, hard.T
         whole[size:, size:] -= rows * np.eye(count)
+        if not np.isfinite(whole).all():
+            raise IllConditionedError
         scale = np.ones(size + count)
         for _ in range(_EQUILIBRATIONS):
             largest = np.abs(whole * scale[:, None] * scale).max(axis=1, initial=0.0)

@@ -42,20 +42,23 @@ class Condensing(AbstractSolver):
 
     @override
     def minimise(self, scaled: ScaledProgram, multipliers: np.ndarray | None) -> Answer:
-        why = _unfit(scaled)
+        why, search = _unfit(scaled), None
         if not why:
             try:
                 assert scaled.ties is not None
-                elimination = Elimination(scaled.ties, scaled.sparsity)
-                return Search(scaled, elimination, self.aim).run(multipliers, self.max_iterations, self.tolerance)
+                search = Search(scaled, Elimination(scaled.ties, scaled.sparsity), self.aim)
+                return search.run(multipliers, self.max_iterations, self.tolerance)
             except SingularTiesError as singular:
                 why = str(singular)
             except IllConditionedError:
                 why = "the condensed system is too ill-conditioned"
             except StuckError:
                 why = "no step was acceptable"
-        answer = Ipopt(self.tolerance, self.max_iterations).minimise(scaled, multipliers)
-        return answer._replace(message=f"{answer.message} (by IPOPT, because {why})")
+        spent = 0 if search is None else search.iterations
+        answer = Ipopt(self.tolerance, max(1, self.max_iterations - spent)).minimise(scaled, multipliers)
+        return answer._replace(
+            iterations=spent + answer.iterations, message=f"{answer.message} (by IPOPT, because {why})"
+        )
 
 
 def _unfit(scaled: ScaledProgram) -> str:

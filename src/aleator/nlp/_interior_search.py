@@ -32,12 +32,16 @@ class StuckError(ArithmeticError):
 
 @final
 class Search:
-    """The search from `scaled.start`; `aim` is the error at which it ends."""
+    """The search from `scaled.start`; `aim` is the error at which it ends.
+
+    `iterations`: how many were made so far.
+    """
 
     def __init__(self, scaled: ScaledProgram, elimination: Elimination, aim: float):
         self._scaled, self._elimination, self._aim = scaled, elimination, aim
         self._slacked = Slacked.of(scaled)
         self._weight, self._last_shift = _FIRST_WEIGHT, 0.0
+        self.iterations = 0
 
     def run(self, multipliers: np.ndarray | None, most: int, tolerance: float) -> Answer:
         """Iterate to the end.
@@ -51,20 +55,19 @@ class Search:
         at = self._first() if multipliers is None else self._warm(multipliers)
         evaluation = self._scaled.evaluate(at.values[: slacked.size])
         filter_ = Filter(_violation(slacked.residual(at.values, evaluation)))
-        for iteration in range(most + 1):
-            if slacked.error(at, evaluation, 0.0) <= self._aim:
-                return self._answer(Status.SOLVED, at, iteration, "solved")
-            if iteration == most:
-                break
+        while slacked.error(at, evaluation, 0.0) > self._aim:
+            if self.iterations == most:
+                return self._answer(Status.ITERATION_LIMIT, at, "iteration limit")
             self._lower_weight(at, evaluation, filter_)
             try:
                 at = self._next(at, evaluation, filter_)
             except (StuckError, IllConditionedError):
                 if slacked.error(at, evaluation, 0.0) > tolerance:
                     raise
-                return self._answer(Status.FAILED, at, iteration, "stopped at rounding errors")
+                return self._answer(Status.FAILED, at, "stopped at rounding errors")
+            self.iterations += 1
             evaluation = self._scaled.evaluate(at.values[: slacked.size])
-        return self._answer(Status.ITERATION_LIMIT, at, most, "iteration limit")
+        return self._answer(Status.SOLVED, at, "solved")
 
     @property
     def _fraction(self) -> float:
@@ -164,9 +167,10 @@ class Search:
             return None
         return _violation(self._slacked.residual(values, there)), self._slacked.barrier(values, there, self._weight)
 
-    def _answer(self, claim: Status, at: Iterate, iterations: int, message: str) -> Answer:
+    def _answer(self, claim: Status, at: Iterate, message: str) -> Answer:
         size = self._slacked.size
-        return Answer(claim, at.values[:size], Multipliers(at.rows, (at.above - at.below)[:size]), iterations, message)
+        multipliers = Multipliers(at.rows, (at.above - at.below)[:size])
+        return Answer(claim, at.values[:size], multipliers, self.iterations, message)
 
 
 def _violation(missed: np.ndarray) -> float:

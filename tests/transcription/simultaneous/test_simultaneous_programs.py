@@ -10,6 +10,7 @@ from collocated_problems import crane, everything, free_force, oscillator
 import aleator as al
 from aleator.nlp import Condensing, Ipopt
 from aleator.transcription import transcribe
+from aleator.transcription.simultaneous._transcribed import SimultaneouslyTranscribed
 
 SCHEMES = {
     "Hermite and Simpson": al.schemes.HermiteSimpson(),
@@ -160,7 +161,9 @@ def test_condensing_has_the_optimum_of_ipopt(limits):
 
 def test_ties_name_the_realisation_of_each_variable():
     transcribed = transcribe(crane(4), al.Simultaneous())
+    assert isinstance(transcribed, SimultaneouslyTranscribed)
     ties, numbers = transcribed.program.ties, transcribed.layout.numbers
+    assert ties is not None
     owners = dict(zip(ties.variables, ties.owners, strict=True))
     for p, (states, ends) in enumerate(zip(numbers.states, numbers.ends, strict=True)):
         assert {owners[one] for one in (*states.ravel(), *ends)} == {p}
