@@ -32,6 +32,7 @@ def run(program: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
         "docs/extending.md",
         pytest.param("docs/uncertainty.md", marks=pytest.mark.slow),
         "docs/motion.md",
+        "docs/transcriptions.md",
     ],
 )
 def test_code_shown_in_documents_runs(document: str, tmp_path: Path):
