@@ -125,8 +125,8 @@ def second_opinion(transcribed: AbstractTranscribed, point: Float[np.ndarray, " 
         return None
     points = draw(basis.germs.values(), _FRESH, np.random.default_rng(2))
     decisions = jnp.asarray(meaning.decisions)
-    values = RESPOND(transcribed.traced, jnp.asarray(points), decisions)
-    fresh = _fresh(transcribed, points, [np.asarray(one) for one in values], point)
+    values = _simulated(transcribed, jnp.asarray(points), decisions)
+    fresh = _fresh(transcribed, points, values, point)
     bad = [text for text, one in fresh.items() if not np.isfinite(one.values).all()]
     if bad:
         return SecondOpinion(_FRESH, {}, (f"fresh simulations of {bad[0]} are not finite",), "")
@@ -139,6 +139,17 @@ def second_opinion(transcribed: AbstractTranscribed, point: Float[np.ndarray, " 
         for (text, one), size in zip(fresh.items(), magnitudes, strict=True)
     }
     return _opinion(transcribed, allowed_for, point)
+
+
+def _simulated(
+    transcribed: AbstractTranscribed, points: Float[Array, "fresh variables"], decisions: Float[Array, " n"]
+) -> list[np.ndarray]:
+    """Each functional of the fresh systems, on steps as fine as the answer's own; paths at the problem's instants."""
+    problem, factor = transcribed.problem, transcribed.fineness
+    traced = transcribed.traced if factor == 1 else numbers_to_arrays(problem.on_grid(problem.grid.finer(factor)))
+    values = RESPOND(traced, points, decisions)
+    each = zip(functionals_of(problem.expressions), map(np.asarray, values), strict=True)
+    return [one[:, ::factor] if functional.is_path else one for functional, one in each]
 
 
 def prepare_opinion(problem: Problem) -> None:

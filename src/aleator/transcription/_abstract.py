@@ -93,6 +93,11 @@ class AbstractTranscribed(abc.ABC):
     def at_scenarios(self, scenarios: Scenarios) -> Self:
         """The same problem with its limits on the worst case imposed at other scenarios."""
 
+    @property
+    def fineness(self) -> int:
+        """How many steps of a simulation, for each of the problem's grid, are as accurate as this program."""
+        return 1
+
     def meshes_at(self, point: Float[np.ndarray, " variables"]) -> tuple[MeshError, ...]:
         """The meshes up to this program's own and their errors, at a point of it; none where states are simulated."""
         del point

@@ -136,3 +136,33 @@ def test_algebraic_systems_and_integrated_statistics_are_refused():
 def test_what_is_no_scheme_is_refused(scheme):
     with pytest.raises(al.ProblemError, match=r"Simultaneous: scheme: expected .*al\.schemes\.HermiteSimpson"):
         al.Simultaneous(scheme)
+
+
+def test_fresh_systems_are_simulated_as_finely_as_the_mesh_is():
+    """On the ten steps of its grid the crane's simulation errs by more than its terminal limits allow."""
+    solution = al.solve(crane(10), transcription=al.Simultaneous(error=1e-6))
+    assert solution.certificate.opinion.agrees
+
+
+class Divided(al.System):
+    """An output that is not a number where the state starts."""
+
+    states = ("x",)
+
+    def rhs(self, t, z, u):
+        return (u,)
+
+    def outputs(self, t, z, u):
+        return {"x": z.x, "ratio": z.x / z.x}
+
+
+def test_a_model_that_is_not_finite_at_the_start_is_told():
+    problem = al.Problem(
+        Divided(),
+        grid=al.Grid(1.0, 4),
+        inputs={"u": al.BSpline(al.Decision(np.zeros(4), -1.0, 1.0))},
+        minimize=al.integral("ratio").mean,
+        subject_to=[al.terminal("x").mean.equals(1.0)],
+    )
+    with pytest.raises(al.SimulationError, match="ratio"):
+        al.solve(problem, transcription=al.Simultaneous())

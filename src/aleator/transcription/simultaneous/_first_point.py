@@ -22,5 +22,6 @@ def started(
     ties = assembled.rows.ties
     for some in layout.stages[1:]:
         these = np.isin(ties.variables, some)
-        variables[ties.variables[these]] = -assembled.constraints(variables)[ties.rows][these]
+        # What is NaN here makes no start; the rows that are NaN there say where.
+        variables[ties.variables[these]] = np.nan_to_num(-assembled.constraints(variables)[ties.rows][these])
     return variables

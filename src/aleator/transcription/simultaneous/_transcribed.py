@@ -48,6 +48,8 @@ from aleator.transcription.simultaneous._signals import ALONG, are_affine
 from aleator.transcription.simultaneous._start import SIMULATED, simulated_states
 from aleator.uncertainty import named_numbers
 
+# Steps of a simulation for each interval of a mesh.
+_FINER = 2
 # So many meshes at most, and the least error that may be asked for.
 _MOST_MESHES, _LEAST_ERROR = 8, 1e-12
 
@@ -127,6 +129,12 @@ class SimultaneouslyTranscribed(AbstractTranscribed):
         found = self.discretised._replace(constants=replace(self.constants, scenarios=jnp.asarray(scenarios.points)))
         way = _Way(self.problem, self.traced, found, scenarios, self.accuracy)
         return replace(way.transcribed(self.layout.plan.mesh), meshes=self.meshes)
+
+    @property
+    @override
+    def fineness(self) -> int:
+        mesh, grid = self.layout.plan.mesh, self.problem.grid
+        return _FINER * round(1 / (mesh.lengths.min() * grid.steps))
 
     @override
     def meshes_at(self, point: Float[np.ndarray, " variables"]) -> tuple[MeshError, ...]:
