@@ -38,6 +38,7 @@ NOT_CALLED = {
     "CalibrationWarning",
     "Certificate",
     "Checked",
+    "Closure",
     "Compared",
     "ConstraintResult",
     "CrossChecked",

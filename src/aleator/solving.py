@@ -312,6 +312,13 @@ def _warn_of_doubts(solution: Solution) -> None:
 
 
 def _warn_if_coarse(solution: Solution) -> None:
+    if solution.ok and not all(one.is_met for one in solution.meshes[-1:]):
+        warnings.warn(
+            f"The mesh does not reach the error that was asked for: {solution.meshes[-1]}. If the model jumps in time "
+            "there, let the jump fall on an instant of the grid or make it smooth; or ask for less.",
+            GridWarning,
+            stacklevel=3,
+        )
     error = solution.certificate.grid_error
     if error is not None and solution.ok and not error.is_met:
         warnings.warn(f"On {error.steps} steps {error}.", GridWarning, stacklevel=3)

@@ -240,7 +240,7 @@ def body(name="one", **changes):
         (lambda: (body(orientation=2 * np.eye(3)),), "expected a rotation matrix"),
         (lambda: (body(position="far"),), "position: expected numbers"),
         (lambda: (body(joint=Revolute("w")),), "axis 'x', 'y' or 'z'"),
-        (lambda: (body(joint=Prismatic((0, 0, 0))),), "not zero"),
+        (lambda: (body(joint=Prismatic((0, 0, 0))),), "nonzero"),
         (lambda: "one", "returns a tuple of al.Body"),
     ],
 )

@@ -152,6 +152,8 @@ class AbstractMechanical(eqx.Module):
 
         Raises `ProblemError` where they do not determine any by themselves.
         """
+        if set(coordinates) == set(self.coordinates):
+            return tuple(range(len(self.speeds)))
         if len(self.coordinates) != len(self.speeds):
             raise ProblemError(
                 f"{type(self).__name__}: expected one velocity for each coordinate that is given, as Euler angles "

@@ -15,6 +15,11 @@ from aleator._core.errors import ProblemError
 SparseMatrix: TypeAlias = Any
 Matrix: TypeAlias = np.ndarray | SparseMatrix
 
+# Steps of a bounded fit, and how often columns are dropped from one of weights that are not negative.
+_MOST_STEPS, _MOST_DROPS = 100, 8
+# Relative to scaled gradients, of the order of one: opposite columns share a weight.
+_REGULARISED = 1e-10
+
 
 def entries(matrix: Matrix) -> np.ndarray:
     """The numbers of a matrix; of a sparse one its stored entries."""
@@ -88,17 +93,22 @@ def with_last_row(matrix: Matrix, row: np.ndarray) -> Matrix:
 
 
 def bounded_fit(columns: Matrix, target: np.ndarray, ceiling: np.ndarray) -> np.ndarray:
-    """Weights between 0 and a ceiling, shape (columns,), for which `columns @ weights` is closest to a target."""
+    """Weights between 0 and a ceiling, shape (columns,), for which `columns @ weights` is closest to a target.
+
+    Of sparse columns the search is cut short: what it has not found proves nothing.
+    """
     from scipy.optimize import lsq_linear
 
-    method = "bvls" if isinstance(columns, np.ndarray) else "trf"
-    return lsq_linear(columns, target, (np.zeros(ceiling.size), ceiling), method=method).x
+    if isinstance(columns, np.ndarray):
+        return lsq_linear(columns, target, (np.zeros(ceiling.size), ceiling), method="bvls").x
+    short = {"max_iter": _MOST_STEPS, "lsmr_maxiter": _MOST_STEPS}
+    return lsq_linear(columns, target, (np.zeros(ceiling.size), ceiling), method="trf", **short).x
 
 
 def nonnegative_fit(columns: Matrix, target: np.ndarray) -> np.ndarray:
     """Weights `w >= 0` for which `columns @ w` is closest to a target; zeros, which prove nothing, if not found."""
     if not isinstance(columns, np.ndarray):
-        return bounded_fit(columns, target, np.full(columns.shape[1], np.inf))
+        return _sparse_nonnegative_fit(columns, target)
     from scipy.optimize import nnls
 
     try:
@@ -106,6 +116,36 @@ def nonnegative_fit(columns: Matrix, target: np.ndarray) -> np.ndarray:
     except RuntimeError:
         # SciPy raises this when its iterations are used up.
         return np.zeros(columns.shape[1])
+
+
+def _sparse_nonnegative_fit(columns: SparseMatrix, target: np.ndarray) -> np.ndarray:
+    """Least squares over the columns whose weights are not negative, by a few sparse factorisations.
+
+    Columns that turn negative are dropped, and none is taken back: nearly always that is the fit, and if it is not, the
+    weights still are no less than zero.
+    """
+    kept = np.arange(columns.shape[1])
+    weights = np.zeros(columns.shape[1])
+    for _ in range(_MOST_DROPS):
+        found = _least_squares(columns[:, kept], target)
+        if not np.isfinite(found).all():
+            return np.zeros(columns.shape[1])
+        weights[:] = 0.0
+        weights[kept] = np.maximum(found, 0.0)
+        if (found >= 0).all():
+            break
+        kept = kept[found >= 0]
+    return weights
+
+
+def _least_squares(columns: SparseMatrix, target: np.ndarray) -> np.ndarray:
+    """The weights of least squares, and of these the smallest but for a regularisation that is negligible."""
+    from scipy.sparse import block_array, eye_array
+    from scipy.sparse.linalg import splu
+
+    size, count = columns.shape
+    system = block_array([[eye_array(size), columns], [columns.T, -_REGULARISED * eye_array(count)]], format="csc")
+    return splu(system).solve(np.append(target, np.zeros(count)))[size:]
 
 
 @final

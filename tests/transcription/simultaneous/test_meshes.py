@@ -70,3 +70,11 @@ def test_only_intervals_that_err_are_divided():
 def test_an_error_is_a_small_positive_number(error):
     with pytest.raises(al.ProblemError, match="Simultaneous: error"):
         al.Simultaneous(error=error)
+
+
+def test_a_mesh_that_does_not_converge_is_told_with_its_place(monkeypatch):
+    monkeypatch.setattr("aleator.transcription.simultaneous._transcribed._MOST_MESHES", 2)
+    with pytest.warns(al.GridWarning, match=r"mesh does not reach .* from t = .* where 1e-09 is asked"):
+        solution = al.solve(swing(), transcription=al.Simultaneous(error=1e-9))
+    assert len(solution.meshes) == 2
+    assert not solution.meshes[-1].is_met

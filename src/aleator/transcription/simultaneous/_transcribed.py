@@ -1,11 +1,11 @@
-"""Simultaneous transcription: the states of every realisation are variables of the program, tied by a scheme.
+"""A problem as a simultaneous program: the states of every realisation are variables, tied by a scheme.
 
 Nothing is simulated while it is solved (dissertation, section 3.3; SimNLP, equations 95 and 123): so systems that are
 unstable, stiff or held within bounds can be designed that cannot be simulated at every decision on the way.
 """
 
-from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar, NamedTuple, final
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple, final
 
 import jax
 import jax.numpy as jnp
@@ -13,45 +13,41 @@ import numpy as np
 from jaxtyping import Float, Int
 from typing_extensions import override
 
-from aleator._core.arrays import numbers_to_arrays
 from aleator._core.compilation import Compiled, Use
-from aleator._core.errors import ProblemError
-from aleator._core.given import one_of, positive
 from aleator.design import (
     Problem,
     expanded_functionals,
     extreme_functionals,
     functionals_of,
-    integrated_paths,
     refuse_changed_code,
 )
-from aleator.dynamics import AbstractScheme, Grid, HermiteSimpson
-from aleator.nlp import HELD, AbstractSolver, Evaluation, Ipopt, Magnitudes, NonlinearProgram
+from aleator.dynamics import Grid
+from aleator.nlp import HELD, Evaluation, Magnitudes, NonlinearProgram
 from aleator.solution import MeshError
 from aleator.statistics import Constants
-from aleator.transcription._abstract import AbstractTranscribed, AbstractTranscription, Meaning, Meanwhile
-from aleator.transcription._discretisation import Discretised, discretised
+from aleator.transcription._abstract import AbstractTranscribed, Meaning
+from aleator.transcription._discretisation import Discretised
 from aleator.transcription._magnitudes import Sizing, decision_scales, least_objective, spread
 from aleator.transcription._rows import row_bounds
-from aleator.transcription._scenarios import Scenarios, first_scenarios
+from aleator.transcription._scenarios import Scenarios
 from aleator.transcription._scope import ExpansionScope
 from aleator.transcription._texts import Texts
 from aleator.transcription.simultaneous._first_point import started
 from aleator.transcription.simultaneous._layout import Layout, Plan
 from aleator.transcription.simultaneous._mesh import Mesh
-from aleator.transcription.simultaneous._mesh_error import BETWEEN, interval_errors, parts_of, states_on
+from aleator.transcription.simultaneous._mesh_error import interval_errors, parts_of, states_on
 from aleator.transcription.simultaneous._pointwise import Pointwise
-from aleator.transcription.simultaneous._program import CURVE, EVALUATE, Assembled
+from aleator.transcription.simultaneous._program import Assembled
 from aleator.transcription.simultaneous._rows import Given
 from aleator.transcription.simultaneous._scales import scales
-from aleator.transcription.simultaneous._signals import ALONG, are_affine
-from aleator.transcription.simultaneous._start import SIMULATED, simulated_states
+from aleator.transcription.simultaneous._signals import are_affine
+from aleator.transcription.simultaneous._start import simulated_states
 from aleator.uncertainty import named_numbers
 
 # Steps of a simulation for each interval of a mesh.
 _FINER = 2
-# So many meshes at most, and the least error that may be asked for.
-_MOST_MESHES, _LEAST_ERROR = 8, 1e-12
+# So many meshes at most.
+_MOST_MESHES = 8
 
 
 def _told(problem: Problem, constants: Constants, at: tuple[Any, ...]) -> tuple[jax.Array, ...]:
@@ -99,7 +95,8 @@ class SimultaneouslyTranscribed(AbstractTranscribed):
         evaluation, variables = self.assembled(point), self.layout.view(point)
         every, numbers = self.layout.samples(variables), self.layout.samples(self.layout.numbers)
         count, expressions = len(self.collocation.points), self.problem.expressions
-        samples = {one: self._apart(values, numbers[one]) for one, values in every.items()}
+        sizes = self._sizes(point)
+        samples = {one: self._apart(values, numbers[one], sizes) for one, values in every.items()}
         fitted = [
             self.collocation.coefficients(jnp.asarray(samples[one][:count]))
             for one in expanded_functionals(expressions)
@@ -118,16 +115,17 @@ class SimultaneouslyTranscribed(AbstractTranscribed):
             times=float(grid.t_start) + grid.fractions * float(variables.duration[0]),
         )
 
-    def _apart(self, samples: np.ndarray, numbers: np.ndarray) -> np.ndarray:
+    @staticmethod
+    def _apart(samples: np.ndarray, numbers: np.ndarray, sizes: np.ndarray) -> np.ndarray:
         """Samples without what their equations leave open: realisations that differ by less are the same."""
-        open_ = HELD * self.program.variable_scale[numbers].max(axis=0)
+        open_ = HELD * sizes[numbers].max(axis=0)
         middle = samples.mean(axis=0)
         return np.where(np.abs(samples - middle).max(axis=0) <= open_, middle, samples)
 
     @override
     def at_scenarios(self, scenarios: Scenarios) -> "SimultaneouslyTranscribed":
         found = self.discretised._replace(constants=replace(self.constants, scenarios=jnp.asarray(scenarios.points)))
-        way = _Way(self.problem, self.traced, found, scenarios, self.accuracy)
+        way = Way(self.problem, self.traced, found, scenarios, self.accuracy)
         return replace(way.transcribed(self.layout.plan.mesh), meshes=self.meshes)
 
     @property
@@ -150,22 +148,27 @@ class SimultaneouslyTranscribed(AbstractTranscribed):
         finer = mesh.divided(parts_of(error.errors, self.accuracy, len(mesh.scheme.nodes)))
         values = self.layout.view(point)
         states = states_on(mesh, finer, values.states, self._rates(point))
-        way = _Way(self.problem, self.traced, self.discretised, self.scenarios, self.accuracy)
+        way = Way(self.problem, self.traced, self.discretised, self.scenarios, self.accuracy)
         found = way.transcribed(finer, (values.decisions, states))
         return replace(found, meshes=(*self.meshes, error)), found.program.start
 
     def _rates(self, point: Float[np.ndarray, " variables"]) -> Float[np.ndarray, "realisations asked rates"]:
         return self.assembled.blocks(point)[0][self.assembled.rates]
 
+    def _sizes(self, point: Float[np.ndarray, " variables"]) -> Float[np.ndarray, " variables"]:
+        """How large each kind of variable is at a point."""
+        typical = self.program.variable_scale[self.decided]
+        return scales(self.layout, self.assembled.rows.ties, point, self.assembled(point), typical)
+
     def _mesh_error(self, point: Float[np.ndarray, " variables"]) -> MeshError:
-        layout, size = self.layout, self.program.variable_scale
-        errors = interval_errors(self.traced, layout, self.points, self._rates(point), point, size)
+        layout = self.layout
+        errors = interval_errors(self.traced, layout, self.points, self._rates(point), point, self._sizes(point))
         times = self.at(point).times
         nodes = times[0] + np.array(layout.plan.mesh.nodes) * (times[-1] - times[0])
         return MeshError(nodes, errors, self.accuracy)
 
 
-class _Way(NamedTuple):
+class Way(NamedTuple):
     """What a program is made from, beside a mesh."""
 
     problem: Problem
@@ -235,69 +238,4 @@ class _Way(NamedTuple):
             layout=layout,
             assembled=assembled,
             accuracy=self.accuracy,
-        )
-
-
-@final
-@dataclass(frozen=True)
-class Simultaneous(AbstractTranscription):
-    """States are variables of the program, and a collocation scheme holds them to the dynamics: direct collocation.
-
-    The way for long, unstable or stiff systems and for limits on states. Its programs are large and sparse, with exact
-    second derivatives, and solved by interior points.
-
-    - `scheme`: how states follow their rates, such as `al.schemes.Radau(3)`;
-    - `error`: the error of the states that is asked of every interval of the mesh, relative to their magnitudes. The
-      mesh begins as the steps of the grid; intervals that err more are divided until all are as accurate. None leaves
-      it as it is.
-
-    Raises `ProblemError` for an algebraic system, and for statistics that are integrated over time.
-    """
-
-    scheme: AbstractScheme = field(default_factory=HermiteSimpson)
-    error: float | None = None
-
-    programs: ClassVar[tuple[Compiled, ...]] = (EVALUATE, CURVE, SIMULATED, ALONG, TOLD, BETWEEN)
-
-    def __post_init__(self) -> None:
-        one_of("Simultaneous: scheme", self.scheme, AbstractScheme, "al.schemes.HermiteSimpson()")
-        if self.error is not None and not _LEAST_ERROR <= positive("Simultaneous: error", self.error) < 1:
-            raise ProblemError(
-                f"Simultaneous: error: expected {_LEAST_ERROR:g} (64-bit arithmetic gives no more) to below 1; "
-                f"received {self.error!r}."
-            )
-
-    @property
-    @override
-    def refines(self) -> bool:
-        return self.error is not None
-
-    @property
-    @override
-    def solver(self) -> AbstractSolver:
-        return Ipopt()
-
-    @override
-    def transcribed(self, problem: Problem, meanwhile: Meanwhile) -> SimultaneouslyTranscribed:
-        _refuse(problem)
-        scenarios, found, traced = first_scenarios(problem), discretised(problem), numbers_to_arrays(problem)
-        if scenarios is not None:
-            found = found._replace(constants=replace(found.constants, scenarios=jnp.asarray(scenarios.points)))
-        meanwhile(problem, found)
-        assert isinstance(problem.grid, Grid)
-        mesh = Mesh(tuple(problem.grid.fractions.tolist()), self.scheme)
-        accuracy = np.inf if self.error is None else float(self.error)
-        return _Way(problem, traced, found, scenarios, accuracy).transcribed(mesh)
-
-
-def _refuse(problem: Problem) -> None:
-    if not isinstance(problem.grid, Grid):
-        raise ProblemError(
-            f"al.Simultaneous ties states over time: expected a system that moves in time; received "
-            f"{type(problem.system).__name__}, which is algebraic. Use al.Sequential()."
-        )
-    if integrated_paths(problem.expressions):
-        raise ProblemError(
-            "al.Simultaneous does not take statistics that are integrated over time (al.time_integral, "
-            "al.objectives.coefficient_power): use al.Sequential(), or the statistic of an integral."
         )
