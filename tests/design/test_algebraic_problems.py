@@ -209,5 +209,6 @@ def test_a_sampled_system_without_a_solution_is_reported_with_its_residual():
         expansion=al.Expansion(1, points=3, tolerance=0.5),
     )
     solution = al.solve(problem)
-    with pytest.raises(al.SimulationError, match=r"system with a=1\.\d+ is not finite: output 'x'\. Fold: Newton found no solution"):
+    message = r"system with a=1\.\d+ is not finite: output 'x'\. Fold: Newton found no solution"
+    with pytest.raises(al.SimulationError, match=message):
         al.validate(solution, 20_000, seed=1)

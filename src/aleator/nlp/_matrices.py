@@ -15,10 +15,8 @@ from aleator._core.errors import ProblemError
 SparseMatrix: TypeAlias = Any
 Matrix: TypeAlias = np.ndarray | SparseMatrix
 
-# Steps of a bounded fit, and how often columns are dropped from one of weights that are not negative.
-_MOST_STEPS, _MOST_DROPS = 100, 8
-# Relative to scaled gradients, of the order of one: opposite columns share a weight.
-_REGULARISED = 1e-10
+# Steps of a bounded fit of sparse columns.
+_MOST_STEPS = 100
 
 
 def entries(matrix: Matrix) -> np.ndarray:
@@ -108,7 +106,7 @@ def bounded_fit(columns: Matrix, target: np.ndarray, ceiling: np.ndarray) -> np.
 def nonnegative_fit(columns: Matrix, target: np.ndarray) -> np.ndarray:
     """Weights `w >= 0` for which `columns @ w` is closest to a target; zeros, which prove nothing, if not found."""
     if not isinstance(columns, np.ndarray):
-        return _sparse_nonnegative_fit(columns, target)
+        return bounded_fit(columns, target, np.full(columns.shape[1], np.inf))
     from scipy.optimize import nnls
 
     try:
@@ -116,36 +114,6 @@ def nonnegative_fit(columns: Matrix, target: np.ndarray) -> np.ndarray:
     except RuntimeError:
         # SciPy raises this when its iterations are used up.
         return np.zeros(columns.shape[1])
-
-
-def _sparse_nonnegative_fit(columns: SparseMatrix, target: np.ndarray) -> np.ndarray:
-    """Least squares over the columns whose weights are not negative, by a few sparse factorisations.
-
-    Columns that turn negative are dropped, and none is taken back: nearly always that is the fit, and if it is not, the
-    weights still are no less than zero.
-    """
-    kept = np.arange(columns.shape[1])
-    weights = np.zeros(columns.shape[1])
-    for _ in range(_MOST_DROPS):
-        found = _least_squares(columns[:, kept], target)
-        if not np.isfinite(found).all():
-            return np.zeros(columns.shape[1])
-        weights[:] = 0.0
-        weights[kept] = np.maximum(found, 0.0)
-        if (found >= 0).all():
-            break
-        kept = kept[found >= 0]
-    return weights
-
-
-def _least_squares(columns: SparseMatrix, target: np.ndarray) -> np.ndarray:
-    """The weights of least squares, and of these the smallest but for a regularisation that is negligible."""
-    from scipy.sparse import block_array, eye_array
-    from scipy.sparse.linalg import splu
-
-    size, count = columns.shape
-    system = block_array([[eye_array(size), columns], [columns.T, -_REGULARISED * eye_array(count)]], format="csc")
-    return splu(system).solve(np.append(target, np.zeros(count)))[size:]
 
 
 @final
