@@ -16,6 +16,7 @@ from aleator.design._functionals import AbstractIntegral as AbstractIntegral
 from aleator.design._functionals import Path as Path
 from aleator.design._functionals import Peak as Peak
 from aleator.design._functionals import Rms as Rms
+from aleator.design._functionals import Terminal as Terminal
 from aleator.design._functionals import expanded_functionals as expanded_functionals
 from aleator.design._functionals import integral as integral
 from aleator.design._functionals import is_over_time as is_over_time

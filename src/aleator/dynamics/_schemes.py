@@ -110,10 +110,9 @@ class HermiteSimpson(AbstractScheme):
         return 4
 
 
-@final
 @dataclass(frozen=True)
-class Radau(AbstractScheme):
-    """Radau points, including the interval's end (Radau IIA), of order `2 stages - 1`: for stiff systems.
+class _AbstractQuadrature(AbstractScheme):
+    """A scheme whose stages are the points of a quadrature, as many as are asked for.
 
     Raises `ProblemError` unless there are 1 to 12 stages.
     """
@@ -121,7 +120,18 @@ class Radau(AbstractScheme):
     stages: int = 3
 
     def __post_init__(self) -> None:
-        _check_count("Radau", self.stages)
+        who = type(self).__name__
+        if whole(f"{who}: stages", self.stages) > _MOST_STAGES:
+            raise ProblemError(f"{who}: expected 1 to {_MOST_STAGES} stages; received {self.stages}.")
+
+
+@final
+@dataclass(frozen=True)
+class Radau(_AbstractQuadrature):
+    """Radau points, including the interval's end (Radau IIA), of order `2 stages - 1`: for stiff systems.
+
+    Raises `ProblemError` unless there are 1 to 12 stages.
+    """
 
     @cached_property
     @override
@@ -139,16 +149,11 @@ class Radau(AbstractScheme):
 
 @final
 @dataclass(frozen=True)
-class GaussLegendre(AbstractScheme):
+class GaussLegendre(_AbstractQuadrature):
     """Gauss points, of order `2 stages`, without the ends: for long smooth motions and controls that jump.
 
     Raises `ProblemError` unless there are 1 to 12 stages.
     """
-
-    stages: int = 3
-
-    def __post_init__(self) -> None:
-        _check_count("GaussLegendre", self.stages)
 
     @cached_property
     @override
@@ -159,8 +164,3 @@ class GaussLegendre(AbstractScheme):
     @override
     def order(self) -> int:
         return 2 * self.stages
-
-
-def _check_count(scheme: str, stages: int) -> None:
-    if whole(f"{scheme}: stages", stages) > _MOST_STAGES:
-        raise ProblemError(f"{scheme}: expected 1 to {_MOST_STAGES} stages; received {stages}.")

@@ -202,7 +202,7 @@ def _at(scaled: ScaledProgram, answer: Answer, user: Evaluation, tolerance: floa
 
 def _is_large(scaled: ScaledProgram) -> bool:
     """Whether multipliers cannot be fitted in reasonable time: a sparse program has thousands of equalities."""
-    return not isinstance(scaled.sparsity, np.ndarray) and scaled.sparsity is not None and scaled.rows > _MOST_FITTED
+    return not isinstance(scaled.sparsity, np.ndarray) and scaled.rows > _MOST_FITTED
 
 
 def settle(scaled: ScaledProgram, answer: Answer, tolerance: float) -> tuple[Answer, bool]:

@@ -1,7 +1,7 @@
 """The basis and the collocation of a problem, built once and shared by all problems with the same ones."""
 
 from collections.abc import Hashable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import NamedTuple, final
 
@@ -25,6 +25,7 @@ from aleator.design import (
 from aleator.ensemble import in_batches
 from aleator.expansion import Adaptive, Basis, Collocation, Discretisation, Expansion, Sparse, collocate
 from aleator.statistics import Constants, Preparation
+from aleator.transcription._scenarios import Scenarios
 from aleator.uncertainty import AbstractGerm
 
 # Kept discretisations: enough for the problems of a session; a front or a calibration needs one.
@@ -40,6 +41,12 @@ class Discretised(NamedTuple):
     basis: Basis
     collocation: Collocation
     constants: Constants
+
+    def at_scenarios(self, scenarios: Scenarios | None) -> "Discretised":
+        """The same, with limits on the worst case held at some realisations; itself without any."""
+        if scenarios is None:
+            return self
+        return self._replace(constants=replace(self.constants, scenarios=jnp.asarray(scenarios.points)))
 
 
 def discretised(problem: Problem) -> Discretised:

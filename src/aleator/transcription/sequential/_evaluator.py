@@ -1,6 +1,5 @@
 """Evaluate a problem: values and exact derivatives from one compiled function, with the latest points remembered."""
 
-import threading
 from typing import Any, NamedTuple, final
 
 import jax.numpy as jnp
@@ -13,6 +12,7 @@ from aleator.design import Problem, functionals_of, grid_at, refuse_changed_code
 from aleator.expansion import Collocation
 from aleator.nlp import Evaluation
 from aleator.statistics import Constants
+from aleator.transcription._remembered import Remembered
 from aleator.transcription._scope import Terms
 from aleator.transcription.sequential._affine import Anchors
 from aleator.transcription.sequential._instantaneous import instantaneous, instantaneous_rows
@@ -189,8 +189,7 @@ class Evaluator:
             if len(parts) > 1
             else _AtOnce(traced, collocation, constants, anchors)
         )
-        self._memory: dict[bytes, Blocks] = {}
-        self._lock = threading.Lock()
+        self._remembered: Remembered[Blocks] = Remembered(self._evaluate)
 
     def is_known(self, decisions: Float[np.ndarray, " n"]) -> bool:
         """Whether a problem of the same structure has been compiled before."""
@@ -202,16 +201,7 @@ class Evaluator:
         return Evaluator(traced, collocation, constants, anchors)
 
     def __call__(self, decisions: Float[np.ndarray, " n"]) -> Blocks:
-        key = decisions.tobytes()
-        with self._lock:
-            found = self._memory.get(key)
-        if found is None:
-            found = self._evaluate(decisions)
-            with self._lock:
-                while len(self._memory) > 1:
-                    del self._memory[next(iter(self._memory))]
-                self._memory[key] = found
-        return found
+        return self._remembered(decisions)
 
 
 def evaluation_of(blocks: Blocks) -> Evaluation:

@@ -7,7 +7,6 @@ the Jacobian of the objective and of all constraints come from one compiled func
 from dataclasses import dataclass, replace
 from typing import ClassVar, final
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 from typing_extensions import override
@@ -69,8 +68,8 @@ class SequentiallyTranscribed(AbstractTranscribed):
     @override
     def at_scenarios(self, scenarios: Scenarios) -> "SequentiallyTranscribed":
         """The same program with limits on the worst case imposed at other scenarios; more slots need compilation."""
-        constants = replace(self.constants, scenarios=jnp.asarray(scenarios.points))
-        evaluator, program = self.evaluator.with_constants(constants), self.program
+        discretised = self.discretised.at_scenarios(scenarios)
+        evaluator, program = self.evaluator.with_constants(discretised.constants), self.program
         same = self.scenarios is not None and len(scenarios.used) == len(self.scenarios.used)
         rows = self.rows if same else rows_of(evaluator(program.start).sizes[1:])
         lower, upper = row_bounds(self.problem.constraints, rows, scenarios)
@@ -85,7 +84,6 @@ class SequentiallyTranscribed(AbstractTranscribed):
             sparsity=program.sparsity if same else None,
             magnitudes=sizing.at,
         )
-        discretised = self.discretised._replace(constants=constants)
         own = {"discretised": discretised, "evaluator": evaluator, "sizing": sizing, "_latest": []}
         return replace(self, rows=rows, program=program, scenarios=scenarios, **own)
 
@@ -102,9 +100,8 @@ class Sequential(AbstractTranscription):
 
     @override
     def transcribed(self, problem: Problem, meanwhile: Meanwhile) -> SequentiallyTranscribed:
-        scenarios, found, traced = first_scenarios(problem), discretised(problem), numbers_to_arrays(problem)
-        if scenarios is not None:
-            found = found._replace(constants=replace(found.constants, scenarios=jnp.asarray(scenarios.points)))
+        scenarios, traced = first_scenarios(problem), numbers_to_arrays(problem)
+        found = discretised(problem).at_scenarios(scenarios)
         start, lower, upper = (problem.placements.vector(name) for name in ("initial", "lower", "upper"))
         anchors = anchors_of(traced, found.collocation, start)
         evaluator = Evaluator(traced, found.collocation, found.constants, anchors)

@@ -19,6 +19,7 @@ from aleator.statistics import Constants
 from aleator.transcription._scope import ExpansionScope
 from aleator.transcription.simultaneous._blocks import Family
 from aleator.transcription.simultaneous._layout import Layout, Variables
+from aleator.transcription.simultaneous._pointwise import apart
 from aleator.transcription.simultaneous._signals import known_numbers
 from aleator.uncertainty import named_numbers
 
@@ -148,9 +149,7 @@ def _expression(
 
 def _taken(parts: list[_Part], numbers: Array) -> list[tuple[_Part, Array]]:
     """Parts with their values, from these side by side."""
-    ends = np.cumsum([int(np.prod(one.shape)) for one in parts])[:-1]
-    values = jnp.split(numbers, ends) if parts else []
-    return [(part, one.reshape(part.shape)) for part, one in zip(parts, values, strict=True)]
+    return list(zip(parts, apart(numbers, [one.shape for one in parts]), strict=True))
 
 
 def _speaks_of_numbers(expression: Expression) -> bool:

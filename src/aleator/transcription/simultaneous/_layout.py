@@ -25,7 +25,7 @@ from aleator.design import (
     functionals_of,
 )
 from aleator.transcription.simultaneous._mesh import Mesh
-from aleator.transcription.simultaneous._pointwise import Pointwise, Shapes
+from aleator.transcription.simultaneous._pointwise import Pointwise, Shapes, apart
 
 
 class Variables(NamedTuple):
@@ -94,10 +94,10 @@ class Layout:
             duration=(1,),
             signals=(points, shapes.signals),
             states=(every, points, shapes.states),
-            integrals=(every, sum(map(_count, shapes.integrals))),
+            integrals=(every, sum(map(math.prod, shapes.integrals))),
             paths=(every, instants, shapes.size(asked.paths)),
             ends=(every, shapes.size(asked.ends)),
-            composed=(every, sum(map(_count, composed))),
+            composed=(every, sum(map(math.prod, composed))),
             coefficients=(),
         )
         found = cls(plan, asked, shapes, composed, sizes)
@@ -118,7 +118,7 @@ class Layout:
     @property
     def count(self) -> int:
         """How many variables there are."""
-        return sum(map(_count, _shapes_of(self.sizes)))
+        return sum(map(math.prod, _shapes_of(self.sizes)))
 
     @cached_property
     def numbers(self) -> Variables:
@@ -127,10 +127,7 @@ class Layout:
 
     def view(self, variables: Any) -> Variables:
         """The variables of a point by what they are."""
-        parts, first = [], 0
-        for shape in _shapes_of(self.sizes):
-            parts.append(variables[first : first + _count(shape)].reshape(shape))
-            first += _count(shape)
+        parts = apart(variables, _shapes_of(self.sizes))
         alone = dict(zip(Variables._fields, parts[:8], strict=False))
         return Variables(**alone, coefficients=tuple(parts[8:]))
 
@@ -159,11 +156,9 @@ class Layout:
     def samples(self, variables: Variables) -> dict[AbstractFunctional, Any]:
         """Each functional on every realisation, shape (realisations, ...)."""
         asked, shapes = self.asked, self.shapes
-        found: dict[AbstractFunctional, Any] = {}
-        first = 0
-        for one, shape in zip(asked.composed, self.composed, strict=True):
-            found[one] = variables.composed[:, first : first + _count(shape)].reshape(-1, *shape)
-            first += _count(shape)
+        found: dict[AbstractFunctional, Any] = dict(
+            zip(asked.composed, apart(variables.composed, self.composed), strict=True)
+        )
         for one in functionals_of(asked.problem.expressions):
             if one not in found:
                 is_path = isinstance(one, Path)
@@ -179,10 +174,6 @@ class Layout:
 
 def _shapes_of(sizes: Variables) -> Sequence[tuple[int, ...]]:
     return [*sizes[:8], *sizes.coefficients]
-
-
-def _count(shape: tuple[int, ...]) -> int:
-    return math.prod(shape)
 
 
 def _shape(functional: AbstractFunctional, asked: Pointwise, shapes: Shapes) -> tuple[int, ...]:

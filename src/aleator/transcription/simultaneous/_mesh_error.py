@@ -56,41 +56,28 @@ def interval_errors(
         return np.zeros(len(mesh.lengths))
     nodes, weights = legendre.leggauss(len(mesh.scheme.nodes) + 2)
     inner, weights = (1 + nodes) / 2, weights / 2
-    fractions = np.array(mesh.nodes)[:-1, None] + mesh.lengths[:, None] * inner
-    states = states_within(mesh, values.states, rates, inner)
-    flat = states.reshape(len(states), -1, count)
-    at = jnp.asarray(values.decisions), jnp.asarray(values.duration[0]), jnp.asarray(flat)
-    found = np.asarray(BETWEEN(traced, jnp.asarray(points), tuple(fractions.ravel().tolist()), at))
+    fractions = (np.array(mesh.nodes)[:-1, None] + mesh.lengths[:, None] * inner).ravel()
+    states = states_on(mesh, fractions, values.states, rates)
+    at = jnp.asarray(values.decisions), jnp.asarray(values.duration[0]), jnp.asarray(states)
+    found = np.asarray(BETWEEN(traced, jnp.asarray(points), tuple(fractions.tolist()), at))
     polynomial = np.einsum("qi,pkis->pkqs", mesh.scheme.interpolated(inner), rates[:, mesh.stages, :count])
-    missed = np.abs(polynomial - found.reshape(states.shape))
+    missed = np.abs(polynomial - found.reshape(polynomial.shape))
     drift = mesh.lengths[None, :, None] * np.einsum("q,pkqs->pks", weights, missed)
     size = layout.view(scales).states[:, :1]
     return np.max(drift / size, axis=(0, 2))
 
 
-def states_within(
-    mesh: Mesh,
-    states: Float[np.ndarray, "realisations points states"],
-    rates: Float[np.ndarray, "realisations asked rates"],
-    inner: Float[np.ndarray, " inner"],
-) -> Float[np.ndarray, "realisations intervals inner states"]:
-    """The states at some fractions of every interval, by the scheme's own polynomials."""
-    slopes = rates[:, mesh.stages, : states.shape[2]]
-    moved = np.einsum("qi,pkis->pkqs", mesh.scheme.integrals(inner), slopes)
-    return states[:, mesh.points[:, 0], None] + mesh.lengths[None, :, None, None] * moved
-
-
 def states_on(
     mesh: Mesh,
-    finer: Mesh,
+    fractions: Float[np.ndarray, " n"],
     states: Float[np.ndarray, "realisations points states"],
     rates: Float[np.ndarray, "realisations asked rates"],
-) -> Float[np.ndarray, "realisations finer states"]:
-    """The states at the points of a finer mesh, by the polynomials of a coarser one."""
-    at = finer.fractions
-    which = np.clip(np.searchsorted(mesh.nodes, at, side="right") - 1, 0, len(mesh.lengths) - 1)
-    inside = (at - np.array(mesh.nodes)[which]) / mesh.lengths[which]
-    moved = np.einsum("mi,pmis->pms", mesh.scheme.integrals(inside), rates[:, mesh.stages, : states.shape[2]][:, which])
+) -> Float[np.ndarray, "realisations n states"]:
+    """The states at some fractions of the duration, by the polynomials of a mesh."""
+    which = np.clip(np.searchsorted(mesh.nodes, fractions, side="right") - 1, 0, len(mesh.lengths) - 1)
+    inside = (fractions - np.array(mesh.nodes)[which]) / mesh.lengths[which]
+    slopes = rates[:, mesh.stages, : states.shape[2]][:, which]
+    moved = np.einsum("mi,pmis->pms", mesh.scheme.integrals(inside), slopes)
     return states[:, mesh.points[which, 0]] + mesh.lengths[which][None, :, None] * moved
 
 

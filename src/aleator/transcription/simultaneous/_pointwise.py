@@ -4,6 +4,7 @@ Time runs by the fraction of the grid's duration: multiplied by the duration, ra
 fraction, so that a free final time stands in them and the scheme stays linear.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, final
@@ -21,12 +22,12 @@ from aleator.design import (
     Path,
     Problem,
     Taken,
+    Terminal,
     functionals_of,
     grid_at,
     numbers_of,
-    terminal,
 )
-from aleator.dynamics import Asked, Grid, System, derivative, initial_state, known_at, observation
+from aleator.dynamics import Asked, Grid, Inputs, System, derivative, initial_state, known_at, observation
 from aleator.transcription._frozen import frozen, has_random_signals
 from aleator.uncertainty import placements, realise
 
@@ -56,8 +57,7 @@ class Pointwise:
         functionals, is_random = functionals_of(problem.expressions), has_random_signals(problem)
         every = np.arange(problem.placements.size)
         fixed, direct = (problem, every) if is_random else frozen(problem)
-        last = type(terminal("y"))
-        whole = [one for one in functionals if not isinstance(one, AbstractIntegral | last)]
+        whole = [one for one in functionals if not isinstance(one, AbstractIntegral | Terminal)]
         return cls(
             problem,
             fixed,
@@ -65,8 +65,8 @@ class Pointwise:
             is_random,
             tuple(one for one in functionals if isinstance(one, AbstractIntegral)),
             tuple(dict.fromkeys(name for one in whole for name in one.outputs)),
-            tuple(dict.fromkeys(one.output for one in functionals if isinstance(one, last))),
-            tuple(one for one in functionals if not isinstance(one, Path | last)),
+            tuple(dict.fromkeys(one.output for one in functionals if isinstance(one, Terminal))),
+            tuple(one for one in functionals if not isinstance(one, Path | Terminal)),
         )
 
     @property
@@ -105,7 +105,7 @@ class Pointwise:
 
     def initial(self, germ: Array, direct: Array) -> Float[Array, " states"]:
         """The initial states of one realisation, side by side."""
-        return _flat(initial_state(self._system(germ, direct)))
+        return _flat(initial_state(self._realised(self.frozen, germ, direct)[0]))
 
     def rates(self, germ: Array, fraction: Array, shared: Array, own: Array) -> Float[Array, " rates"]:
         """The rates of the states, then the integrands, both by the fraction of the duration.
@@ -113,9 +113,8 @@ class Pointwise:
         - `shared`: the decisions of the model itself, then the duration; `own`: the signals, then the states.
         """
         system, t, z, now = self._at(germ, fraction, shared, own)
-        asked = Asked(frozenset(), integrands=tuple(one.integrand for one in self.integrals))
         parts = [_flat(derivative(system, t, z, now))] if system.states else []
-        return shared[-1] * _flat([*parts, asked.rates(system, t, z, now)])
+        return shared[-1] * _flat([*parts, self._integrated.rates(system, t, z, now)])
 
     def outputs(self, names: tuple[str, ...], germ: Array, fraction: Array, shared: Array, own: Array) -> Array:
         """Some outputs, side by side."""
@@ -125,10 +124,9 @@ class Pointwise:
 
     def composites(self, shapes: "Shapes", duration: Array, integrals: Array, paths: Array) -> Float[Array, " rows"]:
         """The functionals of integrals and of whole histories of one realisation, side by side."""
-        ends = np.cumsum([int(np.prod(one)) for one in shapes.integrals])[:-1]
-        parts = jnp.split(integrals, ends) if shapes.integrals else []
-        each = zip(self.integrals, parts, shapes.integrals, strict=True)
-        totals: dict[AbstractFunctional, Array] = {one: part.reshape(shape) for one, part, shape in each}
+        totals: dict[AbstractFunctional, Array] = dict(
+            zip(self.integrals, apart(integrals, shapes.integrals), strict=True)
+        )
         history = shapes.histories(self.paths, paths)
         grid = eqx.tree_at(lambda one: one.t_final, self.grid, self.grid.t_start + duration)
         return _flat(list(numbers_of(self.composed, Taken(history, totals), grid)))
@@ -143,46 +141,44 @@ class Pointwise:
 
         def found() -> tuple[Any, ...]:
             system, t, z, now = self._at(germ, fraction, shared, own)
-            asked = Asked(frozenset(), integrands=tuple(one.integrand for one in self.integrals))
             outputs = observation(system, t, z, now)
-            return asked.rates(system, t, z, now), {name: outputs[name] for name in (*self.paths, *self.ends)}
+            return self._integrated.rates(system, t, z, now), {
+                name: outputs[name] for name in (*self.paths, *self.ends)
+            }
 
         integrals, outputs = jax.eval_shape(found)
         return Shapes(
             states, signals, tuple(one.shape for one in integrals), {name: one.shape for name, one in outputs.items()}
         )
 
-    def _known_parts(self, decisions: Float[Array, " n"]) -> tuple[System, Grid, Any]:
+    def _known_parts(self, decisions: Float[Array, " n"]) -> tuple[System, Grid, Inputs]:
         germ = jnp.zeros(len(self.problem.placements.germ_names))
-        simulation = realise(self.problem.simulation, germ, decisions)
+        return self._realised(self.problem, germ, decisions)
+
+    @property
+    def _integrated(self) -> Asked:
+        return Asked(frozenset(), integrands=tuple(one.integrand for one in self.integrals))
+
+    def _realised(self, problem: Problem, germ: Array, decisions: Array) -> tuple[System, Grid, Inputs]:
+        """The system of one realisation, for what is asked of it, its grid and its inputs."""
+        simulation = realise(problem.simulation, germ, decisions)
         assert isinstance(simulation.system, System)
         assert isinstance(simulation.grid, Grid)
-        return self._focused(simulation.system), simulation.grid, simulation.inputs
-
-    def _focused(self, system: System) -> System:
         names = {name for one in functionals_of(self.problem.expressions) for name in one.outputs}
-        return system.focused(names)
-
-    def _system(self, germ: Array, direct: Array) -> System:
-        system = realise(self.frozen.simulation, germ, direct).system
-        assert isinstance(system, System)
-        return self._focused(system)
+        return simulation.system.focused(names), simulation.grid, simulation.inputs
 
     def _at(self, germ: Array, fraction: Array, shared: Array, own: Array) -> tuple[System, Array, Any, dict[str, Any]]:
         """A realised system with its time, states and inputs at one mesh point."""
         direct, duration = shared[:-1], shared[-1]
-        simulation = realise(self.frozen.simulation, germ, direct)
-        assert isinstance(simulation.system, System)
-        system = self._focused(simulation.system)
-        start = initial_state(system)
-        flat, unravel = ravel_pytree(start)
+        system, grid, inputs = self._realised(self.frozen, germ, direct)
+        flat, unravel = ravel_pytree(initial_state(system))
         signals, states = own[: own.size - flat.size], own[own.size - flat.size :]
         t = jnp.asarray(self.grid.t_start + fraction * duration)
-        each = {**system.signals(), **simulation.inputs}
+        each = {**system.signals(), **inputs}
         if self.is_random:
             now = {name: one.over(self.grid.t_start, self.grid.t_start + duration)(t) for name, one in each.items()}
         else:
-            known = known_at(system, simulation.grid, simulation.inputs, np.zeros(1))
+            known = known_at(system, grid, inputs, np.zeros(1))
             _, now = known.unpack(jnp.concatenate([t[None], signals]))
         return system, t, unravel(states), now
 
@@ -199,7 +195,7 @@ class Shapes:
 
     def size(self, names: Sequence[str]) -> int:
         """How many numbers some outputs are."""
-        return sum(int(np.prod(self.outputs[name])) for name in names)
+        return sum(math.prod(self.outputs[name]) for name in names)
 
     def columns(self, names: Sequence[str], name: str) -> slice:
         """Where an output stands among some that are side by side."""
@@ -212,6 +208,16 @@ class Shapes:
             return {}
         table = rows.reshape(-1, self.size(names))
         return {name: table[:, self.columns(names, name)].reshape(-1, *self.outputs[name]) for name in names}
+
+
+def apart(numbers: Any, shapes: Sequence[tuple[int, ...]]) -> list[Any]:
+    """Arrays of some shapes, from their numbers side by side along the last axis; axes before it are kept."""
+    parts, first = [], 0
+    for shape in shapes:
+        last = first + math.prod(shape)
+        parts.append(numbers[..., first:last].reshape(*numbers.shape[:-1], *shape))
+        first = last
+    return parts
 
 
 def _flat(tree: Any) -> Float[Array, " numbers"]:

@@ -12,6 +12,7 @@ from aleator._core.compilation import Bound, Compiled, Use
 from aleator.design import Problem, refuse_changed_code
 from aleator.nlp import Evaluation, Hessian, SparseMatrix
 from aleator.statistics import Constants
+from aleator.transcription._remembered import Remembered
 from aleator.transcription.simultaneous._assembly import Curvature, Jacobian, Pattern
 from aleator.transcription.simultaneous._families import Families, families
 from aleator.transcription.simultaneous._layout import Layout, Plan
@@ -56,6 +57,7 @@ CURVE = Compiled(_curve, use=Use.ROWS, unchanged=refuse_changed_code)
 class Assembled:
     """Evaluates a program: its blocks by compiled functions, its matrices by assembly.
 
+    - `blocks`: gives the rows of all blocks, and the entries of their Jacobians;
     - `slopes`: how the decisions act on signals and duration, where that is constant, shape (known, decisions);
     - `objective`: its row and its entries among those of all blocks, and the variables of these; `rates`: the rows of
       the rates at the points where the scheme asks for them.
@@ -63,7 +65,7 @@ class Assembled:
 
     rows: Rows
     slopes: SparseMatrix
-    evaluate_blocks: Bound
+    blocks: Remembered[tuple[np.ndarray, np.ndarray]]
     curve_blocks: Bound
     jacobian: Jacobian
     curvature: Curvature
@@ -100,18 +102,13 @@ class Assembled:
         return cls(
             rows,
             slopes,
-            evaluate,
+            Remembered(lambda variables: tuple(map(np.asarray, evaluate(variables)))),  # type: ignore[arg-type]
             curve,
             Jacobian.of(rows.linear, rows.combined, patterns),
             Curvature.of(patterns, layout.count),
             (int(objective.rows.item()), entries, objective.columns.ravel()),
             patterns[2].rows,
         )
-
-    def blocks(self, variables: Float[np.ndarray, " n"]) -> tuple[np.ndarray, np.ndarray]:
-        """The rows of all blocks, and the entries of their Jacobians."""
-        values, entries = self.evaluate_blocks(variables)
-        return np.asarray(values), np.asarray(entries)
 
     def known(self, variables: Float[np.ndarray, " n"]) -> Float[np.ndarray, " known"]:
         """The signals at all mesh points, then the duration, as they follow from the decisions."""

@@ -1,9 +1,8 @@
 """`Simultaneous`: direct collocation, from a declared problem to its sparse program."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import ClassVar, final
 
-import jax.numpy as jnp
 import numpy as np
 from typing_extensions import override
 
@@ -70,9 +69,8 @@ class Simultaneous(AbstractTranscription):
     @override
     def transcribed(self, problem: Problem, meanwhile: Meanwhile) -> SimultaneouslyTranscribed:
         _refuse(problem)
-        scenarios, found, traced = first_scenarios(problem), discretised(problem), numbers_to_arrays(problem)
-        if scenarios is not None:
-            found = found._replace(constants=replace(found.constants, scenarios=jnp.asarray(scenarios.points)))
+        scenarios, traced = first_scenarios(problem), numbers_to_arrays(problem)
+        found = discretised(problem).at_scenarios(scenarios)
         meanwhile(problem, found)
         assert isinstance(problem.grid, Grid)
         mesh = Mesh(tuple(problem.grid.fractions.tolist()), self.scheme)

@@ -5,6 +5,7 @@ unstable, stiff or held within bounds can be designed that cannot be simulated a
 """
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, NamedTuple, final
 
 import jax
@@ -28,6 +29,7 @@ from aleator.statistics import Constants
 from aleator.transcription._abstract import AbstractTranscribed, Meaning
 from aleator.transcription._discretisation import Discretised
 from aleator.transcription._magnitudes import Sizing, decision_scales, least_objective, spread
+from aleator.transcription._remembered import Remembered
 from aleator.transcription._rows import row_bounds
 from aleator.transcription._scenarios import Scenarios
 from aleator.transcription._scope import ExpansionScope
@@ -92,6 +94,13 @@ class SimultaneouslyTranscribed(AbstractTranscribed):
 
     @override
     def at(self, point: Float[np.ndarray, " variables"]) -> Meaning:
+        return self._remembered(point)
+
+    @cached_property
+    def _remembered(self) -> Remembered[Meaning]:
+        return Remembered(self._meaning)
+
+    def _meaning(self, point: Float[np.ndarray, " variables"]) -> Meaning:
         evaluation, variables = self.assembled(point), self.layout.view(point)
         every, numbers = self.layout.samples(variables), self.layout.samples(self.layout.numbers)
         count, expressions = len(self.collocation.points), self.problem.expressions
@@ -124,7 +133,7 @@ class SimultaneouslyTranscribed(AbstractTranscribed):
 
     @override
     def at_scenarios(self, scenarios: Scenarios) -> "SimultaneouslyTranscribed":
-        found = self.discretised._replace(constants=replace(self.constants, scenarios=jnp.asarray(scenarios.points)))
+        found = self.discretised.at_scenarios(scenarios)
         way = Way(self.problem, self.traced, found, scenarios, self.accuracy)
         return replace(way.transcribed(self.layout.plan.mesh), meshes=self.meshes)
 
@@ -147,7 +156,7 @@ class SimultaneouslyTranscribed(AbstractTranscribed):
             return None
         finer = mesh.divided(parts_of(error.errors, self.accuracy, len(mesh.scheme.nodes)))
         values = self.layout.view(point)
-        states = states_on(mesh, finer, values.states, self._rates(point))
+        states = states_on(mesh, finer.fractions, values.states, self._rates(point))
         way = Way(self.problem, self.traced, self.discretised, self.scenarios, self.accuracy)
         found = way.transcribed(finer, (values.decisions, states))
         return replace(found, meshes=(*self.meshes, error)), found.program.start
