@@ -6,6 +6,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy
 
 from aleator._core.arrays import Pytree
 from aleator._core.errors import ProblemError
@@ -60,6 +61,4 @@ def _inverted(name: str, distribution: AbstractDistribution, germ: AbstractGerm,
         raise ProblemError(f"'{name}' = {value:g} lies outside its distribution {distribution}.")
     if excess(low) >= 0 or excess(high) <= 0:
         return low if excess(low) >= 0 else high
-    from scipy import optimize  # late: it takes a while to import
-
-    return float(optimize.brentq(excess, low, high, xtol=1e-14))  # type: ignore[arg-type]
+    return float(scipy.optimize.brentq(excess, low, high, xtol=1e-14))  # type: ignore[arg-type]

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
+import scipy
 from jaxtyping import Float
 
 Points: TypeAlias = Float[np.ndarray, "points variables"]
@@ -33,8 +34,6 @@ def candidates(variables: int, seed: int, rank: Callable[[Points], np.ndarray]) 
 
     - `rank`: gives the indices of the worst of many points by a cheap model, the expansion.
     """
-    from scipy.stats import qmc  # late: it takes a second to import
-
     generator = np.random.default_rng(seed)
     middle = np.full((1, variables), 0.5)
     ends = np.repeat(middle, 2 * variables, axis=0)
@@ -43,7 +42,7 @@ def candidates(variables: int, seed: int, rank: Callable[[Points], np.ndarray]) 
         corners = np.indices((2,) * variables).reshape(variables, -1).T.astype(float)
     else:
         corners = generator.integers(0, 2, (_MOST_CORNERS, variables)).astype(float)
-    inside = qmc.Sobol(variables, rng=generator).random(16 * _SPREAD)
+    inside = scipy.stats.qmc.Sobol(variables, rng=generator).random(16 * _SPREAD)
     many = np.concatenate([inside, np.round(inside), np.round(generator.random(inside.shape))])
     return np.concatenate([middle, ends, corners, inside[:_SPREAD], many[rank(many)]])
 

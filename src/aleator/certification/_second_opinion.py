@@ -4,13 +4,14 @@ Optimisers exploit errors of an expansion. Its errors at a few fresh systems cor
 the expansion's own number plus the mean error), with a standard error by the jackknife.
 """
 
+import math
 from collections.abc import Callable, Mapping
 from typing import NamedTuple, final
 
 import jax.numpy as jnp
 import numpy as np
+import scipy
 from jaxtyping import Array, Float
-from scipy import special
 from typing_extensions import override
 
 from aleator._core.arrays import numbers_to_arrays
@@ -44,7 +45,7 @@ from aleator.uncertainty import named_numbers
 _FRESH = 32
 
 # The two-sided probability of four standard deviations of a normal variable.
-_RARE = 2 * float(special.ndtr(-4.0))
+_RARE = math.erfc(4 / math.sqrt(2))
 
 # Shifts up to the first part of the effect of one standard deviation are negligible; an excess over a bound by more
 # than the second part breaks it.
@@ -272,7 +273,7 @@ def _shift(values: Float[np.ndarray, "... replicates"]) -> _Shift | None:
     by = rows[:, 1] - rows[:, 0]
     error = np.sqrt((_FRESH - 1) * np.var(rest, axis=1))
     scale = float(np.max(np.sum(np.abs(rows[:, 2 + _FRESH :] - rows[:, :1]), axis=1)))
-    reach = -special.stdtrit(_FRESH - 1, _RARE / 2 / len(rows))
+    reach = -scipy.special.stdtrit(_FRESH - 1, _RARE / 2 / len(rows))
     floor = max(_NONE * scale, _ROUNDING * float(np.max(np.abs(rows))))
     ratio = np.abs(by) / np.maximum(np.maximum(reach * error, floor), np.finfo(float).tiny)
     i = int(np.argmax(ratio))

@@ -5,8 +5,8 @@ from typing import final
 
 import equinox as eqx
 import numpy as np
+import scipy
 from jaxtyping import Float
-from scipy import linalg
 from typing_extensions import override
 
 from aleator._core.errors import ProblemError
@@ -93,7 +93,7 @@ class OptimalPoints(AbstractBasisPoints):
         chosen: list[int] = []
         left = np.arange(len(points))
         while len(chosen) < count:
-            pivots = linalg.qr(rows[left].T, mode="r", pivoting=True)[-1]
+            pivots = scipy.linalg.qr(rows[left].T, mode="r", pivoting=True)[-1]
             best = pivots[: min(basis.terms, count - len(chosen))]
             chosen += left[best].tolist()
             left = np.delete(left, best)

@@ -6,6 +6,7 @@ from typing import ClassVar, NamedTuple, final
 
 import equinox as eqx
 import numpy as np
+import scipy
 from jaxtyping import Float
 from typing_extensions import override
 
@@ -123,9 +124,7 @@ class SobolPoints(AbstractDrawnPoints):
 
     @override
     def levels(self, count: int, variables: int) -> Float[np.ndarray, "count variables"]:
-        from scipy.stats import qmc  # late: it takes a second to import
-
-        engine = qmc.Sobol(variables, scramble=True, bits=_SOBOL_BITS, rng=np.random.default_rng(self.seed))
+        engine = scipy.stats.qmc.Sobol(variables, scramble=True, bits=_SOBOL_BITS, rng=np.random.default_rng(self.seed))
         # Shifted by half a step, because 0 is infinite under an unbounded distribution.
         return engine.random_base2(int(count - 1).bit_length())[:count] + 0.5 ** (_SOBOL_BITS + 1)
 
@@ -140,9 +139,7 @@ class LatinHypercubePoints(AbstractDrawnPoints):
 
     @override
     def levels(self, count: int, variables: int) -> Float[np.ndarray, "count variables"]:
-        from scipy.stats import qmc  # late: it takes a second to import
-
-        return qmc.LatinHypercube(variables, rng=np.random.default_rng(self.seed)).random(count)
+        return scipy.stats.qmc.LatinHypercube(variables, rng=np.random.default_rng(self.seed)).random(count)
 
 
 @final

@@ -10,6 +10,7 @@ from copy import copy
 from typing import NamedTuple, final
 
 import numpy as np
+import scipy
 
 from aleator.nlp._matrices import SparseMatrix, rows_of_entries, with_entries
 from aleator.nlp._ties import Ties
@@ -66,8 +67,6 @@ class Elimination:
 
     def _split(self, square: SparseMatrix, labels: np.ndarray) -> None:
         """The places of the entries in blocks, and those outside them row by row and column by column."""
-        from scipy.sparse import csr_array
-
         rows, columns, places = rows_of_entries(square), square.indices, square.data - 1
         inside = labels[rows] == labels[columns]
         first = np.flatnonzero(np.diff(labels, prepend=-1))
@@ -81,7 +80,7 @@ class Elimination:
             row, column = rows[these], columns[these]
             flat = (number[row] * size + row - starts[row]) * size + column - starts[column]
             self._inside[size] = places[these], flat, first[sizes[first] == size]
-        outside = csr_array((places[~inside] + 1, (rows[~inside], columns[~inside])), shape=square.shape)
+        outside = scipy.sparse.csr_array((places[~inside] + 1, (rows[~inside], columns[~inside])), shape=square.shape)
         turned = outside.T.tocsr()
         self._outside = [_sliced(one, self._groups) for one in (outside, turned)]
 
@@ -172,11 +171,9 @@ def _others(some: np.ndarray, count: int) -> np.ndarray:
 
 def _matched(square: SparseMatrix, ties: Ties) -> np.ndarray:
     """The row of each variable, such that no diagonal entry is missing."""
-    from scipy.sparse.csgraph import maximum_bipartite_matching
-
     if np.all(square.diagonal() != 0):
         return np.arange(square.shape[0])
-    matched = maximum_bipartite_matching(square, perm_type="row")
+    matched = scipy.sparse.csgraph.maximum_bipartite_matching(square, perm_type="row")
     if np.any(matched < 0):
         lost = int(np.argmin(matched))
         raise SingularTiesError(_named(ties.owners[lost], ties.variables[lost], None))
@@ -185,14 +182,11 @@ def _matched(square: SparseMatrix, ties: Ties) -> np.ndarray:
 
 def _levels(square: SparseMatrix) -> tuple[np.ndarray, np.ndarray]:
     """The level of each strongly connected component, and the component of each row."""
-    from scipy.sparse import csr_array
-    from scipy.sparse.csgraph import connected_components
-
-    count, labels = connected_components(square, directed=True, connection="strong")
+    count, labels = scipy.sparse.csgraph.connected_components(square, directed=True, connection="strong")
     rows, columns = labels[rows_of_entries(square)], labels[square.indices]
     other = rows != columns
     # Each edge once: SciPy sums duplicates.
-    follows = csr_array((np.ones(other.sum()), (columns[other], rows[other])), shape=(count, count))
+    follows = scipy.sparse.csr_array((np.ones(other.sum()), (columns[other], rows[other])), shape=(count, count))
     waiting, levels, level = np.bincount(follows.indices, minlength=count), np.zeros(count, dtype=int), 0
     ready = np.flatnonzero(waiting == 0)
     while ready.size:

@@ -1,13 +1,14 @@
 """Operations on Jacobians and Hessians, dense or of a declared sparsity, for solvers and certificates.
 
-A sparse matrix is a `scipy.sparse.csr_array` in canonical form. SciPy's sparse module is imported late: programs of few
-variables never need it.
+A sparse matrix is a `scipy.sparse.csr_array` in canonical form. SciPy loads a module when it is first used: programs of
+few variables never need the sparse one.
 """
 
 import copy
 from typing import Any, TypeAlias, final
 
 import numpy as np
+import scipy
 
 from aleator._core.errors import ProblemError
 
@@ -67,27 +68,21 @@ def unit_columns(like: Matrix, places: np.ndarray, signs: np.ndarray) -> Matrix:
     size = like.shape[1]
     if isinstance(like, np.ndarray):
         return np.eye(size)[:, places] * signs
-    from scipy.sparse import csr_array
-
-    return csr_array((signs, (places, np.arange(places.size))), shape=(size, places.size))
+    return scipy.sparse.csr_array((signs, (places, np.arange(places.size))), shape=(size, places.size))
 
 
 def side_by_side(*columns: Matrix) -> Matrix:
     """Matrices beside one another, all dense or all sparse."""
     if isinstance(columns[0], np.ndarray):
         return np.concatenate(columns, axis=1)
-    from scipy.sparse import hstack
-
-    return hstack(columns, format="csr")
+    return scipy.sparse.hstack(columns, format="csr")
 
 
 def with_last_row(matrix: Matrix, row: np.ndarray) -> Matrix:
     """A matrix with one more row."""
     if isinstance(matrix, np.ndarray):
         return np.vstack([matrix, row])
-    from scipy.sparse import csr_array, vstack
-
-    return vstack([matrix, csr_array(row[None])], format="csr")
+    return scipy.sparse.vstack([matrix, scipy.sparse.csr_array(row[None])], format="csr")
 
 
 def bounded_fit(columns: Matrix, target: np.ndarray, ceiling: np.ndarray) -> np.ndarray:
@@ -95,22 +90,18 @@ def bounded_fit(columns: Matrix, target: np.ndarray, ceiling: np.ndarray) -> np.
 
     Of sparse columns the search is cut short: what it has not found proves nothing.
     """
-    from scipy.optimize import lsq_linear
-
     if isinstance(columns, np.ndarray):
-        return lsq_linear(columns, target, (np.zeros(ceiling.size), ceiling), method="bvls").x
+        return scipy.optimize.lsq_linear(columns, target, (np.zeros(ceiling.size), ceiling), method="bvls").x
     short = {"max_iter": _MOST_STEPS, "lsmr_maxiter": _MOST_STEPS}
-    return lsq_linear(columns, target, (np.zeros(ceiling.size), ceiling), method="trf", **short).x
+    return scipy.optimize.lsq_linear(columns, target, (np.zeros(ceiling.size), ceiling), method="trf", **short).x
 
 
 def nonnegative_fit(columns: Matrix, target: np.ndarray) -> np.ndarray:
     """Weights `w >= 0` for which `columns @ w` is closest to a target; zeros, which prove nothing, if not found."""
     if not isinstance(columns, np.ndarray):
         return bounded_fit(columns, target, np.full(columns.shape[1], np.inf))
-    from scipy.optimize import nnls
-
     try:
-        return nnls(columns, target)[0]
+        return scipy.optimize.nnls(columns, target)[0]
     except RuntimeError:
         # SciPy raises this when its iterations are used up.
         return np.zeros(columns.shape[1])
@@ -141,9 +132,7 @@ class Block:
 
 def check_sparsity(name: str, sparsity: SparseMatrix, shape: tuple[int, int]) -> None:
     """Refuse anything but a sparsity of this shape: a `csr_array` with sorted columns and no duplicates."""
-    from scipy.sparse import csr_array
-
-    if not isinstance(sparsity, csr_array) or sparsity.shape != shape:
+    if not isinstance(sparsity, scipy.sparse.csr_array) or sparsity.shape != shape:
         raise ProblemError(
             f"Expected `{name}` as a scipy.sparse.csr_array of shape {shape}. Received {type(sparsity).__name__} of "
             f"shape {getattr(sparsity, 'shape', None)}."
@@ -154,9 +143,7 @@ def check_sparsity(name: str, sparsity: SparseMatrix, shape: tuple[int, int]) ->
 
 def checked_sparse(name: str, matrix: object, sparsity: SparseMatrix) -> SparseMatrix:
     """A matrix with the declared sparsity, its numbers copied. Raises `ProblemError` for another."""
-    from scipy.sparse import csr_array
-
-    if not isinstance(matrix, csr_array):
+    if not isinstance(matrix, scipy.sparse.csr_array):
         raise ProblemError(f"Expected the {name} as the scipy.sparse.csr_array declared; received {type(matrix)}.")
     same = matrix.shape == sparsity.shape and all(
         one is other or np.array_equal(one, other)

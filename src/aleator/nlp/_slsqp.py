@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple, final
 
 import numpy as np
+import scipy
 from typing_extensions import override
 
 from aleator._core import given
@@ -63,8 +64,6 @@ class Slsqp(AbstractSolver):
     @property
     @override
     def name(self) -> str:
-        import scipy
-
         return f"SLSQP (SciPy {scipy.__version__})"
 
     @override
@@ -230,13 +229,11 @@ def _slsqp(
     tolerance: float,
     max_iterations: int,
 ) -> _Round:
-    from scipy.optimize import minimize
-
     options = {"ftol": tolerance * _CHANGE_PER_TOLERANCE, "maxiter": max_iterations}
     with warnings.catch_warnings():
         # SLSQP's steps overshoot bounds by rounding; SciPy clips them and warns needlessly.
         warnings.filterwarnings("ignore", message="Values in x were outside bounds")
-        found: Any = minimize(
+        found: Any = scipy.optimize.minimize(
             objective,
             start,
             jac=gradient,

@@ -5,8 +5,8 @@ from typing import Any, Self, final
 
 import equinox as eqx
 import numpy as np
+import scipy
 from jaxtyping import Float
-from scipy.special import spherical_jn
 from typing_extensions import override
 
 from aleator._core.errors import ProblemError
@@ -134,7 +134,7 @@ class BandLimitedCovariance(AbstractCovariance):
         ):
             centre, half = (left + right) / 2, (right - left) / 2
             # Spherical Bessel functions are the transforms of a constant and of a line: accurate at small lags too.
-            level, slope = (spherical_jn(order, omega * half) for order in (0, 1))
+            level, slope = (scipy.special.spherical_jn(order, omega * half) for order in (0, 1))
             total += half * ((start + end) * np.cos(omega * centre) * level)
             total -= half * ((end - start) * np.sin(omega * centre) * slope)
         return total / self.std**2

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import Any, final
 
 import numpy as np
+import scipy
 from jaxtyping import Bool, Float
-from scipy import linalg, special
 
 from aleator._core.errors import ProblemError
 
@@ -36,7 +36,7 @@ class Estimate:
         """The confidence interval (lower, upper), by Student's t distribution with `groups - 1` degrees of freedom."""
         if not 0 < confidence < 1:
             raise ProblemError(f"interval: expected a confidence between 0 and 1, such as 0.95; received {confidence}.")
-        reach = special.stdtrit(self.groups - 1, (1 + confidence) / 2) * self.standard_error
+        reach = scipy.special.stdtrit(self.groups - 1, (1 + confidence) / 2) * self.standard_error
         return self.value - reach, self.value + reach
 
     def __str__(self) -> str:
@@ -81,7 +81,7 @@ def estimate(statistic: Callable[[Any], Any], values: Float[np.ndarray, "samples
     def of_half(chosen: Bool[np.ndarray, " groups"]) -> Float[np.ndarray, "*shape"]:
         return np.asarray(statistic(blocks[chosen].reshape(-1, *values.shape[1:])))
 
-    differences = np.stack([of_half(row > 0) - of_half(row < 0) for row in linalg.hadamard(groups)[1:]])
+    differences = np.stack([of_half(row > 0) - of_half(row < 0) for row in scipy.linalg.hadamard(groups)[1:]])
     # Values left over that fill no group enter the estimate, but not its standard error.
     used = groups * length / len(values)
     return Estimate(np.asarray(statistic(values)), np.sqrt(used * np.mean(differences**2, axis=0)) / 2, groups)

@@ -1,6 +1,7 @@
 """Monte Carlo and randomised quasi-Monte Carlo: a function of uncertain inputs, without any expansion."""
 
 import numpy as np
+import scipy
 from jaxtyping import Float
 
 from aleator._core.arrays import Pytree
@@ -93,9 +94,7 @@ def scrambled_nets(
     refuse_large_sample(verb, samples, variables)
     # Up to SciPy 1.14 the generator is called `seed`; the type stubs have only the later name.
     settings = {"bits": _DIGITS, "seed": np.random.default_rng(seed)}
-    from scipy.stats import qmc  # late: it takes a second to import
-
-    nets = [qmc.Sobol(variables, **settings).random(points) for _ in range(replicates)]
+    nets = [scipy.stats.qmc.Sobol(variables, **settings).random(points) for _ in range(replicates)]
     # Shift to the middle of the cells, away from 0, where unbounded distributions are infinite.
     return np.concatenate(nets) + 0.5 ** (_DIGITS + 1)
 

@@ -11,6 +11,7 @@ from typing import final
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+import scipy
 from jaxtyping import Array, Float
 
 from aleator._core.arrays import jax_array
@@ -98,8 +99,6 @@ def _table(germ: AbstractGerm, low: float, high: float, orders: int) -> Float[np
     By parts, `G_k = p_k F - integral of F p_k'` for the distribution function `F`, and so for `1 - F` from above. The
     integral is taken by Gauss quadrature in each cell.
     """
-    from scipy.interpolate import CubicSpline  # late: it takes a while to import
-
     roots = np.linspace(0.0, 1.0, _CELLS + 1)
     nodes, weights = np.polynomial.legendre.leggauss(4)
     inner = (roots[:-1, None] + (nodes + 1) / (2 * _CELLS)).ravel()
@@ -116,7 +115,7 @@ def _table(germ: AbstractGerm, low: float, high: float, orders: int) -> Float[np
         values = moments if sign > 0 else total - moments
         # The unit of length is a cell, not the whole interval.
         scale = float(_CELLS) ** -np.arange(3, -1, -1)
-        splines.append(np.moveaxis(CubicSpline(roots, values).c * scale[:, None, None], 0, 1))
+        splines.append(np.moveaxis(scipy.interpolate.CubicSpline(roots, values).c * scale[:, None, None], 0, 1))
     return np.stack(splines)
 
 

@@ -12,6 +12,7 @@ from typing import final
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+import scipy
 from jaxtyping import Array, Float, Int
 
 from aleator._core.arrays import jax_array
@@ -169,9 +170,7 @@ def _points(basis: Basis, active: list[int], directions: int, seed: int) -> Floa
     levels = np.full((1, basis.variables), 0.5)
     if len(active) > 1:
         size = int(np.log2(_LINES / directions))
-        from scipy.stats import qmc  # late: it takes a second to import
-
-        net = qmc.Sobol(len(active), bits=30, rng=np.random.default_rng(seed)).random_base2(size)
+        net = scipy.stats.qmc.Sobol(len(active), bits=30, rng=np.random.default_rng(seed)).random_base2(size)
         levels = np.full((len(net), basis.variables), 0.5)
         # Scrambled points are multiples of 2^-30, 0 among them.
         levels[:, active] = net + 2.0**-31

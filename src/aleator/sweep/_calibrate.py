@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import Any, final
 
 import numpy as np
-from scipy import special
+import scipy
 
 from aleator._core.errors import CalibrationWarning, ProblemError
 from aleator._core.heard import heeding
@@ -204,7 +204,8 @@ class _Sampler:
         """
         confidence = _confidence(self._looks + 1)
         if not isinstance(share, Proportion):
-            errors = special.ndtri((1 + confidence) / 2) / np.sqrt(_FRESH[0]) + _LIKELY * np.sqrt(1 + 1 / _FRESH[0])
+            known = scipy.special.ndtri((1 + confidence) / 2)
+            errors = known / np.sqrt(_FRESH[0]) + _LIKELY * np.sqrt(1 + 1 / _FRESH[0])
             return self.target * float(np.exp(-errors / np.sqrt(share.effective)))
         samples = _FRESH[0] * share.samples
         counts = range(int(self.target * samples) + 1)

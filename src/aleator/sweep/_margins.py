@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from typing import final
 
 import numpy as np
-from scipy import special
+import scipy
 
 from aleator._core.errors import AleatorError, SolveError
 from aleator._core.warned import warned_of
@@ -158,4 +158,4 @@ class MarginSearch:
         """The distance from the aim in normal quantiles: positive where violated too often."""
         one, aim = trial.violation, self._limit(trial.violation) * (1 - self._precision / 2)
         estimate = (one.count + 0.5) / (one.samples + 1) if isinstance(one, Proportion) else one.estimate
-        return float(special.ndtri(estimate) - special.ndtri(aim))
+        return float(scipy.special.ndtri(estimate) - scipy.special.ndtri(aim))

@@ -4,7 +4,7 @@ from typing import Any
 
 import jax
 import numpy as np
-from scipy import special
+import scipy
 
 from aleator._core.errors import ProblemError
 
@@ -21,7 +21,7 @@ def refuse_contradictions(distribution: Any) -> None:
         a, b = germ.recurrence(1)
         low, high = germ.support()
         quantiles = np.asarray(germ.quantile(_LEVELS), dtype=float)
-        normal = [float(distribution.from_normal(np.asarray(one), shape)) for one in special.ndtri(_LEVELS)]
+        normal = [float(distribution.from_normal(np.asarray(one), shape)) for one in scipy.special.ndtri(_LEVELS)]
         said = {
             f"from_normal at the levels {_LEVELS.tolist()}": (normal, quantiles),
             "mean": (distribution.mean(), location + scale * a[0]),

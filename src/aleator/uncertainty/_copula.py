@@ -14,6 +14,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy
 from jaxtyping import Float
 
 from aleator._core.errors import ProblemError
@@ -181,6 +182,4 @@ def _normal_correlation(wanted: float, first: np.ndarray, second: np.ndarray, *,
             f"'{names[0]}' and '{names[1]}' cannot have the correlation {wanted:g}: for these distributions it lies "
             f"between {lowest:.4g} and {highest:.4g}. Choose one in between."
         )
-    from scipy import optimize  # late: it takes a while to import
-
-    return optimize.root_scalar(lambda rho: correlation(rho) - wanted, bracket=(-1.0, 1.0), xtol=1e-15).root
+    return scipy.optimize.root_scalar(lambda rho: correlation(rho) - wanted, bracket=(-1.0, 1.0), xtol=1e-15).root

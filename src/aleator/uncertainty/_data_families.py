@@ -7,9 +7,9 @@ from typing import Any, ClassVar, final
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+import scipy
 from jax.scipy import special
 from jaxtyping import Array, Float
-from scipy.special import ndtr
 from typing_extensions import override
 
 from aleator._core.arrays import Scalar
@@ -104,10 +104,8 @@ _NORMALS = np.linspace(-8.2, 8.2, 4101)
 @functools.lru_cache(maxsize=32)
 def _quantiles_by_normal(germ: DensityGerm) -> tuple[np.ndarray, np.ndarray]:
     """The germ's quantiles at the probabilities of `_NORMALS`, and their derivatives."""
-    quantiles = germ.quantile(ndtr(_NORMALS))
-    from scipy import interpolate  # late: it takes a while to import
-
-    return quantiles, interpolate.PchipInterpolator(_NORMALS, quantiles).derivative()(_NORMALS)
+    quantiles = germ.quantile(scipy.special.ndtr(_NORMALS))
+    return quantiles, scipy.interpolate.PchipInterpolator(_NORMALS, quantiles).derivative()(_NORMALS)
 
 
 def _cubic(x: Array, values: np.ndarray, slopes: np.ndarray) -> Array:

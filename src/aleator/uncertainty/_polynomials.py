@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from typing import final
 
 import numpy as np
+import scipy
 from jaxtyping import Float
-from scipy import special
 from typing_extensions import override
 
 
@@ -86,11 +86,11 @@ class HermiteGerm(AbstractGerm):
 
     @override
     def quantile(self, level: np.ndarray) -> np.ndarray:
-        return special.ndtri(level)
+        return scipy.special.ndtri(level)
 
     @override
     def cumulative(self, germ: np.ndarray) -> np.ndarray:
-        return special.ndtr(germ)
+        return scipy.special.ndtr(germ)
 
     @override
     def support(self) -> tuple[float, float]:
@@ -124,11 +124,11 @@ class JacobiGerm(AbstractGerm):
 
     @override
     def quantile(self, level: np.ndarray) -> np.ndarray:
-        return 2 * special.betaincinv(self.alpha, self.beta, level) - 1
+        return 2 * scipy.special.betaincinv(self.alpha, self.beta, level) - 1
 
     @override
     def cumulative(self, germ: np.ndarray) -> np.ndarray:
-        return special.betainc(self.alpha, self.beta, np.clip((1 + germ) / 2, 0, 1))
+        return scipy.special.betainc(self.alpha, self.beta, np.clip((1 + germ) / 2, 0, 1))
 
     @override
     def support(self) -> tuple[float, float]:
@@ -149,11 +149,11 @@ class LaguerreGerm(AbstractGerm):
 
     @override
     def quantile(self, level: np.ndarray) -> np.ndarray:
-        return special.gammaincinv(self.shape, level)
+        return scipy.special.gammaincinv(self.shape, level)
 
     @override
     def cumulative(self, germ: np.ndarray) -> np.ndarray:
-        return special.gammainc(self.shape, np.maximum(germ, 0))
+        return scipy.special.gammainc(self.shape, np.maximum(germ, 0))
 
     @override
     def support(self) -> tuple[float, float]:

@@ -11,18 +11,19 @@ from zero with a kink: all points of the expansion may agree there to rounding, 
 slightly.
 """
 
+import math
 from dataclasses import dataclass
 from typing import final
 
 import numpy as np
+import scipy
 from jaxtyping import Float
-from scipy import special
 
 from aleator.references._estimate import pair
 from aleator.validation._proportion import Proportion
 
 # The two-sided probability beyond four standard deviations of a normal variable.
-_RARE = 2 * float(special.ndtr(-4.0))
+_RARE = math.erfc(4 / math.sqrt(2))
 
 _RELATIVE = 0.01
 """Differences up to this fraction of one system's contribution, or of the largest spread over time, are ignored."""
@@ -59,7 +60,7 @@ class Disagreement:
 
 def reach(freedom: int, comparisons: int = 1) -> float:
     """How many standard errors are beyond chance, by Student's t: four for one comparison and a large sample."""
-    return float(-special.stdtrit(freedom, _RARE / 2 / comparisons))
+    return float(-scipy.special.stdtrit(freedom, _RARE / 2 / comparisons))
 
 
 def worst_disagreement(

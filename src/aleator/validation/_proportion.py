@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import final
 
-from scipy import special
+import scipy
 
 
 @final
@@ -28,13 +28,13 @@ class Proportion:
     def lower(self) -> float:
         """Lower end of the confidence interval."""
         tail = (1 - self.confidence) / 2
-        return float(special.betaincinv(self.count, self.samples - self.count + 1, tail)) if self.count else 0.0
+        return float(scipy.special.betaincinv(self.count, self.samples - self.count + 1, tail)) if self.count else 0.0
 
     @property
     def upper(self) -> float:
         """Upper end of the confidence interval."""
         tail, missed = (1 - self.confidence) / 2, self.samples - self.count
-        return float(special.betaincinv(self.count + 1, missed, 1 - tail)) if missed else 1.0
+        return float(scipy.special.betaincinv(self.count + 1, missed, 1 - tail)) if missed else 1.0
 
     def __str__(self) -> str:
         return f"{percent(self.estimate)} ({percent(self.lower)} to {percent(self.upper)})"

@@ -11,8 +11,8 @@ from collections.abc import Callable
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
+import scipy
 from jaxtyping import Float, Int
-from scipy import linalg
 
 from aleator.validation._weighted import WeightedProportion
 
@@ -32,7 +32,7 @@ class Component(NamedTuple):
 
     def log_density(self, points: Float[np.ndarray, "systems variables"]) -> Float[np.ndarray, " systems"]:
         """Logarithm of the density, up to the constant that all normal distributions share."""
-        standard = linalg.solve_triangular(self.factor, (points - self.mean).T, lower=True)
+        standard = scipy.linalg.solve_triangular(self.factor, (points - self.mean).T, lower=True)
         return -np.sum(standard**2, axis=0) / 2 - np.sum(np.log(np.diag(self.factor)))
 
 

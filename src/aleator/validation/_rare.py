@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from typing import final
 
 import numpy as np
+import scipy
 from jaxtyping import Float
-from scipy import special
 
 from aleator._core.errors import ProblemError
 from aleator._core.given import refusal
@@ -96,7 +96,7 @@ class _Limits:
 
     def beyond(self, normals: Float[np.ndarray, "systems variables"]) -> Float[np.ndarray, "limits systems"]:
         """The excess over each limit, positive where it is broken; in batches of one size, compiled once."""
-        levels = np.clip(special.ndtr(normals), np.finfo(float).tiny, 1 - np.finfo(float).epsneg)
+        levels = np.clip(scipy.special.ndtr(normals), np.finfo(float).tiny, 1 - np.finfo(float).epsneg)
         germ = at_levels(self.systems.germs, levels)
 
         def excess(part: Part) -> Float[np.ndarray, "limits some"]:

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 from typing import TypeAlias, final
 
 import numpy as np
+import scipy
 from jaxtyping import Float
-from scipy import special
 
 from aleator.validation._proportion import Proportion, percent
 
@@ -67,4 +67,4 @@ Share: TypeAlias = Proportion | WeightedProportion
 
 
 def _gamma_quantile(mean: float, variance: float, level: float) -> float:
-    return float(variance / mean * special.gammaincinv(mean**2 / variance, level))
+    return float(variance / mean * scipy.special.gammaincinv(mean**2 / variance, level))

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import final
 
 import numpy as np
-from scipy.special import ndtr
+import scipy
 
 import aleator as al
 from aleator._core.progress import Progress, silent
@@ -98,7 +98,7 @@ def exact_rejects(tolerances: Mapping[str, float]) -> tuple[float, float]:
     for limit, sign in zip(LIMITS, (1.0, -1.0), strict=True):
         weights, room = _margin(limit)
         deviation = np.sqrt(sum((weights[name] * tolerances[name] / 3) ** 2 for name in MEANS))
-        tails.append(float(ndtr(-sign * room / deviation)))
+        tails.append(float(scipy.special.ndtr(-sign * room / deviation)))
     return tails[0], tails[1]
 
 

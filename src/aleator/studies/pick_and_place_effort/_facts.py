@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 
 import numpy as np
-from scipy import integrate
+import scipy
 
 from aleator.reporting import Table, given, number, percent
 from aleator.studies._motion.family import Family
@@ -68,7 +68,7 @@ def spreads_table(spreads: Mapping[str, Mapping[str, Spread]]) -> Table:
 def effort_of(family: Family) -> float:
     """`∫ τ₁² + τ₂² dt` of a plan, (N m)² s, by Simpson's rule on its instants."""
     torques = family.nominal["q1_torque"] ** 2 + family.nominal["q2_torque"] ** 2
-    return float(integrate.simpson(torques, x=family.times))
+    return float(scipy.integrate.simpson(torques, x=family.times))
 
 
 def terminal_spread(family: Family) -> tuple[float, float]:

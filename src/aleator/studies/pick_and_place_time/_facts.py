@@ -1,7 +1,7 @@
 """The numbers on the page of the time-optimal study: published and reference values, the effect of a margin."""
 
 import numpy as np
-from scipy import stats
+import scipy
 
 from aleator.reporting import Table, given, number, percent, share_text
 from aleator.studies._motion.facts import duration
@@ -70,5 +70,5 @@ def margins_table(done: MotionResults) -> Table:
 
 
 def _largest_skewness(family: Family) -> float:
-    found = [stats.skew(rows, axis=0) for rows in torques_of(family).values()]
+    found = [scipy.stats.skew(rows, axis=0) for rows in torques_of(family).values()]
     return float(np.nanmax(np.abs(found)))

@@ -15,7 +15,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import scipy.linalg
+import scipy
 from jax.extend.core import ClosedJaxpr, Literal
 from jaxtyping import Array, Float
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Any, final
 
 import numpy as np
+import scipy
 from jaxtyping import Float, Int
 
 from aleator.nlp import SparseMatrix, with_entries
@@ -66,8 +67,6 @@ class Jacobian:
     @classmethod
     def of(cls, linear: SparseMatrix, combined: SparseMatrix, patterns: list[Pattern]) -> "Jacobian":
         """That of constant matrices and blocks, with the rows of `linear` in the order of the constraints."""
-        from scipy.sparse import csr_array
-
         count = linear.shape[1]
         rows, columns = (np.concatenate(parts) for parts in zip(*(one.entries for one in patterns), strict=True))
         # Every entry of a block's row goes wherever that row does.
@@ -86,7 +85,7 @@ class Jacobian:
         constant = np.zeros(every.size)
         np.add.at(constant, np.searchsorted(every, own), known.data)
         places = np.searchsorted(every, keys)
-        gather = csr_array((terms.data[which], (places, entry)), shape=(every.size, rows.size))
+        gather = scipy.sparse.csr_array((terms.data[which], (places, entry)), shape=(every.size, rows.size))
         return cls(sparsity, constant, gather)
 
     def at(self, entries: Float[np.ndarray, " block_entries"]) -> SparseMatrix:
@@ -105,11 +104,10 @@ class Curvature:
     @classmethod
     def of(cls, patterns: list[Pattern], count: int) -> "Curvature":
         """That of all blocks, for so many variables."""
-        from scipy.sparse import csr_array
-
         rows, columns = (np.concatenate(parts) for parts in zip(*(one.lower for one in patterns), strict=True))
         every, places = np.unique(rows.astype(np.int64) * count + columns, return_inverse=True)
-        gather = csr_array((np.ones(rows.size), (places, np.arange(rows.size))), shape=(every.size, rows.size))
+        taken = (np.ones(rows.size), (places, np.arange(rows.size)))
+        gather = scipy.sparse.csr_array(taken, shape=(every.size, rows.size))
         return cls(_pattern(every, (count, count)), gather)
 
     def at(self, entries: Float[np.ndarray, " block_entries"]) -> SparseMatrix:
@@ -119,18 +117,14 @@ class Curvature:
 
 def matrix(entries: list[tuple[Any, Any, Any]], shape: tuple[int, int]) -> SparseMatrix:
     """A sparse matrix from the rows, columns and numbers of its entries: arrays that are broadcast, several times."""
-    from scipy.sparse import coo_array
-
     parts = [tuple(np.ravel(one) for one in np.broadcast_arrays(*some)) for some in entries]
     rows, columns, numbers = (np.concatenate([np.zeros(0), *some]) for some in zip(*parts, strict=True))
-    return coo_array((numbers, (rows.astype(int), columns.astype(int))), shape=shape).tocsr()
+    return scipy.sparse.coo_array((numbers, (rows.astype(int), columns.astype(int))), shape=shape).tocsr()
 
 
 def _pattern(keys: Int[np.ndarray, " entries"], shape: tuple[int, int]) -> SparseMatrix:
-    from scipy.sparse import csr_array
-
     rows, columns = np.divmod(keys, shape[1])
     starts = np.searchsorted(rows, np.arange(shape[0] + 1))
-    found = csr_array((np.ones(keys.size, dtype=bool), columns, starts), shape=shape)
+    found = scipy.sparse.csr_array((np.ones(keys.size, dtype=bool), columns, starts), shape=shape)
     found.has_canonical_format = True
     return found

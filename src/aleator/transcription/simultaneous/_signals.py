@@ -7,6 +7,7 @@ long signals stay sparse. Whether they are affine follows from the traced equati
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy
 from jax.interpreters.partial_eval import dce_jaxpr
 from jaxtyping import Array, Float
 
@@ -55,13 +56,12 @@ def constant_slopes(traced: Problem, layout: Layout) -> SparseMatrix:
 
     Shape (signals at all mesh points and the duration, decisions).
     """
-    from scipy.sparse import csr_array, hstack
-
     (decisions,), known = layout.sizes.decisions, layout.numbers.signals.size + 1
     if not layout.plan.is_affine:
-        return csr_array((known, decisions))
-    parts = [csr_array((known, 0))]
+        return scipy.sparse.csr_array((known, decisions))
+    parts = [scipy.sparse.csr_array((known, 0))]
     for first in range(0, decisions, _AT_ONCE):
         directions = np.eye(_AT_ONCE, decisions, first)
-        parts.append(csr_array(np.asarray(ALONG(traced, layout.plan.mesh, directions)).T[:, : decisions - first]))
-    return hstack(parts, format="csr")
+        slopes = np.asarray(ALONG(traced, layout.plan.mesh, directions)).T
+        parts.append(scipy.sparse.csr_array(slopes[:, : decisions - first]))
+    return scipy.sparse.hstack(parts, format="csr")
