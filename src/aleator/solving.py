@@ -116,6 +116,14 @@ class _Answer(NamedTuple):
     point: np.ndarray
 
 
+class _Meshed(NamedTuple):
+    """A problem on the last of its meshes: where it is to start, and its outcome there if it has been solved."""
+
+    transcribed: AbstractTranscribed
+    begun: np.ndarray | None
+    outcome: Outcome | None
+
+
 class _Stages(NamedTuple):
     """The stages of one solution, the same on each grid."""
 
@@ -147,11 +155,16 @@ class _Stages(NamedTuple):
         transcribed = transcribe(problem, self.transcription, functools.partial(prepare_judges, factor))
         self.heed()
         begun = None if start is None else transcribed.point(start)
-        if self.transcription.refines:
-            transcribed, begun = self._meshed(transcribed, begun)
+        meshed = self._meshed(transcribed, begun) if self.transcription.refines else _Meshed(transcribed, begun, None)
+        transcribed, begun, _ = meshed
         astray = self._astray(transcribed, begun, factor) if multipliers is None else lambda: ""
         transcribed, outcome, (between, finer), worst_case = held_at_worst(
-            transcribed, self._attempt, begun, multipliers, factor=factor if is_between else 1, known=known
+            transcribed,
+            functools.partial(self._attempt, meshed),
+            begun,
+            multipliers,
+            factor=factor if is_between else 1,
+            known=known,
         )
         if outcome.status is Status.INTERRUPTED:
             raise KeyboardInterrupt
@@ -173,20 +186,16 @@ class _Stages(NamedTuple):
         found = solution_of(transcribed, outcome, between, error, worst_case, misled, self.compiled)
         return _Answer(found, transcribed, outcome.point)
 
-    def _meshed(
-        self, transcribed: AbstractTranscribed, begun: np.ndarray | None
-    ) -> tuple[AbstractTranscribed, np.ndarray | None]:
-        """The problem on a mesh that is fine enough, and where the last one led; where one fails, it stays."""
+    def _meshed(self, transcribed: AbstractTranscribed, begun: np.ndarray | None) -> _Meshed:
+        """The problem on a mesh that is fine enough, and its outcome; where one fails, it stays."""
         while True:
             self.heed()
             outcome = _optimise(transcribed, self.solver, begun, None)
             if outcome.status is Status.INTERRUPTED:
                 raise KeyboardInterrupt
-            if outcome.status is not Status.SOLVED:
-                return transcribed, begun
-            finer = transcribed.refined(outcome.point)
+            finer = transcribed.refined(outcome.point) if outcome.status is Status.SOLVED else None
             if finer is None:
-                return transcribed, outcome.point
+                return _Meshed(transcribed, outcome.point if outcome.status is Status.SOLVED else begun, outcome)
             transcribed, begun = finer
 
     @staticmethod
@@ -197,10 +206,15 @@ class _Stages(NamedTuple):
         return whether_misled(transcribed, begun, factor)
 
     def _attempt(
-        self, transcribed: AbstractTranscribed, start: np.ndarray | None, multipliers: np.ndarray | None
+        self,
+        meshed: _Meshed,
+        transcribed: AbstractTranscribed,
+        start: np.ndarray | None,
+        multipliers: np.ndarray | None,
     ) -> tuple[Outcome, tuple[Between | None, Reference | None]]:
         self.heed()
-        outcome = _optimise(transcribed, self.solver, start, multipliers)
+        known = meshed.outcome if transcribed is meshed.transcribed else None
+        outcome = _optimise(transcribed, self.solver, start, multipliers) if known is None else known
         if multipliers is None:
             outcome = _looked_around(transcribed, self.solver, outcome, start)
         self.heed()
