@@ -188,7 +188,11 @@ _CONSTRUCTORS: dict[str, tuple[Callable[..., Any], dict[str, Any], dict[str, Map
     "Simultaneous": (
         al.Simultaneous,
         {},
-        {"scheme": NO_OBJECT, "error": without(POSITIVE, "nothing") | {"two": 2.0, "tiny": 1e-15}},
+        {
+            "scheme": NO_OBJECT,
+            "error": without(POSITIVE, "nothing") | {"two": 2.0, "tiny": 1e-15},
+            "guess": without(NO_OBJECT, "nothing"),
+        },
     ),
     "Radau": (al.schemes.Radau, {}, {"stages": COUNT | {"fifty": 50}}),
     "GaussLegendre": (al.schemes.GaussLegendre, {}, {"stages": COUNT | {"fifty": 50}}),

@@ -17,6 +17,7 @@ from aleator.solution import GridError as GridError
 from aleator.solution import MeshError as MeshError
 from aleator.solution import Moments as Moments
 from aleator.solution import SecondOpinion as SecondOpinion
+from aleator.solution import States as States
 from aleator.solution import Tangent as Tangent
 from aleator.solution import Times as Times
 from aleator.solution import WorstCase as WorstCase

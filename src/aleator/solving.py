@@ -66,7 +66,7 @@ def solve(
     - `transcription`: how the problem becomes a nonlinear program: `Sequential()` by default;
     - `warm_start`: a solution of the same problem to start from, on the same grid or another, with as many control
       points of its trajectories or others: curves are refitted over the fraction of time, other decisions are taken
-      over by name;
+      over by name. Where states are variables, they start from its own too, in the place of a guess;
     - `start`: values of decisions by name to start from, in the place of their own initial ones;
     - `between`: limits over time are checked on a grid of so many times as many steps as well, and where they are
       exceeded between two instants, the bounds there are tightened until they hold; a solution that exceeds one by more
@@ -89,7 +89,8 @@ def solve(
     one_of("solve: transcription", transcription, AbstractTranscription, "al.Sequential()")
     solver = solver or transcription.solver
     _check_arguments(problem, solver, warm_start, between, accuracy)
-    first = _first(problem, warm_start, start)
+    transcription = transcription if warm_start is None else transcription.starting_from(warm_start)
+    first = _first(problem, transcription, warm_start, start)
     known = (None, None) if warm_start is None else (warm_start.multipliers, warm_start.certificate.worst_case)
     # Ctrl-C may be lost where Python cannot raise: in a callback of the garbage collector, of which JAX has one.
     with heeding() as heed, dropped_on_failure():
@@ -157,7 +158,8 @@ class _Stages(NamedTuple):
         begun = None if start is None else transcribed.point(start)
         meshed = self._meshed(transcribed, begun) if self.transcription.refines else _Meshed(transcribed, begun, None)
         transcribed, begun, _ = meshed
-        astray = self._astray(transcribed, begun, factor) if multipliers is None else lambda: ""
+        is_judged = multipliers is None and not self.transcription.is_guessed
+        astray = self._astray(transcribed, begun, factor) if is_judged else lambda: ""
         transcribed, outcome, (between, finer), worst_case = held_at_worst(
             transcribed,
             functools.partial(self._attempt, meshed),
@@ -231,6 +233,7 @@ def _refined(stages: _Stages, answer: _Answer) -> _Answer:
     """The answer on finer grids, until the error is tolerated or does not fall any more."""
     solutions = [answer.solution]
     while (plan := refinement(solutions)) is not None:
+        stages = stages._replace(transcription=stages.transcription.starting_from(solutions[-1]))
         answer = stages.answer(plan, solutions[-1].vector, None)
         solutions.append(answer.solution)
     reason = unconverged(solutions)
@@ -287,13 +290,18 @@ def _check_arguments(
         )
 
 
-def _first(problem: Problem, warm_start: Solution | None, start: Mapping[str, Any] | None) -> np.ndarray | None:
+def _first(
+    problem: Problem,
+    transcription: AbstractTranscription,
+    warm_start: Solution | None,
+    start: Mapping[str, Any] | None,
+) -> np.ndarray | None:
     """The decisions to start from; None for their own initial values."""
     places = problem.placements
     if start is None:
         return None if warm_start is None else started_from(problem, warm_start)
     # What is given is checked first.
-    moved = places.moved(places.vector("initial"), start)
+    moved = places.moved(transcription.first(problem) if warm_start is None else places.vector("initial"), start)
     return moved if warm_start is None else places.moved(started_from(problem, warm_start, start), start)
 
 

@@ -4,8 +4,9 @@ Each check returns its value in the form in which it is stored, or raises `Probl
 expected and what was received. `what` begins the sentence: "Grid: steps", "validate: the seed".
 """
 
+import difflib
 import reprlib
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any, TypeVar
 
 import jax
@@ -36,6 +37,12 @@ def shown(value: Any) -> str:
 def refusal(what: str, expected: str, value: Any) -> ProblemError:
     """The error that says what was expected instead of `value`."""
     return ProblemError(f"{what}: expected {expected}; received {shown(value)}.")
+
+
+def meant(name: str, known: Collection[str]) -> str:
+    """A question that names the known name nearest to an unknown one; empty if none is near."""
+    close = difflib.get_close_matches(name, known, n=1)
+    return f" Did you mean '{close[0]}'?" if close else ""
 
 
 def is_masked(value: Any) -> bool:

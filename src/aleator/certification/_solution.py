@@ -73,6 +73,7 @@ def solution_of(
             times=Times(clock.import_seconds, compiled, outcome.seconds),
         ),
         meshes=transcribed.meshes_at(outcome.point),
+        states=transcribed.states_at(outcome.point),
     )
 
 

@@ -1,6 +1,5 @@
 """Checks of a problem before anything is compiled; each refusal says what was expected and what was received."""
 
-import difflib
 import hashlib
 from collections.abc import Callable
 from typing import Any
@@ -12,7 +11,7 @@ import jax.numpy as jnp
 from aleator._core.arrays import numbers_to_arrays
 from aleator._core.equations import array_digest, equations_text
 from aleator._core.errors import AleatorError, ProblemError
-from aleator._core.given import traceable
+from aleator._core.given import meant, traceable
 from aleator.design._cost import CostCurve
 from aleator.design._declaration import AbstractProblem
 from aleator.design._expression import Expression
@@ -151,9 +150,7 @@ def _check_germs(problem: AbstractProblem) -> None:
 
 
 def _unknown(kind: str, name: str, known: list[str]) -> str:
-    close = difflib.get_close_matches(name, known, n=1)
-    hint = f" Did you mean '{close[0]}'?" if close else ""
-    return f"There is no {kind} '{name}'; expected one of {known}.{hint}"
+    return f"There is no {kind} '{name}'; expected one of {known}.{meant(name, known)}"
 
 
 def _trace(problem: AbstractProblem, function: Callable[..., Any], *arguments: Any) -> tuple[str | None, Any]:

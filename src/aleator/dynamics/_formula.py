@@ -1,7 +1,6 @@
 """Formulas of an assembly: numbers, names, small arithmetic expressions and Python functions. Angles are in degrees."""
 
 import ast
-import difflib
 import keyword
 import math
 import operator
@@ -15,6 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from aleator._core.errors import ProblemError
+from aleator._core.given import meant
 from aleator.dynamics._system import state_type
 
 Formula: TypeAlias = str | float | Callable[[Any], Any]
@@ -64,9 +64,7 @@ def read_formula(given: Any, known: Collection[str], where: str) -> Formula:
     except ProblemError as error:
         raise ProblemError(f"{where}: {error}") from error
     for name in sorted(names.difference(known)):
-        close = difflib.get_close_matches(name, known, n=1)
-        hint = f" Did you mean '{close[0]}'?" if close else ""
-        raise ProblemError(f"{where}: there is no '{name}'; expected one of {sorted(known)}.{hint}")
+        raise ProblemError(f"{where}: there is no '{name}'; expected one of {sorted(known)}.{meant(name, known)}")
     return given
 
 

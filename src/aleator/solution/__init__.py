@@ -15,5 +15,6 @@ from aleator.solution._grid_error import GridError as GridError
 from aleator.solution._mesh import MeshError as MeshError
 from aleator.solution._opinion import SecondOpinion as SecondOpinion
 from aleator.solution._solution import Solution as Solution
+from aleator.solution._states import States as States
 from aleator.solution._worst_case import WorstCase as WorstCase
 from aleator.solution._worst_case import WorstRealisation as WorstRealisation

@@ -15,6 +15,7 @@ from aleator.solution._constraint import ConstraintResult
 from aleator.solution._effort import Effort
 from aleator.solution._expansion import Moments
 from aleator.solution._mesh import MeshError
+from aleator.solution._states import States
 
 
 @final
@@ -33,7 +34,8 @@ class Solution:
     - `multipliers`: of all rows of constraints in one vector, for warm starts; `bound_multipliers`: of the decisions'
       own bounds, by name;
     - `certificate`: how far the answer can be trusted; `effort`: iterations, evaluations and times;
-    - `meshes`: of a simultaneous program, with their errors, the one of the answer last; empty for others.
+    - `meshes`: of a simultaneous program, with their errors, the one of the answer last; empty for others;
+    - `states`: of all realisations of a simultaneous program; None where states are simulated.
     """
 
     problem: Problem
@@ -52,6 +54,7 @@ class Solution:
     certificate: Certificate
     effort: Effort
     meshes: tuple[MeshError, ...] = ()
+    states: States | None = None
 
     @property
     def ok(self) -> bool:

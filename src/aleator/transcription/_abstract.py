@@ -14,7 +14,7 @@ from aleator._core.compilation import Compiled, Use
 from aleator.design import Problem, functionals_of, history, refuse_changed_code
 from aleator.expansion import Basis, Collocation
 from aleator.nlp import AbstractSolver, NonlinearProgram, default_solver
-from aleator.solution import MeshError
+from aleator.solution import MeshError, Solution, States
 from aleator.statistics import Constants
 from aleator.transcription._discretisation import RESPOND, Discretised
 from aleator.transcription._resolution import RESOLVE, Resolved
@@ -102,6 +102,11 @@ class AbstractTranscribed(abc.ABC):
         """The meshes up to this program's own and their errors, at a point of it; none where states are simulated."""
         del point
         return ()
+
+    def states_at(self, point: Float[np.ndarray, " variables"]) -> States | None:
+        """The states at a point of the program; None where they are simulated."""
+        del point
+        return None
 
     def refined(self, point: Float[np.ndarray, " variables"]) -> tuple[Self, Float[np.ndarray, " variables"]] | None:
         """The problem on a finer mesh, and the point there that a point of this program stands for.
@@ -191,6 +196,20 @@ class AbstractTranscription(abc.ABC):
     def refines(self) -> bool:
         """Whether its programs are to be solved on finer meshes until these are fine enough, see `refined`."""
         return False
+
+    @property
+    def is_guessed(self) -> bool:
+        """Whether the states of its programs start from a guess, which says nothing about the grid."""
+        return False
+
+    def first(self, problem: Problem) -> Float[np.ndarray, " n"]:
+        """The decisions at which its programs start: by default the problem's own initial ones."""
+        return problem.placements.vector("initial")
+
+    def starting_from(self, solution: Solution) -> "AbstractTranscription":
+        """The same way, its programs starting from the states of a solution; itself where states are simulated."""
+        del solution
+        return self
 
     @property
     def solver(self) -> AbstractSolver:

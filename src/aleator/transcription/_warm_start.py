@@ -21,16 +21,18 @@ from aleator.uncertainty import Decision, at_means, realise
 _POINTS = 12
 
 
-def started_from(problem: Problem, solution: Solution, given: Collection[str] = ()) -> Float[np.ndarray, " n"]:
+def started_from(
+    problem: Problem, solution: Solution, given: Collection[str] = (), *, needs_all: bool = True
+) -> Float[np.ndarray, " n"]:
     """The decisions of a problem that come closest to a solution of another one, within their bounds.
 
     Numbers of the same name and shape are copied. If a trajectory in the same place has other control points, knots,
     ends or another degree, its free numbers follow by least squares: the curve over the fraction of time stays the same
     if the new one can represent it, as a spline can whose knots contain the old ones.
 
-    - `given`: names of decisions whose values are given otherwise.
-
-    Raises `ProblemError` for a decision that the solution does not have.
+    - `given`: names of decisions whose values are given otherwise;
+    - `needs_all`: whether decisions that the solution does not have are refused, by a `ProblemError`; else they keep
+      their initial values.
     """
     places, old = problem.placements, solution.problem
     curves, known = _curves(problem.simulation), _curves(old.simulation)
@@ -44,7 +46,7 @@ def started_from(problem: Problem, solution: Solution, given: Collection[str] = 
             continue
         if name in values and np.shape(values[name]) == np.shape(place.decision.initial):
             vector[place.where] = np.ravel(values[name])
-        elif name not in {*given, *sought, *framed}:
+        elif needs_all and name not in {*given, *sought, *framed}:
             raise ProblemError(_unmatched(name, np.shape(place.decision.initial), values))
     free = [place.where for name, place in places.decisions.items() if name in sought and name not in given]
     if free:

@@ -1,9 +1,10 @@
 """`Simultaneous`: direct collocation, from a declared problem to its sparse program."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import ClassVar, final
 
 import numpy as np
+from jaxtyping import Float
 from typing_extensions import override
 
 from aleator._core.arrays import numbers_to_arrays
@@ -13,14 +14,16 @@ from aleator._core.given import one_of, positive
 from aleator.design import Problem, integrated_paths
 from aleator.dynamics import AbstractScheme, Grid, HermiteSimpson
 from aleator.nlp import AbstractSolver, Ipopt
+from aleator.solution import Solution
 from aleator.transcription._abstract import AbstractTranscription, Meanwhile
 from aleator.transcription._discretisation import discretised
 from aleator.transcription._scenarios import first_scenarios
+from aleator.transcription.simultaneous._guess import Guess, start_of
 from aleator.transcription.simultaneous._mesh import Mesh
 from aleator.transcription.simultaneous._mesh_error import BETWEEN
 from aleator.transcription.simultaneous._program import CURVE, EVALUATE
 from aleator.transcription.simultaneous._signals import ALONG
-from aleator.transcription.simultaneous._start import SIMULATED
+from aleator.transcription.simultaneous._start import SIMULATED, AbstractStart
 from aleator.transcription.simultaneous._transcribed import TOLD, SimultaneouslyTranscribed, Way
 
 # The least error of a mesh that may be asked for.
@@ -38,13 +41,23 @@ class Simultaneous(AbstractTranscription):
     - `scheme`: how states follow their rates, such as `al.schemes.Radau(3)`;
     - `error`: the error of the states that is asked of every interval of the mesh, relative to their magnitudes. The
       mesh begins as the steps of the grid; intervals that err more are divided until all are as accurate. None leaves
-      it as it is.
+      it as it is;
+    - `guess`: the states to start from, where a simulation at the initial decisions is useless: a function of time, in
+      s, that returns the states by name or in the system's order, the same for all realisations; a table of them, with
+      the instants as "time" (a dict, an `xarray.Dataset` or a NumPy array with named fields), with straight lines
+      between; or a solution on any grid, by any transcription, of this problem or one with the same states: each
+      realisation then starts from the nearest one there (from the mean, where other numbers are uncertain), and from
+      the decisions that the solution has. By default states start as simulated, and at rest where that fails.
+
+    A guess is only a start: certificates speak of the model, whatever it was.
 
     Raises `ProblemError` for an algebraic system, and for statistics that are integrated over time.
     """
 
     scheme: AbstractScheme = field(default_factory=HermiteSimpson)
     error: float | None = None
+    guess: Guess | None = field(default=None, compare=False, repr=False)
+    _start: AbstractStart = field(init=False, repr=False)
 
     programs: ClassVar[tuple[Compiled, ...]] = (EVALUATE, CURVE, SIMULATED, ALONG, TOLD, BETWEEN)
 
@@ -55,11 +68,25 @@ class Simultaneous(AbstractTranscription):
                 f"Simultaneous: error: expected {_LEAST_ERROR:g} (64-bit arithmetic gives no more) to below 1; "
                 f"received {self.error!r}."
             )
+        object.__setattr__(self, "_start", start_of(self.guess))
 
     @property
     @override
     def refines(self) -> bool:
         return self.error is not None
+
+    @property
+    @override
+    def is_guessed(self) -> bool:
+        return self.guess is not None
+
+    @override
+    def first(self, problem: Problem) -> Float[np.ndarray, " n"]:
+        return self._start.decisions(problem)
+
+    @override
+    def starting_from(self, solution: Solution) -> "Simultaneous":
+        return replace(self, guess=solution)
 
     @property
     @override
@@ -75,7 +102,7 @@ class Simultaneous(AbstractTranscription):
         assert isinstance(problem.grid, Grid)
         mesh = Mesh(tuple(problem.grid.fractions.tolist()), self.scheme)
         accuracy = np.inf if self.error is None else float(self.error)
-        return Way(problem, traced, found, scenarios, accuracy).transcribed(mesh)
+        return Way(problem, traced, found, scenarios, accuracy, self._start).transcribed(mesh)
 
 
 def _refuse(problem: Problem) -> None:

@@ -1,5 +1,7 @@
-"""Where a simultaneous program starts: states as simulated, and all that follows from them."""
+"""Where a simultaneous program starts: its first decisions and states, simulated where no guess is given."""
 
+import abc
+from dataclasses import dataclass
 from typing import Any, final
 
 import equinox as eqx
@@ -13,7 +15,6 @@ from aleator._core.arrays import numbers_to_arrays
 from aleator._core.compilation import Compiled, Use
 from aleator.design import Problem, refuse_changed_code
 from aleator.dynamics import Asked, Grid, Simulation, System, derivative
-from aleator.transcription.simultaneous._mesh import Mesh
 from aleator.uncertainty import realise
 
 # Steps of a simulation in each of the grid: points of a mesh between instants are interpolated.
@@ -66,15 +67,15 @@ SIMULATED = Compiled(_simulated, use=Use.ONCE, unchanged=refuse_changed_code)
 
 def simulated_states(
     problem: Problem,
-    mesh: Mesh,
+    fractions: Float[np.ndarray, " points"],
     points: Float[np.ndarray, "realisations germs"],
     decisions: Float[np.ndarray, " n"],
 ) -> Float[np.ndarray, "realisations points states"]:
-    """The states of all realisations at the points of a mesh. If one of them cannot be simulated at these decisions,
+    """The states of all realisations at some fractions of the duration. If one cannot be simulated at these decisions,
     or grows beyond reason, all rest at their initial states: a program may begin where nothing can be simulated.
     """
     if not problem.is_integrated:
-        return np.zeros((len(points), len(mesh.fractions), 0))
+        return np.zeros((len(points), len(fractions), 0))
     assert isinstance(problem.grid, Grid)
     finer = numbers_to_arrays(problem.on_grid(problem.grid.finer(_FINER)))
     found = np.array(SIMULATED(finer, jnp.asarray(points), jnp.asarray(decisions)))
@@ -82,7 +83,7 @@ def simulated_states(
     grown = np.abs(found).max(axis=(0, 1)) > _MOST_GROWTH * np.where(begun > 0, begun, np.inf)
     if not np.isfinite(found).all() or grown.any():
         found = np.repeat(found[:, :1], found.shape[1], axis=1)
-    return _interpolated(found, mesh.fractions)
+    return _interpolated(found, fractions)
 
 
 def _interpolated(
@@ -93,3 +94,41 @@ def _interpolated(
     before = np.minimum(place.astype(int), table.shape[1] - 2)
     share = (place - before)[None, :, None]
     return (1 - share) * table[:, before] + share * table[:, before + 1]
+
+
+class AbstractStart(abc.ABC):
+    """Where the programs of a problem start, on any mesh."""
+
+    def decisions(self, problem: Problem) -> Float[np.ndarray, " n"]:
+        """The first decisions: by default the problem's own initial ones."""
+        return problem.placements.vector("initial")
+
+    @abc.abstractmethod
+    def states(
+        self,
+        problem: Problem,
+        fractions: Float[np.ndarray, " points"],
+        points: Float[np.ndarray, "realisations germs"],
+        decisions: Float[np.ndarray, " n"],
+    ) -> Float[np.ndarray, "realisations points states"]:
+        """The states of realisations at some fractions of the duration, for given decisions."""
+
+
+@final
+@dataclass(frozen=True)
+class _Simulated(AbstractStart):
+    """States as they are simulated."""
+
+    @override
+    def states(
+        self,
+        problem: Problem,
+        fractions: Float[np.ndarray, " points"],
+        points: Float[np.ndarray, "realisations germs"],
+        decisions: Float[np.ndarray, " n"],
+    ) -> Float[np.ndarray, "realisations points states"]:
+        return simulated_states(problem, fractions, points, decisions)
+
+
+SIMULATED_START = _Simulated()
+"""The start where nothing is guessed."""

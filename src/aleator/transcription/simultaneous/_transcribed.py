@@ -24,7 +24,7 @@ from aleator.design import (
 )
 from aleator.dynamics import Grid
 from aleator.nlp import HELD, Evaluation, Magnitudes, NonlinearProgram
-from aleator.solution import MeshError
+from aleator.solution import MeshError, States
 from aleator.statistics import Constants
 from aleator.transcription._abstract import AbstractTranscribed, Meaning
 from aleator.transcription._discretisation import Discretised
@@ -35,15 +35,16 @@ from aleator.transcription._scenarios import Scenarios
 from aleator.transcription._scope import ExpansionScope
 from aleator.transcription._texts import Texts
 from aleator.transcription.simultaneous._first_point import started
+from aleator.transcription.simultaneous._guess import state_shapes
 from aleator.transcription.simultaneous._layout import Layout, Plan
 from aleator.transcription.simultaneous._mesh import Mesh
 from aleator.transcription.simultaneous._mesh_error import interval_errors, parts_of, states_on
-from aleator.transcription.simultaneous._pointwise import Pointwise
+from aleator.transcription.simultaneous._pointwise import Pointwise, apart
 from aleator.transcription.simultaneous._program import Assembled
 from aleator.transcription.simultaneous._rows import Given
 from aleator.transcription.simultaneous._scales import scales
 from aleator.transcription.simultaneous._signals import are_affine
-from aleator.transcription.simultaneous._start import simulated_states
+from aleator.transcription.simultaneous._start import AbstractStart
 from aleator.uncertainty import named_numbers
 
 # Steps of a simulation for each interval of a mesh.
@@ -74,12 +75,14 @@ TOLD = Compiled(_told, use=Use.ONCE, unchanged=refuse_changed_code)
 class SimultaneouslyTranscribed(AbstractTranscribed):
     """A problem as a sparse program in its decisions and in the states of all realisations at the points of a mesh.
 
-    - `accuracy`: the error of an interval that is asked for, infinite for none; `meshes`: those before.
+    - `accuracy`: the error of an interval that is asked for, infinite for none; `meshes`: those before;
+    - `begins`: where programs of the problem start.
     """
 
     layout: Layout
     assembled: Assembled
     accuracy: float
+    begins: AbstractStart
     meshes: tuple[MeshError, ...] = ()
 
     @property
@@ -89,7 +92,7 @@ class SimultaneouslyTranscribed(AbstractTranscribed):
 
     @override
     def point(self, decisions: Float[np.ndarray, " n"]) -> Float[np.ndarray, " variables"]:
-        states = simulated_states(self.problem, self.layout.plan.mesh, self.points, decisions)
+        states = self.begins.states(self.problem, self.layout.plan.mesh.fractions, self.points, decisions)
         return started(self.layout, self.assembled, decisions, states)
 
     @override
@@ -134,7 +137,7 @@ class SimultaneouslyTranscribed(AbstractTranscribed):
     @override
     def at_scenarios(self, scenarios: Scenarios) -> "SimultaneouslyTranscribed":
         found = self.discretised.at_scenarios(scenarios)
-        way = Way(self.problem, self.traced, found, scenarios, self.accuracy)
+        way = Way(self.problem, self.traced, found, scenarios, self.accuracy, self.begins)
         return replace(way.transcribed(self.layout.plan.mesh), meshes=self.meshes)
 
     @property
@@ -157,9 +160,17 @@ class SimultaneouslyTranscribed(AbstractTranscribed):
         finer = mesh.divided(parts_of(error.errors, self.accuracy, len(mesh.scheme.nodes)))
         values = self.layout.view(point)
         states = states_on(mesh, finer.fractions, values.states, self._rates(point))
-        way = Way(self.problem, self.traced, self.discretised, self.scenarios, self.accuracy)
+        way = Way(self.problem, self.traced, self.discretised, self.scenarios, self.accuracy, self.begins)
         found = way.transcribed(finer, (values.decisions, states))
         return replace(found, meshes=(*self.meshes, error)), found.program.start
+
+    @override
+    def states_at(self, point: Float[np.ndarray, " variables"]) -> States:
+        values, grid = self.layout.view(point), self.layout.asked.grid
+        shapes = state_shapes(self.problem)
+        parts = apart(values.states, list(shapes.values()))
+        times = float(grid.t_start) + self.layout.plan.mesh.fractions * float(values.duration[0])
+        return States(times, self.points, dict(zip(shapes, parts, strict=True)))
 
     def _rates(self, point: Float[np.ndarray, " variables"]) -> Float[np.ndarray, "realisations asked rates"]:
         return self.assembled.blocks(point)[0][self.assembled.rates]
@@ -185,9 +196,10 @@ class Way(NamedTuple):
     found: Discretised
     scenarios: Scenarios | None
     accuracy: float
+    begins: AbstractStart
 
     def transcribed(self, mesh: Mesh, begun: tuple[np.ndarray, np.ndarray] | None = None) -> SimultaneouslyTranscribed:
-        """The program on a mesh. It begins at given decisions and states, or where the problem's own are simulated."""
+        """The program on a mesh. It begins at given decisions and states, or where all begin."""
         problem, traced, found, scenarios = self.problem, self.traced, self.found, self.scenarios
         collocation, constants = found.collocation, found.constants
         points = np.asarray(collocation.points)
@@ -198,7 +210,7 @@ class Way(NamedTuple):
         layout, given = Layout.of(problem, plan), Given.of(asked)
         assembled = Assembled.of(layout, traced, constants, every, fit, given)
         first, lower, upper = (problem.placements.vector(name) for name in ("initial", "lower", "upper"))
-        decisions, states = begun or (first, simulated_states(problem, mesh, every, first))
+        decisions, states = begun or self._first(mesh, every)
         start = started(layout, assembled, decisions, states)
         typical, ties = decision_scales(first, lower, upper), assembled.rows.ties
         evaluation = assembled(start)
@@ -247,4 +259,9 @@ class Way(NamedTuple):
             layout=layout,
             assembled=assembled,
             accuracy=self.accuracy,
+            begins=self.begins,
         )
+
+    def _first(self, mesh: Mesh, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        decisions = self.begins.decisions(self.problem)
+        return decisions, self.begins.states(self.problem, mesh.fractions, points, decisions)
