@@ -1,5 +1,6 @@
 """Guesses of states: where simultaneous programs start whose simulation at the initial decisions is useless."""
 
+from dataclasses import replace
 from typing import Any
 
 import jax.numpy as jnp
@@ -228,3 +229,10 @@ def test_a_solution_with_other_states_is_refused():
     other = al.solve(oscillator_problem(), throw=False)
     with pytest.raises(al.ProblemError, match=r"a solution of a system with the states 'angle', 'rate'; received one"):
         al.solve(swing_up(4), transcription=al.Simultaneous(guess=other))
+
+
+def test_a_solution_that_is_not_finite_is_refused(swung):
+    missing = {name: np.full_like(one, np.nan) for name, one in swung.states.values.items()}
+    broken = replace(swung.states, values=missing)
+    with pytest.raises(al.ProblemError, match="a solution with finite states"):
+        al.solve(swing_up(4), transcription=al.Simultaneous(guess=replace(swung, states=broken)))

@@ -149,6 +149,8 @@ class _OfSolution(AbstractStart):
             table = np.concatenate([_side_by_side(one) for one in known.values.values()], axis=2)
             chosen = table[_nearest(known, points)] if is_alike else table.mean(axis=0, keepdims=True)
             found = np.stack([interpolated(known.fractions, one, fractions) for one in chosen])
+        if not np.isfinite(found).all():
+            raise refusal(_WHO, "a solution with finite states", self.solution.status)
         return np.broadcast_to(found, (len(points), *found.shape[1:]))
 
     def _refuse_others(self, old: Problem, shapes: Mapping[str, tuple[int, ...]]) -> None:
