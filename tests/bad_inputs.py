@@ -176,6 +176,16 @@ _CONSTRUCTORS: dict[str, tuple[Callable[..., Any], dict[str, Any], dict[str, Map
         {"free": np.zeros(4)},
         {"free": NOT_NUMBERS | {"inf": math.inf}, "start": NOT_NUMBERS, "degree": COUNT, "knots": NO_OBJECT},
     ),
+    "Control": (
+        al.Control,
+        {"initial": 0.0},
+        {
+            "initial": without(NOT_NUMBERS, "function") | ENDLESS | {"nothing": None},
+            "lower": without(NOT_NUMBERS, "nan") | {"nothing": None, "one": 1.0},
+            "upper": NOT_NUMBERS | {"minus one": -1.0},
+            "degree": WHOLE | {"two": 2},
+        },
+    ),
     "PowerSeries": (
         al.PowerSeries,
         {"start": (0.0, 0.0), "end": (1.0, 0.0)},

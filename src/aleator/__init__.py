@@ -42,6 +42,7 @@ from aleator.analysis import galerkin as galerkin  # noqa: E402
 from aleator.analysis import tolerance_analysis as tolerance_analysis  # noqa: E402
 from aleator.crosschecking import cross_check as cross_check  # noqa: E402
 from aleator.design import Constraint as Constraint  # noqa: E402
+from aleator.design import Control as Control  # noqa: E402
 from aleator.design import Expression as Expression  # noqa: E402
 from aleator.design import Problem as Problem  # noqa: E402
 from aleator.design import correlation as correlation  # noqa: E402

@@ -158,6 +158,7 @@ class _Stages(NamedTuple):
         begun = None if start is None else transcribed.point(start)
         meshed = self._meshed(transcribed, begun) if self.transcription.refines else _Meshed(transcribed, begun, None)
         transcribed, begun, _ = meshed
+        factor = reference_factor(transcribed.problem, self.between)
         is_judged = multipliers is None and not self.transcription.is_guessed
         astray = self._astray(transcribed, begun, factor) if is_judged else lambda: ""
         transcribed, outcome, (between, finer), worst_case = held_at_worst(

@@ -21,6 +21,7 @@ from aleator.design import (
 )
 from aleator.dynamics import Grid
 from aleator.expansion import Collocation
+from aleator.trajectories import least_steps
 from aleator.uncertainty import named_numbers
 
 # The other instants come from a prime number of steps: at least this many, and this many times those of the finer grid.
@@ -72,7 +73,9 @@ def alone_elsewhere(
     and more of them than the grid of `factor` times as many steps.
     """
     assert isinstance(problem.grid, Grid)
-    steps = _prime_from(max(_STEPS, int(_BEYOND * factor * problem.grid.steps)))
+    # The nodes of controls are instants of every grid.
+    whole = least_steps((problem.system, problem.inputs))
+    steps = whole * _prime_from(-(-max(_STEPS, int(_BEYOND * factor * problem.grid.steps)) // whole))
     there = numbers_to_arrays(problem.on_grid(problem.grid.divided(steps)))
     point = jnp.asarray(collocation.points)[middle(collocation)]
     found = ELSEWHERE.begin(there, point, jnp.asarray(decisions))

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from aleator.design import Problem
-from aleator.trajectories import BSpline
+from aleator.trajectories import BSpline, piecewise_in
 from aleator.uncertainty import at_means, realise
 
 # A jump exceeds this many changes between neighbouring fine instants, and this part of the values.
@@ -38,9 +38,10 @@ def splines_in(tree: Any) -> list[BSpline]:
 
 
 def knots(problem: Problem, decisions: Float[np.ndarray, " n"]) -> Float[np.ndarray, " knots"]:
-    """The interior knots of all splines of a problem at some decisions, as fractions of its time."""
+    """The interior knots of splines and nodes of controls at some decisions, as fractions of a problem's time."""
     model = realise(at_means(problem.simulation), jnp.zeros(0), jnp.asarray(decisions))
-    ends = (one.breaks() for one in splines_in((model.system, model.inputs)))
+    parts = model.system, model.inputs
+    ends = (one.breaks() for one in (*splines_in(parts), *piecewise_in(parts)))
     found = np.concatenate([np.zeros(0), *ends])
     return np.unique(found[(found > 0) & (found < 1)])
 

@@ -28,7 +28,7 @@ from aleator.dynamics import Grid
 from aleator.expansion import Collocation
 from aleator.solution import Deviation, GridError
 from aleator.statistics import Constants, Mean, Std, Variance
-from aleator.trajectories import AbstractTrajectory
+from aleator.trajectories import AbstractTrajectory, least_steps, piecewise_in
 from aleator.transcription import AbstractTranscribed, Discretised, scope_of
 
 # Factor of steps for systems that follow trajectories, whose limits are enforced between instants, and for others;
@@ -111,7 +111,8 @@ def pieces(problem: Problem) -> int:
 
     parts = problem.system, problem.inputs
     followed = any(map(is_trajectory, jax.tree.leaves(parts, is_leaf=is_trajectory)))
-    return max([followed, *(one.count - one.degree for one in splines_in(parts))])
+    whole = least_steps(parts) if piecewise_in(parts) else 0
+    return max([followed, whole, *(one.count - one.degree for one in splines_in(parts))])
 
 
 def reference(transcribed: AbstractTranscribed, point: Float[np.ndarray, " variables"], factor: int) -> Reference:

@@ -1,5 +1,6 @@
 """The declared problem: functionals of outputs, statistics of them, bounds, cost curves."""
 
+from aleator.design._control import Control as Control
 from aleator.design._cost import cost_curve as cost_curve
 from aleator.design._cost import exponential as exponential
 from aleator.design._cost import reciprocal as reciprocal
@@ -38,6 +39,7 @@ from aleator.design._objectives import torque_rate as torque_rate
 from aleator.design._physics import refuse_changed_code as refuse_changed_code
 from aleator.design._problem import Problem as Problem
 from aleator.design._problem import current as current
+from aleator.design._problem import declared_anew as declared_anew
 from aleator.design._problem import deterministic as deterministic
 from aleator.design._problem import refuse_changed as refuse_changed
 from aleator.design._problem import uncertain as uncertain

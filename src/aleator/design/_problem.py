@@ -10,6 +10,7 @@ import numpy as np
 from aleator._core.errors import ProblemError
 from aleator._core.given import one_of, positive, real
 from aleator.design._check import check, equations_now
+from aleator.design._control import on_grid
 from aleator.design._declaration import AbstractProblem
 from aleator.design._expression import Constraint, Expression, as_expression, ordered
 from aleator.design._physics import changes
@@ -54,7 +55,8 @@ class Problem(AbstractProblem):
     ):
         if inputs is not None and not isinstance(inputs, Mapping):
             raise ProblemError(f"inputs: expected signals by name, such as {{'road': ...}}; received {type(inputs)}.")
-        self.simulation = _copied(simulation_of(system, grid, inputs, integrator))
+        simulation = simulation_of(system, grid, inputs, integrator)
+        self.simulation = _copied(on_grid(simulation, simulation.grid))
         self.objective = as_expression(minimize)
         self.constraints = _told_apart(tuple(_flatten(subject_to)))
         self.expansion = Expansion() if expansion is None else expansion
@@ -157,14 +159,19 @@ def current(problem: Problem) -> Problem:
     """
     if equations_now(problem) == problem.physics:
         return problem
+    return declared_anew(problem, problem.simulation)
+
+
+def declared_anew(problem: Problem, simulation: Simulation) -> Problem:
+    """The same problem of another simulation, declared and so checked anew."""
     return Problem(
-        problem.system,
+        simulation.system,
         minimize=problem.objective,
         subject_to=problem.constraints,
-        grid=problem.grid if isinstance(problem.grid, Grid) else None,
-        inputs=problem.inputs,
+        grid=simulation.grid if isinstance(simulation.grid, Grid) else None,
+        inputs=simulation.inputs,
         expansion=problem.expansion,
-        integrator=problem.integrator,
+        integrator=simulation.integrator,
     )
 
 

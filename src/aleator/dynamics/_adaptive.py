@@ -7,7 +7,8 @@ from typing import Any, final
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array
+import numpy as np
+from jaxtyping import Array, Float
 from typing_extensions import override
 
 from aleator._core import given
@@ -15,6 +16,7 @@ from aleator.dynamics._grid import Grid
 from aleator.dynamics._integrators import AbstractIntegrator, Inputs
 from aleator.dynamics._record import Asked, Record
 from aleator.dynamics._system import System, derivative, initial_state
+from aleator.trajectories import instants, jumps_of
 
 # Smaller tolerances cannot be met in 64-bit arithmetic.
 _TIGHTEST_RELATIVE, _TIGHTEST_ABSOLUTE = 1e-12, 1e-14
@@ -72,7 +74,7 @@ class AbstractAdaptive(AbstractIntegrator):
 
         at = grid.node_times if asked.nodes else grid.times
         saved = diffrax.SaveAt(ts=at, fn=lambda t, carried, _: jax.tree.leaves(observed(t, carried)))
-        solution = self._solved(rates, carried, grid, saved, self.max_steps)
+        solution = self._solved(rates, carried, grid, jumps_of(inputs), saved, self.max_steps)
         arrived = solution.result == diffrax.RESULTS.successful
         values_at = [jnp.where(arrived, values, jnp.nan) for values in solution.ys or []]
         found = jax.tree.structure(jax.eval_shape(lambda: observed(first, carried)))
@@ -96,7 +98,7 @@ class AbstractAdaptive(AbstractIntegrator):
         start = initial_state(system, grid.times[0], now(grid.times[0]))
 
         def tried(most: int) -> Any:
-            return self._solved(rates, start, grid, diffrax.SaveAt(t1=True), most)
+            return self._solved(rates, start, grid, jumps_of(inputs), diffrax.SaveAt(t1=True), most)
 
         solution = tried(self.max_steps)
         if bool(solution.result == diffrax.RESULTS.successful):
@@ -116,9 +118,20 @@ class AbstractAdaptive(AbstractIntegrator):
             "or bound the distributions and decisions that lead there."
         )
 
-    def _solved(self, rates: Callable[..., Any], start: Any, grid: Grid, saved: Any, most: int) -> Any:
+    def _solved(
+        self,
+        rates: Callable[..., Any],
+        start: Any,
+        grid: Grid,
+        jumps: Float[np.ndarray, " jumps"],
+        saved: Any,
+        most: int,
+    ) -> Any:
         import diffrax
 
+        controller = diffrax.PIDController(rtol=self.rtol, atol=self.atol, dtmax=grid.step)
+        if jumps.size:
+            controller = diffrax.ClipStepSizeController(controller, jump_ts=instants(jumps, grid.t_start, grid.t_final))
         return diffrax.diffeqsolve(
             diffrax.ODETerm(lambda *at: jax.tree.map(_slopes_of_numbers, rates(*at))),
             self.solver(),
@@ -127,7 +140,7 @@ class AbstractAdaptive(AbstractIntegrator):
             dt0=None,
             y0=start,
             saveat=saved,
-            stepsize_controller=diffrax.PIDController(rtol=self.rtol, atol=self.atol, dtmax=grid.step),
+            stepsize_controller=controller,
             # Forward mode, for few decisions and many outputs.
             adjoint=diffrax.ForwardMode(),
             max_steps=most,

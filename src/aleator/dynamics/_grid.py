@@ -1,6 +1,7 @@
 """The instants at which a simulation is recorded: a `Grid` of them or, without time, one `Instant`."""
 
 import abc
+from copy import copy
 from typing import Any, Self, final
 
 import equinox as eqx
@@ -75,7 +76,9 @@ class Grid(AbstractGrid):
 
     def divided(self, steps: int) -> "Grid":
         """The same time span with `steps` steps."""
-        return Grid(self.t_final, steps, float(self.t_start))
+        found = copy(self)  # its times may be traced, and were checked
+        object.__setattr__(found, "steps", whole("Grid: steps", steps))
+        return found
 
     @property
     @override

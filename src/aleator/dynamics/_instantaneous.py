@@ -17,7 +17,7 @@ from aleator.dynamics._grid import Grid
 from aleator.dynamics._integrators import Inputs, sampled
 from aleator.dynamics._record import Asked, Record
 from aleator.dynamics._system import System, initial_state, observation
-from aleator.trajectories import instants
+from aleator.trajectories import before_jumps, has_jumps, instants
 
 Fractions: TypeAlias = Float[np.ndarray, " n"]
 Take: TypeAlias = Callable[[System, Any, Any, dict[str, Array]], Pytree]
@@ -61,7 +61,7 @@ def observed_at(system: System, known: Known, row: Float[Array, " numbers"]) -> 
 def observed(system: System, grid: Grid, inputs: Inputs, asked: Asked) -> Record:
     """The record of a system without states. Integrals are taken by Simpson's rule, which sees midpoints of steps."""
 
-    def over(fractions: Fractions, take: Take) -> Pytree:
+    def over(fractions: Fractions, take: Take, system: System = system, inputs: Inputs = inputs) -> Pytree:
         known = known_at(system, grid, inputs, fractions)
 
         def one(realised: System, row: Array) -> Pytree:
@@ -73,7 +73,14 @@ def observed(system: System, grid: Grid, inputs: Inputs, asked: Asked) -> Record
     history = over(grid.fractions, asked.at_instant)
     nodes = over(grid.node_fractions, asked.at_node) if asked.nodes else {}
     rates = over(grid.node_fractions, asked.rates) if asked.integrands else ()
-    return Record(history, nodes, tuple(jnp.tensordot(grid.node_weights, one, axes=1) for one in rates))
+    integrals = tuple(jnp.tensordot(grid.node_weights, one, axes=1) for one in rates)
+    if asked.integrands and has_jumps({**system.signals(), **inputs}):
+        # Each step ends on the side of a jump that is its own.
+        before = over(grid.fractions[1:], asked.rates, *before_jumps((system, inputs)))
+        ends = (after[2::2] for after in rates)
+        missed = (jnp.sum(one - other, axis=0) for one, other in zip(before, ends, strict=True))
+        integrals = tuple(one + grid.step / 6 * more for one, more in zip(integrals, missed, strict=True))
+    return Record(history, nodes, integrals)
 
 
 def at_each_instant(

@@ -18,7 +18,7 @@ from aleator._core.arrays import Pytree
 from aleator.dynamics._grid import Grid
 from aleator.dynamics._record import Asked, Record
 from aleator.dynamics._system import System, derivative, initial_state
-from aleator.trajectories import AbstractSignal
+from aleator.trajectories import AbstractSignal, before_jumps, has_jumps
 
 Inputs = dict[str, AbstractSignal]
 
@@ -68,6 +68,7 @@ class AbstractFixedStep(AbstractIntegrator):
     def record(self, system: System, grid: Grid, inputs: Inputs, asked: Asked) -> Record:
         nodes, couplings, weights = self.tableau
         h, at_instants = grid.step, sampled(inputs, grid, grid.fractions)
+        arriving = sampled(before_jumps(inputs), grid, grid.fractions[1:]) if has_jumps(inputs) else {}
         now = {name: values[0] for name, values in at_instants.items()}
         start = initial_state(system, grid.times[0], now)
         inner = sorted({node for node in (*nodes, *([0.5] if asked.nodes else [])) if 0 < node < 1})
@@ -77,7 +78,9 @@ class AbstractFixedStep(AbstractIntegrator):
             return derivative(system, t, z, u), asked.rates(system, t, z, u)
 
         def advance(carried: tuple[Pytree, Pytree], now: tuple) -> tuple[tuple[Pytree, Pytree], tuple[Any, Any]]:
-            (z, integrals), (t, first, last, *middle) = carried, now
+            (z, integrals), (t, first, after, before, *middle) = carried, now
+            # A step sees the side of a jump that is its own.
+            last = {**after, **before}
             signals = {0.0: first, 1.0: last, **dict(zip(inner, middle, strict=True))}
             slopes: list[Pytree] = []
             growths: list[Pytree] = []
@@ -87,7 +90,7 @@ class AbstractFixedStep(AbstractIntegrator):
                 growths.append(stage[1])
             end = _moved(z, h, weights, slopes)
             # Outputs are taken inside the loop, so that states need not be stored.
-            found = asked.at_instant(system, t + h, end, last)
+            found = asked.at_instant(system, t + h, end, after)
             halfway = {}
             if asked.nodes:
                 arrived = derivative(system, t + h, end, last)
@@ -97,7 +100,13 @@ class AbstractFixedStep(AbstractIntegrator):
             return (end, _moved(integrals, h, weights, growths)), (found, halfway)
 
         zeros = jax.tree.map(lambda one: jnp.zeros(one.shape), _rate_shapes(asked, system, grid, start, now))
-        spans = (grid.times[:-1], _rows(at_instants, slice(None, -1)), _rows(at_instants, slice(1, None)), *between)
+        spans = (
+            grid.times[:-1],
+            _rows(at_instants, slice(None, -1)),
+            _rows(at_instants, slice(1, None)),
+            arriving,
+            *between,
+        )
         (_, integrals), (rest, middles) = jax.lax.scan(advance, (start, zeros), spans)
         first = asked.at_instant(system, grid.times[0], start, now)
         history = {name: jnp.concatenate([first[name][None], rest[name]]) for name in first}

@@ -1,5 +1,6 @@
 """`Simulation`: a system with everything needed to simulate it. `simulate`: outputs of one realised system."""
 
+import math
 from collections.abc import Collection, Mapping
 from typing import final
 
@@ -16,7 +17,7 @@ from aleator.dynamics._integrators import AbstractIntegrator, Inputs, RungeKutta
 from aleator.dynamics._record import Asked, History, Record, chosen
 from aleator.dynamics._refusals import check_signals, refuse_unrealised
 from aleator.dynamics._system import System, state_type
-from aleator.trajectories import AbstractSignal
+from aleator.trajectories import AbstractSignal, least_steps
 
 
 @final
@@ -40,6 +41,10 @@ class Simulation(eqx.Module):
             return Record(chosen(self.system, self._solved(self.system), asked.instants), {}, ())
         assert isinstance(self.system, System)
         grid = self._grid(self.system)
+        # No step may cross a node of a control: the order of the integrator would be lost there.
+        parts = math.lcm(least_steps((self.system, self.inputs)), grid.steps) // grid.steps
+        if parts > 1:
+            return self.on(grid.finer(parts)).record(asked).thinned(parts)
         state_type(self.system.states)
         check_signals(self.system, grid, self.inputs)
         system = self.system

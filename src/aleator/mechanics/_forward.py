@@ -89,7 +89,8 @@ class ForwardDynamics(AbstractFormulation):
         if not self.model.actuators:
             return found
         torque = combined(self.model.actuators, self.torque)
-        rate = {"torque_rate": torque.derivative()} if isinstance(torque, AbstractTrajectory) else {}
+        curve = torque if isinstance(torque, AbstractTrajectory) and torque.derivatives > 0 else None
+        rate = {"torque_rate": curve.derivative()} if curve is not None else {}
         return {"torque": torque, **rate, **found}
 
     @override

@@ -69,7 +69,8 @@ def motions_for(names: tuple[str, ...], given: Any, what: str) -> Given:
     if isinstance(given, Mapping) and (missing := [name for name in names if name not in given]):
         raise ProblemError(f"{what}: expected a trajectory for each of {list(names)}; received none for {missing}.")
     found = signals_for(names, given, what)
-    if not isinstance(combined(names, found), AbstractTrajectory):
+    motion = combined(names, found)
+    if not isinstance(motion, AbstractTrajectory) or motion.derivatives < 2:
         raise ProblemError(
             f"{what}: a prescribed motion needs velocity and acceleration: expected trajectories, such as al.BSpline "
             f"or al.PowerSeries; received {given!r}."

@@ -1,7 +1,16 @@
-"""Functions of time: signals, and trajectories that fill a duration: B-splines and power series. Knows no physics."""
+"""Functions of time: signals, and trajectories that fill a duration: B-splines, power series, values at nodes.
+
+Knows no physics.
+"""
 
 from aleator.trajectories._bspline import BSpline as BSpline
 from aleator.trajectories._bspline import fit_control_points as fit_control_points
+from aleator.trajectories._piecewise import Piecewise as Piecewise
+from aleator.trajectories._piecewise import before_jumps as before_jumps
+from aleator.trajectories._piecewise import has_jumps as has_jumps
+from aleator.trajectories._piecewise import jumps_of as jumps_of
+from aleator.trajectories._piecewise import least_steps as least_steps
+from aleator.trajectories._piecewise import piecewise_in as piecewise_in
 from aleator.trajectories._power_series import PowerSeries as PowerSeries
 from aleator.trajectories._signal import AbstractSignal as AbstractSignal
 from aleator.trajectories._signal import instants as instants

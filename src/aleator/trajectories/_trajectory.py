@@ -37,6 +37,11 @@ class AbstractTrajectory(AbstractSignal):
     def shape(self) -> tuple[int, ...]:
         """The shape of one value: `()` for a number, `(n,)` for n joints."""
 
+    @property
+    def derivatives(self) -> float:
+        """How many time derivatives it has whatever its numbers are; any number by default."""
+        return np.inf
+
     def breaks(self) -> Float[np.ndarray, " ends"]:
         """The fractions at which the smooth pieces of a realised trajectory begin and end; one piece by default."""
         return np.array([0.0, 1.0])
@@ -88,6 +93,11 @@ class Stack(AbstractTrajectory):
     """Scalar trajectories side by side: one trajectory of several joints."""
 
     parts: tuple[AbstractTrajectory, ...]
+
+    @property
+    @override
+    def derivatives(self) -> float:
+        return min(part.derivatives for part in self.parts)
 
     @override
     def values(self, fractions: Fractions, duration: Any = 1.0, order: int = 0) -> Float[Array, "n parts"]:

@@ -61,21 +61,22 @@ def families(
     - `points`: the germ points of the realisations.
     """
     asked, mesh = layout.asked, layout.plan.mesh
-    fractions, instants = jnp.asarray(mesh.fractions), mesh.instants(asked.grid.fractions)
+    instants, sides = mesh.instants(asked.grid.fractions), mesh.instant_sides(asked.grid.fractions)
+    places = jnp.stack([jnp.asarray(mesh.fractions[mesh.sides]), jnp.asarray(mesh.is_before, dtype=float)], axis=1)
     model = jnp.concatenate([variables.decisions[asked.direct], variables.duration])
     none = jnp.asarray(variables.decisions)[None, None, :0]
     integrals = variables.integrals.shape[1]
     histories = variables.paths.reshape(len(variables.paths), -1)
     recorded = jnp.concatenate([variables.integrals, histories if layout.needs_histories else histories[:, :0]], axis=1)
 
-    def at(which: np.ndarray) -> Array:
+    def at(which: np.ndarray, sides: np.ndarray) -> Array:
         """Signals and states at some mesh points of every realisation."""
         states = variables.states[:, which]
-        signals = jnp.broadcast_to(variables.signals[which], (*states.shape[:2], variables.signals.shape[1]))
+        signals = jnp.broadcast_to(variables.signals[sides], (*states.shape[:2], variables.signals.shape[1]))
         return jnp.concatenate([signals, states], axis=2)
 
-    def observed(names: tuple[str, ...], which: np.ndarray) -> Family:
-        return Family(partial(asked.outputs, names), model, at(which), points, fractions[which])
+    def observed(names: tuple[str, ...], which: np.ndarray, sides: np.ndarray) -> Family:
+        return Family(partial(asked.outputs, names), model, at(which, sides), points, places[sides])
 
     def known(outer: Any, inner: Any, shared: Array, own: Array) -> Array:
         del outer, inner, own
@@ -92,9 +93,9 @@ def families(
     return Families(
         Family(known, jnp.asarray(variables.decisions)[: 0 if layout.plan.is_affine else None], none),
         Family(initial, model[:-1], jnp.broadcast_to(none, (len(points), 1, 0)), points),
-        Family(asked.rates, model, at(mesh.asked), points, fractions[mesh.asked]),
-        observed(asked.paths, instants),
-        observed(asked.ends, instants[-1:]),
+        Family(asked.rates, model, at(mesh.asked, mesh.asked_sides), points, places[mesh.asked_sides]),
+        observed(asked.paths, instants, sides),
+        observed(asked.ends, instants[-1:], sides[-1:]),
         Family(composed, jnp.asarray(variables.duration), recorded[:, None]),
         tuple(_limit(layout, problem, constants, one, variables) for one in problem.expressions),
     )

@@ -31,7 +31,7 @@ from aleator.transcription.simultaneous._pointwise import Pointwise, Shapes, apa
 class Variables(NamedTuple):
     """The variables of a program by what they are: their numbers, or their values.
 
-    - `decisions`: shape (n,); `duration`: (1,); `signals`: (mesh points, signals);
+    - `decisions`: shape (n,); `duration`: (1,); `signals`: (sides of mesh points, signals);
     - `states`: (realisations, mesh points, states);
     - `integrals`, `paths`, `ends`, `composed`: what is recorded of each realisation, the first axis; of `paths` the
       second are the instants;
@@ -92,7 +92,7 @@ class Layout:
         sizes = Variables(
             decisions=(problem.placements.size,),
             duration=(1,),
-            signals=(points, shapes.signals),
+            signals=(len(plan.mesh.sides), shapes.signals),
             states=(every, points, shapes.states),
             integrals=(every, sum(map(math.prod, shapes.integrals))),
             paths=(every, instants, shapes.size(asked.paths)),

@@ -28,11 +28,12 @@ def _between(
     asked = Pointwise.of(problem)
     signals, shared = asked.known(np.array(fractions), decisions), jnp.append(decisions[asked.direct], duration)
 
-    def one(germ: Array, fraction: Array, signal: Array, state: Array) -> Array:
-        return asked.rates(germ, fraction, shared, jnp.concatenate([signal, state]))[: state.size]
+    def one(germ: Array, place: Array, signal: Array, state: Array) -> Array:
+        return asked.rates(germ, place, shared, jnp.concatenate([signal, state]))[: state.size]
 
     inner = jax.vmap(one, in_axes=(None, 0, 0, 0))
-    return jax.vmap(inner, in_axes=(0, None, None, 0))(points, jnp.asarray(fractions), signals, states)
+    places = jnp.stack([jnp.asarray(fractions), jnp.zeros(len(fractions))], axis=1)
+    return jax.vmap(inner, in_axes=(0, None, None, 0))(points, places, signals, states)
 
 
 BETWEEN = Compiled(_between, use=Use.ONCE, unchanged=refuse_changed_code)

@@ -5,7 +5,7 @@ fraction, so that a free final time stands in them and the scheme stays linear.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, final
 
@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from aleator.design import (
     AbstractFunctional,
@@ -28,6 +28,7 @@ from aleator.design import (
     numbers_of,
 )
 from aleator.dynamics import Asked, Grid, Inputs, System, derivative, initial_state, known_at, observation
+from aleator.trajectories import before_jumps, has_jumps
 from aleator.transcription._frozen import frozen, has_random_signals
 from aleator.uncertainty import placements, realise
 
@@ -73,14 +74,24 @@ class Pointwise:
     def decides_signals(self) -> bool:
         """Whether signals or the duration may depend on decisions: those of the system's own are not asked."""
         decided = bool(placements((self.problem.inputs, self.problem.grid)).decisions)
-        own: list[str] = []
+        return decided or self._tells(lambda system, _: bool(system.signals()))
 
-        def named(decisions: Array) -> Array:
-            own.extend(self._known_parts(decisions)[0].signals())
+    @property
+    def has_jumps(self) -> bool:
+        """Whether signals may jump at instants of the mesh."""
+        return self._tells(lambda system, inputs: has_jumps({**system.signals(), **inputs}))
+
+    def _tells(self, told: Callable[[System, Inputs], bool]) -> bool:
+        """Whether something holds for the signals of a realisation; nothing is computed."""
+        found: list[bool] = []
+
+        def realised(decisions: Array) -> Array:
+            system, _, inputs = self._known_parts(decisions)
+            found.append(told(system, inputs))
             return decisions
 
-        jax.eval_shape(named, jnp.zeros(self.problem.placements.size))
-        return decided or bool(own)
+        jax.eval_shape(realised, jnp.zeros(self.problem.placements.size))
+        return any(found)
 
     @property
     def grid(self) -> Grid:
@@ -89,13 +100,23 @@ class Pointwise:
         return self.problem.grid
 
     def known(
-        self, fractions: Float[np.ndarray, " points"], decisions: Float[Array, " n"]
+        self,
+        fractions: Float[np.ndarray, " points"],
+        decisions: Float[Array, " n"],
+        is_before: Bool[np.ndarray, " points"] | None = None,
     ) -> Float[Array, "points signals"]:
-        """All signals at some fractions of the duration, side by side; none where they are uncertain."""
+        """All signals at some fractions of the duration, side by side; none where they are uncertain.
+
+        - `is_before`: where they are told as they are before a jump.
+        """
         if self.is_random:
             return jnp.zeros((len(fractions), 0))
         system, grid, inputs = self._known_parts(decisions)
-        return known_at(system, grid, inputs, fractions).rows[:, 1:]
+        found = known_at(system, grid, inputs, fractions).rows[:, 1:]
+        if is_before is None or not is_before.any():
+            return found
+        before, now = before_jumps((system, inputs))
+        return jnp.where(is_before[:, None], known_at(before, grid, now, fractions).rows[:, 1:], found)
 
     def duration(self, decisions: Float[Array, " n"]) -> Float[Array, ""]:
         """From the first instant to the last, s."""
@@ -107,18 +128,19 @@ class Pointwise:
         """The initial states of one realisation, side by side."""
         return _flat(initial_state(self._realised(self.frozen, germ, direct)[0]))
 
-    def rates(self, germ: Array, fraction: Array, shared: Array, own: Array) -> Float[Array, " rates"]:
+    def rates(self, germ: Array, place: Array, shared: Array, own: Array) -> Float[Array, " rates"]:
         """The rates of the states, then the integrands, both by the fraction of the duration.
 
+        - `place`: the fraction, then 1 for signals as they are before a jump there, else 0;
         - `shared`: the decisions of the model itself, then the duration; `own`: the signals, then the states.
         """
-        system, t, z, now = self._at(germ, fraction, shared, own)
+        system, t, z, now = self._at(germ, place, shared, own)
         parts = [_flat(derivative(system, t, z, now))] if system.states else []
         return shared[-1] * _flat([*parts, self._integrated.rates(system, t, z, now)])
 
-    def outputs(self, names: tuple[str, ...], germ: Array, fraction: Array, shared: Array, own: Array) -> Array:
+    def outputs(self, names: tuple[str, ...], germ: Array, place: Array, shared: Array, own: Array) -> Array:
         """Some outputs, side by side."""
-        system, t, z, now = self._at(germ, fraction, shared, own)
+        system, t, z, now = self._at(germ, place, shared, own)
         found = observation(system, t, z, now)
         return _flat([found[name] for name in names])
 
@@ -133,14 +155,14 @@ class Pointwise:
 
     def shapes(self) -> "Shapes":
         """The shapes of what is recorded: nothing is computed."""
-        germ, fraction = jnp.zeros(len(self.problem.placements.germ_names)), jnp.zeros(())
+        germ, place = jnp.zeros(len(self.problem.placements.germ_names)), jnp.zeros(2)
         decisions = jnp.zeros(self.problem.placements.size)
         signals = jax.eval_shape(lambda x: self.known(np.zeros(1), x), decisions).shape[1]
         states = jax.eval_shape(lambda: self.initial(germ, decisions[self.direct])).size
         shared, own = jnp.append(decisions[self.direct], 1.0), jnp.zeros(signals + states)
 
         def found() -> tuple[Any, ...]:
-            system, t, z, now = self._at(germ, fraction, shared, own)
+            system, t, z, now = self._at(germ, place, shared, own)
             outputs = observation(system, t, z, now)
             return self._integrated.rates(system, t, z, now), {
                 name: outputs[name] for name in (*self.paths, *self.ends)
@@ -167,16 +189,20 @@ class Pointwise:
         names = {name for one in functionals_of(self.problem.expressions) for name in one.outputs}
         return simulation.system.focused(names), simulation.grid, simulation.inputs
 
-    def _at(self, germ: Array, fraction: Array, shared: Array, own: Array) -> tuple[System, Array, Any, dict[str, Any]]:
+    def _at(self, germ: Array, place: Array, shared: Array, own: Array) -> tuple[System, Array, Any, dict[str, Any]]:
         """A realised system with its time, states and inputs at one mesh point."""
-        direct, duration = shared[:-1], shared[-1]
+        (fraction, is_before), direct, duration = place, shared[:-1], shared[-1]
         system, grid, inputs = self._realised(self.frozen, germ, direct)
         flat, unravel = ravel_pytree(initial_state(system))
         signals, states = own[: own.size - flat.size], own[own.size - flat.size :]
         t = jnp.asarray(self.grid.t_start + fraction * duration)
         each = {**system.signals(), **inputs}
         if self.is_random:
-            now = {name: one.over(self.grid.t_start, self.grid.t_start + duration)(t) for name, one in each.items()}
+            span = self.grid.t_start, self.grid.t_start + duration
+            now = {name: one.over(*span)(t) for name, one in each.items()}
+            if has_jumps(each):
+                before = {name: one.over(*span)(t) for name, one in before_jumps(each).items()}
+                now = {name: jnp.where(is_before > 0, before[name], value) for name, value in now.items()}
         else:
             known = known_at(system, grid, inputs, np.zeros(1))
             _, now = known.unpack(jnp.concatenate([t[None], signals]))

@@ -23,8 +23,9 @@ _AT_ONCE = 64
 
 
 def known_numbers(asked: Pointwise, mesh: Mesh, decisions: Float[Array, " n"]) -> Float[Array, " known"]:
-    """The signals at all mesh points, point by point, then the duration."""
-    return jnp.append(asked.known(mesh.fractions, decisions).ravel(), asked.duration(decisions))
+    """The signals at all sides of a mesh's points, one by one, then the duration."""
+    signals = asked.known(mesh.fractions[mesh.sides], decisions, mesh.is_before)
+    return jnp.append(signals.ravel(), asked.duration(decisions))
 
 
 def are_affine(asked: Pointwise, mesh: Mesh) -> bool:

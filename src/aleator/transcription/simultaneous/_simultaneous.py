@@ -18,9 +18,11 @@ from aleator.solution import Solution
 from aleator.transcription._abstract import AbstractTranscription, Meanwhile
 from aleator.transcription._discretisation import discretised
 from aleator.transcription._scenarios import first_scenarios
+from aleator.transcription.simultaneous._controls import first_nodes
 from aleator.transcription.simultaneous._guess import Guess, start_of
 from aleator.transcription.simultaneous._mesh import Mesh
 from aleator.transcription.simultaneous._mesh_error import BETWEEN
+from aleator.transcription.simultaneous._pointwise import Pointwise
 from aleator.transcription.simultaneous._program import CURVE, EVALUATE
 from aleator.transcription.simultaneous._signals import ALONG
 from aleator.transcription.simultaneous._start import SIMULATED, AbstractStart
@@ -99,8 +101,7 @@ class Simultaneous(AbstractTranscription):
         scenarios, traced = first_scenarios(problem), numbers_to_arrays(problem)
         found = discretised(problem).at_scenarios(scenarios)
         meanwhile(problem, found)
-        assert isinstance(problem.grid, Grid)
-        mesh = Mesh(tuple(problem.grid.fractions.tolist()), self.scheme)
+        mesh = Mesh(first_nodes(problem), self.scheme, Pointwise.of(problem).has_jumps)
         accuracy = np.inf if self.error is None else float(self.error)
         return Way(problem, traced, found, scenarios, accuracy, self._start).transcribed(mesh)
 

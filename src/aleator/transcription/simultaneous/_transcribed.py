@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from typing_extensions import override
 
+from aleator._core.arrays import numbers_to_arrays
 from aleator._core.compilation import Compiled, Use
 from aleator.design import (
     Problem,
@@ -34,6 +35,7 @@ from aleator.transcription._rows import row_bounds
 from aleator.transcription._scenarios import Scenarios
 from aleator.transcription._scope import ExpansionScope
 from aleator.transcription._texts import Texts
+from aleator.transcription.simultaneous._controls import followed, whole_parts
 from aleator.transcription.simultaneous._first_point import started
 from aleator.transcription.simultaneous._guess import state_shapes
 from aleator.transcription.simultaneous._layout import Layout, Plan
@@ -157,11 +159,14 @@ class SimultaneouslyTranscribed(AbstractTranscribed):
         error, mesh = self._mesh_error(point), self.layout.plan.mesh
         if error.is_met or len(self.meshes) + 1 == _MOST_MESHES:
             return None
-        finer = mesh.divided(parts_of(error.errors, self.accuracy, len(mesh.scheme.nodes)))
+        parts = parts_of(error.errors, self.accuracy, len(mesh.scheme.nodes))
+        finer = mesh.divided(whole_parts(self.problem, parts))
         values = self.layout.view(point)
         states = states_on(mesh, finer.fractions, values.states, self._rates(point))
-        way = Way(self.problem, self.traced, self.discretised, self.scenarios, self.accuracy, self.begins)
-        found = way.transcribed(finer, (values.decisions, states))
+        problem, decisions = followed(self.problem, values.decisions, finer.nodes)
+        traced = numbers_to_arrays(problem)
+        way = Way(problem, traced, self.discretised, self.scenarios, self.accuracy, self.begins)
+        found = way.transcribed(finer, (decisions, states))
         return replace(found, meshes=(*self.meshes, error)), found.program.start
 
     @override

@@ -1,0 +1,124 @@
+"""`Control`: an input whose values on the mesh are decisions."""
+
+from typing import Any, TypeVar, final
+
+import equinox as eqx
+import jax
+import numpy as np
+from jaxtyping import Array, Float
+from typing_extensions import override
+
+from aleator._core.errors import ProblemError
+from aleator._core.given import real_array, shown
+from aleator.dynamics import Grid
+from aleator.trajectories import AbstractTrajectory, Piecewise
+from aleator.uncertainty import Decision
+
+Tree = TypeVar("Tree")
+
+
+@final
+class Control(AbstractTrajectory):
+    """An input whose values on the mesh are decisions: one for each step of the problem's grid, or for each instant.
+
+    - `initial`: where the search starts: one number, one for each value, or a function of the fraction of the duration;
+    - `lower`, `upper`: bounds, one number each or one for each value;
+    - `degree`: 0 for a control that is constant over each step and jumps between them, with as many values as steps; 1
+      for one that is linear between the instants, with one value more. Smoother inputs are an `al.BSpline`.
+
+    A `Problem` puts it on its grid; on another grid the function of time stays the same. Where `al.Simultaneous`
+    divides an interval of its mesh, each part has values of its own. Outputs at a jump are those of the step that
+    begins there.
+
+    Raises `ProblemError` for numbers that are not finite (bounds may be infinite), bounds that cross, a start outside
+    them, and another degree; a problem raises it where there are not as many numbers as its grid asks for.
+    """
+
+    initial: Any
+    lower: Float[np.ndarray, "..."]
+    upper: Float[np.ndarray, "..."]
+    degree: int = eqx.field(static=True)
+
+    def __init__(self, initial: Any, lower: Any = -np.inf, upper: Any = np.inf, degree: int = 0):
+        if isinstance(degree, bool) or not isinstance(degree, int) or degree not in (0, 1):
+            raise ProblemError(
+                "Control: its degree is 0 (constant over each step of the grid) or 1 (linear between its instants); "
+                f"received {shown(degree)}. For smoother inputs use al.BSpline."
+            )
+        self.initial = initial if callable(initial) else _numbers("initial", initial)
+        self.lower, self.upper = _numbers("lower", lower), _numbers("upper", upper)
+        self.degree = degree
+        _check(None if callable(initial) else self.initial, self.lower, self.upper)
+
+    @property
+    @override
+    def shape(self) -> tuple[int, ...]:
+        return ()
+
+    @property
+    @override
+    def derivatives(self) -> float:
+        return self.degree
+
+    @override
+    def values(self, fractions: Any, duration: Any = 1.0, order: int = 0) -> Float[Array, " n"]:
+        raise ProblemError(
+            "Control: its values are decisions on the grid of an al.Problem; by itself it has none. For known numbers "
+            "use al.Tabulated or al.BSpline."
+        )
+
+    def on(self, grid: Grid) -> Piecewise:
+        """The trajectory with a decision for each step of a grid, or for each of its instants."""
+        nodes = grid.fractions
+        places = nodes if self.degree else (nodes[:-1] + nodes[1:]) / 2
+        what = f"Control: initial, a function of the fraction of the duration: its values at {len(places)} fractions"
+        guess = real_array(what, [self.initial(one) for one in places]) if callable(self.initial) else self.initial
+        each = "instants" if self.degree else "steps"
+        for name, numbers in {"initial": guess, "lower": self.lower, "upper": self.upper}.items():
+            if numbers.shape not in ((), places.shape):
+                raise ProblemError(
+                    f"Control: expected as `{name}` one number or {len(places)}, one for each of the {each} of the "
+                    f"grid; received {shown(numbers.shape[0] if numbers.ndim == 1 else numbers.shape)}."
+                )
+        _check(guess, self.lower, self.upper)
+        decided = Decision(np.broadcast_to(guess, places.shape), self.lower, self.upper)
+        return Piecewise(decided, tuple(nodes.tolist()), self.degree)
+
+
+def on_grid(tree: Tree, grid: Any) -> Tree:
+    """A model or a part of it, its controls put on a grid; as it is without one."""
+
+    def placed(node: Any) -> Any:
+        return node.on(grid) if _is_control(node) else node
+
+    return jax.tree.map(placed, tree, is_leaf=_is_control) if isinstance(grid, Grid) else tree
+
+
+def _is_control(node: Any) -> bool:
+    return isinstance(node, Control)
+
+
+def _numbers(name: str, given: Any) -> Float[np.ndarray, "..."]:
+    expected = "one number or one for each value on the grid"
+    numbers = real_array(f"Control: {name}", given, expected)
+    if numbers.ndim > 1 or numbers.size == 0:
+        raise ProblemError(f"Control: {name}: expected {expected}; received shape {numbers.shape}.")
+    return numbers
+
+
+def _check(guess: Float[np.ndarray, "..."] | None, lower: np.ndarray, upper: np.ndarray) -> None:
+    """Refuse bounds that cross, and a start that is not between them, as far as they are as many."""
+    if guess is not None and not np.isfinite(guess).all():
+        raise ProblemError(f"Control: initial: expected finite numbers; received {shown(guess)}.")
+    sizes = {len(one) for one in (guess, lower, upper) if one is not None and one.ndim}
+    if len(sizes) > 1:
+        raise ProblemError(
+            "Control: expected in each of initial, lower and upper one number or one for each value on the grid; "
+            f"received {' and '.join(map(str, sorted(sizes)))} numbers."
+        )
+    if not np.all(lower <= upper):
+        raise ProblemError(
+            f"Control: its lower bound must not exceed its upper one; received lower={lower}, upper={upper}."
+        )
+    if guess is not None and np.any((guess < lower) | (guess > upper)):
+        raise ProblemError(f"Control: it starts between its bounds, lower={lower} and upper={upper}; received {guess}.")
