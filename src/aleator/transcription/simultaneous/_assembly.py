@@ -33,9 +33,15 @@ class Pattern:
         return cls(np.concatenate([shared, own], axis=2), rows)
 
     @property
-    def entry_count(self) -> int:
-        """How many entries the Jacobians have."""
-        return self.rows.size * self.columns.shape[2]
+    def shape(self) -> tuple[int, ...]:
+        """That of the Jacobians: outer, inner, rows, columns."""
+        return *self.rows.shape, self.columns.shape[2]
+
+    @property
+    def lower_shape(self) -> tuple[int, ...]:
+        """That of the Hessians' lower triangles: outer, inner, entries."""
+        columns = self.columns.shape[2]
+        return *self.rows.shape[:2], columns * (columns + 1) // 2
 
     @property
     def entries(self) -> tuple[np.ndarray, np.ndarray]:

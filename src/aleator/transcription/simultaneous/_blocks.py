@@ -47,9 +47,15 @@ class Family(NamedTuple):
 
         return jax.vmap(row)(self.outer, self.own, *given)
 
-    def values(self) -> Float[Array, "outer inner rows"]:
-        """The rows of every block."""
-        return self.mapped(lambda block, shared, own: block(shared, own))
+    @property
+    def row_count(self) -> int:
+        """How many rows a block has. The variables may be their numbers: nothing is computed."""
+
+        def of_one(tree: Any) -> Any:
+            return jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape[1:], leaf.dtype), tree)
+
+        shared, own = (jax.ShapeDtypeStruct((size,), float) for size in (self.shared.size, self.own.shape[2]))
+        return jax.eval_shape(self.function, of_one(self.outer), of_one(self.inner), shared, own).size
 
     def differentiated(
         self,

@@ -17,9 +17,9 @@ from aleator.design import (
 )
 from aleator.statistics import Constants
 from aleator.transcription._scope import ExpansionScope
-from aleator.transcription.simultaneous._blocks import Family
-from aleator.transcription.simultaneous._layout import Layout, Variables
-from aleator.transcription.simultaneous._pointwise import apart
+from aleator.transcription.simultaneous._blocks import Block, Family
+from aleator.transcription.simultaneous._layout import Layout, Plan, Variables
+from aleator.transcription.simultaneous._pointwise import Pointwise, apart
 from aleator.transcription.simultaneous._signals import known_numbers
 from aleator.uncertainty import named_numbers
 
@@ -47,6 +47,9 @@ class Families(NamedTuple):
     def every(self) -> tuple[Family, ...]:
         """All of them in order."""
         return (*self[:6], *self.expressions)
+
+
+KNOWN, RATES, PATHS, OBJECTIVE = (Families._fields.index(name) for name in ("known", "rates", "paths", "expressions"))
 
 
 def families(
@@ -99,6 +102,17 @@ def families(
         Family(composed, jnp.asarray(variables.duration), recorded[:, None]),
         tuple(_limit(layout, problem, constants, one, variables) for one in problem.expressions),
     )
+
+
+def functions(problem: Problem, constants: Constants | None, plan: Plan | None) -> dict[int, Block]:
+    """The functions of families, by their numbers: of all on a plan; without one, of those that grow with the mesh."""
+    if plan is None or constants is None:
+        asked = Pointwise.of(problem)
+        return {RATES: asked.rates, PATHS: partial(asked.outputs, asked.paths)}
+    layout = Layout.of(problem, plan)
+    nowhere = jnp.zeros((plan.realisations, len(problem.placements.germ_names)))
+    every = families(layout, problem, constants, nowhere, layout.view(jnp.zeros(layout.count))).every
+    return {i: one.function for i, one in enumerate(every)}
 
 
 class _Part(NamedTuple):

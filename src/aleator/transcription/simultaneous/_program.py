@@ -1,55 +1,90 @@
-"""The compiled functions of a simultaneous program, and the sparse program that they make."""
+"""The blocks of a simultaneous program, and the sparse program that they make."""
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
+from itertools import accumulate
 from typing import final
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Float, Int
 
-from aleator._core.compilation import Bound, Compiled, Use
-from aleator.design import Problem, refuse_changed_code
+from aleator.design import Problem
 from aleator.nlp import Evaluation, Hessian, SparseMatrix
 from aleator.statistics import Constants
 from aleator.transcription._remembered import Remembered
 from aleator.transcription.simultaneous._assembly import Curvature, Jacobian, Pattern
-from aleator.transcription.simultaneous._families import Families, families
-from aleator.transcription.simultaneous._layout import Layout, Plan
+from aleator.transcription.simultaneous._blocks import Family
+from aleator.transcription.simultaneous._families import KNOWN, OBJECTIVE, PATHS, RATES, families
+from aleator.transcription.simultaneous._layout import Layout
+from aleator.transcription.simultaneous._mesh import Mesh
 from aleator.transcription.simultaneous._rows import Given, Rows, rows_of
 from aleator.transcription.simultaneous._signals import constant_slopes
+from aleator.transcription.simultaneous._tiles import Call, begin, calls_of, results, tile_size, tiles_of
 
 
-def _families(problem: Problem, constants: Constants, points: Array, plan: Plan, variables: Array) -> Families:
-    layout = Layout.of(problem, plan)
-    return families(layout, problem, constants, points, layout.view(variables))
+def _calls(
+    traced: Problem, constants: Constants, layout: Layout, every: tuple[Family, ...], patterns: list[Pattern]
+) -> list[Call]:
+    """The calls that evaluate all families: those that grow with the mesh are in tiles, and what is compiled of them
+    serves every mesh; but signals, which differ at each of their points.
+    """
+    first = replace(layout.plan, mesh=Mesh(tuple(layout.asked.grid.fractions.tolist()), layout.plan.mesh.scheme))
+    sizes = [(len(one.own), one.own.shape[1]) for one in every]
+    sizes[RATES] = tile_size(sizes[RATES][0], len(first.mesh.asked))
+    sizes[PATHS] = tile_size(*sizes[PATHS])
+    tiles = [tiles_of(i, one, patterns[i].rows, sizes[i]) for i, one in enumerate(every)]
+    rows = [one.rows.size for one in patterns]
+    moving = [calls_of(traced, None, None, [(one,) for one in tiles[i]]) for i in (RATES, PATHS) if rows[i]]
+    known = calls_of(traced, constants, layout.plan, [tuple(tiles[KNOWN])])
+    rest = [some[0] for i, some in enumerate(tiles) if i not in (KNOWN, RATES, PATHS) and rows[i]]
+    still = calls_of(traced, constants, first, [tuple(rest)])
+    return [call for some in (*moving, known, still) for call in some]
 
 
-def _evaluate(
-    problem: Problem, constants: Constants, points: Array, plan: Plan, variables: Float[Array, " n"]
-) -> tuple[Float[Array, " rows"], Float[Array, " entries"]]:
-    """The rows of all blocks, and the entries of their Jacobians."""
-    found = [one.differentiated() for one in _families(problem, constants, points, plan, variables).every]
-    values, entries = zip(*found, strict=True)
-    return jnp.concatenate([jnp.ravel(one) for one in values]), jnp.concatenate([jnp.ravel(one) for one in entries])
+@final
+@dataclass(frozen=True)
+class Blocks:
+    """All blocks of a program, family by family."""
+
+    calls: list[Call]
+    patterns: list[Pattern]
+
+    def __call__(
+        self, variables: Float[np.ndarray, " n"]
+    ) -> tuple[Float[np.ndarray, " rows"], Float[np.ndarray, " entries"]]:
+        """The rows of all blocks, and the entries of their Jacobians."""
+        values, rows = _together([one.rows.shape for one in self.patterns])
+        slopes, entries = _together([one.shape for one in self.patterns])
+        for tile, (value, slope) in results([call.evaluation(variables) for call in self.calls]):
+            tile.write(value, values)
+            tile.write(slope, slopes)
+        return rows, entries
+
+    def curved(
+        self, variables: Float[np.ndarray, " n"], weights: Float[np.ndarray, " rows"]
+    ) -> Float[np.ndarray, " entries"]:
+        """The entries of the Hessians of all blocks, their rows weighted: lower triangles, row by row."""
+        bends, entries = _together([one.lower_shape for one in self.patterns])
+        for tile, bend in results([call.curvature(variables, weights) for call in self._curved]):
+            tile.write(bend, bends)
+        return entries
+
+    def begin(self, variables: Float[np.ndarray, " n"], rows: int) -> None:
+        """Begin to compile the second derivatives, of so many rows in all."""
+        begin([call.curvature(variables, np.zeros(rows)) for call in self._curved])
+
+    @property
+    def _curved(self) -> list[Call]:
+        return [call for call in self.calls if any(one.variables.size for one in call.tiles)]
 
 
-def _curve(
-    problem: Problem, constants: Constants, points: Array, plan: Plan, at: tuple[Array, Array]
-) -> Float[Array, " entries"]:
-    """The entries of the Hessians of all blocks, their rows weighted, at some variables."""
-    variables, weights = at
-    every, first, found = _families(problem, constants, points, plan, variables).every, 0, []
-    for one in every:
-        shape = jax.eval_shape(one.values).shape
-        size = int(np.prod(shape))
-        found.append(jnp.ravel(one.curved(weights[first : first + size].reshape(shape))))
-        first += size
-    return jnp.concatenate(found)
-
-
-EVALUATE = Compiled(_evaluate, use=Use.ROWS, unchanged=refuse_changed_code)
-CURVE = Compiled(_curve, use=Use.ROWS, unchanged=refuse_changed_code)
+def _together(shapes: list[tuple[int, ...]]) -> tuple[list[np.ndarray], np.ndarray]:
+    """Arrays of some shapes, zero, and all their numbers side by side, which they share."""
+    ends = list(accumulate(map(math.prod, shapes), initial=0))
+    every = np.zeros(ends[-1])
+    return [every[first:last].reshape(shape) for first, last, shape in zip(ends, ends[1:], shapes, strict=False)], every
 
 
 @final
@@ -65,8 +100,8 @@ class Assembled:
 
     rows: Rows
     slopes: SparseMatrix
+    evaluated: Blocks
     blocks: Remembered[tuple[np.ndarray, np.ndarray]]
-    curve_blocks: Bound
     jacobian: Jacobian
     curvature: Curvature
     objective: tuple[int, slice, np.ndarray]
@@ -83,31 +118,30 @@ class Assembled:
         given: Given,
     ) -> "Assembled":
         """That of a problem."""
-        fixed = traced, constants, jnp.asarray(points), layout.plan
-        shapes = jax.eval_shape(lambda z: [one.values() for one in _families(*fixed, z).every], jnp.zeros(layout.count))
         with jax.ensure_compile_time_eval():
-            numbered = families(layout, traced, constants, jnp.asarray(points), layout.numbers)
+            every = families(layout, traced, constants, jnp.asarray(points), layout.numbers).every
         first, patterns = 0, []
-        for one, shape in zip(numbered.every, shapes, strict=True):
-            rows = np.arange(first, first + shape.size).reshape(shape.shape)
+        for one in every:
+            shape = *one.own.shape[:2], one.row_count
+            rows = np.arange(first, first + math.prod(shape)).reshape(shape)
             patterns.append(Pattern.of(np.asarray(one.shared), np.asarray(one.own), rows))
-            first += shape.size
+            first += rows.size
         slopes = constant_slopes(traced, layout)
         rows = rows_of(layout, [one.rows for one in patterns], fit, slopes, given)
-        before = sum(one.entry_count for one in patterns[:6])
-        objective = patterns[6]
-        entries = slice(before, before + objective.entry_count)
-        evaluate, curve = (one.bound(*fixed, packed=False) for one in (EVALUATE, CURVE))
-        curve.begin((np.zeros(layout.count), np.zeros(first)))
+        evaluated = Blocks(_calls(traced, constants, layout, every, patterns), patterns)
+        evaluated.begin(np.zeros(layout.count), first)
+        before = sum(math.prod(one.shape) for one in patterns[:OBJECTIVE])
+        objective = patterns[OBJECTIVE]
+        entries = slice(before, before + math.prod(objective.shape))
         return cls(
             rows,
             slopes,
-            Remembered(lambda variables: tuple(map(np.asarray, evaluate(variables)))),  # type: ignore[arg-type]
-            curve,
+            evaluated,
+            Remembered(evaluated),
             Jacobian.of(rows.linear, rows.combined, patterns),
             Curvature.of(patterns, layout.count),
             (int(objective.rows.item()), entries, objective.columns.ravel()),
-            patterns[2].rows,
+            patterns[RATES].rows,
         )
 
     def known(self, variables: Float[np.ndarray, " n"]) -> Float[np.ndarray, " known"]:
@@ -137,6 +171,6 @@ class Assembled:
         def evaluate(variables: np.ndarray, weight: float, multipliers: np.ndarray) -> SparseMatrix:
             weights = back @ multipliers
             weights[row] += weight
-            return self.curvature.at(np.asarray(self.curve_blocks((variables, weights))))
+            return self.curvature.at(self.evaluated.curved(variables, weights))
 
         return Hessian(evaluate, self.curvature.sparsity)

@@ -23,9 +23,9 @@ from aleator.transcription.simultaneous._guess import Guess, start_of
 from aleator.transcription.simultaneous._mesh import Mesh
 from aleator.transcription.simultaneous._mesh_error import BETWEEN
 from aleator.transcription.simultaneous._pointwise import Pointwise
-from aleator.transcription.simultaneous._program import CURVE, EVALUATE
 from aleator.transcription.simultaneous._signals import ALONG
 from aleator.transcription.simultaneous._start import SIMULATED, AbstractStart
+from aleator.transcription.simultaneous._tiles import CURVE, EVALUATE
 from aleator.transcription.simultaneous._transcribed import TOLD, SimultaneouslyTranscribed, Way
 
 # The least error of a mesh that may be asked for.

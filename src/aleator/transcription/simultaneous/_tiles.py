@@ -1,0 +1,195 @@
+"""Blocks evaluated tile by tile, on all cores: one compiled function serves every mesh.
+
+A family over realisations and mesh points is cut into tiles of one size; where it ends within a tile, its last blocks
+are repeated. So what is compiled does not depend on the number of mesh points, nor, beyond a few, on that of
+realisations, and results do not depend on the number of cores.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from itertools import product
+from typing import Any, NamedTuple, TypeAlias, final
+
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from aleator._core.beside import in_order
+from aleator._core.compilation import Bound, Compiled, Use
+from aleator.design import Problem, refuse_changed_code
+from aleator.statistics import Constants
+from aleator.transcription.simultaneous._blocks import Family
+from aleator.transcription.simultaneous._families import functions
+from aleator.transcription.simultaneous._layout import Plan
+from aleator.transcription.simultaneous._pointwise import apart
+
+# Blocks of a tile, the least and the most, and the most along the first axis, where their number is a multiple of the
+# last: enough for a call to take longer than its preparation, and few enough for both cores and their caches.
+_LEAST, _MOST, _MOST_OUTER, _STEP = 64, 4096, 32, 8
+
+
+class Form(NamedTuple):
+    """The shapes of what some blocks of a family are given: shared and own variables, and data of each index, if any.
+
+    - `family`: its number; `rows`: the shape of their rows.
+    """
+
+    family: int
+    shared: tuple[int, ...]
+    own: tuple[int, ...]
+    outer: tuple[int, ...] | None
+    inner: tuple[int, ...] | None
+    rows: tuple[int, ...]
+
+
+Source: TypeAlias = tuple[Problem, Constants | None, Plan | None, tuple[Form, ...]]
+"""What some blocks follow from, beside numbers: see `functions`; their forms."""
+
+
+def _given(source: Source, numbers: Array) -> list[Family]:
+    """Blocks with what they are given: the variables of all, then the data of all, side by side."""
+    problem, constants, plan, forms = source
+    every = functions(problem, constants, plan)
+    shapes = [*(form[1:3] for form in forms), *(form[3:5] for form in forms)]
+    parts = iter(apart(numbers, [shape for some in shapes for shape in some if shape]))
+    variables = [(next(parts), next(parts)) for _ in forms]
+    data = [[next(parts) if shape else () for shape in form[3:5]] for form in forms]
+    return [Family(every[form.family], *own, *both) for form, own, both in zip(forms, variables, data, strict=True)]
+
+
+def _evaluate(
+    source: Source, numbers: Float[Array, " n"]
+) -> list[tuple[Float[Array, "outer inner rows"], Float[Array, "outer inner rows columns"]]]:
+    return [one.differentiated() for one in _given(source, numbers)]
+
+
+def _curve(
+    source: Source, at: tuple[Float[Array, " n"], Float[Array, " rows"]]
+) -> list[Float[Array, "outer inner lower"]]:
+    numbers, weights = at
+    each = apart(weights, [form.rows for form in source[-1]])
+    return [one.curved(weighted) for one, weighted in zip(_given(source, numbers), each, strict=True)]
+
+
+def _unchanged(source: Source, *_: Any) -> None:
+    refuse_changed_code(source[0])
+
+
+EVALUATE = Compiled(_evaluate, use=Use.ROWS, unchanged=_unchanged)
+CURVE = Compiled(_curve, use=Use.ROWS, unchanged=_unchanged)
+
+
+@final
+@dataclass(frozen=True)
+class Tile:
+    """Some blocks of a family.
+
+    - `place`: where they are in it;
+    - `variables`: the numbers of their shared variables, then of their own; `data`: of both indices;
+    - `rows`: the numbers of their rows.
+    """
+
+    form: Form
+    place: tuple[slice, slice]
+    variables: Int[np.ndarray, " variables"]
+    data: Float[np.ndarray, " data"]
+    rows: Int[np.ndarray, " rows"]
+
+    def write(self, found: np.ndarray, into: list[np.ndarray]) -> None:
+        """Results of the blocks among those of all, family by family."""
+        target = into[self.form.family][self.place]
+        target[...] = found[: target.shape[0], : target.shape[1]]
+
+
+def tiles_of(
+    number: int, family: Family, rows: Int[np.ndarray, "outer inner rows"], size: tuple[int, int]
+) -> list[Tile]:
+    """A family, which holds the numbers of its variables, in tiles of a size."""
+    shared, own = np.asarray(family.shared), np.asarray(family.own)
+    data = [None if isinstance(one, tuple) else np.asarray(one) for one in (family.outer, family.inner)]
+    outer, inner = own.shape[:2]
+    height, width = size
+    found = []
+    for i, j in product(range(0, outer, height), range(0, inner, width)):
+        # Beyond the last block it is repeated.
+        which = np.minimum(np.arange(i, i + height), outer - 1), np.minimum(np.arange(j, j + width), inner - 1)
+        at = np.ix_(*which)
+        of_outer, of_inner = (None if one is None else one[some] for one, some in zip(data, which, strict=True))
+        found.append(
+            Tile(
+                Form(number, shared.shape, own[at].shape, _shape(of_outer), _shape(of_inner), rows[at].shape),
+                (slice(i, min(i + height, outer)), slice(j, min(j + width, inner))),
+                np.concatenate([shared, own[at].ravel()]),
+                np.concatenate([np.zeros(0), *(one.ravel() for one in (of_outer, of_inner) if one is not None)]),
+                rows[at].ravel(),
+            )
+        )
+    return found
+
+
+def _shape(data: np.ndarray | None) -> tuple[int, ...] | None:
+    return None if data is None else data.shape
+
+
+def tile_size(outer: int, inner: int) -> tuple[int, int]:
+    """The size of tiles for a family with so many blocks on its first mesh."""
+    parts = -(-outer // _MOST_OUTER)
+    height = outer if parts == 1 else _STEP * -(-outer // (parts * _STEP))
+    width = -(-inner // -(-inner * height // _MOST))
+    return height, max(width, _LEAST // height)
+
+
+@final
+class Call:
+    """Tiles that are evaluated together: what they are given is gathered in one array, since each costs time."""
+
+    def __init__(self, tiles: tuple[Tile, ...], evaluate: Bound, curve: Bound):
+        self.tiles, self._evaluate, self._curve = tiles, evaluate, curve
+        self._variables = np.concatenate([one.variables for one in tiles])
+        self._data = np.concatenate([one.data for one in tiles])
+        self._rows = np.concatenate([one.rows for one in tiles])
+
+    def evaluation(self, variables: Float[np.ndarray, " n"]) -> "Task":
+        """Values and first derivatives."""
+        return Task(self.tiles, self._evaluate, lambda: self._numbers(variables))
+
+    def curvature(self, variables: Float[np.ndarray, " n"], weights: Float[np.ndarray, " rows"]) -> "Task":
+        """Second derivatives of the weighted rows."""
+        return Task(self.tiles, self._curve, lambda: (self._numbers(variables), weights[self._rows]))
+
+    def _numbers(self, variables: np.ndarray) -> np.ndarray:
+        return np.concatenate([variables[self._variables], self._data])
+
+
+class Task(NamedTuple):
+    """A call that is to be made: tiles, a compiled function, and what makes its argument."""
+
+    tiles: tuple[Tile, ...]
+    function: Bound
+    given: Callable[[], Any]
+
+    def __call__(self) -> Any:
+        return self.function(self.given())
+
+
+def calls_of(
+    problem: Problem, constants: Constants | None, plan: Plan | None, together: list[tuple[Tile, ...]]
+) -> list[Call]:
+    """The calls for tiles of the same forms."""
+    source = problem, constants, plan, tuple(one.form for one in together[0])
+    functions = [one.bound(source) for one in (EVALUATE, CURVE)]
+    return [Call(tiles, *functions) for tiles in together]
+
+
+def results(tasks: list[Task]) -> Iterator[tuple[Tile, Any]]:
+    """Each tile and what was found of it."""
+    # The calling thread traces a user's code before other threads start.
+    for task in {task.function: task for task in reversed(tasks)}.values():
+        task.function.prepare(task.given())
+    for task, found in zip(tasks, in_order(lambda task: task(), tasks), strict=True):
+        yield from zip(task.tiles, found, strict=True)
+
+
+def begin(tasks: list[Task]) -> None:
+    """Begin to compile what some tasks need, on other cores."""
+    for task in {task.function: task for task in reversed(tasks)}.values():
+        task.function.begin(task.given())
