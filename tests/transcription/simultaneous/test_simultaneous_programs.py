@@ -10,6 +10,7 @@ from collocated_problems import crane, everything, free_force, oscillator
 import aleator as al
 from aleator.nlp import Condensing, Ipopt
 from aleator.transcription import transcribe
+from aleator.transcription.simultaneous import _tiles
 from aleator.transcription.simultaneous._transcribed import SimultaneouslyTranscribed
 
 SCHEMES = {
@@ -52,6 +53,38 @@ def test_derivatives_of_both_orders_are_those_of_central_differences(name):
         assert found.gradient[i] == pytest.approx(gradient, abs=1e-7)
         difference = (bend[0] - bend[1]) / h
         np.testing.assert_allclose(hessian[:, i], difference, atol=1e-6 * max(1, np.abs(difference).max()))
+
+
+@pytest.mark.parametrize("name", ["Hermite and Simpson", "decided knots"])
+def test_tiles_of_any_size_give_the_same_program(name, monkeypatch):
+    problem, scheme = PROGRAMS[name]
+    program = transcribe(problem(), al.Simultaneous(scheme)).program
+    rng, point = _point_beside(program)
+    multipliers = rng.standard_normal(len(program.constraint_lower))
+    # Neither the realisations nor the points of the mesh are a multiple of these.
+    for limit, value in (("_LEAST", 1), ("_MOST", 10), ("_MOST_OUTER", 5), ("_STEP", 4)):
+        monkeypatch.setattr(_tiles, limit, value)
+    other = transcribe(problem(), al.Simultaneous(scheme)).program
+    one, two = program.evaluate(point), other.evaluate(point)
+    np.testing.assert_allclose(one.constraints, two.constraints, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(one.jacobian.toarray(), two.jacobian.toarray(), rtol=1e-12, atol=1e-12)
+    bends = [each.hessian.evaluate(point, 1.3, multipliers).toarray() for each in (program, other)]
+    np.testing.assert_allclose(*bends, rtol=1e-11, atol=1e-11 * np.abs(bends[0]).max())
+
+
+def test_what_is_compiled_for_one_mesh_serves_a_finer_one():
+    transcribed = transcribe(oscillator(), al.Simultaneous(error=1e-9))
+    assert isinstance(transcribed, SimultaneouslyTranscribed)
+    outcome = Ipopt().solve(transcribed.program)
+    before = _tiles.EVALUATE.compilations, _tiles.CURVE.compilations
+    found = transcribed.refined(outcome.point)
+    assert found is not None
+    finer, point = found
+    assert finer.program.start.size > transcribed.program.start.size
+    finer.program.evaluate(point)
+    finer.program.hessian.evaluate(point, 1.0, np.zeros(len(finer.program.constraint_lower)))
+    # Signals at the points of the mesh alone, which are affine in the decisions.
+    assert (_tiles.EVALUATE.compilations, _tiles.CURVE.compilations) == (before[0] + 1, before[1])
 
 
 def test_no_entry_of_the_hessian_couples_two_realisations():

@@ -18,7 +18,6 @@ from aleator.transcription.simultaneous._assembly import Curvature, Jacobian, Pa
 from aleator.transcription.simultaneous._blocks import Family
 from aleator.transcription.simultaneous._families import KNOWN, OBJECTIVE, PATHS, RATES, families
 from aleator.transcription.simultaneous._layout import Layout
-from aleator.transcription.simultaneous._mesh import Mesh
 from aleator.transcription.simultaneous._rows import Given, Rows, rows_of
 from aleator.transcription.simultaneous._signals import constant_slopes
 from aleator.transcription.simultaneous._tiles import Call, begin, calls_of, results, tile_size, tiles_of
@@ -30,7 +29,7 @@ def _calls(
     """The calls that evaluate all families: those that grow with the mesh are in tiles, and what is compiled of them
     serves every mesh; but signals, which differ at each of their points.
     """
-    first = replace(layout.plan, mesh=Mesh(tuple(layout.asked.grid.fractions.tolist()), layout.plan.mesh.scheme))
+    first = replace(layout.plan, mesh=replace(layout.plan.mesh, nodes=tuple(layout.asked.grid.fractions.tolist())))
     sizes = [(len(one.own), one.own.shape[1]) for one in every]
     sizes[RATES] = tile_size(sizes[RATES][0], len(first.mesh.asked))
     sizes[PATHS] = tile_size(*sizes[PATHS])
