@@ -408,6 +408,7 @@ _STUDIES: dict[str, tuple[Callable[..., Any], dict[str, Any], dict[str, Mapping[
         {
             "solver": NO_OBJECT,
             "warm_start": NO_OBJECT,
+            "deterministic_first": without(NO_OBJECT, "bool"),
             "start": without(NO_OBJECT, "dict")
             | {
                 "unknown": {"nobody": 1.0},

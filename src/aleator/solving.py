@@ -30,9 +30,9 @@ from aleator.certification import (
     untrusted,
     whether_misled,
 )
-from aleator.design import Problem, is_over_time
+from aleator.design import Problem, deterministic, is_over_time
 from aleator.nlp import AbstractSolver, Outcome, Status, feasible_elsewhere, moved_on
-from aleator.solution import TOLERATED, Between, Solution, WorstCase
+from aleator.solution import TOLERATED, AtMeans, Between, Solution, WorstCase
 from aleator.transcription import (
     DEFAULT,
     AbstractTranscribed,
@@ -44,6 +44,8 @@ from aleator.transcription import (
 
 # Ends of a search that a grid which is far off may have led astray.
 _UNSOLVED = (Status.INFEASIBLE, Status.FAILED, Status.ITERATION_LIMIT)
+# Ends of the deterministic problem that start nothing.
+_NO_START = (*_UNSOLVED, Status.EVALUATION_FAILED)
 # The finest accuracy of a grid that may be asked for.
 _FINEST = 1e-9
 
@@ -55,6 +57,7 @@ def solve(
     transcription: AbstractTranscription = DEFAULT,
     warm_start: Solution | None = None,
     start: Mapping[str, Any] | None = None,
+    deterministic_first: bool = False,
     between: int | None = None,
     accuracy: float = 1e-3,
     refine: bool = False,
@@ -68,6 +71,9 @@ def solve(
       points of its trajectories or others: curves are refitted over the fraction of time, other decisions are taken
       over by name. Where states are variables, they start from its own too, in the place of a guess;
     - `start`: values of decisions by name to start from, in the place of their own initial ones;
+    - `deterministic_first`: solve the problem with every distribution held at its mean first, and start from that: from
+      its decisions and, where states are variables, the states. For problems that are hard to start: a way for one
+      system is found sooner than for many. `solution.effort.at_means` tells how that ended;
     - `between`: limits over time are checked on a grid of so many times as many steps as well, and where they are
       exceeded between two instants, the bounds there are tightened until they hold; a solution that exceeds one by more
       than a thousandth of it nevertheless has failed. 1 leaves that out. By default 10 for systems that follow
@@ -88,17 +94,19 @@ def solve(
     """
     one_of("solve: transcription", transcription, AbstractTranscription, "al.Sequential()")
     solver = solver or transcription.solver
-    _check_arguments(problem, solver, warm_start, between, accuracy)
+    _check_arguments(problem, solver, warm_start, deterministic_first, between, accuracy)
     transcription = transcription if warm_start is None else transcription.starting_from(warm_start)
     first = _first(problem, transcription, warm_start, start)
     known = (None, None) if warm_start is None else (warm_start.multipliers, warm_start.certificate.worst_case)
     # Ctrl-C may be lost where Python cannot raise: in a callback of the garbage collector, of which JAX has one.
     with heeding() as heed, dropped_on_failure():
         stages = _Stages(transcription, solver, between, float(accuracy), _compile_seconds(transcription), heed)
+        stages, first, at_means = _from_means(stages, problem, first) if deterministic_first else (stages, first, None)
         answer = stages.answer(problem, first, *known)
         if refine:
             answer = _refined(stages, answer)
         solution = _with_opinion(stages, answer)
+        solution = replace(solution, effort=replace(solution.effort, at_means=at_means))
         heed()
     if throw and solution.status is Status.EVALUATION_FAILED:
         raise SimulationError(solution.message)
@@ -230,6 +238,27 @@ def _compile_seconds(transcription: AbstractTranscription) -> float:
     return transcription.compile_seconds() + REACHED.seconds
 
 
+def _from_means(
+    stages: _Stages, problem: Problem, first: np.ndarray | None
+) -> tuple[_Stages, np.ndarray | None, AtMeans | None]:
+    """The stages and the decisions that start from the answer to the deterministic problem, if it has one."""
+    if not problem.placements.germs:
+        return stages, first, None
+    try:
+        mean = stages._replace(between=1).answer(deterministic(problem), first, None).solution
+    except ProblemError:
+        # Without spreads a limit may be impossible that the problem itself can meet. What is wrong with both is told by
+        # the problem itself.
+        return stages, first, AtMeans(Status.INFEASIBLE, starts=False, iterations=0, evaluations=0)
+    starts = mean.status not in _NO_START
+    at_means = AtMeans(mean.status, starts, mean.effort.iterations, mean.effort.evaluations)
+    if not starts:
+        return stages, first, at_means
+    stages = stages._replace(transcription=stages.transcription.starting_from(mean))
+    # Controls on a refined mesh have more values than the problem's.
+    return stages, started_from(problem, mean), at_means
+
+
 def _refined(stages: _Stages, answer: _Answer) -> _Answer:
     """The answer on finer grids, until the error is tolerated or does not fall any more."""
     solutions = [answer.solution]
@@ -266,6 +295,7 @@ def _check_arguments(
     problem: Problem,
     solver: AbstractSolver,
     warm_start: Solution | None,
+    deterministic_first: bool,
     between: int | None,
     accuracy: float,
 ) -> None:
@@ -280,8 +310,14 @@ def _check_arguments(
             f"solve: expected `accuracy` as a number from {_FINEST:g} (64-bit arithmetic gives no more) to below 1; "
             f"received {accuracy!r}."
         )
+    if not isinstance(deterministic_first, bool):
+        raise ProblemError(f"solve: expected True or False as `deterministic_first`; received {deterministic_first!r}.")
     if warm_start is None:
         return
+    if deterministic_first:
+        raise ProblemError(
+            "solve: expected either `warm_start` or `deterministic_first`, for each says where to start; received both."
+        )
     if not isinstance(warm_start, Solution):
         raise ProblemError(f"solve: expected a Solution as `warm_start`; received {type(warm_start).__name__}.")
     if warm_start.problem.names != problem.names:

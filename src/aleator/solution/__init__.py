@@ -4,6 +4,7 @@ from aleator.solution._between import TOLERATED as TOLERATED
 from aleator.solution._between import Between as Between
 from aleator.solution._certificate import Certificate as Certificate
 from aleator.solution._constraint import ConstraintResult as ConstraintResult
+from aleator.solution._effort import AtMeans as AtMeans
 from aleator.solution._effort import Effort as Effort
 from aleator.solution._effort import Times as Times
 from aleator.solution._expansion import ExpansionQuality as ExpansionQuality

@@ -3,6 +3,8 @@
 from dataclasses import dataclass
 from typing import final
 
+from aleator.nlp import Status
+
 
 @final
 @dataclass(frozen=True)
@@ -19,17 +21,40 @@ class Times:
 
 @final
 @dataclass(frozen=True)
+class AtMeans:
+    """The deterministic problem where that was solved first.
+
+    - `status`: how it ended; `starts`: whether the problem itself was started from there;
+    - `iterations`, `evaluations`: see `Effort`.
+    """
+
+    status: Status
+    starts: bool
+    iterations: int
+    evaluations: int
+
+    def __str__(self) -> str:
+        end = "" if self.starts else f", which ended as '{self.status.value}' and started nothing"
+        return f"{self.iterations} iterations, {self.evaluations} evaluations for the deterministic problem{end}"
+
+
+@final
+@dataclass(frozen=True)
 class Effort:
     """Iterations, evaluations and times of a solve.
 
     - `solver`: its name and version; `iterations`: as the solver counts them, over all restarts;
-    - `evaluations`: points at which the problem was simulated; `times`: wall times.
+    - `evaluations`: points at which the problem was simulated; `times`: wall times;
+    - `at_means`: the deterministic problem, if that was solved first; its work is not counted in the others, except for
+      compilations.
     """
 
     solver: str
     iterations: int
     evaluations: int
     times: Times
+    at_means: AtMeans | None = None
 
     def __str__(self) -> str:
-        return f"{self.iterations} iterations, {self.evaluations} evaluations; {self.times}"
+        before = "" if self.at_means is None else f"after {self.at_means}: "
+        return f"{before}{self.iterations} iterations, {self.evaluations} evaluations; {self.times}"
