@@ -86,13 +86,11 @@ class Jacobian:
         keys = terms.row[which].astype(np.int64) * count + columns[entry]
         known = linear.tocoo()
         own = known.row.astype(np.int64) * count + known.col
-        every = np.unique(np.concatenate([own, keys]))
-        sparsity = _pattern(every, linear.shape)
-        constant = np.zeros(every.size)
-        np.add.at(constant, np.searchsorted(every, own), known.data)
-        places = np.searchsorted(every, keys)
-        gather = scipy.sparse.csr_array((terms.data[which], (places, entry)), shape=(every.size, rows.size))
-        return cls(sparsity, constant, gather)
+        every, places = np.unique(np.concatenate([own, keys]), return_inverse=True)
+        constant = np.bincount(places[: own.size], known.data, minlength=every.size)
+        adding = terms.data[which], (places[own.size :], entry)
+        gather = scipy.sparse.csr_array(adding, shape=(every.size, rows.size))
+        return cls(_pattern(every, linear.shape), constant, gather)
 
     def at(self, entries: Float[np.ndarray, " block_entries"]) -> SparseMatrix:
         """The matrix, from the entries of the blocks' Jacobians."""
