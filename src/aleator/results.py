@@ -11,6 +11,7 @@ from aleator.solution import AtMeans as AtMeans
 from aleator.solution import Between as Between
 from aleator.solution import Certificate as Certificate
 from aleator.solution import ConstraintResult as ConstraintResult
+from aleator.solution import Costates as Costates
 from aleator.solution import Deviation as Deviation
 from aleator.solution import Effort as Effort
 from aleator.solution import ExpansionQuality as ExpansionQuality
@@ -19,6 +20,7 @@ from aleator.solution import MeshError as MeshError
 from aleator.solution import Moments as Moments
 from aleator.solution import SecondOpinion as SecondOpinion
 from aleator.solution import States as States
+from aleator.solution import Switching as Switching
 from aleator.solution import Tangent as Tangent
 from aleator.solution import Times as Times
 from aleator.solution import WorstCase as WorstCase

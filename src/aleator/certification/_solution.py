@@ -39,6 +39,7 @@ def solution_of(
     meaning, resolved = transcribed.at(outcome.point), transcribed.resolve(outcome.point)
     names, decided = places.entry_names(), transcribed.decided
     entries = dict(zip(decided.tolist(), names, strict=True))
+    costates, switching = transcribed.costates_at(outcome.point, outcome.multipliers)
     # Limits on the worst case use the model itself.
     asked = {one.text() for one in expanded_functionals(problem.expressions)}
     expanded = {text: one for text, one in resolved.items() if text in asked}
@@ -74,6 +75,8 @@ def solution_of(
         ),
         meshes=transcribed.meshes_at(outcome.point),
         states=transcribed.states_at(outcome.point),
+        costates=costates,
+        switching=switching,
     )
 
 

@@ -4,6 +4,8 @@ from aleator.solution._between import TOLERATED as TOLERATED
 from aleator.solution._between import Between as Between
 from aleator.solution._certificate import Certificate as Certificate
 from aleator.solution._constraint import ConstraintResult as ConstraintResult
+from aleator.solution._costates import Costates as Costates
+from aleator.solution._costates import Switching as Switching
 from aleator.solution._effort import AtMeans as AtMeans
 from aleator.solution._effort import Effort as Effort
 from aleator.solution._effort import Times as Times

@@ -12,6 +12,7 @@ from aleator.design import Problem, grid_at
 from aleator.nlp import Status
 from aleator.solution._certificate import Certificate, lines
 from aleator.solution._constraint import ConstraintResult
+from aleator.solution._costates import Costates, Switching
 from aleator.solution._effort import Effort
 from aleator.solution._expansion import Moments
 from aleator.solution._mesh import MeshError
@@ -35,7 +36,8 @@ class Solution:
       own bounds, by name;
     - `certificate`: how far the answer can be trusted; `effort`: iterations, evaluations and times;
     - `meshes`: of a simultaneous program, with their errors, the one of the answer last; empty for others;
-    - `states`: of all realisations of a simultaneous program; None where states are simulated.
+    - `states`: of all realisations of a simultaneous program; `costates`: by what a push of a state would change the
+      objective; `switching`: by what a push of an input would. None where states are simulated.
     """
 
     problem: Problem
@@ -55,6 +57,8 @@ class Solution:
     effort: Effort
     meshes: tuple[MeshError, ...] = ()
     states: States | None = None
+    costates: Costates | None = None
+    switching: Switching | None = None
 
     @property
     def ok(self) -> bool:

@@ -14,7 +14,7 @@ from aleator._core.compilation import Compiled, Use
 from aleator.design import Problem, functionals_of, history, refuse_changed_code
 from aleator.expansion import Basis, Collocation
 from aleator.nlp import AbstractSolver, NonlinearProgram, default_solver
-from aleator.solution import MeshError, Solution, States
+from aleator.solution import Costates, MeshError, Solution, States, Switching
 from aleator.statistics import Constants
 from aleator.transcription._discretisation import RESPOND, Discretised
 from aleator.transcription._resolution import RESOLVE, Resolved
@@ -107,6 +107,15 @@ class AbstractTranscribed(abc.ABC):
         """The states at a point of the program; None where they are simulated."""
         del point
         return None
+
+    def costates_at(
+        self, point: Float[np.ndarray, " variables"], multipliers: Float[np.ndarray, " rows"]
+    ) -> tuple[Costates, Switching] | tuple[None, None]:
+        """The costates at a point with multipliers of the program's rows, and the switching functions; None where
+        states are simulated.
+        """
+        del point, multipliers
+        return None, None
 
     def refined(self, point: Float[np.ndarray, " variables"]) -> tuple[Self, Float[np.ndarray, " variables"]] | None:
         """The problem on a finer mesh, and the point there that a point of this program stands for.

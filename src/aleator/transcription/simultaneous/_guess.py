@@ -170,9 +170,10 @@ def state_shapes(problem: Problem) -> dict[str, tuple[int, ...]]:
     def first() -> Any:
         system = realise(problem.simulation, germ, decisions).system
         assert isinstance(system, System)
-        return initial_state(system)._asdict()
+        return initial_state(system)
 
-    return {name: one.shape for name, one in jax.eval_shape(first).items()}
+    # The names after tracing: a dict that is traced comes back in alphabetical order.
+    return {name: one.shape for name, one in jax.eval_shape(first)._asdict().items()}
 
 
 def interpolated(

@@ -81,6 +81,20 @@ class Pointwise:
         """Whether signals may jump at instants of the mesh."""
         return self._tells(lambda system, inputs: has_jumps({**system.signals(), **inputs}))
 
+    @property
+    def signal_shapes(self) -> dict[str, tuple[int, ...]]:
+        """The shape of each signal by name, in the order of `known`; none where they are uncertain."""
+        found: dict[str, tuple[int, ...]] = {}
+
+        def told(decisions: Array) -> Array:
+            system, grid, inputs = self._known_parts(decisions)
+            found.update(known_at(system, grid, inputs, np.zeros(1)).inputs)
+            return decisions
+
+        if not self.is_random:
+            jax.eval_shape(told, jnp.zeros(self.problem.placements.size))
+        return found
+
     def _tells(self, told: Callable[[System, Inputs], bool]) -> bool:
         """Whether something holds for the signals of a realisation; nothing is computed."""
         found: list[bool] = []

@@ -148,6 +148,12 @@ class Assembled:
         count, decisions = self.slopes.shape
         return self.blocks(variables)[0][:count] + self.slopes @ variables[:decisions]
 
+    def rate_slopes(self, variables: Float[np.ndarray, " n"]) -> Float[np.ndarray, "realisations asked rates columns"]:
+        """The derivatives of the rates by what each block of them depends on: the signals and the states come last."""
+        sizes = [math.prod(one.shape) for one in self.evaluated.patterns]
+        first = sum(sizes[:RATES])
+        return self.blocks(variables)[1][first : first + sizes[RATES]].reshape(*self.rates.shape, -1)
+
     def constraints(self, variables: Float[np.ndarray, " n"]) -> Float[np.ndarray, " rows"]:
         """The rows of the program."""
         return self.rows.linear @ variables + self.rows.combined @ self.blocks(variables)[0]

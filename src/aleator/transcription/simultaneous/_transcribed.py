@@ -25,7 +25,7 @@ from aleator.design import (
 )
 from aleator.dynamics import Grid
 from aleator.nlp import HELD, Evaluation, Magnitudes, NonlinearProgram
-from aleator.solution import MeshError, States
+from aleator.solution import Costates, MeshError, States, Switching
 from aleator.statistics import Constants
 from aleator.transcription._abstract import AbstractTranscribed, Meaning
 from aleator.transcription._discretisation import Discretised
@@ -36,6 +36,7 @@ from aleator.transcription._scenarios import Scenarios
 from aleator.transcription._scope import ExpansionScope
 from aleator.transcription._texts import Texts
 from aleator.transcription.simultaneous._controls import followed, whole_parts
+from aleator.transcription.simultaneous._costates import adjoint
 from aleator.transcription.simultaneous._first_point import started
 from aleator.transcription.simultaneous._guess import state_shapes
 from aleator.transcription.simultaneous._layout import Layout, Plan
@@ -171,11 +172,27 @@ class SimultaneouslyTranscribed(AbstractTranscribed):
 
     @override
     def states_at(self, point: Float[np.ndarray, " variables"]) -> States:
-        values, grid = self.layout.view(point), self.layout.asked.grid
         shapes = state_shapes(self.problem)
-        parts = apart(values.states, list(shapes.values()))
-        times = float(grid.t_start) + self.layout.plan.mesh.fractions * float(values.duration[0])
+        parts = apart(self.layout.view(point).states, list(shapes.values()))
+        times = self._instants(point, self.layout.plan.mesh.fractions)
         return States(times, self.points, dict(zip(shapes, parts, strict=True)))
+
+    @override
+    def costates_at(
+        self, point: Float[np.ndarray, " variables"], multipliers: Float[np.ndarray, " rows"]
+    ) -> tuple[Costates, Switching]:
+        found, mesh = adjoint(self.layout, self.assembled, point, multipliers), self.layout.plan.mesh
+        states, signals = state_shapes(self.problem), self.layout.asked.signal_shapes
+        nodes, asked = self._instants(point, np.array(mesh.nodes)), self._instants(point, mesh.fractions[mesh.asked])
+        by_state = dict(zip(states, apart(found.states, list(states.values())), strict=True))
+        by_signal = dict(zip(signals, apart(found.signals, list(signals.values())), strict=True))
+        return Costates(nodes, self.points, by_state), Switching(asked, by_signal)
+
+    def _instants(
+        self, point: Float[np.ndarray, " variables"], fractions: Float[np.ndarray, " n"]
+    ) -> Float[np.ndarray, " n"]:
+        """Fractions of the duration as times, s."""
+        return float(self.layout.asked.grid.t_start) + fractions * float(self.layout.view(point).duration[0])
 
     def _rates(self, point: Float[np.ndarray, " variables"]) -> Float[np.ndarray, "realisations asked rates"]:
         return self.assembled.blocks(point)[0][self.assembled.rates]

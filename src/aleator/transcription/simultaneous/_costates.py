@@ -1,0 +1,59 @@
+"""Costates and switching functions, from the multipliers of a simultaneous program's defects.
+
+The Lagrangian is `f + λᵀ c`. A defect says `x_i - x_0 - h Σ_j w_ij r_j = 0` of the states at the points of an interval
+and of the rates at its stages: so each rate has the weight `-h Σ_i λ_i w_ij`, and each integrand that of its integral.
+A node's state belongs to two intervals. The costate is the derivative by the state that the later one begins with and
+that is recorded: as the Lagrangian is stationary, minus the derivative of the earlier interval's defects. Divided by
+the scheme's quadrature, weighted derivatives of rates are those of the Hamiltonian (Hager, Numerische Mathematik 87,
+2000).
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from aleator.transcription.simultaneous._layout import Layout
+from aleator.transcription.simultaneous._program import Assembled
+
+
+class Adjoint(NamedTuple):
+    """Costates at the nodes, and the derivatives of the Hamiltonian by the signals at the points where rates are asked.
+
+    - `states`: shape (realisations, nodes, states); `signals`: shape (asked, signals).
+    """
+
+    states: Float[np.ndarray, "realisations nodes states"]
+    signals: Float[np.ndarray, "asked signals"]
+
+
+def adjoint(
+    layout: Layout,
+    assembled: Assembled,
+    point: Float[np.ndarray, " variables"],
+    multipliers: Float[np.ndarray, " rows"],
+) -> Adjoint:
+    """Those at a point of a program with multipliers of its rows."""
+    mesh, numbers, ties = layout.plan.mesh, layout.numbers, assembled.rows.ties
+    duration = float(point[numbers.duration[0]])
+    of_variable = np.zeros(layout.count)
+    of_variable[ties.variables] = multipliers[ties.rows]
+    defects, integrals = of_variable[numbers.states], of_variable[numbers.integrals]
+    slopes, shapes = assembled.rate_slopes(point), layout.shapes
+    first = slopes.shape[-1] - shapes.states
+    by_signals, by_states = slopes[..., first - shapes.signals : first], slopes[..., first:]
+
+    lengths, scheme = mesh.lengths, mesh.scheme
+    of_defects = np.einsum("k,rkis,ij->rkjs", lengths, defects[:, mesh.points[:, 1:]], scheme.weights)
+    of_integrals = np.einsum("k,ri,j->rkji", lengths, integrals, scheme.weights[-1])
+    weights = -np.concatenate([of_defects, of_integrals], axis=3)
+
+    before = -defects[:, mesh.points[:, -1]]
+    if scheme.nodes[-1] == 1:
+        before = before - np.einsum("rkm,rkms->rks", weights[:, :, -1], by_states[:, mesh.stages[:, -1]])
+    states = np.concatenate([-defects[:, :1], before], axis=1)
+
+    told = np.zeros((len(mesh.asked), by_signals.shape[-1]))
+    each = np.einsum("rkjm,rkjms->kjs", weights, by_signals[:, mesh.stages])
+    np.add.at(told, mesh.stages, each)
+    return Adjoint(states, told / (duration * mesh.weights[:, None]))
