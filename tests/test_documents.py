@@ -31,6 +31,7 @@ def run(program: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
         "docs/guide.md",
         "docs/extending.md",
         pytest.param("docs/uncertainty.md", marks=pytest.mark.slow),
+        "docs/algebraic.md",
         "docs/motion.md",
         "docs/transcriptions.md",
     ],

@@ -20,8 +20,17 @@ from aleator._core.tracing import trace
 from aleator.analysis._expanded import Expanded
 from aleator.analysis._galerkin_equations import projected_outputs, unsolved_node
 from aleator.analysis._projection import Quadrature, quadrature_over
-from aleator.dynamics import AbstractIntegrator, AlgebraicSystem, Grid, System, simulate
-from aleator.dynamics._system import check_inputs, derivative, initial_state, observation
+from aleator.dynamics import (
+    AbstractIntegrator,
+    AlgebraicSystem,
+    Grid,
+    System,
+    check_inputs,
+    derivative,
+    initial_state,
+    observation,
+    simulate,
+)
 from aleator.ensemble import concrete
 from aleator.expansion import Adaptive, Basis, Expansion
 from aleator.trajectories import AbstractSignal

@@ -12,7 +12,8 @@ from jaxtyping import Array, Float
 
 from aleator.analysis._projection import Quadrature
 from aleator.dynamics import AlgebraicSystem, explain_failure, solve_algebraic
-from aleator.dynamics._algebraic import constant_terms, equations, first_guess, outputs_at
+from aleator.dynamics._algebraic import equations, first_guess, outputs_at
+from aleator.dynamics._named_roots import constant_terms
 from aleator.dynamics._newton import newton
 
 
@@ -35,7 +36,10 @@ def projected_outputs(realised: AlgebraicSystem, quadrature: Quadrature) -> dict
         values = _at_nodes(lambda one, rho: equations(one, rho, at_node), realised, quadrature, named(vector))
         return jnp.ravel(quadrature.project(values))
 
-    sizes = eqx.filter_vmap(lambda one, rho: constant_terms(one, rho, at_node))(realised, guesses)
+    def terms_of(one: AlgebraicSystem, rho: Any) -> Float[Array, " equations"]:
+        return constant_terms(lambda numbers: equations(numbers, rho, at_node), one)
+
+    sizes = eqx.filter_vmap(terms_of)(realised, guesses)
     root = newton(left, start, jnp.ravel(jnp.abs(quadrature.projection) @ sizes), _numbers_expanded(guess))
     outputs = _projected_at(realised, quadrature, named(root.point))
     return {name: jnp.where(root.converged, terms, jnp.nan) for name, terms in outputs.items()}

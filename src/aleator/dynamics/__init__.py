@@ -8,9 +8,17 @@ from aleator.dynamics._algebraic import Solved as Solved
 from aleator.dynamics._algebraic import explain_failure as explain_failure
 from aleator.dynamics._algebraic import solve_algebraic as solve_algebraic
 from aleator.dynamics._assembly import Assembly as Assembly
+from aleator.dynamics._evaluation import derivative as derivative
+from aleator.dynamics._evaluation import initial_state as initial_state
+from aleator.dynamics._evaluation import observation as observation
 from aleator.dynamics._grid import AbstractGrid as AbstractGrid
 from aleator.dynamics._grid import Grid as Grid
 from aleator.dynamics._grid import Instant as Instant
+from aleator.dynamics._index_one import algebraic_residuals as algebraic_residuals
+from aleator.dynamics._index_one import completed as completed
+from aleator.dynamics._index_one import guessed_algebraic as guessed_algebraic
+from aleator.dynamics._index_one import solved_algebraic as solved_algebraic
+from aleator.dynamics._index_one import with_algebraic as with_algebraic
 from aleator.dynamics._instantaneous import Known as Known
 from aleator.dynamics._instantaneous import known_at as known_at
 from aleator.dynamics._instantaneous import observed_at as observed_at
@@ -19,6 +27,8 @@ from aleator.dynamics._integrators import Inputs as Inputs
 from aleator.dynamics._integrators import RungeKutta4 as RungeKutta4
 from aleator.dynamics._newton import Root as Root
 from aleator.dynamics._newton import newton as newton
+from aleator.dynamics._observed_states import STATES as STATES
+from aleator.dynamics._observed_states import ObservedStates as ObservedStates
 from aleator.dynamics._record import Asked as Asked
 from aleator.dynamics._record import History as History
 from aleator.dynamics._record import Record as Record
@@ -34,7 +44,4 @@ from aleator.dynamics._simulation import simulation_of as simulation_of
 from aleator.dynamics._system import System as System
 from aleator.dynamics._system import called as called
 from aleator.dynamics._system import check_inputs as check_inputs
-from aleator.dynamics._system import derivative as derivative
-from aleator.dynamics._system import initial_state as initial_state
 from aleator.dynamics._system import input_names as input_names
-from aleator.dynamics._system import observation as observation

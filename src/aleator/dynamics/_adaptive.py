@@ -12,10 +12,13 @@ from jaxtyping import Array, Float
 from typing_extensions import override
 
 from aleator._core import given
+from aleator.dynamics._evaluation import derivative, initial_state
 from aleator.dynamics._grid import Grid
+from aleator.dynamics._index_one import completed
+from aleator.dynamics._index_one_failure import explain_algebraic, explain_from, inputs_on
 from aleator.dynamics._integrators import AbstractIntegrator, Inputs
 from aleator.dynamics._record import Asked, Record
-from aleator.dynamics._system import System, derivative, initial_state
+from aleator.dynamics._system import System
 from aleator.trajectories import instants, jumps_of
 
 # Smaller tolerances cannot be met in 64-bit arithmetic.
@@ -52,11 +55,7 @@ class AbstractAdaptive(AbstractIntegrator):
     def record(self, system: System, grid: Grid, inputs: Inputs, asked: Asked) -> Record:
         import diffrax  # late: its import takes as long as everything else
 
-        stretched = {name: signal.over(grid.t_start, grid.t_final) for name, signal in inputs.items()}
-
-        def now(t: Any) -> dict[str, Array]:
-            return {name: signal(t) for name, signal in stretched.items()}
-
+        now = inputs_on(grid, inputs)
         first = grid.times[0]
         start = initial_state(system, first, now(first))
         shapes = jax.eval_shape(lambda: asked.rates(system, first, start, now(first)))
@@ -64,11 +63,13 @@ class AbstractAdaptive(AbstractIntegrator):
         carried, structure = jax.tree.flatten((start, jax.tree.map(lambda one: jnp.zeros(one.shape), shapes)))
 
         def rates(t: Any, carried: list[Array], _: Any) -> list[Array]:
-            z, u = jax.tree.unflatten(structure, carried)[0], now(t)
+            u = now(t)
+            z = completed(system, t, jax.tree.unflatten(structure, carried)[0], u)
             return jax.tree.leaves((derivative(system, t, z, u), asked.rates(system, t, z, u)))
 
         def observed(t: Any, carried: list[Array]) -> tuple[Any, Any, Any]:
             (z, integrals), u = jax.tree.unflatten(structure, carried), now(t)
+            z = completed(system, t, z, u)
             halfway = asked.at_node(system, t, z, u) if asked.nodes else {}
             return asked.at_instant(system, t, z, u), halfway, integrals
 
@@ -87,10 +88,7 @@ class AbstractAdaptive(AbstractIntegrator):
     def explain(self, system: System, grid: Grid, inputs: Inputs) -> str:
         import diffrax
 
-        stretched = {name: signal.over(grid.t_start, grid.t_final) for name, signal in inputs.items()}
-
-        def now(t: Any) -> dict[str, Array]:
-            return {name: signal(t) for name, signal in stretched.items()}
+        now = inputs_on(grid, inputs)
 
         def rates(t: Any, z: Any, _: Any) -> Any:
             return derivative(system, t, z, now(t))
@@ -102,8 +100,13 @@ class AbstractAdaptive(AbstractIntegrator):
 
         solution = tried(self.max_steps)
         if bool(solution.result == diffrax.RESULTS.successful):
-            return ""
+            return (
+                explain_algebraic(system, grid, inputs, self.course(system, grid, inputs)) if system.algebraic else ""
+            )
         name, first, reached = type(self).__name__, float(grid.t_start), float(solution.ts[-1])
+        arrived = jax.tree.map(lambda one: one[-1], solution.ys)
+        if system.algebraic and (found := explain_from(system, reached, arrived, float(grid.step), now)):
+            return found
         halfway = float(tried(max(self.max_steps // 2, 1)).ts[-1])
         if bool(solution.result == diffrax.RESULTS.max_steps_reached) and reached - halfway > _STUCK * (
             reached - first

@@ -1,28 +1,22 @@
 """`AlgebraicSystem`: outputs in closed form, or from implicit equations for named unknowns, and their solution."""
 
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any, ClassVar, NamedTuple
 
-import equinox as eqx
-import jax
 import jax.numpy as jnp
-import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, Int
 from typing_extensions import override
 
-from aleator._core.arrays import is_number, numbers_to_arrays
 from aleator._core.compilation import Use
 from aleator._core.errors import ProblemError
-from aleator._core.given import traceable
-from aleator._core.leaves import named_leaves
 from aleator._core.tracing import trace
 from aleator.dynamics._abstract_system import AbstractSystem
-from aleator.dynamics._newton import Root, newton
-from aleator.dynamics._system import as_outputs, called, starting, state_type
-
-_GOLDEN = (5**0.5 - 1) / 2
+from aleator.dynamics._named_roots import Named, failure_text, listed, named_root, numbers_in
+from aleator.dynamics._newton import Root
+from aleator.dynamics._returned import as_equations, as_outputs, starting
+from aleator.dynamics._system import called, state_type
 
 
 class AlgebraicSystem(AbstractSystem):
@@ -136,13 +130,9 @@ def explain_failure(system: AlgebraicSystem) -> str:
     root = trace(lambda: _root(system, guess)[0], use=Use.ONCE)()
     if root.converged:
         return ""
-    worst = int(np.argmax(np.nan_to_num(np.abs(root.relative), nan=np.inf)))
     return (
-        f"{type(system).__name__}: Newton found no solution at {_listed(_numbers(system)) or 'any numbers'}. From the "
-        f"guess {_listed(guess._asdict())} it reached in {int(root.steps)} steps "
-        f"{_listed(named(root.point)._asdict())}, where equation {worst + 1} of {root.relative.size} is left with a "
-        f"residual of {float(root.residuals[worst]):.3g}{_remark(root)}. Check whether a solution exists there, and "
-        "guess closer to it."
+        f"{type(system).__name__}: Newton found no solution at {listed(numbers_in(system)) or 'any numbers'}. "
+        f"{failure_text(root, named, guess)} Check whether a solution exists there, and guess closer to it."
     )
 
 
@@ -185,49 +175,9 @@ def _check_declared(system: AlgebraicSystem) -> None:
         ) from None
 
 
-def _numbers(system: AlgebraicSystem) -> dict[str, Any]:
-    """The numbers in the fields of a realised system, by name."""
-    return {name: leaf for name, leaf in named_leaves(system) if is_number(leaf) or isinstance(leaf, int)}
-
-
-def _remark(root: Root) -> str:
-    if not np.isfinite(root.residuals).all():
-        return ", which is not a finite number"
-    if not root.regular:
-        return "; the Jacobian is singular there: the equations do not determine the unknowns, or two solutions meet"
-    return ""
-
-
-def _listed(numbers: Mapping[str, Any]) -> str:
-    style: Any = {"float_kind": "{:.6g}".format}
-    return ", ".join(f"{name}={np.array2string(np.asarray(value), formatter=style)}" for name, value in numbers.items())
-
-
-def _root(system: AlgebraicSystem, guess: Any) -> tuple[Root, Callable[[Array], Any]]:
-    """The root, with all unknowns as one vector, and the function that turns such a vector into a named tuple."""
-    start, named = ravel_pytree(guess)
-    terms = constant_terms(system, guess, start.size)
-    return newton(lambda vector: equations(system, named(vector), start.size), start, terms), named
-
-
-def constant_terms(system: AlgebraicSystem, guess: Any, expected: int) -> Float[Array, " n"]:
-    """The magnitudes of the terms that the system's own numbers add to each equation: their rounding limits the
-    unknowns.
-
-    Computed by derivatives along all numbers at once, with weights under which terms of opposite sign do not cancel.
-    """
-    dynamic, static = eqx.partition(numbers_to_arrays(system), eqx.is_inexact_array)
-    numbers, combined = ravel_pytree(dynamic)
-    if not numbers.size:
-        return jnp.zeros(expected)
-    order = np.arange(1, numbers.size + 1)
-    weights = np.stack([0.5 + order * _GOLDEN % 1, (-1.0) ** order * (0.5 + order * _GOLDEN**2 % 1)])
-
-    def of(given: Float[Array, " numbers"]) -> Float[Array, " n"]:
-        return equations(eqx.combine(combined(given), static), guess, expected)
-
-    _, along = jax.vmap(lambda weight: jax.jvp(of, (numbers,), (numbers * weight,)))(jnp.asarray(weights))
-    return jnp.nan_to_num(jnp.abs(along).max(axis=0), nan=0.0, posinf=0.0)
+def _root(system: AlgebraicSystem, guess: Any) -> tuple[Root, Named]:
+    size = ravel_pytree(guess)[0].size
+    return named_root(lambda one, rho: equations(one, rho, size), system, guess)
 
 
 def first_guess(system: AlgebraicSystem) -> Any:
@@ -243,14 +193,4 @@ def first_guess(system: AlgebraicSystem) -> Any:
 
 def equations(system: AlgebraicSystem, rho: Any, expected: int) -> Float[Array, " n"]:
     """`system.residual` as one vector, checked (at trace time) to have as many entries as there are unknowns."""
-    values = called(system, system.residual, rho)
-    name = type(system).__name__
-    if not isinstance(values, tuple | list):
-        raise ProblemError(f"{name}.residual returns the equations as a tuple; received {values!r}.")
-    vector = jnp.concatenate([jnp.zeros(0), *(jnp.ravel(traceable(f"{name}.residual", value)) for value in values)])
-    if vector.size != expected:
-        raise ProblemError(
-            f"{name}.residual: expected as many equations as there are numbers in the unknowns {system.unknowns}, "
-            f"{expected}; received {vector.size}."
-        )
-    return vector
+    return as_equations(system, called(system, system.residual, rho), system.unknowns, expected)

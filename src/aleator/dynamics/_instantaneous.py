@@ -13,10 +13,11 @@ from jaxtyping import Array, Float
 
 from aleator._core.arrays import Pytree
 from aleator._core.equations import derived
+from aleator.dynamics._evaluation import initial_state, observation
 from aleator.dynamics._grid import Grid
 from aleator.dynamics._integrators import Inputs, sampled
 from aleator.dynamics._record import Asked, Record
-from aleator.dynamics._system import System, initial_state, observation
+from aleator.dynamics._system import System
 from aleator.trajectories import before_jumps, has_jumps, instants
 
 Fractions: TypeAlias = Float[np.ndarray, " n"]

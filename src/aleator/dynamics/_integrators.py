@@ -15,9 +15,15 @@ from jaxtyping import Array, Float
 from typing_extensions import override
 
 from aleator._core.arrays import Pytree
+from aleator._core.compilation import Use
+from aleator._core.tracing import trace
+from aleator.dynamics._evaluation import derivative, initial_state
 from aleator.dynamics._grid import Grid
+from aleator.dynamics._index_one import completed
+from aleator.dynamics._index_one_failure import explain_algebraic
+from aleator.dynamics._observed_states import STATES, ObservedStates
 from aleator.dynamics._record import Asked, Record
-from aleator.dynamics._system import System, derivative, initial_state
+from aleator.dynamics._system import System
 from aleator.trajectories import AbstractSignal, before_jumps, has_jumps
 
 Inputs = dict[str, AbstractSignal]
@@ -38,6 +44,12 @@ class AbstractIntegrator(eqx.Module):
         """Why it fails on one realised system, with the remedy; empty if it does not fail, or cannot tell."""
         del system, grid, inputs
         return ""
+
+    def course(self, system: System, grid: Grid, inputs: Inputs) -> Float[np.ndarray, "instants states"]:
+        """The states of one realised system side by side at every instant."""
+        asked = Asked(frozenset({STATES}))
+        rows = trace(lambda: self.record(ObservedStates(system), grid, inputs, asked).history[STATES], use=Use.ONCE)
+        return np.asarray(rows())
 
     def refined(self) -> "AbstractIntegrator":
         """The same integrator with smaller tolerances, if it has any: most follow the steps of the grid."""
@@ -75,6 +87,7 @@ class AbstractFixedStep(AbstractIntegrator):
         between = [sampled(inputs, grid, grid.fractions[:-1] + node / grid.steps) for node in inner]
 
         def rates(t: Array, z: Pytree, u: dict[str, Array]) -> tuple[Pytree, tuple[Array, ...]]:
+            z = completed(system, t, z, u)
             return derivative(system, t, z, u), asked.rates(system, t, z, u)
 
         def advance(carried: tuple[Pytree, Pytree], now: tuple) -> tuple[tuple[Pytree, Pytree], tuple[Any, Any]]:
@@ -111,6 +124,12 @@ class AbstractFixedStep(AbstractIntegrator):
         first = asked.at_instant(system, grid.times[0], start, now)
         history = {name: jnp.concatenate([first[name][None], rest[name]]) for name in first}
         return Record(history, _interleaved(history, middles), integrals)
+
+    @override
+    def explain(self, system: System, grid: Grid, inputs: Inputs) -> str:
+        if not system.algebraic:
+            return ""
+        return explain_algebraic(system, grid, inputs, self.course(system, grid, inputs))
 
 
 def _rate_shapes(asked: Asked, system: System, grid: Grid, start: Any, now: dict[str, Array]) -> Any:

@@ -6,7 +6,8 @@ from typing import Any, NamedTuple, TypeAlias
 from jaxtyping import Array, Float
 
 from aleator._core.errors import ProblemError
-from aleator.dynamics._system import System, observation
+from aleator.dynamics._evaluation import observation
+from aleator.dynamics._system import System
 
 History: TypeAlias = dict[str, Float[Array, "instants ..."]]
 Integrand: TypeAlias = Callable[[Mapping[str, Array]], Float[Array, "..."]]

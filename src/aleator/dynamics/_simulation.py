@@ -16,7 +16,7 @@ from aleator.dynamics._instantaneous import observed
 from aleator.dynamics._integrators import AbstractIntegrator, Inputs, RungeKutta4
 from aleator.dynamics._record import Asked, History, Record, chosen
 from aleator.dynamics._refusals import check_signals, refuse_unrealised
-from aleator.dynamics._system import System, state_type
+from aleator.dynamics._system import System, check_variables
 from aleator.trajectories import AbstractSignal, least_steps
 
 
@@ -45,7 +45,7 @@ class Simulation(eqx.Module):
         parts = math.lcm(least_steps((self.system, self.inputs)), grid.steps) // grid.steps
         if parts > 1:
             return self.on(grid.finer(parts)).record(asked).thinned(parts)
-        state_type(self.system.states)
+        check_variables(self.system)
         check_signals(self.system, grid, self.inputs)
         system = self.system
         if asked.instants is not None:
@@ -103,7 +103,7 @@ def simulate(
     Returns a dict of arrays of shape (instants, ...). The default integrator is `RungeKutta4`. An `AlgebraicSystem` has
     one instant and takes no grid, inputs or integrator: `simulate(system)`. A system without states is not integrated
     either: its outputs follow from its inputs at each instant. `only` lists the names of the outputs wanted (default:
-    all). Where the equations could not be solved, or an adaptive integrator gives up, the outputs are NaN.
+    all). Where equations could not be solved, or an adaptive integrator gives up, the outputs are NaN.
 
     Raises `ProblemError` if system, grid or inputs contain a distribution or a decision, if grid or inputs do not match
     the system, if a signal is not known on the whole grid (unless traced), or if `only` names an output that the system

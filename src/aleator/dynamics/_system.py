@@ -9,19 +9,18 @@ from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
-import numpy as np
-from jax.core import Tracer
 from jaxtyping import Array
 from typing_extensions import override
 
 from aleator._core.errors import AleatorError, ProblemError
-from aleator._core.given import traceable
 from aleator.dynamics._abstract_system import AbstractSystem
 from aleator.trajectories import AbstractSignal
 
 # The longest quotation of another library's error message.
 _LONGEST = 160
+
+# The methods of a system with algebraic variables.
+_IMPLICIT = ("residual", "algebraic_guess")
 
 
 class System(AbstractSystem):
@@ -33,12 +32,20 @@ class System(AbstractSystem):
     inputs that it names (all of them, if it ends in `**inputs`). `signal_fields` are the fields that only `signals`
     reads.
 
+    Variables without rates, which follow at each instant from equations, are named in `algebraic`, and the equations
+    are written as `residual(self, t, z, road)`: as many numbers, all of them zero. The state then has them too,
+    `z.pressure`, in `rhs`, `outputs` and `residual`. Their values near a solution come from
+    `algebraic_guess(self, t, z, road)`, whose `z` has the states alone; zero by default. Of several solutions Newton's
+    method finds the one it reaches from this guess, so let the guess depend on what tells them apart. The equations
+    must determine the algebraic variables at a fixed state (index 1).
+
     Their signatures are open here, so that each system names its own inputs. `units` may give the units of outputs, for
     reports.
     """
 
     has_time: ClassVar[bool] = True
     states: ClassVar[tuple[str, ...]]
+    algebraic: ClassVar[tuple[str, ...]] = ()
     signal_fields: ClassVar[tuple[str, ...]] = ()
 
     @property
@@ -54,6 +61,16 @@ class System(AbstractSystem):
     @override
     def outputs(self, *args: Any, **kwargs: Any) -> dict[str, Any]:
         """`outputs(self, t, z, ...)`: quantities of interest by name, such as accelerations, distances and forces."""
+
+    def residual(self, *args: Any, **kwargs: Any) -> Any:
+        """`residual(self, t, z, ...)`: the equations of the algebraic variables, a sequence of numbers that vanish."""
+        del args, kwargs
+        return ()
+
+    def algebraic_guess(self, *args: Any, **kwargs: Any) -> Mapping[str, Any]:
+        """`algebraic_guess(self, t, z, ...)`: values near the algebraic variables by name; those not named are zero."""
+        del args, kwargs
+        return {}
 
     def initial(self) -> Mapping[str, Any]:
         """Initial values by state; states not named start at zero."""
@@ -92,79 +109,7 @@ def _state_type(names: tuple[str, ...]) -> Any:
         ) from error
 
 
-def initial_state(system: System, t: Any = None, inputs: Mapping[str, Any] | None = None) -> Any:
-    """The initial state as a named tuple of arrays: at the time `t`, with the inputs there, if these are given."""
-    given = system.initial() if inputs is None else system.starting(t, inputs)
-    if not isinstance(given, Mapping):
-        raise ProblemError(
-            f"{type(system).__name__}.initial returns a dict of initial values by state; "
-            f"received {type(given).__name__} {given!r}."
-        )
-    unknown = set(given) - set(system.states)
-    if unknown:
-        raise ProblemError(
-            f"{type(system).__name__}.initial names {sorted(unknown)}, which are not states; expected some of "
-            f"{system.states}."
-        )
-    return state_type(system.states)(*starting(f"{type(system).__name__}.initial", system.states, given))
-
-
-def starting(what: str, names: tuple[str, ...], given: Mapping[str, Any]) -> list[Array]:
-    """Initial values or guesses by name as arrays, zero where not given; known ones are checked to be finite."""
-    values = [traceable(f"{what}, '{name}'", given.get(name, 0.0)) for name in names]
-    for name, value in zip(names, values, strict=True):
-        if not isinstance(value, Tracer) and not np.isfinite(value).all():
-            raise ProblemError(f"{what}, '{name}': expected finite numbers; received {given[name]}.")
-    return values
-
-
-def derivative(system: System, t: Any, z: Any, inputs: dict[str, Array]) -> Any:
-    """`system.rhs` as a named tuple, checked (at trace time) to match the states one by one."""
-    rates = _evaluated(system, system.rhs, t, z, inputs)
-    name = type(system).__name__
-    if not isinstance(rates, tuple | list):
-        raise ProblemError(f"{name}.rhs returns one rate for each of {system.states} as a tuple; received {rates!r}.")
-    if len(rates) != len(system.states):
-        raise ProblemError(
-            f"{name}.rhs: expected {len(system.states)} rates, for {system.states}; received {len(rates)}."
-        )
-    arrays = [traceable(f"{name}.rhs, '{state}'", rate) for state, rate in zip(system.states, rates, strict=True)]
-    for state, rate in zip(system.states, arrays, strict=True):
-        expected = jnp.shape(getattr(z, state))
-        if jnp.shape(rate) != expected:
-            remedy = "" if expected else f" If '{state}' is an array, give its initial value in initial()."
-            raise ProblemError(
-                f"{name}.rhs: expected a rate of shape {expected} for '{state}'; received {jnp.shape(rate)}.{remedy}"
-            )
-    return state_type(system.states)(*arrays)
-
-
-def observation(system: System, t: Any, z: Any, inputs: dict[str, Array]) -> dict[str, Array]:
-    """`system.outputs` as arrays by name, checked (at trace time) to be a dict."""
-    return as_outputs(system, _evaluated(system, system.outputs, t, z, inputs))
-
-
-def as_outputs(system: eqx.Module, values: Any) -> dict[str, Array]:
-    """The return value of `system.outputs` as arrays by name."""
-    if not isinstance(values, dict):
-        raise ProblemError(
-            f"{type(system).__name__}.outputs returns a dict of arrays by name; received {type(values).__name__}."
-        )
-    who = f"{type(system).__name__}.outputs"
-    found = {}
-    for name, value in values.items():
-        if not isinstance(name, str):
-            raise ProblemError(f"{who}: expected names of outputs; received {name!r}.")
-        found[name] = traceable(f"{who}, '{name}'", value)
-        if found[name].size == 0:
-            raise ProblemError(
-                f"{who}, '{name}': expected at least one number; received an array of shape {found[name].shape}, on "
-                "which every constraint would hold. Drop the output."
-            )
-    return found
-
-
-def _evaluated(system: System, method: Callable[..., Any], t: Any, z: Any, inputs: dict[str, Array]) -> Any:
+def evaluated(system: System, method: Callable[..., Any], t: Any, z: Any, inputs: dict[str, Array]) -> Any:
     """`method(t, z, ...)` with the inputs that it names."""
     named, _, takes_all = _inputs_of(method)
     taken = {name: signal for name, signal in inputs.items() if takes_all or name in named}
@@ -222,15 +167,43 @@ def _inputs_of(method: Callable[..., Any]) -> _Inputs:
     )
 
 
+def _methods(system: System) -> list[Callable[..., Any]]:
+    """The methods that a system writes with inputs among their arguments."""
+    further = [getattr(system, name) for name in _IMPLICIT if _writes(system, name)]
+    return [system.rhs, system.outputs, *further]
+
+
+def _writes(system: System, name: str) -> bool:
+    return getattr(type(system), name) is not getattr(System, name)
+
+
 def input_names(system: System) -> tuple[str, ...]:
-    """The external inputs of a system's `rhs` and `outputs`: their arguments after time and state."""
-    named = dict.fromkeys(_inputs_of(system.rhs).named + _inputs_of(system.outputs).named)
+    """The external inputs of a system's methods: their arguments after time and state."""
+    named = dict.fromkeys(name for method in _methods(system) for name in _inputs_of(method).named)
     return tuple(name for name in named if name not in system.signals())
+
+
+def check_variables(system: System) -> None:
+    """Refuse names that are none, and algebraic variables without equations or the other way round."""
+    name = type(system).__name__
+    for names in (system.states, system.algebraic, (*system.states, *system.algebraic)):
+        state_type(names)
+    written = [one for one in _IMPLICIT if _writes(system, one)]
+    if system.algebraic and "residual" not in written:
+        raise ProblemError(
+            f"{name} names the algebraic variables {system.algebraic}, but no equations for them: write "
+            "residual(self, t, z), which returns as many numbers that vanish."
+        )
+    if written and not system.algebraic:
+        raise ProblemError(
+            f'{name} writes {" and ".join(written)}, but names no algebraic variables: expected `algebraic = ("y",)` '
+            "in the class."
+        )
 
 
 def check_inputs(system: System, given: Collection[str]) -> None:
     """Refuse inputs that a system does not take, and systems that lack an input."""
-    methods = [_inputs_of(system.rhs), _inputs_of(system.outputs)]
+    methods = [_inputs_of(one) for one in _methods(system)]
     missing = sorted({name for method in methods for name in method.needed} - set(given) - set(system.signals()))
     unknown = sorted(set(given) - set(input_names(system))) if not any(one.takes_all for one in methods) else []
     if missing or unknown:

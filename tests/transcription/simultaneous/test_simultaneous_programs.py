@@ -12,6 +12,7 @@ from aleator.nlp import Condensing, Ipopt
 from aleator.transcription import transcribe
 from aleator.transcription.simultaneous import _tiles
 from aleator.transcription.simultaneous._transcribed import SimultaneouslyTranscribed
+from stirred_tanks import tank_problem
 
 SCHEMES = {
     "Hermite and Simpson": al.schemes.HermiteSimpson(),
@@ -30,6 +31,7 @@ DECIDED_KNOTS = free_force(spans=al.Decision(np.ones(3), 0.2, 5.0))
 PROGRAMS = {
     **{name: (everything, scheme) for name, scheme in SCHEMES.items()},
     "decided knots": (lambda: everything(DECIDED_KNOTS), al.schemes.Radau(1)),
+    "algebraic variables": (lambda: tank_problem(4), al.schemes.HermiteSimpson()),
 }
 
 

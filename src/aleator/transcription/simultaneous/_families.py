@@ -29,8 +29,9 @@ class Families(NamedTuple):
 
     - `known`: the signals at all mesh points, then the duration: one block; without decisions if these are affine,
       for matrices then hold how they act;
-    - `initial`: the initial states of each realisation;
-    - `rates`: those of states, then integrands, where the scheme asks for them;
+    - `initial`: the initial states of each realisation, at the first mesh point;
+    - `rates`: those of states, then integrands, where the scheme asks for them; `equations`: those of the algebraic
+      variables, at all sides of mesh points;
     - `paths`, `ends`: outputs at every instant, and at the last; `composed`: functionals of histories and integrals;
     - `expressions`: the objective, then the constraints.
     """
@@ -38,6 +39,7 @@ class Families(NamedTuple):
     known: Family
     initial: Family
     rates: Family
+    equations: Family
     paths: Family
     ends: Family
     composed: Family
@@ -46,10 +48,12 @@ class Families(NamedTuple):
     @property
     def every(self) -> tuple[Family, ...]:
         """All of them in order."""
-        return (*self[:6], *self.expressions)
+        return (*self[:-1], *self.expressions)
 
 
-KNOWN, RATES, PATHS, OBJECTIVE = (Families._fields.index(name) for name in ("known", "rates", "paths", "expressions"))
+KNOWN, RATES, EQUATIONS, PATHS, OBJECTIVE = (
+    Families._fields.index(name) for name in ("known", "rates", "equations", "paths", "expressions")
+)
 
 
 def families(
@@ -65,7 +69,7 @@ def families(
     """
     asked, mesh = layout.asked, layout.plan.mesh
     instants, sides = mesh.instants(asked.grid.fractions), mesh.instant_sides(asked.grid.fractions)
-    places = jnp.stack([jnp.asarray(mesh.fractions[mesh.sides]), jnp.asarray(mesh.is_before, dtype=float)], axis=1)
+    places, every = jnp.asarray(mesh.places), np.arange(len(mesh.sides))
     model = jnp.concatenate([variables.decisions[asked.direct], variables.duration])
     none = jnp.asarray(variables.decisions)[None, None, :0]
     integrals = variables.integrals.shape[1]
@@ -73,10 +77,11 @@ def families(
     recorded = jnp.concatenate([variables.integrals, histories if layout.needs_histories else histories[:, :0]], axis=1)
 
     def at(which: np.ndarray, sides: np.ndarray) -> Array:
-        """Signals and states at some mesh points of every realisation."""
-        states = variables.states[:, which]
-        signals = jnp.broadcast_to(variables.signals[sides], (*states.shape[:2], variables.signals.shape[1]))
-        return jnp.concatenate([signals, states], axis=2)
+        """Signals, states and algebraic variables at some mesh points of every realisation."""
+        return jnp.concatenate([signals_at(sides), variables.states[:, which], variables.algebraic[:, sides]], axis=2)
+
+    def signals_at(sides: np.ndarray) -> Array:
+        return jnp.broadcast_to(variables.signals[sides], (len(points), len(sides), variables.signals.shape[1]))
 
     def observed(names: tuple[str, ...], which: np.ndarray, sides: np.ndarray) -> Family:
         return Family(partial(asked.outputs, names), model, at(which, sides), points, places[sides])
@@ -85,18 +90,15 @@ def families(
         del outer, inner, own
         return known_numbers(asked, mesh, shared if shared.size else jnp.zeros(layout.sizes.decisions))
 
-    def initial(germ: Array, inner: Any, shared: Array, own: Array) -> Array:
-        del inner, own
-        return asked.initial(germ, shared)
-
     def composed(outer: Any, inner: Any, shared: Array, own: Array) -> Array:
         del outer, inner
         return asked.composites(layout.shapes, shared[0], own[:integrals], own[integrals:])
 
     return Families(
         Family(known, jnp.asarray(variables.decisions)[: 0 if layout.plan.is_affine else None], none),
-        Family(initial, model[:-1], jnp.broadcast_to(none, (len(points), 1, 0)), points),
+        Family(asked.initial, model, signals_at(every[:1]), points, places[:1]),
         Family(asked.rates, model, at(mesh.asked, mesh.asked_sides), points, places[mesh.asked_sides]),
+        Family(asked.residuals, model, at(mesh.sides, every), points, places),
         observed(asked.paths, instants, sides),
         observed(asked.ends, instants[-1:], sides[-1:]),
         Family(composed, jnp.asarray(variables.duration), recorded[:, None]),
@@ -108,7 +110,7 @@ def functions(problem: Problem, constants: Constants | None, plan: Plan | None) 
     """The functions of families, by their numbers: of all on a plan; without one, of those that grow with the mesh."""
     if plan is None or constants is None:
         asked = Pointwise.of(problem)
-        return {RATES: asked.rates, PATHS: partial(asked.outputs, asked.paths)}
+        return {RATES: asked.rates, EQUATIONS: asked.residuals, PATHS: partial(asked.outputs, asked.paths)}
     layout = Layout.of(problem, plan)
     nowhere = jnp.zeros((plan.realisations, len(problem.placements.germ_names)))
     every = families(layout, problem, constants, nowhere, layout.view(jnp.zeros(layout.count))).every

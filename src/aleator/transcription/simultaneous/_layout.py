@@ -1,8 +1,8 @@
 """The variables of a simultaneous program: what they are, and where they stand.
 
-Beside the decisions they are the duration, the signals and the states at the mesh points of each realisation, what is
-recorded of it, and the coefficients of the expansions. Realisations are coupled through these alone: every block
-depends on few variables, and no entry of the Hessian on two realisations.
+Beside the decisions they are the duration, the signals, the states and algebraic variables at the mesh points of each
+realisation, what is recorded of it, and the coefficients of the expansions. Realisations are coupled through the last
+alone: every block depends on few variables, and no entry of the Hessian on two realisations.
 """
 
 import math
@@ -32,7 +32,8 @@ class Variables(NamedTuple):
     """The variables of a program by what they are: their numbers, or their values.
 
     - `decisions`: shape (n,); `duration`: (1,); `signals`: (sides of mesh points, signals);
-    - `states`: (realisations, mesh points, states);
+    - `states`: (realisations, mesh points, states); `algebraic`: (realisations, sides of mesh points, algebraic
+      variables);
     - `integrals`, `paths`, `ends`, `composed`: what is recorded of each realisation, the first axis; of `paths` the
       second are the instants;
     - `coefficients`: of each functional that is expanded, shape (terms, ...).
@@ -42,11 +43,16 @@ class Variables(NamedTuple):
     duration: Any
     signals: Any
     states: Any
+    algebraic: Any
     integrals: Any
     paths: Any
     ends: Any
     composed: Any
     coefficients: tuple[Any, ...]
+
+
+# The variables from here on, but for the coefficients, belong to realisations: their first axis.
+_FIRST_OWNED = Variables._fields.index("states")
 
 
 @final
@@ -94,6 +100,7 @@ class Layout:
             duration=(1,),
             signals=(len(plan.mesh.sides), shapes.signals),
             states=(every, points, shapes.states),
+            algebraic=(every, len(plan.mesh.sides), shapes.algebraic),
             integrals=(every, sum(map(math.prod, shapes.integrals))),
             paths=(every, instants, shapes.size(asked.paths)),
             ends=(every, shapes.size(asked.ends)),
@@ -128,14 +135,15 @@ class Layout:
     def view(self, variables: Any) -> Variables:
         """The variables of a point by what they are."""
         parts = apart(variables, _shapes_of(self.sizes))
-        alone = dict(zip(Variables._fields, parts[:8], strict=False))
-        return Variables(**alone, coefficients=tuple(parts[8:]))
+        alone = dict(zip(Variables._fields[:-1], parts, strict=False))
+        return Variables(**alone, coefficients=tuple(parts[len(alone) :]))
 
     @cached_property
     def owners(self) -> np.ndarray:
         """The realisation to which each variable belongs, -1 for none, shape (n,)."""
-        numbers, found = self.numbers, np.full(self.count, -1)
-        for some in (numbers.states, numbers.integrals, numbers.paths, numbers.ends, numbers.composed):
+        found = np.full(self.count, -1)
+        owned: tuple[Any, ...] = self.numbers[_FIRST_OWNED:-1]
+        for some in owned:
             found[some] = np.arange(len(some)).reshape(-1, *(1,) * (some.ndim - 1))
         return found
 
@@ -173,7 +181,7 @@ class Layout:
 
 
 def _shapes_of(sizes: Variables) -> Sequence[tuple[int, ...]]:
-    return [*sizes[:8], *sizes.coefficients]
+    return [*sizes[:-1], *sizes.coefficients]
 
 
 def _shape(functional: AbstractFunctional, asked: Pointwise, shapes: Shapes) -> tuple[int, ...]:

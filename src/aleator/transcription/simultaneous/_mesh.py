@@ -65,6 +65,11 @@ class Mesh:
         return np.arange(len(self.sides)) % count == count - 1 if self.has_jumps else np.zeros(len(self.sides), bool)
 
     @property
+    def places(self) -> Float[np.ndarray, "sides 2"]:
+        """The `sides` as fractions of the duration, each with 1 for signals as they are before a jump there, else 0."""
+        return np.stack([self.fractions[self.sides], self.is_before], axis=1)
+
+    @property
     def asked_sides(self) -> Int[np.ndarray, " asked"]:
         """Which of the `sides` are those of the points `asked`."""
         if not self.has_jumps:

@@ -4,7 +4,6 @@ Over an interval a scheme's states are polynomials. The integral of the magnitud
 dynamics is an estimate of the error that the interval adds (Betts, Practical Methods for Optimal Control, 4.6).
 """
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
@@ -27,13 +26,8 @@ def _between(
     decisions, duration, states = at
     asked = Pointwise.of(problem)
     signals, shared = asked.known(np.array(fractions), decisions), jnp.append(decisions[asked.direct], duration)
-
-    def one(germ: Array, place: Array, signal: Array, state: Array) -> Array:
-        return asked.rates(germ, place, shared, jnp.concatenate([signal, state]))[: state.size]
-
-    inner = jax.vmap(one, in_axes=(None, 0, 0, 0))
     places = jnp.stack([jnp.asarray(fractions), jnp.zeros(len(fractions))], axis=1)
-    return jax.vmap(inner, in_axes=(0, None, None, 0))(points, places, signals, states)
+    return asked.everywhere(asked.rates, points, places, shared, signals, states)[..., : states.shape[2]]
 
 
 BETWEEN = Compiled(_between, use=Use.ONCE, unchanged=refuse_changed_code)

@@ -27,7 +27,21 @@ from aleator.design import (
     grid_at,
     numbers_of,
 )
-from aleator.dynamics import Asked, Grid, Inputs, System, derivative, initial_state, known_at, observation
+from aleator.dynamics import (
+    Asked,
+    Grid,
+    Inputs,
+    System,
+    algebraic_residuals,
+    completed,
+    derivative,
+    guessed_algebraic,
+    initial_state,
+    known_at,
+    observation,
+    solved_algebraic,
+    with_algebraic,
+)
 from aleator.trajectories import before_jumps, has_jumps
 from aleator.transcription._frozen import frozen, has_random_signals
 from aleator.uncertainty import placements, realise
@@ -138,25 +152,57 @@ class Pointwise:
         assert isinstance(grid, Grid)
         return jnp.asarray(grid.duration, dtype=float)
 
-    def initial(self, germ: Array, direct: Array) -> Float[Array, " states"]:
-        """The initial states of one realisation, side by side."""
-        return _flat(initial_state(self._realised(self.frozen, germ, direct)[0]))
+    def initial(self, germ: Array, place: Array, shared: Array, signals: Array) -> Float[Array, " states"]:
+        """The initial states of one realisation, side by side, at the first mesh point: see `rates`."""
+        return _flat(initial_state(*self._now(germ, place, shared, signals)))
 
     def rates(self, germ: Array, place: Array, shared: Array, own: Array) -> Float[Array, " rates"]:
         """The rates of the states, then the integrands, both by the fraction of the duration.
 
         - `place`: the fraction, then 1 for signals as they are before a jump there, else 0;
-        - `shared`: the decisions of the model itself, then the duration; `own`: the signals, then the states.
+        - `shared`: the decisions of the model itself, then the duration; `own`: the signals, the states, and the
+          algebraic variables unless these are to be solved for.
         """
         system, t, z, now = self._at(germ, place, shared, own)
+        z = completed(system, t, z, now)
         parts = [_flat(derivative(system, t, z, now))] if system.states else []
         return shared[-1] * _flat([*parts, self._integrated.rates(system, t, z, now)])
+
+    def residuals(self, germ: Array, place: Array, shared: Array, own: Array) -> Float[Array, " algebraic"]:
+        """What is left of the equations of the algebraic variables: see `rates`."""
+        return algebraic_residuals(*self._at(germ, place, shared, own))
+
+    def algebraic(self, germ: Array, place: Array, shared: Array, own: Array) -> Float[Array, " algebraic"]:
+        """The algebraic variables that follow from signals and states, `own`.
+
+        Where none are found they begin at their guess, but not at the first instant: there is no other state to try.
+        """
+        here = self._at(germ, place, shared, own)
+        root, guess = solved_algebraic(*here)[0], _flat(guessed_algebraic(*here))
+        return jnp.where(root.converged, root.point, jnp.where(place[0] > 0, guess, jnp.nan))
 
     def outputs(self, names: tuple[str, ...], germ: Array, place: Array, shared: Array, own: Array) -> Array:
         """Some outputs, side by side."""
         system, t, z, now = self._at(germ, place, shared, own)
         found = observation(system, t, z, now)
         return _flat([found[name] for name in names])
+
+    def everywhere(
+        self,
+        function: Callable[[Array, Array, Array, Array], Array],
+        points: Float[Array, "realisations germs"],
+        places: Float[Array, "places 2"],
+        shared: Float[Array, " shared"],
+        signals: Float[Array, "places signals"],
+        states: Float[Array, "realisations places states"],
+    ) -> Float[Array, "realisations places numbers"]:
+        """A function such as `rates` at some places: algebraic variables are solved for."""
+
+        def one(germ: Array, place: Array, signal: Array, state: Array) -> Array:
+            return function(germ, place, shared, jnp.concatenate([signal, state]))
+
+        inner = jax.vmap(one, in_axes=(None, 0, 0, 0))
+        return jax.vmap(inner, in_axes=(0, None, None, 0))(points, places, signals, states)
 
     def composites(self, shapes: "Shapes", duration: Array, integrals: Array, paths: Array) -> Float[Array, " rows"]:
         """The functionals of integrals and of whole histories of one realisation, side by side."""
@@ -172,19 +218,24 @@ class Pointwise:
         germ, place = jnp.zeros(len(self.problem.placements.germ_names)), jnp.zeros(2)
         decisions = jnp.zeros(self.problem.placements.size)
         signals = jax.eval_shape(lambda x: self.known(np.zeros(1), x), decisions).shape[1]
-        states = jax.eval_shape(lambda: self.initial(germ, decisions[self.direct])).size
-        shared, own = jnp.append(decisions[self.direct], 1.0), jnp.zeros(signals + states)
+        shared, first = jnp.append(decisions[self.direct], 1.0), jnp.zeros(signals)
+        states = jax.eval_shape(lambda: self.initial(germ, place, shared, first)).size
+        own = jnp.zeros(signals + states)
 
         def found() -> tuple[Any, ...]:
             system, t, z, now = self._at(germ, place, shared, own)
             outputs = observation(system, t, z, now)
-            return self._integrated.rates(system, t, z, now), {
-                name: outputs[name] for name in (*self.paths, *self.ends)
-            }
+            names = (*self.paths, *self.ends)
+            algebraic = guessed_algebraic(system, t, z, now) if system.algebraic else ()
+            return algebraic, self._integrated.rates(system, t, z, now), {name: outputs[name] for name in names}
 
-        integrals, outputs = jax.eval_shape(found)
+        algebraic, integrals, outputs = jax.eval_shape(found)
         return Shapes(
-            states, signals, tuple(one.shape for one in integrals), {name: one.shape for name, one in outputs.items()}
+            states,
+            sum(one.size for one in algebraic),
+            signals,
+            tuple(one.shape for one in integrals),
+            {name: one.shape for name, one in outputs.items()},
         )
 
     def _known_parts(self, decisions: Float[Array, " n"]) -> tuple[System, Grid, Inputs]:
@@ -203,32 +254,40 @@ class Pointwise:
         names = {name for one in functionals_of(self.problem.expressions) for name in one.outputs}
         return simulation.system.focused(names), simulation.grid, simulation.inputs
 
-    def _at(self, germ: Array, place: Array, shared: Array, own: Array) -> tuple[System, Array, Any, dict[str, Any]]:
-        """A realised system with its time, states and inputs at one mesh point."""
+    def _now(self, germ: Array, place: Array, shared: Array, signals: Array) -> tuple[System, Array, dict[str, Any]]:
+        """A realised system with its time and inputs at one mesh point; what follows the signals is left alone."""
         (fraction, is_before), direct, duration = place, shared[:-1], shared[-1]
         system, grid, inputs = self._realised(self.frozen, germ, direct)
-        flat, unravel = ravel_pytree(initial_state(system))
-        signals, states = own[: own.size - flat.size], own[own.size - flat.size :]
         t = jnp.asarray(self.grid.t_start + fraction * duration)
-        each = {**system.signals(), **inputs}
-        if self.is_random:
-            span = self.grid.t_start, self.grid.t_start + duration
-            now = {name: one.over(*span)(t) for name, one in each.items()}
-            if has_jumps(each):
-                before = {name: one.over(*span)(t) for name, one in before_jumps(each).items()}
-                now = {name: jnp.where(is_before > 0, before[name], value) for name, value in now.items()}
-        else:
+        if not self.is_random:
             known = known_at(system, grid, inputs, np.zeros(1))
-            _, now = known.unpack(jnp.concatenate([t[None], signals]))
-        return system, t, unravel(states), now
+            return system, t, known.unpack(jnp.concatenate([t[None], signals]))[1]
+        each, span = {**system.signals(), **inputs}, (self.grid.t_start, self.grid.t_start + duration)
+        now = {name: one.over(*span)(t) for name, one in each.items()}
+        if has_jumps(each):
+            before = {name: one.over(*span)(t) for name, one in before_jumps(each).items()}
+            now = {name: jnp.where(is_before > 0, before[name], value) for name, value in now.items()}
+        return system, t, now
+
+    def _at(self, germ: Array, place: Array, shared: Array, own: Array) -> tuple[System, Array, Any, dict[str, Any]]:
+        """A realised system with its time, states (and algebraic variables, if given) and inputs at one mesh point."""
+        system, t, now = self._now(germ, place, shared, own)
+        signals = 0 if self.is_random else sum(map(jnp.size, now.values()))
+        z, rest = _taken_by(lambda: initial_state(system, t, now), own[signals:])
+        if rest.size:
+            z = with_algebraic(system, z, _taken_by(lambda: guessed_algebraic(system, t, z, now), rest)[0])
+        return system, t, z, now
 
 
 @final
 @dataclass(frozen=True)
 class Shapes:
-    """How many states and signals there are, and the shapes of integrals and of outputs at one instant."""
+    """How many states, algebraic variables and signals there are, and the shapes of integrals and of outputs at one
+    instant.
+    """
 
     states: int
+    algebraic: int
     signals: int
     integrals: tuple[tuple[int, ...], ...]
     outputs: dict[str, tuple[int, ...]]
@@ -258,6 +317,12 @@ def apart(numbers: Any, shapes: Sequence[tuple[int, ...]]) -> list[Any]:
         parts.append(numbers[..., first:last].reshape(*numbers.shape[:-1], *shape))
         first = last
     return parts
+
+
+def _taken_by(make: Callable[[], Any], numbers: Array) -> tuple[Any, Array]:
+    """The first of some numbers in the shapes of what `make` gives, which is not computed, and those after them."""
+    like, unravel = ravel_pytree(jax.tree.map(lambda one: jnp.zeros(one.shape), jax.eval_shape(make)))
+    return unravel(numbers[: like.size]), numbers[like.size :]
 
 
 def _flat(tree: Any) -> Float[Array, " numbers"]:

@@ -16,11 +16,14 @@ from aleator.statistics import Constants
 from aleator.transcription._remembered import Remembered
 from aleator.transcription.simultaneous._assembly import Curvature, Jacobian, Pattern
 from aleator.transcription.simultaneous._blocks import Family
-from aleator.transcription.simultaneous._families import KNOWN, OBJECTIVE, PATHS, RATES, families
+from aleator.transcription.simultaneous._families import EQUATIONS, KNOWN, OBJECTIVE, PATHS, RATES, families
 from aleator.transcription.simultaneous._layout import Layout
 from aleator.transcription.simultaneous._rows import Given, Rows, rows_of
 from aleator.transcription.simultaneous._signals import constant_slopes
 from aleator.transcription.simultaneous._tiles import Call, begin, calls_of, results, tile_size, tiles_of
+
+# The families that grow with the mesh.
+_MOVING = RATES, EQUATIONS, PATHS
 
 
 def _calls(
@@ -32,12 +35,13 @@ def _calls(
     first = replace(layout.plan, mesh=replace(layout.plan.mesh, nodes=tuple(layout.asked.grid.fractions.tolist())))
     sizes = [(len(one.own), one.own.shape[1]) for one in every]
     sizes[RATES] = tile_size(sizes[RATES][0], len(first.mesh.asked))
+    sizes[EQUATIONS] = tile_size(sizes[EQUATIONS][0], len(first.mesh.sides))
     sizes[PATHS] = tile_size(*sizes[PATHS])
     tiles = [tiles_of(i, one, patterns[i].rows, sizes[i]) for i, one in enumerate(every)]
     rows = [one.rows.size for one in patterns]
-    moving = [calls_of(traced, None, None, [(one,) for one in tiles[i]]) for i in (RATES, PATHS) if rows[i]]
+    moving = [calls_of(traced, None, None, [(one,) for one in tiles[i]]) for i in _MOVING if rows[i]]
     known = calls_of(traced, constants, layout.plan, [tuple(tiles[KNOWN])])
-    rest = [some[0] for i, some in enumerate(tiles) if i not in (KNOWN, RATES, PATHS) and rows[i]]
+    rest = [some[0] for i, some in enumerate(tiles) if i not in (KNOWN, *_MOVING) and rows[i]]
     still = calls_of(traced, constants, first, [tuple(rest)])
     return [call for some in (*moving, known, still) for call in some]
 

@@ -47,7 +47,8 @@ class Rows:
     """The constraints `L z + C r(z)` of a program: `linear`, `combined`.
 
     - `own`: the rows of each of the problem's constraints; `ties`: the others, each with the variable that stands for
-      something else (of the two states of an interval, the later one).
+      something else (of the two states of an interval, the later one; of the equations of algebraic variables, each
+      one in turn).
     """
 
     linear: SparseMatrix
@@ -69,7 +70,7 @@ def rows_of(
     - `fit`: see `Collocation.pseudo_inverse`;
     - `slopes`: how the decisions act on signals and duration beside their blocks.
     """
-    known, initial, rates, paths, ends, composed, _, *limits = blocks
+    known, initial, rates, equations, paths, ends, composed, _, *limits = blocks
     variables, mesh = layout.numbers, layout.plan.mesh
     numbers, linear, combined, stands_for = Numbering(), [], [], []
     own = []
@@ -100,6 +101,9 @@ def rows_of(
     for i in range(stages.shape[2]):
         shares = lengths[:, None] * scheme.weights[:, i]
         combined.append((rows, stages[:, :, i : i + 1, :states], -shares[None, :, :, None]))
+    rows = numbers.take(variables.algebraic.shape)
+    combined.append((rows, equations, 1.0))
+    stands_for.append(variables.algebraic.ravel())
     rows = numbers.take(variables.integrals.shape)
     linear.append((rows, variables.integrals, 1.0))
     combined.append((rows[:, None], rates[:, :, states:], -mesh.weights[None, :, None]))

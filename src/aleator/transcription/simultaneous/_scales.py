@@ -45,6 +45,21 @@ def scales(
     return np.where(found > _NOTHING, found, 1.0)
 
 
+def tie_sizes(
+    layout: Layout, ties: Ties, evaluation: Evaluation, found: Float[np.ndarray, " variables"]
+) -> Float[np.ndarray, " ties"]:
+    """A typical magnitude of each tie: that of the variable that stands in it; of an equation of algebraic variables,
+    which has a unit of its own, what it would change by if all of these changed by theirs.
+    """
+    sizes, algebraic = found[ties.variables], layout.numbers.algebraic.ravel()
+    equations = np.isin(ties.variables, algebraic)
+    moving = np.zeros_like(found)
+    moving[algebraic] = found[algebraic]
+    change = abs(evaluation.jacobian[ties.rows[equations]]) @ moving
+    sizes[equations] = np.where(np.isfinite(change) & (change > 0), change, 1.0)
+    return sizes
+
+
 def _reached(
     layout: Layout, ties: Ties, slopes: np.ndarray, found: Float[np.ndarray, " variables"], which: np.ndarray
 ) -> Float[np.ndarray, " variables"]:

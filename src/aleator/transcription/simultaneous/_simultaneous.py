@@ -19,6 +19,7 @@ from aleator.transcription._abstract import AbstractTranscription, Meanwhile
 from aleator.transcription._discretisation import discretised
 from aleator.transcription._scenarios import first_scenarios
 from aleator.transcription.simultaneous._controls import first_nodes
+from aleator.transcription.simultaneous._first_point import ALGEBRAIC
 from aleator.transcription.simultaneous._guess import Guess, start_of
 from aleator.transcription.simultaneous._mesh import Mesh
 from aleator.transcription.simultaneous._mesh_error import BETWEEN
@@ -61,7 +62,7 @@ class Simultaneous(AbstractTranscription):
     guess: Guess | None = field(default=None, compare=False, repr=False)
     _start: AbstractStart = field(init=False, repr=False)
 
-    programs: ClassVar[tuple[Compiled, ...]] = (EVALUATE, CURVE, SIMULATED, ALONG, TOLD, BETWEEN)
+    programs: ClassVar[tuple[Compiled, ...]] = (EVALUATE, CURVE, SIMULATED, ALGEBRAIC, ALONG, TOLD, BETWEEN)
 
     def __post_init__(self) -> None:
         one_of("Simultaneous: scheme", self.scheme, AbstractScheme, "al.schemes.HermiteSimpson()")

@@ -2,9 +2,8 @@
 
 import abc
 from dataclasses import dataclass
-from typing import Any, final
+from typing import final
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -14,39 +13,13 @@ from typing_extensions import override
 from aleator._core.arrays import numbers_to_arrays
 from aleator._core.compilation import Compiled, Use
 from aleator.design import Problem, refuse_changed_code
-from aleator.dynamics import Asked, Grid, Simulation, System, derivative
+from aleator.dynamics import STATES, Asked, Grid, ObservedStates, Simulation, System
 from aleator.uncertainty import realise
 
 # Steps of a simulation in each of the grid: points of a mesh between instants are interpolated.
 _FINER = 4
-_STATES = "states"
 # States that grow by more than this after the first tenth of the time are those of a system that runs away.
 _BEGINNING, _MOST_GROWTH = 10, 1e4
-
-
-@final
-class _Recorded(System):
-    """A system whose one output are its states, side by side."""
-
-    system: System
-    states: tuple[str, ...] = eqx.field(static=True)  # type: ignore[misc]
-
-    @override
-    def rhs(self, t: Any, z: Any, **inputs: Any) -> Any:
-        return derivative(self.system, t, z, inputs)
-
-    @override
-    def outputs(self, t: Any, z: Any, **inputs: Any) -> dict[str, Any]:
-        del t, inputs
-        return {_STATES: jnp.concatenate([jnp.ravel(one) for one in jax.tree.leaves(z)])}
-
-    @override
-    def initial(self) -> Any:
-        return self.system.initial()
-
-    @override
-    def signals(self) -> Any:
-        return self.system.signals()
 
 
 def _simulated(
@@ -55,9 +28,8 @@ def _simulated(
     def one(germ: Array) -> Array:
         found = realise(problem.simulation, germ, decisions)
         assert isinstance(found.system, System)
-        recorded = _Recorded(system=found.system, states=found.system.states)
-        simulation = Simulation(recorded, found.inputs, found.grid, found.integrator)
-        return simulation.record(Asked(frozenset({_STATES}))).history[_STATES]
+        simulation = Simulation(ObservedStates(found.system), found.inputs, found.grid, found.integrator)
+        return simulation.record(Asked(frozenset({STATES}))).history[STATES]
 
     return jax.vmap(one)(points)
 

@@ -45,7 +45,7 @@ from aleator.transcription.simultaneous._mesh_error import interval_errors, part
 from aleator.transcription.simultaneous._pointwise import Pointwise, apart
 from aleator.transcription.simultaneous._program import Assembled
 from aleator.transcription.simultaneous._rows import Given
-from aleator.transcription.simultaneous._scales import scales
+from aleator.transcription.simultaneous._scales import scales, tie_sizes
 from aleator.transcription.simultaneous._signals import are_affine
 from aleator.transcription.simultaneous._start import AbstractStart
 from aleator.uncertainty import named_numbers
@@ -96,7 +96,7 @@ class SimultaneouslyTranscribed(AbstractTranscribed):
     @override
     def point(self, decisions: Float[np.ndarray, " n"]) -> Float[np.ndarray, " variables"]:
         states = self.begins.states(self.problem, self.layout.plan.mesh.fractions, self.points, decisions)
-        return started(self.layout, self.assembled, decisions, states)
+        return started(self.traced, self.layout, self.assembled, self.points, decisions, states)
 
     @override
     def at(self, point: Float[np.ndarray, " variables"]) -> Meaning:
@@ -233,7 +233,7 @@ class Way(NamedTuple):
         assembled = Assembled.of(layout, traced, constants, every, fit, given)
         first, lower, upper = (problem.placements.vector(name) for name in ("initial", "lower", "upper"))
         decisions, states = begun or self._first(mesh, every)
-        start = started(layout, assembled, decisions, states)
+        start = started(traced, layout, assembled, every, decisions, states)
         typical, ties = decision_scales(first, lower, upper), assembled.rows.ties
         evaluation = assembled(start)
         scale = scales(layout, ties, start, evaluation, typical)
@@ -250,7 +250,8 @@ class Way(NamedTuple):
         def magnitudes(variables: np.ndarray, evaluation: Evaluation) -> Magnitudes:
             here = scales(layout, ties, variables, evaluation, typical)
             size, by = replace(sizing, decision_scale=here).at(variables, evaluation)
-            return Magnitudes(np.append(size, here[ties.variables]), np.append(by, here[ties.variables]))
+            tied_sizes = tie_sizes(layout, ties, evaluation, here)
+            return Magnitudes(np.append(size, tied_sizes), np.append(by, tied_sizes))
 
         values, slopes = ([part[one] for one in rows.own] for part in (evaluation.constraints, evaluation.jacobian))
         sizes = sizing.each(start, values, slopes)
@@ -261,7 +262,9 @@ class Way(NamedTuple):
             upper=highest,
             constraint_lower=np.append(own_lower, tied),
             constraint_upper=np.append(own_upper, tied),
-            constraint_scale=np.append(spread(rows.own, [one.scale for one in sizes]), scale[ties.variables]),
+            constraint_scale=np.append(
+                spread(rows.own, [one.scale for one in sizes]), tie_sizes(layout, ties, evaluation, scale)
+            ),
             variable_scale=scale,
             sparsity=assembled.jacobian.sparsity,
             hessian=assembled.hessian,
