@@ -49,6 +49,10 @@ STUDIES = {
         "Double pendulum of uncertain mass, driven at one joint: swing-up of least energy (section 5.5.3)",
         "aleator.studies.swing_up._study:SwingUp",
     ),
+    "four-bar": Entry(
+        "Straight-line linkage, a closed loop driven by its crank: robust lengths, and the cheapest tolerances",
+        "aleator.studies.four_bar._study:FourBarStudy",
+    ),
 }
 
 

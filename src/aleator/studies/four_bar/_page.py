@@ -1,0 +1,170 @@
+"""The chapters of the four-bar's page: the linkage, the designs, their paths, forces and tolerances."""
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from aleator.reporting import (
+    Block,
+    Code,
+    Drawing,
+    Schematic,
+    Section,
+    bands_figure,
+    bars_figure,
+    certificate_table,
+    evidence_table,
+    front_figure,
+    given,
+    linkage_animation,
+    looks,
+    trajectory_figure,
+)
+from aleator.studies.four_bar import DURATION, HEIGHT, LENGTHS, SIGMAS, WIDTHS, ZONE
+from aleator.studies.four_bar._counts import Posture, crank_angles, drawn_postures, lengths_of, widths_of
+from aleator.studies.four_bar._drawing import linkage_drawing, posture_of
+from aleator.studies.four_bar._facts import counts_table, designs_table
+from aleator.studies.four_bar._run import ALLOCATED, DESIGNS, PUBLISHED, ROBUST, FourBarResults
+
+if TYPE_CHECKING:
+    from plotly.graph_objects import Figure
+
+GLOSSARY = (
+    ("dOpt", "Deterministic optimum: the lengths for which the mean linkage keeps the narrowest zone about the line."),
+    ("uOpt", "Robust optimum: the same lengths chosen for all linkages of the given tolerances."),
+    ("aOpt", "Apportioned optimum: tolerances and clearances are chosen too, at minimum cost, for the given zone."),
+    ("Hoeken", "The published linkage: coupler, rocker and ground are 2.8, 2.8 and 2.2 cranks long."),
+    ("Zone", "The tool stays within plus and minus half its width of the line, at each place of the stroke."),
+    ("Tolerance", "A length is normal about its nominal value with a standard deviation of a third of its tolerance."),
+    ("Clearance", "A pin sits at a random place: both components normal, with σ a third of the radial clearance."),
+    ("Angle of transmission", "Between coupler and rocker: the smaller, the larger are the forces in the pins."),
+    ("Multipliers", "The forces that close the loop: that in the rocker's pin, along x and y."),
+    ("Shadow price", "The decrease in cost per unit by which a limit is relaxed."),
+)
+
+DRAWN = 25
+SPREAD = 400
+
+
+def sections(results: FourBarResults) -> list[Section]:
+    """The sections for the results available so far."""
+    return [
+        Section("The linkage", [_schematic(results)]),
+        Section("The three designs", list(_designs(results))),
+        Section("The path", list(_paths(results))),
+        Section("Forces and torque", list(_forces(results))),
+        Section("Tolerances", list(_tolerances(results))),
+        Section("Evidence", [evidence_table(results.evidence)] if results.evidence else []),
+        Section("Certificate", [certificate_table(results.designs)] if results.designs else []),
+    ]
+
+
+def _schematic(results: FourBarResults) -> Schematic:
+    caption = (
+        f"To scale. The motor turns the crank by half a turn in {given(DURATION, 's')}, from rest to rest, and back. "
+        "Uncertain: six lengths, the place of each pin in its clearance, and the mass of the tool."
+    )
+    beside = [Code(f"The problem of {name} as mathematics", str(one.problem)) for name, one in results.designs.items()]
+    return Schematic([linkage_drawing()], "Hoeken's linkage", caption, "", beside)
+
+
+def _designs(results: FourBarResults) -> Iterator[Block]:
+    if results.designs:
+        yield designs_table(results)
+        figures = [_animation(results, name) for name in (ROBUST, ALLOCATED) if name in results.designs]
+        caption = (
+            "Press play, or drag the slider: mean linkages and random ones, to scale. Their deviations are too small "
+            "to be seen here; the next chapter enlarges them."
+        )
+        if figures:
+            yield Drawing(figures, "The linkage in motion", caption)
+
+
+def _animation(results: FourBarResults, name: str) -> "Figure":
+    angles, times = _motion()
+    lengths, widths = lengths_of(results.designs[name]), widths_of(results.designs[name])
+    family = drawn_postures(lengths, widths, DRAWN, seed=4, instants=angles)
+    mean = posture_of(lengths, angles)
+    return linkage_animation(
+        times,
+        _joints(family, lengths["ground"]),
+        _joints(mean, lengths["ground"]),
+        look=looks(DESIGNS)[name],
+        title=name,
+    )
+
+
+def _motion(count: int = 61) -> tuple[np.ndarray, np.ndarray]:
+    """Angles of the crank, rad, evenly spaced in time, and the instants, s: the quintic from rest to rest."""
+    share = np.linspace(0.0, 1.0, count)
+    angles = crank_angles(2)
+    return angles[0] + (angles[1] - angles[0]) * share**3 * (10 - 15 * share + 6 * share**2), DURATION * share
+
+
+def _joints(one: Posture, ground: float) -> np.ndarray:
+    """Rocker's bearing and pin, crank's pin, its bearing, its pin again, and the tool, m: one line through all bars."""
+    still = np.zeros_like(one.tool)
+    support = still + np.array([ground, 0.0])
+    return 1e-3 * np.stack([support, one.rocker_pin, one.crank_pin, still, one.crank_pin, one.tool], axis=-2)
+
+
+def _paths(results: FourBarResults) -> Iterator[Block]:
+    if not results.counts:
+        return
+    yield counts_table(results)
+    designs = {PUBLISHED: (LENGTHS, WIDTHS)}
+    designs |= {name: (lengths_of(one), widths_of(one)) for name, one in results.designs.items()}
+    angles, times = _motion()
+    figures = []
+    for name, (lengths, widths) in designs.items():
+        heights = drawn_postures(lengths, widths, SPREAD, seed=5, instants=angles).tool[..., 1] - HEIGHT
+        figures.append(
+            bands_figure(times, {"deviation": heights}, y="Deviation", unit="mm", limits=(-ZONE, ZONE), title=name)
+        )
+    caption = (
+        f"{SPREAD} linkages of each design. Line: mean. Dark band: one σ to each side. Light band: from the minimum to "
+        "the maximum. dOpt minimises the largest deviation of the line in the middle, uOpt that of the whole band."
+    )
+    yield Drawing(figures, "Deviation from the line", caption)
+
+
+def _forces(results: FourBarResults) -> Iterator[Block]:
+    one = results.evidence.get(ALLOCATED)
+    if one is None:
+        return
+    figures = [
+        trajectory_figure(one, name, y=text, unit=unit, who="linkages", every=1)
+        for name, text, unit in (
+            ("crank pin", "Force in the crank's pin", "N"),
+            ("rocker pin", "Force in the rocker's pin", "N"),
+            ("torque", "Torque of the motor", "N m"),
+        )
+    ]
+    caption = (
+        "Random linkages of aOpt, by inverse dynamics of the closed loop: the multipliers are the force in the "
+        "rocker's pin, and Newton's second law for coupler and tool gives that in the crank's pin."
+    )
+    yield Drawing(figures, "Reactions and driving torque", caption)
+
+
+def _tolerances(results: FourBarResults) -> Iterator[Block]:
+    if ALLOCATED in results.designs and results.designs[ALLOCATED].ok:
+        chosen = widths_of(results.designs[ALLOCATED])
+        bars = {
+            name: {_short(key): value for key, value in one.items()}
+            for name, one in {"given": WIDTHS, ALLOCATED: chosen}.items()
+        }
+        caption = (
+            f"Every limit keeps a margin of {given(SIGMAS)} σ. Prices are assumed: see the problem as mathematics."
+        )
+        yield Drawing(
+            [bars_figure(bars, y="Tolerance or clearance ±", unit="mm")], "Tolerances before and after", caption
+        )
+    if results.front is not None:
+        figure = front_figure({ALLOCATED: results.front}, x="Zone allowed ±", x_unit="mm", y="Cost", y_unit="$")
+        yield Drawing([figure], "The cost of a narrower zone", "Each point is an optimum; hover for its decisions.")
+
+
+def _short(width: str) -> str:
+    return width.removesuffix(".tolerance").replace("_play", " pin, clearance")

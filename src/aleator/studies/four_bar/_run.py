@@ -1,0 +1,91 @@
+"""The four-bar study, run: three designs, their evidence, counts by elimination, and what a narrower zone costs."""
+
+from dataclasses import dataclass, field
+from functools import partial
+from typing import final
+
+import numpy as np
+
+import aleator as al
+from aleator._core.progress import Progress
+from aleator.studies._declared import Stage
+from aleator.studies._study import stop_if_interrupted
+from aleator.studies.four_bar import LENGTHS, WIDTHS, allocation_problem, nominal_problem, robust_problem
+from aleator.studies.four_bar._counts import Counts, count_linkages, lengths_of, widths_of
+
+NOMINAL, ROBUST, ALLOCATED = "dOpt", "uOpt", "aOpt"
+DESIGNS = (NOMINAL, ROBUST, ALLOCATED)
+PUBLISHED = "Hoeken"
+TARGET = 0.01
+"""The share of linkages that may break any limit."""
+
+DRAWN = 60
+
+
+@final
+@dataclass(frozen=True)
+class Effort:
+    """How much is computed: linkages simulated for each design, linkages counted by elimination, points on the front
+    (none without).
+    """
+
+    samples: int = 50_000
+    counted: int = 1_000_000
+    front_points: int = 7
+
+
+FULL = Effort()
+QUICK = Effort(samples=3_000, counted=100_000, front_points=0)
+
+
+@final
+@dataclass
+class FourBarResults:
+    """Everything that the study has finished so far; missing results are empty.
+
+    - `designs`, `evidence`: dOpt, uOpt and aOpt, and linkages simulated with their forces;
+    - `counts`: the same designs and Hoeken's linkage, their paths counted by elimination;
+    - `front`: the cost of the tolerances over the zone allowed.
+    """
+
+    effort: Effort
+    designs: dict[str, al.Solution] = field(default_factory=dict)
+    evidence: dict[str, al.results.Evidence] = field(default_factory=dict)
+    counts: dict[str, Counts] = field(default_factory=dict)
+    front: al.results.Front | None = None
+
+
+def solve_designs(results: FourBarResults, progress: Progress) -> None:
+    """The three designs."""
+    for i, (name, declare) in enumerate(
+        {NOMINAL: nominal_problem, ROBUST: robust_problem, ALLOCATED: allocation_problem}.items()
+    ):
+        progress(f"design {name}", i, len(DESIGNS))
+        results.designs[name] = al.solve(declare(), throw=False)
+
+
+def sample_designs(results: FourBarResults, progress: Progress) -> None:
+    """Each design simulated and counted."""
+    for name, solution in results.designs.items():
+        results.evidence[name] = al.validate(solution, results.effort.samples, seed=1, keep=DRAWN, progress=progress)
+    designs = {PUBLISHED: (LENGTHS, WIDTHS)}
+    designs |= {name: (lengths_of(one), widths_of(one)) for name, one in results.designs.items()}
+    for name, (lengths, widths) in designs.items():
+        results.counts[name] = count_linkages(lengths, widths, results.effort.counted, progress=progress)
+
+
+def sweep_zone(results: FourBarResults, progress: Progress) -> None:
+    """The least cost against the zone allowed, from the widest down."""
+    values = np.linspace(0.8, 0.3, results.effort.front_points)
+    results.front = al.pareto(allocation_problem(), "zone", values, progress=progress)
+    stop_if_interrupted(results.front)
+
+
+def stages(results: FourBarResults) -> dict[str, Stage]:
+    """All stages, the most useful first."""
+    front = {"front": Stage(partial(sweep_zone, results), 0.3)} if results.effort.front_points else {}
+    return {
+        "designs": Stage(partial(solve_designs, results), 0.4),
+        "evidence": Stage(partial(sample_designs, results), 0.3),
+        **front,
+    }

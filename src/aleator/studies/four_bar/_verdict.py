@@ -1,0 +1,95 @@
+"""The first screen of the four-bar's page: which lengths and tolerances to build, and how far to trust the numbers."""
+
+from collections.abc import Iterator
+
+import aleator as al
+from aleator.reporting import Card, Verdict, count, given, number, percent, share_text
+from aleator.studies._designs import no_recommendation, signed
+from aleator.studies.four_bar import FORCE, ZONE
+from aleator.studies.four_bar._counts import lengths_of, widths_of
+from aleator.studies.four_bar._facts import TEXTS, cost, zone
+from aleator.studies.four_bar._run import ALLOCATED, DESIGNS, NOMINAL, PUBLISHED, ROBUST, TARGET, FourBarResults
+
+
+def verdict(results: FourBarResults) -> Verdict:
+    """Which design to build and why, from the results available so far."""
+    sentences, cards = list(_sentences(results)), list(_cards(results))
+    missing = no_recommendation(results.designs, results.evidence, DESIGNS, sentences, cards)
+    if missing:
+        return missing
+    if not results.counts or len(results.designs) < len(DESIGNS):
+        return Verdict("caution", "Incomplete", "The study was stopped before its counts.", sentences, cards)
+    joint, headline = results.evidence[ALLOCATED].joint, _headline(results)
+    if joint.upper <= TARGET:
+        return Verdict("good", "Build", headline, sentences, cards)
+    if joint.lower <= TARGET:
+        said = f"Too few linkages were simulated to be sure of {percent(TARGET)} beyond any limit. {headline}"
+        return Verdict("caution", "Not confirmed yet", said, sentences, cards)
+    said = f"{share_text(joint)} of the linkages break a limit, more than {percent(TARGET)}."
+    return Verdict("bad", "Not confirmed", said, sentences, cards)
+
+
+def _headline(results: FourBarResults) -> str:
+    allocated, robust = results.designs[ALLOCATED], results.designs[ROBUST]
+    change = cost(allocated) / cost(robust) - 1
+    return (
+        f"aOpt, for ${cost(allocated):.2f} instead of ${cost(robust):.2f} ({signed(change)}): of the linkages"
+        f" {share_text(results.evidence[ALLOCATED].joint)} break any limit, and"
+        f" {share_text(results.counts[ALLOCATED].outside)} leave ±{given(ZONE, 'mm')} of the line."
+    )
+
+
+def _sentences(results: FourBarResults) -> Iterator[str]:
+    counts, designs = results.counts, results.designs
+    if set(counts) >= {PUBLISHED, *DESIGNS}:
+        yield (
+            f"With the given tolerances, {share_text(counts[PUBLISHED].outside)} of the published linkages and"
+            f" {share_text(counts[NOMINAL].outside)} of those of dOpt leave ±{given(ZONE, 'mm')}; of uOpt"
+            f" {share_text(counts[ROBUST].outside)}. ({count(counts[ROBUST].outside.samples)} linkages each, by"
+            " elimination.)"
+        )
+    if NOMINAL in designs and ROBUST in designs and designs[ROBUST].ok:
+        nominal, robust = (lengths_of(designs[name]) for name in (NOMINAL, ROBUST))
+        name = max(TEXTS, key=lambda one: abs(robust[one] - nominal[one]))
+        yield (
+            f"The mean linkage of dOpt keeps ±{number(zone(designs[NOMINAL]), 3, 'mm')}, but its spread is not"
+            f" considered. uOpt promises ±{number(zone(designs[ROBUST]), 3, 'mm')} for all; the most it changes is"
+            f" '{TEXTS[name].lower()}', by {number(robust[name] - nominal[name], 3, 'mm')}."
+        )
+    if ALLOCATED in designs and designs[ALLOCATED].ok:
+        one = designs[ALLOCATED]
+        widths = widths_of(one)
+        tight, wide = min(widths, key=widths.__getitem__), max(widths, key=widths.__getitem__)
+        yield (
+            f"aOpt spends its tolerances where the path feels them least: from {number(widths[tight], 3, 'mm')}"
+            f" ({_words(tight)}) to {number(widths[wide], 3, 'mm')} ({_words(wide)}). Active:"
+            f" {', '.join(name for name in one.active if name not in one.at_bounds)}."
+        )
+
+
+def _words(width: str) -> str:
+    return width.replace("_play", "'s pin, clearance").replace(".tolerance", "")
+
+
+def _cards(results: FourBarResults) -> Iterator[Card]:
+    for name in DESIGNS:
+        if one := results.counts.get(name):
+            note = f"95 % interval; 99 % of the linkages stay within ±{number(one.largest[-1], 3, 'mm')}"
+            yield Card(f"{name}: leave ±{given(ZONE, 'mm')}", share_text(one.outside), note)
+    if ALLOCATED in results.evidence:
+        yield Card(
+            "aOpt: break any limit",
+            share_text(results.evidence[ALLOCATED].joint),
+            f"forces up to {given(FORCE, 'N')} included",
+        )
+    if ALLOCATED in results.designs and results.designs[ALLOCATED].ok:
+        solution = results.designs[ALLOCATED]
+        yield Card(
+            "Cost of tolerances, aOpt",
+            f"${cost(solution):.2f}",
+            f"the limit 'zone' costs ${_price(solution):.2f} per mm",
+        )
+
+
+def _price(solution: al.Solution) -> float:
+    return next(one.shadow_price for one in solution.constraints if one.name == "zone")

@@ -1,0 +1,221 @@
+"""The four-bar study: its linkage against closed forms, elimination and free bodies, and its designs against counts."""
+
+import math
+from functools import cache
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import aleator as al
+from aleator.reporting import Text
+from aleator.studies import load
+from aleator.studies.four_bar import DURATION, HEIGHT, LENGTHS, WIDTHS, ZONE, FourBar, driven
+from aleator.studies.four_bar._counts import count_linkages, crank_angles, posture
+from aleator.studies.four_bar._drawing import posture_of
+from aleator.studies.four_bar._run import ALLOCATED, DESIGNS, NOMINAL, PUBLISHED, QUICK, ROBUST, TARGET
+from aleator.studies.four_bar._study import FourBarStudy
+from compiling import compiled
+
+G = 9.81
+PLAYED: dict[str, Any] = {"crank_play": 0.05, "rocker_play": 0.08, "crank_seat": (0.3, -0.4), "rocker_seat": (-0.6, 0.2)}
+UNEVEN = {"crank": 95.0, "coupler": 265.0, "rocker": 270.0, "ground": 211.0, "along": 533.0, "across": 7.0}
+
+
+def hoeken(ground, bar, angles):
+    """The tool of Hoeken's linkage of crank 1, coupler and rocker `bar`, the tool at twice that.
+
+    The tool, the crank's pin and the rocker's bearing lie on a circle about the rocker's pin: the angle at the bearing
+    is right, and the tool lies at sqrt((2 bar)^2 - f^2) from it, f being the distance to the crank's pin (Thales).
+    """
+    f = np.sqrt(1 + ground**2 - 2 * ground * np.cos(angles))
+    out = np.sqrt(4 * bar**2 - f**2) / f
+    return ground + out * np.sin(angles), out * (ground - np.cos(angles))
+
+
+# Norton, Design of Machinery: link ratios for the smallest errors in straightness of Hoeken's linkage: range and
+# start of the crank's angle (degrees), ground and coupler over crank, stroke over crank, error in % of the stroke.
+NORTON = [
+    (60, 150, 2.900, 3.850, 1.763, 0.00027),
+    (120, 120, 2.625, 3.438, 3.238, 0.010),
+    (140, 110, 2.500, 3.250, 3.623, 0.023),
+    (160, 100, 2.350, 3.025, 3.933, 0.047),
+    (180, 90, 2.200, 2.800, 4.181, 0.096),
+]
+
+
+@pytest.mark.parametrize(("span", "start", "ground", "bar", "stroke", "error"), NORTON)
+def test_elimination_gives_the_published_straightness_of_hoekens_linkages(span, start, ground, bar, stroke, error):
+    lengths = {"crank": 1.0, "coupler": bar, "rocker": bar, "ground": ground, "along": 2 * bar, "across": 0.0}
+    angles = np.radians(np.linspace(start, start + span, 1001))
+    x, y = posture_of(lengths, angles).tool.T
+    assert x[0] - x[-1] == pytest.approx(stroke, abs=6e-4)
+    digits = len(f"{error:.5f}".rstrip("0").split(".")[1])
+    assert 100 * np.ptp(y) / (x[0] - x[-1]) == pytest.approx(error, abs=0.51 * 10.0**-digits)
+
+
+def test_elimination_is_the_right_angle_of_thales():
+    lengths = {"crank": 1.0, "coupler": 2.5, "rocker": 2.5, "ground": 2.0, "along": 5.0, "across": 0.0}
+    angles = np.linspace(0.1, 6.0, 50)
+    np.testing.assert_allclose(posture_of(lengths, angles).tool.T, hoeken(2.0, 2.5, angles), rtol=1e-12)
+    # The proportions 2 : 4 : 5 : 5 cross the height of four cranks at both ends of half a turn and in its middle.
+    np.testing.assert_allclose(hoeken(2.0, 2.5, np.radians([90, 180, 270]))[1], 4.0, rtol=1e-14)
+
+
+@compiled
+def run(system):
+    return al.simulate(system, al.Grid(DURATION, 20))
+
+
+@cache
+def simulated():
+    model = FourBar(zone=1.0, **UNEVEN, **PLAYED)
+    return {name: np.asarray(values) for name, values in run(driven(model)).items()}
+
+
+@cache
+def eliminated():
+    offsets = (np.array(PLAYED[f"{pin}_play"]) * np.array(PLAYED[f"{pin}_seat"]) for pin in ("crank", "rocker"))
+    lengths = {name: np.asarray(one) for name, one in UNEVEN.items()}
+    return posture(simulated()["crank"], lengths, *offsets)
+
+
+def test_the_path_of_the_closed_loop_is_that_of_elimination():
+    found, expected = simulated(), eliminated()
+    np.testing.assert_allclose(found["x"], expected.tool[:, 0], rtol=1e-10)
+    np.testing.assert_allclose(found["deviation"] + HEIGHT, expected.tool[:, 1], rtol=1e-10)
+    np.testing.assert_allclose(found["transmission"], expected.transmission, rtol=1e-10)
+
+
+def test_reactions_and_torque_balance_free_bodies():
+    """Newton and Euler for each bar, in the plane, from its angles alone: forces in the pins and the motor's torque."""
+    found, (a, b, c) = simulated(), (UNEVEN[name] / 1e3 for name in ("crank", "coupler", "rocker"))
+    tool, density = 2.0, 2.0
+    along, across = UNEVEN["along"] / 1e3, UNEVEN["across"] / 1e3
+    angle, rate, growth = (
+        np.stack([found[f"{name}{end}"] for name in ("crank", "coupler", "rocker")])
+        for end in ("", "_rate", "_acceleration")
+    )
+
+    def acceleration(i, x, y):
+        """Of a point at (x, y) along and across a bar that turns, its origin at rest."""
+        u, n = np.stack([np.cos(angle[i]), np.sin(angle[i])]), np.stack([-np.sin(angle[i]), np.cos(angle[i])])
+        return growth[i] * (x * n - y * u) - rate[i] ** 2 * (x * u + y * n)
+
+    def arm(i, x, y):
+        u, n = np.stack([np.cos(angle[i]), np.sin(angle[i])]), np.stack([-np.sin(angle[i]), np.cos(angle[i])])
+        return x * u + y * n
+
+    def cross(p, q):
+        return p[0] * q[1] - p[1] * q[0]
+
+    weight = np.array([[0.0], [-G]])
+    long = math.hypot(along, across)
+    crank, coupler, rocker = density * a, density * long, density * c
+    at_pin = acceleration(0, a, 0.0)
+    centre, end = at_pin + acceleration(1, along / 2, across / 2), at_pin + acceleration(1, along, across)
+    on_rocker = np.stack([found["pin_x_multiplier"], found["pin_y_multiplier"]])
+    on_coupler = coupler * (centre - weight) + tool * (end - weight) + on_rocker
+    np.testing.assert_allclose(found["crank_pin"], np.hypot(*on_coupler), rtol=1e-9)
+    np.testing.assert_allclose(found["rocker_pin"], np.hypot(*on_rocker), rtol=1e-9)
+    # Moments about the crank's pin, the rocker's bearing, and the crank's bearing.
+    bar = coupler * long**2 / 12 * growth[1] + cross(arm(1, along / 2, across / 2), coupler * (centre - weight))
+    loads = bar + cross(arm(1, along, across), tool * (end - weight)) + cross(arm(1, b, 0.0), on_rocker)
+    np.testing.assert_allclose(loads, 0.0, atol=1e-9)
+    lifted = rocker * c**2 / 3 * growth[2] - cross(arm(2, c / 2, 0.0), rocker * weight)
+    np.testing.assert_allclose(lifted, cross(arm(2, c, 0.0), on_rocker), atol=1e-9)
+    turned = (
+        crank * a**2 / 3 * growth[0] - cross(arm(0, a / 2, 0.0), crank * weight) + cross(arm(0, a, 0.0), on_coupler)
+    )
+    np.testing.assert_allclose(found["crank_torque"], turned, atol=1e-9)
+
+
+def test_the_energy_of_the_matrices_is_that_of_the_bodies():
+    """The kinetic energy of three bars and a tool, from the velocities of their centres by finite differences."""
+    model, rng = FourBar(zone=1.0, **UNEVEN), np.random.default_rng(0)
+    q, v = rng.normal(size=3), rng.normal(size=3)
+
+    def places(q):
+        u = np.stack([np.cos(q), np.sin(q)], axis=1)
+        pin = UNEVEN["crank"] / 1e3 * u[0]
+        tool = UNEVEN["along"] / 1e3 * u[1] + UNEVEN["across"] / 1e3 * np.array([-u[1, 1], u[1, 0]])
+        return np.stack([pin / 2, pin + tool / 2, UNEVEN["rocker"] / 2e3 * u[2], pin + tool])
+
+    step = 1e-5
+    speeds = (places(q + step * v) - places(q - step * v)) / (2 * step)
+    lengths = np.array([UNEVEN["crank"], math.hypot(UNEVEN["along"], UNEVEN["across"]), UNEVEN["rocker"]]) / 1e3
+    masses = np.array([*(2.0 * lengths), 2.0])
+    energy = 0.5 * masses @ np.sum(speeds**2, axis=1) + 0.5 * (masses[:3] * lengths**2 / 12) @ v**2
+    assert 0.5 * v @ np.asarray(model.mass_matrix(jnp.asarray(q))) @ v == pytest.approx(energy, rel=1e-8)
+
+
+def test_counts_find_the_published_linkage_within_its_published_error():
+    nothing = dict.fromkeys(WIDTHS, 0.0)
+    counts = count_linkages(LENGTHS, nothing, 10)
+    assert counts.outside.count == 0
+    # Half of 0.096 % of 400 mm above and below the line, and what rounding of its lengths moves it.
+    assert counts.largest[0] == pytest.approx(0.00096 * 400 / 2, abs=0.15)
+
+
+def test_the_page_says_first_what_was_not_reached():
+    begun = load("four-bar", quick=True)
+    assert begun.verdict().word == "Incomplete"
+    (said,) = begun.page().sections[0].blocks
+    assert isinstance(said, Text)
+    assert "Not reached or not completed: designs" in said.paragraphs[0]
+
+
+@pytest.fixture(scope="module")
+def study():
+    made = FourBarStudy(QUICK)
+    for stage in made.stages:
+        made.run(stage)
+    return made
+
+
+@pytest.mark.slow
+def test_all_designs_are_solved_and_their_samples_agree(study):
+    for name in DESIGNS:
+        assert study.found.designs[name].ok, study.found.designs[name].why()
+        assert study.found.evidence[name].agrees
+
+
+@pytest.mark.slow
+def test_the_mean_linkage_is_at_least_as_straight_as_the_published_one(study):
+    """Its optimum has more freedoms, and its path touches the zone on both sides, as a best approximation does."""
+    zone = float(study.found.designs[NOMINAL].decisions["zone"])
+    assert zone < 0.00096 * 400 / 2
+    lengths = {name: study.found.designs[NOMINAL].decisions[f"{name}.nominal"] for name in LENGTHS}
+    away = posture_of(lengths, crank_angles(2001)).tool[:, 1] - HEIGHT
+    # The expansion's mean includes a little of the curvature of the spread.
+    assert away.max() == pytest.approx(zone, rel=0.02)
+    assert away.min() == pytest.approx(-zone, rel=0.02)
+
+
+@pytest.mark.slow
+def test_the_robust_linkage_is_no_worse_than_the_nominal_one_on_fresh_linkages(study):
+    counts = study.found.counts
+    assert counts[ROBUST].outside.upper <= counts[NOMINAL].outside.lower
+    assert counts[ROBUST].largest[-1] <= counts[NOMINAL].largest[-1] <= counts[PUBLISHED].largest[-1]
+
+
+@pytest.mark.slow
+def test_the_cheapest_tolerances_hold_on_fresh_linkages(study):
+    allocated, robust = study.found.designs[ALLOCATED], study.found.designs[ROBUST]
+    assert study.found.counts[ALLOCATED].outside.upper <= TARGET
+    assert study.found.evidence[ALLOCATED].joint.lower <= TARGET
+    assert float(allocated.decisions["zone"]) == pytest.approx(ZONE, rel=1e-6)
+    counted = study.found.counts[ALLOCATED].outside
+    simulated = study.found.evidence[ALLOCATED].violations["line"]
+    assert simulated.lower <= counted.upper
+    assert counted.lower <= simulated.upper
+    assert allocated.objective < robust.objective
+
+
+@pytest.mark.slow
+def test_the_page_has_every_section_and_a_verdict(study, tmp_path):
+    assert study.verdict().word in ("Build", "Not confirmed yet")
+    assert [one.heading for one in study.page().sections][:3] == ["This run", "The linkage", "The three designs"]
+    written = [*study.save(tmp_path), study.write_page(tmp_path)]
+    assert {one.name for one in written} == {"results.nc", "designs.json", "report.html"}
