@@ -19,7 +19,12 @@ from aleator.studies.four_bar._study import FourBarStudy
 from compiling import compiled
 
 G = 9.81
-PLAYED: dict[str, Any] = {"crank_play": 0.05, "rocker_play": 0.08, "crank_seat": (0.3, -0.4), "rocker_seat": (-0.6, 0.2)}
+PLAYED: dict[str, Any] = {
+    "crank_play": 0.05,
+    "rocker_play": 0.08,
+    "crank_seat": (0.3, -0.4),
+    "rocker_seat": (-0.6, 0.2),
+}
 UNEVEN = {"crank": 95.0, "coupler": 265.0, "rocker": 270.0, "ground": 211.0, "along": 533.0, "across": 7.0}
 
 
@@ -195,9 +200,12 @@ def test_the_mean_linkage_is_at_least_as_straight_as_the_published_one(study):
 
 @pytest.mark.slow
 def test_the_robust_linkage_is_no_worse_than_the_nominal_one_on_fresh_linkages(study):
-    counts = study.found.counts
-    assert counts[ROBUST].outside.upper <= counts[NOMINAL].outside.lower
-    assert counts[ROBUST].largest[-1] <= counts[NOMINAL].largest[-1] <= counts[PUBLISHED].largest[-1]
+    """The objective itself, sampled by elimination with the same random numbers: mean and spread at each place."""
+    counts, evidence = study.found.counts, study.found.evidence
+    assert counts[ROBUST].zone < counts[NOMINAL].zone < counts[PUBLISHED].zone
+    assert counts[ROBUST].outside.estimate <= counts[NOMINAL].outside.estimate < counts[PUBLISHED].outside.estimate
+    assert evidence[ROBUST].joint.upper <= TARGET
+    assert evidence[NOMINAL].violation("stroke", "transmission").lower > 0.5
 
 
 @pytest.mark.slow
@@ -206,6 +214,8 @@ def test_the_cheapest_tolerances_hold_on_fresh_linkages(study):
     assert study.found.counts[ALLOCATED].outside.upper <= TARGET
     assert study.found.evidence[ALLOCATED].joint.lower <= TARGET
     assert float(allocated.decisions["zone"]) == pytest.approx(ZONE, rel=1e-6)
+    # Sampled by elimination, the zone at the margin is that of the program.
+    assert study.found.counts[ALLOCATED].zone == pytest.approx(ZONE, rel=0.01)
     counted = study.found.counts[ALLOCATED].outside
     simulated = study.found.evidence[ALLOCATED].violations["line"]
     assert simulated.lower <= counted.upper

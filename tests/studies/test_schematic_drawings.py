@@ -10,6 +10,8 @@ import pytest
 from aleator.reporting import Page, Schematic, Section, Verdict, page_html, sketch
 from aleator.studies.clutch import MEANS
 from aleator.studies.clutch._drawing import clutch_drawing
+from aleator.studies.four_bar import LENGTHS
+from aleator.studies.four_bar._drawing import linkage_drawing
 from aleator.studies.suspension import QuarterCar, apportioned, nominal, road
 from aleator.studies.suspension._drawing import car_drawing
 from aleator.studies.swing_up import DoublePendulum
@@ -34,6 +36,7 @@ DRAWINGS = {
     "arm": arm,
     "pendulum": lambda: pendulum_drawing(DoublePendulum()),
     "car": car,
+    "linkage": linkage_drawing,
 }
 
 
@@ -81,6 +84,7 @@ def test_a_drawing_is_well_formed_in_the_colour_of_the_page_and_inside_its_frame
         ("clutch", ["a", "b", "c", "e", "γ", "hub", "roller", "ring"]),
         ("arm", ["q₁, τ₁", "q₂, τ₂", "wall", "obstacle", "target", "start, M(ξ)"]),
         ("pendulum", ["q₁, τ₁", "q₂ (free)", "m₂(ξ)", "g", "start", "target"]),
+        ("linkage", ["θ, τ", "crank", "coupler", "rocker", "tool"]),
         ("car", ["zₛ", "zᵤ", "road", "mᵤ = 94 kg", "mₛ(ξ) = 376 ± 47 kg", "kₛ(ξ) = kₛ⁰ ± 3750 N/m"]),
     ],
 )
@@ -104,6 +108,18 @@ def test_the_roller_touches_hub_and_ring_where_the_closed_form_says(dimensions):
     chi = math.degrees(math.acos((a + c) / (e - c)))
     assert f"χ = {chi:.3f}°" in words_of(svg)
     assert math.degrees(math.atan2(x - origin[0], origin[1] - y)) == pytest.approx(chi, abs=0.02)
+
+
+@pytest.mark.parametrize("lengths", [LENGTHS, LENGTHS | {"crank": 80.0, "rocker": 250.0}])
+def test_the_bars_of_the_linkage_are_drawn_to_one_scale(lengths):
+    svg = linkage_drawing(lengths)
+    crank, rocker, coupler = (points(part(svg, kind)) for kind in ("crank", "rocker", "coupler"))
+    scale = math.dist(*crank) / lengths["crank"]
+    assert math.dist(*rocker) / scale == pytest.approx(lengths["rocker"], rel=2e-3)
+    assert math.dist(crank[0], rocker[0]) / scale == pytest.approx(lengths["ground"], rel=2e-3)
+    bars = np.linalg.norm(np.diff(coupler, axis=0), axis=1) / scale
+    assert bars == pytest.approx([lengths["coupler"], lengths["along"] - lengths["coupler"]], rel=2e-3)
+    assert points(part(svg, "line"))[0, 0] > points(part(svg, "line"))[-1, 0]  # from right to left, as the crank turns
 
 
 @pytest.mark.parametrize(("first", "second"), [(1.0, 1.0), (0.8, 1.3)])

@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 import aleator as al
 from aleator._core.progress import Progress, silent
-from aleator.studies.four_bar import ANGLES, HEIGHT, LENGTHS, TRANSMISSION, WIDTHS, ZONE
+from aleator.studies.four_bar import ANGLES, HEIGHT, LENGTHS, SIGMAS, TRANSMISSION, WIDTHS, ZONE
 
 ALONG_STROKE = 81
 AT_ONCE = 20_000
@@ -34,11 +34,13 @@ class Counts:
 
     - `outside`: linkages whose tool leaves the given zone somewhere on the stroke; `flat`: those whose angle of
       transmission is too small somewhere;
+    - `zone`: half the width of the zone in which `SIGMAS` standard deviations stay at each place of the stroke, mm;
     - `largest`: the largest deviation of the tool on the stroke that half, 95 %, and 99 % of the linkages keep, mm.
     """
 
     outside: al.results.Proportion
     flat: al.results.Proportion
+    zone: float
     largest: tuple[float, float, float]
 
 
@@ -95,17 +97,21 @@ def count_linkages(
     progress: Progress = silent,
 ) -> Counts:
     """Assemble `samples` linkages of normal dimensions, and count those that leave the zone or transmit badly."""
-    largest, smallest = [], []
+    largest, smallest, sums = [], [], np.zeros((2, ALONG_STROKE))
     for done in range(0, samples, AT_ONCE):
         progress("counting linkages", done, samples)
         count = min(AT_ONCE, samples - done)
         found = drawn_postures(lengths, widths, count, seed=seed + done, instants=crank_angles())
-        largest.append(np.abs(found.tool[..., 1] - HEIGHT).max(axis=1))
+        deviation = found.tool[..., 1] - HEIGHT
+        sums += np.sum(deviation, axis=0), np.sum(deviation**2, axis=0)
+        largest.append(np.abs(deviation).max(axis=1))
         smallest.append(found.transmission.min(axis=1))
+    mean, square = sums / samples
     away, least = np.concatenate(largest), np.concatenate(smallest)
     return Counts(
         outside=al.results.Proportion(int(np.sum(away > ZONE)), samples),
         flat=al.results.Proportion(int(np.sum(least < TRANSMISSION)), samples),
+        zone=float(np.max(np.abs(mean) + SIGMAS * np.sqrt(np.maximum(square - mean**2, 0.0)))),
         largest=tuple(np.quantile(away, LEVELS).tolist()),
     )
 

@@ -98,6 +98,7 @@ def counts_table(results: FourBarResults) -> Table:
         [f"Linkages that leave ±{given(ZONE, 'mm')} on the stroke", *(share_text(one.outside) for one in every)],
         [f"Linkages below {given(TRANSMISSION)}° of transmission", *(share_text(one.flat) for one in every)],
     ]
+    rows.append([f"Zone of μ ± {given(SIGMAS)} σ at each place, ± (mm)", *(number(one.zone, 4) for one in every)])
     for i, level in enumerate(LEVELS):
         rows.append(
             [f"Largest deviation that {given(100 * level)} % keep (mm)", *(number(one.largest[i], 3) for one in every)]
@@ -118,6 +119,7 @@ def counts_dataset(counts: Mapping[str, Counts]) -> "xarray.Dataset":
         {
             "outside": ("design", [one.outside.count for one in every], {"units": "1"}),
             "flat": ("design", [one.flat.count for one in every], {"units": "1"}),
+            "zone": ("design", [one.zone for one in every], {"units": "mm"}),
             "linkages": ("design", [one.outside.samples for one in every], {"units": "1"}),
             "largest_deviation": (("design", "share"), [one.largest for one in every], {"units": "mm"}),
         },

@@ -21,11 +21,11 @@ from aleator.reporting import (
     looks,
     trajectory_figure,
 )
-from aleator.studies.four_bar import DURATION, HEIGHT, LENGTHS, SIGMAS, WIDTHS, ZONE
+from aleator.studies.four_bar import DURATION, HEIGHT, SIGMAS, WIDTHS, ZONE
 from aleator.studies.four_bar._counts import Posture, crank_angles, drawn_postures, lengths_of, widths_of
 from aleator.studies.four_bar._drawing import linkage_drawing, posture_of
 from aleator.studies.four_bar._facts import counts_table, designs_table
-from aleator.studies.four_bar._run import ALLOCATED, DESIGNS, PUBLISHED, ROBUST, FourBarResults
+from aleator.studies.four_bar._run import ALLOCATED, DESIGNS, ROBUST, FourBarResults, dimensions
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
@@ -113,11 +113,9 @@ def _paths(results: FourBarResults) -> Iterator[Block]:
     if not results.counts:
         return
     yield counts_table(results)
-    designs = {PUBLISHED: (LENGTHS, WIDTHS)}
-    designs |= {name: (lengths_of(one), widths_of(one)) for name, one in results.designs.items()}
     angles, times = _motion()
     figures = []
-    for name, (lengths, widths) in designs.items():
+    for name, (lengths, widths) in dimensions(results).items():
         heights = drawn_postures(lengths, widths, SPREAD, seed=5, instants=angles).tool[..., 1] - HEIGHT
         figures.append(
             bands_figure(times, {"deviation": heights}, y="Deviation", unit="mm", limits=(-ZONE, ZONE), title=name)

@@ -65,13 +65,21 @@ def solve_designs(results: FourBarResults, progress: Progress) -> None:
 
 
 def sample_designs(results: FourBarResults, progress: Progress) -> None:
-    """Each design simulated and counted."""
+    """Each design simulated, with its forces."""
     for name, solution in results.designs.items():
         results.evidence[name] = al.validate(solution, results.effort.samples, seed=1, keep=DRAWN, progress=progress)
-    designs = {PUBLISHED: (LENGTHS, WIDTHS)}
-    designs |= {name: (lengths_of(one), widths_of(one)) for name, one in results.designs.items()}
-    for name, (lengths, widths) in designs.items():
+
+
+def count_designs(results: FourBarResults, progress: Progress) -> None:
+    """The path of each design, and of the published linkage with the given tolerances."""
+    for name, (lengths, widths) in dimensions(results).items():
         results.counts[name] = count_linkages(lengths, widths, results.effort.counted, progress=progress)
+
+
+def dimensions(results: FourBarResults) -> dict[str, tuple[dict[str, float], dict[str, float]]]:
+    """Lengths and widths (mm) of the published linkage and of each design, by name."""
+    found = {name: (lengths_of(one), widths_of(one)) for name, one in results.designs.items()}
+    return {PUBLISHED: (LENGTHS, WIDTHS), **found}
 
 
 def sweep_zone(results: FourBarResults, progress: Progress) -> None:
@@ -86,6 +94,7 @@ def stages(results: FourBarResults) -> dict[str, Stage]:
     front = {"front": Stage(partial(sweep_zone, results), 0.3)} if results.effort.front_points else {}
     return {
         "designs": Stage(partial(solve_designs, results), 0.4),
-        "evidence": Stage(partial(sample_designs, results), 0.3),
+        "evidence": Stage(partial(sample_designs, results), 0.2),
+        "counts": Stage(partial(count_designs, results), 0.1),
         **front,
     }

@@ -5,10 +5,13 @@ from collections.abc import Iterator
 import aleator as al
 from aleator.reporting import Card, Verdict, count, given, number, percent, share_text
 from aleator.studies._designs import no_recommendation, signed
-from aleator.studies.four_bar import FORCE, ZONE
-from aleator.studies.four_bar._counts import lengths_of, widths_of
-from aleator.studies.four_bar._facts import TEXTS, cost, zone
+from aleator.studies.four_bar import FORCE, SIGMAS, ZONE
+from aleator.studies.four_bar._counts import widths_of
+from aleator.studies.four_bar._facts import cost, zone
 from aleator.studies.four_bar._run import ALLOCATED, DESIGNS, NOMINAL, PUBLISHED, ROBUST, TARGET, FourBarResults
+
+BESIDE = ("stroke", "transmission", "crank pin", "rocker pin", "torque")
+"""All limits but the zone, which is each design's own."""
 
 
 def verdict(results: FourBarResults) -> Verdict:
@@ -48,20 +51,24 @@ def _sentences(results: FourBarResults) -> Iterator[str]:
             f" {share_text(counts[ROBUST].outside)}. ({count(counts[ROBUST].outside.samples)} linkages each, by"
             " elimination.)"
         )
-    if NOMINAL in designs and ROBUST in designs and designs[ROBUST].ok:
-        nominal, robust = (lengths_of(designs[name]) for name in (NOMINAL, ROBUST))
-        name = max(TEXTS, key=lambda one: abs(robust[one] - nominal[one]))
+    if set(counts) >= {NOMINAL, ROBUST} and designs[ROBUST].ok:
         yield (
-            f"The mean linkage of dOpt keeps ±{number(zone(designs[NOMINAL]), 3, 'mm')}, but its spread is not"
-            f" considered. uOpt promises ±{number(zone(designs[ROBUST]), 3, 'mm')} for all; the most it changes is"
-            f" '{TEXTS[name].lower()}', by {number(robust[name] - nominal[name], 3, 'mm')}."
+            f"uOpt keeps ±{number(counts[ROBUST].zone, 3, 'mm')} at {given(SIGMAS)} σ where dOpt keeps"
+            f" ±{number(counts[NOMINAL].zone, 3, 'mm')}: the mean linkage of dOpt alone stays within"
+            f" ±{number(zone(designs[NOMINAL]), 3, 'mm')}."
+        )
+    if set(results.evidence) >= {NOMINAL, ROBUST}:
+        nominal, robust = (results.evidence[name].violation(*BESIDE) for name in (NOMINAL, ROBUST))
+        yield (
+            f"Of dOpt {share_text(nominal)} of the linkages miss the stroke, the angle of transmission, or a limit on"
+            f" forces and torque, because its mean linkage lies on such limits; of uOpt {share_text(robust)}."
         )
     if ALLOCATED in designs and designs[ALLOCATED].ok:
         one = designs[ALLOCATED]
         widths = widths_of(one)
         tight, wide = min(widths, key=widths.__getitem__), max(widths, key=widths.__getitem__)
         yield (
-            f"aOpt spends its tolerances where the path feels them least: from {number(widths[tight], 3, 'mm')}"
+            f"aOpt widens what the path feels least or what is dear: tolerances and clearances from {number(widths[tight], 3, 'mm')}"
             f" ({_words(tight)}) to {number(widths[wide], 3, 'mm')} ({_words(wide)}). Active:"
             f" {', '.join(name for name in one.active if name not in one.at_bounds)}."
         )
