@@ -25,7 +25,14 @@ PLAYED: dict[str, Any] = {
     "crank_seat": (0.3, -0.4),
     "rocker_seat": (-0.6, 0.2),
 }
-UNEVEN = {"crank": 95.0, "coupler": 265.0, "rocker": 270.0, "ground": 211.0, "along": 533.0, "across": 7.0}
+UNEVEN: dict[str, Any] = {
+    "crank": 95.0,
+    "coupler": 265.0,
+    "rocker": 270.0,
+    "ground": 211.0,
+    "along": 533.0,
+    "across": 7.0,
+}
 
 
 def hoeken(ground, bar, angles):

@@ -61,7 +61,7 @@ def solve_designs(results: FourBarResults, progress: Progress) -> None:
         {NOMINAL: nominal_problem, ROBUST: robust_problem, ALLOCATED: allocation_problem}.items()
     ):
         progress(f"design {name}", i, len(DESIGNS))
-        results.designs[name] = al.solve(declare(), throw=False)
+        results.designs[name] = al.solve(declare())
 
 
 def sample_designs(results: FourBarResults, progress: Progress) -> None:

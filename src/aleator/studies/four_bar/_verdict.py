@@ -68,9 +68,9 @@ def _sentences(results: FourBarResults) -> Iterator[str]:
         widths = widths_of(one)
         tight, wide = min(widths, key=widths.__getitem__), max(widths, key=widths.__getitem__)
         yield (
-            f"aOpt widens what the path feels least or what is dear: tolerances and clearances from {number(widths[tight], 3, 'mm')}"
-            f" ({_words(tight)}) to {number(widths[wide], 3, 'mm')} ({_words(wide)}). Active:"
-            f" {', '.join(name for name in one.active if name not in one.at_bounds)}."
+            "aOpt widens what the path feels least or what is dear: tolerances and clearances from"
+            f" {number(widths[tight], 3, 'mm')} ({_words(tight)}) to {number(widths[wide], 3, 'mm')} ({_words(wide)})."
+            f" Active: {', '.join(name for name in one.active if name not in one.at_bounds)}."
         )
 
 
