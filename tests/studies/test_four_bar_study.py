@@ -7,6 +7,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import xarray
 
 import aleator as al
 from aleator.reporting import Text
@@ -178,6 +179,17 @@ def test_the_page_says_first_what_was_not_reached():
     assert "Not reached or not completed: designs" in said.paragraphs[0]
 
 
+def test_what_is_counted_is_stored_before_there_is_a_design(tmp_path):
+    begun = FourBarStudy(QUICK)
+    begun.found.counts = {PUBLISHED: count_linkages(LENGTHS, WIDTHS, 2000)}
+    begun.save(tmp_path)
+    with xarray.open_datatree(tmp_path / "results.nc", engine="h5netcdf") as stored:
+        counted = stored["counts"].to_dataset().sel(design=PUBLISHED)
+        assert int(counted["outside"]) == begun.found.counts[PUBLISHED].outside.count
+        assert float(counted["zone"]) == begun.found.counts[PUBLISHED].zone
+    assert [one.caption for one in begun.tables()] == ["Paths counted by elimination"]
+
+
 @pytest.fixture(scope="module")
 def study():
     made = FourBarStudy(QUICK)
@@ -233,6 +245,6 @@ def test_the_cheapest_tolerances_hold_on_fresh_linkages(study):
 @pytest.mark.slow
 def test_the_page_has_every_section_and_a_verdict(study, tmp_path):
     assert study.verdict().word in ("Build", "Not confirmed yet")
-    assert [one.heading for one in study.page().sections][:3] == ["This run", "The linkage", "The three designs"]
+    assert [one.heading for one in study.page().sections][:3] == ["The linkage", "The three designs", "The path"]
     written = [*study.save(tmp_path), study.write_page(tmp_path)]
     assert {one.name for one in written} == {"results.nc", "designs.json", "report.html"}
