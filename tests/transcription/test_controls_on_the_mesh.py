@@ -10,6 +10,7 @@ import aleator as al
 from aleator.design import history
 from aleator.trajectories import Piecewise, piecewise_in
 from aleator.transcription import started_from, transcribe
+from aleator.transcription.simultaneous._tiles import EVALUATE
 from aleator.transcription.simultaneous._transcribed import SimultaneouslyTranscribed
 
 LEVELS = np.array([1.0, -2.0, 0.5, 3.0])
@@ -53,7 +54,7 @@ class VanDerPol(al.System):
         return (1 - z.x2**2) * z.x1 - z.x2 + u, z.x1
 
     def outputs(self, t, z, u):
-        return {"cost": z.x1**2 + z.x2**2 + u**2}
+        return {"cost": z.x1**2 + z.x2**2 + u**2, "x1": z.x1}
 
     def initial(self):
         return {"x2": 1.0}
@@ -243,6 +244,23 @@ def test_controls_follow_a_mesh_that_is_refined(degree, steps, above):
     assert len(nodes) > steps + 1
     again = al.solve(solution.problem, transcription=al.Simultaneous(), warm_start=solution)
     assert again.objective == pytest.approx(solution.objective, rel=1e-7)
+
+
+def test_rates_and_outputs_are_compiled_once_for_all_meshes():
+    problem = al.Problem(
+        VanDerPol(),
+        grid=al.Grid(10.0, 30),
+        inputs={"u": al.Control(0.0, -1.0, 1.0)},
+        minimize=al.integral("cost").mean,
+        subject_to=[al.path("x1").within(-5.0, 5.0)],
+    )
+    first = transcribe(problem, al.Simultaneous(error=1e-7))
+    outcome = al.solvers.Ipopt().solve(first.program)
+    before = EVALUATE.compilations
+    refined = first.refined(outcome.point)
+    assert refined is not None
+    # What is compiled anew tells signals, and initial states, integrals and limits.
+    assert EVALUATE.compilations - before == 2
 
 
 def test_by_shooting_van_der_pol_is_as_good_on_the_same_nodes():

@@ -27,7 +27,12 @@ _MOVING = RATES, EQUATIONS, PATHS
 
 
 def _calls(
-    traced: Problem, constants: Constants, layout: Layout, every: tuple[Family, ...], patterns: list[Pattern]
+    traced: Problem,
+    equations: Problem,
+    constants: Constants,
+    layout: Layout,
+    every: tuple[Family, ...],
+    patterns: list[Pattern],
 ) -> list[Call]:
     """The calls that evaluate all families: those that grow with the mesh are in tiles, and what is compiled of them
     serves every mesh; but signals, which differ at each of their points.
@@ -39,7 +44,7 @@ def _calls(
     sizes[PATHS] = tile_size(*sizes[PATHS])
     tiles = [tiles_of(i, one, patterns[i].rows, sizes[i]) for i, one in enumerate(every)]
     rows = [one.rows.size for one in patterns]
-    moving = [calls_of(traced, None, None, [(one,) for one in tiles[i]]) for i in _MOVING if rows[i]]
+    moving = [calls_of(equations, None, None, [(one,) for one in tiles[i]]) for i in _MOVING if rows[i]]
     known = calls_of(traced, constants, layout.plan, [tuple(tiles[KNOWN])])
     rest = [some[0] for i, some in enumerate(tiles) if i not in (KNOWN, *_MOVING) and rows[i]]
     still = calls_of(traced, constants, first, [tuple(rest)])
@@ -115,12 +120,16 @@ class Assembled:
         cls,
         layout: Layout,
         traced: Problem,
+        equations: Problem,
         constants: Constants,
         points: Float[np.ndarray, "realisations germs"],
         fit: Float[np.ndarray, "terms points"],
         given: Given,
     ) -> "Assembled":
-        """That of a problem."""
+        """That of a problem.
+
+        - `equations`: a problem with the same rates and outputs, of which these are compiled.
+        """
         with jax.ensure_compile_time_eval():
             every = families(layout, traced, constants, jnp.asarray(points), layout.numbers).every
         first, patterns = 0, []
@@ -131,7 +140,7 @@ class Assembled:
             first += rows.size
         slopes = constant_slopes(traced, layout)
         rows = rows_of(layout, [one.rows for one in patterns], fit, slopes, given)
-        evaluated = Blocks(_calls(traced, constants, layout, every, patterns), patterns)
+        evaluated = Blocks(_calls(traced, equations, constants, layout, every, patterns), patterns)
         evaluated.begin(np.zeros(layout.count), first)
         before = sum(math.prod(one.shape) for one in patterns[:OBJECTIVE])
         objective = patterns[OBJECTIVE]

@@ -104,7 +104,7 @@ class Simultaneous(AbstractTranscription):
         meanwhile(problem, found)
         mesh = Mesh(first_nodes(problem), self.scheme, Pointwise.of(problem).has_jumps)
         accuracy = np.inf if self.error is None else float(self.error)
-        return Way(problem, traced, found, scenarios, accuracy, self._start).transcribed(mesh)
+        return Way(problem, traced, traced, found, scenarios, accuracy, self._start).transcribed(mesh)
 
 
 def _refuse(problem: Problem) -> None:

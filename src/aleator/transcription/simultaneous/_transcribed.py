@@ -79,13 +79,15 @@ class SimultaneouslyTranscribed(AbstractTranscribed):
     """A problem as a sparse program in its decisions and in the states of all realisations at the points of a mesh.
 
     - `accuracy`: the error of an interval that is asked for, infinite for none; `meshes`: those before;
-    - `begins`: where programs of the problem start.
+    - `begins`: where programs of the problem start;
+    - `equations`: the problem, traced, as it is on the first mesh: with its rates and outputs, which are compiled once.
     """
 
     layout: Layout
     assembled: Assembled
     accuracy: float
     begins: AbstractStart
+    equations: Problem
     meshes: tuple[MeshError, ...] = ()
 
     @property
@@ -140,7 +142,7 @@ class SimultaneouslyTranscribed(AbstractTranscribed):
     @override
     def at_scenarios(self, scenarios: Scenarios) -> "SimultaneouslyTranscribed":
         found = self.discretised.at_scenarios(scenarios)
-        way = Way(self.problem, self.traced, found, scenarios, self.accuracy, self.begins)
+        way = Way(self.problem, self.traced, self.equations, found, scenarios, self.accuracy, self.begins)
         return replace(way.transcribed(self.layout.plan.mesh), meshes=self.meshes)
 
     @property
@@ -166,7 +168,8 @@ class SimultaneouslyTranscribed(AbstractTranscribed):
         states = states_on(mesh, finer.fractions, values.states, self._rates(point))
         problem, decisions = followed(self.problem, values.decisions, finer.nodes)
         traced = numbers_to_arrays(problem)
-        way = Way(problem, traced, self.discretised, self.scenarios, self.accuracy, self.begins)
+        equations = self.equations if _has_same_equations(problem, self.layout.asked) else traced
+        way = Way(problem, traced, equations, self.discretised, self.scenarios, self.accuracy, self.begins)
         found = way.transcribed(finer, (decisions, states))
         return replace(found, meshes=(*self.meshes, error)), found.program.start
 
@@ -180,7 +183,10 @@ class SimultaneouslyTranscribed(AbstractTranscribed):
     @override
     def costates_at(
         self, point: Float[np.ndarray, " variables"], multipliers: Float[np.ndarray, " rows"]
-    ) -> tuple[Costates, Switching]:
+    ) -> tuple[Costates, Switching] | tuple[None, None]:
+        # Of algebraic variables, what follows from a push is not known here.
+        if self.layout.shapes.algebraic:
+            return None, None
         found, mesh = adjoint(self.layout, self.assembled, point, multipliers), self.layout.plan.mesh
         states, signals = state_shapes(self.problem), self.layout.asked.signal_shapes
         nodes, asked = self._instants(point, np.array(mesh.nodes)), self._instants(point, mesh.fractions[mesh.asked])
@@ -210,11 +216,18 @@ class SimultaneouslyTranscribed(AbstractTranscribed):
         return MeshError(nodes, errors, self.accuracy)
 
 
+def _has_same_equations(problem: Problem, before: Pointwise) -> bool:
+    """Whether a problem with other controls has the rates and outputs of the one before, of signals as told."""
+    asked = Pointwise.of(problem)
+    return not asked.is_random and asked.direct.size == before.direct.size
+
+
 class Way(NamedTuple):
     """What a program is made from, beside a mesh."""
 
     problem: Problem
     traced: Problem
+    equations: Problem
     found: Discretised
     scenarios: Scenarios | None
     accuracy: float
@@ -230,7 +243,7 @@ class Way(NamedTuple):
         asked = Pointwise.of(problem)
         plan = Plan(mesh, len(points), len(every) - len(points), len(fit), are_affine(asked, mesh))
         layout, given = Layout.of(problem, plan), Given.of(asked)
-        assembled = Assembled.of(layout, traced, constants, every, fit, given)
+        assembled = Assembled.of(layout, traced, self.equations, constants, every, fit, given)
         first, lower, upper = (problem.placements.vector(name) for name in ("initial", "lower", "upper"))
         decisions, states = begun or self._first(mesh, every)
         start = started(traced, layout, assembled, every, decisions, states)
@@ -285,6 +298,7 @@ class Way(NamedTuple):
             assembled=assembled,
             accuracy=self.accuracy,
             begins=self.begins,
+            equations=self.equations,
         )
 
     def _first(self, mesh: Mesh, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
