@@ -27,6 +27,7 @@ from aleator.design._functionals import peak as peak
 from aleator.design._functionals import rms as rms
 from aleator.design._functionals import terminal as terminal
 from aleator.design._objectives import Norm as Norm
+from aleator.design._objectives import beside_integrals as beside_integrals
 from aleator.design._objectives import coefficient_power as coefficient_power
 from aleator.design._objectives import effort as effort
 from aleator.design._objectives import final_time as final_time
@@ -35,6 +36,7 @@ from aleator.design._objectives import power as power
 from aleator.design._objectives import terminal_mean_error as terminal_mean_error
 from aleator.design._objectives import terminal_variance as terminal_variance
 from aleator.design._objectives import time_integral as time_integral
+from aleator.design._objectives import time_integrals as time_integrals
 from aleator.design._objectives import torque_rate as torque_rate
 from aleator.design._physics import refuse_changed_code as refuse_changed_code
 from aleator.design._problem import Problem as Problem

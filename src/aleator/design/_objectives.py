@@ -156,6 +156,29 @@ class TimeIntegral(AbstractComposite):
         return self.parts
 
 
+def time_integrals(expression: Expression) -> tuple[Expression, ...]:
+    """The expressions that are integrated over time within another one, in the order of evaluation."""
+    return tuple(
+        found
+        for atom in expression.atoms
+        for one in atom.inner
+        for found in ((one,) if isinstance(atom, TimeIntegral) else time_integrals(one))
+    )
+
+
+def beside_integrals(expression: Expression) -> Expression:
+    """The sum of the statistics and values of an expression that stand outside of its time integrals."""
+    found = tuple(
+        part
+        for atom in expression.atoms
+        if not isinstance(atom, TimeIntegral)
+        for part in (
+            tuple(leaf for one in atom.inner for leaf in beside_integrals(one).atoms) if atom.inner else atom.parts
+        )
+    )
+    return Expression((1.0,) * len(found), found)
+
+
 def final_time() -> Expression:
     """The final time of the grid, s: `J_D1` (75), where `al.Grid(al.Decision(...), steps)` leaves it free."""
     return value("t_final")

@@ -113,9 +113,14 @@ class Grid(AbstractGrid):
     @property
     def node_weights(self) -> Float[Array, " nodes"]:
         """Weights of Simpson's rule on instants and midpoints: of order 4, like the default integrator."""
+        return jnp.asarray(self.duration * self.fraction_weights)
+
+    @property
+    def fraction_weights(self) -> Float[np.ndarray, " nodes"]:
+        """The same by the fraction of the duration, which do not depend on the final time."""
         weights = np.tile([2.0, 4.0], self.steps + 1)[:-1]
         weights[[0, -1]] = 1.0
-        return jnp.asarray(self.step / 6 * weights)
+        return weights / (6 * self.steps)
 
 
 @final

@@ -1,6 +1,6 @@
 """The scope in which a problem's expressions are evaluated: statistics of its functionals by an expansion."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from types import MappingProxyType
 from typing import Any, NamedTuple, final
 
@@ -32,6 +32,7 @@ class ExpansionScope(AbstractScope):
     - `samples`: each functional at the collocation points; `coefficients`: those of the expansions fitted to them;
     - `numbers`: those of the model, by name; `between`: the terms for integrals over time;
     - `realised`: each functional on the realisations at which limits on the worst case are imposed;
+    - `totals`: the values of integrals over time where these are known, in the order of evaluation;
     - `taken`: the statistics taken so far, in that order.
     """
 
@@ -43,6 +44,7 @@ class ExpansionScope(AbstractScope):
         numbers: Mapping[str, Any],
         between: "Between | None" = None,
         realised: Mapping[AbstractFunctional, Float[Array, "scenarios ..."]] = MappingProxyType({}),
+        totals: Iterator[Float[Array, ""]] | None = None,
     ):
         self.samples = samples
         self._coefficients = coefficients
@@ -51,6 +53,7 @@ class ExpansionScope(AbstractScope):
         self._constants = constants
         self._numbers = numbers
         self._between = between
+        self._totals = totals
 
     def evaluated(self, expressions: tuple[Expression, ...]) -> tuple[tuple[Array, ...], tuple[tuple[Array, ...], ...]]:
         """Expressions, each flattened, and the statistics that each of them took."""
@@ -77,12 +80,13 @@ class ExpansionScope(AbstractScope):
 
     @override
     def time_integral(self, expression: Expression) -> Float[Array, ""]:
+        if self._totals is not None:
+            return next(self._totals)
         assert self._between is not None
-        nodes, weights = self._between
+        nodes, weights, instants = self._between
         inner = ExpansionScope({}, {**self._coefficients, **nodes}, self._constants, self._numbers)
         integral = jnp.tensordot(weights, expression.evaluate(inner), axes=1)
-        # Every second node is an instant, at which statistics are recorded.
-        self.taken += [one if one.ndim == 0 else one[::2] for one in inner.taken]
+        self.taken += [one if one.ndim == 0 else one[::instants] for one in inner.taken]
         return integral
 
     @override
@@ -97,11 +101,13 @@ class ExpansionScope(AbstractScope):
 class Between(NamedTuple):
     """The terms for integrals of statistics over time.
 
-    - `coefficients`: of paths at the instants and in the middles between them; `weights`: of the quadrature there.
+    - `coefficients`: of paths at the instants and in the middles between them; `weights`: of the quadrature there;
+    - `instants`: at each so many of them is an instant, at which statistics are recorded.
     """
 
     coefficients: Mapping[AbstractFunctional, Float[Array, "terms nodes ..."]]
     weights: Float[Array, " nodes"]
+    instants: int = 2
 
 
 class Terms(NamedTuple):

@@ -75,6 +75,24 @@ def everything(force: al.BSpline | None = None) -> al.Problem:
     )
 
 
+def integrated() -> al.Problem:
+    """Statistics that are integrated over time: alone, in a norm, within a limit, and beside others."""
+    problem = everything()
+    return al.Problem(
+        problem.system,
+        grid=problem.grid,
+        inputs=problem.inputs,
+        minimize=al.objectives.coefficient_power({"force": "v"}, smoothing=0.1) + 0.1 * al.rms("force").mean,
+        subject_to=[
+            al.terminal("x").mean.equals(0.4),
+            al.objectives.norm(al.time_integral(al.path("angle").variance), al.terminal("v").mean) <= 3.0,
+            al.time_integral(al.path("x").mean + al.path("rate").variance) + 2.0 * al.terminal("rate").variance <= 9.0,
+            al.path("angle").within(-0.5, 0.5, sigmas=1.5),
+        ],
+        expansion=problem.expansion,
+    )
+
+
 def oscillator(**options: Any) -> al.Problem:
     """See `tiny_models.oscillator_problem`, on a grid that is fine enough."""
     return oscillator_problem(grid=al.Grid(4.0, 250), **options)

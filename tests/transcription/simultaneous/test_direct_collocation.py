@@ -8,7 +8,6 @@ from collocated_problems import crane, oscillator
 
 import aleator as al
 from algebraic_models import tolerance_problem
-from tiny_models import oscillator_problem
 
 
 class Block(al.System):
@@ -124,12 +123,40 @@ def test_what_cannot_be_simulated_at_the_start_can_be_solved():
     assert solution.objective == pytest.approx(2 * rate * (rate * start) ** 2, rel=1e-2)
 
 
-def test_algebraic_systems_and_integrated_statistics_are_refused():
+def test_algebraic_systems_are_refused():
     with pytest.raises(al.ProblemError, match=r"Hardening, which is algebraic. Use al\.Sequential"):
         al.solve(tolerance_problem(), transcription=al.Simultaneous())
-    problem = oscillator_problem(minimize=al.time_integral(al.path("x").std))
-    with pytest.raises(al.ProblemError, match=r"integrated over time .* use al\.Sequential"):
-        al.solve(problem, transcription=al.Simultaneous())
+
+
+EFFORT = al.integral("effort").mean
+OVER_TIME = {
+    "a spread": EFFORT + 1e3 * al.time_integral(al.path("angle").variance),
+    "in a norm": EFFORT + al.objectives.norm(al.time_integral(al.path("x").mean), al.terminal("x").std),
+    "coefficient by coefficient": EFFORT + al.objectives.coefficient_power({"force": "v"}, smoothing=0.1),
+}
+
+
+@pytest.mark.parametrize("name", OVER_TIME)
+def test_statistics_over_time_are_those_of_shooting(name):
+    problem = crane(120, minimize=OVER_TIME[name])
+    usual, other = (al.solve(problem, transcription=one, accuracy=0.1) for one in (al.Sequential(), al.Simultaneous()))
+    assert other.objective == pytest.approx(usual.objective, rel=1e-6)
+    assert other.statistics.keys() == usual.statistics.keys()
+    for text, one in usual.statistics.items():
+        np.testing.assert_allclose(other.statistics[text], one, rtol=1e-3, atol=1e-3)
+
+
+def test_a_spread_over_time_in_closed_form():
+    """A block that is pushed by one moves by `gain t² / 2`: its variance is that of the gain times `t⁴ / 4`."""
+    push = al.BSpline(al.Decision(np.ones(4), 1.0, 2.0), degree=3)
+    problem = move(
+        gain=al.Uniform(2.0, half_width=0.6),
+        minimize=al.time_integral(al.path("x").variance),
+        subject_to=[],
+        inputs={"u": push},
+    )
+    solution = al.solve(problem, transcription=al.Simultaneous())
+    assert solution.objective == pytest.approx(0.6**2 / 3 / 20, rel=1e-5)  # Simpson's rule on 40 halves of steps
 
 
 @pytest.mark.parametrize("scheme", ["Radau", 3, al.schemes.Radau])

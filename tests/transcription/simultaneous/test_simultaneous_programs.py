@@ -5,7 +5,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from collocated_problems import crane, everything, free_force, oscillator
+from collocated_problems import crane, everything, free_force, integrated, oscillator
 
 import aleator as al
 from aleator.nlp import Condensing, Ipopt
@@ -32,6 +32,7 @@ PROGRAMS = {
     **{name: (everything, scheme) for name, scheme in SCHEMES.items()},
     "decided knots": (lambda: everything(DECIDED_KNOTS), al.schemes.Radau(1)),
     "algebraic variables": (lambda: tank_problem(4), al.schemes.HermiteSimpson()),
+    "statistics over time": (integrated, al.schemes.HermiteSimpson()),
 }
 
 
@@ -101,7 +102,7 @@ def test_no_entry_of_the_hessian_couples_two_realisations():
     assert np.all((first == second) | (first < 0) | (second < 0))
 
 
-@pytest.mark.parametrize("problem", [everything, crane, oscillator])
+@pytest.mark.parametrize("problem", [everything, crane, oscillator, integrated])
 def test_the_first_point_is_the_simulation(problem):
     problem = problem()
     usual, other = transcribe(problem), transcribe(problem, al.Simultaneous())

@@ -7,7 +7,7 @@ import jax
 import numpy as np
 from jaxtyping import Float, Int
 
-from aleator.design import Problem, declared_anew
+from aleator.design import Problem, declared_anew, integrated_paths
 from aleator.dynamics import Grid
 from aleator.trajectories import Piecewise, piecewise_in
 from aleator.uncertainty import Decision
@@ -17,11 +17,12 @@ _SAME = 1e-12
 
 
 def first_nodes(problem: Problem) -> tuple[float, ...]:
-    """The nodes of a problem's first mesh, as fractions of the duration: the instants of its grid and all nodes of its
-    controls.
+    """The nodes of a problem's first mesh, as fractions of the duration: the instants of its grid, the middles between
+    them where statistics are integrated over time, and all nodes of its controls.
     """
     assert isinstance(problem.grid, Grid)
-    nodes = np.array(problem.grid.fractions)
+    grid, is_integrated = problem.grid, bool(integrated_paths(problem.expressions))
+    nodes = np.array(grid.node_fractions if is_integrated else grid.fractions)
     for one in piecewise_in(problem.simulation):
         added = np.array(one.nodes)
         away = np.abs(added[:, None] - nodes).min(axis=1)

@@ -1,5 +1,6 @@
 """A problem's equations as families of blocks: signals, initial states, rates, records, and its expressions."""
 
+from collections.abc import Iterator, Mapping
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -11,14 +12,16 @@ from aleator.design import (
     AbstractFunctional,
     Expression,
     Problem,
+    beside_integrals,
     expanded_functionals,
     extreme_functionals,
     functionals_of,
+    time_integrals,
 )
 from aleator.statistics import Constants
 from aleator.transcription._scope import ExpansionScope
 from aleator.transcription.simultaneous._blocks import Block, Family
-from aleator.transcription.simultaneous._layout import Layout, Plan, Variables
+from aleator.transcription.simultaneous._layout import Layout, Plan, Variables, found_integrals
 from aleator.transcription.simultaneous._pointwise import Pointwise, apart
 from aleator.transcription.simultaneous._signals import known_numbers
 from aleator.uncertainty import named_numbers
@@ -33,7 +36,9 @@ class Families(NamedTuple):
     - `rates`: those of states, then integrands, where the scheme asks for them; `equations`: those of the algebraic
       variables, at all sides of mesh points;
     - `paths`, `ends`: outputs at every instant, and at the last; `composed`: functionals of histories and integrals;
-    - `expressions`: the objective, then the constraints.
+    - `nodes`: outputs at the nodes of integrals over time;
+    - `expressions`: the objective, then the constraints; `integrands`: of integrals of statistics, by the fraction of
+      the duration.
     """
 
     known: Family
@@ -43,12 +48,14 @@ class Families(NamedTuple):
     paths: Family
     ends: Family
     composed: Family
+    nodes: Family
     expressions: tuple[Family, ...]
+    integrands: tuple[Family, ...]
 
     @property
     def every(self) -> tuple[Family, ...]:
         """All of them in order."""
-        return (*self[:-1], *self.expressions)
+        return (*self[:-2], *self.expressions, *self.integrands)
 
 
 KNOWN, RATES, EQUATIONS, PATHS, OBJECTIVE = (
@@ -102,7 +109,9 @@ def families(
         observed(asked.paths, instants, sides),
         observed(asked.ends, instants[-1:], sides[-1:]),
         Family(composed, jnp.asarray(variables.duration), recorded[:, None]),
-        tuple(_limit(layout, problem, constants, one, variables) for one in problem.expressions),
+        observed(asked.nodes, mesh.instants(asked.grid.node_fractions), mesh.instant_sides(asked.grid.node_fractions)),
+        tuple(_limits(layout, problem, constants, variables)),
+        tuple(_integrand(layout, problem, constants, one, variables) for one in found_integrals(problem)),
     )
 
 
@@ -125,14 +134,46 @@ class _Part(NamedTuple):
     shape: tuple[int, ...]
 
 
-def _limit(
+def _limits(layout: Layout, problem: Problem, constants: Constants, variables: Variables) -> Iterator[Family]:
+    """The objective, then the constraints, whose integrals over time are variables."""
+    first, coefficients = 0, layout.coefficients(variables)
+    for one in problem.expressions:
+        last = first + len(time_integrals(one))
+        yield _limit(layout, problem, constants, one, variables, coefficients, variables.totals[first:last])
+        first = last
+
+
+def _integrand(
     layout: Layout, problem: Problem, constants: Constants, expression: Expression, variables: Variables
 ) -> Family:
-    """An expression: one block an instant where it is one number an instant, else a single one."""
-    samples, coefficients = layout.samples(variables), layout.coefficients(variables)
-    decisions = jnp.asarray(variables.decisions if _speaks_of_numbers(expression) else variables.decisions[:0])
-    given = [(one, True, coefficients[one]) for one in expanded_functionals((expression,))]
-    given += [(one, False, samples[one][layout.plan.points :]) for one in extreme_functionals((expression,))]
+    """The integrand of an integral over time: one block a node."""
+    coefficients = {**layout.coefficients(variables), **layout.between(variables)}
+    found = _limit(layout, problem, constants, expression, variables, coefficients, variables.totals[:0])
+    duration = jnp.asarray(variables.duration)
+    block = found.function
+    return found._replace(
+        function=lambda outer, inner, s, o: s[0] * block(outer, inner, s[1:], o),
+        shared=jnp.concatenate([duration, found.shared]),
+    )
+
+
+def _limit(
+    layout: Layout,
+    problem: Problem,
+    constants: Constants,
+    expression: Expression,
+    variables: Variables,
+    coefficients: Mapping[AbstractFunctional, Any],
+    totals: Any,
+) -> Family:
+    """An expression: one block an instant where it is one number an instant, else a single one.
+
+    - `totals`: its integrals over time.
+    """
+    samples, beside = layout.samples(variables), beside_integrals(expression)
+    decisions = jnp.asarray(variables.decisions if _speaks_of_numbers(beside) else variables.decisions[:0])
+    given = [(one, True, coefficients[one]) for one in expanded_functionals((beside,))]
+    given += [(one, False, samples[one][layout.plan.points :]) for one in extreme_functionals((beside,))]
     moving, still = [], []
     for functional, is_expanded, numbers in given:
         is_own = expression.is_path and functional.is_path
@@ -140,10 +181,10 @@ def _limit(
         numbers = jnp.moveaxis(numbers, 1, 0) if is_own else numbers
         part = _Part(functional, is_expanded, numbers.shape[1:] if is_own else numbers.shape)
         (moving if is_own else still).append((part, numbers.reshape(len(numbers), -1) if is_own else numbers.ravel()))
-    shared = jnp.concatenate([decisions, *(numbers for _, numbers in still)])
+    shared = jnp.concatenate([decisions, jnp.asarray(totals), *(numbers for _, numbers in still)])
     none = jnp.asarray(variables.decisions)[None, :0]
     own = jnp.concatenate([numbers for _, numbers in moving], axis=1) if moving else none
-    block = partial(_expression, problem, constants, expression, decisions.size)
+    block = partial(_expression, problem, constants, expression, (decisions.size, len(totals)))
     parts = [part for part, _ in still], [part for part, _ in moving]
     return Family(lambda _, __, s, o: block(parts, s, o), shared, own[None])
 
@@ -152,16 +193,18 @@ def _expression(
     problem: Problem,
     constants: Constants,
     expression: Expression,
-    decisions: int,
+    sizes: tuple[int, int],
     parts: tuple[list[_Part], list[_Part]],
     shared: Array,
     own: Array,
 ) -> Float[Array, " rows"]:
-    numbers = named_numbers(problem.simulation, shared[:decisions]) if decisions else {}
-    found = [*_taken(parts[0], shared[decisions:]), *_taken(parts[1], own)]
+    decisions, totals, others = jnp.split(shared, np.cumsum(sizes))
+    numbers = named_numbers(problem.simulation, decisions) if decisions.size else {}
+    found = [*_taken(parts[0], others), *_taken(parts[1], own)]
     coefficients = {one.functional: values for one, values in found if one.is_expanded}
     realised = {one.functional: values for one, values in found if not one.is_expanded}
-    return jnp.ravel(expression.evaluate(ExpansionScope({}, coefficients, constants, numbers, realised=realised)))
+    scope = ExpansionScope({}, coefficients, constants, numbers, realised=realised, totals=iter(totals))
+    return jnp.ravel(expression.evaluate(scope))
 
 
 def _taken(parts: list[_Part], numbers: Array) -> list[tuple[_Part, Array]]:

@@ -18,11 +18,14 @@ from jaxtyping import Array, Float
 from aleator.design import (
     AbstractFunctional,
     AbstractIntegral,
+    Expression,
     Path,
     Problem,
     Taken,
     expanded_functionals,
     functionals_of,
+    integrated_paths,
+    time_integrals,
 )
 from aleator.transcription.simultaneous._mesh import Mesh
 from aleator.transcription.simultaneous._pointwise import Pointwise, Shapes, apart
@@ -36,7 +39,10 @@ class Variables(NamedTuple):
       variables);
     - `integrals`, `paths`, `ends`, `composed`: what is recorded of each realisation, the first axis; of `paths` the
       second are the instants;
-    - `coefficients`: of each functional that is expanded, shape (terms, ...).
+    - `nodes`: what is recorded of each realisation at instants and in the middles between, the second axis;
+    - `totals`: of expressions that are integrated over time;
+    - `coefficients`: of each functional that is expanded, shape (terms, ...); `between`: of those whose statistics are
+      integrated, shape (terms, nodes, ...).
     """
 
     decisions: Any
@@ -48,11 +54,16 @@ class Variables(NamedTuple):
     paths: Any
     ends: Any
     composed: Any
+    nodes: Any
+    totals: Any
     coefficients: tuple[Any, ...]
+    between: tuple[Any, ...]
 
 
-# The variables from here on, but for the coefficients, belong to realisations: their first axis.
-_FIRST_OWNED = Variables._fields.index("states")
+# How many of the fields of `Variables` are one array.
+_ALONE = Variables._fields.index("coefficients")
+# Those between belong to realisations: their first axis.
+_FIRST_OWNED, _LAST_OWNED = Variables._fields.index("states"), Variables._fields.index("totals")
 
 
 @final
@@ -105,12 +116,16 @@ class Layout:
             paths=(every, instants, shapes.size(asked.paths)),
             ends=(every, shapes.size(asked.ends)),
             composed=(every, sum(map(math.prod, composed))),
+            nodes=(every, 2 * instants - 1, shapes.size(asked.nodes)),
+            totals=(len(found_integrals(problem)),),
             coefficients=(),
+            between=(),
         )
         found = cls(plan, asked, shapes, composed, sizes)
         samples = found.samples(found.numbers)
         terms = tuple((plan.terms, *samples[one].shape[1:]) for one in found.expanded)
-        return cls(plan, asked, shapes, composed, sizes._replace(coefficients=terms))
+        between = tuple((plan.terms, *one.shape[1:]) for one in found.integrated(found.numbers).values())
+        return cls(plan, asked, shapes, composed, sizes._replace(coefficients=terms, between=between))
 
     @property
     def needs_histories(self) -> bool:
@@ -135,14 +150,15 @@ class Layout:
     def view(self, variables: Any) -> Variables:
         """The variables of a point by what they are."""
         parts = apart(variables, _shapes_of(self.sizes))
-        alone = dict(zip(Variables._fields[:-1], parts, strict=False))
-        return Variables(**alone, coefficients=tuple(parts[len(alone) :]))
+        first, last = _ALONE, _ALONE + len(self.sizes.coefficients)
+        alone = dict(zip(Variables._fields, parts[:first], strict=False))
+        return Variables(**alone, coefficients=tuple(parts[first:last]), between=tuple(parts[last:]))
 
     @cached_property
     def owners(self) -> np.ndarray:
         """The realisation to which each variable belongs, -1 for none, shape (n,)."""
         found = np.full(self.count, -1)
-        owned: tuple[Any, ...] = self.numbers[_FIRST_OWNED:-1]
+        owned: tuple[Any, ...] = self.numbers[_FIRST_OWNED:_LAST_OWNED]
         for some in owned:
             found[some] = np.arange(len(some)).reshape(-1, *(1,) * (some.ndim - 1))
         return found
@@ -150,15 +166,16 @@ class Layout:
     @cached_property
     def stages(self) -> tuple[np.ndarray, ...]:
         """The numbers of the variables that follow from others: signals and duration; then, from states, what is
-        recorded; functionals composed of that; coefficients.
+        recorded; functionals composed of that; coefficients; integrals over time.
         """
         one = self.numbers
-        recorded = one.integrals.ravel(), one.paths.ravel(), one.ends.ravel()
+        recorded = one.integrals.ravel(), one.paths.ravel(), one.ends.ravel(), one.nodes.ravel()
         return (
             np.append(one.signals.ravel(), one.duration),
             np.concatenate(recorded),
             one.composed.ravel(),
-            np.concatenate([np.zeros(0, dtype=int), *(some.ravel() for some in one.coefficients)]),
+            np.concatenate([np.zeros(0, dtype=int), *(some.ravel() for some in (*one.coefficients, *one.between))]),
+            one.totals,
         )
 
     def samples(self, variables: Variables) -> dict[AbstractFunctional, Any]:
@@ -175,13 +192,31 @@ class Layout:
                 found[one] = chosen.reshape(*table.shape[:-1], *shapes.outputs[one.output])
         return found
 
+    def integrated(self, variables: Variables) -> dict[AbstractFunctional, Any]:
+        """The paths whose statistics are integrated over time: their values, shape (realisations, nodes, ...)."""
+        found: dict[AbstractFunctional, Any] = {}
+        for one in integrated_paths(self.asked.problem.expressions):
+            assert isinstance(one, Path)
+            chosen = variables.nodes[..., self.shapes.columns(self.asked.nodes, one.output)]
+            found[one] = chosen.reshape(*variables.nodes.shape[:-1], *self.shapes.outputs[one.output])
+        return found
+
+    def between(self, variables: Variables) -> dict[AbstractFunctional, Any]:
+        """The coefficients of these paths, shape (terms, nodes, ...)."""
+        return dict(zip(integrated_paths(self.asked.problem.expressions), variables.between, strict=True))
+
     def coefficients(self, variables: Variables) -> dict[AbstractFunctional, Any]:
         """The coefficients of each functional that is expanded, shape (terms, ...)."""
         return dict(zip(self.expanded, variables.coefficients, strict=True))
 
 
 def _shapes_of(sizes: Variables) -> Sequence[tuple[int, ...]]:
-    return [*sizes[:-1], *sizes.coefficients]
+    return [*sizes[:_ALONE], *sizes.coefficients, *sizes.between]
+
+
+def found_integrals(problem: Problem) -> tuple[Expression, ...]:
+    """The expressions that are integrated over time in a problem's, in the order of evaluation."""
+    return tuple(inner for one in problem.expressions for inner in time_integrals(one))
 
 
 def _shape(functional: AbstractFunctional, asked: Pointwise, shapes: Shapes) -> tuple[int, ...]:

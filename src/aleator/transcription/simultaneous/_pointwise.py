@@ -25,6 +25,7 @@ from aleator.design import (
     Terminal,
     functionals_of,
     grid_at,
+    integrated_paths,
     numbers_of,
 )
 from aleator.dynamics import (
@@ -54,7 +55,8 @@ class Pointwise:
 
     - `frozen`: the problem without the decisions of its signals; `direct`: where the others are among all;
     - `integrals`: functionals that are integrated; `paths`, `ends`: outputs that are recorded at every instant, and at
-      the last one alone, by name; `composed`: functionals of these.
+      the last one alone, by name; `nodes`: outputs whose statistics are integrated over time, and so recorded in the
+      middles between instants too; `composed`: functionals of these.
     """
 
     problem: Problem
@@ -64,6 +66,7 @@ class Pointwise:
     integrals: tuple[AbstractIntegral, ...]
     paths: tuple[str, ...]
     ends: tuple[str, ...]
+    nodes: tuple[str, ...]
     composed: tuple[AbstractFunctional, ...]
 
     @classmethod
@@ -81,6 +84,7 @@ class Pointwise:
             tuple(one for one in functionals if isinstance(one, AbstractIntegral)),
             tuple(dict.fromkeys(name for one in whole for name in one.outputs)),
             tuple(dict.fromkeys(one.output for one in functionals if isinstance(one, Terminal))),
+            tuple(dict.fromkeys(name for one in integrated_paths(problem.expressions) for name in one.outputs)),
             tuple(one for one in functionals if not isinstance(one, Path | Terminal)),
         )
 

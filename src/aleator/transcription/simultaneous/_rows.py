@@ -70,7 +70,9 @@ def rows_of(
     - `fit`: see `Collocation.pseudo_inverse`;
     - `slopes`: how the decisions act on signals and duration beside their blocks.
     """
-    known, initial, rates, equations, paths, ends, composed, _, *limits = blocks
+    known, initial, rates, equations, paths, ends, composed, nodes, _, *others = blocks
+    constraints = len(layout.asked.problem.constraints)
+    limits, integrands = others[:constraints], others[constraints:]
     variables, mesh = layout.numbers, layout.plan.mesh
     numbers, linear, combined, stands_for = Numbering(), [], [], []
     own = []
@@ -111,14 +113,22 @@ def rows_of(
     tied(variables.paths, paths)
     tied(variables.ends, ends)
     tied(variables.composed, composed)
-    samples = layout.samples(variables)
-    for functional, terms in layout.coefficients(variables).items():
+    tied(variables.nodes, nodes)
+    samples, between = layout.samples(variables), layout.integrated(variables)
+    expanded = [(samples[one], terms) for one, terms in layout.coefficients(variables).items()]
+    expanded += [(between[one], terms) for one, terms in layout.between(variables).items()]
+    for every, terms in expanded:
         rows = numbers.take(terms.shape)
-        at = samples[functional][: layout.plan.points]
+        at = every[: layout.plan.points]
         linear.append((rows, terms, 1.0))
         shares = -fit.reshape(*fit.shape, *(1,) * (at.ndim - 1))
         linear.append((rows[:, None], at[None], shares))
         stands_for.append(terms.ravel())
+    rows = numbers.take(variables.totals.shape)
+    linear.append((rows, variables.totals, 1.0))
+    for row, integrand in zip(rows, integrands, strict=True):
+        combined.append((row, integrand.ravel(), -layout.asked.grid.fraction_weights))
+    stands_for.append(variables.totals)
     shape = numbers.count, layout.count
     count = sum(one.size for one in blocks)
     first = own[-1].stop if own else 0

@@ -11,7 +11,7 @@ from aleator._core.arrays import numbers_to_arrays
 from aleator._core.compilation import Compiled
 from aleator._core.errors import ProblemError
 from aleator._core.given import one_of, positive
-from aleator.design import Problem, integrated_paths
+from aleator.design import Problem
 from aleator.dynamics import AbstractScheme, Grid, HermiteSimpson
 from aleator.nlp import AbstractSolver, Ipopt
 from aleator.solution import Solution
@@ -54,7 +54,7 @@ class Simultaneous(AbstractTranscription):
 
     A guess is only a start: certificates speak of the model, whatever it was.
 
-    Raises `ProblemError` for an algebraic system, and for statistics that are integrated over time.
+    Raises `ProblemError` for an algebraic system.
     """
 
     scheme: AbstractScheme = field(default_factory=HermiteSimpson)
@@ -112,9 +112,4 @@ def _refuse(problem: Problem) -> None:
         raise ProblemError(
             f"al.Simultaneous ties states over time: expected a system that moves in time; received "
             f"{type(problem.system).__name__}, which is algebraic. Use al.Sequential()."
-        )
-    if integrated_paths(problem.expressions):
-        raise ProblemError(
-            "al.Simultaneous does not take statistics that are integrated over time (al.time_integral, "
-            "al.objectives.coefficient_power): use al.Sequential(), or the statistic of an integral."
         )

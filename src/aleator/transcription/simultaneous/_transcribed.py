@@ -33,7 +33,7 @@ from aleator.transcription._magnitudes import Sizing, decision_scales, least_obj
 from aleator.transcription._remembered import Remembered
 from aleator.transcription._rows import row_bounds
 from aleator.transcription._scenarios import Scenarios
-from aleator.transcription._scope import ExpansionScope
+from aleator.transcription._scope import Between, ExpansionScope
 from aleator.transcription._texts import Texts
 from aleator.transcription.simultaneous._controls import followed, whole_parts
 from aleator.transcription.simultaneous._costates import adjoint
@@ -64,6 +64,8 @@ def _told(problem: Problem, constants: Constants, at: tuple[Any, ...]) -> tuple[
         dict(zip(expanded_functionals(problem.expressions), coefficients, strict=True)),
         constants,
         named_numbers(problem.simulation, decisions),
+        # Statistics are told at the instants alone, and integrals are known.
+        between=Between({}, jnp.zeros(problem.grid.steps + 1), instants=1),
         realised=dict(zip(extreme_functionals(problem.expressions), realised, strict=True)),
     )
     _, taken = scope.evaluated(problem.expressions)
