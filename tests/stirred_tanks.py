@@ -1,6 +1,6 @@
 """A stirred tank with an acid that dissociates at once: one state, and one algebraic variable from its equilibrium."""
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -38,6 +38,27 @@ class Tank(al.System):
 
     def initial(self):
         return {"acid": 0.2}
+
+
+class ExplicitTank(Tank):
+    """The same tank with the equilibrium in closed form."""
+
+    algebraic = ()
+    residual = al.System.residual
+    algebraic_guess = al.System.algebraic_guess
+
+    def rhs(self, t, z, feed):
+        return self.change(z.acid, hydrogen(self.constant, z.acid), feed)
+
+    def outputs(self, t, z, feed):
+        state = self.Whole(z.acid, hydrogen(self.constant, z.acid))
+        return super().outputs(t, state, feed)
+
+    class Whole(NamedTuple):
+        """The state with the algebraic variable."""
+
+        acid: Any
+        hydrogen: Any
 
 
 def hydrogen(constant, acid):

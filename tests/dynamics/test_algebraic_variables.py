@@ -13,7 +13,7 @@ from scipy.optimize import brentq
 import aleator as al
 from aleator.dynamics import simulation_of
 from compiling import compiled
-from stirred_tanks import Tank, hydrogen
+from stirred_tanks import ExplicitTank, Tank
 
 
 class Robertson(al.System):
@@ -115,19 +115,6 @@ def test_derivatives_of_any_order_agree_with_differences_and_a_closed_form():
     def ends(constant: Any, tank: Any) -> Any:
         return al.simulate(tank(constant=constant), grid, inputs)["hydrogen"][-1]
 
-    class Explicit(Tank):
-        """The same tank with the equilibrium in closed form."""
-
-        algebraic = ()
-        residual = al.System.residual
-        algebraic_guess = al.System.algebraic_guess
-
-        def rhs(self, t, z, feed):
-            return self.change(z.acid, hydrogen(self.constant, z.acid), feed)
-
-        def outputs(self, t, z, feed):
-            return {"acid": z.acid, "hydrogen": hydrogen(self.constant, z.acid), "feed": feed}
-
     def all_orders(tank: Any) -> Any:
         def of(constant: Any) -> Any:
             first = jax.jacfwd(lambda at: ends(at, tank))
@@ -136,7 +123,7 @@ def test_derivatives_of_any_order_agree_with_differences_and_a_closed_form():
         return compiled(of)
 
     value, slope, curvature, backward = all_orders(Tank)(0.1)
-    np.testing.assert_allclose([value, slope, curvature], all_orders(Explicit)(0.1)[:3], rtol=1e-10)
+    np.testing.assert_allclose([value, slope, curvature], all_orders(ExplicitTank)(0.1)[:3], rtol=1e-10)
     assert backward == pytest.approx(float(slope), rel=1e-10)
     up, down = (float(ends(constant, Tank)) for constant in (0.1 + 1e-5, 0.1 - 1e-5))
     assert slope == pytest.approx((up - down) / 2e-5, rel=1e-7)

@@ -7,7 +7,7 @@ from scipy.sparse.linalg import spsolve
 
 import aleator as al
 from aleator.transcription import transcribe
-from stirred_tanks import Tank, hydrogen, tank_problem
+from stirred_tanks import ExplicitTank, Tank, hydrogen, tank_problem
 
 
 def test_both_transcriptions_give_the_same_robust_feed():
@@ -58,3 +58,18 @@ def test_schemes_keep_their_order(name):
     exact = solve_ivp(rate, (0.0, 2.0), [0.2], method="DOP853", rtol=1e-13, atol=1e-14).y[0, -1]
     first, second = (abs(_tied(scheme, count) - float(hydrogen(0.1, exact))) for count in (16, 32))
     assert np.log2(first / second) == pytest.approx(order, abs=0.35)
+
+
+def test_costates_and_switching_functions_are_those_of_the_eliminated_equations():
+    found = []
+    for tank in (Tank(), ExplicitTank()):
+        problem = al.Problem(
+            tank,
+            grid=al.Grid(2.0, 6),
+            inputs={"feed": al.BSpline(al.Decision(np.full(4, 0.5), 0.0, 5.0), degree=2)},
+            minimize=al.integral("miss").mean,
+        )
+        found.append(al.solve(problem, transcription=al.Simultaneous(al.schemes.Radau(2)), between=1, throw=False))
+    one, other = found
+    np.testing.assert_allclose(one.costates["acid"], other.costates["acid"], rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(one.switching["feed"], other.switching["feed"], rtol=1e-5, atol=1e-8)

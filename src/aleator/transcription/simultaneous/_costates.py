@@ -39,7 +39,7 @@ def adjoint(
     of_variable = np.zeros(layout.count)
     of_variable[ties.variables] = multipliers[ties.rows]
     defects, integrals = of_variable[numbers.states], of_variable[numbers.integrals]
-    slopes, shapes = assembled.rate_slopes(point), layout.shapes
+    slopes, shapes = assembled.rate_slopes(point, mesh.asked_sides), layout.shapes
     first = slopes.shape[-1] - shapes.states
     by_signals, by_states = slopes[..., first - shapes.signals : first], slopes[..., first:]
 

@@ -161,11 +161,27 @@ class Assembled:
         count, decisions = self.slopes.shape
         return self.blocks(variables)[0][:count] + self.slopes @ variables[:decisions]
 
-    def rate_slopes(self, variables: Float[np.ndarray, " n"]) -> Float[np.ndarray, "realisations asked rates columns"]:
-        """The derivatives of the rates by what each block of them depends on: the signals and the states come last."""
-        sizes = [math.prod(one.shape) for one in self.evaluated.patterns]
-        first = sum(sizes[:RATES])
-        return self.blocks(variables)[1][first : first + sizes[RATES]].reshape(*self.rates.shape, -1)
+    def rate_slopes(
+        self, variables: Float[np.ndarray, " n"], sides: Int[np.ndarray, " asked"]
+    ) -> Float[np.ndarray, "realisations asked rates columns"]:
+        """The derivatives of the rates by what each block of them depends on: the signals and the states come last.
+
+        Algebraic variables are eliminated by the derivatives of their equations at the `sides` where rates are asked.
+        """
+        slopes, equations = self._slopes(variables, RATES), self._slopes(variables, EQUATIONS)[:, sides]
+        count = equations.shape[2]
+        if not count:
+            return slopes
+        following = np.linalg.solve(equations[..., -count:], equations[..., :-count])
+        return slopes[..., :-count] - slopes[..., -count:] @ following
+
+    def _slopes(
+        self, variables: Float[np.ndarray, " n"], family: int
+    ) -> Float[np.ndarray, "realisations places rows columns"]:
+        patterns = self.evaluated.patterns
+        first = sum(math.prod(one.shape) for one in patterns[:family])
+        shape = patterns[family].shape
+        return self.blocks(variables)[1][first : first + math.prod(shape)].reshape(shape)
 
     def constraints(self, variables: Float[np.ndarray, " n"]) -> Float[np.ndarray, " rows"]:
         """The rows of the program."""

@@ -1,0 +1,67 @@
+"""Closed loops as simultaneous programs: the other transcription's answer, and starts that depend on the instant."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from closed_loops import SliderCrank
+
+import aleator as al
+from aleator.transcription import transcribe
+
+
+class Driven(SliderCrank):
+    """With the effort of its motor."""
+
+    def outputs(self, motion):
+        return {"effort": motion.torque[0] ** 2}
+
+
+class Growing(SliderCrank):
+    """A rod that is as long as the time says, so that the start is known only at its instant."""
+
+    def constraint(self, q, t):
+        length = self.b + 0.05 * jnp.cos(t)
+        return (
+            self.a * jnp.cos(q[0]) + length * jnp.cos(q[1]) - q[2],
+            self.a * jnp.sin(q[0]) + length * jnp.sin(q[1]),
+        )
+
+
+def turned(model: al.Lagrangian, steps: int) -> al.Problem:
+    """Turn the crank of a family of slider-cranks by two radians, as fast at the end as at first, with least effort."""
+    torque = al.BSpline(al.Decision(np.zeros(4), -5.0, 5.0), degree=2)
+    start = {"crank": 0.3, "crank_rate": 4.0}
+    return al.Problem(
+        al.ForwardDynamics(model, torque={"crank_torque": torque}, start=start, guess={"rod": -0.1, "slider": 0.4}),
+        grid=al.Grid(0.5, steps),
+        minimize=al.integral("effort" if isinstance(model, Driven) else "constraint_error").mean,
+        subject_to=[
+            al.terminal("crank").mean.equals(2.3),
+            al.terminal("crank_rate").mean.equals(4.0),
+        ],
+        expansion=al.Expansion(order=1),
+    )
+
+
+@pytest.mark.slow
+def test_least_effort_to_turn_a_slider_crank_is_the_same():
+    problem = turned(Driven(rod_mass=al.Uniform(0.5, half_width=0.1)), 40)
+    usual, other = (al.solve(problem, transcription=one, accuracy=5e-2) for one in (al.Sequential(), al.Simultaneous()))
+    assert usual.ok
+    assert other.ok
+    assert other.objective == pytest.approx(usual.objective, rel=1e-6)
+    np.testing.assert_allclose(other.vector, usual.vector, rtol=1e-5, atol=1e-5)
+
+
+@pytest.mark.slow
+def test_a_start_that_depends_on_the_instant_is_that_of_the_simulation():
+    problem = turned(Growing(rod_mass=al.Uniform(0.5, half_width=0.1)), 4)
+    transcribed = transcribe(problem, al.Simultaneous(al.schemes.Radau(1)))
+    crank, rod, slider = np.moveaxis(transcribed.layout.view(transcribed.program.start).states[:, 0, :3], 1, 0)
+    np.testing.assert_allclose(crank, 0.3, rtol=1e-14)
+    np.testing.assert_allclose(np.sin(rod), -0.1 / 0.35 * np.sin(0.3), rtol=1e-9)
+    np.testing.assert_allclose(slider, 0.1 * np.cos(0.3) + 0.35 * np.cos(rod), rtol=1e-9)
+    tied = transcribed.program.ties.rows
+    first = transcribed.program.evaluate(transcribed.program.start).constraints[tied]
+    begun = np.isin(transcribed.program.ties.variables, transcribed.layout.numbers.states[:, 0])
+    np.testing.assert_allclose(first[begun], 0.0, atol=1e-12)
