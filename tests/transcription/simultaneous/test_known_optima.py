@@ -224,6 +224,48 @@ class Sprung(al.System):
         return {"x": 1.0}
 
 
+class Arm(al.System):
+    """Two links, held by motors of limited torque; time runs at a pace, so that controls switch when it is best."""
+
+    states = ("first", "second", "between", "turned")
+
+    def rhs(self, t, z, u1, u2, pace):
+        sine, cosine = jnp.sin(z.between), jnp.cos(z.between)
+        mass = 31 / 36 + 9 / 4 * sine**2
+        push = 9 / 4 * cosine * z.first**2 + 2 * z.second**2
+        pull = 7 / 2 * z.first**2 + 9 / 4 * cosine * z.second**2
+        first = (sine * push + 4 / 3 * (u1 - u2) - 3 / 2 * cosine * u2) / mass
+        second = -(sine * pull - 7 / 3 * u2 + 3 / 2 * cosine * (u1 - u2)) / mass
+        return pace * first, pace * second, pace * (z.second - z.first), pace * z.first
+
+    def outputs(self, t, z, u1, u2, pace):
+        return {name: getattr(z, name) for name in self.states} | {"time": pace}
+
+    def initial(self):
+        return {"between": 0.5}
+
+
+def test_luus_arm_in_least_time():
+    """Luus, Iterative Dynamic Programming (2000), section 12: bang-bang control takes 2.98228."""
+    intervals = 6
+    begun = 0.5 * np.repeat([1.0, -1.0], intervals // 2)
+    goal = {"first": 0.0, "second": 0.0, "between": 0.5, "turned": 0.522}
+    problem = al.Problem(
+        Arm(),
+        grid=al.Grid(1.0, intervals),
+        inputs={
+            **{name: al.Control(begun, -1.0, 1.0, degree=0) for name in ("u1", "u2")},
+            "pace": al.Control(3.0, 0.05, 6.0, degree=0),
+        },
+        minimize=al.integral("time").mean,
+        subject_to=[al.terminal(name).mean.equals(value) for name, value in goal.items()],
+    )
+    solution = al.solve(problem, transcription=al.Simultaneous(al.schemes.GaussLegendre(8)), between=1, throw=False)
+    assert solution.objective == pytest.approx(2.98228, abs=5e-6)
+    for name in ("u1", "u2"):
+        np.testing.assert_allclose(np.abs(solution.decisions[f"inputs.{name}"]), 1.0, atol=1e-6)
+
+
 def test_eulers_method_makes_a_program_as_large_as_the_dissertation_says():
     """Section 3.3: 10 steps of Euler's method over a second make 20 equalities in 22 variables: the implicit method is
     Radau's with one stage. All else that we lift follows from these, row by row.
