@@ -16,8 +16,9 @@ from aleator._core.errors import ProblemError
 SparseMatrix: TypeAlias = Any
 Matrix: TypeAlias = np.ndarray | SparseMatrix
 
-# Steps of a bounded fit of sparse columns.
-_MOST_STEPS = 100
+# Steps of a bounded fit of sparse columns, each of as many products at most; and numbers multiplied in all, about a
+# second of them.
+_LEAST_STEPS, _MOST_STEPS, _MOST_WORK = 5, 100, 4e8
 
 
 def entries(matrix: Matrix) -> np.ndarray:
@@ -92,7 +93,8 @@ def bounded_fit(columns: Matrix, target: np.ndarray, ceiling: np.ndarray) -> np.
     """
     if isinstance(columns, np.ndarray):
         return scipy.optimize.lsq_linear(columns, target, (np.zeros(ceiling.size), ceiling), method="bvls").x
-    short = {"max_iter": _MOST_STEPS, "lsmr_maxiter": _MOST_STEPS}
+    steps = int(np.clip(_MOST_WORK // (_MOST_STEPS * max(columns.nnz, 1)), _LEAST_STEPS, _MOST_STEPS))
+    short = {"max_iter": steps, "lsmr_maxiter": _MOST_STEPS}
     return scipy.optimize.lsq_linear(columns, target, (np.zeros(ceiling.size), ceiling), method="trf", **short).x
 
 

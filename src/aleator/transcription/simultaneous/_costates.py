@@ -45,7 +45,7 @@ def adjoint(
 
     lengths, scheme = mesh.lengths, mesh.scheme
     of_defects = np.einsum("k,rkis,ij->rkjs", lengths, defects[:, mesh.points[:, 1:]], scheme.weights)
-    of_integrals = np.einsum("k,ri,j->rkji", lengths, integrals, scheme.weights[-1])
+    of_integrals = np.einsum("k,rki,j->rkji", lengths, integrals, scheme.weights[-1])
     weights = -np.concatenate([of_defects, of_integrals], axis=3)
 
     before = -defects[:, mesh.points[:, -1]]

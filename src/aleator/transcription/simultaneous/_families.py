@@ -79,9 +79,10 @@ def families(
     places, every = jnp.asarray(mesh.places), np.arange(len(mesh.sides))
     model = jnp.concatenate([variables.decisions[asked.direct], variables.duration])
     none = jnp.asarray(variables.decisions)[None, None, :0]
-    integrals = variables.integrals.shape[1]
+    integrals = variables.integrals.shape[2]
     histories = variables.paths.reshape(len(variables.paths), -1)
-    recorded = jnp.concatenate([variables.integrals, histories if layout.needs_histories else histories[:, :0]], axis=1)
+    summed = variables.integrals[:, -1]
+    recorded = jnp.concatenate([summed, histories if layout.needs_histories else histories[:, :0]], axis=1)
 
     def at(which: np.ndarray, sides: np.ndarray) -> Array:
         """Signals, states and algebraic variables at some mesh points of every realisation."""

@@ -53,12 +53,14 @@ def started(
         )
         _refuse_unsolved(traced, points, decisions, found)
         variables[numbers.algebraic] = found
-    # Each is tied to those before it: what is missing from zero is what it stands for.
+    # Each is tied to those before it: what is missing from zero is what it stands for, and what an interval adds.
     ties = assembled.rows.ties
-    for some in layout.stages[1:]:
+    for some in (numbers.integrals, *layout.stages[1:]):
         these = np.isin(ties.variables, some)
         # What is NaN here makes no start; the rows that are NaN there say where.
         variables[ties.variables[these]] = np.nan_to_num(-assembled.constraints(variables)[ties.rows][these])
+        if some is numbers.integrals:
+            variables[some] = np.cumsum(variables[some], axis=1)
     return variables
 
 

@@ -37,8 +37,10 @@ class Variables(NamedTuple):
     - `decisions`: shape (n,); `duration`: (1,); `signals`: (sides of mesh points, signals);
     - `states`: (realisations, mesh points, states); `algebraic`: (realisations, sides of mesh points, algebraic
       variables);
-    - `integrals`, `paths`, `ends`, `composed`: what is recorded of each realisation, the first axis; of `paths` the
-      second are the instants;
+    - `integrals`: from the beginning to the end of each interval, shape (realisations, intervals, ...): summed one by
+      one, because a row of all would couple all points, and a factorisation would fill;
+    - `paths`, `ends`, `composed`: what is recorded of each realisation, the first axis; of `paths` the second are the
+      instants;
     - `nodes`: what is recorded of each realisation at instants and in the middles between, the second axis;
     - `totals`: of expressions that are integrated over time;
     - `coefficients`: of each functional that is expanded, shape (terms, ...); `between`: of those whose statistics are
@@ -112,7 +114,7 @@ class Layout:
             signals=(len(plan.mesh.sides), shapes.signals),
             states=(every, points, shapes.states),
             algebraic=(every, len(plan.mesh.sides), shapes.algebraic),
-            integrals=(every, sum(map(math.prod, shapes.integrals))),
+            integrals=(every, len(plan.mesh.lengths), sum(map(math.prod, shapes.integrals))),
             paths=(every, instants, shapes.size(asked.paths)),
             ends=(every, shapes.size(asked.ends)),
             composed=(every, sum(map(math.prod, composed))),
@@ -165,11 +167,11 @@ class Layout:
 
     @cached_property
     def stages(self) -> tuple[np.ndarray, ...]:
-        """The numbers of the variables that follow from others: signals and duration; then, from states, what is
-        recorded; functionals composed of that; coefficients; integrals over time.
+        """The numbers of the variables that follow from others: signals and duration; then, from states and integrals,
+        what is recorded; functionals composed of that; coefficients; integrals over time.
         """
         one = self.numbers
-        recorded = one.integrals.ravel(), one.paths.ravel(), one.ends.ravel(), one.nodes.ravel()
+        recorded = one.paths.ravel(), one.ends.ravel(), one.nodes.ravel()
         return (
             np.append(one.signals.ravel(), one.duration),
             np.concatenate(recorded),

@@ -107,8 +107,9 @@ def rows_of(
     combined.append((rows, equations, 1.0))
     stands_for.append(variables.algebraic.ravel())
     rows = numbers.take(variables.integrals.shape)
-    linear.append((rows, variables.integrals, 1.0))
-    combined.append((rows[:, None], rates[:, :, states:], -mesh.weights[None, :, None]))
+    linear += [(rows, variables.integrals, 1.0), (rows[:, 1:], variables.integrals[:, :-1], -1.0)]
+    shares = lengths[:, None] * scheme.weights[-1]
+    combined.append((rows[:, :, None], stages[..., states:], -shares[None, :, :, None]))
     stands_for.append(variables.integrals.ravel())
     tied(variables.paths, paths)
     tied(variables.ends, ends)

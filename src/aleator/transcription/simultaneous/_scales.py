@@ -15,6 +15,8 @@ from aleator.transcription.simultaneous._layout import Layout
 _NOTHING = 1e-12
 # Along a chain of so many states, each the rate of the next, forces reach a state that is zero.
 _CHAIN = 4
+# For such a part of the time: all the way, a push of typical magnitude would turn and carry most things beyond reason.
+_PUSHED = 0.1
 
 
 def scales(
@@ -34,12 +36,14 @@ def scales(
     found[numbers.decisions] = decisions
     signals, *later = layout.stages
     found = _reached(layout, ties, slopes, found, signals)
-    intervals = len(layout.plan.mesh.lengths)
+    intervals = _PUSHED * len(layout.plan.mesh.lengths)
     for _ in range(_CHAIN):
         still = numbers.states[found[numbers.states] <= _NOTHING]
         if not still.size:
             break
         found = _reached(layout, ties, intervals * slopes, found, still)
+    still = numbers.integrals[found[numbers.integrals] <= _NOTHING]
+    found = _reached(layout, ties, intervals * slopes, found, still)
     for some in later:
         found = _reached(layout, ties, slopes, found, some)
     return np.where(found > _NOTHING, found, 1.0)
