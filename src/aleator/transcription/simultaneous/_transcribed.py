@@ -186,9 +186,6 @@ class SimultaneouslyTranscribed(AbstractTranscribed):
     def costates_at(
         self, point: Float[np.ndarray, " variables"], multipliers: Float[np.ndarray, " rows"]
     ) -> tuple[Costates, Switching] | tuple[None, None]:
-        # Of algebraic variables, what follows from a push is not known here.
-        if self.layout.shapes.algebraic:
-            return None, None
         found, mesh = adjoint(self.layout, self.assembled, point, multipliers), self.layout.plan.mesh
         states, signals = state_shapes(self.problem), self.layout.asked.signal_shapes
         nodes, asked = self._instants(point, np.array(mesh.nodes)), self._instants(point, mesh.fractions[mesh.asked])
