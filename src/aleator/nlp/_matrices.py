@@ -143,7 +143,7 @@ def check_sparsity(name: str, sparsity: SparseMatrix, shape: tuple[int, int]) ->
         raise ProblemError(f"Expected `{name}` with its columns in order and no entry twice: call sum_duplicates().")
 
 
-def checked_sparse(name: str, matrix: object, sparsity: SparseMatrix) -> SparseMatrix:
+def checked_sparse(name: str, matrix: Any, sparsity: SparseMatrix) -> SparseMatrix:
     """A matrix with the declared sparsity, its numbers copied. Raises `ProblemError` for another."""
     if not isinstance(matrix, scipy.sparse.csr_array):
         raise ProblemError(f"Expected the {name} as the scipy.sparse.csr_array declared; received {type(matrix)}.")
