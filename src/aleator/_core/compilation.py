@@ -2,16 +2,13 @@
 
 import enum
 import functools
-import math
 import threading
 import time
 from collections.abc import Callable, Hashable
-from itertools import accumulate, pairwise
-from typing import Any, NamedTuple, TypeAlias, final
+from typing import Any, final
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array
@@ -19,7 +16,9 @@ from jaxtyping import Array
 from aleator._core import stored
 from aleator._core.beside import beside
 from aleator._core.errors import ProblemError
+from aleator._core.executables import Tried, ready
 from aleator._core.lasting import lasting_name
+from aleator._core.layouts import Leaves, Packed, Way, is_real
 from aleator._core.programs import PROGRAMS, Executable, Program
 
 # On a CPU, XLA removes `jax.lax.optimization_barrier` before it fuses loops, and then recomputes an intermediate result
@@ -40,10 +39,6 @@ class Use(enum.Enum):
     LOOPS = _BARRIERS
     ROWS = _BARRIERS | {"xla_cpu_use_fusion_emitters": False}
     ONCE = ROWS | {"xla_backend_optimization_level": "0"}
-
-
-# This name marks the run-time checks of Equinox, and of libraries built on it, among the errors of XLA.
-_CHECKED = "_EquinoxRuntimeError"
 
 
 @final
@@ -103,7 +98,7 @@ class Compiled:
         def flat(*leaves: jax.Array) -> Any:
             return self._function(*eqx.combine(jax.tree.unflatten(structure, leaves), static))
 
-        build = functools.partial(self._compile, _Leaves, flat, *leaves)
+        build = functools.partial(self._compile, Leaves, flat, *leaves)
         return self._known(self._key(arguments, "leaves", leaves, structure, static), arguments, build), leaves
 
     def bound(self, *fixed: Any, packed: bool = True) -> "Bound":
@@ -114,7 +109,7 @@ class Compiled:
 
         - `packed`: whether to pack the result. Copying a large one takes longer than returning it as arrays of JAX.
         """
-        reals, rest = eqx.partition(fixed, _is_real)
+        reals, rest = eqx.partition(fixed, is_real)
         vector, unpacked = ravel_pytree(reals)
         arrays, static = eqx.partition(rest, eqx.is_array)
         # Leaves instead of trees, which would be flattened at every call.
@@ -123,7 +118,7 @@ class Compiled:
         def result(vector: jax.Array, others: list[jax.Array], last: Any) -> Any:
             return self._function(*eqx.combine(unpacked(vector), jax.tree.unflatten(structure, others), static), last)
 
-        way, read_by = ("packed", _Packed) if packed else ("bound", _Leaves)
+        way, read_by = ("packed", Packed) if packed else ("bound", Leaves)
 
         def key(last: Any) -> Hashable:
             leaves, last_structure = jax.tree.flatten(last)
@@ -173,7 +168,7 @@ class Compiled:
         return self._use if isinstance(self._use, Use) else self._use(*arguments)
 
     def _compile(
-        self, way: "_Way", function: Callable[..., Any], *arguments: Any, use: Use, name: str | None
+        self, way: Way, function: Callable[..., Any], *arguments: Any, use: Use, name: str | None
     ) -> Callable[[], Executable]:
         """Trace a function, unless an earlier run has kept its executable; the function returned compiles it."""
         started = time.perf_counter()
@@ -186,7 +181,7 @@ class Compiled:
                 stored.forget(name)
             return trace()()
 
-        made = trace() if earlier is None else functools.partial(_Tried, _ready(earlier), anew)
+        made = trace() if earlier is None else functools.partial(Tried, ready(earlier), anew)
         spent = time.perf_counter() - started
 
         def finish() -> Executable:
@@ -200,7 +195,7 @@ class Compiled:
         return finish
 
     def _traced(
-        self, way: "_Way", function: Callable[..., Any], *arguments: Any, use: Use, name: str | None
+        self, way: Way, function: Callable[..., Any], *arguments: Any, use: Use, name: str | None
     ) -> Callable[[], Executable]:
         """Trace a function; the function returned compiles it and keeps it for later runs."""
         results: list[Any] = []
@@ -221,38 +216,9 @@ class Compiled:
             found = stored.Stored(compiled_for(use, lowered), results[0])
             if name is not None and stored.found_by_jax() == before:
                 stored.keep(name, lowered, found)
-            return _ready(found)
+            return ready(found)
 
         return finish
-
-
-@final
-class _Tried:
-    """An executable of an earlier run, replaced by one compiled anew if its first run fails, for whatever reason."""
-
-    def __init__(self, earlier: Executable, anew: Callable[[], Executable]):
-        self._executable = earlier
-        self._anew: Callable[[], Executable] | None = anew
-        self._lock = threading.Lock()
-
-    def __call__(self, *given: Any) -> Any:
-        if self._anew is None:
-            return self._executable(*given)
-        try:
-            result = self._executable(*given)
-        except Exception:  # XLA and JAX have no common one
-            with self._lock:
-                if self._anew is not None:
-                    self._executable, self._anew = self._anew(), None
-            return self._executable(*given)
-        self._anew = None  # with what it holds: it can run
-        return result
-
-
-def _ready(found: stored.Stored) -> Executable:
-    """An executable that returns results in their own layout."""
-    executable, read = functools.partial(_run, found.executable), found.results.read
-    return lambda *given: read(executable(*given))
 
 
 def compiled_for(use: Use, lowered: jax.stages.Lowered) -> jax.stages.Compiled:
@@ -301,81 +267,8 @@ class Bound:
         return self.prepare(last)(*self._given, last)
 
 
-def _run(executable: Executable, *arguments: Any) -> Any:
-    """The results of an executable; NaN if run-time checks of a library inside stop it.
-
-    The linear solvers of stiff integrators do so for derivatives that are not finite. Called with NaN throughout, the
-    same executable returns NaN in the right shapes.
-    """
-    try:
-        return jax.block_until_ready(executable(*arguments))
-    except jax.errors.JaxRuntimeError as error:
-        if _CHECKED not in str(error):
-            raise
-    nothing = jax.tree.map(lambda leaf: jnp.full_like(leaf, jnp.nan) if _is_real(leaf) else leaf, arguments)
-    return executable(*nothing)
-
-
 def _alike(tree: Any) -> Any:
     """A tree whose NumPy arrays, which are traced, are replaced by their shapes and types."""
     return jax.tree.map(
         lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype) if isinstance(leaf, np.ndarray) else leaf, tree
     )
-
-
-class _Leaves(NamedTuple):
-    """The layout of a tree of arrays that are passed one by one."""
-
-    structure: Any
-
-    @classmethod
-    def of(cls, tree: Any) -> "_Leaves":
-        return cls(jax.tree.structure(tree))
-
-    @staticmethod
-    def arrays(tree: Any) -> list[Array]:
-        return jax.tree.leaves(tree)
-
-    def read(self, arrays: list[jax.Array]) -> Any:
-        """The tree of the same arrays."""
-        return jax.tree.unflatten(self.structure, arrays)
-
-
-class _Packed(NamedTuple):
-    """The layout of a tree of arrays whose real ones are packed into one vector.
-
-    - `shapes`: of the leaves in order, None for those passed separately; `ends`: of the others in the vector.
-    """
-
-    structure: Any
-    shapes: tuple[tuple[int, ...] | None, ...]
-    ends: tuple[tuple[int, int], ...]
-
-    @classmethod
-    def of(cls, tree: Any) -> "_Packed":
-        leaves, structure = jax.tree.flatten(tree)
-        shapes = tuple(leaf.shape if _is_real(leaf) else None for leaf in leaves)
-        sizes = [math.prod(shape) for shape in shapes if shape is not None]
-        return cls(structure, shapes, tuple(pairwise(accumulate(sizes, initial=0))))
-
-    @staticmethod
-    def arrays(tree: Any) -> list[Array]:
-        leaves = jax.tree.leaves(tree)
-        vector = jnp.concatenate([jnp.zeros(0), *(jnp.ravel(leaf) for leaf in leaves if _is_real(leaf))])
-        return [vector, *(leaf for leaf in leaves if not _is_real(leaf))]
-
-    def read(self, arrays: list[jax.Array]) -> Any:
-        """The tree of NumPy arrays."""
-        numbers, alone, ends = np.asarray(arrays[0]), iter(arrays[1:]), iter(self.ends)
-        leaves = [
-            np.asarray(next(alone)) if shape is None else numbers[slice(*next(ends))].reshape(shape)
-            for shape in self.shapes
-        ]
-        return jax.tree.unflatten(self.structure, leaves)
-
-
-_Way: TypeAlias = type[_Leaves] | type[_Packed]
-
-
-def _is_real(leaf: Any) -> bool:
-    return eqx.is_array(leaf) and leaf.dtype == float

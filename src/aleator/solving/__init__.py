@@ -1,0 +1,3 @@
+"""Solutions of design problems."""
+
+from aleator.solving._solve import solve as solve

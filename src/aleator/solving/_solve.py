@@ -1,0 +1,163 @@
+"""`solve`: the whole of a solution, stage by stage."""
+
+import warnings
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from aleator._core.beside import dropped_on_failure
+from aleator._core.errors import ExpansionWarning, GridWarning, ProblemError, SimulationError, SolveError
+from aleator._core.given import one_of
+from aleator._core.heard import heeding
+from aleator.certification import doubts, refinement, second_opinion, unconverged, untrusted
+from aleator.design import Problem, deterministic
+from aleator.nlp import AbstractSolver, Status
+from aleator.solution import AtMeans, Solution
+from aleator.solving._arguments import check_arguments, first_decisions
+from aleator.solving._stages import UNSOLVED, Answer, Stages, compile_seconds
+from aleator.transcription import DEFAULT, AbstractTranscription, started_from
+
+# Ends of the deterministic problem that start nothing.
+_NO_START = (*UNSOLVED, Status.EVALUATION_FAILED)
+
+
+def solve(
+    problem: Problem,
+    solver: AbstractSolver | None = None,
+    *,
+    transcription: AbstractTranscription = DEFAULT,
+    warm_start: Solution | None = None,
+    start: Mapping[str, Any] | None = None,
+    deterministic_first: bool = False,
+    between: int | None = None,
+    accuracy: float = 1e-3,
+    refine: bool = False,
+    throw: bool = True,
+) -> Solution:
+    """Solve a design problem: transcribe, compile once, optimise with exact derivatives, certify.
+
+    - `solver`: `al.solvers.FilterSQP()` by default; `Ipopt()` or `Slsqp()` for a second opinion;
+    - `transcription`: how the problem becomes a nonlinear program: `Sequential()` by default;
+    - `warm_start`: a solution of the same problem to start from, on the same grid or another, with as many control
+      points of its trajectories or others: curves are refitted over the fraction of time, other decisions are taken
+      over by name. Where states are variables, they start from its own too, in the place of a guess;
+    - `start`: values of decisions by name to start from, in the place of their own initial ones;
+    - `deterministic_first`: solve the problem with every distribution held at its mean first, and start from that: from
+      its decisions and, where states are variables, the states. For problems that are hard to start: a way for one
+      system is found sooner than for many. `solution.effort.at_means` tells how that ended;
+    - `between`: limits over time are checked on a grid of so many times as many steps as well, and where they are
+      exceeded between two instants, the bounds there are tightened until they hold; a solution that exceeds one by more
+      than a thousandth of it nevertheless has failed. 1 leaves that out. By default 10 for systems that follow
+      trajectories, 2 for others, or more on a coarse grid;
+    - `accuracy`: the error of the grid that is tolerated, as a part of a limit or of a spread, whichever is smaller. It
+      is told by a finer grid and an integrator of another order. A solution whose objective is off by more than this
+      part of it, or that breaks a limit on the finer grid, is not `ok`; other errors beyond it are warned of;
+    - `refine`: solve again on finer grids, each from the last solution, until the error is tolerated. The solution's
+      problem then has the finest grid;
+    - `throw`: if False, a solution that failed is returned with its status instead of raised.
+
+    Raises `SolveError` (which carries the unfinished solution), `SimulationError` if the model gives numbers that are
+    not finite, `ProblemError` if there is nothing to decide. Warns with `ExpansionWarning` if an expansion is not
+    resolved (where it is too coarse for a statistic that is asked of it, the solution has failed: a tail beyond the
+    expansion's tolerance, a spread by more than a third of itself), or if a few fresh simulations at the answer
+    contradict it (where that breaks a limit, the solution has failed: see `SecondOpinion`), with `GridWarning` if the
+    grid is too coarse.
+    """
+    one_of("solve: transcription", transcription, AbstractTranscription, "al.Sequential()")
+    solver = solver or transcription.solver
+    check_arguments(problem, solver, warm_start, deterministic_first, between, accuracy)
+    transcription = transcription if warm_start is None else transcription.starting_from(warm_start)
+    first = first_decisions(problem, transcription, warm_start, start)
+    known = (None, None) if warm_start is None else (warm_start.multipliers, warm_start.certificate.worst_case)
+    # Ctrl-C may be lost where Python cannot raise: in a callback of the garbage collector, of which JAX has one.
+    with heeding() as heed, dropped_on_failure():
+        stages = Stages(transcription, solver, between, float(accuracy), compile_seconds(transcription), heed)
+        stages, first, at_means = _from_means(stages, problem, first) if deterministic_first else (stages, first, None)
+        answer = stages.answer(problem, first, *known)
+        if refine:
+            answer = _refined(stages, answer)
+        solution = _with_opinion(stages, answer)
+        solution = replace(solution, effort=replace(solution.effort, at_means=at_means))
+        heed()
+    if throw and solution.status is Status.EVALUATION_FAILED:
+        raise SimulationError(solution.message)
+    if throw and not solution.ok:
+        raise SolveError(solution.why(), solution)
+    _warn_of_doubts(solution)
+    _warn_if_coarse(solution)
+    return solution
+
+
+def _from_means(
+    stages: Stages, problem: Problem, first: np.ndarray | None
+) -> tuple[Stages, np.ndarray | None, AtMeans | None]:
+    """The stages and the decisions that start from the answer to the deterministic problem, if it has one."""
+    if not problem.placements.germs:
+        return stages, first, None
+    try:
+        mean = stages._replace(between=1).answer(deterministic(problem), first, None).solution
+    except ProblemError:
+        # Without spreads a limit may be impossible that the problem itself can meet. What is wrong with both is told by
+        # the problem itself.
+        return stages, first, AtMeans(Status.INFEASIBLE, starts=False, iterations=0, evaluations=0)
+    starts = mean.status not in _NO_START
+    at_means = AtMeans(mean.status, starts, mean.effort.iterations, mean.effort.evaluations)
+    if not starts:
+        return stages, first, at_means
+    stages = stages._replace(transcription=stages.transcription.starting_from(mean))
+    # Controls on a refined mesh have more values than the problem's.
+    return stages, started_from(problem, mean), at_means
+
+
+def _refined(stages: Stages, answer: Answer) -> Answer:
+    """The answer on finer grids, until the error is tolerated or does not fall any more."""
+    solutions = [answer.solution]
+    while (plan := refinement(solutions)) is not None:
+        stages = stages._replace(transcription=stages.transcription.starting_from(solutions[-1]))
+        answer = stages.answer(plan, solutions[-1].vector, None)
+        solutions.append(answer.solution)
+    reason = unconverged(solutions)
+    return answer._replace(solution=replace(answer.solution, message=reason)) if reason else answer
+
+
+def _with_opinion(stages: Stages, answer: Answer) -> Solution:
+    """The solution with what a few fresh simulations say of its expansions, and failed where they break a limit, or
+    where an expansion is too coarse for what is asked of it.
+    """
+    solution = answer.solution
+    if not solution.ok:
+        return solution
+    opinion = second_opinion(answer.transcribed, answer.point)
+    coarse = untrusted(solution.problem, solution.certificate.expansion)
+    status = Status.UNRESOLVED if coarse else solution.status
+    if opinion is not None and opinion.broken:
+        status = Status.CONTRADICTED
+    return replace(
+        solution,
+        status=status,
+        message=coarse or solution.message,
+        certificate=replace(solution.certificate, opinion=opinion),
+        effort=replace(solution.effort, times=replace(solution.effort.times, compile_=stages.compiled)),
+    )
+
+
+def _warn_of_doubts(solution: Solution) -> None:
+    found = solution.certificate
+    sentences = [] if solution.status is Status.EVALUATION_FAILED else doubts(found.expansion, found.opinion)
+    if sentences:
+        warnings.warn(f"{'. '.join(sentences)}, and compare with al.validate.", ExpansionWarning, stacklevel=3)
+
+
+def _warn_if_coarse(solution: Solution) -> None:
+    if solution.ok and not all(one.is_met for one in solution.meshes[-1:]):
+        warnings.warn(
+            f"The mesh does not reach the error that was asked for: {solution.meshes[-1]}. If the model jumps in time "
+            "there, let the jump fall on an instant of the grid or make it smooth; or ask for less.",
+            GridWarning,
+            stacklevel=3,
+        )
+    error = solution.certificate.grid_error
+    if error is not None and solution.ok and not error.is_met:
+        warnings.warn(f"On {error.steps} steps {error}.", GridWarning, stacklevel=3)

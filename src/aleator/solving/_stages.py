@@ -1,0 +1,171 @@
+"""The stages of one solution: transcribe, refine the mesh, optimise, hold limits, judge the grid."""
+
+import functools
+from collections.abc import Callable
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from aleator.certification import (
+    REACHED,
+    Reference,
+    diagnose,
+    grid_error,
+    held_at_worst,
+    held_between,
+    prepare_judges,
+    probed,
+    reference_factor,
+    solution_of,
+    whether_misled,
+)
+from aleator.design import Problem, is_over_time
+from aleator.nlp import AbstractSolver, Outcome, Status, feasible_elsewhere, moved_on
+from aleator.solution import TOLERATED, Between, Solution, WorstCase
+from aleator.transcription import AbstractTranscribed, AbstractTranscription, refuse_blind, transcribe
+
+UNSOLVED = (Status.INFEASIBLE, Status.FAILED, Status.ITERATION_LIMIT)
+"""Ends of a search that a grid which is far off may have led astray."""
+
+
+class Answer(NamedTuple):
+    """A solution, the program that it was found by, and the point of that program that it stands for."""
+
+    solution: Solution
+    transcribed: AbstractTranscribed
+    point: np.ndarray
+
+
+class _Meshed(NamedTuple):
+    """A problem on the last of its meshes: where it is to start, and its outcome there if it has been solved."""
+
+    transcribed: AbstractTranscribed
+    begun: np.ndarray | None
+    outcome: Outcome | None
+
+
+class Stages(NamedTuple):
+    """The stages of one solution, the same on each grid."""
+
+    transcription: AbstractTranscription
+    solver: AbstractSolver
+    between: int | None
+    accuracy: float
+    compiled_before: float
+    heed: Callable[[], None]
+
+    @property
+    def compiled(self) -> float:
+        """How long compilations have taken since the first stage, s."""
+        return compile_seconds(self.transcription) - self.compiled_before
+
+    def answer(
+        self,
+        problem: Problem,
+        start: np.ndarray | None,
+        multipliers: np.ndarray | None,
+        known: WorstCase | None = None,
+    ) -> Answer:
+        """Optimise, hold limits between the instants and in the worst case, find the error of the grid, report.
+
+        `start`: decisions, None for their own initial values.
+        """
+        is_between = self.between != 1 and any(map(is_over_time, problem.constraints))
+        factor = reference_factor(problem, self.between)
+        transcribed = transcribe(problem, self.transcription, functools.partial(prepare_judges, factor))
+        self.heed()
+        begun = None if start is None else transcribed.point(start)
+        meshed = self._meshed(transcribed, begun) if self.transcription.refines else _Meshed(transcribed, begun, None)
+        transcribed, begun, _ = meshed
+        factor = reference_factor(transcribed.problem, self.between)
+        is_judged = multipliers is None and not self.transcription.is_guessed
+        astray = self._astray(transcribed, begun, factor) if is_judged else lambda: ""
+        transcribed, outcome, (between, finer), worst_case = held_at_worst(
+            transcribed,
+            functools.partial(self._attempt, meshed),
+            begun,
+            multipliers,
+            factor=factor if is_between else 1,
+            known=known,
+        )
+        if outcome.status is Status.INTERRUPTED:
+            raise KeyboardInterrupt
+        if outcome.failed_at is not None:
+            outcome = replace(outcome, message=diagnose(transcribed, transcribed.decisions(outcome.failed_at)))
+        error = None
+        at_start = astray() if finer is not None or outcome.status in UNSOLVED else ""
+        if finer is not None:
+            elsewhere = probed(transcribed, outcome.point, finer)
+            error = grid_error(transcribed, outcome.point, finer, self.accuracy, elsewhere.numbers)
+            error = replace(error, at_start=at_start)
+            if between is not None and elsewhere.worst > between.worst:
+                between = replace(between, worst=elsewhere.worst, name=elsewhere.where, time=elsewhere.when)
+        if error is not None and not error.is_usable:
+            outcome = replace(outcome, status=Status.COARSE)
+        if between is not None and between.worst > TOLERATED:
+            outcome = replace(outcome, status=Status.NOT_HELD)
+        misled = at_start if outcome.status in UNSOLVED else ""
+        found = solution_of(transcribed, outcome, between, error, worst_case, misled, self.compiled)
+        return Answer(found, transcribed, outcome.point)
+
+    def _meshed(self, transcribed: AbstractTranscribed, begun: np.ndarray | None) -> _Meshed:
+        """The problem on a mesh that is fine enough, and its outcome; where one fails, it stays."""
+        while True:
+            self.heed()
+            outcome = _optimise(transcribed, self.solver, begun, None)
+            if outcome.status is Status.INTERRUPTED:
+                raise KeyboardInterrupt
+            finer = transcribed.refined(outcome.point) if outcome.status is Status.SOLVED else None
+            if finer is None:
+                return _Meshed(transcribed, outcome.point if outcome.status is Status.SOLVED else begun, outcome)
+            transcribed, begun = finer
+
+    @staticmethod
+    def _astray(transcribed: AbstractTranscribed, start: np.ndarray | None, factor: int) -> Callable[[], str]:
+        """Whether the search begins where the grid is far off, found out while it runs."""
+        begun = transcribed.program.start if start is None else start
+        transcribed.prepare_resolution(begun)
+        return whether_misled(transcribed, begun, factor)
+
+    def _attempt(
+        self,
+        meshed: _Meshed,
+        transcribed: AbstractTranscribed,
+        start: np.ndarray | None,
+        multipliers: np.ndarray | None,
+    ) -> tuple[Outcome, tuple[Between | None, Reference | None]]:
+        self.heed()
+        known = meshed.outcome if transcribed is meshed.transcribed else None
+        outcome = _optimise(transcribed, self.solver, start, multipliers) if known is None else known
+        if multipliers is None:
+            outcome = _looked_around(transcribed, self.solver, outcome, start)
+        self.heed()
+        outcome, between, finer = held_between(transcribed, self.solver, outcome, self.between)
+        return outcome, (between, finer)
+
+
+def compile_seconds(transcription: AbstractTranscription) -> float:
+    """How long all compilations that a solution waits for have taken so far, s."""
+    return transcription.compile_seconds() + REACHED.seconds
+
+
+def _optimise(
+    transcribed: AbstractTranscribed, solver: AbstractSolver, start: np.ndarray | None, multipliers: np.ndarray | None
+) -> Outcome:
+    rows = transcribed.program.constraint_lower.shape
+    # Multipliers at the instants of another grid say nothing here.
+    known = multipliers if multipliers is not None and multipliers.shape == rows else None
+    return solver.solve(transcribed.program, start=start, multipliers=known)
+
+
+def _looked_around(
+    transcribed: AbstractTranscribed, solver: AbstractSolver, outcome: Outcome, start: np.ndarray | None
+) -> Outcome:
+    """The outcome of a start of which nothing is known, or a better one found by points elsewhere."""
+    program = transcribed.program
+    begun = program.start if start is None else start
+    outcome = feasible_elsewhere(program, outcome, begun, lambda other, first: solver.solve(other, start=first))
+    outcome = moved_on(program, outcome, begun, lambda first: solver.solve(program, start=first))
+    refuse_blind(outcome, transcribed)
+    return outcome
