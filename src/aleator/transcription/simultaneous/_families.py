@@ -22,7 +22,8 @@ from aleator.statistics import Constants
 from aleator.transcription._scope import ExpansionScope
 from aleator.transcription.simultaneous._blocks import Block, Family
 from aleator.transcription.simultaneous._layout import Layout, Plan, Variables, found_integrals
-from aleator.transcription.simultaneous._pointwise import Pointwise, apart
+from aleator.transcription.simultaneous._pointwise import Pointwise
+from aleator.transcription.simultaneous._shapes import apart
 from aleator.transcription.simultaneous._signals import known_numbers
 from aleator.uncertainty import named_numbers
 

@@ -28,7 +28,8 @@ from aleator.design import (
     time_integrals,
 )
 from aleator.transcription.simultaneous._mesh import Mesh
-from aleator.transcription.simultaneous._pointwise import Pointwise, Shapes, apart
+from aleator.transcription.simultaneous._pointwise import Pointwise
+from aleator.transcription.simultaneous._shapes import Shapes, apart
 
 
 class Variables(NamedTuple):

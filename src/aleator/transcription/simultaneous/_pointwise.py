@@ -4,8 +4,7 @@ Time runs by the fraction of the grid's duration: multiplied by the duration, ra
 fraction, so that a free final time stands in them and the scheme stays linear.
 """
 
-import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, final
 
@@ -13,7 +12,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, Int
 
 from aleator.design import (
@@ -45,6 +43,7 @@ from aleator.dynamics import (
 )
 from aleator.trajectories import before_jumps, has_jumps
 from aleator.transcription._frozen import frozen, has_random_signals
+from aleator.transcription.simultaneous._shapes import Shapes, apart, flat, taken_by
 from aleator.uncertainty import placements, realise
 
 
@@ -158,7 +157,7 @@ class Pointwise:
 
     def initial(self, germ: Array, place: Array, shared: Array, signals: Array) -> Float[Array, " states"]:
         """The initial states of one realisation, side by side, at the first mesh point: see `rates`."""
-        return _flat(initial_state(*self._now(germ, place, shared, signals)))
+        return flat(initial_state(*self._now(germ, place, shared, signals)))
 
     def rates(self, germ: Array, place: Array, shared: Array, own: Array) -> Float[Array, " rates"]:
         """The rates of the states, then the integrands, both by the fraction of the duration.
@@ -169,8 +168,8 @@ class Pointwise:
         """
         system, t, z, now = self._at(germ, place, shared, own)
         z = completed(system, t, z, now)
-        parts = [_flat(derivative(system, t, z, now))] if system.states else []
-        return shared[-1] * _flat([*parts, self._integrated.rates(system, t, z, now)])
+        parts = [flat(derivative(system, t, z, now))] if system.states else []
+        return shared[-1] * flat([*parts, self._integrated.rates(system, t, z, now)])
 
     def residuals(self, germ: Array, place: Array, shared: Array, own: Array) -> Float[Array, " algebraic"]:
         """What is left of the equations of the algebraic variables: see `rates`."""
@@ -182,14 +181,14 @@ class Pointwise:
         Where none are found they begin at their guess, but not at the first instant: there is no other state to try.
         """
         here = self._at(germ, place, shared, own)
-        root, guess = solved_algebraic(*here)[0], _flat(guessed_algebraic(*here))
+        root, guess = solved_algebraic(*here)[0], flat(guessed_algebraic(*here))
         return jnp.where(root.converged, root.point, jnp.where(place[0] > 0, guess, jnp.nan))
 
     def outputs(self, names: tuple[str, ...], germ: Array, place: Array, shared: Array, own: Array) -> Array:
         """Some outputs, side by side."""
         system, t, z, now = self._at(germ, place, shared, own)
         found = observation(system, t, z, now)
-        return _flat([found[name] for name in names])
+        return flat([found[name] for name in names])
 
     def everywhere(
         self,
@@ -208,16 +207,16 @@ class Pointwise:
         inner = jax.vmap(one, in_axes=(None, 0, 0, 0))
         return jax.vmap(inner, in_axes=(0, None, None, 0))(points, places, signals, states)
 
-    def composites(self, shapes: "Shapes", duration: Array, integrals: Array, paths: Array) -> Float[Array, " rows"]:
+    def composites(self, shapes: Shapes, duration: Array, integrals: Array, paths: Array) -> Float[Array, " rows"]:
         """The functionals of integrals and of whole histories of one realisation, side by side."""
         totals: dict[AbstractFunctional, Array] = dict(
             zip(self.integrals, apart(integrals, shapes.integrals), strict=True)
         )
         history = shapes.histories(self.paths, paths)
         grid = eqx.tree_at(lambda one: one.t_final, self.grid, self.grid.t_start + duration)
-        return _flat(list(numbers_of(self.composed, Taken(history, totals), grid)))
+        return flat(list(numbers_of(self.composed, Taken(history, totals), grid)))
 
-    def shapes(self) -> "Shapes":
+    def shapes(self) -> Shapes:
         """The shapes of what is recorded: nothing is computed."""
         germ, place = jnp.zeros(len(self.problem.placements.germ_names)), jnp.zeros(2)
         decisions = jnp.zeros(self.problem.placements.size)
@@ -277,58 +276,7 @@ class Pointwise:
         """A realised system with its time, states (and algebraic variables, if given) and inputs at one mesh point."""
         system, t, now = self._now(germ, place, shared, own)
         signals = 0 if self.is_random else sum(map(jnp.size, now.values()))
-        z, rest = _taken_by(lambda: initial_state(system, t, now), own[signals:])
+        z, rest = taken_by(lambda: initial_state(system, t, now), own[signals:])
         if rest.size:
-            z = with_algebraic(system, z, _taken_by(lambda: guessed_algebraic(system, t, z, now), rest)[0])
+            z = with_algebraic(system, z, taken_by(lambda: guessed_algebraic(system, t, z, now), rest)[0])
         return system, t, z, now
-
-
-@final
-@dataclass(frozen=True)
-class Shapes:
-    """How many states, algebraic variables and signals there are, and the shapes of integrals and of outputs at one
-    instant.
-    """
-
-    states: int
-    algebraic: int
-    signals: int
-    integrals: tuple[tuple[int, ...], ...]
-    outputs: dict[str, tuple[int, ...]]
-
-    def size(self, names: Sequence[str]) -> int:
-        """How many numbers some outputs are."""
-        return sum(math.prod(self.outputs[name]) for name in names)
-
-    def columns(self, names: Sequence[str], name: str) -> slice:
-        """Where an output stands among some that are side by side."""
-        before = names[: list(names).index(name)]
-        return slice(self.size(before), self.size(before) + self.size([name]))
-
-    def histories(self, names: Sequence[str], rows: Float[Array, " numbers"]) -> dict[str, Array]:
-        """Histories of some outputs by name, from all of their numbers, instant by instant."""
-        if not names:
-            return {}
-        table = rows.reshape(-1, self.size(names))
-        return {name: table[:, self.columns(names, name)].reshape(-1, *self.outputs[name]) for name in names}
-
-
-def apart(numbers: Any, shapes: Sequence[tuple[int, ...]]) -> list[Any]:
-    """Arrays of some shapes, from their numbers side by side along the last axis; axes before it are kept."""
-    parts, first = [], 0
-    for shape in shapes:
-        last = first + math.prod(shape)
-        parts.append(numbers[..., first:last].reshape(*numbers.shape[:-1], *shape))
-        first = last
-    return parts
-
-
-def _taken_by(make: Callable[[], Any], numbers: Array) -> tuple[Any, Array]:
-    """The first of some numbers in the shapes of what `make` gives, which is not computed, and those after them."""
-    like, unravel = ravel_pytree(jax.tree.map(lambda one: jnp.zeros(one.shape), jax.eval_shape(make)))
-    return unravel(numbers[: like.size]), numbers[like.size :]
-
-
-def _flat(tree: Any) -> Float[Array, " numbers"]:
-    leaves = [jnp.ravel(one) for one in jax.tree.leaves(tree)]
-    return jnp.concatenate([jnp.zeros(0), *leaves])

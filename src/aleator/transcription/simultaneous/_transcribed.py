@@ -24,14 +24,12 @@ from aleator.design import (
     refuse_changed_code,
 )
 from aleator.dynamics import Grid
-from aleator.nlp import HELD, Evaluation, Magnitudes, NonlinearProgram
+from aleator.nlp import HELD
 from aleator.solution import Costates, MeshError, States, Switching
 from aleator.statistics import Constants
 from aleator.transcription._abstract import AbstractTranscribed, Meaning
 from aleator.transcription._discretisation import Discretised
-from aleator.transcription._magnitudes import Sizing, decision_scales, least_objective, spread
 from aleator.transcription._remembered import Remembered
-from aleator.transcription._rows import row_bounds
 from aleator.transcription._scenarios import Scenarios
 from aleator.transcription._scope import Between, ExpansionScope
 from aleator.transcription._texts import Texts
@@ -42,10 +40,12 @@ from aleator.transcription.simultaneous._guess import state_shapes
 from aleator.transcription.simultaneous._layout import Layout, Plan
 from aleator.transcription.simultaneous._mesh import Mesh
 from aleator.transcription.simultaneous._mesh_error import interval_errors, parts_of, states_on
-from aleator.transcription.simultaneous._pointwise import Pointwise, apart
+from aleator.transcription.simultaneous._nonlinear import program_of
+from aleator.transcription.simultaneous._pointwise import Pointwise
 from aleator.transcription.simultaneous._program import Assembled
 from aleator.transcription.simultaneous._rows import Given
-from aleator.transcription.simultaneous._scales import scales, tie_sizes
+from aleator.transcription.simultaneous._scales import scales
+from aleator.transcription.simultaneous._shapes import apart
 from aleator.transcription.simultaneous._signals import are_affine
 from aleator.transcription.simultaneous._start import AbstractStart
 from aleator.uncertainty import named_numbers
@@ -243,54 +243,16 @@ class Way(NamedTuple):
         plan = Plan(mesh, len(points), len(every) - len(points), len(fit), are_affine(asked, mesh))
         layout, given = Layout.of(problem, plan), Given.of(asked)
         assembled = Assembled.of(layout, traced, self.equations, constants, every, fit, given)
-        first, lower, upper = (problem.placements.vector(name) for name in ("initial", "lower", "upper"))
         decisions, states = begun or self._first(mesh, every)
         start = started(traced, layout, assembled, every, decisions, states)
-        typical, ties = decision_scales(first, lower, upper), assembled.rows.ties
-        evaluation = assembled(start)
-        scale = scales(layout, ties, start, evaluation, typical)
-        lowest, highest = np.full(layout.count, -np.inf), np.full(layout.count, np.inf)
-        lowest[: first.size], highest[: first.size] = lower, upper
-        for is_given, some in zip(given, (layout.numbers.signals, layout.numbers.duration), strict=True):
-            if is_given:
-                lowest[some] = highest[some] = start[some]
-        rows = assembled.rows
-        own_lower, own_upper = row_bounds(problem.constraints, rows.own, scenarios)
-        tied = np.zeros(len(ties.variables))
-        sizing = Sizing(problem.constraints, rows.own, scale, [0.0] * len(rows.own))
-
-        def magnitudes(variables: np.ndarray, evaluation: Evaluation) -> Magnitudes:
-            here = scales(layout, ties, variables, evaluation, typical)
-            size, by = replace(sizing, decision_scale=here).at(variables, evaluation)
-            tied_sizes = tie_sizes(layout, ties, evaluation, here)
-            return Magnitudes(np.append(size, tied_sizes), np.append(by, tied_sizes))
-
-        values, slopes = ([part[one] for one in rows.own] for part in (evaluation.constraints, evaluation.jacobian))
-        sizes = sizing.each(start, values, slopes)
-        program = NonlinearProgram(
-            evaluate=assembled,
-            start=start,
-            lower=lowest,
-            upper=highest,
-            constraint_lower=np.append(own_lower, tied),
-            constraint_upper=np.append(own_upper, tied),
-            constraint_scale=np.append(
-                spread(rows.own, [one.scale for one in sizes]), tie_sizes(layout, ties, evaluation, scale)
-            ),
-            variable_scale=scale,
-            sparsity=assembled.jacobian.sparsity,
-            hessian=assembled.hessian,
-            magnitudes=magnitudes,
-            least=least_objective(problem),
-            ties=ties,
-        )
+        program, sizes = program_of(problem, scenarios, layout, assembled, given, start)
         return SimultaneouslyTranscribed(
             problem,
             traced,
             found,
             program,
-            rows.own,
-            tuple(one.size for one in sizes),
+            assembled.rows.own,
+            sizes,
             Texts.of(problem),
             scenarios,
             layout=layout,
