@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -41,6 +42,30 @@ def test_differences_are_relative_and_a_failed_solution_never_agrees():
     assert found.objective == pytest.approx(expected)
     change = np.abs(found.first.vector - found.second.vector) / (8.0 - 0.05)  # the range of the damper
     assert found.decisions == pytest.approx({"c": change[0]})
+
+
+class Pendulum(al.System):
+    states = ("angle", "rate")
+
+    def rhs(self, t, z, push):
+        return z.rate, push - 9.81 * jnp.sin(z.angle)
+
+    def outputs(self, t, z, push):
+        return {"angle": z.angle, "rate": z.rate, "effort": push**2}
+
+
+def test_controls_that_follow_a_finer_mesh_are_not_compared():
+    problem = al.Problem(
+        Pendulum(),
+        grid=al.Grid(1.0, 8),
+        inputs={"push": al.Control(0.0, -20.0, 20.0, degree=1)},
+        minimize=al.integral("effort").mean,
+        subject_to=[al.terminal("angle").mean.equals(1.0), al.terminal("rate").mean.equals(0.0)],
+    )
+    found = al.cross_check(problem, second=al.Simultaneous(error=1e-7), tolerance=1e-2)
+    assert found.second.decisions["inputs.push"].size > found.first.decisions["inputs.push"].size
+    assert found.decisions == {"inputs.push": np.inf}
+    assert found.objective < 1e-2
 
 
 @pytest.mark.parametrize(

@@ -12,6 +12,7 @@ from aleator.nlp import AbstractSolver
 from aleator.solution import Solution
 from aleator.solving import solve
 from aleator.transcription import DEFAULT, AbstractTranscription, Simultaneous
+from aleator.uncertainty import Decision
 
 # What is smaller than this part of the largest of its kind is compared with that.
 _SMALL = 1e-3
@@ -104,11 +105,21 @@ def cross_check(
 
 
 def _decisions(problem: Problem, one: Solution, other: Solution) -> dict[str, float]:
-    lower, upper = (problem.placements.vector(name) for name in ("lower", "upper"))
-    size = np.where(np.isfinite(upper - lower), upper - lower, np.maximum(np.abs(one.vector), np.abs(other.vector)))
-    apart = np.abs(one.vector - other.vector) / np.where(size > 0, size, 1.0)
-    places = problem.placements.decisions
-    return {name: float(np.max(apart[place.where], initial=0.0)) for name, place in places.items()}
+    """By name; infinite for a control that has followed a finer mesh in one of them."""
+    return {name: _decided(place, one.decisions[name], other.decisions[name]) for name, place in _places(problem)}
+
+
+def _places(problem: Problem) -> list[tuple[str, Decision]]:
+    return [(name, place.decision) for name, place in problem.placements.decisions.items()]
+
+
+def _decided(decision: Decision, first: object, second: object) -> float:
+    one, other = np.asarray(first, dtype=float), np.asarray(second, dtype=float)
+    if one.shape != other.shape:
+        return float("inf")
+    between = np.asarray(decision.upper, dtype=float) - np.asarray(decision.lower, dtype=float)
+    size = np.where(np.isfinite(between), between, np.maximum(np.abs(one), np.abs(other)))
+    return float(np.max(np.abs(one - other) / np.where(size > 0, size, 1.0), initial=0.0))
 
 
 def _shadow_prices(solution: Solution) -> dict[str, float]:

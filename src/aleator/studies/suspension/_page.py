@@ -68,6 +68,7 @@ def sections(results: SuspensionResults) -> list[Section]:
         Section("Apportionment (chapter 7)", list(apportionment(results))),
         Section("Evidence", list(_evidence(results))),
         Section("Certificate", _certificate(results)),
+        Section("A second way", _second_way(results)),
     ]
 
 
@@ -123,6 +124,11 @@ def _evidence(results: SuspensionResults) -> Iterator[Block]:
         yield evidence_table(built)
     if results.narrow_evidence:
         yield evidence_table({f"{name} (±{NARROW_TRAVEL:g} m)": one for name, one in results.narrow_evidence.items()})
+
+
+def _second_way(results: SuspensionResults) -> list[Block]:
+    title = "dOpt by shooting and by direct collocation: relative differences"
+    return [] if results.second_way is None else [Code(title, str(results.second_way))]
 
 
 def _certificate(results: SuspensionResults) -> list[Block]:

@@ -39,7 +39,9 @@ class SuspensionStudy(AbstractStudy):
     @property
     @override
     def left_out(self) -> str:
-        return "" if self.found.effort.calibration_samples else "the margins to build with"
+        if self.found.effort.calibration_samples:
+            return ""
+        return "the margins to build with, and dOpt by direct collocation"
 
     @override
     def results(self) -> Mapping[str, Any]:
@@ -56,6 +58,7 @@ class SuspensionStudy(AbstractStudy):
             "travel_fronts": found.travel_fronts,
             "holding_fronts": found.holding_fronts,
             "boxes": found.boxes,
+            "collocated": {} if found.second_way is None else {"dOpt": found.second_way.second},
         }
 
     @override
