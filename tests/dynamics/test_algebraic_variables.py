@@ -188,6 +188,30 @@ def test_the_guess_decides_between_solutions():
         np.testing.assert_allclose(found, np.sign(near) * np.sqrt([1.0, 0.7, 0.4, 0.1]), rtol=1e-12)
 
 
+class Rootless(al.System):
+    """Has no real root below the axis, for any push."""
+
+    states = ("x",)
+    algebraic = ("y",)
+
+    def initial(self):
+        return {"x": 1.0}
+
+    def rhs(self, t, z, push):
+        return (-z.y + push,)
+
+    def residual(self, t, z, push):
+        return (z.y**2 + z.x + push,)
+
+    def outputs(self, t, z, push):
+        return {"x": z.x}
+
+
+def test_what_has_no_solution_is_told_where_inputs_are_trajectories():
+    told = simulation_of(Rootless(), al.Grid(2.0, 4), {"push": al.BSpline(np.full(4, 0.1))}, None).explain()
+    assert re.match("Rootless: its algebraic variables have no solution at about t = 0", told)
+
+
 @pytest.mark.parametrize("integrator", [None, al.integrators.Tsit5()], ids=["RungeKutta4", "Tsit5"])
 def test_where_solutions_meet_is_told(integrator):
     told = simulation_of(Folded(), al.Grid(2.0, 8), None, integrator).explain()

@@ -164,6 +164,38 @@ def test_integrals_over_jumps_are_those_of_each_step_of_its_own():
             assert program.evaluate(program.start).objective == pytest.approx(exact, rel=1e-12)
 
 
+class Own(al.System):
+    """A unit mass on a rail that holds its own control."""
+
+    states = ("x", "v")
+    u: al.Number = 0.0
+
+    def rhs(self, t, z):
+        return z.v, self.u(t)
+
+    def outputs(self, t, z):
+        return {"x": z.x}
+
+
+def test_a_control_that_jumps_in_the_place_of_a_number_is_refused_with_what_to_do():
+    with pytest.raises(al.ProblemError, match=r'Own.u: an al.Control of degree 0 jumps.*inputs=\{"u": al.Control'):
+        al.Problem(Own(u=al.Control(0.0, -5.0, 5.0)), grid=al.Grid(1.0, 4), minimize=al.terminal("x").mean)
+    held = al.Control(0.0, -5.0, 5.0, degree=1)
+    problem = al.Problem(Own(u=held), grid=al.Grid(1.0, 4), minimize=al.terminal("x").mean)
+    # Least where the push is at its bound throughout.
+    assert al.solve(problem, between=1).objective == pytest.approx(-2.5, rel=1e-6)
+
+
+def test_an_objective_of_several_numbers_is_refused_before_anything_is_compiled():
+    with pytest.raises(al.ProblemError, match=r"The objective must be one number, but .* has shape \(4,\)"):
+        al.Problem(
+            Lag(),
+            grid=al.Grid(1.0, 4),
+            inputs={"u": al.Control(0.0, -1.0, 1.0)},
+            minimize=al.terminal("x").mean - al.value("inputs.u"),
+        )
+
+
 def test_a_function_is_a_start():
     constant, linear = (al.Control(lambda s: 10 * s, degree=degree) for degree in (0, 1))
     assert lag(constant).placements.vector("initial") == pytest.approx([1.25, 3.75, 6.25, 8.75])

@@ -1,5 +1,6 @@
 """Checks of a problem before anything is compiled; each refusal says what was expected and what was received."""
 
+import dataclasses
 import hashlib
 from collections.abc import Callable
 from typing import Any
@@ -41,6 +42,7 @@ from aleator.dynamics import (
 )
 from aleator.expansion import Expansion
 from aleator.statistics import AbstractStatistic, Sobol, TotalSobol, refuse_correlated
+from aleator.trajectories import piecewise_in
 from aleator.uncertainty import Placements, named_numbers, refuse_nonpositive, uncertain_again
 
 
@@ -111,6 +113,19 @@ def _check_inputs(problem: AbstractProblem) -> None:
             raise ProblemError(f"{name} is algebraic and takes no inputs; received {sorted(problem.inputs)}.")
         return
     check_signals(problem.system, problem.grid, problem.inputs)
+    _refuse_jumps_inside(problem.system)
+
+
+def _refuse_jumps_inside(system: System) -> None:
+    """Refuse a control that jumps in the place of a number: only signals are told on which side of a jump a step is."""
+    for field in dataclasses.fields(system):
+        inside = () if field.name in system.signal_fields else piecewise_in(getattr(system, field.name))
+        if any(one.degree == 0 for one in inside):
+            raise ProblemError(
+                f"{type(system).__name__}.{field.name}: an al.Control of degree 0 jumps between two steps, and a "
+                "number of a model cannot tell on which side a step is. Give it as an input: "
+                f'inputs={{"{field.name}": al.Control(...)}}, an argument of rhs and outputs; or use degree=1.'
+            )
 
 
 def _check_time(problem: AbstractProblem) -> None:
@@ -193,7 +208,7 @@ def _check_shapes(problem: AbstractProblem, outputs: dict[str, jax.ShapeDtypeStr
     if shaped[0].shape != ():
         raise ProblemError(
             f"The objective must be one number, but '{problem.objective}' has shape {shaped[0].shape}: use integral, "
-            "rms, peak or terminal instead of path."
+            "rms, peak or terminal instead of path, and an output or one number of a model in the place of an array."
         )
     return text
 
@@ -212,7 +227,7 @@ class _ShapeScope(AbstractScope):
     """Statistics of the right shapes, with arbitrary values."""
 
     def __init__(self, problem: AbstractProblem, outputs: dict[str, jax.Array]):
-        self._outputs = outputs
+        self._problem, self._outputs = problem, outputs
         self._grid = grid_at(problem, jnp.zeros(problem.placements.size))
 
     def statistic(self, functionals: tuple[AbstractFunctional, ...], kind: AbstractStatistic) -> jax.Array:
@@ -243,5 +258,5 @@ class _ShapeScope(AbstractScope):
         return self._evaluated(functional)
 
     def value(self, name: str) -> jax.Array:
-        del name
-        return jnp.ones(())
+        numbers = named_numbers(self._problem.simulation, jnp.zeros(self._problem.placements.size))
+        return jnp.ones(jnp.shape(numbers[name]) if name in numbers else ())

@@ -47,7 +47,7 @@ def explain_algebraic(
 def inputs_on(grid: Grid, inputs: dict[str, AbstractSignal]) -> Callable[[Any], dict[str, Array]]:
     """All inputs at a time on a grid."""
     stretched = {name: signal.over(grid.t_start, grid.t_final) for name, signal in inputs.items()}
-    return lambda t: {name: signal(t) for name, signal in stretched.items()}
+    return lambda t: {name: signal(jnp.asarray(t, dtype=float)) for name, signal in stretched.items()}
 
 
 def explain_from(system: System, t: float, z: Any, step: float, now: Callable[[Any], dict[str, Array]]) -> str:

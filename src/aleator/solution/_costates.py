@@ -40,7 +40,8 @@ class Switching:
     negative, one at its upper bound; a control that is between its bounds makes it zero.
 
     The Hamiltonian holds the costates times the rates, and the integrands in the objective and in limits, summed over
-    realisations. Limits on outputs at instants are not in it.
+    realisations. Limits on outputs at instants are not in it, and it is empty where inputs are uncertain or a statistic
+    is integrated over time.
 
     - `times`: where the scheme asks for rates, s, shape (points,); where inputs jump, nodes may be there twice, as seen
       from before and from after;

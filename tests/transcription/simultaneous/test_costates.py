@@ -126,6 +126,14 @@ def test_a_regulated_lag_has_the_costate_of_its_riccati_equation(name):
     assert solution.objective == pytest.approx(riccati[0], rel=2e-3)
 
 
+def test_no_switching_function_is_told_that_lacks_an_integral_of_statistics():
+    problem = moved(al.Control(0.0, -9.0, 9.0, degree=1), al.time_integral(al.path("u²/2").mean), al.Grid(1.0, 4), 1.0)
+    solution = al.solve(problem, transcription=al.Simultaneous(), between=1, throw=False)
+    assert solution.costates is not None
+    assert solution.switching is not None
+    assert not solution.switching.values
+
+
 def test_states_are_told_by_their_own_names():
     solution = al.solve(
         moved(al.Control(0.0, degree=1), al.integral("u²/2").mean, al.Grid(1.0, 4), 1.0),

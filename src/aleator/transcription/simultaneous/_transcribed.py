@@ -21,6 +21,7 @@ from aleator.design import (
     expanded_functionals,
     extreme_functionals,
     functionals_of,
+    integrated_paths,
     refuse_changed_code,
 )
 from aleator.dynamics import Grid
@@ -52,8 +53,8 @@ from aleator.uncertainty import named_numbers
 
 # Steps of a simulation for each interval of a mesh.
 _FINER = 2
-# So many meshes at most.
-_MOST_MESHES = 8
+# So many meshes at most, and variables of the last: where something jumps inside, no mesh would ever be fine enough.
+_MOST_MESHES, _MOST_VARIABLES = 8, 1_000_000
 
 
 def _told(problem: Problem, constants: Constants, at: tuple[Any, ...]) -> tuple[jax.Array, ...]:
@@ -165,7 +166,10 @@ class SimultaneouslyTranscribed(AbstractTranscribed):
         if error.is_met or len(self.meshes) + 1 == _MOST_MESHES:
             return None
         parts = parts_of(error.errors, self.accuracy, len(mesh.scheme.nodes))
-        finer = mesh.divided(whole_parts(self.problem, parts))
+        parts = whole_parts(self.problem, parts)
+        if self.layout.count * parts.mean() > _MOST_VARIABLES:
+            return None
+        finer = mesh.divided(parts)
         values = self.layout.view(point)
         states = states_on(mesh, finer.fractions, values.states, self._rates(point))
         problem, decisions = followed(self.problem, values.decisions, finer.nodes)
@@ -190,7 +194,9 @@ class SimultaneouslyTranscribed(AbstractTranscribed):
         states, signals = state_shapes(self.problem), self.layout.asked.signal_shapes
         nodes, asked = self._instants(point, np.array(mesh.nodes)), self._instants(point, mesh.fractions[mesh.asked])
         by_state = dict(zip(states, apart(found.states, list(states.values())), strict=True))
-        by_signal = dict(zip(signals, apart(found.signals, list(signals.values())), strict=True))
+        # What an integral over time of a statistic adds stands in no rate.
+        is_whole = not integrated_paths(self.problem.expressions)
+        by_signal = dict(zip(signals, apart(found.signals, list(signals.values())), strict=True)) if is_whole else {}
         return Costates(nodes, self.points, by_state), Switching(asked, by_signal)
 
     def _instants(
