@@ -644,6 +644,9 @@ def _simulated(**methods: Any) -> Callable[[], Any]:
 
 _WRITTEN: dict[str, Bad] = {
     "states: nothing": Bad(_simulated(states=None), ("None",)),
+    "algebraic: nothing": Bad(_simulated(algebraic=None), ("None",)),
+    "algebraic: text": Bad(_simulated(algebraic="y"), ("'y'",)),
+    "algebraic: a state": Bad(_simulated(algebraic=("x",)), ("x",)),
     "states: text": Bad(_simulated(states="x"), ("'x'",)),
     "states: twice": Bad(_simulated(states=("x", "x"), rhs=lambda self, t, z: (1.0, 1.0)), ("x",)),
     "states: no name": Bad(_simulated(states=("2x",)), ("2x",)),

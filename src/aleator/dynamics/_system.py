@@ -186,8 +186,9 @@ def input_names(system: System) -> tuple[str, ...]:
 def check_variables(system: System) -> None:
     """Refuse names that are none, and algebraic variables without equations or the other way round."""
     name = type(system).__name__
-    for names in (system.states, system.algebraic, (*system.states, *system.algebraic)):
+    for names in (system.states, system.algebraic):
         state_type(names)
+    state_type((*system.states, *system.algebraic))
     written = [one for one in _IMPLICIT if _writes(system, one)]
     if system.algebraic and "residual" not in written:
         raise ProblemError(
