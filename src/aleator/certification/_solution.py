@@ -7,7 +7,7 @@ import numpy as np
 from aleator._core import clock
 from aleator.certification._quality import quality_of
 from aleator.design import expanded_functionals
-from aleator.nlp import Outcome
+from aleator.nlp import Outcome, Status
 from aleator.solution import (
     Between,
     Certificate,
@@ -20,6 +20,8 @@ from aleator.solution import (
     WorstCase,
 )
 from aleator.transcription import AbstractTranscribed, Meaning, as_read
+
+_UNFINISHED = (Status.INFEASIBLE, Status.ITERATION_LIMIT, Status.EVALUATION_FAILED, Status.FAILED)
 
 
 def solution_of(
@@ -39,7 +41,10 @@ def solution_of(
     meaning, resolved = transcribed.at(outcome.point), transcribed.resolve(outcome.point)
     names, decided = places.entry_names(), transcribed.decided
     entries = dict(zip(decided.tolist(), names, strict=True))
-    costates, switching = transcribed.costates_at(outcome.point, outcome.multipliers)
+    # Multipliers of a search that was not finished say nothing of what a push would change.
+    is_unfinished = outcome.status in _UNFINISHED
+    told = (None, None) if is_unfinished else transcribed.costates_at(outcome.point, outcome.multipliers)
+    costates, switching = told
     # Limits on the worst case use the model itself.
     asked = {one.text() for one in expanded_functionals(problem.expressions)}
     expanded = {text: one for text, one in resolved.items() if text in asked}

@@ -37,7 +37,8 @@ class Solution:
     - `certificate`: how far the answer can be trusted; `effort`: iterations, evaluations and times;
     - `meshes`: of a simultaneous program, with their errors, the one of the answer last; empty for others;
     - `states`: of all realisations of a simultaneous program; `costates`: by what a push of a state would change the
-      objective; `switching`: by what a push of an input would. None where states are simulated.
+      objective; `switching`: by what a push of an input would. None where states are simulated,
+      the latter two also where the search was not finished.
     """
 
     problem: Problem

@@ -126,6 +126,15 @@ def test_a_regulated_lag_has_the_costate_of_its_riccati_equation(name):
     assert solution.objective == pytest.approx(riccati[0], rel=2e-3)
 
 
+def test_a_search_that_was_not_finished_tells_no_costates():
+    weak = al.Control(0.0, -0.1, 0.1)
+    problem = moved(weak, al.integral("u²/2").mean, al.Grid(1.0, 4), 1.0)
+    solution = al.solve(problem, transcription=al.Simultaneous(), between=1, throw=False)
+    assert not solution.ok
+    assert solution.costates is None
+    assert solution.switching is None
+
+
 def test_no_switching_function_is_told_that_lacks_an_integral_of_statistics():
     problem = moved(al.Control(0.0, -9.0, 9.0, degree=1), al.time_integral(al.path("u²/2").mean), al.Grid(1.0, 4), 1.0)
     solution = al.solve(problem, transcription=al.Simultaneous(), between=1, throw=False)
