@@ -16,6 +16,8 @@ import numpy as np
 import pytest
 import xarray
 
+from aleator.studies import load
+
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals are sent as on Unix")
 
 HERE = Path(__file__).parent
@@ -77,6 +79,7 @@ GROUPS = {
         "evidence": "narrow_evidence",
         "designs to build": "margins",
         "calibration": "calibration",
+        "second way": "collocated",
         "fronts over travel": "travel_fronts",
         "fronts over holding": "boxes",
     },
@@ -86,6 +89,11 @@ GROUPS = {
 TIMES = {"decay": 16, "suspension": 12, "clutch": 12}
 MOMENTS_AT_RANDOM = [(study, time_) for study, times in TIMES.items() for time_ in range(times)]
 STOPS = [*SIGNALS.values(), (signal.SIGKILL, -9)]
+
+
+@pytest.mark.parametrize("study", ["suspension", "clutch"])
+def test_the_stages_that_are_interrupted_are_those_of_the_study(study):
+    assert list(load(study).stages) == list(GROUPS[study])
 
 
 class Ended(NamedTuple):
