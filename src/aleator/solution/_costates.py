@@ -7,6 +7,8 @@ from typing import final
 import numpy as np
 from jaxtyping import Float
 
+from aleator.solution._states import ranges
+
 
 @final
 @dataclass(frozen=True)
@@ -29,7 +31,7 @@ class Costates:
         return self.values[name]
 
     def __str__(self) -> str:
-        return f"costates of {_ranges(self.values)}, {len(self.germs)} realisations at {len(self.times)} nodes"
+        return f"costates of {ranges(self.values)}, {len(self.germs)} realisations at {len(self.times)} nodes"
 
 
 @final
@@ -55,8 +57,4 @@ class Switching:
         return self.values[name]
 
     def __str__(self) -> str:
-        return f"switching function of {_ranges(self.values)}, at {len(self.times)} points"
-
-
-def _ranges(values: Mapping[str, np.ndarray]) -> str:
-    return ", ".join(f"{name} from {np.min(one):.4g} to {np.max(one):.4g}" for name, one in values.items())
+        return f"switching function of {ranges(self.values)}, at {len(self.times)} points"

@@ -32,5 +32,9 @@ class States:
 
     def __str__(self) -> str:
         count, span = len(self.germs), f"from t = {self.times[0]:.4g} to {self.times[-1]:.4g} s"
-        ranges = (f"{name} from {np.min(one):.4g} to {np.max(one):.4g}" for name, one in self.values.items())
-        return f"{count} realisation{'s'[: count > 1]} at {len(self.times)} points {span}: {', '.join(ranges)}"
+        return f"{count} realisation{'s'[: count > 1]} at {len(self.times)} points {span}: {ranges(self.values)}"
+
+
+def ranges(values: Mapping[str, np.ndarray]) -> str:
+    """From where to where each of some arrays goes."""
+    return ", ".join(f"{name} from {np.min(one):.4g} to {np.max(one):.4g}" for name, one in values.items())

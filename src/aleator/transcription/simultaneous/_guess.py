@@ -16,7 +16,12 @@ from aleator.design import Problem, deterministic, grid_at
 from aleator.dynamics import Grid, System, initial_state
 from aleator.solution import Solution, States
 from aleator.transcription._warm_start import started_from
-from aleator.transcription.simultaneous._start import SIMULATED_START, AbstractStart, simulated_states
+from aleator.transcription.simultaneous._start import (
+    SIMULATED_START,
+    AbstractStart,
+    interpolated,
+    simulated_states,
+)
 from aleator.uncertainty import realise
 
 Guess: TypeAlias = Callable[[float], Any] | Mapping[str, Any] | np.ndarray | Solution
@@ -174,16 +179,6 @@ def state_shapes(problem: Problem) -> dict[str, tuple[int, ...]]:
 
     # The names after tracing: a dict that is traced comes back in alphabetical order.
     return {name: one.shape for name, one in jax.eval_shape(first)._asdict().items()}
-
-
-def interpolated(
-    known: Float[np.ndarray, " n"], values: Float[np.ndarray, "n ..."], at: Float[np.ndarray, " m"]
-) -> Float[np.ndarray, "m ..."]:
-    """Values between known places, linearly."""
-    after = np.clip(np.searchsorted(known, at), 1, len(known) - 1)
-    share = np.clip((at - known[after - 1]) / (known[after] - known[after - 1]), 0.0, 1.0)
-    share = share.reshape(-1, *(1,) * (values.ndim - 1))
-    return (1 - share) * values[after - 1] + share * values[after]
 
 
 def _flat(what: str, given: Any, shapes: Mapping[str, tuple[int, ...]]) -> Float[np.ndarray, " states"]:

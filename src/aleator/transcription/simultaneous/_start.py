@@ -55,17 +55,18 @@ def simulated_states(
     grown = np.abs(found).max(axis=(0, 1)) > _MOST_GROWTH * np.where(begun > 0, begun, np.inf)
     if not np.isfinite(found).all() or grown.any():
         found = np.repeat(found[:, :1], found.shape[1], axis=1)
-    return _interpolated(found, fractions)
+    instants = np.linspace(0.0, 1.0, found.shape[1])
+    return np.moveaxis(interpolated(instants, np.moveaxis(found, 1, 0), fractions), 0, 1)
 
 
-def _interpolated(
-    table: Float[np.ndarray, "realisations instants states"], fractions: Float[np.ndarray, " points"]
-) -> Float[np.ndarray, "realisations points states"]:
-    """Between instants that are evenly spaced, linearly."""
-    place = fractions * (table.shape[1] - 1)
-    before = np.minimum(place.astype(int), table.shape[1] - 2)
-    share = (place - before)[None, :, None]
-    return (1 - share) * table[:, before] + share * table[:, before + 1]
+def interpolated(
+    known: Float[np.ndarray, " n"], values: Float[np.ndarray, "n ..."], at: Float[np.ndarray, " m"]
+) -> Float[np.ndarray, "m ..."]:
+    """Values between known places, linearly."""
+    after = np.clip(np.searchsorted(known, at), 1, len(known) - 1)
+    share = np.clip((at - known[after - 1]) / (known[after] - known[after - 1]), 0.0, 1.0)
+    share = share.reshape(-1, *(1,) * (values.ndim - 1))
+    return (1 - share) * values[after - 1] + share * values[after]
 
 
 class AbstractStart(abc.ABC):

@@ -183,7 +183,7 @@ def calls_of(
 def results(tasks: list[Task]) -> Iterator[tuple[Tile, Any]]:
     """Each tile and what was found of it."""
     # The calling thread traces a user's code before other threads start.
-    for task in {task.function: task for task in reversed(tasks)}.values():
+    for task in _one_of_each(tasks):
         task.function.prepare(task.given())
     for task, found in zip(tasks, in_order(lambda task: task(), tasks), strict=True):
         yield from zip(task.tiles, found, strict=True)
@@ -191,5 +191,10 @@ def results(tasks: list[Task]) -> Iterator[tuple[Tile, Any]]:
 
 def begin(tasks: list[Task]) -> None:
     """Begin to compile what some tasks need, on other cores."""
-    for task in {task.function: task for task in reversed(tasks)}.values():
+    for task in _one_of_each(tasks):
         task.function.begin(task.given())
+
+
+def _one_of_each(tasks: list[Task]) -> list[Task]:
+    """A task for each compiled function."""
+    return list({task.function: task for task in reversed(tasks)}.values())

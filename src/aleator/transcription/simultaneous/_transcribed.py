@@ -132,7 +132,7 @@ class SimultaneouslyTranscribed(AbstractTranscribed):
             samples=tuple(samples[one][:count] for one in functionals),
             tangents=(None,) * len(functionals),
             statistics=tuple(np.asarray(one) for one in taken),
-            times=float(grid.t_start) + grid.fractions * float(variables.duration[0]),
+            times=self._instants(point, grid.fractions),
         )
 
     @staticmethod
@@ -145,7 +145,7 @@ class SimultaneouslyTranscribed(AbstractTranscribed):
     @override
     def at_scenarios(self, scenarios: Scenarios) -> "SimultaneouslyTranscribed":
         found = self.discretised.at_scenarios(scenarios)
-        way = Way(self.problem, self.traced, self.equations, found, scenarios, self.accuracy, self.begins)
+        way = self._way._replace(found=found, scenarios=scenarios)
         return replace(way.transcribed(self.layout.plan.mesh), meshes=self.meshes)
 
     @property
@@ -175,7 +175,7 @@ class SimultaneouslyTranscribed(AbstractTranscribed):
         problem, decisions = followed(self.problem, values.decisions, finer.nodes)
         traced = numbers_to_arrays(problem)
         equations = self.equations if _has_same_equations(problem, self.layout.asked) else traced
-        way = Way(problem, traced, equations, self.discretised, self.scenarios, self.accuracy, self.begins)
+        way = self._way._replace(problem=problem, traced=traced, equations=equations)
         found = way.transcribed(finer, (decisions, states))
         return replace(found, meshes=(*self.meshes, error)), found.program.start
 
@@ -199,6 +199,12 @@ class SimultaneouslyTranscribed(AbstractTranscribed):
         by_signal = dict(zip(signals, apart(found.signals, list(signals.values())), strict=True)) if is_whole else {}
         return Costates(nodes, self.points, by_state), Switching(asked, by_signal)
 
+    @property
+    def _way(self) -> "Way":
+        return Way(
+            self.problem, self.traced, self.equations, self.discretised, self.scenarios, self.accuracy, self.begins
+        )
+
     def _instants(
         self, point: Float[np.ndarray, " variables"], fractions: Float[np.ndarray, " n"]
     ) -> Float[np.ndarray, " n"]:
@@ -216,9 +222,7 @@ class SimultaneouslyTranscribed(AbstractTranscribed):
     def _mesh_error(self, point: Float[np.ndarray, " variables"]) -> MeshError:
         layout = self.layout
         errors = interval_errors(self.traced, layout, self.points, self._rates(point), point, self._sizes(point))
-        times = self.at(point).times
-        nodes = times[0] + np.array(layout.plan.mesh.nodes) * (times[-1] - times[0])
-        return MeshError(nodes, errors, self.accuracy)
+        return MeshError(self._instants(point, np.array(layout.plan.mesh.nodes)), errors, self.accuracy)
 
 
 def _has_same_equations(problem: Problem, before: Pointwise) -> bool:
