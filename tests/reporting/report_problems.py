@@ -46,6 +46,12 @@ def solution() -> al.Solution:
 
 
 @cache
+def collocated() -> al.Solution:
+    """By direct collocation on two meshes."""
+    return al.solve(problem(0.45), transcription=al.Simultaneous(error=1e-6))
+
+
+@cache
 def infeasible() -> al.Solution:
     return al.solve(problem(-0.5), throw=False)
 

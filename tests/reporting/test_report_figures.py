@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 import report_problems as given
 
+from aleator.dynamics import HermiteSimpson, Radau
 from aleator.reporting import (
     Axis,
     Box,
@@ -12,6 +13,7 @@ from aleator.reporting import (
     density_figure,
     front_figure,
     interval,
+    mesh_figure,
     number,
     percent,
     percentile_figure,
@@ -22,6 +24,7 @@ from aleator.reporting import (
     trajectory_figure,
 )
 from aleator.reporting._samples import _curves
+from aleator.solution import MeshError
 
 
 def traces(figure, mode):
@@ -172,3 +175,44 @@ def test_a_vector_over_time_is_drawn_component_by_component():
     curves, violating = _curves(values, np.array([True, False]))
     np.testing.assert_array_equal(curves, [[0, 2, 4], [1, 3, 5], [6, 8, 10], [7, 9, 11]])
     np.testing.assert_array_equal(violating, [True, True, False, False])
+
+
+MESHES = (
+    MeshError(np.array([0.0, 1.0, 3.0]), HermiteSimpson(), np.array([[1e-3, 2e-6], [4e-3, 1e-7]]), 1e-5, {"m": 2.0}),
+    MeshError(
+        np.array([0.0, 0.5, 1.0, 3.0]), Radau(4), np.array([[1e-6, 2e-6, 0.0], [4e-6, 1e-7, 0.0]]), 1e-5, {"m": 1.0}
+    ),
+)
+
+
+def test_meshes_are_drawn_with_their_nodes_their_worst_errors_and_what_was_asked():
+    figure = mesh_figure(MESHES)
+    drawn = {one.name: one for one in figure.data}
+    for i, mesh in enumerate(MESHES, 1):
+        np.testing.assert_allclose(drawn[f"nodes of mesh {i}"].x[::3], mesh.nodes)
+        np.testing.assert_allclose(drawn[f"errors of mesh {i}"].x, mesh.nodes)
+        assert drawn[f"errors of mesh {i}"].line.shape == "hv"
+    np.testing.assert_allclose(drawn["errors of mesh 1"].y, [4e-3, 2e-6, 2e-6])
+    # An error of zero has no place on a logarithmic axis.
+    np.testing.assert_allclose(drawn["errors of mesh 2"].y, [4e-6, 2e-6, np.nan, np.nan])
+    assert set(drawn["asked"].y) == {1e-5}
+    assert figure.layout.yaxis.type == "log"
+    assert figure.layout.xaxis.range[0] < 0.0 < 3.0 < figure.layout.xaxis.range[1]
+    names = [one.text for one in figure.layout.annotations]
+    assert names == [
+        "Mesh 1: 2 intervals of HermiteSimpson, 0.0040",
+        "Mesh 2: 3 intervals of Radau(4), 4.0·10⁻⁶, as asked",
+    ]
+
+
+def test_a_mesh_that_nothing_was_asked_of_is_drawn_without_a_line_and_a_coarse_one_says_so():
+    (free, coarse) = (dataclasses.replace(MESHES[0], asked=asked) for asked in (np.inf, 1e-5))
+    assert "asked" not in [one.name for one in mesh_figure([free]).data]
+    assert mesh_figure([coarse]).layout.annotations[0].text.endswith("more than asked")
+
+
+def test_every_mesh_is_darker_than_the_one_before():
+    shades = [one.line.color for one in mesh_figure([MESHES[1]] * 8).data if one.name.startswith("errors")]
+    light = [sum(map(int, one[4:-1].split(","))) for one in shades]
+    assert light == sorted(light, reverse=True)
+    assert len(set(light)) == 8

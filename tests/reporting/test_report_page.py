@@ -1,12 +1,13 @@
 import re
 from html.parser import HTMLParser
 
+import numpy as np
 import pytest
 import report_problems as given
 
 import aleator as al
 from aleator import ProblemError
-from aleator.reporting import Card, Page, Section, Table, Text, Verdict, page_html, report
+from aleator.reporting import Card, Page, Section, Table, Text, Verdict, dataset, page_html, report
 from aleator.reporting._report import verdict
 from tiny_models import LOSS, ONE_STEP, RESPONSE, gain_problem
 
@@ -81,6 +82,15 @@ def test_one_solution_is_enough_and_what_is_missing_is_left_out(tmp_path):
     assert "Solved, not checked" in text
     assert 'data-library="plotly"' not in text
     assert "Trajectories" not in Reader(text).text
+
+
+def test_the_meshes_of_a_simultaneous_solution_are_drawn_and_kept(tmp_path):
+    solution = given.collocated()
+    assert "Meshes of design" in report(solution, path=tmp_path / "report.html").read_text(encoding="utf-8")
+    kept = dataset(solution)
+    np.testing.assert_array_equal(kept["mesh 1"], solution.meshes[0].nodes)
+    np.testing.assert_array_equal(kept["mesh 2 drift"], solution.mesh.drifts)
+    assert "Meshes of" not in report(given.solution(), path=tmp_path / "report.html").read_text(encoding="utf-8")
 
 
 def test_often_broken_limits_are_not_called_good(page):

@@ -36,6 +36,9 @@ class AbstractScheme(abc.ABC):
     def order(self) -> int:
         """The order of convergence of the states at the nodes in the interval's length."""
 
+    def __str__(self) -> str:
+        return type(self).__name__
+
     @cached_property
     def points(self) -> Float[np.ndarray, " points"]:
         """The points where states are variables: the stages and both ends of the interval."""
@@ -123,6 +126,10 @@ class _AbstractQuadrature(AbstractScheme):
         who = type(self).__name__
         if whole(f"{who}: stages", self.stages) > _MOST_STAGES:
             raise ProblemError(f"{who}: expected 1 to {_MOST_STAGES} stages; received {self.stages}.")
+
+    @override
+    def __str__(self) -> str:
+        return f"{type(self).__name__}({self.stages})"
 
 
 @final

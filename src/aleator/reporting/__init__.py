@@ -21,6 +21,8 @@ from aleator.reporting._fronts import front_figure as front_figure
 from aleator.reporting._fronts import relative_figure as relative_figure
 from aleator.reporting._fronts import shadow_price_figure as shadow_price_figure
 from aleator.reporting._lock import only_writer as only_writer
+from aleator.reporting._meshes import mesh_drawing as mesh_drawing
+from aleator.reporting._meshes import mesh_figure as mesh_figure
 from aleator.reporting._methods import Trial as Trial
 from aleator.reporting._methods import bars_figure as bars_figure
 from aleator.reporting._methods import density_figure as density_figure

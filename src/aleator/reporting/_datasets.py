@@ -54,6 +54,10 @@ def solution_dataset(solution: Solution) -> "xarray.Dataset":
             values = solution.statistics[one.text()]
             axes, unit = _axes(values, one.is_path), _units.of_statistic(one, problem)
             data[f"statistic {_key(one.text())}"] = _variable(axes, values, f"{one.text()} by the expansion", unit)
+    for i, one in enumerate(solution.meshes, 1):
+        axes, told = (f"realisation of mesh {i}", f"interval of mesh {i}"), f"drift of the states on mesh {i}"
+        data[f"mesh {i}"] = _variable(f"node of mesh {i}", one.nodes, f"nodes of mesh {i}, {one.scheme}", "s")
+        data[f"mesh {i} drift"] = _variable(axes, one.drifts, told, "1", asked=f"{one.asked:g}")
     attributes = {
         "status": solution.status.value,
         "solver": solution.effort.solver,

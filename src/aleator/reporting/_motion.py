@@ -7,7 +7,20 @@ import numpy as np
 from jaxtyping import Float
 
 from aleator.reporting._numbers import given
-from aleator.reporting._style import ALARM, INK, LIMIT, SIZE, Look, blank, label, limit_line, looks, padded, plain
+from aleator.reporting._style import (
+    ALARM,
+    INK,
+    LIMIT,
+    SIZE,
+    Look,
+    blank,
+    label,
+    limit_line,
+    looks,
+    padded,
+    plain,
+    short,
+)
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
@@ -50,9 +63,9 @@ def bands_figure(
     for name, rows in families.items():
         mean, std = rows.mean(axis=0), rows.std(axis=0)
         figure.add_scatter(
-            x=_short(times),
-            y=_short(mean),
-            customdata=_short(std),
+            x=short(times),
+            y=short(mean),
+            customdata=short(std),
             mode="lines",
             name=plain(name),
             line={"color": styles[name].colour, "width": 2},
@@ -71,8 +84,8 @@ def bands_figure(
 
 def _band(figure: "Figure", times: np.ndarray, low: np.ndarray, high: np.ndarray, fill: str) -> None:
     figure.add_scatter(
-        x=_short(np.concatenate([times, times[::-1]])),
-        y=_short(np.concatenate([high, low[::-1]])),
+        x=short(np.concatenate([times, times[::-1]])),
+        y=short(np.concatenate([high, low[::-1]])),
         mode="lines",
         line={"width": 0},
         fill="toself",
@@ -122,8 +135,8 @@ def plane_figure(
             line = {"color": colour, "width": 0.9}
             figure.add_scatter(x=x, y=y, mode="lines", name=name, line=line, opacity=0.8, hoverinfo="skip")
     figure.add_scatter(
-        x=_short(nominal[:, 0]),
-        y=_short(nominal[:, 1]),
+        x=short(nominal[:, 0]),
+        y=short(nominal[:, 1]),
         mode="lines",
         name="nominal system",
         line={"color": look.colour, "width": 2.5},
@@ -291,8 +304,3 @@ def _strokes(rows: Float[np.ndarray, "systems points 2"]) -> tuple[list[float | 
 def _listed(values: np.ndarray) -> list[float | None]:
     """Coordinates rounded to the resolution of a screen, with None for gaps."""
     return [None if value != value else round(value, 3) for value in np.asarray(values, dtype=float).tolist()]
-
-
-def _short(values: np.ndarray) -> np.ndarray:
-    """Single precision: more than a screen shows, half the size on the page."""
-    return np.asarray(values, dtype=np.float32)

@@ -11,6 +11,7 @@ from aleator.reporting import _units
 from aleator.reporting._blocks import Block, Card, Code, Drawing, Section, Text, Verdict
 from aleator.reporting._files import as_path, check_writable
 from aleator.reporting._fronts import front_figure, shadow_price_figure
+from aleator.reporting._meshes import mesh_drawing
 from aleator.reporting._numbers import count, interval, number, percent, words
 from aleator.reporting._page import Page, write_page
 from aleator.reporting._samples import percentile_figure, trajectory_figure
@@ -108,7 +109,7 @@ def _page(designs: dict[str, Solution], evidence: dict[str, Evidence], fronts: d
         Section("Trajectories", _trajectory_blocks(evidence)),
         Section("Trade-offs", _front_blocks(fronts)),
         Section("Evidence", _evidence_blocks(evidence)),
-        Section("Certificate", [certificate_table(designs)]),
+        Section("Certificate", [certificate_table(designs), *_mesh_blocks(designs)]),
         Section("The problem as mathematics", [Code(name, str(one.problem), True) for name, one in designs.items()]),
         Section("How to read this", [Text(HOW_TO_READ)]),
     ]
@@ -250,6 +251,10 @@ def _front_blocks(fronts: Mapping[str, Front]) -> list[Block]:
         worth = shadow_price_figure(group, y="Shadow price of the bound", y_unit=per, x=x, x_unit=x_unit)
         blocks.append(Drawing([worth], f"What relaxing {bound} is worth", "Zero where the limit is not active."))
     return blocks
+
+
+def _mesh_blocks(designs: Mapping[str, Solution]) -> list[Block]:
+    return [mesh_drawing(one.meshes, name) for name, one in designs.items() if any(mesh.worst for mesh in one.meshes)]
 
 
 def _evidence_blocks(evidence: Mapping[str, Evidence]) -> list[Block]:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from aleator.reporting._numbers import given, number, share_text
-from aleator.reporting._style import ALARM, INK, blank, label, limit_line, looks, padded, plain
+from aleator.reporting._style import ALARM, INK, blank, label, limit_line, looks, padded, plain, short
 from aleator.sweep import Calibration
 from aleator.validation import Evidence, Sampled, Trajectories
 
@@ -22,8 +22,8 @@ def signal_figure(
     """An input over time (figure 6.2)."""
     figure = blank(label(x, x_unit), label(name, unit), height=300)
     figure.add_scatter(
-        x=_short(times),
-        y=_short(values),
+        x=short(times),
+        y=short(values),
         mode="lines",
         line={"color": "#0072b2", "width": 1.5},
         name=plain(name),
@@ -102,8 +102,8 @@ def _add_lines(
         figure.add_scatter(x=[None], y=[None], mode="lines", name=name, line={"color": colour, "width": 4})
     gap = np.full((len(rows), 1), np.nan)
     figure.add_scatter(
-        x=_short(np.hstack([np.tile(times, (len(rows), 1)), gap]).ravel()),
-        y=_short(np.hstack([rows.reshape(len(rows), -1), gap]).ravel()),
+        x=short(np.hstack([np.tile(times, (len(rows), 1)), gap]).ravel()),
+        y=short(np.hstack([rows.reshape(len(rows), -1), gap]).ravel()),
         mode="lines",
         name=name,
         showlegend=False,
@@ -112,11 +112,6 @@ def _add_lines(
         hoverinfo="skip",
         connectgaps=False,
     )
-
-
-def _short(values: np.ndarray) -> np.ndarray:
-    """Single precision: more than a screen shows, half the size on the page."""
-    return np.asarray(values, dtype=np.float32)
 
 
 def percentile_figure(

@@ -134,6 +134,7 @@ def solution_document(solution: Solution, evidence: Evidence | None = None) -> d
             "message": solution.message,
             "said": [f"{label}: {text}" for label, text in solution.certificate.rows()],
         },
+        "meshes": [str(one) for one in solution.meshes],
         "expansion": {
             "order": quality.order,
             "terms": quality.terms,

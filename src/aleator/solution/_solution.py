@@ -35,7 +35,8 @@ class Solution:
     - `multipliers`: of all rows of constraints in one vector, for warm starts; `bound_multipliers`: of the decisions'
       own bounds, by name;
     - `certificate`: how far the answer can be trusted; `effort`: iterations, evaluations and times;
-    - `meshes`: of a simultaneous program, with their errors, the one of the answer last; empty for others;
+    - `meshes`: the history of meshes of a simultaneous program, with their errors, that of the answer last (`mesh`);
+      empty for others;
     - `states`: of all realisations of a simultaneous program; `costates`: by what a push of a state would change the
       objective; `switching`: by what a push of an input would. None where states are simulated,
       the latter two also where the search was not finished.
@@ -65,6 +66,11 @@ class Solution:
     def ok(self) -> bool:
         """Whether it was solved to tolerance, and limits hold between instants too if that was checked."""
         return self.status is Status.SOLVED
+
+    @property
+    def mesh(self) -> MeshError | None:
+        """The mesh of the answer with its errors, the last of `meshes`; None where states are simulated."""
+        return self.meshes[-1] if self.meshes else None
 
     @property
     def instants(self) -> Float[np.ndarray, " instants"]:

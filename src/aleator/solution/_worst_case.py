@@ -7,8 +7,7 @@ from typing import final
 import numpy as np
 from jaxtyping import Float
 
-# Messages list at most this many numbers.
-_MOST_NUMBERS = 5
+from aleator.solution._systems import system_text
 
 
 @final
@@ -31,9 +30,7 @@ class WorstRealisation:
     @property
     def system(self) -> str:
         """The system by its uncertain numbers, the first few if there are many."""
-        shown = [f"{name} = {number:.6g}" for name, number in self.numbers.items()]
-        left = len(shown) - _MOST_NUMBERS
-        return ", ".join(shown[:_MOST_NUMBERS]) + (f" and {left} more" if left > 0 else "")
+        return system_text(self.numbers)
 
     def sentence(self) -> str:
         """The value, when it is reached, and by which system."""

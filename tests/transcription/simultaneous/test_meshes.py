@@ -56,6 +56,24 @@ def test_the_estimated_error_is_that_of_the_states():
         assert error < 10 * np.sum(one.meshes[-1].errors)
 
 
+def test_errors_are_told_of_each_realisation_and_the_worst_system_by_its_numbers():
+    problem = al.Problem(
+        Cart(damping=al.Uniform(0.5, half_width=0.4)),
+        grid=al.Grid(3.0, 8),
+        inputs={"force": al.BSpline(al.Decision(np.zeros(4), -1.0, 1.0))},
+        minimize=al.integral("force").mean,
+        expansion=al.Expansion(order=1),
+    )
+    solution = al.solve(problem, transcription=al.Simultaneous(), throw=False)
+    mesh, germs = solution.mesh, solution.states.germs
+    assert mesh is solution.meshes[-1]
+    assert mesh.drifts.shape == (len(germs), 8)
+    np.testing.assert_array_equal(mesh.errors, mesh.drifts.max(axis=0))
+    worst = germs[np.argmax(mesh.drifts.max(axis=1))]
+    assert mesh.numbers == pytest.approx({"damping": 0.5 + 0.4 * worst[0]})
+    assert f"with damping = {mesh.numbers['damping']:.6g}" in str(mesh)
+
+
 def test_only_intervals_that_err_are_divided():
     mesh = Mesh((0.0, 0.5, 1.0), al.schemes.HermiteSimpson())
     parts = parts_of(np.array([1e-7, 1e-4]), 1e-6, 3)

@@ -12,6 +12,7 @@ from aleator.reporting import (
     Section,
     certificate_table,
     evidence_table,
+    mesh_drawing,
     percentile_figure,
 )
 from aleator.studies.suspension import nominal, road
@@ -128,7 +129,9 @@ def _evidence(results: SuspensionResults) -> Iterator[Block]:
 
 def _second_way(results: SuspensionResults) -> list[Block]:
     title = "dOpt by shooting and by direct collocation: relative differences"
-    return [] if results.second_way is None else [Code(title, str(results.second_way))]
+    if results.second_way is None:
+        return []
+    return [Code(title, str(results.second_way)), mesh_drawing(results.second_way.second.meshes, "dOpt")]
 
 
 def _certificate(results: SuspensionResults) -> list[Block]:

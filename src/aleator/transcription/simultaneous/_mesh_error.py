@@ -40,15 +40,15 @@ def interval_errors(
     rates: Float[np.ndarray, "realisations asked rates"],
     variables: Float[np.ndarray, " n"],
     scales: Float[np.ndarray, " n"],
-) -> Float[np.ndarray, " intervals"]:
-    """The largest error of each interval over realisations and states, relative to the magnitudes of these.
+) -> Float[np.ndarray, "realisations intervals"]:
+    """The error of each interval in each realisation: the largest of its states, relative to their magnitudes.
 
     - `rates`: of the states at the points where the scheme asks for them.
     """
     mesh, values = layout.plan.mesh, layout.view(variables)
     count = values.states.shape[2]
     if not count:
-        return np.zeros(len(mesh.lengths))
+        return np.zeros((len(points), len(mesh.lengths)))
     nodes, weights = legendre.leggauss(len(mesh.scheme.nodes) + 2)
     inner, weights = (1 + nodes) / 2, weights / 2
     fractions = (np.array(mesh.nodes)[:-1, None] + mesh.lengths[:, None] * inner).ravel()
@@ -59,7 +59,7 @@ def interval_errors(
     missed = np.abs(polynomial - found.reshape(polynomial.shape))
     drift = mesh.lengths[None, :, None] * np.einsum("q,pkqs->pks", weights, missed)
     size = layout.view(scales).states[:, :1]
-    return np.max(drift / size, axis=(0, 2))
+    return np.max(drift / size, axis=2)
 
 
 def states_on(

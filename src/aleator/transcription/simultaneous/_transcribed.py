@@ -25,6 +25,7 @@ from aleator.design import (
     refuse_changed_code,
 )
 from aleator.dynamics import Grid
+from aleator.ensemble import inputs_at
 from aleator.nlp import HELD
 from aleator.solution import Costates, MeshError, States, Switching
 from aleator.statistics import Constants
@@ -221,8 +222,11 @@ class SimultaneouslyTranscribed(AbstractTranscribed):
 
     def _mesh_error(self, point: Float[np.ndarray, " variables"]) -> MeshError:
         layout = self.layout
-        errors = interval_errors(self.traced, layout, self.points, self._rates(point), point, self._sizes(point))
-        return MeshError(self._instants(point, np.array(layout.plan.mesh.nodes)), errors, self.accuracy)
+        drifts = interval_errors(self.traced, layout, self.points, self._rates(point), point, self._sizes(point))
+        worst, _ = np.unravel_index(np.argmax(drifts), drifts.shape)
+        numbers = inputs_at(self.places, self.points[worst], jnp.asarray(self.decisions(point)))
+        mesh = layout.plan.mesh
+        return MeshError(self._instants(point, np.array(mesh.nodes)), mesh.scheme, drifts, self.accuracy, numbers)
 
 
 def _has_same_equations(problem: Problem, before: Pointwise) -> bool:
