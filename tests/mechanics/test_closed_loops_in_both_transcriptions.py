@@ -7,6 +7,7 @@ from closed_loops import SliderCrank
 
 import aleator as al
 from aleator.transcription import transcribe
+from aleator.transcription.simultaneous._guess import state_shapes
 
 
 class Driven(SliderCrank):
@@ -65,3 +66,31 @@ def test_a_start_that_depends_on_the_instant_is_that_of_the_simulation():
     first = transcribed.program.evaluate(transcribed.program.start).constraints[tied]
     begun = np.isin(transcribed.program.ties.variables, transcribed.layout.numbers.states[:, 0])
     np.testing.assert_allclose(first[begun], 0.0, atol=1e-12)
+
+
+class Hung(SliderCrank):
+    """A pendulum hangs from the slider: two freedoms, of which one is prescribed."""
+
+    names = ("crank", "rod", "slider", "pendulum")
+
+    def kinetic_energy(self, q, v):
+        swing = 0.2 * v[3] * jnp.stack([jnp.cos(q[3]), jnp.sin(q[3])])
+        moving = swing.at[0].add(v[2])
+        return super().kinetic_energy(q, v) + 0.5 * 0.3 * moving @ moving
+
+    def potential_energy(self, q):
+        return super().potential_energy(q) - 0.3 * 9.81 * 0.2 * jnp.cos(q[3])
+
+
+def test_the_states_of_driven_loops_are_known_by_name_before_anything_is_simulated():
+    """Their start follows from constraints and signals of the first instant."""
+    swing, near = al.PowerSeries(start=(0.3, 0.0, 0.0), end=(2.3, 0.0, 0.0)), {"rod": -0.1, "slider": 0.4}
+    systems = {
+        ("q", "v"): al.HybridDynamics(Hung(), motion={"crank": swing}, guess=near),
+        ("q",): al.InverseDynamics(Driven(), motion={"crank": swing}, guess=near),
+    }
+    for states, system in systems.items():
+        problem = al.Problem(system, grid=al.Grid(0.5, 4), minimize=al.terminal("crank").mean)
+        shapes = state_shapes(problem)
+        assert tuple(shapes) == states
+        assert shapes["q"] == (len(system.model.names) - 1,)

@@ -81,7 +81,7 @@ def start_unknown(kind: str, model: AbstractMechanical) -> str:
     """Why the start of a constrained system is not known without its first instant."""
     return (
         f"{kind} of {type(model).__name__}: the start follows from its constraints and what is prescribed at the first "
-        "instant, which is known only where it is integrated. Simulate it, or use al.Sequential() as transcription."
+        "instant, which is known only where it is integrated. Simulate it."
     )
 
 

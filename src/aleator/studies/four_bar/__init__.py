@@ -260,6 +260,11 @@ def nominal_problem() -> al.Problem:
     return robust_problem(sigmas=0.0)
 
 
+def mean_problem() -> al.Problem:
+    """The deterministic design: one linkage of mean numbers, without what spreads add to a mean by curvature."""
+    return al.deterministic(nominal_problem())
+
+
 def allocation_problem(zone: float = ZONE) -> al.Problem:
     """aOpt: the cheapest tolerances and clearances, with the lengths that suit them, for a given zone (mm)."""
     widths = {name: al.Decision(one, TIGHTEST, WIDEST) for name, one in WIDTHS.items()}

@@ -21,11 +21,12 @@ from aleator.reporting import (
     looks,
     trajectory_figure,
 )
+from aleator.studies._second_way import second_way
 from aleator.studies.four_bar import DURATION, HEIGHT, SIGMAS, WIDTHS, ZONE
 from aleator.studies.four_bar._counts import Posture, crank_angles, drawn_postures, lengths_of, widths_of
 from aleator.studies.four_bar._drawing import linkage_drawing, posture_of
 from aleator.studies.four_bar._facts import counts_table, designs_table
-from aleator.studies.four_bar._run import ALLOCATED, DESIGNS, ROBUST, FourBarResults, dimensions
+from aleator.studies.four_bar._run import ALLOCATED, DESIGNS, MEAN, ROBUST, FourBarResults, dimensions
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
@@ -57,6 +58,7 @@ def sections(results: FourBarResults) -> list[Section]:
         Section("Tolerances", list(_tolerances(results))),
         Section("Evidence", [evidence_table(results.evidence)] if results.evidence else []),
         Section("Certificate", [certificate_table(results.designs)] if results.designs else []),
+        second_way(MEAN, results.second_way),
     ]
 
 

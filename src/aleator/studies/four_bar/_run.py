@@ -1,4 +1,4 @@
-"""The four-bar study, run: three designs, their evidence, counts by elimination, and what a narrower zone costs."""
+"""The four-bar study, run: designs, evidence, counts by elimination, a second way, and what a narrower zone costs."""
 
 from dataclasses import dataclass, field
 from functools import partial
@@ -9,13 +9,15 @@ import numpy as np
 import aleator as al
 from aleator._core.progress import Progress
 from aleator.studies._declared import Stage
+from aleator.studies._second_way import SECOND_WAY, found_both_ways
 from aleator.studies._study import stop_if_interrupted
-from aleator.studies.four_bar import LENGTHS, WIDTHS, allocation_problem, nominal_problem, robust_problem
+from aleator.studies.four_bar import LENGTHS, WIDTHS, allocation_problem, mean_problem, nominal_problem, robust_problem
 from aleator.studies.four_bar._counts import Counts, count_linkages, lengths_of, widths_of
 
 NOMINAL, ROBUST, ALLOCATED = "dOpt", "uOpt", "aOpt"
 DESIGNS = (NOMINAL, ROBUST, ALLOCATED)
 PUBLISHED = "Hoeken"
+MEAN = "dOpt at the means"
 TARGET = 0.01
 """The share of linkages that may break any limit."""
 
@@ -25,8 +27,8 @@ DRAWN = 60
 @final
 @dataclass(frozen=True)
 class Effort:
-    """How much is computed: linkages simulated for each design, linkages counted by elimination, points on the front
-    (none without).
+    """How much is computed: linkages simulated for each design, linkages counted by elimination, points on the front,
+    which is left out together with the second way if there are none.
     """
 
     samples: int = 50_000
@@ -45,6 +47,7 @@ class FourBarResults:
 
     - `designs`, `evidence`: dOpt, uOpt and aOpt, and linkages simulated with their forces;
     - `counts`: the same designs and Hoeken's linkage, their paths counted by elimination;
+    - `second_way`: the mean linkage by shooting and by direct collocation;
     - `front`: the cost of the tolerances over the zone allowed.
     """
 
@@ -52,6 +55,7 @@ class FourBarResults:
     designs: dict[str, al.Solution] = field(default_factory=dict)
     evidence: dict[str, al.results.Evidence] = field(default_factory=dict)
     counts: dict[str, Counts] = field(default_factory=dict)
+    second_way: al.results.CrossChecked | None = None
     front: al.results.Front | None = None
 
 
@@ -82,6 +86,11 @@ def dimensions(results: FourBarResults) -> dict[str, tuple[dict[str, float], dic
     return {PUBLISHED: (LENGTHS, WIDTHS), **found}
 
 
+def solve_by_collocation(results: FourBarResults, progress: Progress) -> None:
+    """The mean linkage, its closed loop with multipliers: the coordinates that follow the crank are variables too."""
+    results.second_way = found_both_ways(MEAN, mean_problem(), progress)
+
+
 def sweep_zone(results: FourBarResults, progress: Progress) -> None:
     """The least cost against the zone allowed, from the widest down."""
     values = np.linspace(0.8, 0.3, results.effort.front_points)
@@ -90,11 +99,14 @@ def sweep_zone(results: FourBarResults, progress: Progress) -> None:
 
 
 def stages(results: FourBarResults) -> dict[str, Stage]:
-    """All stages, the most useful first."""
-    front = {"front": Stage(partial(sweep_zone, results), 0.3)} if results.effort.front_points else {}
+    """All stages, the most useful first; a quick run has neither the second way nor the front."""
+    longer = {
+        SECOND_WAY: Stage(partial(solve_by_collocation, results), 0.1),
+        "front": Stage(partial(sweep_zone, results), 0.3),
+    }
     return {
         "designs": Stage(partial(solve_designs, results), 0.4),
         "evidence": Stage(partial(sample_designs, results), 0.2),
         "counts": Stage(partial(count_designs, results), 0.1),
-        **front,
+        **(longer if results.effort.front_points else {}),
     }

@@ -7,10 +7,11 @@ from typing_extensions import override
 
 from aleator.reporting import Section, Table, Verdict, given
 from aleator.studies._declared import Stage
+from aleator.studies._second_way import collocated
 from aleator.studies._study import AbstractStudy
 from aleator.studies.four_bar import HEIGHT, STROKE, ZONE, _page, _run
 from aleator.studies.four_bar._facts import counts_dataset, counts_table, designs_table
-from aleator.studies.four_bar._run import Effort, FourBarResults
+from aleator.studies.four_bar._run import MEAN, Effort, FourBarResults
 from aleator.studies.four_bar._verdict import verdict
 
 
@@ -37,7 +38,9 @@ class FourBarStudy(AbstractStudy):
     @property
     @override
     def left_out(self) -> str:
-        return "" if self.found.effort.front_points else "the cost of a narrower zone"
+        if self.found.effort.front_points:
+            return ""
+        return "the mean linkage by direct collocation, and the cost of a narrower zone"
 
     @override
     def results(self) -> Mapping[str, Any]:
@@ -47,6 +50,7 @@ class FourBarStudy(AbstractStudy):
             "evidence": found.evidence,
             "counts": counts_dataset(found.counts) if found.counts else None,
             "front": found.front,
+            "collocated": collocated(MEAN, found.second_way),
         }
 
     @override

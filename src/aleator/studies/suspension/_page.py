@@ -12,9 +12,9 @@ from aleator.reporting import (
     Section,
     certificate_table,
     evidence_table,
-    mesh_drawing,
     percentile_figure,
 )
+from aleator.studies._second_way import second_way
 from aleator.studies.suspension import nominal, road
 from aleator.studies.suspension._built import built_table
 from aleator.studies.suspension._chapters import apportionment, projections, robust_design, violations
@@ -69,7 +69,7 @@ def sections(results: SuspensionResults) -> list[Section]:
         Section("Apportionment (chapter 7)", list(apportionment(results))),
         Section("Evidence", list(_evidence(results))),
         Section("Certificate", _certificate(results)),
-        Section("A second way", _second_way(results)),
+        second_way("dOpt", results.second_way),
     ]
 
 
@@ -125,13 +125,6 @@ def _evidence(results: SuspensionResults) -> Iterator[Block]:
         yield evidence_table(built)
     if results.narrow_evidence:
         yield evidence_table({f"{name} (±{NARROW_TRAVEL:g} m)": one for name, one in results.narrow_evidence.items()})
-
-
-def _second_way(results: SuspensionResults) -> list[Block]:
-    title = "dOpt by shooting and by direct collocation: relative differences"
-    if results.second_way is None:
-        return []
-    return [Code(title, str(results.second_way)), mesh_drawing(results.second_way.second.meshes, "dOpt")]
 
 
 def _certificate(results: SuspensionResults) -> list[Block]:

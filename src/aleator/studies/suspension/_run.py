@@ -10,6 +10,7 @@ import numpy as np
 import aleator as al
 from aleator._core.progress import Progress
 from aleator.studies._declared import Stage
+from aleator.studies._second_way import SECOND_WAY, found_both_ways
 from aleator.studies._study import stop_if_interrupted
 from aleator.studies.suspension import apportionment_problem, deterministic_problem, robust_problem
 
@@ -129,12 +130,8 @@ def calibrate_margin(results: SuspensionResults, progress: Progress) -> None:
 
 
 def solve_by_collocation(results: SuspensionResults, progress: Progress) -> None:
-    """The deterministic design once more, by a transcription that shares neither discretisation nor solver.
-
-    One car on 2800 steps: the states of 168 cars would be two million variables.
-    """
-    progress("dOpt by direct collocation", 0, 1)
-    results.second_way = al.cross_check(deterministic_problem(TRAVEL, HOLDING))
+    """The deterministic design, one car on 2800 steps: the states of 168 cars would be two million variables."""
+    results.second_way = found_both_ways("dOpt", deterministic_problem(TRAVEL, HOLDING), progress)
 
 
 def sweep_travel(results: SuspensionResults, progress: Progress) -> None:
@@ -164,7 +161,7 @@ def stages(results: SuspensionResults) -> dict[str, Stage]:
     calibrations = {
         "designs to build": Stage(partial(calibrate_designs, results), 0.25),
         "calibration": Stage(partial(calibrate_margin, results), 0.08),
-        "second way": Stage(partial(solve_by_collocation, results), 0.03),
+        SECOND_WAY: Stage(partial(solve_by_collocation, results), 0.03),
     }
     return {
         "designs": Stage(partial(solve_designs, results), 0.04),

@@ -7,6 +7,7 @@ from typing_extensions import override
 
 from aleator.reporting import Section, Table, Verdict
 from aleator.studies._declared import Stage
+from aleator.studies._second_way import collocated
 from aleator.studies._study import AbstractStudy
 from aleator.studies.suspension import _page, _run
 from aleator.studies.suspension._built import built_table
@@ -58,7 +59,7 @@ class SuspensionStudy(AbstractStudy):
             "travel_fronts": found.travel_fronts,
             "holding_fronts": found.holding_fronts,
             "boxes": found.boxes,
-            "collocated": {} if found.second_way is None else {"dOpt": found.second_way.second},
+            "collocated": collocated("dOpt", found.second_way),
         }
 
     @override
