@@ -25,6 +25,9 @@ from aleator.dynamics._instantaneous import observed_at as observed_at
 from aleator.dynamics._integrators import AbstractIntegrator as AbstractIntegrator
 from aleator.dynamics._integrators import Inputs as Inputs
 from aleator.dynamics._integrators import RungeKutta4 as RungeKutta4
+from aleator.dynamics._mean_rates import AbstractMeanRate as AbstractMeanRate
+from aleator.dynamics._mean_rates import SegmentRate as SegmentRate
+from aleator.dynamics._multiple_shooting import MultipleShooting as MultipleShooting
 from aleator.dynamics._newton import Root as Root
 from aleator.dynamics._newton import newton as newton
 from aleator.dynamics._observed_states import STATES as STATES
@@ -33,6 +36,7 @@ from aleator.dynamics._record import Asked as Asked
 from aleator.dynamics._record import History as History
 from aleator.dynamics._record import Record as Record
 from aleator.dynamics._refusals import check_signals as check_signals
+from aleator.dynamics._schemes import AbstractCollocation as AbstractCollocation
 from aleator.dynamics._schemes import AbstractScheme as AbstractScheme
 from aleator.dynamics._schemes import GaussLegendre as GaussLegendre
 from aleator.dynamics._schemes import HermiteSimpson as HermiteSimpson

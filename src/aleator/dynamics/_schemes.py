@@ -1,7 +1,7 @@
-"""Collocation schemes for simultaneous transcription: how states follow from their rates between nodes.
+"""Schemes for simultaneous transcription: how states follow from their rates between nodes; those of collocation.
 
 Over each interval of a mesh the states are polynomials whose rates agree with the dynamics at the scheme's stages.
-Schemes differ only in the positions of their stages (Hairer, Nørsett and Wanner, Solving Ordinary Differential
+They differ only in the positions of their stages (Hairer, Nørsett and Wanner, Solving Ordinary Differential
 Equations I, II.7; Betts, Practical Methods for Optimal Control, chapter 4).
 """
 
@@ -11,12 +11,13 @@ from functools import cached_property
 from typing import final
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from numpy.polynomial import legendre
 from typing_extensions import override
 
 from aleator._core.errors import ProblemError
 from aleator._core.given import whole
+from aleator.dynamics._mean_rates import AbstractMeanRate, PointRate
 
 # With more stages the points lose accuracy in 64-bit arithmetic, without any gain.
 _MOST_STAGES = 12
@@ -24,7 +25,67 @@ _MOST_STAGES = 12
 
 @dataclass(frozen=True)
 class AbstractScheme(abc.ABC):
-    """A collocation scheme, determined by its stages."""
+    """How states follow over an interval of a mesh of length h: `x_i = x_0 + h Σ_j w_ij r_j` at its points.
+
+    The blocks `r_j` are mean rates, from what is known at the points where they begin.
+    """
+
+    @property
+    @abc.abstractmethod
+    def order(self) -> int:
+        """The order of convergence of the states at the nodes in the interval's length."""
+
+    @property
+    @abc.abstractmethod
+    def rate(self) -> AbstractMeanRate:
+        """What a block is: schemes with the same one share what is compiled."""
+
+    @property
+    @abc.abstractmethod
+    def has_algebraic_variables(self) -> bool:
+        """Whether algebraic variables are variables of the program too, wherever signals are told."""
+
+    @property
+    @abc.abstractmethod
+    def points(self) -> Float[np.ndarray, " points"]:
+        """The points where states are variables, as fractions of the interval: both ends are among them."""
+
+    @property
+    @abc.abstractmethod
+    def told(self) -> Float[np.ndarray, " told"]:
+        """Where signals are told, as fractions of the interval: both ends are among them."""
+
+    @property
+    @abc.abstractmethod
+    def asked(self) -> slice:
+        """The slice, among the points, of those where the blocks begin."""
+
+    @property
+    @abc.abstractmethod
+    def seen(self) -> Int[np.ndarray, "blocks seen"]:
+        """Of what is told, what each block depends on."""
+
+    @property
+    @abc.abstractmethod
+    def weights(self) -> Float[np.ndarray, "later blocks"]:
+        """The weights of the blocks in the states at each later point, for a unit interval."""
+
+    @property
+    @abc.abstractmethod
+    def quadrature(self) -> Float[np.ndarray, " told"]:
+        """The weights of what is told in integrals over a unit interval."""
+
+    @property
+    @abc.abstractmethod
+    def estimated_order(self) -> int:
+        """The order in the interval's length, less one, of what its states are estimated to err by."""
+
+
+@dataclass(frozen=True)
+class AbstractCollocation(AbstractScheme):
+    """A collocation scheme, determined by its stages: over an interval the states are polynomials whose rates agree
+    with the dynamics there.
+    """
 
     @property
     @abc.abstractmethod
@@ -32,26 +93,54 @@ class AbstractScheme(abc.ABC):
         """The stages: points where rates agree with the dynamics, as increasing fractions of an interval."""
 
     @property
-    @abc.abstractmethod
-    def order(self) -> int:
-        """The order of convergence of the states at the nodes in the interval's length."""
+    @override
+    def rate(self) -> AbstractMeanRate:
+        return PointRate()
+
+    @property
+    @override
+    def has_algebraic_variables(self) -> bool:
+        return True
 
     def __str__(self) -> str:
         return type(self).__name__
 
     @cached_property
-    def points(self) -> Float[np.ndarray, " points"]:
-        """The points where states are variables: the stages and both ends of the interval."""
+    @override
+    def points(self) -> Float[np.ndarray, " points"]:  # pyright: ignore[reportIncompatibleMethodOverride]
         inner = [node for node in self.nodes if 0 < node < 1]
         return np.array([0.0, *inner, 1.0])
 
-    @cached_property
-    def asked(self) -> slice:
-        """The slice of the stages among the points."""
-        return slice(0 if self.nodes[0] == 0 else 1, None if self.nodes[-1] == 1 else -1)
+    @property
+    @override
+    def told(self) -> Float[np.ndarray, " told"]:
+        return self.points
 
     @cached_property
-    def weights(self) -> Float[np.ndarray, "later stages"]:
+    @override
+    def asked(self) -> slice:  # pyright: ignore[reportIncompatibleMethodOverride]
+        return slice(0 if self.nodes[0] == 0 else 1, None if self.nodes[-1] == 1 else -1)
+
+    @property
+    @override
+    def seen(self) -> Int[np.ndarray, "blocks seen"]:
+        return np.arange(len(self.points))[self.asked, None]
+
+    @property
+    @override
+    def quadrature(self) -> Float[np.ndarray, " told"]:
+        found = np.zeros(len(self.told))
+        found[self.asked] = self.weights[-1]
+        return found
+
+    @property
+    @override
+    def estimated_order(self) -> int:
+        return len(self.nodes)
+
+    @cached_property
+    @override
+    def weights(self) -> Float[np.ndarray, "later stages"]:  # pyright: ignore[reportIncompatibleMethodOverride]
         """The integral of the rates' interpolant from the interval's start to each later point, for a unit interval.
 
         The last row is the scheme's quadrature.
@@ -83,7 +172,7 @@ def _integral(values: Float[np.ndarray, "points degrees"], degree: int) -> Float
 
 @final
 @dataclass(frozen=True)
-class Trapezoid(AbstractScheme):
+class Trapezoid(AbstractCollocation):
     """The trapezoidal rule, of order 2: robust on coarse meshes and where controls jump."""
 
     @property
@@ -99,7 +188,7 @@ class Trapezoid(AbstractScheme):
 
 @final
 @dataclass(frozen=True)
-class HermiteSimpson(AbstractScheme):
+class HermiteSimpson(AbstractCollocation):
     """The Hermite-Simpson method of order 4, with the midpoint state as a variable (Lobatto IIIA)."""
 
     @property
@@ -114,7 +203,7 @@ class HermiteSimpson(AbstractScheme):
 
 
 @dataclass(frozen=True)
-class _AbstractQuadrature(AbstractScheme):
+class _AbstractQuadrature(AbstractCollocation):
     """A scheme whose stages are the points of a quadrature, as many as are asked for.
 
     Raises `ProblemError` unless there are 1 to 12 stages.

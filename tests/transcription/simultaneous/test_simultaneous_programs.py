@@ -33,6 +33,9 @@ PROGRAMS = {
     "decided knots": (lambda: everything(DECIDED_KNOTS), al.schemes.Radau(1)),
     "algebraic variables": (lambda: tank_problem(4), al.schemes.HermiteSimpson()),
     "statistics over time": (integrated, al.schemes.HermiteSimpson()),
+    "segments": (everything, al.schemes.MultipleShooting(2)),
+    "segments with algebraic variables": (lambda: tank_problem(4), al.schemes.MultipleShooting(2)),
+    "segments with statistics over time": (integrated, al.schemes.MultipleShooting(1)),
 }
 
 
@@ -58,7 +61,7 @@ def test_derivatives_of_both_orders_are_those_of_central_differences(name):
         np.testing.assert_allclose(hessian[:, i], difference, atol=1e-6 * max(1, np.abs(difference).max()))
 
 
-@pytest.mark.parametrize("name", ["Hermite and Simpson", "decided knots"])
+@pytest.mark.parametrize("name", ["Hermite and Simpson", "decided knots", "segments"])
 def test_tiles_of_any_size_give_the_same_program(name, monkeypatch):
     problem, scheme = PROGRAMS[name]
     program = transcribe(problem(), al.Simultaneous(scheme)).program

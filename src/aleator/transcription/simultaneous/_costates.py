@@ -1,7 +1,7 @@
 """Costates and switching functions, from the multipliers of a simultaneous program's defects.
 
 The Lagrangian is `f + λᵀ c`. A defect says `x_i - x_0 - h Σ_j w_ij r_j = 0` of the states at the points of an interval
-and of the rates at its stages: so each rate has the weight `-h Σ_i λ_i w_ij`, and each integrand that of its integral.
+and of its blocks: so each mean rate has the weight `-h Σ_i λ_i w_ij`, and each mean integrand that of its integral.
 A node's state belongs to two intervals. The costate is the derivative by the state that the later one begins with and
 that is recorded: as the Lagrangian is stationary, minus the derivative of the earlier interval's defects. Divided by
 the scheme's quadrature, weighted derivatives of rates are those of the Hamiltonian (Hager, Numerische Mathematik 87,
@@ -18,13 +18,13 @@ from aleator.transcription.simultaneous._program import Assembled
 
 
 class Adjoint(NamedTuple):
-    """Costates at the nodes, and the derivatives of the Hamiltonian by the signals at the points where rates are asked.
+    """Costates at the nodes, and the derivatives of the Hamiltonian by the signals wherever these are told and weighed.
 
-    - `states`: shape (realisations, nodes, states); `signals`: shape (asked, signals).
+    - `states`: shape (realisations, nodes, states); `signals`: shape (weighed, signals).
     """
 
     states: Float[np.ndarray, "realisations nodes states"]
-    signals: Float[np.ndarray, "asked signals"]
+    signals: Float[np.ndarray, "weighed signals"]
 
 
 def adjoint(
@@ -39,9 +39,11 @@ def adjoint(
     of_variable = np.zeros(layout.count)
     of_variable[ties.variables] = multipliers[ties.rows]
     defects, integrals = of_variable[numbers.states], of_variable[numbers.integrals]
-    slopes, shapes = assembled.rate_slopes(point, mesh.asked_sides), layout.shapes
+    slopes, shapes, sides = assembled.rate_slopes(point, mesh.asked_sides), layout.shapes, mesh.asked_sides
     first = slopes.shape[-1] - shapes.states
-    by_signals, by_states = slopes[..., first - shapes.signals : first], slopes[..., first:]
+    by_states = slopes[..., first:]
+    by_signals = slopes[..., first - sides.shape[1] * shapes.signals : first]
+    by_signals = by_signals.reshape(*slopes.shape[:-1], sides.shape[1], shapes.signals)
 
     lengths, scheme = mesh.lengths, mesh.scheme
     of_defects = np.einsum("k,rkis,ij->rkjs", lengths, defects[:, mesh.points[:, 1:]], scheme.weights)
@@ -49,11 +51,11 @@ def adjoint(
     weights = -np.concatenate([of_defects, of_integrals], axis=3)
 
     before = -defects[:, mesh.points[:, -1]]
-    if scheme.nodes[-1] == 1:
+    if scheme.asked.stop is None:  # The last block begins at the node itself.
         before = before - np.einsum("rkm,rkms->rks", weights[:, :, -1], by_states[:, mesh.stages[:, -1]])
     states = np.concatenate([-defects[:, :1], before], axis=1)
 
-    told = np.zeros((len(mesh.asked), by_signals.shape[-1]))
-    each = np.einsum("rkjm,rkjms->kjs", weights, by_signals[:, mesh.stages])
-    np.add.at(told, mesh.stages, each)
-    return Adjoint(states, told / (duration * mesh.weights[:, None]))
+    told = np.zeros((len(mesh.places), shapes.signals))
+    each = np.einsum("rkjm,rkjmts->kjts", weights, by_signals[:, mesh.stages])
+    np.add.at(told, sides[mesh.stages], each)
+    return Adjoint(states, told[mesh.weighed] / (duration * mesh.weights[mesh.weighed, None]))

@@ -18,6 +18,7 @@ from aleator.design import (
     functionals_of,
     time_integrals,
 )
+from aleator.dynamics import AbstractMeanRate
 from aleator.statistics import Constants
 from aleator.transcription._scope import ExpansionScope
 from aleator.transcription.simultaneous._blocks import Block, Family
@@ -34,8 +35,8 @@ class Families(NamedTuple):
     - `known`: the signals at all mesh points, then the duration: one block; without decisions if these are affine,
       for matrices then hold how they act;
     - `initial`: the initial states of each realisation, at the first mesh point;
-    - `rates`: those of states, then integrands, where the scheme asks for them; `equations`: those of the algebraic
-      variables, at all sides of mesh points;
+    - `rates`: the blocks of the scheme, mean rates of states, then of integrands; `equations`: those of the algebraic
+      variables, wherever signals are told;
     - `paths`, `ends`: outputs at every instant, and at the last; `composed`: functionals of histories and integrals;
     - `nodes`: outputs at the nodes of integrals over time;
     - `expressions`: the objective, then the constraints; `integrands`: of integrals of statistics, by the fraction of
@@ -87,10 +88,12 @@ def families(
 
     def at(which: np.ndarray, sides: np.ndarray) -> Array:
         """Signals, states and algebraic variables at some mesh points of every realisation."""
-        return jnp.concatenate([signals_at(sides), variables.states[:, which], variables.algebraic[:, sides]], axis=2)
+        first = sides if sides.ndim == 1 else sides[:, 0]
+        return jnp.concatenate([signals_at(sides), variables.states[:, which], variables.algebraic[:, first]], axis=2)
 
     def signals_at(sides: np.ndarray) -> Array:
-        return jnp.broadcast_to(variables.signals[sides], (len(points), len(sides), variables.signals.shape[1]))
+        told = variables.signals[sides].reshape(len(sides), -1)
+        return jnp.broadcast_to(told, (len(points), *told.shape))
 
     def observed(names: tuple[str, ...], which: np.ndarray, sides: np.ndarray) -> Family:
         return Family(partial(asked.outputs, names), model, at(which, sides), points, places[sides])
@@ -106,8 +109,14 @@ def families(
     return Families(
         Family(known, jnp.asarray(variables.decisions)[: 0 if layout.plan.is_affine else None], none),
         Family(asked.initial, model, signals_at(every[:1]), points, places[:1]),
-        Family(asked.rates, model, at(mesh.asked, mesh.asked_sides), points, places[mesh.asked_sides]),
-        Family(asked.residuals, model, at(mesh.sides, every), points, places),
+        Family(
+            partial(asked.mean_rates, mesh.scheme.rate),
+            model,
+            at(mesh.asked, mesh.asked_sides),
+            points,
+            places[mesh.asked_sides],
+        ),
+        Family(asked.residuals if layout.shapes.algebraic else _nothing, model, at(mesh.sides, every), points, places),
         observed(asked.paths, instants, sides),
         observed(asked.ends, instants[-1:], sides[-1:]),
         Family(composed, jnp.asarray(variables.duration), recorded[:, None]),
@@ -117,15 +126,26 @@ def families(
     )
 
 
-def functions(problem: Problem, constants: Constants | None, plan: Plan | None) -> dict[int, Block]:
-    """The functions of families, by their numbers: of all on a plan; without one, of those that grow with the mesh."""
-    if plan is None or constants is None:
+def functions(problem: Problem, constants: Constants | None, plan: Plan | AbstractMeanRate) -> dict[int, Block]:
+    """The functions of families, by their numbers: of all on a plan; by mean rates alone, of those that grow with the
+    mesh.
+    """
+    if isinstance(plan, AbstractMeanRate) or constants is None:
         asked = Pointwise.of(problem)
-        return {RATES: asked.rates, EQUATIONS: asked.residuals, PATHS: partial(asked.outputs, asked.paths)}
+        return {
+            RATES: partial(asked.mean_rates, plan),
+            EQUATIONS: asked.residuals,
+            PATHS: partial(asked.outputs, asked.paths),
+        }
     layout = Layout.of(problem, plan)
     nowhere = jnp.zeros((plan.realisations, len(problem.placements.germ_names)))
     every = families(layout, problem, constants, nowhere, layout.view(jnp.zeros(layout.count))).every
     return {i: one.function for i, one in enumerate(every)}
+
+
+def _nothing(*_: Any) -> Array:
+    """No rows."""
+    return jnp.zeros(0)
 
 
 class _Part(NamedTuple):

@@ -7,7 +7,7 @@ alone: every block depends on few variables, and no entry of the Hessian on two 
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple, final
 
@@ -107,6 +107,8 @@ class Layout:
         """That of a problem."""
         asked = Pointwise.of(problem)
         shapes = asked.shapes()
+        if not plan.mesh.scheme.has_algebraic_variables:
+            shapes = replace(shapes, algebraic=0)
         composed = tuple(_shape(one, asked, shapes) for one in asked.composed)
         every, points, instants = plan.realisations, len(plan.mesh.fractions), asked.grid.steps + 1
         sizes = Variables(

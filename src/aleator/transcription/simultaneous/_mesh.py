@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import final
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, Num
 
 from aleator.dynamics import AbstractScheme
 
@@ -16,7 +16,7 @@ class Mesh:
 
     - `nodes`: the ends of the intervals, as fractions of the duration; every instant of the grid is one of them;
     - `has_jumps`: whether signals may jump at the nodes. They then have two values there, one for each interval, at
-      `sides` of their own, and rates are asked of each.
+      `places` of their own, and rates are asked of each.
     """
 
     nodes: tuple[float, ...]
@@ -43,45 +43,53 @@ class Mesh:
 
     @property
     def asked(self) -> Int[np.ndarray, " asked"]:
-        """The numbers of the points at which rates are asked, in ascending order: each once, if nothing jumps there."""
-        every = self.points[:, self.scheme.asked]
-        return every.ravel() if self.has_jumps else np.unique(every)
+        """The numbers of the points where blocks begin, in ascending order: each once, if nothing jumps there."""
+        return self.points[:, self.scheme.asked].ravel()[self._once]
 
     @property
     def stages(self) -> Int[np.ndarray, "intervals stages"]:
-        """Which of the points `asked` the stages of each interval are."""
+        """Which of the points `asked` the blocks of each interval begin at."""
         every = self.points[:, self.scheme.asked]
         return np.arange(every.size).reshape(every.shape) if self.has_jumps else np.searchsorted(self.asked, every)
 
     @property
-    def sides(self) -> Int[np.ndarray, " sides"]:
-        """The numbers of the points at which signals are told: each once, or where they jump each for each interval."""
-        return self.points.ravel() if self.has_jumps else np.arange(len(self.fractions))
+    def places(self) -> Float[np.ndarray, "places 2"]:
+        """Where signals are told: fractions of the duration, each with 1 for signals as they are before a jump there,
+        else 0. Nodes are told once, or where signals jump for each interval.
+        """
+        nodes = np.array(self.nodes)
+        inside = nodes[:-1, None] + self.lengths[:, None] * self.scheme.told[:-1]
+        every = np.stack(np.broadcast_arrays(np.append(inside, nodes[1:, None], axis=1), 0.0), axis=2)
+        every[:, -1, 1] = self.has_jumps
+        return self._told(every)
 
     @property
-    def is_before(self) -> Bool[np.ndarray, " sides"]:
-        """Whether a signal that jumps at one of the `sides` is told as it is before."""
-        count = len(self.scheme.points)
-        return np.arange(len(self.sides)) % count == count - 1 if self.has_jumps else np.zeros(len(self.sides), bool)
+    def is_before(self) -> Bool[np.ndarray, " places"]:
+        """Whether a signal that jumps at one of the `places` is told as it is before."""
+        return self.places[:, 1] > 0
 
     @property
-    def places(self) -> Float[np.ndarray, "sides 2"]:
-        """The `sides` as fractions of the duration, each with 1 for signals as they are before a jump there, else 0."""
-        return np.stack([self.fractions[self.sides], self.is_before], axis=1)
+    def sides(self) -> Int[np.ndarray, " places"]:
+        """The number of the point that each of the `places` is at, or after."""
+        return self._told(self.points[:, np.searchsorted(self.scheme.points, self.scheme.told, side="right") - 1])
 
     @property
-    def asked_sides(self) -> Int[np.ndarray, " asked"]:
-        """Which of the `sides` are those of the points `asked`."""
-        if not self.has_jumps:
-            return self.asked
-        return np.arange(len(self.sides)).reshape(self.points.shape)[:, self.scheme.asked].ravel()
+    def asked_sides(self) -> Int[np.ndarray, "asked seen"]:
+        """Which of the `places` each block depends on."""
+        seen = self.scheme.seen
+        return self._sides[:, seen].reshape(-1, seen.shape[1])[self._once]
 
     @property
-    def weights(self) -> Float[np.ndarray, " asked"]:
-        """The scheme's quadrature over the whole duration, at the points `asked`, for a duration of one."""
-        found = np.zeros(len(self.asked))
-        np.add.at(found, self.stages, self.lengths[:, None] * self.scheme.weights[-1])
+    def weights(self) -> Float[np.ndarray, " places"]:
+        """The scheme's quadrature over the whole duration, for a duration of one."""
+        found = np.zeros(len(self.places))
+        np.add.at(found, self._sides, self.lengths[:, None] * self.scheme.quadrature)
         return found
+
+    @property
+    def weighed(self) -> Int[np.ndarray, " weighed"]:
+        """Which of the `places` this quadrature has."""
+        return np.flatnonzero(self.weights)
 
     def divided(self, parts: Int[np.ndarray, " intervals"]) -> "Mesh":
         """The mesh with each interval in so many equal parts."""
@@ -94,10 +102,27 @@ class Mesh:
         return self._nearest(fractions) * (len(self.scheme.points) - 1)
 
     def instant_sides(self, fractions: Float[np.ndarray, " instants"]) -> Int[np.ndarray, " instants"]:
-        """Which of the `sides` are those of these points: at a jump, that of the interval which begins."""
-        if not self.has_jumps:
-            return self.instants(fractions)
-        return np.minimum(self._nearest(fractions) * len(self.scheme.points), len(self.sides) - 1)
+        """Which of the `places` are those of these points: at a jump, that of the interval which begins."""
+        return np.append(self._sides[:, 0], self._sides[-1, -1])[self._nearest(fractions)]
+
+    @property
+    def _sides(self) -> Int[np.ndarray, "intervals told"]:
+        """The numbers of each interval's places among all."""
+        count = len(self.scheme.told)
+        apart = count if self.has_jumps else count - 1
+        return np.arange(len(self.lengths))[:, None] * apart + np.arange(count)
+
+    def _told(self, every: Num[np.ndarray, "intervals told ..."]) -> Num[np.ndarray, "places ..."]:
+        """What belongs to the places of each interval, by place."""
+        found = np.zeros((self._sides[-1, -1] + 1, *every.shape[2:]), dtype=every.dtype)
+        found[self._sides] = every
+        return found
+
+    @property
+    def _once(self) -> Int[np.ndarray, " asked"]:
+        """Which of all intervals' blocks there are: of two that begin at the same point one, if nothing jumps there."""
+        every = self.points[:, self.scheme.asked].ravel()
+        return np.arange(every.size) if self.has_jumps else np.unique(every, return_index=True)[1]
 
     def _nearest(self, fractions: Float[np.ndarray, " instants"]) -> Int[np.ndarray, " instants"]:
         return np.abs(np.array(self.nodes) - np.asarray(fractions)[:, None]).argmin(axis=1)

@@ -11,6 +11,7 @@ from numpy.polynomial import legendre
 
 from aleator._core.compilation import Compiled, Use
 from aleator.design import Problem, refuse_changed_code
+from aleator.dynamics import AbstractCollocation
 from aleator.transcription.simultaneous._layout import Layout
 from aleator.transcription.simultaneous._mesh import Mesh
 from aleator.transcription.simultaneous._pointwise import Pointwise
@@ -46,6 +47,7 @@ def interval_errors(
     - `rates`: of the states at the points where the scheme asks for them.
     """
     mesh, values = layout.plan.mesh, layout.view(variables)
+    assert isinstance(mesh.scheme, AbstractCollocation)
     count = values.states.shape[2]
     if not count:
         return np.zeros((len(points), len(mesh.lengths)))
@@ -69,6 +71,7 @@ def states_on(
     rates: Float[np.ndarray, "realisations asked rates"],
 ) -> Float[np.ndarray, "realisations n states"]:
     """The states at some fractions of the duration, by the polynomials of a mesh."""
+    assert isinstance(mesh.scheme, AbstractCollocation)
     which = np.clip(np.searchsorted(mesh.nodes, fractions, side="right") - 1, 0, len(mesh.lengths) - 1)
     inside = (fractions - np.array(mesh.nodes)[which]) / mesh.lengths[which]
     slopes = rates[:, mesh.stages, : states.shape[2]][:, which]
@@ -76,10 +79,11 @@ def states_on(
     return states[:, mesh.points[which, 0]] + mesh.lengths[which][None, :, None] * moved
 
 
-def parts_of(errors: Float[np.ndarray, " intervals"], asked: float, stages: int) -> Int[np.ndarray, " intervals"]:
+def parts_of(errors: Float[np.ndarray, " intervals"], asked: float, order: int) -> Int[np.ndarray, " intervals"]:
     """In how many parts each interval of a mesh is to be divided, for its error to be what is asked.
 
-    Between the stages, rates that are interpolated err by the power of their number, and states by one more.
+    - `order`: by one more, the power of its length by which an interval's states are estimated to err. Between the
+      stages of a collocation scheme rates are interpolated, and err by the power of their number.
     """
-    needed = np.ceil((_AHEAD * errors / asked) ** (1 / (stages + 1))).astype(int)
+    needed = np.ceil((_AHEAD * errors / asked) ** (1 / (order + 1))).astype(int)
     return np.where(errors > asked, np.clip(needed, 2, _MOST_PARTS), 1)

@@ -27,6 +27,7 @@ from aleator.design import (
     numbers_of,
 )
 from aleator.dynamics import (
+    AbstractMeanRate,
     Asked,
     Grid,
     Inputs,
@@ -112,6 +113,12 @@ class Pointwise:
             jax.eval_shape(told, jnp.zeros(self.problem.placements.size))
         return found
 
+    @property
+    def signal_count(self) -> int:
+        """How many numbers the signals are that `known` tells at one point."""
+        decisions = jnp.zeros(self.problem.placements.size)
+        return jax.eval_shape(lambda x: self.known(np.zeros(1), x), decisions).shape[1]
+
     def _tells(self, told: Callable[[System, Inputs], bool]) -> bool:
         """Whether something holds for the signals of a realisation; nothing is computed."""
         found: list[bool] = []
@@ -171,6 +178,20 @@ class Pointwise:
         parts = [flat(derivative(system, t, z, now))] if system.states else []
         return shared[-1] * flat([*parts, self._integrated.rates(system, t, z, now)])
 
+    def mean_rates(
+        self, rate: AbstractMeanRate, germ: Array, places: Array, shared: Array, own: Array
+    ) -> Float[Array, " rates"]:
+        """What a block of a scheme says: see `rates`.
+
+        - `places`: one or more, shape (places, 2); `own`: the signals at each of them, then the rest at the first.
+        """
+        signals, rest = jnp.split(own, [len(places) * self.signal_count])
+
+        def at(place: Array, signal: Array, rest: Array) -> Array:
+            return self.rates(germ, place, shared, jnp.concatenate([signal, rest]))
+
+        return rate(at, places, signals.reshape(len(places), self.signal_count), rest)
+
     def residuals(self, germ: Array, place: Array, shared: Array, own: Array) -> Float[Array, " algebraic"]:
         """What is left of the equations of the algebraic variables: see `rates`."""
         return algebraic_residuals(*self._at(germ, place, shared, own))
@@ -220,7 +241,7 @@ class Pointwise:
         """The shapes of what is recorded: nothing is computed."""
         germ, place = jnp.zeros(len(self.problem.placements.germ_names)), jnp.zeros(2)
         decisions = jnp.zeros(self.problem.placements.size)
-        signals = jax.eval_shape(lambda x: self.known(np.zeros(1), x), decisions).shape[1]
+        signals = self.signal_count
         shared, first = jnp.append(decisions[self.direct], 1.0), jnp.zeros(signals)
         states = jax.eval_shape(lambda: self.initial(germ, place, shared, first)).size
         own = jnp.zeros(signals + states)

@@ -44,7 +44,9 @@ def _calls(
     sizes[PATHS] = tile_size(*sizes[PATHS])
     tiles = [tiles_of(i, one, patterns[i].rows, sizes[i]) for i, one in enumerate(every)]
     rows = [one.rows.size for one in patterns]
-    moving = [calls_of(equations, None, None, [(one,) for one in tiles[i]]) for i in _MOVING if rows[i]]
+    moving = [
+        calls_of(equations, None, first.mesh.scheme.rate, [(one,) for one in tiles[i]]) for i in _MOVING if rows[i]
+    ]
     known = calls_of(traced, constants, layout.plan, [tuple(tiles[KNOWN])])
     rest = [some[0] for i, some in enumerate(tiles) if i not in (KNOWN, *_MOVING) and rows[i]]
     still = calls_of(traced, constants, first, [tuple(rest)])
@@ -162,16 +164,17 @@ class Assembled:
         return self.blocks(variables)[0][:count] + self.slopes @ variables[:decisions]
 
     def rate_slopes(
-        self, variables: Float[np.ndarray, " n"], sides: Int[np.ndarray, " asked"]
+        self, variables: Float[np.ndarray, " n"], sides: Int[np.ndarray, "asked seen"]
     ) -> Float[np.ndarray, "realisations asked rates columns"]:
         """The derivatives of the rates by what each block of them depends on: the signals and the states come last.
 
         Algebraic variables are eliminated by the derivatives of their equations at the `sides` where rates are asked.
         """
-        slopes, equations = self._slopes(variables, RATES), self._slopes(variables, EQUATIONS)[:, sides]
+        slopes, equations = self._slopes(variables, RATES), self._slopes(variables, EQUATIONS)
         count = equations.shape[2]
         if not count:
             return slopes
+        equations = equations[:, sides[:, 0]]
         following = np.linalg.solve(equations[..., -count:], equations[..., :-count])
         return slopes[..., :-count] - slopes[..., -count:] @ following
 

@@ -23,8 +23,8 @@ _AT_ONCE = 64
 
 
 def known_numbers(asked: Pointwise, mesh: Mesh, decisions: Float[Array, " n"]) -> Float[Array, " known"]:
-    """The signals at all sides of a mesh's points, one by one, then the duration."""
-    signals = asked.known(mesh.fractions[mesh.sides], decisions, mesh.is_before)
+    """The signals at all places of a mesh, one by one, then the duration."""
+    signals = asked.known(mesh.places[:, 0], decisions, mesh.is_before)
     return jnp.append(signals.ravel(), asked.duration(decisions))
 
 

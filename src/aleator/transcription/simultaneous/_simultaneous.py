@@ -24,6 +24,7 @@ from aleator.transcription.simultaneous._guess import Guess, start_of
 from aleator.transcription.simultaneous._mesh import Mesh
 from aleator.transcription.simultaneous._mesh_error import BETWEEN
 from aleator.transcription.simultaneous._pointwise import Pointwise
+from aleator.transcription.simultaneous._segments import FLOWN
 from aleator.transcription.simultaneous._signals import ALONG
 from aleator.transcription.simultaneous._start import SIMULATED, AbstractStart
 from aleator.transcription.simultaneous._tiles import CURVE, EVALUATE
@@ -62,7 +63,7 @@ class Simultaneous(AbstractTranscription):
     guess: Guess | None = field(default=None, compare=False, repr=False)
     _start: AbstractStart = field(init=False, repr=False)
 
-    programs: ClassVar[tuple[Compiled, ...]] = (EVALUATE, CURVE, SIMULATED, ALGEBRAIC, ALONG, TOLD, BETWEEN)
+    programs: ClassVar[tuple[Compiled, ...]] = (EVALUATE, CURVE, SIMULATED, ALGEBRAIC, ALONG, TOLD, BETWEEN, FLOWN)
 
     def __post_init__(self) -> None:
         one_of("Simultaneous: scheme", self.scheme, AbstractScheme, "al.schemes.HermiteSimpson()")

@@ -16,6 +16,7 @@ from jaxtyping import Array, Float, Int
 from aleator._core.beside import in_order
 from aleator._core.compilation import Bound, Compiled, Use
 from aleator.design import Problem, refuse_changed_code
+from aleator.dynamics import AbstractMeanRate
 from aleator.statistics import Constants
 from aleator.transcription.simultaneous._blocks import Family
 from aleator.transcription.simultaneous._families import functions
@@ -41,7 +42,7 @@ class Form(NamedTuple):
     rows: tuple[int, ...]
 
 
-Source: TypeAlias = tuple[Problem, Constants | None, Plan | None, tuple[Form, ...]]
+Source: TypeAlias = tuple[Problem, Constants | None, Plan | AbstractMeanRate, tuple[Form, ...]]
 """What some blocks follow from, beside numbers: see `functions`; their forms."""
 
 
@@ -172,7 +173,7 @@ class Task(NamedTuple):
 
 
 def calls_of(
-    problem: Problem, constants: Constants | None, plan: Plan | None, together: list[tuple[Tile, ...]]
+    problem: Problem, constants: Constants | None, plan: Plan | AbstractMeanRate, together: list[tuple[Tile, ...]]
 ) -> list[Call]:
     """The calls for tiles of the same forms."""
     source = problem, constants, plan, tuple(one.form for one in together[0])

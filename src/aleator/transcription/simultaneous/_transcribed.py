@@ -24,7 +24,7 @@ from aleator.design import (
     integrated_paths,
     refuse_changed_code,
 )
-from aleator.dynamics import Grid
+from aleator.dynamics import AbstractCollocation, Grid
 from aleator.ensemble import inputs_at
 from aleator.nlp import HELD
 from aleator.solution import Costates, MeshError, States, Switching
@@ -47,6 +47,7 @@ from aleator.transcription.simultaneous._pointwise import Pointwise
 from aleator.transcription.simultaneous._program import Assembled
 from aleator.transcription.simultaneous._rows import Given
 from aleator.transcription.simultaneous._scales import scales
+from aleator.transcription.simultaneous._segments import segment_errors, segment_states_on
 from aleator.transcription.simultaneous._shapes import apart
 from aleator.transcription.simultaneous._signals import are_affine
 from aleator.transcription.simultaneous._start import AbstractStart
@@ -153,7 +154,7 @@ class SimultaneouslyTranscribed(AbstractTranscribed):
     @override
     def fineness(self) -> int:
         mesh, grid = self.layout.plan.mesh, self.problem.grid
-        return _FINER * round(1 / (mesh.lengths.min() * grid.steps))
+        return _FINER * mesh.scheme.rate.steps * round(1 / (mesh.lengths.min() * grid.steps))
 
     @override
     def meshes_at(self, point: Float[np.ndarray, " variables"]) -> tuple[MeshError, ...]:
@@ -166,13 +167,13 @@ class SimultaneouslyTranscribed(AbstractTranscribed):
         error, mesh = self._mesh_error(point), self.layout.plan.mesh
         if error.is_met or len(self.meshes) + 1 == _MOST_MESHES:
             return None
-        parts = parts_of(error.errors, self.accuracy, len(mesh.scheme.nodes))
+        parts = parts_of(error.errors, self.accuracy, mesh.scheme.estimated_order)
         parts = whole_parts(self.problem, parts)
         if self.layout.count * parts.mean() > _MOST_VARIABLES:
             return None
         finer = mesh.divided(parts)
         values = self.layout.view(point)
-        states = states_on(mesh, finer.fractions, values.states, self._rates(point))
+        states = self._states_on(point, finer.fractions)
         problem, decisions = followed(self.problem, values.decisions, finer.nodes)
         traced = numbers_to_arrays(problem)
         equations = self.equations if _has_same_equations(problem, self.layout.asked) else traced
@@ -193,7 +194,7 @@ class SimultaneouslyTranscribed(AbstractTranscribed):
     ) -> tuple[Costates, Switching] | tuple[None, None]:
         found, mesh = adjoint(self.layout, self.assembled, point, multipliers), self.layout.plan.mesh
         states, signals = state_shapes(self.problem), self.layout.asked.signal_shapes
-        nodes, asked = self._instants(point, np.array(mesh.nodes)), self._instants(point, mesh.fractions[mesh.asked])
+        nodes, asked = self._instants(point, np.array(mesh.nodes)), self._instants(point, mesh.places[mesh.weighed, 0])
         by_state = dict(zip(states, apart(found.states, list(states.values())), strict=True))
         # What an integral over time of a statistic adds stands in no rate.
         is_whole = not integrated_paths(self.problem.expressions)
@@ -220,12 +221,25 @@ class SimultaneouslyTranscribed(AbstractTranscribed):
         typical = self.program.variable_scale[self.decided]
         return scales(self.layout, self.assembled.rows.ties, point, self.assembled(point), typical)
 
-    def _mesh_error(self, point: Float[np.ndarray, " variables"]) -> MeshError:
+    def _states_on(
+        self, point: Float[np.ndarray, " variables"], fractions: Float[np.ndarray, " n"]
+    ) -> Float[np.ndarray, "realisations n states"]:
+        """The states at some fractions of the duration."""
         layout = self.layout
-        drifts = interval_errors(self.traced, layout, self.points, self._rates(point), point, self._sizes(point))
+        if isinstance(layout.plan.mesh.scheme, AbstractCollocation):
+            return states_on(layout.plan.mesh, fractions, layout.view(point).states, self._rates(point))
+        return segment_states_on(self.traced, layout, self.points, point, fractions)
+
+    def _drifts(self, point: Float[np.ndarray, " variables"]) -> Float[np.ndarray, "realisations intervals"]:
+        layout, sizes = self.layout, self._sizes(point)
+        if isinstance(layout.plan.mesh.scheme, AbstractCollocation):
+            return interval_errors(self.traced, layout, self.points, self._rates(point), point, sizes)
+        return segment_errors(self.traced, layout, self.points, point, sizes)
+
+    def _mesh_error(self, point: Float[np.ndarray, " variables"]) -> MeshError:
+        drifts, mesh = self._drifts(point), self.layout.plan.mesh
         worst, _ = np.unravel_index(np.argmax(drifts), drifts.shape)
         numbers = inputs_at(self.places, self.points[worst], jnp.asarray(self.decisions(point)))
-        mesh = layout.plan.mesh
         return MeshError(self._instants(point, np.array(mesh.nodes)), mesh.scheme, drifts, self.accuracy, numbers)
 
 
