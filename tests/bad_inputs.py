@@ -206,6 +206,7 @@ _CONSTRUCTORS: dict[str, tuple[Callable[..., Any], dict[str, Any], dict[str, Map
     ),
     "Radau": (al.schemes.Radau, {}, {"stages": COUNT | {"fifty": 50}}),
     "GaussLegendre": (al.schemes.GaussLegendre, {}, {"stages": COUNT | {"fifty": 50}}),
+    "MultipleShooting": (al.schemes.MultipleShooting, {}, {"steps": COUNT}),
     "Ipopt": (al.solvers.Ipopt, {}, {"tolerance": POSITIVE, "max_iterations": COUNT}),
     "InteriorPoint": (al.solvers.InteriorPoint, {}, {"tolerance": POSITIVE, "max_iterations": COUNT}),
     "Slsqp": (al.solvers.Slsqp, {}, {"tolerance": POSITIVE, "max_iterations": COUNT, "max_rounds": COUNT}),

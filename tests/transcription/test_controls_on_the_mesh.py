@@ -214,7 +214,12 @@ def test_forces_of_mechanical_systems_may_jump():
 # --- Known optima ----------------------------------------------------------------------------------------------------
 
 
-BOTH = {"shooting": al.Sequential(), "collocation": al.Simultaneous(), "Radau": al.Simultaneous(al.schemes.Radau(2))}
+BOTH = {
+    "shooting": al.Sequential(),
+    "collocation": al.Simultaneous(),
+    "Radau": al.Simultaneous(al.schemes.Radau(2)),
+    "segments": al.Simultaneous(al.schemes.MultipleShooting(2)),
+}
 
 
 @pytest.mark.parametrize("way", BOTH)
@@ -318,9 +323,10 @@ def test_a_family_of_systems_under_a_random_load_is_the_same_both_ways():
         expansion=al.Expansion(order=2),
     )
     shot = al.solve(problem.on_grid(al.Grid(2.0, 60)))
-    tied = al.solve(problem, transcription=al.Simultaneous(al.schemes.Radau(3)))
-    assert tied.objective == pytest.approx(shot.objective, rel=1e-6)
-    assert tied.decisions["inputs.u"] == pytest.approx(shot.decisions["inputs.u"], abs=1e-4)
+    for scheme in (al.schemes.Radau(3), al.schemes.MultipleShooting(6)):
+        tied = al.solve(problem, transcription=al.Simultaneous(scheme))
+        assert tied.objective == pytest.approx(shot.objective, rel=1e-6)
+        assert tied.decisions["inputs.u"] == pytest.approx(shot.decisions["inputs.u"], abs=1e-4)
 
 
 def test_a_warm_start_on_other_nodes_is_the_same_function():

@@ -107,7 +107,9 @@ class SegmentRate(AbstractMeanRate):
         h = (places[-1, 0] - places[0, 0]) / self.count
         zeros = jnp.zeros(jax.eval_shape(rate, places[0], signals[0], states).shape)
 
-        def stage(carried: tuple[Array, Array, Array], now: tuple[Array, ...]) -> tuple[tuple[Array, ...], None]:
+        def stage(
+            carried: tuple[Array, Array, Array], now: tuple[Array, ...]
+        ) -> tuple[tuple[Array, Array, Array], None]:
             """One of all stages: of what was moved when its step began, until now, and by the stage before."""
             (begun, moved, slope), (begins, coupling, weight, place, signal) = carried, now
             begun = jnp.where(begins, moved, begun)

@@ -30,6 +30,10 @@ class MultipleShooting(AbstractScheme):
     def __post_init__(self) -> None:
         whole("MultipleShooting: steps", self.steps)
 
+    @override
+    def __str__(self) -> str:
+        return f"MultipleShooting({self.steps})"
+
     @property
     @override
     def order(self) -> int:

@@ -30,6 +30,9 @@ class AbstractScheme(abc.ABC):
     The blocks `r_j` are mean rates, from what is known at the points where they begin.
     """
 
+    def __str__(self) -> str:
+        return type(self).__name__
+
     @property
     @abc.abstractmethod
     def order(self) -> int:
@@ -101,9 +104,6 @@ class AbstractCollocation(AbstractScheme):
     @override
     def has_algebraic_variables(self) -> bool:
         return True
-
-    def __str__(self) -> str:
-        return type(self).__name__
 
     @cached_property
     @override

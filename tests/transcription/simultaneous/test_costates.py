@@ -12,6 +12,7 @@ SCHEMES = {
     "Hermite and Simpson": (al.schemes.HermiteSimpson(), 1e-5),
     "Radau": (al.schemes.Radau(3), 1e-5),
     "Gauss": (al.schemes.GaussLegendre(2), 1e-5),
+    "segments": (al.schemes.MultipleShooting(2), 1e-5),
 }
 
 

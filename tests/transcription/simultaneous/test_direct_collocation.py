@@ -34,7 +34,15 @@ def move(gain: Any = 1.0, intervals: int = 20, **options: Any) -> al.Problem:
     return al.Problem(Block(gain=gain), **(defaults | options))
 
 
-@pytest.mark.parametrize("scheme", [al.schemes.HermiteSimpson(), al.schemes.Radau(3), al.schemes.GaussLegendre(2)])
+EXACT = [
+    al.schemes.HermiteSimpson(),
+    al.schemes.Radau(3),
+    al.schemes.GaussLegendre(2),
+    al.schemes.MultipleShooting(2),
+]
+
+
+@pytest.mark.parametrize("scheme", EXACT)
 def test_least_effort_to_move_a_block_is_12(scheme):
     solution = al.solve(move(), transcription=al.Simultaneous(scheme))
     assert solution.objective == pytest.approx(12.0, rel=1e-10)

@@ -193,6 +193,8 @@ CONVERGING = {
     "Radau, three stages": (al.schemes.Radau(3), (4, 8)),
     "Gauss, two stages": (al.schemes.GaussLegendre(2), (4, 8)),
     "Gauss, three stages": (al.schemes.GaussLegendre(3), (2, 4)),
+    "segments of one step": (al.schemes.MultipleShooting(1), (8, 16)),
+    "segments of two steps": (al.schemes.MultipleShooting(2), (4, 8)),
 }
 
 

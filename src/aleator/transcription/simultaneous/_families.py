@@ -130,13 +130,14 @@ def functions(problem: Problem, constants: Constants | None, plan: Plan | Abstra
     """The functions of families, by their numbers: of all on a plan; by mean rates alone, of those that grow with the
     mesh.
     """
-    if isinstance(plan, AbstractMeanRate) or constants is None:
+    if isinstance(plan, AbstractMeanRate):
         asked = Pointwise.of(problem)
         return {
             RATES: partial(asked.mean_rates, plan),
             EQUATIONS: asked.residuals,
             PATHS: partial(asked.outputs, asked.paths),
         }
+    assert constants is not None
     layout = Layout.of(problem, plan)
     nowhere = jnp.zeros((plan.realisations, len(problem.placements.germ_names)))
     every = families(layout, problem, constants, nowhere, layout.view(jnp.zeros(layout.count))).every

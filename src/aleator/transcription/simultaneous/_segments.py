@@ -82,8 +82,8 @@ def segment_states_on(
     layout: Layout,
     points: Float[np.ndarray, "realisations germs"],
     variables: Float[np.ndarray, " n"],
-    fractions: Float[np.ndarray, " n"],
-) -> Float[np.ndarray, "realisations n states"]:
+    fractions: Float[np.ndarray, " places"],
+) -> Float[np.ndarray, "realisations places states"]:
     """The states at some fractions of the duration, each from the node before it."""
     nodes = np.array(layout.plan.mesh.nodes)
     before = nodes[np.clip(np.searchsorted(nodes, fractions, side="right") - 1, 0, len(nodes) - 2)]

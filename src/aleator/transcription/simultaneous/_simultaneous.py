@@ -37,7 +37,8 @@ _LEAST_ERROR = 1e-12
 @final
 @dataclass(frozen=True)
 class Simultaneous(AbstractTranscription):
-    """States are variables of the program, and a collocation scheme holds them to the dynamics: direct collocation.
+    """States are variables of the program, and a scheme holds them to the dynamics: direct collocation, or multiple
+    shooting.
 
     The way for long, unstable or stiff systems and for limits on states. Its programs are large and sparse, with exact
     second derivatives, and solved by interior points.
