@@ -229,7 +229,8 @@ def test_an_index_above_one_is_told_with_realisation_and_time():
         grid=al.Grid(2.0, 8),
         minimize=al.rms("y").mean,
     )
-    for transcription in (al.Sequential(), al.Simultaneous()):
+    segments = al.Simultaneous(al.schemes.MultipleShooting(2))
+    for transcription in (al.Sequential(), al.Simultaneous(), segments):
         with pytest.raises(
             al.SimulationError, match=r"t = 0 s, .* near=0\.9.*singular.*index 1.*collocation point 1 of 12"
         ):

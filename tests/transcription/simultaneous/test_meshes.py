@@ -12,6 +12,7 @@ SCHEMES = {
     "Hermite and Simpson": al.schemes.HermiteSimpson(),
     "Radau": al.schemes.Radau(3),
     "Gauss": al.schemes.GaussLegendre(2),
+    "segments": al.schemes.MultipleShooting(2),
 }
 
 
@@ -45,13 +46,18 @@ def test_a_mesh_is_refined_until_its_error_is_what_is_asked(name):
     assert solution.objective == pytest.approx(exact.objective, abs=20 * asked)
 
 
-def test_the_estimated_error_is_that_of_the_states():
-    """It is no less than a tenth of the error, and falls by the fourth power: that of three stages, and one more."""
-    found = [al.solve(swing(n), transcription=al.Simultaneous(), accuracy=0.5) for n in (40, 80)]
+@pytest.mark.parametrize(
+    ("scheme", "power"), [(al.schemes.HermiteSimpson(), 4.0), (al.schemes.MultipleShooting(1), 5.0)]
+)
+def test_the_estimated_error_is_that_of_the_states(scheme, power):
+    """It is no less than a tenth of the error, and falls by a power: of a collocation scheme that of its stages and one
+    more, of segments that of their order and one more.
+    """
+    found = [al.solve(swing(n), transcription=al.Simultaneous(scheme), accuracy=0.5) for n in (40, 80)]
     exact = al.solve(swing(1600)).objective
     errors = [abs(one.objective - exact) for one in found]
     worst = [one.meshes[-1].worst for one in found]
-    assert np.log2(worst[0] / worst[1]) == pytest.approx(4.0, abs=0.3)
+    assert np.log2(worst[0] / worst[1]) == pytest.approx(power, abs=0.3)
     for error, one in zip(errors, found, strict=True):
         assert error < 10 * np.sum(one.meshes[-1].errors)
 

@@ -92,6 +92,36 @@ def test_algebraic_variables_are_solved_for_on_the_way():
     np.testing.assert_allclose(other.vector, usual.vector, atol=1e-6)
 
 
+class Placed(al.System):
+    """A unit mass on a rail, from rest wherever that is best."""
+
+    states = ("x", "v")
+    start: al.Number = 0.0
+
+    def rhs(self, t, z, u):
+        return z.v, u
+
+    def outputs(self, t, z, u):
+        return {"x": z.x, "v": z.v, "u²": u**2}
+
+    def initial(self):
+        return {"x": self.start}
+
+
+def test_a_start_may_be_decided():
+    """Half a metre from rest to rest within a second: 12 d² = 3, from the bound of the start, in two segments."""
+    problem = al.Problem(
+        Placed(start=al.Decision(0.1, -1.0, 0.5)),
+        grid=al.Grid(1.0, 2),
+        inputs={"u": al.BSpline(al.Decision(np.zeros(3), -50.0, 50.0), degree=2)},
+        minimize=al.integral("u²").mean,
+        subject_to=[al.terminal("x").mean.equals(1.0), al.terminal("v").mean.equals(0.0)],
+    )
+    solution = al.solve(problem, transcription=al.Simultaneous(al.schemes.MultipleShooting()))
+    assert solution.objective == pytest.approx(3.0, rel=1e-7)
+    assert solution.decisions["start"] == pytest.approx(0.5, abs=1e-7)
+
+
 class Pole(al.System):
     """A pole near its top, where what differs at the start grows by e^(rate T)."""
 

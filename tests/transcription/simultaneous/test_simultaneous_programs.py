@@ -78,8 +78,9 @@ def test_tiles_of_any_size_give_the_same_program(name, monkeypatch):
     np.testing.assert_allclose(*bends, rtol=1e-11, atol=1e-11 * np.abs(bends[0]).max())
 
 
-def test_what_is_compiled_for_one_mesh_serves_a_finer_one():
-    transcribed = transcribe(oscillator(), al.Simultaneous(error=1e-9))
+@pytest.mark.parametrize("scheme", [al.schemes.HermiteSimpson(), al.schemes.MultipleShooting(1)])
+def test_what_is_compiled_for_one_mesh_serves_a_finer_one(scheme):
+    transcribed = transcribe(oscillator(), al.Simultaneous(scheme, error=1e-9))
     assert isinstance(transcribed, SimultaneouslyTranscribed)
     outcome = Ipopt().solve(transcribed.program)
     before = _tiles.EVALUATE.compilations, _tiles.CURVE.compilations
@@ -189,9 +190,17 @@ def test_signals_of_the_system_itself_depend_on_decisions():
     assert abs(jacobian[ties.rows][of_signals][:, numbers.decisions]).nnz > 0
 
 
-@pytest.mark.parametrize("limits", [{}, {"grid": al.Grid(al.Decision(2.0, 1.5, 3.0), 8)}], ids=["fixed", "final time"])
-def test_condensing_has_the_optimum_of_ipopt(limits):
-    program = transcribe(crane(8, **limits), al.Simultaneous()).program
+CONDENSED = {
+    "fixed": ({}, al.schemes.HermiteSimpson()),
+    "final time": ({"grid": al.Grid(al.Decision(2.0, 1.5, 3.0), 8)}, al.schemes.HermiteSimpson()),
+    "segments": ({"grid": al.Grid(al.Decision(2.0, 1.5, 3.0), 8)}, al.schemes.MultipleShooting(2)),
+}
+
+
+@pytest.mark.parametrize("name", CONDENSED)
+def test_condensing_has_the_optimum_of_ipopt(name):
+    limits, scheme = CONDENSED[name]
+    program = transcribe(crane(8, **limits), al.Simultaneous(scheme)).program
     own, other = Condensing().solve(program), Ipopt().solve(program)
     assert own.message == "solved"
     assert own.evaluation.objective == pytest.approx(other.evaluation.objective, rel=1e-6)
