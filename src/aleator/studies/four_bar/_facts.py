@@ -9,7 +9,7 @@ import aleator as al
 from aleator.design import value_at
 from aleator.reporting import Table, count, given, number, share_text, words
 from aleator.studies._designs import violation_rows
-from aleator.studies.four_bar import COST, FORCE, SIGMAS, TRANSMISSION, ZONE
+from aleator.studies.four_bar import COST, FORCE, SIGMAS, TORQUE, TRANSMISSION, ZONE
 from aleator.studies.four_bar._counts import LEVELS, Counts, lengths_of, widths_of
 from aleator.studies.four_bar._run import PUBLISHED, FourBarResults
 
@@ -72,7 +72,10 @@ def designs_table(results: FourBarResults) -> Table:
             f"Largest force in the rocker's pin, μ ± σ (N), limit {given(FORCE)}",
             *(extreme(one, "rocker_pin", 1) for one in every),
         ],
-        ["Largest torque of the motor, μ ± σ (N m)", *(extreme(one, "crank_torque", 1) for one in every)],
+        [
+            f"Largest torque of the motor, μ ± σ (N m), limit {given(TORQUE)}",
+            *(extreme(one, "crank_torque", 1) for one in every),
+        ],
         [
             "Active limits",
             *(words([name for name in one.active if name not in one.at_bounds], "none") for one in every),

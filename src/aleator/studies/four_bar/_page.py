@@ -37,6 +37,7 @@ GLOSSARY = (
     ("aOpt", "Apportioned optimum: tolerances and clearances are chosen too, at minimum cost, for the given zone."),
     ("Hoeken", "The published linkage: coupler, rocker and ground are 2.8, 2.8 and 2.2 cranks long."),
     ("Zone", "The tool stays within plus and minus half its width of the line, at each place of the stroke."),
+    ("x, deviation", "The tool's place along the line from the crank's bearing, and its height above the line, mm."),
     ("Tolerance", "A length is normal about its nominal value with a standard deviation of a third of its tolerance."),
     ("Clearance", "A pin sits at a random place: both components normal, with σ a third of the radial clearance."),
     ("Angle of transmission", "Between coupler and rocker: the smaller, the larger are the forces in the pins."),
@@ -65,6 +66,7 @@ def sections(results: FourBarResults) -> list[Section]:
 def _schematic(results: FourBarResults) -> Schematic:
     caption = (
         f"To scale. The motor turns the crank by half a turn in {given(DURATION, 's')}, from rest to rest, and back. "
+        "θ is its angle, τ the motor's torque. "
         "Uncertain: six lengths, the place of each pin in its clearance, and the mass of the tool."
     )
     beside = [Code(f"The problem of {name} as mathematics", str(one.problem)) for name, one in results.designs.items()]
@@ -120,7 +122,7 @@ def _paths(results: FourBarResults) -> Iterator[Block]:
     for name, (lengths, widths) in dimensions(results).items():
         heights = drawn_postures(lengths, widths, SPREAD, seed=5, instants=angles).tool[..., 1] - HEIGHT
         figures.append(
-            bands_figure(times, {"deviation": heights}, y="Deviation", unit="mm", limits=(-ZONE, ZONE), title=name)
+            bands_figure(times, {"mean": heights}, y="Deviation", unit="mm", limits=(-ZONE, ZONE), title=name)
         )
     caption = (
         f"{SPREAD} linkages of each design. Line: mean. Dark band: one σ to each side. Light band: from the minimum to "
@@ -156,15 +158,15 @@ def _tolerances(results: FourBarResults) -> Iterator[Block]:
             for name, one in {"given": WIDTHS, ALLOCATED: chosen}.items()
         }
         caption = (
+            "Pins: their radial clearances. All others: tolerances, three standard deviations. "
             f"Every limit keeps a margin of {given(SIGMAS)} σ. Prices are assumed: see the problem as mathematics."
         )
-        yield Drawing(
-            [bars_figure(bars, y="Tolerance or clearance ±", unit="mm")], "Tolerances before and after", caption
-        )
+        yield Drawing([bars_figure(bars, y="Width ±", unit="mm")], "Tolerances before and after", caption)
     if results.front is not None:
         figure = front_figure({ALLOCATED: results.front}, x="Zone allowed ±", x_unit="mm", y="Cost", y_unit="$")
         yield Drawing([figure], "The cost of a narrower zone", "Each point is an optimum; hover for its decisions.")
 
 
 def _short(width: str) -> str:
-    return width.removesuffix(".tolerance").replace("_play", " pin, clearance")
+    name = width.removesuffix(".tolerance").replace("_play", "'s pin")
+    return f"tool {name}" if name in ("along", "across") else name

@@ -31,13 +31,13 @@ class Effort:
     which is left out together with the second way if there are none.
     """
 
-    samples: int = 50_000
+    samples: int = 20_000
     counted: int = 1_000_000
     front_points: int = 7
 
 
 FULL = Effort()
-QUICK = Effort(samples=3_000, counted=100_000, front_points=0)
+QUICK = Effort(samples=1_500, counted=100_000, front_points=0)
 
 
 @final

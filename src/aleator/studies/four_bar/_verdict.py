@@ -3,9 +3,10 @@
 from collections.abc import Iterator
 
 import aleator as al
-from aleator.reporting import Card, Verdict, count, given, number, percent, share_text
+from aleator.reporting import Card, Verdict, count, given, number, percent, share_text, words
+from aleator.reporting import interval as interval_text
 from aleator.studies._designs import no_recommendation, signed
-from aleator.studies.four_bar import FORCE, SIGMAS, ZONE
+from aleator.studies.four_bar import FORCE, SIGMAS, WIDTHS, ZONE
 from aleator.studies.four_bar._counts import widths_of
 from aleator.studies.four_bar._facts import cost, zone
 from aleator.studies.four_bar._run import ALLOCATED, DESIGNS, NOMINAL, PUBLISHED, ROBUST, TARGET, FourBarResults
@@ -35,10 +36,11 @@ def verdict(results: FourBarResults) -> Verdict:
 def _headline(results: FourBarResults) -> str:
     allocated, robust = results.designs[ALLOCATED], results.designs[ROBUST]
     change = cost(allocated) / cost(robust) - 1
+    broken, outside = results.evidence[ALLOCATED].joint, results.counts[ALLOCATED].outside
     return (
-        f"aOpt, for ${cost(allocated):.2f} instead of ${cost(robust):.2f} ({signed(change)}): of the linkages"
-        f" {share_text(results.evidence[ALLOCATED].joint)} break any limit, and"
-        f" {share_text(results.counts[ALLOCATED].outside)} leave ±{given(ZONE, 'mm')} of the line."
+        f"aOpt, for ${cost(allocated):.2f} instead of ${cost(robust):.2f} ({signed(change)}):"
+        f" {share_text(broken)} of {count(broken.samples)} linkages simulated break any limit, and"
+        f" {share_text(outside)} of {count(outside.samples)} assembled leave ±{given(ZONE, 'mm')} of the line."
     )
 
 
@@ -66,11 +68,14 @@ def _sentences(results: FourBarResults) -> Iterator[str]:
     if ALLOCATED in designs and designs[ALLOCATED].ok:
         one = designs[ALLOCATED]
         widths = widths_of(one)
-        tight, wide = min(widths, key=widths.__getitem__), max(widths, key=widths.__getitem__)
+        wide = max(widths, key=widths.__getitem__)
+        tightened = [
+            f"{_words(name)} to {number(width, 3, 'mm')}" for name, width in widths.items() if width < WIDTHS[name]
+        ]
         yield (
-            "aOpt widens what the path feels least or what is dear: tolerances and clearances from"
-            f" {number(widths[tight], 3, 'mm')} ({_words(tight)}) to {number(widths[wide], 3, 'mm')} ({_words(wide)})."
-            f" Active: {', '.join(name for name in one.active if name not in one.at_bounds)}."
+            "aOpt widens tolerances and clearances that the path feels little or that are dear, up to"
+            f" {number(widths[wide], 3, 'mm')} ({_words(wide)}), and tightens {words(tightened, 'none')}."
+            f" Active: {words([name for name in one.active if name not in one.at_bounds], 'none')}."
         )
 
 
@@ -81,14 +86,11 @@ def _words(width: str) -> str:
 def _cards(results: FourBarResults) -> Iterator[Card]:
     for name in DESIGNS:
         if one := results.counts.get(name):
-            note = f"95 % interval; 99 % of the linkages stay within ±{number(one.largest[-1], 3, 'mm')}"
-            yield Card(f"{name}: leave ±{given(ZONE, 'mm')}", share_text(one.outside), note)
+            stay = f"99 % of the linkages stay within ±{number(one.largest[-1], 3, 'mm')}"
+            yield _share_card(f"{name}: leave ±{given(ZONE, 'mm')}", one.outside, stay)
     if ALLOCATED in results.evidence:
-        yield Card(
-            "aOpt: break any limit",
-            share_text(results.evidence[ALLOCATED].joint),
-            f"forces up to {given(FORCE, 'N')} included",
-        )
+        joint = results.evidence[ALLOCATED].joint
+        yield _share_card("aOpt: break any limit", joint, f"forces up to {given(FORCE, 'N')} included")
     if ALLOCATED in results.designs and results.designs[ALLOCATED].ok:
         solution = results.designs[ALLOCATED]
         yield Card(
@@ -96,6 +98,10 @@ def _cards(results: FourBarResults) -> Iterator[Card]:
             f"${cost(solution):.2f}",
             f"the limit 'zone' costs ${_price(solution):.2f} per mm",
         )
+
+
+def _share_card(label: str, share: al.results.Proportion, note: str) -> Card:
+    return Card(label, percent(share.estimate), f"95 % interval: {interval_text(share)}; {note}")
 
 
 def _price(solution: al.Solution) -> float:
