@@ -36,7 +36,7 @@ def comparison_table(name: str, found: al.results.CrossChecked) -> Table:
     """Both answers, decision by decision, and the largest differences of statistics and shadow prices."""
     ways = found.first, found.second
     rows = [
-        ["Status", *(one.status.value for one in ways), ""],
+        ["Status", *("solved" if one.ok else one.why() for one in ways), ""],
         ["Objective", *(number(one.objective, _DIGITS) for one in ways), _difference(found.objective)],
         *_decision_rows(found),
         ["Statistics, the largest difference", "", "", _largest(found.statistics)],
@@ -71,4 +71,4 @@ def _largest(differences: Mapping[str, float]) -> str:
 
 
 def _difference(value: float) -> str:
-    return f"{value:.1e}"
+    return number(value, 3)
