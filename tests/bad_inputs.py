@@ -197,10 +197,11 @@ _CONSTRUCTORS: dict[str, tuple[Callable[..., Any], dict[str, Any], dict[str, Map
     "FilterSQP": (al.solvers.FilterSQP, {}, {"tolerance": POSITIVE, "max_iterations": COUNT, "radius": POSITIVE}),
     "Simultaneous": (
         al.Simultaneous,
-        {},
+        {"scheme": al.schemes.Radau(3), "error": 1e-6},
         {
             "scheme": NO_OBJECT,
             "error": without(POSITIVE, "nothing") | {"two": 2.0, "tiny": 1e-15},
+            "most_stages": OPTIONAL_COUNT | {"no more": 3, "fifty": 50},
             "guess": without(NO_OBJECT, "nothing"),
         },
     ),

@@ -36,6 +36,7 @@ from aleator.dynamics._record import Asked as Asked
 from aleator.dynamics._record import History as History
 from aleator.dynamics._record import Record as Record
 from aleator.dynamics._refusals import check_signals as check_signals
+from aleator.dynamics._schemes import MOST_STAGES as MOST_STAGES
 from aleator.dynamics._schemes import AbstractCollocation as AbstractCollocation
 from aleator.dynamics._schemes import AbstractScheme as AbstractScheme
 from aleator.dynamics._schemes import GaussLegendre as GaussLegendre

@@ -6,7 +6,7 @@ Equations I, II.7; Betts, Practical Methods for Optimal Control, chapter 4).
 """
 
 import abc
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import final
 
@@ -20,7 +20,7 @@ from aleator._core.given import whole
 from aleator.dynamics._mean_rates import AbstractMeanRate, PointRate
 
 # With more stages the points lose accuracy in 64-bit arithmetic, without any gain.
-_MOST_STAGES = 12
+MOST_STAGES = 12
 
 
 @dataclass(frozen=True)
@@ -32,6 +32,11 @@ class AbstractScheme(abc.ABC):
 
     def __str__(self) -> str:
         return type(self).__name__
+
+    def raised(self, most: int) -> "tuple[AbstractScheme, ...]":
+        """The schemes of the same kind with more stages, up to so many, in ascending order; none by default."""
+        del most
+        return ()
 
     @property
     @abc.abstractmethod
@@ -153,15 +158,15 @@ class AbstractCollocation(AbstractScheme):
         ends = legendre.legvander(2 * np.asarray(at) - 1, count)
         start = legendre.legvander(np.array([-1.0]), count)
         integrals = np.stack([_integral(ends, j) - _integral(start, j) for j in range(count)], axis=1)
-        return integrals @ self._interpolation / 2
+        return integrals @ self.spectrum / 2
 
     def interpolated(self, at: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n stages"]:
         """The rates' interpolant at other points of the interval, from the rates at the stages."""
-        return legendre.legvander(2 * np.asarray(at) - 1, len(self.nodes) - 1) @ self._interpolation
+        return legendre.legvander(2 * np.asarray(at) - 1, len(self.nodes) - 1) @ self.spectrum
 
     @cached_property
-    def _interpolation(self) -> Float[np.ndarray, "degrees stages"]:
-        """From the rates at the stages to their coefficients in Legendre polynomials."""
+    def spectrum(self) -> Float[np.ndarray, "degrees stages"]:
+        """From the rates at the stages to their interpolant's coefficients in Legendre polynomials."""
         return np.linalg.inv(legendre.legvander(2 * self.nodes - 1, len(self.nodes) - 1))
 
 
@@ -213,8 +218,12 @@ class _AbstractQuadrature(AbstractCollocation):
 
     def __post_init__(self) -> None:
         who = type(self).__name__
-        if whole(f"{who}: stages", self.stages) > _MOST_STAGES:
-            raise ProblemError(f"{who}: expected 1 to {_MOST_STAGES} stages; received {self.stages}.")
+        if whole(f"{who}: stages", self.stages) > MOST_STAGES:
+            raise ProblemError(f"{who}: expected 1 to {MOST_STAGES} stages; received {self.stages}.")
+
+    @override
+    def raised(self, most: int) -> tuple[AbstractScheme, ...]:
+        return tuple(replace(self, stages=count) for count in range(self.stages + 1, most + 1))
 
     @override
     def __str__(self) -> str:

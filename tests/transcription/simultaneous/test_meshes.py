@@ -6,7 +6,7 @@ from collocated_problems import Cart
 
 import aleator as al
 from aleator.transcription.simultaneous._mesh import Mesh
-from aleator.transcription.simultaneous._mesh_error import parts_of
+from aleator.transcription.simultaneous._refinement import parts_of
 
 SCHEMES = {
     "Hermite and Simpson": al.schemes.HermiteSimpson(),
@@ -84,7 +84,8 @@ def test_only_intervals_that_err_are_divided():
     mesh = Mesh((0.0, 0.5, 1.0), al.schemes.HermiteSimpson())
     parts = parts_of(np.array([1e-7, 1e-4]), 1e-6, 3)
     assert parts[0] == 1 < parts[1]
-    finer = mesh.divided(parts)
+    finer = mesh.refined(al.schemes.Radau(4), parts)
+    assert finer.scheme == al.schemes.Radau(4)
     assert finer.nodes[:2] == (0.0, 0.5)
     assert len(finer.nodes) == 2 + parts[1]
     np.testing.assert_allclose(finer.lengths[1:], 0.5 / parts[1])

@@ -27,6 +27,7 @@ from aleator.design import (
     integrated_paths,
     time_integrals,
 )
+from aleator.dynamics import AbstractScheme
 from aleator.transcription.simultaneous._mesh import Mesh
 from aleator.transcription.simultaneous._pointwise import Pointwise
 from aleator.transcription.simultaneous._shapes import Shapes, apart
@@ -74,12 +75,14 @@ _FIRST_OWNED, _LAST_OWNED = Variables._fields.index("states"), Variables._fields
 class Plan:
     """What the layout of a program follows from, beside its problem.
 
+    - `scheme`: of the first mesh;
     - `points`, `scenarios`: how many collocation points there are, and realisations at which the worst case is held;
     - `terms`: of the expansions;
     - `is_affine`: whether signals and duration depend on the decisions in an affine way.
     """
 
     mesh: Mesh
+    scheme: AbstractScheme
     points: int
     scenarios: int
     terms: int

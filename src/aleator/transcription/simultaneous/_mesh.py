@@ -91,11 +91,11 @@ class Mesh:
         """Which of the `places` this quadrature has."""
         return np.flatnonzero(self.weights)
 
-    def divided(self, parts: Int[np.ndarray, " intervals"]) -> "Mesh":
-        """The mesh with each interval in so many equal parts."""
+    def refined(self, scheme: AbstractScheme, parts: Int[np.ndarray, " intervals"]) -> "Mesh":
+        """The mesh with each interval in so many equal parts, and a scheme in each of these."""
         ends = zip(self.nodes[:-1], self.nodes[1:], parts, strict=True)
         inside = [np.linspace(first, last, count + 1)[:-1] for first, last, count in ends]
-        return Mesh((*np.concatenate(inside).tolist(), self.nodes[-1]), self.scheme, self.has_jumps)
+        return Mesh((*np.concatenate(inside).tolist(), self.nodes[-1]), scheme, self.has_jumps)
 
     def instants(self, fractions: Float[np.ndarray, " instants"]) -> Int[np.ndarray, " instants"]:
         """The numbers of the points that the instants of a grid are."""

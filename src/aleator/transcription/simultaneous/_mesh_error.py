@@ -4,9 +4,11 @@ Over an interval a scheme's states are polynomials. The integral of the magnitud
 dynamics is an estimate of the error that the interval adds (Betts, Practical Methods for Optimal Control, 4.6).
 """
 
+from typing import NamedTuple
+
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 from numpy.polynomial import legendre
 
 from aleator._core.compilation import Compiled, Use
@@ -16,8 +18,10 @@ from aleator.transcription.simultaneous._layout import Layout
 from aleator.transcription.simultaneous._mesh import Mesh
 from aleator.transcription.simultaneous._pointwise import Pointwise
 
-# Between two meshes an interval is divided into at most so many parts; each is to be this much better than asked.
-_MOST_PARTS, _AHEAD = 8, 2.0
+# Rates fall by no less than this from one Legendre polynomial to the next: more is chance.
+_LEAST_RATIO = 0.05
+# How many of the last polynomials tell how fast.
+_LAST = 3
 
 
 def _between(
@@ -34,15 +38,30 @@ def _between(
 BETWEEN = Compiled(_between, use=Use.ONCE, unchanged=refuse_changed_code)
 
 
-def interval_errors(
+class Drift(NamedTuple):
+    """How far states drift from their equations within each interval, relative to their magnitudes.
+
+    - `errors`: shape (realisations, intervals, states);
+    - `ratios`: by what an error would be multiplied if the scheme had one stage more, at most 1.
+    """
+
+    errors: Float[np.ndarray, "realisations intervals states"]
+    ratios: Float[np.ndarray, "realisations intervals states"]
+
+    def with_more(self, stages: int) -> Float[np.ndarray, " intervals"]:
+        """The largest error of each interval to be expected of a scheme with so many stages more."""
+        return np.max(self.errors * self.ratios**stages, axis=(0, 2), initial=0.0)
+
+
+def drift_of(
     traced: Problem,
     layout: Layout,
     points: Float[np.ndarray, "realisations germs"],
     rates: Float[np.ndarray, "realisations asked rates"],
     variables: Float[np.ndarray, " n"],
     scales: Float[np.ndarray, " n"],
-) -> Float[np.ndarray, "realisations intervals"]:
-    """The error of each interval in each realisation: the largest of its states, relative to their magnitudes.
+) -> Drift:
+    """The drift of all states, with how fast it would fall with the number of stages.
 
     - `rates`: of the states at the points where the scheme asks for them.
     """
@@ -50,18 +69,37 @@ def interval_errors(
     assert isinstance(mesh.scheme, AbstractCollocation)
     count = values.states.shape[2]
     if not count:
-        return np.zeros((len(points), len(mesh.lengths)))
+        return Drift(*2 * (np.zeros((len(points), len(mesh.lengths), 0)),))
     nodes, weights = legendre.leggauss(len(mesh.scheme.nodes) + 2)
     inner, weights = (1 + nodes) / 2, weights / 2
     fractions = (np.array(mesh.nodes)[:-1, None] + mesh.lengths[:, None] * inner).ravel()
     states = states_on(mesh, fractions, values.states, rates)
     at = jnp.asarray(values.decisions), jnp.asarray(values.duration[0]), jnp.asarray(states)
     found = np.asarray(BETWEEN(traced, jnp.asarray(points), tuple(fractions.tolist()), at))
-    polynomial = np.einsum("qi,pkis->pkqs", mesh.scheme.interpolated(inner), rates[:, mesh.stages, :count])
+    told = rates[:, mesh.stages, :count]
+    polynomial = np.einsum("qi,pkis->pkqs", mesh.scheme.interpolated(inner), told)
     missed = np.abs(polynomial - found.reshape(polynomial.shape))
-    drift = mesh.lengths[None, :, None] * np.einsum("q,pkqs->pks", weights, missed)
+    average = np.einsum("q,pkqs->pks", weights, missed)
     size = layout.view(scales).states[:, :1]
-    return np.max(drift / size, axis=2)
+    return Drift(mesh.lengths[:, None] * average / size, _ratios(mesh.scheme, told, average))
+
+
+def _ratios(
+    scheme: AbstractCollocation,
+    rates: Float[np.ndarray, "realisations intervals stages states"],
+    missed: Float[np.ndarray, "realisations intervals states"],
+) -> Float[np.ndarray, "realisations intervals states"]:
+    """By what rates fall from one Legendre polynomial to the next, from the last ones to what is missed.
+
+    Those of a smooth state fall geometrically, those of one with a kink ever more slowly (Liu, Hager and Rao, IEEE
+    Transactions on Control Systems Technology 26 (2018) 1475).
+    """
+    stages = len(scheme.nodes)
+    first = max(min(1, stages - 1), stages - _LAST)
+    # Every second polynomial may be missing by symmetry.
+    found = np.abs(np.einsum("ji,pkis->pkjs", scheme.spectrum[first:], rates)).max(axis=2)
+    share = np.divide(missed, found, out=np.ones_like(missed), where=found > 0)
+    return np.clip(share ** (1 / (stages - first)), _LEAST_RATIO, 1.0)
 
 
 def states_on(
@@ -77,13 +115,3 @@ def states_on(
     slopes = rates[:, mesh.stages, : states.shape[2]][:, which]
     moved = np.einsum("mi,pmis->pms", mesh.scheme.integrals(inside), slopes)
     return states[:, mesh.points[which, 0]] + mesh.lengths[which][None, :, None] * moved
-
-
-def parts_of(errors: Float[np.ndarray, " intervals"], asked: float, order: int) -> Int[np.ndarray, " intervals"]:
-    """In how many parts each interval of a mesh is to be divided, for its error to be what is asked.
-
-    - `order`: by one more, the power of its length by which an interval's states are estimated to err. Between the
-      stages of a collocation scheme rates are interpolated, and err by the power of their number.
-    """
-    needed = np.ceil((_AHEAD * errors / asked) ** (1 / (order + 1))).astype(int)
-    return np.where(errors > asked, np.clip(needed, 2, _MOST_PARTS), 1)

@@ -37,7 +37,8 @@ def _calls(
     """The calls that evaluate all families: those that grow with the mesh are in tiles, and what is compiled of them
     serves every mesh; but signals, which differ at each of their points.
     """
-    first = replace(layout.plan, mesh=replace(layout.plan.mesh, nodes=tuple(layout.asked.grid.fractions.tolist())))
+    nodes, scheme = tuple(layout.asked.grid.fractions.tolist()), layout.plan.scheme
+    first = replace(layout.plan, mesh=replace(layout.plan.mesh, nodes=nodes, scheme=scheme))
     sizes = [(len(one.own), one.own.shape[1]) for one in every]
     sizes[RATES] = tile_size(sizes[RATES][0], len(first.mesh.asked))
     sizes[EQUATIONS] = tile_size(sizes[EQUATIONS][0], len(first.mesh.sides))

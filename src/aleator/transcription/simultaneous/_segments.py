@@ -12,6 +12,7 @@ from aleator._core.compilation import Compiled, Use
 from aleator.design import Problem, refuse_changed_code
 from aleator.dynamics import MultipleShooting, SegmentRate
 from aleator.transcription.simultaneous._layout import Layout
+from aleator.transcription.simultaneous._mesh_error import Drift
 from aleator.transcription.simultaneous._pointwise import Pointwise
 
 
@@ -62,19 +63,19 @@ def segment_states(
     return np.asarray(FLOWN(traced, jnp.asarray(points), tuple(map(tuple, pieces.tolist())), rate, at))
 
 
-def segment_errors(
+def segment_drift(
     traced: Problem,
     layout: Layout,
     points: Float[np.ndarray, "realisations germs"],
     variables: Float[np.ndarray, " n"],
     scales: Float[np.ndarray, " n"],
-) -> Float[np.ndarray, "realisations intervals"]:
-    """The error of each segment in each realisation, relative to the magnitudes of the states: the largest of these."""
+) -> Drift:
+    """The error of each segment, relative to the magnitudes of the states. Its order cannot be raised."""
     mesh, values = layout.plan.mesh, layout.view(variables)
     nodes = np.array(mesh.nodes)
     finer = segment_states(traced, layout, points, variables, np.stack([nodes[:-1], nodes[1:]], axis=1))
-    errors = np.abs(values.states[:, 1:] - finer) / (1 - 0.5**mesh.scheme.order)
-    return np.max(errors / layout.view(scales).states[:, :1], axis=2, initial=0.0)
+    errors = np.abs(values.states[:, 1:] - finer) / (1 - 0.5**mesh.scheme.order) / layout.view(scales).states[:, :1]
+    return Drift(errors, np.ones_like(errors))
 
 
 def segment_states_on(

@@ -10,9 +10,9 @@ from typing_extensions import override
 from aleator._core.arrays import numbers_to_arrays
 from aleator._core.compilation import Compiled
 from aleator._core.errors import ProblemError
-from aleator._core.given import one_of, positive
+from aleator._core.given import one_of, positive, refusal, whole
 from aleator.design import Problem
-from aleator.dynamics import AbstractScheme, Grid, HermiteSimpson
+from aleator.dynamics import MOST_STAGES, AbstractScheme, Grid, HermiteSimpson
 from aleator.nlp import AbstractSolver, Ipopt
 from aleator.solution import Solution
 from aleator.transcription._abstract import AbstractTranscription, Meanwhile
@@ -24,6 +24,7 @@ from aleator.transcription.simultaneous._guess import Guess, start_of
 from aleator.transcription.simultaneous._mesh import Mesh
 from aleator.transcription.simultaneous._mesh_error import BETWEEN
 from aleator.transcription.simultaneous._pointwise import Pointwise
+from aleator.transcription.simultaneous._refinement import Goal
 from aleator.transcription.simultaneous._segments import FLOWN
 from aleator.transcription.simultaneous._signals import ALONG
 from aleator.transcription.simultaneous._start import SIMULATED, AbstractStart
@@ -47,6 +48,10 @@ class Simultaneous(AbstractTranscription):
     - `error`: the error of the states that is asked of every interval of the mesh, relative to their magnitudes. The
       mesh begins as the steps of the grid; intervals that err more are divided until all are as accurate. None leaves
       it as it is;
+    - `most_stages`: schemes with as many stages as are asked for (`al.schemes.Radau`, `GaussLegendre`) may be given
+      more, up to so many: on each finer mesh that takes the least points, dividing intervals or raising the order of
+      all. Then few long intervals follow smooth states; controls on the mesh are not made finer where intervals are not
+      divided. By default the scheme stays as it is;
     - `guess`: the states to start from, where a simulation at the initial decisions is useless: a function of time, in
       s, that returns the states by name or in the system's order, the same for all realisations; a table of them, with
       the instants as "time" (a dict, an `xarray.Dataset` or a NumPy array with named fields), with straight lines
@@ -61,6 +66,7 @@ class Simultaneous(AbstractTranscription):
 
     scheme: AbstractScheme = field(default_factory=HermiteSimpson)
     error: float | None = None
+    most_stages: int | None = None
     guess: Guess | None = field(default=None, compare=False, repr=False)
     _start: AbstractStart = field(init=False, repr=False)
 
@@ -73,6 +79,8 @@ class Simultaneous(AbstractTranscription):
                 f"Simultaneous: error: expected {_LEAST_ERROR:g} (64-bit arithmetic gives no more) to below 1; "
                 f"received {self.error!r}."
             )
+        if self.most_stages is not None:
+            _check_stages(self.scheme, self.error, self.most_stages)
         object.__setattr__(self, "_start", start_of(self.guess))
 
     @property
@@ -105,8 +113,25 @@ class Simultaneous(AbstractTranscription):
         found = discretised(problem).at_scenarios(scenarios)
         meanwhile(problem, found)
         mesh = Mesh(first_nodes(problem), self.scheme, Pointwise.of(problem).has_jumps)
-        accuracy = np.inf if self.error is None else float(self.error)
-        return Way(problem, traced, traced, found, scenarios, accuracy, self._start).transcribed(mesh)
+        raised = () if self.most_stages is None else self.scheme.raised(self.most_stages)
+        goal = Goal(np.inf if self.error is None else float(self.error), (self.scheme, *raised))
+        return Way(problem, traced, traced, found, scenarios, goal, self._start).transcribed(mesh)
+
+
+def _check_stages(scheme: AbstractScheme, error: float | None, most: int) -> None:
+    """Refuse a largest number of stages that no refined mesh could have."""
+    if whole("Simultaneous: most_stages", most) > MOST_STAGES:
+        raise refusal("Simultaneous: most_stages", f"at most {MOST_STAGES} stages", most)
+    if error is None:
+        raise ProblemError(
+            "Simultaneous: most_stages says how meshes may be refined: expected an error to refine them for, such as "
+            "error=1e-6; received none."
+        )
+    if not scheme.raised(most):
+        raise ProblemError(
+            f"Simultaneous: most_stages: expected a scheme whose stages can be raised to {most}, such as "
+            f"al.schemes.Radau(3) to 8; received {scheme}."
+        )
 
 
 def _refuse(problem: Problem) -> None:

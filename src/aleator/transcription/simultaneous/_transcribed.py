@@ -41,19 +41,20 @@ from aleator.transcription.simultaneous._first_point import started
 from aleator.transcription.simultaneous._guess import state_shapes
 from aleator.transcription.simultaneous._layout import Layout, Plan
 from aleator.transcription.simultaneous._mesh import Mesh
-from aleator.transcription.simultaneous._mesh_error import interval_errors, parts_of, states_on
+from aleator.transcription.simultaneous._mesh_error import Drift, drift_of, states_on
 from aleator.transcription.simultaneous._nonlinear import program_of
 from aleator.transcription.simultaneous._pointwise import Pointwise
 from aleator.transcription.simultaneous._program import Assembled
+from aleator.transcription.simultaneous._refinement import Goal, refinement
 from aleator.transcription.simultaneous._rows import Given
 from aleator.transcription.simultaneous._scales import scales
-from aleator.transcription.simultaneous._segments import segment_errors, segment_states_on
+from aleator.transcription.simultaneous._segments import segment_drift, segment_states_on
 from aleator.transcription.simultaneous._shapes import apart
 from aleator.transcription.simultaneous._signals import are_affine
 from aleator.transcription.simultaneous._start import AbstractStart
 from aleator.uncertainty import named_numbers
 
-# Steps of a simulation for each interval of a mesh.
+# Steps of a simulation for each step in an interval of a mesh, if it has no more points inside.
 _FINER = 2
 # So many meshes at most, and variables of the last: where something jumps inside, no mesh would ever be fine enough.
 _MOST_MESHES, _MOST_VARIABLES = 8, 1_000_000
@@ -83,14 +84,14 @@ TOLD = Compiled(_told, use=Use.ONCE, unchanged=refuse_changed_code)
 class SimultaneouslyTranscribed(AbstractTranscribed):
     """A problem as a sparse program in its decisions and in the states of all realisations at the points of a mesh.
 
-    - `accuracy`: the error of an interval that is asked for, infinite for none; `meshes`: those before;
+    - `goal`: what is asked of meshes; `meshes`: those before;
     - `begins`: where programs of the problem start;
     - `equations`: the problem, traced, as it is on the first mesh: with its rates and outputs, which are compiled once.
     """
 
     layout: Layout
     assembled: Assembled
-    accuracy: float
+    goal: Goal
     begins: AbstractStart
     equations: Problem
     meshes: tuple[MeshError, ...] = ()
@@ -154,24 +155,25 @@ class SimultaneouslyTranscribed(AbstractTranscribed):
     @override
     def fineness(self) -> int:
         mesh, grid = self.layout.plan.mesh, self.problem.grid
-        return _FINER * mesh.scheme.rate.steps * round(1 / (mesh.lengths.min() * grid.steps))
+        steps = max(_FINER * mesh.scheme.rate.steps, len(mesh.scheme.points) - 2)
+        return steps * round(1 / (mesh.lengths.min() * grid.steps))
 
     @override
     def meshes_at(self, point: Float[np.ndarray, " variables"]) -> tuple[MeshError, ...]:
-        return *self.meshes, self._mesh_error(point)
+        return *self.meshes, self._reported(self._drift(point), point)
 
     @override
     def refined(
         self, point: Float[np.ndarray, " variables"]
     ) -> "tuple[SimultaneouslyTranscribed, Float[np.ndarray, ' variables']] | None":
-        error, mesh = self._mesh_error(point), self.layout.plan.mesh
+        drift, mesh = self._drift(point), self.layout.plan.mesh
+        error = self._reported(drift, point)
         if error.is_met or len(self.meshes) + 1 == _MOST_MESHES:
             return None
-        parts = parts_of(error.errors, self.accuracy, mesh.scheme.estimated_order)
-        parts = whole_parts(self.problem, parts)
-        if self.layout.count * parts.mean() > _MOST_VARIABLES:
+        scheme, parts = refinement(self.goal, mesh.scheme, drift)
+        finer = mesh.refined(scheme, whole_parts(self.problem, parts))
+        if self.layout.count * len(finer.fractions) > _MOST_VARIABLES * len(mesh.fractions):
             return None
-        finer = mesh.divided(parts)
         values = self.layout.view(point)
         states = self._states_on(point, finer.fractions)
         problem, decisions = followed(self.problem, values.decisions, finer.nodes)
@@ -203,9 +205,7 @@ class SimultaneouslyTranscribed(AbstractTranscribed):
 
     @property
     def _way(self) -> "Way":
-        return Way(
-            self.problem, self.traced, self.equations, self.discretised, self.scenarios, self.accuracy, self.begins
-        )
+        return Way(self.problem, self.traced, self.equations, self.discretised, self.scenarios, self.goal, self.begins)
 
     def _instants(
         self, point: Float[np.ndarray, " variables"], fractions: Float[np.ndarray, " n"]
@@ -230,17 +230,17 @@ class SimultaneouslyTranscribed(AbstractTranscribed):
             return states_on(layout.plan.mesh, fractions, layout.view(point).states, self._rates(point))
         return segment_states_on(self.traced, layout, self.points, point, fractions)
 
-    def _drifts(self, point: Float[np.ndarray, " variables"]) -> Float[np.ndarray, "realisations intervals"]:
+    def _drift(self, point: Float[np.ndarray, " variables"]) -> Drift:
         layout, sizes = self.layout, self._sizes(point)
         if isinstance(layout.plan.mesh.scheme, AbstractCollocation):
-            return interval_errors(self.traced, layout, self.points, self._rates(point), point, sizes)
-        return segment_errors(self.traced, layout, self.points, point, sizes)
+            return drift_of(self.traced, layout, self.points, self._rates(point), point, sizes)
+        return segment_drift(self.traced, layout, self.points, point, sizes)
 
-    def _mesh_error(self, point: Float[np.ndarray, " variables"]) -> MeshError:
-        drifts, mesh = self._drifts(point), self.layout.plan.mesh
+    def _reported(self, drift: Drift, point: Float[np.ndarray, " variables"]) -> MeshError:
+        drifts, mesh = drift.errors.max(axis=2, initial=0.0), self.layout.plan.mesh
         worst, _ = np.unravel_index(np.argmax(drifts), drifts.shape)
         numbers = inputs_at(self.places, self.points[worst], jnp.asarray(self.decisions(point)))
-        return MeshError(self._instants(point, np.array(mesh.nodes)), mesh.scheme, drifts, self.accuracy, numbers)
+        return MeshError(self._instants(point, np.array(mesh.nodes)), mesh.scheme, drifts, self.goal.error, numbers)
 
 
 def _has_same_equations(problem: Problem, before: Pointwise) -> bool:
@@ -257,7 +257,7 @@ class Way(NamedTuple):
     equations: Problem
     found: Discretised
     scenarios: Scenarios | None
-    accuracy: float
+    goal: Goal
     begins: AbstractStart
 
     def transcribed(self, mesh: Mesh, begun: tuple[np.ndarray, np.ndarray] | None = None) -> SimultaneouslyTranscribed:
@@ -268,7 +268,9 @@ class Way(NamedTuple):
         every = points if scenarios is None else np.concatenate([points, scenarios.points])
         fit = np.asarray(collocation.pseudo_inverse)
         asked = Pointwise.of(problem)
-        plan = Plan(mesh, len(points), len(every) - len(points), len(fit), are_affine(asked, mesh))
+        plan = Plan(
+            mesh, self.goal.schemes[0], len(points), len(every) - len(points), len(fit), are_affine(asked, mesh)
+        )
         layout, given = Layout.of(problem, plan), Given.of(asked)
         assembled = Assembled.of(layout, traced, self.equations, constants, every, fit, given)
         decisions, states = begun or self._first(mesh, every)
@@ -285,7 +287,7 @@ class Way(NamedTuple):
             scenarios,
             layout=layout,
             assembled=assembled,
-            accuracy=self.accuracy,
+            goal=self.goal,
             begins=self.begins,
             equations=self.equations,
         )
