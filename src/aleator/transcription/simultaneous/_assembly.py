@@ -5,6 +5,7 @@ entries of the Jacobian are linear in those of the blocks' Jacobians, and the en
 of the blocks' Hessians, by constant matrices that are put together once.
 """
 
+import math
 from dataclasses import dataclass
 from typing import Any, final
 
@@ -13,48 +14,63 @@ import scipy
 from jaxtyping import Float, Int
 
 from aleator.nlp import SparseMatrix, with_entries
+from aleator.transcription.simultaneous._blocks import Family
 
 
 @final
 @dataclass(frozen=True)
 class Pattern:
-    """Which variables the blocks of a family depend on, and where its rows stand among those of all blocks.
+    """Which variables the blocks of a family are given, how they depend on them, and where their rows stand among all.
 
-    - `columns`: shape (outer, inner, columns); `rows`: shape (outer, inner, rows).
+    - `columns`: shape (outer, inner, columns); `rows`: shape (outer, inner, rows);
+    - `slopes`: the entries of a block's Jacobian that may differ from zero, among all row by row; `bends`: those of
+      its Hessian's lower triangle.
     """
 
     columns: Int[np.ndarray, "outer inner columns"]
     rows: Int[np.ndarray, "outer inner rows"]
+    slopes: Int[np.ndarray, " slopes"]
+    bends: Int[np.ndarray, " bends"]
 
     @classmethod
-    def of(cls, shared: np.ndarray, own: np.ndarray, rows: np.ndarray) -> "Pattern":
-        """That of blocks with some shared and some own variables."""
-        shared = np.broadcast_to(shared, (*own.shape[:2], shared.size))
-        return cls(np.concatenate([shared, own], axis=2), rows)
+    def of(cls, family: Family, first: int) -> "Pattern":
+        """That of a family which holds the numbers of its variables, from the first number of a row on."""
+        shared, own = np.asarray(family.shared), np.asarray(family.own)
+        shared, depends = np.broadcast_to(shared, (*own.shape[:2], shared.size)), family.dependence
+        shape = *own.shape[:2], len(depends.first)
+        rows = np.arange(first, first + math.prod(shape)).reshape(shape)
+        columns = np.concatenate([shared, own], axis=2)
+        return cls(columns, rows, np.flatnonzero(depends.first), np.flatnonzero(np.tril(depends.second)))
 
     @property
-    def shape(self) -> tuple[int, ...]:
-        """That of the Jacobians: outer, inner, rows, columns."""
-        return *self.rows.shape, self.columns.shape[2]
+    def slopes_shape(self) -> tuple[int, ...]:
+        """That of the entries of all blocks' Jacobians."""
+        return *self.rows.shape[:2], self.slopes.size
 
     @property
-    def lower_shape(self) -> tuple[int, ...]:
-        """That of the Hessians' lower triangles: outer, inner, entries."""
-        columns = self.columns.shape[2]
-        return *self.rows.shape[:2], columns * (columns + 1) // 2
+    def bends_shape(self) -> tuple[int, ...]:
+        """That of the entries of the Hessians' lower triangles."""
+        return *self.rows.shape[:2], self.bends.size
 
     @property
     def entries(self) -> tuple[np.ndarray, np.ndarray]:
-        """The row and the column of each entry of the Jacobians, block by block and row by row."""
-        rows, columns = np.broadcast_arrays(self.rows[..., :, None], self.columns[..., None, :])
-        return rows.ravel(), columns.ravel()
+        """The row and the column of each entry of the Jacobians, block by block."""
+        rows, columns = np.divmod(self.slopes, max(self.columns.shape[2], 1))
+        return self.rows[..., rows].ravel(), self.columns[..., columns].ravel()
 
     @property
     def lower(self) -> tuple[np.ndarray, np.ndarray]:
         """The row and the column of each entry of the Hessians' lower triangles, in the program's own."""
-        first, second = np.tril_indices(self.columns.shape[2])
+        first, second = np.divmod(self.bends, max(self.columns.shape[2], 1))
         one, other = self.columns[..., first].ravel(), self.columns[..., second].ravel()
         return np.maximum(one, other), np.minimum(one, other)
+
+    def full(self, entries: Float[np.ndarray, " entries"]) -> Float[np.ndarray, "outer inner rows columns"]:
+        """The Jacobians of all blocks, from their entries."""
+        shape = *self.rows.shape, self.columns.shape[2]
+        found = np.zeros((*shape[:2], shape[2] * shape[3]))
+        found[..., self.slopes] = entries.reshape(self.slopes_shape)
+        return found.reshape(shape)
 
 
 @final

@@ -2,7 +2,8 @@
 
 All that is nonlinear in a simultaneous program is a family of equal blocks: the rates at a mesh point of a realisation,
 an output at an instant, a limit at an instant. A family is differentiated by `vmap` over its blocks, whatever their
-number; which variables a block depends on is known by construction.
+number; which variables a block is given is known by construction, and which of them each row depends on follows from
+its equations.
 """
 
 from collections.abc import Callable
@@ -11,9 +12,10 @@ from typing import Any, NamedTuple, TypeAlias
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Num
+from jaxtyping import Array, Float, Int, Num
 
 from aleator._core.arrays import Pytree
+from aleator.transcription.simultaneous._dependence import Dependence, dependence
 
 Block: TypeAlias = Callable[[Pytree, Pytree, Array, Array], Float[Array, " rows"]]
 """Of the data of the outer and of the inner index, of the shared and of the block's own variables."""
@@ -48,24 +50,34 @@ class Family(NamedTuple):
         return jax.vmap(row)(self.outer, self.own, *given)
 
     @property
-    def row_count(self) -> int:
-        """How many rows a block has. The variables may be their numbers: nothing is computed."""
+    def dependence(self) -> Dependence:
+        """How the rows of a block depend on its shared variables, then its own. Variables may be their numbers."""
 
         def of_one(tree: Any) -> Any:
             return jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape[1:], leaf.dtype), tree)
 
-        shared, own = (jax.ShapeDtypeStruct((size,), float) for size in (self.shared.size, self.own.shape[2]))
-        return jax.eval_shape(self.function, of_one(self.outer), of_one(self.inner), shared, own).size
+        variables = [jax.ShapeDtypeStruct((size,), float) for size in (self.shared.size, self.own.shape[2])]
+        return dependence(self.function, (of_one(self.outer), of_one(self.inner)), variables)
 
     def differentiated(
-        self,
-    ) -> tuple[Float[Array, "outer inner rows"], Float[Array, "outer inner rows columns"]]:
-        """The rows of every block and their derivatives by its shared variables, then by its own."""
-        return self.mapped(_differentiated)
+        self, entries: Int[np.ndarray, " entries"]
+    ) -> tuple[Float[Array, "outer inner rows"], Float[Array, "outer inner entries"]]:
+        """The rows of every block and some of their derivatives by its shared variables, then by its own.
 
-    def curved(self, weights: Float[Array, "outer inner rows"]) -> Float[Array, "outer inner lower"]:
-        """The second derivatives of every block's weighted sum of rows: the lower triangle, row by row."""
-        return self.mapped(_curved, weights)
+        - `entries`: which, row by row.
+        """
+        values, slopes = self.mapped(_differentiated)
+        return values, slopes.reshape(*slopes.shape[:2], -1)[..., entries]
+
+    def curved(
+        self, weights: Float[Array, "outer inner rows"], entries: Int[np.ndarray, " entries"]
+    ) -> Float[Array, "outer inner entries"]:
+        """Some of the second derivatives of every block's weighted sum of rows.
+
+        - `entries`: which, row by row.
+        """
+        bends = self.mapped(_curved, weights)
+        return bends.reshape(*bends.shape[:2], -1)[..., entries]
 
 
 def _differentiated(block: Callable[..., Array], shared: Array, own: Array) -> tuple[Array, Array]:
@@ -80,5 +92,4 @@ def _differentiated(block: Callable[..., Array], shared: Array, own: Array) -> t
 def _curved(block: Callable[..., Array], shared: Array, own: Array, weights: Array) -> Array:
     slopes = jax.grad(lambda s, o: weights @ block(s, o), argnums=(0, 1))
     bends = jax.jacfwd(lambda s, o: jnp.concatenate(slopes(s, o)), argnums=(0, 1))(shared, own)
-    whole = jnp.concatenate(bends, axis=1)
-    return whole[np.tril_indices(shared.size + own.size)]
+    return jnp.concatenate(bends, axis=1)

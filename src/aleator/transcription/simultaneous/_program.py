@@ -43,7 +43,7 @@ def _calls(
     sizes[RATES] = tile_size(sizes[RATES][0], len(first.mesh.asked))
     sizes[EQUATIONS] = tile_size(sizes[EQUATIONS][0], len(first.mesh.sides))
     sizes[PATHS] = tile_size(*sizes[PATHS])
-    tiles = [tiles_of(i, one, patterns[i].rows, sizes[i]) for i, one in enumerate(every)]
+    tiles = [tiles_of(i, one, patterns[i], sizes[i]) for i, one in enumerate(every)]
     rows = [one.rows.size for one in patterns]
     moving = [
         calls_of(equations, None, first.mesh.scheme.rate, [(one,) for one in tiles[i]]) for i in _MOVING if rows[i]
@@ -67,7 +67,7 @@ class Blocks:
     ) -> tuple[Float[np.ndarray, " rows"], Float[np.ndarray, " entries"]]:
         """The rows of all blocks, and the entries of their Jacobians."""
         values, rows = _together([one.rows.shape for one in self.patterns])
-        slopes, entries = _together([one.shape for one in self.patterns])
+        slopes, entries = _together([one.slopes_shape for one in self.patterns])
         for tile, (value, slope) in results([call.evaluation(variables) for call in self.calls]):
             tile.write(value, values)
             tile.write(slope, slopes)
@@ -77,7 +77,7 @@ class Blocks:
         self, variables: Float[np.ndarray, " n"], weights: Float[np.ndarray, " rows"]
     ) -> Float[np.ndarray, " entries"]:
         """The entries of the Hessians of all blocks, their rows weighted: lower triangles, row by row."""
-        bends, entries = _together([one.lower_shape for one in self.patterns])
+        bends, entries = _together([one.bends_shape for one in self.patterns])
         for tile, bend in results([call.curvature(variables, weights) for call in self._curved]):
             tile.write(bend, bends)
         return entries
@@ -88,7 +88,7 @@ class Blocks:
 
     @property
     def _curved(self) -> list[Call]:
-        return [call for call in self.calls if any(one.variables.size for one in call.tiles)]
+        return [call for call in self.calls if any(one.form.bends for one in call.tiles)]
 
 
 def _together(shapes: list[tuple[int, ...]]) -> tuple[list[np.ndarray], np.ndarray]:
@@ -137,17 +137,14 @@ class Assembled:
             every = families(layout, traced, constants, jnp.asarray(points), layout.numbers).every
         first, patterns = 0, []
         for one in every:
-            shape = *one.own.shape[:2], one.row_count
-            rows = np.arange(first, first + math.prod(shape)).reshape(shape)
-            patterns.append(Pattern.of(np.asarray(one.shared), np.asarray(one.own), rows))
-            first += rows.size
+            patterns.append(Pattern.of(one, first))
+            first += patterns[-1].rows.size
         slopes = constant_slopes(traced, layout)
         rows = rows_of(layout, [one.rows for one in patterns], fit, slopes, given)
         evaluated = Blocks(_calls(traced, equations, constants, layout, every, patterns), patterns)
         evaluated.begin(np.zeros(layout.count), first)
-        before = sum(math.prod(one.shape) for one in patterns[:OBJECTIVE])
-        objective = patterns[OBJECTIVE]
-        entries = slice(before, before + math.prod(objective.shape))
+        objective, before = patterns[OBJECTIVE], sum(math.prod(one.slopes_shape) for one in patterns[:OBJECTIVE])
+        entries = slice(before, before + math.prod(objective.slopes_shape))
         return cls(
             rows,
             slopes,
@@ -155,7 +152,7 @@ class Assembled:
             Remembered(evaluated),
             Jacobian.of(rows.linear, rows.combined, patterns),
             Curvature.of(patterns, layout.count),
-            (int(objective.rows.item()), entries, objective.columns.ravel()),
+            (int(objective.rows.item()), entries, objective.entries[1]),
             patterns[RATES].rows,
         )
 
@@ -183,9 +180,8 @@ class Assembled:
         self, variables: Float[np.ndarray, " n"], family: int
     ) -> Float[np.ndarray, "realisations places rows columns"]:
         patterns = self.evaluated.patterns
-        first = sum(math.prod(one.shape) for one in patterns[:family])
-        shape = patterns[family].shape
-        return self.blocks(variables)[1][first : first + math.prod(shape)].reshape(shape)
+        first, last = (sum(math.prod(one.slopes_shape) for one in patterns[:end]) for end in (family, family + 1))
+        return patterns[family].full(self.blocks(variables)[1][first:last])
 
     def constraints(self, variables: Float[np.ndarray, " n"]) -> Float[np.ndarray, " rows"]:
         """The rows of the program."""

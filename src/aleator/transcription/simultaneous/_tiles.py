@@ -18,6 +18,7 @@ from aleator._core.compilation import Bound, Compiled, Use
 from aleator.design import Problem, refuse_changed_code
 from aleator.dynamics import AbstractMeanRate
 from aleator.statistics import Constants
+from aleator.transcription.simultaneous._assembly import Pattern
 from aleator.transcription.simultaneous._blocks import Family
 from aleator.transcription.simultaneous._families import functions
 from aleator.transcription.simultaneous._layout import Plan
@@ -31,7 +32,8 @@ _LEAST, _MOST, _MOST_OUTER, _STEP = 64, 4096, 32, 8
 class Form(NamedTuple):
     """The shapes of what some blocks of a family are given: shared and own variables, and data of each index, if any.
 
-    - `family`: its number; `rows`: the shape of their rows.
+    - `family`: its number; `rows`: the shape of their rows;
+    - `slopes`, `bends`: which of a block's derivatives are asked for, as bytes of their numbers: see `Pattern`.
     """
 
     family: int
@@ -40,6 +42,8 @@ class Form(NamedTuple):
     outer: tuple[int, ...] | None
     inner: tuple[int, ...] | None
     rows: tuple[int, ...]
+    slopes: bytes
+    bends: bytes
 
 
 Source: TypeAlias = tuple[Problem, Constants | None, Plan | AbstractMeanRate, tuple[Form, ...]]
@@ -59,16 +63,19 @@ def _given(source: Source, numbers: Array) -> list[Family]:
 
 def _evaluate(
     source: Source, numbers: Float[Array, " n"]
-) -> list[tuple[Float[Array, "outer inner rows"], Float[Array, "outer inner rows columns"]]]:
-    return [one.differentiated() for one in _given(source, numbers)]
+) -> list[tuple[Float[Array, "outer inner rows"], Float[Array, "outer inner slopes"]]]:
+    asked = [np.frombuffer(form.slopes, dtype=int) for form in source[-1]]
+    return [one.differentiated(entries) for one, entries in zip(_given(source, numbers), asked, strict=True)]
 
 
 def _curve(
     source: Source, at: tuple[Float[Array, " n"], Float[Array, " rows"]]
-) -> list[Float[Array, "outer inner lower"]]:
+) -> list[Float[Array, "outer inner bends"]]:
     numbers, weights = at
     each = apart(weights, [form.rows for form in source[-1]])
-    return [one.curved(weighted) for one, weighted in zip(_given(source, numbers), each, strict=True)]
+    asked = [np.frombuffer(form.bends, dtype=int) for form in source[-1]]
+    given = zip(_given(source, numbers), each, asked, strict=True)
+    return [one.curved(weighted, entries) for one, weighted, entries in given]
 
 
 def _unchanged(source: Source, *_: Any) -> None:
@@ -101,9 +108,7 @@ class Tile:
         target[...] = found[: target.shape[0], : target.shape[1]]
 
 
-def tiles_of(
-    number: int, family: Family, rows: Int[np.ndarray, "outer inner rows"], size: tuple[int, int]
-) -> list[Tile]:
+def tiles_of(number: int, family: Family, pattern: Pattern, size: tuple[int, int]) -> list[Tile]:
     """A family, which holds the numbers of its variables, in tiles of a size."""
     shared, own = np.asarray(family.shared), np.asarray(family.own)
     data = [None if isinstance(one, tuple) else np.asarray(one) for one in (family.outer, family.inner)]
@@ -117,11 +122,20 @@ def tiles_of(
         of_outer, of_inner = (None if one is None else one[some] for one, some in zip(data, which, strict=True))
         found.append(
             Tile(
-                Form(number, shared.shape, own[at].shape, _shape(of_outer), _shape(of_inner), rows[at].shape),
+                Form(
+                    number,
+                    shared.shape,
+                    own[at].shape,
+                    _shape(of_outer),
+                    _shape(of_inner),
+                    pattern.rows[at].shape,
+                    pattern.slopes.tobytes(),
+                    pattern.bends.tobytes(),
+                ),
                 (slice(i, min(i + height, outer)), slice(j, min(j + width, inner))),
                 np.concatenate([shared, own[at].ravel()]),
                 np.concatenate([np.zeros(0), *(one.ravel() for one in (of_outer, of_inner) if one is not None)]),
-                rows[at].ravel(),
+                pattern.rows[at].ravel(),
             )
         )
     return found

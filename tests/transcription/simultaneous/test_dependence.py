@@ -1,0 +1,90 @@
+"""Which variables blocks depend on: against their derivatives at generic points."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from aleator.transcription.simultaneous._dependence import dependence
+
+MATRIX = np.arange(1.0, 10.0).reshape(3, 3)
+
+
+@jax.custom_jvp
+def rounded(x):
+    return jnp.round(x)
+
+
+@rounded.defjvp
+def _(primals, tangents):
+    return rounded(*primals), tangents[0]
+
+
+def iterated(x):
+    """A root by a loop, whose equations are not followed."""
+    return jax.lax.fori_loop(0, 5, lambda _, y: y - (y**2 - x[0]) / (2 * y), 1.0 + x[1] * 0)
+
+
+# Blocks of four variables each; whether the pattern is as narrow as it can be.
+BLOCKS = {
+    "one number each": (lambda x: jnp.stack([x[0], x[1] * x[2], jnp.sin(x[3]), x[0] + 2.0]), True),
+    "a quotient": (lambda x: jnp.stack([x[0] / x[1], x[2] / 3.0, 1.0 / x[3]]), True),
+    "powers": (lambda x: jnp.stack([x[0] ** 2, x[1] ** 1.5, x[2] ** x[3]]), True),
+    "products of matrices": (lambda x: MATRIX @ x[:3] * x[3], True),
+    "a product of two": (lambda x: jnp.outer(x[:2], x[2:]) @ x[:2], True),
+    "a batch of products": (lambda x: jnp.einsum("ij,ik->ijk", x.reshape(2, 2), x.reshape(2, 2)).ravel(), True),
+    "sums": (lambda x: jnp.stack([jnp.sum(x[:2] ** 2), jnp.cumsum(x)[1], jnp.mean(x[2:])]), True),
+    "sums from behind": (lambda x: jax.lax.cumsum(x, reverse=True), True),
+    "places": (lambda x: jnp.concatenate([x[::-1], jnp.pad(x[1:2], (1, 2)), jnp.roll(x, 1)]), True),
+    "chosen places": (lambda x: x[np.array([2, 0])] * x[np.array([0, 3])], False),
+    "a norm": (lambda x: jnp.linalg.norm(x[:2])[None], True),
+    "a choice": (lambda x: jnp.where(x[0] > 0, x[1] ** 2, x[2])[None], False),
+    "the larger": (lambda x: jnp.maximum(x[:2], x[2:]), False),
+    "a rule of its own": (lambda x: rounded(x[:2]) * x[2:], False),
+    "a loop": (lambda x: jnp.stack([iterated(x), x[2]]), False),
+    "a nested function": (lambda x: jax.jit(lambda y: y[:2] * jnp.exp(y[2:]))(x), True),
+    "a solution": (lambda x: jnp.linalg.solve(jnp.eye(2) + x[:2, None] * x[None, 1:3], x[2:]), False),
+    "nothing": (lambda x: jnp.ones(2), True),
+    "numbers that are counted": (lambda x: jnp.sum(x > 0)[None] * x[:1], True),
+    "no numbers beside": (lambda x: jnp.concatenate([x[:0], x, jnp.zeros(0)]), True),
+    "spread numbers": (lambda x: (jnp.ones((3, 1)) * x[None, :2]).ravel(), True),
+    "one number for all": (lambda x: x[0] * x, True),
+}
+
+
+def derivatives(block, count=4):
+    """Where the first and second derivatives of a block differ from zero at some generic points."""
+    rng = np.random.default_rng(7)
+    every = rng.uniform(0.5, 2.0, (3, count))
+    first, second = (np.asarray(jax.jit(jax.vmap(one))(every)) for one in (jax.jacfwd(block), jax.hessian(block)))
+    return np.any(np.abs(first) > 1e-12, axis=0), np.any(np.abs(second) > 1e-12, axis=(0, 1))
+
+
+@pytest.mark.parametrize("name", BLOCKS)
+def test_no_derivative_lies_outside_of_the_pattern(name):
+    block, is_narrow = BLOCKS[name]
+    found, (first, second) = dependence(block, (), [jnp.zeros(4)]), derivatives(block)
+    assert found.first.shape == first.shape
+    assert not (first & ~found.first).any()
+    assert not (second & ~found.second).any()
+    if is_narrow:
+        assert np.array_equal(found.first, first)
+        assert np.array_equal(found.second, second)
+
+
+def test_data_are_no_variables_and_variables_stand_side_by_side():
+    found = dependence(lambda d, s, o: d["a"] * s[0] * o, ({"a": jnp.ones(2)},), [jnp.zeros(1), jnp.zeros(2)])
+    assert np.array_equal(found.first, [[True, True, False], [True, False, True]])
+    assert np.array_equal(found.second, [[False, True, True], [True, False, False], [True, False, False]])
+
+
+def test_many_variables_are_followed_one_by_one():
+    found = dependence(lambda x: x[7] * x[300:301] + jnp.sum(x[:3]), (), [jax.ShapeDtypeStruct((1000,), float)])
+    assert np.array_equal(np.flatnonzero(found.first), [0, 1, 2, 7, 300])
+    assert np.array_equal(np.argwhere(found.second), [[7, 300], [300, 7]])
+
+
+def test_blocks_of_very_many_variables_are_full():
+    found = dependence(lambda x: 2.0 * x, (), [jax.ShapeDtypeStruct((4000,), float)])
+    assert found.first.all()
+    assert found.second.all()
