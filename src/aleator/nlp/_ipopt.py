@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from typing import Any, final
 
 import numpy as np
-import scipy
 from typing_extensions import override
 
 from aleator.nlp._casadi import callbacks_of
@@ -18,10 +17,8 @@ _CLAIMS = {
     "Infeasible_Problem_Detected": Status.INFEASIBLE,
     "Maximum_Iterations_Exceeded": Status.ITERATION_LIMIT,
 }
-# The codes of orderings in MUMPS. The second leaves factors of chains with less fill (a quadrotor's 400 intervals: 2.0
-# instead of 2.8 CPU seconds), but takes long itself if a variable stands in very many rows: in more than so many times
-# the root of their number.
-_MINIMUM_DEGREE, _NESTED_DISSECTION, _MANY = 0, 5, 10.0
+# The code of this ordering in MUMPS.
+_APPROXIMATE_MINIMUM_DEGREE = 0
 
 
 @final
@@ -91,19 +88,13 @@ class Ipopt(AbstractSolver):
             "ipopt.bound_relax_factor": 0.0,
         }
         if scaled.curved is not None:
-            options["ipopt.mumps_pivot_order"] = _ordering(scaled)
+            # MUMPS's default ordering takes most of the time if many rows share a variable.
+            options["ipopt.mumps_pivot_order"] = _APPROXIMATE_MINIMUM_DEGREE
         if warm:
             options |= {"ipopt.warm_start_init_point": "yes", "ipopt.mu_init": 1e-6}
             pushes = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac", "mult_bound_push")
             options |= {f"ipopt.warm_start_{push}": 1e-8 for push in pushes}
         return options
-
-
-def _ordering(scaled: ScaledProgram) -> int:
-    """The ordering for factorisations of a sparse program, by the rows of its variables that are free."""
-    shared = np.bincount(scipy.sparse.csr_array(scaled.sparsity).indices, minlength=scaled.size)
-    most = np.max(shared[scaled.lower < scaled.upper], initial=0)
-    return _MINIMUM_DEGREE if most > _MANY * np.sqrt(scaled.rows) else _NESTED_DISSECTION
 
 
 def _warm(scaled: ScaledProgram, multipliers: np.ndarray) -> dict[str, np.ndarray]:
