@@ -47,6 +47,19 @@ BLOCKS = {
     "nothing": (lambda x: jnp.ones(2), True),
     "numbers that are counted": (lambda x: jnp.sum(x > 0)[None] * x[:1], True),
     "no numbers beside": (lambda x: jnp.concatenate([x[:0], x, jnp.zeros(0)]), True),
+    "a sum of nothing": (lambda x: x + jnp.sum(x[:0] * x[0]) + jnp.cumsum(x[:0] * x[1]).sum(), False),
+    "spread nothing": (lambda x: x[:2] + (jnp.ones((0, 3)) * x[:0, None]).sum(), False),
+    "complex numbers": (lambda x: jnp.real((x[0] + 1j * x[1]) ** 2)[None], False),
+    "a complex magnitude": (lambda x: jnp.abs(x[:1] + 1j * x[1:2]) * x[2:3], True),
+    "complex exponentials": (lambda x: jnp.imag(jnp.exp(1j * x)), False),
+    "a transform": (lambda x: jnp.abs(jnp.fft.fft(x)), False),
+    "short numbers": (lambda x: (x.astype(jnp.bfloat16) ** 2).astype(float), True),
+    "random numbers": (
+        lambda x: jax.lax.scan(
+            lambda c, _: ((c[0] * jax.random.normal(c[1]), c[1]), None), (x, jax.random.key(0)), length=2
+        )[0][0],
+        False,
+    ),
     "spread numbers": (lambda x: (jnp.ones((3, 1)) * x[None, :2]).ravel(), True),
     "one number for all": (lambda x: x[0] * x, True),
 }
@@ -82,6 +95,12 @@ def test_many_variables_are_followed_one_by_one():
     found = dependence(lambda x: x[7] * x[300:301] + jnp.sum(x[:3]), (), [jax.ShapeDtypeStruct((1000,), float)])
     assert np.array_equal(np.flatnonzero(found.first), [0, 1, 2, 7, 300])
     assert np.array_equal(np.argwhere(found.second), [[7, 300], [300, 7]])
+
+
+def test_blocks_with_very_large_arrays_are_full_wherever_these_are():
+    large = np.ones((2000, 2000))
+    found = dependence(jax.jit(lambda x: jnp.sum(jnp.sin(large * x[0]))[None]), (), [jnp.zeros(4)])
+    assert found.first.all()
 
 
 def test_blocks_of_very_many_variables_are_full():

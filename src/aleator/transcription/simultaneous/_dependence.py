@@ -5,11 +5,13 @@ program has a quarter of the entries. Equations that are not known below count a
 that patterns may be too wide, but never too narrow.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from functools import reduce
 from typing import Any, NamedTuple, TypeAlias, final
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import scipy
 from jax.extend.core import Literal
@@ -58,8 +60,7 @@ def dependence(function: Callable[..., Array], data: Sequence[Any], variables: S
     closed, shape = jax.make_jaxpr(function, return_shape=True)(*data, *variables)
     sizes = [int(np.prod(one.shape)) for one in variables]
     count, rows = sum(sizes), int(np.prod(shape.shape))
-    largest = max((one.aval.size for equation in closed.jaxpr.eqns for one in equation.outvars), default=0)
-    if max(largest, count) * count > _MOST:
+    if max(_largest(closed.jaxpr), count) * count > _MOST:
         return Dependence(np.ones((rows, count), dtype=bool), np.ones((count, count), dtype=bool))
     jaxpr, _ = dce_jaxpr(closed.jaxpr, [True], instantiate=True)
     certain = len(jaxpr.invars) - len(variables)
@@ -67,6 +68,15 @@ def dependence(function: Callable[..., Array], data: Sequence[Any], variables: S
     following = _Following(count)
     (found,) = following.results(jaxpr, [*[None] * certain, *alone])
     return Dependence(np.zeros((rows, count), dtype=bool) if found is None else found, following.bent)
+
+
+def _largest(jaxpr: Any) -> int:
+    """The size of the largest array in some equations."""
+    found = 0
+    for equation in jaxpr.eqns:
+        inner = equation.params.get(_NESTED.get(equation.primitive.name, ""))
+        found = max(found, *(one.aval.size for one in equation.outvars), _largest(inner.jaxpr) if inner else 0)
+    return found
 
 
 @final
@@ -123,8 +133,9 @@ class _Following:
         count = len(self.bent)
         each = zip((one, other), equation.invars, summed, kept, strict=True)
         left, right = (_arranged(table, count, given.aval.shape, *axes) for table, given, *axes in each)
-        self._bend(left.any(axis=1).reshape(-1, count), right.any(axis=1).reshape(-1, count))  # type: ignore[union-attr]
-        return (left.any(axis=2)[:, :, None] | right.any(axis=2)[:, None]).reshape(-1, count)  # type: ignore[index]
+        self._bend(*(_one_after_another(np.logical_or.reduce(side, axis=1)) for side in (left, right)))
+        before, after = (np.logical_or.reduce(side, axis=2) for side in (left, right))
+        return _one_after_another(before[:, :, None] | after[:, None])
 
     def _bend(self, one: _Known, other: _Known) -> None:
         """Numbers of one are multiplied by those of the other."""
@@ -144,13 +155,19 @@ def _spread(equation: Any, operands: list[_Known]) -> list[_Known]:
     return [
         one
         if one is None or given == shape
-        else np.broadcast_to(one.reshape(*given, -1), (*shape, one.shape[1])).reshape(-1, one.shape[1])
+        else _one_after_another(np.broadcast_to(one.reshape(*given, one.shape[1]), (*shape, one.shape[1])))
         for one, given in zip(operands, shapes, strict=True)
     ]
 
 
+def _one_after_another(table: Bool[np.ndarray, "... variables"]) -> _Table:
+    """An array's numbers along one axis. There may be none of them."""
+    return table.reshape(math.prod(table.shape[:-1]), table.shape[-1])
+
+
 def _is_smooth(variable: Any) -> bool:
-    return np.issubdtype(variable.aval.dtype, np.floating)
+    """Whether an array may have derivatives: complex numbers do, and keys of random numbers do not."""
+    return jnp.issubdtype(variable.aval.dtype, jnp.inexact)
 
 
 def _moves_by_known_places(equation: Any) -> bool:
@@ -178,13 +195,14 @@ def _moved(equation: Any, operands: list[_Known]) -> list[_Known]:
 def _summed(equation: Any, operand: _Known) -> _Known:
     if operand is None:
         return None
-    table, params = operand.reshape(*equation.invars[0].aval.shape, -1), equation.params
+    count, params = operand.shape[1], equation.params
+    table = operand.reshape(*equation.invars[0].aval.shape, count)
     if equation.primitive.name == "reduce_sum":
         found = np.logical_or.reduce(table, axis=tuple(params["axes"]))
     else:
         axis, turn = params["axis"], np.flip if params["reverse"] else lambda one, _: one
         found = turn(np.logical_or.accumulate(turn(table, axis), axis=axis), axis)
-    return found.reshape(-1, operand.shape[1])
+    return _one_after_another(found)
 
 
 def _arranged(
