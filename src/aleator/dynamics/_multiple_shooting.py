@@ -10,9 +10,11 @@ import numpy as np
 from jaxtyping import Float, Int
 from typing_extensions import override
 
-from aleator._core.given import whole
+from aleator._core.given import refusal, whole
 from aleator.dynamics._mean_rates import AbstractMeanRate, SegmentRate
 from aleator.dynamics._schemes import AbstractScheme
+
+_MOST_STEPS = 100
 
 
 @final
@@ -22,13 +24,16 @@ class MultipleShooting(AbstractScheme):
     mesh of states would make too large, and whose segments can be simulated. Algebraic variables are solved for on the
     way.
 
-    Raises `ProblemError` unless there is at least one step.
+    Raises `ProblemError` unless there are between 1 and 100 steps: second derivatives of a segment are dense in the
+    signals of all of its steps, so that more segments take less memory than more steps.
     """
 
     steps: int = 4
 
     def __post_init__(self) -> None:
-        whole("MultipleShooting: steps", self.steps)
+        if whole("MultipleShooting: steps", self.steps) > _MOST_STEPS:
+            expected = f"at most {_MOST_STEPS} steps in a segment (take more segments: a grid of more steps)"
+            raise refusal("MultipleShooting: steps", expected, self.steps)
 
     @override
     def __str__(self) -> str:

@@ -7,6 +7,7 @@ from typing import NamedTuple, final
 import numpy as np
 
 from aleator._core.errors import ProblemError
+from aleator._core.given import shown
 from aleator.nlp._matrices import Matrix, SparseMatrix, check_sparsity, entries, rows_of_entries
 from aleator.nlp._ties import Ties, check_ties
 
@@ -117,7 +118,7 @@ class NonlinearProgram:
         _check_positive("variable_scale", self.variable_scale)
         _check_positive("constraint_scale", self.constraint_scale)
         if not np.isfinite(self.start).all():
-            raise ProblemError(f"Expected a finite `start`. Received {self.start}.")
+            raise ProblemError(f"Expected a finite `start`; received {shown(self.start)}.")
 
 
 def _expected_lengths(program: NonlinearProgram) -> dict[str, int]:

@@ -7,7 +7,7 @@ from typing import final
 import numpy as np
 from jaxtyping import Float
 
-from aleator.solution._states import ranges
+from aleator.solution._states import known, ranges
 
 
 @final
@@ -28,7 +28,7 @@ class Costates:
     values: Mapping[str, Float[np.ndarray, "realisations nodes ..."]]
 
     def __getitem__(self, name: str) -> Float[np.ndarray, "realisations nodes ..."]:
-        return self.values[name]
+        return known(self.values, name)
 
     def __str__(self) -> str:
         return f"costates of {ranges(self.values)}, {len(self.germs)} realisations at {len(self.times)} nodes"
@@ -54,7 +54,7 @@ class Switching:
     values: Mapping[str, Float[np.ndarray, "points ..."]]
 
     def __getitem__(self, name: str) -> Float[np.ndarray, "points ..."]:
-        return self.values[name]
+        return known(self.values, name)
 
     def __str__(self) -> str:
         return f"switching function of {ranges(self.values)}, at {len(self.times)} points"

@@ -7,6 +7,8 @@ from typing import final
 import numpy as np
 from jaxtyping import Float
 
+from aleator._core.given import refusal
+
 
 @final
 @dataclass(frozen=True)
@@ -23,7 +25,7 @@ class States:
     values: Mapping[str, Float[np.ndarray, "realisations points ..."]]
 
     def __getitem__(self, name: str) -> Float[np.ndarray, "realisations points ..."]:
-        return self.values[name]
+        return known(self.values, name)
 
     @property
     def fractions(self) -> Float[np.ndarray, " points"]:
@@ -33,6 +35,13 @@ class States:
     def __str__(self) -> str:
         count, span = len(self.germs), f"from t = {self.times[0]:.4g} to {self.times[-1]:.4g} s"
         return f"{count} realisation{'s'[: count > 1]} at {len(self.times)} points {span}: {ranges(self.values)}"
+
+
+def known(values: Mapping[str, np.ndarray], name: str) -> np.ndarray:
+    """One of some arrays. Raises `ProblemError` if there is none of this name."""
+    if name not in values:
+        raise refusal("name", f"one of {list(values)}", name)
+    return values[name]
 
 
 def ranges(values: Mapping[str, np.ndarray]) -> str:

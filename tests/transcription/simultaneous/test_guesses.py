@@ -108,6 +108,7 @@ TABLES = {
         list(zip(TIMES, *COLUMNS.values(), strict=True)), [("time", float), ("angle", float), ("rate", float)]
     ),
     "a function that returns the states in order": lambda t: tuple(turning(t).values()),
+    "a function that returns an array": lambda t: np.array(list(turning(t).values())),
 }
 
 
@@ -136,6 +137,8 @@ def test_states_of_a_solution_are_those_of_its_realisations():
     x = solution.states["x"]
     np.testing.assert_allclose(x / gains[:, None], np.broadcast_to(x[0] / gains[0], x.shape), rtol=1e-7, atol=1e-9)
     np.testing.assert_allclose(solution.states.times[[0, -1]], [0.0, 1.0])
+    with pytest.raises(al.ProblemError, match=r"expected one of \['x', 'v'\]; received 'w'"):
+        solution.states["w"]
     assert al.solve(move()).states is None
 
 

@@ -179,3 +179,8 @@ def test_segments_are_divided_until_their_error_is_what_is_asked():
 def test_steps_are_a_whole_number(steps):
     with pytest.raises(al.ProblemError, match="MultipleShooting: steps is a whole number"):
         al.schemes.MultipleShooting(steps)
+
+
+def test_very_many_steps_of_a_segment_are_refused():
+    with pytest.raises(al.ProblemError, match="at most 100 steps in a segment"):
+        al.schemes.MultipleShooting(2000)

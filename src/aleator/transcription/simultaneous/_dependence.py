@@ -135,7 +135,7 @@ class _Following:
         left, right = (_arranged(table, count, given.aval.shape, *axes) for table, given, *axes in each)
         self._bend(*(_one_after_another(np.logical_or.reduce(side, axis=1)) for side in (left, right)))
         before, after = (np.logical_or.reduce(side, axis=2) for side in (left, right))
-        return _one_after_another(before[:, :, None] | after[:, None])
+        return _one_after_another(np.logical_or(before[:, :, None], after[:, None]))
 
     def _bend(self, one: _Known, other: _Known) -> None:
         """Numbers of one are multiplied by those of the other."""

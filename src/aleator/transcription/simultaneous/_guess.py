@@ -186,6 +186,8 @@ def state_shapes(problem: Problem) -> dict[str, tuple[int, ...]]:
 
 def _flat(what: str, given: Any, shapes: Mapping[str, tuple[int, ...]]) -> Float[np.ndarray, " states"]:
     """The states at one instant, side by side. Raises `ProblemError` unless there is a finite value for each."""
+    if isinstance(given, np.ndarray | jax.Array) and given.ndim:
+        given = list(given)
     if isinstance(given, Sequence) and not isinstance(given, str) and len(given) == len(shapes):
         given = dict(zip(shapes, given, strict=True))
     if not isinstance(given, Mapping):
