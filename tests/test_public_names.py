@@ -114,6 +114,22 @@ def test_what_few_programs_need_is_not_loaded_with_the_package():
         "h5py",
         "diffrax",
     ]
-    script = f"import sys, aleator; print([name for name in {late} if name in sys.modules])"
+    script = f"""
+import sys, aleator as al
+first = [name for name in sys.modules if name.startswith("aleator.") and not name.startswith("aleator._core")]
+al.Problem, al.solve, al.validate, al.Uniform, al.Multibody
+print(first, [name for name in {late} if name in sys.modules])
+"""
     found = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=120, check=True)
-    assert found.stdout.strip() == "[]"
+    assert found.stdout.strip() == "[] []"
+
+
+def test_numbers_have_64_bits_before_anything_is_used():
+    script = "import aleator, jax.numpy as jnp; print(jnp.ones(2).dtype)"
+    found = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=120, check=True)
+    assert found.stdout.strip() == "float64"
+
+
+def test_a_misspelt_name_is_refused_with_one_that_exists():
+    found = subprocess.run([sys.executable, "-c", "import aleator; aleator.Probelm"], capture_output=True, text=True)
+    assert found.stderr.strip().endswith("module 'aleator' has no attribute 'Probelm'. Did you mean: 'Problem'?")
