@@ -15,34 +15,13 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
+from many_scenarios import Crane
 from typing_extensions import override
 
 import aleator as al
 
 ERRORS = (1e-6, 1e-9)
 MOST_STAGES = 10
-
-
-class Crane(al.System):
-    """A trolley of 1 kg that carries a load on a rope."""
-
-    states = ("x", "v", "angle", "rate")
-
-    rope: Any
-    load: Any
-
-    @override
-    def rhs(self, t: Any, z: Any, u: Any) -> Any:
-        del t
-        sine, cosine = jnp.sin(z.angle), jnp.cos(z.angle)
-        push = u + self.load * sine * (self.rope * z.rate**2 + 9.81 * cosine)
-        acceleration = push / (1.0 + self.load * sine**2)
-        return z.v, acceleration, z.rate, -(acceleration * cosine + 9.81 * sine) / self.rope
-
-    @override
-    def outputs(self, t: Any, z: Any, u: Any) -> Any:
-        del t
-        return {"x": z.x, "v": z.v, "angle": z.angle, "rate": z.rate, "cost": u**2}
 
 
 class Damped(al.System):
@@ -111,10 +90,10 @@ def crane() -> al.Problem:
     """Carry the load one metre and leave it still on average, whatever the rope's length and the load are."""
     goal = {"x": 1.0, "v": 0.0, "angle": 0.0, "rate": 0.0}
     return al.Problem(
-        Crane(rope=al.Uniform(1.0, half_width=0.1), load=al.Uniform(0.3, half_width=0.05)),
+        Crane(length=al.Uniform(1.0, half_width=0.1), mass=al.Uniform(0.3, half_width=0.05)),
         grid=al.Grid(2.0, 8),
-        inputs={"u": _spline(8, 20.0)},
-        minimize=al.integral("cost").mean,
+        inputs={"force": _spline(8, 20.0)},
+        minimize=al.integral("effort").mean,
         subject_to=[
             *(al.terminal(name).mean.equals(value) for name, value in goal.items()),
             al.path("angle").within(-0.5, 0.5, sigmas=2.0),

@@ -1,8 +1,8 @@
 """Which variables a block depends on, and which pairs of them bend it: from its traced equations, never from values.
 
-Of the derivatives of a quadrotor's rates by its states and controls a fifth can differ from zero; without the others a
-program has a quarter of the entries. Equations that are not known below count as bent by all that they are given, so
-that patterns may be too wide, but never too narrow.
+Few derivatives of a larger model's rates by its states and signals can differ from zero; the others would be entries of
+the program all the same. Equations that are not known below count as bent by all that they are given, so that patterns
+may be too wide, but never too narrow.
 """
 
 import math

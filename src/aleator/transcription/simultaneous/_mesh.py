@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import final
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, Num
+from jaxtyping import Float, Int, Num
 
 from aleator.dynamics import AbstractScheme
 
@@ -62,11 +62,6 @@ class Mesh:
         every = np.stack(np.broadcast_arrays(np.append(inside, nodes[1:, None], axis=1), 0.0), axis=2)
         every[:, -1, 1] = self.has_jumps
         return self._told(every)
-
-    @property
-    def is_before(self) -> Bool[np.ndarray, " places"]:
-        """Whether a signal that jumps at one of the `places` is told as it is before."""
-        return self.places[:, 1] > 0
 
     @property
     def sides(self) -> Int[np.ndarray, " places"]:

@@ -45,9 +45,7 @@ def _calls(
     sizes[PATHS] = tile_size(*sizes[PATHS])
     tiles = [tiles_of(i, one, patterns[i], sizes[i]) for i, one in enumerate(every)]
     rows = [one.rows.size for one in patterns]
-    moving = [
-        calls_of(equations, None, first.mesh.scheme.rate, [(one,) for one in tiles[i]]) for i in _MOVING if rows[i]
-    ]
+    moving = [calls_of(equations, None, scheme.rate, [(one,) for one in tiles[i]]) for i in _MOVING if rows[i]]
     known = calls_of(traced, constants, layout.plan, [tuple(tiles[KNOWN])])
     rest = [some[0] for i, some in enumerate(tiles) if i not in (KNOWN, *_MOVING) and rows[i]]
     still = calls_of(traced, constants, first, [tuple(rest)])
@@ -98,6 +96,12 @@ def _together(shapes: list[tuple[int, ...]]) -> tuple[list[np.ndarray], np.ndarr
     return [every[first:last].reshape(shape) for first, last, shape in zip(ends, ends[1:], shapes, strict=False)], every
 
 
+def _entries_of(patterns: list[Pattern], family: int) -> slice:
+    """Where the entries of a family's Jacobians stand among those of all."""
+    first, last = (sum(math.prod(one.slopes_shape) for one in patterns[:end]) for end in (family, family + 1))
+    return slice(first, last)
+
+
 @final
 @dataclass(frozen=True)
 class Assembled:
@@ -143,8 +147,7 @@ class Assembled:
         rows = rows_of(layout, [one.rows for one in patterns], fit, slopes, given)
         evaluated = Blocks(_calls(traced, equations, constants, layout, every, patterns), patterns)
         evaluated.begin(np.zeros(layout.count), first)
-        objective, before = patterns[OBJECTIVE], sum(math.prod(one.slopes_shape) for one in patterns[:OBJECTIVE])
-        entries = slice(before, before + math.prod(objective.slopes_shape))
+        objective = patterns[OBJECTIVE]
         return cls(
             rows,
             slopes,
@@ -152,7 +155,7 @@ class Assembled:
             Remembered(evaluated),
             Jacobian.of(rows.linear, rows.combined, patterns),
             Curvature.of(patterns, layout.count),
-            (int(objective.rows.item()), entries, objective.entries[1]),
+            (int(objective.rows.item()), _entries_of(patterns, OBJECTIVE), objective.entries[1]),
             patterns[RATES].rows,
         )
 
@@ -180,8 +183,7 @@ class Assembled:
         self, variables: Float[np.ndarray, " n"], family: int
     ) -> Float[np.ndarray, "realisations places rows columns"]:
         patterns = self.evaluated.patterns
-        first, last = (sum(math.prod(one.slopes_shape) for one in patterns[:end]) for end in (family, family + 1))
-        return patterns[family].full(self.blocks(variables)[1][first:last])
+        return patterns[family].full(self.blocks(variables)[1][_entries_of(patterns, family)])
 
     def constraints(self, variables: Float[np.ndarray, " n"]) -> Float[np.ndarray, " rows"]:
         """The rows of the program."""

@@ -28,7 +28,8 @@ def _flown(
     - `pieces`: fractions of the duration.
     """
     decisions, duration, states = at
-    asked, shared = Pointwise.of(problem), jnp.append(decisions[Pointwise.of(problem).direct], duration)
+    asked = Pointwise.of(problem)
+    shared = jnp.append(decisions[asked.direct], duration)
     first, last = np.array(pieces).T
     places = np.stack(np.broadcast_arrays(np.linspace(first, last, len(rate.told), axis=1), 0.0), axis=2)
     # A piece sees its own side of a jump.

@@ -24,7 +24,8 @@ _AT_ONCE = 64
 
 def known_numbers(asked: Pointwise, mesh: Mesh, decisions: Float[Array, " n"]) -> Float[Array, " known"]:
     """The signals at all places of a mesh, one by one, then the duration."""
-    signals = asked.known(mesh.places[:, 0], decisions, mesh.is_before)
+    fractions, is_before = mesh.places.T
+    signals = asked.known(fractions, decisions, is_before > 0)
     return jnp.append(signals.ravel(), asked.duration(decisions))
 
 

@@ -230,7 +230,12 @@ class SimultaneouslyTranscribed(AbstractTranscribed):
             return states_on(layout.plan.mesh, fractions, layout.view(point).states, self._rates(point))
         return segment_states_on(self.traced, layout, self.points, point, fractions)
 
-    def _drift(self, point: Float[np.ndarray, " variables"]) -> Drift:
+    @cached_property
+    def _drift(self) -> Remembered[Drift]:
+        # Whether the last mesh is fine enough is asked before it is told.
+        return Remembered(self._drift_at)
+
+    def _drift_at(self, point: Float[np.ndarray, " variables"]) -> Drift:
         layout, sizes = self.layout, self._sizes(point)
         if isinstance(layout.plan.mesh.scheme, AbstractCollocation):
             return drift_of(self.traced, layout, self.points, self._rates(point), point, sizes)
