@@ -33,8 +33,8 @@ class Family(NamedTuple):
     """
 
     function: Block
-    shared: Num[Array, " shared"]
-    own: Num[Array, "outer inner own"]
+    shared: Num[Array | np.ndarray, " shared"]
+    own: Num[Array | np.ndarray, "outer inner own"]
     outer: Pytree = ()
     inner: Pytree = ()
 
@@ -44,7 +44,7 @@ class Family(NamedTuple):
         def one(outer: Pytree, inner: Pytree, own: Array, *each: Array) -> Any:
             return operate(lambda s, o: self.function(outer, inner, s, o), self.shared, own, *each)
 
-        def row(outer: Pytree, own: Array, *each: Array) -> Any:
+        def row(outer: Pytree, own: Any, *each: Array) -> Any:
             return jax.vmap(lambda inner, o, *rest: one(outer, inner, o, *rest))(self.inner, own, *each)
 
         return jax.vmap(row)(self.outer, self.own, *given)

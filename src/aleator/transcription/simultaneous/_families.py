@@ -69,7 +69,7 @@ def families(
     layout: Layout,
     problem: Problem,
     constants: Constants,
-    points: Float[Array, "realisations germs"],
+    points: Float[np.ndarray, "realisations germs"],
     variables: Variables,
 ) -> Families:
     """The families of a problem, with the variables that they are given: their values, or their numbers.
@@ -78,22 +78,22 @@ def families(
     """
     asked, mesh = layout.asked, layout.plan.mesh
     instants, sides = mesh.instants(asked.grid.fractions), mesh.instant_sides(asked.grid.fractions)
-    places, every = jnp.asarray(mesh.places), np.arange(len(mesh.sides))
-    model = jnp.concatenate([variables.decisions[asked.direct], variables.duration])
-    none = jnp.asarray(variables.decisions)[None, None, :0]
+    places, every = mesh.places, np.arange(len(mesh.sides))
+    model = np.concatenate([variables.decisions[asked.direct], variables.duration])
+    none = variables.decisions[None, None, :0]
     integrals = variables.integrals.shape[2]
     histories = variables.paths.reshape(len(variables.paths), -1)
     summed = variables.integrals[:, -1]
-    recorded = jnp.concatenate([summed, histories if layout.needs_histories else histories[:, :0]], axis=1)
+    recorded = np.concatenate([summed, histories if layout.needs_histories else histories[:, :0]], axis=1)
 
-    def at(which: np.ndarray, sides: np.ndarray) -> Array:
+    def at(which: np.ndarray, sides: np.ndarray) -> np.ndarray:
         """Signals, states and algebraic variables at some mesh points of every realisation."""
         first = sides if sides.ndim == 1 else sides[:, 0]
-        return jnp.concatenate([signals_at(sides), variables.states[:, which], variables.algebraic[:, first]], axis=2)
+        return np.concatenate([signals_at(sides), variables.states[:, which], variables.algebraic[:, first]], axis=2)
 
-    def signals_at(sides: np.ndarray) -> Array:
+    def signals_at(sides: np.ndarray) -> np.ndarray:
         told = variables.signals[sides].reshape(len(sides), -1)
-        return jnp.broadcast_to(told, (len(points), *told.shape))
+        return np.broadcast_to(told, (len(points), *told.shape))
 
     def observed(names: tuple[str, ...], which: np.ndarray, sides: np.ndarray) -> Family:
         return Family(partial(asked.outputs, names), model, at(which, sides), points, places[sides])
@@ -107,7 +107,7 @@ def families(
         return asked.composites(layout.shapes, shared[0], own[:integrals], own[integrals:])
 
     return Families(
-        Family(known, jnp.asarray(variables.decisions)[: 0 if layout.plan.is_affine else None], none),
+        Family(known, variables.decisions[: 0 if layout.plan.is_affine else None], none),
         Family(asked.initial, model, signals_at(every[:1]), points, places[:1]),
         Family(
             partial(asked.mean_rates, mesh.scheme.rate),
@@ -119,7 +119,7 @@ def families(
         Family(asked.residuals if layout.shapes.algebraic else _nothing, model, at(mesh.sides, every), points, places),
         observed(asked.paths, instants, sides),
         observed(asked.ends, instants[-1:], sides[-1:]),
-        Family(composed, jnp.asarray(variables.duration), recorded[:, None]),
+        Family(composed, variables.duration, recorded[:, None]),
         observed(asked.nodes, mesh.instants(asked.grid.node_fractions), mesh.instant_sides(asked.grid.node_fractions)),
         tuple(_limits(layout, problem, constants, variables)),
         tuple(_integrand(layout, problem, constants, one, variables) for one in found_integrals(problem)),
@@ -139,8 +139,8 @@ def functions(problem: Problem, constants: Constants | None, plan: Plan | Abstra
         }
     assert constants is not None
     layout = Layout.of(problem, plan)
-    nowhere = jnp.zeros((plan.realisations, len(problem.placements.germ_names)))
-    every = families(layout, problem, constants, nowhere, layout.view(jnp.zeros(layout.count))).every
+    nowhere = np.zeros((plan.realisations, len(problem.placements.germ_names)))
+    every = families(layout, problem, constants, nowhere, layout.view(np.zeros(layout.count))).every
     return {i: one.function for i, one in enumerate(every)}
 
 
@@ -172,11 +172,10 @@ def _integrand(
     """The integrand of an integral over time: one block a node."""
     coefficients = {**layout.coefficients(variables), **layout.between(variables)}
     found = _limit(layout, problem, constants, expression, variables, coefficients, variables.totals[:0])
-    duration = jnp.asarray(variables.duration)
     block = found.function
     return found._replace(
         function=lambda outer, inner, s, o: s[0] * block(outer, inner, s[1:], o),
-        shared=jnp.concatenate([duration, found.shared]),
+        shared=np.concatenate([variables.duration, found.shared]),
     )
 
 
@@ -194,19 +193,19 @@ def _limit(
     - `totals`: its integrals over time.
     """
     samples, beside = layout.samples(variables), beside_integrals(expression)
-    decisions = jnp.asarray(variables.decisions if _speaks_of_numbers(beside) else variables.decisions[:0])
+    decisions = variables.decisions if _speaks_of_numbers(beside) else variables.decisions[:0]
     given = [(one, True, coefficients[one]) for one in expanded_functionals((beside,))]
     given += [(one, False, samples[one][layout.plan.points :]) for one in extreme_functionals((beside,))]
     moving, still = [], []
     for functional, is_expanded, numbers in given:
         is_own = expression.is_path and functional.is_path
         # One part an instant, the first axis.
-        numbers = jnp.moveaxis(numbers, 1, 0) if is_own else numbers
+        numbers = np.moveaxis(numbers, 1, 0) if is_own else numbers
         part = _Part(functional, is_expanded, numbers.shape[1:] if is_own else numbers.shape)
         (moving if is_own else still).append((part, numbers.reshape(len(numbers), -1) if is_own else numbers.ravel()))
-    shared = jnp.concatenate([decisions, jnp.asarray(totals), *(numbers for _, numbers in still)])
-    none = jnp.asarray(variables.decisions)[None, :0]
-    own = jnp.concatenate([numbers for _, numbers in moving], axis=1) if moving else none
+    shared = np.concatenate([decisions, totals, *(numbers for _, numbers in still)])
+    none = variables.decisions[None, :0]
+    own = np.concatenate([numbers for _, numbers in moving], axis=1) if moving else none
     block = partial(_expression, problem, constants, expression, (decisions.size, len(totals)))
     parts = [part for part, _ in still], [part for part, _ in moving]
     return Family(lambda _, __, s, o: block(parts, s, o), shared, own[None])

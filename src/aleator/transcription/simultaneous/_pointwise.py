@@ -110,13 +110,13 @@ class Pointwise:
             return decisions
 
         if not self.is_random:
-            jax.eval_shape(told, jnp.zeros(self.problem.placements.size))
+            jax.eval_shape(told, _numbers(self.problem.placements.size))
         return found
 
     @property
     def signal_count(self) -> int:
         """How many numbers the signals are that `known` tells at one point."""
-        decisions = jnp.zeros(self.problem.placements.size)
+        decisions = _numbers(self.problem.placements.size)
         return jax.eval_shape(lambda x: self.known(np.zeros(1), x), decisions).shape[1]
 
     def _tells(self, told: Callable[[System, Inputs], bool]) -> bool:
@@ -128,7 +128,7 @@ class Pointwise:
             found.append(told(system, inputs))
             return decisions
 
-        jax.eval_shape(realised, jnp.zeros(self.problem.placements.size))
+        jax.eval_shape(realised, _numbers(self.problem.placements.size))
         return any(found)
 
     @property
@@ -239,21 +239,20 @@ class Pointwise:
 
     def shapes(self) -> Shapes:
         """The shapes of what is recorded: nothing is computed."""
-        germ, place = jnp.zeros(len(self.problem.placements.germ_names)), jnp.zeros(2)
-        decisions = jnp.zeros(self.problem.placements.size)
+        germ, place = _numbers(len(self.problem.placements.germ_names)), _numbers(2)
         signals = self.signal_count
-        shared, first = jnp.append(decisions[self.direct], 1.0), jnp.zeros(signals)
-        states = jax.eval_shape(lambda: self.initial(germ, place, shared, first)).size
-        own = jnp.zeros(signals + states)
+        shared, first = _numbers(self.direct.size + 1), _numbers(signals)
+        states = jax.eval_shape(self.initial, germ, place, shared, first).size
 
-        def found() -> tuple[Any, ...]:
+        def found(germ: Array, place: Array, shared: Array, own: Array) -> tuple[Any, ...]:
             system, t, z, now = self._at(germ, place, shared, own)
             outputs = observation(system, t, z, now)
             names = (*self.paths, *self.ends)
             algebraic = guessed_algebraic(system, t, z, now) if system.algebraic else ()
             return algebraic, self._integrated.rates(system, t, z, now), {name: outputs[name] for name in names}
 
-        algebraic, integrals, outputs = jax.eval_shape(found)
+        own = _numbers(signals + states)
+        algebraic, integrals, outputs = jax.eval_shape(found, germ, place, shared, own)
         return Shapes(
             states,
             sum(one.size for one in algebraic),
@@ -301,3 +300,8 @@ class Pointwise:
         if rest.size:
             z = with_algebraic(system, z, taken_by(lambda: guessed_algebraic(system, t, z, now), rest)[0])
         return system, t, z, now
+
+
+def _numbers(count: int) -> jax.ShapeDtypeStruct:
+    """So many numbers, for functions of which the shapes alone are asked."""
+    return jax.ShapeDtypeStruct((count,), float)

@@ -5,8 +5,6 @@ from dataclasses import dataclass, replace
 from itertools import accumulate
 from typing import final
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
@@ -137,8 +135,7 @@ class Assembled:
 
         - `equations`: a problem with the same rates and outputs, of which these are compiled.
         """
-        with jax.ensure_compile_time_eval():
-            every = families(layout, traced, constants, jnp.asarray(points), layout.numbers).every
+        every = families(layout, traced, constants, points, layout.numbers).every
         first, patterns = 0, []
         for one in every:
             patterns.append(Pattern.of(one, first))

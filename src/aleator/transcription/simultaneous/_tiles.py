@@ -110,7 +110,7 @@ class Tile:
 
 def tiles_of(number: int, family: Family, pattern: Pattern, size: tuple[int, int]) -> list[Tile]:
     """A family, which holds the numbers of its variables, in tiles of a size."""
-    shared, own = np.asarray(family.shared), np.asarray(family.own)
+    shared, own = family.shared, family.own
     data = [None if isinstance(one, tuple) else np.asarray(one) for one in (family.outer, family.inner)]
     outer, inner = own.shape[:2]
     height, width = size
