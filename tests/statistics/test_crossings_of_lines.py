@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from aleator._core.compilation import Use, compiled_for
-from aleator.statistics._crossings import bracketed_roots, extrema
+from aleator.statistics._crossings import extrema, horner, roots_between
 
 LINES = 4000
 
@@ -17,12 +17,12 @@ def polynomials(degree):
 
 
 def crossings(powers):
-    roots, _ = bracketed_roots(powers, extrema(powers))
-    return roots
+    edges = extrema(powers)
+    return roots_between(powers, edges, horner(powers, edges))
 
 
 @pytest.mark.parametrize("use", Use)
-@pytest.mark.parametrize("degree", [3, 5, 8])
+@pytest.mark.parametrize("degree", [1, 2, 3, 5, 8])
 def test_crossings_are_the_real_roots_of_each_polynomial(degree, use):
     powers = polynomials(degree)
     found = np.asarray(compiled_for(use, jax.jit(crossings).lower(jnp.asarray(powers)))(jnp.asarray(powers)))

@@ -14,7 +14,7 @@ from small_expansions import basis_of, coefficients_of_polynomial, random_coeffi
 from aleator._core.errors import ProblemError
 from aleator.expansion import Basis
 from aleator.statistics import ConditionalValueAtRisk, Probability, Quantile, cdf, lines_through, pdf, prepare
-from aleator.statistics._crossings import bracketed_roots, extrema, horner
+from aleator.statistics._crossings import extrema, horner, roots_between
 from aleator.statistics._line_distribution import finite_ends, line_distribution
 from aleator.uncertainty import HermiteGerm, JacobiGerm, LaguerreGerm, LegendreGerm
 from compiling import compiled
@@ -250,7 +250,7 @@ def test_all_roots_of_polynomials_are_found_between_their_extrema():
         roots = np.sort(generator.uniform(-1.5, 1.5, (degree, 50)), axis=0)
         powers = jnp.asarray(np.stack([np.polynomial.polynomial.polyfromroots(one) for one in roots.T], axis=1))
         edges = compiled(extrema)(powers)
-        found, _ = compiled(bracketed_roots)(powers, edges)
+        found = compiled(roots_between)(powers, edges, horner(powers, edges))
         residuals = np.asarray(horner(powers, found))
         is_root = (np.asarray(found) > edges[:-1]) & (np.asarray(found) < edges[1:])
         assert is_root.sum(axis=0).tolist() == (np.abs(roots) < 1).sum(axis=0).tolist()

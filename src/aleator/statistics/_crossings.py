@@ -1,8 +1,8 @@
 """All real roots of many polynomials at once, on the interval from -1 to 1.
 
 Between neighbouring extrema a polynomial is monotone and has at most one root, which bisection cannot miss. The extrema
-are the roots of the derivative, found in the same way from those of the second derivative, and so on. Unlike a search
-on a grid, this misses none.
+are the roots of the derivative, found in the same way from those of the second derivative, and so on, down to a
+quadratic one. Unlike a search on a grid, this misses none.
 """
 
 import jax
@@ -10,8 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-# Newton's method within a bracket, bisection where a step leaves it: exact to rounding for simple roots.
-_ITERATIONS = 14
+# Newton's method within a bracket, bisection where a step leaves it. It ends when the last root moves by no more than
+# this, after which the error of a simple root, which a step squares, is rounding.
+_MOST_ITERATIONS, _AT_REST = 30, 1e-9
 # At a root, rounding may put a value and a step on different sides. A step that leaves the bracket by less than this
 # part of it, or by rounding, ends at its edge: bisection would lose the digits found so far.
 _AT_THE_EDGE, _ROUNDING = 1e-6, 1e-14
@@ -24,39 +25,69 @@ def extrema(powers: Float[Array, "orders *lines"]) -> Float[Array, "edges *lines
     """
     degree = len(powers) - 1
     end = jnp.ones((1, *powers.shape[1:]))
-    edges = jnp.concatenate([-end, end])
-    for order in range(degree - 1, 0, -1):
-        inner, _ = bracketed_roots(_derivative(powers, order), edges)
-        edges = jnp.concatenate([-end, inner, end])
+    inner = _lowest(_derivative(powers, max(degree - 2, 1))) if degree > 1 else end[:0]
+    edges = jnp.concatenate([-end, inner, end])
+    for order in range(degree - 3, 0, -1):
+        slopes = _derivative(powers, order)
+        edges = jnp.concatenate([-end, roots_between(slopes, edges, horner(slopes, edges)), end])
     return edges
 
 
-def bracketed_roots(
-    powers: Float[Array, "orders *lines"], edges: Float[Array, "edges *lines"]
-) -> tuple[Float[Array, "intervals *lines"], Bool[Array, "intervals *lines"]]:
-    """The root between each pair of neighbouring edges, and whether the polynomial rises there.
+def _lowest(powers: Float[Array, "orders *lines"]) -> Float[Array, "roots *lines"]:
+    """The roots of polynomials of degree one or two in rising order: 1 for those that are not real, none beyond ±1."""
+    constant, linear = powers[:2]
+    if len(powers) == 2:
+        return jnp.clip(_ratio(-constant, linear), -1.0, 1.0)[None]
+    # One of the two by its sum with the other would lose digits.
+    radicand = linear**2 - 4 * powers[2] * constant
+    half = -(linear + jnp.where(linear < 0, -1.0, 1.0) * jnp.sqrt(jnp.maximum(radicand, 0.0))) / 2
+    one, other = (
+        jnp.where(radicand < 0, 1.0, jnp.clip(root, -1.0, 1.0))
+        for root in (_ratio(half, powers[2]), _ratio(constant, half))
+    )
+    return jnp.stack([jnp.minimum(one, other), jnp.maximum(one, other)])
 
-    Where there is no root, it is the edge at which the value is nearest to zero.
+
+def _ratio(above: Array, below: Array) -> Array:
+    return jnp.where(below == 0, 1.0, above / jnp.where(below == 0, 1.0, below))
+
+
+def roots_between(
+    powers: Float[Array, "orders *lines"],
+    edges: Float[Array, "edges *lines"],
+    values: Float[Array, "edges *lines"],
+    start: Float[Array, "intervals *lines"] | None = None,
+) -> Float[Array, "intervals *lines"]:
+    """The root between each pair of neighbouring edges, at which the polynomials have known values.
+
+    Where there is no root, it is the edge at which the value is nearest to zero. The search begins at `start`, in the
+    middle by default.
     """
     low, high = edges[:-1], edges[1:]
-    at_low, at_high = horner(powers, low), horner(powers, high)
-    rising = at_high >= at_low
+    rising = values[1:] >= values[:-1]
+    is_below = jnp.maximum(values[:-1], values[1:]) <= 0
+    is_above = (jnp.minimum(values[:-1], values[1:]) >= 0) & ~is_below
+    # A bracket without a root is empty.
+    at_low, at_high = jnp.where(rising, is_above, is_below), jnp.where(rising, is_below, is_above)
+    low, high = jnp.where(at_high, high, low), jnp.where(at_low, low, high)
 
-    def narrow(_: int, state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-        low, high, x = state
+    def is_moving(state: tuple[Array, ...]) -> Bool[Array, ""]:
+        *_, moving, count = state
+        return moving & (count < _MOST_ITERATIONS)
+
+    def narrow(state: tuple[Array, ...]) -> tuple[Array, ...]:
+        low, high, x, _, count = state
         value, slope = _with_slope(powers, x)
         below = (value < 0) == rising
         low, high = jnp.where(below, x, low), jnp.where(below, high, x)
         newton = x - value / jnp.where(slope == 0, 1.0, slope)
         edge = _AT_THE_EDGE * (high - low) + _ROUNDING
         usable = (newton >= low - edge) & (newton <= high + edge) & (slope != 0)
-        return low, high, jnp.where(usable, jnp.clip(newton, low, high), (low + high) / 2)
+        closer = jnp.where(usable, jnp.clip(newton, low, high), (low + high) / 2)
+        return low, high, closer, jnp.any(jnp.abs(closer - x) > _AT_REST), count + 1
 
-    root = jax.lax.fori_loop(0, _ITERATIONS, narrow, (low, high, (low + high) / 2))[2]
-    ends_below = jnp.where(rising, at_high, at_low) <= 0
-    ends_above = jnp.where(rising, at_low, at_high) >= 0
-    root = jnp.where(ends_below, jnp.where(rising, high, low), root)
-    return jnp.where(ends_above & ~ends_below, jnp.where(rising, low, high), root), rising
+    x = (low + high) / 2 if start is None else jnp.clip(start, low, high)
+    return jax.lax.while_loop(is_moving, narrow, (low, high, x, jnp.array(True), jnp.zeros((), int)))[2]
 
 
 def horner(powers: Float[Array, "orders *lines"], x: Float[Array, "points *lines"]) -> Float[Array, "points *lines"]:

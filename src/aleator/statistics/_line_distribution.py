@@ -9,6 +9,7 @@ in which distributions with a singular density at an end (Beta, Gamma) are smoot
 from typing import final
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy
@@ -40,25 +41,29 @@ class LineDistribution(eqx.Module):
     monomials: Float[Array, "variables orders orders"]
     from_powers: Float[Array, "variables orders orders"]
 
-    def partial_moments(self, x: Float[Array, "edges variables lines"], orders: int) -> Float[Array, "..."]:
+    def partial_moments(self, x: Float[Array, "*points variables lines"], orders: int) -> Float[Array, "..."]:
         """`G_k(x)` for the first `orders` polynomials, along a new last axis. Not differentiable."""
         cubic, within, _ = self._spline(x, orders)
-        within = within[..., None]
-        return ((cubic[..., 0, :] * within + cubic[..., 1, :]) * within + cubic[..., 2, :]) * within + cubic[..., 3, :]
+        return _value(jnp.moveaxis(cubic, -2, 0), within[..., None])
 
-    def density(self, x: Float[Array, "edges variables lines"]) -> Float[Array, "edges variables lines"]:
-        """The probability density with respect to the scaled variable `x`."""
+    def level_and_density(self, x: Float[Array, "*points variables lines"]) -> tuple[Array, Array]:
+        """The distribution function, and the probability density with respect to the scaled variable `x`."""
         cubic, within, root = self._spline(x, 1)
-        cubic = cubic[..., 0]
-        by_root = (3 * cubic[..., 0] * within + 2 * cubic[..., 1]) * within + cubic[..., 2]
-        return -jnp.where(x > 0, 1.0, -1.0) * by_root * _CELLS / (_POWER * root ** (_POWER - 1))
+        cubic = jnp.moveaxis(cubic[..., 0], -1, 0)
+        by_root = (3 * cubic[0] * within + 2 * cubic[1]) * within + cubic[2]
+        density = -jnp.where(x > 0, 1.0, -1.0) * by_root * _CELLS / (_POWER * root ** (_POWER - 1))
+        return _value(cubic, within), density
 
     def _spline(self, x: Array, orders: int) -> tuple[Array, Array, Array]:
         """For each point: the cubic's coefficients in its cell, its place in the cell, and the root of its distance."""
         root = jnp.sqrt(jnp.sqrt(jnp.maximum(1 - jnp.abs(x), _LEAST_DISTANCE)))
         cell = jnp.clip((root * _CELLS).astype(int), 0, _CELLS - 1)
-        variable = jnp.arange(x.shape[-2])[None, :, None]
+        variable = jax.lax.broadcasted_iota(int, x.shape, x.ndim - 2)
         return self.table[variable, (x > 0).astype(int), cell, :, :orders], root * _CELLS - cell, root
+
+
+def _value(cubic: Float[Array, "4 ..."], within: Array) -> Array:
+    return ((cubic[0] * within + cubic[1]) * within + cubic[2]) * within + cubic[3]
 
 
 def line_distribution(germs: list[AbstractGerm], orders: int) -> LineDistribution:

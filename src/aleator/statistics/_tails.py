@@ -45,8 +45,8 @@ class AbstractTail(AbstractStatistic):
         return by_lines(self.of_distribution, coefficients, constants)
 
     @abc.abstractmethod
-    def of_distribution(self, distribution: OutputDistribution) -> Float[Array, ""]:
-        """The statistic of one output."""
+    def of_distribution(self, distribution: OutputDistribution) -> Float[Array, " entries"]:
+        """The statistic of some outputs."""
 
 
 @final
@@ -59,7 +59,7 @@ class Quantile(AbstractTail):
         self.level = level_given("Quantile", level)
 
     @override
-    def of_distribution(self, distribution: OutputDistribution) -> Float[Array, ""]:
+    def of_distribution(self, distribution: OutputDistribution) -> Float[Array, " entries"]:
         return distribution.mean + distribution.quantile(self.level)
 
     @override
@@ -92,7 +92,7 @@ class ConditionalValueAtRisk(AbstractTail):
         self.level, self.lower = level_given("ConditionalValueAtRisk", level), bool(lower)
 
     @override
-    def of_distribution(self, distribution: OutputDistribution) -> Float[Array, ""]:
+    def of_distribution(self, distribution: OutputDistribution) -> Float[Array, " entries"]:
         # This is extreme at the quantile, whose derivative therefore does not contribute.
         quantile = distribution.nearly_quantile(self.level)
         if self.lower:
@@ -140,9 +140,10 @@ class Probability(AbstractTail):
             )
 
     @override
-    def of_distribution(self, distribution: OutputDistribution) -> Float[Array, ""]:
-        upper = jnp.ones(()) if self.below is None else distribution.below(self.below - distribution.mean)
-        lower = jnp.zeros(()) if self.above is None else distribution.below(self.above - distribution.mean)
+    def of_distribution(self, distribution: OutputDistribution) -> Float[Array, " entries"]:
+        whole = jnp.ones(distribution.mean.shape)
+        upper = whole if self.below is None else distribution.below(jnp.asarray(self.below) - distribution.mean)
+        lower = 0 * whole if self.above is None else distribution.below(jnp.asarray(self.above) - distribution.mean)
         return upper - lower
 
     @override
@@ -201,6 +202,6 @@ def _at_each(
     if values.ndim != 1:
         raise ProblemError(f"cdf and pdf: expected values of shape (n,); received {values.shape}.")
     found = by_lines(
-        lambda distribution: jax.lax.map(lambda value: function(distribution, value), values), coefficients, lines
+        lambda distribution: jax.lax.map(lambda value: function(distribution, value), values).T, coefficients, lines
     )
     return jnp.moveaxis(found, -1, 0)
