@@ -4,6 +4,7 @@ import bisect
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any, final
 
 import numpy as np
@@ -16,8 +17,10 @@ from aleator._core.warned import warned_of
 from aleator.design import Problem, uncertain
 from aleator.nlp import AbstractSolver
 from aleator.solution import Solution
+from aleator.solving import solve
 from aleator.sweep._calibration import Calibration, Trial
 from aleator.sweep._margins import MarginSearch
+from aleator.transcription import DEFAULT, AbstractTranscription
 from aleator.validation import Evidence, Proportion, Share, rare_violation, validate, why_uncounted
 
 # All looks at fresh systems together wrongly confirm a design in one calibration out of this many.
@@ -41,6 +44,7 @@ def calibrate(
     precision: float = 0.1,
     max_trials: int = 12,
     solver: AbstractSolver | None = None,
+    transcription: AbstractTranscription = DEFAULT,
     progress: Progress = silent,
 ) -> Calibration:
     """Find the `sigmas` at which systems violate the constraints called `names` no more often than `target`.
@@ -62,7 +66,7 @@ def calibrate(
 
     An unconfirmed result is returned too, with a `CalibrationWarning` that says what is missing: see
     `Calibration.confirmed`. So is the result when Ctrl-C is pressed after the first trial. A later solve that fails
-    bounds the search.
+    bounds the search. `solver` and `transcription` are those of `al.solve`.
 
     Raises `ProblemError`, before anything is solved, for invalid arguments, and whatever the first solve raises.
     """
@@ -70,7 +74,8 @@ def calibrate(
     names = _checked(problem, names, target, samples, seed, precision, max_trials)
     sampler = _Sampler(names, float(target), samples, seed)
     given = {name: max(one.expression.sigmas or 0.0 for one in problem.named(name)) for name in names}
-    search = MarginSearch(problem, given, sampler.trial, sampler.aim, precision, solver)
+    solved = partial(solve, solver=solver, transcription=transcription)
+    search = MarginSearch(problem, given, sampler.trial, sampler.aim, precision, solved)
     run = _Run(search, sampler, max_trials, progress)
     interrupted = False
     try:

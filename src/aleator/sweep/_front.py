@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import final
 
 import numpy as np
@@ -16,6 +17,7 @@ from aleator.design import Problem, current, refuse_changed
 from aleator.nlp import AbstractSolver, Status
 from aleator.solution import Solution
 from aleator.solving import solve
+from aleator.transcription import DEFAULT, AbstractTranscription
 
 
 @final
@@ -119,6 +121,7 @@ def pareto(
     values: Sequence[float] | Float[np.ndarray, " points"],
     *,
     solver: AbstractSolver | None = None,
+    transcription: AbstractTranscription = DEFAULT,
     progress: Progress = silent,
 ) -> Front:
     """Solve a problem for each value of the bound called `bound`, starting from the nearest solution so far.
@@ -126,7 +129,7 @@ def pareto(
     The problem is compiled once, since bounds are data. A point that fails is tried again from the problem's own start,
     and then kept with its status, its smallest violation and the reason. One that is refused, because no decision can
     meet the bound, is kept as `Refused` with the message. Ctrl-C ends the sweep and returns the finished points, if
-    there are any.
+    there are any. `solver` and `transcription` are those of `al.solve`.
 
     A value given twice is solved once. Raises `ProblemError` if there is no such constraint or no value, or if every
     point is refused.
@@ -137,7 +140,7 @@ def pareto(
     bounds = list(dict.fromkeys(np.ravel(real_array("pareto: values", values)).tolist()))
     if not bounds:
         raise ProblemError("pareto: expected at least one value of the bound; received none.")
-    problem = current(problem)
+    problem, solved = current(problem), partial(solve, solver=solver, transcription=transcription, throw=False)
     problems = [problem.with_bound(bound, value) for value in bounds]
     solutions: dict[float, Solution] = {}
     refused: dict[float, Refused] = {}
@@ -150,7 +153,7 @@ def pareto(
                 refuse_changed("pareto", one, "when the front was begun")
                 try:
                     with warned_of(f"pareto, at {bound} = {value:g}"):
-                        solutions[value] = _point(one, _nearest(solutions, value), solver)
+                        solutions[value] = _point(one, _nearest(solutions, value), solved)
                 except ProblemError as error:
                     first = first or error
                     refused[value] = Refused(one, str(error))
@@ -173,10 +176,10 @@ def _nearest(solutions: Mapping[float, Solution], value: float) -> Solution | No
     return solved[min(solved, key=lambda bound: abs(bound - value))] if solved else None
 
 
-def _point(problem: Problem, neighbour: Solution | None, solver: AbstractSolver | None) -> Solution:
+def _point(problem: Problem, neighbour: Solution | None, solved: Callable[..., Solution]) -> Solution:
     """The solution at one point; if it fails from the neighbour and from the start, the less violated of the two."""
-    first = solve(problem, solver, warm_start=neighbour, throw=False)
+    first = solved(problem, warm_start=neighbour)
     if first.ok or neighbour is None:
         return first
-    second = solve(problem, solver, throw=False)
+    second = solved(problem)
     return second if second.ok or second.certificate.violation < first.certificate.violation else first

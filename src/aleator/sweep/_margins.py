@@ -9,9 +9,7 @@ import scipy
 from aleator._core.errors import AleatorError, SolveError
 from aleator._core.warned import warned_of
 from aleator.design import Problem, current, refuse_changed
-from aleator.nlp import AbstractSolver
 from aleator.solution import Solution
-from aleator.solving import solve
 from aleator.sweep._calibration import Trial
 from aleator.validation import Proportion, Share
 
@@ -27,7 +25,8 @@ class MarginSearch:
     - `given`: the initial multiples, by the names of their constraints. Their ratios are kept, and a margin is the
       largest of them;
     - `measure`: how often a design is violated, on one random sample common to all designs;
-    - `aim`: the measured rate at which fresh systems are likely to confirm a design.
+    - `aim`: the measured rate at which fresh systems are likely to confirm a design;
+    - `solved`: solves a problem, from a solution if one is given as `warm_start`.
 
     `tighten` lowers that aim after fresh systems did not confirm a design.
     """
@@ -39,11 +38,11 @@ class MarginSearch:
         measure: Callable[[Solution], Share],
         aim: Callable[[Share], float],
         precision: float,
-        solver: AbstractSolver | None,
+        solved: Callable[..., Solution],
     ):
         self._problem, self._next = current(problem), max(given.values())
         self._shares = {name: sigmas / self._next for name, sigmas in given.items()}
-        self._measure, self._aim, self._precision, self._solver = measure, aim, precision, solver
+        self._measure, self._aim, self._precision, self._solve = measure, aim, precision, solved
         self._lowered = self._tightened = 1.0
         self.trials: list[Trial] = []
         self.failures: dict[float, AleatorError] = {}
@@ -107,11 +106,11 @@ class MarginSearch:
             problem = problem.with_sigmas(name, share * sigmas)
         nearest = min(self.trials, key=lambda one: abs(one.sigmas - sigmas), default=None)
         if nearest is None:
-            return solve(problem, self._solver)
+            return self._solve(problem)
         try:
-            return solve(problem, self._solver, warm_start=nearest.solution)
+            return self._solve(problem, warm_start=nearest.solution)
         except SolveError:
-            return solve(problem, self._solver)
+            return self._solve(problem)
 
     def _limit(self, share: Share) -> float:
         return self._lowered * self._aim(share)

@@ -16,6 +16,7 @@ from aleator.design import Problem, current, refuse_changed
 from aleator.nlp import AbstractSolver
 from aleator.solution import Solution
 from aleator.solving import solve
+from aleator.transcription import DEFAULT, AbstractTranscription
 
 # Objectives, or decisions, with a smaller relative difference belong to one local optimum.
 _SAME = 1e-4
@@ -81,13 +82,15 @@ def multistart(
     spread: float = 0.3,
     seed: int = 0,
     solver: AbstractSolver | None = None,
+    transcription: AbstractTranscription = DEFAULT,
     progress: Progress = silent,
 ) -> Starts:
     """Solve a problem from several starts, given by decisions' names, or from a number of random ones.
 
     The first random start is the problem's own; the others, drawn from `seed`, differ from it by up to `spread` of each
     decision's range (of its magnitude where a bound is infinite). The problem is compiled once. A start that fails is
-    kept with its status; Ctrl-C ends the search and returns the finished solutions.
+    kept with its status; Ctrl-C ends the search and returns the finished solutions. `solver` and `transcription` are
+    those of `al.solve`.
 
     Raises `ProblemError`, before anything is solved, if there is no start, for unknown decisions, and for values that
     are not finite or of the wrong shape.
@@ -116,7 +119,8 @@ def multistart(
                 progress("starts", done, len(given))
                 refuse_changed("multistart", problem, "at the first start")
                 with warned_of(f"multistart, from start {done + 1}"):
-                    solutions.append(solve(problem, solver, start=start, throw=False))
+                    found = solve(problem, solver, transcription=transcription, start=start, throw=False)
+                    solutions.append(found)
                 heed()
         interrupted = False
         progress("starts", len(given), len(given))
