@@ -6,7 +6,7 @@ import pytest
 from scipy import stats
 
 import aleator as al
-from aleator.sweep import _calibrate, _margins
+from aleator.sweep import _calibrate
 from aleator.transcription.sequential import EVALUATE
 from tiny_models import HALF_WIDTH, LOSS, ONE_STEP, RESPONSE, Gain, gain_problem
 
@@ -193,7 +193,7 @@ def test_a_wide_target_ends_at_the_smallest_margin():
 )
 def test_calibrations_that_make_no_sense_are_refused_before_anything_is_solved(options, message, monkeypatch):
     if "solver" not in options:
-        monkeypatch.setattr(_margins, "solve", lambda *_, **__: pytest.fail("solved"))
+        monkeypatch.setattr(_calibrate, "solve", lambda *_, **__: pytest.fail("solved"))
     given = {"problem": normal_problem(), "names": "response", "samples": 2000, "target": 0.05} | options
     with pytest.raises(al.ProblemError, match=message):
         al.calibrate(**given)
@@ -217,7 +217,7 @@ def test_calibrations_that_make_no_sense_are_refused_before_anything_is_solved(o
     ids=["no spread", "deterministic", "moments"],
 )
 def test_limits_that_no_margin_moves_are_refused_before_anything_is_solved(problem, message, monkeypatch):
-    monkeypatch.setattr(_margins, "solve", lambda *_, **__: pytest.fail("solved"))
+    monkeypatch.setattr(_calibrate, "solve", lambda *_, **__: pytest.fail("solved"))
     with pytest.raises(al.ProblemError, match=message):
         al.calibrate(problem, "response", 0.1)
 
@@ -299,7 +299,7 @@ def interrupting(monkeypatch, module, name, at, error):
 
 @pytest.mark.parametrize(
     ("module", "name", "at"),
-    [(_margins, "solve", 3), (_calibrate, "validate", 3), (_calibrate, "validate", None)],
+    [(_calibrate, "solve", 3), (_calibrate, "validate", 3), (_calibrate, "validate", None)],
     ids=["solving", "counting", "confirming"],
 )
 def test_ctrl_c_returns_the_trials_that_are_finished_and_confirms_nothing(monkeypatch, module, name, at):
@@ -316,7 +316,7 @@ def test_ctrl_c_returns_the_trials_that_are_finished_and_confirms_nothing(monkey
 
 
 def test_ctrl_c_before_the_first_trial_is_ctrl_c(monkeypatch):
-    interrupting(monkeypatch, _margins, "solve", 1, KeyboardInterrupt)
+    interrupting(monkeypatch, _calibrate, "solve", 1, KeyboardInterrupt)
     with pytest.raises(KeyboardInterrupt):
         al.calibrate(shifted_problem(), "x", 0.05, samples=2000)
 
@@ -325,14 +325,14 @@ def test_ctrl_c_before_the_first_trial_is_ctrl_c(monkeypatch):
 def test_a_solve_that_fails_in_mid_search_loses_nothing(monkeypatch, error):
     broken = 2.4
 
-    honest = _margins.solve
+    honest = _calibrate.solve
 
     def solve(problem, *arguments, **options):
         if problem.constraints[0].expression.sigmas > broken:
             raise error
         return honest(problem, *arguments, **options)
 
-    monkeypatch.setattr(_margins, "solve", solve)
+    monkeypatch.setattr(_calibrate, "solve", solve)
     found = al.calibrate(shifted_problem(), "x", 0.05, samples=2000)
     assert found.confirmed
     with pytest.warns(al.CalibrationWarning, match=r"from sigmas = 2\.4\d* on there is no design \(no\)"):

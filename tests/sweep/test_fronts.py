@@ -35,16 +35,15 @@ def test_a_front_is_compiled_once_and_follows_its_closed_form():
     np.testing.assert_allclose(front.shadow_prices, 2 * (3 - gains) / (1 + SPREAD), rtol=1e-5, atol=1e-6)
 
 
-def test_a_front_and_starts_by_direct_collocation_are_those_of_shooting():
-    # The load ends at an instant of this grid.
-    problem, bounds = oscillator_problem(grid=al.Grid(4.0, 400)), [0.15, 0.12]
-    way = al.Simultaneous(al.schemes.GaussLegendre(2))
-    shot, collocated = (al.pareto(problem, "x", bounds, transcription=one) for one in (al.Sequential(), way))
-    assert collocated.solved.all()
-    np.testing.assert_allclose(collocated.objectives, shot.objectives, rtol=1e-6)
-    assert all(one.states is not None for one in collocated.solutions)
-    starts = al.multistart(problem.with_bound("x", 0.12), 2, transcription=way)
-    assert [one.objective for one in starts.solutions] == pytest.approx(2 * [shot.objectives[1]], rel=1e-6)
+def test_a_front_and_starts_by_direct_collocation_follow_the_closed_form():
+    way, bounds = al.Simultaneous(al.schemes.GaussLegendre(2)), np.array([1.0, 2.0])
+    front = al.pareto(gain_problem(), "response", bounds, transcription=way)
+    optima = (np.minimum(3.0, bounds / (1 + SPREAD)) - 3) ** 2 + 1
+    np.testing.assert_allclose(front.objectives, optima, rtol=1e-7)
+    assert all(one.states is not None for one in front.solutions)
+    starts = al.multistart(gain_problem().with_bound("response", 2.0), 2, transcription=way)
+    np.testing.assert_allclose([one.objective for one in starts.solutions], optima[1], rtol=1e-7)
+    assert all(one.states is not None for one in starts.solutions)
 
 
 def test_shadow_prices_are_the_slope_of_the_front():
