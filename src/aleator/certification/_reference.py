@@ -75,6 +75,7 @@ def _referenced(
     names = dict.fromkeys(name for one in functionals for name in one.outputs)
     peaks = tuple(Peak((name,)) for name in names)
     scope = scope_of(problem, tuple(dict.fromkeys((*functionals, *peaks))), collocation, constants, decisions)
+    scope.take_together(problem.expressions)
     values = tuple(jnp.asarray(one.evaluate(scope)) for one in problem.expressions)
     terms = [collocation.coefficients(scope.samples[one]) for one in functionals]
     means, stds = (tuple(kind.of(one, ()) for one in terms) for kind in (Mean(), Std()))

@@ -28,3 +28,4 @@ from aleator.statistics._tails import Probability as Probability
 from aleator.statistics._tails import Quantile as Quantile
 from aleator.statistics._tails import cdf as cdf
 from aleator.statistics._tails import pdf as pdf
+from aleator.statistics._together import together as together

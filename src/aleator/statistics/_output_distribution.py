@@ -5,7 +5,7 @@ First derivatives are exact. Second derivatives are not available, because the s
 
 import math
 from collections.abc import Callable
-from typing import NamedTuple, final
+from typing import NamedTuple, TypeVar, final
 
 import equinox as eqx
 import jax
@@ -18,6 +18,8 @@ from aleator.statistics._line_distribution import LineDistribution
 from aleator.statistics._lines import Lines
 from aleator.statistics._moments import root
 from aleator.statistics._statistic import in_blocks
+
+T = TypeVar("T")
 
 # Most steps in the search for a quantile; four are usual.
 _MOST_STEPS = 60
@@ -220,18 +222,33 @@ def _differences(
 
 
 def by_lines(
-    of_distribution: Callable[[OutputDistribution], Array], coefficients: Float[Array, "terms *shape"], lines: Lines
+    of_distribution: Callable[[T, OutputDistribution], Array],
+    numbers: T,
+    coefficients: Float[Array, "terms *shape"],
+    lines: Lines,
+    sharing: int = 1,
 ) -> Float[Array, "..."]:
     """A function of the distributions of entries, with these along its first axis.
 
     A single number uses all prepared lines. The more entries a path has, the fewer lines each uses, but at least 64 in
     each direction.
+
+    - `numbers`: what the function is given besides, a tree of arrays of the entries' shape; `sharing`: so many paths
+      are in one array of coefficients.
     """
-    entries, directions = math.prod(coefficients.shape[1:]), len(lines.preference)
+    leaves, structure = jax.tree.flatten(numbers)
+    entries, directions = math.prod(coefficients.shape[1:]) // sharing, len(lines.preference)
     share = max(_IN_ALL // (max(entries, 1) * directions), _FEWEST)
     count = min(lines.count, 2 ** int(math.log2(share)))
     together = max(1, _AT_ONCE // (count * directions))
-    return in_blocks(lambda terms: of_distribution(output_distribution(terms, lines, count)), coefficients, together)
+    terms = len(coefficients)
+
+    def found(rows: Float[Array, "entries columns"]) -> Array:
+        given = jax.tree.unflatten(structure, list(rows[:, terms:].T))
+        return of_distribution(given, output_distribution(rows[:, :terms], lines, count))
+
+    # The numbers of an entry follow its coefficients.
+    return in_blocks(found, jnp.concatenate([coefficients, *(leaf[None] for leaf in leaves)]), together)
 
 
 def output_distribution(coefficients: Float[Array, "entries terms"], lines: Lines, count: int) -> OutputDistribution:

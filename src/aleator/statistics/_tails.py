@@ -8,7 +8,7 @@ some hundredths of a standard deviation; `CornishFisher` is cheaper there if the
 """
 
 import abc
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import final
 
 import equinox as eqx
@@ -42,11 +42,22 @@ class AbstractTail(AbstractStatistic):
 
     @override
     def of(self, coefficients: Float[Array, "terms *shape"], constants: Lines) -> Float[Array, "*shape"]:
-        return by_lines(self.of_distribution, coefficients, constants)
+        return tails_together([self], [coefficients], constants)[0]
 
     @abc.abstractmethod
     def of_distribution(self, distribution: OutputDistribution) -> Float[Array, " entries"]:
         """The statistic of some outputs."""
+
+
+def tails_together(
+    kinds: Sequence[AbstractTail], coefficients: Sequence[Float[Array, "terms *shape"]], constants: Lines
+) -> list[Float[Array, "*shape"]]:
+    """Tails of one class and structure, of outputs of one shape: one loop for all, which is compiled once."""
+    shape = coefficients[0].shape[1:]
+    numbers = jax.tree.map(lambda *each: jnp.stack([jnp.full(shape, number, dtype=float) for number in each]), *kinds)
+    every = jnp.stack(coefficients, axis=1)
+    found = by_lines(lambda kind, outputs: kind.of_distribution(outputs), numbers, every, constants, len(kinds))
+    return list(found)
 
 
 @final
@@ -202,6 +213,6 @@ def _at_each(
     if values.ndim != 1:
         raise ProblemError(f"cdf and pdf: expected values of shape (n,); received {values.shape}.")
     found = by_lines(
-        lambda distribution: jax.lax.map(lambda value: function(distribution, value), values).T, coefficients, lines
+        lambda _, outputs: jax.lax.map(lambda value: function(outputs, value), values).T, (), coefficients, lines
     )
     return jnp.moveaxis(found, -1, 0)

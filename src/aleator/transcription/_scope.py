@@ -14,6 +14,7 @@ from aleator.design import (
     AbstractScope,
     Expression,
     Problem,
+    Statistic,
     grid_at,
     integrated_paths,
     joined,
@@ -21,7 +22,7 @@ from aleator.design import (
 )
 from aleator.dynamics import Grid
 from aleator.expansion import Collocation
-from aleator.statistics import AbstractStatistic, Constants
+from aleator.statistics import AbstractStatistic, Constants, together
 from aleator.uncertainty import named_numbers
 
 
@@ -54,20 +55,32 @@ class ExpansionScope(AbstractScope):
         self._numbers = numbers
         self._between = between
         self._totals = totals
+        self._together: dict[int, Float[Array, "..."]] = {}
 
     def evaluated(self, expressions: tuple[Expression, ...]) -> tuple[tuple[Array, ...], tuple[tuple[Array, ...], ...]]:
         """Expressions, each flattened, and the statistics that each of them took."""
         blocks, taken = [], []
+        self.take_together(expressions)
         for one in expressions:
             before = len(self.taken)
             blocks.append(jnp.ravel(one.evaluate(self)))
             taken.append(tuple(self.taken[before:]))
         return tuple(blocks), tuple(taken)
 
+    def take_together(self, expressions: tuple[Expression, ...]) -> None:
+        """Take those statistics of expressions now that share a loop, to be found where they are evaluated."""
+        atoms = [atom for one in expressions for atom in one.atoms if isinstance(atom, Statistic)]
+        found = together([(one.kind, self._terms(one.functionals)) for one in atoms], self._constants)
+        # By identity, because the numbers in a statistic are traced.
+        self._together = {id(one.kind): values for one, values in zip(atoms, found, strict=True) if values is not None}
+
+    def _terms(self, functionals: tuple[AbstractFunctional, ...]) -> Float[Array, "terms ..."]:
+        return joined([self._coefficients[one] for one in functionals])
+
     @override
     def statistic(self, functionals: tuple[AbstractFunctional, ...], kind: AbstractStatistic) -> Float[Array, "..."]:
-        terms = joined([self._coefficients[one] for one in functionals])
-        found = jnp.asarray(kind.of(terms, self._constants.of(kind)))
+        terms, found = self._terms(functionals), self._together.get(id(kind))
+        found = jnp.asarray(kind.of(terms, self._constants.of(kind)) if found is None else found)
         # Joint statistics take their functionals along a last axis.
         expected = terms.shape[1:] if len(functionals) == 1 else terms.shape[1:-1]
         if found.shape != expected:
