@@ -60,8 +60,8 @@ def roots_between(
 ) -> Float[Array, "intervals *lines"]:
     """The root between each pair of neighbouring edges, at which the polynomials have known values.
 
-    Where there is no root, it is the edge at which the value is nearest to zero. The search begins at `start`, in the
-    middle by default.
+    Where there is no root, it is the edge at which the value is nearest to zero. The search begins at `start`, or where
+    straight lines between the edges have their roots.
     """
     low, high = edges[:-1], edges[1:]
     rising = values[1:] >= values[:-1]
@@ -86,8 +86,16 @@ def roots_between(
         closer = jnp.where(usable, jnp.clip(newton, low, high), (low + high) / 2)
         return low, high, closer, jnp.any(jnp.abs(closer - x) > _AT_REST), count + 1
 
-    x = (low + high) / 2 if start is None else jnp.clip(start, low, high)
+    x = jnp.clip(secants(edges, values) if start is None else start, low, high)
     return jax.lax.while_loop(is_moving, narrow, (low, high, x, jnp.array(True), jnp.zeros((), int)))[2]
+
+
+def secants(
+    edges: Float[Array, "edges *lines"], values: Float[Array, "edges *lines"]
+) -> Float[Array, "intervals *lines"]:
+    """The roots of the straight lines between neighbouring edges, at which polynomials have some values."""
+    rise = values[1:] - values[:-1]
+    return edges[:-1] - values[:-1] * (edges[1:] - edges[:-1]) / jnp.where(rise == 0, 1.0, rise)
 
 
 def horner(powers: Float[Array, "orders *lines"], x: Float[Array, "points *lines"]) -> Float[Array, "points *lines"]:

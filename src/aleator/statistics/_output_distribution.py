@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from aleator._core.arrays import Scalar
-from aleator.statistics._crossings import extrema, horner, roots_between, slope
+from aleator.statistics._crossings import extrema, horner, roots_between, secants, slope
 from aleator.statistics._line_distribution import LineDistribution
 from aleator.statistics._lines import Lines
 from aleator.statistics._moments import root
@@ -151,8 +151,8 @@ class OutputDistribution(eqx.Module):
             return _Search(low, high, at, step, part, done, state.steps + 1)
 
         start = jnp.clip(self.std * target, low, high)
-        middle = (self.edges[:-1] + self.edges[1:]) / 2
-        nothing = _Part(middle, middle, self.weights)
+        guess = secants(self.edges, self.heights - _across(start)[None])
+        nothing = _Part(guess, guess, self.weights)
         first = _Search(
             low, high, start - self.std, self.std, nothing, jnp.zeros(self.std.shape, bool), jnp.zeros((), int)
         )
