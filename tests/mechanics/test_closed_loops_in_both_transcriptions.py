@@ -82,6 +82,7 @@ class Hung(SliderCrank):
         return super().potential_energy(q) - 0.3 * 9.81 * 0.2 * jnp.cos(q[3])
 
 
+@pytest.mark.slow
 def test_the_states_of_driven_loops_are_known_by_name_before_anything_is_simulated():
     """Their start follows from constraints and signals of the first instant."""
     swing, near = al.PowerSeries(start=(0.3, 0.0, 0.0), end=(2.3, 0.0, 0.0)), {"rod": -0.1, "slider": 0.4}

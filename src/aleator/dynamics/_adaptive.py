@@ -65,7 +65,7 @@ class AbstractAdaptive(AbstractIntegrator):
         def rates(t: Any, carried: list[Array], _: Any) -> list[Array]:
             u = now(t)
             z = completed(system, t, jax.tree.unflatten(structure, carried)[0], u)
-            return jax.tree.leaves((derivative(system, t, z, u), asked.rates(system, t, z, u)))
+            return jax.tree.leaves(asked.slopes(system, t, z, u))
 
         def observed(t: Any, carried: list[Array]) -> tuple[Any, Any, Any]:
             (z, integrals), u = jax.tree.unflatten(structure, carried), now(t)

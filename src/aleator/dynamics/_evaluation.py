@@ -37,7 +37,18 @@ def initial_state(system: System, t: Any = None, inputs: Mapping[str, Any] | Non
 
 def derivative(system: System, t: Any, z: Any, inputs: dict[str, Array]) -> Any:
     """`system.rhs` as a named tuple, one rate for each state. Algebraic variables that `z` lacks are solved for."""
-    rates = evaluated(system, system.rhs, t, completed(system, t, z, inputs), inputs)
+    return _checked_rates(system, z, evaluated(system, system.rhs, t, completed(system, t, z, inputs), inputs))
+
+
+def derivative_and_observation(
+    system: System, t: Any, z: Any, inputs: dict[str, Array]
+) -> tuple[Any, dict[str, Array]]:
+    """Both `derivative` and `observation`, by `system.rates_and_outputs`."""
+    rates, outputs = evaluated(system, system.rates_and_outputs, t, completed(system, t, z, inputs), inputs)
+    return _checked_rates(system, z, rates), as_outputs(system, outputs)
+
+
+def _checked_rates(system: System, z: Any, rates: Any) -> Any:
     name = type(system).__name__
     if not isinstance(rates, tuple | list):
         raise ProblemError(f"{name}.rhs returns one rate for each of {system.states} as a tuple; received {rates!r}.")

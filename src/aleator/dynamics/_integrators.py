@@ -88,7 +88,7 @@ class AbstractFixedStep(AbstractIntegrator):
 
         def rates(t: Array, z: Pytree, u: dict[str, Array]) -> tuple[Pytree, tuple[Array, ...]]:
             z = completed(system, t, z, u)
-            return derivative(system, t, z, u), asked.rates(system, t, z, u)
+            return asked.slopes(system, t, z, u)
 
         def advance(carried: tuple[Pytree, Pytree], now: tuple) -> tuple[tuple[Pytree, Pytree], tuple[Any, Any]]:
             (z, integrals), (t, first, after, before, *middle) = carried, now

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple, TypeAlias
 from jaxtyping import Array, Float
 
 from aleator._core.errors import ProblemError
-from aleator.dynamics._evaluation import observation
+from aleator.dynamics._evaluation import derivative, derivative_and_observation, observation
 from aleator.dynamics._system import System
 
 History: TypeAlias = dict[str, Float[Array, "instants ..."]]
@@ -42,6 +42,13 @@ class Asked(NamedTuple):
             return ()
         outputs = observation(system, t, z, now)
         return tuple(one(outputs) for one in self.integrands)
+
+    def slopes(self, system: System, t: Any, z: Any, now: dict[str, Array]) -> tuple[Any, tuple[Array, ...]]:
+        """The rates of the states, and the integrands, at one time."""
+        if not self.integrands:
+            return derivative(system, t, z, now), ()
+        slopes, outputs = derivative_and_observation(system, t, z, now)
+        return slopes, tuple(one(outputs) for one in self.integrands)
 
 
 class Record(NamedTuple):

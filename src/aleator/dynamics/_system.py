@@ -62,6 +62,13 @@ class System(AbstractSystem):
     def outputs(self, *args: Any, **kwargs: Any) -> dict[str, Any]:
         """`outputs(self, t, z, ...)`: quantities of interest by name, such as accelerations, distances and forces."""
 
+    def rates_and_outputs(self, t: Any, z: Any, *args: Any, **inputs: Any) -> tuple[Any, dict[str, Any]]:
+        """`rhs` and `outputs` with all their inputs: one after the other, unless overridden because both follow from
+        the same equations.
+        """
+        del args
+        return evaluated(self, self.rhs, t, z, inputs), evaluated(self, self.outputs, t, z, inputs)
+
     def residual(self, *args: Any, **kwargs: Any) -> Any:
         """`residual(self, t, z, ...)`: the equations of the algebraic variables, a sequence of numbers that vanish."""
         del args, kwargs

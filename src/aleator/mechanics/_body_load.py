@@ -15,7 +15,7 @@ from aleator._core.given import a_name
 from aleator.mechanics._body import Body, placement
 from aleator.mechanics._joints import AbstractAxial
 from aleator.mechanics._recursions import world_poses
-from aleator.mechanics._spatial import Wrench, added, as_array, cross
+from aleator.mechanics._spatial import Wrench, added, as_array, cross, plus
 from aleator.mechanics._tree import GROUND, Tree
 
 
@@ -63,7 +63,7 @@ def wrenches_of(kind: str, tree: Tree, q: Float[Array, " coordinates"], loads: A
         arm = local if within is None else within.position + within.rotation @ local
         inward = poses[index].rotation.T
         force = inward @ as_array(one.force, "force", (3,))
-        moment = inward @ as_array(one.moment, "moment", (3,)) + cross(arm, force)
+        moment = plus(inward @ as_array(one.moment, "moment", (3,)), cross(arm, force))
         found[index] = added(found[index], Wrench(moment, force))
     return found
 

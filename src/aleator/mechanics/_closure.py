@@ -14,13 +14,16 @@ from aleator._core.leaves import is_leaf
 from aleator.mechanics._body import frame
 from aleator.mechanics._joints import AbstractAxial, Ball, Fixed, Prismatic, Revolute
 from aleator.mechanics._recursions import motion_apart
-from aleator.mechanics._spatial import Block, Pose, all_known, composed, cross, library, plus, skew, unit
+from aleator.mechanics._spatial import Block, Pose, all_known, composed, cross, library, minus, plus, times, unit
 from aleator.mechanics._tree import GROUND, Tree
 
 Closing: TypeAlias = Revolute | Prismatic | Ball | Fixed
 """The joints that may close a loop."""
 
 _AXES = "xyz"
+
+# What turns (first, second) to (second, -first).
+_QUARTER = np.array([[0.0, 1.0], [-1.0, 0.0]])
 
 
 @final
@@ -92,9 +95,8 @@ class Closure(eqx.Module):
     def residual(self, poses: Mapping[str, Pose]) -> Float[Array, " equations"]:
         """What is left of its equations, from the poses of the bodies in the world."""
         outer, inner = self._frames(poses)
-        apart = outer.rotation.T @ (outer.position - inner.position)
-        turned = outer.rotation.T @ inner.rotation
-        return jnp.concatenate([self._point(apart), self._turn(turned)])
+        apart = times(outer.rotation.T, outer.position - inner.position)
+        return jnp.concatenate([self._point(apart), self._turn(times(outer.rotation.T, inner.rotation))])
 
     def jacobian(
         self, tree: Tree, q: Float[Array, " coordinates"], poses: Mapping[str, Pose]
@@ -102,14 +104,11 @@ class Closure(eqx.Module):
         """How they change with the speeds: exact wherever the bodies are."""
         first, second = (GROUND if end is None else tree.places[end][0] for end in (self.parent, self.child))
         outer, inner = self._frames(poses)
-        motion = motion_apart(tree, q, first, second)
-        apart = outer.rotation.T @ plus(motion.linear, -cross(inner.position, motion.angular))
-        turned, turning = outer.rotation.T @ inner.rotation, -outer.rotation.T @ motion.angular
-        columns = [
-            jnp.concatenate([self._point(apart[:, i]), self._turn(skew(turning[:, i]) @ turned)])
-            for i in range(apart.shape[1])
-        ]
-        return jnp.stack(columns, axis=1)
+        motion = motion_apart(tree, q, poses, first, second)
+        inward = outer.rotation.T
+        apart = self._point(times(inward, plus(motion.linear, minus(cross(inner.position, motion.angular)))))
+        turning = self._turning(times(inward, inner.rotation), times(inward, motion.angular))
+        return jnp.concatenate([apart, turning])
 
     def _frames(self, poses: Mapping[str, Pose]) -> tuple[Pose, Pose]:
         """The frames in the world that it brings together: on the parent and on the child."""
@@ -122,19 +121,29 @@ class Closure(eqx.Module):
 
     def _point(self, apart: Block) -> Block:
         if isinstance(self.joint, Prismatic) or self.planar:
-            return _across(self.joint.direction()) @ apart  # type: ignore[union-attr]
+            return times(_across(self.joint.direction()), apart)  # type: ignore[union-attr]
         return apart
 
     def _turn(self, turned: Block) -> Block:
-        xp = library(turned)
         if self.planar or isinstance(self.joint, Ball):
             return np.zeros(0)
         if isinstance(self.joint, Revolute):
             axis = self.joint.direction()
-            first, second = _across(axis) @ (turned @ axis)
-            return xp.stack([second, -first])
+            return times(_QUARTER @ _across(axis), times(turned, axis))
         skewed = 0.5 * (turned.T - turned)
-        return xp.stack([skewed[2, 1], skewed[0, 2], skewed[1, 0]])
+        return library(turned).stack([skewed[2, 1], skewed[0, 2], skewed[1, 0]])
+
+    def _turning(self, turned: Block, motion: Block) -> Block:
+        """How `_turn` changes with speeds: `motion` (3, speeds) is the parent's angular velocity against the child's.
+
+        The child's frame then turns against the parent's as `Ṙ = -[ω] R`, and `Rᵀ [ω] + [ω] R = [(tr R - R) ω]`.
+        """
+        if self.planar or isinstance(self.joint, Ball):
+            return np.zeros((0, motion.shape[1]))
+        if isinstance(self.joint, Revolute):
+            axis = self.joint.direction()
+            return times(_QUARTER @ _across(axis), cross(times(turned, axis), motion))
+        return 0.5 * (jnp.trace(turned) * motion - times(turned, motion))
 
     def _point_ends(self) -> tuple[str, ...]:
         return _ends(self.joint) if isinstance(self.joint, Prismatic) or self.planar else tuple(_AXES)

@@ -6,7 +6,6 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
 from aleator._core.arrays import numbers_to_arrays
@@ -18,6 +17,7 @@ from aleator.mechanics._constraints import Loose, constraint_rate, jacobian_of
 from aleator.mechanics._given import checked_start
 from aleator.mechanics._matrices import solve_any
 from aleator.mechanics._mechanical import AbstractMechanical, constraint_of
+from aleator.mechanics._places import merged, spread, taken
 
 
 class Kept(NamedTuple):
@@ -100,31 +100,33 @@ def consistent_coordinates(
 
     Near is meant by the coordinates as they are, rad and m alike. Differentiable, by the implicit function theorem.
     """
-    places, count = np.array(moving), len(moving)
+    count, given = len(moving), taken(near, moving)
+    kept = [i for i in range(len(near)) if i not in moving]
+
+    def posture(at: Array) -> Array:
+        return model.normalised(merged(at, moving, taken(near, kept), kept))
 
     def bound(at: Array) -> Array:
-        return constraint_of(model, model.normalised(near.at[places].set(at)))
+        return constraint_of(model, posture(at))
 
     def nearest(unknowns: Array) -> Array:
         at, multipliers = unknowns[:count], unknowns[count:]
         missing, pulled = jax.vjp(bound, at)
-        return jnp.concatenate([at - near[places] + pulled(multipliers)[0], missing])
+        return jnp.concatenate([at - given + pulled(multipliers)[0], missing])
 
     if count == len(model.constraints):
-        root = newton(bound, near[places])
+        root = newton(bound, given)
     else:
-        root = newton(nearest, jnp.concatenate([near[places], jnp.zeros(len(model.constraints))]))
-    found = jnp.where(root.converged, root.point[:count], jnp.nan)
-    return model.normalised(near.at[places].set(found))
+        root = newton(nearest, jnp.concatenate([given, jnp.zeros(len(model.constraints))]))
+    return posture(jnp.where(root.converged, root.point[:count], jnp.nan))
 
 
 def consistent_velocities(
     model: AbstractMechanical, q: Array, near: Float[Array, " speeds"], moving: tuple[int, ...]
 ) -> Float[Array, " speeds"]:
     """The velocities nearest to those given that the constraints allow, by some of them; not a number where none."""
-    places = np.array(moving)
-    G = jacobian_of(model, q)[:, places]
-    return near.at[places].add(-solve_any(G, constraint_rate(model, q, near)))
+    G = taken(jacobian_of(model, q).T, moving).T
+    return near - spread(solve_any(G, constraint_rate(model, q, near)), moving, len(near))
 
 
 def begun(model: AbstractMechanical, q: Any, v: Any, loose: Loose) -> tuple[Array, Array]:

@@ -5,16 +5,17 @@ themselves is put back wherever the equations are evaluated, so that no gain is 
 all times, whatever carries it forward, and an integrator keeps its order.
 """
 
-from typing import NamedTuple
+from typing import NamedTuple, final
 
+import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from aleator.mechanics._instant import along_time
 from aleator.mechanics._kinematics import rates
-from aleator.mechanics._matrices import solve_any, solve_positive
+from aleator.mechanics._matrices import inverse, positive_solver, product, solve_any, solve_positive
 from aleator.mechanics._mechanical import AbstractMechanical, constraint_of, jacobian_of, rate_map
+from aleator.mechanics._places import block, spread, taken
 
 # Corrections of the coordinates with one Jacobian: each multiplies what is missing by what was missing at first.
 _CORRECTIONS = 3
@@ -35,35 +36,74 @@ def all_loose(model: AbstractMechanical) -> Loose:
     return Loose(tuple(range(len(model.coordinates))), tuple(range(len(model.speeds))))
 
 
+@final
+class Bound:
+    """The constraints of a model at one posture, with their Jacobian `G`, which is traced once for all their rates."""
+
+    def __init__(self, model: AbstractMechanical, q: Array):
+        self._model, self._q = model, q
+        self._is_timed = model._when is not None and bool(model.constraints)
+        if self._is_timed:
+            self.G = jacobian_of(model, q)
+        elif model.constraints:
+            self.G, self._along = jax.linearize(lambda at: jacobian_of(model, at), q)
+        else:
+            self.G = jnp.zeros((0, len(model.speeds)))
+            self._along = lambda _: self.G
+
+    def rate(self, v: Float[Array, " speeds"]) -> Float[Array, " constraints"]:
+        """`ġ = G v + ∂g/∂t`."""
+        return constraint_rate(self._model, self._q, v) if self._is_timed else product(self.G, v)
+
+    def acceleration(self, v: Float[Array, " speeds"]) -> Float[Array, " constraints"]:
+        """`γ` of `G v̇ = γ`: `-(Φ_q q̇)_q q̇ - 2 Φ_qt q̇ - Φ_tt`, equation (6)."""
+        along = rates(self._model, self._q, v)
+        if self._is_timed:
+            return -along_time(lambda now, at: constraint_rate(now, at, v), self._model, (self._q,), (along,))[1]
+        return -product(self._along(along), v)
+
+    def reactions(self, multipliers: Float[Array, " constraints"]) -> Float[Array, " speeds"]:
+        """The generalised force of the constraints, `-Gᵀ λ`."""
+        return -product(self.G.T, multipliers)
+
+
 def constraint_rate(model: AbstractMechanical, q: Array, v: Array) -> Float[Array, " constraints"]:
     """`ġ = G v + ∂g/∂t`."""
     if model._when is not None:
         return along_time(constraint_of, model, (q,), (rates(model, q, v),))[1]
-    return jacobian_of(model, q) @ v
+    return product(jacobian_of(model, q), v)
 
 
-def constrained_acceleration(model: AbstractMechanical, q: Array, v: Array) -> Float[Array, " constraints"]:
-    """`γ` of `G v̇ = γ`: `-(Φ_q q̇)_q q̇ - 2 Φ_qt q̇ - Φ_tt`, equation (6)."""
-    return -along_time(lambda now, at: constraint_rate(now, at, v), model, (q,), (rates(model, q, v),))[1]
-
-
-def saddle(
-    M: Float[Array, "n n"], G: Float[Array, "m n"], force: Float[Array, "n ..."], gamma: Float[Array, "m ..."]
-) -> tuple[Float[Array, "n ..."], Float[Array, "m ..."]]:
-    """Solve `[M Gᵀ; G 0] [x; λ] = [force; gamma]`, equation (6); not a number where that is singular.
+@final
+class Saddle:
+    """`[M Gᵀ; G 0] [x; λ] = [force; γ]`, equation (6), factorised once; not finite where it is singular.
 
     As many constraints as unknowns determine these whatever `M` is.
     """
-    rows, columns = G.shape
-    if rows == 0:
-        return solve_positive(M, force), gamma
-    if rows == columns:
-        x = jnp.linalg.solve(G, gamma)
-        return x, jnp.linalg.solve(G.T, force - M @ x)
-    along = solve_positive(M, G.T)
-    free = solve_positive(M, force)
-    multipliers = solve_positive(G @ along, G @ free - gamma)
-    return free - along @ multipliers, multipliers
+
+    def __init__(self, M: Float[Array, "n n"], G: Float[Array, "m n"]):
+        self._M, self._G = M, G
+        rows, columns = G.shape
+        if rows == columns > 0:
+            self._free, self._least = jnp.zeros_like, inverse(G)
+        else:
+            self._free = positive_solver(M)
+            along = self._free(G.T)
+            self._least = solve_positive(product(G, along), along.T).T
+
+    def least(self, gamma: Float[Array, "m ..."]) -> Float[Array, "n ..."]:
+        """The `x` of `G x = γ` with the least `xᵀ M x`."""
+        return product(self._least, gamma)
+
+    def solve(
+        self, force: Float[Array, "n ..."], gamma: Float[Array, "m ..."]
+    ) -> tuple[Float[Array, "n ..."], Float[Array, "m ..."]]:
+        """`x` and `λ`, of vectors or column by column."""
+        free = self._free(force)
+        if not len(self._G):
+            return free, gamma
+        x = free + self.least(gamma - product(self._G, free))
+        return x, product(self._least.T, force - product(self._M, x))
 
 
 def put_back(
@@ -73,31 +113,15 @@ def put_back(
 
     By a Newton method with the Jacobian of the given place, on the shortest way.
     """
-    q, moving = model.normalised(q), np.array(loose.coordinates)
-    G = jacobian_of(model, q)[:, np.array(loose.speeds)]
-    H = None if model.moves_directly else rate_map(model, q)[moving][:, np.array(loose.speeds)]
+    q, moving = model.normalised(q), loose.coordinates
+    G = taken(jacobian_of(model, q).T, loose.speeds).T
+    H = None if model.moves_directly else block(rate_map(model, q), moving, loose.speeds)
+    back = solve_any(G, jnp.eye(len(G)))
     step = jnp.zeros(())
     for _ in range(_CORRECTIONS):
-        along = solve_any(G, constraint_of(model, q))
-        correction = along if H is None else H @ along
-        q = q.at[moving].add(-correction)
+        along = product(back, constraint_of(model, q))
+        correction = along if H is None else product(H, along)
+        q = q - spread(correction, moving, len(q))
         step = jnp.abs(correction).max()
     q = model.normalised(q)
     return q, step <= _CLOSE * (1 + jnp.abs(q).max())
-
-
-def put_back_velocities(
-    model: AbstractMechanical, q: Array, v: Array, M: Float[Array, "speeds speeds"], loose: Loose
-) -> Float[Array, " speeds"]:
-    """Velocities that the constraints allow, by the least kinetic energy of a change of those that are loose."""
-    moving = np.array(loose.speeds)
-    G, M = jacobian_of(model, q)[:, moving], M[moving][:, moving]
-    change = saddle(M, G, jnp.zeros(len(M)), -constraint_rate(model, q, v))[0]
-    return v.at[moving].add(change)
-
-
-def reactions(
-    model: AbstractMechanical, q: Array, multipliers: Float[Array, " constraints"]
-) -> Float[Array, " speeds"]:
-    """The generalised force of the constraints, `-Gᵀ λ`."""
-    return -jacobian_of(model, q).T @ multipliers

@@ -12,12 +12,10 @@ from aleator.dynamics import Grid
 from aleator.mechanics._consistent import begun, checked_guess, consistent_start, kept_of, start_unknown
 from aleator.mechanics._constraint_diagnosis import start_diagnosis
 from aleator.mechanics._constraints import (
+    Bound,
+    Saddle,
     all_loose,
-    constrained_acceleration,
-    jacobian_of,
     put_back,
-    put_back_velocities,
-    saddle,
 )
 from aleator.mechanics._diagnosis import diagnosis_along, diagnosis_at
 from aleator.mechanics._formulation import AbstractFormulation, model_given
@@ -118,17 +116,22 @@ class ForwardDynamics(AbstractFormulation):
     @override
     def rhs(self, t: Any, z: Any, torque: Any = None, parameters: Any = None) -> tuple[Array, Array]:
         model = at(self.model, t, parameters)
-        found = _moving(model, z.q, z.v, self._given(torque))
-        return rates(model, found.q, found.v), found.v_dot
+        return _rates_of(model, _moving(model, z.q, z.v, self._given(torque)))
 
     @override
     def outputs(
         self, t: Any, z: Any, torque: Any = None, torque_rate: Any = None, parameters: Any = None
     ) -> dict[str, Any]:
         model, torque = at(self.model, t, parameters), self._given(torque)
-        q, v, v_dot, multipliers, kept = _moving(model, z.q, z.v, torque)
-        motion = Motion(t, q, rates(model, q, v), accelerations(model, q, v, v_dot), v, v_dot, torque, multipliers)
-        return constrained_outputs(model, standard_outputs(model, motion, torque_rate), z.q, kept)
+        return _outputs_of(model, t, z, torque, torque_rate, _moving(model, z.q, z.v, torque))
+
+    @override
+    def rates_and_outputs(
+        self, t: Any, z: Any, torque: Any = None, torque_rate: Any = None, parameters: Any = None
+    ) -> tuple[tuple[Array, Array], dict[str, Any]]:
+        model, torque = at(self.model, t, parameters), self._given(torque)
+        found = _moving(model, z.q, z.v, torque)
+        return _rates_of(model, found), _outputs_of(model, t, z, torque, torque_rate, found)
 
     @override
     def diagnose(self, grid: Grid) -> str:
@@ -161,19 +164,34 @@ class _Moving(NamedTuple):
     v_dot: Array
     multipliers: Array
     kept: Any
+    bound: Bound
 
 
 def _moving(model: AbstractMechanical, q: Array, v: Array, torque: Array) -> _Moving:
     if not model.constraints:
         q = model.normalised(q)
-        return _Moving(q, v, driven(model, q, v, _force(model, q, torque)), jnp.zeros(0), True)
+        return _Moving(q, v, driven(model, q, v, _force(model, q, torque)), jnp.zeros(0), True, Bound(model, q))
     loose = all_loose(model)
     q, kept = put_back(model, q, loose)
-    M = mass_of(model, q)
-    v = put_back_velocities(model, q, v, M, loose)
+    bound = Bound(model, q)
+    saddle = Saddle(mass_of(model, q), bound.G)
+    # By the least kinetic energy of a change.
+    v = v - saddle.least(bound.rate(v))
     force = _force(model, q, torque) + load_on(model, q, v) - bias_of(model, q, v)
-    v_dot, multipliers = saddle(M, jacobian_of(model, q), force, constrained_acceleration(model, q, v))
-    return _Moving(q, v, v_dot, multipliers, kept)
+    v_dot, multipliers = saddle.solve(force, bound.acceleration(v))
+    return _Moving(q, v, v_dot, multipliers, kept, bound)
+
+
+def _rates_of(model: AbstractMechanical, found: _Moving) -> tuple[Array, Array]:
+    return rates(model, found.q, found.v), found.v_dot
+
+
+def _outputs_of(
+    model: AbstractMechanical, t: Any, z: Any, torque: Array, torque_rate: Any, found: _Moving
+) -> dict[str, Any]:
+    q, v, v_dot, multipliers, kept, bound = found
+    motion = Motion(t, q, rates(model, q, v), accelerations(model, q, v, v_dot), v, v_dot, torque, multipliers)
+    return constrained_outputs(model, standard_outputs(model, motion, torque_rate, bound), z.q, kept)
 
 
 def _force(model: AbstractMechanical, q: Array, torque: Array) -> Array:

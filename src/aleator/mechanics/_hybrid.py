@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from typing_extensions import override
 
+from aleator._core.arrays import numbers_to_arrays
 from aleator._core.code import told_apart
 from aleator._core.compilation import Compiled, Use
 from aleator._core.errors import ProblemError
@@ -38,7 +39,8 @@ from aleator.mechanics._mechanical import AbstractMechanical, rate_map
 from aleator.mechanics._motion import Motion
 from aleator.mechanics._outputs import constrained_outputs, standard_outputs
 from aleator.mechanics._partial import effect_of_torques, prescribed_velocities, solved
-from aleator.mechanics._partition import Partition, Prescribed, block
+from aleator.mechanics._partition import Partition, Prescribed, Solved
+from aleator.mechanics._places import taken
 from aleator.trajectories import AbstractSignal, AbstractTrajectory
 
 
@@ -139,7 +141,7 @@ class HybridDynamics(AbstractFormulation):
         model = at(self.model, t, inputs.get("parameters"))
         given = Prescribed(inputs["position"], inputs["velocity"], inputs["acceleration"], self._known(None))
         q, v = consistent_start(model, *self._near(model, given), self._begins().loose(model))
-        return self._stated(q[self._parts.others], v[self._parts.undriven])
+        return self._stated(taken(q, self._parts.others), taken(v, self._parts.undriven))
 
     @override
     def rhs(
@@ -152,11 +154,12 @@ class HybridDynamics(AbstractFormulation):
         known: Any = None,
         parameters: Any = None,
     ) -> tuple[Array, ...]:
-        model = at(self.model, t, parameters)
-        given = Prescribed(position, velocity, acceleration, self._known(known))
-        found = solved(model, self._parts, given, z.q, self._velocities(z))
-        q_dot, v_dot = rates(model, found.q, found.v)[self._parts.others], found.v_dot[self._parts.undriven]
-        return tuple(self._stated(q_dot, v_dot).values())
+        given, model = Prescribed(position, velocity, acceleration, self._known(known)), at(self.model, t, parameters)
+        return self._rates_of(model, solved(model, self._parts, given, z.q, self._velocities(z)))
+
+    def _rates_of(self, model: AbstractMechanical, found: Solved) -> tuple[Array, ...]:
+        q_dot = taken(rates(model, found.q, found.v), self._parts.others)
+        return tuple(self._stated(q_dot, taken(found.v_dot, self._parts.undriven)).values())
 
     @override
     def outputs(
@@ -171,6 +174,23 @@ class HybridDynamics(AbstractFormulation):
         known_rate: Any = None,
         parameters: Any = None,
     ) -> dict[str, Any]:
+        return self.rates_and_outputs(
+            t, z, position, velocity, acceleration, jerk, known, known_rate, parameters=parameters
+        )[1]
+
+    @override
+    def rates_and_outputs(
+        self,
+        t: Any,
+        z: Any,
+        position: Array,
+        velocity: Array,
+        acceleration: Array,
+        jerk: Array | None = None,
+        known: Any = None,
+        known_rate: Any = None,
+        parameters: Any = None,
+    ) -> tuple[tuple[Array, ...], dict[str, Any]]:
         given, model = Prescribed(position, velocity, acceleration, self._known(known)), at(self.model, t, parameters)
         parts, v_u = self._parts, self._velocities(z)
         found = solved(model, parts, given, z.q, v_u)
@@ -178,14 +198,15 @@ class HybridDynamics(AbstractFormulation):
         torque_rate = None
         if jerk is not None and (known is None or known_rate is not None):
             change = Prescribed(velocity, acceleration, jerk, self._known(known_rate))
-            along = (change, q_dot[parts.others], found.v_dot[parts.undriven])
+            along = (change, taken(q_dot, parts.others), taken(found.v_dot, parts.undriven))
             torque_rate = along_time(
                 lambda now, *where: solved(now, parts, *where).torque, model, (given, z.q, v_u), along
             )[1]
         q_ddot = accelerations(model, found.q, found.v, found.v_dot)
         motion = Motion(t, found.q, q_dot, q_ddot, found.v, found.v_dot, found.torque, found.multipliers)
-        outputs = standard_outputs(model, motion, torque_rate)
-        return constrained_outputs(model, outputs, parts.merged(position, z.q), found.kept)
+        outputs = standard_outputs(model, motion, torque_rate, found.bound)
+        outputs = constrained_outputs(model, outputs, parts.merged(position, z.q), found.kept)
+        return self._rates_of(model, found), outputs
 
     @override
     def diagnose(self, grid: Grid) -> str:
@@ -202,7 +223,7 @@ class HybridDynamics(AbstractFormulation):
                 return found
         if found := diagnosis_at(first, q, "at the start"):
             return found
-        effect = np.asarray(effect_of_torques(first, self._parts, q))
+        effect = np.asarray(_EFFECT(numbers_to_arrays(first), self._parts, q))
         if not effect.size or np.linalg.matrix_rank(effect) < len(self.driven):
             return self._unrealisable()
         found = self._entangled(first, q) or quaternion_diagnosis(self.model, np.asarray(grid.times), given)
@@ -214,7 +235,7 @@ class HybridDynamics(AbstractFormulation):
             return ""
         # A generic posture, in which no angle happens to be zero.
         H = np.asarray(rate_map(model, q + jnp.linspace(0.2, 0.3, len(q))))
-        if not np.any(block(H, self.prescribed, self._parts.undriven)):
+        if not np.any(H[np.ix_(self.prescribed, self._parts.undriven)]):
             return ""
         names = ", ".join(self.model.coordinates[i] for i in self.prescribed)
         return (
@@ -247,7 +268,7 @@ class HybridDynamics(AbstractFormulation):
     def _others_near(self) -> Array:
         """The coordinates that are not prescribed at the start, as they are given."""
         q = self.model.normalised(coordinates_at(self.model, {**self.guess, **self.start}))
-        return q[self._parts.others]
+        return taken(q, self._parts.others)
 
     def _near(self, model: AbstractMechanical, given: Prescribed) -> tuple[Array, Array]:
         """Coordinates and velocities at the start, those that are not prescribed as they are given."""
@@ -285,6 +306,7 @@ def _effects(system: HybridDynamics, now: Instants, path: Array) -> Array:
     return now.each(lambda model, q: effect_of_torques(model, system._parts, q), path)
 
 
+_EFFECT = Compiled(effect_of_torques, use=Use.ONCE, code=functools.partial(told_apart, effect_of_torques))
 _EFFECTS = Compiled(_effects, use=Use.ONCE, code=functools.partial(told_apart, _effects))
 
 

@@ -125,10 +125,16 @@ class InverseDynamics(AbstractFormulation):
         model, curve = at(self.model, t, parameters), (position, velocity, acceleration)
         if jerk is None:
             torque, path = _torques(model, *curve)
-            return standard_outputs(model, _motion_at(t, path, torque), None)
+            return standard_outputs(model, _motion_at(t, path, torque))
         along = velocity, acceleration, jerk
         torque, torque_rate, path = along_time(_torques, model, curve, along, has_aux=True)
         return standard_outputs(model, _motion_at(t, path, torque), torque_rate)
+
+    @override
+    def rates_and_outputs(self, t: Any, z: Any, *args: Any, **kwargs: Any) -> tuple[tuple[Array, ...], dict[str, Any]]:
+        if not self.model.constraints:
+            return (), self.outputs(t, z, *args, **kwargs)
+        return self._driven().rates_and_outputs(t, z, *args, **kwargs)
 
     @override
     def diagnose(self, grid: Grid) -> str:

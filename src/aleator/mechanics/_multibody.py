@@ -125,7 +125,8 @@ class Multibody(AbstractMechanical):
     def constraint_jacobian(self, q: Float[Array, " coordinates"]) -> Float[Array, "constraints speeds"]:
         if type(self).constraint is not Multibody.constraint:
             return super().constraint_jacobian(q)
-        tree, poses = self._tree(), self.poses(q)
+        tree = self._tree()
+        poses = _poses(tree, q)
         rows = [closure.jacobian(tree, q, poses) for closure in self._closures()]
         return jnp.concatenate([jnp.zeros((0, tree.speeds)), *rows])
 
@@ -227,9 +228,7 @@ class Multibody(AbstractMechanical):
 
     def poses(self, q: Float[Array, " coordinates"]) -> dict[str, Pose]:
         """The pose of each body in the world, by name: `rotation` (3, 3) and `position` (3,), m."""
-        tree = self._tree()
-        carriers = world_poses(tree, q)
-        return {name: _placed(place, carriers) for name, place in tree.places.items()}
+        return _poses(self._tree(), q)
 
     def point(self, q: Float[Array, " coordinates"], body: str, local: Any = (0.0, 0.0, 0.0)) -> Float[Array, "3"]:
         """The position in the world of a point of a body, `local` in its frame, m."""
@@ -250,7 +249,7 @@ class Multibody(AbstractMechanical):
             return jnp.zeros(3)
         arm = _local(local) if within is None else within.position + within.rotation @ _local(local)
         twist = moving(tree, q, v).twists[index]
-        return world_poses(tree, q)[index].rotation @ plus(twist.linear, cross(twist.angular, arm))
+        return world_poses(tree, q)[index].rotation @ plus(jnp.zeros(3), twist.linear, cross(twist.angular, arm))
 
     def _is_bodies_alone(self) -> bool:
         """Whether the equations of motion are those of the bodies alone, without overrides."""
@@ -316,6 +315,11 @@ def _as_number(leaf: Any) -> Any:
         plain = jax.tree.map(_as_number, leaf, is_leaf=is_leaf)
         return jnp.ones(jax.eval_shape(plain, jnp.zeros(())).shape)
     return jnp.ones(leaf.shape) if is_leaf(leaf) else leaf
+
+
+def _poses(tree: Tree, q: Array) -> dict[str, Pose]:
+    carriers = world_poses(tree, q)
+    return {name: _placed(place, carriers) for name, place in tree.places.items()}
 
 
 def _placed(place: tuple[int, Pose | None], carriers: Sequence[Pose]) -> Pose:

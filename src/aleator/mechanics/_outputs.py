@@ -8,13 +8,17 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from aleator._core.errors import ProblemError
-from aleator.mechanics._constraints import constraint_rate, reactions
+from aleator.mechanics._constraints import Bound
 from aleator.mechanics._mechanical import AbstractMechanical, constraint_of
 from aleator.mechanics._motion import Motion
 
 
-def standard_outputs(model: AbstractMechanical, motion: Motion, torque_rate: Array | None) -> dict[str, Any]:
+def standard_outputs(
+    model: AbstractMechanical, motion: Motion, torque_rate: Array | None = None, bound: Bound | None = None
+) -> dict[str, Any]:
     """Coordinates, rates, accelerations, torques and their rates by name, and the model's own outputs.
+
+    `bound`: the constraints at this posture, if the model has any.
 
     Raises `ProblemError` where two of them have the same name, or one of the model's own has a name already taken.
     """
@@ -30,8 +34,8 @@ def standard_outputs(model: AbstractMechanical, motion: Motion, torque_rate: Arr
         listed.append((name, motion.torque[i]))
         if torque_rate is not None:
             listed.append((f"{name}_rate", torque_rate[i]))
-    if model.constraints:
-        listed += _of_constraints(model, motion)
+    if bound is not None and model.constraints:
+        listed += _of_constraints(model, motion, bound)
     found = dict(listed)
     if len(found) < len(listed):
         twice = sorted(name for name, count in Counter(name for name, _ in listed).items() if count > 1)
@@ -63,13 +67,13 @@ def constrained_outputs(
     return {name: jnp.where(kept, value, jnp.nan) for name, value in {**drift, **found}.items()}
 
 
-def _of_constraints(model: AbstractMechanical, motion: Motion) -> list[tuple[str, Any]]:
+def _of_constraints(model: AbstractMechanical, motion: Motion, bound: Bound) -> list[tuple[str, Any]]:
     listed: list[tuple[str, Any]] = [
         ("constraint_error", jnp.abs(constraint_of(model, motion.q)).max()),
-        ("constraint_rate_error", jnp.abs(constraint_rate(model, motion.q, motion.v)).max()),
+        ("constraint_rate_error", jnp.abs(bound.rate(motion.v)).max()),
     ]
     listed += [(f"{name}_multiplier", value) for name, value in zip(model.constraints, motion.multipliers, strict=True)]
-    forces = reactions(model, motion.q, motion.multipliers)
+    forces = bound.reactions(motion.multipliers)
     return listed + [
         (f"{name.removesuffix('_rate')}_reaction", force) for name, force in zip(model.speeds, forces, strict=True)
     ]

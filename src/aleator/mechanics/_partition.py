@@ -2,12 +2,11 @@
 
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
-import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
-from aleator.mechanics._constraints import Loose
+from aleator.mechanics._constraints import Bound, Loose
 from aleator.mechanics._mechanical import AbstractMechanical
+from aleator.mechanics._places import merged
 
 
 class Prescribed(NamedTuple):
@@ -28,6 +27,7 @@ class Solved(NamedTuple):
     torque: Array
     multipliers: Array
     kept: Any
+    bound: Bound
 
 
 class Partition(NamedTuple):
@@ -48,47 +48,37 @@ class Partition(NamedTuple):
         return cls(prescribed, driven, known, len(model.coordinates), len(model.speeds), len(model.actuators))
 
     @property
-    def others(self) -> Int[np.ndarray, " others"]:
+    def others(self) -> tuple[int, ...]:
         """The places of coordinates that are not prescribed."""
         return _without(self.prescribed, self.coordinates)
 
     @property
-    def undriven(self) -> Int[np.ndarray, " undriven"]:
+    def undriven(self) -> tuple[int, ...]:
         """The places of the other velocities."""
         return _without(self.driven, self.speeds)
 
     @property
-    def unknown(self) -> Int[np.ndarray, " unknown"]:
+    def unknown(self) -> tuple[int, ...]:
         """The places of torques to find."""
         return _without(self.known, self.actuators)
 
     @property
     def loose(self) -> Loose:
         """What follows constraints, if there are any."""
-        return Loose(tuple(map(int, self.others)), tuple(map(int, self.undriven)))
+        return Loose(self.others, self.undriven)
 
     def merged(self, prescribed: Array, others: Array) -> Float[Array, " coordinates"]:
         """Coordinates in their order."""
-        return jnp.concatenate([prescribed, others])[_order(self.prescribed, self.others)]
+        return merged(prescribed, self.prescribed, others, self.others)
 
     def joined(self, driven: Array, others: Array) -> Float[Array, " speeds"]:
         """Velocities in their order."""
-        return jnp.concatenate([driven, others])[_order(self.driven, self.undriven)]
+        return merged(driven, self.driven, others, self.undriven)
 
     def applied(self, found: Array, known: Array) -> Float[Array, " actuators"]:
         """Torques in their order."""
-        return jnp.concatenate([found, known])[_order(self.unknown, self.known)]
+        return merged(found, self.unknown, known, self.known)
 
 
-def block(M: Any, rows: Any, columns: Any) -> Any:
-    """The entries of a matrix in some rows and columns."""
-    return M[np.asarray(rows, dtype=int)][:, np.asarray(columns, dtype=int)]
-
-
-def _without(places: tuple[int, ...], count: int) -> np.ndarray:
-    return np.array([i for i in range(count) if i not in places], dtype=int)
-
-
-def _order(*places: Any) -> np.ndarray:
-    """Which entry of what is listed by places comes first, second, and so on."""
-    return np.argsort(np.concatenate([np.asarray(one, dtype=int) for one in places]))
+def _without(places: tuple[int, ...], count: int) -> tuple[int, ...]:
+    return tuple(i for i in range(count) if i not in places)

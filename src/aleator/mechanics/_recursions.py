@@ -4,7 +4,7 @@ Featherstone, Rigid Body Dynamics Algorithms, 2008. All quantities of a link are
 are unrolled.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -102,9 +102,14 @@ def inverse_dynamics(
     return jnp.concatenate([jnp.zeros(0), *forces])
 
 
-def motion_apart(tree: Tree, q: Float[Array, " coordinates"], first: int, second: int) -> Twist:
-    """How one link moves against another for each speed, as columns: at the world's origin and in its axes."""
-    poses, chains = world_poses(tree, q), [set(_chain(tree, index)) for index in (first, second)]
+def motion_apart(
+    tree: Tree, q: Float[Array, " coordinates"], poses: Mapping[str, Pose], first: int, second: int
+) -> Twist:
+    """How one link moves against another for each speed, as columns: at the world's origin and in its axes.
+
+    `poses` are those of the bodies in the world, by name.
+    """
+    chains = [set(_chain(tree, index)) for index in (first, second)]
     angular: list[Any] = []
     linear: list[Any] = []
     for i, link in enumerate(tree.links):
@@ -112,9 +117,10 @@ def motion_apart(tree: Tree, q: Float[Array, " coordinates"], first: int, second
         if i in chains[0] ^ chains[1]:
             sign = 1.0 if i in chains[0] else -1.0
             own = link.joint.subspace(q[link.q])
-            turning = turning if own.angular is None else sign * (poses[i].rotation @ own.angular)
-            moving = moving if own.linear is None else sign * (poses[i].rotation @ own.linear)
-            moving = plus(moving, cross(poses[i].position, turning))
+            rotation, position = poses[link.name]
+            turning = turning if own.angular is None else times(sign * rotation, own.angular)
+            moving = moving if own.linear is None else times(sign * rotation, own.linear)
+            moving = plus(moving, cross(position, turning))
         angular.append(turning)
         linear.append(moving)
     return Twist(jnp.concatenate(angular, axis=1), jnp.concatenate(linear, axis=1))
@@ -143,19 +149,23 @@ def mass_matrix(tree: Tree, q: Float[Array, " coordinates"]) -> Float[Array, "sp
     poses = local_poses(tree, q)
     subspaces = [link.joint.subspace(q[link.q]) for link in tree.links]
     composite = [link.inertia for link in tree.links]
-    matrix = jnp.zeros((tree.speeds, tree.speeds))
+    sizes = [link.v.stop - link.v.start for link in tree.links]
+    # Block by block: what is written into a matrix entry by entry takes long to compile.
+    blocks: list[list[Any]] = [[np.zeros((m, n)) for n in sizes] for m in sizes]
     for i, link in reversed(list(enumerate(tree.links))):
         wrench = momentum(composite[i], subspaces[i])
-        matrix = matrix.at[link.v, link.v].set(power(subspaces[i], wrench))
+        blocks[i][i] = power(subspaces[i], wrench)
         if link.parent != GROUND:
             composite[link.parent] = added(composite[link.parent], inertia_outside(poses[i], composite[i]))
         j = i
         while tree.links[j].parent != GROUND:
             wrench, j = wrench_outside(poses[j], wrench), tree.links[j].parent
-            block = power(subspaces[j], wrench)
-            rows = tree.links[j].v
-            matrix = matrix.at[rows, link.v].set(block).at[link.v, rows].set(block.T)
-    return matrix
+            coupling = power(subspaces[j], wrench)
+            if coupling is not None:
+                blocks[j][i], blocks[i][j] = coupling, coupling.T
+    if not blocks:
+        return jnp.zeros((0, 0))
+    return jnp.concatenate([jnp.concatenate(row, axis=1) for row in blocks])
 
 
 def forward_dynamics(

@@ -125,24 +125,46 @@ def plus(*terms: Block) -> Block:
     return total
 
 
+def minus(block: Block) -> Block:
+    """The negative of a block."""
+    return None if block is None else -block
+
+
 def times(matrix: Block, block: Block) -> Block:
-    """The product of a matrix and a block."""
-    return None if matrix is None or block is None else matrix @ block
+    """The product of a matrix and a block; the block itself where the matrix is known to be one."""
+    if matrix is None or block is None:
+        return None
+    return block if library(matrix) is np and np.array_equal(matrix, np.eye(3)) else matrix @ block
 
 
 def cross(a: Block, b: Block) -> Block:
-    """`a × b` of two vectors, or column by column."""
-    return None if a is None or b is None else _either(_cross, a, b)
+    """`a × b` of a vector and a vector, or column by column; `None` where one of them is known to be zero."""
+    if a is None or b is None or _is_zero(a) or _is_zero(b):
+        return None
+    if b.ndim == 2 or library(a) is np:
+        return times(skew(a), b)
+    return times(skew(b).T, a) if library(b) is np else _either(_cross, a, b)
 
 
 def _cross(a: Block, b: Block) -> Block:
-    parts = [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
-    return library(a, b).stack(parts)
+    # Few equations on whole vectors take a compiler less time than many on their numbers.
+    return _following(a * _following(b) - _following(a) * b)
+
+
+def _following(a: Block) -> Block:
+    """The numbers of a vector in the order y, z, x."""
+    return library(a).concatenate([a[1:], a[:1]])
+
+
+def _is_zero(block: Block) -> bool:
+    return library(block) is np and not np.any(block)
 
 
 def dot(a: Block, b: Block) -> Block:
     """`aᵀ b`, zero if either is."""
-    return None if a is None or b is None else a.T @ b
+    if a is None or b is None:
+        return None
+    return a.T @ b
 
 
 def skew(a: Block) -> Block:
@@ -215,7 +237,7 @@ def unit_quaternion(given: Float[Array, " 4"]) -> Float[Array, " 4"]:
 
 def composed(outer: Pose, inner: Pose) -> Pose:
     """The pose `inner`, given in the frame of `outer`, expressed in the outermost frame."""
-    return Pose(outer.rotation @ inner.rotation, outer.position + outer.rotation @ inner.position)
+    return Pose(times(outer.rotation, inner.rotation), outer.position + times(outer.rotation, inner.position))
 
 
 def twist_within(pose: Pose, twist: Twist) -> Twist:
@@ -227,8 +249,8 @@ def twist_within(pose: Pose, twist: Twist) -> Twist:
 
 def wrench_outside(pose: Pose, wrench: Wrench) -> Wrench:
     """A wrench in the frame at `pose`, expressed in the outer frame."""
-    force = pose.rotation @ wrench.force
-    return Wrench(pose.rotation @ wrench.moment + cross(pose.position, force), force)
+    force = times(pose.rotation, wrench.force)
+    return Wrench(plus(times(pose.rotation, wrench.moment), cross(pose.position, force)), force)
 
 
 def added(first: Any, *others: Any) -> Any:
@@ -255,10 +277,9 @@ def cross_force(twist: Twist, wrench: Wrench) -> Wrench:
 def momentum(inertia: Inertia, twist: Twist) -> Wrench:
     """The inertia times a twist: momentum for a velocity, wrench for an acceleration."""
     along = None if twist.linear is None else inertia.mass * twist.linear
-    turning = None if twist.angular is None else -cross(inertia.first, twist.angular)
     return Wrench(
         plus(times(inertia.second, twist.angular), cross(inertia.first, twist.linear)),
-        plus(along, turning),
+        plus(along, minus(cross(inertia.first, twist.angular))),
     )
 
 

@@ -6,6 +6,7 @@ fraction, so that a free final time stands in them and the scheme stays linear.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, final
 
 import equinox as eqx
@@ -31,10 +32,10 @@ from aleator.dynamics import (
     Asked,
     Grid,
     Inputs,
+    Known,
     System,
     algebraic_residuals,
     completed,
-    derivative,
     guessed_algebraic,
     initial_state,
     known_at,
@@ -99,7 +100,7 @@ class Pointwise:
         """Whether signals may jump at instants of the mesh."""
         return self._tells(lambda system, inputs: has_jumps({**system.signals(), **inputs}))
 
-    @property
+    @cached_property
     def signal_shapes(self) -> dict[str, tuple[int, ...]]:
         """The shape of each signal by name, in the order of `known`; none where they are uncertain."""
         found: dict[str, tuple[int, ...]] = {}
@@ -175,8 +176,10 @@ class Pointwise:
         """
         system, t, z, now = self._at(germ, place, shared, own)
         z = completed(system, t, z, now)
-        parts = [flat(derivative(system, t, z, now))] if system.states else []
-        return shared[-1] * flat([*parts, self._integrated.rates(system, t, z, now)])
+        asked = self._integrated
+        if not system.states:
+            return shared[-1] * flat(asked.rates(system, t, z, now))
+        return shared[-1] * flat(asked.slopes(system, t, z, now))
 
     def mean_rates(
         self, rate: AbstractMeanRate, germ: Array, places: Array, shared: Array, own: Array
@@ -280,10 +283,11 @@ class Pointwise:
     def _now(self, germ: Array, place: Array, shared: Array, signals: Array) -> tuple[System, Array, dict[str, Any]]:
         """A realised system with its time and inputs at one mesh point; what follows the signals is left alone."""
         (fraction, is_before), direct, duration = place, shared[:-1], shared[-1]
-        system, grid, inputs = self._realised(self.frozen, germ, direct)
+        system, _, inputs = self._realised(self.frozen, germ, direct)
         t = jnp.asarray(self.grid.t_start + fraction * duration)
         if not self.is_random:
-            known = known_at(system, grid, inputs, np.zeros(1))
+            # Their values are not needed: a spline would be evaluated in every block.
+            known = Known(jnp.zeros((0, 1)), self.signal_shapes)
             return system, t, known.unpack(jnp.concatenate([t[None], signals]))[1]
         each, span = {**system.signals(), **inputs}, (self.grid.t_start, self.grid.t_start + duration)
         now = {name: one.over(*span)(t) for name, one in each.items()}
