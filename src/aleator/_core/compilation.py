@@ -15,6 +15,7 @@ from jaxtyping import Array
 
 from aleator._core import stored
 from aleator._core.beside import beside
+from aleator._core.differentiable import explained
 from aleator._core.errors import ProblemError
 from aleator._core.executables import Tried, ready
 from aleator._core.lasting import lasting_name
@@ -33,12 +34,13 @@ class Use(enum.Enum):
     - `LOOPS`: many runs of steps in time;
     - `ROWS`: many runs of large equations without loops. Compiled faster without the emitters for fused operations,
       which speed up loops only;
-    - `ONCE`: a few runs in all. Compiled much faster with hardly any optimisation.
+    - `ONCE`: a few runs in all. Compiled faster with little optimisation. With none at all, and without those emitters,
+      XLA compiles some loops that end by a condition so that they never end.
     """
 
     LOOPS = _BARRIERS
     ROWS = _BARRIERS | {"xla_cpu_use_fusion_emitters": False}
-    ONCE = ROWS | {"xla_backend_optimization_level": "0"}
+    ONCE = ROWS | {"xla_backend_optimization_level": "1"}
 
 
 @final
@@ -209,7 +211,8 @@ class Compiled:
             # JAX finds programs by their text, this one among others: else it would find one of another name, which
             # could not be kept under this one.
             flat.__name__ = f"flat_{name}"
-        lowered = jax.jit(flat).lower(*arguments)
+        with explained():
+            lowered = jax.jit(flat).lower(*arguments)
 
         def finish() -> Executable:
             before = stored.found_by_jax()

@@ -90,6 +90,18 @@ def _differentiated(block: Callable[..., Array], shared: Array, own: Array) -> t
 
 
 def _curved(block: Callable[..., Array], shared: Array, own: Array, weights: Array) -> Array:
-    slopes = jax.grad(lambda s, o: weights @ block(s, o), argnums=(0, 1))
+    def weighted(shared: Array, own: Array) -> Array:
+        return weights @ block(shared, own)
+
+    try:
+        return _second(weighted, jax.grad, shared, own)
+    except ValueError:
+        # JAX takes no derivatives backward through loops that end when a condition holds.
+        return _second(weighted, jax.jacfwd, shared, own)
+
+
+def _second(function: Callable[..., Array], gradient: Callable[..., Any], shared: Array, own: Array) -> Array:
+    """The second derivatives of a number, of which `gradient` takes the first."""
+    slopes = gradient(function, argnums=(0, 1))
     bends = jax.jacfwd(lambda s, o: jnp.concatenate(slopes(s, o)), argnums=(0, 1))(shared, own)
     return jnp.concatenate(bends, axis=1)

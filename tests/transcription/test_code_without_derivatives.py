@@ -1,0 +1,83 @@
+"""Equations that JAX can differentiate in one direction alone, or not at all."""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import aleator as al
+
+WAYS = {"shooting": al.Sequential(), "collocation": al.Simultaneous(al.schemes.GaussLegendre(2))}
+
+
+def root_by_newton(square):
+    """The square root by Newton's method, until it is found: of no number below 1e-3, so that it always is."""
+    square = jnp.maximum(square, 1e-3)
+
+    def is_far(root):
+        return jnp.abs(root**2 - square) > 1e-14 * square
+
+    return jax.lax.while_loop(is_far, lambda root: (root + square / root) / 2, jnp.maximum(square, 1.0))
+
+
+@jax.custom_vjp
+def sine_backward(x):
+    return jnp.sin(x)
+
+
+sine_backward.defvjp(lambda x: (jnp.sin(x), x), lambda x, slope: (slope * jnp.cos(x),))
+
+
+def sine_called(x, **options):
+    return jax.pure_callback(np.sin, jax.ShapeDtypeStruct(x.shape, x.dtype), x, **options)
+
+
+class Decay(al.System):
+    """Decay at a rate that is a function of a number."""
+
+    states = ("x",)
+    number: Any
+    rate: Callable[[jax.Array], jax.Array]
+
+    def rhs(self, t, z):
+        return (-self.rate(self.number * (1 + z.x)) * z.x,)
+
+    def initial(self):
+        return {"x": 1.0}
+
+    def outputs(self, t, z):
+        return {"x": z.x}
+
+
+def problem(rate):
+    number = al.Uniform(al.Decision(1.0, 0.1, 4.0), half_width=0.05)
+    return al.Problem(
+        Decay(number, rate),
+        grid=al.Grid(1.0, 30),
+        minimize=al.value("number.mean"),
+        subject_to=[al.terminal("x").mean <= 0.25],
+    )
+
+
+@pytest.mark.parametrize("way", WAYS.values(), ids=WAYS)
+def test_a_loop_that_ends_when_a_root_is_found_has_the_answer_of_the_root_itself(way):
+    looped, known = (al.solve(problem(rate), transcription=way) for rate in (root_by_newton, jnp.sqrt))
+    assert looped.objective == pytest.approx(known.objective, rel=1e-9)
+
+
+@pytest.mark.parametrize("way", WAYS.values(), ids=WAYS)
+@pytest.mark.parametrize(
+    ("rate", "message"),
+    [
+        (sine_backward, "The equations use 'jax.custom_vjp'.* write the rule by 'jax.custom_jvp'"),
+        (sine_called, "The equations use 'jax.pure_callback'.* give it a 'vmap_method'"),
+        (lambda x: sine_called(x, vmap_method="sequential"), "has no derivatives: give them by 'jax.custom_jvp'"),
+    ],
+    ids=["backward alone", "one at a time", "no derivatives"],
+)
+def test_equations_without_derivatives_are_refused_with_what_to_write_instead(way, rate, message):
+    with pytest.raises(al.ProblemError, match=message):
+        al.solve(problem(rate), transcription=way)
