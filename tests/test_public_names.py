@@ -21,6 +21,7 @@ def public(module):
 
 TOPICS = (
     "cost",
+    "expressions",
     "fits",
     "index_sets",
     "integrators",

@@ -1,6 +1,7 @@
 """What `import aleator` shows: each name, and the module that gives it. Modules are loaded at their first use."""
 
 from . import cost as cost
+from . import expressions as expressions
 from . import fits as fits
 from . import index_sets as index_sets
 from . import integrators as integrators

@@ -206,19 +206,19 @@ def test_objectives_speak_of_their_outputs():
         (lambda: al.objectives.power({"a": 3}), "An output is given by its name.*received int 3"),
         (
             lambda: al.objectives.power({"a": "b"}, smoothing=-1.0),
-            "power: expected smoothing as a power of at least 0 W; received -1",
+            "power: expected a smoothing of at least 0; received -1",
         ),
         (
             lambda: al.objectives.power({"a": "b"}, smoothing=np.inf),
-            "Only finite numbers can smooth a power; received inf",
+            "Only finite numbers can smooth; received inf",
         ),
         (
             lambda: al.objectives.coefficient_power({"a": "b"}, smoothing=-0.1),
-            "coefficient_power: expected smoothing as a power",
+            "coefficient_power: expected a smoothing",
         ),
         (
             lambda: al.objectives.coefficient_power({"a": "b"}, smoothing=np.nan),
-            "Only finite numbers can smooth a power",
+            "Only finite numbers can smooth",
         ),
         (
             lambda: al.objectives.terminal_mean_error("x"),

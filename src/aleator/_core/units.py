@@ -11,6 +11,7 @@ from collections.abc import Iterable
 from aleator._core.dimensions import all_same
 
 PURE = "-"
+EXPONENTS = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
 
 # Units of force or torque, and of the rate that each acts on.
 _POWERS = ({"N", "m/s"}, {"N m", "rad/s"}, {"N·m", "rad/s"}, {"Nm", "rad/s"})
@@ -39,6 +40,31 @@ def product(first: str, second: str) -> str:
 def squared(unit: str) -> str:
     """The unit of a square: `N²`, `(N m)²`."""
     return product(unit, unit)
+
+
+def quotient(first: str, second: str) -> str:
+    """The unit of a quotient: `N` and `m` make `N/m`, equal units a pure number."""
+    if not (first and second):
+        return ""
+    if first == second or all_same((first, second)):
+        return PURE
+    if second == PURE:
+        return first
+    below = second if second.isalpha() else f"({second})"
+    return f"1/{below}" if first == PURE else f"{_factor(first)}/{below}"
+
+
+def raised(unit: str, exponent: float) -> str:
+    """The unit of a power: `m³`, `(N m)²`; unknown if the exponent is no whole number."""
+    whole = int(exponent)
+    if not unit or whole != exponent:
+        return ""
+    if unit == PURE or whole == 0:
+        return PURE
+    if whole in (1, 2):
+        return unit if whole == 1 else squared(unit)
+    above = str(whole).translate(EXPONENTS)
+    return f"{unit}{above}" if unit.isalpha() else f"({unit}){above}"
 
 
 def integrated(unit: str) -> str:

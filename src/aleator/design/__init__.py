@@ -6,6 +6,7 @@ from aleator.design._cost import exponential as exponential
 from aleator.design._cost import reciprocal as reciprocal
 from aleator.design._cost import reciprocal_power as reciprocal_power
 from aleator.design._cost import reciprocal_squared as reciprocal_squared
+from aleator.design._expression import Composed as Composed
 from aleator.design._expression import Constraint as Constraint
 from aleator.design._expression import Expression as Expression
 from aleator.design._expression import as_expression as as_expression
@@ -26,7 +27,10 @@ from aleator.design._functionals import path as path
 from aleator.design._functionals import peak as peak
 from aleator.design._functionals import rms as rms
 from aleator.design._functionals import terminal as terminal
-from aleator.design._objectives import Norm as Norm
+from aleator.design._functions import function as function
+from aleator.design._functions import maximum as maximum
+from aleator.design._functions import minimum as minimum
+from aleator.design._functions import positive_part as positive_part
 from aleator.design._objectives import beside_integrals as beside_integrals
 from aleator.design._objectives import coefficient_power as coefficient_power
 from aleator.design._objectives import effort as effort

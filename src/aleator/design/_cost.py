@@ -10,7 +10,8 @@ from typing_extensions import override
 
 from aleator._core.arrays import Scalar
 from aleator._core.given import a_name, refusal
-from aleator.design._expression import Expression, number_given
+from aleator.design._expression import Expression
+from aleator.design._numbers import number_given
 from aleator.design._scope import AbstractAtom, AbstractScope, Units
 
 Curve = Callable[..., Float[Array, ""]]

@@ -9,19 +9,24 @@ from typing import Any, ClassVar, Self, final
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
 from jaxtyping import Array, Float
+from typing_extensions import override
 
 from aleator._core.arrays import Scalar
 from aleator._core.errors import ProblemError
-from aleator._core.given import a_name, is_masked, real_array
+from aleator._core.given import a_name, real_array
 from aleator._core.units import common
-from aleator.design._scope import AbstractAtom, AbstractRandom, AbstractScope, Units, Value
+from aleator.design._numbers import number_given
+from aleator.design._rules import AbstractRule, Power, Product, Quotient
+from aleator.design._scope import AbstractAtom, AbstractComposite, AbstractRandom, AbstractScope, Units, Value
 
 
 @final
 class Expression(eqx.Module):
-    """`constant + sum of factor * atom`. The factors are data: changing them causes no recompilation."""
+    """`constant + sum of factor * atom`. The factors are data: changing them causes no recompilation.
+
+    Expressions may be added, multiplied, divided and raised to powers.
+    """
 
     # Makes NumPy defer to this class in products with its own numbers.
     __array_ufunc__: ClassVar[None] = None
@@ -45,17 +50,27 @@ class Expression(eqx.Module):
 
     __radd__ = __add__
 
-    def __mul__(self, number: Any) -> "Expression":
-        number = number_given(number, "multiply an expression by")
+    def __mul__(self, other: Any) -> "Expression":
+        if isinstance(other, Expression) and other.atoms:
+            return composed(Product(), self, other) if self.atoms else other * self.constant
+        number = number_given(_plain(other), "multiply an expression by")
         return Expression(tuple(number * factor for factor in self.factors), self.atoms, number * self.constant)
 
     __rmul__ = __mul__
 
-    def __truediv__(self, number: Any) -> "Expression":
-        number = number_given(number, "divide an expression by")
+    def __truediv__(self, other: Any) -> "Expression":
+        if isinstance(other, Expression) and other.atoms:
+            return composed(Quotient(), self, other)
+        number = number_given(_plain(other), "divide an expression by")
         if number == 0:
             raise ProblemError(f"'{self}' cannot be divided by zero; received {number}.")
         return self * (1 / number)
+
+    def __rtruediv__(self, other: Any) -> "Expression":
+        return as_expression(other) / self
+
+    def __pow__(self, exponent: Any) -> "Expression":
+        return composed(Power(number_given(exponent, "be an exponent")), self)
 
     def __neg__(self) -> "Expression":
         return self * -1.0
@@ -76,11 +91,6 @@ class Expression(eqx.Module):
         raise ProblemError(f"Bounds include their value: write <= or >= with '{self}', not < or >.")
 
     __gt__ = __lt__
-
-    def __pow__(self, other: Any) -> "Expression":
-        raise ProblemError(
-            f"Expressions are sums and multiples; '{self}' has no power. Make it an output or a cost curve."
-        )
 
     def equals(self, number: float) -> "Constraint":
         """The constraint that the expression equals a number."""
@@ -126,6 +136,51 @@ class Expression(eqx.Module):
             parts.append((float(self.constant), ""))
         text = " ".join(f"{'−' if factor < 0 else '+'} {_product(abs(factor), atom)}" for factor, atom in parts)
         return text.removeprefix("+ ").replace("− ", "−", 1) if text.startswith("−") else text.removeprefix("+ ")
+
+
+@final
+class Composed(AbstractComposite):
+    """A function of the values of expressions."""
+
+    rule: AbstractRule
+    expressions: tuple[Expression, ...]
+
+    @override
+    def evaluate(self, scope: AbstractScope) -> Array:
+        return self.rule.of(*(one.evaluate(scope) for one in self.expressions))
+
+    @override
+    def text(self) -> str:
+        return self.rule.text(*map(str, self.expressions))
+
+    @override
+    def unit(self, units: Units) -> str:
+        return self.rule.unit(*(one.unit(units) if one.atoms else None for one in self.expressions))
+
+    @property
+    @override
+    def inner(self) -> tuple[Expression, ...]:
+        return self.expressions
+
+    @property
+    @override
+    def parts(self) -> tuple[AbstractAtom, ...]:
+        return tuple(part for one in self.expressions for part in one.leaves)
+
+    @property
+    @override
+    def integrated(self) -> tuple[AbstractAtom, ...]:
+        return tuple(part for one in self.expressions for atom in one.atoms for part in atom.integrated)
+
+    @property
+    @override
+    def is_path(self) -> bool:
+        return any(one.is_path for one in self.expressions)
+
+
+def composed(rule: AbstractRule, *expressions: Any) -> Expression:
+    """A function of expressions as an expression. Raises `ProblemError` for what is none."""
+    return Expression((1.0,), (Composed(rule, tuple(map(as_expression, expressions))),))
 
 
 @final
@@ -223,20 +278,6 @@ def _product(factor: float, atom: str) -> str:
     return atom if factor == 1 else f"{factor:g} {atom}"
 
 
-def number_given(value: Any, action: str) -> float:
-    """A finite number as a float. Raises `ProblemError` for anything else: "Only numbers can" do `action`."""
-    if is_masked(value):
-        raise ProblemError(f"Only numbers can {action}; received {value}.")
-    number = value
-    if isinstance(value, np.generic | np.ndarray | Array) and not isinstance(value, Tracer) and value.ndim == 0:
-        number = value.item()
-    if not isinstance(number, int | float) or isinstance(number, bool):
-        raise ProblemError(f"Only numbers can {action}; received {type(value).__name__} '{value}'.")
-    if not np.isfinite(number):
-        raise ProblemError(f"Only finite numbers can {action}; received {number}.")
-    return float(number)
-
-
 def as_expression(value: Any) -> Expression:
     """An expression unchanged, or a number as a constant. Raises `ProblemError` for anything else."""
     if isinstance(value, Expression):
@@ -244,6 +285,13 @@ def as_expression(value: Any) -> Expression:
     if isinstance(value, AbstractRandom):
         return value.refuse()
     return Expression((), (), number_given(value, "be added to or compared with an expression"))
+
+
+def _plain(value: Any) -> Any:
+    """The number of an expression without statistics; anything else unchanged. Refuses what has no statistic yet."""
+    if isinstance(value, AbstractRandom):
+        return value.refuse()
+    return value.constant if isinstance(value, Expression) and not value.atoms else value
 
 
 def _compare(difference: Expression, *, upper: bool) -> "Constraint":

@@ -1,6 +1,5 @@
 """Objectives of motion planning: time, effort, power, rate of torque (75)-(84); terminal errors (85), (86)."""
 
-import abc
 from collections.abc import Mapping, Sequence
 from typing import Any, TypeAlias, final
 
@@ -11,12 +10,14 @@ from jaxtyping import Array
 from typing_extensions import override
 
 from aleator._core.errors import ProblemError
-from aleator._core.units import common, integrated, product, squared
-from aleator.design._expression import Expression, as_expression, number_given, value
+from aleator._core.units import integrated, product, squared
+from aleator.design._expression import Expression, as_expression, composed, value
 from aleator.design._functionals import AbstractIntegral, path, terminal
-from aleator.design._scope import AbstractAtom, AbstractScope, Units
+from aleator.design._numbers import smoothing_given
+from aleator.design._rules import Norm
+from aleator.design._scope import AbstractAtom, AbstractComposite, AbstractScope, Units
 from aleator.design._statistic import name_given, statistic
-from aleator.statistics import CoefficientProduct, root
+from aleator.statistics import CoefficientProduct
 
 Weights: TypeAlias = float | Sequence[float] | Array | None
 """One factor per term, in order; a number for a single term. `None` means ones."""
@@ -61,65 +62,6 @@ class Work(AbstractIntegral):
     @override
     def unit(self, outputs: Mapping[str, str]) -> str:
         return integrated(product(*(outputs.get(name, "") for name in self.outputs)))
-
-
-class AbstractComposite(AbstractAtom):
-    """An atom made of expressions: its subjects and measures are theirs."""
-
-    @property
-    @abc.abstractmethod
-    @override
-    def parts(self) -> tuple[AbstractAtom, ...]:
-        """The atoms of its expressions, in the order of evaluation."""
-
-    @property
-    @override
-    def subjects(self) -> tuple[str, ...]:
-        return tuple(name for part in self.parts for name in part.subjects)
-
-    @property
-    @override
-    def measures(self) -> tuple[str, ...]:
-        return tuple(text for part in self.parts for text in part.measures)
-
-
-@final
-class Norm(AbstractComposite):
-    """The Euclidean norm of several expressions."""
-
-    expressions: tuple[Expression, ...]
-
-    @override
-    def evaluate(self, scope: AbstractScope) -> Array:
-        return root(sum((one.evaluate(scope) ** 2 for one in self.expressions), start=jnp.zeros(())))
-
-    @override
-    def text(self) -> str:
-        return f"‖{', '.join(map(str, self.expressions))}‖"
-
-    @override
-    def unit(self, units: Units) -> str:
-        return common(one.unit(units) for one in self.expressions)
-
-    @property
-    @override
-    def inner(self) -> tuple[Expression, ...]:
-        return self.expressions
-
-    @property
-    @override
-    def parts(self) -> tuple[AbstractAtom, ...]:
-        return tuple(part for one in self.expressions for part in one.leaves)
-
-    @property
-    @override
-    def integrated(self) -> tuple[AbstractAtom, ...]:
-        return tuple(part for one in self.expressions for atom in one.atoms for part in atom.integrated)
-
-    @property
-    @override
-    def is_path(self) -> bool:
-        return any(one.is_path for one in self.expressions)
 
 
 @final
@@ -205,7 +147,7 @@ def power(pairs: Mapping[str, str], *, weights: Weights = None, smoothing: float
     stall: `smoothing`, W, rounds the kink, and lowers the integrand by at most that much. `coefficient_power` is the
     sum printed in the dissertation.
     """
-    smoothing, given = _smoothing("power", smoothing), _pairs("power", pairs)
+    smoothing, given = smoothing_given("power", smoothing), _pairs("power", pairs)
     return _weighted([Work(pair, smoothing).mean for pair in given], weights, "power")
 
 
@@ -216,20 +158,25 @@ def coefficient_power(pairs: Mapping[str, str], *, weights: Weights = None, smoo
     Where the rates are certain, as for a prescribed joint, it is the energy exchanged by the expected torque,
     `∫ |E[τ] q̇| dt`.
     """
-    kind = CoefficientProduct(_smoothing("coefficient_power", smoothing))
+    kind = CoefficientProduct(smoothing_given("coefficient_power", smoothing))
     paths = ((path(torque), path(rate)) for torque, rate in _pairs("coefficient_power", pairs))
     terms = [Expression((1.0,), (TimeIntegral(statistic(kind, *pair)),)) for pair in paths]
     return _weighted(terms, weights, "coefficient_power")
 
 
-def terminal_mean_error(references: Mapping[str, float]) -> Expression:
-    """The norm of the expected error at the end, `‖E[y(t_f)] - y_ref‖`: `J_S4` (85)."""
+def terminal_mean_error(references: Mapping[str, float], *, smoothing: float = 0.0) -> Expression:
+    """The norm of the expected error at the end, `‖E[y(t_f)] - y_ref‖`: `J_S4` (85).
+
+    It has a kink where the error vanishes, at which an optimiser may stall: `smoothing`, in the unit of the outputs,
+    rounds it, and lowers the norm by at most that much.
+    """
     if not isinstance(references, Mapping):
         raise ProblemError(
             "terminal_mean_error: expected the target of each output at the end, by name, such as {'reach': 1.2}; "
             f"received {type(references).__name__} {references!r}."
         )
-    return norm(*(terminal(name).mean - reference for name, reference in references.items()))
+    errors = (terminal(name).mean - reference for name, reference in references.items())
+    return norm(*errors, smoothing=smoothing_given("terminal_mean_error", smoothing))
 
 
 def terminal_variance(*outputs: str) -> Expression:
@@ -237,14 +184,16 @@ def terminal_variance(*outputs: str) -> Expression:
     return norm(*(terminal(name).variance for name in outputs))
 
 
-def norm(*expressions: Expression) -> Expression:
+def norm(*expressions: Expression, smoothing: float = 0.0) -> Expression:
     """The Euclidean norm of expressions, with derivative zero where all of them are zero.
+
+    - `smoothing`: rounds the kink there: `sqrt(x² + s²) - s` in the place of `‖x‖`.
 
     Raises `ProblemError` if there are none.
     """
     if not expressions:
         raise ProblemError("norm: expected at least one expression, such as al.terminal('x').variance; received none.")
-    return Expression((1.0,), (Norm(tuple(map(as_expression, expressions))),))
+    return composed(Norm(smoothing_given("norm", smoothing)), *expressions)
 
 
 def time_integral(expression: Expression) -> Expression:
@@ -264,13 +213,6 @@ def _pairs(name: str, pairs: Any) -> list[tuple[str, str]]:
         f"{name}: expected the rate along which each torque acts, by name, such as {{'elbow_torque': 'elbow_rate'}}; "
         f"received {type(pairs).__name__} {pairs!r}."
     )
-
-
-def _smoothing(name: str, smoothing: Any) -> float:
-    number = number_given(smoothing, "smooth a power")
-    if number < 0:
-        raise ProblemError(f"{name}: expected smoothing as a power of at least 0 W; received {number:g}.")
-    return number
 
 
 def _weighted(terms: Sequence[Expression], weights: Any, name: str) -> Expression:

@@ -110,6 +110,26 @@ class AbstractAtom(eqx.Module):
         return False
 
 
+class AbstractComposite(AbstractAtom):
+    """An atom made of expressions: its subjects and measures are theirs."""
+
+    @property
+    @abc.abstractmethod
+    @override
+    def parts(self) -> tuple[AbstractAtom, ...]:
+        """The atoms of its expressions, in the order of evaluation."""
+
+    @property
+    @override
+    def subjects(self) -> tuple[str, ...]:
+        return tuple(name for part in self.parts for name in part.subjects)
+
+    @property
+    @override
+    def measures(self) -> tuple[str, ...]:
+        return tuple(text for part in self.parts for text in part.measures)
+
+
 @final
 class Value(AbstractAtom):
     """A number of the model itself: a decision, a plain number, or a parameter of a distribution."""
@@ -149,5 +169,6 @@ class AbstractRandom(eqx.Module):
             ".quantile(0.99), or use .at_most(...)."
         )
 
-    __add__ = __radd__ = __sub__ = __rsub__ = __mul__ = __rmul__ = __truediv__ = __neg__ = refuse
+    __add__ = __radd__ = __sub__ = __rsub__ = __neg__ = refuse
+    __mul__ = __rmul__ = __truediv__ = __rtruediv__ = __pow__ = refuse
     __lt__ = __le__ = __gt__ = __ge__ = refuse

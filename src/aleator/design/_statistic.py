@@ -12,8 +12,9 @@ from typing_extensions import override
 
 from aleator._core.errors import ProblemError
 from aleator._core.libraries import is_library
-from aleator.design._expression import Constraint, Expression, number_given, ordered
+from aleator.design._expression import Constraint, Expression, ordered
 from aleator.design._extreme import Extreme
+from aleator.design._numbers import number_given
 from aleator.design._scope import AbstractAtom, AbstractRandom, AbstractScope, Units
 from aleator.dynamics import AbstractGrid, History
 from aleator.statistics import AbstractMeasured, AbstractStatistic, Correlation, Covariance, Std, a_statistic

@@ -7,7 +7,7 @@ from typing import NamedTuple, TypeAlias, final
 import numpy as np
 from jaxtyping import Float
 
-from aleator.design import AbstractAtom, Constraint, Norm, Peak, Problem, Rms, Statistic
+from aleator.design import AbstractAtom, Composed, Constraint, Peak, Problem, Rms, Statistic
 from aleator.nlp import HELD, Evaluation, Magnitudes, Matrix, variable_range
 from aleator.statistics import Mean, Std, Variance
 
@@ -148,8 +148,8 @@ def least_objective(problem: Problem) -> float:
 
 
 def _is_never_negative(atom: AbstractAtom, certain: bool) -> bool:
-    if isinstance(atom, Norm):
-        return True
+    if isinstance(atom, Composed):
+        return atom.rule.is_never_negative
     if not isinstance(atom, Statistic):
         return False
     if isinstance(atom.kind, Std | Variance):

@@ -1,0 +1,32 @@
+"""Numbers that stand in expressions, checked where they are given."""
+
+from typing import Any
+
+import numpy as np
+from jax.core import Tracer
+from jaxtyping import Array
+
+from aleator._core.errors import ProblemError
+from aleator._core.given import is_masked
+
+
+def number_given(value: Any, action: str) -> float:
+    """A finite number as a float. Raises `ProblemError` for anything else: "Only numbers can" do `action`."""
+    if is_masked(value):
+        raise ProblemError(f"Only numbers can {action}; received {value}.")
+    number = value
+    if isinstance(value, np.generic | np.ndarray | Array) and not isinstance(value, Tracer) and value.ndim == 0:
+        number = value.item()
+    if not isinstance(number, int | float) or isinstance(number, bool):
+        raise ProblemError(f"Only numbers can {action}; received {type(value).__name__} '{value}'.")
+    if not np.isfinite(number):
+        raise ProblemError(f"Only finite numbers can {action}; received {number}.")
+    return float(number)
+
+
+def smoothing_given(who: str, value: Any) -> float:
+    """A smoothing as a float. Raises `ProblemError` if it is negative."""
+    number = number_given(value, "smooth")
+    if number < 0:
+        raise ProblemError(f"{who}: expected a smoothing of at least 0; received {number:g}.")
+    return number

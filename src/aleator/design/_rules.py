@@ -1,0 +1,217 @@
+"""Functions of the values of expressions: products, quotients, powers, norms, maxima, and a user's own."""
+
+import abc
+import itertools
+import re
+from collections.abc import Callable, Iterable
+from typing import ClassVar, final
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+from typing_extensions import override
+
+from aleator._core.units import EXPONENTS, PURE, common, product, quotient, raised
+from aleator.statistics import root
+
+# A name, or a statistic of one.
+_ELEMENTARY = re.compile(r"[\w.]+(\[[^\[\]]*\])?")
+
+
+class AbstractRule(eqx.Module):
+    """A function of the values of some expressions, of which each is one number, or one an instant."""
+
+    is_never_negative: ClassVar[bool] = False
+
+    @abc.abstractmethod
+    def of(self, *values: Float[Array, "..."]) -> Float[Array, "..."]:
+        """The function's value."""
+
+    @abc.abstractmethod
+    def text(self, *texts: str) -> str:
+        """The function as mathematics; a text that is a sum stands in no brackets yet."""
+
+    @abc.abstractmethod
+    def unit(self, *units: str | None) -> str:
+        """Its unit, from those of the expressions, None for plain numbers; empty where it is unknown."""
+
+
+@final
+class Product(AbstractRule):
+    """The product of two expressions."""
+
+    @override
+    def of(self, *values: Array) -> Array:
+        first, second = values
+        return first * second
+
+    @override
+    def text(self, *texts: str) -> str:
+        return "·".join(map(_bracketed, texts))
+
+    @override
+    def unit(self, *units: str | None) -> str:
+        return product(*map(_of_factor, units))
+
+
+@final
+class Quotient(AbstractRule):
+    """The quotient of two expressions; not finite where the second is zero, which `solve` reports."""
+
+    @override
+    def of(self, *values: Array) -> Array:
+        first, second = values
+        return first / second
+
+    @override
+    def text(self, *texts: str) -> str:
+        first, second = texts
+        below = _bracketed(second)
+        return f"{_bracketed(first)}/{below if below != second or '·' not in second else f'({second})'}"
+
+    @override
+    def unit(self, *units: str | None) -> str:
+        return quotient(*map(_of_factor, units))
+
+
+@final
+class Power(AbstractRule):
+    """A power of an expression; with an exponent that is no whole number, of one that is never negative."""
+
+    exponent: float = eqx.field(static=True)
+
+    @override
+    def of(self, *values: Array) -> Array:
+        (base,) = values
+        whole = int(self.exponent)
+        return base**whole if whole == self.exponent else base**self.exponent
+
+    @override
+    def text(self, *texts: str) -> str:
+        (base,) = texts
+        shown = f"{self.exponent:g}"
+        above = shown.translate(EXPONENTS) if self.exponent == int(self.exponent) else f"^{shown}"
+        return f"{base if _ELEMENTARY.fullmatch(base) else f'({base})'}{above}"
+
+    @override
+    def unit(self, *units: str | None) -> str:
+        return raised(_of_factor(units[0]), self.exponent)
+
+
+@final
+class Norm(AbstractRule):
+    """The Euclidean norm, with derivative zero where all expressions are zero.
+
+    With a `smoothing` `s`, it is `sqrt(x² + y² + … + s²) - s`: smooth, and at most `s` below the norm.
+    """
+
+    is_never_negative: ClassVar[bool] = True
+
+    smoothing: float = eqx.field(static=True, default=0.0)
+
+    @override
+    def of(self, *values: Array) -> Array:
+        s = self.smoothing
+        return root(sum((one**2 for one in values), start=jnp.asarray(s**2))) - s
+
+    @override
+    def text(self, *texts: str) -> str:
+        return f"‖{', '.join(texts)}‖"
+
+    @override
+    def unit(self, *units: str | None) -> str:
+        return _of_terms(units)
+
+
+@final
+class Extremum(AbstractRule):
+    """The largest of several expressions (`side = 1`), or the smallest (-1).
+
+    With a `smoothing` `s`, the largest is `s log(exp(x/s) + exp(y/s) + …)`: smooth, and at most `s log n` above that of
+    `n`.
+    """
+
+    side: int = eqx.field(static=True)
+    smoothing: float = eqx.field(static=True, default=0.0)
+
+    @override
+    def of(self, *values: Array) -> Array:
+        every = self.side * jnp.stack(jnp.broadcast_arrays(*values))
+        if not self.smoothing:
+            return self.side * every.max(axis=0)
+        return self.side * self.smoothing * jax.nn.logsumexp(every / self.smoothing, axis=0)
+
+    @override
+    def text(self, *texts: str) -> str:
+        return f"{'max' if self.side > 0 else 'min'}({', '.join(texts)})"
+
+    @override
+    def unit(self, *units: str | None) -> str:
+        return _of_terms(units)
+
+
+@final
+class PositivePart(AbstractRule):
+    """An expression where it is positive, else zero.
+
+    With a `smoothing` `s`, it is `(x + sqrt(x² + s²)) / 2`: smooth, positive, and at most `s/2` above.
+    """
+
+    is_never_negative: ClassVar[bool] = True
+
+    smoothing: float = eqx.field(static=True, default=0.0)
+
+    @override
+    def of(self, *values: Array) -> Array:
+        (one,) = values
+        return (one + root(one**2 + self.smoothing**2)) / 2 if self.smoothing else jnp.maximum(one, 0.0)
+
+    @override
+    def text(self, *texts: str) -> str:
+        return f"max({texts[0]}, 0)"
+
+    @override
+    def unit(self, *units: str | None) -> str:
+        return _of_terms(units)
+
+
+@final
+class Own(AbstractRule):
+    """A user's own function, in JAX."""
+
+    function: Callable[..., Array] = eqx.field(static=True)
+
+    @override
+    def of(self, *values: Array) -> Array:
+        return self.function(*values)
+
+    @override
+    def text(self, *texts: str) -> str:
+        name = getattr(self.function, "__name__", "")
+        return f"{name if name.isidentifier() else 'f'}({', '.join(texts)})"
+
+    @override
+    def unit(self, *units: str | None) -> str:
+        """Unknown: a function has no declared unit."""
+        del units
+        return ""
+
+
+def _of_factor(unit: str | None) -> str:
+    """The unit of a factor: a plain number is pure."""
+    return PURE if unit is None else unit
+
+
+def _of_terms(units: Iterable[str | None]) -> str:
+    """The unit that all share; plain numbers are in that of the others."""
+    return common(unit for unit in units if unit is not None)
+
+
+def _bracketed(text: str) -> str:
+    """A factor: in brackets if it is a sum."""
+    depth, is_sum = 0, text.startswith("−")
+    for before, sign in itertools.pairwise(text):
+        depth += (sign in "([") - (sign in ")]")
+        is_sum |= depth == 0 and before == " " and sign in "+−"
+    return f"({text})" if is_sum else text
