@@ -9,6 +9,8 @@ import pytest
 
 import aleator as al
 from aleator.design import AbstractScope, units_of
+from aleator.design._statistic import statistic
+from aleator.statistics import Quantile
 from tiny_models import HALF_WIDTH, LOSS, ONE_STEP, RESPONSE, SPREAD, Gain
 
 VARIANCE = SPREAD**2
@@ -167,3 +169,13 @@ def test_units_follow_products_quotients_and_powers():
 def test_what_is_no_expression_is_refused_in_words(wrong, message):
     with pytest.raises(al.ProblemError, match=message):
         wrong()
+
+
+def test_one_statistic_of_several_outputs_is_that_of_each():
+    kind, gains = Quantile(0.9), al.terminal("gain")
+    problem = gain(
+        statistic(kind, RESPONSE) ** 2, subject_to=[statistic(kind, gains) >= 2, statistic(kind, RESPONSE) <= 9]
+    )
+    solution = al.solve(problem)
+    assert solution.decisions["gain"] == pytest.approx(2.0, rel=1e-6)
+    assert solution.objective == pytest.approx((2 * (1 + 0.8 * HALF_WIDTH)) ** 2, rel=1e-6)

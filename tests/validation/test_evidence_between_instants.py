@@ -126,7 +126,7 @@ def test_limits_that_say_nothing_of_one_system_are_named_with_the_reason():
     assert evidence.instants is None
     reasons = dict(zip(solution.problem.names, evidence.uncounted.values(), strict=True))
     assert reasons == {
-        "norm": "a norm or an integral of statistics",
+        "norm": "a function or an integral of statistics",
         "spread": "a statistic of all systems together",
         "end": "an equality, which no single system meets",
         "given": "numbers of the design alone",
@@ -134,5 +134,5 @@ def test_limits_that_say_nothing_of_one_system_are_named_with_the_reason():
     met = {one.name: one.meets for one in evidence.compared}
     assert met == {"norm": True, "spread": True, "end": True}
     text = str(evidence)
-    assert "not counted: ‖μ[momentum(t)]‖ ≤ 1.6 for all t (a norm or an integral of statistics)" in text
+    assert "not counted: ‖μ[momentum(t)]‖ ≤ 1.6 for all t (a function or an integral of statistics)" in text
     assert "none can violate" not in text

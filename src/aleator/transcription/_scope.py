@@ -55,7 +55,7 @@ class ExpansionScope(AbstractScope):
         self._numbers = numbers
         self._between = between
         self._totals = totals
-        self._together: dict[int, Float[Array, "..."]] = {}
+        self._together: dict[tuple[tuple[AbstractFunctional, ...], int], Float[Array, "..."]] = {}
 
     def evaluated(self, expressions: tuple[Expression, ...]) -> tuple[tuple[Array, ...], tuple[tuple[Array, ...], ...]]:
         """Expressions, each flattened, and the statistics that each of them took."""
@@ -72,14 +72,15 @@ class ExpansionScope(AbstractScope):
         atoms = [atom for one in expressions for atom in one.atoms if isinstance(atom, Statistic)]
         found = together([(one.kind, self._terms(one.functionals)) for one in atoms], self._constants)
         # By identity, because the numbers in a statistic are traced.
-        self._together = {id(one.kind): values for one, values in zip(atoms, found, strict=True) if values is not None}
+        pairs = zip(atoms, found, strict=True)
+        self._together = {(one.functionals, id(one.kind)): values for one, values in pairs if values is not None}
 
     def _terms(self, functionals: tuple[AbstractFunctional, ...]) -> Float[Array, "terms ..."]:
         return joined([self._coefficients[one] for one in functionals])
 
     @override
     def statistic(self, functionals: tuple[AbstractFunctional, ...], kind: AbstractStatistic) -> Float[Array, "..."]:
-        terms, found = self._terms(functionals), self._together.get(id(kind))
+        terms, found = self._terms(functionals), self._together.get((functionals, id(kind)))
         found = jnp.asarray(kind.of(terms, self._constants.of(kind)) if found is None else found)
         # Joint statistics take their functionals along a last axis.
         expected = terms.shape[1:] if len(functionals) == 1 else terms.shape[1:-1]

@@ -60,7 +60,7 @@ def _reason(constraint: Constraint) -> str:
     if any(isinstance(atom, Statistic) for atom in expression.atoms):
         return "a statistic of all systems together"
     inside = any(isinstance(atom, Statistic) for atom in expression.leaves)
-    return "a norm or an integral of statistics" if inside else "numbers of the design alone"
+    return "a function or an integral of statistics" if inside else "numbers of the design alone"
 
 
 def _speaks_of_one_system(expression: Expression) -> bool:
