@@ -290,6 +290,30 @@ _LANGUAGE: dict[str, tuple[Callable[..., Any], dict[str, Any], dict[str, Mapping
         {"value": without(NUMBER, "nothing in an array", "two numbers")},
     ),
     "divided": (lambda value: al.terminal("x").mean / value, {}, {"value": NUMBER | {"zero": 0.0}}),
+    "raised": (lambda value: al.terminal("x").mean ** value, {}, {"value": without(NUMBER, "nothing in an array")}),
+    **{
+        one.__name__: (
+            functools.partial(one, al.terminal("x").mean),
+            {},
+            {"#1": without(NUMBER, "nothing in an array")},
+        )
+        for one in (al.expressions.maximum, al.expressions.minimum)
+    },
+    "positive_part": (al.expressions.positive_part, {}, {"#0": without(REQUIRED, "number")}),
+    "function of": (al.expressions.function, {}, {"#0": FUNCTION}),
+    **{
+        f"{one.__name__}, smoothed": (
+            functools.partial(one, al.terminal("x").mean, *others),
+            {"smoothing": 0.1},
+            {"smoothing": without(POSITIVE, "zero")},
+        )
+        for one, others in (
+            (al.expressions.maximum, [1.0]),
+            (al.expressions.minimum, [1.0]),
+            (al.expressions.positive_part, []),
+            (al.objectives.norm, []),
+        )
+    },
     "Constraint": (
         al.Constraint,
         {"expression": al.terminal("x").mean},
