@@ -11,6 +11,7 @@ from jaxtyping import Array, Float
 from typing_extensions import override
 
 from aleator._core import given as check
+from aleator._core.arrays import in_library, jax_array
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import AbstractLeaf, is_leaf, lowest
 from aleator.trajectories._basis import basis_matrix, clamped, derived
@@ -95,8 +96,9 @@ class BSpline(AbstractTrajectory):
     def values(self, fractions: Fractions, duration: Any = 1.0, order: int = 0) -> Float[Array, "n ..."]:
         """As in `AbstractTrajectory.values`; derivatives by the splines of equations (56) and (57)."""
         weights = basis_matrix(fractions, self.all_knots(), self.degree, order)
-        values = jnp.tensordot(jnp.asarray(weights), self.control_points(duration), axes=1)
-        return values / duration**order if order else values
+        xp, weights, points, duration = in_library(weights, self.control_points(duration), duration)
+        values = xp.tensordot(weights, points, axes=1)
+        return jax_array(values / duration**order if order else values)
 
     def all_knots(self) -> tuple[float, ...] | Float[Array, " knots"]:
         """All knots over [0, 1], the ends repeated `degree + 1` times."""
@@ -114,30 +116,34 @@ class BSpline(AbstractTrajectory):
         """All control points, or those of a time derivative (equation 54), for a duration in s."""
         if order > self.degree:
             return jnp.zeros((1, *self.shape))
-        points = jnp.concatenate([self._eliminated(0, duration), as_array(self.free), self._eliminated(1, duration)])
+        xp, *parts = in_library(self._eliminated(0, duration), as_array(self.free), self._eliminated(1, duration))
+        points = xp.concatenate(parts)
         if order == 0:
-            return points
+            return jax_array(points)
         knots = self.all_knots()
         change = derived(np.array(knots) if isinstance(knots, tuple) else knots, self.degree, order)
-        return jnp.tensordot(jnp.asarray(change), points, axes=1) / duration**order
+        xp, change, points, duration = in_library(change, points, duration)
+        return jax_array(xp.tensordot(change, points, axes=1) / duration**order)
 
     def hull(self, duration: Any = 1.0, order: int = 0) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
         """Lower and upper bounds of the curve, or of a time derivative, at all times: those of its control points."""
         points = self.control_points(duration, order)
         return jnp.min(points, axis=0), jnp.max(points, axis=0)
 
-    def _eliminated(self, side: int, duration: Any) -> Float[Array, "fixed ..."]:
+    def _eliminated(self, side: int, duration: Any) -> Any:
         """The control points that the conditions at one end determine, outermost first."""
-        given = (self.start, self.end)[side]
-        points: list[Array] = []
-        for order, condition in enumerate(given):
+        end, knots = np.array([float(side)]), self.all_knots()
+        given = [as_array(condition) for condition in (self.start, self.end)[side]]
+        rows = [basis_matrix(end, knots, self.degree, order)[0] for order in range(len(given))]
+        xp, given, rows, duration = in_library(given, rows, duration)
+        points: list[Any] = []
+        for order, (condition, weights) in enumerate(zip(given, rows, strict=True)):
             # At an end, a derivative of order k depends on the outermost k + 1 control points only.
-            weights = basis_matrix(np.array([float(side)]), self.all_knots(), self.degree, order)[0]
             weights = weights[::-1] if side else weights
-            known = sum((weights[i] * point for i, point in enumerate(points)), start=jnp.zeros(self.shape))
-            points.append((as_array(condition) * duration**order - known) / weights[order])
+            known = sum((weights[i] * point for i, point in enumerate(points)), start=xp.zeros(self.shape))
+            points.append((condition * duration**order - known) / weights[order])
         points = points[::-1] if side else points
-        return jnp.stack(points) if points else jnp.zeros((0, *self.shape))
+        return xp.stack(points) if points else xp.zeros((0, *self.shape))
 
 
 def fit_control_points(

@@ -5,9 +5,10 @@ from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+
+from aleator._core.arrays import in_library, jax_array
 
 
 class AbstractSignal(eqx.Module):
@@ -39,4 +40,5 @@ class AbstractSignal(eqx.Module):
 def instants(fractions: Float[np.ndarray, " n"], t_start: Any, t_final: Any) -> Float[Array, " n"]:
     """Fractions of the time from `t_start` to `t_final` as times; 1 is `t_final` to the last bit."""
     # A signal is undefined even a rounding error beyond its end, and so is an adaptive integrator's solution.
-    return jnp.where(fractions < 1, t_start + jnp.asarray(fractions) * (t_final - t_start), t_final)
+    xp, fractions, t_start, t_final = in_library(fractions, t_start, t_final)
+    return jax_array(xp.where(fractions < 1, t_start + fractions * (t_final - t_start), t_final))

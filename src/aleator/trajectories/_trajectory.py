@@ -10,6 +10,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 from typing_extensions import override
 
+from aleator._core.arrays import in_library, jax_array
 from aleator._core.errors import ProblemError
 from aleator._core.given import is_masked
 from aleator._core.leaves import AbstractLeaf, realised_shape
@@ -135,8 +136,9 @@ def shape_of(number: Any) -> tuple[int, ...]:
 def as_array(number: Any) -> Float[Array, "..."]:
     """A realised number, or a sequence of them, as an array."""
     if isinstance(number, list | tuple):
-        return jnp.stack([as_array(one) for one in number])
-    return jnp.asarray(number, dtype=float)
+        xp, *entries = in_library(*(as_array(one) for one in number))
+        return jax_array(xp.stack(entries))
+    return jax_array(number, float)
 
 
 def conditions(kind: str, where: str, given: Any, shape: tuple[int, ...]) -> tuple[Any, ...]:

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from aleator._core.arrays import Pytree, in_library, is_number
+from aleator._core.arrays import Pytree, in_library, is_number, jax_array
 from aleator._core.leaves import is_leaf, named_leaves
 from aleator.uncertainty._at_mean import AtMean, free
 from aleator.uncertainty._decision import Decision
@@ -50,7 +50,8 @@ def uncertain_numbers(
 
 def _chosen(places: Placements, decisions: Float[Array, " n"], name: str) -> Float[Array, "..."]:
     place = places.decisions[name]
-    return decisions[place.where].reshape(np.shape(place.decision.initial))
+    _, decisions = in_library(decisions)
+    return jax_array(decisions[place.where].reshape(np.shape(place.decision.initial)))
 
 
 def _decided(
@@ -76,11 +77,9 @@ def named_numbers(model: Pytree, decisions: Float[Array, " n"]) -> dict[str, Any
         elif is_leaf(leaf):
             distribution = _decided(free(leaf), name, places, decisions)
             moments = {"mean": distribution.mean(), "std": distribution.std()}
-            numbers |= {
-                f"{name}.{key}": jnp.asarray(value) for key, value in (moments | distribution.parameters).items()
-            }
+            numbers |= {f"{name}.{key}": jax_array(value) for key, value in (moments | distribution.parameters).items()}
         elif is_number(leaf) or _is_whole(leaf):
-            numbers[name] = jnp.asarray(leaf, dtype=float)
+            numbers[name] = jax_array(leaf, float)
     return numbers
 
 
