@@ -21,6 +21,8 @@ from aleator.dynamics._record import Asked, Record
 from aleator.dynamics._system import System
 from aleator.trajectories import instants, jumps_of
 
+_RELATIVE, _ABSOLUTE, _STEPS = 1e-8, 1e-10, 100_000
+
 # Smaller tolerances cannot be met in 64-bit arithmetic.
 _TIGHTEST_RELATIVE, _TIGHTEST_ABSOLUTE = 1e-12, 1e-14
 
@@ -38,11 +40,12 @@ class AbstractAdaptive(AbstractIntegrator):
     realisation at fault and the text of `explain`. Loose tolerances give inaccurate derivatives.
     """
 
-    rtol: float = eqx.field(static=True)
-    atol: float = eqx.field(static=True)
-    max_steps: int = eqx.field(static=True)
+    # Type checkers read the arguments of subclasses, which have no `__init__`, off the fields.
+    rtol: float = eqx.field(static=True, default=_RELATIVE)
+    atol: float = eqx.field(static=True, default=_ABSOLUTE)
+    max_steps: int = eqx.field(static=True, default=_STEPS)
 
-    def __init__(self, rtol: float = 1e-8, atol: float = 1e-10, max_steps: int = 100_000):
+    def __init__(self, rtol: float = _RELATIVE, atol: float = _ABSOLUTE, max_steps: int = _STEPS):
         who = type(self).__name__
         self.rtol, self.atol = given.positive(f"{who}: rtol", rtol), given.positive(f"{who}: atol", atol)
         self.max_steps = given.whole(f"{who}: max_steps", max_steps)
