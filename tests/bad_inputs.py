@@ -487,6 +487,8 @@ _STUDIES: dict[str, tuple[Callable[..., Any], dict[str, Any], dict[str, Mapping[
     ),
     "multistart itself": (al.multistart, {}, {"problem": REQUIRED}),
     "with_bound": (lambda *a: problem().with_bound("response", *a), {}, {"#0": NOT_NUMBERS}),
+    "soft": (lambda *a, weight=1.0: al.soft(problem(), *a, weight=weight), {}, {"#0": NAME, "weight": POSITIVE}),
+    "soft of": (functools.partial(al.soft, weight=1.0), {}, {"#0": REQUIRED}),
     "with_sigmas": (lambda *a: problem().with_sigmas("response", *a), {}, {"#0": POSITIVE}),
     "expand": (
         al.expand,

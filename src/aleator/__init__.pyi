@@ -44,6 +44,7 @@ from .design import output as output
 from .design import path as path
 from .design import peak as peak
 from .design import rms as rms
+from .design import soft as soft
 from .design import terminal as terminal
 from .design import time_integral as time_integral
 from .design import uncertain as uncertain

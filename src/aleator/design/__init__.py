@@ -65,6 +65,7 @@ from aleator.design._scope import AbstractScope as AbstractScope
 from aleator.design._scope import AbstractScopeOfInstants as AbstractScopeOfInstants
 from aleator.design._scope import Units as Units
 from aleator.design._sizes import sizes as sizes
+from aleator.design._soft import soft as soft
 from aleator.design._statistic import AbstractFunctional as AbstractFunctional
 from aleator.design._statistic import Statistic as Statistic
 from aleator.design._statistic import Taken as Taken

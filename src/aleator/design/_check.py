@@ -16,11 +16,12 @@ from aleator._core.given import meant, traceable
 from aleator.design._cost import CostCurve
 from aleator.design._declaration import AbstractProblem
 from aleator.design._expression import Expression
+from aleator.design._extreme import Extreme
 from aleator.design._functionals import AbstractIntegral
 from aleator.design._physics import Digest, physics_of
 from aleator.design._realisations import refuse_diagnosed
 from aleator.design._response import grid_at, history
-from aleator.design._scope import AbstractScope, Value
+from aleator.design._scope import AbstractComposite, AbstractScope, Value
 from aleator.design._statistic import (
     AbstractFunctional,
     Taken,
@@ -51,6 +52,7 @@ def check(problem: AbstractProblem) -> str:
     _check_types(problem)
     _check_inputs(problem)
     _check_time(problem)
+    _check_worst_cases(problem)
     refuse_nonpositive(problem.simulation)
     _check_values(problem)
     _check_germs(problem)
@@ -141,6 +143,19 @@ def _check_time(problem: AbstractProblem) -> None:
             raise ProblemError(
                 f"al.output is for systems without time, but {name} evolves in time: choose a functional, such as "
                 f"al.terminal('{functional.output}'), al.path('{functional.output}') or al.rms('{functional.output}')."
+            )
+
+
+def _check_worst_cases(problem: AbstractProblem) -> None:
+    """Refuse the worst case of an output in an objective, or in a function of expressions: realisations are limited."""
+    composite = [atom for one in problem.expressions for atom in one.atoms if isinstance(atom, AbstractComposite)]
+    misplaced = [*problem.objective.leaves, *(part for atom in composite for part in atom.parts)]
+    for atom in misplaced:
+        if isinstance(atom, Extreme):
+            raise ProblemError(
+                f"'{atom.text()}' is the worst case of the model, which can only be limited, realisation by "
+                "realisation, as in .at_most(bound, worst_case=True): it has no place in an objective, a penalty or a "
+                "function of expressions. Use a statistic there, such as .quantile(0.99) or .supremum."
             )
 
 

@@ -162,12 +162,18 @@ def current(problem: Problem) -> Problem:
     return declared_anew(problem, problem.simulation)
 
 
-def declared_anew(problem: Problem, simulation: Simulation) -> Problem:
-    """The same problem of another simulation, declared and so checked anew."""
+def declared_anew(
+    problem: Problem,
+    simulation: Simulation,
+    *,
+    minimize: Expression | None = None,
+    subject_to: tuple[Constraint, ...] | None = None,
+) -> Problem:
+    """The same problem of another simulation, objective or constraints, declared and so checked anew."""
     return Problem(
         simulation.system,
-        minimize=problem.objective,
-        subject_to=problem.constraints,
+        minimize=problem.objective if minimize is None else minimize,
+        subject_to=problem.constraints if subject_to is None else subject_to,
         grid=simulation.grid if isinstance(simulation.grid, Grid) else None,
         inputs=simulation.inputs,
         expansion=problem.expansion,

@@ -1,0 +1,110 @@
+"""Constraints as penalties: closed forms of their optima, and the hard optima that they tend to."""
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+
+import aleator as al
+from tiny_models import HALF_WIDTH, LOSS, ONE_STEP, RESPONSE, SPREAD, Gain, gain_problem
+
+WAYS = {"shooting": al.Sequential(), "collocation": al.Simultaneous(al.schemes.GaussLegendre(1))}
+LIMIT, WEIGHT = 2.0, 4.0
+
+
+def problem(*limits, theta=None, grid=ONE_STEP):
+    """Choose a gain close to 3, the mean of the response to `theta` around 1, subject to limits."""
+    theta = al.Uniform(1.0, half_width=HALF_WIDTH) if theta is None else theta
+    return al.Problem(Gain(al.Decision(1.0, 0.01, 10.0), theta), grid=grid, minimize=LOSS.mean, subject_to=limits)
+
+
+def pulled(weight, slope=1.0, limit=LIMIT):
+    """The gain that is least by `(g - 3)² + w (slope g - limit)²`."""
+    return (3 + weight * slope * limit) / (1 + weight * slope**2)
+
+
+PULLED = {
+    "an upper limit": (RESPONSE.mean <= LIMIT, pulled(WEIGHT)),
+    "a lower limit": (RESPONSE.mean >= 4.0, pulled(WEIGHT, limit=4.0)),
+    "a limit with a spread": (RESPONSE.at_most(LIMIT, sigmas=2), pulled(WEIGHT, slope=1 + 2 * SPREAD)),
+    "an equality": (RESPONSE.mean.equals(LIMIT), pulled(WEIGHT)),
+    "both sides of a range": (al.Constraint(RESPONSE.mean, lower=1.0, upper=LIMIT), pulled(WEIGHT)),
+    "a range in two constraints": (RESPONSE.within(1.0, LIMIT), pulled(WEIGHT)),
+    "a limit with a probability": (
+        RESPONSE.at_most(LIMIT, probability=0.9),
+        pulled(WEIGHT, slope=1 + 0.8 * HALF_WIDTH),
+    ),
+    "a limit that holds": (RESPONSE.mean <= 5.0, 3.0),
+}
+
+
+@pytest.mark.parametrize("name", PULLED)
+def test_the_optimum_is_that_of_the_closed_form(name):
+    limit, expected = PULLED[name]
+    softened = al.soft(problem(limit), weight=WEIGHT)
+    assert not softened.constraints
+    assert al.solve(softened).decisions["gain"] == pytest.approx(expected, rel=1e-6)
+
+
+@pytest.mark.parametrize("way", WAYS.values(), ids=WAYS)
+def test_a_limit_at_every_instant_is_integrated_over_time(way):
+    response, slope = al.path("response"), 1 + 2 * SPREAD
+    softened = al.soft(problem(response.at_most(LIMIT, sigmas=2), grid=al.Grid(2.5, 4)), "response", weight=WEIGHT)
+    found = al.solve(softened, transcription=way).decisions["gain"]
+    assert found == pytest.approx(pulled(2.5 * WEIGHT, slope), rel=1e-6)
+
+
+def test_only_the_constraints_named_become_penalties():
+    both = problem((RESPONSE.mean <= LIMIT).named("soft"), (RESPONSE.mean >= 2.5).named("hard"))
+    softened = al.soft(both, "soft", weight=WEIGHT)
+    assert softened.names == ("hard",)
+    assert both.names == ("soft", "hard")
+    assert al.solve(softened).decisions["gain"] == pytest.approx(2.5, rel=1e-6)
+    twice = al.soft(softened, "hard", weight=2.0)
+    expected = (3 + WEIGHT * LIMIT + 2.0 * 2.5) / (1 + WEIGHT + 2.0)
+    assert al.solve(twice).decisions["gain"] == pytest.approx(expected, rel=1e-6)
+
+
+def test_soft_limits_tend_to_hard_ones_in_inverse_proportion_to_the_weight():
+    """Equation (101) beside (95), and (94) beside (93)."""
+    for one in (gain_problem(LIMIT), al.deterministic(gain_problem(LIMIT))):
+        hard = al.solve(one).decisions["gain"]
+        weights = np.array([1e2, 1e3, 1e4])
+        missed = [al.solve(al.soft(one, weight=weight)).decisions["gain"] - hard for weight in weights]
+        assert min(missed) > 0
+        np.testing.assert_allclose(np.diff(np.log(missed)) / np.diff(np.log(weights)), -1.0, atol=0.01)
+
+
+def test_a_tolerance_under_a_soft_limit_is_that_of_its_derivative():
+    """Equation (124): `1/h + w (g h/√3 - c)₊²` for a gain `g` of 1, at the root of its derivative."""
+    theta = al.Uniform(1.0, half_width=al.Decision(0.1, 0.01, 0.9))
+    cost = al.cost.reciprocal("theta.half_width", bias=0.0, scale=1.0)
+    limit, weight = 0.2, 50.0
+    hard = al.Problem(Gain(1.0, theta), grid=ONE_STEP, minimize=cost, subject_to=[RESPONSE.std <= limit])
+    found = al.solve(al.soft(hard, weight=weight)).decisions["theta.half_width"]
+
+    def slope(h):
+        return -1 / h**2 + 2 * weight / np.sqrt(3) * (h / np.sqrt(3) - limit)
+
+    assert found == pytest.approx(brentq(slope, 0.35, 0.9), rel=1e-6)
+
+
+def test_the_text_is_the_penalty_as_mathematics():
+    text = str(al.soft(problem(RESPONSE.mean <= LIMIT, al.path("response").mean.equals(1.0)), weight=WEIGHT))
+    assert "μ[loss(t_f)] + 4 (max(μ[response(t_f)] − 2, 0))² + 4 ∫(μ[response(t)] − 1)² dt" in text
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        (lambda: al.soft(problem(), weight=1.0), "no constraints that could become penalties"),
+        (lambda: al.soft(problem(RESPONSE.mean <= 1.0), "nobody", weight=1.0), "no constraint 'nobody'"),
+        (lambda: al.soft(problem(RESPONSE.at_most(1.0, worst_case=True)), weight=1.0), "can only be limited"),
+        (
+            lambda: al.soft(problem(al.path("response").at_most(1.0, worst_case=True)), weight=1.0),
+            r"'max\[response\(t\)\]' is the worst case",
+        ),
+    ],
+)
+def test_what_cannot_be_softened_is_refused(wrong, message):
+    with pytest.raises(al.ProblemError, match=message):
+        wrong()
