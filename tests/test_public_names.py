@@ -134,3 +134,10 @@ def test_numbers_have_64_bits_before_anything_is_used():
 def test_a_misspelt_name_is_refused_with_one_that_exists():
     found = subprocess.run([sys.executable, "-c", "import aleator; aleator.Probelm"], capture_output=True, text=True)
     assert found.stderr.strip().endswith("module 'aleator' has no attribute 'Probelm'. Did you mean: 'Problem'?")
+
+
+def test_a_star_import_brings_every_public_name():
+    brought: dict[str, object] = {}
+    exec("from aleator import *", brought)
+    assert {"Problem", "Uniform", "solve", "expressions"} <= set(brought)
+    assert brought["solve"] is al.solve

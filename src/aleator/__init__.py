@@ -20,6 +20,7 @@ from aleator._core import clock as _clock  # noqa: E402
 
 _load, _, _names = _lazy.attach_stub(__name__, __file__)
 
+__all__ = _names  # pyright: ignore[reportUnsupportedDunderAll]
 __version__ = "0.1.0"
 _clock.import_seconds = _now() - _started
 

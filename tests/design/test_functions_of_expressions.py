@@ -11,7 +11,7 @@ import aleator as al
 from aleator.design import AbstractScope, units_of
 from aleator.design._statistic import statistic
 from aleator.statistics import Quantile
-from tiny_models import HALF_WIDTH, LOSS, ONE_STEP, RESPONSE, SPREAD, Gain
+from tiny_models import HALF_WIDTH, LOSS, ONE_STEP, RESPONSE, SPREAD, Decay, Gain
 
 VARIANCE = SPREAD**2
 WAYS = {"shooting": al.Sequential(), "collocation": al.Simultaneous(al.schemes.GaussLegendre(1))}
@@ -42,6 +42,17 @@ FUNCTIONS = {
     "product": ((2 * A + 1) * B, lambda a, b: (2 * a + 1) * b, "(2 a + 1)·b"),
     "quotient": ((A - 3) / (A * B), lambda a, b: (a - 3) / (a * b), "(a − 3)/(a·b)"),
     "one over": (2 / (B + 1), lambda a, b: 2 / (b + 1), "2/(b + 1)"),
+    "below the line": (A / (2 * B), lambda a, b: a / (2 * b), "a/(2 b)"),
+    "a quotient below the line": (A / (B / A), lambda a, b: a * a / b, "a/(b/a)"),
+    "a multiple": (A * (2 * B), lambda a, b: 2 * a * b, "a·(2 b)"),
+    "a power of a power": ((A**2) ** 3, lambda a, b: a**6, "(a²)³"),
+    "a root of a power": ((A**2) ** 0.5, lambda a, b: a, "(a²)^0.5"),
+    "magnitude": (abs(A - B), lambda a, b: abs(a - b), "‖a − b‖"),
+    "rounded": (
+        2 * al.expressions.positive_part(A, smoothing=0.1),
+        lambda a, b: a + np.hypot(a, 0.1),
+        "2 max(a, 0) (smoothed by 0.1)",
+    ),
     "square": ((A - 1.5) ** 2 + B, lambda a, b: (a - 1.5) ** 2 + b, "(a − 1.5)² + b"),
     "cube": (A**3, lambda a, b: a**3, "a³"),
     "inverse": (A**-2, lambda a, b: a**-2.0, "a⁻²"),
@@ -179,3 +190,54 @@ def test_one_statistic_of_several_outputs_is_that_of_each():
     solution = al.solve(problem)
     assert solution.decisions["gain"] == pytest.approx(2.0, rel=1e-6)
     assert solution.objective == pytest.approx((2 * (1 + 0.8 * HALF_WIDTH)) ** 2, rel=1e-6)
+
+
+@pytest.mark.parametrize("way", WAYS.values(), ids=WAYS)
+def test_an_own_function_is_asked_for_each_instant_by_itself(way):
+    """A sum over instants would grow with every finer grid that judges the answer."""
+    clipped = al.expressions.function(lambda now: jnp.max(now), al.path("response").mean)
+    assert al.solve(gain(LOSS.mean, subject_to=[clipped <= 2.0]), transcription=way).decisions["gain"] == pytest.approx(
+        2.0, rel=1e-6
+    )
+    flat = al.expressions.function(lambda now: 3.0, RESPONSE.mean)
+    assert al.solve(gain(flat), transcription=way).objective == 3.0
+
+
+@pytest.mark.parametrize(
+    ("function", "message"),
+    [
+        (jnp.cumsum, r"'cumsum' of expressions: expected one number .* received an array of shape \(1,\)"),
+        (np.exp, "'exp' converts a number that is only known at run time to plain Python or NumPy: use jax.numpy"),
+        (lambda now: 1 / 0, "'f' raised ZeroDivisionError"),
+        (lambda now: now + 1j, "'f' of expressions: expected real numbers; received complex ones"),
+        (lambda now: None, "'f' of expressions: expected real numbers; received None"),
+        (lambda one, other: one, "'f' raised TypeError"),
+        (lambda now: max(now, 0.0), "'f' branches on a number that is only known at run time"),
+    ],
+)
+def test_an_own_function_that_is_no_function_of_numbers_is_refused_by_name(function, message):
+    with pytest.raises(al.ProblemError, match=message):
+        gain(LOSS.mean, subject_to=[al.expressions.function(function, al.path("response").mean) <= 1.0])
+
+
+@pytest.mark.parametrize("way", WAYS.values(), ids=WAYS)
+@pytest.mark.parametrize("functional", [al.path("response"), al.peak("response")], ids=["path", "peak"])
+def test_a_limit_on_a_ratio_to_a_spread_holds_though_no_single_system_has_one(functional, way):
+    """The mean of g θ + b over its spread: (g + b) / (g s) <= 20, with b = 1 and g at least its root."""
+    theta = al.Uniform(1.0, half_width=HALF_WIDTH)
+    system = Gain(al.Decision(3.0, 0.01, 10.0), theta, 1.0)
+    limit = functional.mean / functional.std <= 20.0
+    found = al.solve(
+        al.Problem(system, grid=ONE_STEP, minimize=al.terminal("gain").mean, subject_to=[limit]), transcription=way
+    )
+    assert found.decisions["gain"] == pytest.approx(1 / (20 * SPREAD - 1), rel=1e-6)
+
+
+@pytest.mark.parametrize("scheme", [al.schemes.GaussLegendre(3), al.schemes.Radau(3)], ids=["Gauss", "Radau"])
+def test_an_objective_that_is_flat_at_its_minimum_is_solved(scheme):
+    """States that move give the constraints multipliers of nothing but rounding."""
+    system = Decay(al.Uniform(1.0, half_width=0.2), al.Decision(2.0, -5.0, 5.0))
+    excess = al.expressions.positive_part(al.terminal("x").mean - 3.0)
+    for objective in (0 * al.terminal("x").mean + 1.0, excess, excess**2):
+        problem = al.Problem(system, grid=al.Grid(1.0, 10), minimize=objective)
+        assert al.solve(problem, transcription=al.Simultaneous(scheme)).status is al.Status.SOLVED

@@ -20,7 +20,13 @@ def root_by_newton(square):
     def is_far(root):
         return jnp.abs(root**2 - square) > 1e-14 * square
 
-    return jax.lax.while_loop(is_far, lambda root: (root + square / root) / 2, jnp.maximum(square, 1.0))
+    # The condition is computed once: JAX would compute it twice in a step, and rounding may differ.
+    def step(carried):
+        root = (carried[0] + square / carried[0]) / 2
+        return root, is_far(root)
+
+    first = jnp.maximum(square, 1.0)
+    return jax.lax.while_loop(lambda carried: carried[1], step, (first, is_far(first)))[0]
 
 
 @jax.custom_vjp

@@ -35,7 +35,8 @@ class Use(enum.Enum):
     - `ROWS`: many runs of large equations without loops. Compiled faster without the emitters for fused operations,
       which speed up loops only;
     - `ONCE`: a few runs in all. Compiled faster with little optimisation. With none at all, and without those emitters,
-      XLA compiles some loops that end by a condition so that they never end.
+      some loops of many realisations that end by a condition never end: JAX evaluates the condition twice in a step, to
+      go on and to change the numbers, and without optimisation the two more often differ in their last bit.
     """
 
     LOOPS = _BARRIERS

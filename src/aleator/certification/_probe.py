@@ -85,6 +85,8 @@ def _misled(
 
 def _shown(own: np.ndarray, other: np.ndarray) -> float:
     """How far two numbers differ; zero if no more than grids may."""
+    if not np.isfinite(own).all():
+        return 0.0  # A ratio to a spread, which tells nothing.
     difference, size = float(np.max(np.abs(own - other))), float(np.max(np.maximum(np.abs(own), np.abs(other))))
     return 0.0 if difference <= _SHOWS_OF_NUMBERS * size else difference
 
@@ -109,7 +111,10 @@ def _exceeded(transcribed: AbstractTranscribed, finer: Reference) -> Iterator[tu
             rows, alike, probe = (
                 sign * (part.reshape(len(part) if one.is_path else 1, -1)) for part in (family, own, other)
             )
-            more = (probe - alike[windows].max(axis=1)).max(axis=1)
+            # A ratio to a spread is not finite for any one system, which then tells nothing of the family.
+            known: Any = np.isfinite(alike[windows]).all(axis=(1, 2))
+            more = np.where(known[:, None], probe, 0.0) - np.where(known[:, None], alike[windows].max(axis=1), 0.0)
+            more = more.max(axis=1)
             beyond = rows.max(axis=1)[windows].max(axis=1) - sign * bound + more
             # NaN counts as the largest excess.
             beyond = np.where(np.isnan(beyond), np.inf, beyond)

@@ -17,7 +17,7 @@ from aleator._core.errors import ProblemError
 from aleator._core.given import a_name, real_array
 from aleator._core.units import common
 from aleator.design._numbers import number_given
-from aleator.design._rules import AbstractRule, Power, Product, Quotient
+from aleator.design._rules import AbstractRule, Norm, Power, Product, Quotient
 from aleator.design._scope import AbstractAtom, AbstractComposite, AbstractRandom, AbstractScope, Units, Value
 
 
@@ -72,6 +72,9 @@ class Expression(eqx.Module):
     def __pow__(self, exponent: Any) -> "Expression":
         return composed(Power(number_given(exponent, "be an exponent")), self)
 
+    def __abs__(self) -> "Expression":
+        return composed(Norm(), self)
+
     def __neg__(self) -> "Expression":
         return self * -1.0
 
@@ -88,7 +91,10 @@ class Expression(eqx.Module):
         return _compare(self - other, upper=False)
 
     def __lt__(self, other: Any) -> "Constraint":
-        raise ProblemError(f"Bounds include their value: write <= or >= with '{self}', not < or >.")
+        raise ProblemError(
+            f"Bounds include their value: write <= or >= with '{self}', not < or >. The larger and the smaller of two "
+            "are al.expressions.maximum and minimum."
+        )
 
     __gt__ = __lt__
 

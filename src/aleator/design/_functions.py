@@ -38,10 +38,12 @@ def positive_part(expression: Any, *, smoothing: float = 0.0) -> Expression:
 def function(of: Callable[..., Any], *expressions: Any) -> Expression:
     """Your own function of expressions and numbers, written with `jax.numpy` so that it can be differentiated.
 
-    It is given the value of each: one number, or an array of one number an instant for a path. A function that
-    differs, though it computes the same, is compiled again: define it once, outside of loops.
+    It is given one number of each expression and returns one number. For a path it is called for each instant by
+    itself: what joins instants is an integral (`al.time_integral`), a peak or an rms. A function that differs, though
+    it computes the same, is compiled again: define it once, outside of loops.
 
-    Raises `ProblemError` if `of` is no function, or no expression is given.
+    Raises `ProblemError` if `of` is no function, or no expression is given; and, once it is used in a problem, if it
+    raises, or returns anything but one real number.
     """
     if not callable(of):
         raise refusal("function", "a function of the values of expressions", of)

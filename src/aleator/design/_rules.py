@@ -12,11 +12,14 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 from typing_extensions import override
 
+from aleator._core.errors import ProblemError
+from aleator._core.given import traceable
 from aleator._core.units import EXPONENTS, PURE, common, product, quotient, raised
+from aleator.dynamics import returned
 from aleator.statistics import root
 
-# A name, or a statistic of one.
-_ELEMENTARY = re.compile(r"[\w.]+(\[[^\[\]]*\])?")
+# A name or number without an exponent, or a statistic of one.
+_ELEMENTARY = re.compile(r"[\w.]*[^\W²³¹⁰⁴-⁹](\[[^\[\]]*\])?")
 
 
 class AbstractRule(eqx.Module):
@@ -48,7 +51,8 @@ class Product(AbstractRule):
 
     @override
     def text(self, *texts: str) -> str:
-        return "·".join(map(_bracketed, texts))
+        first, second = texts
+        return f"{_bracketed(first)}·{_bracketed(second, also=' ')}"
 
     @override
     def unit(self, *units: str | None) -> str:
@@ -67,8 +71,7 @@ class Quotient(AbstractRule):
     @override
     def text(self, *texts: str) -> str:
         first, second = texts
-        below = _bracketed(second)
-        return f"{_bracketed(first)}/{below if below != second or '·' not in second else f'({second})'}"
+        return f"{_bracketed(first)}/{_alone(second)}"
 
     @override
     def unit(self, *units: str | None) -> str:
@@ -91,8 +94,8 @@ class Power(AbstractRule):
     def text(self, *texts: str) -> str:
         (base,) = texts
         shown = f"{self.exponent:g}"
-        above = shown.translate(EXPONENTS) if self.exponent == int(self.exponent) else f"^{shown}"
-        return f"{base if _ELEMENTARY.fullmatch(base) else f'({base})'}{above}"
+        above = shown.translate(EXPONENTS) if shown.removeprefix("-").isdigit() else f"^{shown}"
+        return f"{_alone(base)}{above}"
 
     @override
     def unit(self, *units: str | None) -> str:
@@ -117,7 +120,7 @@ class Norm(AbstractRule):
 
     @override
     def text(self, *texts: str) -> str:
-        return f"‖{', '.join(texts)}‖"
+        return f"‖{', '.join(texts)}‖{_smoothed(self.smoothing)}"
 
     @override
     def unit(self, *units: str | None) -> str:
@@ -144,7 +147,7 @@ class Extremum(AbstractRule):
 
     @override
     def text(self, *texts: str) -> str:
-        return f"{'max' if self.side > 0 else 'min'}({', '.join(texts)})"
+        return f"{'max' if self.side > 0 else 'min'}({', '.join(texts)}){_smoothed(self.smoothing)}"
 
     @override
     def unit(self, *units: str | None) -> str:
@@ -169,7 +172,7 @@ class PositivePart(AbstractRule):
 
     @override
     def text(self, *texts: str) -> str:
-        return f"max({texts[0]}, 0)"
+        return f"max({texts[0]}, 0){_smoothed(self.smoothing)}"
 
     @override
     def unit(self, *units: str | None) -> str:
@@ -178,18 +181,35 @@ class PositivePart(AbstractRule):
 
 @final
 class Own(AbstractRule):
-    """A user's own function, in JAX."""
+    """A user's own function of numbers, in JAX.
+
+    It is called for one instant at a time: a function of several instants would change with the grid.
+    """
 
     function: Callable[..., Array] = eqx.field(static=True)
 
     @override
     def of(self, *values: Array) -> Array:
-        return self.function(*values)
+        return jnp.vectorize(self._of_numbers)(*values)
+
+    def _of_numbers(self, *numbers: Array) -> Array:
+        who = f"The function '{self._name}'"
+        found = traceable(f"{who} of expressions", returned(who, self.function, *numbers))
+        if found.shape != ():
+            raise ProblemError(
+                f"{who} of expressions: expected one number from one number of each expression; received an array of "
+                f"shape {found.shape}. It is called for one instant at a time; al.time_integral joins instants."
+            )
+        return found
+
+    @property
+    def _name(self) -> str:
+        name = getattr(self.function, "__name__", "")
+        return name if name.isidentifier() else "f"
 
     @override
     def text(self, *texts: str) -> str:
-        name = getattr(self.function, "__name__", "")
-        return f"{name if name.isidentifier() else 'f'}({', '.join(texts)})"
+        return f"{self._name}({', '.join(texts)})"
 
     @override
     def unit(self, *units: str | None) -> str:
@@ -208,10 +228,20 @@ def _of_terms(units: Iterable[str | None]) -> str:
     return common(unit for unit in units if unit is not None)
 
 
-def _bracketed(text: str) -> str:
-    """A factor: in brackets if it is a sum."""
-    depth, is_sum = 0, text.startswith("−")
+def _smoothed(smoothing: float) -> str:
+    """How a kink is rounded, after its function."""
+    return f" (smoothed by {smoothing:g})" if smoothing else ""
+
+
+def _alone(text: str) -> str:
+    """A base or a divisor: in brackets unless it is one name or number."""
+    return text if _ELEMENTARY.fullmatch(text) else f"({text})"
+
+
+def _bracketed(text: str, *, also: str = "") -> str:
+    """A factor: in brackets if it is a sum, or holds any of some other signs outside of brackets."""
+    depth, splits = 0, text.startswith("−")
     for before, sign in itertools.pairwise(text):
         depth += (sign in "([") - (sign in ")]")
-        is_sum |= depth == 0 and before == " " and sign in "+−"
-    return f"({text})" if is_sum else text
+        splits |= depth == 0 and ((before == " " and sign in "+−") or sign in also)
+    return f"({text})" if splits else text

@@ -50,3 +50,4 @@ from aleator.dynamics._system import System as System
 from aleator.dynamics._system import called as called
 from aleator.dynamics._system import check_inputs as check_inputs
 from aleator.dynamics._system import input_names as input_names
+from aleator.dynamics._system import returned as returned

@@ -125,9 +125,13 @@ def evaluated(system: System, method: Callable[..., Any], t: Any, z: Any, inputs
 
 def called(system: eqx.Module, method: Callable[..., Any], *arguments: Any, **named: Any) -> Any:
     """Call `method` of `system`. Raises `ProblemError` for whatever the user's code raises, with a remedy if known."""
-    who = f"{type(system).__name__}.{method.__name__}"
+    return returned(f"{type(system).__name__}.{method.__name__}", method, *arguments, **named)
+
+
+def returned(who: str, function: Callable[..., Any], *arguments: Any, **named: Any) -> Any:
+    """What a user's function `who` returns. Raises `ProblemError` for whatever it raises, with a remedy if known."""
     try:
-        return method(*arguments, **named)
+        return function(*arguments, **named)
     except (AleatorError, jax.errors.JaxRuntimeError):
         raise
     except jax.errors.TracerBoolConversionError as error:

@@ -194,11 +194,15 @@ def _at(scaled: ScaledProgram, answer: Answer, user: Evaluation, tolerance: floa
     if answer.multipliers is not None:
         own = certify(scaled, z, evaluation, answer.multipliers)
         candidates.append((own, answer.multipliers))
-    if not candidates or not (candidates[0][0].within(np.inf, tolerance) or _is_large(scaled)):
+    if not candidates or not candidates[0][0].within(np.inf, tolerance):
+        # An objective may be flat at its minimum: multipliers would be nothing but rounding.
         none = Multipliers(np.zeros(scaled.rows), np.zeros(scaled.size))
-        least = Certificate(certify(scaled, z, evaluation, none).violation, scaled.above_least(user), 0.0)
-        fitted = fit_multipliers(scaled, z, evaluation)
-        candidates += [(certify(scaled, z, evaluation, fitted), fitted), (least, none)]
+        flat = certify(scaled, z, evaluation, none)
+        candidates.append((flat, none))
+        if len(candidates) == 1 or not _is_large(scaled):
+            fitted = fit_multipliers(scaled, z, evaluation)
+            least = Certificate(flat.violation, scaled.above_least(user), 0.0)
+            candidates += [(certify(scaled, z, evaluation, fitted), fitted), (least, none)]
     certificate, multipliers = min(candidates, key=lambda pair: max(pair[0].stationarity, pair[0].complementarity))
     return Verdict(answer.claim, z, user, multipliers, certificate, answer.message, scaled.scales.constraints)
 
