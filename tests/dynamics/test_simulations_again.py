@@ -1,6 +1,11 @@
 """One program serves the same equations with any numbers; what the numbers themselves forbid is refused as before."""
 
+from collections.abc import Callable
+from pathlib import Path
+
+import equinox as eqx
 import numpy as np
+import pandas as pd
 import pytest
 
 import aleator as al
@@ -76,6 +81,36 @@ def test_what_the_code_reads_may_change(monkeypatch):
     assert float(al.simulate(Pushed(0.0), GRID)["x"][-1]) == pytest.approx(2.0)
     monkeypatch.setattr("test_simulations_again.PUSH", 3.0)
     assert float(al.simulate(Pushed(0.0), GRID)["x"][-1]) == pytest.approx(4.0)
+
+
+class FromFile(Branching):
+    """`x' = k`, with `k` from a file that the code reads in some way."""
+
+    read: Callable[[Path], float]
+    path: Path = eqx.field(static=True)
+
+    def rhs(self, t, z):
+        return (self.read(self.path) + 0.0 * z.x,)
+
+
+READERS = {
+    "text": lambda path: float(path.read_text()),
+    "bytes": lambda path: float(path.read_bytes()),
+    "open": lambda path: float(open(path).read()),  # noqa: SIM115, PTH123
+    "a table": lambda path: float(np.loadtxt(path)),
+    "numbers": lambda path: float(np.fromfile(path, sep=" ")[0]),
+    "pandas": lambda path: float(pd.read_csv(path, header=None)[0][0]),
+}
+
+
+@pytest.mark.filterwarnings("ignore::ResourceWarning")
+@pytest.mark.parametrize("way", READERS)
+def test_a_file_that_the_code_reads_may_change(way, tmp_path):
+    path = tmp_path / "k.txt"
+    model = FromFile(0.0, READERS[way], path)
+    for number in (1.0, 2.0):
+        path.write_text(f"{number}\n")
+        assert float(al.simulate(model, GRID)["x"][-1]) == pytest.approx(1.0 + number)
 
 
 def test_impossible_numbers_are_refused_though_the_program_is_there():

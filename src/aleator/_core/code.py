@@ -29,8 +29,12 @@ from aleator._core.readings import Again, Place, Plain, Reading, Same
 
 # Most objects of a reading: larger programs are not read to the end.
 _MOST = 5_000
-# Methods whose results differ between calls.
-_MOODY_NAMES = {"rvs"}
+# Methods whose results differ between calls, or are read from a file.
+_MOODY_NAMES = {"rvs", "read_text", "read_bytes"}
+# Functions of libraries that read files.
+_OF_FILES = {"load", "loadtxt", "loadmat", "genfromtxt", "fromfile", "memmap", "read_csv", "read_table"} | {
+    *("read_excel", "read_parquet", "read_hdf", "read_json", "open_dataset", "load_dataset"),
+}
 # Functions that read objects which no name in the code shows.
 _HIDDEN = {"eval", "exec", "compile", "globals", "locals", "vars", "getattr", "open", "input", "__import__"}
 # Instructions with these endings look a name up in an object, not among globals.
@@ -205,7 +209,7 @@ class _Reader:
 
     def _builtin(self, it: Any, place: Place) -> None:
         owner = it.__self__
-        self._known(it, place, doubtful=is_moody(getattr(it, "__module__", None)))
+        self._known(it, place, doubtful=is_moody(getattr(it, "__module__", None)) or it.__name__ in _OF_FILES)
         if owner is not None and not isinstance(owner, types.ModuleType):
             self.value(owner, place)
 
@@ -247,7 +251,7 @@ class _Reader:
     def _function(self, it: types.FunctionType, place: Place) -> None:
         home = it.__globals__.get("__name__")
         if is_library(home) and is_library(it.__module__) and "<locals>" not in it.__qualname__:
-            self._known(it, place, doubtful=is_moody(home))
+            self._known(it, place, doubtful=is_moody(home) or it.__name__ in _OF_FILES)
             return
         who = it.__qualname__
         self.reads.append((Place(who, "code", ""), Same(it.__code__)))
