@@ -4,7 +4,8 @@
 
 Each line is the median over fresh processes of its kind. The first run of a problem has an empty folder of compiled
 programs; the second has what the first one left. JAX alone is the peer of the import. What a limit takes to compile is
-the processor time of the suspension's first solution with it, less that of the next one in the same process.
+the processor time of the suspension's first solution with it, less that of the next one in the same process. A system
+is simulated with some numbers, and then with others.
 """
 
 import argparse
@@ -60,6 +61,30 @@ for _ in range(2):
 print(taken[0] - taken[1])
 """
 
+INTEGRATORS = ("RungeKutta4", "Tsit5")
+SIMULATED = """
+import time
+import aleator as al
+
+class VanDerPol(al.System):
+    states = ("x", "v")
+    mu: float
+
+    def initial(self):
+        return {{"x": 1.0}}
+
+    def rhs(self, t, z):
+        return z.v, self.mu * (1 - z.x**2) * z.v - z.x
+
+    def outputs(self, t, z):
+        return {{"x": z.x}}
+
+for mu in (1.0, 1.5):
+    cpu = time.process_time()
+    al.simulate(VanDerPol(mu), al.Grid(10.0, 1000), integrator=al.integrators.{integrator}())["x"].block_until_ready()
+    print(time.process_time() - cpu)
+"""
+
 
 def ran(script: str, folder: str) -> list[float]:
     """The numbers that a fresh process prints, with compiled programs kept in a folder."""
@@ -95,6 +120,14 @@ def main() -> None:
             with tempfile.TemporaryDirectory() as folder:
                 taken.append(ran(COMPILED.format(limit=limit), folder)[0])
         print(f"{name:<28} compiled in {median(taken):6.2f} CPU s", flush=True)
+    for integrator in INTEGRATORS:
+        with tempfile.TemporaryDirectory() as folder:
+            runs = [ran(SIMULATED.format(integrator=integrator), folder) for _ in range(repeats)]
+        first, second = (median(run[k] for run in runs) for k in range(2))
+        print(
+            f"al.simulate, {integrator:<15} first {first:6.2f} CPU s, other numbers {1e3 * second:.1f} CPU ms",
+            flush=True,
+        )
 
 
 if __name__ == "__main__":
