@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 import aleator as al
-from aleator._core.programs import PROGRAMS
+from aleator.dynamics._simulation import _HISTORY
 from tiny_models import Decay
 
 GRID = al.Grid(1.0, 20)
@@ -49,27 +49,13 @@ class Swing(al.Multibody):
         return (al.Body("arm", joint=joint, mass=1.0, center=(0.0, 0.0, -1.0)),)
 
 
-def programs(monkeypatch):
-    """The keys of programs traced from now on."""
-    traced = []
-    found = PROGRAMS.found
-
-    def told(key):
-        program, is_new = found(key)
-        traced.extend([key] if is_new else [])
-        return program, is_new
-
-    monkeypatch.setattr(PROGRAMS, "found", told)
-    return traced
-
-
 @pytest.mark.parametrize("integrator", [al.integrators.RungeKutta4(), al.integrators.Tsit5(rtol=1e-10, atol=1e-12)])
-def test_other_numbers_need_no_other_program(integrator, monkeypatch):
-    traced = programs(monkeypatch)
+def test_other_numbers_need_no_other_program(integrator):
+    before = _HISTORY.compilations
     for rate, start, end in ((1.0, 2.0, 1.0), (0.3, -1.0, 2.5), (2.0, 0.5, 0.7)):
         found = al.simulate(Decay(rate, start), al.Grid(end, 20), integrator=integrator)
         np.testing.assert_allclose(found["x"], start * np.exp(-rate * np.linspace(0.0, end, 21)), rtol=1e-4, atol=1e-9)
-    assert len(traced) == 1
+    assert _HISTORY.compilations - before == 1
 
 
 def test_a_number_that_code_branches_on_is_taken_as_it_is():

@@ -209,7 +209,7 @@ class _Reader:
 
     def _builtin(self, it: Any, place: Place) -> None:
         owner = it.__self__
-        self._known(it, place, doubtful=is_moody(getattr(it, "__module__", None)) or it.__name__ in _OF_FILES)
+        self._known(it, place, doubtful=_may_vary(it, getattr(it, "__module__", None)))
         if owner is not None and not isinstance(owner, types.ModuleType):
             self.value(owner, place)
 
@@ -251,7 +251,7 @@ class _Reader:
     def _function(self, it: types.FunctionType, place: Place) -> None:
         home = it.__globals__.get("__name__")
         if is_library(home) and is_library(it.__module__) and "<locals>" not in it.__qualname__:
-            self._known(it, place, doubtful=is_moody(home) or it.__name__ in _OF_FILES)
+            self._known(it, place, doubtful=_may_vary(it, home))
             return
         who = it.__qualname__
         self.reads.append((Place(who, "code", ""), Same(it.__code__)))
@@ -288,6 +288,11 @@ class _Reader:
         for name in names:
             if name in vars(it):
                 self._named(vars(it)[name], Place(place.who, "global", f"{place.name}.{name}"), names, modules)
+
+
+def _may_vary(function: Any, home: str | None) -> bool:
+    """Whether a function of the library `home` may return something else although it is the same."""
+    return is_moody(home) or function.__name__ in _OF_FILES
 
 
 def _has_attributes(it: Any) -> bool:

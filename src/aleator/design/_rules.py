@@ -3,7 +3,7 @@
 import abc
 import itertools
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from typing import ClassVar, final
 
 import equinox as eqx
@@ -102,8 +102,28 @@ class Power(AbstractRule):
         return raised(_of_factor(units[0]), self.exponent)
 
 
+class AbstractRounded(AbstractRule):
+    """A rule with a kink, which a `smoothing` above zero rounds. Its expressions have one unit, which is its own."""
+
+    smoothing: eqx.AbstractVar[float]
+
+    @abc.abstractmethod
+    def sharp(self, *texts: str) -> str:
+        """The rule as mathematics, without smoothing."""
+
+    @override
+    def text(self, *texts: str) -> str:
+        rounded = f" (smoothed by {self.smoothing:g})" if self.smoothing else ""
+        return f"{self.sharp(*texts)}{rounded}"
+
+    @override
+    def unit(self, *units: str | None) -> str:
+        """That of all; plain numbers are in the unit of the others."""
+        return common(unit for unit in units if unit is not None)
+
+
 @final
-class Norm(AbstractRule):
+class Norm(AbstractRounded):
     """The Euclidean norm, with derivative zero where all expressions are zero.
 
     With a `smoothing` `s`, it is `sqrt(x² + y² + … + s²) - s`: smooth, and at most `s` below the norm.
@@ -119,16 +139,12 @@ class Norm(AbstractRule):
         return root(sum((one**2 for one in values), start=jnp.asarray(s**2))) - s
 
     @override
-    def text(self, *texts: str) -> str:
-        return f"‖{', '.join(texts)}‖{_smoothed(self.smoothing)}"
-
-    @override
-    def unit(self, *units: str | None) -> str:
-        return _of_terms(units)
+    def sharp(self, *texts: str) -> str:
+        return f"‖{', '.join(texts)}‖"
 
 
 @final
-class Extremum(AbstractRule):
+class Extremum(AbstractRounded):
     """The largest of several expressions (`side = 1`), or the smallest (-1).
 
     With a `smoothing` `s`, the largest is `s log(exp(x/s) + exp(y/s) + …)`: smooth, and at most `s log n` above that of
@@ -146,16 +162,12 @@ class Extremum(AbstractRule):
         return self.side * self.smoothing * jax.nn.logsumexp(every / self.smoothing, axis=0)
 
     @override
-    def text(self, *texts: str) -> str:
-        return f"{'max' if self.side > 0 else 'min'}({', '.join(texts)}){_smoothed(self.smoothing)}"
-
-    @override
-    def unit(self, *units: str | None) -> str:
-        return _of_terms(units)
+    def sharp(self, *texts: str) -> str:
+        return f"{'max' if self.side > 0 else 'min'}({', '.join(texts)})"
 
 
 @final
-class PositivePart(AbstractRule):
+class PositivePart(AbstractRounded):
     """An expression where it is positive, else zero.
 
     With a `smoothing` `s`, it is `(x + sqrt(x² + s²)) / 2`: smooth, positive, and at most `s/2` above.
@@ -171,12 +183,8 @@ class PositivePart(AbstractRule):
         return (one + root(one**2 + self.smoothing**2)) / 2 if self.smoothing else jnp.maximum(one, 0.0)
 
     @override
-    def text(self, *texts: str) -> str:
-        return f"max({texts[0]}, 0){_smoothed(self.smoothing)}"
-
-    @override
-    def unit(self, *units: str | None) -> str:
-        return _of_terms(units)
+    def sharp(self, *texts: str) -> str:
+        return f"max({texts[0]}, 0)"
 
 
 @final
@@ -221,16 +229,6 @@ class Own(AbstractRule):
 def _of_factor(unit: str | None) -> str:
     """The unit of a factor: a plain number is pure."""
     return PURE if unit is None else unit
-
-
-def _of_terms(units: Iterable[str | None]) -> str:
-    """The unit that all share; plain numbers are in that of the others."""
-    return common(unit for unit in units if unit is not None)
-
-
-def _smoothed(smoothing: float) -> str:
-    """How a kink is rounded, after its function."""
-    return f" (smoothed by {smoothing:g})" if smoothing else ""
 
 
 def _alone(text: str) -> str:

@@ -1,14 +1,10 @@
 """`soft`: constraints as penalties in the objective, dissertation section 3.4."""
 
-import functools
-import operator
-from typing import Any
-
 import numpy as np
 
 from aleator._core.errors import ProblemError
 from aleator._core.given import one_of, positive
-from aleator.design._expression import Constraint, Expression
+from aleator.design._expression import Constraint, Expression, as_expression
 from aleator.design._functions import positive_part
 from aleator.design._objectives import time_integral
 from aleator.design._problem import Problem, declared_anew
@@ -32,13 +28,13 @@ def soft(problem: Problem, *names: str, weight: float) -> Problem:
     problem, weight = one_of("soft", problem, Problem), positive("soft: weight", weight)
     if not problem.constraints:
         raise ProblemError("soft: the problem has no constraints that could become penalties.")
-    softened = [one for name in names or problem.names for one in problem.named(name)]
-    penalties: list[Any] = [_penalty(one) for one in softened]
+    chosen = names or problem.names
+    penalties = [_penalty(one) for name in chosen for one in problem.named(name)]
     return declared_anew(
         problem,
         problem.simulation,
-        minimize=problem.objective + weight * functools.reduce(operator.add, penalties),
-        subject_to=tuple(one for one in problem.constraints if one.name not in {soft.name for soft in softened}),
+        minimize=problem.objective + weight * sum(penalties, start=as_expression(0.0)),
+        subject_to=tuple(one for one in problem.constraints if one.name not in chosen),
     )
 
 
@@ -50,5 +46,5 @@ def _penalty(constraint: Constraint) -> Expression:
     else:
         missed = [positive_part(expression - upper)] if np.isfinite(upper) else []
         missed += [positive_part(lower - expression)] if np.isfinite(lower) else []
-    square = functools.reduce(operator.add, [one**2 for one in missed])
+    square = sum((one**2 for one in missed), start=as_expression(0.0))
     return time_integral(square) if constraint.is_path else square

@@ -46,13 +46,11 @@ class Simulation(eqx.Module):
         if isinstance(self.system, AlgebraicSystem):
             return Record(chosen(self.system, self._solved(self.system), asked.instants), {}, ())
         assert isinstance(self.system, System)
-        grid = self._grid(self.system)
+        grid = self._checked_grid(self.system)
         # No step may cross a node of a control: the order of the integrator would be lost there.
         parts = math.lcm(least_steps((self.system, self.inputs)), grid.steps) // grid.steps
         if parts > 1:
             return self.on(grid.finer(parts)).record(asked).thinned(parts)
-        check_variables(self.system)
-        check_signals(self.system, grid, self.inputs)
         system = self.system
         if asked.instants is not None:
             system = system.focused(asked.instants | asked.nodes | asked.integrated)
@@ -92,19 +90,20 @@ class Simulation(eqx.Module):
     def _refuse_at_start(self, system: System) -> None:
         """Raise `ProblemError` for what can be told of the start with known numbers, without computing any rate."""
         refuse_unrealised(system=system, grid=self.grid, inputs=self.inputs)
-        grid, signals = self._grid(system), {**system.signals(), **self.inputs}
-        check_variables(system)
-        check_signals(system, grid, self.inputs)
+        grid, signals = self._checked_grid(system), {**system.signals(), **self.inputs}
         now = {name: values[0] for name, values in sampled(signals, grid, grid.fractions[:1]).items()}
         t, z = grid.times[0], initial_state(system, grid.times[0], now)
         jax.eval_shape(lambda: (derivative(system, t, z, now) if system.states else (), observation(system, t, z, now)))
 
-    def _grid(self, system: System) -> Grid:
+    def _checked_grid(self, system: System) -> Grid:
+        """The grid, once it is certain that system and inputs go with it."""
         if not isinstance(self.grid, Grid):
             raise ProblemError(
                 f"{type(system).__name__} evolves in time: expected a grid, such as al.Grid(t_final, steps); received "
                 f"{type(self.grid).__name__}."
             )
+        check_variables(system)
+        check_signals(system, self.grid, self.inputs)
         return self.grid
 
     def _solved(self, system: AlgebraicSystem) -> History:

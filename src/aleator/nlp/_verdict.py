@@ -199,7 +199,7 @@ def _at(scaled: ScaledProgram, answer: Answer, user: Evaluation, tolerance: floa
         none = Multipliers(np.zeros(scaled.rows), np.zeros(scaled.size))
         flat = certify(scaled, z, evaluation, none)
         candidates.append((flat, none))
-        if len(candidates) == 1 or not _is_large(scaled):
+        if answer.multipliers is None or not _is_large(scaled):
             fitted = fit_multipliers(scaled, z, evaluation)
             least = Certificate(flat.violation, scaled.above_least(user), 0.0)
             candidates += [(certify(scaled, z, evaluation, fitted), fitted), (least, none)]
