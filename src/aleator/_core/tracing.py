@@ -7,6 +7,7 @@ computes. Its traced equations do: they are the key of its compiled form.
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
+from functools import partial
 from typing import Any, Generic, NamedTuple, TypeVar, final
 
 import jax
@@ -112,16 +113,48 @@ def _told(closed: ClosedJaxpr) -> Any:
     return equations_text(closed), known
 
 
+def trace_kept(
+    function: Callable[..., Pytree], *arguments: Pytree, code: Pytree, static: Pytree, name: str, use: Use = Use.LOOPS
+) -> Traced:
+    """The same as `trace`, which takes longer than most evaluations and is left out if an earlier trace holds.
+
+    It holds for arguments of the same shapes, as long as everything that the user's part of the function, `code`, and
+    the `static` part of its model read is the same. The function must depend on these alone.
+    """
+    make = partial(trace, function, *arguments, code=code, name=name, use=use)
+    return _unless_known(make, (code, static), _exactly(static), arguments, use)
+
+
 def evaluate(function: Callable[..., Pytree], *arguments: Pytree, use: Use = Use.LOOPS) -> Pytree:
     """Evaluate a function of arrays in compiled form; it is traced again if its code may have changed."""
-    reading = read_code(function)
-    if reading.doubts:
-        return trace(function, *arguments, use=use)(*arguments)
+    make = partial(trace, function, *arguments, use=use)
+    return _unless_known(make, function, None, arguments, use)(*arguments)
+
+
+def _unless_known(make: Callable[[], Traced], code: Pytree, static: Hashable, arguments: Pytree, use: Use) -> Traced:
+    """A trace that was made while the code read the same, else a new one, which is kept if it may be."""
+    reading = read_code(code)
     leaves, structure = jax.tree.flatten(arguments)
-    key = use, reading.reads, structure, tuple(jax.typeof(leaf) for leaf in leaves)
+    key = use, reading.reads, static, structure, tuple(jax.typeof(leaf) for leaf in leaves)
+    if reading.doubts or not _has_hash(key):
+        return make()
     known = _TRACED.get(key)
     if known is None:
-        known = trace(function, *arguments, use=use)
+        known = make()
         if not any(isinstance(one, Tracer) for one in known.closed.consts):
             _TRACED.kept(key, known)
-    return known(*arguments)
+    return known
+
+
+def _exactly(static: Pytree) -> Hashable:
+    """Equal for equal structures: 1, 1.0 and True differ, and so do 0.0 and -0.0."""
+    leaves, structure = jax.tree.flatten(static)
+    return structure, tuple((type(one), one.hex() if isinstance(one, float) else one) for one in leaves)
+
+
+def _has_hash(key: Any) -> bool:
+    try:
+        hash(key)
+    except TypeError:
+        return False
+    return True

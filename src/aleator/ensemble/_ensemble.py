@@ -19,7 +19,7 @@ from typing_extensions import override
 
 from aleator._core.arrays import Pytree, jax_array
 from aleator._core.errors import ProblemError
-from aleator._core.tracing import Traced, trace
+from aleator._core.tracing import Traced, trace_kept
 from aleator.ensemble._batches import Part, each, fill, parts
 from aleator.ensemble._levels import at_levels
 from aleator.ensemble._outputs import (
@@ -87,9 +87,9 @@ class AbstractEnsemble(abc.ABC):
     def _of_size(self, size: int) -> Callable[[Points], Pytree]:
         """A function that gives the outputs at `size` points or fewer, already traced if tracing is needed."""
 
-    def _at(self, model: Pytree, point: Any, library: Any) -> Pytree:
+    def _at(self, model: Pytree, decisions: Float[Array, " n_x"], point: Any, library: Any) -> Pytree:
         """The outputs at one realisation, as arrays of `library`."""
-        realised = self._given(realise(model, jnp.asarray(point), self._decisions))
+        realised = self._given(realise(model, jnp.asarray(point), decisions))
         return outputs_of(self._function, realised, library, None if self.at_once else lambda: self._place(point))
 
     def _place(self, point: Any) -> str:
@@ -134,20 +134,24 @@ class TracedEnsemble(AbstractEnsemble):
 
         def outputs(points: Points) -> Pytree:
             if len(points) == size:
-                return traced(self._numbers, jax_array(points))
-            values = traced(self._numbers, jax_array(fill(np.asarray(points), size)))
+                return traced(self._numbers, self._decisions, jax_array(points))
+            values = traced(self._numbers, self._decisions, jax_array(fill(np.asarray(points), size)))
             return jax.tree.map(lambda leaf: np.asarray(leaf)[: len(points)], values)
 
         return outputs
 
     def _trace(self, size: int) -> Traced:
-        def outputs(numbers: Pytree, points: Float[Array, "points variables"]) -> Pytree:
+        def outputs(
+            numbers: Pytree, decisions: Float[Array, " n_x"], points: Float[Array, "points variables"]
+        ) -> Pytree:
             model = eqx.combine(numbers, self._rest)
-            return jax.vmap(lambda point: self._at(model, point, jnp))(points)
+            return jax.vmap(lambda point: self._at(model, decisions, point, jnp))(points)
 
         points = jax.ShapeDtypeStruct((size, len(self.places.germs)), float)
         try:
-            return trace(outputs, self._numbers, points, code=self._function, name=self._name)
+            return trace_kept(
+                outputs, self._numbers, self._decisions, points, code=self._function, static=self._rest, name=self._name
+            )
         except UNTRACEABLE as error:
             raise ProblemError(
                 f"{self._name} cannot be traced by JAX ({str(error).splitlines()[0]}) Write it with jax.numpy, or "
@@ -179,7 +183,7 @@ class CalledEnsemble(AbstractEnsemble):
         return jax.tree.map(_as_python, realised)
 
     def _call(self, point: Float[Any, " variables"]) -> Pytree:
-        outputs = self._at(self._model, point, np)
+        outputs = self._at(self._model, self._decisions, point, np)
         if self._first is None:
             self._first = outputs
         if _shapes(outputs) != _shapes(self._first):
