@@ -450,7 +450,12 @@ _STUDIES: dict[str, tuple[Callable[..., Any], dict[str, Any], dict[str, Mapping[
     "cross_check": (
         lambda **a: al.cross_check(problem(), **a),
         {},
-        {"first": REQUIRED, "second": NO_OBJECT, "tolerance": POSITIVE},
+        {
+            "first": REQUIRED,
+            "second": NO_OBJECT,
+            "tolerance": POSITIVE,
+            "solvers": {"one": (None,), "no tuple": al.solvers.Ipopt(), "names": ("ipopt", None), "text": "ab"},
+        },
     ),
     "cross_check itself": (al.cross_check, {}, {"#0": REQUIRED}),
     "validate": (OfSolution(al.validate), {}, SAMPLING | {"batch": COUNT}),

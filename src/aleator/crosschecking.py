@@ -1,13 +1,13 @@
 """`cross_check`: a problem solved by two transcriptions that share no discretisation, and how far they agree."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import final
 
 import numpy as np
 
-from aleator._core.given import one_of, positive
-from aleator.design import Problem
+from aleator._core.given import one_of, positive, refusal
+from aleator.design import Estimated, Problem, estimated, statistics_in
 from aleator.nlp import AbstractSolver
 from aleator.solution import Solution
 from aleator.solving import solve
@@ -25,7 +25,10 @@ class CrossChecked:
 
     - `first`, `second`: the solutions; `ways`: how they were found, in words;
     - `objective`, `decisions`, `statistics`, `multipliers`: relative differences; of the last three by name or text,
-      the largest of each array. Those of decisions are relative to the range between their bounds where that is finite;
+      the largest of each array. That of the objective is relative to its value, or to its change by relative errors of
+      the statistics and numbers in it where these change it by more (a difference, or a squared distance, that becomes
+      zero). Those of decisions are relative to the range between their bounds where that is finite. Paths are compared
+      at the instants that both grids have;
     - `tolerance`: the difference that is accepted.
     """
 
@@ -48,7 +51,7 @@ class CrossChecked:
         return self.first.ok and self.second.ok and all(one <= self.tolerance for one in differences)
 
     def __str__(self) -> str:
-        head = "agree" if self.agree else "do NOT agree"
+        head = "agree" if self.agree else "do NOT agree" if self._are_solved else "are not both solved, nor agree"
         rows = [f"{self.ways[0]} and {self.ways[1]} {head} to {self.tolerance:.1g}"]
         for way, one in zip(self.ways, (self.first, self.second), strict=True):
             rows.append(f"  {way:<28} objective {one.objective:.9g}, {one.status.value}")
@@ -59,8 +62,25 @@ class CrossChecked:
                 name, worst = max(differences.items(), key=lambda one: one[1])
                 rows.append(f"  {kind:<28} differ by {worst:.1e} at most ({name})")
         if not self.agree:
-            rows.append("  Refine both grids (refine=True, al.Simultaneous(error=...)), or start both elsewhere.")
+            rows += [f"  {one}" for one in self._remedies()]
         return "\n".join(rows)
+
+    @property
+    def _are_solved(self) -> bool:
+        return self.first.ok and self.second.ok
+
+    def _remedies(self) -> list[str]:
+        """What to do where they do not agree."""
+        if not self._are_solved:
+            both = zip(self.ways, (self.first, self.second), strict=True)
+            return [f"{way}: {one.why()}" for way, one in both if not one.ok]
+        others = [name for name, one in self.decisions.items() if self.tolerance < one < np.inf]
+        if self.objective <= self.tolerance and others:
+            return [
+                f"Both reach the same objective, by other values of {', '.join(others[:3])}: there are several optima, "
+                "or a flat one. Let the objective tell them apart."
+            ]
+        return ["Refine both grids (refine=True, al.Simultaneous(error=...)), or start both elsewhere."]
 
 
 def cross_check(
@@ -79,29 +99,40 @@ def cross_check(
     - `tolerance`: the relative difference of objective and statistics that is accepted;
     - `refine`: whether the grid of each is refined until its own error is tolerated.
 
-    Solutions that failed are compared as they are, and do not agree. Raises `ProblemError` for what is no problem or no
-    transcription.
+    Solutions that failed are compared as they are, and do not agree. Raises `ProblemError` for what is no problem,
+    transcription or pair of solvers.
     """
     one_of("cross_check: problem", problem, Problem)
     second = Simultaneous() if second is None else second
     for name, way in (("first", first), ("second", second)):
         one_of(f"cross_check: {name}", way, AbstractTranscription, "al.Simultaneous()")
+    if not isinstance(solvers, Sequence) or [isinstance(one, AbstractSolver | None) for one in solvers] != [True, True]:
+        raise refusal("cross_check: solvers", "two, such as (None, al.solvers.Ipopt())", solvers)
     tolerance = positive("cross_check: tolerance", tolerance)
     ways = first, second
     one, other = (
         solve(problem, solver, transcription=way, refine=refine, throw=False)
         for way, solver in zip(ways, solvers, strict=True)
     )
+    size = max(_objective_size(one), _objective_size(other))
     return CrossChecked(
         first=one,
         second=other,
         ways=(type(first).__name__, type(second).__name__),
-        objective=_difference(one.objective, other.objective, 0.0),
+        objective=_difference(one.objective, other.objective, size),
         decisions=_decisions(problem, one, other),
-        statistics=_differences(one.statistics, other.statistics),
-        multipliers=_differences(_shadow_prices(one), _shadow_prices(other)),
+        statistics=_statistics(one, other),
+        multipliers=_multipliers(one, other, size),
         tolerance=tolerance,
     )
+
+
+def _objective_size(solution: Solution) -> float:
+    """How much the objective would change, per relative error of all statistics and numbers in it."""
+    known = {text: Estimated(value, _SMALL * np.abs(value)) for text, value in solution.statistics.items()}
+    found = estimated(solution.problem, solution.problem.objective, known, solution.vector, doubt=_SMALL)
+    size = 0.0 if found is None else float(found.error) / _SMALL
+    return size if np.isfinite(size) else 0.0
 
 
 def _decisions(problem: Problem, one: Solution, other: Solution) -> dict[str, float]:
@@ -122,14 +153,39 @@ def _decided(decision: Decision, first: object, second: object) -> float:
     return float(np.max(np.abs(one - other) / np.where(size > 0, size, 1.0), initial=0.0))
 
 
-def _shadow_prices(solution: Solution) -> dict[str, float]:
-    """The shadow price of each constraint, by its text: those of single instants depend on the grid."""
-    return {one.text: one.shadow_price for one in solution.constraints}
+def _statistics(one: Solution, other: Solution) -> dict[str, float]:
+    """By text; those of paths at the instants that both grids have."""
+    firsts, seconds = (_fractions(solution) for solution in (one, other))
+    _, first, second = np.intersect1d(firsts, seconds, return_indices=True)
+    paths = {statistic.text() for statistic in statistics_in(one.problem.expressions) if statistic.is_path}
+
+    def shared(solution: Solution, places: np.ndarray) -> dict[str, np.ndarray]:
+        return {text: value[places] if text in paths else value for text, value in solution.statistics.items()}
+
+    mine, theirs = shared(one, first), shared(other, second)
+    least = _SMALL * max((float(np.max(np.abs(value))) for value in mine.values()), default=0.0)
+    return {text: _difference(value, theirs[text], least) for text, value in mine.items()}
 
 
-def _differences(first: Mapping[str, object], second: Mapping[str, object]) -> dict[str, float]:
-    largest = max((float(np.max(np.abs(np.asarray(one)))) for one in first.values()), default=0.0)
-    return {text: _difference(one, second[text], _SMALL * largest) for text, one in first.items()}
+def _fractions(solution: Solution) -> np.ndarray:
+    """The instants of its grid as parts of the time between the first and the last, to nine digits."""
+    instants = np.atleast_1d(solution.instants) if solution.problem.system.has_time else np.zeros(1)
+    return np.round((instants - instants[0]) / (np.ptp(instants) or 1.0), 9)
+
+
+def _multipliers(one: Solution, other: Solution, size: float) -> dict[str, float]:
+    """Differences of the shadow prices of constraints, by text: those of single instants depend on the grid.
+
+    Prices count as equal if no relative change of a bound would show in the objective by them.
+    """
+    largest = max((abs(limit.shadow_price) for limit in one.constraints), default=0.0)
+    least = max(size, abs(one.objective), abs(other.objective))
+    return {
+        limit.text: _difference(
+            limit.shadow_price, their.shadow_price, _SMALL * max(largest, least / limit.scale if limit.scale else 0.0)
+        )
+        for limit, their in zip(one.constraints, other.constraints, strict=True)
+    }
 
 
 def _difference(first: object, second: object, least: float) -> float:

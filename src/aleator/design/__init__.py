@@ -6,6 +6,8 @@ from aleator.design._cost import exponential as exponential
 from aleator.design._cost import reciprocal as reciprocal
 from aleator.design._cost import reciprocal_power as reciprocal_power
 from aleator.design._cost import reciprocal_squared as reciprocal_squared
+from aleator.design._estimates import Estimated as Estimated
+from aleator.design._estimates import estimated as estimated
 from aleator.design._expression import Composed as Composed
 from aleator.design._expression import Constraint as Constraint
 from aleator.design._expression import Expression as Expression

@@ -2,28 +2,18 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple, final
+from typing import final
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
-from typing_extensions import override
+from jaxtyping import Float
 
-from aleator.design import AbstractScopeOfInstants, Constraint, Problem, Statistic, grid_at, step_at
+from aleator.design import Constraint, Estimated, Problem, Statistic, estimated, grid_at
 from aleator.references._estimate import pair
-from aleator.statistics import AbstractStatistic
-from aleator.uncertainty import named_numbers
 from aleator.validation._disagreement import reach
 
 # Half-width of a 95 % confidence interval, in standard errors.
 _CONFIDENT = 1.96
-
-
-class Estimated(NamedTuple):
-    """A statistic of the samples with its standard error: numbers, or one number per instant."""
-
-    value: Float[np.ndarray, "*shape"]
-    standard_error: Float[np.ndarray, "*shape"]
 
 
 @final
@@ -67,24 +57,6 @@ class Compared:
         return self.sentence()
 
 
-@final
-class _SampledScope(AbstractScopeOfInstants):
-    """Takes statistics from the samples, with the statistic `moved`, if any, shifted by its standard error."""
-
-    def __init__(self, known: Mapping[Any, Estimated], numbers: Mapping[str, Array], step: Array, moved: Any = None):
-        self._known, self._numbers, self.step, self._moved = known, numbers, step, moved
-
-    @override
-    def statistic(self, functionals: tuple[Any, ...], kind: AbstractStatistic) -> Array:
-        key = Statistic(functionals, kind).text()
-        one = self._known[key]
-        return jnp.asarray(one.value + one.standard_error if key == self._moved else one.value)
-
-    @override
-    def value(self, name: str) -> Array:
-        return self._numbers[name]
-
-
 def compared(
     problem: Problem,
     constraint: Constraint,
@@ -95,24 +67,18 @@ def compared(
 ) -> Compared | None:
     """A limit evaluated with sampled statistics, `known` by their texts; None where one that it needs is missing."""
     expression = constraint.expression
-    needed = {leaf.text() for leaf in expression.leaves if isinstance(leaf, Statistic)}
-    if not needed or not needed <= set(known):
+    if not any(isinstance(leaf, Statistic) for leaf in expression.leaves):
         return None
-    at = jnp.asarray(decisions)
-    numbers, step = named_numbers(problem.simulation, at), step_at(problem, at)
-    times = np.asarray(grid_at(problem, at).times)
-
-    def evaluated(moved: str | None = None) -> np.ndarray:
-        return np.asarray(expression.evaluate(_SampledScope(known, numbers, step, moved)))
-
-    value = evaluated()
-    # The sum of the errors is the worst case: the dependence between statistics of one sample is not known.
-    error = sum((np.abs(evaluated(one) - value) for one in needed), start=np.zeros(value.shape))
+    found = estimated(problem, expression, known, decisions)
+    if found is None:
+        return None
+    value, error = found
+    times = np.asarray(grid_at(problem, jnp.asarray(decisions)).times)
     lower, upper = float(constraint.lower), float(constraint.upper)
     beyond = np.maximum(value - upper, lower - value)
     sure = reach(freedom, value.size)
     i = int(np.argmax(beyond - sure * error))
     when = float(times[i // (value.size // len(times))]) if constraint.is_path else None
-    found, off, far = (float(np.ravel(part)[i]) for part in (value, error, beyond))
-    bound = upper if found - upper >= lower - found else lower
-    return Compared(constraint.name, str(constraint), found, off, when, bound, far, tolerance, sure)
+    worst, off, far = (float(np.ravel(part)[i]) for part in (value, error, beyond))
+    bound = upper if worst - upper >= lower - worst else lower
+    return Compared(constraint.name, str(constraint), worst, off, when, bound, far, tolerance, sure)

@@ -7,12 +7,21 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from aleator.design import AbstractFunctional, Problem, Statistic, functionals_of, is_over_time, joined, statistics_in
+from aleator.design import (
+    AbstractFunctional,
+    Estimated,
+    Problem,
+    Statistic,
+    functionals_of,
+    is_over_time,
+    joined,
+    statistics_in,
+)
 from aleator.references._estimate import estimate, group_count
 from aleator.solution import Solution
 from aleator.statistics import Infimum, Mean, Sobol, Std, Supremum, TotalSobol, Variance
 from aleator.validation._alarms import Found, disagreements
-from aleator.validation._compared import Compared, Estimated, compared
+from aleator.validation._compared import Compared, compared
 from aleator.validation._counted import finer_by, is_counted, uncounted
 from aleator.validation._evidence import PERCENTILES, Checked, Evidence, Sampled, Trajectories
 from aleator.validation._proportion import Proportion
