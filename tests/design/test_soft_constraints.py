@@ -108,3 +108,25 @@ def test_the_text_is_the_penalty_as_mathematics():
 def test_what_cannot_be_softened_is_refused(wrong, message):
     with pytest.raises(al.ProblemError, match=message):
         wrong()
+
+
+@pytest.mark.parametrize("weight", [1e3, 1e9, 1e12])
+def test_penalties_of_any_weight_are_solved_to_their_own_minimum(weight):
+    # x'' = u at the control points of one line: least effort from rest to 1 at rest takes 12; penalties ask for less.
+    class Block(al.System):
+        states = ("x", "v")
+
+        def rhs(self, t, z, u):
+            return z.v, u
+
+        def outputs(self, t, z, u):
+            return {"x": z.x, "v": z.v, "effort": u**2}
+
+    line = al.BSpline(al.Decision(np.array([1.0, -1.0]), -50.0, 50.0), degree=1)
+    ends = (al.terminal("x").mean.equals(1.0).named("X"), al.terminal("v").mean.equals(0.0).named("V"))
+    hard = al.Problem(
+        Block(), grid=al.Grid(1.0, 20), inputs={"u": line}, minimize=al.integral("effort").mean, subject_to=ends
+    )
+    found = al.solve(al.soft(hard, weight=weight))
+    # The multipliers of the hard optimum are (24, 12): the penalised one is lower by (24² + 12²) / 4w to first order.
+    assert found.objective == pytest.approx(12.0 - (24**2 + 12**2) / (4 * weight), rel=1e-3)

@@ -118,6 +118,11 @@ class ScaledProgram:
         self.evaluate(self.start)
 
     @property
+    def start_objective(self) -> float:
+        """The size of the objective at the first start, scaled."""
+        return abs(self._objective_origin) / self.objective_scale
+
+    @property
     def scales(self) -> Scales:
         """The current scales."""
         return Scales(self.objective_scale, self._constraint_scale)
@@ -219,7 +224,7 @@ class ScaledProgram:
 
     def terms(self, evaluation: Evaluation, multipliers: Multipliers) -> float:
         """The scaled magnitude of the terms of the Lagrangian, to which its rounding is relative."""
-        objective = abs(evaluation.objective) + abs(self._objective_origin) / self.objective_scale
+        objective = abs(evaluation.objective) + self.start_objective
         return objective + float(np.abs(multipliers.rows) @ np.abs(evaluation.constraints))
 
     def is_finite(self, z: np.ndarray) -> bool:

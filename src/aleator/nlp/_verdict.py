@@ -20,6 +20,7 @@ from aleator.nlp._outcome import Status
 from aleator.nlp._program import Evaluation
 from aleator.nlp._scaling import Multipliers, ScaledProgram, Scales
 from aleator.nlp._stall import stall
+from aleator.nlp._valley import Descent, descent_in_valley
 
 HELD = 1e-6
 """A constraint holds if it exceeds its bound by at most this part of its size: the magnitude of the bound and of the
@@ -232,7 +233,25 @@ def settle(scaled: ScaledProgram, answer: Answer, tolerance: float) -> tuple[Ans
         answer = _rescaled(scaled, answer, scales._replace(objective=scales.objective * size))
         verdict = _at(scaled, answer, user, tolerance)
     status = _status(scaled, answer, verdict.certificate, tolerance)
+    if status is Status.SOLVED:
+        kept = complementary(scaled, answer.point, scaled.evaluate(answer.point), verdict.multipliers, tolerance)
+        descent = descent_in_valley(scaled, answer.point, kept)
+        if descent is not None:
+            return _further(scaled, answer, descent), False
     return answer, status in (Status.SOLVED, Status.INFEASIBLE)
+
+
+def _further(scaled: ScaledProgram, answer: Answer, descent: Descent) -> Answer:
+    """The answer from which to go on along the floor of a valley, in a scale in which its gradient is not small."""
+    if descent.point is not None:
+        return answer._replace(point=descent.point)
+    scales = scaled.scales
+    said = (
+        f"{answer.message}; it is on the floor of a steep valley, along which the objective would fall by about "
+        f"{descent.fall:.2g}: lower the largest weights of the objective, or start elsewhere"
+    )
+    rescaled = _rescaled(scaled, answer, scales._replace(objective=scales.objective * descent.slope))
+    return rescaled._replace(message=said)
 
 
 def _size_of_gradient(scaled: ScaledProgram, z: np.ndarray, multipliers: Multipliers, tolerance: float) -> float:
