@@ -1,5 +1,6 @@
 """Products, quotients, powers, positive parts, maxima and a user's own functions of statistics and decisions."""
 
+import math
 from typing import ClassVar
 
 import jax
@@ -241,3 +242,22 @@ def test_an_objective_that_is_flat_at_its_minimum_is_solved(scheme):
     for objective in (0 * al.terminal("x").mean + 1.0, excess, excess**2):
         problem = al.Problem(system, grid=al.Grid(1.0, 10), minimize=objective)
         assert al.solve(problem, transcription=al.Simultaneous(scheme)).status is al.Status.SOLVED
+
+
+@pytest.mark.parametrize(
+    "use",
+    [
+        lambda x: 2**x,
+        lambda x: x % 2,
+        lambda x: 5 % x,
+        lambda x: x // 2,
+        lambda x: 5 // x,
+        math.sqrt,
+        float,
+        int,
+        round,
+    ],
+)
+def test_what_expressions_cannot_do_is_told_with_a_remedy(use):
+    with pytest.raises(al.ProblemError, match=r"'μ\[x\(t_f\)\]' has no value yet.*al\.expressions\.function"):
+        use(al.terminal("x").mean)

@@ -1,6 +1,6 @@
 """Results as labelled arrays with units: one dataset for a solution, evidence, a front, a calibration."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -58,6 +58,7 @@ def solution_dataset(solution: Solution) -> "xarray.Dataset":
         axes, told = (f"realisation of mesh {i}", f"interval of mesh {i}"), f"drift of the states on mesh {i}"
         data[f"mesh {i}"] = _variable(f"node of mesh {i}", one.nodes, f"nodes of mesh {i}, {one.scheme}", "s")
         data[f"mesh {i} drift"] = _variable(axes, one.drifts, told, "1", asked=f"{one.asked:g}")
+    data |= _histories(solution)
     attributes = {
         "status": solution.status.value,
         "solver": solution.effort.solver,
@@ -67,6 +68,24 @@ def solution_dataset(solution: Solution) -> "xarray.Dataset":
         "problem": str(problem),
     }
     return _with_time(xarray.Dataset(data, attrs=attributes), solution)
+
+
+def _histories(solution: Solution) -> dict[str, Variable]:
+    """States, costates and switching functions of a simultaneous program, each along its own instants."""
+    kinds = (("state", solution.states), ("costate", solution.costates), ("switching function", solution.switching))
+    data: dict[str, Variable] = {}
+    for kind, found in kinds:
+        if found is None or not found.values:
+            continue
+        along = (f"point of {kind}s",) if found is solution.switching else ("realisation", f"point of {kind}s")
+        data[f"times of {kind}s"] = _variable(along[-1], found.times, f"instants of {kind}s", "s")
+        for name, values in found.values.items():
+            axes = (*along, *(f"component of {size}, {i}" for i, size in enumerate(values.shape[len(along) :])))
+            data[f"{kind} {_key(name)}"] = _variable(axes, values, f"{kind} of {name}", "")
+    if solution.states is not None:
+        germs = "germ points of the realisations"
+        data["germ"] = _variable(("realisation", "germ variable"), solution.states.germs, germs, "1")
+    return data
 
 
 def evidence_dataset(evidence: Evidence) -> "xarray.Dataset":
@@ -126,13 +145,21 @@ def front_dataset(front: Front) -> "xarray.Dataset":
         "why": _variable("bound", why, "why there is no optimum", ""),
     }
     for name, value in first.decisions.items():
-        unknown = np.full(np.shape(value), np.nan)
-        each = [one.decisions[name] if isinstance(one, Solution) else unknown for one in front.points]
-        values = np.stack([np.asarray(one, dtype=float) for one in each])
+        values = _side_by_side([one.decisions[name] if isinstance(one, Solution) else np.nan for one in front.points])
         axes = ("bound", *_entries(name, value))
         data[f"decision {_key(name)}"] = _variable(axes, values, name, _units.of_decision(name, first.problem))
     bound = _variable("bound", front.values, f"limit of {front.bound}", bound_unit)
     return xarray.Dataset(data, coords={"bound": bound}, attrs={"interrupted": int(front.interrupted)})
+
+
+def _side_by_side(each: Sequence[Any]) -> np.ndarray:
+    """Arrays of one kind stacked, the rest of shorter ones NaN: a control has as many values as its mesh has nodes."""
+    arrays = [np.asarray(one, dtype=float) for one in each]
+    shape = np.max([one.shape for one in arrays if one.ndim == max(other.ndim for other in arrays)], axis=0).astype(int)
+    stacked = np.full((len(arrays), *shape), np.nan)
+    for row, one in zip(stacked, arrays, strict=True):
+        row[tuple(slice(size) for size in one.shape)] = one
+    return stacked
 
 
 def calibration_dataset(calibration: Calibration) -> "xarray.Dataset":

@@ -93,8 +93,8 @@ def _worst(solution: Solution, name: str) -> str:
         return "–"
     one, unit = max(parts, key=lambda part: float(np.max(part[0].excess)))
     worst = one.worst
-    upper = worst - one.upper >= one.lower - worst
-    relation, bound = ("≤", one.upper) if upper else ("≥", one.lower)
+    upper = one.lower == one.upper or worst - one.upper >= one.lower - worst
+    relation, bound = ("=" if one.lower == one.upper else "≤", one.upper) if upper else ("≥", one.lower)
     when = "" if one.worst_time is None else f" at {number(one.worst_time, 4, 's')}"
     broken = ", violated" if one in solution.violated else ""
     return f"{number(worst, 5)} {relation} {given(bound, unit)}{when}{broken}"
@@ -112,6 +112,7 @@ def certificate_table(solutions: Mapping[str, Solution]) -> Table:
     rows = [
         ["Status", *(STATUS_WORDS[one.status] for one in every)],
         ["Solver", *(one.solver for one in efforts)],
+        *([["States", *map(_found, every)]] if any(one.mesh for one in every) else []),
         ["Violation (scaled)", *(residual(one.violation) for one in certificates)],
         ["Stationarity (scaled)", *(residual(one.stationarity) for one in certificates)],
         ["Complementarity (scaled)", *(residual(one.complementarity) for one in certificates)],
@@ -138,6 +139,13 @@ def certificate_table(solutions: Mapping[str, Solution]) -> Table:
         f" up to {tolerances} it counts as resolved."
     )
     return Table("Certificate", ["", *solutions], rows, note)
+
+
+def _found(solution: Solution) -> str:
+    """How the states of a design were found."""
+    if solution.mesh is None:
+        return "integrated"
+    return f"variables, {solution.mesh.intervals} intervals of {solution.mesh.scheme}"
 
 
 def _said(certificates: list[Certificate]) -> list[list[str]]:
