@@ -100,8 +100,8 @@ class Expression(eqx.Module):
 
     def _no_number(self, *_: Any) -> Any:
         raise ProblemError(
-            f"'{self}' has no value yet: it can be added, multiplied, divided and raised to a number. Any other function "
-            "of it is al.expressions.function(jnp.sqrt, x), by a function of jax.numpy."
+            f"'{self}' has no value yet: it can be added, multiplied, divided and raised to a number. Any other "
+            "function of it is al.expressions.function(jnp.sqrt, x), by a function of jax.numpy."
         )
 
     __float__ = __int__ = __round__ = __mod__ = __rmod__ = __floordiv__ = __rfloordiv__ = __rpow__ = _no_number
