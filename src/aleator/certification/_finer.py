@@ -25,7 +25,9 @@ def refinement(solutions: Sequence[Solution]) -> Problem | None:
     """
     last, problem = solutions[-1], solutions[-1].problem
     error = last.certificate.grid_error
-    if error is None or (error.is_met and last.status is not Status.NOT_HELD) or last.status not in _SOLVED:
+    between = last.certificate.between
+    is_enough = last.status is not Status.NOT_HELD and not (between and between.is_costly)
+    if error is None or (error.is_met and is_enough) or last.status not in _SOLVED:
         return None
     grid, begun = problem.grid, solutions[0].problem.grid
     assert isinstance(grid, Grid)
@@ -52,7 +54,7 @@ def _ratio(solution: Solution) -> float:
     if error is None:
         return np.inf
     beyond = between.worst / TOLERATED if solution.status is Status.NOT_HELD and between else 0.0
-    return max(error.ratio, beyond)
+    return max(error.ratio, beyond, between.cost_ratio if between else 0.0)
 
 
 def unconverged(solutions: Sequence[Solution]) -> str:

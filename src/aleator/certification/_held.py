@@ -38,7 +38,7 @@ def held_between(
     if between == 1 or not any(map(is_over_time, problem.constraints)):
         return Held(outcome, None, finer)
     excess = excess_between(transcribed, outcome.point, finer)
-    margins, done = no_margins(excess), 0
+    margins, done, loosest = no_margins(excess), 0, outcome.evaluation.objective
     while HELD < excess.worst < np.inf and done < _MOST_TIGHTENINGS:
         # Margins may shrink in the first rounds; later they only grow, so that the iteration ends.
         margins = margins_for(margins, excess, relax=done < _MOST_TIGHTENINGS // 2)
@@ -52,4 +52,10 @@ def held_between(
         finer = reference(transcribed, outcome.point, factor)
         excess = excess_between(transcribed, outcome.point, finer)
     is_strict = between is not None or done > 0 or follows_trajectories(problem)
-    return Held(outcome, Between(factor, excess.worst, excess.where, excess.when, is_strict), finer)
+    cost = _part(outcome.evaluation.objective - loosest, loosest)
+    return Held(outcome, Between(factor, excess.worst, excess.where, excess.when, is_strict, cost), finer)
+
+
+def _part(rise: float, objective: float) -> float:
+    """A rise of the objective as a part of it."""
+    return max(rise, 0.0) / abs(objective) if rise > 0 and objective else 0.0

@@ -161,3 +161,7 @@ def _warn_if_coarse(solution: Solution) -> None:
     error = solution.certificate.grid_error
     if error is not None and solution.ok and not error.is_met:
         warnings.warn(f"On {error.steps} steps {error}.", GridWarning, stacklevel=3)
+    between = solution.certificate.between
+    if between is not None and solution.ok and between.is_costly:
+        said = between.sentence()
+        warnings.warn(f"{said[0].upper()}{said[1:]}.", GridWarning, stacklevel=3)

@@ -1,0 +1,86 @@
+"""Limits that hold between the instants by tightened bounds: what that costs at most, beside SciPy on dense limits."""
+
+import itertools
+import warnings
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize
+
+import aleator as al
+
+
+class Cart(al.System):
+    """A double integrator, which Runge-Kutta and Simpson's rule integrate exactly."""
+
+    states = ("x", "v")
+
+    def rhs(self, t, z, push):
+        return z.v, push
+
+    def outputs(self, t, z, push):
+        return {"x": z.x, "v": z.v, "effort": push**2}
+
+
+def ride(fastest, steps=3):
+    """One metre in one second from rest to rest, no faster than `fastest`, at least effort."""
+    return al.Problem(
+        Cart(),
+        grid=al.Grid(1.0, steps),
+        inputs={"push": al.Control(0.0, -50.0, 50.0, degree=1)},
+        minimize=al.integral("effort").mean,
+        subject_to=[
+            al.terminal("x").mean.equals(1.0),
+            al.terminal("v").mean.equals(0.0),
+            (al.path("v").mean <= fastest).named("speed"),
+        ],
+    )
+
+
+def densely_limited(fastest, steps=3):
+    """The least effort with the speed limited at 20 places of each step, by SciPy."""
+    h, places = 1.0 / steps, np.linspace(0.0, 1.0, 21)[1:] / steps
+
+    def rolled(push):
+        x = v = effort = 0.0
+        speeds = []
+        for a, b in itertools.pairwise(push):
+            speeds += list(v + a * places + (b - a) * places**2 / (2 * h))
+            effort += h * (a * a + a * b + b * b) / 3
+            x, v = x + h * v + h * h * (a / 3 + b / 6), v + h * (a + b) / 2
+        return effort, x, v, np.array(speeds)
+
+    limits = [
+        {"type": "eq", "fun": lambda push: [rolled(push)[1] - 1, rolled(push)[2]]},
+        {"type": "ineq", "fun": lambda push: fastest - rolled(push)[3]},
+    ]
+    options = {"maxiter": 500, "ftol": 1e-12}
+    start = np.linspace(6.0, -6.0, steps + 1)
+    found = minimize(lambda push: rolled(push)[0], start, method="SLSQP", constraints=limits, options=options)
+    assert found.success
+    return found.fun
+
+
+@pytest.mark.parametrize("way", [al.Sequential(), al.Simultaneous()], ids=["shooting", "collocation"])
+def test_the_best_design_lies_between_the_loose_and_the_tightened_one(way):
+    with pytest.warns(al.GridWarning, match="tightened at the instants, which may cost up to .* refine=True"):
+        found = al.solve(ride(1.35), transcription=way)
+    cost = found.certificate.between.cost
+    loose = found.objective / (1 + cost)
+    assert loose <= densely_limited(1.35) * (1 + 1e-6)
+    assert densely_limited(1.35) <= found.objective * (1 + 1e-6)
+    assert "may cost up to" in str(found.certificate)
+
+
+def test_refinement_goes_on_while_tightening_is_costly():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", al.GridWarning)
+        found = al.solve(ride(1.35), refine=True)
+    steps = found.problem.grid.steps
+    assert steps > 3
+    assert not found.certificate.between.is_costly
+    assert found.objective == pytest.approx(densely_limited(1.35, steps), rel=0.05)
+
+
+def test_limits_that_hold_by_themselves_cost_nothing():
+    assert al.solve(ride(2.0)).certificate.between.cost == 0.0
