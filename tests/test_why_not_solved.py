@@ -69,3 +69,31 @@ def test_a_model_that_is_not_finite_is_told_in_whole_sentences(make):
     why = al.solve(plane("root"), make(), throw=False).why()
     assert "Look for a root" in why
     assert ".." not in why
+
+
+class Unstopped(al.System):
+    """A cart that is pushed without limits."""
+
+    states = ("x", "v")
+    gain: al.Number = 1.0
+
+    def rhs(self, t, z, push):
+        return z.v, self.gain * push
+
+    def outputs(self, t, z, push):
+        return {"x": z.x}
+
+
+@pytest.mark.parametrize("way", [al.Sequential(), al.Simultaneous()], ids=["shooting", "collocation"])
+@pytest.mark.parametrize("gain", [1.0, al.Uniform(1.0, half_width=0.1)], ids=["certain", "uncertain"])
+def test_an_objective_without_a_least_value_is_never_solved(way, gain):
+    problem = al.Problem(
+        Unstopped(gain),
+        grid=al.Grid(1.0, 8),
+        inputs={"push": al.Control(0.0)},
+        minimize=al.terminal("x").mean,
+        expansion=al.Expansion(order=2),
+    )
+    found = al.solve(problem, transcription=way, throw=False)
+    assert not found.ok
+    assert "decisions are far out on a side without a bound" in found.why()

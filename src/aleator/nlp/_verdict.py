@@ -32,6 +32,8 @@ _MOST_FITTED = 2000
 _PROBE = 1e-4
 # A variable without a bound that is so many typical magnitudes away from zero may have no optimum.
 _FAR = 100.0
+# One that is so many away has none: beside such magnitudes every slope and every violation is nothing.
+_LOST = 1e12
 # What to do where nothing more is known.
 _REMEDIES = {
     Status.EVALUATION_FAILED: (
@@ -128,11 +130,12 @@ def _held(tolerance: float) -> float:
 
 
 def _status(scaled: ScaledProgram, answer: Answer, certificate: Certificate, tolerance: float) -> Status:
-    if certificate.within(_held(tolerance), tolerance):
-        return Status.SOLVED
-    infeasible = certificate.violation > _held(tolerance)
-    if infeasible and (answer.claim is Status.INFEASIBLE or _is_least_violated(scaled, answer)):
-        return Status.INFEASIBLE
+    if not _has_run_away(scaled, answer.point, _LOST):
+        if certificate.within(_held(tolerance), tolerance):
+            return Status.SOLVED
+        infeasible = certificate.violation > _held(tolerance)
+        if infeasible and (answer.claim is Status.INFEASIBLE or _is_least_violated(scaled, answer)):
+            return Status.INFEASIBLE
     if answer.claim in (Status.ITERATION_LIMIT, Status.EVALUATION_FAILED):
         return answer.claim
     return Status.FAILED
@@ -307,10 +310,10 @@ def _advice(scaled: ScaledProgram, verdict: Verdict, tolerance: float) -> str:
     return f"{reason}. {remedy or _REMEDIES[verdict.status]}"
 
 
-def _has_run_away(scaled: ScaledProgram, z: np.ndarray) -> bool:
-    """Whether a variable is many typical magnitudes away from zero, on a side on which it has no bound."""
+def _has_run_away(scaled: ScaledProgram, z: np.ndarray, far: float = _FAR) -> bool:
+    """Whether a variable is more typical magnitudes away from zero than `far`, on a side on which it has no bound."""
     open_ended = np.where(z > 0, np.isposinf(scaled.upper), np.isneginf(scaled.lower))
-    return bool(np.any(open_ended & (np.abs(z) > _FAR)))
+    return bool(np.any(open_ended & (np.abs(z) > far)))
 
 
 def _reason(scaled: ScaledProgram, verdict: Verdict, tolerance: float) -> tuple[str, str]:
