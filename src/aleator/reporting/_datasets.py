@@ -157,8 +157,8 @@ def _side_by_side(each: Sequence[Any]) -> np.ndarray:
     arrays = [np.asarray(one, dtype=float) for one in each]
     shape = np.max([one.shape for one in arrays if one.ndim == max(other.ndim for other in arrays)], axis=0).astype(int)
     stacked = np.full((len(arrays), *shape), np.nan)
-    for row, one in zip(stacked, arrays, strict=True):
-        row[tuple(slice(size) for size in one.shape)] = one
+    for i, one in enumerate(arrays):
+        stacked[(i, *(slice(size) for size in one.shape))] = one
     return stacked
 
 
