@@ -18,12 +18,16 @@ def maximum(*expressions: Any, smoothing: float = 0.0) -> Expression:
 
     Raises `ProblemError` for fewer than two.
     """
-    return composed(Extremum(side=1, smoothing=smoothing_given("maximum", smoothing)), *_several("maximum", expressions))
+    return composed(
+        Extremum(side=1, smoothing=smoothing_given("maximum", smoothing)), *_several("maximum", expressions)
+    )
 
 
 def minimum(*expressions: Any, smoothing: float = 0.0) -> Expression:
     """The smallest of expressions and numbers: see `maximum`; smoothed, at most `s log n` below."""
-    return composed(Extremum(side=-1, smoothing=smoothing_given("minimum", smoothing)), *_several("minimum", expressions))
+    return composed(
+        Extremum(side=-1, smoothing=smoothing_given("minimum", smoothing)), *_several("minimum", expressions)
+    )
 
 
 def positive_part(expression: Any, *, smoothing: float = 0.0) -> Expression:
