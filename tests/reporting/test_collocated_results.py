@@ -55,6 +55,16 @@ def test_states_costates_and_switching_functions_are_saved(found, tmp_path):
             np.testing.assert_array_equal(data[f"{kind} {name}"], values)
 
 
+def test_pages_and_files_name_the_scheme_and_not_an_integrator(found, tmp_path):
+    al.reporting.save(tmp_path, design=found)
+    texts = [xr.open_datatree(tmp_path / "results.nc")["design"].attrs["problem"]]
+    al.report(found, path=tmp_path / "page.html")
+    texts.append((tmp_path / "page.html").read_text(encoding="utf8"))
+    for text in texts:
+        assert f"HermiteSimpson on {found.mesh.intervals} intervals" in text
+        assert "RungeKutta4" not in text
+
+
 def test_a_front_of_controls_on_different_meshes_is_saved_whole(found, tmp_path):
     front = al.pareto(move(), "spread", [0.05, 0.03], transcription=COLLOCATED)
     fewer = al.pareto(move(), "spread", [0.05], transcription=al.Simultaneous())

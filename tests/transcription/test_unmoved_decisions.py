@@ -144,3 +144,35 @@ def test_a_start_where_a_constraint_saturates_is_no_proof_that_nothing_is_feasib
     )
     solution = al.solve(problem)
     assert shape(solution.decisions["a"]) == pytest.approx(0.5, rel=1e-5)
+
+
+class Pushed(al.System):
+    """A unit mass that is pushed."""
+
+    states = ("v",)
+
+    def rhs(self, t, z, u):
+        return (u,)
+
+    def outputs(self, t, z, u):
+        return {"v": z.v, "yield": -(u**2)}
+
+
+@pytest.mark.parametrize("pieces", [10, 30])
+@pytest.mark.parametrize("way", [al.Sequential(), al.Simultaneous()], ids=["shooting", "collocation"])
+def test_every_decision_of_many_leaves_a_maximum(pieces, way):
+    control = al.Control(np.zeros(pieces), -1.0, 1.0, degree=0)
+    problem = al.Problem(Pushed(), grid=al.Grid(1.0, pieces), inputs={"u": control}, minimize=al.integral("yield").mean)
+    assert al.solve(problem, transcription=way).objective == pytest.approx(-1.0, rel=1e-6)
+
+
+def test_every_decision_of_many_leaves_a_maximum_as_far_as_a_limit_lets():
+    # All pieces end at a bound; the last speed is their mean, which is at most a half: fifteen up, five down.
+    problem = al.Problem(
+        Pushed(),
+        grid=al.Grid(1.0, 20),
+        inputs={"u": al.Control(np.zeros(20), -1.0, 1.0, degree=0)},
+        minimize=al.integral("yield").mean,
+        subject_to=[al.terminal("v").within(-0.5, 0.5)],
+    )
+    assert al.solve(problem).objective == pytest.approx(-1.0, rel=1e-6)

@@ -13,15 +13,18 @@ from aleator.statistics import Mean
 from aleator.uncertainty import AbstractDistribution, AbstractGerm, Decision
 
 
-def problem_text(problem: AbstractProblem) -> str:
-    """Objective, decisions, constraints, uncertainty, dynamics and expansion, one line per item."""
+def problem_text(problem: AbstractProblem, mesh: str = "") -> str:
+    """Objective, decisions, constraints, uncertainty, dynamics and expansion, one line per item.
+
+    - `mesh`: what holds states to their equations, in words, where they are variables; else the integrator does.
+    """
     places = problem.placements
     rows = [("minimise", str(problem.objective))]
     rows += _labelled("over", [_decision_text(name, place.decision) for name, place in places.decisions.items()])
     rows += _labelled("subject to", [f"{one.name}: {one}" for one in problem.constraints])
     rows += _labelled("where", list(_distribution_texts(places.distributions)))
     rows += [
-        _physics_row(problem),
+        _physics_row(problem, mesh or type(problem.integrator).__name__),
         ("expansion", _expansion_text(problem, places.germs)),
     ]
     return "\n".join(f"{label:<11} {text}" for label, text in rows)
@@ -55,7 +58,7 @@ def _range(values: object) -> str:
     return f"{low:g}" if low == high else f"{low:g}…{high:g}"
 
 
-def _physics_row(problem: AbstractProblem) -> tuple[str, str]:
+def _physics_row(problem: AbstractProblem, advanced: str) -> tuple[str, str]:
     grid, system = problem.grid, problem.system
     name = type(system).__name__
     if not (isinstance(system, System) and isinstance(grid, Grid)):
@@ -67,7 +70,7 @@ def _physics_row(problem: AbstractProblem) -> tuple[str, str]:
     who = f"{name} of {type(system.model).__name__}" if isinstance(system, AbstractFormulation) else name
     if not system.states:
         return "dynamics", f"{who}, {steps}, nothing is integrated"
-    return "dynamics", f"{who}({', '.join(system.states)}), {steps}, {type(problem.integrator).__name__}"
+    return "dynamics", f"{who}({', '.join(system.states)}), {steps}, {advanced}"
 
 
 def _expansion_text(problem: AbstractProblem, germs: Mapping[str, AbstractGerm]) -> str:

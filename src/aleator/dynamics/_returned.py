@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
@@ -48,7 +49,11 @@ def as_equations(
     """The return value of `system.residual` as one vector, of as many entries as there are numbers in `unknowns`."""
     name = type(system).__name__
     if not isinstance(values, tuple | list):
-        raise ProblemError(f"{name}.residual returns the equations as a tuple; received {values!r}.")
+        received = f"an array of shape {values.shape}" if isinstance(values, jax.Array) else type(values).__name__
+        raise ProblemError(
+            f"{name}.residual returns the equations as a tuple, one equation too: 'return (left - right,)'; "
+            f"received {received}."
+        )
     vector = jnp.concatenate([jnp.zeros(0), *(jnp.ravel(traceable(f"{name}.residual", value)) for value in values)])
     if vector.size != expected:
         raise ProblemError(

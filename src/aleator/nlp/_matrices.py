@@ -52,6 +52,15 @@ def column_is_zero(matrix: Matrix, column: int) -> bool:
     return not entries(matrix[:, [column]]).any()
 
 
+def alone_in_a_row(matrix: Matrix) -> np.ndarray:
+    """Whether a column is the only one in some row, shape (columns,)."""
+    if isinstance(matrix, np.ndarray):
+        return np.any((matrix != 0) & (np.count_nonzero(matrix, axis=1) == 1)[:, None], axis=0)
+    found = np.zeros(matrix.shape[1], dtype=bool)
+    found[matrix.indices[np.diff(matrix.indptr)[rows_of_entries(matrix)] == 1]] = True
+    return found
+
+
 def dense_rows(matrix: Matrix, rows: np.ndarray) -> np.ndarray:
     """Some rows as a dense array."""
     return matrix[rows] if isinstance(matrix, np.ndarray) else matrix[rows].toarray()

@@ -10,9 +10,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from aleator.nlp._matrices import column_is_zero
+from aleator.nlp._matrices import Matrix, alone_in_a_row, column_is_zero
 from aleator.nlp._outcome import Outcome, Status
 from aleator.nlp._program import Evaluation, NonlinearProgram
+from aleator.nlp._tangents import tangents
 
 # A variable has moved if it differs by more than this part of its typical magnitude.
 _STILL = 1e-9
@@ -24,6 +25,8 @@ _MOST = 12
 _LOWER = 1e-7
 # Values that differ by less than this part count as equal.
 _SAME = 1e-12
+# How often an answer is left for a better one at most.
+_MOST_MOVES = 8
 
 
 class _Probe(NamedTuple):
@@ -42,49 +45,106 @@ def moved_on(
 
     The result's `idle` lists variables that change nothing, `blind` those that do although their derivatives are zero.
     """
-    if outcome.status is not Status.SOLVED:
-        return outcome
+    for _ in range(_MOST_MOVES):
+        if outcome.status is not Status.SOLVED:
+            break
+        outcome, lower = _examined(program, outcome, start)
+        if lower is None:
+            break
+        before, outcome = outcome, _better(outcome, again(lower))
+        if np.array_equal(before.point, outcome.point):
+            break
+    return outcome
+
+
+def _examined(program: NonlinearProgram, outcome: Outcome, start: np.ndarray) -> tuple[Outcome, np.ndarray | None]:
+    """The outcome with its idle and blind variables, and a point from which to descend further, if any."""
     still = _still(program, outcome, start)[:_MOST]
-    if not len(still):
-        return outcome
-    probes = {int(one): _probes(program, outcome, int(one)) for one in still}
+    if not still.size:
+        return replace(outcome, blind=(), idle=()), None
+    steps = tangents(*_acting(program, outcome), program.variable_scale, still)
+    probes = {int(one): _probes(program, outcome, int(one), step) for one, step in zip(still, steps, strict=True)}
     flat = [one for one in probes if _is_flat(outcome.evaluation, one)]
     changing = [one for one in flat if any(_differs(outcome.evaluation, each.found) for each in probes[one])]
     blind = tuple(one for one in changing if all(_is_flat(each.found, one) for each in probes[one]))
     idle = tuple(one for one in flat if one not in changing)
     outcome = replace(outcome, blind=blind, idle=idle)
-    every = [one for several in probes.values() for one in several]
+    return outcome, None if blind else _lower(program, outcome, probes)
+
+
+def _lower(program: NonlinearProgram, outcome: Outcome, probes: dict[int, list[_Probe]]) -> np.ndarray | None:
+    """A point that lowers the Lagrangian: by all variables that lower it alone, if together they lower it further."""
     value, terms = _lagrangian(outcome, outcome.evaluation)
-    lower = [one for one in every if _lagrangian(outcome, one.found)[0] < value - _LOWER * terms]
-    if blind or not lower:
-        return outcome
-    return _better(outcome, again(min(lower, key=lambda one: _lagrangian(outcome, one.found)[0]).point))
+
+    def height(one: _Probe) -> float:
+        return _lagrangian(outcome, one.found)[0]
+
+    best = {which: min(several, key=height) for which, several in probes.items() if several}
+    lower = {which: one for which, one in best.items() if height(one) < value - _LOWER * terms}
+    if not lower:
+        return None
+    alone = min(lower.values(), key=height)
+    steps = sum((one.point - outcome.point for one in lower.values()), np.zeros_like(outcome.point))
+    point = np.clip(outcome.point + steps, program.lower, program.upper)
+    together = _Probe(point, program.evaluate(point))
+    # Not a number is not lower.
+    return together.point if height(together) < height(alone) else alone.point
 
 
 def _still(program: NonlinearProgram, outcome: Outcome, start: np.ndarray) -> np.ndarray:
-    """The free variables that have not moved and are not held by an active bound."""
-    scale, evaluation = program.variable_scale, outcome.evaluation
-    still = (np.abs(outcome.point - start) <= _STILL * scale) & (program.lower < program.upper)
-    pulls = np.abs(outcome.bound_multipliers) * scale
-    largest = max(abs(evaluation.objective), float(np.max(np.abs(evaluation.gradient) * scale, initial=0.0)))
-    return np.flatnonzero(still & (pulls <= _LOWER * largest))
+    """The free variables that have not moved and are not held by an active bound, or alone by a row."""
+    still = (np.abs(outcome.point - start) <= _STILL * program.variable_scale) & ~_is_bound(program, outcome)
+    equal = program.constraint_lower == program.constraint_upper
+    return np.flatnonzero(still & ~alone_in_a_row(outcome.evaluation.jacobian[np.flatnonzero(equal)]))
 
 
-def _probes(program: NonlinearProgram, outcome: Outcome, which: int) -> list[_Probe]:
-    """Points near the answer and, if all derivatives by the variable are zero, in its whole range."""
-    steps = _BESIDE + (_BEYOND if _is_flat(outcome.evaluation, which) else ())
-    lower, upper, here = program.lower[which], program.upper[which], outcome.point[which]
-    places = {float(np.clip(here + step * program.variable_scale[which], lower, upper)) for step in steps}
-    if len(steps) > len(_BESIDE) and np.isfinite(lower) and np.isfinite(upper):
-        places |= set(np.linspace(lower, upper, 5).tolist())
+def _is_bound(program: NonlinearProgram, outcome: Outcome) -> np.ndarray:
+    """Whether a variable is fixed, or presses against a bound."""
+    pulls = np.abs(outcome.bound_multipliers) * program.variable_scale
+    return (program.lower == program.upper) | (pulls > _LOWER * _terms(program, outcome))
+
+
+def _acting(program: NonlinearProgram, outcome: Outcome) -> tuple[Matrix, np.ndarray]:
+    """The rows that equations and pressing limits hold, and whether a variable is held."""
+    equal = program.constraint_lower == program.constraint_upper
+    presses = np.abs(outcome.multipliers) * outcome.sizes > _LOWER * _terms(program, outcome)
+    return outcome.evaluation.jacobian[np.flatnonzero(equal | presses)], _is_bound(program, outcome)
+
+
+def _terms(program: NonlinearProgram, outcome: Outcome) -> float:
+    """The objective, or its change over a typical magnitude of a variable, whichever is larger."""
+    evaluation = outcome.evaluation
+    changes = np.abs(evaluation.gradient) * program.variable_scale
+    return max(abs(evaluation.objective), float(np.max(changes, initial=0.0)))
+
+
+def _probes(program: NonlinearProgram, outcome: Outcome, which: int, step: np.ndarray) -> list[_Probe]:
+    """Points a part of a step away and, if all derivatives by the variable are zero, in its whole range."""
+    here = outcome.point
+    points = [np.clip(here + part * step, program.lower, program.upper) for part in _BESIDE]
+    if _is_flat(outcome.evaluation, which):
+        points += [_with(here, which, place) for place in _range(program, here, which)]
     found = []
-    for place in sorted(places - {float(here)}):
-        point = outcome.point.copy()
-        point[which] = place
-        evaluation = program.evaluate(point)
-        if np.isfinite(evaluation.objective) and np.isfinite(evaluation.constraints).all():
+    for point in points:
+        evaluation = None if np.array_equal(point, here) else program.evaluate(point)
+        if evaluation and np.isfinite(evaluation.objective) and np.isfinite(evaluation.constraints).all():
             found.append(_Probe(point, evaluation))
     return found
+
+
+def _range(program: NonlinearProgram, here: np.ndarray, which: int) -> list[float]:
+    """Places all over the range of a variable."""
+    lower, upper = program.lower[which], program.upper[which]
+    places = {float(np.clip(here[which] + step * program.variable_scale[which], lower, upper)) for step in _BEYOND}
+    if np.isfinite(lower) and np.isfinite(upper):
+        places |= set(np.linspace(lower, upper, 5).tolist())
+    return sorted(places)
+
+
+def _with(point: np.ndarray, which: int, value: float) -> np.ndarray:
+    changed = point.copy()
+    changed[which] = value
+    return changed
 
 
 def _is_flat(evaluation: Evaluation, which: int) -> bool:

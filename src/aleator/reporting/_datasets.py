@@ -65,7 +65,7 @@ def solution_dataset(solution: Solution) -> "xarray.Dataset":
         "violation": solution.certificate.violation,
         "stationarity": solution.certificate.stationarity,
         "complementarity": solution.certificate.complementarity,
-        "problem": str(problem),
+        "problem": solution.problem_text,
     }
     return _with_time(xarray.Dataset(data, attrs=attributes), solution)
 

@@ -110,7 +110,7 @@ def _page(designs: dict[str, Solution], evidence: dict[str, Evidence], fronts: d
         Section("Trade-offs", _front_blocks(fronts)),
         Section("Evidence", _evidence_blocks(evidence)),
         Section("Certificate", [certificate_table(designs), *_mesh_blocks(designs)]),
-        Section("The problem as mathematics", [Code(name, str(one.problem), True) for name, one in designs.items()]),
+        Section("The problem as mathematics", [Code(name, one.problem_text, True) for name, one in designs.items()]),
         Section("How to read this", [Text(HOW_TO_READ)]),
     ]
     return Page(

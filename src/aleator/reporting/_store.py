@@ -144,7 +144,7 @@ def solution_document(solution: Solution, evidence: Evidence | None = None) -> d
             "leave_one_out_of_derivatives": quality.tangents,
         },
         "seconds": {"compile": solution.effort.times.compile_, "solve": solution.effort.times.solve},
-        "problem": str(problem).splitlines(),
+        "problem": solution.problem_text.splitlines(),
     }
     if not solution.ok:
         document["why"] = solution.why()

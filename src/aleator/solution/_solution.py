@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from aleator.design import Problem, grid_at
+from aleator.design import Problem, grid_at, problem_text
 from aleator.nlp import Status
 from aleator.solution._certificate import Certificate, lines
 from aleator.solution._constraint import ConstraintResult
@@ -71,6 +71,11 @@ class Solution:
     def mesh(self) -> MeshError | None:
         """The mesh of the answer with its errors, the last of `meshes`; None where states are simulated."""
         return self.meshes[-1] if self.meshes else None
+
+    @property
+    def problem_text(self) -> str:
+        """The problem as mathematics, with the scheme by which it was solved if states were variables."""
+        return problem_text(self.problem, f"{self.mesh.scheme} on {self.mesh.intervals} intervals" if self.mesh else "")
 
     @property
     def instants(self) -> Float[np.ndarray, " instants"]:

@@ -143,7 +143,7 @@ class AbstractMotionStudy(AbstractStudy):
     @override
     def sections(self) -> Sequence[Section]:
         plans = self.done.plans
-        texts = [Code(f"{name} as mathematics", str(one.problem)) for name, one in plans.items()]
+        texts = [Code(f"{name} as mathematics", one.problem_text) for name, one in plans.items()]
         return [
             Section("The system", [replace(self.schematic(), beside=texts)]),
             Section("The plans", self._plans()),

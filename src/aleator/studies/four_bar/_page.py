@@ -69,7 +69,7 @@ def _schematic(results: FourBarResults) -> Schematic:
         "θ is its angle, τ the motor's torque. "
         "Uncertain: six lengths, the place of each pin in its clearance, and the mass of the tool."
     )
-    beside = [Code(f"The problem of {name} as mathematics", str(one.problem)) for name, one in results.designs.items()]
+    beside = [Code(f"The problem of {name} as mathematics", one.problem_text) for name, one in results.designs.items()]
     return Schematic([linkage_drawing()], "Hoeken's linkage", caption, "", beside)
 
 

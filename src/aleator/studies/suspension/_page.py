@@ -95,7 +95,7 @@ def _schematic(results: SuspensionResults) -> Schematic:
         "uniform distribution; means that a design chooses have the index 0. The damper is η times as strong in "
         "compression as in extension."
     )
-    beside = [Code(f"The problem of {name} as mathematics", str(one.problem)) for name, one in results.designs.items()]
+    beside = [Code(f"The problem of {name} as mathematics", one.problem_text) for name, one in results.designs.items()]
     return Schematic([drawing], "Quarter car on its road", caption, "6.1 and 6.3", beside)
 
 
