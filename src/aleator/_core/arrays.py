@@ -20,11 +20,23 @@ def numbers_to_arrays(tree: Pytree) -> Pytree:
 
     Whole numbers and everything else are unchanged, because Python control flow may depend on them.
     """
+    leaves, structure = jax.tree.flatten(tree)
+    known = [i for i, leaf in enumerate(leaves) if is_number(leaf) and not isinstance(leaf, jax.Array)]
+    # All at once: each transfer alone takes as long as some hundred numbers.
+    for i, array in zip(known, _sent([np.array(leaves[i], dtype=float) for i in known]), strict=True):
+        leaves[i] = array
+    converted = [jnp.asarray(leaf, dtype=float) if _is_array_of_numbers(leaf) else leaf for leaf in leaves]
+    return jax.tree.unflatten(structure, converted)
 
-    def convert(leaf: Any) -> Any:
-        return jax_array(leaf, float) if is_number(leaf) else leaf
 
-    return jax.tree.map(convert, tree)
+def _is_array_of_numbers(leaf: Any) -> bool:
+    return isinstance(leaf, jax.Array) and leaf.dtype != float and is_number(leaf)
+
+
+def _sent(numbers: Any) -> Any:
+    """Arrays of NumPy as arrays of JAX, which may be kept and so must not belong to a function that is being traced."""
+    with jax.ensure_compile_time_eval():
+        return jax.device_put(numbers)
 
 
 def jax_array(numbers: Any, kind: type | None = None) -> Array:
@@ -34,9 +46,7 @@ def jax_array(numbers: Any, kind: type | None = None) -> Array:
     """
     if any(isinstance(leaf, jax.Array) for leaf in jax.tree.leaves(numbers)):
         return jnp.asarray(numbers, dtype=kind)
-    # The array may be kept, and so must not belong to a function that is being traced.
-    with jax.ensure_compile_time_eval():
-        return jax.device_put(np.array(numbers, dtype=kind))
+    return _sent(np.array(numbers, dtype=kind))
 
 
 def in_library(*trees: Pytree) -> tuple[Any, ...]:
