@@ -17,6 +17,7 @@ def smooth_problem(steps=160):
     return oscillator_problem(grid=al.Grid(4.0, steps), inputs={"force": force})
 
 
+@pytest.mark.slow
 def test_two_transcriptions_agree_and_say_so():
     found = al.cross_check(smooth_problem())
     assert found.agree, found

@@ -156,6 +156,7 @@ class Push(al.System):
         return {"x": z.x, "v": z.v}
 
 
+@pytest.mark.slow
 @SOLVERS
 @pytest.mark.parametrize("spread", [False, True], ids=["norm", "spread"])
 def test_a_norm_or_spread_is_optimal_at_zero_where_it_has_its_kink(solver, spread):

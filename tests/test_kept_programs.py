@@ -85,6 +85,7 @@ print(asked.count("compile_requests_use_cache") - asked.count("cache_hits"))
 """
 
 
+@pytest.mark.slow
 def test_another_run_compiles_nothing_whatever_python_orders_sets_by(tmp_path):
     def compiled(seed):
         own = environment(ALEATOR_CACHE=str(tmp_path), PYTHONHASHSEED=seed)

@@ -37,6 +37,7 @@ def test_a_process_has_mappings_and_may_have_more():
     assert 10 < mappings() < most_mappings()
 
 
+@pytest.mark.slow
 @linux
 def test_programs_unused_for_longest_give_way_before_there_is_no_room():
     done = subprocess.run([sys.executable, "-c", MANY], capture_output=True, text=True, timeout=300)

@@ -60,6 +60,7 @@ def test_one_problem_in_many_threads_is_compiled_once_and_solved_alike(threads, 
         assert found.decisions["a.mean"] == pytest.approx(2.0, abs=1e-5)
 
 
+@pytest.mark.slow
 def test_problems_of_their_own_in_many_threads_do_not_get_mixed_up(threads):
     goals = np.linspace(-3.0, 3.0, 12)
     found = list(threads.map(lambda goal: al.solve(gap(goal)).decisions["a.mean"], goals))

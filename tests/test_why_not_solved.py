@@ -50,6 +50,7 @@ CASES = {
 }
 
 
+@pytest.mark.slow
 @SOLVERS
 @pytest.mark.parametrize("name", CASES)
 def test_a_reason_comes_with_a_remedy_and_the_words_of_the_solver_stand_in_parentheses(name, make):
@@ -84,6 +85,7 @@ class Unstopped(al.System):
         return {"x": z.x}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("way", [al.Sequential(), al.Simultaneous()], ids=["shooting", "collocation"])
 @pytest.mark.parametrize("gain", [1.0, al.Uniform(1.0, half_width=0.1)], ids=["certain", "uncertain"])
 def test_an_objective_without_a_least_value_is_never_solved(way, gain):

@@ -25,6 +25,7 @@ from ._core.errors import GridWarning as GridWarning
 from ._core.errors import MissingExtraError as MissingExtraError
 from ._core.errors import ProblemError as ProblemError
 from ._core.errors import SimulationError as SimulationError
+from ._core.errors import SimulationWarning as SimulationWarning
 from ._core.errors import SolveError as SolveError
 from ._core.kept_programs import compilation_cache as compilation_cache
 from .analysis import MultiElement as MultiElement

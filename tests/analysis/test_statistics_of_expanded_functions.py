@@ -108,6 +108,7 @@ def test_the_distribution_over_elements_is_that_of_a_large_sample(pieces, sample
     assert np.asarray(one.pdf(at)) == pytest.approx(density, abs=0.05)
 
 
+@pytest.mark.slow
 def test_derivatives_over_elements_are_those_of_the_closed_form():
     """`y = h |u - 0.3|` for u uniform on (0, 1): P(y < c) = 0.3 + c/h for 0.3 h < c < 0.7 h, and Q(p) = (p - 0.3) h."""
 

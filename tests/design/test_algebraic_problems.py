@@ -92,6 +92,7 @@ def test_a_margin_on_a_deflection_gives_the_tolerance_of_exact_quadrature():
     assert solution.statistics["μ[x]"] == pytest.approx(mean, rel=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("limit", "width"),
     [

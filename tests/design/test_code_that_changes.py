@@ -174,6 +174,7 @@ def found(solution):
     return solution.decisions["a.mean"]
 
 
+@pytest.mark.slow
 def test_a_solution_is_of_the_code_as_it_is_now_and_evidence_refuses_any_other(changing):
     one, change = changing
     change(3.0)

@@ -234,6 +234,7 @@ def test_a_limit_on_a_ratio_to_a_spread_holds_though_no_single_system_has_one(fu
     assert found.decisions["gain"] == pytest.approx(1 / (20 * SPREAD - 1), rel=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scheme", [al.schemes.GaussLegendre(3), al.schemes.Radau(3)], ids=["Gauss", "Radau"])
 def test_an_objective_that_is_flat_at_its_minimum_is_solved(scheme):
     """States that move give the constraints multipliers of nothing but rounding."""

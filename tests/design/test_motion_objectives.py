@@ -94,6 +94,7 @@ def solved():
     return al.solve(problem(constraints))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", EXPECTED)
 def test_objectives_have_the_values_of_their_closed_forms(name):
     found = {one.name: one.values for one in solved().constraints}

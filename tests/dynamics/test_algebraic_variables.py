@@ -97,6 +97,7 @@ def by_hand(stiffness: float = 1.0, t_final: float = 2.0) -> tuple[float, float]
     return x, y_of(t_final, x)
 
 
+@pytest.mark.slow
 def test_each_integrator_keeps_its_order():
     exact = np.array(by_hand())
     errors = []
@@ -109,6 +110,7 @@ def test_each_integrator_keeps_its_order():
     np.testing.assert_allclose([adaptive["x"][-1], adaptive["y"][-1]], exact, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_derivatives_of_any_order_agree_with_differences_and_a_closed_form():
     grid, inputs = al.Grid(2.0, 40), {"feed": al.PowerSeries(start=0.5, end=1.5)}
 
@@ -212,6 +214,7 @@ def test_what_has_no_solution_is_told_where_inputs_are_trajectories():
     assert re.match("Rootless: its algebraic variables have no solution at about t = 0", told)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("integrator", [None, al.integrators.Tsit5()], ids=["RungeKutta4", "Tsit5"])
 def test_where_solutions_meet_is_told(integrator):
     told = simulation_of(Folded(), al.Grid(2.0, 8), None, integrator).explain()
@@ -223,6 +226,7 @@ def test_nothing_is_told_of_a_system_that_can_be_solved():
     assert not simulation_of(Folded(), al.Grid(0.9, 3), None, None).explain()
 
 
+@pytest.mark.slow
 def test_an_index_above_one_is_told_with_realisation_and_time():
     problem = al.Problem(
         IndexTwo(near=al.Uniform(1.0, half_width=al.Decision(0.1, 0.05, 0.2))),

@@ -243,6 +243,7 @@ def family(integrator):
     )
 
 
+@pytest.mark.slow
 def test_a_stiff_integrator_that_fails_within_a_design_is_a_status_and_names_the_time_it_reached():
     solution = al.solve(family(al.integrators.Kvaerno5(max_steps=200)), throw=False)
     assert solution.status is al.Status.EVALUATION_FAILED

@@ -190,6 +190,7 @@ def residuals_of(A, b, rows, columns, curvature):
     return function
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [2, 5])
 @pytest.mark.parametrize("curvature", [0.0, 0.02], ids=["linear", "curved"])
 def test_regular_systems_with_zeros_in_their_solutions_are_solved_in_any_units(size, curvature):

@@ -83,6 +83,7 @@ def near_coincidence(shapes, shift):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", COINCIDENT)
 def test_derivatives_are_finite_and_push_apart_where_shapes_coincide(name):
     make, fixed, expected = COINCIDENT[name]

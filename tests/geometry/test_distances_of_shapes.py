@@ -31,6 +31,7 @@ def depth_by_convex_hull(center, edges):
     return ConvexHull(center + signs @ edges).equations[:, -1].max()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dimension", [2, 3])
 @pytest.mark.parametrize("kinds", PAIRS, ids="-".join)
 def test_the_gap_of_random_shapes_is_that_of_a_quadratic_program(kinds, dimension):

@@ -52,6 +52,7 @@ def frames_at(tree, q, ends, random):
     }, (where, axes)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", CHAINS)
 def test_accelerations_and_multipliers_solve_the_saddle_point_system_of_mujoco_s_matrices(case):
     kinds, parents, loops = CHAINS[case]
@@ -159,6 +160,7 @@ class Hung(al.Multibody):
         return super().constraint(q)[:2]
 
 
+@pytest.mark.slow
 def test_a_ball_that_is_held_in_a_second_point_is_a_physical_pendulum():
     turn = 0.8
     start = {"b_w": np.cos(turn / 2), "b_y": np.sin(turn / 2)}

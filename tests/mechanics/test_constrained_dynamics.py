@@ -55,6 +55,7 @@ def test_a_driven_slider_crank_is_that_of_elimination_by_hand_over_three_turns()
     close(found["slider_reaction"], -expected["wrist"][0])
 
 
+@pytest.mark.slow
 def test_a_driven_four_bar_is_that_of_elimination_by_hand_and_its_multipliers_the_force_in_the_pin():
     found = driven_four_bar()
     expected = by_hand(four_bar_by_hand, found)
@@ -79,6 +80,7 @@ def test_hybrid_dynamics_that_prescribe_all_freedoms_are_inverse_dynamics():
         np.testing.assert_allclose(found[name], values, rtol=1e-12, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_torques_and_their_rates_drive_forward_dynamics_along_the_same_motion():
     grid = al.Grid(1.0, 400)
     inverse = al.InverseDynamics(SliderCrank(), motion={"crank": TURNS}, guess={"slider": 0.4})
@@ -134,6 +136,7 @@ def test_a_passive_linkage_keeps_its_constraints_and_its_energy_over_ten_seconds
     assert np.ptp(found["rocker"]) > 0.5
 
 
+@pytest.mark.slow
 def test_energy_and_drift_converge_by_the_order_of_the_integrator():
     steps = np.array([200, 400, 800])
     errors = [energy_error(SliderCrank(), turning(int(n))) for n in steps]
@@ -157,6 +160,7 @@ def test_a_passive_slider_crank_moves_as_the_reduced_equation_of_the_crank_does(
     assert np.log2(np.abs(coarse - expected[::2]).max() / np.abs(found - expected).max()) > 3.5
 
 
+@pytest.mark.slow
 def test_adaptive_integration_obeys_the_constraints_as_well():
     system = al.ForwardDynamics(SliderCrank(), start={"crank": 0.7, "crank_rate": 5.0}, guess={"slider": 0.4})
     found = al.simulate(system, al.Grid(2.0, 20), integrator=al.integrators.Tsit5(rtol=1e-10, atol=1e-10))
@@ -187,6 +191,7 @@ def test_derivatives_by_lengths_are_those_of_finite_differences_and_of_second_or
         np.testing.assert_allclose(H[:, :, i], slope, rtol=1e-5, atol=1e-5 * np.abs(H).max())
 
 
+@pytest.mark.slow
 def test_derivatives_of_driving_torques_by_lengths_are_those_of_finite_differences():
     grid = al.Grid(0.5, 20)
 

@@ -174,6 +174,7 @@ REFUSED = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", REFUSED)
 def test_is_refused_in_words(case):
     make, parts = REFUSED[case]

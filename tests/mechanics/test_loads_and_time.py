@@ -245,6 +245,7 @@ class OneMotor(Arm):
     actuators = ("one_torque",)
 
 
+@pytest.mark.slow
 def test_hybrid_dynamics_under_load_moves_as_forward_dynamics_with_the_torque_that_it_found():
     leak = al.processes.signal(lambda t, p: 0.8 - 0.3 * t)
     model = {"wind": GUST, "mass": leak}

@@ -47,6 +47,7 @@ class Two(Dragged):
         return tuple(al.Body(name, joint=al.joints.Prismatic("x"), mass=1.0) for name in "ab")
 
 
+@pytest.mark.slow
 def test_drag_in_the_bias_slows_what_is_driven_forwards():
     found = al.simulate(al.ForwardDynamics(Dragged(), start={"a_rate": 1.0}), al.Grid(1.0, 100))
     np.testing.assert_allclose(found["a_rate"], np.exp(-DRAG * np.linspace(0, 1, 101)), rtol=1e-7)

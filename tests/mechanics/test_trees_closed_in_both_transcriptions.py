@@ -49,8 +49,8 @@ class SliderCrank(al.Multibody):
         return {"effort": motion.torque[0] ** 2}
 
 
-def family(kind):
-    return kind(rod_mass=al.Uniform(ROD_MASS, half_width=0.1))
+def family():
+    return SliderCrank(rod_mass=al.Uniform(ROD_MASS, half_width=0.1))
 
 
 def turning():
@@ -63,11 +63,11 @@ def forward():
     torque = al.BSpline(al.Decision(np.zeros(4), -5.0, 5.0), degree=2)
     start = {"crank": START, "crank_rate": RATE}
     limits = [al.terminal("crank").mean.equals(END), al.terminal("crank_rate").mean.equals(RATE)]
-    return al.ForwardDynamics(family(SliderCrank), torque={"crank_torque": torque}, start=start, guess=NEAR), limits
+    return al.ForwardDynamics(family(), torque={"crank_torque": torque}, start=start, guess=NEAR), limits
 
 
 def inverse():
-    return al.InverseDynamics(family(SliderCrank), motion={"crank": turning()}, guess=NEAR), []
+    return al.InverseDynamics(family(), motion={"crank": turning()}, guess=NEAR), []
 
 
 def solved_both_ways(made):

@@ -80,6 +80,7 @@ def at(x):
     return al.BSpline(x, start=(0.0, 0.0), end=(1.0, 0.0))
 
 
+@pytest.mark.slow
 def test_a_decided_signal_is_planned_like_any_other_number():
     # What a second engine pushes over time is decided: rest to rest in a second takes an effort of 12.
     class Effort(Cart):

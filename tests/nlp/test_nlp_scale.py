@@ -101,6 +101,7 @@ def walled(x):
     return evaluation(x[0] if x[0] >= 1 else np.nan, [1.0], [x[0]], [[1.0]])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lower", [0.0, -INF])
 def test_a_region_that_cannot_be_evaluated_and_hides_the_optimum_is_named(solver, lower):
     outcome = solver.solve(program(walled, [2.0], [lower], [10.0], rows=[(-INF, 20)]))

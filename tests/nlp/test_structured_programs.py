@@ -64,6 +64,7 @@ def optimum(count):
     return brentq(lambda y: count * (y - 2.0) + np.sum((np.sqrt(y) - t) / (2 * np.sqrt(y))), 0.5, 5.0, xtol=1e-13)
 
 
+@pytest.mark.slow
 @named
 def test_a_hundred_thousand_decisions_that_share_one_are_solved_without_a_dense_matrix(solver):
     count = 100_000

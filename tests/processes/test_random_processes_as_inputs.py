@@ -115,6 +115,7 @@ def test_the_noise_that_an_output_may_bear_is_found_by_the_optimiser():
     assert solution.decisions["inputs.u.std"] == pytest.approx(0.06 / per_std, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_statistics_of_a_process_by_expansion_are_its_mean_and_its_truncated_variance():
     noise = process(mean=al.processes.signal(lambda t, p: p.slope * t, slope=2.0), modes=3)
     problem = al.Problem(

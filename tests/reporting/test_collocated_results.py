@@ -65,6 +65,7 @@ def test_pages_and_files_name_the_scheme_and_not_an_integrator(found, tmp_path):
         assert "RungeKutta4" not in text
 
 
+@pytest.mark.slow
 def test_a_front_of_controls_on_different_meshes_is_saved_whole(found, tmp_path):
     front = al.pareto(move(), "spread", [0.05, 0.03], transcription=COLLOCATED)
     fewer = al.pareto(move(), "spread", [0.05], transcription=al.Simultaneous())

@@ -84,6 +84,7 @@ def test_one_solution_is_enough_and_what_is_missing_is_left_out(tmp_path):
     assert "Trajectories" not in Reader(text).text
 
 
+@pytest.mark.slow
 def test_the_meshes_of_a_simultaneous_solution_are_drawn_and_kept(tmp_path):
     solution = given.collocated()
     assert "Meshes of design" in report(solution, path=tmp_path / "report.html").read_text(encoding="utf-8")

@@ -21,6 +21,7 @@ def crossings(powers):
     return roots_between(powers, edges, horner(powers, edges))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("use", Use)
 @pytest.mark.parametrize("degree", [1, 2, 3, 5, 8])
 def test_crossings_are_the_real_roots_of_each_polynomial(degree, use):

@@ -86,6 +86,7 @@ def test_no_statistic_is_left_out_of_these_tests():
     assert concrete - {AbstractStatistic} == {type(one) for one in STATISTICS}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("statistic", "basis"), CASES)
 def test_forward_and_reverse_derivatives_are_those_of_finite_differences(statistic, basis):
     shape = (2,) if isinstance(statistic, Covariance | Correlation | CoefficientProduct) else ()

@@ -189,6 +189,7 @@ def moments():
     return compiled(both), compiled(jax.jacfwd(both)), compiled(jax.grad(lambda x: both(x).sum()))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("x", POINTS.values(), ids=POINTS.keys())
 def test_derivatives_of_mean_and_std_through_the_decisions_are_those_of_finite_differences(moments, x):
     values, jacobian, gradient = moments

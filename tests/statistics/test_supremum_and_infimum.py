@@ -28,6 +28,7 @@ CASES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", CASES)
 def test_attained_and_guaranteed_values_enclose_the_extremes_of_random_expansions(case):
     germs, order = CASES[case]

@@ -3,6 +3,7 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from small_expansions import basis_of, random_coefficients
 
 from aleator.statistics import Mean, Probability, Quantile, prepare, together
@@ -11,6 +12,7 @@ from aleator.uncertainty import HermiteGerm, LegendreGerm
 BASIS = basis_of([LegendreGerm(), HermiteGerm()], 3)
 
 
+@pytest.mark.slow
 def test_tails_of_one_kind_and_shape_are_those_taken_alone():
     generator = np.random.default_rng(5)
     one, other = (random_coefficients(BASIS, seed, (20,)) for seed in range(2))

@@ -55,6 +55,7 @@ CASES = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("statistic", "distribution"), CASES, ids=lambda one: one if isinstance(one, str) else one.text("y")
 )

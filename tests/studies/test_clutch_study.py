@@ -226,6 +226,7 @@ def test_what_the_first_stages_find_is_stored_before_there_is_a_design(tmp_path)
         assert counted["worst_case"].values.tolist() == list(worst_case(TOLERANCES))
 
 
+@pytest.mark.slow
 def test_a_limit_on_rejects_that_no_tolerance_meets_is_said_in_words():
     with pytest.raises(al.SolveError, match="rejects"):
         al.solve(allocation_problem(-0.1))

@@ -34,6 +34,7 @@ def moments(solution, names, finer=10):
 TORQUES, GAPS = ("q1_torque", "q2_torque"), ("gap_1", "gap_2", "elbow_x", "tip_x")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("sigmas", "best"), [(0.0, 1.4143), (1.0, 1.5939)])
 def test_the_fastest_plans_are_as_good_as_the_reference_at_its_instants(sigmas, best):
     problem = pick_and_place_time.robust_problem(sigmas) if sigmas else pick_and_place_time.deterministic_problem()
@@ -66,6 +67,7 @@ def test_the_plan_at_the_root_of_three_is_that_of_the_worst_case():
     assert found.objective == pytest.approx(plan.objective, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_the_plan_of_least_effort_is_as_good_as_the_reference_and_keeps_its_distances():
     solution = al.solve(pick_and_place_effort.robust_problem(1.0))
     assert solution.objective <= 112.125

@@ -65,6 +65,7 @@ def test_an_independent_simulation_reproduces_ride_travel_and_holding():
     np.testing.assert_allclose(ours[2], travel.T, atol=1e-10 * np.abs(travel).max())
 
 
+@pytest.mark.slow
 def test_the_expansion_agrees_with_tensor_gauss_quadrature():
     nodes, weights = LegendreGerm().gauss(5)
     grid = np.stack([axis.ravel() for axis in np.meshgrid(*[nodes] * 5, indexing="ij")])
@@ -79,6 +80,7 @@ def test_the_expansion_agrees_with_tensor_gauss_quadrature():
     assert float(moments.std) == pytest.approx(spread, rel=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("declare", [robust_problem, apportionment_problem], ids=["uOpt", "aOpt"])
 def test_derivatives_of_every_objective_and_constraint_agree_with_central_differences(declare):
     transcription = transcribe(declare())
@@ -94,6 +96,7 @@ def test_derivatives_of_every_objective_and_constraint_agree_with_central_differ
     assert derivative_error(values, jacobian, point, blocks) < 1e-6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("solver", ["Ipopt", "Slsqp"])
 @pytest.mark.parametrize("name", PROBLEMS)
 def test_the_solvers_agree_on_every_optimum(designs, name, solver):

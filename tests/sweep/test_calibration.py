@@ -65,6 +65,7 @@ def test_the_true_violation_exceeds_the_target_in_no_more_than_one_run_of_twenty
     assert np.median(ratios) > 1 / 3
 
 
+@pytest.mark.slow
 def test_what_is_confirmed_is_true_and_the_margin_is_not_needlessly_large():
     ratios = calibrations("x", 0.05, 2000, range(12), stats.norm.sf)
     assert np.sum(ratios > 1) <= 2
@@ -106,6 +107,7 @@ def test_fresh_systems_are_those_of_no_trial_and_of_no_evidence_with_the_same_se
     assert (repeated.sigmas, repeated.confirmation) == (found.sigmas, found.confirmation)
 
 
+@pytest.mark.slow
 def test_targets_of_one_in_ten_thousand_take_some_thousand_samples():
     target = 1e-4
     ratios = calibrations("x", target, 2000, range(3), stats.norm.sf)
@@ -321,6 +323,7 @@ def test_ctrl_c_before_the_first_trial_is_ctrl_c(monkeypatch):
         al.calibrate(shifted_problem(), "x", 0.05, samples=2000)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("error", [al.SolveError("no"), al.SimulationError("no"), al.ProblemError("no")], ids=type)
 def test_a_solve_that_fails_in_mid_search_loses_nothing(monkeypatch, error):
     broken = 2.4

@@ -68,6 +68,7 @@ def problem(rate):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("way", WAYS.values(), ids=WAYS)
 def test_a_loop_that_ends_when_a_root_is_found_has_the_answer_of_the_root_itself(way):
     looped, known = (al.solve(problem(rate), transcription=way) for rate in (root_by_newton, jnp.sqrt))

@@ -150,6 +150,7 @@ def test_a_linear_control_passes_through_its_values():
     assert found["u"] == pytest.approx(np.interp(np.linspace(0.0, 2.0, 41), np.linspace(0.0, 2.0, 5), values))
 
 
+@pytest.mark.slow
 def test_integrals_over_jumps_are_those_of_each_step_of_its_own():
     """Of a system with states, of one without, and both ways: polynomials that every rule integrates exactly."""
     squared = 0.5 * float(LEVELS @ LEVELS)
@@ -222,6 +223,7 @@ BOTH = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("way", BOTH)
 def test_least_time_to_move_a_block_is_bang_bang(way):
     distance = 2.0
@@ -242,6 +244,7 @@ def test_least_time_to_move_a_block_is_bang_bang(way):
     assert (prices * np.repeat([prices[0], -prices[0]], 5) >= 0).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("way", BOTH)
 def test_bryson_and_denham(way):
     """4 / (9 l), with forces that are linear between thirds of the time."""
@@ -261,6 +264,7 @@ def test_bryson_and_denham(way):
     assert solution.objective == pytest.approx(4 / (9 * limit), rel=2e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("degree", "steps", "above"), [(0, 50, 1e-3), (1, 50, 2e-5)])
 def test_controls_follow_a_mesh_that_is_refined(degree, steps, above):
     """Van der Pol's oscillator: 2.87330. What a control cannot follow costs a little more."""
@@ -310,6 +314,7 @@ def test_by_shooting_van_der_pol_is_as_good_on_the_same_nodes():
     assert al.solve(problem).objective == pytest.approx(2.87330, abs=3e-5)
 
 
+@pytest.mark.slow
 def test_a_family_of_systems_under_a_random_load_is_the_same_both_ways():
     """Where loads are uncertain, signals are no variables: both sides of a jump are told in each block."""
     load = al.processes.RandomProcess(

@@ -55,6 +55,7 @@ def flown(solution):
     return z
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("steps", [20, 50, 200])
 @pytest.mark.parametrize("points", [2, 10, 40, 80])
 def test_the_cost_of_a_plan_is_what_it_says_to_the_error_that_it_states(points, steps):

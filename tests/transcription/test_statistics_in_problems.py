@@ -25,6 +25,7 @@ def value_of(expression, gain=GAIN, **options):
     return float(transcribe(asked).program.evaluate(np.array([gain])).constraints[0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("expression", "expected", "tolerance"),
     [

@@ -96,6 +96,7 @@ PROBLEMS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", PROBLEMS)
 def test_a_problem_has_the_same_answer_and_certificate_by_another_transcription(name):
     problem = PROBLEMS[name]()

@@ -108,6 +108,7 @@ def test_a_coarser_spline_comes_as_close_as_least_squares_does(begun):
     np.testing.assert_allclose(after, closest(TIMES), rtol=0, atol=2e-3 * np.abs(before).max())
 
 
+@pytest.mark.slow
 def test_decided_ends_and_spans_are_found_with_the_curve(begun):
     old = al.BSpline(al.Decision(RANDOM[:5]), spans=al.Decision(np.ones(2), 0.2, 5.0))
     new = al.BSpline(

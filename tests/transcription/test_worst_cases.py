@@ -60,6 +60,7 @@ CASES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", CASES)
 def test_the_design_is_that_of_the_true_worst_case_wherever_it_lies(case):
     rule, gain = CASES[case]
@@ -208,6 +209,7 @@ def test_the_worst_case_of_what_is_certain_is_its_value():
     assert solution.certificate.worst_case is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "distribution",
     [
@@ -226,6 +228,7 @@ def test_a_distribution_whose_shape_is_decided_keeps_its_ends(distribution):
     np.testing.assert_allclose(found.jacobian[:2], [[1.0, 0.0], [3.0, 0.0]], atol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_worst_case_of_vectors_over_time_is_that_of_each_entry():
     class Pair(al.System):
         states = ("x", "v")

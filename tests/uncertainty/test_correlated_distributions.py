@@ -84,6 +84,7 @@ PAIRS = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("first", "second", "correlation", "accuracy"), PAIRS)
 def test_the_numbers_have_the_given_correlation_and_keep_their_own_moments(first, second, correlation, accuracy):
     mean, std, found = moments_by_quadrature(pair(first, second, correlation))

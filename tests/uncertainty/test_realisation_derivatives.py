@@ -251,6 +251,7 @@ def test_realisation_is_the_quantile_of_the_current_distribution_at_the_level_of
         assert numbers(x) == pytest.approx(oracle(*x).ppf(LEVELS), rel=1e-9)
 
 
+@pytest.mark.slow
 def test_derivatives_by_decisions_are_those_of_scipys_quantile_at_fixed_probability(case):
     distribution, oracle, decided = case
     exact = compiled(jax.jacfwd(lambda x: realised(distribution, x)))(jnp.array(decided))

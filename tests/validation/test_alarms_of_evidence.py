@@ -67,6 +67,7 @@ def alarmed(solution, samples=20_000, **options):
     return evidence
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(6))
 def test_what_agrees_sounds_no_alarm(seed):
     limits = X.std <= 5.0, X.quantile(0.9) <= 5.0, X.probability(above=1.0) <= 0.9, al.path("x").std <= 3.0

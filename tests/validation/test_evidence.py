@@ -234,6 +234,7 @@ class Fragile(al.System):
         return {"x": self.gain * jnp.where(self.theta > 1.29, broken, self.theta), "gain": self.gain}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["nan", "infinite"])
 @pytest.mark.parametrize(
     "bound",

@@ -62,6 +62,7 @@ def test_evidence_prints_estimates_beside_the_expansion():
     assert "(expansion 3.72)" in text
 
 
+@pytest.mark.slow
 def test_limits_on_an_end_of_a_distribution_count_systems_and_limits_on_its_width_do_not():
     solution = solved(
         RESPONSE.quantile(0.9),
@@ -84,6 +85,7 @@ def test_the_share_of_systems_beyond_a_quantile_is_one_minus_its_level():
     assert violation.lower <= 0.05 <= violation.upper
 
 
+@pytest.mark.slow
 def test_a_deterministic_design_has_its_nominal_value_beside_the_estimate():
     nominal = al.solve(al.deterministic(oscillator_problem(minimize=al.rms("v").quantile(0.9) + 0.1 * al.value("c"))))
     checked = al.validate(nominal, 500).statistics["Q0.9[rms(v)]"]

@@ -37,6 +37,7 @@ CASES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", CASES)
 def test_estimates_of_rare_violations_are_unbiased_and_their_intervals_hold(case):
     variables, scores, truth = CASES[case]
@@ -109,6 +110,7 @@ def two_numbers(theta: Any, shift: Any) -> al.Solution:
     )
 
 
+@pytest.mark.slow
 def test_correlated_distributions_are_weighted_as_they_are_counted():
     distributions = al.correlated(
         {"theta": al.Normal(1.0, 0.1), "shift": al.Gamma(mean=0.2, std=0.1)}, {("theta", "shift"): 0.6}

@@ -40,5 +40,9 @@ class GridWarning(AleatorWarning):
     """The time grid is too coarse for the accuracy that is asked for."""
 
 
+class SimulationWarning(AleatorWarning):
+    """A simulation's outputs are not finite; the message names the first of them, the time, and why if known."""
+
+
 class CalibrationWarning(AleatorWarning):
     """A calibration ended without a design whose frequency of violation was confirmed to be low enough."""

@@ -2,16 +2,18 @@
 
 import functools
 import math
+import warnings
 from collections.abc import Collection, Mapping
 from typing import final
 
 import equinox as eqx
 import jax
+import numpy as np
 
 from aleator._core.arrays import numbers_to_arrays
 from aleator._core.code import told_apart
 from aleator._core.compilation import Compiled, Use
-from aleator._core.errors import ProblemError
+from aleator._core.errors import ProblemError, SimulationWarning
 from aleator._core.given import one_of, refusal
 from aleator._core.leaves import is_traced, transparent
 from aleator.dynamics._abstract_system import AbstractSystem
@@ -138,8 +140,8 @@ def simulate(
     Returns a dict of arrays of shape (instants, ...). The default integrator is `RungeKutta4`. An `AlgebraicSystem` has
     one instant and takes no grid, inputs or integrator: `simulate(system)`. A system without states is not integrated
     either: its outputs follow from its inputs at each instant. `only` lists the names of the outputs wanted (default:
-    all). Where equations could not be solved, or an adaptive integrator gives up, the outputs are NaN. Equations are
-    compiled once: the same with other numbers take milliseconds.
+    all). Where equations could not be solved, or an adaptive integrator gives up, the outputs are NaN, and a
+    `SimulationWarning` says so. Equations are compiled once: the same with other numbers take milliseconds.
 
     Raises `ProblemError` if system, grid or inputs contain a distribution or a decision, if grid or inputs do not match
     the system, if a signal is not known on the whole grid (unless traced), or if `only` names an output that the system
@@ -152,7 +154,29 @@ def simulate(
         one_of("simulate: integrator", integrator, AbstractIntegrator, "al.integrators.RungeKutta4()")
     if only is not None and (isinstance(only, str) or not isinstance(only, Collection)):
         raise refusal("simulate: only", "a list of outputs by name, such as ['x']", only)
-    return simulation_of(system, grid, inputs, integrator).recorded(_asked(only))
+    simulation = simulation_of(system, grid, inputs, integrator)
+    found = simulation.recorded(_asked(only))
+    if not is_traced(found):
+        _warn_of_what_is_not_finite(simulation, found)
+    return found
+
+
+def _warn_of_what_is_not_finite(simulation: Simulation, found: History) -> None:
+    """Warn (`SimulationWarning`) if an output is not finite: the first one, when, and why if anything can tell."""
+    broken = {name: ~np.isfinite(np.asarray(one)).reshape(len(one), -1).all(axis=1) for name, one in found.items()}
+    first = {name: int(np.argmax(bad)) for name, bad in broken.items() if bad.any()}
+    if not first:
+        return
+    name = min(first, key=lambda one: first[one])
+    grid = simulation.grid
+    when = f" at t = {float(np.asarray(grid.times)[first[name]]):.4g} s" if isinstance(grid, Grid) else ""
+    why = simulation.explain() or (simulation.system.diagnose(grid) if isinstance(grid, Grid) else "")
+    warnings.warn(
+        f"{type(simulation.system).__name__}: output '{name}' is not finite{when}. "
+        f"{why or 'Check the equations and their numbers there, or take more steps.'}",
+        SimulationWarning,
+        stacklevel=3,
+    )
 
 
 def simulation_of(

@@ -10,6 +10,7 @@ from aleator.transcription import transcribe
 from stirred_tanks import ExplicitTank, Tank, hydrogen, tank_problem
 
 
+@pytest.mark.slow
 def test_both_transcriptions_give_the_same_robust_feed():
     usual, other = (
         al.solve(tank_problem(), transcription=one, accuracy=2e-2) for one in (al.Sequential(), al.Simultaneous())
@@ -48,6 +49,7 @@ def _tied(scheme, intervals):
     return float(transcribed.at(point).samples[0][0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SCHEMES)
 def test_schemes_keep_their_order(name):
     scheme, order = SCHEMES[name]
@@ -60,6 +62,7 @@ def test_schemes_keep_their_order(name):
     assert np.log2(first / second) == pytest.approx(order, abs=0.35)
 
 
+@pytest.mark.slow
 def test_costates_and_switching_functions_are_those_of_the_eliminated_equations():
     found = []
     for tank in (Tank(), ExplicitTank()):

@@ -112,6 +112,7 @@ def test_the_switching_function_of_the_fastest_block_changes_sign_half_way(degre
     assert (switching["u"][last] > 0).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SCHEMES)
 def test_a_regulated_lag_has_the_costate_of_its_riccati_equation(name):
     """`-P' = 1 - 2 P - P²` backwards from zero: the costate is 2 P x."""

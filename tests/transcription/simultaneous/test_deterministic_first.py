@@ -20,6 +20,7 @@ def solved(problem: al.Problem, way: al.Simultaneous | al.Sequential, **options)
     return al.solve(problem, transcription=way, between=1, accuracy=0.3, throw=False, **options)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("way", [DIRECT, al.Sequential()], ids=["direct collocation", "shooting"])
 def test_a_swing_up_of_many_pendulums_takes_a_few_iterations_from_that_of_one(way):
     one = solved(robust_swing_up(), way, deterministic_first=True)
@@ -36,6 +37,7 @@ def test_a_swing_up_of_many_pendulums_takes_a_few_iterations_from_that_of_one(wa
     assert from_scratch.effort.at_means is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("way", [DIRECT, al.Sequential()], ids=["direct collocation", "shooting"])
 def test_a_deterministic_problem_without_an_answer_starts_nothing_and_says_so(way):
     """No spread is as large as is asked where nothing is uncertain."""

@@ -84,6 +84,7 @@ PROBLEMS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", PROBLEMS)
 def test_both_transcriptions_give_the_same_answer(name):
     problem = PROBLEMS[name]()
@@ -144,6 +145,7 @@ OVER_TIME = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", OVER_TIME)
 def test_statistics_over_time_are_those_of_shooting(name):
     problem = crane(120, minimize=OVER_TIME[name])
@@ -173,6 +175,7 @@ def test_what_is_no_scheme_is_refused(scheme):
         al.Simultaneous(scheme)
 
 
+@pytest.mark.slow
 def test_fresh_systems_are_simulated_as_finely_as_the_mesh_is():
     """On the ten steps of its grid the crane's simulation errs by more than its terminal limits allow."""
     solution = al.solve(crane(10), transcription=al.Simultaneous(error=1e-6))

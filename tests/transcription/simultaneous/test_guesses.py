@@ -86,6 +86,7 @@ def swung():
     return solved(swing_up(), turning)
 
 
+@pytest.mark.slow
 def test_a_swing_up_takes_fewer_iterations_from_a_guess_and_fewer_still_from_a_solution(swung):
     scratch = solved(swing_up())
     assert swung.ok
@@ -142,6 +143,7 @@ def test_states_of_a_solution_are_those_of_its_realisations():
     assert al.solve(move()).states is None
 
 
+@pytest.mark.slow
 def test_a_solution_by_shooting_gives_each_realisation_its_own_simulation():
     """On another grid, with other knots: the states are those of the crane simulated with the solution's force."""
     simulated = al.solve(crane(20), accuracy=0.1)
@@ -154,6 +156,7 @@ def test_a_solution_by_shooting_gives_each_realisation_its_own_simulation():
     assert np.ptp(states[:, :, 2], axis=0).max() > 0.01  # ropes of different lengths swing differently
 
 
+@pytest.mark.slow
 def test_realisations_start_from_the_nearest_ones_or_from_the_mean():
     robust = al.solve(crane(), transcription=al.Simultaneous(), accuracy=0.1)
     same, _ = states_at_start(crane(), robust)

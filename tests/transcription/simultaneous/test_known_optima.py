@@ -198,6 +198,7 @@ CONVERGING = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CONVERGING)
 def test_errors_of_the_optimum_fall_by_the_order_of_the_scheme(name):
     """The least cost is the solution of Riccati's equation: sinh(w T) / (w cosh(w T) + sinh(w T)), w = sqrt(2)."""

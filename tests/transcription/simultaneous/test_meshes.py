@@ -31,6 +31,7 @@ def swing(intervals: int = 8) -> al.Problem:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SCHEMES)
 def test_a_mesh_is_refined_until_its_error_is_what_is_asked(name):
     asked = 1e-5
@@ -46,6 +47,7 @@ def test_a_mesh_is_refined_until_its_error_is_what_is_asked(name):
     assert solution.objective == pytest.approx(exact.objective, abs=20 * asked)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("scheme", "power"), [(al.schemes.HermiteSimpson(), 4.0), (al.schemes.MultipleShooting(1), 5.0)]
 )

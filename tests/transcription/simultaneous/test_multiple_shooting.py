@@ -69,6 +69,7 @@ MOVES = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("steps", "segments"), [(1, 20), (4, 5)])
 def test_a_family_of_systems_has_the_answer_of_single_shooting_by_the_same_steps(steps, segments):
     """Both take the same steps of the same rule: without limits in between, the programs have the same optimum."""
@@ -79,6 +80,7 @@ def test_a_family_of_systems_has_the_answer_of_single_shooting_by_the_same_steps
     np.testing.assert_allclose(other.vector, usual.vector, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_algebraic_variables_are_solved_for_on_the_way():
     problem = al.Problem(
         Tank(),
@@ -164,6 +166,7 @@ def test_a_pole_is_caught_where_single_shooting_fails():
     assert one.objective == pytest.approx(other.objective, rel=1e-5)
 
 
+@pytest.mark.slow
 def test_segments_are_divided_until_their_error_is_what_is_asked():
     asked = 1e-6
     way = al.Simultaneous(al.schemes.MultipleShooting(2), error=asked)

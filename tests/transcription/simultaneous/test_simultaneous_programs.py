@@ -39,6 +39,7 @@ PROGRAMS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", PROGRAMS)
 def test_derivatives_of_both_orders_are_those_of_central_differences(name):
     problem, scheme = PROGRAMS[name]
@@ -61,6 +62,7 @@ def test_derivatives_of_both_orders_are_those_of_central_differences(name):
         np.testing.assert_allclose(hessian[:, i], difference, atol=1e-6 * max(1, np.abs(difference).max()))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["Hermite and Simpson", "decided knots", "segments"])
 def test_tiles_of_any_size_give_the_same_program(name, monkeypatch):
     problem, scheme = PROGRAMS[name]
@@ -78,6 +80,7 @@ def test_tiles_of_any_size_give_the_same_program(name, monkeypatch):
     np.testing.assert_allclose(*bends, rtol=1e-11, atol=1e-11 * np.abs(bends[0]).max())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scheme", [al.schemes.HermiteSimpson(), al.schemes.MultipleShooting(1)])
 def test_what_is_compiled_for_one_mesh_serves_a_finer_one(scheme):
     transcribed = transcribe(oscillator(), al.Simultaneous(scheme, error=1e-9))
@@ -106,6 +109,7 @@ def test_no_entry_of_the_hessian_couples_two_realisations():
     assert np.all((first == second) | (first < 0) | (second < 0))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("problem", [everything, crane, oscillator, integrated])
 def test_the_first_point_is_the_simulation(problem):
     problem = problem()
@@ -126,6 +130,7 @@ FORCES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", FORCES)
 def test_signals_are_affine_unless_decisions_are_multiplied_or_divided(name):
     """The final time is decided as well: a speed at the end sets a control point by the duration times it."""
@@ -133,6 +138,7 @@ def test_signals_are_affine_unless_decisions_are_multiplied_or_divided(name):
     assert transcribe(everything(force), al.Simultaneous()).layout.plan.is_affine == is_affine
 
 
+@pytest.mark.slow
 def test_a_spline_with_a_control_point_at_each_instant_stays_sparse():
     """Between two instants it depends on degree + 1 of them."""
     sizes = []
@@ -197,6 +203,7 @@ CONDENSED = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CONDENSED)
 def test_condensing_has_the_optimum_of_ipopt(name):
     limits, scheme = CONDENSED[name]
