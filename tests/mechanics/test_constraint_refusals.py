@@ -69,6 +69,11 @@ class Shape(SliderCrank):
     constraint_names = ("length",)
 
 
+class Silent(SliderCrank):
+    def constraint(self, q):
+        return None
+
+
 class Lost(FourBar):
     def closures(self):
         return (al.joints.Closure("pin", parent="coupler", child="piston", joint=al.joints.Ball()),)
@@ -142,6 +147,7 @@ REFUSED = {
         forward(Shape()),
         ["Shape.constraint(q): expected shape (1,); received (2,)"],
     ),
+    "equations that are not returned": (forward(Silent()), ["Silent.constraint(q): expected real numbers", "None"]),
     "too many prescribed": (
         lambda: al.InverseDynamics(SliderCrank(), motion={**TURN, "rod": 0.1}),
         ["trajectories by name for 1 of ['crank', 'rod', 'slider']"],

@@ -1,5 +1,7 @@
 """Solutions by collocation, as they are saved and tabulated."""
 
+from dataclasses import replace
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -86,3 +88,12 @@ def test_tables_tell_equalities_and_how_states_were_found(found):
     assert rows["spread: worst value"].split()[1] == "≤"
     states = {row[0]: row[1] for row in certificate_table({"move": found}).rows}["States"]
     assert states == f"variables, {found.mesh.intervals} intervals of {found.mesh.scheme}"
+
+
+def test_a_limit_that_is_violated_is_not_told_to_be_active(found):
+    broken = replace(found.constraints[0], values=found.constraints[0].values + 1.0)
+    table = designs_table({"move": replace(found, constraints=(broken, *found.constraints[1:]))}, {})
+    rows = {row[0]: row[1] for row in table.rows}
+    assert rows["Violated"] == broken.name
+    assert broken.name not in rows["Active"]
+    assert "Violated" not in [row[0] for row in designs_table({"move": found}, {}).rows]

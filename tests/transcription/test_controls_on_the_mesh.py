@@ -370,6 +370,7 @@ def test_a_control_of_a_thousand_values_is_as_sparse_as_its_mesh():
         (lambda: lag(al.Control(0.0, np.full(3, -1.0))), "`lower`"),
         (lambda: lag(al.Control(lambda s: 4 * s, -1.0, 1.0)), "between its bounds"),
         (lambda: lag(al.Control(lambda s: "high")), "function of the fraction"),
+        (lambda: lag(al.Control(lambda s: 1 / 0)), "of the duration, raised ZeroDivisionError"),
         (lambda: al.simulate(Lag(), al.Grid(1.0, 4), {"u": al.Control(0.0)}), "by itself it has none"),
         (lambda: al.InverseDynamics(Cart(), motion={"x": al.Control(0.0, degree=1)}), "velocity and acceleration"),
     ],

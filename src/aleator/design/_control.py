@@ -10,7 +10,7 @@ from typing_extensions import override
 
 from aleator._core.errors import ProblemError
 from aleator._core.given import real_array, shown
-from aleator.dynamics import Grid
+from aleator.dynamics import Grid, returned
 from aleator.trajectories import AbstractTrajectory, Piecewise
 from aleator.uncertainty import Decision
 
@@ -72,7 +72,10 @@ class Control(AbstractTrajectory):
         nodes = grid.fractions
         places = nodes if self.degree else (nodes[:-1] + nodes[1:]) / 2
         what = f"Control: initial, a function of the fraction of the duration: its values at {len(places)} fractions"
-        guess = real_array(what, [self.initial(one) for one in places]) if callable(self.initial) else self.initial
+        guess = self.initial
+        if callable(self.initial):
+            who = "Control: initial, a function of the fraction of the duration,"
+            guess = real_array(what, [returned(who, self.initial, one) for one in places])
         each = "instants" if self.degree else "steps"
         for name, numbers in {"initial": guess, "lower": self.lower, "upper": self.upper}.items():
             if numbers.shape not in ((), places.shape):

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from aleator._core.errors import ProblemError
+from aleator._core.given import traceable
 from aleator.dynamics import called
 from aleator.mechanics._instant import at, course, is_timed
 from aleator.mechanics._matrices import solve_positive
@@ -245,10 +246,11 @@ def rate_map(model: AbstractMechanical, q: Float[Array, " coordinates"]) -> Floa
 def shaped(
     model: AbstractMechanical, name: str, arguments: tuple[Any, ...], shape: tuple[int, ...]
 ) -> Float[Array, "..."]:
-    """The value of a user's method as an array. Raises `ProblemError` for another shape, which would broadcast."""
-    found = jnp.asarray(evaluated(model, name, *arguments), dtype=float)
+    """The value of a user's method as an array. Raises `ProblemError` for what is none, or has another shape."""
+    who = f"{type(model).__name__}.{call_of(name)}"
+    found = traceable(who, evaluated(model, name, *arguments))
     if found.shape != shape:
-        raise ProblemError(f"{type(model).__name__}.{call_of(name)}: expected shape {shape}; received {found.shape}.")
+        raise ProblemError(f"{who}: expected shape {shape}; received {found.shape}.")
     return found
 
 

@@ -41,7 +41,11 @@ def designs_table(solutions: Mapping[str, Solution], evidence: Mapping[str, Evid
     for name in _union([[part.name for part in one.constraints] for one in every]):
         rows.append([f"{name}: worst value", *(_worst(one, name) for one in every)])
         rows.append([f"{name}: shadow price of the bound", *(_shadow_price(one, name) for one in every)])
-    rows.append(["Active", *(words(one.active, "nothing") for one in every)])
+    broken = [[part.name for part in one.violated] for one in every]
+    held = [[name for name in one.active if name not in names] for one, names in zip(every, broken, strict=True)]
+    rows.append(["Active", *(words(names, "nothing") for names in held)])
+    if any(broken):
+        rows.append(["Violated", *(words(names, "nothing") for names in broken)])
     rows += _violation_rows(list(solutions), evidence)
     return Table(
         "Decisions, limits and violations",
