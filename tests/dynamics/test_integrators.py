@@ -207,12 +207,14 @@ class Explosion(al.System):
     ids=["Tsit5", "Kvaerno5"],
 )
 def test_adaptive_integration_that_fails_gives_no_number(integrator):
-    outputs = al.simulate(Explosion(), al.Grid(2.0, 4), integrator=integrator)
+    with pytest.warns(al.SimulationWarning, match="'x' is not finite at any instant"):
+        outputs = al.simulate(Explosion(), al.Grid(2.0, 4), integrator=integrator)
     assert np.isnan(outputs["x"]).all()
 
 
 def test_too_few_steps_of_an_adaptive_integrator_give_no_number():
-    outputs = al.simulate(Decay(1.0), al.Grid(50.0, 4), integrator=al.integrators.Tsit5(max_steps=3))
+    with pytest.warns(al.SimulationWarning, match="used up its 3 steps at t = "):
+        outputs = al.simulate(Decay(1.0), al.Grid(50.0, 4), integrator=al.integrators.Tsit5(max_steps=3))
     assert np.isnan(outputs["x"]).all()
 
 
