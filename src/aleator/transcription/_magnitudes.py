@@ -55,7 +55,8 @@ def constraint_size(
     hundred sizes: a solver's zero, 1e-8 of its scale, is then a millionth of the size.
     """
     slopes = np.abs(derivatives)
-    change, rounding = (_finite(np.max(slopes @ one, initial=0.0)) for one in (decision_scale, np.abs(decisions)))
+    with np.errstate(invalid="ignore", over="ignore"):  # What is not finite is no magnitude.
+        change, rounding = (_finite(np.max(slopes @ one, initial=0.0)) for one in (decision_scale, np.abs(decisions)))
     largest, bound = _finite(np.max(np.abs(values), initial=0.0)), bound_size(constraint)
     if bound:
         size = float(np.clip(largest, bound, _MOST_BOUNDS * bound))

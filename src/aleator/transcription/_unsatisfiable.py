@@ -55,7 +55,8 @@ def refuse_blind(outcome: Outcome, transcribed: AbstractTranscribed) -> None:
 
 
 def _excess(constraint: Constraint, value: np.ndarray) -> np.ndarray:
-    return np.maximum(value - float(constraint.upper), float(constraint.lower) - value)
+    with np.errstate(invalid="ignore"):  # Infinite values of an infinite bound exceed nothing.
+        return np.maximum(value - float(constraint.upper), float(constraint.lower) - value)
 
 
 def _sentence(constraint: Constraint, value: float, rows: int, row: int, times: np.ndarray) -> str:
