@@ -170,7 +170,7 @@ def _warn_of_what_is_not_finite(simulation: Simulation, found: History) -> None:
     name = min(first, key=lambda one: first[one])
     grid = simulation.grid
     when = f" at t = {float(np.asarray(grid.times)[first[name]]):.4g} s" if isinstance(grid, Grid) else ""
-    when = " at any instant" if len(broken[name]) > 1 and broken[name].all() else when
+    when = " at any instant" if isinstance(grid, Grid) and np.all(broken[name]) else when
     why = simulation.explain() or (simulation.system.diagnose(grid) if isinstance(grid, Grid) else "")
     warnings.warn(
         f"{type(simulation.system).__name__}: output '{name}' is not finite{when}. "
