@@ -50,6 +50,14 @@ WHOLE = NUMBER | {"nothing": None, "fraction": 2.5, "negative": -3}
 COUNT = WHOLE | {"zero": 0}
 OPTIONAL_COUNT = {name: value for name, value in COUNT.items() if name != "nothing"}
 SHARE = POSITIVE | {"one and a half": 1.5, "a per cent": "1%"}
+SEARCH = {
+    "tolerance": POSITIVE,
+    "evaluations": COUNT,
+    "seconds": {name: value for name, value in POSITIVE.items() if name != "inf"},
+    "seed": WHOLE,
+    "polish": {"text": "yes", "one": 1, "nothing": None},
+    "progress": {"text": "yes", "nothing": None, "function": math.sin},
+}
 NAME: dict[str, Any] = {
     "nothing": None,
     "number": 3.5,
@@ -211,6 +219,11 @@ _CONSTRUCTORS: dict[str, tuple[Callable[..., Any], dict[str, Any], dict[str, Map
     "Ipopt": (al.solvers.Ipopt, {}, {"tolerance": POSITIVE, "max_iterations": COUNT}),
     "InteriorPoint": (al.solvers.InteriorPoint, {}, {"tolerance": POSITIVE, "max_iterations": COUNT}),
     "Slsqp": (al.solvers.Slsqp, {}, {"tolerance": POSITIVE, "max_iterations": COUNT, "max_rounds": COUNT}),
+    "CmaEs": (al.solvers.CmaEs, {}, SEARCH | {"population": COUNT | {"three": 3}}),
+    "DifferentialEvolution": (al.solvers.DifferentialEvolution, {}, SEARCH | {"population": COUNT | {"four": 4}}),
+    "Direct": (al.solvers.Direct, {}, SEARCH),
+    "DualAnnealing": (al.solvers.DualAnnealing, {}, SEARCH),
+    "NelderMead": (al.solvers.NelderMead, {}, SEARCH),
     "ExponentialCovariance": (
         al.processes.ExponentialCovariance,
         {"correlation_time": 1.0},

@@ -42,6 +42,7 @@ NOT_CALLED = {
     "AtMeans",
     "Closure",
     "Costates",
+    "Searched",
     "States",
     "Switching",
     "Compared",

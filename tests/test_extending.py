@@ -79,7 +79,7 @@ class Told(Middle):
 
 
 @dataclass(frozen=True)
-class Claiming(ext.AbstractSolver):
+class Claiming(ext.AbstractLocalSolver):
     """Says that the start is the solution, whatever it is."""
 
     shape: tuple[int, ...] | None = None
@@ -323,7 +323,7 @@ def test_a_solver_neither_meddles_nor_answers_as_it_likes(solver, words):
 
 
 @pytest.mark.parametrize(
-    "base", [ext.AbstractDistribution, ext.AbstractStatistic, ext.AbstractSolver, ext.AbstractStudy]
+    "base", [ext.AbstractDistribution, ext.AbstractStatistic, ext.AbstractLocalSolver, ext.AbstractStudy]
 )
 def test_a_method_that_is_forgotten_is_named(base):
     forgetful = type("Forgetful", (base,), {})

@@ -14,13 +14,15 @@ from aleator.design import AbstractFunctional as AbstractFunctional
 from aleator.design import AbstractIntegral as AbstractIntegral
 from aleator.design import Taken as Taken
 from aleator.expansion import Basis as Basis
-from aleator.nlp import AbstractSolver as AbstractSolver
+from aleator.nlp import AbstractLocalSolver as AbstractLocalSolver
+from aleator.nlp import AbstractSearch as AbstractSearch
 from aleator.nlp import Answer as Answer
 from aleator.nlp import Evaluation as Evaluation
 from aleator.nlp import Magnitudes as Magnitudes
 from aleator.nlp import Multipliers as Multipliers
 from aleator.nlp import NonlinearProgram as NonlinearProgram
 from aleator.nlp import ScaledProgram as ScaledProgram
+from aleator.nlp import Sought as Sought
 from aleator.reporting import Card as Card
 from aleator.reporting import Code as Code
 from aleator.reporting import Drawing as Drawing

@@ -7,6 +7,7 @@ from aleator.analysis import ToleranceAnalysis as ToleranceAnalysis
 from aleator.analysis import Zone as Zone
 from aleator.crosschecking import CrossChecked as CrossChecked
 from aleator.expansion import Unseen as Unseen
+from aleator.nlp import Searched as Searched
 from aleator.solution import AtMeans as AtMeans
 from aleator.solution import Between as Between
 from aleator.solution import Certificate as Certificate

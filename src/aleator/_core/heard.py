@@ -46,3 +46,31 @@ def heeding() -> Iterator[Callable[[], None]]:
 
     with noting(lambda: heard.append(True)):
         yield raise_if_heard
+
+
+@contextmanager
+def answering() -> Iterator[Callable[[], None]]:
+    """Like `heeding`, for work that a Ctrl-C only shortens: whoever is outside hears nothing of it.
+
+    Does nothing outside the main thread.
+    """
+    previous = signal.getsignal(signal.SIGINT)
+    heard: list[bool] = []
+
+    def raise_if_heard() -> None:
+        if heard:
+            raise KeyboardInterrupt
+
+    def handle(number: int, frame: object) -> None:
+        del number, frame
+        heard.append(True)
+        raise KeyboardInterrupt
+
+    if threading.current_thread() is not threading.main_thread() or not callable(previous):
+        yield raise_if_heard
+        return
+    signal.signal(signal.SIGINT, handle)
+    try:
+        yield raise_if_heard
+    finally:
+        signal.signal(signal.SIGINT, previous)

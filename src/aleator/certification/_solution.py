@@ -77,6 +77,7 @@ def solution_of(
             iterations=outcome.iterations,
             evaluations=outcome.evaluations,
             times=Times(clock.import_seconds, compiled, outcome.seconds),
+            searched=outcome.searched,
         ),
         meshes=transcribed.meshes_at(outcome.point),
         states=transcribed.states_at(outcome.point),

@@ -34,6 +34,7 @@ Attempt: TypeAlias = Callable[[AbstractTranscribed, np.ndarray | None, np.ndarra
 def held_at_worst(
     transcribed: AbstractTranscribed,
     attempt: Attempt[T],
+    again: Attempt[T],
     start: np.ndarray | None,
     multipliers: np.ndarray | None,
     *,
@@ -42,6 +43,7 @@ def held_at_worst(
 ) -> tuple[AbstractTranscribed, Outcome, T, WorstCase | None]:
     """Solve, search for realisations that break a limit on the worst case, impose the limits there, and solve again.
 
+    - `attempt`: the first solve; `again`: those that continue from an answer;
     - `factor`: how many times as many steps the grid has on which realisations are judged; `known`: the worst case of
       an earlier solution, whose scenarios are the first.
 
@@ -65,7 +67,7 @@ def held_at_worst(
         assert transcribed.scenarios is not None
         transcribed = transcribed.at_scenarios(transcribed.scenarios.joined(new, idle))
         begun = transcribed.point(transcribed.decisions(before.point))
-        outcome, beside = attempt(transcribed, begun, before.multipliers)
+        outcome, beside = again(transcribed, begun, before.multipliers)
         outcome = outcome.with_effort_of(before)
         rounds += 1
     return transcribed, outcome, beside, _told(transcribed, outcome, oracle, worst, rounds)

@@ -7,6 +7,7 @@ from aleator.nlp._filtersqp import FilterSQP as FilterSQP
 from aleator.nlp._filtersqp import default_solver as default_solver
 from aleator.nlp._interior_point import InteriorPoint as InteriorPoint
 from aleator.nlp._ipopt import Ipopt as Ipopt
+from aleator.nlp._local_solver import AbstractLocalSolver as AbstractLocalSolver
 from aleator.nlp._matrices import Matrix as Matrix
 from aleator.nlp._matrices import SparseMatrix as SparseMatrix
 from aleator.nlp._matrices import with_entries as with_entries
@@ -18,9 +19,17 @@ from aleator.nlp._program import Magnitudes as Magnitudes
 from aleator.nlp._program import NonlinearProgram as NonlinearProgram
 from aleator.nlp._scaling import Multipliers as Multipliers
 from aleator.nlp._scaling import ScaledProgram as ScaledProgram
+from aleator.nlp._searched import Searched as Searched
 from aleator.nlp._slsqp import Slsqp as Slsqp
 from aleator.nlp._solver import AbstractSolver as AbstractSolver
 from aleator.nlp._ties import Ties as Ties
 from aleator.nlp._unmoved import moved_on as moved_on
 from aleator.nlp._verdict import HELD as HELD
 from aleator.nlp._verdict import Answer as Answer
+from aleator.nlp.search import AbstractSearch as AbstractSearch
+from aleator.nlp.search import CmaEs as CmaEs
+from aleator.nlp.search import DifferentialEvolution as DifferentialEvolution
+from aleator.nlp.search import Direct as Direct
+from aleator.nlp.search import DualAnnealing as DualAnnealing
+from aleator.nlp.search import NelderMead as NelderMead
+from aleator.nlp.search import Sought as Sought

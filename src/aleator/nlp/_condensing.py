@@ -10,8 +10,8 @@ from aleator.nlp._condensed import IllConditionedError
 from aleator.nlp._elimination import Elimination, SingularTiesError
 from aleator.nlp._interior_search import Search, StuckError
 from aleator.nlp._ipopt import Ipopt
+from aleator.nlp._local_solver import AbstractLocalSolver
 from aleator.nlp._scaling import ScaledProgram
-from aleator.nlp._solver import AbstractSolver
 from aleator.nlp._verdict import Answer
 
 # Most numbers of how tied variables follow the others: 2 GB.
@@ -20,7 +20,7 @@ _MOST_MOVES = 250_000_000
 
 @final
 @dataclass(frozen=True)
-class Condensing(AbstractSolver):
+class Condensing(AbstractLocalSolver):
     """The primal-dual interior-point method with a filter line search, for programs with ties.
 
     The iterations are those of IPOPT (Wächter and Biegler 2006) with second-order corrections. In each, the variables
@@ -32,7 +32,7 @@ class Condensing(AbstractSolver):
     others, and those where a tie does not determine its variable, where the system is too ill-conditioned (unstable
     realisations over a long time), or where no step is acceptable; the message then says why.
 
-    - `tolerance`, `max_iterations`: see `AbstractSolver`.
+    - `tolerance`, `max_iterations`: see `AbstractLocalSolver`.
     """
 
     @property

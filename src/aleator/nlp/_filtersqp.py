@@ -9,9 +9,9 @@ from typing_extensions import override
 from aleator._core import given
 from aleator._core.errors import MissingExtraError
 from aleator.nlp._ipopt import Ipopt
+from aleator.nlp._local_solver import AbstractLocalSolver
 from aleator.nlp._pattern import AnyPattern, pattern_of
 from aleator.nlp._scaling import ScaledProgram
-from aleator.nlp._solver import AbstractSolver
 from aleator.nlp._uno import load_unopy, run_uno, uno_version
 from aleator.nlp._verdict import Answer
 
@@ -21,7 +21,7 @@ _LARGEST_MEMORY = 20
 
 @final
 @dataclass(frozen=True)
-class FilterSQP(AbstractSolver):
+class FilterSQP(AbstractLocalSolver):
     """Sequential quadratic programming with a filter and a trust region, and BQPD subproblems.
 
     The Hessian is the program's own if it has one, else an L-BFGS approximation.
@@ -29,7 +29,7 @@ class FilterSQP(AbstractSolver):
     Vanaret and Leyffer 2026 (Uno, https://github.com/cvanaret/Uno). Points that cannot be evaluated shrink
     the trust region.
 
-    - `tolerance`, `max_iterations`: see `AbstractSolver`;
+    - `tolerance`, `max_iterations`: see `AbstractLocalSolver`;
     - `radius`: initial trust region, in typical magnitudes of the variables.
     """
 
@@ -85,7 +85,7 @@ class FilterSQP(AbstractSolver):
         )
 
 
-def default_solver() -> AbstractSolver:
+def default_solver() -> AbstractLocalSolver:
     """`FilterSQP()` if unopy is installed, else `Ipopt()`."""
     try:
         load_unopy("FilterSQP")

@@ -6,23 +6,23 @@ from typing import final
 import numpy as np
 from typing_extensions import override
 
+from aleator.nlp._local_solver import AbstractLocalSolver
 from aleator.nlp._pattern import pattern_of
 from aleator.nlp._scaling import ScaledProgram
-from aleator.nlp._solver import AbstractSolver
 from aleator.nlp._uno import load_unopy, run_uno, uno_version
 from aleator.nlp._verdict import Answer
 
 
 @final
 @dataclass(frozen=True)
-class InteriorPoint(AbstractSolver):
+class InteriorPoint(AbstractLocalSolver):
     """The primal-dual interior-point method with a filter line search of IPOPT, in Uno's implementation.
 
     For programs with sparse derivatives and a Hessian of their own (`NonlinearProgram.hessian`); without one the
     Hessian is a limited-memory approximation. Vanaret and Leyffer 2026 (Uno, https://github.com/cvanaret/Uno), preset
     `ipopt`, with MUMPS.
 
-    - `tolerance`, `max_iterations`: see `AbstractSolver`.
+    - `tolerance`, `max_iterations`: see `AbstractLocalSolver`.
     """
 
     @override

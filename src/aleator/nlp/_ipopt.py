@@ -7,9 +7,9 @@ import numpy as np
 from typing_extensions import override
 
 from aleator.nlp._casadi import callbacks_of
+from aleator.nlp._local_solver import AbstractLocalSolver
 from aleator.nlp._outcome import Status
 from aleator.nlp._scaling import Multipliers, ScaledProgram
-from aleator.nlp._solver import AbstractSolver
 from aleator.nlp._verdict import Answer
 
 _CLAIMS = {
@@ -23,14 +23,14 @@ _APPROXIMATE_MINIMUM_DEGREE = 0
 
 @final
 @dataclass(frozen=True)
-class Ipopt(AbstractSolver):
+class Ipopt(AbstractLocalSolver):
     """The primal-dual interior-point method with a filter line search.
 
     The Hessian is the program's own if it has one, else a limited-memory BFGS approximation.
     Wächter and Biegler 2006, "On the implementation of an interior-point filter line-search algorithm for
     large-scale nonlinear programming". Points that cannot be evaluated shorten the step.
 
-    - `tolerance`, `max_iterations`: see `AbstractSolver`.
+    - `tolerance`, `max_iterations`: see `AbstractLocalSolver`.
     """
 
     @property

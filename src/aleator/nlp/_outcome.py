@@ -7,6 +7,7 @@ from typing import final
 import numpy as np
 
 from aleator.nlp._program import Evaluation
+from aleator.nlp._searched import Searched
 
 
 @final
@@ -59,7 +60,8 @@ class Outcome:
     - `failed_at`: the last point at which the model was not finite, shape (n,), if the status is EVALUATION_FAILED;
       else None;
     - `idle`: variables left at their start that change nothing at the points checked; `blind`: those that do change
-      something although all derivatives by them are zero.
+      something although all derivatives by them are zero;
+    - `searched`: the points of a search without derivatives; None if there was none.
     """
 
     status: Status
@@ -81,6 +83,7 @@ class Outcome:
     failed_at: np.ndarray | None = None
     idle: tuple[int, ...] = ()
     blind: tuple[int, ...] = ()
+    searched: Searched | None = None
 
     @property
     def ok(self) -> bool:
@@ -90,8 +93,10 @@ class Outcome:
     def with_effort_of(self, *others: "Outcome") -> "Outcome":
         """The same outcome with the effort of other solves on the way to it added."""
         every = (*others, self)
+        searched = [one.searched for one in every if one.searched is not None]
         return replace(
             self,
+            searched=searched[0] if searched else None,
             iterations=sum(one.iterations for one in every),
             evaluations=sum(one.evaluations for one in every),
             seconds=sum(one.seconds for one in every),

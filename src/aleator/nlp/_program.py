@@ -78,6 +78,8 @@ class NonlinearProgram:
     - `ties`: equalities that determine variables from the others, if known; `Condensing` uses them;
     - `magnitudes`: gives those of the constraints at a point `x` with its evaluation. Feasibility is judged by them,
       not by the solver's scale. By default `constraint_scale`, as size and as scale, at every point;
+    - `values`: the objective, shape (k,), and the constraints, shape (k, m), at points of shape (k, n), without
+      derivatives; NaN where the model cannot be evaluated. For searches, which call `evaluate` where it is None;
     - `least`: a lower bound of the objective, such as 0 for a norm: a point that attains it is optimal, even at a kink.
       Minus infinity if none is known.
 
@@ -97,6 +99,7 @@ class NonlinearProgram:
     magnitudes: Callable[[np.ndarray, Evaluation], Magnitudes] | None = None
     least: float = -np.inf
     ties: Ties | None = None
+    values: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]] | None = None
 
     def __post_init__(self) -> None:
         for name, length in _expected_lengths(self).items():

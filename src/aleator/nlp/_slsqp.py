@@ -12,11 +12,11 @@ from typing_extensions import override
 from aleator._core import given
 from aleator._core.errors import ProblemError
 from aleator.nlp._evaluations import NotFiniteError
+from aleator.nlp._local_solver import AbstractLocalSolver
 from aleator.nlp._matrices import dense_rows
 from aleator.nlp._outcome import Status
 from aleator.nlp._program import Evaluation
 from aleator.nlp._scaling import ScaledProgram
-from aleator.nlp._solver import AbstractSolver
 from aleator.nlp._verdict import Answer
 
 # SLSQP's exit modes (Kraft 1988).
@@ -42,7 +42,7 @@ class _Round(NamedTuple):
 
 @final
 @dataclass(frozen=True)
-class Slsqp(AbstractSolver):
+class Slsqp(AbstractLocalSolver):
     """Sequential least-squares quadratic programming (Kraft 1988) with an exchange of rows.
 
     SLSQP is slow with thousands of rows. So a round has only the equalities and those rows that are the worst among
@@ -50,7 +50,7 @@ class Slsqp(AbstractSolver):
     of semi-infinite programming (Hettich and Kortanek 1993). If the linearised rows contradict each other, minimising
     the largest violation finds a feasible point to continue from, or a point of least violation.
 
-    - `tolerance`: see `AbstractSolver`; `max_iterations`: over all rounds;
+    - `tolerance`: see `AbstractLocalSolver`; `max_iterations`: over all rounds;
     - `max_rounds`: of the exchange.
     """
 

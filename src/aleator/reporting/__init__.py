@@ -49,6 +49,7 @@ from aleator.reporting._samples import percentile_figure as percentile_figure
 from aleator.reporting._samples import signal_figure as signal_figure
 from aleator.reporting._samples import trajectory_figure as trajectory_figure
 from aleator.reporting._savable import savable as savable
+from aleator.reporting._searches import search_figure as search_figure
 from aleator.reporting._store import PAGE as PAGE
 from aleator.reporting._store import json_text as json_text
 from aleator.reporting._store import save as save

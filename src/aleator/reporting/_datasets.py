@@ -58,6 +58,10 @@ def solution_dataset(solution: Solution) -> "xarray.Dataset":
         axes, told = (f"realisation of mesh {i}", f"interval of mesh {i}"), f"drift of the states on mesh {i}"
         data[f"mesh {i}"] = _variable(f"node of mesh {i}", one.nodes, f"nodes of mesh {i}, {one.scheme}", "s")
         data[f"mesh {i} drift"] = _variable(axes, one.drifts, told, "1", asked=f"{one.asked:g}")
+    if (searched := solution.effort.searched) is not None:
+        unit = _units.of_expression(problem.objective, problem)
+        data["searched objective"] = _variable("evaluation", searched.objectives, f"by {searched.method}", unit)
+        data["searched violation"] = _variable("evaluation", searched.violations, "largest violation", "1")
     data |= _histories(solution)
     attributes = {
         "status": solution.status.value,

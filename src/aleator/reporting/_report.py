@@ -15,6 +15,7 @@ from aleator.reporting._meshes import mesh_drawing
 from aleator.reporting._numbers import count, interval, number, percent, words
 from aleator.reporting._page import Page, write_page
 from aleator.reporting._samples import percentile_figure, trajectory_figure
+from aleator.reporting._searches import search_drawings
 from aleator.reporting._tables import (
     certificate_table,
     designs_table,
@@ -109,7 +110,7 @@ def _page(designs: dict[str, Solution], evidence: dict[str, Evidence], fronts: d
         Section("Trajectories", _trajectory_blocks(evidence)),
         Section("Trade-offs", _front_blocks(fronts)),
         Section("Evidence", _evidence_blocks(evidence)),
-        Section("Certificate", [certificate_table(designs), *_mesh_blocks(designs)]),
+        Section("Certificate", [certificate_table(designs), *_mesh_blocks(designs), *search_drawings(designs)]),
         Section("The problem as mathematics", [Code(name, one.problem_text, True) for name, one in designs.items()]),
         Section("How to read this", [Text(HOW_TO_READ)]),
     ]

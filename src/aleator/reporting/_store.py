@@ -131,6 +131,7 @@ def solution_document(solution: Solution, evidence: Evidence | None = None) -> d
             "iterations": solution.effort.iterations,
             "evaluations": solution.effort.evaluations,
             "solver": solution.effort.solver,
+            "search": None if solution.effort.searched is None else str(solution.effort.searched),
             "message": solution.message,
             "said": [f"{label}: {text}" for label, text in solution.certificate.rows()],
         },

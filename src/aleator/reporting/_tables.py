@@ -126,6 +126,7 @@ def certificate_table(solutions: Mapping[str, Solution]) -> Table:
             else []
         ),
         *_said(certificates),
+        *([["Search", *(str(one.searched or "–") for one in efforts)]] if any(one.searched for one in efforts) else []),
         ["Iterations / evaluations", *(f"{one.iterations} / {one.evaluations}" for one in efforts)],
         ["Time to compile / to solve", *map(_times, efforts)],
         ["Expansion: order, terms, points", *map(_expansion, certificates)],

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import final
 
-from aleator.nlp import Status
+from aleator.nlp import Searched, Status
 
 
 @final
@@ -46,7 +46,8 @@ class Effort:
     - `solver`: its name and version; `iterations`: as the solver counts them, over all restarts;
     - `evaluations`: points at which the problem was simulated; `times`: wall times;
     - `at_means`: the deterministic problem, if that was solved first; its work is not counted in the others, except for
-      compilations.
+      compilations;
+    - `searched`: the history of a search without derivatives, if there was one; its evaluations are counted.
     """
 
     solver: str
@@ -54,7 +55,9 @@ class Effort:
     evaluations: int
     times: Times
     at_means: AtMeans | None = None
+    searched: Searched | None = None
 
     def __str__(self) -> str:
         before = "" if self.at_means is None else f"after {self.at_means}: "
+        before += "" if self.searched is None else f"{self.searched}; in all "
         return f"{before}{self.iterations} iterations, {self.evaluations} evaluations; {self.times}"

@@ -8,7 +8,7 @@ import numpy as np
 from aleator._core.errors import ProblemError
 from aleator._core.given import whole
 from aleator.design import Problem
-from aleator.nlp import AbstractSolver
+from aleator.nlp import AbstractSearch, AbstractSolver
 from aleator.solution import Solution
 from aleator.transcription import AbstractTranscription, started_from
 
@@ -36,6 +36,8 @@ def check_arguments(
             f"solve: expected `accuracy` as a number from {_FINEST:g} (64-bit arithmetic gives no more) to below 1; "
             f"received {accuracy!r}."
         )
+    if isinstance(solver, AbstractSearch):
+        _check_search(problem, solver)
     if not isinstance(deterministic_first, bool):
         raise ProblemError(f"solve: expected True or False as `deterministic_first`; received {deterministic_first!r}.")
     if warm_start is None:
@@ -50,6 +52,24 @@ def check_arguments(
         raise ProblemError(
             "solve: a warm start is a solution of a problem with the same constraints; expected "
             f"{list(problem.names)}; received {list(warm_start.problem.names)}."
+        )
+
+
+def _check_search(problem: Problem, solver: AbstractSearch) -> None:
+    """Refuse, by name, what a search without derivatives cannot decide or hold."""
+    places, who = problem.placements, type(solver).__name__
+    lower, upper = places.vector("lower"), places.vector("upper")
+    if solver.needs_bounds and not (closed := np.isfinite(lower) & np.isfinite(upper)).all():
+        name = places.entry_names()[int(np.flatnonzero(~closed)[0])]
+        raise ProblemError(
+            f"solve: {who} searches between bounds: expected finite bounds of every decision; '{name}' has none on at "
+            "least one side. al.solvers.NelderMead() needs none."
+        )
+    equal = [one for one in problem.constraints if float(one.lower) == float(one.upper)]
+    if equal and not solver.polish:
+        raise ProblemError(
+            f"solve: {who} without polishing cannot hold an equality: expected limits alone, or polish=True; received "
+            f"'{equal[0].name}' ({equal[0]})."
         )
 
 

@@ -38,7 +38,8 @@ def solve(
 ) -> Solution:
     """Solve a design problem: transcribe, compile once, optimise with exact derivatives, certify.
 
-    - `solver`: `al.solvers.FilterSQP()` by default; `Ipopt()` or `Slsqp()` for a second opinion;
+    - `solver`: `al.solvers.FilterSQP()` by default; `Ipopt()` or `Slsqp()` for a second opinion; a search without
+      derivatives, such as `DifferentialEvolution()`, where there may be several optima, which is then polished;
     - `transcription`: how the problem becomes a nonlinear program: `Sequential()` by default;
     - `warm_start`: a solution of the same problem to start from, on the same grid or another, with as many control
       points of its trajectories or others: curves are refitted over the fraction of time, other decisions are taken

@@ -83,7 +83,8 @@ class Stages(NamedTuple):
         astray = self._astray(transcribed, begun, factor) if is_judged else lambda: ""
         transcribed, outcome, (between, finer), worst_case = held_at_worst(
             transcribed,
-            functools.partial(self._attempt, meshed),
+            functools.partial(self._attempt, self.solver, meshed),
+            functools.partial(self._attempt, self.solver.local, meshed),
             begun,
             multipliers,
             factor=factor if is_between else 1,
@@ -130,6 +131,7 @@ class Stages(NamedTuple):
 
     def _attempt(
         self,
+        solver: AbstractSolver,
         meshed: _Meshed,
         transcribed: AbstractTranscribed,
         start: np.ndarray | None,
@@ -137,11 +139,11 @@ class Stages(NamedTuple):
     ) -> tuple[Outcome, tuple[Between | None, Reference | None]]:
         self.heed()
         known = meshed.outcome if transcribed is meshed.transcribed else None
-        outcome = _optimise(transcribed, self.solver, start, multipliers) if known is None else known
+        outcome = _optimise(transcribed, solver, start, multipliers) if known is None else known
         if multipliers is None:
-            outcome = _looked_around(transcribed, self.solver, outcome, start)
+            outcome = _looked_around(transcribed, solver.local, outcome, start)
         self.heed()
-        outcome, between, finer = held_between(transcribed, self.solver, outcome, self.between)
+        outcome, between, finer = held_between(transcribed, solver.local, outcome, self.between)
         return outcome, (between, finer)
 
 

@@ -32,6 +32,7 @@ from aleator.transcription._texts import Texts
 from aleator.transcription._unsatisfiable import refuse_unsatisfiable
 from aleator.transcription.sequential._evaluator import COMBINE, CONTRIBUTE, EVALUATE, Evaluator, evaluation_of
 from aleator.transcription.sequential._instantaneous import FEATURES, anchors_of, instantaneous
+from aleator.transcription.sequential._population import VALUES, Population
 from aleator.transcription.sequential._sparsity import nearby, sparsity_of
 
 
@@ -83,6 +84,7 @@ class SequentiallyTranscribed(AbstractTranscribed):
             constraint_scale=spread(rows, scales),
             sparsity=program.sparsity if same else None,
             magnitudes=sizing.at,
+            values=Population(self.traced, discretised.collocation, discretised.constants),
         )
         own = {"discretised": discretised, "evaluator": evaluator, "sizing": sizing, "_latest": []}
         return replace(self, rows=rows, program=program, scenarios=scenarios, **own)
@@ -96,7 +98,7 @@ class Sequential(AbstractTranscription):
     For systems that can be simulated from start to end whatever the decisions are (SeqNLP, equations 93, 95 and 122).
     """
 
-    programs: ClassVar[tuple[Compiled, ...]] = (EVALUATE, CONTRIBUTE, COMBINE, FEATURES)
+    programs: ClassVar[tuple[Compiled, ...]] = (EVALUATE, CONTRIBUTE, COMBINE, FEATURES, VALUES)
 
     @override
     def transcribed(self, problem: Problem, meanwhile: Meanwhile) -> SequentiallyTranscribed:
@@ -142,6 +144,7 @@ class Sequential(AbstractTranscription):
             sparsity=sparsity_of(np.any(nonzero, axis=0), paths, len(at_start.times)) if beside else None,
             magnitudes=sizing.at,
             least=least_objective(problem),
+            values=Population(traced, found.collocation, found.constants),
         )
         return SequentiallyTranscribed(
             problem,

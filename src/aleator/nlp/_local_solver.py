@@ -1,0 +1,185 @@
+"""The stages of a local solve, the same for every library: scale, run, judge, report."""
+
+import abc
+import dataclasses
+import time
+from dataclasses import dataclass
+
+import numpy as np
+from typing_extensions import override
+
+from aleator._core import given
+from aleator._core.errors import ProblemError
+from aleator.nlp._evaluations import HaltedError, NotFiniteError, NowhereFiniteError
+from aleator.nlp._outcome import Outcome, Status
+from aleator.nlp._program import NonlinearProgram
+from aleator.nlp._scaling import ScaledProgram
+from aleator.nlp._solver import AbstractSolver, checked
+from aleator.nlp._verdict import Answer, Verdict, better_scales, checked_answer, judge, settle
+
+# Rounds from a steep start, each of which lowers the slope of the objective by many orders of magnitude.
+_MOST_ROUNDS = 4
+# Curvature from a steep start can make a solver very slow, so the first round leaves this part of the iterations, if
+# there are enough of them, to later rounds in a better scale.
+_LEFT_OVER, _WORTH_SHARING = 4, 50
+# Solvers aim at this part of the tolerance, because they run in another scale than that of the verdict.
+_AIM = 1e-2
+# No solver gets closer than this.
+_LEAST_AIM = 1e-13
+# Attributes of the scaled program that solvers must not change: their answers are judged by them.
+_GIVEN = ("start", "lower", "upper", "constraint_lower", "constraint_upper")
+# Scales that differ by no more than this factor are equally good.
+_SAME_SCALE = 10.0
+
+
+@dataclass(frozen=True)
+class AbstractLocalSolver(AbstractSolver):
+    """Finds a local optimum by derivatives. Implementations only run their library on the scaled program.
+
+    - `tolerance`: see `AbstractSolver`; the library itself aims at a hundredth of it (`aim`);
+    - `max_iterations`: the limit of iterations, restarts included.
+
+    If the library ends at a point that is not within the tolerance in scales taken there, it is restarted from that
+    point in those scales; more restarts follow only if the scales then differ considerably.
+    """
+
+    max_iterations: int = 500
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        given.whole(f"{type(self).__name__}: max_iterations", self.max_iterations)
+
+    @property
+    def aim(self) -> float:
+        """The tolerance for the library, in the scales in which it runs."""
+        return max(_AIM * self.tolerance, _LEAST_AIM)
+
+    @override
+    def solve(
+        self,
+        program: NonlinearProgram,
+        *,
+        multipliers: np.ndarray | None = None,
+        start: np.ndarray | None = None,
+    ) -> Outcome:
+        began = time.perf_counter()
+        self.require()
+        start = program.start if start is None else checked("start", start, program.start.shape)
+        if multipliers is not None:
+            multipliers = checked("multipliers", multipliers, program.constraint_lower.shape)
+        scaled = ScaledProgram(program, start)
+        with scaled.evaluations.noting_interrupts():
+            answer = self._answer(scaled, multipliers)
+            verdict = judge(scaled, answer, self.tolerance)
+        return _outcome(scaled, answer, verdict, self.name, time.perf_counter() - began)
+
+    @abc.abstractmethod
+    def minimise(self, scaled: ScaledProgram, multipliers: np.ndarray | None) -> Answer:
+        """Run the library from `scaled.start`.
+
+        `multipliers` are scaled, shape (m_useful,), or None for a cold start. May raise
+        `HaltedError` and `KeyboardInterrupt`.
+        """
+
+    def _answer(self, scaled: ScaledProgram, multipliers: np.ndarray | None) -> Answer:
+        """Run, and return an answer for every way in which a run ends, or raise the model's exception."""
+        try:
+            answer = self._run(scaled, multipliers)
+        except HaltedError:
+            answer = Answer(Status.FAILED, scaled.start, None, 0, "stopped by the model")
+        except KeyboardInterrupt as interrupt:
+            scaled.evaluations.halt = interrupt
+            answer = Answer(Status.FAILED, scaled.start, None, 0, "stopped by the user")
+        halt = scaled.evaluations.halt
+        if isinstance(halt, KeyboardInterrupt):
+            return answer._replace(claim=Status.INTERRUPTED, multipliers=None, message="interrupted by the user")
+        if isinstance(halt, NowhereFiniteError):
+            return Answer(
+                Status.EVALUATION_FAILED,
+                scaled.start,
+                None,
+                answer.iterations,
+                f"the model is {halt}, {answer.message}",
+            )
+        if halt is not None:
+            raise halt
+        return answer
+
+    def _run(self, scaled: ScaledProgram, multipliers: np.ndarray | None) -> Answer:
+        try:
+            scaled.begin()
+        except NotFiniteError:
+            return Answer(Status.EVALUATION_FAILED, scaled.start, None, 0, "the model is not finite at the start")
+        if scaled.size == 0:
+            return Answer(Status.SOLVED, scaled.start, None, 0, "every variable is fixed")
+        warm = None if multipliers is None else scaled.multipliers_to_scaled(multipliers)
+        answer = self._rounds(scaled, warm)
+        if answer.claim is Status.FAILED and not scaled.evaluations.last.is_finite:
+            answer = answer._replace(claim=Status.EVALUATION_FAILED)
+        # The verdict needs the model at the answer, which may no longer be remembered.
+        scaled.evaluations.at(scaled.unscaled(answer.point))
+        return answer
+
+    def _rounds(self, scaled: ScaledProgram, multipliers: np.ndarray | None) -> Answer:
+        """Minimise, and repeat from the answer in the scales taken there, until it is accepted in them."""
+        spent, rounds, tried = 0, 0, False
+        while True:
+            rounds += 1
+            left = self.max_iterations - spent
+            share = left - left // _LEFT_OVER if rounds == 1 and left >= _WORTH_SHARING else left
+            ran_in = scaled.scales
+            answer = dataclasses.replace(self, max_iterations=share)._claimed(scaled, multipliers)
+            spent += answer.iterations
+            answer = answer._replace(iterations=spent)
+            if scaled.evaluations.halt is not None or not scaled.is_finite(answer.point):
+                return answer
+            answer, stands = settle(scaled, answer, self.tolerance)
+            if stands or rounds == _MOST_ROUNDS or spent >= self.max_iterations:
+                return answer
+            judged_in, better = scaled.scales, better_scales(scaled, answer)
+            if answer.claim is not Status.ITERATION_LIMIT:
+                if tried and better.is_near(ran_in, _SAME_SCALE):
+                    return answer
+                tried = True
+            scaled.rescale(answer.point, better)
+            known = judged_in.converted(answer.multipliers, better)
+            multipliers = None if known is None else known.rows
+
+    def _claimed(self, scaled: ScaledProgram, multipliers: np.ndarray | None) -> Answer:
+        """The library's answer. Raises `ProblemError` if it is no answer to this program."""
+        before = {name: getattr(scaled, name).copy() for name in _GIVEN}
+        try:
+            answer = self.minimise(scaled, multipliers)
+        except NotFiniteError:
+            return Answer(Status.EVALUATION_FAILED, scaled.start, None, 0, "the model cannot be evaluated there")
+        who = f"{type(self).__name__}.minimise"
+        if changed := [name for name, kept in before.items() if not np.array_equal(getattr(scaled, name), kept)]:
+            raise ProblemError(f"{who}: expected the program unchanged; received another `scaled.{changed[0]}`.")
+        return checked_answer(who, answer, scaled)
+
+
+def _outcome(scaled: ScaledProgram, answer: Answer, verdict: Verdict, solver: str, seconds: float) -> Outcome:
+    multipliers = scaled.multipliers_to_user(verdict.multipliers.rows)
+    bounds = scaled.bound_multipliers_to_user(verdict.multipliers.bounds, multipliers, verdict.user)
+    active, active_bounds = scaled.active(
+        verdict.point, verdict.user, verdict.multipliers.rows, verdict.multipliers.bounds
+    )
+    return Outcome(
+        status=verdict.status,
+        point=scaled.unscaled(verdict.point),
+        evaluation=verdict.user,
+        multipliers=multipliers,
+        bound_multipliers=bounds,
+        violation=verdict.certificate.violation,
+        stationarity=verdict.certificate.stationarity,
+        complementarity=verdict.certificate.complementarity,
+        iterations=answer.iterations,
+        evaluations=scaled.evaluations.count,
+        seconds=seconds,
+        solver=solver,
+        message=verdict.message,
+        active=active,
+        active_bounds=active_bounds,
+        sizes=scaled.sizes(verdict.sizes),
+        failed_at=scaled.evaluations.failed_at if verdict.status is Status.EVALUATION_FAILED else None,
+    )

@@ -1,0 +1,220 @@
+"""The stages of a search: first points, exploration under a growing penalty, polishing, verdict."""
+
+import abc
+import math
+import time
+from dataclasses import dataclass, replace
+from typing import ClassVar, final
+
+import numpy as np
+from jaxtyping import Float
+from typing_extensions import override
+
+from aleator._core import given
+from aleator._core.errors import ProblemError
+from aleator._core.heard import answering
+from aleator._core.progress import Progress, check_progress, silent
+from aleator.nlp._filtersqp import default_solver
+from aleator.nlp._local_solver import AbstractLocalSolver
+from aleator.nlp._outcome import Outcome, Status
+from aleator.nlp._program import NonlinearProgram
+from aleator.nlp._scaling import ScaledProgram
+from aleator.nlp._searched import Searched
+from aleator.nlp._solver import AbstractSolver, checked
+from aleator.nlp._verdict import HELD, Answer
+from aleator.nlp.search._sought import Budget, EndedError, Sought
+
+# Weights of the largest violation, in spreads of the objective, from one round to the next.
+_WEIGHTS = (10.0, 1e3, 1e5)
+# How many points are polished at most: the best of a search need not lie in the basin of the least minimum.
+_POLISHED = 3
+# A point of the search that is lower than the polished one by this part of the objective is better.
+_LOWER = 1e-6
+# More variables than a search without derivatives has a use for.
+_MOST_VARIABLES = 500
+
+
+@final
+@dataclass(frozen=True)
+class _AsItIs(AbstractLocalSolver):
+    """Judges the start and moves nowhere."""
+
+    @property
+    @override
+    def name(self) -> str:
+        return "no polishing"
+
+    @override
+    def minimise(self, scaled: ScaledProgram, multipliers: np.ndarray | None) -> Answer:
+        del multipliers
+        return Answer(Status.FAILED, scaled.start, None, 0, "the best point of a search without derivatives")
+
+
+@dataclass(frozen=True)
+class AbstractSearch(AbstractSolver):
+    """Searches without derivatives, everywhere between the bounds, and polishes the best point by derivatives.
+
+    Constraints become an exact penalty: the largest violation, in a weight that grows until the best point is almost
+    feasible. The polished point is judged like that of every other solver. Ctrl-C ends the search, and the best point
+    so far is polished.
+
+    - `tolerance`: see `AbstractSolver`;
+    - `evaluations`: at most so many simulations of the problem, those of polishing not counted;
+    - `seconds`: no further points are evaluated after this time;
+    - `seed`: of its random numbers;
+    - `polish`: whether the best point is a start of `al.solvers.FilterSQP()`; otherwise it is judged as it is, and is a
+      solution only if the conditions of an optimum hold there within the tolerance;
+    - `progress`: called with the task, the evaluations done and their limit.
+    """
+
+    evaluations: int = 2000
+    seconds: float = math.inf
+    seed: int = 0
+    polish: bool = True
+    progress: Progress = silent
+
+    needs_bounds: ClassVar[bool] = True
+    first_points: ClassVar[int] = 32
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        who = type(self).__name__
+        given.whole(f"{who}: evaluations", self.evaluations)
+        given.whole(f"{who}: seed", self.seed, least=0)
+        if not (isinstance(self.seconds, float) and self.seconds == math.inf):
+            given.positive(f"{who}: seconds", self.seconds)
+        if not isinstance(self.polish, bool):
+            raise given.refusal(f"{who}: polish", "True or False", self.polish)
+        check_progress(who, self.progress)
+
+    @abc.abstractmethod
+    def explore(self, sought: Sought, first: Float[np.ndarray, "k size"], generator: np.random.Generator) -> None:
+        """Look for points of low merit by `sought.merits` until that raises `EndedError`, or the method ends.
+
+        `first`: points evaluated already, the best one first.
+        """
+
+    @property
+    @abc.abstractmethod
+    def method(self) -> str:
+        """Name and version of the method."""
+
+    @property
+    @override
+    def name(self) -> str:
+        return f"{self.method}, {self.local.name}"
+
+    @property
+    @override
+    def local(self) -> AbstractSolver:
+        return replace(default_solver(), tolerance=self.tolerance) if self.polish else _AsItIs(self.tolerance)
+
+    @override
+    def solve(
+        self,
+        program: NonlinearProgram,
+        *,
+        multipliers: np.ndarray | None = None,
+        start: np.ndarray | None = None,
+    ) -> Outcome:
+        del multipliers  # Values know nothing of them.
+        began = time.perf_counter()
+        self.require()
+        self._check(program)
+        start = program.start if start is None else checked("start", start, program.start.shape)
+        with answering() as heed:
+            sought = Sought(program, start, Budget(self.evaluations, self.seconds), self.progress, heed)
+            if sought.size:
+                self._search(sought)
+        if sought.halt is not None and not isinstance(sought.halt, KeyboardInterrupt):
+            raise sought.halt
+        searched = Searched(self.method, *sought.history, sought.end, sought.seconds)
+        outcome = self._polished(program, sought, start)
+        return replace(
+            outcome,
+            evaluations=outcome.evaluations + searched.evaluations,
+            seconds=time.perf_counter() - began,
+            solver=self.name,
+            searched=searched,
+        )
+
+    def _check(self, program: NonlinearProgram) -> None:
+        who = type(self).__name__
+        free = program.lower < program.upper
+        if program.sparsity is not None and not isinstance(program.sparsity, np.ndarray):
+            raise ProblemError(
+                f"{who} knows no derivatives and cannot hold equations of motion as constraints: expected a program "
+                "whose states are simulated, by transcription=al.Sequential(); received a sparse one."
+            )
+        if int(free.sum()) > _MOST_VARIABLES:
+            raise ProblemError(
+                f"{who} searches without derivatives: expected at most {_MOST_VARIABLES} variables; received "
+                f"{int(free.sum())}. Use al.solvers.FilterSQP() or al.solvers.Ipopt()."
+            )
+        open_ended = free & ~(np.isfinite(program.lower) & np.isfinite(program.upper))
+        if self.needs_bounds and open_ended.any():
+            raise ProblemError(
+                f"{who} searches between bounds: expected finite bounds of every variable; variable "
+                f"{int(np.flatnonzero(open_ended)[0])} has none."
+            )
+
+    def _search(self, sought: Sought) -> None:
+        generator = np.random.default_rng(self.seed)
+        sought.weight = _WEIGHTS[0]
+        try:
+            first = self._first(sought, generator)
+            for weight in _WEIGHTS:
+                is_last = weight == _WEIGHTS[-1] or not sought.is_constrained
+                sought.begin_round(weight, 1.0 if is_last else 0.5)
+                self._explored(sought, first, generator)
+                if sought.is_over or is_last or sought.is_near:
+                    break
+                first = sought.best_point[None]
+        except EndedError:
+            pass
+        except KeyboardInterrupt as interrupt:
+            sought.halt = interrupt
+        if isinstance(sought.halt, KeyboardInterrupt):
+            sought.end = "stopped by the user"
+        elif sought.is_spent:
+            sought.end = "its budget was spent"
+
+    def _explored(self, sought: Sought, first: Float[np.ndarray, "k size"], generator: np.random.Generator) -> None:
+        try:
+            self.explore(sought, first, generator)
+        except EndedError:
+            return
+
+    def _first(self, sought: Sought, generator: np.random.Generator) -> Float[np.ndarray, "k size"]:
+        """The start, and a Latin hypercube around it, or between the bounds: the best one first."""
+        from scipy.stats import qmc  # late: it takes a third of a second
+
+        count = max(min(self.first_points, self.evaluations) - 1, 0)
+        drawn = qmc.LatinHypercube(sought.size, rng=generator).random(count) if count else np.zeros((0, sought.size))
+        closed = np.isfinite(sought.upper - sought.lower)
+        drawn = np.where(closed, drawn, sought.start + 2 * drawn - 1)
+        points = np.concatenate([sought.start[None], np.clip(drawn, sought.lower, sought.upper)])
+        merits = sought.merits(points)
+        return points[np.argsort(merits, kind="stable")]
+
+    def _polished(self, program: NonlinearProgram, sought: Sought, start: Float[np.ndarray, " n"]) -> Outcome:
+        """The best of a few points that are far apart, polished."""
+        outcomes: list[Outcome] = []
+        for point in sought.candidates(_POLISHED if self.polish else 1) or [start]:
+            outcomes.append(self.local.solve(program, start=point))
+            if outcomes[-1].status is Status.INTERRUPTED:
+                return outcomes[-1]
+        best = min([one for one in outcomes if one.ok] or outcomes, key=_rank)
+        lowest, reached = sought.least_held(HELD), best.evaluation.objective
+        if not (best.violation <= HELD and reached <= lowest + _LOWER * max(abs(lowest), abs(reached))):
+            # Polishing may end above the search's best point where the model is not smooth.
+            outcomes.append(_AsItIs(self.tolerance).solve(program, start=(sought.candidates(1) or [start])[0]))
+            best = min(outcomes, key=_rank)
+        return best.with_effort_of(*(one for one in outcomes if one is not best))
+
+
+def _rank(outcome: Outcome) -> tuple[bool, float]:
+    """Feasible ones first, by objective; the others by violation."""
+    held = outcome.violation <= HELD
+    size = outcome.evaluation.objective if held else float(np.nan_to_num(outcome.violation, nan=np.inf))
+    return not held, size

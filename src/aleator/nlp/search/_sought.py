@@ -1,0 +1,237 @@
+"""The points that a search evaluates: in a box, by one number each, within a budget, the best of them kept."""
+
+import math
+import time
+from collections.abc import Callable
+from typing import NamedTuple, final
+
+import numpy as np
+from jaxtyping import Float
+
+from aleator._core.errors import ProblemError
+from aleator._core.progress import Progress
+from aleator.nlp._program import NonlinearProgram
+
+# Points kept as candidates, and how far apart two must be to count as different, as a part of the box.
+_KEPT, _APART = 256, 0.05
+# A point that violates a constraint by no more than this is near enough for derivatives.
+_NEAR = 1e-2
+# The merit of a point that cannot be evaluated, in spreads of the objective: worse than any other.
+_WALL = 1e6
+# A spread of the objective below this part of it is rounding.
+_ROUNDING = 1e-12
+
+
+@final
+class EndedError(Exception):
+    """A search must end: its budget is spent, or the user or the model stopped it."""
+
+
+class Budget(NamedTuple):
+    """How many points may be evaluated, and for how long, s."""
+
+    evaluations: int
+    seconds: float
+
+
+class _Candidates(NamedTuple):
+    """Points with what is known of each."""
+
+    points: Float[np.ndarray, "k n"]
+    objectives: Float[np.ndarray, " k"]
+    violations: Float[np.ndarray, " k"]
+
+    def at(self, which: np.ndarray) -> "_Candidates":
+        return _Candidates(*(part[which] for part in self))
+
+
+@final
+class Sought:
+    """The points of one search, in coordinates from 0 to 1 between the bounds of the free variables.
+
+    A variable without two finite bounds is measured from the start, in typical magnitudes. A point's merit is its
+    objective, in spreads over the first points, plus `weight` times its largest violation: an exact penalty, so that
+    a minimum that meets the constraints is one of the merit if the weight is large enough.
+
+    - `size`: the number of free variables; `start`: shape (size,);
+    - `lower`, `upper`: bounds in these coordinates, shape (size,), infinite where there is none;
+    - `weight`: that of violations; `limit`: the number of evaluations at which the present round ends.
+    """
+
+    def __init__(
+        self,
+        program: NonlinearProgram,
+        start: Float[np.ndarray, " n"],
+        budget: Budget,
+        progress: Progress,
+        heed: Callable[[], None],
+    ):
+        self._program, self._budget, self._progress, self._heed = program, budget, progress, heed
+        self._free = np.flatnonzero(program.lower < program.upper)
+        self._fixed = np.clip(start, program.lower, program.upper)
+        lower, upper = program.lower[self._free], program.upper[self._free]
+        closed = np.isfinite(upper) & np.isfinite(lower)
+        self._origin = np.where(closed, lower, self._fixed[self._free])
+        self._length = np.where(closed, upper - lower, program.variable_scale[self._free])
+        self.lower, self.upper = (lower - self._origin) / self._length, (upper - self._origin) / self._length
+        self.start = (self._fixed[self._free] - self._origin) / self._length
+        self.size = len(self._free)
+        self.weight, self.limit = 0.0, budget.evaluations
+        self.halt: BaseException | None = None
+        self.end = "its method ended"
+        self._began = time.perf_counter()
+        self._objectives: list[Float[np.ndarray, " k"]] = []
+        self._violations: list[Float[np.ndarray, " k"]] = []
+        self._count = 0
+        self._spread = 0.0
+        self._kept = _Candidates(np.zeros((0, self.size)), np.zeros(0), np.zeros(0))
+
+    @property
+    def count(self) -> int:
+        """The number of points evaluated so far."""
+        return self._count
+
+    @property
+    def is_constrained(self) -> bool:
+        """Whether there are constraints."""
+        program = self._program
+        return bool(np.any(np.isfinite(program.constraint_lower) | np.isfinite(program.constraint_upper)))
+
+    def begin_round(self, weight: float, share: float) -> None:
+        """Weigh violations anew, with a share of what is left of the budget."""
+        self.weight = weight
+        self.limit = self._count + math.ceil(share * (self._budget.evaluations - self._count))
+
+    @property
+    def is_over(self) -> bool:
+        """Whether no further point may be evaluated."""
+        return self.halt is not None or self.is_spent
+
+    @property
+    def is_spent(self) -> bool:
+        """Whether the whole budget is spent."""
+        return self._count >= self._budget.evaluations or (self._count > 0 and self.seconds >= self._budget.seconds)
+
+    @property
+    def seconds(self) -> float:
+        """The time since the search began."""
+        return time.perf_counter() - self._began
+
+    @property
+    def history(self) -> tuple[Float[np.ndarray, " evaluations"], Float[np.ndarray, " evaluations"]]:
+        """The objective and the largest violation of every point, in order."""
+        nothing = [np.zeros(0)]
+        return np.concatenate(self._objectives or nothing), np.concatenate(self._violations or nothing)
+
+    def merits(self, points: Float[np.ndarray, "k size"]) -> Float[np.ndarray, " k"]:
+        """The merits of some points, which are clipped to the bounds, from one call of the model.
+
+        Raises `EndedError` if the budget is spent; points up to then count.
+        """
+        some = np.clip(np.atleast_2d(np.asarray(points, dtype=float)), self.lower, self.upper)
+        left = max(min(self.limit, self._budget.evaluations) - self._count, 0)
+        if left == 0 or self.is_over:
+            raise EndedError
+        found = self._evaluated(some[:left])
+        if left < len(some) or self.is_over:
+            raise EndedError
+        return self._merits(found)
+
+    def merit(self, point: Float[np.ndarray, " size"]) -> float:
+        """The merit of one point."""
+        return float(self.merits(point[None])[0])
+
+    def candidates(self, most: int) -> list[Float[np.ndarray, " n"]]:
+        """The best points, in the user's units, best first, that are not close to a better one.
+
+        Those that violate little are ranked by their objective, which the penalty of a late round would hide.
+        """
+        kept, chosen = self._kept, list[Float[np.ndarray, " size"]]()
+        near = kept.violations <= max(_NEAR, 2 * np.min(kept.violations, initial=np.inf))
+        for which in np.lexsort((np.where(near, kept.objectives, kept.violations), ~near)):
+            point = kept.points[which]
+            if all(np.abs(point - one).max() > _APART for one in chosen):
+                chosen.append(point)
+        return [self._unscaled(one[None])[0] for one in chosen[:most]]
+
+    @property
+    def is_near(self) -> bool:
+        """Whether the point of least merit is almost feasible."""
+        merits = self._merits(self._kept)
+        return bool(len(merits)) and bool(self._kept.violations[np.argmin(merits)] <= _NEAR)
+
+    @property
+    def best_point(self) -> Float[np.ndarray, " size"]:
+        """The point of least merit; the start if no point could be evaluated."""
+        if not len(self._kept.points):
+            return self.start
+        return self._kept.points[np.argmin(self._merits(self._kept))]
+
+    def least_held(self, violation: float) -> float:
+        """The least objective among the points kept that violate nothing by more; infinite if there is none."""
+        return float(np.min(self._kept.objectives[self._kept.violations <= violation], initial=np.inf))
+
+    def _merits(self, found: _Candidates) -> Float[np.ndarray, " k"]:
+        if not self._spread:
+            self._spread = _spread(found.objectives)
+        known = np.isfinite(found.objectives)
+        merits = np.where(known, found.objectives, 0.0) / (self._spread or 1.0) + self.weight * found.violations
+        return np.where(known, np.minimum(merits, _WALL), _WALL)
+
+    def _evaluated(self, points: Float[np.ndarray, "k size"]) -> _Candidates:
+        try:
+            self._heed()
+            objectives, constraints = self._values(self._unscaled(points))
+        except BaseException as error:
+            self.halt = error
+            raise EndedError from error
+        known = np.isfinite(objectives) & np.isfinite(constraints).all(axis=1)
+        program = self._program
+        with np.errstate(invalid="ignore"):
+            beyond = np.maximum(constraints - program.constraint_upper, program.constraint_lower - constraints)
+            worst = np.max(beyond / program.constraint_scale, axis=1, initial=0.0)
+        found = _Candidates(points, np.where(known, objectives, np.nan), np.where(known, worst, 0.0))
+        self._objectives.append(found.objectives)
+        self._violations.append(found.violations)
+        self._count += len(points)
+        self._keep(found.at(known))
+        self._progress("search", self._count, self._budget.evaluations)
+        return found
+
+    def _values(self, points: Float[np.ndarray, "k n"]) -> tuple[np.ndarray, np.ndarray]:
+        program, shape = self._program, (len(points), len(self._program.constraint_lower))
+        if program.values is None:
+            found = [program.evaluate(one) for one in points]
+            return np.array([one.objective for one in found]), np.array([one.constraints for one in found]).reshape(
+                shape
+            )
+        objectives, constraints = map(np.asarray, program.values(points))
+        if objectives.shape != shape[:1] or constraints.shape != shape:
+            raise ProblemError(
+                f"Expected `values` of shapes {shape[:1]} and {shape}. "
+                f"Received {objectives.shape} and {constraints.shape}."
+            )
+        return objectives, constraints
+
+    def _keep(self, found: _Candidates) -> None:
+        """Add points to the candidates, of which the best are kept."""
+        if not len(found.points):
+            return
+        every = _Candidates(*(np.concatenate(pair) for pair in zip(self._kept, found, strict=True)))
+        self._kept = every.at(np.argsort(self._merits(every), kind="stable")[:_KEPT])
+
+    def _unscaled(self, points: Float[np.ndarray, "k size"]) -> Float[np.ndarray, "k n"]:
+        every = np.tile(self._fixed, (len(points), 1))
+        every[:, self._free] = self._origin + points * self._length
+        return np.clip(every, self._program.lower, self._program.upper)
+
+
+def _spread(objectives: Float[np.ndarray, " k"]) -> float:
+    """How far finite objectives differ: the middle half of them, else all."""
+    known = objectives[np.isfinite(objectives)]
+    if not len(known):
+        return 0.0
+    size = _ROUNDING * float(np.abs(known).max())
+    first, last = np.quantile(known, [0.25, 0.75])
+    half, all_ = float(last - first), float(np.ptp(known))
+    return half if half > size else all_ if all_ > size else 0.0

@@ -1,0 +1,241 @@
+"""Searches without derivatives find known optima, keep to their budget, and lose nothing when they are stopped."""
+
+import os
+import signal
+
+import numpy as np
+import pytest
+from nlp_problems import evaluation, hs71, program, rosenbrock
+
+import aleator as al
+from aleator.nlp import AbstractSearch, Evaluation, NonlinearProgram, Sought
+
+GLOBAL = [
+    al.solvers.Direct(),
+    al.solvers.DifferentialEvolution(),
+    al.solvers.DualAnnealing(),
+    al.solvers.CmaEs(),
+]
+EVERY = [al.solvers.NelderMead(), *GLOBAL]
+
+
+def named(solver):
+    return type(solver).__name__
+
+
+def six_hump_camel():
+    """Two global minima of -1.0316284534898774, and four others (Dixon and Szegő 1978)."""
+
+    def evaluate(x):
+        a, b = x
+        value = (4 - 2.1 * a**2 + a**4 / 3) * a**2 + a * b + (-4 + 4 * b**2) * b**2
+        return evaluation(value, [8 * a - 8.4 * a**3 + 2 * a**5 + b, a - 8 * b + 16 * b**3])
+
+    return program(evaluate, [1.6, 0.6], [-3.0, -2.0], [3.0, 2.0]), -1.0316284534898774
+
+
+def rastrigin():
+    """A minimum of zero in the origin among a thousand others."""
+
+    def evaluate(x):
+        wave = 2 * np.pi * x
+        return evaluation(float((10 + x**2 - 10 * np.cos(wave)).sum()), 2 * x + 20 * np.pi * np.sin(wave))
+
+    return program(evaluate, [3.1, -4.2, 2.3], [-5.12] * 3, [5.12] * 3), 0.0
+
+
+def gomez_levy():
+    """A minimum of -1.031628453489877 within a disconnected region (Gómez and Levy 1982)."""
+
+    def evaluate(x):
+        camel = six_hump_camel()[0].evaluate(x)
+        a, b = x
+        row = -np.sin(4 * np.pi * a) + 2 * np.sin(2 * np.pi * b) ** 2
+        slope = [-4 * np.pi * np.cos(4 * np.pi * a), 4 * np.pi * np.sin(4 * np.pi * b)]
+        return evaluation(camel.objective, camel.gradient, [row], [slope])
+
+    return program(evaluate, [0.6, 0.6], [-1.0, -1.0], [0.75, 1.0], rows=[(-np.inf, 1.5)]), -1.031628453489877
+
+
+def rippled():
+    """A bowl with ripples a hundred times as steep as itself: zero at (0.3, 0.3)."""
+
+    def evaluate(x):
+        off = x - 0.3
+        value = float((off**2 + 1e-2 * np.sin(60 * off) ** 2).sum())
+        return evaluation(value, 2 * off + 0.6 * np.sin(120 * off))
+
+    return program(evaluate, [0.9, -0.8], [-1.0, -1.0], [1.0, 1.0]), 0.0
+
+
+def within(one, lower, upper):
+    from dataclasses import replace
+
+    return replace(one, lower=np.full(one.start.shape, lower), upper=np.full(one.start.shape, upper))
+
+
+@pytest.mark.parametrize("solver", EVERY, ids=named)
+def test_every_family_solves_a_smooth_valley(solver):
+    found = solver.solve(within(rosenbrock(), -2.0, 2.0))
+    assert found.ok
+    np.testing.assert_allclose(found.point, [1.0, 1.0], atol=1e-4)
+
+
+@pytest.mark.parametrize("solver", GLOBAL, ids=named)
+@pytest.mark.parametrize("case", [six_hump_camel, rastrigin, gomez_levy, rippled])
+def test_the_global_minimum_is_found_from_a_start_that_leads_elsewhere(solver, case):
+    one, least = case()
+    found = solver.solve(one)
+    assert found.ok
+    assert found.evaluation.objective == pytest.approx(least, abs=1e-4)
+    local = al.solvers.FilterSQP().solve(one)
+    assert local.evaluation.objective > least + 1e-3
+
+
+@pytest.mark.parametrize("solver", EVERY, ids=named)
+def test_equalities_and_limits_hold_at_the_polished_answer(solver):
+    found = solver.solve(hs71())
+    assert found.ok
+    # Hock and Schittkowski 1981, problem 71.
+    assert found.evaluation.objective == pytest.approx(17.0140173, rel=1e-7)
+    assert found.evaluation.constraints[1] == pytest.approx(40.0, rel=1e-6)
+
+
+def test_a_simplex_needs_no_bounds():
+    found = al.solvers.NelderMead().solve(rosenbrock())
+    np.testing.assert_allclose(found.point, [1.0, 1.0], atol=1e-5)
+    with pytest.raises(al.ProblemError, match="finite bounds of every variable; variable 0 has none"):
+        al.solvers.Direct().solve(rosenbrock())
+
+
+@pytest.mark.parametrize("solver", [al.solvers.DifferentialEvolution, al.solvers.CmaEs, al.solvers.DualAnnealing])
+def test_a_seed_gives_the_same_search_again(solver):
+    one, _ = rastrigin()
+    first, again, other = (solver(seed=seed, evaluations=300).solve(one) for seed in (1, 1, 2))
+    np.testing.assert_array_equal(first.searched.objectives, again.searched.objectives)
+    assert not np.array_equal(first.searched.objectives, other.searched.objectives)
+
+
+@pytest.mark.parametrize("solver", EVERY, ids=named)
+@pytest.mark.parametrize("evaluations", [1, 20, 77])
+def test_no_more_points_than_the_budget_are_evaluated(solver, evaluations):
+    asked = []
+    one, _ = gomez_levy()
+
+    def values(points):
+        asked.append(len(points))
+        found = [one.evaluate(x) for x in points]
+        return np.array([e.objective for e in found]), np.array([e.constraints for e in found])
+
+    from dataclasses import replace
+
+    found = replace(solver, evaluations=evaluations).solve(replace(one, values=values))
+    assert sum(asked) == found.searched.evaluations <= evaluations
+    assert found.evaluations > found.searched.evaluations
+
+
+def test_a_search_ends_with_its_time():
+    one, _ = rastrigin()
+    found = al.solvers.DifferentialEvolution(seconds=1e-9).solve(one)
+    assert found.searched.evaluations == AbstractSearch.first_points
+    assert found.searched.end == "its budget was spent"
+
+
+@pytest.mark.parametrize("solver", EVERY, ids=named)
+def test_ctrl_c_ends_the_search_and_the_best_point_is_polished(solver):
+    from dataclasses import replace
+
+    one, _ = rastrigin()
+    calls = []
+
+    def evaluate(x):
+        calls.append(x)
+        if len(calls) == 60:
+            os.kill(os.getpid(), signal.SIGINT)
+        return one.evaluate(x)
+
+    found = solver.solve(replace(one, evaluate=evaluate))
+    assert found.searched.end == "stopped by the user"
+    assert found.searched.evaluations < 100
+    assert found.ok
+    assert found.evaluation.objective <= np.nanmin(found.searched.objectives)
+
+
+@pytest.mark.parametrize("solver", EVERY, ids=named)
+def test_an_error_of_the_model_reaches_the_caller(solver):
+    calls = []
+
+    def evaluate(x):
+        calls.append(x)
+        if len(calls) > 50:
+            raise ValueError("a slip")
+        return evaluation(float(x @ x), 2 * x)
+
+    with pytest.raises(ValueError, match="a slip"):
+        solver.solve(program(evaluate, [0.5, 0.5], [-1.0, -1.0], [1.0, 1.0]))
+
+
+@pytest.mark.parametrize("solver", EVERY, ids=named)
+def test_points_that_cannot_be_evaluated_are_left(solver):
+    def evaluate(x):
+        with np.errstate(invalid="ignore"):
+            root = float(np.sqrt(x[0] - 0.2))
+        return Evaluation(root + (x[1] - 0.5) ** 2, np.array([0.5 / root, 2 * x[1] - 1]), np.zeros(0), np.zeros((0, 2)))
+
+    one = program(evaluate, [0.9, 0.9], [-1.0, -1.0], [1.0, 1.0])
+    found = solver.solve(one)
+    assert found.searched.best()[-1] < 0.3
+    assert np.isnan(found.searched.objectives).any() or isinstance(solver, al.solvers.NelderMead)
+
+
+def test_a_model_that_is_finite_nowhere_is_no_answer():
+    one = program(lambda x: evaluation(np.nan, [np.nan]), [0.5], [0.0], [1.0])
+    found = al.solvers.DifferentialEvolution(evaluations=100).solve(one)
+    assert found.status is al.Status.EVALUATION_FAILED
+
+
+@pytest.mark.parametrize("solver", EVERY, ids=named)
+def test_a_kink_is_found_and_no_optimum_is_claimed(solver):
+    def evaluate(x):
+        return evaluation(float(np.abs(x - 0.123).sum()), np.sign(x - 0.123))
+
+    found = solver.solve(program(evaluate, [0.9, 0.8], [-1.0, -1.0], [1.0, 1.0]))
+    np.testing.assert_allclose(found.point, 0.123, atol=2e-2)
+    assert found.status is al.Status.FAILED
+    assert "kink" in found.message
+
+
+def test_without_polishing_the_conditions_of_an_optimum_decide():
+    one = within(rosenbrock(), -2.0, 2.0)
+    rough = al.solvers.NelderMead(polish=False, evaluations=40).solve(one)
+    assert rough.status is al.Status.FAILED
+    fine = al.solvers.NelderMead(polish=False, tolerance=1e-3).solve(one)
+    assert fine.ok
+    assert fine.iterations == 0
+
+
+def test_fixed_variables_stay():
+    def evaluate(x):
+        return evaluation(float(((x - [1.0, 2.0, 3.0]) ** 2).sum()), 2 * (x - [1.0, 2.0, 3.0]))
+
+    one = program(evaluate, [0.0, 0.5, 0.0], [-5.0, 0.5, -5.0], [5.0, 0.5, 5.0])
+    found = al.solvers.DifferentialEvolution(evaluations=300).solve(one)
+    np.testing.assert_allclose(found.point, [1.0, 0.5, 3.0], atol=1e-6)
+
+
+class Middle(AbstractSearch):
+    """Evaluates the middle of the box, and no more."""
+
+    method = "the middle"
+
+    def explore(self, sought: Sought, first, generator):
+        sought.merits(np.full((1, sought.size), 0.5))
+
+
+def test_a_search_of_ones_own():
+    one, least = six_hump_camel()
+    found = Middle(polish=False).solve(one)
+    assert found.searched.evaluations == AbstractSearch.first_points + 1
+    assert found.searched.objectives[-1] == pytest.approx(0.0)
+    assert isinstance(one, NonlinearProgram)
+    assert least < found.evaluation.objective <= np.nanmin(found.searched.objectives)
