@@ -504,6 +504,18 @@ _STUDIES: dict[str, tuple[Callable[..., Any], dict[str, Any], dict[str, Mapping[
         {"starts": without(COUNT, "nothing"), "spread": POSITIVE, "seed": WHOLE, "solver": NO_OBJECT},
     ),
     "multistart itself": (al.multistart, {}, {"problem": REQUIRED}),
+    "portfolio": (
+        lambda **a: al.portfolio(problem(), **a),
+        {},
+        {
+            "starts": without(COUNT, "nothing"),
+            "search": without(NO_OBJECT, "nothing"),
+            "solver": NO_OBJECT,
+            "seed": WHOLE,
+            "progress": {"text": "yes", "nothing": None},
+        },
+    ),
+    "portfolio itself": (al.portfolio, {}, {"problem": REQUIRED}),
     "with_bound": (lambda *a: problem().with_bound("response", *a), {}, {"#0": NOT_NUMBERS}),
     "soft": (lambda *a, weight=1.0: al.soft(problem(), *a, weight=weight), {}, {"#0": NAME, "weight": POSITIVE}),
     "soft of": (functools.partial(al.soft, weight=1.0), {}, {"#0": REQUIRED}),

@@ -42,6 +42,8 @@ NOT_CALLED = {
     "AtMeans",
     "Closure",
     "Costates",
+    "Optimum",
+    "Portfolio",
     "Searched",
     "States",
     "Switching",

@@ -76,6 +76,7 @@ from .solving import solve as solve
 from .sweep import calibrate as calibrate
 from .sweep import multistart as multistart
 from .sweep import pareto as pareto
+from .sweep import portfolio as portfolio
 from .trajectories import AbstractSignal as AbstractSignal
 from .trajectories import AbstractTrajectory as AbstractTrajectory
 from .trajectories import BSpline as BSpline

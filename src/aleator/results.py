@@ -28,6 +28,8 @@ from aleator.solution import WorstCase as WorstCase
 from aleator.solution import WorstRealisation as WorstRealisation
 from aleator.sweep import Calibration as Calibration
 from aleator.sweep import Front as Front
+from aleator.sweep import Optimum as Optimum
+from aleator.sweep import Portfolio as Portfolio
 from aleator.sweep import Refused as Refused
 from aleator.sweep import Starts as Starts
 from aleator.sweep import Trial as Trial

@@ -4,7 +4,7 @@ import abc
 import itertools
 import re
 from collections.abc import Callable
-from typing import ClassVar, final
+from typing import final
 
 import equinox as eqx
 import jax
@@ -25,7 +25,10 @@ _ELEMENTARY = re.compile(r"[\w.]*[^\W²³¹⁰⁴-⁹](\[[^\[\]]*\])?")
 class AbstractRule(eqx.Module):
     """A function of the values of some expressions, of which each is one number, or one an instant."""
 
-    is_never_negative: ClassVar[bool] = False
+    @property
+    def is_never_negative(self) -> bool:
+        """Whether its value is never negative, whatever the expressions are."""
+        return False
 
     @abc.abstractmethod
     def of(self, *values: Float[Array, "..."]) -> Float[Array, "..."]:
@@ -84,6 +87,11 @@ class Power(AbstractRule):
 
     exponent: float = eqx.field(static=True)
 
+    @property
+    @override
+    def is_never_negative(self) -> bool:
+        return self.exponent % 2 == 0
+
     @override
     def of(self, *values: Array) -> Array:
         (base,) = values
@@ -129,9 +137,12 @@ class Norm(AbstractRounded):
     With a `smoothing` `s`, it is `sqrt(x² + y² + … + s²) - s`: smooth, and at most `s` below the norm.
     """
 
-    is_never_negative: ClassVar[bool] = True
-
     smoothing: float = eqx.field(static=True, default=0.0)
+
+    @property
+    @override
+    def is_never_negative(self) -> bool:
+        return True
 
     @override
     def of(self, *values: Array) -> Array:
@@ -173,9 +184,12 @@ class PositivePart(AbstractRounded):
     With a `smoothing` `s`, it is `(x + sqrt(x² + s²)) / 2`: smooth, positive, and at most `s/2` above.
     """
 
-    is_never_negative: ClassVar[bool] = True
-
     smoothing: float = eqx.field(static=True, default=0.0)
+
+    @property
+    @override
+    def is_never_negative(self) -> bool:
+        return True
 
     @override
     def of(self, *values: Array) -> Array:

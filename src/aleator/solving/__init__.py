@@ -1,3 +1,4 @@
 """Solutions of design problems."""
 
+from aleator.solving._arguments import check_search as check_search
 from aleator.solving._solve import solve as solve

@@ -37,7 +37,7 @@ def check_arguments(
             f"received {accuracy!r}."
         )
     if isinstance(solver, AbstractSearch):
-        _check_search(problem, solver)
+        check_search("solve", problem, solver)
     if not isinstance(deterministic_first, bool):
         raise ProblemError(f"solve: expected True or False as `deterministic_first`; received {deterministic_first!r}.")
     if warm_start is None:
@@ -55,20 +55,20 @@ def check_arguments(
         )
 
 
-def _check_search(problem: Problem, solver: AbstractSearch) -> None:
+def check_search(what: str, problem: Problem, solver: AbstractSearch) -> None:
     """Refuse, by name, what a search without derivatives cannot decide or hold."""
     places, who = problem.placements, type(solver).__name__
     lower, upper = places.vector("lower"), places.vector("upper")
     if solver.needs_bounds and not (closed := np.isfinite(lower) & np.isfinite(upper)).all():
         name = places.entry_names()[int(np.flatnonzero(~closed)[0])]
         raise ProblemError(
-            f"solve: {who} searches between bounds: expected finite bounds of every decision; '{name}' has none on at "
+            f"{what}: {who} searches between bounds: expected finite bounds of every decision; '{name}' has none on at "
             "least one side. al.solvers.NelderMead() needs none."
         )
     equal = [one for one in problem.constraints if float(one.lower) == float(one.upper)]
     if equal and not solver.polish:
         raise ProblemError(
-            f"solve: {who} without polishing cannot hold an equality: expected limits alone, or polish=True; received "
+            f"{what}: {who} without polishing cannot hold an equality: expected limits alone, or polish=True; received "
             f"'{equal[0].name}' ({equal[0]})."
         )
 

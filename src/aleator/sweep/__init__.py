@@ -8,3 +8,6 @@ from aleator.sweep._front import Refused as Refused
 from aleator.sweep._front import pareto as pareto
 from aleator.sweep._multistart import Starts as Starts
 from aleator.sweep._multistart import multistart as multistart
+from aleator.sweep._portfolio import Optimum as Optimum
+from aleator.sweep._portfolio import Portfolio as Portfolio
+from aleator.sweep._portfolio import portfolio as portfolio

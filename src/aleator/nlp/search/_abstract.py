@@ -119,6 +119,18 @@ class AbstractSearch(AbstractSolver):
     ) -> Outcome:
         del multipliers  # Values know nothing of them.
         began = time.perf_counter()
+        sought, searched = self.seek(program, start)
+        outcome = self._polished(program, sought)
+        return replace(
+            outcome,
+            evaluations=outcome.evaluations + searched.evaluations,
+            seconds=time.perf_counter() - began,
+            solver=self.name,
+            searched=searched,
+        )
+
+    def seek(self, program: NonlinearProgram, start: np.ndarray | None = None) -> tuple[Sought, Searched]:
+        """Search alone: the points found, of which none is polished, and the history."""
         self.require()
         self._check(program)
         start = program.start if start is None else checked("start", start, program.start.shape)
@@ -128,15 +140,7 @@ class AbstractSearch(AbstractSolver):
                 self._search(sought)
         if sought.halt is not None and not isinstance(sought.halt, KeyboardInterrupt):
             raise sought.halt
-        searched = Searched(self.method, *sought.history, sought.end, sought.seconds)
-        outcome = self._polished(program, sought, start)
-        return replace(
-            outcome,
-            evaluations=outcome.evaluations + searched.evaluations,
-            seconds=time.perf_counter() - began,
-            solver=self.name,
-            searched=searched,
-        )
+        return sought, Searched(self.method, *sought.history, sought.end, sought.seconds)
 
     def _check(self, program: NonlinearProgram) -> None:
         who = type(self).__name__
@@ -197,10 +201,10 @@ class AbstractSearch(AbstractSolver):
         merits = sought.merits(points)
         return points[np.argsort(merits, kind="stable")]
 
-    def _polished(self, program: NonlinearProgram, sought: Sought, start: Float[np.ndarray, " n"]) -> Outcome:
+    def _polished(self, program: NonlinearProgram, sought: Sought) -> Outcome:
         """The best of a few points that are far apart, polished."""
         outcomes: list[Outcome] = []
-        for point in sought.candidates(_POLISHED if self.polish else 1) or [start]:
+        for point in sought.candidates(_POLISHED if self.polish else 1):
             outcomes.append(self.local.solve(program, start=point))
             if outcomes[-1].status is Status.INTERRUPTED:
                 return outcomes[-1]
@@ -208,7 +212,7 @@ class AbstractSearch(AbstractSolver):
         lowest, reached = sought.least_held(HELD), best.evaluation.objective
         if not (best.violation <= HELD and reached <= lowest + _LOWER * max(abs(lowest), abs(reached))):
             # Polishing may end above the search's best point where the model is not smooth.
-            outcomes.append(_AsItIs(self.tolerance).solve(program, start=(sought.candidates(1) or [start])[0]))
+            outcomes.append(_AsItIs(self.tolerance).solve(program, start=sought.candidates(1)[0]))
             best = min(outcomes, key=_rank)
         return best.with_effort_of(*(one for one in outcomes if one is not best))
 

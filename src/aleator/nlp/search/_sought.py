@@ -12,8 +12,10 @@ from aleator._core.errors import ProblemError
 from aleator._core.progress import Progress
 from aleator.nlp._program import NonlinearProgram
 
-# Points kept as candidates, and how far apart two must be to count as different, as a part of the box.
-_KEPT, _APART = 256, 0.05
+# Points kept at most, the best; of these so many are compared with one another, and all of the best.
+_KEPT, _COMPARED, _BEST = 20_000, 2500, 500
+# A point begins a basin of its own if none within this distance, a part of the box, is better.
+_APART = 0.1
 # A point that violates a constraint by no more than this is near enough for derivatives.
 _NEAR = 1e-2
 # The merit of a point that cannot be evaluated, in spreads of the objective: worse than any other.
@@ -84,7 +86,8 @@ class Sought:
         self._violations: list[Float[np.ndarray, " k"]] = []
         self._count = 0
         self._spread = 0.0
-        self._kept = _Candidates(np.zeros((0, self.size)), np.zeros(0), np.zeros(0))
+        self._found = [_Candidates(np.zeros((0, self.size)), np.zeros(0), np.zeros(0))]
+        self._unsorted = 0
 
     @property
     def count(self) -> int:
@@ -142,34 +145,40 @@ class Sought:
         return float(self.merits(point[None])[0])
 
     def candidates(self, most: int) -> list[Float[np.ndarray, " n"]]:
-        """The best points, in the user's units, best first, that are not close to a better one.
+        """The best points, in the user's units, best first, that have no better neighbour; at least the start.
 
-        Those that violate little are ranked by their objective, which the penalty of a late round would hide.
+        A point near a better one belongs to the same basin (Rinnooy Kan and Timmer 1987). Points that violate little
+        are ranked by their objective, which the penalty of a late round would hide.
         """
-        kept, chosen = self._kept, list[Float[np.ndarray, " size"]]()
+        kept = self._gathered()
         near = kept.violations <= max(_NEAR, 2 * np.min(kept.violations, initial=np.inf))
-        for which in np.lexsort((np.where(near, kept.objectives, kept.violations), ~near)):
-            point = kept.points[which]
-            if all(np.abs(point - one).max() > _APART for one in chosen):
+        ranked = kept.points[np.lexsort((np.where(near, kept.objectives, kept.violations), ~near))]
+        rest = ranked[_BEST:]
+        ranked = np.concatenate([ranked[:_BEST], rest[:: -(-len(rest) // _COMPARED) or 1]])
+        chosen: list[Float[np.ndarray, " size"]] = []
+        for rank, point in enumerate(ranked):
+            if len(chosen) == most:
+                break
+            if not (np.abs(ranked[:rank] - point).max(axis=1, initial=0.0) < _APART).any():
                 chosen.append(point)
-        return [self._unscaled(one[None])[0] for one in chosen[:most]]
+        return [self._unscaled(one[None])[0] for one in chosen or [self.start]]
 
     @property
     def is_near(self) -> bool:
         """Whether the point of least merit is almost feasible."""
-        merits = self._merits(self._kept)
-        return bool(len(merits)) and bool(self._kept.violations[np.argmin(merits)] <= _NEAR)
+        kept = self._gathered()
+        return bool(len(kept.points)) and bool(kept.violations[np.argmin(self._merits(kept))] <= _NEAR)
 
     @property
     def best_point(self) -> Float[np.ndarray, " size"]:
         """The point of least merit; the start if no point could be evaluated."""
-        if not len(self._kept.points):
-            return self.start
-        return self._kept.points[np.argmin(self._merits(self._kept))]
+        kept = self._gathered()
+        return kept.points[np.argmin(self._merits(kept))] if len(kept.points) else self.start
 
     def least_held(self, violation: float) -> float:
         """The least objective among the points kept that violate nothing by more; infinite if there is none."""
-        return float(np.min(self._kept.objectives[self._kept.violations <= violation], initial=np.inf))
+        kept = self._gathered()
+        return float(np.min(kept.objectives[kept.violations <= violation], initial=np.inf))
 
     def _merits(self, found: _Candidates) -> Float[np.ndarray, " k"]:
         if not self._spread:
@@ -214,11 +223,19 @@ class Sought:
         return objectives, constraints
 
     def _keep(self, found: _Candidates) -> None:
-        """Add points to the candidates, of which the best are kept."""
-        if not len(found.points):
-            return
-        every = _Candidates(*(np.concatenate(pair) for pair in zip(self._kept, found, strict=True)))
-        self._kept = every.at(np.argsort(self._merits(every), kind="stable")[:_KEPT])
+        """Add points to the candidates."""
+        self._found.append(found)
+        self._unsorted += len(found.points)
+        if self._unsorted > _KEPT:
+            self._gathered()
+
+    def _gathered(self) -> _Candidates:
+        """The candidates: all finite points, or the best if there are too many."""
+        every = _Candidates(*map(np.concatenate, zip(*self._found, strict=True)))
+        if len(every.points) > 2 * _KEPT:
+            every = every.at(np.argsort(self._merits(every), kind="stable")[:_KEPT])
+        self._found, self._unsorted = [every], 0
+        return every
 
     def _unscaled(self, points: Float[np.ndarray, "k size"]) -> Float[np.ndarray, "k n"]:
         every = np.tile(self._fixed, (len(points), 1))

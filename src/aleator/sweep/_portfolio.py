@@ -1,0 +1,259 @@
+"""`portfolio`: a global search and many local ones, and how sure one may be of their best."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple, final
+
+import numpy as np
+from jaxtyping import Float
+
+from aleator._core.given import one_of, whole
+from aleator._core.heard import heeding
+from aleator._core.progress import Progress, check_progress, silent
+from aleator._core.warned import warned_of
+from aleator.design import Problem, current
+from aleator.nlp import (
+    AbstractSearch,
+    AbstractSolver,
+    DifferentialEvolution,
+    NonlinearProgram,
+    Outcome,
+    Searched,
+    Status,
+    variable_range,
+)
+from aleator.solution import Solution
+from aleator.solving import check_search, solve
+from aleator.transcription import DEFAULT, transcribe
+
+# Objectives, or decisions, with a smaller relative difference belong to one optimum.
+_SAME = 1e-4
+# Optima that are certified at most, from the best one on, until one stands.
+_CERTIFIED = 5
+
+
+@final
+@dataclass(frozen=True)
+class Optimum:
+    """A local optimum of the program.
+
+    - `objective`, `decisions`: by name;
+    - `starts`: how many local searches ended there; `random`: how many of these began at a random point, whose share
+      is that of its basin.
+    """
+
+    objective: float
+    decisions: dict[str, Any]
+    starts: int
+    random: int
+
+    def __str__(self) -> str:
+        decided = ", ".join(
+            f"{name} = {np.array2string(np.asarray(one), precision=5)}" for name, one in self.decisions.items()
+        )
+        return f"{self.objective:.8g} from {self.starts} starts ({self.random} of them random), at {decided}"
+
+
+@final
+@dataclass(frozen=True)
+class Portfolio:
+    """What a global search and many local ones found. `print(portfolio)` lists the optima.
+
+    - `best`: the best optimum with its certificate; if that fails, the next one whose certificate stands; if there is
+      none, the least violated design, with its status;
+    - `optima`: different local optima of the program, best first;
+    - `starts`, `random`: local searches in all, and from random starts; `solved`: those of the random ones that ended
+      at an optimum;
+    - `searched`: the history of the global search; None if there was none;
+    - `proven`: whether no design can be better, because the objective is at its lower bound;
+    - `interrupted`: whether Ctrl-C ended it; what was found by then is kept.
+    """
+
+    best: Solution
+    optima: tuple[Optimum, ...]
+    starts: int
+    random: int
+    solved: int
+    searched: Searched | None
+    proven: bool = False
+    interrupted: bool = False
+
+    @property
+    def seen_at_random(self) -> int:
+        """How many optima random starts have led to."""
+        return sum(one.random > 0 for one in self.optima)
+
+    @property
+    def unseen(self) -> float:
+        """The expected share of starts that lead to optima not seen yet: `w (w + 1) / (n (n - 1))`.
+
+        For `w` optima seen from `n` uniform random starts (Boender and Rinnooy Kan 1987). 1 for too few starts.
+        """
+        w, n = self.seen_at_random, self.solved
+        return min(w * (w + 1) / (n * (n - 1)), 1.0) if n > 1 and w else 1.0
+
+    def sure(self) -> str:
+        """How sure one may be that no design is better, in words."""
+        if self.proven:
+            return "No design is better: the objective is at its lower bound."
+        best = self.optima[0] if self.optima else None
+        if best is None or self.solved < 2:
+            return "Too few random starts ended at an optimum to say how many others there are."
+        found = f"{best.random} of {self.solved} random starts" if best.random else "Only the global search"
+        return (
+            f"{found} led to the best one; a further random start would lead to an optimum not seen yet with a "
+            f"probability of about {self.unseen:.0%} (Boender and Rinnooy Kan 1987)."
+        )
+
+    def __str__(self) -> str:
+        rows = [f"{one.objective:14.8g}  from {one.starts} of {self.starts} starts" for one in self.optima]
+        failed = self.starts - sum(one.starts for one in self.optima)
+        return "\n".join(
+            [
+                "local optima (equal objectives count as one)",
+                *rows,
+                *([f"{failed} starts ended at none"] if failed else []),
+                *([str(self.searched)] if self.searched else []),
+                f"best: {self.best.objective:.8g}, {self.best.status.value}",
+                *(["interrupted by the user"] if self.interrupted else []),
+                self.sure(),
+            ]
+        )
+
+
+class _Start(NamedTuple):
+    point: Float[np.ndarray, " n"]
+    is_random: bool
+
+
+class _End(NamedTuple):
+    outcome: Outcome
+    is_random: bool
+
+
+def portfolio(
+    problem: Problem,
+    starts: int = 20,
+    *,
+    search: AbstractSearch | None = DifferentialEvolution(),  # noqa: B008 -- frozen
+    solver: AbstractSolver | None = None,
+    seed: int = 0,
+    progress: Progress = silent,
+) -> Portfolio:
+    """Look for the best of all designs: search globally, then locally from many points, then certify the best optimum.
+
+    The global search costs simulations without derivatives, many in one call. Half of the local searches begin at its
+    best points that lie apart, the others at uniformly random ones, which tell how many optima there may be. The
+    problem is compiled once, states are simulated (`al.Sequential()`), and only the best optimum is certified, or the
+    next ones where its certificate fails. Ctrl-C ends the search and certifies the best so far.
+
+    - `starts`: local searches in all; `search`: None leaves the global search out;
+    - `solver`: of the local searches, `al.solvers.FilterSQP()` by default; `seed`: of the random starts.
+
+    Raises `ProblemError` for too few starts, and for decisions without bounds if there is a search that needs them.
+    """
+    one_of("portfolio: problem", problem, Problem)
+    starts, seed = whole("portfolio: starts", starts), whole("portfolio: seed", seed, least=0)
+    check_progress("portfolio", progress)
+    if search is not None:
+        one_of("portfolio: search", search, AbstractSearch, "al.solvers.DifferentialEvolution(), or None")
+        check_search("portfolio", problem, search)
+    problem, local = current(problem), (solver or DEFAULT.solver)
+    one_of("portfolio: solver", local, AbstractSolver, "al.solvers.FilterSQP()")
+    program = transcribe(problem, DEFAULT).program
+    ends: list[_End] = []
+    searched: Searched | None = None
+    interrupted = True
+    try:
+        with heeding() as heed:
+            found: list[Float[np.ndarray, " n"]] = []
+            if search is not None:
+                sought, searched = search.seek(program)
+                found = sought.candidates(max(starts // 2, 1))
+            for done, one in enumerate(_starts(program, found, starts, seed)):
+                progress("local searches", done, starts)
+                outcome = local.local.solve(program, start=one.point)
+                if outcome.status is Status.INTERRUPTED:
+                    raise KeyboardInterrupt
+                ends.append(_End(outcome, one.is_random))
+                heed()
+        progress("local searches", starts, starts)
+        interrupted = False
+    except KeyboardInterrupt:
+        if not ends:
+            raise
+    optima = _optima(problem, ends)
+    best = _certified(problem, local.local, optima, ends)
+    return Portfolio(
+        best=best,
+        optima=tuple(one for one, _ in optima),
+        starts=len(ends),
+        random=sum(one.is_random for one in ends),
+        solved=sum(one.is_random and one.outcome.ok for one in ends),
+        searched=searched,
+        proven=best.ok and _is_least(program, best.objective, local.tolerance),
+        interrupted=interrupted,
+    )
+
+
+def _starts(
+    program: NonlinearProgram, found: Sequence[Float[np.ndarray, " n"]], count: int, seed: int
+) -> Iterator[_Start]:
+    """The points that a search found, then the program's own start, then random ones, `count` in all."""
+    lower, upper = variable_range(program.start, program.lower, program.upper, program.variable_scale)
+    generator = np.random.default_rng(seed)
+    own = [*found, program.start][:count]
+    yield from (_Start(one, is_random=False) for one in own)
+    for _ in range(count - len(own)):
+        yield _Start(generator.uniform(lower, upper), is_random=True)
+
+
+def _optima(problem: Problem, ends: Sequence[_End]) -> list[tuple[Optimum, Float[np.ndarray, " n"]]]:
+    """The different optima, best first, with their points."""
+    solved = sorted((one for one in ends if one.outcome.ok), key=lambda one: one.outcome.evaluation.objective)
+    size = np.max(np.abs([one.outcome.point for one in solved]), axis=0, initial=1e-12) if solved else np.zeros(0)
+    groups: list[list[_End]] = []
+    for one in solved:
+        if groups and _is_same(groups[-1][0].outcome, one.outcome, size):
+            groups[-1].append(one)
+        else:
+            groups.append([one])
+    return [(_optimum(problem, group), group[0].outcome.point) for group in groups]
+
+
+def _optimum(problem: Problem, group: Sequence[_End]) -> Optimum:
+    first = group[0].outcome
+    named = problem.placements.named(first.point)
+    return Optimum(first.evaluation.objective, named, len(group), sum(one.is_random for one in group))
+
+
+def _is_same(one: Outcome, other: Outcome, size: Float[np.ndarray, " n"]) -> bool:
+    """Mirrored designs count as one, by their objective, and so do equal ones, since the objective may be zero."""
+    first, second = one.evaluation.objective, other.evaluation.objective
+    close = abs(first - second) <= _SAME * max(abs(first), abs(second))
+    return bool(close or np.all(np.abs(one.point - other.point) < _SAME * size))
+
+
+def _is_least(program: NonlinearProgram, objective: float, tolerance: float) -> bool:
+    """Whether an objective is at its lower bound, as far as can be told beside its fall from the start."""
+    above = program.evaluate(program.start).objective - program.least
+    return bool(np.isfinite(program.least)) and bool(objective - program.least <= tolerance * above)
+
+
+def _certified(
+    problem: Problem,
+    solver: AbstractSolver,
+    optima: Sequence[tuple[Optimum, Float[np.ndarray, " n"]]],
+    ends: Sequence[_End],
+) -> Solution:
+    """The best optimum whose certificate stands, else the best one; without optima, the least violated design."""
+    points = [point for _, point in optima[:_CERTIFIED]]
+    if not points:
+        points = [min(ends, key=lambda one: np.nan_to_num(one.outcome.violation, nan=np.inf)).outcome.point]
+    found: list[Solution] = []
+    for point in points:
+        with warned_of("portfolio"):
+            found.append(solve(problem, solver, start=problem.placements.named(point), throw=False))
+        if found[-1].ok:
+            return found[-1]
+    return found[0]
