@@ -27,7 +27,7 @@ from aleator.nlp.search._sought import Budget, EndedError, Sought
 # Weights of the largest violation, in spreads of the objective, from one round to the next.
 _WEIGHTS = (10.0, 1e3, 1e5)
 # How many points are polished at most: the best of a search need not lie in the basin of the least minimum.
-_POLISHED = 3
+_POLISHED = 5
 # A point of the search that is lower than the polished one by this part of the objective is better.
 _LOWER = 1e-6
 # More variables than a search without derivatives has a use for.

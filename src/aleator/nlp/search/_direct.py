@@ -18,7 +18,7 @@ _SMALLEST = 1e-5
 @final
 @dataclass(frozen=True)
 class Direct(AbstractSearch):
-    """Division of rectangles (Jones et al. 1993; locally biased, Gablonsky and Kelley 2001), in SciPy.
+    """Division of rectangles (Jones, Perttunen and Stuckman 1993), in SciPy.
 
     Deterministic: `seed` changes only the first points. For few variables, up to about ten.
 
@@ -40,4 +40,5 @@ class Direct(AbstractSearch):
             maxfun=most,
             maxiter=most,
             len_tol=_SMALLEST,
+            locally_biased=False,  # the answer is polished with exact derivatives instead
         )

@@ -17,7 +17,7 @@ _FEWEST = 5
 # Generations without end: the budget ends the search, or the population's spread.
 _ENDLESS = 10**6
 # The population has converged if its merits differ by less than this part, or this many spreads.
-_CONVERGED = 1e-8
+_CONVERGED = 1e-6
 
 
 @final
@@ -25,7 +25,7 @@ _CONVERGED = 1e-8
 class DifferentialEvolution(AbstractSearch):
     """Differential evolution (Storn and Price 1997), in SciPy: many minima, few variables, finite bounds.
 
-    Every generation is one call of the compiled problem.
+    Every generation is one call of the compiled problem. Where a population has converged, another one begins.
 
     - `population`: points of a generation; about ten for each decision are usual;
     - others: see `AbstractSearch`.
@@ -45,16 +45,19 @@ class DifferentialEvolution(AbstractSearch):
 
     @override
     def explore(self, sought: Sought, first: Float[np.ndarray, "k size"], generator: np.random.Generator) -> None:
-        more = generator.uniform(sought.lower, sought.upper, (max(self.population - len(first), 0), sought.size))
-        scipy.optimize.differential_evolution(
-            lambda points: sought.merits(points.T),
-            scipy.optimize.Bounds(sought.lower, sought.upper),
-            init=np.concatenate([first, more])[: self.population],
-            maxiter=_ENDLESS,
-            tol=_CONVERGED,
-            atol=_CONVERGED,
-            vectorized=True,
-            updating="deferred",
-            polish=False,
-            rng=generator,
-        )
+        begun = first
+        while True:
+            more = generator.uniform(sought.lower, sought.upper, (max(self.population - len(begun), 0), sought.size))
+            scipy.optimize.differential_evolution(
+                lambda points: sought.merits(points.T),
+                scipy.optimize.Bounds(sought.lower, sought.upper),
+                init=np.concatenate([begun, more])[: self.population],
+                maxiter=_ENDLESS,
+                tol=_CONVERGED,
+                atol=_CONVERGED,
+                vectorized=True,
+                updating="deferred",
+                polish=False,
+                rng=generator,
+            )
+            begun = np.zeros((0, sought.size))

@@ -15,7 +15,7 @@ from aleator.nlp._program import NonlinearProgram
 # Points kept at most, the best; of these so many are compared with one another, and all of the best.
 _KEPT, _COMPARED, _BEST = 20_000, 2500, 500
 # A point begins a basin of its own if none within this distance, a part of the box, is better.
-_APART = 0.1
+_APART = 0.05
 # A point that violates a constraint by no more than this is near enough for derivatives.
 _NEAR = 1e-2
 # The merit of a point that cannot be evaluated, in spreads of the objective: worse than any other.

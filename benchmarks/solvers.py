@@ -1,0 +1,251 @@
+"""Every family of solvers on programs with known optima and on two designs, from many seeds; populations at once.
+
+    python benchmarks/solvers.py [programs] [designs] [seeds] [population]
+
+Prints a table for each part that is named, all by default: distance from the known optimum after polishing, evaluations
+and seconds. Solvers by derivatives start where the searches do. Peers in the same run: one design after the other for
+the population, SciPy's own polishing for the programs.
+"""
+
+import sys
+import time
+import warnings
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
+
+import numpy as np
+import scipy
+
+import aleator as al
+from aleator.extending import Evaluation, NonlinearProgram
+from aleator.nlp import AbstractSolver
+from aleator.studies import clutch, suspension
+from aleator.transcription import transcribe
+
+SEARCHES = {
+    "NelderMead": al.solvers.NelderMead(),
+    "Direct": al.solvers.Direct(),
+    "DifferentialEvolution": al.solvers.DifferentialEvolution(),
+    "DualAnnealing": al.solvers.DualAnnealing(),
+    "CmaEs": al.solvers.CmaEs(),
+}
+BY_DERIVATIVES = {
+    "FilterSQP": al.solvers.FilterSQP(),
+    "Ipopt": al.solvers.Ipopt(),
+    "Slsqp": al.solvers.Slsqp(),
+    "InteriorPoint": al.solvers.InteriorPoint(),
+}
+SEEDS, DESIGNS = 20, 64
+ENOUGH = 1e-4
+
+
+def program(
+    evaluate: Callable[[np.ndarray], tuple],
+    lower: Iterable[float],
+    upper: Iterable[float],
+    rows: Iterable[tuple[float, float]] = (),
+) -> NonlinearProgram:
+    """A program between bounds, started a third of the way up, from a function of its values and derivatives."""
+    low, high = np.array(list(lower), dtype=float), np.array(list(upper), dtype=float)
+    bounds = np.array(list(rows), dtype=float).reshape(-1, 2)
+
+    def evaluated(x: np.ndarray) -> Evaluation:
+        value, slope, *more = evaluate(x)
+        values, slopes = more or ((), ())
+        return Evaluation(
+            float(value), np.array(slope), np.array(values, dtype=float), np.array(slopes).reshape(-1, x.size)
+        )
+
+    return NonlinearProgram(
+        evaluate=evaluated,
+        start=low + (high - low) / 3,
+        lower=low,
+        upper=high,
+        constraint_lower=bounds[:, 0],
+        constraint_upper=bounds[:, 1],
+        constraint_scale=np.ones(len(bounds)),
+        variable_scale=(high - low) / 10,
+    )
+
+
+def rosenbrock(x: np.ndarray) -> tuple:
+    """Smooth: a curved valley (Rosenbrock 1960)."""
+    gap = x[1] - x[0] ** 2
+    return 100 * gap**2 + (1 - x[0]) ** 2, [-400 * x[0] * gap - 2 * (1 - x[0]), 200 * gap]
+
+
+def rippled(x: np.ndarray) -> tuple:
+    """Noisy: a bowl with ripples that are far steeper than itself."""
+    off = x - 0.3
+    return (off**2 + 1e-2 * np.sin(60 * off) ** 2).sum(), 2 * off + 0.6 * np.sin(120 * off)
+
+
+def rastrigin(x: np.ndarray) -> tuple:
+    """Multimodal: a thousand minima on a grid (Rastrigin 1974)."""
+    wave = 2 * np.pi * x
+    return (10 + x**2 - 10 * np.cos(wave)).sum(), 2 * x + 20 * np.pi * np.sin(wave)
+
+
+def branin(x: np.ndarray) -> tuple:
+    """Multimodal: three equal minima (Branin 1972)."""
+    a, b = x
+    inner = b - 5.1 / (4 * np.pi**2) * a**2 + 5 / np.pi * a - 6
+    factor = 10 * (1 - 1 / (8 * np.pi))
+    slope = 2 * inner * (5 / np.pi - 10.2 / (4 * np.pi**2) * a) - factor * np.sin(a)
+    return inner**2 + factor * np.cos(a) + 10, [slope, 2 * inner]
+
+
+def camel(x: np.ndarray) -> tuple:
+    """Multimodal: six minima, two of them global (Dixon and Szegő 1978)."""
+    a, b = x
+    value = (4 - 2.1 * a**2 + a**4 / 3) * a**2 + a * b + (-4 + 4 * b**2) * b**2
+    return value, [8 * a - 8.4 * a**3 + 2 * a**5 + b, a - 8 * b + 16 * b**3]
+
+
+def gomez_levy(x: np.ndarray) -> tuple:
+    """Constrained: within a disconnected region (Gómez and Levy 1982)."""
+    a, b = x
+    row = -np.sin(4 * np.pi * a) + 2 * np.sin(2 * np.pi * b) ** 2
+    slope = [-4 * np.pi * np.cos(4 * np.pi * a), 4 * np.pi * np.sin(4 * np.pi * b)]
+    return *camel(x), [row], [slope]
+
+
+def hs71(x: np.ndarray) -> tuple:
+    """Constrained, with an equality (Hock and Schittkowski 1981, problem 71)."""
+    total = x[0] + x[1] + x[2]
+    gradient = [x[3] * (total + x[0]), x[0] * x[3], x[0] * x[3] + 1, x[0] * total]
+    return x[0] * x[3] * total + x[2], gradient, [np.prod(x), x @ x], [np.prod(x) / x, 2 * x]
+
+
+PROGRAMS: Mapping[str, tuple[NonlinearProgram, float]] = {
+    "smooth (Rosenbrock)": (program(rosenbrock, [-2, -2], [2, 2]), 0.0),
+    "noisy (ripples)": (program(rippled, [-1, -1], [1, 1.1]), 0.0),
+    "multimodal (Rastrigin)": (program(rastrigin, [-5.12, -4.1, -5.3], [5.5, 5.12, 5.12]), 0.0),
+    "multimodal (Branin)": (program(branin, [-5, 0], [10, 15]), 0.39788735772973816),
+    "multimodal (camel)": (program(camel, [-3, -2], [3, 2]), -1.0316284534898774),
+    "constrained (Gómez)": (program(gomez_levy, [-1, -1], [0.75, 1], [(-np.inf, 1.5)]), -1.0316284534898774),
+    "constrained (HS 71)": (program(hs71, [1] * 4, [5] * 4, [(25, np.inf), (40, 40)]), 17.01401728916),
+}
+MULTIMODAL = tuple(name for name in PROGRAMS if name.startswith(("multimodal", "constrained")))
+
+
+def programs() -> None:
+    """Each family on each program."""
+    print("\nprograms with known optima: distance from the optimum, evaluations, seconds")
+    for name, (one, least) in PROGRAMS.items():
+        print(f"  {name}")
+        for label, solver in (SEARCHES | BY_DERIVATIVES).items():
+            _row(label, lambda solver=solver, one=one: solver.solve(one), least)
+        _row("SciPy's own (differential evolution)", lambda one=one: _scipys(one), least)
+
+
+def _row(label: str, solve: Callable, least: float) -> None:
+    began = time.perf_counter()
+    found = solve()
+    seconds = time.perf_counter() - began
+    off = found.evaluation.objective - least
+    away = abs(off) / max(abs(least), 1.0)
+    missed = "" if away <= ENOUGH else "  a local optimum" if found.ok else f"  {found.status.name.lower()}"
+    print(f"    {label:38} {away:9.1e} {found.evaluations:8} {seconds:8.2f}{missed}")
+
+
+def _scipys(one: NonlinearProgram):
+    """SciPy's differential evolution with its own constraints and polishing, by the same number of points."""
+    rows = scipy.optimize.NonlinearConstraint(
+        lambda x: one.evaluate(x).constraints, one.constraint_lower, one.constraint_upper
+    )
+    counted = [0]
+
+    def value(x: np.ndarray) -> float:
+        counted[0] += 1
+        return one.evaluate(x).objective
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        found = scipy.optimize.differential_evolution(
+            value,
+            scipy.optimize.Bounds(one.lower, one.upper),
+            constraints=(rows,) if len(one.constraint_lower) else (),
+            x0=one.start,
+            rng=np.random.default_rng(0),
+            maxiter=60,
+        )
+    outcome = al.solvers.FilterSQP(max_iterations=1).solve(one)
+    evaluation = one.evaluate(found.x)
+    return replace(outcome, evaluation=evaluation, evaluations=counted[0], status=al.Status.SOLVED)
+
+
+def seeds() -> None:
+    """How often each search finds the global optimum."""
+    print(f"\nglobal optimum found to {ENOUGH:g}, of {SEEDS} seeds")
+    for name in MULTIMODAL:
+        one, least = PROGRAMS[name]
+        for label, solver in SEARCHES.items():
+            if label == "NelderMead":
+                continue
+            found = [replace(solver, seed=seed).solve(one) for seed in range(SEEDS)]
+            right = sum(each.ok and each.evaluation.objective <= least + ENOUGH * max(abs(least), 1) for each in found)
+            print(f"  {name:24} {label:24} {right:3} of {SEEDS}")
+
+
+def designs() -> None:
+    """Each family on the clutch's allocation and the robust suspension, against filterSQP's certified answer."""
+    print("\ndesigns: objective, distance from the certified one, evaluations, seconds, status")
+    for name, problem in {
+        "clutch allocation": clutch.allocation_problem(),
+        "suspension uOpt": suspension.robust_problem(),
+    }.items():
+        known = al.solve(problem).objective
+        print(f"  {name}: {known:.8g}")
+        for label, solver in (SEARCHES | BY_DERIVATIVES).items():
+            _design(label, problem, _within(solver), known)
+
+
+def _within(solver: AbstractSolver) -> AbstractSolver:
+    return replace(solver, evaluations=1000) if label_of(solver) in SEARCHES else solver
+
+
+def label_of(solver: AbstractSolver) -> str:
+    """The name of a family."""
+    return type(solver).__name__
+
+
+def _design(label: str, problem: al.Problem, solver: AbstractSolver, known: float) -> None:
+    began = time.perf_counter()
+    found = al.solve(problem, solver, throw=False)
+    seconds = time.perf_counter() - began
+    away = abs(found.objective - known) / abs(known)
+    said = "" if found.ok else f"  {found.status.name.lower()}"
+    print(f"    {label:24} {found.objective:14.8g} {away:9.1e} {found.effort.evaluations:6} {seconds:8.2f}{said}")
+
+
+def population() -> None:
+    """A generation of robust suspensions in one call, against one after the other."""
+    program = transcribe(suspension.robust_problem()).program
+    generator = np.random.default_rng(0)
+    drawn = generator.uniform(program.lower, program.upper, (DESIGNS, program.start.size))
+    assert program.values is not None
+    values = program.values
+    values(drawn), values(drawn[:1])
+    times: dict[str, list[float]] = {"in one call": [], "one by one": [], "one by one, with derivatives": []}
+    ways: dict[str, Callable[[], object]] = {
+        "in one call": lambda: values(drawn),
+        "one by one": lambda: [values(one[None]) for one in drawn],
+        "one by one, with derivatives": lambda: [program.evaluate(one + 0.0) for one in drawn],
+    }
+    for _ in range(5):
+        for name, way in ways.items():
+            began = time.perf_counter()
+            way()
+            times[name].append(time.perf_counter() - began)
+    print(f"\n{DESIGNS} robust suspensions, s, and how many times as long as in one call")
+    base = float(np.median(times["in one call"]))
+    for name, each in times.items():
+        print(f"  {name:30} {np.median(each):8.3f} {np.median(each) / base:6.2f}")
+
+
+PARTS = {"programs": programs, "designs": designs, "seeds": seeds, "population": population}
+
+if __name__ == "__main__":
+    for part in sys.argv[1:] or PARTS:
+        PARTS[part]()
