@@ -517,7 +517,11 @@ _STUDIES: dict[str, tuple[Callable[..., Any], dict[str, Any], dict[str, Mapping[
     ),
     "portfolio itself": (al.portfolio, {}, {"problem": REQUIRED}),
     "with_bound": (lambda *a: problem().with_bound("response", *a), {}, {"#0": NOT_NUMBERS}),
-    "soft": (lambda *a, weight=1.0: al.soft(problem(), *a, weight=weight), {}, {"#0": NAME, "weight": POSITIVE}),
+    "soft": (
+        lambda *a, weight=1.0, **b: al.soft(problem(), *a, weight=weight, **b),
+        {},
+        {"#0": NAME, "weight": POSITIVE, "exact": {"text": "yes", "one": 1, "nothing": None}},
+    ),
     "soft of": (functools.partial(al.soft, weight=1.0), {}, {"#0": REQUIRED}),
     "with_sigmas": (lambda *a: problem().with_sigmas("response", *a), {}, {"#0": POSITIVE}),
     "expand": (
@@ -589,6 +593,12 @@ _STUDIES: dict[str, tuple[Callable[..., Any], dict[str, Any], dict[str, Mapping[
             "inputs": without(NO_OBJECT, "dict") | {"unknown": {"nobody": al.Tabulated([0.0, 1.0], [0.0, 1.0])}},
             "expansion": NO_OBJECT,
             "integrator": NO_OBJECT,
+            "decisions": {
+                "number": 3.5,
+                "list": ["x"],
+                "numbers": {"slack": 1.0},
+                "taken": Told({"gain": al.Decision(1.0)}, "gain"),
+            },
         },
     ),
     "threads": (al.threads, {}, {"count": OPTIONAL_COUNT}),

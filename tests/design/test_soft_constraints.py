@@ -88,6 +88,63 @@ def test_a_tolerance_under_a_soft_limit_is_that_of_its_derivative():
     assert found == pytest.approx(brentq(slope, 0.35, 0.9), rel=1e-6)
 
 
+@pytest.mark.parametrize("way", WAYS.values(), ids=WAYS)
+@pytest.mark.parametrize("weight", [0.5, 1.5, 2.5, 100.0])
+def test_an_exact_penalty_above_the_price_of_a_limit_is_the_limit(weight, way):
+    # `(g - 3)² + w (g - 2)₊`: the limit's price is 2, below which the gain is 3 - w/2.
+    softened = al.soft(problem(RESPONSE.mean <= LIMIT), weight=weight, exact=True)
+    found = al.solve(softened, transcription=way)
+    gain = max(3.0 - weight / 2, LIMIT)
+    assert found.decisions["gain"] == pytest.approx(gain, rel=1e-6)
+    assert found.decisions["response.excess"] == pytest.approx(gain - LIMIT, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("limit", "weight", "expected"),
+    [
+        (RESPONSE.mean >= 4.0, 10.0, 4.0),
+        (RESPONSE.mean >= 4.0, 1.0, 3.5),
+        (RESPONSE.mean.equals(LIMIT), 10.0, LIMIT),
+        (RESPONSE.mean.equals(LIMIT), 1.0, 2.5),
+        (al.path("response").at_most(LIMIT, sigmas=2), 100.0, LIMIT / (1 + 2 * SPREAD)),
+        (RESPONSE.mean <= 5.0, 10.0, 3.0),
+        (RESPONSE.at_most(LIMIT, worst_case=True), 100.0, LIMIT / (1 + HALF_WIDTH)),
+        (RESPONSE.at_most(LIMIT, worst_case=True), 1.0, 3.0 - (1 + HALF_WIDTH) / 2),
+    ],
+)
+def test_exact_penalties_of_every_kind_of_limit(limit, weight, expected):
+    found = al.solve(al.soft(problem(limit, grid=al.Grid(2.5, 4)), weight=weight, exact=True))
+    assert found.decisions["gain"] == pytest.approx(expected, rel=1e-6)
+
+
+def test_an_exact_penalty_reads_as_mathematics_and_leaves_the_other_limits():
+    both = problem((RESPONSE.mean <= LIMIT).named("top"), RESPONSE.mean >= 0.5)
+    softened = al.soft(both, "top", weight=3.0, exact=True)
+    text = str(softened)
+    assert "μ[loss(t_f)] + 3 top.excess" in text
+    assert "top: μ[response(t_f)] − top.excess ≤ 2" in text
+    assert softened.names == ("top", "response")
+    assert al.solve(softened).decisions["gain"] == pytest.approx(LIMIT, rel=1e-6)
+
+
+def test_a_decision_of_ones_own_joins_two_limits_to_the_least_largest_value():
+    # max(|g - 1|, |g - 4|) is least at 2.5, where it is 1.5.
+    level = al.value("level")
+    gain = Gain(al.Decision(1.0, 0.01, 10.0), al.Uniform(1.0, half_width=HALF_WIDTH))
+    limits = [
+        abs_side
+        for target in (1.0, 4.0)
+        for abs_side in (RESPONSE.mean - level <= target, RESPONSE.mean + level >= target)
+    ]
+    least = al.Problem(
+        gain, grid=ONE_STEP, minimize=level, subject_to=limits, decisions={"level": al.Decision(1.0, 0.0)}
+    )
+    for way in WAYS.values():
+        found = al.solve(least, transcription=way)
+        assert found.objective == pytest.approx(1.5, rel=1e-6)
+        assert found.decisions["gain"] == pytest.approx(2.5, rel=1e-6)
+
+
 def test_the_text_is_the_penalty_as_mathematics():
     text = str(al.soft(problem(RESPONSE.mean <= LIMIT, al.path("response").mean.equals(1.0)), weight=WEIGHT))
     assert "μ[loss(t_f)] + 4 (max(μ[response(t_f)] − 2, 0))² + 4 ∫(μ[response(t)] − 1)² dt" in text
@@ -96,6 +153,10 @@ def test_the_text_is_the_penalty_as_mathematics():
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
+        (
+            lambda: al.soft(problem(RESPONSE.mean <= 1.0), weight=1.0, exact="yes"),
+            "soft: exact: expected True or False",
+        ),
         (lambda: al.soft(problem(), weight=1.0), "no constraints that could become penalties"),
         (lambda: al.soft(problem(RESPONSE.mean <= 1.0), "nobody", weight=1.0), "no constraint 'nobody'"),
         (lambda: al.soft(problem(RESPONSE.at_most(1.0, worst_case=True)), weight=1.0), "can only be limited"),

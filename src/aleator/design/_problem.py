@@ -1,6 +1,7 @@
 """`Problem`: a declared design problem. It is data only; solvers are elsewhere."""
 
 from collections.abc import Iterable, Iterator, Mapping
+from types import MappingProxyType
 from typing import Any, Self, final
 
 import equinox as eqx
@@ -8,7 +9,7 @@ import jax
 import numpy as np
 
 from aleator._core.errors import ProblemError
-from aleator._core.given import one_of, positive, real
+from aleator._core.given import a_name, one_of, positive, real, refusal
 from aleator.design._check import check, equations_now
 from aleator.design._control import on_grid
 from aleator.design._declaration import AbstractProblem
@@ -25,7 +26,7 @@ from aleator.dynamics import (
 )
 from aleator.expansion import Expansion
 from aleator.trajectories import AbstractSignal
-from aleator.uncertainty import at_means, uncertain_again
+from aleator.uncertainty import Decision, at_means, uncertain_again
 
 
 @final
@@ -36,7 +37,9 @@ class Problem(AbstractProblem):
     - `system`: the physics, a `System`, which evolves in time, or an `AlgebraicSystem`, without time, grid and inputs;
     - `grid`: the instants; `inputs`: a signal for each input of the system, by name;
     - `minimize`: an expression of statistics; `subject_to`: constraints;
-    - `expansion`: how outputs are expanded; `integrator`: how states are advanced in time.
+    - `expansion`: how outputs are expanded; `integrator`: how states are advanced in time;
+    - `decisions`: further decisions by name, which no model contains, such as a slack or a level that several limits
+      share; `al.value(name)` is one in an expression.
 
     `print(problem)` shows it as mathematics. Raises `ProblemError`, before anything is compiled, for any inconsistency:
     a missing input or output, a wrong shape, an unknown name, a mass that can reach zero.
@@ -52,11 +55,13 @@ class Problem(AbstractProblem):
         inputs: Mapping[str, AbstractSignal] | None = None,
         expansion: Expansion | None = None,
         integrator: AbstractIntegrator | None = None,
+        decisions: Mapping[str, Decision] | None = None,
     ):
         if inputs is not None and not isinstance(inputs, Mapping):
             raise ProblemError(f"inputs: expected signals by name, such as {{'road': ...}}; received {type(inputs)}.")
-        simulation = simulation_of(system, grid, inputs, integrator)
+        simulation = simulation_of(system, grid, inputs, integrator, _decisions_given(decisions))
         self.simulation = _copied(on_grid(simulation, simulation.grid))
+        _refuse_taken(self)
         self.objective = as_expression(minimize)
         self.constraints = _told_apart(tuple(_flatten(subject_to)))
         self.expansion = Expansion() if expansion is None else expansion
@@ -97,6 +102,28 @@ class Problem(AbstractProblem):
 def _copied(tree: Any) -> Any:
     """A tree with its NumPy arrays copied, so that later changes of these do not affect a problem."""
     return jax.tree.map(lambda leaf: leaf.copy() if isinstance(leaf, np.ndarray) else leaf, tree)
+
+
+def _decisions_given(decisions: Mapping[str, Decision] | None) -> dict[str, Decision]:
+    """Decisions by name, checked."""
+    if decisions is None:
+        return {}
+    if not isinstance(decisions, Mapping):
+        raise refusal("Problem: decisions", "decisions by name, such as {'slack': al.Decision(...)}", decisions)
+    for name, one in decisions.items():
+        one_of(f"Problem: decisions['{a_name('Problem: a name in decisions', name)}']", one, Decision)
+    return dict(decisions)
+
+
+def _refuse_taken(problem: AbstractProblem) -> None:
+    """Refuse decisions of a problem whose names stand for numbers of its model already."""
+    known = problem.placements.decisions
+    taken = [name for name in problem.simulation.numbers if name not in known]
+    if taken:
+        raise ProblemError(
+            f"Problem: decisions: expected names that no number of the model has; received '{taken[0]}'. Use another "
+            "name."
+        )
 
 
 def _flatten(constraints: Any) -> Iterator[Constraint]:
@@ -168,8 +195,9 @@ def declared_anew(
     *,
     minimize: Expression | None = None,
     subject_to: tuple[Constraint, ...] | None = None,
+    decisions: Mapping[str, Decision] = MappingProxyType({}),
 ) -> Problem:
-    """The same problem of another simulation, objective or constraints, declared and so checked anew."""
+    """The same problem of another simulation, objective or constraints, or with further decisions, checked anew."""
     return Problem(
         simulation.system,
         minimize=problem.objective if minimize is None else minimize,
@@ -178,6 +206,7 @@ def declared_anew(
         inputs=simulation.inputs,
         expansion=problem.expansion,
         integrator=simulation.integrator,
+        decisions={**simulation.numbers, **decisions},
     )
 
 

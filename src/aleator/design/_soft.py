@@ -1,16 +1,22 @@
 """`soft`: constraints as penalties in the objective, dissertation section 3.4."""
 
+from collections.abc import Mapping, Sequence
+
 import numpy as np
 
 from aleator._core.errors import ProblemError
-from aleator._core.given import one_of, positive
-from aleator.design._expression import Constraint, Expression, as_expression
+from aleator._core.given import a_name, one_of, positive, refusal
+from aleator.design._expression import Constraint, Expression, as_expression, value
 from aleator.design._functions import positive_part
 from aleator.design._objectives import time_integral
 from aleator.design._problem import Problem, declared_anew
+from aleator.uncertainty import Decision
+
+# The first value of an excess, as a part of the limit.
+_FIRST_EXCESS = 0.1
 
 
-def soft(problem: Problem, *names: str, weight: float) -> Problem:
+def soft(problem: Problem, *names: str, weight: float, exact: bool = False) -> Problem:
     """The same problem with the constraints of these names, or all of them, as penalties in its objective.
 
     A limit `x <= b` becomes `weight (x - b)₊²`, which is zero where it holds (equation 7); an equality `x = b` becomes
@@ -19,23 +25,60 @@ def soft(problem: Problem, *names: str, weight: float) -> Problem:
 
     - `weight`: how much one unit of excess costs, in the unit of the objective per square of the constraint's (and
       second, of a path). The larger, the less a limit is exceeded at the optimum, in inverse proportion; it still is,
-      wherever it would be active. Several weights: `soft(soft(problem, "a", weight=1e3), "b", weight=10.0)`.
+      wherever it would be active. Several weights: `soft(soft(problem, "a", weight=1e3), "b", weight=10.0)`;
+    - `exact`: the penalty is `weight` times the largest excess itself, over all instants and all constraints of one
+      name, by a slack that is decided too: `"a.excess"` of the constraint `"a"`, which stays, loosened by it. Above the
+      sum of the constraint's shadow prices the limit then holds exactly (Fletcher 1987, 12.3); below, it is exceeded.
 
     The problem given is unchanged and still judges the answer: `al.validate(problem, solution)` counts the systems that
     exceed its limits. Raises `ProblemError` for names that no constraint has, if there is no constraint, for a weight
-    that is not positive, and for limits on the worst case, which hold realisation by realisation.
+    that is not positive, and for limits on the worst case unless `exact`, since they hold realisation by realisation.
     """
     problem, weight = one_of("soft", problem, Problem), positive("soft: weight", weight)
+    if not isinstance(exact, bool):
+        raise refusal("soft: exact", "True or False", exact)
     if not problem.constraints:
         raise ProblemError("soft: the problem has no constraints that could become penalties.")
-    chosen = names or problem.names
-    penalties = [_penalty(one) for name in chosen for one in problem.named(name)]
+    chosen = tuple(dict.fromkeys(a_name("soft: a constraint", name) for name in names)) or problem.names
+    softened = {name: problem.named(name) for name in chosen}
+    return _with_slacks(problem, softened, weight) if exact else _with_penalties(problem, softened, weight)
+
+
+def _with_penalties(problem: Problem, softened: Mapping[str, tuple[Constraint, ...]], weight: float) -> Problem:
+    penalties = [_penalty(one) for every in softened.values() for one in every]
     return declared_anew(
         problem,
         problem.simulation,
         minimize=problem.objective + weight * sum(penalties, start=as_expression(0.0)),
-        subject_to=tuple(one for one in problem.constraints if one.name not in chosen),
+        subject_to=tuple(one for one in problem.constraints if one.name not in softened),
     )
+
+
+def _with_slacks(problem: Problem, softened: Mapping[str, tuple[Constraint, ...]], weight: float) -> Problem:
+    slacks = {f"{name}.excess": _slack(every) for name, every in softened.items()}
+    kept = [loose for one in problem.constraints for loose in (_loosened(one) if one.name in softened else [one])]
+    return declared_anew(
+        problem,
+        problem.simulation,
+        minimize=problem.objective + weight * sum(map(value, slacks), start=as_expression(0.0)),
+        subject_to=tuple(kept),
+        decisions=slacks,
+    )
+
+
+def _slack(constraints: Sequence[Constraint]) -> Decision:
+    """What some constraints are exceeded by, started at a tenth of their largest bound."""
+    sizes = [abs(bound) for one in constraints for bound in (float(one.lower), float(one.upper)) if np.isfinite(bound)]
+    return Decision(_FIRST_EXCESS * (max(sizes) or 1.0), 0.0)
+
+
+def _loosened(constraint: Constraint) -> list[Constraint]:
+    """A constraint whose finite bounds are loosened by its slack, each in a constraint of its own."""
+    expression, excess, name = constraint.expression, value(f"{constraint.name}.excess"), constraint.name
+    lower, upper = float(constraint.lower), float(constraint.upper)
+    above = [Constraint(expression - excess, upper=upper, name=name)] if np.isfinite(upper) else []
+    below = [Constraint(expression + excess, lower=lower, name=name)] if np.isfinite(lower) else []
+    return [*above, *below]
 
 
 def _penalty(constraint: Constraint) -> Expression:

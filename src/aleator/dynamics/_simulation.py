@@ -4,7 +4,8 @@ import functools
 import math
 import warnings
 from collections.abc import Collection, Mapping
-from typing import final
+from types import MappingProxyType
+from typing import Any, final
 
 import equinox as eqx
 import jax
@@ -29,18 +30,19 @@ from aleator.trajectories import AbstractSignal, least_steps
 
 
 @final
-@transparent("system", "grid")
+@transparent("system", "grid", "numbers")
 class Simulation(eqx.Module):
     """What is simulated: a system with its inputs, a grid, and an integrator.
 
     Any of its numbers may be a distribution or a decision; once realised, it can be recorded. Only here are kinds of
-    systems told apart.
+    systems told apart. `numbers`, by name, are in no system: what is made of its outputs may depend on them.
     """
 
     system: AbstractSystem
     inputs: dict[str, AbstractSignal]
     grid: AbstractGrid
     integrator: AbstractIntegrator
+    numbers: dict[str, Any] = eqx.field(default_factory=dict)
 
     def record(self, asked: Asked) -> Record:
         """Simulate with known numbers, recording what is asked for. Raises `ProblemError` if parts do not match."""
@@ -87,7 +89,7 @@ class Simulation(eqx.Module):
 
     def on(self, grid: AbstractGrid, integrator: AbstractIntegrator | None = None) -> "Simulation":
         """The same simulation on another grid, by another integrator if one is given."""
-        return Simulation(self.system, self.inputs, grid, integrator or self.integrator)
+        return Simulation(self.system, self.inputs, grid, integrator or self.integrator, self.numbers)
 
     def _refuse_at_start(self, system: System) -> None:
         """Raise `ProblemError` for what can be told of the start with known numbers, without computing any rate."""
@@ -185,11 +187,13 @@ def simulation_of(
     grid: AbstractGrid | None,
     inputs: Mapping[str, AbstractSignal] | None,
     integrator: AbstractIntegrator | None,
+    numbers: Mapping[str, Any] = MappingProxyType({}),
 ) -> Simulation:
     """A simulation from the given parts, with the defaults of its kind: one instant, no inputs, `RungeKutta4`."""
     has_time = not isinstance(system, AbstractSystem) or system.has_time
     instants = Instant() if grid is None and not has_time else grid
-    return Simulation(system, dict(inputs or {}), instants, RungeKutta4() if integrator is None else integrator)  # type: ignore[arg-type]
+    integrator = RungeKutta4() if integrator is None else integrator
+    return Simulation(system, dict(inputs or {}), instants, integrator, dict(numbers))  # type: ignore[arg-type]
 
 
 def _asked(only: Collection[str] | None) -> Asked:

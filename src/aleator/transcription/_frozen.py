@@ -38,7 +38,9 @@ def frozen(problem: Problem) -> tuple[Problem, Int[np.ndarray, " direct"]]:
     system = problem.system
     for name in system.signal_fields:  # type: ignore[union-attr]
         system = eqx.tree_at(lambda tree, name=name: getattr(tree, name), system, still(getattr(system, name)))
-    simulation = Simulation(system, still(problem.inputs), still(problem.grid), problem.integrator)
+    simulation = Simulation(
+        system, still(problem.inputs), still(problem.grid), problem.integrator, problem.simulation.numbers
+    )
     fixed = eqx.tree_at(lambda tree: tree.simulation, problem, simulation)
     places = problem.placements.decisions
     where = [np.arange(places[name].where.start, places[name].where.stop) for name in fixed.placements.decisions]

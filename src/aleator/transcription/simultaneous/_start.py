@@ -28,7 +28,7 @@ def _simulated(
     def one(germ: Array) -> Array:
         found = realise(problem.simulation, germ, decisions)
         assert isinstance(found.system, System)
-        simulation = Simulation(ObservedStates(found.system), found.inputs, found.grid, found.integrator)
+        simulation = Simulation(ObservedStates(found.system), found.inputs, found.grid, found.integrator, found.numbers)
         return simulation.record(Asked(frozenset({STATES}))).history[STATES]
 
     return jax.vmap(one)(points)
