@@ -504,6 +504,12 @@ _STUDIES: dict[str, tuple[Callable[..., Any], dict[str, Any], dict[str, Mapping[
         {"starts": without(COUNT, "nothing"), "spread": POSITIVE, "seed": WHOLE, "solver": NO_OBJECT},
     ),
     "multistart itself": (al.multistart, {}, {"problem": REQUIRED}),
+    "conflict": (
+        lambda **a: al.conflict(problem(), **a),
+        {},
+        {"solver": without(NO_OBJECT, "nothing"), "progress": {"text": "yes", "nothing": None}},
+    ),
+    "conflict itself": (al.conflict, {}, {"problem": REQUIRED}),
     "portfolio": (
         lambda **a: al.portfolio(problem(), **a),
         {},

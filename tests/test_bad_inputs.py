@@ -42,6 +42,8 @@ NOT_CALLED = {
     "AtMeans",
     "Closure",
     "Costates",
+    "Conflict",
+    "Limit",
     "Optimum",
     "Portfolio",
     "Searched",

@@ -27,7 +27,9 @@ from aleator.solution import Times as Times
 from aleator.solution import WorstCase as WorstCase
 from aleator.solution import WorstRealisation as WorstRealisation
 from aleator.sweep import Calibration as Calibration
+from aleator.sweep import Conflict as Conflict
 from aleator.sweep import Front as Front
+from aleator.sweep import Limit as Limit
 from aleator.sweep import Optimum as Optimum
 from aleator.sweep import Portfolio as Portfolio
 from aleator.sweep import Refused as Refused

@@ -11,6 +11,7 @@ from aleator.certification._probe import whether_misled as whether_misled
 from aleator.certification._quality import doubts as doubts
 from aleator.certification._quality import untrusted as untrusted
 from aleator.certification._reference import Reference as Reference
+from aleator.certification._reference import bound_size as bound_size
 from aleator.certification._reference import grid_error as grid_error
 from aleator.certification._reference import reference_factor as reference_factor
 from aleator.certification._second_opinion import second_opinion as second_opinion

@@ -39,7 +39,10 @@ _REMEDIES = {
     Status.EVALUATION_FAILED: (
         "Stuck next to points where the model is not finite: exclude these by the bounds of the decisions"
     ),
-    Status.INFEASIBLE: "Relax a limit, widen the bounds of the decisions, or try other starts with al.multistart",
+    Status.INFEASIBLE: (
+        "Relax a limit (al.conflict names those that cannot hold together), widen the bounds of the decisions, or try "
+        "other starts with al.multistart"
+    ),
     Status.ITERATION_LIMIT: "Allow the solver more iterations, by its max_iterations, or start closer to the solution",
     Status.FAILED: "Try another solver, such as al.solvers.Ipopt(), or other starts with al.multistart",
 }

@@ -3,6 +3,9 @@
 from aleator.sweep._calibrate import calibrate as calibrate
 from aleator.sweep._calibration import Calibration as Calibration
 from aleator.sweep._calibration import Trial as Trial
+from aleator.sweep._conflict import Conflict as Conflict
+from aleator.sweep._conflict import Limit as Limit
+from aleator.sweep._conflict import conflict as conflict
 from aleator.sweep._front import Front as Front
 from aleator.sweep._front import Refused as Refused
 from aleator.sweep._front import pareto as pareto

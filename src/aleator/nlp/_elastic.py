@@ -1,0 +1,140 @@
+"""Elastic programs: some groups of rows may be exceeded, by as little as possible in all."""
+
+from collections.abc import Sequence
+from typing import NamedTuple, final
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from aleator.nlp._matrices import dense_rows
+from aleator.nlp._outcome import Outcome, Status
+from aleator.nlp._program import Evaluation, NonlinearProgram
+from aleator.nlp._solver import AbstractSolver
+from aleator.nlp._verdict import HELD
+
+# The first excess of every group that may be exceeded, in sizes.
+_FIRST = 1.0
+
+
+class _Sides(NamedTuple):
+    """Finite bounds as `sign c(x) - slack size <= sign bound`: sign +1 for an upper bound, -1 for a lower one."""
+
+    rows: Int[np.ndarray, " sides"]
+    signs: Float[np.ndarray, " sides"]
+    bounds: Float[np.ndarray, " sides"]
+    group: Int[np.ndarray, " sides"]
+    sizes: Float[np.ndarray, " sides"]
+
+
+class Excess(NamedTuple):
+    """The end of an elastic program.
+
+    - `point`: of the program's variables, shape (n,);
+    - `excesses`: of each group that may be exceeded, in sizes of its rows;
+    - `pushing`: for each group of the program, the rows that hold others back, by their multipliers;
+    - `bounds`: which variables are held back by a bound, shape (n,);
+    - `outcome`: of the solver.
+    """
+
+    point: Float[np.ndarray, " n"]
+    excesses: Float[np.ndarray, " elastic"]
+    pushing: tuple[Int[np.ndarray, " some"], ...]
+    bounds: np.ndarray
+    outcome: Outcome
+
+    @property
+    def total(self) -> float:
+        """The sum of all excesses; infinite where not even the others could hold."""
+        return float(self.excesses.sum()) if self.outcome.ok else np.inf
+
+
+@final
+class Elastic:
+    """A program's constraints in groups, of which some are left out, some may be exceeded, and the others hold.
+
+    `groups`: the rows of each, with the size to which its excess is relative.
+    """
+
+    def __init__(self, program: NonlinearProgram, groups: Sequence[tuple[Int[np.ndarray, " rows"], float]]):
+        self._program, self._groups = program, groups
+
+    def least(
+        self, solver: AbstractSolver, held: Sequence[int], elastic: Sequence[int], starts: Sequence[np.ndarray]
+    ) -> Excess:
+        """The least total excess of the `elastic` groups while the groups `held` hold; others are left out.
+
+        `starts`: shape (n,) each; the search ends at the first one from which all groups hold.
+        """
+        program, sides = self._program_of(held, elastic)
+        found: list[Excess] = []
+        for start in starts:
+            outcome = solver.solve(program, start=np.append(start, self._first(start, sides, len(elastic))))
+            found.append(self._ended(outcome, sides))
+            if outcome.status is Status.INTERRUPTED:
+                raise KeyboardInterrupt
+            if found[-1].total <= HELD:
+                break
+        return min(found, key=lambda one: one.total)
+
+    def _first(self, start: Float[np.ndarray, " n"], sides: _Sides, count: int) -> Float[np.ndarray, " elastic"]:
+        """The excesses of the groups at a start, so that these hold there."""
+        found = self._program.evaluate(np.clip(start, self._program.lower, self._program.upper)).constraints
+        beyond = (sides.signs * (found[sides.rows] - sides.bounds)) / sides.sizes
+        excesses = np.zeros(count)
+        loose = sides.group >= 0
+        np.maximum.at(excesses, sides.group[loose], np.nan_to_num(beyond[loose], nan=_FIRST, posinf=_FIRST))
+        return excesses
+
+    def _program_of(self, held: Sequence[int], elastic: Sequence[int]) -> tuple[NonlinearProgram, _Sides]:
+        program, n, count = self._program, self._program.start.size, len(elastic)
+        sides = self._sides(held, elastic)
+        slacks = np.zeros((len(sides.rows), count))
+        loose = np.flatnonzero(sides.group >= 0)
+        slacks[loose, sides.group[loose]] = -sides.sizes[loose]
+
+        def evaluate(point: Float[np.ndarray, " m"]) -> Evaluation:
+            found = program.evaluate(point[:n])
+            slopes = sides.signs[:, None] * dense_rows(found.jacobian, sides.rows)
+            return Evaluation(
+                objective=float(point[n:].sum()),
+                gradient=np.append(np.zeros(n), np.ones(count)),
+                constraints=sides.signs * found.constraints[sides.rows] + slacks @ point[n:],
+                jacobian=np.concatenate([slopes, slacks], axis=1),
+            )
+
+        return NonlinearProgram(
+            evaluate=evaluate,
+            start=np.append(program.start, np.full(count, _FIRST)),
+            lower=np.append(program.lower, np.zeros(count)),
+            upper=np.append(program.upper, np.full(count, np.inf)),
+            constraint_lower=np.full(len(sides.rows), -np.inf),
+            constraint_upper=sides.signs * sides.bounds,
+            constraint_scale=sides.sizes,
+            variable_scale=np.append(program.variable_scale, np.ones(count)),
+            least=0.0,
+        ), sides
+
+    def _ended(self, outcome: Outcome, sides: _Sides) -> Excess:
+        """The meaning of the outcome of such a program."""
+        n = self._program.start.size
+        active = outcome.active & (outcome.multipliers != 0)
+        rows = set(sides.rows[active].tolist())
+        return Excess(
+            outcome.point[:n],
+            outcome.point[n:],
+            tuple(np.array(sorted(rows & set(own.tolist())), dtype=int) for own, _ in self._groups),
+            outcome.active_bounds[:n] & (self._program.lower < self._program.upper),
+            outcome,
+        )
+
+    def _sides(self, held: Sequence[int], elastic: Sequence[int]) -> _Sides:
+        program, parts = self._program, []
+        places = {which: i for i, which in enumerate(elastic)}
+        for which in sorted({*held, *elastic}):
+            rows, size = self._groups[which]
+            for sign, bounds in ((1.0, program.constraint_upper), (-1.0, program.constraint_lower)):
+                some = rows[np.isfinite(bounds[rows])]
+                group = np.full(len(some), places.get(which, -1))
+                parts.append((some, np.full(len(some), sign), bounds[some], group, np.full(len(some), size)))
+        nothing = (np.zeros(0, dtype=int), np.zeros(0), np.zeros(0), np.zeros(0, dtype=int), np.zeros(0))
+        return _Sides(*map(np.concatenate, zip(nothing, *parts, strict=True)))

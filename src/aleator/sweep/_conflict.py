@@ -1,0 +1,186 @@
+"""`conflict`: the limits of a problem that cannot hold together, and what relaxing each would cost."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from aleator._core.given import one_of
+from aleator._core.heard import heeding
+from aleator._core.progress import Progress, check_progress, silent
+from aleator.certification import bound_size
+from aleator.design import Problem, current
+from aleator.nlp import HELD, AbstractSolver, Elastic, Excess, Ipopt, variable_range
+from aleator.transcription import DEFAULT, AbstractTranscribed, transcribe
+
+# Instants that are named at most.
+_NAMED = 3
+
+
+@final
+@dataclass(frozen=True)
+class Limit:
+    """A limit in a conflict: all constraints of one name.
+
+    - `name`, `texts`: of its constraints that are in the way of the others;
+    - `times`: the instants (s) at which they are; empty for one that has none;
+    - `relaxed`: by how much its bounds alone would have to move, in their unit, for all limits of the problem to hold;
+      infinite if that does not suffice.
+    """
+
+    name: str
+    texts: tuple[str, ...]
+    times: tuple[float, ...]
+    relaxed: float
+
+    def __str__(self) -> str:
+        shown = ", ".join(f"{time:.4g}" for time in self.times[:_NAMED])
+        more = f" and {len(self.times) - _NAMED} other instants" if len(self.times) > _NAMED else ""
+        when = f" at t = {shown} s{more}" if self.times else ""
+        alone = f"relaxed alone, by {self.relaxed:.4g}" if np.isfinite(self.relaxed) else "not enough alone"
+        return f"{self.name}: {'; '.join(self.texts)}{when}: {alone}"
+
+
+@final
+@dataclass(frozen=True)
+class Conflict:
+    """Why a problem has no design. `print(conflict)` says it.
+
+    - `limits`: a smallest set of limits that cannot hold together: without any one of them, the others can. Empty if
+      all limits of the problem can hold;
+    - `decisions`: decisions whose bounds keep the least violated design from being better;
+    - `least`: the least sum of the limits' excesses, each relative to its magnitude; `nearest`: the decisions there.
+    """
+
+    limits: tuple[Limit, ...]
+    decisions: tuple[str, ...]
+    least: float
+    nearest: dict[str, float | Float[np.ndarray, "..."]]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of the limits that cannot hold together."""
+        return tuple(one.name for one in self.limits)
+
+    def __str__(self) -> str:
+        if not self.limits:
+            return "All limits can hold together, as at: " + ", ".join(f"{k} = {v}" for k, v in self.nearest.items())
+        one = len(self.limits) == 1
+        heading = "this limit:" if one else "these limits together, though any of them can be left out:"
+        bounds = f"decisions at their bounds there: {', '.join(self.decisions)}" if self.decisions else ""
+        return "\n".join(
+            [
+                f"no design found that meets {heading}",
+                *(f"  {one}" for one in self.limits),
+                *([bounds] if bounds else []),
+            ]
+        )
+
+
+def conflict(problem: Problem, *, solver: AbstractSolver | None = None, progress: Progress = silent) -> Conflict:
+    """Find a smallest set of limits that cannot hold together, and by how much each would have to be relaxed.
+
+    Limits are made elastic: each may be exceeded by a slack, and the sum of these is least. Where it is not zero, one
+    limit after the other is left out as long as the others still contradict each other (the deletion filter, Chinneck
+    and Dravnieks 1991). Nothing is compiled anew. Searches are local, from several starts: for a problem that is not
+    convex, "cannot" means that none of them found a design.
+
+    - `problem`: as declared, states being simulated; `solver`: `al.solvers.Ipopt()` by default, since elastic programs
+      are almost linear, where others know no length of a step.
+
+    Raises `ProblemError` if a limit contradicts itself or cannot be met by any decision at all.
+    """
+    one_of("conflict: problem", problem, Problem)
+    check_progress("conflict", progress)
+    solver = Ipopt() if solver is None else one_of("conflict: solver", solver, AbstractSolver)
+    transcribed = transcribe(current(problem), DEFAULT)
+    with heeding() as heed:
+        return _Search(transcribed, solver.local, progress, heed).conflict()
+
+
+@final
+class _Search:
+    """A search for a conflict; groups are the names of a problem's constraints, in order."""
+
+    def __init__(
+        self,
+        transcribed: AbstractTranscribed,
+        solver: AbstractSolver,
+        progress: Progress,
+        heed: Callable[[], None],
+    ):
+        self._transcribed, self._solver, self._progress, self._heed = transcribed, solver, progress, heed
+        problem, program = transcribed.problem, transcribed.program
+        self._names = problem.names
+        self._of_name = [[i for i, one in enumerate(problem.constraints) if one.name == name] for name in self._names]
+        self._sizes = [self._size(own) for own in self._of_name]
+        groups = [
+            (np.concatenate([np.arange(program.start.size)[:0], *(_rows(transcribed, i) for i in own)]), size)
+            for own, size in zip(self._of_name, self._sizes, strict=True)
+        ]
+        self._elastic = Elastic(program, groups)
+        lower, upper = variable_range(program.start, program.lower, program.upper, program.variable_scale)
+        self._starts = [program.start, (lower + upper) / 2]
+
+    def conflict(self) -> Conflict:
+        """The conflict of the problem's limits."""
+        every = list(range(len(self._names)))
+        least = self._least(every)
+        self._starts.insert(0, least.point)
+        if least.total <= HELD:
+            return self._told((), least)
+        pushing = [i for i in every if len(least.pushing[i])]
+        left = pushing if self._least(pushing).total > HELD else every
+        for done, one in enumerate(tuple(left)):
+            self._progress("limits", done, len(every))
+            without = [other for other in left if other != one]
+            if self._least(without).total > HELD:
+                left = without
+        return self._told(tuple(left), least)
+
+    def _told(self, members: Sequence[int], least: Excess) -> Conflict:
+        names = np.array(self._transcribed.places.entry_names())
+        together = self._least(members) if members else least
+        return Conflict(
+            tuple(self._limit(one, together) for one in members),
+            tuple(names[together.bounds[self._transcribed.decided]].tolist()) if members else (),
+            least.total if members else 0.0,
+            self._transcribed.places.named(self._transcribed.decisions(least.point)),
+        )
+
+    def _least(self, elastic: Sequence[int], held: Sequence[int] = ()) -> Excess:
+        self._heed()
+        return self._elastic.least(self._solver, held, elastic, self._starts)
+
+    def _limit(self, which: int, together: Excess) -> Limit:
+        """One limit of the conflict, with what it would have to be relaxed by, alone among all."""
+        transcribed, rows = self._transcribed, set(together.pushing[which].tolist())
+        own = self._of_name[which]
+        pushing = [i for i in own if rows & set(_rows(transcribed, i).tolist())] or own
+        others = [one for one in range(len(self._names)) if one != which]
+        alone = self._least((which,), others)
+        times = sorted({time for i in pushing for time in self._times(i, together)})
+        texts = tuple(transcribed.texts.constraints[i] for i in pushing)
+        return Limit(self._names[which], texts, tuple(times), alone.total * self._sizes[which])
+
+    def _times(self, constraint: int, together: Excess) -> list[float]:
+        """The instants at which a limit over time is in the way."""
+        transcribed = self._transcribed
+        if not transcribed.problem.constraints[constraint].is_path:
+            return []
+        rows, times = _rows(transcribed, constraint), transcribed.at(together.point).times
+        every = np.concatenate(together.pushing)
+        held = np.isin(rows, every).reshape(len(times), -1).any(axis=1)
+        return times[held].tolist()
+
+    def _size(self, own: Sequence[int]) -> float:
+        """The magnitude to which excesses of some constraints are relative."""
+        constraints, scales = self._transcribed.problem.constraints, self._transcribed.scales
+        return max(bound_size(constraints[i]) or scales[i] for i in own)
+
+
+def _rows(transcribed: AbstractTranscribed, constraint: int) -> Int[np.ndarray, " rows"]:
+    where = transcribed.rows[constraint]
+    return np.arange(where.start, where.stop)
