@@ -504,6 +504,28 @@ _STUDIES: dict[str, tuple[Callable[..., Any], dict[str, Any], dict[str, Mapping[
         {"starts": without(COUNT, "nothing"), "spread": POSITIVE, "seed": WHOLE, "solver": NO_OBJECT},
     ),
     "multistart itself": (al.multistart, {}, {"problem": REQUIRED}),
+    "trade_off": (
+        lambda **a: al.trade_off(
+            problem(), **({"wishes": {"one": al.value("gain"), "two": -1.0 * al.value("gain")}} | a)
+        ),
+        {},
+        {
+            "wishes": {
+                "text": "x",
+                "number": 3.5,
+                "one": {"one": al.value("gain")},
+                "numbers": {"one": 1.0, "two": 2.0},
+                "unnamed": {1: al.value("gain"), 2: al.value("gain")},
+            },
+            "points": without(COUNT, "nothing") | {"one": 1},
+            "method": {"unknown": "best", "nothing": None, "number": 3.5},
+            "starts": without(COUNT, "nothing"),
+            "solver": without(NO_OBJECT, "nothing"),
+            "transcription": REQUIRED,
+            "progress": {"text": "yes", "nothing": None},
+        },
+    ),
+    "trade_off itself": (al.trade_off, {"wishes": {}}, {"problem": REQUIRED}),
     "conflict": (
         lambda **a: al.conflict(problem(), **a),
         {},

@@ -44,6 +44,7 @@ NOT_CALLED = {
     "Costates",
     "Conflict",
     "Limit",
+    "TradeOff",
     "Optimum",
     "Portfolio",
     "Searched",

@@ -78,6 +78,7 @@ from .sweep import conflict as conflict
 from .sweep import multistart as multistart
 from .sweep import pareto as pareto
 from .sweep import portfolio as portfolio
+from .sweep import trade_off as trade_off
 from .trajectories import AbstractSignal as AbstractSignal
 from .trajectories import AbstractTrajectory as AbstractTrajectory
 from .trajectories import BSpline as BSpline

@@ -14,3 +14,5 @@ from aleator.sweep._multistart import multistart as multistart
 from aleator.sweep._portfolio import Optimum as Optimum
 from aleator.sweep._portfolio import Portfolio as Portfolio
 from aleator.sweep._portfolio import portfolio as portfolio
+from aleator.sweep._trade_off import TradeOff as TradeOff
+from aleator.sweep._trading import trade_off as trade_off

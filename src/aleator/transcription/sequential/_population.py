@@ -14,8 +14,11 @@ from aleator.expansion import Collocation
 from aleator.statistics import Constants
 from aleator.transcription._scope import scope_of
 
-# Systems simulated together: more are no faster, and their histories would fill the memory.
-_SYSTEMS = 512
+# Systems simulated together: more are slower, because their histories leave the cache.
+_SYSTEMS = 128
+
+# Calls by one thread before it waits for the others, which takes time.
+_CALLS = 8
 
 
 def _values(
@@ -59,7 +62,8 @@ class Population:
         program.prepare(fill(decisions[:size], size))
 
         def values(part: Part) -> Float[np.ndarray, "some rows"]:
-            return np.asarray(program(fill(part.points, size)))[: len(part.points)]
+            some = [np.asarray(program(fill(one.points, size))) for one in parts(part.points, size)]
+            return np.concatenate(some)[: len(part.points)]
 
-        rows = np.concatenate([found for _, found in each(values, parts(decisions, size))])
+        rows = np.concatenate([found for _, found in each(values, parts(decisions, size * _CALLS))])
         return rows[:, 0], rows[:, 1:]

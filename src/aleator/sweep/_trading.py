@@ -1,0 +1,296 @@
+"""`trade_off`: designs of which none is better in all wishes, and how their front is found."""
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import partial
+from itertools import combinations
+from typing import Any, Literal, NamedTuple, TypeAlias, final
+
+import numpy as np
+from jaxtyping import Float
+
+from aleator._core.errors import ProblemError
+from aleator._core.given import a_name, one_of, refusal, whole
+from aleator._core.heard import heeding
+from aleator._core.progress import Progress, check_progress, silent
+from aleator._core.warned import warned_of
+from aleator.design import Expression, Problem, current
+from aleator.nlp import AbstractSolver, DifferentialEvolution, Slsqp
+from aleator.solution import Solution
+from aleator.solving import solve
+from aleator.sweep._hypervolume import efficient
+from aleator.sweep._portfolio import portfolio
+from aleator.sweep._trade_off import TradeOff
+from aleator.sweep._wishes import Compromise, Wishes
+from aleator.transcription import DEFAULT, AbstractTranscription
+
+Method = Literal["boundary", "limits", "weights"]
+_Start: TypeAlias = Solution | Mapping[str, Any] | None
+
+# Points are equal if no wish differs by more than this part of its range; a wish of a smaller range is constant.
+_SAME, _CONSTANT = 1e-5, 1e-9
+# A gap of the front is a hole if lines between its ends, down to this part of the whole, end upon them.
+_NARROWEST = 1e-3
+
+
+@dataclass
+class _Found:
+    """What has been found so far."""
+
+    solutions: list[Solution] = field(default_factory=list)
+    values: list[Float[np.ndarray, " wishes"]] = field(default_factory=list)
+    weights: list[Float[np.ndarray, " wishes"]] = field(default_factory=list)
+    failed: list[str] = field(default_factory=list)
+
+
+def trade_off(
+    problem: Problem,
+    wishes: Mapping[str, Expression],
+    points: int = 15,
+    *,
+    method: Method = "boundary",
+    starts: int = 1,
+    solver: AbstractSolver | None = None,
+    transcription: AbstractTranscription = DEFAULT,
+    progress: Progress = silent,
+) -> TradeOff:
+    """Find designs of which none is better in one wish without being worse in another.
+
+    - `problem`: its model and its constraints; its own objective does not count;
+    - `wishes`: expressions to be small, by name, two or more (use `-x` for a large one); `points`: designs in all;
+    - `method`: how points are chosen. `"boundary"`: along parallel lines from between the best designs of each wish
+      towards better ones (normal boundary intersection, Das and Dennis 1998, in the form of Pascoletti and Serafini
+      1984), where fronts may be concave; for two wishes the largest gaps are filled, until they are proven holes.
+      `"limits"`: the first wish, with limits on the others (Haimes et al. 1971), two wishes or more. `"weights"`:
+      weighted sums, which find convex parts of a front alone. A small share of all wishes in every objective keeps
+      designs away at which a wish could be better at no cost (Mavrotas 2009);
+    - `solver`, `transcription`: those of `al.solve`, which certifies every point. Each point starts from its nearest
+      neighbour, from the problem's own start where that fails, and then by `al.solvers.Slsqp()` unless a solver is
+      given;
+    - `starts`: local searches for each point, all but one from random starts, for problems with several optima, whose
+      fronts may be in parts; the best designs of the wishes are then searched for globally (see `al.portfolio`).
+
+    Everything is compiled once. Ctrl-C returns the points found so far. Raises `ProblemError` for fewer than two
+    wishes, for one that no decision changes, and if the best design of some wish cannot be found.
+    """
+    one_of("trade_off: problem", problem, Problem)
+    names = _names(wishes)
+    points = whole("trade_off: points", points, least=len(names))
+    starts = whole("trade_off: starts", starts)
+    if method not in ("boundary", "limits", "weights"):
+        raise refusal("trade_off: method", '"boundary", "limits" or "weights"', method)
+    check_progress("trade_off", progress)
+    front = _Front(Wishes(current(problem), wishes), partial(solve, transcription=transcription), solver, starts)
+    interrupted = True
+    try:
+        with heeding() as heed:
+            front.find_anchors(lambda done: progress("best of each wish", done, len(names)), heed)
+            for done, one in enumerate(front.problems(method, points)):
+                progress("trade-off", done, points)
+                front.add(one)
+                heed()
+        interrupted = False
+    except KeyboardInterrupt:
+        if len(front.anchors) < len(names):
+            raise
+    return front.told(interrupted)
+
+
+def _names(wishes: Mapping[str, Expression]) -> tuple[str, ...]:
+    if not isinstance(wishes, Mapping) or len(wishes) < 2:
+        raise refusal(
+            "trade_off: wishes", "two expressions or more by name, such as {'ride': ..., 'cost': ...}", wishes
+        )
+    for name, one in wishes.items():
+        one_of(f"trade_off: wish '{a_name('trade_off: the name of a wish', name)}'", one, Expression)
+    return tuple(wishes)
+
+
+class _Gap(NamedTuple):
+    """A gap of a front of two wishes: its places between the anchors, from 0 to 1, and the points at its ends."""
+
+    first: float
+    last: float
+    before: Float[np.ndarray, " wishes"]
+    after: Float[np.ndarray, " wishes"]
+
+    @property
+    def width(self) -> float:
+        """Its part of the line between the anchors."""
+        return self.last - self.first
+
+    def size(self, scales: Float[np.ndarray, " wishes"]) -> float:
+        """The largest difference of its ends, in scaled wishes; lines through a hole end at one of its ends."""
+        return float(np.abs((self.after - self.before) * scales).max())
+
+
+@final
+class _Front:
+    """A front in the making; normalised values are 0 at the best and 1 at the worst of the anchors."""
+
+    def __init__(self, wishes: Wishes, solved: Callable[..., Solution], solver: AbstractSolver | None, starts: int):
+        self._wishes, self._solved, self._solver, self._starts = wishes, solved, solver, starts
+        self._found = _Found()
+        self.anchors: list[Float[np.ndarray, " wishes"]] = []
+
+    @property
+    def _best(self) -> Float[np.ndarray, " wishes"]:
+        return np.min(self.anchors, axis=0)
+
+    @property
+    def _range(self) -> Float[np.ndarray, " wishes"]:
+        return np.max(self.anchors, axis=0) - self._best
+
+    def find_anchors(self, progress: Callable[[int], None], heed: Callable[[], None]) -> None:
+        """The best design of each wish, in scales of their ranges over the first ones."""
+        count = len(self._wishes.names)
+        scales = np.ones(count)
+        for is_last in (False, True):
+            found = _Found()
+            for which in range(count):
+                progress(which)
+                # Without scales, the others must not count.
+                one = self._wishes.least(which, scales, alone=not is_last)
+                self._solve(one, found, start=self._found.solutions[which] if is_last else self._global(which))
+                if len(found.solutions) <= which:
+                    raise ProblemError(
+                        f"trade_off: the best design for '{self._wishes.names[which]}' alone was not found: "
+                        f"{found.failed[-1]}"
+                    )
+                heed()
+            self._found, values = found, np.array(found.values)
+            spread = np.ptp(values, axis=0)
+            if (constant := spread <= _CONSTANT * np.abs(values).max(axis=0)).all():
+                break
+            scales = 1.0 / np.where(constant, np.maximum(np.abs(values).max(axis=0), 1e-12), spread)
+        self.anchors = list(self._found.values)
+
+    def _global(self, which: int) -> Mapping[str, Any] | None:
+        """Where one wish is least everywhere, as far as a global search tells; None if none is asked for."""
+        if self._starts == 1:
+            return None
+        problem = self._wishes.only(which)
+        lower, upper = (problem.placements.vector(name) for name in ("lower", "upper"))
+        search = DifferentialEvolution() if np.isfinite(upper - lower).all() else None
+        return portfolio(problem, self._starts, search=search, solver=self._solver).best.decisions
+
+    def problems(self, method: Method, points: int) -> Iterator[Compromise]:
+        """The problems of further points, each chosen by what has been found before."""
+        if (self._range <= _CONSTANT * np.abs(self.anchors).max(axis=0)).all():
+            return
+        scales = 1.0 / np.where(self._range > 0, self._range, 1.0)
+        more = points - len(self.anchors)
+        if method == "weights":
+            yield from (self._wishes.weighted(one, scales) for one in _simplex(len(scales), more))
+        elif method == "limits":
+            yield from self._limited(scales, more)
+        elif method == "boundary":
+            yield from self._along(scales, more)
+        else:
+            assert_never(method)
+
+    def add(self, compromise: Compromise) -> None:
+        """Solve one of these problems, from the nearest design."""
+        away = [compromise.distance(one) for one in self._found.values]
+        self._solve(compromise, self._found, start=self._found.solutions[int(np.argmin(away))])
+
+    def told(self, interrupted: bool) -> TradeOff:
+        """The efficient designs in order."""
+        values, best = np.array(self._found.values), self._best
+        span = np.where(self._range > 0, self._range, np.maximum(np.abs(best), 1e-12))
+        kept = efficient(values, _SAME * span)
+        distinct: list[int] = []
+        for i in np.argsort(values[:, 0], kind="stable"):
+            if kept[i] and all((np.abs(values[i] - values[j]) > 10 * _SAME * span).any() for j in distinct):
+                distinct.append(int(i))
+        solutions = [self._found.solutions[i] for i in distinct]
+        return TradeOff(
+            names=self._wishes.names,
+            values=values[distinct],
+            solutions=tuple(solutions),
+            best=best,
+            worst=np.max(self.anchors, axis=0),
+            weights=np.array(self._found.weights)[distinct],
+            dominated=int((~kept).sum()),
+            failed=tuple(self._found.failed),
+            interrupted=interrupted,
+        )
+
+    def _limited(self, scales: Float[np.ndarray, " wishes"], count: int) -> Iterator[Compromise]:
+        """Limits on all wishes but the first, on a grid over their ranges."""
+        others = len(scales) - 1
+        each = max(round(count ** (1 / others)), 1)
+        parts = np.arange(1, each + 1) / (each + 1)
+        for at in np.stack(np.meshgrid(*[parts] * others), axis=-1).reshape(-1, others):
+            yield self._wishes.within(0, self._best + np.append(0.0, at) * self._range, scales)
+
+    def _along(self, scales: Float[np.ndarray, " wishes"], count: int) -> Iterator[Compromise]:
+        """Lines from between the anchors; for two wishes, in the middle of the largest gap."""
+        corners = np.array(self.anchors)
+        if len(corners) > 2:
+            yield from (self._wishes.along(one @ corners, scales) for one in _simplex(len(corners), count))
+            return
+        gaps = [_Gap(0.0, 1.0, *corners)]
+        for _ in range(count):
+            gaps = [one for one in gaps if one.width > _NARROWEST]
+            if not gaps:
+                return
+            widest = max(gaps, key=lambda one: one.size(scales))
+            gaps.remove(widest)
+            middle, known = (widest.first + widest.last) / 2, len(self._found.values)
+            yield self._wishes.along(corners[0] + middle * (corners[1] - corners[0]), scales)
+            if len(self._found.values) > known:
+                point = self._found.values[-1]
+                halves = (
+                    _Gap(widest.first, middle, widest.before, point),
+                    _Gap(middle, widest.last, point, widest.after),
+                )
+                gaps += [one for one in halves if one.size(scales) > _SAME]
+
+    def _local(self, problem: Problem, start: _Start) -> Solution:
+        """The first solution of the ways tried; the last one if none is."""
+        solution = None
+        for solver, begun in self._ways(start):
+            where = {"warm_start" if isinstance(begun, Solution) else "start": begun}
+            with warned_of("trade_off"):
+                solution = self._solved(problem, solver, throw=False, **where)
+            if solution.ok:
+                break
+        assert solution is not None
+        return solution
+
+    def _ways(self, start: _Start) -> Iterator[tuple[AbstractSolver | None, _Start]]:
+        """Solvers and starts to be tried; SLSQP makes ever longer steps where wishes are linear, others do not."""
+        yield self._solver, start
+        if start is not None:
+            yield self._solver, None
+        if self._solver is None:
+            yield Slsqp(), start
+
+    def _solve(self, compromise: Compromise, found: _Found, start: _Start) -> None:
+        solution = self._local(compromise.problem, start)
+        if self._starts > 1:
+            with warned_of("trade_off"):
+                other = portfolio(compromise.problem, self._starts, search=None, solver=self._solver).best
+            solution = min((one for one in (solution, other)), key=lambda one: (not one.ok, one.objective))
+        if not solution.ok:
+            found.failed.append(solution.why())
+            return
+        found.solutions.append(solution)
+        found.values.append(compromise.values(solution))
+        found.weights.append(compromise.weights(solution))
+
+
+def _simplex(size: int, count: int) -> list[Float[np.ndarray, " wishes"]]:
+    """About `count` points spread evenly over the inside and the edges of a simplex, without its corners."""
+    parts = 1
+    while len(inner := _lattice(size, parts)) < count:
+        parts += 1
+    return inner
+
+
+def _lattice(size: int, parts: int) -> list[Float[np.ndarray, " wishes"]]:
+    """All sums of multiples of `1 / parts` that make one, but for the corners (Das and Dennis 1998)."""
+    bars = combinations(range(parts + size - 1), size - 1)
+    every = (np.diff([-1, *one, parts + size - 1]) - 1 for one in bars)
+    return [one / parts for one in every if one.max() < parts]

@@ -1,0 +1,214 @@
+"""Fronts of several wishes against their closed forms, and against linear programs."""
+
+import os
+import signal
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.optimize import linprog
+
+import aleator as al
+from aleator.sweep._hypervolume import efficient, hypervolume
+
+X, Y, Z = (al.output(name) for name in "xyz")
+
+
+class Plane(al.AlgebraicSystem):
+    """Three decisions, disturbed; and a wave of the first."""
+
+    a: al.Number
+    b: al.Number
+    c: al.Number
+    off: al.Number
+
+    def outputs(self):
+        x = self.a + self.off
+        wave = 1.0 - jnp.sqrt(self.a) - self.a * jnp.sin(10 * jnp.pi * self.a) + self.b**2
+        return {"x": x, "y": self.b + self.off, "z": self.c + self.off, "wave": wave * (1.0 + self.off)}
+
+
+def plane(*limits, lower=-4.0, upper=4.0, start=0.5, spread=0.1):
+    decisions = (al.Decision(start, lower, upper) for _ in "abc")
+    return al.Problem(Plane(*decisions, al.Uniform(0.0, half_width=spread)), minimize=X.mean, subject_to=limits)
+
+
+def near(*place):
+    """The mean square of the distance from a place: `|p - place|²` and the variance of the disturbance."""
+    means = [one.mean for one in (X, Y, Z)]
+    spread = X.variance + Y.variance + Z.variance
+    return sum(((mean - at) ** 2 for mean, at in zip(means, place, strict=True)), start=spread)
+
+
+VARIANCE = 3 * 0.1**2 / 3
+
+
+def area(first, second):
+    """The volume that a densely known front dominates, up to its own ends."""
+    order = np.argsort(first)
+    first, second = first[order], second[order]
+    return float(np.sum(np.diff(first) * (second[0] - (second[1:] + second[:-1]) / 2)))
+
+
+@pytest.mark.parametrize("method", ["boundary", "limits", "weights"])
+def test_a_convex_front_is_that_of_the_closed_form(method):
+    # Best between (1, 0, 0) and (0, 2, 0): on the line, where the roots of both add up to its length.
+    found = al.trade_off(plane(), {"here": near(1, 0, 0), "there": near(0, 2, 0)}, 9, method=method)
+    assert len(found.values) == 9
+    roots = np.sqrt(found.values - VARIANCE)
+    np.testing.assert_allclose(roots.sum(axis=1), np.sqrt(5), rtol=1e-5, atol=2e-3)
+    np.testing.assert_allclose(found.best, VARIANCE, atol=1e-5)
+    np.testing.assert_allclose(found.worst, 5 + VARIANCE, rtol=1e-3)
+    assert all(one.ok for one in found.solutions)
+
+
+@pytest.mark.parametrize("method", ["boundary", "limits"])
+def test_weights_are_the_slopes_of_the_front(method):
+    found = al.trade_off(plane(), {"here": near(1, 0, 0), "there": near(0, 2, 0)}, 9, method=method)
+    for (first, second), (one, other) in zip(found.values[1:-1], found.weights[1:-1], strict=True):
+        # √f + √g = √5, hence dg/df = -√(g/f).
+        assert one / other == pytest.approx(np.sqrt((second - VARIANCE) / (first - VARIANCE)), rel=5e-3)
+
+
+def test_a_concave_front_is_found_and_weights_cannot():
+    # Fonseca and Fleming 1995: 1 - exp(-|x ∓ 1/√3|²), best on the diagonal.
+    def bell(sign):
+        place = sign / np.sqrt(3)
+        square = sum(((one.mean - place) ** 2 for one in (X, Y, Z)), start=0.0)
+        return al.expressions.function(lambda s: 1.0 - jnp.exp(-s), square)
+
+    wishes = {"plus": bell(1.0), "minus": bell(-1.0)}
+    t = np.linspace(-1.0, 1.0, 20001)
+    plus, minus = 1 - np.exp(-((t - 1) ** 2)), 1 - np.exp(-((t + 1) ** 2))
+    exact = area(plus, minus)
+    found = al.trade_off(plane(), wishes, 60)
+    np.testing.assert_allclose(
+        np.interp(found.values[::-1, 0], plus[::-1], minus[::-1]), found.values[::-1, 1], atol=1e-4
+    )
+    assert found.hypervolume([plus.max(), minus.max()]) == pytest.approx(exact, rel=0.03)
+    assert np.abs(np.diff(found.values, axis=0)).max() < 0.1
+    weighted = al.trade_off(plane(), wishes, 15, method="weights")
+    assert np.abs(np.diff(weighted.values, axis=0)).max() > 0.5
+
+
+def test_a_front_with_holes_is_found_on_all_its_parts():
+    # Zitzler, Deb and Thiele's third function (2000): five parts.
+    problem = plane(lower=1e-3, upper=1.0, start=0.4)
+    found = al.trade_off(problem, {"a": al.value("a"), "wave": al.output("wave").mean}, 40, starts=12)
+    a = np.linspace(1e-3, 1.0, 200001)
+    wave = 1 - np.sqrt(a) - a * np.sin(10 * np.pi * a) + 1e-6
+    points = np.stack([a, wave], axis=1)
+    best = np.minimum.accumulate(wave)
+    front = points[wave <= best]
+    on_front = [np.abs(front - one).max(axis=1).min() for one in found.values]
+    assert np.mean(np.array(on_front) < 2e-3) > 0.9
+    holes = np.flatnonzero(np.diff(front[:, 0]) > 0.01)
+    parts = np.split(front[:, 0], holes + 1)
+    assert len(parts) == 5
+    for part in parts:
+        assert ((found.values[:, 0] >= part[0] - 1e-3) & (found.values[:, 0] <= part[-1] + 1e-3)).any()
+
+
+def test_three_wishes_fill_a_surface():
+    wishes = {"first": near(1, 0, 0), "second": near(0, 1, 0), "third": near(0, 0, 1)}
+    found = al.trade_off(plane(), wishes, 24)
+    assert len(found.values) >= 18
+    # Best on the triangle between the places, of which each point is its own.
+    roots = found.values - VARIANCE
+    for one, solution in zip(roots, found.solutions, strict=True):
+        place = np.array([solution.decisions[name] for name in "abc"])
+        assert place.sum() == pytest.approx(1.0, abs=2e-3)
+        assert place.min() > -2e-3
+        np.testing.assert_allclose(one, ((place - np.eye(3)) ** 2).sum(axis=1), atol=1e-5)
+
+
+def polygon(seed):
+    """Random limits on two wishes, x and y, some of which are parallel to an axis."""
+    generator = np.random.default_rng(seed)
+    slopes = -generator.uniform(0.1, 1.0, (3, 2))
+    slopes[generator.integers(3)] = [[-1.0, 0.0], [0.0, -1.0]][generator.integers(2)]
+    return slopes, -generator.uniform(0.5, 2.0, 3)
+
+
+def improvable(slopes, bounds, point):
+    """By how much a linear program lowers the sum of both wishes, none being worse than at a point."""
+    found = linprog([1.0, 1.0], A_ub=slopes, b_ub=bounds, bounds=[(-4, point[0] + 1e-9), (-4, point[1] + 1e-9)])
+    return point.sum() - found.fun if found.status == 0 else 0.0
+
+
+def check_efficiency(seed):
+    slopes, bounds = polygon(seed)
+    limits = [
+        (float(one[0]) * X.mean + float(one[1]) * Y.mean <= float(bound)).named(f"limit {i}")
+        for i, (one, bound) in enumerate(zip(slopes, bounds, strict=True))
+    ]
+    for method in ("boundary", "limits"):
+        found = al.trade_off(plane(*limits), {"x": X.mean, "y": Y.mean}, 6, method=method)
+        assert len(found.values) >= 1
+        for point in found.values:
+            assert improvable(slopes, bounds, point) < 1e-4
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_no_point_is_weakly_efficient(seed):
+    check_efficiency(seed)
+
+
+@pytest.mark.slow
+def test_no_point_of_a_hundred_random_fronts_is_weakly_efficient():
+    for seed in range(4, 104):
+        check_efficiency(seed)
+
+
+def test_wishes_that_do_not_conflict_have_one_best_design():
+    found = al.trade_off(plane(), {"here": near(1, 0, 0), "twice": 2.0 * near(1, 0, 0)}, 9)
+    assert len(found.values) == 1
+    assert "do not conflict" in str(found)
+
+
+def test_a_front_respects_the_limits_of_the_problem():
+    found = al.trade_off(plane((Y.mean <= 0.5).named("low")), {"here": near(1, 0, 0), "there": near(0, 2, 0)}, 6)
+    assert max(one.decisions["b"] for one in found.solutions) <= 0.5 + 1e-6
+
+
+def test_ctrl_c_keeps_the_points_found():
+    def stop(task, done, total):
+        if task == "trade-off" and done == 2:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    found = al.trade_off(plane(), {"here": near(1, 0, 0), "there": near(0, 2, 0)}, 30, progress=stop)
+    assert found.interrupted
+    assert 2 <= len(found.values) < 10
+    assert "interrupted" in str(found)
+
+
+def test_the_hypervolume_of_boxes_is_their_union():
+    points = np.array([[0.0, 2.0, 1.0], [1.0, 0.0, 2.0], [2.0, 1.0, 0.0], [5.0, 5.0, 5.0]])
+    generator = np.random.default_rng(0)
+    drawn = generator.uniform(0.0, 3.0, (400_000, 3))
+    share = np.mean((drawn[:, None] >= points).all(axis=2).any(axis=1))
+    assert hypervolume(points, np.full(3, 3.0)) == pytest.approx(27 * share, rel=0.01)
+    assert hypervolume(points, np.zeros(3)) == 0.0
+    np.testing.assert_array_equal(efficient(points, np.full(3, 1e-9)), [True, True, True, False])
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        (lambda: al.trade_off(plane(), {"one": X.mean}), "wishes: expected two expressions or more by name"),
+        (lambda: al.trade_off(plane(), {"one": X.mean, "two": X}), "wish 'two': expected Expression"),
+        (lambda: al.trade_off(plane(), {"one": X.mean, "two": Y.mean}, 1), "points is a whole number of at least 2"),
+        (lambda: al.trade_off(plane(), {"one": X.mean, "two": Y.mean}, method="best"), '"boundary", "limits" or'),
+        (
+            lambda: al.trade_off(plane((X.mean + Y.mean >= 20.0).named("much")), {"one": X.mean, "two": Y.mean}),
+            "much",
+        ),
+        (
+            lambda: al.trade_off(plane(), {"one": X.mean, "two": Y.mean}).hypervolume([1.0]),
+            "reference of 2 numbers",
+        ),
+    ],
+)
+def test_what_is_no_trade_off_is_refused(wrong, words):
+    with pytest.raises(al.ProblemError, match=words):
+        wrong()
