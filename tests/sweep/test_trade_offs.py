@@ -123,11 +123,13 @@ def test_three_wishes_fill_a_surface():
 
 
 def polygon(seed):
-    """Random limits on two wishes, x and y, some of which are parallel to an axis."""
+    """Random limits on two wishes, x and y, which some designs meet; one of them is parallel to an axis."""
     generator = np.random.default_rng(seed)
-    slopes = -generator.uniform(0.1, 1.0, (3, 2))
-    slopes[generator.integers(3)] = [[-1.0, 0.0], [0.0, -1.0]][generator.integers(2)]
-    return slopes, -generator.uniform(0.5, 2.0, 3)
+    while True:
+        slopes, bounds = -generator.uniform(0.1, 1.0, (3, 2)), -generator.uniform(0.5, 2.0, 3)
+        slopes[generator.integers(3)] = [[-1.0, 0.0], [0.0, -1.0]][generator.integers(2)]
+        if (slopes.sum(axis=1) * 4.0 < bounds).all():
+            return slopes, bounds
 
 
 def improvable(slopes, bounds, point):
@@ -212,3 +214,36 @@ def test_the_hypervolume_of_boxes_is_their_union():
 def test_what_is_no_trade_off_is_refused(wrong, words):
     with pytest.raises(al.ProblemError, match=words):
         wrong()
+
+
+class Decay(al.System):
+    """A decay towards zero, whose speed has its price."""
+
+    states = ("x",)
+
+    rate: al.Number
+
+    def initial(self):
+        return {"x": 1.0}
+
+    def rhs(self, t, z):
+        return (-self.rate * z.x,)
+
+    def outputs(self, t, z):
+        return {"x": z.x, "effort": self.rate**2 * z.x}
+
+
+def test_a_front_of_a_dynamical_system_is_that_of_limits_one_by_one():
+    rest, effort = al.terminal("x").mean, al.integral("effort").mean
+    problem = al.Problem(
+        Decay(al.Uniform(al.Decision(1.0, 0.1, 3.0), half_width=0.05)), grid=al.Grid(1.0, 40), minimize=rest
+    )
+    found = al.trade_off(problem, {"rest": rest, "effort": effort}, 7)
+    limited = al.Problem(problem.system, grid=problem.grid, minimize=rest, subject_to=[(effort <= 1.0).named("effort")])
+    front = al.pareto(limited, "effort", found.values[:, 1])
+    by_limit = dict(zip(front.values, front.objectives, strict=True))
+    np.testing.assert_allclose([by_limit[one] for one in found.values[:, 1]], found.values[:, 0], atol=1e-5)
+    inner = found.weights[1:-1]
+    prices = dict(zip(front.values, front.shadow_prices, strict=True))
+    for values, weights in zip(found.values[1:-1], inner, strict=True):
+        assert weights[1] / weights[0] == pytest.approx(prices[values[1]], rel=1e-2)

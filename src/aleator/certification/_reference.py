@@ -286,5 +286,6 @@ def _broken(
 
 
 def bound_size(constraint: Constraint) -> float:
-    """The smaller of a constraint's bounds in magnitude; zero if one of them is zero."""
-    return min(abs(bound) for bound in map(float, (constraint.lower, constraint.upper)) if np.isfinite(bound))
+    """The smaller of a constraint's finite bounds in magnitude; zero if one of them is zero, or none is finite."""
+    bounds = map(float, (constraint.lower, constraint.upper))
+    return min((abs(bound) for bound in bounds if np.isfinite(bound)), default=0.0)
