@@ -6,9 +6,11 @@ import signal
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import xarray
 from scipy.optimize import linprog
 
 import aleator as al
+from aleator.extending import save
 from aleator.sweep._hypervolume import efficient, hypervolume
 
 X, Y, Z = (al.output(name) for name in "xyz")
@@ -182,6 +184,20 @@ def test_ctrl_c_keeps_the_points_found():
     assert found.interrupted
     assert 2 <= len(found.values) < 10
     assert "interrupted" in str(found)
+
+
+def test_a_front_is_saved_and_drawn(tmp_path):
+    wishes = {"first": near(1, 0, 0), "second": near(0, 1, 0), "third/all": near(0, 0, 1)}
+    found = al.trade_off(plane(), wishes, 9)
+    save(tmp_path, front=found)
+    with xarray.open_dataset(tmp_path / "results.nc", group="front", engine="h5netcdf") as kept:
+        np.testing.assert_array_equal(kept["wish first"], found.values[:, 0])
+        assert kept["wish second"].attrs["long_name"] == str(wishes["second"])
+        np.testing.assert_array_equal(kept["decision a"], [one.decisions["a"] for one in found.solutions])
+    figures = al.reporting.trade_off_figure(found)
+    assert len(figures) == 3
+    np.testing.assert_array_equal(figures[0].data[0].x, found.values[:, 0])
+    assert figures[2].layout.yaxis.title.text == "third/all"
 
 
 def test_the_hypervolume_of_boxes_is_their_union():

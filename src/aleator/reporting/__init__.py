@@ -60,3 +60,4 @@ from aleator.reporting._tables import certificate_table as certificate_table
 from aleator.reporting._tables import designs_table as designs_table
 from aleator.reporting._tables import evidence_table as evidence_table
 from aleator.reporting._tables import unresolved as unresolved
+from aleator.reporting._trade_offs import trade_off_figure as trade_off_figure

@@ -9,7 +9,7 @@ from aleator.design import statistics_in
 from aleator.reporting import _units
 from aleator.solution import Solution
 from aleator.statistics import Mean, Std
-from aleator.sweep import Calibration, Front
+from aleator.sweep import Calibration, Front, TradeOff
 from aleator.validation import PERCENTILES, Evidence, Share
 
 if TYPE_CHECKING:
@@ -26,42 +26,40 @@ def solution_dataset(solution: Solution) -> "xarray.Dataset":
 
     problem = solution.problem
     data: dict[str, Variable] = {
-        "objective": _variable((), solution.objective, str(problem.objective), _objective_unit(solution))
+        "objective": variable((), solution.objective, str(problem.objective), _objective_unit(solution))
     }
     for name, value in solution.decisions.items():
-        data[f"decision {_key(name)}"] = _variable(
-            _entries(name, value), value, name, _units.of_decision(name, problem)
-        )
+        data[f"decision {_key(name)}"] = variable(_entries(name, value), value, name, _units.of_decision(name, problem))
         multiplier = solution.bound_multipliers.get(name, np.nan)
-        data[f"multiplier {_key(name)}"] = _variable(
+        data[f"multiplier {_key(name)}"] = variable(
             _entries(name, value), multiplier, f"multiplier of the bounds of {name}", ""
         )
     for i, (one, declared) in enumerate(zip(solution.constraints, problem.constraints, strict=True)):
         unit, label = _units.of_expression(declared.expression, problem), f"constraint {i} {_key(one.name)}"
         axes = _axes(one.values, one.times is not None)
-        data[label] = _variable(axes, one.values, one.text, unit, lower=f"{one.lower:g}", upper=f"{one.upper:g}")
-        data[f"{label} multiplier"] = _variable(axes, one.multipliers, "minus the objective per bound", "")
-        data[f"{label} active"] = _variable(axes, np.asarray(one.active, dtype=np.int8), "1 where active", "")
+        data[label] = variable(axes, one.values, one.text, unit, lower=f"{one.lower:g}", upper=f"{one.upper:g}")
+        data[f"{label} multiplier"] = variable(axes, one.multipliers, "minus the objective per bound", "")
+        data[f"{label} active"] = variable(axes, np.asarray(one.active, dtype=np.int8), "1 where active", "")
     units = _units.of_moments(problem)
     for text, one in solution.moments.items():
         axes = _axes(one.mean, np.ndim(one.mean) > 0)
-        data[f"mean {_key(text)}"] = _variable(axes, one.mean, f"mean of {text} by the expansion", units.get(text, ""))
-        data[f"std {_key(text)}"] = _variable(
+        data[f"mean {_key(text)}"] = variable(axes, one.mean, f"mean of {text} by the expansion", units.get(text, ""))
+        data[f"std {_key(text)}"] = variable(
             axes, one.std, f"standard deviation of {text} by the expansion", units.get(text, "")
         )
     for one in statistics_in(problem.expressions):
         if not isinstance(one.kind, Mean | Std):
             values = solution.statistics[one.text()]
             axes, unit = _axes(values, one.is_path), _units.of_statistic(one, problem)
-            data[f"statistic {_key(one.text())}"] = _variable(axes, values, f"{one.text()} by the expansion", unit)
+            data[f"statistic {_key(one.text())}"] = variable(axes, values, f"{one.text()} by the expansion", unit)
     for i, one in enumerate(solution.meshes, 1):
         axes, told = (f"realisation of mesh {i}", f"interval of mesh {i}"), f"drift of the states on mesh {i}"
-        data[f"mesh {i}"] = _variable(f"node of mesh {i}", one.nodes, f"nodes of mesh {i}, {one.scheme}", "s")
-        data[f"mesh {i} drift"] = _variable(axes, one.drifts, told, "1", asked=f"{one.asked:g}")
+        data[f"mesh {i}"] = variable(f"node of mesh {i}", one.nodes, f"nodes of mesh {i}, {one.scheme}", "s")
+        data[f"mesh {i} drift"] = variable(axes, one.drifts, told, "1", asked=f"{one.asked:g}")
     if (searched := solution.effort.searched) is not None:
         unit = _units.of_expression(problem.objective, problem)
-        data["searched objective"] = _variable("evaluation", searched.objectives, f"by {searched.method}", unit)
-        data["searched violation"] = _variable("evaluation", searched.violations, "largest violation", "1")
+        data["searched objective"] = variable("evaluation", searched.objectives, f"by {searched.method}", unit)
+        data["searched violation"] = variable("evaluation", searched.violations, "largest violation", "1")
     data |= _histories(solution)
     attributes = {
         "status": solution.status.value,
@@ -82,13 +80,13 @@ def _histories(solution: Solution) -> dict[str, Variable]:
         if found is None or not found.values:
             continue
         along = (f"point of {kind}s",) if found is solution.switching else ("realisation", f"point of {kind}s")
-        data[f"times of {kind}s"] = _variable(along[-1], found.times, f"instants of {kind}s", "s")
+        data[f"times of {kind}s"] = variable(along[-1], found.times, f"instants of {kind}s", "s")
         for name, values in found.values.items():
             axes = (*along, *(f"component of {size}, {i}" for i, size in enumerate(values.shape[len(along) :])))
-            data[f"{kind} {_key(name)}"] = _variable(axes, values, f"{kind} of {name}", "")
+            data[f"{kind} {_key(name)}"] = variable(axes, values, f"{kind} of {name}", "")
     if solution.states is not None:
         germs = "germ points of the realisations"
-        data["germ"] = _variable(("realisation", "germ variable"), solution.states.germs, germs, "1")
+        data["germ"] = variable(("realisation", "germ variable"), solution.states.germs, germs, "1")
     return data
 
 
@@ -104,24 +102,24 @@ def evidence_dataset(evidence: Evidence) -> "xarray.Dataset":
         axes = _axes(one.mean, one.percentiles is None)
         parts = {"sampled mean": one.mean, "sampled std": one.std, "standard error": one.standard_error}
         for part, values in parts.items():
-            data[f"{part} {_key(text)}"] = _variable(axes, values, f"{part} of {text}", units.get(text, ""))
+            data[f"{part} {_key(text)}"] = variable(axes, values, f"{part} of {text}", units.get(text, ""))
         if one.percentiles is not None:
-            data[f"percentiles {_key(text)}"] = _variable(
+            data[f"percentiles {_key(text)}"] = variable(
                 "percent", one.percentiles, f"percentiles of {text}", units.get(text, "")
             )
     for text, one in evidence.statistics.items():
         unit = _units.of_statistic(one.statistic, problem)
-        data[f"sampled {_key(text)}"] = _variable((), one.estimate, f"{text} of the samples", unit)
-        data[f"standard error {_key(text)}"] = _variable((), one.standard_error, f"standard error of {text}", unit)
+        data[f"sampled {_key(text)}"] = variable((), one.estimate, f"{text} of the samples", unit)
+        data[f"standard error {_key(text)}"] = variable((), one.standard_error, f"standard error of {text}", unit)
     for i, one in enumerate(evidence.trajectories):
         unit = _units.of_expression(problem.named(one.name)[0].expression, problem)
         bounds = {"lower": f"{one.lower:g}", "upper": f"{one.upper:g}"}
         axes = ("system", *_axes(one.values[0], True))
-        data[f"trajectory {i} {_key(one.name)}"] = _variable(
+        data[f"trajectory {i} {_key(one.name)}"] = variable(
             axes, one.values, f"sampled systems: {one.name}", unit, **bounds
         )
         broken = np.asarray(one.violating, dtype=np.int8)
-        data[f"trajectory {i} violating"] = _variable("system", broken, f"1 if the system violates {one.name}", "")
+        data[f"trajectory {i} violating"] = variable("system", broken, f"1 if the system violates {one.name}", "")
     coordinates = {"limit": list(shares), "percent": list(PERCENTILES)}
     attributes = {"samples": evidence.samples, "seed": evidence.seed, "seconds": evidence.seconds}
     if evidence.instants is not None:
@@ -139,20 +137,20 @@ def front_dataset(front: Front) -> "xarray.Dataset":
     active = [", ".join(one.active) if isinstance(one, Solution) else "" for one in front.points]
     why = ["" if one.ok else one.why() for one in front.points]
     data: dict[str, Variable] = {
-        "objective": _variable("bound", front.objectives, str(first.problem.objective), unit),
-        "shadow_price": _variable(
+        "objective": variable("bound", front.objectives, str(first.problem.objective), unit),
+        "shadow_price": variable(
             "bound", front.shadow_prices, f"shadow price of {front.bound}", f"{unit or '1'} per {bound_unit or '1'}"
         ),
-        "violation": _variable("bound", front.violations, "scaled violation", "1"),
-        "status": _variable("bound", [one.status.name for one in front.points], "how each solve ended", ""),
-        "active": _variable("bound", active, "active constraints", ""),
-        "why": _variable("bound", why, "why there is no optimum", ""),
+        "violation": variable("bound", front.violations, "scaled violation", "1"),
+        "status": variable("bound", [one.status.name for one in front.points], "how each solve ended", ""),
+        "active": variable("bound", active, "active constraints", ""),
+        "why": variable("bound", why, "why there is no optimum", ""),
     }
     for name, value in first.decisions.items():
         values = _side_by_side([one.decisions[name] if isinstance(one, Solution) else np.nan for one in front.points])
         axes = ("bound", *_entries(name, value))
-        data[f"decision {_key(name)}"] = _variable(axes, values, name, _units.of_decision(name, first.problem))
-    bound = _variable("bound", front.values, f"limit of {front.bound}", bound_unit)
+        data[f"decision {_key(name)}"] = variable(axes, values, name, _units.of_decision(name, first.problem))
+    bound = variable("bound", front.values, f"limit of {front.bound}", bound_unit)
     return xarray.Dataset(data, coords={"bound": bound}, attrs={"interrupted": int(front.interrupted)})
 
 
@@ -173,8 +171,8 @@ def calibration_dataset(calibration: Calibration) -> "xarray.Dataset":
     trials = sorted(calibration.trials, key=lambda one: one.sigmas)
     data = _share_variables("sigmas", [one.violation for one in trials])
     objectives = [one.solution.objective for one in trials]
-    data["objective"] = _variable("sigmas", objectives, "optimum at this margin", _objective_unit(trials[0].solution))
-    sigmas = _variable("sigmas", [one.sigmas for one in trials], "multiple of the standard deviation", "1")
+    data["objective"] = variable("sigmas", objectives, "optimum at this margin", _objective_unit(trials[0].solution))
+    sigmas = variable("sigmas", [one.sigmas for one in trials], "multiple of the standard deviation", "1")
     attributes = {
         "constraint": calibration.name,
         "target": calibration.target,
@@ -190,7 +188,24 @@ def calibration_dataset(calibration: Calibration) -> "xarray.Dataset":
     return xarray.Dataset(data, coords={"sigmas": sigmas}, attrs=attributes)
 
 
-def dataset(result: "Solution | Evidence | Front | Calibration | xarray.Dataset") -> "xarray.Dataset":
+def trade_off_dataset(front: TradeOff) -> "xarray.Dataset":
+    """The wishes, their weights and the decisions at each design."""
+    import xarray
+
+    data: dict[str, Variable] = {}
+    for i, name in enumerate(front.names):
+        unit = _units.of_expression(front.wishes[i], front.solutions[0].problem)
+        data[f"wish {_key(name)}"] = variable("design", front.values[:, i], str(front.wishes[i]), unit)
+        data[f"weight {_key(name)}"] = variable("design", front.weights[:, i], f"how much {name} counts", "")
+    for name, value in front.solutions[0].decisions.items():
+        values = _side_by_side([one.decisions[name] for one in front.solutions])
+        unit = _units.of_decision(name, front.solutions[0].problem)
+        data[f"decision {_key(name)}"] = variable(("design", *_entries(name, value)), values, name, unit)
+    attributes = {"dominated": front.dominated, "failed": " ".join(front.failed), "interrupted": int(front.interrupted)}
+    return xarray.Dataset(data, attrs=attributes)
+
+
+def dataset(result: "Solution | Evidence | Front | TradeOff | Calibration | xarray.Dataset") -> "xarray.Dataset":
     """Any result as a dataset; a dataset is returned unchanged."""
     if isinstance(result, Solution):
         return solution_dataset(result)
@@ -198,6 +213,8 @@ def dataset(result: "Solution | Evidence | Front | Calibration | xarray.Dataset"
         return evidence_dataset(result)
     if isinstance(result, Front):
         return front_dataset(result)
+    if isinstance(result, TradeOff):
+        return trade_off_dataset(result)
     if isinstance(result, Calibration):
         return calibration_dataset(result)
     # A study may keep a single array of its own, which becomes a dataset of that array.
@@ -211,7 +228,7 @@ def is_own_data(result: object) -> bool:
     return isinstance(result, xarray.Dataset | xarray.DataArray)
 
 
-def _variable(axes: Any, values: Any, long_name: str, unit: str, **more: str) -> Variable:
+def variable(axes: Any, values: Any, long_name: str, unit: str, **more: str) -> Variable:
     array = np.asarray(values)
     return axes, array, {"long_name": long_name, "units": unit or "1", **more}, _PACKED if array.size > 1000 else {}
 
@@ -239,9 +256,9 @@ def _axes(values: Any, is_path: bool) -> tuple[str, ...]:
 def _share_variables(axis: str, shares: list[Share]) -> dict[str, Variable]:
     level = f"{100 * shares[0].confidence:g} %" if shares else ""
     return {
-        "violation": _variable(axis, [one.estimate for one in shares], "share of systems that violate", "1"),
-        "violation_lower": _variable(axis, [one.lower for one in shares], f"lower end of its {level} interval", "1"),
-        "violation_upper": _variable(axis, [one.upper for one in shares], f"upper end of its {level} interval", "1"),
+        "violation": variable(axis, [one.estimate for one in shares], "share of systems that violate", "1"),
+        "violation_lower": variable(axis, [one.lower for one in shares], f"lower end of its {level} interval", "1"),
+        "violation_upper": variable(axis, [one.upper for one in shares], f"upper end of its {level} interval", "1"),
     }
 
 

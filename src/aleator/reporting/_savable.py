@@ -7,7 +7,7 @@ from aleator._core.errors import ProblemError
 from aleator._core.given import one_of, refusal
 from aleator.reporting._datasets import is_own_data
 from aleator.solution import Solution
-from aleator.sweep import Calibration, Front
+from aleator.sweep import Calibration, Front, TradeOff
 from aleator.validation import Evidence
 
 
@@ -40,7 +40,7 @@ def _name(what: str, name: Any) -> str:
 def _leaf(what: str, one: Any) -> Any:
     """A result, or a user's own data in a form that netCDF can hold."""
     if one is None or not is_own_data(one):
-        kinds = (Solution, Evidence, Front, Calibration)
+        kinds = (Solution, Evidence, Front, TradeOff, Calibration)
         return one if one is None else one_of(what, one, kinds, "what `solve` gives, or a dataset of xarray")
     import xarray
 

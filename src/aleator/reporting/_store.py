@@ -14,13 +14,13 @@ from aleator.reporting._datasets import tree
 from aleator.reporting._files import write_together
 from aleator.reporting._savable import savable
 from aleator.solution import ConstraintResult, Solution
-from aleator.sweep import Calibration, Front
+from aleator.sweep import Calibration, Front, TradeOff
 from aleator.validation import Evidence, Proportion
 
 if TYPE_CHECKING:
     import xarray
 
-Result: TypeAlias = "Solution | Evidence | Front | Calibration | xarray.Dataset"
+Result: TypeAlias = "Solution | Evidence | Front | TradeOff | Calibration | xarray.Dataset"
 
 PAGE = "report.html"
 """The page of a study, beside its results."""

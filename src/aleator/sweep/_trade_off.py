@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from aleator._core.errors import ProblemError
+from aleator.design import Expression
 from aleator.solution import Solution
 from aleator.sweep._hypervolume import hypervolume
 
@@ -17,7 +18,8 @@ from aleator.sweep._hypervolume import hypervolume
 class TradeOff:
     """Efficient designs: none is better in one wish without being worse in another. `print(trade_off)` lists them.
 
-    - `names`: of the wishes; `values`: theirs, shape (points, wishes), in order of the first one;
+    - `names`: of the wishes, which are the expressions `wishes`; `values`: theirs, shape (points, wishes), in order of
+      the first one;
     - `solutions`: the design at each point, with its certificate;
     - `best`: the least value of each wish alone, shape (wishes,); `worst`: its largest among these anchors;
     - `weights`: how much the wishes count at each point, shape (points, wishes), by the multipliers: along the front,
@@ -28,6 +30,7 @@ class TradeOff:
     """
 
     names: tuple[str, ...]
+    wishes: tuple[Expression, ...]
     values: Float[np.ndarray, "points wishes"]
     solutions: tuple[Solution, ...]
     best: Float[np.ndarray, " wishes"]

@@ -206,6 +206,7 @@ class _Front:
         solutions = [self._found.solutions[i] for i in distinct]
         return TradeOff(
             names=self._wishes.names,
+            wishes=self._wishes.expressions,
             values=values[distinct],
             solutions=tuple(solutions),
             best=best,

@@ -76,7 +76,7 @@ class Wishes:
     def __init__(self, problem: Problem, wishes: Mapping[str, Expression]):
         self.names = tuple(wishes)
         self._given = problem
-        self._wishes = tuple(as_expression(one) for one in wishes.values())
+        self.expressions = tuple(as_expression(one) for one in wishes.values())
         ones = np.ones(len(wishes))
         first = _Numbers(ones, ones, ones, ones, 1.0, 1.0)
         self._problem = declared_anew(
@@ -89,7 +89,7 @@ class Wishes:
 
     def only(self, which: int) -> Problem:
         """The problem with one wish as its objective, without any others."""
-        return declared_anew(self._given, self._given.simulation, minimize=self._wishes[which])
+        return declared_anew(self._given, self._given.simulation, minimize=self.expressions[which])
 
     def least(self, which: int, scales: Float[np.ndarray, " wishes"], *, alone: bool = False) -> "Compromise":
         """One wish; the others count a little unless it is `alone`."""
@@ -128,7 +128,7 @@ class Wishes:
         return value(LEVEL) + self._sum(numbers.share * numbers.scales)
 
     def _constraints(self, numbers: "_Numbers") -> tuple[Constraint, ...]:
-        level, each = value(LEVEL), zip(self.names, self._wishes, *numbers[:3], strict=True)
+        level, each = value(LEVEL), zip(self.names, self.expressions, *numbers[:3], strict=True)
         rows = [
             (pressed(name), float(scale) * wish - float(direction) * level, offset)
             for name, wish, scale, offset, direction in each
@@ -137,7 +137,7 @@ class Wishes:
         return tuple(_at_most(*row) for row in rows)
 
     def _sum(self, factors: Sequence[float] | Float[np.ndarray, " wishes"]) -> Expression:
-        terms = (float(factor) * wish for factor, wish in zip(factors, self._wishes, strict=True))
+        terms = (float(factor) * wish for factor, wish in zip(factors, self.expressions, strict=True))
         return sum(terms, start=as_expression(0.0))
 
 
