@@ -25,7 +25,7 @@ def test_two_transcriptions_agree_and_say_so():
     assert set(found.statistics) == set(found.first.statistics)
     assert max(found.decisions.values()) < 1e-4
     assert max(found.multipliers.values()) < 1e-2
-    assert str(found).startswith("Sequential and Simultaneous agree to 0.0001")
+    assert str(found).startswith("Sequential and Simultaneous (HermiteSimpson) agree to 0.0001")
 
 
 def test_a_coarse_scheme_does_not_agree_and_what_to_do_is_said():
@@ -145,3 +145,13 @@ def test_what_is_no_transcription_or_tolerance_is_refused(given, word):
 def test_what_is_no_problem_is_refused():
     with pytest.raises(al.ProblemError, match="cross_check: problem"):
         al.cross_check(Oscillator(m=1.0, c=1.0, k=1.0))
+
+
+def test_two_ways_of_one_kind_are_told_apart():
+    problem = smooth_problem()
+    schemes = (al.schemes.Radau(2), al.schemes.GaussLegendre(2))
+    found = al.cross_check(problem, first=al.Simultaneous(schemes[0]), second=al.Simultaneous(schemes[1]))
+    assert found.ways == ("Simultaneous (Radau(2))", "Simultaneous (GaussLegendre(2))")
+    found = al.cross_check(problem, second=al.Sequential(), solvers=(None, al.solvers.Slsqp()))
+    assert len(set(found.ways)) == 2
+    assert "SLSQP" in found.ways[1]

@@ -54,13 +54,13 @@ class CrossChecked:
         head = "agree" if self.agree else "do NOT agree" if self._are_solved else "are not both solved, nor agree"
         rows = [f"{self.ways[0]} and {self.ways[1]} {head} to {self.tolerance:.1g}"]
         for way, one in zip(self.ways, (self.first, self.second), strict=True):
-            rows.append(f"  {way:<28} objective {one.objective:.9g}, {one.status.value}")
+            rows.append(f"  {way:<32} objective {one.objective:.9g}, {one.status.value}")
         kinds = {"decisions": self.decisions, "statistics": self.statistics, "multipliers": self.multipliers}
-        rows.append(f"  {'objective':<28} differs by {self.objective:.1e}")
+        rows.append(f"  {'objective':<32} differs by {self.objective:.1e}")
         for kind, differences in kinds.items():
             if differences:
                 name, worst = max(differences.items(), key=lambda one: one[1])
-                rows.append(f"  {kind:<28} differ by {worst:.1e} at most ({name})")
+                rows.append(f"  {kind:<32} differ by {worst:.1e} at most ({name})")
         if not self.agree:
             rows += [f"  {one}" for one in self._remedies()]
         return "\n".join(rows)
@@ -118,13 +118,19 @@ def cross_check(
     return CrossChecked(
         first=one,
         second=other,
-        ways=(type(first).__name__, type(second).__name__),
+        ways=_told(ways, (one.effort.solver, other.effort.solver)),
         objective=_difference(one.objective, other.objective, size),
         decisions=_decisions(problem, one, other),
         statistics=_statistics(one, other),
         multipliers=_multipliers(one, other, size),
         tolerance=tolerance,
     )
+
+
+def _told(ways: tuple[AbstractTranscription, AbstractTranscription], solvers: tuple[str, str]) -> tuple[str, str]:
+    """Two ways in words, with their solvers where nothing else tells them apart."""
+    first, second = (one.name for one in ways)
+    return (first, second) if first != second else (f"{first} by {solvers[0]}", f"{second} by {solvers[1]}")
 
 
 def _objective_size(solution: Solution) -> float:

@@ -44,7 +44,7 @@ _REMEDIES = {
         "other starts with al.multistart"
     ),
     Status.ITERATION_LIMIT: "Allow the solver more iterations, by its max_iterations, or start closer to the solution",
-    Status.FAILED: "Try another solver, such as al.solvers.Ipopt(), or other starts with al.multistart",
+    Status.FAILED: "Try another solver (al.solvers.FilterSQP, Ipopt or Slsqp), or other starts with al.multistart",
 }
 
 

@@ -202,6 +202,11 @@ class AbstractTranscription(abc.ABC):
         """
 
     @property
+    def name(self) -> str:
+        """Its name, with what tells it from others of its kind."""
+        return type(self).__name__
+
+    @property
     def refines(self) -> bool:
         """Whether its programs are to be solved on finer meshes until these are fine enough, see `refined`."""
         return False

@@ -85,6 +85,11 @@ class Simultaneous(AbstractTranscription):
 
     @property
     @override
+    def name(self) -> str:
+        return f"Simultaneous ({self.scheme})"
+
+    @property
+    @override
     def refines(self) -> bool:
         return self.error is not None
 
