@@ -123,6 +123,30 @@ def test_the_set_is_irreducible_by_linear_programs(seed):
         assert limit.relaxed == pytest.approx(needed, rel=1e-4)
 
 
+class Edge(al.AlgebraicSystem):
+    """Not a number on one side of an edge."""
+
+    a: al.Number
+    off: al.Number
+
+    def outputs(self):
+        return {"x": self.a + self.off, "root": jnp.sqrt(self.a - 0.5) + 0.0 * self.off}
+
+
+@pytest.mark.parametrize("limit", [0.1, 0.5])
+def test_limits_that_hold_next_to_an_edge_are_no_conflict(limit):
+    root = al.output("root").mean
+    found = al.conflict(
+        al.Problem(
+            Edge(al.Decision(0.9, 0.0, 2.0), al.Uniform(0.0, half_width=0.1)),
+            minimize=X.mean,
+            subject_to=[(root <= limit).named("root"), (X.mean <= 0.55).named("x")],
+        )
+    )
+    assert found.names == ()
+    assert 0.5 <= found.nearest["a"] <= 0.55 + 1e-6
+
+
 class Decay(al.System):
     states = ("x",)
 

@@ -170,6 +170,13 @@ def test_wishes_that_do_not_conflict_have_one_best_design():
     assert "do not conflict" in str(found)
 
 
+def test_wishes_of_any_size_and_name_have_the_same_front():
+    plain = al.trade_off(plane(), {"here": near(1, 0, 0), "there": near(0, 2, 0)}, 5)
+    scaled = al.trade_off(plane(), {"level": 1e9 * near(1, 0, 0), "weighted": 1e-9 * near(0, 2, 0)}, 5)
+    np.testing.assert_allclose(scaled.values * [1e-9, 1e9], plain.values, rtol=1e-3, atol=1e-4)
+    assert scaled.dominated == 0
+
+
 def test_a_front_respects_the_limits_of_the_problem():
     found = al.trade_off(plane((Y.mean <= 0.5).named("low")), {"here": near(1, 0, 0), "there": near(0, 2, 0)}, 6)
     assert max(one.decisions["b"] for one in found.solutions) <= 0.5 + 1e-6

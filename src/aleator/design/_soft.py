@@ -30,9 +30,9 @@ def soft(problem: Problem, *names: str, weight: float, exact: bool = False) -> P
       name, by a slack that is decided too: `"a.excess"` of the constraint `"a"`, which stays, loosened by it. Above the
       sum of the constraint's shadow prices the limit then holds exactly (Fletcher 1987, 12.3); below, it is exceeded.
 
-    The problem given is unchanged and still judges the answer: `al.validate(problem, solution)` counts the systems that
-    exceed its limits. Raises `ProblemError` for names that no constraint has, if there is no constraint, for a weight
-    that is not positive, and for limits on the worst case unless `exact`, since they hold realisation by realisation.
+    The problem given is unchanged. Raises `ProblemError` for names that no constraint has, if there is no constraint,
+    for a weight that is not positive, and for limits on the worst case unless `exact`, since they hold realisation by
+    realisation.
     """
     problem, weight = one_of("soft", problem, Problem), positive("soft: weight", weight)
     if not isinstance(exact, bool):

@@ -30,7 +30,8 @@ class Excess(NamedTuple):
     """The end of an elastic program.
 
     - `point`: of the program's variables, shape (n,);
-    - `excesses`: of each group that may be exceeded, in sizes of its rows;
+    - `excesses`: of each group that may be exceeded, in sizes of its rows, as they are at the point, whatever the
+      solver says; infinite where the other groups do not hold, or the model cannot be evaluated;
     - `pushing`: for each group of the program, the rows that hold others back, by their multipliers;
     - `bounds`: which variables are held back by a bound, shape (n,);
     - `outcome`: of the solver.
@@ -44,8 +45,8 @@ class Excess(NamedTuple):
 
     @property
     def total(self) -> float:
-        """The sum of all excesses; infinite where not even the others could hold."""
-        return float(self.excesses.sum()) if self.outcome.ok else np.inf
+        """The sum of all excesses; infinite where the others do not hold."""
+        return float(self.excesses.sum())
 
 
 @final
@@ -69,7 +70,7 @@ class Elastic:
         found: list[Excess] = []
         for start in starts:
             outcome = solver.solve(program, start=np.append(start, self._first(start, sides, len(elastic))))
-            found.append(self._ended(outcome, sides))
+            found.append(self._ended(outcome, sides, len(elastic)))
             if outcome.status is Status.INTERRUPTED:
                 raise KeyboardInterrupt
             if found[-1].total <= HELD:
@@ -78,12 +79,17 @@ class Elastic:
 
     def _first(self, start: Float[np.ndarray, " n"], sides: _Sides, count: int) -> Float[np.ndarray, " elastic"]:
         """The excesses of the groups at a start, so that these hold there."""
-        found = self._program.evaluate(np.clip(start, self._program.lower, self._program.upper)).constraints
+        excesses = self._beyond(start, sides, count)
+        return np.where(np.isfinite(excesses), excesses, _FIRST)
+
+    def _beyond(self, point: Float[np.ndarray, " n"], sides: _Sides, count: int) -> Float[np.ndarray, " elastic"]:
+        """By how much each elastic group is exceeded at a point; infinite where that is not known."""
+        found = self._program.evaluate(np.clip(point, self._program.lower, self._program.upper)).constraints
         beyond = (sides.signs * (found[sides.rows] - sides.bounds)) / sides.sizes
-        excesses = np.zeros(count)
-        loose = sides.group >= 0
-        np.maximum.at(excesses, sides.group[loose], np.nan_to_num(beyond[loose], nan=_FIRST, posinf=_FIRST))
-        return excesses
+        excesses, loose = np.zeros(count), sides.group >= 0
+        np.maximum.at(excesses, sides.group[loose], np.nan_to_num(beyond[loose], nan=np.inf))
+        held = np.isfinite(found).all() and np.all(beyond[~loose] <= HELD)
+        return excesses if held else np.full(count, np.inf)
 
     def _program_of(self, held: Sequence[int], elastic: Sequence[int]) -> tuple[NonlinearProgram, _Sides]:
         program, n, count = self._program, self._program.start.size, len(elastic)
@@ -114,14 +120,14 @@ class Elastic:
             least=0.0,
         ), sides
 
-    def _ended(self, outcome: Outcome, sides: _Sides) -> Excess:
+    def _ended(self, outcome: Outcome, sides: _Sides, count: int) -> Excess:
         """The meaning of the outcome of such a program."""
         n = self._program.start.size
         active = outcome.active & (outcome.multipliers != 0)
         rows = set(sides.rows[active].tolist())
         return Excess(
             outcome.point[:n],
-            outcome.point[n:],
+            self._beyond(outcome.point[:n], sides, count),
             tuple(np.array(sorted(rows & set(own.tolist())), dtype=int) for own, _ in self._groups),
             outcome.active_bounds[:n] & (self._program.lower < self._program.upper),
             outcome,

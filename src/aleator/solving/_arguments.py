@@ -55,7 +55,9 @@ def check_arguments(
         )
 
 
-def check_search(what: str, problem: Problem, solver: AbstractSearch) -> None:
+def check_search(
+    what: str, problem: Problem, solver: AbstractSearch, remedy: str = "al.solvers.NelderMead() needs none."
+) -> None:
     """Refuse, by name, what a search without derivatives cannot decide or hold."""
     places, who = problem.placements, type(solver).__name__
     lower, upper = places.vector("lower"), places.vector("upper")
@@ -63,7 +65,7 @@ def check_search(what: str, problem: Problem, solver: AbstractSearch) -> None:
         name = places.entry_names()[int(np.flatnonzero(~closed)[0])]
         raise ProblemError(
             f"{what}: {who} searches between bounds: expected finite bounds of every decision; '{name}' has none on at "
-            "least one side. al.solvers.NelderMead() needs none."
+            f"least one side. {remedy}"
         )
     equal = [one for one in problem.constraints if float(one.lower) == float(one.upper)]
     if equal and not solver.polish:

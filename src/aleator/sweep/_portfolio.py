@@ -157,7 +157,7 @@ def portfolio(
     check_progress("portfolio", progress)
     if search is not None:
         one_of("portfolio: search", search, AbstractSearch, "al.solvers.DifferentialEvolution(), or None")
-        check_search("portfolio", problem, search)
+        check_search("portfolio", problem, search, "search=None leaves the global search out.")
     problem, local = current(problem), (solver or DEFAULT.solver)
     one_of("portfolio: solver", local, AbstractSolver, "al.solvers.FilterSQP()")
     program = transcribe(problem, DEFAULT).program

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
-from functools import partial
 from itertools import combinations
 from typing import Any, Literal, NamedTuple, TypeAlias, final
 
@@ -21,8 +20,8 @@ from aleator.solving import solve
 from aleator.sweep._hypervolume import efficient
 from aleator.sweep._portfolio import portfolio
 from aleator.sweep._trade_off import TradeOff
-from aleator.sweep._wishes import Compromise, Wishes
-from aleator.transcription import DEFAULT, AbstractTranscription
+from aleator.sweep._wishes import Compromise, Wishes, pressed
+from aleator.transcription import DEFAULT, AbstractTranscription, transcribe
 
 Method = Literal["boundary", "limits", "weights"]
 _Start: TypeAlias = Solution | Mapping[str, Any] | None
@@ -80,7 +79,8 @@ def trade_off(
     if method not in ("boundary", "limits", "weights"):
         raise refusal("trade_off: method", '"boundary", "limits" or "weights"', method)
     check_progress("trade_off", progress)
-    front = _Front(Wishes(current(problem), wishes), partial(solve, transcription=transcription), solver, starts)
+    one_of("trade_off: transcription", transcription, AbstractTranscription, "al.Sequential()")
+    front = _Front(Wishes(current(problem), wishes), transcription, solver, starts)
     interrupted = True
     try:
         with heeding() as heed:
@@ -128,8 +128,10 @@ class _Gap(NamedTuple):
 class _Front:
     """A front in the making; normalised values are 0 at the best and 1 at the worst of the anchors."""
 
-    def __init__(self, wishes: Wishes, solved: Callable[..., Solution], solver: AbstractSolver | None, starts: int):
-        self._wishes, self._solved, self._solver, self._starts = wishes, solved, solver, starts
+    def __init__(
+        self, wishes: Wishes, transcription: AbstractTranscription, solver: AbstractSolver | None, starts: int
+    ):
+        self._wishes, self._transcription, self._solver, self._starts = wishes, transcription, solver, starts
         self._found = _Found()
         self.anchors: list[Float[np.ndarray, " wishes"]] = []
 
@@ -144,7 +146,7 @@ class _Front:
     def find_anchors(self, progress: Callable[[int], None], heed: Callable[[], None]) -> None:
         """The best design of each wish, in scales of their ranges over the first ones."""
         count = len(self._wishes.names)
-        scales = np.ones(count)
+        scales = 1.0 / self._sizes_at_start()
         for is_last in (False, True):
             found = _Found()
             for which in range(count):
@@ -164,6 +166,13 @@ class _Front:
                 break
             scales = 1.0 / np.where(constant, np.maximum(np.abs(values).max(axis=0), 1e-12), spread)
         self.anchors = list(self._found.values)
+
+    def _sizes_at_start(self) -> Float[np.ndarray, " wishes"]:
+        """The magnitudes of the wishes around the problem's start."""
+        transcribed = transcribe(self._wishes.unscaled().problem, self._transcription)
+        names = [one.name for one in transcribed.problem.constraints]
+        found = np.array([transcribed.scales[names.index(pressed(name))] for name in self._wishes.names])
+        return np.where(np.isfinite(found) & (found > 0), found, 1.0)
 
     def _global(self, which: int) -> Mapping[str, Any] | None:
         """Where one wish is least everywhere, as far as a global search tells; None if none is asked for."""
@@ -254,7 +263,7 @@ class _Front:
         for solver, begun in self._ways(start):
             where = {"warm_start" if isinstance(begun, Solution) else "start": begun}
             with warned_of("trade_off"):
-                solution = self._solved(problem, solver, throw=False, **where)
+                solution = solve(problem, solver, transcription=self._transcription, throw=False, **where)
             if solution.ok:
                 break
         assert solution is not None

@@ -12,14 +12,14 @@ from aleator.solution import Solution
 from aleator.uncertainty import Decision
 
 # The decision to which all wishes are pressed down together, and the name of the constraint on their weighted sum.
-LEVEL, WEIGHTED = "trade-off.level", "trade-off.weighted"
+LEVEL, WEIGHTED = "trade-off.level", "trade-off: weighted sum"
 # The share of all wishes in the objective, so that no wish is left worse than it need be.
 _SHARE = 1e-4
 
 
 def pressed(name: str) -> str:
     """The name of the constraint that presses one wish down."""
-    return f"trade-off.{name}"
+    return f"trade-off: wish {name}"
 
 
 class _Numbers(NamedTuple):
@@ -86,6 +86,11 @@ class Wishes:
             subject_to=(*problem.constraints, *self._constraints(first)),
             decisions={LEVEL: Decision(1.0)},
         )
+
+    def unscaled(self) -> "Compromise":
+        """The wishes as they are, of which none is pressed down."""
+        ones = np.ones(len(self.names))
+        return self._with(_Numbers(ones, np.inf * ones, 0.0 * ones, 0.0 * ones, np.inf, 0.0))
 
     def only(self, which: int) -> Problem:
         """The problem with one wish as its objective, without any others."""
