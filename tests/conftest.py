@@ -3,6 +3,7 @@
 import atexit
 import os
 import shutil
+import signal
 import tempfile
 
 if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
@@ -12,6 +13,7 @@ if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
     atexit.register(shutil.rmtree, os.environ["JAX_COMPILATION_CACHE_DIR"], ignore_errors=True)
 
 import jax
+import pytest
 from jaxtyping import install_import_hook
 
 # The hook rewrites modules as they are imported: it must come first. Uncertainty, expansion and statistics are left
@@ -36,3 +38,11 @@ CHECKED = [
 install_import_hook(CHECKED, "shape_checker.check")
 
 jax.config.update("jax_numpy_rank_promotion", "raise")
+
+
+@pytest.fixture
+def python_interrupts():
+    """Python's own handler of Ctrl-C, which a process started in the background of a shell is without."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)

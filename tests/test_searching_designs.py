@@ -1,7 +1,6 @@
 """Design problems solved by searches without derivatives: the same language, the same certificates."""
 
 import json
-import os
 import signal
 from dataclasses import replace
 
@@ -104,10 +103,11 @@ def test_limits_on_the_worst_case_are_searched_for_once():
     assert found.effort.searched.evaluations <= POPULATION.evaluations
 
 
+@pytest.mark.usefixtures("python_interrupts")
 def test_ctrl_c_ends_the_search_and_keeps_the_best_design():
     def stop(task, done, total):
         if done > 100:
-            os.kill(os.getpid(), signal.SIGINT)
+            signal.raise_signal(signal.SIGINT)
 
     solver = al.solvers.DifferentialEvolution(evaluations=100_000, population=24, progress=stop)
     found = al.solve(declared(), solver)

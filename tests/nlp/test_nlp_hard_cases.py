@@ -123,14 +123,6 @@ def after(calls, action, make=problems.hs71):
     return made
 
 
-@pytest.fixture
-def python_interrupts():
-    """Python's own handler of Ctrl-C, which a process started in the background of a shell is without."""
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    yield
-    signal.signal(signal.SIGINT, before)
-
-
 def interrupt():
     raise KeyboardInterrupt
 

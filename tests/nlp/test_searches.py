@@ -1,6 +1,5 @@
 """Searches without derivatives find known optima, keep to their budget, and lose nothing when they are stopped."""
 
-import os
 import signal
 
 import numpy as np
@@ -142,6 +141,7 @@ def test_a_search_ends_with_its_time():
 
 
 @pytest.mark.parametrize("solver", EVERY, ids=named)
+@pytest.mark.usefixtures("python_interrupts")
 def test_ctrl_c_ends_the_search_and_the_best_point_is_polished(solver):
     from dataclasses import replace
 
@@ -151,7 +151,7 @@ def test_ctrl_c_ends_the_search_and_the_best_point_is_polished(solver):
     def evaluate(x):
         calls.append(x)
         if len(calls) == 60:
-            os.kill(os.getpid(), signal.SIGINT)
+            signal.raise_signal(signal.SIGINT)
         return one.evaluate(x)
 
     found = solver.solve(replace(one, evaluate=evaluate))

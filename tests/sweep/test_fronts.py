@@ -152,15 +152,7 @@ def test_ctrl_c_before_the_first_point_is_ctrl_c(monkeypatch):
         al.pareto(gain_problem(), "response", [1.0, 2.0])
 
 
-@pytest.fixture
-def heard_as_in_a_terminal():
-    """SIGINT raises `KeyboardInterrupt`: tests may run where it is ignored."""
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    yield
-    signal.signal(signal.SIGINT, before)
-
-
-@pytest.mark.usefixtures("heard_as_in_a_terminal")
+@pytest.mark.usefixtures("python_interrupts")
 def test_a_ctrl_c_that_a_callback_swallows_ends_the_front_after_the_point():
     def swallow(task, done, total):
         # So do destructors and callbacks of the garbage collector, which Python lets no exception out of.

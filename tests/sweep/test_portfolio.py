@@ -1,6 +1,5 @@
 """A portfolio finds the best of many optima, and says how sure one may be of it."""
 
-import os
 import signal
 
 import jax.numpy as jnp
@@ -84,10 +83,11 @@ def test_without_a_search_all_starts_are_local():
     assert found.best.objective == pytest.approx(minima()[0], rel=1e-5)
 
 
+@pytest.mark.usefixtures("python_interrupts")
 def test_ctrl_c_keeps_what_was_found():
     def stop(task, done, total):
         if task == "local searches" and done == 3:
-            os.kill(os.getpid(), signal.SIGINT)
+            signal.raise_signal(signal.SIGINT)
 
     found = al.portfolio(problem(), 20, progress=stop)
     assert found.interrupted

@@ -1,6 +1,5 @@
 """Fronts of several wishes against their closed forms, and against linear programs."""
 
-import os
 import signal
 
 import jax.numpy as jnp
@@ -182,10 +181,11 @@ def test_a_front_respects_the_limits_of_the_problem():
     assert max(one.decisions["b"] for one in found.solutions) <= 0.5 + 1e-6
 
 
+@pytest.mark.usefixtures("python_interrupts")
 def test_ctrl_c_keeps_the_points_found():
     def stop(task, done, total):
         if task == "trade-off" and done == 2:
-            os.kill(os.getpid(), signal.SIGINT)
+            signal.raise_signal(signal.SIGINT)
 
     found = al.trade_off(plane(), {"here": near(1, 0, 0), "there": near(0, 2, 0)}, 30, progress=stop)
     assert found.interrupted
