@@ -1,6 +1,6 @@
 """Every family of solvers on programs with known optima and on two designs, from many seeds; populations at once.
 
-    python benchmarks/solvers.py [programs] [designs] [seeds] [population]
+    python benchmarks/solvers.py [programs] [designs] [seeds] [population] [fronts]
 
 Prints a table for each part that is named, all by default: distance from the known optimum after polishing, evaluations
 and seconds. Solvers by derivatives start where the searches do. Peers in the same run: one design after the other for
@@ -13,6 +13,8 @@ import warnings
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import scipy
 
@@ -244,7 +246,65 @@ def population() -> None:
         print(f"  {name:30} {np.median(each):8.3f} {np.median(each) / base:6.2f}")
 
 
-PARTS = {"programs": programs, "designs": designs, "seeds": seeds, "population": population}
+class Places(al.AlgebraicSystem):
+    """Three decided coordinates, and a wave of the first."""
+
+    a: al.Number
+    b: al.Number
+    c: al.Number
+    off: al.Number
+
+    def outputs(self) -> dict[str, jax.Array]:
+        """The coordinates and the wave."""
+        wave = 1.0 - jnp.sqrt(self.a) - self.a * jnp.sin(10 * jnp.pi * self.a) + self.b**2
+        square = {name: x + self.off for name, x in zip("xyz", (self.a, self.b, self.c), strict=True)}
+        return {**square, "wave": wave * (1.0 + self.off)}
+
+
+def places(lower: float, upper: float) -> al.Problem:
+    """A problem in three decisions whose outputs are disturbed by up to a tenth."""
+    decisions = (al.Decision(0.4, lower, upper) for _ in "abc")
+    return al.Problem(Places(*decisions, al.Uniform(0.0, half_width=0.1)), minimize=al.output("x").mean)
+
+
+def squares(sign: float) -> al.Expression:
+    """The squared distance of the means from a place on the diagonal."""
+    means = (al.output(name).mean for name in "xyz")
+    return sum(((one - sign / np.sqrt(3)) ** 2 for one in means), start=0.0 * al.value("a"))
+
+
+def fronts() -> None:
+    """The hypervolume of fronts by `al.trade_off` beside that of their closed forms."""
+    t, a = np.linspace(-1.0, 1.0, 200001), np.linspace(1e-3, 1.0, 200001)
+    near, far = (t - 1) ** 2, (t + 1) ** 2
+    wave = 1 - np.sqrt(a) - a * np.sin(10 * np.pi * a) + 1e-6
+    bells = [al.expressions.function(lambda s: 1.0 - jnp.exp(-s), squares(sign)) for sign in (1.0, -1.0)]
+    cases = {
+        "convex": (places(-4.0, 4.0), [squares(1.0), squares(-1.0)], (near, far), 1),
+        "concave": (places(-4.0, 4.0), bells, (1 - np.exp(-near), 1 - np.exp(-far)), 1),
+        "five parts": (places(1e-3, 1.0), [al.value("a"), al.output("wave").mean], (a, wave), 12),
+    }
+    print("\nfronts: points, hypervolume over that of the closed form, seconds")
+    for name, (problem, (one, other), exact, starts) in cases.items():
+        for points in (20, 60, 180):
+            began = time.perf_counter()
+            found = al.trade_off(problem, {"one": one, "other": other}, points, starts=starts)
+            seconds = time.perf_counter() - began
+            corner = np.max(exact, axis=1) if name != "five parts" else np.ones(2)
+            share = found.hypervolume(corner) / _dominated(*exact, corner)
+            print(f"  {name:12} {len(found.values):4} {share:8.4f} {seconds:7.1f}")
+
+
+def _dominated(first: np.ndarray, second: np.ndarray, corner: np.ndarray) -> float:
+    """The area that a densely known curve dominates, up to a corner."""
+    order = np.argsort(first)
+    first, best = first[order], np.minimum.accumulate(second[order])
+    inside = first <= corner[0]
+    widths = np.diff(np.append(first[inside], corner[0]))
+    return float(np.sum(widths * np.maximum(corner[1] - best[inside], 0.0)))
+
+
+PARTS = {"programs": programs, "designs": designs, "seeds": seeds, "population": population, "fronts": fronts}
 
 if __name__ == "__main__":
     for part in sys.argv[1:] or PARTS:
