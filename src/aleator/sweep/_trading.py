@@ -2,11 +2,10 @@
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
-from itertools import combinations
-from typing import Any, Literal, NamedTuple, TypeAlias, final
+from typing import Any, Literal, TypeAlias, final
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from aleator._core.errors import ProblemError
 from aleator._core.given import a_name, one_of, refusal, whole
@@ -18,6 +17,7 @@ from aleator.nlp import AbstractSolver, DifferentialEvolution, Slsqp
 from aleator.solution import Solution
 from aleator.solving import solve
 from aleator.sweep._hypervolume import efficient
+from aleator.sweep._places import Gap, simplex
 from aleator.sweep._portfolio import portfolio
 from aleator.sweep._trade_off import TradeOff
 from aleator.sweep._wishes import Compromise, Wishes, pressed
@@ -106,24 +106,6 @@ def _names(wishes: Mapping[str, Expression]) -> tuple[str, ...]:
     return tuple(wishes)
 
 
-class _Gap(NamedTuple):
-    """A gap of a front of two wishes: its places between the anchors, from 0 to 1, and the points at its ends."""
-
-    first: float
-    last: float
-    before: Float[np.ndarray, " wishes"]
-    after: Float[np.ndarray, " wishes"]
-
-    @property
-    def width(self) -> float:
-        """Its part of the line between the anchors."""
-        return self.last - self.first
-
-    def size(self, scales: Float[np.ndarray, " wishes"]) -> float:
-        """The largest difference of its ends, in scaled wishes; lines through a hole end at one of its ends."""
-        return float(np.abs((self.after - self.before) * scales).max())
-
-
 @final
 class _Front:
     """A front in the making; normalised values are 0 at the best and 1 at the worst of the anchors."""
@@ -132,7 +114,7 @@ class _Front:
         self, wishes: Wishes, transcription: AbstractTranscription, solver: AbstractSolver | None, starts: int
     ):
         self._wishes, self._transcription, self._solver, self._starts = wishes, transcription, solver, starts
-        self._found = _Found()
+        self._found, self._sizes = _Found(), np.ones(len(wishes.names))
         self.anchors: list[Float[np.ndarray, " wishes"]] = []
 
     @property
@@ -146,7 +128,8 @@ class _Front:
     def find_anchors(self, progress: Callable[[int], None], heed: Callable[[], None]) -> None:
         """The best design of each wish, in scales of their ranges over the first ones."""
         count = len(self._wishes.names)
-        scales = 1.0 / self._sizes_at_start()
+        self._sizes = self._sizes_at_start()
+        scales = 1.0 / self._sizes
         for is_last in (False, True):
             found = _Found()
             for which in range(count):
@@ -162,10 +145,14 @@ class _Front:
                 heed()
             self._found, values = found, np.array(found.values)
             spread = np.ptp(values, axis=0)
-            if (constant := spread <= _CONSTANT * np.abs(values).max(axis=0)).all():
+            if (constant := self._is_constant(values)).all():
                 break
-            scales = 1.0 / np.where(constant, np.maximum(np.abs(values).max(axis=0), 1e-12), spread)
+            scales = 1.0 / np.where(constant, self._sizes, spread)
         self.anchors = list(self._found.values)
+
+    def _is_constant(self, values: Float[np.ndarray, "points wishes"]) -> Bool[np.ndarray, " wishes"]:
+        """Which wishes differ by rounding alone, beside their values and their sizes at the start."""
+        return np.ptp(values, axis=0) <= _CONSTANT * np.maximum(np.abs(values).max(axis=0), self._sizes)
 
     def _sizes_at_start(self) -> Float[np.ndarray, " wishes"]:
         """The magnitudes of the wishes around the problem's start."""
@@ -185,12 +172,12 @@ class _Front:
 
     def problems(self, method: Method, points: int) -> Iterator[Compromise]:
         """The problems of further points, each chosen by what has been found before."""
-        if (self._range <= _CONSTANT * np.abs(self.anchors).max(axis=0)).all():
+        if self._is_constant(np.array(self.anchors)).all():
             return
         scales = 1.0 / np.where(self._range > 0, self._range, 1.0)
         more = points - len(self.anchors)
         if method == "weights":
-            yield from (self._wishes.weighted(one, scales) for one in _simplex(len(scales), more))
+            yield from (self._wishes.weighted(one, scales) for one in simplex(len(scales), more))
         elif method == "limits":
             yield from self._limited(scales, more)
         elif method == "boundary":
@@ -238,9 +225,9 @@ class _Front:
         """Lines from between the anchors; for two wishes, in the middle of the largest gap."""
         corners = np.array(self.anchors)
         if len(corners) > 2:
-            yield from (self._wishes.along(one @ corners, scales) for one in _simplex(len(corners), count))
+            yield from (self._wishes.along(one @ corners, scales) for one in simplex(len(corners), count))
             return
-        gaps = [_Gap(0.0, 1.0, *corners)]
+        gaps = [Gap(0.0, 1.0, *corners)]
         for _ in range(count):
             gaps = [one for one in gaps if one.width > _NARROWEST]
             if not gaps:
@@ -252,8 +239,8 @@ class _Front:
             if len(self._found.values) > known:
                 point = self._found.values[-1]
                 halves = (
-                    _Gap(widest.first, middle, widest.before, point),
-                    _Gap(middle, widest.last, point, widest.after),
+                    Gap(widest.first, middle, widest.before, point),
+                    Gap(middle, widest.last, point, widest.after),
                 )
                 gaps += [one for one in halves if one.size(scales) > _SAME]
 
@@ -261,9 +248,17 @@ class _Front:
         """The first solution of the ways tried; the last one if none is."""
         solution = None
         for solver, begun in self._ways(start):
-            where = {"warm_start" if isinstance(begun, Solution) else "start": begun}
+            design = begun if isinstance(begun, Solution) else None
+            values = None if isinstance(begun, Solution) else begun
             with warned_of("trade_off"):
-                solution = solve(problem, solver, transcription=self._transcription, throw=False, **where)
+                solution = solve(
+                    problem,
+                    solver,
+                    transcription=self._transcription,
+                    warm_start=design,
+                    start=values,
+                    throw=False,
+                )
             if solution.ok:
                 break
         assert solution is not None
@@ -289,18 +284,3 @@ class _Front:
         found.solutions.append(solution)
         found.values.append(compromise.values(solution))
         found.weights.append(compromise.weights(solution))
-
-
-def _simplex(size: int, count: int) -> list[Float[np.ndarray, " wishes"]]:
-    """About `count` points spread evenly over the inside and the edges of a simplex, without its corners."""
-    parts = 1
-    while len(inner := _lattice(size, parts)) < count:
-        parts += 1
-    return inner
-
-
-def _lattice(size: int, parts: int) -> list[Float[np.ndarray, " wishes"]]:
-    """All sums of multiples of `1 / parts` that make one, but for the corners (Das and Dennis 1998)."""
-    bars = combinations(range(parts + size - 1), size - 1)
-    every = (np.diff([-1, *one, parts + size - 1]) - 1 for one in bars)
-    return [one / parts for one in every if one.max() < parts]
