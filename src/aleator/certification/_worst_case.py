@@ -50,9 +50,10 @@ def held_at_worst(
     Returns the program that was solved last, its outcome with the further results of `attempt`, and the worst case;
     the latter is None if no limit is on the worst case, or nothing is uncertain.
     """
-    if transcribed.scenarios is None or not transcribed.problem.placements.germs:
+    problem = transcribed.problem
+    if not any(map(is_worst_case, problem.constraints)) or not problem.placements.germs:
         return transcribed, *attempt(transcribed, start, multipliers), None
-    oracle = Oracle(transcribed.problem, factor)
+    oracle = Oracle(problem, factor)
     transcribed = transcribed.at_scenarios(_first(transcribed, oracle, start, known))
     outcome, beside = attempt(transcribed, start, multipliers)
     rounds, worst = 1, np.zeros((0, len(oracle.low)))
@@ -77,14 +78,15 @@ def _first(
     transcribed: AbstractTranscribed, oracle: Oracle, start: np.ndarray | None, known: WorstCase | None
 ) -> Scenarios:
     """The initial scenarios: those of an earlier solution, or those that break each limit most at the start."""
+    assert transcribed.scenarios is not None
     box = np.stack([oracle.low, oracle.high], axis=1)
     if known is not None and known.scenarios.shape[1] == len(box):
-        return Scenarios.of(np.clip(known.scenarios, *box.T))
+        return transcribed.scenarios.beginning(np.clip(known.scenarios, *box.T))
     point = transcribed.program.start if start is None else start
     germ = oracle.germ(_candidates(transcribed, oracle, point, 0))
     # Realisations that have no value here may have one elsewhere.
     beyond = np.nan_to_num(oracle(germ, transcribed.decisions(point)).beyond, nan=-np.inf)
-    return Scenarios.of(np.unique(germ[np.argmax(beyond, axis=0)], axis=0))
+    return transcribed.scenarios.beginning(np.unique(germ[np.argmax(beyond, axis=0)], axis=0))
 
 
 def _candidates(transcribed: AbstractTranscribed, oracle: Oracle, point: np.ndarray, seed: int) -> Points:
@@ -166,7 +168,7 @@ def _told(
                 numbers=inputs_at(transcribed.places, germ[k], jnp.asarray(decisions)),
             )
         )
-    return WorstCase(tuple(realisations), transcribed.scenarios.held, rounds, oracle.asked)
+    return WorstCase(tuple(realisations), transcribed.scenarios.found, rounds, oracle.asked)
 
 
 def _sizes(transcribed: AbstractTranscribed, outcome: Outcome) -> Float[np.ndarray, " limits"]:

@@ -15,6 +15,7 @@ from aleator.design._expression import as_expression as as_expression
 from aleator.design._expression import value as value
 from aleator.design._extreme import Extreme as Extreme
 from aleator.design._extreme import extreme_functionals as extreme_functionals
+from aleator.design._extreme import is_at_points as is_at_points
 from aleator.design._extreme import is_worst_case as is_worst_case
 from aleator.design._functionals import AbstractIntegral as AbstractIntegral
 from aleator.design._functionals import Path as Path

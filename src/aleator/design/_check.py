@@ -153,9 +153,10 @@ def _check_worst_cases(problem: AbstractProblem) -> None:
     for atom in misplaced:
         if isinstance(atom, Extreme):
             raise ProblemError(
-                f"'{atom.text()}' is the worst case of the model, which can only be limited, realisation by "
-                "realisation, as in .at_most(bound, worst_case=True): it has no place in an objective, a penalty or a "
-                "function of expressions. Use a statistic there, such as .quantile(0.99) or .supremum."
+                f"'{atom.text()}' is the worst case of the model, or of its collocation points, which can only be "
+                "limited, realisation by realisation, as in .at_most(bound, worst_case=True): it has no place in an "
+                "objective, a penalty or a function of expressions. Use a statistic there, such as .quantile(0.99) or "
+                ".supremum."
             )
 
 

@@ -1,4 +1,4 @@
-"""`Extreme`: the worst value of a functional over all realisations of the model, as a term of a limit."""
+"""`Extreme`: the worst value of a functional over realisations of the model, as a term of a limit."""
 
 from typing import Any, final
 
@@ -12,13 +12,15 @@ from aleator.design._scope import AbstractAtom, AbstractScope, Units
 
 @final
 class Extreme(AbstractAtom):
-    """The largest (`side = 1`) or smallest (`side = -1`) value of a functional over all realisations of the model.
+    """The largest (`side = 1`) or smallest (`side = -1`) value of a functional over realisations of the model.
 
-    It evaluates to the functional on each realisation available: a bound on it is a bound on each of them.
+    These are all that its distributions allow, or those at the collocation points alone (`at_points`). It evaluates to
+    the functional on each realisation available: a bound on it is a bound on each of them.
     """
 
     functional: Any
     side: int = eqx.field(static=True)
+    at_points: bool = eqx.field(static=True, default=False)
 
     @override
     def evaluate(self, scope: AbstractScope) -> Array:
@@ -26,7 +28,7 @@ class Extreme(AbstractAtom):
 
     @override
     def text(self) -> str:
-        return f"{'max' if self.side > 0 else 'min'}[{self.functional.text()}]"
+        return f"{'max' if self.side > 0 else 'min'}{'_k' if self.at_points else ''}[{self.functional.text()}]"
 
     @override
     def unit(self, units: Units) -> str:
@@ -55,7 +57,12 @@ class Extreme(AbstractAtom):
 
 def is_worst_case(constraint: Constraint) -> bool:
     """Whether a constraint bounds the worst realisation of the model."""
-    return any(isinstance(atom, Extreme) for atom in constraint.expression.leaves)
+    return any(isinstance(atom, Extreme) and not atom.at_points for atom in constraint.expression.leaves)
+
+
+def is_at_points(constraint: Constraint) -> bool:
+    """Whether a constraint bounds the realisations at the collocation points."""
+    return any(isinstance(atom, Extreme) and atom.at_points for atom in constraint.expression.leaves)
 
 
 def extreme_functionals(expressions: tuple[Expression, ...]) -> tuple[Any, ...]:

@@ -86,30 +86,45 @@ class AbstractFunctional(AbstractRandom, AbstractMeasured[Expression]):
         return statistic(a_statistic(kind), self)
 
     def at_most(
-        self, upper: float, *, sigmas: float = 0.0, probability: float | None = None, worst_case: bool = False
+        self,
+        upper: float,
+        *,
+        sigmas: float = 0.0,
+        probability: float | None = None,
+        worst_case: bool = False,
+        at_points: bool = False,
     ) -> Constraint:
-        """The limit `mean + sigmas * std <= upper`, or one of two that do not assume a normal distribution.
+        """The limit `mean + sigmas * std <= upper`, or one of three that do not assume a normal distribution.
 
         - `probability`: at most `upper` with this probability (`quantile(probability) <= upper`). For a path this holds
           at each instant separately, so that different systems may exceed it at different instants; for whole systems,
           limit its `peak`, or use `calibrate`;
-        - `worst_case`: at most `upper` on the worst realisation that `solve` finds, for bounded distributions.
+        - `worst_case`: at most `upper` on the worst realisation that `solve` finds, for bounded distributions;
+        - `at_points`: at most `upper` on each realisation at the collocation points, `max_k[...]`, for unbounded
+          distributions too. It says nothing of the systems in between, and hardens with the number of points.
 
-        Raises `ProblemError` if more than one of the three is given.
+        Raises `ProblemError` if more than one of the four is given.
         """
-        return self._end(1, sigmas, probability, worst_case) <= upper
+        return self._end(1, sigmas, probability, worst_case, at_points) <= upper
 
     def at_least(
-        self, lower: float, *, sigmas: float = 0.0, probability: float | None = None, worst_case: bool = False
+        self,
+        lower: float,
+        *,
+        sigmas: float = 0.0,
+        probability: float | None = None,
+        worst_case: bool = False,
+        at_points: bool = False,
     ) -> Constraint:
-        """The limit `mean - sigmas * std >= lower`, or one of two that do not assume a normal distribution.
+        """The limit `mean - sigmas * std >= lower`, or one of three that do not assume a normal distribution.
 
         - `probability`: at least `lower` with this probability (`quantile(1 - probability) >= lower`);
-        - `worst_case`: at least `lower` on the worst realisation that `solve` finds, for bounded distributions.
+        - `worst_case`: at least `lower` on the worst realisation that `solve` finds, for bounded distributions;
+        - `at_points`: at least `lower` on each realisation at the collocation points: see `at_most`.
 
-        Raises `ProblemError` if more than one of the three is given.
+        Raises `ProblemError` if more than one of the four is given.
         """
-        return self._end(-1, sigmas, probability, worst_case) >= lower
+        return self._end(-1, sigmas, probability, worst_case, at_points) >= lower
 
     def within(
         self,
@@ -119,26 +134,37 @@ class AbstractFunctional(AbstractRandom, AbstractMeasured[Expression]):
         sigmas: float = 0.0,
         probability: float | None = None,
         worst_case: bool = False,
+        at_points: bool = False,
     ) -> tuple[Constraint, Constraint]:
         """Both `at_most(upper)` and `at_least(lower)`, under one name; `probability` is that of each side alone.
 
         Raises `ProblemError` for bounds in the wrong order.
         """
         lower, upper = ordered(", ".join(self.outputs), lower, upper)
-        margin: dict[str, Any] = {"sigmas": sigmas, "probability": probability, "worst_case": worst_case}
+        margin: dict[str, Any] = {
+            "sigmas": sigmas,
+            "probability": probability,
+            "worst_case": worst_case,
+            "at_points": at_points,
+        }
         return self.at_most(upper, **margin), self.at_least(lower, **margin)
 
-    def _end(self, side: int, sigmas: float, probability: float | None, worst_case: bool) -> Expression:
+    def _end(
+        self, side: int, sigmas: float, probability: float | None, worst_case: bool, at_points: bool
+    ) -> Expression:
         """The upper (`side = 1`) or lower (`side = -1`) end of its distribution."""
         multiple = _multiple(self, sigmas)
-        asked = {"sigmas": multiple > 0, "probability": probability is not None, "worst_case": worst_case}
+        asked = {
+            "sigmas": multiple > 0,
+            "probability": probability is not None,
+            "worst_case": worst_case,
+            "at_points": at_points,
+        }
         if sum(asked.values()) > 1:
             names = [name for name, is_asked in asked.items() if is_asked]
-            raise ProblemError(
-                f"'{self.text()}': expected one of sigmas, probability and worst_case; received {names}."
-            )
-        if worst_case:
-            return Expression((1.0,), (Extreme(self, side),))
+            raise ProblemError(f"'{self.text()}': expected one of {', '.join(asked)}; received {names}.")
+        if worst_case or at_points:
+            return Expression((1.0,), (Extreme(self, side, at_points),))
         if probability is not None:
             return self.quantile(probability if side > 0 else 1 - probability)
         return self.mean + side * multiple * self.std

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from aleator.design import Constraint, is_worst_case
+from aleator.design import Constraint, is_at_points, is_worst_case
 from aleator.transcription._magnitudes import spread
 from aleator.transcription._scenarios import Scenarios
 
@@ -20,14 +20,21 @@ def rows_of(sizes: Int[np.ndarray, " constraints"]) -> tuple[slice, ...]:
 def row_bounds(
     constraints: Sequence[Constraint], rows: tuple[slice, ...], scenarios: Scenarios | None
 ) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, " m"]]:
-    """The lower and upper bounds of all rows, infinite for limits on the worst case in empty slots."""
+    """The lower and upper bounds of all rows, infinite for limits on realisations in slots that do not count."""
     lower = spread(rows, [float(one.lower) for one in constraints])
     upper = spread(rows, [float(one.upper) for one in constraints])
     for one, where in zip(constraints, rows, strict=True):
-        if scenarios is not None and is_worst_case(one):
-            empty = ~np.resize(scenarios.used, where.stop - where.start)
+        if (used := _used(one, scenarios)) is not None:
+            empty = ~np.resize(used, where.stop - where.start)
             lower[where][empty], upper[where][empty] = -np.inf, np.inf
     return lower, upper
+
+
+def _used(constraint: Constraint, scenarios: Scenarios | None) -> Bool[np.ndarray, " slots"] | None:
+    """The slots at which a constraint is imposed; None if it is not one on realisations."""
+    if scenarios is None or not (is_worst_case(constraint) or is_at_points(constraint)):
+        return None
+    return scenarios.used if is_worst_case(constraint) else scenarios.fixed
 
 
 def as_read(
@@ -37,10 +44,9 @@ def as_read(
     multipliers: Float[np.ndarray, " rows"],
     active: Bool[np.ndarray, " rows"],
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A constraint's rows for reports: for a limit on the worst case, the worst over its scenarios."""
-    if scenarios is None or not is_worst_case(constraint):
+    """A constraint's rows for reports: for a limit on realisations, the worst over its scenarios."""
+    if (used := _used(constraint, scenarios)) is None:
         return values, multipliers, active
-    used = scenarios.used
     values, multipliers, active = (one.reshape(-1, len(used))[:, used] for one in (values, multipliers, active))
     worst = values.max(axis=1) if np.isfinite(float(constraint.upper)) else values.min(axis=1)
     return worst, multipliers.sum(axis=1), np.asarray(active.any(axis=1))

@@ -102,8 +102,9 @@ class Sequential(AbstractTranscription):
 
     @override
     def transcribed(self, problem: Problem, meanwhile: Meanwhile) -> SequentiallyTranscribed:
-        scenarios, traced = first_scenarios(problem), numbers_to_arrays(problem)
-        found = discretised(problem).at_scenarios(scenarios)
+        found, traced = discretised(problem), numbers_to_arrays(problem)
+        scenarios = first_scenarios(problem, np.asarray(found.collocation.points))
+        found = found.at_scenarios(scenarios)
         start, lower, upper = (problem.placements.vector(name) for name in ("initial", "lower", "upper"))
         anchors = anchors_of(traced, found.collocation, start)
         evaluator = Evaluator(traced, found.collocation, found.constants, anchors)

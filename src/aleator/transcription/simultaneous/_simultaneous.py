@@ -114,8 +114,9 @@ class Simultaneous(AbstractTranscription):
     @override
     def transcribed(self, problem: Problem, meanwhile: Meanwhile) -> SimultaneouslyTranscribed:
         _refuse(problem)
-        scenarios, traced = first_scenarios(problem), numbers_to_arrays(problem)
-        found = discretised(problem).at_scenarios(scenarios)
+        found, traced = discretised(problem), numbers_to_arrays(problem)
+        scenarios = first_scenarios(problem, np.asarray(found.collocation.points))
+        found = found.at_scenarios(scenarios)
         meanwhile(problem, found)
         mesh = Mesh(first_nodes(problem), self.scheme, Pointwise.of(problem).has_jumps)
         raised = () if self.most_stages is None else self.scheme.raised(self.most_stages)
