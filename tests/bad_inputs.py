@@ -531,6 +531,7 @@ _STUDIES: dict[str, tuple[Callable[..., Any], dict[str, Any], dict[str, Mapping[
         {},
         {"solver": without(NO_OBJECT, "nothing"), "progress": {"text": "yes", "nothing": None}},
     ),
+    "examine": (al.examine, {}, {"subject": REQUIRED}),
     "conflict itself": (al.conflict, {}, {"problem": REQUIRED}),
     "portfolio": (
         lambda **a: al.portfolio(problem(), **a),

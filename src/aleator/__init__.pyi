@@ -56,6 +56,7 @@ from .dynamics import Grid as Grid
 from .dynamics import Instant as Instant
 from .dynamics import System as System
 from .dynamics import simulate as simulate
+from .examining import examine as examine
 from .expansion import Expansion as Expansion
 from .mechanics import Accelerations as Accelerations
 from .mechanics import Actuation as Actuation

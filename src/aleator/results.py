@@ -6,6 +6,7 @@ from aleator.analysis import Expanded as Expanded
 from aleator.analysis import ToleranceAnalysis as ToleranceAnalysis
 from aleator.analysis import Zone as Zone
 from aleator.crosschecking import CrossChecked as CrossChecked
+from aleator.examining import Examination as Examination
 from aleator.expansion import Unseen as Unseen
 from aleator.nlp import Searched as Searched
 from aleator.solution import AtMeans as AtMeans

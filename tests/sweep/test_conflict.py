@@ -188,3 +188,23 @@ def test_instants_and_statistics_of_limits_over_time_are_named():
     assert high.relaxed == pytest.approx(needed, rel=1e-3)
     with pytest.raises(al.SolveError, match=r"al\.conflict"):
         al.solve(problem)
+
+
+def test_limits_on_realisations_name_the_systems_in_the_way():
+    above, below = (X.at_most(1.0, worst_case=True).named("above"), X.at_least(0.9, at_points=True).named("below"))
+    found = al.conflict(plane(above, below))
+    assert found.names == ("above", "below")
+    named = {one.name: [system["off"] for system in one.systems] for one in found.limits}
+    # The highest of all systems, and the lowest of those at the collocation points.
+    np.testing.assert_allclose(named["above"], 0.1)
+    (lowest,) = named["below"]
+    assert -0.1 < lowest < -0.08
+    assert found.limits[0].relaxed == pytest.approx(0.9 - lowest + 0.1 - 1.0, rel=1e-4)
+    assert "with off = 0.1" in str(found)
+
+
+def test_limits_on_statistics_name_no_system():
+    found = al.conflict(
+        plane((X.mean <= 1.0).named("above"), (X.mean >= 2.0).named("below"), Y.at_most(9.0, worst_case=True))
+    )
+    assert [one.systems for one in found.limits] == [(), ()]

@@ -26,9 +26,7 @@ Y = al.output("y")
 
 def largest_gain(*limits, **numbers):
     given = {"a": al.Normal(1.0, 0.5), "b": 0.0} | numbers
-    return al.Problem(
-        Bounded(gain=al.Decision(0.1, 0.0, 10.0), **given), minimize=-al.value("gain"), subject_to=limits
-    )
+    return al.Problem(Bounded(gain=al.Decision(0.1, 0.0, 10.0), **given), minimize=-al.value("gain"), subject_to=limits)
 
 
 def largest_square(problem):
@@ -101,4 +99,3 @@ def test_one_meaning_of_a_limit_at_a_time():
 def test_without_uncertainty_it_is_the_limit_itself():
     problem = al.deterministic(largest_gain(Y.at_most(3.0, at_points=True)))
     assert al.solve(problem).decisions["gain"] == pytest.approx(3.0, rel=1e-7)
-

@@ -78,6 +78,7 @@ def solution_of(
             evaluations=outcome.evaluations,
             times=Times(clock.import_seconds, compiled, outcome.seconds),
             searched=outcome.searched,
+            visited=outcome.visited,
         ),
         meshes=transcribed.meshes_at(outcome.point),
         states=transcribed.states_at(outcome.point),

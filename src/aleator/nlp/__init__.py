@@ -22,6 +22,8 @@ from aleator.nlp._program import NonlinearProgram as NonlinearProgram
 from aleator.nlp._scaling import Multipliers as Multipliers
 from aleator.nlp._scaling import ScaledProgram as ScaledProgram
 from aleator.nlp._searched import Searched as Searched
+from aleator.nlp._slopes import Slopes as Slopes
+from aleator.nlp._slopes import slopes_at as slopes_at
 from aleator.nlp._slsqp import Slsqp as Slsqp
 from aleator.nlp._solver import AbstractSolver as AbstractSolver
 from aleator.nlp._ties import Ties as Ties

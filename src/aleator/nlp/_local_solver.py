@@ -14,6 +14,7 @@ from aleator.nlp._evaluations import HaltedError, NotFiniteError, NowhereFiniteE
 from aleator.nlp._outcome import Outcome, Status
 from aleator.nlp._program import NonlinearProgram
 from aleator.nlp._scaling import ScaledProgram
+from aleator.nlp._searched import Searched
 from aleator.nlp._solver import AbstractSolver, checked
 from aleator.nlp._verdict import Answer, Verdict, better_scales, checked_answer, judge, settle
 
@@ -182,4 +183,5 @@ def _outcome(scaled: ScaledProgram, answer: Answer, verdict: Verdict, solver: st
         active_bounds=active_bounds,
         sizes=scaled.sizes(verdict.sizes),
         failed_at=scaled.evaluations.failed_at if verdict.status is Status.EVALUATION_FAILED else None,
+        visited=Searched(solver, *np.array(scaled.visited, dtype=float).reshape(-1, 2).T, answer.message, seconds),
     )

@@ -7,7 +7,7 @@ from typing import final
 import numpy as np
 
 from aleator.nlp._program import Evaluation
-from aleator.nlp._searched import Searched
+from aleator.nlp._searched import Searched, joined
 
 
 @final
@@ -61,7 +61,8 @@ class Outcome:
       else None;
     - `idle`: variables left at their start that change nothing at the points checked; `blind`: those that do change
       something although all derivatives by them are zero;
-    - `searched`: the points of a search without derivatives; None if there was none.
+    - `searched`: the points of a search without derivatives; None if there was none;
+    - `visited`: the points of the local solver, over all restarts; None if there was none.
     """
 
     status: Status
@@ -84,6 +85,7 @@ class Outcome:
     idle: tuple[int, ...] = ()
     blind: tuple[int, ...] = ()
     searched: Searched | None = None
+    visited: Searched | None = None
 
     @property
     def ok(self) -> bool:
@@ -97,6 +99,7 @@ class Outcome:
         return replace(
             self,
             searched=searched[0] if searched else None,
+            visited=joined([one.visited for one in every if one.visited is not None]),
             iterations=sum(one.iterations for one in every),
             evaluations=sum(one.evaluations for one in every),
             seconds=sum(one.seconds for one in every),

@@ -69,7 +69,8 @@ class ScaledProgram:
       matters; from `|f(start)|` if the gradient is negligible;
     - `best`: the best point seen, with its evaluation in user units: feasible with the least objective, else the
       least violated one. None before `begin`;
-    - `evaluations`: of the user's model.
+    - `evaluations`: of the user's model;
+    - `visited`: objective, in user units, and largest scaled violation of every point at which it was evaluated.
     """
 
     def __init__(self, program: NonlinearProgram, start: np.ndarray):
@@ -101,6 +102,7 @@ class ScaledProgram:
         self.upper = program.upper[self._free] / self._variable_scale
         self.start = np.clip(self._fixed_variables[self._free] / self._variable_scale, self.lower, self.upper)
         self.best: tuple[np.ndarray, Evaluation] | None = None
+        self.visited: list[tuple[float, float]] = []
         self.objective_scale = 1.0
         self._objective_origin = 0.0
         self._scale_constraints(program.constraint_scale[self._useful])
@@ -184,10 +186,19 @@ class ScaledProgram:
         key = np.asarray(z, dtype=float).tobytes()
         if self._last is None or self._last[0] != key or self.evaluations.halt is not None:
             self._last = None
-            user = self.evaluations.finite_at(self.unscaled(z))
+            try:
+                user = self.evaluations.finite_at(self.unscaled(z))
+            except NotFiniteError:
+                self._note(np.nan, np.nan)
+                raise
             self._last = (key, self.scale(user))
-            self._rank(np.array(z, dtype=float), user, self._last[1])
+            violation = self._rank(np.array(z, dtype=float), user, self._last[1])
+            self._note(user.objective, violation)
         return self._last[1]
+
+    def _note(self, objective: float, violation: float) -> None:
+        """Keep what a point gave unless it had been evaluated before."""
+        self.visited += [(objective, violation)] * (self.evaluations.count - len(self.visited))
 
     def scale(self, user: Evaluation) -> Evaluation:
         """Scale an evaluation in user units: free variables and useful rows only."""
@@ -271,12 +282,14 @@ class ScaledProgram:
         complete[self._free] = bound_multipliers * self.objective_scale / self._variable_scale
         return complete
 
-    def _rank(self, z: np.ndarray, user: Evaluation, scaled: Evaluation) -> None:
+    def _rank(self, z: np.ndarray, user: Evaluation, scaled: Evaluation) -> float:
+        """Keep a point if it is the best so far. Returns its largest violation, scaled."""
         violation = float(self.violation(scaled.constraints).max(initial=0.0))
         rank = (violation if violation > _NEGLIGIBLE_VIOLATION else 0.0, user.objective)
         if rank < self._best_rank:
             self._best_rank = rank
             self.best = (z, user)
+        return violation
 
 
 def _holding(values: np.ndarray, lower: np.ndarray, upper: np.ndarray, multipliers: np.ndarray) -> np.ndarray:

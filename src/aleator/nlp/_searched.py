@@ -1,5 +1,6 @@
-"""`Searched`: the history of a search without derivatives."""
+"""`Searched`: the history of a solve."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import final
 
@@ -10,7 +11,7 @@ from jaxtyping import Float
 @final
 @dataclass(frozen=True)
 class Searched:
-    """What a search without derivatives evaluated, in order, before its best point was polished.
+    """What a search, or a local solver, evaluated in order. Of a search: before its best point was polished.
 
     - `method`: its name and version;
     - `objectives`: shape (evaluations,), in the unit of the objective; NaN where the model could not be evaluated;
@@ -39,3 +40,14 @@ class Searched:
         failed = int(np.isnan(self.objectives).sum())
         said = f", {failed} of them not finite" if failed else ""
         return f"{self.method}: {self.evaluations} evaluations{said} in {self.seconds:.2f} s; {self.end}"
+
+
+def joined(histories: Sequence[Searched]) -> Searched | None:
+    """Histories one after the other as one, under the name and the end of the last; None if there is none."""
+    if not histories:
+        return None
+    last = histories[-1]
+    objectives, violations = (
+        np.concatenate([getattr(one, name) for one in histories]) for name in ("objectives", "violations")
+    )
+    return Searched(last.method, objectives, violations, last.end, sum(one.seconds for one in histories))

@@ -58,7 +58,9 @@ def stall(scaled: ScaledProgram, z: np.ndarray, multipliers: Multipliers) -> tup
     if power > _SMOOTH:
         return "", ""
     what = "jumps" if power < _JUMP else "has a kink"
-    return (
+    why = (
         f"the objective or an active constraint {what} close by, so that it does not change as its derivative "
         "predicts, and no derivative-based solver gets further"
-    ), "Make it smooth there, or replace a largest or absolute value by limits on each of its parts"
+    )
+    remedy = "Make it smooth there (al.examine names it), or replace a largest or absolute value by limits on its parts"
+    return why, remedy

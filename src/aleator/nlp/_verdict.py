@@ -43,8 +43,14 @@ _REMEDIES = {
         "Relax a limit (al.conflict names those that cannot hold together), widen the bounds of the decisions, or try "
         "other starts with al.multistart"
     ),
-    Status.ITERATION_LIMIT: "Allow the solver more iterations, by its max_iterations, or start closer to the solution",
-    Status.FAILED: "Try another solver (al.solvers.FilterSQP, Ipopt or Slsqp), or other starts with al.multistart",
+    Status.ITERATION_LIMIT: (
+        "Allow the solver more iterations, by its max_iterations, start closer to the solution, or see what "
+        "al.examine tells of scales and derivatives"
+    ),
+    Status.FAILED: (
+        "See what al.examine tells of scales and derivatives, try another solver (al.solvers.FilterSQP, Ipopt or "
+        "Slsqp), or other starts with al.multistart"
+    ),
 }
 
 

@@ -19,5 +19,6 @@ from aleator.solution._mesh import MeshError as MeshError
 from aleator.solution._opinion import SecondOpinion as SecondOpinion
 from aleator.solution._solution import Solution as Solution
 from aleator.solution._states import States as States
+from aleator.solution._systems import system_text as system_text
 from aleator.solution._worst_case import WorstCase as WorstCase
 from aleator.solution._worst_case import WorstRealisation as WorstRealisation

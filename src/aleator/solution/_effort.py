@@ -47,7 +47,8 @@ class Effort:
     - `evaluations`: points at which the problem was simulated; `times`: wall times;
     - `at_means`: the deterministic problem, if that was solved first; its work is not counted in the others, except for
       compilations;
-    - `searched`: the history of a search without derivatives, if there was one; its evaluations are counted.
+    - `searched`: the history of a search without derivatives, if there was one; its evaluations are counted;
+    - `visited`: the history of the local solver (`al.reporting.search_figure` draws it), if there was one.
     """
 
     solver: str
@@ -56,6 +57,7 @@ class Effort:
     times: Times
     at_means: AtMeans | None = None
     searched: Searched | None = None
+    visited: Searched | None = None
 
     def __str__(self) -> str:
         before = "" if self.at_means is None else f"after {self.at_means}: "

@@ -1,9 +1,11 @@
 """`conflict`: the limits of a problem that cannot hold together, and what relaxing each would cost."""
 
-from collections.abc import Callable, Sequence
+import itertools
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import final
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
@@ -11,12 +13,16 @@ from aleator._core.given import one_of
 from aleator._core.heard import heeding
 from aleator._core.progress import Progress, check_progress, silent
 from aleator.certification import bound_size
-from aleator.design import Problem, current
+from aleator.design import Problem, current, is_at_points, is_worst_case
+from aleator.ensemble import inputs_at
 from aleator.nlp import HELD, AbstractSolver, Elastic, Excess, Ipopt, variable_range
-from aleator.transcription import DEFAULT, AbstractTranscribed, transcribe
+from aleator.solution import system_text
+from aleator.transcription import DEFAULT, AbstractTranscribed, germ_box, transcribe
 
 # Instants that are named at most.
 _NAMED = 3
+# Corners of the germ's box at which limits on the worst case are imposed at most.
+_CORNERS = 64
 
 
 @final
@@ -26,6 +32,8 @@ class Limit:
 
     - `name`, `texts`: of its constraints that are in the way of the others;
     - `times`: the instants (s) at which they are; empty for one that has none;
+    - `systems`: the realisations at which they are, by the values of their uncertain numbers; empty for limits on
+      statistics;
     - `relaxed`: by how much its bounds alone would have to move, in their unit, for all limits of the problem to hold;
       infinite if that does not suffice.
     """
@@ -34,11 +42,14 @@ class Limit:
     texts: tuple[str, ...]
     times: tuple[float, ...]
     relaxed: float
+    systems: tuple[Mapping[str, float], ...] = ()
 
     def __str__(self) -> str:
         shown = ", ".join(f"{time:.4g}" for time in self.times[:_NAMED])
         more = f" and {len(self.times) - _NAMED} other instants" if len(self.times) > _NAMED else ""
         when = f" at t = {shown} s{more}" if self.times else ""
+        others = f" and {len(self.systems) - 1} other systems" if len(self.systems) > 1 else ""
+        when += f" with {system_text(self.systems[0])}{others}" if self.systems else ""
         alone = f"relaxed alone, by {self.relaxed:.4g}" if np.isfinite(self.relaxed) else "not enough alone"
         return f"{self.name}: {'; '.join(self.texts)}{when}: {alone}"
 
@@ -85,7 +96,8 @@ def conflict(problem: Problem, *, solver: AbstractSolver | None = None, progress
     Limits are made elastic: each may be exceeded by a slack, and the sum of these is least. Where it is not zero, one
     limit after the other is left out as long as the others still contradict each other (the deletion filter, Chinneck
     and Dravnieks 1991). Nothing is compiled anew. Searches are local, from several starts: for a problem that is not
-    convex, "cannot" means that none of them found a design.
+    convex, "cannot" means that none of them found a design. Limits on the worst case are imposed at the collocation
+    points and at corners of the distributions' box, not searched for: that they can hold there is no proof.
 
     - `problem`: as declared, states being simulated; `solver`: `al.solvers.Ipopt()` by default, since elastic programs
       are almost linear, where others know no length of a step.
@@ -95,7 +107,7 @@ def conflict(problem: Problem, *, solver: AbstractSolver | None = None, progress
     one_of("conflict: problem", problem, Problem)
     check_progress("conflict", progress)
     solver = Ipopt() if solver is None else one_of("conflict: solver", solver, AbstractSolver)
-    transcribed = transcribe(current(problem), DEFAULT)
+    transcribed = _with_corners(transcribe(current(problem), DEFAULT))
     with heeding() as heed:
         return _Search(transcribed, solver.local, progress, heed).conflict()
 
@@ -163,7 +175,8 @@ class _Search:
         alone = self._least((which,), others)
         times = sorted({time for i in pushing for time in self._times(i, together)})
         texts = tuple(transcribed.texts.constraints[i] for i in pushing)
-        return Limit(self._names[which], texts, tuple(times), alone.total * self._sizes[which])
+        systems = [one for i in pushing for one in self._systems(i, together)]
+        return Limit(self._names[which], texts, tuple(times), alone.total * self._sizes[which], tuple(systems))
 
     def _times(self, constraint: int, together: Excess) -> list[float]:
         """The instants at which a limit over time is in the way."""
@@ -175,10 +188,33 @@ class _Search:
         held = np.isin(rows, every).reshape(len(times), -1).any(axis=1)
         return times[held].tolist()
 
+    def _systems(self, constraint: int, together: Excess) -> list[Mapping[str, float]]:
+        """The realisations at which a limit on these is in the way."""
+        transcribed = self._transcribed
+        own, scenarios = transcribed.problem.constraints[constraint], transcribed.scenarios
+        if scenarios is None or not (is_worst_case(own) or is_at_points(own)):
+            return []
+        held = np.isin(_rows(transcribed, constraint), np.concatenate(together.pushing))
+        slots = np.flatnonzero(held.reshape(-1, len(scenarios.used)).any(axis=0))
+        decisions = transcribed.decisions(together.point)
+        return [inputs_at(transcribed.places, scenarios.points[i], jnp.asarray(decisions)) for i in slots]
+
     def _size(self, own: Sequence[int]) -> float:
         """The magnitude to which excesses of some constraints are relative."""
         constraints, scales = self._transcribed.problem.constraints, self._transcribed.scales
         return max(bound_size(constraints[i]) or scales[i] for i in own)
+
+
+def _with_corners(transcribed: AbstractTranscribed) -> AbstractTranscribed:
+    """Limits on the worst case imposed at the collocation points and at some corners of the germ's box too."""
+    problem, scenarios = transcribed.problem, transcribed.scenarios
+    if scenarios is None or not any(map(is_worst_case, problem.constraints)) or not problem.placements.germs:
+        return transcribed
+    box = germ_box(problem)
+    signs = itertools.islice(itertools.product((0, 1), repeat=len(box)), _CORNERS)
+    corners = np.array([box[np.arange(len(box)), list(one)] for one in signs])
+    points = np.concatenate([corners, np.asarray(transcribed.collocation.points)])
+    return transcribed.at_scenarios(scenarios.joined(points, np.zeros(len(scenarios.used), dtype=bool)))
 
 
 def _rows(transcribed: AbstractTranscribed, constraint: int) -> Int[np.ndarray, " rows"]:

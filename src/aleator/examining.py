@@ -1,0 +1,175 @@
+"""`examine`: how a problem looks to a solver at one design: its slopes, its scales, and whether it is smooth there."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+from jaxtyping import Float
+
+from aleator._core.given import refusal
+from aleator.certification import bound_size
+from aleator.design import Problem, current
+from aleator.nlp import Searched, Slopes, slopes_at
+from aleator.solution import Solution
+from aleator.transcription import DEFAULT, AbstractTranscribed, transcribe
+
+# A row or a decision whose largest effect is beyond these factors of the others' middle one is badly scaled.
+_WEAK, _STRONG = 1e-6, 1e6
+# Effects, and instants, that are named at most.
+_NAMED = 3
+
+
+@final
+@dataclass(frozen=True)
+class Examination:
+    """What a solver meets at one design. `print(examination)` says it.
+
+    - `rows`: the objective, then each constraint, as mathematics; `decisions`: their names, entry by entry;
+    - `effects`: by how much each row changes, relative to its own magnitude, over a typical magnitude of each decision:
+      shape (rows, decisions), of a path the largest over time;
+    - `kinks`, `jumps`, `wrong`: pairs of a row and a decision, in words, at which slopes to both sides differ, values
+      jump, and the exact derivative is not the slope that is seen;
+    - `unfit`: rows and decisions whose scale is far from that of the others, in words;
+    - `violations`: of the constraints that do not hold, in words;
+    - `history`: what the solver evaluated on its way; None for a problem that was not solved.
+    """
+
+    rows: tuple[str, ...]
+    decisions: tuple[str, ...]
+    effects: Float[np.ndarray, "rows decisions"]
+    kinks: tuple[str, ...]
+    jumps: tuple[str, ...]
+    wrong: tuple[str, ...]
+    unfit: tuple[str, ...]
+    violations: tuple[str, ...]
+    history: Searched | None
+
+    @property
+    def ok(self) -> bool:
+        """Whether nothing was found that stops a gradient solver."""
+        return not (self.kinks or self.jumps or self.wrong or self.unfit)
+
+    def __str__(self) -> str:
+        found = [
+            *(
+                f"kink: {one}. Round it (smoothing=...), or limit each part of a largest or absolute value"
+                for one in self.kinks
+            ),
+            *(f"jump: {one}. Make it smooth, or use a solver without derivatives" for one in self.jumps),
+            *(
+                f"wrong derivative: {one}. Look for stop_gradient, rounding or a custom rule there"
+                for one in self.wrong
+            ),
+            *(f"scale: {one}" for one in self.unfit),
+        ]
+        return "\n".join(
+            [
+                "change of each row, relative to its magnitude, over a typical magnitude of each decision:",
+                *self._strongest(),
+                *([f"does not hold: {one}" for one in self.violations]),
+                *(found or ["smooth here, derivatives agree with differences, and scales are alike"]),
+                *([str(self.history)] if self.history else []),
+            ]
+        )
+
+    def _strongest(self) -> Iterator[str]:
+        for row, effects in zip(self.rows, self.effects, strict=True):
+            order = np.argsort(-np.nan_to_num(effects), kind="stable")[:_NAMED]
+            shown = ", ".join(f"{effects[i]:.2g} by {self.decisions[i]}" for i in order)
+            more = f" and {len(effects) - _NAMED} others" if len(effects) > _NAMED else ""
+            yield f"  {row}: {shown}{more}"
+
+
+def examine(subject: Problem | Solution) -> Examination:
+    """Look at a problem around one design as a gradient solver does: before a solve, or after one that failed.
+
+    Exact derivatives are compared with the slopes seen over steps of three lengths to both sides of each decision
+    (eight evaluations a decision), which tells kinks, jumps and wrong derivatives; magnitudes tell what is badly scaled.
+
+    - `subject`: a problem, at its initial decisions, or a solution, at its own, even one that failed
+      (`error.solution`). States are simulated.
+
+    Raises `ProblemError` for anything else, and if the problem cannot be evaluated there.
+    """
+    if not isinstance(subject, Problem | Solution):
+        raise refusal("examine", "a problem, or a solution such as that of al.solve(problem, throw=False)", subject)
+    solution = subject if isinstance(subject, Solution) else None
+    problem = current(subject.problem if isinstance(subject, Solution) else subject)
+    transcribed = transcribe(problem, DEFAULT)
+    point = transcribed.program.start if solution is None else np.asarray(solution.vector)
+    slopes = slopes_at(transcribed.program, point)
+    return _told(transcribed, point, slopes, solution)
+
+
+def _told(
+    transcribed: AbstractTranscribed, point: Float[np.ndarray, " n"], slopes: Slopes, solution: Solution | None
+) -> Examination:
+    rows = (f"objective {transcribed.problem.objective}", *transcribed.texts.constraints)
+    decisions = tuple(transcribed.places.entry_names())
+    effects = _effects(transcribed, point, slopes)
+    told = {
+        name: tuple(_pairs(transcribed, rows, decisions, slopes, getattr(slopes, name)))
+        for name in ("kinks", "jumps", "wrong")
+    }
+    return Examination(
+        rows=rows,
+        decisions=decisions,
+        effects=effects,
+        **told,
+        unfit=(*_unfit("", rows, effects), *_unfit("the decision ", decisions, effects.T)),
+        violations=() if solution is None else tuple(one.sentence() for one in solution.violated),
+        history=None if solution is None else solution.effort.visited,
+    )
+
+
+def _blocks(transcribed: AbstractTranscribed) -> list[slice]:
+    """The rows of the objective and of each constraint among all rows."""
+    return [slice(0, 1), *(slice(1 + one.start, 1 + one.stop) for one in transcribed.rows)]
+
+
+def _effects(
+    transcribed: AbstractTranscribed, point: Float[np.ndarray, " n"], slopes: Slopes
+) -> Float[np.ndarray, "rows decisions"]:
+    """The largest slope of each row, relative to its magnitude there."""
+    problem, meaning = transcribed.problem, transcribed.at(point)
+    values = [np.array([meaning.objective]), *meaning.constraints]
+    bounds = [0.0, *(bound_size(one) for one in problem.constraints)]
+    found = []
+    for where, value, bound in zip(_blocks(transcribed), values, bounds, strict=True):
+        changes = slopes.effects[where].max(axis=0, initial=0.0)
+        size = max(bound or 0.0, float(np.abs(value).max(initial=0.0))) or float(changes.max(initial=0.0)) or 1.0
+        found.append(changes / size)
+    return np.array(found)
+
+
+def _unfit(what: str, names: tuple[str, ...], effects: Float[np.ndarray, "names others"]) -> Iterator[str]:
+    """Rows, or decisions, whose largest effect is far from the middle of all."""
+    largest = effects.max(axis=1, initial=0.0)
+    known = largest[largest > 0]
+    middle = float(np.median(known)) if known.size else 0.0
+    for name, one in zip(names, largest, strict=True):
+        if one == 0:
+            yield f"{what}{name} has no effect here" if what else f"{name} is changed by no decision here"
+        elif not _WEAK * middle <= one <= _STRONG * middle:
+            yield f"{what}{name} {'changes things' if what else 'changes'} by {one:.1e}, others by about {middle:.1e}"
+
+
+def _pairs(
+    transcribed: AbstractTranscribed,
+    rows: tuple[str, ...],
+    decisions: tuple[str, ...],
+    slopes: Slopes,
+    flags: np.ndarray,
+) -> Iterator[str]:
+    """The rows and decisions that are flagged, with the slopes that were seen."""
+    for row, where in zip(rows, _blocks(transcribed), strict=True):
+        for i in np.flatnonzero(flags[where].any(axis=0)):
+            k = where.start + int(np.argmax(flags[where][:, i]))
+            seen = f"{slopes.left[k, i]:.3g} below, {slopes.right[k, i]:.3g} above"
+            instants = int(flags[where][:, i].sum())
+            more = f" at {instants} of its {where.stop - where.start} rows" if where.stop - where.start > 1 else ""
+            yield (
+                f"{row}, by {decisions[i]}{more}: over a typical magnitude of it, {seen}, "
+                f"{slopes.exact[k, i]:.3g} by the derivative"
+            )

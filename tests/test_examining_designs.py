@@ -1,0 +1,105 @@
+"""What `examine` tells of a problem around a design: kinks, jumps, wrong derivatives, scales, history."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import aleator as al
+
+
+class Rule(al.AlgebraicSystem):
+    """`y` is a rule of two numbers that are decided."""
+
+    unknowns = ()
+    rule: Any
+    a: Any = al.Decision(0.5, -2.0, 2.0)
+    b: Any = al.Decision(0.3, -2.0, 2.0)
+
+    def outputs(self):
+        return {"y": self.rule(self.a, self.b), "z": self.a + self.b}
+
+
+def of(rule, *limits, **numbers):
+    return al.Problem(Rule(rule, **numbers), minimize=al.output("y").mean, subject_to=limits)
+
+
+def test_a_smooth_problem_has_nothing_to_tell():
+    found = al.examine(of(lambda a, b: a**2 + jnp.sin(b), al.output("z").mean <= 2.0, b=al.Decision(0.5, -2.0, 2.0)))
+    assert found.ok
+    assert found.history is None
+    # Relative to the objective's value, over the typical magnitude of a decision.
+    assert found.effects.shape == (2, 2)
+    assert found.effects[1, 0] == pytest.approx(found.effects[1, 1])
+    assert "derivatives agree" in str(found)
+
+
+RULES = {
+    "kink": lambda a, b: jnp.abs(a - 0.5) + b,
+    "jump": lambda a, b: jnp.where(a < 0.5, 0.0, 1.0) + a + b,
+    "wrong": lambda a, b: jax.lax.stop_gradient(a) ** 2 + b,
+}
+
+
+@pytest.mark.parametrize("what", RULES)
+def test_what_stops_a_gradient_solver_is_named_with_its_decision(what):
+    found = al.examine(of(RULES[what]))
+    told = {"kink": found.kinks, "jump": found.jumps, "wrong": found.wrong}
+    (sentence,) = told.pop(what)
+    assert "objective μ[y], by a" in sentence
+    assert not any(told.values())
+    assert not found.ok
+
+
+def test_a_kink_of_a_limit_is_told_of_the_limit():
+    system = Rule(lambda a, b: jnp.maximum(a - 0.5, 0.0) + b)
+    problem = al.Problem(system, minimize=al.output("z").mean ** 2, subject_to=[al.output("y").mean <= 2.0])
+    (sentence,) = al.examine(problem).kinks
+    assert sentence.startswith("μ[y] ≤ 2, by a")
+
+
+def test_strong_curvature_is_no_kink():
+    assert al.examine(of(lambda a, b: jnp.sqrt((a - 0.5) ** 2 + 1e-4) + b**4 * 1e3)).ok
+
+
+def test_at_a_bound_one_side_is_enough():
+    at_bound = {"a": al.Decision(-2.0, -2.0, 2.0), "b": al.Decision(2.0, -2.0, 2.0)}
+    assert al.examine(of(lambda a, b: a**2 + jnp.exp(b), **at_bound)).ok
+    assert al.examine(of(lambda a, b: jax.lax.stop_gradient(a) ** 2 + b, **at_bound)).wrong
+
+
+def test_scales_far_from_those_of_others_are_told():
+    three = of(lambda a, b: 1e-9 * a + b, al.output("z").mean <= 2.0, a=al.Decision(1e-3, -2e-3, 2e-3))
+    assert al.examine(three).unfit == ()  # In its limit, the decision acts as others do.
+    weak = of(lambda a, b: 1e-9 * a + b)
+    (sentence,) = al.examine(weak).unfit
+    assert sentence.startswith("the decision a")
+    none = of(lambda a, b: b)
+    assert al.examine(none).unfit == ("the decision a has no effect here",)
+
+
+def test_a_failed_solve_can_be_examined_with_its_history():
+    problem = of(lambda a, b: jnp.abs(a - 0.1) + 10 * jnp.abs(a + b), al.output("z").mean <= 2.0)
+    with pytest.raises(al.SolveError) as caught:
+        al.solve(problem, al.solvers.FilterSQP(max_iterations=40))
+    found = al.examine(caught.value.solution)
+    assert found.history is not None
+    assert found.history.evaluations > 3
+    assert np.nanmin(found.history.objectives) == pytest.approx(caught.value.solution.objective, abs=1e-6)
+    assert found.kinks
+
+
+def test_the_history_of_a_solve_is_every_point_that_was_evaluated():
+    solution = al.solve(of(lambda a, b: (a - 1.0) ** 2 + (b - a**2) ** 2, al.output("z").mean <= 1.5))
+    visited = solution.effort.visited
+    assert visited is not None
+    assert 3 < visited.evaluations <= solution.effort.evaluations
+    assert visited.objectives[0] == pytest.approx((0.5 - 1.0) ** 2 + (0.3 - 0.25) ** 2)
+    assert visited.best(1e-6)[-1] == pytest.approx(solution.objective, abs=1e-9)
+
+
+def test_only_problems_and_solutions():
+    with pytest.raises(al.ProblemError, match="examine: expected a problem, or a solution"):
+        al.examine("design")  # type: ignore[arg-type]
