@@ -531,6 +531,21 @@ _STUDIES: dict[str, tuple[Callable[..., Any], dict[str, Any], dict[str, Mapping[
         {},
         {"solver": without(NO_OBJECT, "nothing"), "progress": {"text": "yes", "nothing": None}},
     ),
+    "harden": (
+        lambda **a: al.harden(problem(), **a),
+        {},
+        {
+            "weight": POSITIVE,
+            "factor": POSITIVE | {"one": 1.0},
+            "most": without(COUNT, "nothing"),
+            "tolerance": POSITIVE,
+            "exact": {"text": "yes", "nothing": None, "number": 3.5},
+            "solver": without(NO_OBJECT, "nothing"),
+            "transcription": REQUIRED,
+            "progress": {"text": "yes", "nothing": None},
+        },
+    ),
+    "harden itself": (al.harden, {}, {"problem": REQUIRED}),
     "examine": (al.examine, {}, {"subject": REQUIRED}),
     "conflict itself": (al.conflict, {}, {"problem": REQUIRED}),
     "portfolio": (

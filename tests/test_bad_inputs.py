@@ -48,6 +48,7 @@ NOT_CALLED = {
     "Optimum",
     "Portfolio",
     "Examination",
+    "Hardened",
     "Searched",
     "States",
     "Switching",

@@ -76,6 +76,7 @@ from .solution import Solution as Solution
 from .solving import solve as solve
 from .sweep import calibrate as calibrate
 from .sweep import conflict as conflict
+from .sweep import harden as harden
 from .sweep import multistart as multistart
 from .sweep import pareto as pareto
 from .sweep import portfolio as portfolio

@@ -85,7 +85,7 @@ def examine(subject: Problem | Solution) -> Examination:
     """Look at a problem around one design as a gradient solver does: before a solve, or after one that failed.
 
     Exact derivatives are compared with the slopes seen over steps of three lengths to both sides of each decision
-    (eight evaluations a decision), which tells kinks, jumps and wrong derivatives; magnitudes tell what is badly scaled.
+    (eight evaluations a decision), which tells kinks, jumps and wrong derivatives; effects tell what is badly scaled.
 
     - `subject`: a problem, at its initial decisions, or a solution, at its own, even one that failed
       (`error.solution`). States are simulated.

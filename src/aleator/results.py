@@ -30,6 +30,7 @@ from aleator.solution import WorstRealisation as WorstRealisation
 from aleator.sweep import Calibration as Calibration
 from aleator.sweep import Conflict as Conflict
 from aleator.sweep import Front as Front
+from aleator.sweep import Hardened as Hardened
 from aleator.sweep import Limit as Limit
 from aleator.sweep import Optimum as Optimum
 from aleator.sweep import Portfolio as Portfolio

@@ -165,6 +165,7 @@ def _outcome(scaled: ScaledProgram, answer: Answer, verdict: Verdict, solver: st
     active, active_bounds = scaled.active(
         verdict.point, verdict.user, verdict.multipliers.rows, verdict.multipliers.bounds
     )
+    objectives, violations = np.array(scaled.visited, dtype=float).reshape(-1, 2).T
     return Outcome(
         status=verdict.status,
         point=scaled.unscaled(verdict.point),
@@ -183,5 +184,5 @@ def _outcome(scaled: ScaledProgram, answer: Answer, verdict: Verdict, solver: st
         active_bounds=active_bounds,
         sizes=scaled.sizes(verdict.sizes),
         failed_at=scaled.evaluations.failed_at if verdict.status is Status.EVALUATION_FAILED else None,
-        visited=Searched(solver, *np.array(scaled.visited, dtype=float).reshape(-1, 2).T, answer.message, seconds),
+        visited=Searched(solver, objectives, violations, answer.message, seconds),
     )

@@ -58,7 +58,8 @@ def slopes_at(program: NonlinearProgram, point: Float[np.ndarray, " n"]) -> Slop
     jumps = (wide[1:] & wide[:-1] & (ratios > _JUMP)).any(axis=0)
     wrong = _is_wrong(exact, sides, noise, shows) & ~jumps
     effects = np.fmax(np.abs(exact), np.nan_to_num(np.fmax(*np.abs(far))))
-    return Slopes(exact, *sides[-1], effects, kinks & ~jumps, jumps, wrong)
+    left, right = sides[-1]
+    return Slopes(exact, left, right, effects, kinks & ~jumps, jumps, wrong)
 
 
 def _is_wrong(

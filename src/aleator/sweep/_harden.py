@@ -1,0 +1,138 @@
+"""`harden`: constraints as penalties whose weight grows until they hold, dissertation section 3.4."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+from jaxtyping import Float
+
+from aleator._core.given import a_name, one_of, positive, refusal, whole
+from aleator._core.heard import heeding
+from aleator._core.progress import Progress, check_progress, silent
+from aleator._core.warned import warned_of
+from aleator.certification import bound_size
+from aleator.design import Constraint, Problem, current, soft
+from aleator.nlp import AbstractSolver
+from aleator.solution import Solution
+from aleator.solving import solve
+from aleator.transcription import DEFAULT, AbstractTranscribed, AbstractTranscription, transcribe
+
+
+@final
+@dataclass(frozen=True)
+class Hardened:
+    """Solutions by ever larger penalties. `print(hardened)` lists them.
+
+    - `solutions`: one for each of the `weights`, those that failed included;
+    - `excesses`: by how much each constraint that became a penalty is exceeded there, by name, relative to its
+      magnitude: 0 where it holds;
+    - `tolerance`: the excess that is accepted; `interrupted`: whether Ctrl-C ended it.
+    """
+
+    solutions: tuple[Solution, ...]
+    weights: tuple[float, ...]
+    excesses: tuple[Mapping[str, float], ...]
+    tolerance: float
+    interrupted: bool = False
+
+    @property
+    def holds(self) -> bool:
+        """Whether all constraints hold at the last solution."""
+        return self.solutions[-1].ok and max(self.excesses[-1].values()) <= self.tolerance
+
+    @property
+    def best(self) -> Solution:
+        """The last solved one, which exceeds least; the last of all if none is solved."""
+        solved = [one for one in self.solutions if one.ok]
+        return (solved or self.solutions)[-1]
+
+    def __str__(self) -> str:
+        rows = [f"{'weight':>12}{'objective':>16}  largest excess"]
+        for weight, one, excesses in zip(self.weights, self.solutions, self.excesses, strict=True):
+            name = max(excesses, key=lambda each: np.nan_to_num(excesses[each], nan=np.inf))
+            said = "" if one.ok else f"  {one.status.value}"
+            rows.append(f"{weight:12.4g}{one.objective:16.8g}  {excesses[name]:.1e} of {name}{said}")
+        end = "all hold" if self.holds else "not all hold: allow larger weights, or see al.conflict"
+        return "\n".join([*rows, f"{end}, to {self.tolerance:.0e} of their magnitudes"])
+
+
+def harden(
+    problem: Problem,
+    *names: str,
+    weight: float = 1.0,
+    factor: float = 10.0,
+    most: int = 10,
+    tolerance: float = 1e-4,
+    exact: bool = False,
+    solver: AbstractSolver | None = None,
+    transcription: AbstractTranscription = DEFAULT,
+    progress: Progress = silent,
+) -> Hardened:
+    """Solve a problem with constraints as penalties (`al.soft`), each time with a larger weight, until they hold.
+
+    Each solve starts from the answer of the one before (penalty continuation, Fiacco and McCormick 1968), so that hard
+    constraints are approached from designs that break them: where a solver finds no way into them, or to see what each
+    costs. Penalties that are not `exact` never hold exactly: the excess falls in inverse proportion to the weight.
+
+    - `problem`, `names`, `exact`: see `al.soft`; `weight`: the first one; `factor`: of each to the one before, above 1;
+    - `most`: solves at most; `tolerance`: the excess that is accepted, relative to each constraint's magnitude;
+    - `solver`, `transcription`: see `al.solve`.
+
+    Everything is compiled once. Ctrl-C returns the solutions found so far. Raises `ProblemError` as `al.soft` does, and
+    for a factor of at most 1.
+    """
+    one_of("harden: problem", problem, Problem)
+    weight, tolerance = positive("harden: weight", weight), positive("harden: tolerance", tolerance)
+    factor, most = positive("harden: factor", factor), whole("harden: most", most)
+    if factor <= 1:
+        raise refusal("harden: factor", "a number above 1, by which weights grow", factor)
+    check_progress("harden", progress)
+    one_of("harden: transcription", transcription, AbstractTranscription, "al.Sequential()")
+    problem = current(problem)
+    hard = None
+    solutions: list[Solution] = []
+    excesses: list[Mapping[str, float]] = []
+    interrupted = True
+    try:
+        with heeding() as heed:
+            for done, each in enumerate(weight * factor ** np.arange(most)):
+                progress("weights", done, most)
+                softened = soft(problem, *names, weight=float(each), exact=exact)
+                start = solutions[-1].decisions if solutions else None
+                with warned_of(f"harden, weight {each:.4g}"):
+                    found = solve(softened, solver, transcription=transcription, start=start, throw=False)
+                hard = hard or transcribe(problem, DEFAULT)
+                excesses.append(_excesses(hard, _chosen(problem, names), found))
+                solutions.append(found)
+                if found.ok and max(excesses[-1].values()) <= tolerance:
+                    break
+                heed()
+        interrupted = False
+    except KeyboardInterrupt:
+        if not solutions:
+            raise
+    weights = tuple(float(one) for one in weight * factor ** np.arange(len(solutions)))
+    return Hardened(tuple(solutions), weights, tuple(excesses[: len(solutions)]), tolerance, interrupted)
+
+
+def _chosen(problem: Problem, names: tuple[str, ...]) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(a_name("harden: a constraint", name) for name in names)) or problem.names
+
+
+def _excesses(hard: AbstractTranscribed, names: tuple[str, ...], found: Solution) -> dict[str, float]:
+    """The excess of each named constraint of the hard problem at a solution's decisions."""
+    places = hard.places
+    initial = places.vector("initial")
+    own = {name: found.decisions[name] for name in places.named(initial)}
+    values = hard.at(places.moved(initial, own)).constraints
+    excesses = dict.fromkeys(names, 0.0)
+    for one, size, rows in zip(hard.problem.constraints, hard.scales, values, strict=True):
+        if one.name in excesses:
+            excesses[one.name] = max(excesses[one.name], _beyond(rows, one) / (bound_size(one) or size))
+    return excesses
+
+
+def _beyond(rows: Float[np.ndarray, " rows"], constraint: Constraint) -> float:
+    lower, upper = float(constraint.lower), float(constraint.upper)
+    return float(np.max(np.maximum(np.maximum(lower - rows, rows - upper), 0.0)))
