@@ -1,10 +1,11 @@
 """Every family of solvers on programs with known optima and on two designs, from many seeds; populations at once.
 
-    python benchmarks/solvers.py [programs] [designs] [seeds] [population] [fronts]
+    python benchmarks/solvers.py [programs] [designs] [seeds] [population] [fronts] [starts] [curvature]
 
 Prints a table for each part that is named, all by default: distance from the known optimum after polishing, evaluations
 and seconds. Solvers by derivatives start where the searches do. Peers in the same run: one design after the other for
-the population, SciPy's own polishing for the programs.
+the population, SciPy's own polishing for the programs, forty random starts for the portfolio, approximated curvature
+for exact second derivatives.
 """
 
 import sys
@@ -21,7 +22,7 @@ import scipy
 import aleator as al
 from aleator.extending import Evaluation, NonlinearProgram
 from aleator.nlp import AbstractSolver
-from aleator.studies import clutch, suspension
+from aleator.studies import clutch, pick_and_place_time, six_axis_arm, suspension, swing_up
 from aleator.transcription import transcribe
 
 SEARCHES = {
@@ -304,7 +305,92 @@ def _dominated(first: np.ndarray, second: np.ndarray, corner: np.ndarray) -> flo
     return float(np.sum(widths * np.maximum(corner[1] - best[inside], 0.0)))
 
 
-PARTS = {"programs": programs, "designs": designs, "seeds": seeds, "population": population, "fronts": fronts}
+def starts() -> None:
+    """The portfolio beside forty random starts, all of the same local solver, which is compiled before."""
+    cases = {
+        "time-optimal arm": (pick_and_place_time.robust_problem(1.0), 20, 500),
+        "six-axis arm": (six_axis_arm.robust_problem(1.0), 20, 500),
+        "swing-up": (swing_up.robust_problem(), 12, 120),
+    }
+    print("\nmotions: best of, objective, status, seconds, local optima with the number of starts")
+    for name, (problem, count, iterations) in cases.items():
+        local = al.solvers.FilterSQP(max_iterations=iterations)
+        al.solve(problem, local, throw=False)
+        for seed in range(2):
+            search = al.solvers.DifferentialEvolution(evaluations=1000, seed=seed)
+            ways = {f"portfolio of {count}": (count, search), "40 starts": (40, None)}
+            for label, (several, one) in ways.items():
+                began = time.perf_counter()
+                found = al.portfolio(problem, several, search=one, solver=local, seed=seed)
+                seconds = time.perf_counter() - began
+                best, status = found.best.objective, found.best.status.name.lower()
+                optima = ", ".join(f"{each.objective:.4g} ({each.starts})" for each in found.optima[:4])
+                print(f"  {name:18} seed {seed} {label:16} {best:12.8g} {status:10} {seconds:8.1f}  {optima}")
+
+
+class Cart(al.System):
+    """A mass that is pushed; the objective is linear in the push, so that an arc of it is singular."""
+
+    states = ("x", "v")
+    mass: al.Number
+
+    def initial(self) -> dict[str, float]:
+        """At rest in the middle, moving."""
+        return {"x": 0.0, "v": 1.0}
+
+    def rhs(self, _t: jax.Array, z: al.Instant, force: jax.Array) -> tuple:
+        """Newton."""
+        return z.v, force / self.mass
+
+    def outputs(self, _t: jax.Array, z: al.Instant) -> dict[str, jax.Array]:
+        """The loss."""
+        return {"loss": 0.5 * (z.x**2 + z.v**2)}
+
+
+def singular(points: int) -> al.Problem:
+    """The push of an uncertain mass that brings it to rest with the least loss."""
+    push = al.Tabulated(np.linspace(0.0, 5.0, points), al.Decision(np.zeros(points), -1.0, 1.0))
+    return al.Problem(
+        Cart(al.Uniform(1.0, half_width=0.1)),
+        grid=al.Grid(5.0, 200),
+        inputs={"force": push},
+        minimize=al.integral("loss").mean,
+        expansion=al.Expansion(order=3),
+    )
+
+
+def curvature() -> None:
+    """Exact second derivatives beside approximated ones: where an arc is singular, and where it is not."""
+    cases = {
+        "suspension, 2 decisions": suspension.robust_problem(),
+        "clutch, 6 decisions": clutch.allocation_problem(),
+        "time-optimal arm, 17 decisions": pick_and_place_time.robust_problem(1.0),
+        "singular arc, 11 decisions": singular(11),
+        "singular arc, 41 decisions": singular(41),
+    }
+    print("\nsecond derivatives: exact or not, objective, iterations, seconds when warm")
+    for name, problem in cases.items():
+        for solver in (al.solvers.FilterSQP(max_iterations=3000), al.solvers.Ipopt(max_iterations=3000)):
+            for exact in (False, True):
+                way = al.Sequential(second_derivatives=exact)
+                seconds = []
+                for _ in range(4):
+                    began = time.perf_counter()
+                    found = al.solve(problem, solver, transcription=way, throw=False, between=1)
+                    seconds.append(time.perf_counter() - began)
+                said = f"{found.objective:14.8g} {found.effort.iterations:5} {np.median(seconds[1:]):8.3f}"
+                print(f"  {name:32} {label_of(solver):10} {'exact' if exact else 'L-BFGS':8} {said}")
+
+
+PARTS = {
+    "programs": programs,
+    "designs": designs,
+    "seeds": seeds,
+    "population": population,
+    "fronts": fronts,
+    "starts": starts,
+    "curvature": curvature,
+}
 
 if __name__ == "__main__":
     for part in sys.argv[1:] or PARTS:

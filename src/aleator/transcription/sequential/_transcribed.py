@@ -13,10 +13,11 @@ from typing_extensions import override
 
 from aleator._core.arrays import numbers_to_arrays
 from aleator._core.compilation import Compiled
+from aleator._core.given import refusal
 from aleator.design import Problem
-from aleator.nlp import NonlinearProgram
+from aleator.nlp import Hessian, NonlinearProgram
 from aleator.transcription._abstract import AbstractTranscribed, AbstractTranscription, Meaning, Meanwhile
-from aleator.transcription._discretisation import discretised
+from aleator.transcription._discretisation import Discretised, discretised
 from aleator.transcription._magnitudes import (
     Sizing,
     decision_scales,
@@ -30,6 +31,7 @@ from aleator.transcription._rows import row_bounds, rows_of
 from aleator.transcription._scenarios import Scenarios, first_scenarios
 from aleator.transcription._texts import Texts
 from aleator.transcription._unsatisfiable import refuse_unsatisfiable
+from aleator.transcription.sequential._curvature import CURVATURE, hessian_of
 from aleator.transcription.sequential._evaluator import COMBINE, CONTRIBUTE, EVALUATE, Evaluator, evaluation_of
 from aleator.transcription.sequential._instantaneous import FEATURES, anchors_of, instantaneous
 from aleator.transcription.sequential._population import VALUES, Population
@@ -85,9 +87,14 @@ class SequentiallyTranscribed(AbstractTranscribed):
             sparsity=program.sparsity if same else None,
             magnitudes=sizing.at,
             values=Population(self.traced, discretised.collocation, discretised.constants),
+            hessian=None if program.hessian is None else _hessian(self.traced, discretised, program.start.size),
         )
         own = {"discretised": discretised, "evaluator": evaluator, "sizing": sizing, "_latest": []}
         return replace(self, rows=rows, program=program, scenarios=scenarios, **own)
+
+
+def _hessian(traced: Problem, found: Discretised, size: int) -> Hessian:
+    return hessian_of(traced, found.collocation, found.constants, size)
 
 
 @final
@@ -96,9 +103,22 @@ class Sequential(AbstractTranscription):
     """Simulate inside, optimise outside: few decisions, thousands of rows, dynamics that hold at every iterate.
 
     For systems that can be simulated from start to end whatever the decisions are (SeqNLP, equations 93, 95 and 122).
+
+    - `second_derivatives`: whether solvers get exact ones of the Lagrangian, instead of collecting curvature from
+      iteration to iteration. Each costs as much as `n²` simulations without derivatives for `n` decisions, and one more
+      compilation: worth it for a few decisions on flat objectives, such as controls on singular arcs. The model, and
+      functions of one's own, must then be differentiable twice.
+
+    Raises `ProblemError` for anything but True or False.
     """
 
-    programs: ClassVar[tuple[Compiled, ...]] = (EVALUATE, CONTRIBUTE, COMBINE, FEATURES, VALUES)
+    second_derivatives: bool = False
+
+    programs: ClassVar[tuple[Compiled, ...]] = (EVALUATE, CONTRIBUTE, COMBINE, FEATURES, VALUES, CURVATURE)
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.second_derivatives, bool):
+            raise refusal("Sequential: second_derivatives", "True or False", self.second_derivatives)
 
     @override
     def transcribed(self, problem: Problem, meanwhile: Meanwhile) -> SequentiallyTranscribed:
@@ -146,6 +166,7 @@ class Sequential(AbstractTranscription):
             magnitudes=sizing.at,
             least=least_objective(problem),
             values=Population(traced, found.collocation, found.constants),
+            hessian=_hessian(traced, found, start.size) if self.second_derivatives else None,
         )
         return SequentiallyTranscribed(
             problem,
