@@ -520,6 +520,8 @@ _STUDIES: dict[str, tuple[Callable[..., Any], dict[str, Any], dict[str, Mapping[
             "points": without(COUNT, "nothing") | {"one": 1},
             "method": {"unknown": "best", "nothing": None, "number": 3.5},
             "starts": without(COUNT, "nothing"),
+            "evaluations": without(COUNT, "nothing"),
+            "seed": without(WHOLE, "nothing"),
             "solver": without(NO_OBJECT, "nothing"),
             "transcription": REQUIRED,
             "progress": {"text": "yes", "nothing": None},

@@ -1,6 +1,7 @@
 """Fronts of several wishes against their closed forms, and against linear programs."""
 
 import signal
+import sys
 
 import jax.numpy as jnp
 import numpy as np
@@ -92,10 +93,11 @@ def test_a_concave_front_is_found_and_weights_cannot():
     assert np.abs(np.diff(weighted.values, axis=0)).max() > 0.5
 
 
-def test_a_front_with_holes_is_found_on_all_its_parts():
+@pytest.mark.parametrize("way", [{"starts": 12}, {"method": "population", "seed": 1}], ids=["starts", "population"])
+def test_a_front_with_holes_is_found_on_all_its_parts(way):
     # Zitzler, Deb and Thiele's third function (2000): five parts.
     problem = plane(lower=1e-3, upper=1.0, start=0.4)
-    found = al.trade_off(problem, {"a": al.value("a"), "wave": al.output("wave").mean}, 40, starts=12)
+    found = al.trade_off(problem, {"a": al.value("a"), "wave": al.output("wave").mean}, 40, **way)
     a = np.linspace(1e-3, 1.0, 200001)
     wave = 1 - np.sqrt(a) - a * np.sin(10 * np.pi * a) + 1e-6
     points = np.stack([a, wave], axis=1)
@@ -181,6 +183,24 @@ def test_a_front_respects_the_limits_of_the_problem():
     assert max(one.decisions["b"] for one in found.solutions) <= 0.5 + 1e-6
 
 
+def test_a_population_respects_limits_and_is_the_same_for_the_same_seed():
+    problem = plane((al.output("x").mean >= 0.1).named("limit"))
+    wishes = {"first": near(1, 0, 0), "second": near(0, 1, 0)}
+    both = [al.trade_off(problem, wishes, 6, method="population", evaluations=400, seed=3) for _ in range(2)]
+    np.testing.assert_array_equal(both[0].values, both[1].values)
+    for one in both[0].solutions:
+        assert one.ok
+        assert one.decisions["a"] >= 0.1 - 1e-6
+
+
+def test_a_population_needs_bounds_and_its_library(monkeypatch):
+    with pytest.raises(al.ProblemError, match=r"of which \['a', 'b', 'c'\] have none"):
+        al.trade_off(plane(lower=-np.inf), {"one": near(1, 0, 0), "two": near(0, 1, 0)}, method="population")
+    monkeypatch.setitem(sys.modules, "pymoo.algorithms.moo.nsga2", None)
+    with pytest.raises(al.MissingExtraError, match=r"aleator\[fronts\]"):
+        al.trade_off(plane(), {"one": near(1, 0, 0), "two": near(0, 1, 0)}, method="population")
+
+
 @pytest.mark.usefixtures("python_interrupts")
 def test_ctrl_c_keeps_the_points_found():
     def stop(task, done, total):
@@ -223,7 +243,7 @@ def test_the_hypervolume_of_boxes_is_their_union():
         (lambda: al.trade_off(plane(), {"one": X.mean}), "wishes: expected two expressions or more by name"),
         (lambda: al.trade_off(plane(), {"one": X.mean, "two": X}), "wish 'two': expected Expression"),
         (lambda: al.trade_off(plane(), {"one": X.mean, "two": Y.mean}, 1), "points is a whole number of at least 2"),
-        (lambda: al.trade_off(plane(), {"one": X.mean, "two": Y.mean}, method="best"), '"boundary", "limits" or'),
+        (lambda: al.trade_off(plane(), {"one": X.mean, "two": Y.mean}, method="best"), '"boundary", "limits", "weights" or'),
         (
             lambda: al.trade_off(plane((X.mean + Y.mean >= 20.0).named("much")), {"one": X.mean, "two": Y.mean}),
             "much",

@@ -37,3 +37,5 @@ from aleator.nlp.search import Direct as Direct
 from aleator.nlp.search import DualAnnealing as DualAnnealing
 from aleator.nlp.search import NelderMead as NelderMead
 from aleator.nlp.search import Sought as Sought
+from aleator.nlp.search import load_pymoo as load_pymoo
+from aleator.nlp.search import population_front as population_front

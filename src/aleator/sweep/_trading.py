@@ -1,8 +1,7 @@
 """`trade_off`: designs of which none is better in all wishes, and how their front is found."""
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
-from typing import Any, Literal, TypeAlias, final
+from typing import Any, Literal, TypeAlias, final, get_args
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -16,30 +15,21 @@ from aleator.design import Expression, Problem, current
 from aleator.nlp import AbstractSolver, DifferentialEvolution, Slsqp
 from aleator.solution import Solution
 from aleator.solving import solve
+from aleator.sweep._crowd import Budget, Member, check_crowd, crowd
 from aleator.sweep._hypervolume import efficient
 from aleator.sweep._places import Gap, simplex
 from aleator.sweep._portfolio import portfolio
 from aleator.sweep._trade_off import TradeOff
-from aleator.sweep._wishes import Compromise, Wishes, pressed
+from aleator.sweep._wishes import Compromise, Found, Wishes, pressed
 from aleator.transcription import DEFAULT, AbstractTranscription, transcribe
 
-Method = Literal["boundary", "limits", "weights"]
+Method = Literal["boundary", "limits", "weights", "population"]
 _Start: TypeAlias = Solution | Mapping[str, Any] | None
 
 # Points are equal if no wish differs by more than this part of its range; a wish of a smaller range is constant.
 _SAME, _CONSTANT = 1e-5, 1e-9
 # A gap of the front is a hole if lines between its ends, down to this part of the whole, end upon them.
 _NARROWEST = 1e-3
-
-
-@dataclass
-class _Found:
-    """What has been found so far."""
-
-    solutions: list[Solution] = field(default_factory=list)
-    values: list[Float[np.ndarray, " wishes"]] = field(default_factory=list)
-    weights: list[Float[np.ndarray, " wishes"]] = field(default_factory=list)
-    failed: list[str] = field(default_factory=list)
 
 
 def trade_off(
@@ -49,6 +39,8 @@ def trade_off(
     *,
     method: Method = "boundary",
     starts: int = 1,
+    evaluations: int = 5000,
+    seed: int = 0,
     solver: AbstractSolver | None = None,
     transcription: AbstractTranscription = DEFAULT,
     progress: Progress = silent,
@@ -61,23 +53,30 @@ def trade_off(
       towards better ones (normal boundary intersection, Das and Dennis 1998, in the form of Pascoletti and Serafini
       1984), where fronts may be concave; for two wishes the largest gaps are filled, until they are proven holes.
       `"limits"`: the first wish, with limits on the others (Haimes et al. 1971), two wishes or more. `"weights"`:
-      weighted sums, which find convex parts of a front alone. A small share of all wishes in every objective keeps
+      weighted sums, which find convex parts of a front alone. `"population"`: a population spreads over the whole front
+      (NSGA-II, Deb et al. 2002, of the extra `fronts`), for fronts in parts and designs in many basins; its designs are
+      starts of lines through them, which lead to the front itself. A small share of all wishes in every objective keeps
       designs away at which a wish could be better at no cost (Mavrotas 2009);
     - `solver`, `transcription`: those of `al.solve`, which certifies every point. Each point starts from its nearest
       neighbour, from the problem's own start where that fails, and then by `al.solvers.Slsqp()` unless a solver is
       given;
     - `starts`: local searches for each point, all but one from random starts, for problems with several optima, whose
-      fronts may be in parts; the best designs of the wishes are then searched for globally (see `al.portfolio`).
+      fronts may be in parts; the best designs of the wishes are then searched for globally (see `al.portfolio`);
+    - `evaluations`, `seed`: of a population: simulated designs, and its random numbers.
 
     Everything is compiled once. Ctrl-C returns the points found so far. Raises `ProblemError` for fewer than two
-    wishes, for one that no decision changes, and if the best design of some wish cannot be found.
+    wishes, for one that no decision changes, if the best design of some wish cannot be found, and for decisions without
+    bounds if a population is asked for.
     """
     one_of("trade_off: problem", problem, Problem)
     names = _names(wishes)
     points = whole("trade_off: points", points, least=len(names))
     starts = whole("trade_off: starts", starts)
-    if method not in ("boundary", "limits", "weights"):
-        raise refusal("trade_off: method", '"boundary", "limits" or "weights"', method)
+    if method not in get_args(Method):
+        raise refusal("trade_off: method", '"boundary", "limits", "weights" or "population"', method)
+    budget = Budget(whole("trade_off: evaluations", evaluations), whole("trade_off: seed", seed, least=0))
+    if method == "population":
+        check_crowd(problem)
     check_progress("trade_off", progress)
     one_of("trade_off: transcription", transcription, AbstractTranscription, "al.Sequential()")
     front = _Front(Wishes(current(problem), wishes), transcription, solver, starts)
@@ -85,6 +84,8 @@ def trade_off(
     try:
         with heeding() as heed:
             front.find_anchors(lambda done: progress("best of each wish", done, len(names)), heed)
+            if method == "population":
+                front.spread(points, budget, lambda done: (progress("population", done, evaluations), heed()))
             for done, one in enumerate(front.problems(method, points)):
                 progress("trade-off", done, points)
                 front.add(one)
@@ -114,8 +115,9 @@ class _Front:
         self, wishes: Wishes, transcription: AbstractTranscription, solver: AbstractSolver | None, starts: int
     ):
         self._wishes, self._transcription, self._solver, self._starts = wishes, transcription, solver, starts
-        self._found, self._sizes = _Found(), np.ones(len(wishes.names))
+        self._found, self._sizes = Found(), np.ones(len(wishes.names))
         self.anchors: list[Float[np.ndarray, " wishes"]] = []
+        self._crowd: list[Member] = []
 
     @property
     def _best(self) -> Float[np.ndarray, " wishes"]:
@@ -131,7 +133,7 @@ class _Front:
         self._sizes = self._sizes_at_start()
         scales = 1.0 / self._sizes
         for is_last in (False, True):
-            found = _Found()
+            found = Found()
             for which in range(count):
                 progress(which)
                 # Without scales, the others must not count.
@@ -182,13 +184,20 @@ class _Front:
             yield from self._limited(scales, more)
         elif method == "boundary":
             yield from self._along(scales, more)
+        elif method == "population":
+            yield from (self._wishes.along(one.values, scales) for one in self._crowd)
         else:
             assert_never(method)
 
     def add(self, compromise: Compromise) -> None:
         """Solve one of these problems, from the nearest design."""
-        away = [compromise.distance(one) for one in self._found.values]
-        self._solve(compromise, self._found, start=self._found.solutions[int(np.argmin(away))])
+        known = [*self._found.values, *(one.values for one in self._crowd)]
+        starts = [*self._found.solutions, *(one.decisions for one in self._crowd)]
+        self._solve(compromise, self._found, start=starts[np.argmin([compromise.distance(one) for one in known])])
+
+    def spread(self, points: int, budget: Budget, heed: Callable[[int], Any]) -> None:
+        """Let a population spread over the front."""
+        self._crowd = crowd(self._wishes, self._found.solutions, points - len(self.anchors), budget, heed)
 
     def told(self, interrupted: bool) -> TradeOff:
         """The efficient designs in order."""
@@ -272,7 +281,7 @@ class _Front:
         if self._solver is None:
             yield Slsqp(), start
 
-    def _solve(self, compromise: Compromise, found: _Found, start: _Start) -> None:
+    def _solve(self, compromise: Compromise, found: Found, start: _Start) -> None:
         solution = self._local(compromise.problem, start)
         if self._starts > 1:
             with warned_of("trade_off"):

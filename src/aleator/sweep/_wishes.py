@@ -1,6 +1,7 @@
 """One problem for every compromise between several wishes: its numbers choose which."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import NamedTuple, final
 
 import equinox as eqx
@@ -60,6 +61,16 @@ class Compromise(NamedTuple):
             return float(np.ptp(away))
         limited = np.isfinite(away) & (self.numbers.directions == 0)
         return float(np.max(np.abs(away[limited]), initial=0.0))
+
+
+@dataclass
+class Found:
+    """What has been found of a front so far: designs with their wishes and weights, and why others were not found."""
+
+    solutions: list[Solution] = field(default_factory=list)
+    values: list[Float[np.ndarray, " wishes"]] = field(default_factory=list)
+    weights: list[Float[np.ndarray, " wishes"]] = field(default_factory=list)
+    failed: list[str] = field(default_factory=list)
 
 
 @final
