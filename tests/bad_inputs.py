@@ -548,6 +548,7 @@ _STUDIES: dict[str, tuple[Callable[..., Any], dict[str, Any], dict[str, Mapping[
         },
     ),
     "harden itself": (al.harden, {}, {"problem": REQUIRED}),
+    "validate_all": (al.validate_all, {}, {"designs": REQUIRED}),
     "examine": (al.examine, {}, {"subject": REQUIRED}),
     "conflict itself": (al.conflict, {}, {"problem": REQUIRED}),
     "portfolio": (

@@ -47,6 +47,7 @@ NOT_CALLED = {
     "TradeOff",
     "Optimum",
     "Portfolio",
+    "EvidenceOfAll",
     "Examination",
     "Hardened",
     "Searched",

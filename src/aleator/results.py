@@ -29,6 +29,7 @@ from aleator.solution import WorstCase as WorstCase
 from aleator.solution import WorstRealisation as WorstRealisation
 from aleator.sweep import Calibration as Calibration
 from aleator.sweep import Conflict as Conflict
+from aleator.sweep import EvidenceOfAll as EvidenceOfAll
 from aleator.sweep import Front as Front
 from aleator.sweep import Hardened as Hardened
 from aleator.sweep import Limit as Limit

@@ -1,5 +1,7 @@
 """Constraints as penalties: closed forms of their optima, and the hard optima that they tend to."""
 
+from typing import ClassVar
+
 import numpy as np
 import pytest
 from scipy.optimize import brentq
@@ -191,3 +193,26 @@ def test_penalties_of_any_weight_are_solved_to_their_own_minimum(weight):
     found = al.solve(al.soft(hard, weight=weight))
     # The multipliers of the hard optimum are (24, 12): the penalised one is lower by (24² + 12²) / 4w to first order.
     assert found.objective == pytest.approx(12.0 - (24**2 + 12**2) / (4 * weight), rel=1e-3)
+
+
+def test_weights_carry_units_so_that_penalties_join_any_objective():
+    class Beam(al.AlgebraicSystem):
+        unknowns = ()
+        units: ClassVar = {"mass": "kg", "stress": "MPa"}
+        a: al.Number
+
+        def outputs(self):
+            return {"mass": self.a, "stress": 4.0 / self.a}
+
+    limit = (al.output("stress").mean <= 1.0).named("stress")
+    beam = al.Problem(Beam(al.Decision(1.0, 0.1, 9.0)), minimize=al.output("mass").mean, subject_to=[limit])
+    # a + (4/a - 1)²: its slope is 1 - 8 (4/a - 1) / a².
+    expected = brentq(lambda a: 1 - 8 * (4 / a - 1) / a**2, 1.0, 4.0)
+    assert al.solve(al.soft(beam, weight=1.0)).decisions["a"] == pytest.approx(expected, rel=1e-6)
+    assert al.solve(al.soft(beam, weight=5.0, exact=True)).decisions["a"] == pytest.approx(4.0, rel=1e-6)
+    front = al.trade_off(
+        al.Problem(beam.system, minimize=al.output("mass").mean),
+        {"mass": al.output("mass").mean, "stress": al.output("stress").mean + al.output("stress").std},
+        4,
+    )
+    np.testing.assert_allclose(np.prod(front.values, axis=1), 4.0, rtol=1e-6)

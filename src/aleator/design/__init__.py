@@ -34,6 +34,7 @@ from aleator.design._functions import function as function
 from aleator.design._functions import maximum as maximum
 from aleator.design._functions import minimum as minimum
 from aleator.design._functions import positive_part as positive_part
+from aleator.design._functions import pure as pure
 from aleator.design._objectives import beside_integrals as beside_integrals
 from aleator.design._objectives import coefficient_power as coefficient_power
 from aleator.design._objectives import effort as effort

@@ -7,7 +7,7 @@ from aleator._core.errors import ProblemError
 from aleator._core.given import refusal
 from aleator.design._expression import Expression, composed
 from aleator.design._numbers import smoothing_given
-from aleator.design._rules import Extremum, Own, PositivePart
+from aleator.design._rules import Extremum, Own, PositivePart, Pure
 
 
 def maximum(*expressions: Any, smoothing: float = 0.0) -> Expression:
@@ -54,6 +54,11 @@ def function(of: Callable[..., Any], *expressions: Any) -> Expression:
     if not expressions:
         raise ProblemError("function: expected the expressions that it is a function of; received none.")
     return composed(Own(of), *expressions)
+
+
+def pure(expression: Any) -> Expression:
+    """An expression for a sum in which its factor carries a unit, as weights of penalties and of wishes do."""
+    return composed(Pure(), expression)
 
 
 def _several(who: str, expressions: tuple[Any, ...]) -> tuple[Any, ...]:

@@ -110,6 +110,25 @@ class Power(AbstractRule):
         return raised(_of_factor(units[0]), self.exponent)
 
 
+@final
+class Pure(AbstractRule):
+    """An expression whose unit is left to the factor before it, so that it can stand in a sum with any other."""
+
+    @override
+    def of(self, *values: Array) -> Array:
+        (value,) = values
+        return value
+
+    @override
+    def text(self, *texts: str) -> str:
+        (text,) = texts
+        return _bracketed(text)
+
+    @override
+    def unit(self, *units: str | None) -> str:
+        return ""
+
+
 class AbstractRounded(AbstractRule):
     """A rule with a kink, which a `smoothing` above zero rounds. Its expressions have one unit, which is its own."""
 

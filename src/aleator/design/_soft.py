@@ -7,7 +7,7 @@ import numpy as np
 from aleator._core.errors import ProblemError
 from aleator._core.given import a_name, one_of, positive, refusal
 from aleator.design._expression import Constraint, Expression, as_expression, value
-from aleator.design._functions import positive_part
+from aleator.design._functions import positive_part, pure
 from aleator.design._objectives import time_integral
 from aleator.design._problem import Problem, declared_anew
 from aleator.uncertainty import Decision
@@ -60,7 +60,7 @@ def _with_slacks(problem: Problem, softened: Mapping[str, tuple[Constraint, ...]
     return declared_anew(
         problem,
         problem.simulation,
-        minimize=problem.objective + weight * sum(map(value, slacks), start=as_expression(0.0)),
+        minimize=problem.objective + weight * sum(map(pure, map(value, slacks)), start=as_expression(0.0)),
         subject_to=tuple(kept),
         decisions=slacks,
     )
@@ -90,4 +90,5 @@ def _penalty(constraint: Constraint) -> Expression:
         missed = [positive_part(expression - upper)] if np.isfinite(upper) else []
         missed += [positive_part(lower - expression)] if np.isfinite(lower) else []
     square = sum((one**2 for one in missed), start=as_expression(0.0))
-    return time_integral(square) if constraint.is_path else square
+    # Its weight carries a unit.
+    return pure(time_integral(square) if constraint.is_path else square)

@@ -18,3 +18,5 @@ from aleator.sweep._portfolio import Portfolio as Portfolio
 from aleator.sweep._portfolio import portfolio as portfolio
 from aleator.sweep._trade_off import TradeOff as TradeOff
 from aleator.sweep._trading import trade_off as trade_off
+from aleator.sweep._validate_all import EvidenceOfAll as EvidenceOfAll
+from aleator.sweep._validate_all import validate_all as validate_all

@@ -8,19 +8,25 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from aleator.design import Constraint, Expression, Problem, as_expression, declared_anew, value
+from aleator.design import Constraint, Expression, Problem, as_expression, declared_anew, pure, value
 from aleator.solution import Solution
 from aleator.uncertainty import Decision
 
 # The decision to which all wishes are pressed down together, and the name of the constraint on their weighted sum.
-LEVEL, WEIGHTED = "trade-off.level", "trade-off: weighted sum"
+_OWN = "trade-off: "
+LEVEL, WEIGHTED = "trade-off.level", f"{_OWN}weighted sum"
 # The share of all wishes in the objective, so that no wish is left worse than it need be.
 _SHARE = 1e-4
 
 
 def pressed(name: str) -> str:
     """The name of the constraint that presses one wish down."""
-    return f"trade-off: wish {name}"
+    return f"{_OWN}wish {name}"
+
+
+def is_of_trade_off(name: str) -> bool:
+    """Whether a constraint is one that chooses a place on a front."""
+    return name.startswith(_OWN)
 
 
 class _Numbers(NamedTuple):
@@ -88,6 +94,8 @@ class Wishes:
         self.names = tuple(wishes)
         self._given = problem
         self.expressions = tuple(as_expression(one) for one in wishes.values())
+        # Scales and weights carry units.
+        self._terms = tuple(map(pure, self.expressions))
         ones = np.ones(len(wishes))
         first = _Numbers(ones, ones, ones, ones, 1.0, 1.0)
         self._problem = declared_anew(
@@ -144,7 +152,7 @@ class Wishes:
         return value(LEVEL) + self._sum(numbers.share * numbers.scales)
 
     def _constraints(self, numbers: "_Numbers") -> tuple[Constraint, ...]:
-        level, each = value(LEVEL), zip(self.names, self.expressions, *numbers[:3], strict=True)
+        level, each = value(LEVEL), zip(self.names, self._terms, *numbers[:3], strict=True)
         rows = [
             (pressed(name), float(scale) * wish - float(direction) * level, offset)
             for name, wish, scale, offset, direction in each
@@ -153,7 +161,7 @@ class Wishes:
         return tuple(_at_most(*row) for row in rows)
 
     def _sum(self, factors: Sequence[float] | Float[np.ndarray, " wishes"]) -> Expression:
-        terms = (float(factor) * wish for factor, wish in zip(factors, self.expressions, strict=True))
+        terms = (float(factor) * wish for factor, wish in zip(factors, self._terms, strict=True))
         return sum(terms, start=as_expression(0.0))
 
 

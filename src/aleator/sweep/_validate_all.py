@@ -1,0 +1,130 @@
+"""`validate_all`: evidence at every design of a front, with its intervals."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, TypeAlias, final
+
+from aleator._core.errors import AleatorError, ProblemError
+from aleator._core.given import refusal, whole
+from aleator._core.heard import heeding
+from aleator._core.progress import Progress, check_progress, silent
+from aleator._core.warned import warned_of
+from aleator.design import declared_anew, refuse_changed
+from aleator.solution import Solution
+from aleator.sweep._front import Front
+from aleator.sweep._multistart import Starts
+from aleator.sweep._trade_off import TradeOff
+from aleator.sweep._wishes import is_of_trade_off
+from aleator.validation import Evidence, validate
+
+Designs: TypeAlias = Front | TradeOff | Starts | Sequence[Solution]
+
+
+@final
+@dataclass(frozen=True)
+class EvidenceOfAll:
+    """Evidence on several designs. `print(evidence)` lists the share of systems that break each limit, with intervals.
+
+    - `designs`: those that were validated, in order; `places`: each on its front, in words;
+    - `evidence`: on each; None where `refused` tells why by its index;
+    - `interrupted`: whether Ctrl-C ended it; what was validated by then is included.
+    """
+
+    designs: tuple[Solution, ...]
+    places: tuple[str, ...]
+    evidence: tuple[Evidence | None, ...]
+    refused: dict[int, str]
+    interrupted: bool = False
+
+    @property
+    def agrees(self) -> bool:
+        """Whether samples contradict none of the designs."""
+        return not self.refused and all(one is not None and one.agrees for one in self.evidence)
+
+    def __str__(self) -> str:
+        names = list(dict.fromkeys(name for one in self.evidence if one for name in one.violations))
+        first, width = max(map(len, self.places)), max(32, *(len(name) + 2 for name in names), 0)
+        head = f"{'design':<{first}}" + "".join(f"{name:>{width}}" for name in names)
+        rows = [self._row(i, names, first, width) for i in range(len(self.evidence))]
+        told = "share of systems that break a limit (95 % interval)" if names else "no limit counts system by system"
+        return "\n".join([told, head, *rows, *(["interrupted by the user"] if self.interrupted else [])])
+
+    def _row(self, which: int, names: Sequence[str], first: int, width: int) -> str:
+        head, one = f"{self.places[which]:<{first}}", self.evidence[which]
+        if one is None:
+            return f"{head}  {self.refused[which]}"
+        shares = "".join(f"{one.violations[name]!s:>{width}}" for name in names if name in one.violations)
+        return head + shares + ("" if one.agrees else f"  {one.alarm()}")
+
+
+def validate_all(
+    designs: Designs, samples: int = 20_000, *, seed: int = 0, progress: Progress = silent
+) -> EvidenceOfAll:
+    """Simulate fresh random systems at every solved design of a front (`al.validate` at each).
+
+    - `designs`: of `al.pareto`, `al.trade_off` or `al.multistart`, or solutions; those without a design are left out;
+    - `samples`, `seed`: of `al.validate`, the same systems for each design, so that designs can be compared.
+
+    A design whose systems cannot be simulated is kept with the reason. Ctrl-C returns the evidence found so far. Raises
+    `ProblemError` if there is no solved design.
+    """
+    samples, seed = whole("validate_all: samples", samples, least=2), whole("validate_all: seed", seed, least=0)
+    check_progress("validate_all", progress)
+    solved = [(place, one) for place, one in _placed(designs) if one.ok]
+    if not solved:
+        raise ProblemError("validate_all: expected at least one solved design; received none.")
+    places, chosen = zip(*solved, strict=True)
+    found: list[Evidence | None] = []
+    refused: dict[int, str] = {}
+    interrupted = True
+    try:
+        with heeding() as heed:
+            for done, one in enumerate(chosen):
+                progress("evidence", done, len(chosen))
+                try:
+                    with warned_of(f"validate_all, design {done}"):
+                        found.append(validate(_with_own_limits(one), samples, seed=seed))
+                except AleatorError as error:
+                    refused[done] = str(error)
+                    found.append(None)
+                heed()
+        interrupted = False
+        progress("evidence", len(chosen), len(chosen))
+    except KeyboardInterrupt:
+        if not found:
+            raise
+    return EvidenceOfAll(chosen[: len(found)], places[: len(found)], tuple(found), refused, interrupted)
+
+
+def _placed(designs: Any) -> list[tuple[str, Solution]]:
+    """The solutions, each with its place on the front in words."""
+    if isinstance(designs, Front):
+        pairs = zip(designs.values, designs.points, strict=True)
+        return [(f"{designs.bound} = {value:.6g}", one) for value, one in pairs if isinstance(one, Solution)]
+    if isinstance(designs, TradeOff):
+        rows = (zip(designs.names, row, strict=True) for row in designs.values)
+        told = [", ".join(f"{name} = {one:.6g}" for name, one in row) for row in rows]
+        return list(zip(told, designs.solutions, strict=True))
+    if isinstance(designs, Starts):
+        return [(f"start {i}", one) for i, one in enumerate(designs.solutions)]
+    if (
+        isinstance(designs, Sequence)
+        and not isinstance(designs, str)
+        and all(isinstance(one, Solution) for one in designs)
+    ):
+        return [(f"{i}", one) for i, one in enumerate(designs)]
+    raise refusal("validate_all: designs", "what al.pareto, al.trade_off or al.multistart gives, or solutions", designs)
+
+
+def _with_own_limits(solution: Solution) -> Solution:
+    """A design with its problem's own limits alone: those that choose a place on a front are none."""
+    problem = solution.problem
+    kept = tuple(one for one in problem.constraints if not is_of_trade_off(one.name))
+    if len(kept) == len(problem.constraints):
+        return solution
+    refuse_changed("validate_all", problem, "when the design was solved")
+    return replace(
+        solution,
+        problem=declared_anew(problem, problem.simulation, minimize=problem.objective, subject_to=kept),
+        constraints=tuple(one for one in solution.constraints if not is_of_trade_off(one.name)),
+    )
