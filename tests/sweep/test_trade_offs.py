@@ -62,6 +62,7 @@ def test_a_convex_front_is_that_of_the_closed_form(method):
     np.testing.assert_allclose(found.best, VARIANCE, atol=1e-5)
     np.testing.assert_allclose(found.worst, 5 + VARIANCE, rtol=1e-3)
     assert all(one.ok for one in found.solutions)
+    assert "9 designs, each solved" in str(found)
 
 
 @pytest.mark.parametrize("method", ["boundary", "limits"])

@@ -53,9 +53,9 @@ class TradeOff:
         width = max(12, *(len(name) + 1 for name in self.names))
         heading = "".join(f"{name:>{width}}" for name in self.names)
         rows = ["".join(f"{one:>{width}.6g}" for one in row) for row in self.values]
-        if len(rows) == 1:
-            rows.append("the wishes do not conflict: one design is best for all of them")
+        several = f"{len(rows)} designs, each solved and certified; none is better than another in every wish"
         notes = [
+            several if len(rows) > 1 else "the wishes do not conflict: one design, solved, is best for all of them",
             *([f"{self.dominated} designs were dominated by others"] if self.dominated else []),
             *(f"no design: {one}" for one in self.failed),
             *(["interrupted by the user"] if self.interrupted else []),
