@@ -74,6 +74,7 @@ from .nlp import Status as Status
 from .reporting import report as report
 from .solution import Solution as Solution
 from .solving import solve as solve
+from .studies import Study as Study
 from .sweep import calibrate as calibrate
 from .sweep import conflict as conflict
 from .sweep import harden as harden

@@ -1,4 +1,4 @@
-"""The command line: `aleator list` and `aleator run STUDY`.
+"""The command line: `aleator list`, `aleator new FILE`, `aleator check STUDY` and `aleator run STUDY`.
 
 Exit codes: 0 success, 1 a solve, a simulation or writing failed, 2 wrong usage, 130 interrupted, 143 terminated.
 Finished results are written in every case.
@@ -21,7 +21,7 @@ from aleator._core.errors import AleatorError, AleatorWarning, ProblemError
 from aleator._core.given import one_of
 from aleator._core.interruption import Interruptions
 from aleator.reporting import PAGE, Table, check_writable, only_writer, save_study, words
-from aleator.studies import STUDIES, AbstractStudy, PartlySavedError, load, tables_of
+from aleator.studies import STUDIES, AbstractStudy, Check, PartlySavedError, Study, begin_file, load, tables_of
 
 FAILED, USAGE = 1, 2
 
@@ -40,13 +40,58 @@ def list_studies() -> None:
 
 
 @application.command()
+def new(
+    file: Annotated[Path, typer.Argument(help="Python file to write, such as bracket.py.", show_default=False)],
+) -> None:
+    """Begin a study of your own: write a commented file that runs as it is."""
+    try:
+        written = begin_file(file)
+    except (ProblemError, OSError) as error:
+        _console(stderr=True).print(Text.assemble(("error", "bold red"), f": {error}"))
+        raise typer.Exit(USAGE) from None
+    console = _console()
+    console.print(f"wrote {written}", soft_wrap=True)
+    console.print(f"next: aleator check {written}, then aleator run {written}", soft_wrap=True)
+
+
+@application.command()
+def check(
+    study: Annotated[str, typer.Argument(help="Python file with a study of your own.")],
+) -> None:
+    """Print what a study will do, before anything is spent: sizes, points, derivatives, times."""
+    with ExitStack() as held:
+        course = _Run()
+        held.enter_context(course.interruptions)
+        try:
+            looked = Check(one_of("check: the study", load(study), Study, "a file with problems, or an al.Study"))
+            table, troubles = looked.table()
+        except (AleatorError, OSError) as error:
+            course.complain("error", f"{error}")
+            raise typer.Exit(USAGE) from None
+        console = _console()
+        for one in looked.mathematics():
+            console.print(Text(one.heading, style="bold"))
+            console.print(one.text, soft_wrap=True)
+        console.print(_rich(table))
+        for one in troubles:
+            console.print(Text.assemble(("look at", "bold yellow"), f": {one}"), soft_wrap=True)
+
+
+@application.command()
 def run(
-    study: Annotated[str, typer.Argument(help="Name of the study: see `aleator list`.")],
+    study: Annotated[str, typer.Argument(help="Name of a case study (see `aleator list`), or a file of your own.")],
     quick: Annotated[bool, typer.Option("--quick", help="Fewer samples and points: a first look in a minute.")] = False,
     out: Annotated[Path | None, typer.Option(help="Folder for the results.", show_default="results/STUDY")] = None,
 ) -> None:
-    """Run a case study: solve, check by Monte Carlo, sweep, and write the report."""
-    raise typer.Exit(_executed(lambda: load(study, quick=quick), out if out is not None else Path("results") / study))
+    """Run a study: solve, check by Monte Carlo, sweep, and write the report."""
+    folder = out if out is not None else Path("results") / _folder_name(study)
+    raise typer.Exit(_executed(lambda: load(study, quick=quick), folder))
+
+
+def _folder_name(study: str) -> str:
+    """The last part of a study's name, file or module."""
+    place = Path(study).stem if study.endswith(".py") else study.rpartition(":")[2]
+    return place.rpartition(".")[2]
 
 
 def run_study(study: AbstractStudy, folder: str | Path) -> int:

@@ -44,6 +44,8 @@ from aleator.reporting._page import write_page as write_page
 from aleator.reporting._report import HOW_TO_READ as HOW_TO_READ
 from aleator.reporting._report import footer as footer
 from aleator.reporting._report import report as report
+from aleator.reporting._report import sections as sections
+from aleator.reporting._report import verdict as verdict
 from aleator.reporting._samples import calibration_figure as calibration_figure
 from aleator.reporting._samples import percentile_figure as percentile_figure
 from aleator.reporting._samples import signal_figure as signal_figure

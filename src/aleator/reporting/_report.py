@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, TypeVar, cast
 
 import numpy as np
@@ -23,8 +24,9 @@ from aleator.reporting._tables import (
     statistics_table,
     unresolved,
 )
+from aleator.reporting._trade_offs import trade_off_blocks
 from aleator.solution import Solution
-from aleator.sweep import Front
+from aleator.sweep import Front, TradeOff
 from aleator.validation import Evidence
 
 if TYPE_CHECKING:
@@ -75,7 +77,7 @@ def report(
     for name, one in sampled.items():
         _check_belongs(name, one, designs)
     check_writable(as_path(path).parent)
-    return write_page(_page(designs, sampled, {name: one for name, one in swept.items() if one.solutions}, title), path)
+    return write_page(_page(designs, sampled, swept, title), path)
 
 
 def _named(given: Result | Mapping[str, Result] | None, kind: type[Result], name: str = "design") -> dict[str, Result]:
@@ -104,21 +106,33 @@ def _check_belongs(name: str, evidence: Evidence, designs: Mapping[str, Solution
         )
 
 
-def _page(designs: dict[str, Solution], evidence: dict[str, Evidence], fronts: dict[str, Front], title: str) -> Page:
-    sections = [
+def sections(
+    designs: Mapping[str, Solution],
+    evidence: Mapping[str, Evidence],
+    fronts: Mapping[str, Front],
+    trade_offs: Mapping[str, TradeOff] = MappingProxyType({}),
+) -> list[Section]:
+    """The chapters on any designs: designs side by side, fronts, evidence, trust and mathematics."""
+    fronts = {name: one for name, one in fronts.items() if one.solutions}
+    if not designs:
+        return []
+    every = [
         Section("Designs", _design_blocks(designs, evidence)),
         Section("Trajectories", _trajectory_blocks(evidence)),
-        Section("Trade-offs", _front_blocks(fronts)),
+        Section("Trade-offs", [*_front_blocks(fronts), *trade_off_blocks(trade_offs)]),
         Section("Evidence", _evidence_blocks(evidence)),
         Section("Certificate", [certificate_table(designs), *_mesh_blocks(designs), *search_drawings(designs)]),
         Section("The problem as mathematics", [Code(name, one.problem_text, True) for name, one in designs.items()]),
-        Section("How to read this", [Text(HOW_TO_READ)]),
     ]
+    return [one for one in every if one.blocks]
+
+
+def _page(designs: dict[str, Solution], evidence: dict[str, Evidence], fronts: dict[str, Front], title: str) -> Page:
     return Page(
         title=title,
         subtitle=f"{words([str(name) for name in designs])}: result and evidence",
         verdict=verdict(designs, evidence),
-        sections=[one for one in sections if one.blocks],
+        sections=[*sections(designs, evidence, fronts), Section("How to read this", [Text(HOW_TO_READ)])],
         footer=footer(),
     )
 

@@ -1,15 +1,48 @@
 """Figures of trade-offs: each pair of wishes against one another."""
 
+from collections.abc import Mapping, Sequence
 from itertools import combinations
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from aleator.reporting import _units
+from aleator.reporting._blocks import Block, Drawing, Table
 from aleator.reporting._numbers import number
 from aleator.reporting._style import blank, label, looks, plain
-from aleator.sweep import TradeOff
+from aleator.sweep import LEVEL, TradeOff
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
+
+
+_CAPTION = (
+    "Each point is a certified design: none other is better in all wishes. Hover over it for the values of all of them."
+)
+
+
+def trade_off_blocks(fronts: Mapping[str, TradeOff]) -> list[Block]:
+    """For each trade-off: a figure for each pair of wishes, and a table of its designs."""
+    blocks: list[Block] = []
+    for name, front in fronts.items():
+        if front.solutions:
+            blocks += [Drawing(trade_off_figure(front), f"Trade-off: {name}", _CAPTION), trade_off_table(front, name)]
+    return blocks
+
+
+def trade_off_table(front: TradeOff, name: str) -> Table:
+    """The designs of a trade-off: wishes, then decisions."""
+    decided = [one for one, value in front.solutions[0].decisions.items() if np.ndim(value) == 0 and one != LEVEL]
+    rows = [
+        [*_told_values(front, row), *(number(float(solution.decisions[one]), 4) for one in decided)]
+        for row, solution in zip(front.values, front.solutions, strict=True)
+    ]
+    note = "How many units of one wish buy a unit of another is in the result's `weights`."
+    return Table(f"Designs of {name}", [*front.names, *decided], rows, note)
+
+
+def _told_values(front: TradeOff, row: Sequence[float]) -> list[str]:
+    return [number(float(one), 5, _unit(front, i)) for i, one in enumerate(row)]
 
 
 def trade_off_figure(front: TradeOff) -> "list[Figure]":

@@ -11,12 +11,18 @@ The command line finds them here, by name.
 """
 
 from importlib import import_module
+from pathlib import Path
 from typing import Any, NamedTuple
 
 from aleator._core.errors import ProblemError
+from aleator.studies._check import Check as Check
 from aleator.studies._declared import PartlySavedError as PartlySavedError
 from aleator.studies._declared import Stage as Stage
 from aleator.studies._declared import tables_of as tables_of
+from aleator.studies._files import begin_file as begin_file
+from aleator.studies._files import load_file as load_file
+from aleator.studies._files import load_module as load_module
+from aleator.studies._own import Study as Study
 from aleator.studies._study import AbstractStudy as AbstractStudy
 from aleator.studies._study import stop_if_interrupted as stop_if_interrupted
 
@@ -57,12 +63,24 @@ STUDIES = {
 
 
 def load(name: str, *, quick: bool = False) -> AbstractStudy:
-    """A study ready to run; `quick` makes it small enough to try in a minute.
+    """A study ready to run, by its name, its Python file or its module; `quick` makes it small enough for a first look.
 
-    Raises `ProblemError` for an unknown name.
+    Raises `ProblemError` for an unknown name, and for a file that declares no study, or no quick one if that is asked.
     """
+    if name.endswith(".py") or "." in name or ":" in name:
+        own = load_file(Path(name)) if name.endswith(".py") else load_module(name)
+        return _quick(own, name) if quick else own
     if name not in STUDIES:
-        raise ProblemError(f"There is no study '{name}'; expected one of {sorted(STUDIES)}. See `aleator list`.")
+        raise ProblemError(
+            f"There is no study '{name}'; expected one of {sorted(STUDIES)} (see `aleator list`), or a file of "
+            f"your own, such as {name}.py (`aleator new {name}.py` begins one)."
+        )
     module, _, kind = STUDIES[name].place.partition(":")
     study: Any = getattr(import_module(module), kind)
     return study(study.quick if quick else study.full)
+
+
+def _quick(study: AbstractStudy, name: str) -> AbstractStudy:
+    if not isinstance(study, Study):
+        raise ProblemError(f"{name}: its study is a {type(study).__name__}, which has no quick form: run it in full.")
+    return study.quickened()

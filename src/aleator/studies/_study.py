@@ -44,8 +44,8 @@ class AbstractStudy(abc.ABC):
     - `failed_parts`: what failed, and why.
     """
 
-    title: ClassVar[str] = "A case study"
-    subtitle: ClassVar[str] = ""
+    title: str = "A case study"
+    subtitle: str = ""
     glossary: ClassVar[Sequence[tuple[str, str]]] = ()
     finished: tuple[str, ...] = ()
     failed_parts: tuple[Failure, ...] = ()

@@ -1,0 +1,233 @@
+"""`Study`: a study of one's own, declared by its problems alone."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
+from typing import Any, NamedTuple, final
+
+import numpy as np
+from typing_extensions import override
+
+from aleator._core.errors import ProblemError, SolveError
+from aleator._core.given import a_name, one_of, real_array, refusal, whole
+from aleator._core.progress import Progress
+from aleator.design import Expression, Problem
+from aleator.nlp import AbstractSolver
+from aleator.reporting import Section, Table, Verdict, certificate_table, designs_table, evidence_table, sections
+from aleator.reporting import verdict as verdict_on
+from aleator.solution import Solution
+from aleator.solving import solve
+from aleator.studies._declared import Stage
+from aleator.studies._study import AbstractStudy, stop_if_interrupted
+from aleator.sweep import Front, TradeOff, pareto, trade_off
+from aleator.transcription import DEFAULT, AbstractTranscription
+from aleator.validation import Evidence, validate
+
+# A quick run takes these parts of the samples, and of the points of fronts.
+_QUICK_SAMPLES, _QUICK_POINTS = 20, 3
+# Relative durations of the stages: the first solve compiles.
+_SOLVE, _EVIDENCE, _POINT = 3.0, 2.0, 1.0
+
+
+class _Found(NamedTuple):
+    """What a study has found so far, each by the name of its design, bound or trade-off."""
+
+    designs: dict[str, Solution]
+    evidence: dict[str, Evidence]
+    fronts: dict[str, Front]
+    trade_offs: dict[str, TradeOff]
+
+
+@final
+class Study(AbstractStudy):
+    """A study of your own: problems that are solved, sampled, swept and reported.
+
+        study = al.Study(
+            {"nominal": al.deterministic(problem), "robust": problem},
+            title="Bracket",
+            sweeps={"mass": [1.0, 1.2, 1.4]},
+            wishes={"mass": al.output("mass").mean, "stress": al.output("stress").std},
+        )
+
+    A file with this as `study`, or with problems alone, is run by `aleator run FILE.py`.
+
+    - `designs`: a problem, or several by name: each is solved, and validated on `samples` fresh systems drawn with
+      `seed`;
+    - `sweeps`: values of bounds by the names of constraints, along which the last design is solved again
+      (`al.pareto`); `wishes`: what is traded off in the last design (`al.trade_off`), at `points` places;
+    - `title`, `subtitle`: of the page; `solver`, `transcription`: see `al.solve`;
+    - `quick`: for a first look: a twentieth of the samples, and every third point of fronts.
+
+    Raises `ProblemError` for anything else, and for sweeps over bounds that the last design does not have.
+    """
+
+    def __init__(
+        self,
+        designs: Problem | Mapping[str, Problem],
+        *,
+        title: str = "Design under uncertainty",
+        subtitle: str = "",
+        samples: int = 20_000,
+        seed: int = 0,
+        sweeps: Mapping[str, Sequence[float]] | None = None,
+        wishes: Mapping[str, Expression] | None = None,
+        points: int = 12,
+        solver: AbstractSolver | None = None,
+        transcription: AbstractTranscription = DEFAULT,
+        quick: bool = False,
+    ):
+        self.problems = _problems(designs)
+        self.title = one_of("Study: title", title, str)
+        self.subtitle = one_of("Study: subtitle", subtitle, str)
+        self._samples, self._seed = whole("Study: samples", samples, least=2), whole("Study: seed", seed, least=0)
+        swept = (sweeps or {}).items()
+        self._sweeps = {name: np.ravel(real_array(f"Study: sweep over '{name}'", one)) for name, one in swept}
+        self._wishes = _checked_wishes(wishes)
+        self._points = whole("Study: points", points, least=max(2, len(self._wishes)))
+        self._solver = None if solver is None else one_of("Study: solver", solver, AbstractSolver, "al.solvers.Ipopt()")
+        self._transcription = one_of("Study: transcription", transcription, AbstractTranscription, "al.Sequential()")
+        self._is_quick = quick
+        for name in self._sweeps:
+            self._last.named(name)
+        self._found = _Found({}, {}, {}, {})
+
+    def quickened(self) -> "Study":
+        """The same study, small enough for a first look."""
+        return Study(
+            self.problems,
+            title=self.title,
+            subtitle=self.subtitle,
+            samples=max(self._samples // _QUICK_SAMPLES, 2),
+            seed=self._seed,
+            sweeps={name: one[::_QUICK_POINTS].tolist() for name, one in self._sweeps.items()},
+            wishes=self._wishes,
+            points=max(self._points // _QUICK_POINTS, max(2, len(self._wishes))),
+            solver=self._solver,
+            transcription=self._transcription,
+            quick=True,
+        )
+
+    @property
+    def samples(self) -> int:
+        """The fresh systems on which each design is validated."""
+        return self._samples
+
+    @property
+    def solves(self) -> int:
+        """How many designs are solved in all."""
+        front = self._points if self._wishes else 0
+        return len(self.problems) + sum(map(len, self._sweeps.values())) + front
+
+    @property
+    def _last(self) -> Problem:
+        return list(self.problems.values())[-1]
+
+    @property
+    @override
+    def stages(self) -> Mapping[str, Stage]:
+        solved = {f"design {name}": Stage(partial(self._solve, name), _SOLVE) for name in self.problems}
+        sampled = {f"evidence on {name}": Stage(partial(self._validate, name), _EVIDENCE) for name in self.problems}
+        swept = {
+            f"front over {name}": Stage(partial(self._sweep, name), _POINT * len(values))
+            for name, values in self._sweeps.items()
+        }
+        traded = {"trade-off": Stage(self._trade_off, _POINT * self._points)} if self._wishes else {}
+        return {**solved, **sampled, **swept, **traded, "summary": Stage(self._summarise, 0.1)}
+
+    @override
+    def results(self) -> Mapping[str, Any]:
+        found = self._found
+        named = {"evidence": found.evidence, "fronts": found.fronts, "trade-offs": found.trade_offs}
+        return {"designs": found.designs, **{name: one for name, one in named.items() if one}}
+
+    @override
+    def verdict(self) -> Verdict:
+        found = self._found
+        if not found.designs:
+            return Verdict("bad", "Nothing solved", "No design was solved: there is nothing to recommend.")
+        return verdict_on(found.designs, found.evidence)
+
+    @override
+    def sections(self) -> Sequence[Section]:
+        return sections(*self._found)
+
+    @override
+    def tables(self) -> list[Table]:
+        designs, evidence = self._found.designs, self._found.evidence
+        if not designs:
+            return []
+        counted = [evidence_table(evidence)] if evidence else []
+        return [designs_table(designs, evidence), *counted, certificate_table(designs)]
+
+    @property
+    @override
+    def left_out(self) -> str:
+        return "all samples and all points of its fronts" if self._is_quick else ""
+
+    @override
+    def cut_short(self) -> Iterator[str]:
+        for name, one in self._found.fronts.items():
+            if one.interrupted:
+                yield f"{len(one.values)} of {len(self._sweeps[name])} points of the front over {name} are available."
+
+    def _solve(self, name: str, progress: Progress) -> None:
+        progress(f"design {name}", 0, 1)
+        problem = self.problems[name]
+        self._found.designs[name] = solve(problem, self._solver, transcription=self._transcription, throw=False)
+        progress(f"design {name}", 1, 1)
+
+    def _validate(self, name: str, progress: Progress) -> None:
+        if self._found.designs[name].ok:
+            found = validate(self._found.designs[name], self._samples, seed=self._seed, progress=progress)
+            self._found.evidence[name] = found
+
+    def _sweep(self, bound: str, progress: Progress) -> None:
+        own = {"solver": self._solver, "transcription": self._transcription}
+        self._found.fronts[bound] = pareto(self._last, bound, self._sweeps[bound], progress=progress, **own)
+        stop_if_interrupted(self._found.fronts[bound])
+
+    def _trade_off(self, progress: Progress) -> None:
+        own = {"solver": self._solver, "transcription": self._transcription}
+        found = trade_off(self._last, self._wishes, self._points, progress=progress, **own)
+        self._found.trade_offs[" against ".join(self._wishes)] = found
+        stop_if_interrupted(found)
+
+    def _summarise(self, progress: Progress) -> None:
+        """Fail where a design is not solved, after everything else has been done."""
+        del progress
+        failed = {name: one for name, one in self._found.designs.items() if not one.ok}
+        if failed:
+            raise SolveError("; ".join(f"'{name}' is not solved: {one.why()}" for name, one in failed.items()))
+
+
+def _checked_wishes(wishes: Mapping[str, Expression] | None) -> dict[str, Expression]:
+    if wishes is None:
+        return {}
+    if not isinstance(wishes, Mapping) or len(wishes) < 2:
+        raise refusal("Study: wishes", "two expressions or more by name", wishes)
+    for name, one in wishes.items():
+        one_of(f"Study: wish '{a_name('Study: the name of a wish', name)}'", one, Expression)
+    return dict(wishes)
+
+
+def _problems(designs: Any) -> dict[str, Problem]:
+    if isinstance(designs, Problem):
+        return {"design": designs}
+    if not isinstance(designs, Mapping) or not designs:
+        raise refusal("Study: designs", "a problem, or several by name", designs)
+    for name, one in designs.items():
+        one_of(f"Study: design '{a_name('Study: the name of a design', name)}'", one, Problem)
+    return dict(designs)
+
+
+def study_of(owner: str, declared: Mapping[str, Any]) -> AbstractStudy:
+    """The study that a file declares by its names: `study`, or a `Study` of its problems. Raises `ProblemError`."""
+    study = declared.get("study")
+    if study is not None:
+        return one_of(f"{owner}: study", study, AbstractStudy, "al.Study(problem)")
+    problems = {name: one for name, one in declared.items() if isinstance(one, Problem) and not name.startswith("_")}
+    if not problems:
+        raise ProblemError(
+            f"{owner}: expected a study, such as `study = al.Study(problem)`, or problems, such as "
+            "`problem = al.Problem(...)`; received neither."
+        )
+    return Study(problems, title=owner)
