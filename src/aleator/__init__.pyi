@@ -22,6 +22,7 @@ from ._core.errors import AleatorWarning as AleatorWarning
 from ._core.errors import CalibrationWarning as CalibrationWarning
 from ._core.errors import ExpansionWarning as ExpansionWarning
 from ._core.errors import GridWarning as GridWarning
+from ._core.errors import JournalWarning as JournalWarning
 from ._core.errors import MissingExtraError as MissingExtraError
 from ._core.errors import ProblemError as ProblemError
 from ._core.errors import SimulationError as SimulationError
@@ -58,6 +59,8 @@ from .dynamics import System as System
 from .dynamics import simulate as simulate
 from .examining import examine as examine
 from .expansion import Expansion as Expansion
+from .journalling import journal as journal
+from .journalling import load as load
 from .mechanics import Accelerations as Accelerations
 from .mechanics import Actuation as Actuation
 from .mechanics import Body as Body

@@ -20,6 +20,8 @@ from rich.text import Text
 from aleator._core.errors import AleatorError, AleatorWarning, ProblemError
 from aleator._core.given import one_of
 from aleator._core.interruption import Interruptions
+from aleator.journalling import forget, journal
+from aleator.journalling import load as load_results
 from aleator.reporting import PAGE, Table, check_writable, only_writer, save_study, words
 from aleator.studies import STUDIES, AbstractStudy, Check, PartlySavedError, Study, begin_file, load, tables_of
 
@@ -31,8 +33,19 @@ application = typer.Typer(
 
 
 @application.command("list")
-def list_studies() -> None:
-    """List the case studies."""
+def list_studies(
+    folder: Annotated[
+        Path | None, typer.Argument(help="A run's folder, to list its results instead.", show_default=False)
+    ] = None,
+) -> None:
+    """List the case studies, or the results in a run's folder with their states."""
+    if folder is not None:
+        try:
+            _console().print(f"{load_results(folder)}", soft_wrap=True)
+        except ProblemError as error:
+            _console(stderr=True).print(Text.assemble(("error", "bold red"), f": {error}"), soft_wrap=True)
+            raise typer.Exit(USAGE) from None
+        return
     table = RichTable("study", "about", box=None)
     for name, entry in STUDIES.items():
         table.add_row(name, entry.about)
@@ -82,10 +95,14 @@ def run(
     study: Annotated[str, typer.Argument(help="Name of a case study (see `aleator list`), or a file of your own.")],
     quick: Annotated[bool, typer.Option("--quick", help="Fewer samples and points: a first look in a minute.")] = False,
     out: Annotated[Path | None, typer.Option(help="Folder for the results.", show_default="results/STUDY")] = None,
+    afresh: Annotated[bool, typer.Option("--afresh", help="Compute everything anew.")] = False,
 ) -> None:
-    """Run a study: solve, check by Monte Carlo, sweep, and write the report."""
+    """Run a study: solve, check by Monte Carlo, sweep, and write the report.
+
+    Each result is kept as soon as it is there: the same command goes on where a run was ended.
+    """
     folder = out if out is not None else Path("results") / _folder_name(study)
-    raise typer.Exit(_executed(lambda: load(study, quick=quick), folder))
+    raise typer.Exit(_executed(lambda: load(study, quick=quick), folder, afresh=afresh))
 
 
 def _folder_name(study: str) -> str:
@@ -103,7 +120,7 @@ def run_study(study: AbstractStudy, folder: str | Path) -> int:
     return _executed(lambda: study, Path(folder))
 
 
-def _executed(loaded: Callable[[], AbstractStudy], out: Path) -> int:
+def _executed(loaded: Callable[[], AbstractStudy], out: Path, *, afresh: bool = False) -> int:
     """Load a study and run it while no other run writes into its folder; returns the exit code."""
     course = _Run()
     with ExitStack() as held:
@@ -113,6 +130,9 @@ def _executed(loaded: Callable[[], AbstractStudy], out: Path) -> int:
             job.check_declaration()
             folder = check_writable(out)
             held.enter_context(only_writer(folder))
+            if afresh:
+                forget(folder)
+            held.enter_context(journal(folder))
         except ProblemError as error:
             course.complain("error", error)
             return USAGE

@@ -54,7 +54,7 @@ _BOOKKEEPING = {
     *("__doc__", "__module__", "__dict__", "__weakref__", "__annotations__", "__annotate_func__", "__qualname__"),
     *("__abstractmethods__", "_abc_impl", "__abstractvars__", "__abstractclassvars__", "__slots__", "__match_args__"),
     *("__dataclass_params__", "__dataclass_fields__", "__parameters__", "__orig_bases__", "__static_attributes__"),
-    *("__firstlineno__", "__annotations_cache__"),
+    *("__firstlineno__", "__annotations_cache__", "__slotnames__"),
 }
 
 

@@ -46,3 +46,7 @@ class SimulationWarning(AleatorWarning):
 
 class CalibrationWarning(AleatorWarning):
     """A calibration ended without a design whose frequency of violation was confirmed to be low enough."""
+
+
+class JournalWarning(AleatorWarning):
+    """A result cannot be kept in a journal, or one that was kept cannot be used."""

@@ -14,7 +14,7 @@ import platform
 import sys
 import time
 import types
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from decimal import Decimal
 from fractions import Fraction
 from importlib import metadata
@@ -42,8 +42,8 @@ _VARIABLES = ("XLA_", "TF_XLA_", "LIBTPU_", "EQX_")
 _BEGAN = time.time()
 
 
-class _DoubtError(Exception):
-    """Something has no text that identifies it."""
+class DoubtError(Exception):
+    """Something has no text that identifies it in other processes."""
 
 
 def lasting_name(function: Callable[..., Any], arguments: tuple[Any, ...], *how: Any) -> str | None:
@@ -57,13 +57,37 @@ def lasting_name(function: Callable[..., Any], arguments: tuple[Any, ...], *how:
         parts = [_surroundings(), *_named(function), *_texts(how), *_texts(arguments), *_read(read_code(arguments))]
     except Exception:  # besides doubts: a user's object may raise any if it is looked at, and may hold itself
         return None
-    return hashlib.sha256("\0".join(parts).encode(errors="surrogatepass")).hexdigest()
+    return joined(parts)
+
+
+def lasting_parts(given: Mapping[str, Any]) -> dict[str, str]:
+    """Digests of all that a result follows from, each by its name, besides `code` and `versions`; numbers included.
+
+    Results with the same digests are equal, in any process. Raises `DoubtError` if that is uncertain.
+    """
+    known = {name: jax.tree.map(_in_numpy, one) for name, one in given.items()}
+    try:
+        parts = {name: joined(_texts(one)) for name, one in known.items()}
+        return {**parts, "code": joined(_read(read_code(tuple(given.values())))), "versions": _libraries()}
+    except DoubtError:
+        raise
+    except Exception as error:  # a user's object may raise any if it is looked at, and may hold itself
+        raise DoubtError(str(error)) from error
+
+
+def _in_numpy(leaf: Any) -> Any:
+    return np.asarray(leaf) if isinstance(leaf, jax.Array) else leaf
+
+
+def joined(texts: Iterable[str]) -> str:
+    """A digest of texts."""
+    return hashlib.sha256("\0".join(texts).encode(errors="surrogatepass")).hexdigest()
 
 
 def _surroundings() -> str:
     """All else that a program depends on: settings of JAX, Equinox and XLA, devices, and libraries that trace it."""
     if jax.device_count() > 1:
-        raise _DoubtError  # On which of them a program runs is no part of its name.
+        raise DoubtError  # On which of them a program runs is no part of its name.
     # Attributes give the present values, even within a `with` statement; not every setting has one.
     known = {name: getattr(jax.config, name, value) for name, value in jax.config.values.items()}
     settings = [f"{name}={value}" for name, value in sorted(known.items()) if not name.startswith(_ASIDE)]
@@ -84,11 +108,11 @@ def _libraries() -> str:
     own = Path(__file__).parents[1]
     sources = sorted(own.rglob("*.py"))
     if not sources:
-        raise _DoubtError
+        raise DoubtError
     for path in sources:
         status = path.stat()
         if max(status.st_mtime, status.st_ctime) > _BEGAN:
-            raise _DoubtError
+            raise DoubtError
         digest.update(str(path.relative_to(own)).encode() + b"\0" + path.read_bytes() + b"\0")
     for name in _TRACING:
         try:
@@ -130,7 +154,7 @@ def _compound(it: Any) -> Iterator[str]:
     elif is_library(type(it).__module__) and getattr(it, "__dict__", None) == {}:
         parts = ()  # a mark, such as Equinox's for a field that is missing
     else:
-        raise _DoubtError(type(it))
+        raise DoubtError(type(it))
     for name, value in parts:
         yield from _texts(name)
         yield from _texts(value)
@@ -147,19 +171,19 @@ def _named(it: Any) -> Iterator[str]:
     if isinstance(it, np.ufunc):
         module = "numpy"
     if not isinstance(module, str) or not is_library(module):
-        raise _DoubtError(it)
+        raise DoubtError(it)
     found: Any = sys.modules.get(module)
     for part in name.split("."):
         found = getattr(found, part, None)
     if found is not it:
-        raise _DoubtError(it)
+        raise DoubtError(it)
     yield f"{module}:{name}"
 
 
 def _read(reading: Reading) -> Iterator[str]:
     """A reading as texts."""
     if reading.doubts:
-        raise _DoubtError
+        raise DoubtError
     for place, token in reading.reads:
         yield f"{place.who}\t{place.kind}\t{place.name}"
         if isinstance(token, str):
@@ -172,7 +196,7 @@ def _read(reading: Reading) -> Iterator[str]:
         elif isinstance(token, Same):
             yield from _same(token.it)
         else:
-            raise _DoubtError
+            raise DoubtError
 
 
 def _same(it: Any) -> Iterator[str]:
@@ -206,4 +230,4 @@ def _code(code: types.CodeType) -> Iterator[str]:
 
 
 def _doubtful() -> str:
-    raise _DoubtError
+    raise DoubtError

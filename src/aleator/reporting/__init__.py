@@ -15,7 +15,9 @@ from aleator.reporting._boxes import Box as Box
 from aleator.reporting._boxes import projection_figure as projection_figure
 from aleator.reporting._datasets import dataset as dataset
 from aleator.reporting._datasets import tree as tree
+from aleator.reporting._files import as_path as as_path
 from aleator.reporting._files import check_writable as check_writable
+from aleator.reporting._files import write_whole as write_whole
 from aleator.reporting._fronts import decision_path_figure as decision_path_figure
 from aleator.reporting._fronts import front_figure as front_figure
 from aleator.reporting._fronts import relative_figure as relative_figure
@@ -50,6 +52,7 @@ from aleator.reporting._samples import calibration_figure as calibration_figure
 from aleator.reporting._samples import percentile_figure as percentile_figure
 from aleator.reporting._samples import signal_figure as signal_figure
 from aleator.reporting._samples import trajectory_figure as trajectory_figure
+from aleator.reporting._savable import KINDS as KINDS
 from aleator.reporting._savable import savable as savable
 from aleator.reporting._searches import search_figure as search_figure
 from aleator.reporting._store import PAGE as PAGE

@@ -10,6 +10,9 @@ from aleator.solution import Solution
 from aleator.sweep import Calibration, Front, TradeOff
 from aleator.validation import Evidence
 
+KINDS = (Solution, Evidence, Front, TradeOff, Calibration)
+"""The kinds of results that have labelled arrays."""
+
 
 def savable(what: str, results: Any) -> tuple[dict[str, Any], list[ProblemError]]:
     """The results that can be saved, and a refusal for each of the others, beginning with `what` and its place."""
@@ -40,8 +43,7 @@ def _name(what: str, name: Any) -> str:
 def _leaf(what: str, one: Any) -> Any:
     """A result, or a user's own data in a form that netCDF can hold."""
     if one is None or not is_own_data(one):
-        kinds = (Solution, Evidence, Front, TradeOff, Calibration)
-        return one if one is None else one_of(what, one, kinds, "what `solve` gives, or a dataset of xarray")
+        return one if one is None else one_of(what, one, KINDS, "what `solve` gives, or a dataset of xarray")
     import xarray
 
     try:

@@ -11,6 +11,7 @@ from aleator._core.beside import dropped_on_failure
 from aleator._core.errors import ExpansionWarning, GridWarning, ProblemError, SimulationError, SolveError
 from aleator._core.given import one_of
 from aleator._core.heard import heeding
+from aleator._core.journalled import journalled
 from aleator.certification import doubts, refinement, second_opinion, unconverged, untrusted
 from aleator.design import Problem, deterministic
 from aleator.nlp import AbstractSolver, Status
@@ -69,12 +70,49 @@ def solve(
     one_of("solve: transcription", transcription, AbstractTranscription, "al.Sequential()")
     solver = solver or transcription.solver
     check_arguments(problem, solver, warm_start, deterministic_first, between, accuracy)
+    # All that the answer follows from.
+    given = {
+        "problem": problem,
+        "solver": solver,
+        "transcription": transcription,
+        "warm_start": warm_start,
+        "start": None if start is None else dict(start),
+        "how": (deterministic_first, between, float(accuracy), refine),
+    }
+    solution = journalled(
+        "solve",
+        given,
+        lambda: _solved(
+            problem, solver, transcription, warm_start, start, deterministic_first, between, float(accuracy), refine
+        ),
+    )
+    if throw and solution.status is Status.EVALUATION_FAILED:
+        raise SimulationError(solution.message)
+    if throw and not solution.ok:
+        raise SolveError(solution.why(), solution)
+    _warn_of_doubts(solution)
+    _warn_if_coarse(solution)
+    return solution
+
+
+def _solved(
+    problem: Problem,
+    solver: AbstractSolver,
+    transcription: AbstractTranscription,
+    warm_start: Solution | None,
+    start: Mapping[str, Any] | None,
+    deterministic_first: bool,
+    between: int | None,
+    accuracy: float,
+    refine: bool,
+) -> Solution:
+    """The solution, whatever its status: see `solve`."""
     transcription = transcription if warm_start is None else transcription.starting_from(warm_start)
     first = first_decisions(problem, transcription, warm_start, start)
     known = (None, None) if warm_start is None else (warm_start.multipliers, warm_start.certificate.worst_case)
     # Ctrl-C may be lost where Python cannot raise: in a callback of the garbage collector, of which JAX has one.
     with heeding() as heed, dropped_on_failure():
-        stages = Stages(transcription, solver, between, float(accuracy), compile_seconds(transcription), heed)
+        stages = Stages(transcription, solver, between, accuracy, compile_seconds(transcription), heed)
         stages, first, at_means = _from_means(stages, problem, first) if deterministic_first else (stages, first, None)
         answer = stages.answer(problem, first, *known)
         if refine:
@@ -82,12 +120,6 @@ def solve(
         solution = _with_opinion(stages, answer)
         solution = replace(solution, effort=replace(solution.effort, at_means=at_means))
         heed()
-    if throw and solution.status is Status.EVALUATION_FAILED:
-        raise SimulationError(solution.message)
-    if throw and not solution.ok:
-        raise SolveError(solution.why(), solution)
-    _warn_of_doubts(solution)
-    _warn_if_coarse(solution)
     return solution
 
 

@@ -9,6 +9,7 @@ from jaxtyping import Float
 
 from aleator._core.errors import ProblemError
 from aleator._core.given import refusal
+from aleator._core.journalled import journalled
 from aleator._core.progress import Progress, check_progress, silent
 from aleator.ensemble import Part, at_levels, each, fill, parts
 from aleator.solution import Solution
@@ -56,6 +57,12 @@ def rare_violation(
             )
     check_progress("rare_violation", progress)
     limits = _Limits(solution, names, min(batch, samples))
+    given = {"solution": solution, "how": (limits.names, samples, seed, batch)}
+    return journalled("rare_violation", given, lambda: _estimated(solution, limits, samples, seed, progress))
+
+
+def _estimated(solution: Solution, limits: "_Limits", samples: int, seed: int, progress: Progress) -> Share:
+    """The estimate: see `rare_violation`."""
     generator = np.random.default_rng(seed)
 
     def tell(done: int) -> None:
@@ -70,7 +77,7 @@ def rare_violation(
         return found
     # A separate random stream, so that the count is independent of the search.
     fresh = int(np.random.SeedSequence([seed, 1]).generate_state(1)[0])
-    return validate(solution, samples, seed=fresh, batch=batch, keep=0).violation(*limits.names)
+    return validate(solution, samples, seed=fresh, batch=limits.batch, keep=0).violation(*limits.names)
 
 
 @final

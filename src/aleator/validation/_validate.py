@@ -2,12 +2,14 @@
 
 import time
 import warnings
+from dataclasses import replace
 
 import numpy as np
 
 from aleator._core.beside import working
 from aleator._core.errors import ExpansionWarning, ProblemError
 from aleator._core.given import whole
+from aleator._core.journalled import journalled
 from aleator._core.memory import NUMBER, refuse_beyond_memory
 from aleator._core.progress import Progress, check_progress, silent
 from aleator.design import functionals_of, refuse_large_histories, uncertain
@@ -51,9 +53,16 @@ def validate(
     least = {"samples": (samples, 2), "batch": (batch, 1), "seed": (seed, 0), "keep": (keep, 0)}
     samples, batch, seed, keep = (whole(f"validate: {name}", one, least=n) for name, (one, n) in least.items())
     check_progress("validate", progress)
+    given = {"solution": solution, "how": (samples, seed, batch, keep)}
+    evidence = journalled("validate", given, lambda: _sampled(solution, samples, seed, batch, keep, progress))
+    return _told(evidence if evidence.solution is solution else replace(evidence, solution=solution))
+
+
+def _sampled(solution: Solution, samples: int, seed: int, batch: int, keep: int, progress: Progress) -> Evidence:
+    """The evidence: see `validate`."""
     started = time.perf_counter()
     if not uncertain(solution.problem).placements.germs:
-        return _told(alone(solution, started))
+        return alone(solution, started)
     systems = Systems(solution, "validate")
     _refuse_large(systems, samples, min(batch, samples))
     generator = np.random.default_rng(seed)
@@ -67,7 +76,7 @@ def validate(
     for part, found in each(lambda part: systems.simulate(fill(part.points, batch), len(part.points)), drawn):
         tally.add(found, part.first, len(part.points))
         progress("Monte Carlo", part.first + len(part.points), samples)
-    return _told(tally.evidence(solution, seed, time.perf_counter() - started))
+    return tally.evidence(solution, seed, time.perf_counter() - started)
 
 
 def _told(evidence: Evidence) -> Evidence:

@@ -1,0 +1,88 @@
+"""The journal of a run: finished results that a later run with the same code and numbers takes from there.
+
+Whoever computes a result that takes long opens an entry for it (`journalled`), without knowing whether anybody keeps a
+journal, and where.
+"""
+
+import abc
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
+from typing import Any, TypeVar, final
+
+from typing_extensions import override
+
+Result = TypeVar("Result")
+
+
+class AbstractEntry(abc.ABC):
+    """The place of one result: `recalled` is what an earlier run found, None if there is nothing."""
+
+    recalled: Any = None
+
+    @abc.abstractmethod
+    def keep(self, result: Any) -> None:
+        """Keep a finished result at once."""
+
+    @abc.abstractmethod
+    def failed(self, error: BaseException) -> None:
+        """Note that there is no result."""
+
+
+class AbstractJournal(abc.ABC):
+    """Opens entries."""
+
+    @abc.abstractmethod
+    def entry(self, what: str, given: Mapping[str, Any]) -> AbstractEntry:
+        """The entry of a result that follows from what is given, whatever the process."""
+
+
+@final
+class _Unkept(AbstractEntry):
+    @override
+    def keep(self, result: Any) -> None:
+        pass
+
+    @override
+    def failed(self, error: BaseException) -> None:
+        pass
+
+
+_present: ContextVar[AbstractJournal | None] = ContextVar("journal", default=None)
+
+
+@contextmanager
+def journalling(journal: AbstractJournal) -> Iterator[None]:
+    """Let results within a block be kept by a journal."""
+    token = _present.set(journal)
+    try:
+        yield
+    finally:
+        _present.reset(token)
+
+
+def entry_of(what: str, given: Mapping[str, Any]) -> AbstractEntry:
+    """The entry of a result in the present journal; one that keeps nothing if there is none."""
+    journal = _present.get()
+    return _Unkept() if journal is None else journal.entry(what, given)
+
+
+def journalled(what: str, given: Mapping[str, Any], compute: Callable[[], Result]) -> Result:
+    """The result that an earlier run has found from the same code and numbers, or else computed and kept.
+
+    `given`: all that the result follows from, by name. Results within it are computed without a journal: they are parts
+    of this one.
+    """
+    entry = entry_of(what, given)
+    if entry.recalled is not None:
+        return entry.recalled
+    token = _present.set(None)
+    try:
+        result = compute()
+    except BaseException as error:
+        entry.failed(error)
+        raise
+    finally:
+        _present.reset(token)
+    entry.keep(result)
+    return result

@@ -1,0 +1,75 @@
+"""`load`: the results in a folder, as objects again."""
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, final
+
+from typing_extensions import override
+
+from aleator._core.errors import ProblemError
+from aleator._core.given import meant
+from aleator.journalling import _results
+from aleator.journalling._entry import Entry, State, read
+from aleator.journalling._journal import FILE
+from aleator.reporting import as_path
+
+
+@final
+class Loaded(Mapping[str, Any]):
+    """The results of a run by name, read from their files when they are asked for. `print(loaded)` shows all entries.
+
+    - `entries`: every result that was begun, with its state, who began it and when, how long it took, and its file.
+
+    Names are those of what was done, counted in the order of their beginnings: `"solve Cushion 1"`,
+    `"validate Cushion 1"`.
+    """
+
+    def __init__(self, folder: Path, entries: tuple[Entry, ...]):
+        self._folder, self.entries = folder, entries
+        counted: dict[str, int] = {}
+        self._named: dict[str, Entry] = {}
+        for one in entries:
+            if one.is_finished and one.state is not State.STALE:
+                counted[one.what] = counted.get(one.what, 0) + 1
+                self._named[f"{one.what} {counted[one.what]}"] = one
+
+    @override
+    def __getitem__(self, name: str) -> Any:
+        if name not in self._named:
+            hint = meant(name, self._named) if isinstance(name, str) else ""
+            raise ProblemError(f"load: there is no result '{name}' in '{self._folder}'.{hint}")
+        entry = self._named[name]
+        return _results.read(self._folder / entry.file, entry.digest)
+
+    @override
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._named)
+
+    @override
+    def __len__(self) -> int:
+        return len(self._named)
+
+    @override
+    def __contains__(self, name: object) -> bool:
+        return name in self._named
+
+    def __str__(self) -> str:
+        return "\n".join([f"{self._folder}: {len(self)} results", *(f"  {one}" for one in self.entries)])
+
+
+def load(folder: str | Path) -> Loaded:
+    """The results that `al.journal` or `aleator run` has kept in a folder, as objects: solutions and evidence by name.
+
+    Their model's module must be importable. Reading them runs code, as importing a module does: files are read only if
+    they belong to you, nobody else can write to them, and their content is what was written. Labelled numbers for
+    other programs are in the same files, and in `results.nc`.
+
+    Raises `ProblemError` if there is no journal, and, when a result is asked for, if it cannot be read.
+    """
+    place = as_path(folder)
+    if not (place / FILE).is_file():
+        raise ProblemError(
+            f"load: there is no journal in '{place}': expected a folder in which `aleator run` or a script within "
+            "`al.journal(folder)` has kept results."
+        )
+    return Loaded(place, tuple(read(place / FILE).values()))

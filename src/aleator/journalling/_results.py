@@ -1,0 +1,78 @@
+"""Results as files: labelled arrays for any program that reads netCDF, and the objects themselves beside them.
+
+Reading an object runs code, as importing a module does: a model's own classes are in it. So objects are read only from
+files that belong to this user, that nobody else can write to, and whose content is what was written.
+"""
+
+import hashlib
+import os
+import pickle
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from aleator._core.errors import ProblemError
+from aleator._core.kept_programs import is_private
+from aleator.reporting import KINDS, tree, write_whole
+
+_OBJECT = "object"
+_OTHERS = 0o022  # may write
+
+
+def write(path: Path, result: Any) -> str:
+    """Write a result atomically, for its owner alone to change; returns the digest of its file.
+
+    Raises `ProblemError` if it cannot be written, or holds what no other process could read.
+    """
+    try:
+        content = pickle.dumps(result)
+    except Exception as error:  # of whatever kind a user's object raises
+        raise ProblemError(f"it holds an object that no other process could read ({error}).") from error
+    nodes = tree({"result": result} if isinstance(result, KINDS) else {})
+    nodes[_OBJECT] = _variable(content)
+    data = bytes(nodes.to_netcdf(engine="h5netcdf"))
+
+    write_whole(path, lambda file: file.write_bytes(data))
+    path.chmod(path.stat().st_mode & ~_OTHERS)
+    return hashlib.sha256(data).hexdigest()
+
+
+def read(path: Path, digest: str) -> Any:
+    """The result in a file. Raises `ProblemError` if it is not what was written, or cannot be read here."""
+    try:
+        with path.open("rb") as file:
+            private, data = is_private(os.fstat(file.fileno())), file.read()
+    except OSError as error:
+        raise ProblemError(f"'{path}' cannot be read ({error.strerror}).") from error
+    if not private:
+        raise ProblemError(
+            f"'{path}' could have been changed by others: expected a file that only its owner can write."
+        )
+    if hashlib.sha256(data).hexdigest() != digest:
+        raise ProblemError(f"'{path}' is not what was written there.")
+    try:
+        return pickle.loads(_content(data))
+    except ModuleNotFoundError as error:
+        raise ProblemError(
+            f"'{path}' needs the module '{error.name}', in which its model is written: import it first."
+        ) from error
+    except Exception as error:  # pickle has no common one
+        raise ProblemError(f"'{path}' cannot be read ({type(error).__name__}: {error}).") from error
+
+
+def _variable(content: bytes) -> Any:
+    import xarray
+
+    return xarray.DataArray(
+        np.frombuffer(content, dtype=np.uint8),
+        dims=("byte of the object",),
+        attrs={"long_name": "the result as Python's pickle, for al.load"},
+    )
+
+
+def _content(data: bytes) -> bytes:
+    import xarray
+
+    with xarray.open_datatree(data, engine="h5netcdf") as nodes:  # pyright: ignore[reportArgumentType]
+        return nodes[_OBJECT].to_numpy().tobytes()

@@ -1,0 +1,274 @@
+"""Journals of runs: what is kept, what is taken from there, and what is not."""
+
+import json
+import signal
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+import xarray
+
+import aleator as al
+from aleator import solving
+from aleator.journalling import FILE, State
+
+
+class Bar(al.AlgebraicSystem):
+    """A bar of some width under an uncertain load."""
+
+    width: al.Number
+    load: al.Number
+
+    def outputs(self):
+        return {"stress": self.load / self.width, "mass": self.width}
+
+
+STRESS, MASS = al.output("stress"), al.output("mass")
+# stress = load / width: its mean plus three standard deviations are NEEDED / width.
+NEEDED = 1.0 + 3.0 * 0.3 / np.sqrt(3.0)
+
+
+def bar(load: float = 1.0, highest: float = 10.0) -> al.Problem:
+    model = Bar(al.Decision(4.0, 0.1, highest), al.Uniform(load, half_width=0.3))
+    strong = (STRESS.mean + 3 * STRESS.std <= 0.5).named("stress")
+    return al.Problem(model, minimize=MASS.mean, subject_to=[strong])
+
+
+@pytest.fixture
+def solved(monkeypatch: pytest.MonkeyPatch) -> list[al.Problem]:
+    """The problems that are really solved, in order."""
+    done, solve = [], solving._solve._solved
+
+    def noted(problem, *rest):
+        done.append(problem)
+        return solve(problem, *rest)
+
+    monkeypatch.setattr(solving._solve, "_solved", noted)
+    return done
+
+
+def states(folder: Path) -> list[str]:
+    return [one.state.value for one in al.load(folder).entries]
+
+
+def test_a_front_is_taken_from_its_journal_down_to_the_last_bit(tmp_path: Path, solved: list):
+    fronts = []
+    for _ in range(2):
+        with al.journal(tmp_path):
+            fronts.append(al.pareto(bar(), "stress", [0.4, 0.5, 0.6]))
+    assert len(solved) == 3
+    np.testing.assert_allclose(fronts[0].objectives, NEEDED / np.array([0.4, 0.5, 0.6]), rtol=1e-6)
+    assert fronts[0].objectives.tobytes() == fronts[1].objectives.tobytes()
+    assert fronts[0].shadow_prices.tobytes() == fronts[1].shadow_prices.tobytes()
+    assert str(fronts[0].points[1]) == str(fronts[1].points[1])
+
+
+def test_what_was_not_finished_is_computed_from_what_was(tmp_path: Path, solved: list):
+    with al.journal(tmp_path):
+        al.pareto(bar(), "stress", [0.4, 0.5])
+    with al.journal(tmp_path):
+        front = al.pareto(bar(), "stress", [0.4, 0.5, 0.6])
+    assert len(solved) == 3
+    whole = al.pareto(bar(), "stress", [0.4, 0.5, 0.6])
+    assert front.objectives.tobytes() == whole.objectives.tobytes()
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        lambda: al.solve(bar(load=1.1)),
+        lambda: al.solve(bar(highest=11.0)),
+        lambda: al.solve(bar(), al.solvers.Slsqp()),
+        lambda: al.solve(bar().with_bound("stress", 0.6)),
+        lambda: al.solve(bar(), start={"width": 5.0}),
+        lambda: al.solve(bar(), accuracy=1e-4),
+        lambda: al.solve(al.deterministic(bar())),
+    ],
+)
+def test_other_numbers_limits_solvers_and_starts_are_other_results(tmp_path: Path, solved: list, changed):
+    with al.journal(tmp_path):
+        al.solve(bar())
+        al.solve(bar())
+        assert len(solved) == 1
+        changed()
+    assert len(solved) == 2
+
+
+def test_code_that_changed_makes_results_stale_and_says_so(tmp_path: Path, solved: list, monkeypatch):
+    with al.journal(tmp_path):
+        al.solve(bar())
+    monkeypatch.setattr(Bar, "outputs", lambda self: {"stress": 2 * self.load / self.width, "mass": self.width})
+    with al.journal(tmp_path), pytest.warns(al.JournalWarning, match="the model's code has changed"):
+        found = al.solve(bar())
+    assert found.objective == pytest.approx(4 * NEEDED, rel=1e-6)
+    assert states(tmp_path) == ["stale", "done"]
+    monkeypatch.undo()
+    with al.journal(tmp_path):
+        assert al.solve(bar()).objective == pytest.approx(2 * NEEDED, rel=1e-6)
+    assert states(tmp_path) == ["done", "done"]
+
+
+def test_evidence_is_kept_with_its_seed_and_belongs_to_its_solution(tmp_path: Path):
+    for _ in range(2):
+        with al.journal(tmp_path):
+            solution = al.solve(bar())
+            evidence = al.validate(solution, 2000)
+            assert evidence.solution is solution
+            again = al.validate(solution, 2000, seed=1)
+            assert again.violations["stress"].count != evidence.violations["stress"].count or again.seed == 1
+    assert states(tmp_path) == ["done"] * 3
+    found = al.load(tmp_path)
+    assert list(found) == ["solve Bar 1", "validate Bar 1", "validate Bar 2"]
+    assert found["validate Bar 2"].seed == 1
+    assert found["solve Bar 1"].objective == solution.objective
+
+
+def test_files_of_results_are_read_by_other_programs(tmp_path: Path):
+    with al.journal(tmp_path):
+        solution = al.solve(bar())
+    (path,) = (tmp_path / "finished").glob("*.nc")
+    with xarray.open_datatree(path, engine="h5netcdf") as nodes:
+        assert float(nodes["result/objective"]) == solution.objective
+
+
+def test_a_cut_line_is_ignored_and_a_broken_one_is_named(tmp_path: Path, solved: list):
+    with al.journal(tmp_path):
+        al.solve(bar())
+    path = tmp_path / FILE
+    whole = path.read_bytes()
+    path.write_bytes(whole + b'{"key": "cut o')
+    with al.journal(tmp_path):
+        al.solve(bar())
+        al.solve(bar(load=1.1))
+    assert len(solved) == 2
+    assert states(tmp_path) == ["done", "done"]
+    path.write_bytes(b'{"key": "nonsense"}\n' + whole)
+    with pytest.raises(al.ProblemError, match=r"journal.jsonl', line 1: expected an entry"):
+        al.load(tmp_path)
+
+
+@pytest.mark.parametrize("damage", ["gone", "cut", "changed", "writable"])
+def test_a_file_that_is_damaged_is_told_and_computed_again(tmp_path: Path, solved: list, damage: str):
+    with al.journal(tmp_path):
+        al.solve(bar())
+    (path,) = (tmp_path / "finished").glob("*.nc")
+    if damage == "gone":
+        path.unlink()
+    elif damage == "writable":
+        path.chmod(0o666)
+    else:
+        content = path.read_bytes()
+        path.write_bytes(content[:-100] if damage == "cut" else content.replace(b"pickle", b"pickls"))
+    with al.journal(tmp_path), pytest.warns(al.JournalWarning, match="computed again"):
+        found = al.solve(bar())
+    assert found.objective == pytest.approx(2 * NEEDED, rel=1e-6)
+    assert len(solved) == 2
+    with al.journal(tmp_path):
+        al.solve(bar())
+    assert len(solved) == 2
+
+
+def test_failures_are_noted_and_infeasible_problems_kept(tmp_path: Path, solved: list):
+    for _ in range(2):
+        with al.journal(tmp_path):
+            assert al.solve(bar(highest=4.1).with_bound("stress", 0.3), throw=False).status is al.Status.INFEASIBLE
+    assert len(solved) == 1
+    assert states(tmp_path) == [State.INFEASIBLE.value]
+
+
+squared = jax.jit(lambda x: x**2)
+
+
+class Compiled(al.AlgebraicSystem):
+    """With a function whose code cannot be read."""
+
+    a: al.Number
+
+    def outputs(self):
+        return {"y": squared(self.a)}
+
+
+def test_what_another_run_could_not_recognise_is_not_kept_and_said(tmp_path: Path):
+    problem = al.Problem(Compiled(al.Decision(3.0, -5.0, 5.0)), minimize=al.output("y").mean)
+    with al.journal(tmp_path), pytest.warns(al.JournalWarning, match="is not kept"):
+        assert al.solve(problem).objective == pytest.approx(0.0, abs=1e-10)
+    assert not list((tmp_path / "finished").iterdir())
+
+
+def test_a_folder_without_a_journal_and_a_name_without_a_result_are_refused(tmp_path: Path):
+    with pytest.raises(al.ProblemError, match="there is no journal"):
+        al.load(tmp_path)
+    with al.journal(tmp_path):
+        al.solve(bar())
+    with pytest.raises(al.ProblemError, match="Did you mean 'solve Bar 1'"):
+        al.load(tmp_path)["solve Bar 2"]
+
+
+SWEPT = """
+    import sys
+    import numpy as np
+    import bars
+    import aleator as al
+
+    with al.journal(sys.argv[1]):
+        problem = bars.bar()
+        front = al.pareto(problem, "stress", np.linspace(0.4, 0.9, 6))
+        calibrated = al.calibrate(problem, "stress", target=0.05, samples=2000)
+    np.save(sys.argv[2], np.concatenate([front.objectives, front.shadow_prices, [calibrated.solution.objective]]))
+"""
+BARS = """
+    import numpy as np
+    import aleator as al
+
+    class Bar(al.AlgebraicSystem):
+        width: al.Number
+        load: al.Number
+
+        def outputs(self):
+            return {"stress": self.load / self.width, "mass": self.width}
+
+    def bar():
+        stress = al.output("stress")
+        model = Bar(al.Decision(4.0, 0.1, 10.0), al.Normal(1.0, 0.1))
+        strong = (stress.mean + stress.std <= 0.5).named("stress")
+        return al.Problem(model, minimize=al.output("mass").mean, subject_to=[strong])
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform == "win32", reason="processes are killed by a signal")
+def test_a_run_that_is_killed_again_and_again_ends_as_an_undisturbed_one(tmp_path: Path):
+    (tmp_path / "bars.py").write_text(textwrap.dedent(BARS))
+    (tmp_path / "swept.py").write_text(textwrap.dedent(SWEPT))
+
+    def begun(folder: str, result: str) -> subprocess.Popen:
+        return subprocess.Popen([sys.executable, "swept.py", folder, result], cwd=tmp_path)
+
+    assert begun("undisturbed", "whole.npy").wait() == 0
+    kept, generator = [], np.random.default_rng(0)
+    for _ in range(30):
+        run = begun("killed", "resumed.npy")
+        # Some time after its next result, so that every part of the run is met.
+        needed = (kept[-1] if kept else 0) + int(generator.integers(0, 2))
+        while run.poll() is None and count(tmp_path / "killed") <= needed:
+            pass
+        run.send_signal(signal.SIGKILL)
+        run.wait()
+        kept.append(count(tmp_path / "killed"))
+        if (tmp_path / "resumed.npy").exists():
+            break
+    assert all(np.diff(kept) >= 0)
+    assert begun("killed", "resumed.npy").wait() == 0
+    whole, resumed = np.load(tmp_path / "whole.npy"), np.load(tmp_path / "resumed.npy")
+    assert whole.tobytes() == resumed.tobytes()
+
+
+def count(folder: Path) -> int:
+    """How many results a journal has."""
+    path = folder / FILE
+    lines = path.read_bytes().split(b"\n")[:-1] if path.exists() else []
+    return sum(json.loads(line)["file"] != "" for line in lines if line)
