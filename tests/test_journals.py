@@ -208,6 +208,8 @@ def test_a_folder_without_a_journal_and_a_name_without_a_result_are_refused(tmp_
         al.load(tmp_path)["solve Bar 2"]
 
 
+KILLS = 6  # thirty were measured once: they take minutes
+
 SWEPT = """
     import sys
     import numpy as np
@@ -250,7 +252,7 @@ def test_a_run_that_is_killed_again_and_again_ends_as_an_undisturbed_one(tmp_pat
 
     assert begun("undisturbed", "whole.npy").wait() == 0
     kept, generator = [], np.random.default_rng(0)
-    for _ in range(30):
+    for _ in range(KILLS):
         run = begun("killed", "resumed.npy")
         # Some time after its next result, so that every part of the run is met.
         needed = (kept[-1] if kept else 0) + int(generator.integers(0, 2))

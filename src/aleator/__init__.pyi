@@ -86,6 +86,7 @@ from .sweep import pareto as pareto
 from .sweep import portfolio as portfolio
 from .sweep import trade_off as trade_off
 from .sweep import validate_all as validate_all
+from .sweep import workers as workers
 from .trajectories import AbstractSignal as AbstractSignal
 from .trajectories import AbstractTrajectory as AbstractTrajectory
 from .trajectories import BSpline as BSpline

@@ -70,15 +70,9 @@ def solve(
     one_of("solve: transcription", transcription, AbstractTranscription, "al.Sequential()")
     solver = solver or transcription.solver
     check_arguments(problem, solver, warm_start, deterministic_first, between, accuracy)
-    # All that the answer follows from.
-    given = {
-        "problem": problem,
-        "solver": solver,
-        "transcription": transcription,
-        "warm_start": warm_start,
-        "start": None if start is None else dict(start),
-        "how": (deterministic_first, between, float(accuracy), refine),
-    }
+    given = follows_from(
+        problem, solver, transcription, warm_start, start, deterministic_first, between, accuracy, refine
+    )
     solution = journalled(
         "solve",
         given,
@@ -93,6 +87,30 @@ def solve(
     _warn_of_doubts(solution)
     _warn_if_coarse(solution)
     return solution
+
+
+def follows_from(
+    problem: Problem,
+    solver: AbstractSolver | None = None,
+    transcription: AbstractTranscription = DEFAULT,
+    warm_start: Solution | None = None,
+    start: Mapping[str, Any] | None = None,
+    deterministic_first: bool = False,
+    between: int | None = None,
+    accuracy: float = 1e-3,
+    refine: bool = False,
+    throw: bool = True,
+) -> dict[str, Any]:
+    """All that an answer of `solve` follows from, by name, for the same arguments."""
+    del throw
+    return {
+        "problem": problem,
+        "solver": solver or transcription.solver,
+        "transcription": transcription,
+        "warm_start": warm_start,
+        "start": None if start is None else dict(start),
+        "how": (deterministic_first, between, float(accuracy), refine),
+    }
 
 
 def _solved(

@@ -1,14 +1,14 @@
 """`pareto`: one problem for many values of a bound (the constraint form of multi-objective design, section 3.5.1)."""
 
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass
-from functools import partial
-from typing import final
+from typing import Any, final
 
 import numpy as np
 from jaxtyping import Float
 
-from aleator._core.errors import ProblemError
+from aleator._core.errors import AleatorError, ProblemError
 from aleator._core.given import a_name, one_of, real_array
 from aleator._core.heard import heeding
 from aleator._core.progress import Progress, check_progress, silent
@@ -17,6 +17,7 @@ from aleator.design import Problem, current, refuse_changed
 from aleator.nlp import AbstractSolver, Status
 from aleator.solution import Solution
 from aleator.solving import solve
+from aleator.sweep._elsewhere import check_executor, each_elsewhere
 from aleator.transcription import DEFAULT, AbstractTranscription
 
 
@@ -122,6 +123,7 @@ def pareto(
     *,
     solver: AbstractSolver | None = None,
     transcription: AbstractTranscription = DEFAULT,
+    executor: Executor | None = None,
     progress: Progress = silent,
 ) -> Front:
     """Solve a problem for each value of the bound called `bound`, starting from the nearest solution so far.
@@ -130,6 +132,10 @@ def pareto(
     and then kept with its status, its smallest violation and the reason. One that is refused, because no decision can
     meet the bound, is kept as `Refused` with the message. Ctrl-C ends the sweep and returns the finished points, if
     there are any. `solver` and `transcription` are those of `al.solve`.
+
+    With an `executor` (`al.workers(2)`, loky's, Dask's `client.get_executor()`, any of `concurrent.futures`), its
+    workers solve points from coarse to fine: the first value, then the ends, then the middles between, each from the
+    nearest of those before; those that fail are tried again here. The front is the same for every executor.
 
     A value given twice is solved once. Raises `ProblemError` if there is no such constraint or no value, or if every
     point is refused.
@@ -140,34 +146,107 @@ def pareto(
     bounds = list(dict.fromkeys(np.ravel(real_array("pareto: values", values)).tolist()))
     if not bounds:
         raise ProblemError("pareto: expected at least one value of the bound; received none.")
-    problem, solved = current(problem), partial(solve, solver=solver, transcription=transcription, throw=False)
-    problems = [problem.with_bound(bound, value) for value in bounds]
-    solutions: dict[float, Solution] = {}
-    refused: dict[float, Refused] = {}
-    first: ProblemError | None = None
+    check_executor("pareto", executor)
+    problem, own = current(problem), {"solver": solver, "transcription": transcription}
+    sweep = _Sweep(bound, {value: problem.with_bound(bound, value) for value in bounds}, own, progress)
     interrupted = True
     try:
         with heeding() as heed:
-            for done, (one, value) in enumerate(zip(problems, bounds, strict=True)):
-                progress(f"front over {bound}", done, len(bounds))
-                refuse_changed("pareto", one, "when the front was begun")
-                try:
-                    with warned_of(f"pareto, at {bound} = {value:g}"):
-                        solutions[value] = _point(one, _nearest(solutions, value), solved)
-                except ProblemError as error:
-                    first = first or error
-                    refused[value] = Refused(one, str(error))
-                heed()
+            sweep.solve_here(heed) if executor is None else sweep.solve_by(executor, heed)
         interrupted = False
         progress(f"front over {bound}", len(bounds), len(bounds))
     except KeyboardInterrupt:
-        if not solutions:
+        if not sweep.solutions:
             raise
-    if first is not None and not solutions:
-        raise first
-    points = solutions | refused
-    finished = [value for value in bounds if value in points]
-    return Front(bound, np.array(finished), tuple(points[value] for value in finished), interrupted)
+    return sweep.front(interrupted)
+
+
+@final
+class _Sweep:
+    """A front in the making: its problems, and what was found, by the values of the bound."""
+
+    def __init__(self, bound: str, problems: Mapping[float, Problem], own: Mapping[str, Any], progress: Progress):
+        self._bound, self._problems, self._own, self._progress = bound, problems, own, progress
+        self.solutions: dict[float, Solution] = {}
+        self._refused: dict[float, Refused] = {}
+        self._first: ProblemError | None = None
+
+    def solve_here(self, heed: Callable[[], None]) -> None:
+        """Solve each point in this process, from the nearest one before."""
+        for value in self._problems:
+            self._point(value)
+            heed()
+
+    def solve_by(self, executor: Executor, heed: Callable[[], None]) -> None:
+        """Solve points by workers, wave by wave, then those that failed here, from their better neighbours."""
+        for wave in waves(list(self._problems)):
+            neighbours = [_nearest(self.solutions, value) for value in wave]
+            calls = [self._call(value, near) for value, near in zip(wave, neighbours, strict=True)]
+            for i, found in each_elsewhere("solve", executor, calls, [self._place(value) for value in wave]):
+                self._tell()
+                self._keep(wave[i], found)
+                heed()
+        for value in [value for value, one in self.solutions.items() if not one.ok]:
+            self._point(value)
+            heed()
+
+    def front(self, interrupted: bool) -> Front:
+        """What was found, in the order of the bounds. Raises the first refusal if every point was refused."""
+        if self._first is not None and not self.solutions:
+            raise self._first
+        points = self.solutions | self._refused
+        finished = [value for value in self._problems if value in points]
+        return Front(self._bound, np.array(finished), tuple(points[value] for value in finished), interrupted)
+
+    def _call(self, value: float, neighbour: Solution | None) -> dict[str, Any]:
+        return {"problem": self._problems[value], "warm_start": neighbour, "throw": False, **self._own}
+
+    def _place(self, value: float) -> str:
+        return f"pareto, at {self._bound} = {value:g}"
+
+    def _tell(self) -> None:
+        self._progress(f"front over {self._bound}", len(self.solutions) + len(self._refused), len(self._problems))
+
+    def _point(self, value: float) -> None:
+        """Solve one point here; if it fails from the neighbour and the start, keep the less violated of the two."""
+        self._tell()
+        refuse_changed("pareto", self._problems[value], "when the front was begun")
+        neighbour = _nearest(self.solutions, value)
+        try:
+            with warned_of(self._place(value)):
+                found = solve(**self._call(value, neighbour))
+                if not found.ok and neighbour is not None:
+                    found = _better(solve(**self._call(value, None)), found)
+        except ProblemError as error:
+            self._keep(value, error)
+        else:
+            self._keep(value, found)
+
+    def _keep(self, value: float, found: Solution | AleatorError) -> None:
+        if isinstance(found, Solution):
+            before = self.solutions.get(value)
+            self.solutions[value] = found if before is None else _better(found, before)
+        elif isinstance(found, ProblemError):
+            self._first = self._first or found
+            self._refused[value] = Refused(self._problems[value], str(found))
+        else:
+            raise found
+
+
+def waves(values: Sequence[float]) -> list[list[float]]:
+    """Values in groups: the first given, the ends, then the middles of the gaps between those before, and so on."""
+    ordered = sorted(values)
+    groups, gaps = [[values[0]], [ordered[0], ordered[-1]]], [(0, len(ordered) - 1)]
+    while gaps:
+        groups.append([ordered[(low + high) // 2] for low, high in gaps if high - low > 1])
+        gaps = [gap for low, high in gaps if high - low > 1 for gap in _halves(low, high)]
+    known: set[float] = set()
+    fresh = [[one for one in dict.fromkeys(group) if one not in known and not known.add(one)] for group in groups]
+    return [group for group in fresh if group]
+
+
+def _halves(low: int, high: int) -> list[tuple[int, int]]:
+    return [(low, (low + high) // 2), ((low + high) // 2, high)]
 
 
 def _nearest(solutions: Mapping[float, Solution], value: float) -> Solution | None:
@@ -176,10 +255,5 @@ def _nearest(solutions: Mapping[float, Solution], value: float) -> Solution | No
     return solved[min(solved, key=lambda bound: abs(bound - value))] if solved else None
 
 
-def _point(problem: Problem, neighbour: Solution | None, solved: Callable[..., Solution]) -> Solution:
-    """The solution at one point; if it fails from the neighbour and from the start, the less violated of the two."""
-    first = solved(problem, warm_start=neighbour)
-    if first.ok or neighbour is None:
-        return first
-    second = solved(problem)
+def _better(second: Solution, first: Solution) -> Solution:
     return second if second.ok or second.certificate.violation < first.certificate.violation else first

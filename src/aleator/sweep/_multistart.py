@@ -1,13 +1,14 @@
 """`multistart`: one problem solved from several starts, with its local optima in order."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass
 from typing import Any, final
 
 import numpy as np
 from jaxtyping import Float
 
-from aleator._core.errors import ProblemError
+from aleator._core.errors import AleatorError, ProblemError
 from aleator._core.given import one_of, positive, whole
 from aleator._core.heard import heeding
 from aleator._core.progress import Progress, check_progress, silent
@@ -16,6 +17,7 @@ from aleator.design import Problem, current, refuse_changed
 from aleator.nlp import AbstractSolver
 from aleator.solution import Solution
 from aleator.solving import solve
+from aleator.sweep._elsewhere import check_executor, each_elsewhere
 from aleator.transcription import DEFAULT, AbstractTranscription
 
 # Objectives, or decisions, with a smaller relative difference belong to one local optimum.
@@ -83,6 +85,7 @@ def multistart(
     seed: int = 0,
     solver: AbstractSolver | None = None,
     transcription: AbstractTranscription = DEFAULT,
+    executor: Executor | None = None,
     progress: Progress = silent,
 ) -> Starts:
     """Solve a problem from several starts, given by decisions' names, or from a number of random ones.
@@ -90,7 +93,7 @@ def multistart(
     The first random start is the problem's own; the others, drawn from `seed`, differ from it by up to `spread` of each
     decision's range (of its magnitude where a bound is infinite). The problem is compiled once. A start that fails is
     kept with its status; Ctrl-C ends the search and returns the finished solutions. `solver` and `transcription` are
-    those of `al.solve`.
+    those of `al.solve`; an `executor` (see `al.pareto`) solves from several starts at once.
 
     Raises `ProblemError`, before anything is solved, if there is no start, for unknown decisions, and for values that
     are not finite or of the wrong shape.
@@ -111,23 +114,42 @@ def multistart(
     places = problem.placements
     for start in given:
         places.moved(places.vector("initial"), start)
-    solutions: list[Solution] = []
+    check_executor("multistart", executor)
+    own = {"problem": problem, "solver": solver, "transcription": transcription, "throw": False}
+    calls = [{**own, "start": start} for start in given]
+    solutions: dict[int, Solution] = {}
     interrupted = True
+    progress("starts", 0, len(given))
     try:
         with heeding() as heed:
-            for done, start in enumerate(given):
-                progress("starts", done, len(given))
-                refuse_changed("multistart", problem, "at the first start")
-                with warned_of(f"multistart, from start {done + 1}"):
-                    found = solve(problem, solver, transcription=transcription, start=start, throw=False)
-                    solutions.append(found)
+            for i, found in _each_here(calls) if executor is None else _each_by(executor, calls):
+                solutions[i] = found
+                progress("starts", len(solutions), len(given))
                 heed()
         interrupted = False
-        progress("starts", len(given), len(given))
     except KeyboardInterrupt:
         if not solutions:
             raise
-    return Starts(tuple(solutions), interrupted)
+    return Starts(tuple(solutions[i] for i in sorted(solutions)), interrupted)
+
+
+def _each_here(calls: Sequence[Mapping[str, Any]]) -> Iterator[tuple[int, Solution]]:
+    for i, call in enumerate(calls):
+        refuse_changed("multistart", call["problem"], "at the first start")
+        with warned_of(_place(i)):
+            found = solve(**call)
+        yield i, found
+
+
+def _each_by(executor: Executor, calls: Sequence[Mapping[str, Any]]) -> Iterator[tuple[int, Solution]]:
+    for i, found in each_elsewhere("solve", executor, calls, [_place(i) for i in range(len(calls))]):
+        if isinstance(found, AleatorError):
+            raise found
+        yield i, found
+
+
+def _place(i: int) -> str:
+    return f"multistart, from start {i + 1}"
 
 
 def _random(problem: Problem, count: int, spread: float, seed: int) -> list[dict[str, Any]]:

@@ -1,6 +1,7 @@
 """`validate_all`: evidence at every design of a front, with its intervals."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from typing import Any, TypeAlias, final
 
@@ -11,6 +12,7 @@ from aleator._core.progress import Progress, check_progress, silent
 from aleator._core.warned import warned_of
 from aleator.design import declared_anew, refuse_changed
 from aleator.solution import Solution
+from aleator.sweep._elsewhere import check_executor, each_elsewhere
 from aleator.sweep._front import Front
 from aleator.sweep._multistart import Starts
 from aleator.sweep._trade_off import TradeOff
@@ -58,12 +60,18 @@ class EvidenceOfAll:
 
 
 def validate_all(
-    designs: Designs, samples: int = 20_000, *, seed: int = 0, progress: Progress = silent
+    designs: Designs,
+    samples: int = 20_000,
+    *,
+    seed: int = 0,
+    executor: Executor | None = None,
+    progress: Progress = silent,
 ) -> EvidenceOfAll:
     """Simulate fresh random systems at every solved design of a front (`al.validate` at each).
 
     - `designs`: of `al.pareto`, `al.trade_off` or `al.multistart`, or solutions; those without a design are left out;
-    - `samples`, `seed`: of `al.validate`, the same systems for each design, so that designs can be compared.
+    - `samples`, `seed`: of `al.validate`, the same systems for each design, so that designs can be compared;
+    - `executor`: validates several designs at once (see `al.pareto`), with the same results.
 
     A design whose systems cannot be simulated is kept with the reason. Ctrl-C returns the evidence found so far. Raises
     `ProblemError` if there is no solved design.
@@ -74,26 +82,48 @@ def validate_all(
     if not solved:
         raise ProblemError("validate_all: expected at least one solved design; received none.")
     places, chosen = zip(*solved, strict=True)
-    found: list[Evidence | None] = []
-    refused: dict[int, str] = {}
+    check_executor("validate_all", executor)
+    calls = [{"solution": _with_own_limits(one), "samples": samples, "seed": seed} for one in chosen]
+    found: dict[int, Evidence | AleatorError] = {}
     interrupted = True
+    progress("evidence", 0, len(chosen))
     try:
         with heeding() as heed:
-            for done, one in enumerate(chosen):
-                progress("evidence", done, len(chosen))
-                try:
-                    with warned_of(f"validate_all, design {done}"):
-                        found.append(validate(_with_own_limits(one), samples, seed=seed))
-                except AleatorError as error:
-                    refused[done] = str(error)
-                    found.append(None)
+            for i, evidence in _each_here(calls) if executor is None else _each_by(executor, calls):
+                found[i] = evidence
+                progress("evidence", len(found), len(chosen))
                 heed()
         interrupted = False
-        progress("evidence", len(chosen), len(chosen))
     except KeyboardInterrupt:
         if not found:
             raise
-    return EvidenceOfAll(chosen[: len(found)], places[: len(found)], tuple(found), refused, interrupted)
+    kept = sorted(found)
+    results = [found[i] for i in kept]
+    return EvidenceOfAll(
+        tuple(chosen[i] for i in kept),
+        tuple(places[i] for i in kept),
+        tuple(one if isinstance(one, Evidence) else None for one in results),
+        {i: str(one) for i, one in enumerate(results) if isinstance(one, AleatorError)},
+        interrupted,
+    )
+
+
+def _each_here(calls: Sequence[Mapping[str, Any]]) -> Iterator[tuple[int, Evidence | AleatorError]]:
+    for i, call in enumerate(calls):
+        try:
+            with warned_of(_place(i)):
+                found = validate(**call)
+        except AleatorError as error:
+            found = error
+        yield i, found
+
+
+def _each_by(executor: Executor, calls: Sequence[Mapping[str, Any]]) -> Iterator[tuple[int, Evidence | AleatorError]]:
+    yield from each_elsewhere("validate", executor, calls, [_place(i) for i in range(len(calls))])
+
+
+def _place(i: int) -> str:
+    return f"validate_all, design {i}"
 
 
 def _placed(designs: Any) -> list[tuple[str, Solution]]:

@@ -12,5 +12,6 @@ from aleator.validation._evidence import Trajectories as Trajectories
 from aleator.validation._proportion import Proportion as Proportion
 from aleator.validation._rare import rare_violation as rare_violation
 from aleator.validation._validate import validate as validate
+from aleator.validation._validate import validated_from as validated_from
 from aleator.validation._weighted import Share as Share
 from aleator.validation._weighted import WeightedProportion as WeightedProportion

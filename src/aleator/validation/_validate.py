@@ -3,6 +3,7 @@
 import time
 import warnings
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -53,9 +54,16 @@ def validate(
     least = {"samples": (samples, 2), "batch": (batch, 1), "seed": (seed, 0), "keep": (keep, 0)}
     samples, batch, seed, keep = (whole(f"validate: {name}", one, least=n) for name, (one, n) in least.items())
     check_progress("validate", progress)
-    given = {"solution": solution, "how": (samples, seed, batch, keep)}
+    given = validated_from(solution, samples, seed=seed, batch=batch, keep=keep)
     evidence = journalled("validate", given, lambda: _sampled(solution, samples, seed, batch, keep, progress))
     return _told(evidence if evidence.solution is solution else replace(evidence, solution=solution))
+
+
+def validated_from(
+    solution: Solution, samples: int = 100_000, seed: int = 0, batch: int = 250, keep: int = 200
+) -> dict[str, Any]:
+    """All that the evidence of `validate` follows from, by name, for the same arguments."""
+    return {"solution": solution, "how": (samples, seed, batch, keep)}
 
 
 def _sampled(solution: Solution, samples: int, seed: int, batch: int, keep: int, progress: Progress) -> Evidence:

@@ -1,0 +1,110 @@
+"""`workers`: processes on this machine, one a core, that outlive the death of any of them."""
+
+import os
+import threading
+from collections.abc import Callable
+from concurrent.futures import Executor, Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from multiprocessing import get_context
+from multiprocessing.queues import Queue
+from typing import Any, TypeVar, final
+
+from typing_extensions import override
+
+from aleator._core.beside import CORES, threads
+from aleator._core.given import whole
+
+_Result = TypeVar("_Result")
+
+# How often work is begun again after its worker, or another one, has died.
+_AGAIN = 3
+
+
+def workers(count: int | None = None) -> Executor:
+    """An executor of `count` processes on this machine, by default one for each core, for `executor=` of sweeps.
+
+        with al.workers(2) as executor:
+            front = al.pareto(problem, "mass", values, executor=executor)
+
+    Each has a core and one thread of its own, takes compiled programs from the same folder (`al.compilation_cache`),
+    and lives until the end of the block. If one dies (the machine's memory may be short), the others are replaced too,
+    and what they did is begun again, up to three times. A script that uses them begins its work under
+    `if __name__ == "__main__":`, since each process reads it once; models stand in modules of their own.
+    """
+    return _Workers(CORES if count is None else whole("workers: count", count))
+
+
+@final
+class _Workers(Executor):
+    """A pool of processes that is replaced when it breaks."""
+
+    def __init__(self, count: int):
+        self._count, self._pool, self._closed = count, None, False
+        self._lock = threading.RLock()
+
+    @override
+    def submit(self, fn: Callable[..., _Result], /, *args: Any, **kwargs: Any) -> "Future[_Result]":
+        if self._closed:
+            raise RuntimeError("the workers have been shut down: expected a call within their `with` block.")
+        future: Future[_Result] = Future()
+        self._send(future, lambda pool: pool.submit(fn, *args, **kwargs), 0)
+        return future
+
+    def _send(self, future: "Future[Any]", submit: Callable[[ProcessPoolExecutor], "Future[Any]"], tries: int) -> None:
+        with self._lock:
+            pool = self._pool = self._pool or self._begun()
+            try:
+                inner = submit(pool)
+            except BrokenProcessPool:
+                self._pool = None
+                pool = self._pool = self._begun()
+                inner = submit(pool)
+        # What has not begun can be cancelled from outside.
+        future.add_done_callback(lambda one: inner.cancel() if one.cancelled() else None)
+        inner.add_done_callback(lambda one: self._finish(one, future, pool, submit, tries))
+
+    def _finish(
+        self,
+        inner: "Future[Any]",
+        future: "Future[Any]",
+        pool: ProcessPoolExecutor,
+        submit: Callable[[ProcessPoolExecutor], "Future[Any]"],
+        tries: int,
+    ) -> None:
+        if inner.cancelled() or future.cancelled():
+            future.cancel()
+            return
+        error = inner.exception()
+        if isinstance(error, BrokenProcessPool) and tries < _AGAIN and not self._closed:
+            with self._lock:
+                if self._pool is pool:
+                    self._pool = None
+            self._send(future, submit, tries + 1)
+        elif error is not None:
+            future.set_exception(error)
+        else:
+            future.set_result(inner.result())
+
+    def _begun(self) -> ProcessPoolExecutor:
+        # Never forked: JAX has threads, whose locks a copy of the process would keep for ever.
+        context = get_context("spawn")
+        cores = context.Queue()
+        for core in range(self._count):
+            cores.put(core)
+        return ProcessPoolExecutor(self._count, context, _settle, (cores,))
+
+    @override
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        with self._lock:
+            self._closed, pool = True, self._pool
+        if pool is not None:
+            pool.shutdown(wait, cancel_futures=cancel_futures)
+
+
+def _settle(cores: "Queue[int]") -> None:
+    """Begin a worker: one core, which XLA's threads keep to as well, and one thread of ours."""
+    core = cores.get()
+    if hasattr(os, "sched_setaffinity"):
+        mine = sorted(os.sched_getaffinity(0))
+        os.sched_setaffinity(0, {mine[core % len(mine)]})
+    threads(1)

@@ -1,0 +1,136 @@
+"""Sweeps by executors: the same results as anywhere, whatever becomes of a worker."""
+
+import sys
+from collections.abc import Iterator
+from concurrent.futures import Executor, ThreadPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from pathlib import Path
+
+import numpy as np
+import pytest
+from bars import NEEDED, Bar, Wave, bar, dies, dies_once
+
+import aleator as al
+from aleator.sweep._front import waves
+
+VALUES = [0.5, 0.4, 0.6, 0.7, 0.45]
+posix = pytest.mark.skipif(sys.platform == "win32", reason="processes are killed by a signal")
+
+
+@pytest.fixture
+def threads() -> Iterator[Executor]:
+    with ThreadPoolExecutor(2) as executor:
+        yield executor
+
+
+def test_waves_are_the_first_value_the_ends_and_middles_of_gaps():
+    assert waves([5.0]) == [[5.0]]
+    assert waves([3.0, 1.0]) == [[3.0], [1.0]]
+    assert waves([0.0, 1.0, 2.0, 3.0, 4.0]) == [[0.0], [4.0], [2.0], [1.0, 3.0]]
+    generator = np.random.default_rng(0)
+    for size in range(1, 30):
+        values = generator.permutation(size).astype(float).tolist()
+        met = [one for wave in waves(values) for one in wave]
+        assert met[0] == values[0]
+        assert sorted(met) == sorted(values)
+
+
+def test_a_front_by_an_executor_is_that_of_the_closed_form_in_the_order_of_its_values(threads: Executor):
+    front = al.pareto(bar(), "stress", VALUES, executor=threads)
+    assert front.values.tolist() == VALUES
+    np.testing.assert_allclose(front.objectives, NEEDED / np.array(VALUES), rtol=1e-6)
+    assert all(point.problem.with_bound("stress", 0.5) == bar() for point in front.points)
+
+
+def test_starts_and_evidence_by_an_executor_are_those_of_this_process(threads: Executor):
+    problem = bar()
+    here, there = (al.multistart(problem, 4, executor=executor) for executor in (None, threads))
+    assert [one.objective for one in here.solutions] == [one.objective for one in there.solutions]
+    assert [one.vector.tolist() for one in here.solutions] == [one.vector.tolist() for one in there.solutions]
+    front = al.pareto(problem, "stress", VALUES[:2])
+    counted = [al.validate_all(front, 1000, executor=executor) for executor in (None, threads)]
+    assert str(counted[0]) == str(counted[1])
+    assert all(one.solution is point for one, point in zip(counted[1].evidence, counted[1].designs, strict=True))
+
+
+def test_a_journal_keeps_what_workers_found(tmp_path: Path, threads: Executor, monkeypatch: pytest.MonkeyPatch):
+    with al.journal(tmp_path):
+        first = al.pareto(bar(), "stress", VALUES, executor=threads)
+    monkeypatch.setattr(threads, "submit", lambda *_: pytest.fail("nothing is left to do"))
+    with al.journal(tmp_path):
+        second = al.pareto(bar(), "stress", VALUES, executor=threads)
+    assert first.objectives.tobytes() == second.objectives.tobytes()
+
+
+def test_warnings_and_failures_of_workers_are_told_with_their_place(threads: Executor):
+    rough = al.Problem(
+        Wave(al.Decision(2.0, 1.0, 4.0), al.Uniform(0.0, half_width=1.0)),
+        minimize=al.output("wave").std,
+        subject_to=[(al.output("width").mean >= 1.5).named("width")],
+        expansion=al.Expansion(order=2),
+    )
+    with pytest.warns(al.ExpansionWarning) as heard:
+        al.pareto(rough, "width", [1.5, 3.0], executor=threads)
+    assert {str(one.message).split(":")[0] for one in heard} == {f"pareto, at width = {at}" for at in (1.5, 3)}
+    front = al.pareto(bar(), "stress", [0.5, -1.0], executor=threads)
+    assert [one.ok for one in front.points] == [True, False]
+    assert front.points[1].status is al.Status.INFEASIBLE
+
+
+@pytest.mark.parametrize("executor", [2, "dask", al.pareto])
+def test_what_is_no_executor_is_refused(executor):
+    with pytest.raises(al.ProblemError, match=r"executor: expected an executor, such as al.workers\(2\)"):
+        al.pareto(bar(), "stress", VALUES, executor=executor)
+
+
+class Local(al.AlgebraicSystem):
+    """In a module that is called `__main__` below."""
+
+    a: al.Number
+
+    def outputs(self):
+        return {"y": (self.a - 1.0) ** 2}
+
+
+def test_classes_of_the_script_itself_are_refused_with_what_to_do(threads: Executor, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(Local, "__module__", "__main__")
+    monkeypatch.setattr(sys.modules["__main__"], "Local", Local, raising=False)
+    problem = al.Problem(Local(al.Decision(3.0, -5.0, 5.0)), minimize=al.output("y").mean)
+    with pytest.raises(al.ProblemError, match="Move them into a module"):
+        al.multistart(problem, 2, executor=threads)
+
+
+def test_classes_within_functions_are_refused_with_what_to_do(threads: Executor):
+    class Inner(Bar.__base__):
+        a: al.Number
+
+        def outputs(self):
+            return {"y": (self.a - 1.0) ** 2}
+
+    problem = al.Problem(Inner(al.Decision(3.0, -5.0, 5.0)), minimize=al.output("y").mean)
+    with pytest.raises(al.ProblemError, match="Write its classes and functions in a module"):
+        al.multistart(problem, 2, executor=threads)
+
+
+@posix
+def test_the_death_of_a_worker_is_survived(tmp_path: Path):
+    with al.workers(2) as executor:
+        futures = [executor.submit(dies_once, str(tmp_path / "mark"), number) for number in range(8)]
+        assert [one.result() for one in futures] == [2 * number for number in range(8)]
+    assert (tmp_path / "mark").exists()
+    with pytest.raises(RuntimeError, match="have been shut down"):
+        executor.submit(dies, 1)
+
+
+@posix
+def test_work_that_always_kills_its_worker_ends():
+    with al.workers(1) as executor, pytest.raises(BrokenProcessPool):
+        executor.submit(dies, 1).result()
+
+
+@pytest.mark.slow
+def test_fronts_of_processes_are_those_of_threads_down_to_the_last_bit(threads: Executor):
+    with al.workers(2) as two, al.workers(1) as one:
+        fronts = [al.pareto(bar(), "stress", VALUES, executor=executor) for executor in (threads, one, two)]
+    assert len({front.objectives.tobytes() for front in fronts}) == 1
+    assert len({front.shadow_prices.tobytes() for front in fronts}) == 1
