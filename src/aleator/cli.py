@@ -4,6 +4,7 @@ Exit codes: 0 success, 1 a solve, a simulation or writing failed, 2 wrong usage,
 Finished results are written in every case.
 """
 
+import json
 import time
 import warnings
 from collections.abc import Callable, Sequence
@@ -23,7 +24,7 @@ from aleator._core.interruption import Interruptions
 from aleator.journalling import forget, journal
 from aleator.journalling import load as load_results
 from aleator.reporting import PAGE, Table, check_writable, only_writer, save_study, words
-from aleator.studies import STUDIES, AbstractStudy, Check, PartlySavedError, Study, begin_file, load, tables_of
+from aleator.studies import STUDIES, AbstractStudy, Check, PartlySavedError, Study, begin_file, load, schema, tables_of
 
 FAILED, USAGE = 1, 2
 
@@ -90,6 +91,12 @@ def check(
             console.print(Text.assemble(("look at", "bold yellow"), f": {one}"), soft_wrap=True)
 
 
+@application.command("schema")
+def print_schema() -> None:
+    """Print the JSON Schema of study files (.toml), by which editors complete and check them."""
+    typer.echo(json.dumps(schema(), indent=2, ensure_ascii=False))
+
+
 @application.command()
 def run(
     study: Annotated[str, typer.Argument(help="Name of a case study (see `aleator list`), or a file of your own.")],
@@ -107,7 +114,7 @@ def run(
 
 def _folder_name(study: str) -> str:
     """The last part of a study's name, file or module."""
-    place = Path(study).stem if study.endswith(".py") else study.rpartition(":")[2]
+    place = Path(study).stem if study.endswith((".py", ".toml")) else study.rpartition(":")[2]
     return place.rpartition(".")[2]
 
 

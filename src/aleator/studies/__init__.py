@@ -25,6 +25,8 @@ from aleator.studies._files import load_module as load_module
 from aleator.studies._own import Study as Study
 from aleator.studies._study import AbstractStudy as AbstractStudy
 from aleator.studies._study import stop_if_interrupted as stop_if_interrupted
+from aleator.studies._toml import load_toml as load_toml
+from aleator.studies._toml import schema as schema
 
 
 class Entry(NamedTuple):
@@ -67,6 +69,9 @@ def load(name: str, *, quick: bool = False) -> AbstractStudy:
 
     Raises `ProblemError` for an unknown name, and for a file that declares no study, or no quick one if that is asked.
     """
+    if name.endswith(".toml"):
+        own = load_toml(Path(name), load_module)
+        return own.quickened() if quick else own
     if name.endswith(".py") or "." in name or ":" in name:
         own = load_file(Path(name)) if name.endswith(".py") else load_module(name)
         return _quick(own, name) if quick else own

@@ -1,6 +1,7 @@
 """`Study`: a study of one's own, declared by its problems alone."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from functools import partial
 from typing import Any, NamedTuple, final
 
@@ -18,7 +19,7 @@ from aleator.solution import Solution
 from aleator.solving import solve
 from aleator.studies._declared import Stage
 from aleator.studies._study import AbstractStudy, stop_if_interrupted
-from aleator.sweep import Front, TradeOff, pareto, trade_off
+from aleator.sweep import Front, TradeOff, pareto, trade_off, workers
 from aleator.transcription import DEFAULT, AbstractTranscription
 from aleator.validation import Evidence, validate
 
@@ -55,6 +56,7 @@ class Study(AbstractStudy):
     - `sweeps`: values of bounds by the names of constraints, along which the last design is solved again
       (`al.pareto`); `wishes`: what is traded off in the last design (`al.trade_off`), at `points` places;
     - `title`, `subtitle`: of the page; `solver`, `transcription`: see `al.solve`;
+    - `workers`: processes that solve the points of `sweeps` (`al.workers`); in this one if it is left out;
     - `quick`: for a first look: a twentieth of the samples, and every third point of fronts.
 
     Raises `ProblemError` for anything else, and for sweeps over bounds that the last design does not have.
@@ -73,18 +75,22 @@ class Study(AbstractStudy):
         points: int = 12,
         solver: AbstractSolver | None = None,
         transcription: AbstractTranscription = DEFAULT,
+        workers: int | None = None,
         quick: bool = False,
     ):
         self.problems = _problems(designs)
         self.title = one_of("Study: title", title, str)
         self.subtitle = one_of("Study: subtitle", subtitle, str)
         self._samples, self._seed = whole("Study: samples", samples, least=2), whole("Study: seed", seed, least=0)
+        if not isinstance(sweeps, Mapping | None):
+            raise refusal("Study: sweeps", "values by the names of constraints", sweeps)
         swept = (sweeps or {}).items()
         self._sweeps = {name: np.ravel(real_array(f"Study: sweep over '{name}'", one)) for name, one in swept}
         self._wishes = _checked_wishes(wishes)
         self._points = whole("Study: points", points, least=max(2, len(self._wishes)))
         self._solver = None if solver is None else one_of("Study: solver", solver, AbstractSolver, "al.solvers.Ipopt()")
         self._transcription = one_of("Study: transcription", transcription, AbstractTranscription, "al.Sequential()")
+        self._workers = None if workers is None else whole("Study: workers", workers)
         self._is_quick = quick
         for name in self._sweeps:
             self._last.named(name)
@@ -103,6 +109,7 @@ class Study(AbstractStudy):
             points=max(self._points // _QUICK_POINTS, max(2, len(self._wishes))),
             solver=self._solver,
             transcription=self._transcription,
+            workers=self._workers,
             quick=True,
         )
 
@@ -182,7 +189,10 @@ class Study(AbstractStudy):
 
     def _sweep(self, bound: str, progress: Progress) -> None:
         own = {"solver": self._solver, "transcription": self._transcription}
-        self._found.fronts[bound] = pareto(self._last, bound, self._sweeps[bound], progress=progress, **own)
+        with ExitStack() as held:
+            executor = None if self._workers is None else held.enter_context(workers(self._workers))
+            front = pareto(self._last, bound, self._sweeps[bound], executor=executor, progress=progress, **own)
+        self._found.fronts[bound] = front
         stop_if_interrupted(self._found.fronts[bound])
 
     def _trade_off(self, progress: Progress) -> None:
