@@ -128,9 +128,7 @@ def _first(file: _File, errors: Sequence[Any], known: Mapping[str, Any]) -> Prob
     """The error about the first thing that is wrong."""
     one = errors[0]
     # Without the names of alternatives, of which pydantic tells one by one.
-    place = [
-        part for part in one["loc"] if isinstance(part, int) or not re.search(r"[<\[]|^(float|str|constrained)", part)
-    ]
+    place = [part for part in one["loc"] if not (isinstance(part, str) and _KIND.search(part))]
     said = _SAID.get(one["type"], "")
     name = str(place[-1]) if place else ""
     if one["type"] == "extra_forbidden":
