@@ -1,6 +1,9 @@
 """Sweeps by executors: the same results as anywhere, whatever becomes of a worker."""
 
+import os
+import subprocess
 import sys
+import textwrap
 from collections.abc import Iterator
 from concurrent.futures import Executor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -134,3 +137,52 @@ def test_fronts_of_processes_are_those_of_threads_down_to_the_last_bit(threads: 
         fronts = [al.pareto(bar(), "stress", VALUES, executor=executor) for executor in (threads, one, two)]
     assert len({front.objectives.tobytes() for front in fronts}) == 1
     assert len({front.shadow_prices.tobytes() for front in fronts}) == 1
+
+
+ON_A_CLUSTER = """
+    import os
+    import signal
+    import sys
+
+    import numpy as np
+    from dask.distributed import Client, LocalCluster
+    from loky import get_reusable_executor
+
+    import aleator as al
+    from bars import bar
+
+    VALUES = [0.5, 0.4, 0.6, 0.7, 0.45, 0.55, 0.65]
+
+
+    def main():
+        loky = al.pareto(bar(), "stress", VALUES, executor=get_reusable_executor(2))
+        cluster = LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None)
+        with cluster, Client(cluster) as client:
+            workers = list(client.run(os.getpid).values())
+
+            def kill(task, done, total):
+                if done == 3 and workers:
+                    os.kill(workers.pop(), signal.SIGKILL)
+
+            dask = al.pareto(bar(), "stress", VALUES, executor=client.get_executor(), progress=kill)
+        np.save(sys.argv[1], [loky.objectives, dask.objectives])
+        assert len(workers) == 1, "no worker was killed"
+
+
+    if __name__ == "__main__":
+        main()
+"""
+
+
+@posix
+@pytest.mark.slow
+def test_fronts_of_loky_and_of_a_cluster_whose_worker_is_killed_are_the_same(tmp_path: Path, threads: Executor):
+    (tmp_path / "swept.py").write_text(textwrap.dedent(ON_A_CLUSTER))
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parent)}
+    done = subprocess.run(
+        [sys.executable, "swept.py", "fronts.npy"], cwd=tmp_path, env=environment, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    loky, dask = np.load(tmp_path / "fronts.npy")
+    here = al.pareto(bar(), "stress", [0.5, 0.4, 0.6, 0.7, 0.45, 0.55, 0.65], executor=threads)
+    assert loky.tobytes() == dask.tobytes() == here.objectives.tobytes()
