@@ -139,12 +139,15 @@ def _executed(loaded: Callable[[], AbstractStudy], out: Path, *, afresh: bool = 
             held.enter_context(only_writer(folder))
             if afresh:
                 forget(folder)
-            held.enter_context(journal(folder))
+            kept = held.enter_context(journal(folder))
         except ProblemError as error:
             course.complain("error", error)
             return USAGE
         try:
-            return course.execute(job, folder)
+            code = course.execute(job, folder)
+            if kept.recalled:
+                course.tell(f"{kept.recalled} results were taken from an earlier run; --afresh computes them anew.")
+            return code
         except BrokenPipeError:
             raise
         except OSError as error:
@@ -233,6 +236,10 @@ class _Run:
 
     def _during(self) -> str:
         return f" during '{self._stage}'" if self._stage else ""
+
+    def tell(self, said: str) -> None:
+        """Print a sentence."""
+        self._console.print(said, soft_wrap=True)
 
     def complain(self, what: str, error: Exception | str) -> None:
         """Print an error."""

@@ -73,6 +73,13 @@ def test_a_file_with_a_problem_alone_is_a_study(here: Path):
     assert designs["designs/problem"]["objective"]["value"] == pytest.approx(NEEDED / 0.5, rel=1e-6)
     assert (here / "results/bar/report.html").is_file()
     assert "evidence on problem" in result.output
+    assert "earlier run" not in result.output
+    assert "2 results were taken from an earlier run" in aleator("run", "bar.py").output
+    assert "earlier run" not in aleator("run", "bar.py", "--afresh").output
+    listed = aleator("list", "results/bar").output
+    assert "solve Bar" in listed
+    assert "validate Bar" in listed
+    assert aleator("list", "results").exit_code == 2
 
 
 def test_a_declared_study_sweeps_and_trades_off(here: Path):
@@ -94,6 +101,8 @@ def test_a_quick_run_takes_fewer_samples_and_points(here: Path):
     assert study.samples == 100
     assert study.solves == 1 + 1 + 2
     assert "all samples" in study.left_out
+    (here / "bar.py").write_text(BAR)
+    assert load("bar.py", quick=True).solves == 1
 
 
 @pytest.mark.parametrize("place", ["bar", "bar:problem", "bar:declared"])

@@ -33,7 +33,7 @@ _NAMED = 24  # characters of a key in the name of its file
 
 
 @contextmanager
-def journal(folder: str | Path) -> Iterator[None]:
+def journal(folder: str | Path) -> "Iterator[Journal]":
     """Keep every design and all evidence found within a block in `folder`, each as soon as it is there.
 
         with al.journal("results/bracket"):
@@ -49,8 +49,10 @@ def journal(folder: str | Path) -> Iterator[None]:
     say), of what an earlier run kept that fits no more and which part of it has changed, and once if the disk is full.
     """
     place = check_writable(folder)
-    with only_writer(place), journalling(_Journal(place)):
-        yield
+    with only_writer(place):
+        kept = Journal(place)
+        with journalling(kept):
+            yield kept
 
 
 def forget(folder: Path) -> None:
@@ -61,11 +63,14 @@ def forget(folder: Path) -> None:
 
 
 @final
-class _Journal(AbstractJournal):
-    """The journal of one folder, of which this process is the only writer."""
+class Journal(AbstractJournal):
+    """The journal of one folder, of which this process is the only writer.
+
+    - `recalled`: how many results were taken from there so far.
+    """
 
     def __init__(self, folder: Path):
-        self.folder = folder
+        self.folder, self.recalled = folder, 0
         self._known = {key: interrupted(one) for key, one in read(folder / FILE).items()}
         self._keys = dict[int, tuple[weakref.ref[Any], str]]()
         self._lock, self._told = threading.Lock(), set[str]()
@@ -85,6 +90,7 @@ class _Journal(AbstractJournal):
         if found is None:
             self._tell_changed(said, parts)
         else:
+            self.recalled += 1
             self._remember(found, key)
             if self._known[key].state is State.STALE:
                 self.append(replace(self._known[key], state=_state_of(found)))
@@ -166,7 +172,7 @@ class _Journal(AbstractJournal):
 class _Entry(AbstractEntry):
     """One result in the making; without an `Entry` it is not kept."""
 
-    def __init__(self, journal: _Journal, begun: Entry | None, recalled: Any = None):
+    def __init__(self, journal: Journal, begun: Entry | None, recalled: Any = None):
         self._journal, self._begun, self.recalled = journal, begun, recalled
         self._started = time.perf_counter()
         if begun is not None and recalled is None:

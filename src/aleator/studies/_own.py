@@ -105,7 +105,7 @@ class Study(AbstractStudy):
             samples=max(self._samples // _QUICK_SAMPLES, 2),
             seed=self._seed,
             sweeps={name: one[::_QUICK_POINTS].tolist() for name, one in self._sweeps.items()},
-            wishes=self._wishes,
+            wishes=self._wishes or None,
             points=max(self._points // _QUICK_POINTS, max(2, len(self._wishes))),
             solver=self._solver,
             transcription=self._transcription,
