@@ -167,7 +167,7 @@ def from_kane(
       function of time that is no coordinate or speed, such as a wind, may be given here too, as a number or a signal;
       all others are actuators, which must enter linearly, by factors that depend on the coordinates alone;
     - `outputs`: expressions by name of coordinates, speeds, actuators and their rates, besides the standard outputs;
-    - `units`: the units of these by name, for reports.
+    - `units`: the units of outputs by name, for reports.
 
     Coordinates, speeds and actuators have SymPy's names, and each formulation takes the model: `al.ForwardDynamics`,
     `al.InverseDynamics`, `al.HybridDynamics`.
@@ -181,8 +181,9 @@ def from_kane(
         raise refusal(who, "a sympy.physics.mechanics.KanesMethod", kane)
     if len(kane._udep) or len(kane._qdep):
         raise ProblemError(
-            f"{who}: expected independent coordinates and speeds; received dependent ones: {[*kane._qdep, *kane._udep]}. "
-            "Use LagrangesMethod with hol_coneqs and from_lagrange, or from_sympy with mass_matrix_full and forcing_full."
+            f"{who}: expected independent coordinates and speeds; received dependent ones: "
+            f"{[*kane._qdep, *kane._udep]}. Use LagrangesMethod with hol_coneqs and from_lagrange, or from_sympy with "
+            "mass_matrix_full and forcing_full."
         )
     rates = kane.kindiffdict()
     mass, forcing = _formed(who, kane, "kanes_equations")
@@ -216,8 +217,8 @@ def from_lagrange(
     constraints = list(lagrange._hol_coneqs)
     if len(lagrange.coneqs) > len(constraints):
         raise ProblemError(
-            f"{who}: expected holonomic constraints, hol_coneqs; received nonholonomic ones. Use from_sympy with SymPy's "
-            "mass_matrix_full and forcing_full."
+            f"{who}: expected holonomic constraints, hol_coneqs; received nonholonomic ones. Use KanesMethod, "
+            "and from_sympy with its mass_matrix_full and forcing_full."
         )
     mass, forcing = _formed(who, lagrange, "form_lagranges_equations")
     q = list(lagrange.q)
@@ -242,8 +243,8 @@ def _mechanical(given: _Given, numbers: Any, outputs: Any, units: Any) -> SymPyM
     told = found_in(f"{who}: outputs", formulas.values())
     if time in (*moving.symbols, *told.symbols):
         raise ProblemError(
-            f"{who}: the time {time} stands in the model; put a function of time in its place (dynamicsymbols), and give "
-            "this in numbers as a signal."
+            f"{who}: the time {time} stands in the model; put a function of time in its place (dynamicsymbols), and "
+            "give this in numbers as a signal."
         )
     _refuse_derivatives(who, moving, (*q, *v))
     free = [one for one in moving.functions if one not in (*q, *v)]
@@ -259,14 +260,14 @@ def _mechanical(given: _Given, numbers: Any, outputs: Any, units: Any) -> SymPyM
     _refuse_driven(given, forms)
     direct = len(q) == len(v) and forms == sympy.eye(len(q))
 
-    meanings = named(who, (*q, *(one for one in v if not one.is_Derivative), *torques, *parameters))
+    meanings = named(who, (*q, *v, *torques, *parameters))
     posture = {one: meanings[one] for one in (*q, *parameters)}
-    speeds = {one: meanings.get(one, f"{name_of(q[i])}_rate") for i, one in enumerate(v)}
+    speeds = {one: meanings[one] for one in v}
     multipliers = {one: f"\0{name_of(one)}" for one in given.multipliers}
     rates = {one.diff(time): _rate_of(name) for one, name in speeds.items()}
     rates |= {one.diff(time, 2): _acceleration_of(name_of(one)) for one in q}
     rates |= {one.diff(time): _rate_of(name_of(one)) for one in q}
-    known = {**rates, **speeds, **multipliers, **meanings}
+    known = {**rates, **multipliers, **meanings}
     _refuse_unknown_outputs(who, told, known)
     return SymPyMechanical(
         numbers_for(who, parameters, numbers, signals=True),
@@ -283,9 +284,15 @@ def _mechanical(given: _Given, numbers: Any, outputs: Any, units: Any) -> SymPyM
             closed=written(who, given.constraints, posture),
             names=tuple(formulas),
             outputs=written(f"{who}: outputs", list(formulas.values()), known),
-            units=units_for(who, units, formulas),
+            units=units_for(who, units, [*formulas, *_standard(q, v, torques)]),
         ),
     )
+
+
+def _standard(q: Sequence[Any], v: Sequence[Any], torques: Sequence[Any]) -> list[str]:
+    """The names of the outputs that every mechanical system has."""
+    motion = [f"{name_of(one)}{end}" for one in q for end in ("", "_rate", "_acceleration")]
+    return motion + [f"{name_of(one)}{end}" for one in (*v, *torques) for end in ("", "_rate")]
 
 
 def _refuse_derivatives(who: str, moving: Found, motion: Collection[Any]) -> None:

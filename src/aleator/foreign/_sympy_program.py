@@ -1,4 +1,4 @@
-"""Expressions of SymPy as programs of JAX: plain text, so that equal models share what is compiled, and others never do.
+"""Expressions of SymPy as programs of JAX, as plain text: equal models share what is compiled, and others never do.
 
 The text has the common subexpressions first. Its variables are numbered: what a symbol is called is no part of it.
 """
@@ -19,7 +19,7 @@ from aleator._core.errors import MissingExtraError, ProblemError
 _SPECIAL = MappingProxyType(
     {name: f"jax.scipy.special.{ours}" for name, ours in (("erf", "erf"), ("erfc", "erfc"), ("loggamma", "gammaln"))}
 )
-_MODULES = {"jax", "jax.numpy", "functools"}
+_MODULES = {"jax", "jax.numpy", "jax.scipy.special", "functools"}
 
 
 class Program(NamedTuple):
@@ -54,7 +54,7 @@ def written(who: str, expressions: Sequence[Any], meanings: Mapping[Any, str]) -
     sympy = load_sympy(who)
     # Real, so that `re(x)` and the derivative of `Abs(x)` become what they are for numbers.
     real = {symbol: sympy.Symbol(f"v{i}", real=True) for i, symbol in enumerate(meanings)}
-    plain = [one.xreplace(real) for one in expressions]
+    plain = [_evaluated(sympy, one.xreplace(real)) for one in expressions]
     used = set[Any]().union(*(one.free_symbols for one in plain))
     for ours, theirs in zip(plain, expressions, strict=True):
         if ours.has(sympy.I, sympy.zoo, sympy.nan):
@@ -66,6 +66,11 @@ def written(who: str, expressions: Sequence[Any], meanings: Mapping[Any, str]) -
     read = {one: symbol for symbol, one in real.items() if one in used}
     text = "\n".join([f"def value({', '.join(map(str, read))}):", *lines, f"    return [{values}]"])
     return Program(tuple(meanings[symbol] for symbol in read.values()), text)
+
+
+def _evaluated(sympy: Any, expression: Any) -> Any:
+    """An expression without derivatives that have become known, such as that of `re(x)` by a real `x`."""
+    return expression.doit() if expression.has(sympy.Derivative) else expression
 
 
 @functools.lru_cache(maxsize=1024)
@@ -82,7 +87,7 @@ def _printer() -> Any:
     class Printer(JaxPrinter):
         """SymPy's printer of JAX, with reciprocals as quotients: it writes `x**(-1.0)`, a general power."""
 
-        def _print_Pow(self, expr: Any, rational: bool = False) -> str:
+        def _print_Pow(self, expr: Any, rational: bool = False) -> str:  # noqa: N802
             if expr.exp == -1:
                 return f"(1/({self._print(expr.base)}))"
             return super()._print_Pow(expr, rational=rational)

@@ -4,7 +4,7 @@ from collections.abc import Collection, Iterable, Mapping
 from typing import Any, NamedTuple
 
 from aleator._core.errors import ProblemError
-from aleator._core.given import meant, refusal
+from aleator._core.given import meant, refusal, shown
 from aleator._core.leaves import highest, lowest
 from aleator.foreign._sympy_program import load_sympy
 from aleator.trajectories import AbstractSignal
@@ -31,10 +31,11 @@ def expression(what: str, given: Any) -> Any:
             f"{what}: expected an expression; received an equation. Solve it with sympy.solve, or write an al.System "
             "with `algebraic` and `residual`."
         )
+    found: Any = None
     try:
         found = sympy.sympify(given, strict=True)
     except (sympy.SympifyError, TypeError, ValueError):
-        found = None
+        pass
     if not isinstance(found, sympy.Expr) or isinstance(found, sympy.MatrixExpr):
         raise refusal(what, "one SymPy expression", given)
     nested = any(not isinstance(one.expr, sympy.core.function.AppliedUndef) for one in found.atoms(sympy.Derivative))
@@ -70,13 +71,14 @@ def found_in(who: str, expressions: Iterable[Any]) -> Found:
 
 def time_symbol() -> Any:
     """The time of SymPy's mechanics."""
-    from sympy.physics.mechanics import dynamicsymbols
-
-    return dynamicsymbols._t
+    mechanics: Any = load_sympy("from_sympy").physics.mechanics
+    return mechanics.dynamicsymbols._t
 
 
 def name_of(symbol: Any) -> str:
-    """The name of a symbol, or of a function of time without its argument."""
+    """The name of a symbol, or of a function of time without its argument: `q`; `q_rate` of its derivative."""
+    if symbol.is_Derivative:
+        return f"{name_of(symbol.expr)}_rate"
     return symbol.func.__name__ if getattr(symbol, "args", ()) else symbol.name
 
 
@@ -133,8 +135,10 @@ def _stray(name: str, names: Collection[str]) -> str:
 
 def _number(who: str, symbol: Any, given: Any, signals: bool) -> Any:
     name = name_of(symbol)
-    if signals and isinstance(given, AbstractSignal):
-        return given
+    if isinstance(given, AbstractSignal):
+        if signals:
+            return given
+        raise ProblemError(f"{who}: a signal stands in the place of a function of time; '{name}' is a symbol.")
     if shape_of(given) != ():
         raise ProblemError(f"{who}: expected one number for '{name}'; received shape {shape_of(given)}.")
     number = copied(who, f"number '{name}'", given)
@@ -148,8 +152,8 @@ def _number(who: str, symbol: Any, given: Any, signals: bool) -> Any:
     }
     if wrong := next((kind for kind, is_wrong in assumed.items() if is_wrong), None):
         raise ProblemError(
-            f"{who}: SymPy takes '{name}' to be {wrong}, and simplifies by it; received {given!r}. Change the number, "
-            "or the assumption of the symbol."
+            f"{who}: SymPy takes '{name}' to be {wrong}, and simplifies by it; received {shown(given)}. Change the "
+            "number, or the assumption of the symbol."
         )
     return number
 

@@ -170,6 +170,11 @@ def from_sympy(
     told = found_in(f"{_WHO}: outputs", formulas.values())
     inputs = [one for one in moving.functions if one not in states]
     inputs += [one for one in told.functions if one not in (*states, *inputs)]
+    if signalled := [one for one in inputs if one in given]:
+        raise ProblemError(
+            f"{_WHO}: {signalled[0]} is an input, not one of numbers; give it as a signal: al.Problem(..., "
+            f"inputs={{'{name_of(signalled[0])}': ...}})."
+        )
     parameters = _parameters(states, moving, told, found_in(f"{_WHO}: start", follow.values()))
     meanings = named(_WHO, (*states, *inputs, *parameters)) | {time_symbol(): _TIME}
     slopes = _slopes(told, rates, mass_matrix is None)
@@ -197,8 +202,7 @@ def _mass_matrix(sympy: Any, given: Any, size: int) -> list[Any]:
     if given is None:
         return []
     if not isinstance(given, sympy.MatrixBase) or given.shape != (size, size):
-        shape = f" of shape {given.shape}" if isinstance(given, sympy.MatrixBase) else ""
-        raise refusal(f"{_WHO}: mass_matrix", f"a SymPy matrix of shape ({size}, {size}){shape and f', not{shape}'}", given)
+        raise refusal(f"{_WHO}: mass_matrix", f"a SymPy matrix of shape ({size}, {size}), for as many rates", given)
     return [expression(f"{_WHO}: mass_matrix", one) for one in given]
 
 
