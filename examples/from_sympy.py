@@ -13,7 +13,6 @@ from sympy.physics import mechanics as me
 
 import aleator as al
 
-
 # In the plane of x and y: a trolley of mass M, and a load of mass m on a rope of length l, with friction in the air.
 M, m, rope, g, drag = sp.symbols("M m l g drag")
 x, swing, force = me.dynamicsymbols("x swing force")

@@ -34,6 +34,7 @@ def run(program: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
         "docs/algebraic.md",
         "docs/motion.md",
         "docs/solvers.md",
+        "docs/sympy.md",
         "docs/transcriptions.md",
     ],
 )

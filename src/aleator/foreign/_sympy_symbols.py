@@ -1,5 +1,6 @@
 """The symbols of a SymPy model: which are states, inputs and parameters; refusals of those that mean nothing."""
 
+import contextlib
 from collections.abc import Collection, Iterable, Mapping
 from typing import Any, NamedTuple
 
@@ -32,10 +33,8 @@ def expression(what: str, given: Any) -> Any:
             "with `algebraic` and `residual`."
         )
     found: Any = None
-    try:
+    with contextlib.suppress(sympy.SympifyError, TypeError, ValueError):
         found = sympy.sympify(given, strict=True)
-    except (sympy.SympifyError, TypeError, ValueError):
-        pass
     if not isinstance(found, sympy.Expr) or isinstance(found, sympy.MatrixExpr):
         raise refusal(what, "one SymPy expression", given)
     nested = any(not isinstance(one.expr, sympy.core.function.AppliedUndef) for one in found.atoms(sympy.Derivative))
