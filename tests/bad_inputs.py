@@ -406,6 +406,12 @@ _LANGUAGE: dict[str, tuple[Callable[..., Any], dict[str, Any], dict[str, Mapping
         {"distances": np.ones(3)},
         {"distances": without(NOT_NUMBERS, "bool", "nan"), "sharpness": POSITIVE},
     ),
+    "openmdao_component": (al.foreign.openmdao_component, {}, {"#0": REQUIRED}),
+    "openmdao_component of a problem": (
+        lambda declared: al.foreign.openmdao_component(gain_problem(), declared=declared),
+        {},
+        {"declared": {"text": "yes", "one": 1, "nothing": None}},
+    ),
     "from_sympy": (
         al.foreign.from_sympy,
         {"rates": {_X: -_K * _X}, "numbers": {_K: 1.0}},

@@ -1,5 +1,6 @@
-"""Models written in other programs and libraries, as systems of our own: `al.foreign.from_sympy(...)`."""
+"""Models of other libraries as systems of our own, and our problems in theirs: `al.foreign.from_sympy(...)`."""
 
+from aleator.foreign._openmdao import openmdao_component as openmdao_component
 from aleator.foreign._sympy_formulas import from_sympy_formulas as from_sympy_formulas
 from aleator.foreign._sympy_mechanics import from_kane as from_kane
 from aleator.foreign._sympy_mechanics import from_lagrange as from_lagrange
