@@ -52,8 +52,15 @@ REFUSED = {
     "a rate is text": (lambda: sympy({X: "v"}, {}), "expected one SymPy expression; received 'v'"),
     "a number is text": (lambda: sympy({X: -K * X}, {K: "1"}), "number 'k'; received '1'"),
     "a number is an array": (lambda: sympy({X: -K * X}, {K: np.ones(2)}), "one number for 'k'; received shape (2,)"),
-    "a number is a signal": (lambda: sympy({X: -K * X}, {K: al.PowerSeries(start=(1.0,))}), "'k' is a symbol"),
+    "a number is a signal": (
+        lambda: sympy({X: -K * X}, {K: al.PowerSeries(start=(1.0,))}),
+        "takes the symbol 'k' to be constant",
+    ),
     "an input is a number": (lambda: sympy(RATES, NUMBERS | {FORCE: 1.0}), "force(t) is an input, not one of numbers"),
+    "a constant of SymPy changes": (
+        lambda: kane(rod_by_kane(), ROD | {M: al.PowerSeries(start=(1.0,))}),
+        "takes the symbol 'm' to be constant; received a signal, PowerSeries",
+    ),
     "a function is none of JAX": (lambda: sympy({X: -sp.besselj(0, sp.sin(X))}, {}), "no function for besselj"),
     "an expression is complex": (
         lambda: sympy({X: sp.I * X}, {}),

@@ -7,7 +7,10 @@ import sympy as sp
 from sympy.physics.mechanics import dynamicsymbols
 
 import aleator as al
+from aleator._core.arrays import numbers_to_arrays
 from aleator._core.code import read_code
+from aleator._core.lasting import lasting_name
+from aleator.dynamics import initial_state
 from aleator.dynamics._simulation import _HISTORY
 from aleator.foreign._sympy_program import written
 from aleator.transcription import transcribe
@@ -73,6 +76,16 @@ def test_what_a_model_computes_is_told_by_its_structure_alone():
     assert jax.tree.structure(one) != jax.tree.structure(al.foreign.from_sympy(RATES | {X: V + 1}, NUMBERS))
     assert not read_code(one).doubts
     assert read_code(one).reads == read_code(other).reads
+
+
+def test_programs_of_a_model_have_names_that_last_beyond_the_process():
+    def name(rates):
+        model = al.foreign.from_sympy(rates, NUMBERS)
+        return lasting_name(initial_state, (numbers_to_arrays(model),))
+
+    assert name(RATES) is not None
+    assert name(RATES) == name(dict(RATES))
+    assert name(RATES) != name(RATES | {X: V + 1})
 
 
 FUNCTIONS = {

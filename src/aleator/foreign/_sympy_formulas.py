@@ -66,6 +66,6 @@ def from_sympy_formulas(
         )
     meanings = named(who, found.symbols)
     return SymPyFormulas(
-        numbers_for(who, found.symbols, given, signals=False),
+        numbers_for(who, found.symbols, given),
         _Formulas(tuple(formulas), written(who, list(formulas.values()), meanings), units_for(who, units, formulas)),
     )

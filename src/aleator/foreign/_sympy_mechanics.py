@@ -270,7 +270,7 @@ def _mechanical(given: _Given, numbers: Any, outputs: Any, units: Any) -> SymPyM
     known = {**rates, **multipliers, **meanings}
     _refuse_unknown_outputs(who, told, known)
     return SymPyMechanical(
-        numbers_for(who, parameters, numbers, signals=True),
+        numbers_for(who, parameters, numbers),
         _Mechanics(
             coordinates=tuple(meanings[one] for one in q),
             speeds=tuple(speeds.values()),

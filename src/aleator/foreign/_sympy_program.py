@@ -88,8 +88,8 @@ def _printer() -> Any:
         """SymPy's printer of JAX, with reciprocals as quotients: it writes `x**(-1.0)`, a general power."""
 
         def _print_Pow(self, expr: Any, rational: bool = False) -> str:  # noqa: N802
-            if expr.exp == -1:
-                return f"(1/({self._print(expr.base)}))"
+            if expr.exp.is_Integer and expr.exp < 0:
+                return f"(1/({self._print(expr.base**-expr.exp)}))"
             return super()._print_Pow(expr, rational=rational)
 
     return Printer({"fully_qualified_modules": True, "allow_unknown_functions": False, "user_functions": _SPECIAL})

@@ -8,7 +8,7 @@ from aleator._core.errors import ProblemError
 from aleator._core.given import meant, refusal, shown
 from aleator._core.leaves import highest, lowest
 from aleator.foreign._sympy_program import load_sympy
-from aleator.trajectories import AbstractSignal
+from aleator.trajectories import AbstractSignal, AbstractTrajectory
 from aleator.trajectories._trajectory import copied, shape_of
 
 
@@ -107,8 +107,8 @@ def symbols_given(what: str, given: Any) -> dict[Any, Any]:
     return dict(given)
 
 
-def numbers_for(who: str, symbols: Collection[Any], given: Mapping[Any, Any], *, signals: bool) -> dict[str, Any]:
-    """The number, distribution or decision of each parameter, by name; where `signals` may be given, also a signal.
+def numbers_for(who: str, symbols: Collection[Any], given: Mapping[Any, Any]) -> dict[str, Any]:
+    """The number, distribution or decision of each parameter, by name; a signal may be that of a function of time.
 
     Raises `ProblemError` for a parameter without one, for numbers of symbols that nothing contains, and for numbers
     that contradict their symbol's assumptions, by which SymPy has simplified.
@@ -122,7 +122,7 @@ def numbers_for(who: str, symbols: Collection[Any], given: Mapping[Any, Any], *,
             f"{who}: expected a number, a distribution or a decision for each parameter in numbers; received none for "
             f"{missing}."
         )
-    return {name_of(one): _number(who, one, given[one], signals) for one in symbols}
+    return {name_of(one): _number(who, one, given[one]) for one in symbols}
 
 
 def _stray(name: str, names: Collection[str]) -> str:
@@ -132,12 +132,10 @@ def _stray(name: str, names: Collection[str]) -> str:
     return f"which is no parameter of the model.{meant(name, names) or ' Drop it.'}"
 
 
-def _number(who: str, symbol: Any, given: Any, signals: bool) -> Any:
+def _number(who: str, symbol: Any, given: Any) -> Any:
     name = name_of(symbol)
     if isinstance(given, AbstractSignal):
-        if signals:
-            return given
-        raise ProblemError(f"{who}: a signal stands in the place of a function of time; '{name}' is a symbol.")
+        return _signal(who, symbol, given)
     if shape_of(given) != ():
         raise ProblemError(f"{who}: expected one number for '{name}'; received shape {shape_of(given)}.")
     number = copied(who, f"number '{name}'", given)
@@ -155,6 +153,18 @@ def _number(who: str, symbol: Any, given: Any, signals: bool) -> Any:
             "number, or the assumption of the symbol."
         )
     return number
+
+
+def _signal(who: str, symbol: Any, given: AbstractSignal) -> AbstractSignal:
+    if not symbol.is_Function:
+        # Its rate would be missing wherever SymPy has differentiated by time.
+        raise ProblemError(
+            f"{who}: SymPy takes the symbol '{symbol}' to be constant; received a signal, {type(given).__name__}. Put "
+            "a function of time in its place (dynamicsymbols)."
+        )
+    if isinstance(given, AbstractTrajectory) and given.shape != ():
+        raise ProblemError(f"{who}: expected a signal of one number for '{symbol}'; received shape {given.shape}.")
+    return given
 
 
 def refuse_unknown(what: str, symbols: Iterable[Any], known: Iterable[Any], remedy: str) -> None:

@@ -191,7 +191,7 @@ def from_sympy(
         units=units_for(_WHO, units, formulas),
     )
     return SymPySystem(
-        numbers_for(_WHO, parameters, given, signals=False),
+        numbers_for(_WHO, parameters, given),
         {meanings[one]: value for one, value in values.items()},
         equations,
     )
