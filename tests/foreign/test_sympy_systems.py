@@ -110,6 +110,21 @@ def test_functions_have_the_values_that_sympy_gives_them(kind, x):
     np.testing.assert_allclose(found, float(expected), rtol=1e-13)
 
 
+@pytest.mark.parametrize("number", [1 / 3, -2e20 / 3, 1e-300 / 7, 10**30, sp.Rational(10**40, 7), sp.Float("0.1", 50)])
+def test_numbers_in_expressions_are_kept_to_their_last_bit(number):
+    program = written("test", [number * X_0], {X_0: "x"})
+    assert float(jax.jit(lambda x: program({"x": x})[0])(1.0)) == float(number)
+
+
+def test_zeros_in_outputs_of_plain_states_stay_zero():
+    x, a = sp.symbols("x a")
+    pieces = sp.Piecewise((0, x > -5), (1, True))
+    decay = al.foreign.from_sympy({x: -a * x}, {a: 3.0}, start={x: 1.0}, outputs={"none": pieces, "x": x})
+    found = al.simulate(decay, al.Grid(1.0, 4))
+    np.testing.assert_array_equal(found["none"], np.zeros(5))
+    assert np.ptp(found["x"]) > 0.9
+
+
 def test_formulas_are_a_system_without_time_whose_statistics_are_exact():
     force, length, modulus = sp.symbols("F L E", positive=True)
     beam = al.foreign.from_sympy_formulas(

@@ -189,8 +189,8 @@ def from_kane(
     mass, forcing = _formed(who, kane, "kanes_equations")
     q, v = list(kane.q), list(kane.u)
     kinematics = sympy.Matrix([rates[one.diff(time_symbol())] for one in q])
-    forcing = forcing.xreplace(rates)
-    return _mechanical(_Given(who, q, v, mass, forcing, kinematics, [], []), numbers, outputs, units)
+    given = _Given(who, q, v, mass.xreplace(rates), forcing.xreplace(rates), kinematics, [], [])
+    return _mechanical(given, numbers, outputs, units)
 
 
 def from_lagrange(
@@ -250,8 +250,7 @@ def _mechanical(given: _Given, numbers: Any, outputs: Any, units: Any) -> SymPyM
     free = [one for one in moving.functions if one not in (*q, *v)]
     torques = [one for one in free if one not in numbers]
     parameters = [one for one in free if one in numbers]
-    symbols = dict.fromkeys((*moving.symbols, *told.symbols))
-    parameters += sorted(symbols, key=str)
+    parameters += sorted({*moving.symbols, *told.symbols}, key=str)
 
     effect = given.forcing.jacobian(torques) if torques else sympy.zeros(len(v), 0)
     _refuse_nonlinear(given, effect, torques)
@@ -264,10 +263,7 @@ def _mechanical(given: _Given, numbers: Any, outputs: Any, units: Any) -> SymPyM
     posture = {one: meanings[one] for one in (*q, *parameters)}
     speeds = {one: meanings[one] for one in v}
     multipliers = {one: f"\0{name_of(one)}" for one in given.multipliers}
-    rates = {one.diff(time): _rate_of(name) for one, name in speeds.items()}
-    rates |= {one.diff(time, 2): _acceleration_of(name_of(one)) for one in q}
-    rates |= {one.diff(time): _rate_of(name_of(one)) for one in q}
-    known = {**rates, **multipliers, **meanings}
+    known = {**_rates(q, speeds), **multipliers, **meanings}
     _refuse_unknown_outputs(who, told, known)
     return SymPyMechanical(
         numbers_for(who, parameters, numbers),
@@ -289,6 +285,15 @@ def _mechanical(given: _Given, numbers: Any, outputs: Any, units: Any) -> SymPyM
     )
 
 
+def _rates(q: Sequence[Any], speeds: Mapping[Any, str]) -> dict[Any, str]:
+    """The names under which outputs read rates and accelerations."""
+    time = time_symbol()
+    found = {one.diff(time): _rate_of(name) for one, name in speeds.items()}
+    # Of Lagrange's method the rates of speeds are these accelerations.
+    found |= {one.diff(time, 2): _acceleration_of(name_of(one)) for one in q}
+    return found | {one.diff(time): _rate_of(name_of(one)) for one in q}
+
+
 def _standard(q: Sequence[Any], v: Sequence[Any], torques: Sequence[Any]) -> list[str]:
     """The names of the outputs that every mechanical system has."""
     motion = [f"{name_of(one)}{end}" for one in q for end in ("", "_rate", "_acceleration")]
@@ -307,12 +312,10 @@ def _refuse_derivatives(who: str, moving: Found, motion: Collection[Any]) -> Non
 
 def _refuse_nonlinear(given: _Given, effect: Any, torques: Sequence[Any]) -> None:
     """Refuse functions of time that are neither given nor torques."""
-    elsewhere = {*found_in(given.who, [*given.mass, *given.kinematics, *given.constraints]).functions}
-    inside = found_in(given.who, effect)
-    wrong = elsewhere | {*inside.functions, *inside.derivatives}
-    column = {one: set(found_in(given.who, effect[:, i]).functions) for i, one in enumerate(torques)}
-    for one in torques:
-        if one in wrong or any(speed in column[one] or speed in inside.derivatives for speed in given.v):
+    elsewhere = found_in(given.who, [*given.mass, *given.kinematics, *given.constraints]).functions
+    for i, one in enumerate(torques):
+        factors = found_in(given.who, effect[:, i])
+        if one in elsewhere or {*factors.functions, *factors.derivatives} & {*torques, *given.v}:
             raise ProblemError(
                 f"{given.who}: an actuator enters linearly, by factors that depend on the coordinates alone; received "
                 f"{one}, which does not. Give it in numbers, as a number or a signal."

@@ -85,7 +85,16 @@ def _printer() -> Any:
     from sympy.printing.numpy import JaxPrinter
 
     class Printer(JaxPrinter):
-        """SymPy's printer of JAX, with reciprocals as quotients: it writes `x**(-1.0)`, a general power."""
+        """SymPy's printer of JAX, with numbers to their last bit, and reciprocals as quotients.
+
+        SymPy writes 15 digits of a float, integers that no array can hold, and `x**(-1.0)`, a general power.
+        """
+
+        def _print_Float(self, expr: Any) -> str:  # noqa: N802
+            return repr(float(expr))
+
+        def _print_Integer(self, expr: Any) -> str:  # noqa: N802
+            return str(expr.p) if abs(expr.p) < 2**53 else repr(float(expr))
 
         def _print_Pow(self, expr: Any, rational: bool = False) -> str:  # noqa: N802
             if expr.exp.is_Integer and expr.exp < 0:

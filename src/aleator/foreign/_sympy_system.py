@@ -234,7 +234,8 @@ def _parameters(states: Sequence[Any], moving: Found, told: Found, begun: Found)
 def _slopes(told: Found, rates: Mapping[Any, Any], explicit: bool) -> dict[Any, str]:
     """What derivatives in outputs mean: the first ones of states, and second ones where the first is a state."""
     time, known = time_symbol(), {}
-    for state, rate in rates.items():
+    # Plain symbols have no derivatives by time: SymPy gives zero.
+    for state, rate in ((state, rate) for state, rate in rates.items() if state.is_Function):
         known[state.diff(time)] = _rate_of(name_of(state))
         if explicit and rate in rates:
             known[state.diff(time, 2)] = _rate_of(name_of(rate))
