@@ -1,17 +1,12 @@
 """Equations of motion of SymPy (`sympy.physics.mechanics`) as mechanical systems."""
 
 from collections.abc import Collection, Mapping, Sequence
-from typing import Any, NamedTuple, final
-
-import equinox as eqx
-import jax.numpy as jnp
-from jaxtyping import Array, Float
-from typing_extensions import override
+from typing import Any, NamedTuple
 
 from aleator._core.errors import ProblemError
 from aleator._core.given import meant, refusal
-from aleator._core.leaves import transparent
-from aleator.foreign._sympy_program import Program, load_sympy, written
+from aleator.foreign._sympy_mechanical import Mechanics, SymPyMechanical, acceleration_of, rate_of
+from aleator.foreign._sympy_program import load_sympy, written
 from aleator.foreign._sympy_symbols import (
     Found,
     expressions_by_name,
@@ -23,119 +18,6 @@ from aleator.foreign._sympy_symbols import (
     time_symbol,
     units_for,
 )
-from aleator.mechanics import AbstractMechanical, Motion
-
-
-class _Mechanics(NamedTuple):
-    """A mechanical system without its numbers: the structure, which determines what is compiled.
-
-    - `bias`: the forces on the left-hand side at zero torque; `torques`: the effect `B` of the torques, row by row;
-    - `rates`: the map `H` from speeds to the coordinates' rates, row by row; none where these are the same;
-    - `multipliers`: the names under which outputs read SymPy's multipliers, which have the other sign.
-    """
-
-    coordinates: tuple[str, ...]
-    speeds: tuple[str, ...]
-    actuators: tuple[str, ...]
-    constraints: tuple[str, ...]
-    multipliers: tuple[str, ...]
-    mass: Program
-    bias: Program
-    torques: Program
-    rates: Program | None
-    closed: Program
-    names: tuple[str, ...]
-    outputs: Program
-    units: tuple[tuple[str, str], ...]
-
-
-@final
-@transparent("numbers")
-class SymPyMechanical(AbstractMechanical):
-    """A mechanical system from SymPy; made by `al.foreign.from_kane` and `al.foreign.from_lagrange`."""
-
-    numbers: dict[str, Any]
-    equations: _Mechanics = eqx.field(static=True)
-
-    @property
-    def units(self) -> Mapping[str, str]:  # type: ignore[override]
-        """The units of outputs, as far as they are given."""
-        return dict(self.equations.units)
-
-    @property
-    @override
-    def coordinates(self) -> tuple[str, ...]:
-        return self.equations.coordinates
-
-    @property
-    @override
-    def speeds(self) -> tuple[str, ...]:
-        return self.equations.speeds
-
-    @property
-    @override
-    def actuators(self) -> tuple[str, ...]:
-        return self.equations.actuators
-
-    @property
-    @override
-    def constraints(self) -> tuple[str, ...]:
-        return self.equations.constraints
-
-    @property
-    @override
-    def moves_directly(self) -> bool:
-        return self.equations.rates is None
-
-    @override
-    def mass_matrix(self, q: Float[Array, " coordinates"]) -> Float[Array, "speeds speeds"]:
-        return self._matrix(self.equations.mass, q, len(self.speeds), len(self.speeds))
-
-    @override
-    def bias(self, q: Float[Array, " coordinates"], v: Float[Array, " speeds"]) -> Float[Array, " speeds"]:
-        speeds = dict(zip(self.speeds, v, strict=True))
-        return jnp.stack(self.equations.bias({**self._posture(q), **speeds}))
-
-    @override
-    def actuation(self, q: Float[Array, " coordinates"]) -> Float[Array, "speeds actuators"]:
-        return self._matrix(self.equations.torques, q, len(self.speeds), len(self.actuators))
-
-    @override
-    def velocity_map(self, q: Float[Array, " coordinates"]) -> Float[Array, "coordinates speeds"]:
-        if self.equations.rates is None:
-            return jnp.eye(len(self.coordinates))
-        return self._matrix(self.equations.rates, q, len(self.coordinates), len(self.speeds))
-
-    @override
-    def constraint(self, q: Float[Array, " coordinates"]) -> Float[Array, " constraints"]:
-        return self._matrix(self.equations.closed, q, len(self.constraints))
-
-    @override
-    def outputs(self, motion: Motion) -> dict[str, Array]:
-        mine, at = self.equations, motion
-        values = self._posture(at.q) | dict(zip(mine.actuators, at.torque, strict=True))
-        values |= dict(zip(mine.speeds, at.v, strict=True))
-        values |= dict(zip(map(_rate_of, mine.speeds), at.v_dot, strict=True))
-        values |= dict(zip(map(_rate_of, mine.coordinates), at.q_dot, strict=True))
-        values |= dict(zip(map(_acceleration_of, mine.coordinates), at.q_ddot, strict=True))
-        values |= dict(zip(mine.multipliers, -at.multipliers, strict=True)) if mine.multipliers else {}
-        return dict(zip(mine.names, mine.outputs(values), strict=True))
-
-    def _posture(self, q: Array) -> dict[str, Any]:
-        return {**self.numbers, **dict(zip(self.coordinates, q, strict=True))}
-
-    def _matrix(self, program: Program, q: Array, *shape: int) -> Array:
-        entries = program(self._posture(q))
-        return jnp.stack(entries).reshape(shape) if entries else jnp.zeros(shape)
-
-
-# Under these names, which no symbol has, programs read rates and accelerations.
-def _rate_of(name: str) -> str:
-    return f"\0rate of {name}"
-
-
-def _acceleration_of(name: str) -> str:
-    return f"\0acceleration of {name}"
 
 
 class _Given(NamedTuple):
@@ -267,7 +149,7 @@ def _mechanical(given: _Given, numbers: Any, outputs: Any, units: Any) -> SymPyM
     _refuse_unknown_outputs(who, told, known)
     return SymPyMechanical(
         numbers_for(who, parameters, numbers),
-        _Mechanics(
+        Mechanics(
             coordinates=tuple(meanings[one] for one in q),
             speeds=tuple(speeds.values()),
             actuators=tuple(meanings[one] for one in torques),
@@ -288,10 +170,10 @@ def _mechanical(given: _Given, numbers: Any, outputs: Any, units: Any) -> SymPyM
 def _rates(q: Sequence[Any], speeds: Mapping[Any, str]) -> dict[Any, str]:
     """The names under which outputs read rates and accelerations."""
     time = time_symbol()
-    found = {one.diff(time): _rate_of(name) for one, name in speeds.items()}
+    found = {one.diff(time): rate_of(name) for one, name in speeds.items()}
     # Of Lagrange's method the rates of speeds are these accelerations.
-    found |= {one.diff(time, 2): _acceleration_of(name_of(one)) for one in q}
-    return found | {one.diff(time): _rate_of(name_of(one)) for one in q}
+    found |= {one.diff(time, 2): acceleration_of(name_of(one)) for one in q}
+    return found | {one.diff(time): rate_of(name_of(one)) for one in q}
 
 
 def _standard(q: Sequence[Any], v: Sequence[Any], torques: Sequence[Any]) -> list[str]:
