@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
+import sympy
 
 import aleator as al
 from tiny_models import Decay, Gain, gain_problem
@@ -276,6 +277,7 @@ _CONSTRUCTORS: dict[str, tuple[Callable[..., Any], dict[str, Any], dict[str, Map
     ),
 }
 
+_X, _K = sympy.symbols("x k")
 _FUNCTIONALS = (al.path, al.terminal, al.integral, al.rms, al.peak, al.output, al.value)
 
 _LANGUAGE: dict[str, tuple[Callable[..., Any], dict[str, Any], dict[str, Mapping[str, Any]]]] = {
@@ -404,6 +406,33 @@ _LANGUAGE: dict[str, tuple[Callable[..., Any], dict[str, Any], dict[str, Mapping
         {"distances": np.ones(3)},
         {"distances": without(NOT_NUMBERS, "bool", "nan"), "sharpness": POSITIVE},
     ),
+    "openmdao_component": (al.foreign.openmdao_component, {}, {"#0": REQUIRED}),
+    "openmdao_component of a problem": (
+        lambda declared: al.foreign.openmdao_component(gain_problem(), declared=declared),
+        {},
+        {"declared": {"text": "yes", "one": 1, "nothing": None}},
+    ),
+    "from_sympy": (
+        al.foreign.from_sympy,
+        {"rates": {_X: -_K * _X}, "numbers": {_K: 1.0}},
+        {
+            "rates": MAPPING | {"of a text": {"x": 1.0}},
+            "numbers": MAPPING | {"of a text": {"k": 1.0}, **{f"of {a}": {_K: b} for a, b in NUMBER.items()}},
+            "mass_matrix": without(NO_OBJECT, "nothing"),
+            "outputs": without(MAPPING, "nothing") | {"a text in it": {"y": "x"}},
+            "start": without(MAPPING, "nothing") | {"of a text": {"x": 1.0}, "a text in it": {_X: "1"}},
+            "units": without(MAPPING, "nothing") | {"of a stranger": {"stranger": "m"}},
+        },
+    ),
+    "from_sympy_formulas": (
+        al.foreign.from_sympy_formulas,
+        {"outputs": {"y": 2 * _K}, "numbers": {_K: 1.0}},
+        {"outputs": MAPPING | {"a text in it": {"y": "x"}}, "numbers": MAPPING, "units": without(MAPPING, "nothing")},
+    ),
+    **{
+        one.__name__: (one, {"numbers": {}}, {"#0": REQUIRED})
+        for one in (al.foreign.from_kane, al.foreign.from_lagrange)
+    },
     "deterministic": (al.deterministic, {}, {"#0": REQUIRED}),
     "uncertain": (al.uncertain, {}, {"#0": REQUIRED}),
     "actuation_of": (al.actuation_of, {"q": np.zeros(1)}, {"model": REQUIRED}),

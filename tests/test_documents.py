@@ -33,8 +33,10 @@ def run(program: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
         pytest.param("docs/uncertainty.md", marks=pytest.mark.slow),
         "docs/algebraic.md",
         "docs/motion.md",
+        "docs/openmdao.md",
         "docs/solvers.md",
         "docs/studies.md",
+        "docs/sympy.md",
         "docs/transcriptions.md",
     ],
 )

@@ -29,8 +29,8 @@ class System(AbstractSystem):
     Subclass it with the parameters as fields and the states' names in `states`; any number in a field may then be
     replaced by a distribution or a decision. In `rhs` and `outputs` the state is a named tuple (`z.z_s`, or unpacked),
     and each further argument is the input of that name: `def rhs(self, t, z, road)`. Each method receives only the
-    inputs that it names (all of them, if it ends in `**inputs`). `signal_fields` are the fields that only `signals`
-    reads.
+    inputs that it names (all of them, if it ends in `**inputs`, where `further_inputs` may name those that the
+    system takes). `signal_fields` are the fields that only `signals` reads.
 
     Variables without rates, which follow at each instant from equations, are named in `algebraic`, and the equations
     are written as `residual(self, t, z, road)`: as many numbers, all of them zero. The state then has them too,
@@ -47,6 +47,7 @@ class System(AbstractSystem):
     states: ClassVar[tuple[str, ...]]
     algebraic: ClassVar[tuple[str, ...]] = ()
     signal_fields: ClassVar[tuple[str, ...]] = ()
+    further_inputs: ClassVar[tuple[str, ...] | None] = None
 
     @property
     @override
@@ -191,7 +192,7 @@ def _writes(system: System, name: str) -> bool:
 def input_names(system: System) -> tuple[str, ...]:
     """The external inputs of a system's methods: their arguments after time and state."""
     named = dict.fromkeys(name for method in _methods(system) for name in _inputs_of(method).named)
-    return tuple(name for name in named if name not in system.signals())
+    return tuple(name for name in (*named, *(system.further_inputs or ())) if name not in system.signals())
 
 
 def check_variables(system: System) -> None:
@@ -216,8 +217,10 @@ def check_variables(system: System) -> None:
 def check_inputs(system: System, given: Collection[str]) -> None:
     """Refuse inputs that a system does not take, and systems that lack an input."""
     methods = [_inputs_of(one) for one in _methods(system)]
-    missing = sorted({name for method in methods for name in method.needed} - set(given) - set(system.signals()))
-    unknown = sorted(set(given) - set(input_names(system))) if not any(one.takes_all for one in methods) else []
+    needed = {name for method in methods for name in method.needed}.union(system.further_inputs or ())
+    missing = sorted(needed - set(given) - set(system.signals()))
+    is_open = any(one.takes_all for one in methods) and system.further_inputs is None
+    unknown = [] if is_open else sorted(set(given) - set(input_names(system)))
     if missing or unknown:
         raise ProblemError(
             f"{type(system).__name__} takes the inputs {sorted(input_names(system))}; received {sorted(given)}."

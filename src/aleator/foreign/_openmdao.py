@@ -1,0 +1,134 @@
+"""A problem of ours as a component of OpenMDAO: decisions in, objective and constraints out, with exact partials."""
+
+import functools
+import re
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+
+from aleator._core.errors import MissingExtraError, ProblemError
+from aleator._core.given import one_of, shown
+from aleator.design import Problem, is_at_points, is_worst_case
+from aleator.nlp import Evaluation
+from aleator.transcription import transcribe
+
+_OBJECTIVE = "objective"
+
+
+def openmdao_component(problem: Problem, *, declared: bool = True) -> Any:
+    """A problem as an `openmdao.api.ExplicitComponent`, for a larger model, or for OpenMDAO's drivers.
+
+        model = openmdao.api.Problem()
+        model.model.add_subsystem("design", al.foreign.openmdao_component(problem), promotes=["*"])
+        model.driver = openmdao.api.ScipyOptimizeDriver(optimizer="SLSQP")
+
+    Its inputs are the decisions, from their initial values; its outputs `objective`, and the values of each constraint,
+    without its bounds: one for each instant of a path. Their partial derivatives are exact, from the same call of the
+    compiled transcription as the values. Names are those of the problem, where signs that OpenMDAO does not allow are
+    replaced: `k.half_width` is `k:half_width`, and several constraints of one name are `force`, `force_2`, ...
+
+    - `declared`: whether the component declares its design variables, objective and constraints, with their bounds and
+      typical magnitudes. Say False if the larger model has others.
+
+    Limits hold at the instants of the problem's grid, as in `al.solve` before it looks between them: a design found is
+    certified by `al.solve` of the problem that starts there. Raises `ProblemError` for limits on the worst case and on
+    single realisations, which need a search of their own, `MissingExtraError` without OpenMDAO.
+    """
+    who = "openmdao_component"
+    one_of(who, problem, Problem)
+    if not isinstance(declared, bool):
+        raise ProblemError(f"{who}: expected True or False as `declared`; received {shown(declared)}.")
+    for one in problem.constraints:
+        if is_worst_case(one) or is_at_points(one):
+            raise ProblemError(
+                f"{who}: expected limits on statistics; received '{one.name}' on single realisations, which are "
+                "searched for. Use al.solve, or a limit with sigmas or a probability."
+            )
+    return _component()(problem, declared)
+
+
+@functools.cache
+def _component() -> Any:
+    """The class of components, made once OpenMDAO is needed. Raises `MissingExtraError` if it is not installed."""
+    om = _openmdao()
+
+    class AleatorComponent(om.ExplicitComponent):
+        """A problem of `aleator`; made by `al.foreign.openmdao_component`."""
+
+        def __init__(self, problem: Problem, declared: bool):
+            super().__init__()
+            self._transcribed, self._declared = transcribe(problem), declared
+            places, constraints = self._transcribed.places, self._transcribed.problem.constraints
+            self._decisions = dict(zip(_names(places.decisions), places.decisions.values(), strict=True))
+            rows = zip(_names(one.name for one in constraints), self._transcribed.rows, strict=True)
+            self._rows: dict[str, slice] = dict(rows)
+
+        def setup(self) -> None:
+            """Declare inputs, outputs and partials; with `declared`, the optimisation too."""
+            program = self._transcribed.program
+            for name, place in self._decisions.items():
+                self.add_input(name, val=np.array(place.decision.initial, dtype=float))
+            self.add_output(_OBJECTIVE, val=0.0)
+            for name, rows in self._rows.items():
+                self.add_output(name, shape=(rows.stop - rows.start,))
+            self.declare_partials("*", "*")
+            if not self._declared:
+                return
+            for name, place in self._decisions.items():
+                lower, upper = program.lower[place.where], program.upper[place.where]
+                self.add_design_var(name, lower=lower, upper=upper, ref=program.variable_scale[place.where])
+            self.add_objective(_OBJECTIVE)
+            for name, rows in self._rows.items():
+                lower, upper = program.constraint_lower[rows], program.constraint_upper[rows]
+                bounds = {"equals": lower} if np.array_equal(lower, upper) else {"lower": lower, "upper": upper}
+                self.add_constraint(name, ref=program.constraint_scale[rows], **bounds)
+
+        def compute(self, inputs: Any, outputs: Any) -> None:
+            """The objective and all constraints at some decisions."""
+            found = self._evaluated(inputs)
+            outputs[_OBJECTIVE] = found.objective
+            for name, rows in self._rows.items():
+                outputs[name] = found.constraints[rows]
+
+        def compute_partials(self, inputs: Any, partials: Any) -> None:
+            """Their derivatives, from the same call of the model."""
+            found = self._evaluated(inputs)
+            for decision, place in self._decisions.items():
+                partials[_OBJECTIVE, decision] = found.gradient[place.where]
+                for name, rows in self._rows.items():
+                    partials[name, decision] = found.jacobian[rows, place.where]
+
+        def _evaluated(self, inputs: Any) -> Evaluation:
+            decisions = np.concatenate([np.ravel(inputs[name]) for name in self._decisions])
+            found = self._transcribed.program.evaluate(decisions)
+            if not found.is_finite:
+                values = {name: np.array(inputs[name]) for name in self._decisions}
+                raise om.AnalysisError(f"The model has no finite values or derivatives at {values}.")
+            return found
+
+    return AleatorComponent
+
+
+def _openmdao() -> Any:
+    try:
+        import openmdao.api
+    except ImportError as error:
+        raise MissingExtraError(
+            "openmdao_component needs the library OpenMDAO: install it with `pip install 'aleator[openmdao]'`."
+        ) from error
+    return openmdao.api
+
+
+def _names(given: Iterable[str]) -> list[str]:
+    """Names that OpenMDAO allows, each once; `objective` is taken."""
+    found: list[str] = []
+    for name in given:
+        plain = re.sub(r"[^\w:]+", "_", name.replace(".", ":")).strip("_") or "constraint"
+        plain = plain if plain[0].isalpha() else f"of_{plain}"
+        count, free = 1, plain
+        while free in (*found, _OBJECTIVE):
+            count += 1
+            free = f"{plain}_{count}"
+        found.append(free)
+    return found

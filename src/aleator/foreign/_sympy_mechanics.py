@@ -1,0 +1,226 @@
+"""Equations of motion of SymPy (`sympy.physics.mechanics`) as mechanical systems."""
+
+from collections.abc import Collection, Mapping, Sequence
+from typing import Any, NamedTuple
+
+from aleator._core.errors import ProblemError
+from aleator._core.given import meant, refusal
+from aleator.foreign._sympy_mechanical import Mechanics, SymPyMechanical, acceleration_of, rate_of
+from aleator.foreign._sympy_program import load_sympy, written
+from aleator.foreign._sympy_symbols import (
+    Found,
+    expressions_by_name,
+    found_in,
+    name_of,
+    named,
+    numbers_for,
+    symbols_given,
+    time_symbol,
+    units_for,
+)
+
+
+class _Given(NamedTuple):
+    """Equations of motion `M v̇ = forcing` in SymPy's expressions, with `q̇ = kinematics` and `constraints = 0`."""
+
+    who: str
+    q: list[Any]
+    v: list[Any]
+    mass: Any
+    forcing: Any
+    kinematics: Any
+    constraints: list[Any]
+    multipliers: list[Any]
+
+
+def from_kane(
+    kane: Any,
+    numbers: Mapping[Any, Any],
+    *,
+    outputs: Mapping[str, Any] | None = None,
+    units: Mapping[str, str] | None = None,
+) -> SymPyMechanical:
+    """A mechanical system from a `sympy.physics.mechanics.KanesMethod` whose `kanes_equations` have been formed.
+
+        model = al.foreign.from_kane(kane, {m: 1.0, l: al.Normal(1.0, 0.01), g: 9.81})
+        system = al.ForwardDynamics(model, start={"theta": 0.5})
+
+    - `numbers`: a number, distribution or decision for each symbol of the equations; each has the symbol's name. A
+      function of time that is no coordinate or speed, such as a wind, may be given here too, as a number or a signal;
+      all others are actuators, which must enter linearly, by factors that depend on the coordinates alone;
+    - `outputs`: expressions by name of coordinates, speeds, actuators and their rates, besides the standard outputs;
+    - `units`: the units of outputs by name, for reports.
+
+    Coordinates, speeds and actuators have SymPy's names, and each formulation takes the model: `al.ForwardDynamics`,
+    `al.InverseDynamics`, `al.HybridDynamics`.
+
+    Raises `ProblemError` for symbols without a number, for numbers that are not used, for dependent coordinates or
+    speeds, for equations that contain the time, and for functions that JAX lacks; `MissingExtraError` without SymPy.
+    """
+    who = "from_kane"
+    sympy = load_sympy(who)
+    if not isinstance(kane, sympy.physics.mechanics.KanesMethod):
+        raise refusal(who, "a sympy.physics.mechanics.KanesMethod", kane)
+    if len(kane._udep) or len(kane._qdep):
+        raise ProblemError(
+            f"{who}: expected independent coordinates and speeds; received dependent ones: "
+            f"{[*kane._qdep, *kane._udep]}. Use LagrangesMethod with hol_coneqs and from_lagrange, or from_sympy with "
+            "mass_matrix_full and forcing_full."
+        )
+    rates = kane.kindiffdict()
+    mass, forcing = _formed(who, kane, "kanes_equations")
+    q, v = list(kane.q), list(kane.u)
+    kinematics = sympy.Matrix([rates[one.diff(time_symbol())] for one in q])
+    given = _Given(who, q, v, mass.xreplace(rates), forcing.xreplace(rates), kinematics, [], [])
+    return _mechanical(given, numbers, outputs, units)
+
+
+def from_lagrange(
+    lagrange: Any,
+    numbers: Mapping[Any, Any],
+    *,
+    outputs: Mapping[str, Any] | None = None,
+    units: Mapping[str, str] | None = None,
+) -> SymPyMechanical:
+    """A mechanical system from a `sympy.physics.mechanics.LagrangesMethod` whose equations have been formed.
+
+        lagrange.form_lagranges_equations()
+        model = al.foreign.from_lagrange(lagrange, {m: 1.0, l: al.Normal(1.0, 0.01), g: 9.81})
+
+    Arguments, names and errors are those of `al.foreign.from_kane`; speeds are the coordinates' rates, `<name>_rate`.
+    Holonomic constraints (`hol_coneqs`) become the model's `constraint_1`, ...: positions and velocities satisfy them,
+    and no gains are needed. SymPy's multipliers may stand in `outputs`; the standard output `constraint_1_multiplier`
+    has the other sign (see `al.Lagrangian`). Nonholonomic constraints are refused.
+    """
+    who = "from_lagrange"
+    sympy = load_sympy(who)
+    if not isinstance(lagrange, sympy.physics.mechanics.LagrangesMethod):
+        raise refusal(who, "a sympy.physics.mechanics.LagrangesMethod", lagrange)
+    constraints = list(lagrange._hol_coneqs)
+    if len(lagrange.coneqs) > len(constraints):
+        raise ProblemError(
+            f"{who}: expected holonomic constraints, hol_coneqs; received nonholonomic ones. Use KanesMethod, "
+            "and from_sympy with its mass_matrix_full and forcing_full."
+        )
+    mass, forcing = _formed(who, lagrange, "form_lagranges_equations")
+    q = list(lagrange.q)
+    v = [one.diff(time_symbol()) for one in q]
+    given = _Given(who, q, v, mass[:, : len(q)], forcing, sympy.Matrix(v), constraints, list(lagrange.lam_vec))
+    return _mechanical(given, numbers, outputs, units)
+
+
+def _formed(who: str, method: Any, former: str) -> tuple[Any, Any]:
+    try:
+        return method.mass_matrix, method.forcing
+    except ValueError as error:
+        raise ProblemError(f"{who}: the equations are not formed yet; call {former}() first.") from error
+
+
+def _mechanical(given: _Given, numbers: Any, outputs: Any, units: Any) -> SymPyMechanical:
+    who, q, v = given.who, given.q, given.v
+    sympy, time = load_sympy(who), time_symbol()
+    numbers = symbols_given(f"{who}: numbers", numbers)
+    formulas = expressions_by_name(f"{who}: outputs", {} if outputs is None else outputs)
+    moving = found_in(who, [*given.mass, *given.forcing, *given.kinematics, *given.constraints])
+    told = found_in(f"{who}: outputs", formulas.values())
+    if time in (*moving.symbols, *told.symbols):
+        raise ProblemError(
+            f"{who}: the time {time} stands in the model; put a function of time in its place (dynamicsymbols), and "
+            "give this in numbers as a signal."
+        )
+    _refuse_derivatives(who, moving, (*q, *v))
+    free = [one for one in moving.functions if one not in (*q, *v)]
+    torques = [one for one in free if one not in numbers]
+    parameters = [one for one in free if one in numbers]
+    parameters += sorted({*moving.symbols, *told.symbols}, key=str)
+
+    effect = given.forcing.jacobian(torques) if torques else sympy.zeros(len(v), 0)
+    _refuse_nonlinear(given, effect, torques)
+    bias = -given.forcing.xreplace(dict.fromkeys(torques, sympy.S.Zero))
+    forms = given.kinematics.jacobian(v)
+    _refuse_driven(given, forms)
+    direct = len(q) == len(v) and forms == sympy.eye(len(q))
+
+    meanings = named(who, (*q, *v, *torques, *parameters))
+    posture = {one: meanings[one] for one in (*q, *parameters)}
+    speeds = {one: meanings[one] for one in v}
+    multipliers = {one: f"\0{name_of(one)}" for one in given.multipliers}
+    known = {**_rates(q, speeds), **multipliers, **meanings}
+    _refuse_unknown_outputs(who, told, known)
+    return SymPyMechanical(
+        numbers_for(who, parameters, numbers),
+        Mechanics(
+            coordinates=tuple(meanings[one] for one in q),
+            speeds=tuple(speeds.values()),
+            actuators=tuple(meanings[one] for one in torques),
+            constraints=tuple(f"constraint_{i}" for i in range(1, len(given.constraints) + 1)),
+            multipliers=tuple(multipliers.values()),
+            mass=written(who, list(given.mass), posture),
+            bias=written(who, list(bias), speeds | posture),
+            torques=written(who, list(effect), posture),
+            rates=None if direct else written(who, list(forms), posture),
+            closed=written(who, given.constraints, posture),
+            names=tuple(formulas),
+            outputs=written(f"{who}: outputs", list(formulas.values()), known),
+            units=units_for(who, units, [*formulas, *_standard(q, v, torques)]),
+        ),
+    )
+
+
+def _rates(q: Sequence[Any], speeds: Mapping[Any, str]) -> dict[Any, str]:
+    """The names under which outputs read rates and accelerations."""
+    time = time_symbol()
+    found = {one.diff(time): rate_of(name) for one, name in speeds.items()}
+    # Of Lagrange's method the rates of speeds are these accelerations.
+    found |= {one.diff(time, 2): acceleration_of(name_of(one)) for one in q}
+    return found | {one.diff(time): rate_of(name_of(one)) for one in q}
+
+
+def _standard(q: Sequence[Any], v: Sequence[Any], torques: Sequence[Any]) -> list[str]:
+    """The names of the outputs that every mechanical system has."""
+    motion = [f"{name_of(one)}{end}" for one in q for end in ("", "_rate", "_acceleration")]
+    return motion + [f"{name_of(one)}{end}" for one in (*v, *torques) for end in ("", "_rate")]
+
+
+def _refuse_derivatives(who: str, moving: Found, motion: Collection[Any]) -> None:
+    """Refuse derivatives of anything but the motion: prescribed motions."""
+    for one in moving.derivatives:
+        if one not in motion:
+            raise ProblemError(
+                f"{who}: the equations of motion contain {one}. Make {one.expr} a coordinate, and prescribe its motion "
+                "by al.HybridDynamics."
+            )
+
+
+def _refuse_nonlinear(given: _Given, effect: Any, torques: Sequence[Any]) -> None:
+    """Refuse functions of time that are neither given nor torques."""
+    elsewhere = found_in(given.who, [*given.mass, *given.kinematics, *given.constraints]).functions
+    for i, one in enumerate(torques):
+        factors = found_in(given.who, effect[:, i])
+        if one in elsewhere or {*factors.functions, *factors.derivatives} & {*torques, *given.v}:
+            raise ProblemError(
+                f"{given.who}: an actuator enters linearly, by factors that depend on the coordinates alone; received "
+                f"{one}, which does not. Give it in numbers, as a number or a signal."
+            )
+
+
+def _refuse_driven(given: _Given, forms: Any) -> None:
+    """Refuse rates of coordinates that are not linear in the speeds."""
+    at_rest = given.kinematics.xreplace(dict.fromkeys(given.v, 0))
+    inside = found_in(given.who, forms)
+    if any(not one.equals(0) for one in at_rest) or {*given.v} & {*inside.functions, *inside.derivatives}:
+        raise ProblemError(
+            f"{given.who}: expected rates of coordinates that are linear in the speeds, without further terms; "
+            f"received {list(given.kinematics)}. Choose other speeds."
+        )
+
+
+def _refuse_unknown_outputs(who: str, told: Found, known: Mapping[Any, str]) -> None:
+    """Refuse what outputs contain, but no equation of motion."""
+    names = {str(one): one for one in known}
+    for one in (*told.functions, *told.derivatives):
+        if one not in known:
+            raise ProblemError(
+                f"{who}: outputs: the equations of motion do not contain {one}.{meant(str(one), names)} Expected "
+                "coordinates, speeds, their rates, actuators and what is given in numbers."
+            )

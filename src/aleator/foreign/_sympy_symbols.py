@@ -1,0 +1,187 @@
+"""The symbols of a SymPy model: which are states, inputs and parameters; refusals of those that mean nothing."""
+
+import contextlib
+from collections.abc import Collection, Iterable, Mapping
+from typing import Any, NamedTuple
+
+from aleator._core.errors import ProblemError
+from aleator._core.given import meant, refusal, shown
+from aleator._core.leaves import highest, lowest
+from aleator.foreign._sympy_program import load_sympy
+from aleator.trajectories import AbstractSignal, AbstractTrajectory
+from aleator.trajectories._trajectory import copied, shape_of
+
+
+class Found(NamedTuple):
+    """What some expressions contain, each in the order of its name.
+
+    - `functions`: functions of time without an equation of their own, such as `q(t)`; `derivatives` of these;
+    - `symbols`: plain symbols, the time too where it stands outside of functions.
+    """
+
+    functions: tuple[Any, ...]
+    derivatives: tuple[Any, ...]
+    symbols: tuple[Any, ...]
+
+
+def expression(what: str, given: Any) -> Any:
+    """One real expression or number, of SymPy or Python. Raises `ProblemError` for anything else."""
+    sympy = load_sympy(what)
+    if isinstance(given, sympy.Equality):
+        raise ProblemError(
+            f"{what}: expected an expression; received an equation. Solve it with sympy.solve, or write an al.System "
+            "with `algebraic` and `residual`."
+        )
+    found: Any = None
+    with contextlib.suppress(sympy.SympifyError, TypeError, ValueError):
+        found = sympy.sympify(given, strict=True)
+    if not isinstance(found, sympy.Expr) or isinstance(found, sympy.MatrixExpr):
+        raise refusal(what, "one SymPy expression", given)
+    nested = any(not isinstance(one.expr, sympy.core.function.AppliedUndef) for one in found.atoms(sympy.Derivative))
+    return found.doit() if nested else found
+
+
+def expressions_by_name(what: str, given: Any) -> dict[str, Any]:
+    """Expressions by name. Raises `ProblemError` for anything but a mapping of texts."""
+    if not isinstance(given, Mapping):
+        raise refusal(what, "expressions by name, in a dict", given)
+    for name in given:
+        if not isinstance(name, str) or not name:
+            raise refusal(what, "a text as the name of each expression", name)
+    return {name: expression(f"{what}, '{name}'", one) for name, one in given.items()}
+
+
+def found_in(who: str, expressions: Iterable[Any]) -> Found:
+    """What expressions contain. Raises `ProblemError` for functions of anything but the time."""
+    sympy = load_sympy(who)
+    whole, time = sympy.Tuple(*expressions), time_symbol()
+    derivatives = whole.atoms(sympy.Derivative)
+    functions = whole.atoms(sympy.core.function.AppliedUndef)
+    for one in functions:
+        if one.args != (time,):
+            raise ProblemError(
+                f"{who}: expected functions of the time {time} alone (sympy.physics.mechanics.dynamicsymbols); "
+                f"received {one}."
+            )
+    plain = whole.xreplace({one: sympy.Dummy() for one in derivatives | functions})
+    symbols = (one for one in plain.free_symbols if not isinstance(one, sympy.Dummy))
+    return Found(*(tuple(sorted(part, key=str)) for part in (functions, derivatives, symbols)))
+
+
+def time_symbol() -> Any:
+    """The time of SymPy's mechanics."""
+    mechanics: Any = load_sympy("from_sympy").physics.mechanics
+    return mechanics.dynamicsymbols._t
+
+
+def name_of(symbol: Any) -> str:
+    """The name of a symbol, or of a function of time without its argument: `q`; `q_rate` of its derivative."""
+    if symbol.is_Derivative:
+        return f"{name_of(symbol.expr)}_rate"
+    return symbol.func.__name__ if getattr(symbol, "args", ()) else symbol.name
+
+
+def named(who: str, symbols: Iterable[Any]) -> dict[Any, str]:
+    """Each symbol's name. Raises `ProblemError` where two have the same."""
+    found: dict[Any, str] = {}
+    for symbol in symbols:
+        name = name_of(symbol)
+        if name in found.values():
+            raise ProblemError(
+                f"{who}: two different symbols are called '{name}'. Rename one; symbols with other assumptions, such "
+                "as Symbol('m') and Symbol('m', positive=True), are different."
+            )
+        found[symbol] = name
+    return found
+
+
+def symbols_given(what: str, given: Any) -> dict[Any, Any]:
+    """A mapping whose keys are symbols or functions of time. Raises `ProblemError` for anything else."""
+    sympy = load_sympy(what)
+    if not isinstance(given, Mapping):
+        raise refusal(what, "a dict by symbol", given)
+    kinds = sympy.Symbol, sympy.core.function.AppliedUndef
+    for symbol in given:
+        if not isinstance(symbol, kinds):
+            raise refusal(what, "SymPy symbols, or functions of time, as keys", symbol)
+    return dict(given)
+
+
+def numbers_for(who: str, symbols: Collection[Any], given: Mapping[Any, Any]) -> dict[str, Any]:
+    """The number, distribution or decision of each parameter, by name; a signal may be that of a function of time.
+
+    Raises `ProblemError` for a parameter without one, for numbers of symbols that nothing contains, and for numbers
+    that contradict their symbol's assumptions, by which SymPy has simplified.
+    """
+    names = [name_of(one) for one in symbols]
+    for one in given:
+        if one not in symbols:
+            raise ProblemError(f"{who}: numbers has '{name_of(one)}', {_stray(name_of(one), names)}")
+    if missing := sorted(name_of(one) for one in symbols if one not in given):
+        raise ProblemError(
+            f"{who}: expected a number, a distribution or a decision for each parameter in numbers; received none for "
+            f"{missing}."
+        )
+    return {name_of(one): _number(who, one, given[one]) for one in symbols}
+
+
+def _stray(name: str, names: Collection[str]) -> str:
+    """What is wrong with a number of a symbol that is no parameter."""
+    if name in names:
+        return "another symbol than the model's of this name: their assumptions differ. Use the very same symbol."
+    return f"which is no parameter of the model.{meant(name, names) or ' Drop it.'}"
+
+
+def _number(who: str, symbol: Any, given: Any) -> Any:
+    name = name_of(symbol)
+    if isinstance(given, AbstractSignal):
+        return _signal(who, symbol, given)
+    if shape_of(given) != ():
+        raise ProblemError(f"{who}: expected one number for '{name}'; received shape {shape_of(given)}.")
+    number = copied(who, f"number '{name}'", given)
+    ends = lowest(number), highest(number)
+    least, most = (0.0 if one is None else one for one in ends)
+    assumed = {
+        "positive": symbol.is_positive and ends[0] is not None and not least > 0,
+        "nonnegative": symbol.is_nonnegative and least < 0,
+        "negative": symbol.is_negative and ends[1] is not None and not most < 0,
+        "nonpositive": symbol.is_nonpositive and most > 0,
+    }
+    if wrong := next((kind for kind, is_wrong in assumed.items() if is_wrong), None):
+        raise ProblemError(
+            f"{who}: SymPy takes '{name}' to be {wrong}, and simplifies by it; received {shown(given)}. Change the "
+            "number, or the assumption of the symbol."
+        )
+    return number
+
+
+def _signal(who: str, symbol: Any, given: AbstractSignal) -> AbstractSignal:
+    if not symbol.is_Function:
+        # Its rate would be missing wherever SymPy has differentiated by time.
+        raise ProblemError(
+            f"{who}: SymPy takes the symbol '{symbol}' to be constant; received a signal, {type(given).__name__}. Put "
+            "a function of time in its place (dynamicsymbols)."
+        )
+    if isinstance(given, AbstractTrajectory) and given.shape != ():
+        raise ProblemError(f"{who}: expected a signal of one number for '{symbol}'; received shape {given.shape}.")
+    return given
+
+
+def refuse_unknown(what: str, symbols: Iterable[Any], known: Iterable[Any], remedy: str) -> None:
+    """Raise `ProblemError` for the first of `symbols` that is not `known`."""
+    known = list(known)
+    for one in symbols:
+        if one not in known:
+            names = [name_of(other) for other in known]
+            raise ProblemError(f"{what}: '{one}' is not known.{meant(name_of(one), names)} {remedy}")
+
+
+def units_for(who: str, units: Any, outputs: Collection[str]) -> tuple[tuple[str, str], ...]:
+    """Units of outputs. Raises `ProblemError` for units of anything else."""
+    given = {} if units is None else units
+    if not isinstance(given, Mapping) or not all(isinstance(one, str) for one in (*given, *given.values())):
+        raise refusal(f"{who}: units", "units as texts by output, in a dict", units)
+    for name in given:
+        if name not in outputs:
+            raise ProblemError(f"{who}: units has '{name}', which is no output.{meant(name, outputs)}")
+    return tuple(given.items())

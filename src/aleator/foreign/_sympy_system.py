@@ -1,0 +1,248 @@
+"""Differential equations of SymPy as a system."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple, final
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array
+from typing_extensions import override
+
+from aleator._core.errors import ProblemError
+from aleator._core.given import refusal
+from aleator._core.leaves import AbstractLeaf, transparent
+from aleator.dynamics import System
+from aleator.dynamics._system import state_type
+from aleator.foreign._sympy_program import Program, load_sympy, written
+from aleator.foreign._sympy_symbols import (
+    Found,
+    expression,
+    expressions_by_name,
+    found_in,
+    name_of,
+    named,
+    numbers_for,
+    refuse_unknown,
+    symbols_given,
+    time_symbol,
+    units_for,
+)
+from aleator.trajectories._trajectory import copied, shape_of
+
+_WHO = "from_sympy"
+
+
+class _Equations(NamedTuple):
+    """Equations without their numbers: the structure, which determines what is compiled.
+
+    - `mass`: the entries of the matrix before the rates, row by row; none where the rates are explicit;
+    - `start`: the initial values that are expressions, of the states `started`.
+    """
+
+    states: tuple[str, ...]
+    inputs: tuple[str, ...]
+    rates: Program
+    mass: Program | None
+    names: tuple[str, ...]
+    outputs: Program
+    started: tuple[str, ...]
+    start: Program
+    units: tuple[tuple[str, str], ...]
+
+
+@final
+@transparent("numbers")
+class SymPySystem(System):
+    """A system from differential equations of SymPy; made by `al.foreign.from_sympy`."""
+
+    numbers: dict[str, Any]
+    start: dict[str, Any]
+    equations: _Equations = eqx.field(static=True)
+
+    @property
+    def states(self) -> tuple[str, ...]:  # type: ignore[override]
+        """The names of the states."""
+        return self.equations.states
+
+    @property
+    def further_inputs(self) -> tuple[str, ...]:  # type: ignore[override]
+        """The names of the inputs: functions of time without a rate."""
+        return self.equations.inputs
+
+    @property
+    def units(self) -> Mapping[str, str]:  # type: ignore[override]
+        """The units of outputs, as far as they are given."""
+        return dict(self.equations.units)
+
+    @override
+    def initial(self) -> Mapping[str, Any]:
+        follow = self.equations.start(self.numbers)
+        return {**self.start, **dict(zip(self.equations.started, follow, strict=True))}
+
+    @override
+    def rhs(self, t: Any, z: Any, /, **inputs: Any) -> tuple[Array, ...]:
+        return self._rates(self._values(t, z, inputs))
+
+    @override
+    def outputs(self, t: Any, z: Any, /, **inputs: Any) -> dict[str, Array]:
+        values = self._values(t, z, inputs)
+        return self._outputs(values, self._rates(values))
+
+    @override
+    def rates_and_outputs(self, t: Any, z: Any, /, **inputs: Any) -> tuple[tuple[Array, ...], dict[str, Array]]:
+        values = self._values(t, z, inputs)
+        rates = self._rates(values)
+        return rates, self._outputs(values, rates)
+
+    def _values(self, t: Any, z: Any, inputs: Mapping[str, Any]) -> dict[str, Any]:
+        return {**self.numbers, **z._asdict(), **inputs, _TIME: t}
+
+    def _rates(self, values: Mapping[str, Any]) -> tuple[Array, ...]:
+        rates = self.equations.rates(values)
+        if self.equations.mass is None:
+            return tuple(rates)
+        mass = jnp.stack(self.equations.mass(values)).reshape(len(rates), len(rates))
+        return tuple(jnp.linalg.solve(mass, jnp.stack(rates)))
+
+    def _outputs(self, values: Mapping[str, Any], rates: Sequence[Array]) -> dict[str, Array]:
+        slopes = {_rate_of(name): rate for name, rate in zip(self.states, rates, strict=True)}
+        return dict(zip(self.equations.names, self.equations.outputs({**values, **slopes}), strict=True))
+
+
+# Under these names, which no symbol has, programs read the time and the states' rates.
+_TIME = "\0t"
+
+
+def _rate_of(name: str) -> str:
+    return f"\0rate of {name}"
+
+
+def from_sympy(
+    rates: Mapping[Any, Any],
+    numbers: Mapping[Any, Any],
+    *,
+    mass_matrix: Any = None,
+    outputs: Mapping[str, Any] | None = None,
+    start: Mapping[Any, Any] | None = None,
+    units: Mapping[str, str] | None = None,
+) -> SymPySystem:
+    """A dynamical system, an `al.System`, from SymPy expressions: `dz/dt = rates`.
+
+        x, v, road = dynamicsymbols("x v road")
+        m, k, c = sympy.symbols("m k c")
+        spring = al.foreign.from_sympy(
+            {x: v, v: (k * (road - x) - c * v) / m}, {m: al.Normal(2.0, 0.1), k: al.Decision(8e3, 500.0, 50e3), c: 50.0}
+        )
+
+    - `rates`: the rate of each state, by the state: a function of time, `x(t)`, or a plain symbol. Functions of time
+      without a rate are inputs, given as signals in `al.Problem(inputs=...)`; SymPy's `t` is the time;
+    - `numbers`: a number, distribution or decision for each of the other symbols; each has the symbol's name;
+    - `mass_matrix`: `M` of `M dz/dt = rates`, a square matrix, such as the `mass_matrix_full` of SymPy's mechanics;
+    - `outputs`: expressions by name, which may contain rates, `x.diff(t)`; the states by default;
+    - `start`: initial values by state: numbers, distributions, decisions, or expressions of the symbols in `numbers`;
+      zero for the others;
+    - `units`: the units of outputs by name, for reports.
+
+    Raises `ProblemError` for symbols without a number, for numbers that are not used, for equations that are not solved
+    for the rates, and for functions that JAX lacks; `MissingExtraError` without SymPy.
+    """
+    sympy = load_sympy(_WHO)
+    rates = {
+        state: expression(f"{_WHO}: the rate of '{state}'", one)
+        for state, one in symbols_given(f"{_WHO}: rates", rates).items()
+    }
+    given = symbols_given(f"{_WHO}: numbers", numbers)
+    states = tuple(rates)
+    if not states:
+        raise ProblemError(f"{_WHO}: expected the rate of one state at least; received none.")
+    mass = _mass_matrix(sympy, mass_matrix, len(states))
+    formulas = expressions_by_name(
+        f"{_WHO}: outputs", {name_of(one): one for one in states} if outputs is None else outputs
+    )
+    values, follow = _started(start, states)
+
+    moving = found_in(_WHO, [*rates.values(), *mass])
+    if moving.derivatives:
+        raise ProblemError(
+            f"{_WHO}: expected rates without derivatives; received {moving.derivatives[0]}. Solve the equations for "
+            "the rates (sympy.solve), or give their matrix as mass_matrix."
+        )
+    told = found_in(f"{_WHO}: outputs", formulas.values())
+    inputs = [one for one in moving.functions if one not in states]
+    inputs += [one for one in told.functions if one not in (*states, *inputs)]
+    if signalled := [one for one in inputs if one in given]:
+        raise ProblemError(
+            f"{_WHO}: {signalled[0]} is an input, not one of numbers; give it as a signal: al.Problem(..., "
+            f"inputs={{'{name_of(signalled[0])}': ...}})."
+        )
+    parameters = _parameters(states, moving, told, found_in(f"{_WHO}: start", follow.values()))
+    meanings = named(_WHO, (*states, *inputs, *parameters)) | {time_symbol(): _TIME}
+    slopes = _slopes(told, rates, mass_matrix is None)
+    state_type(tuple(meanings[one] for one in states))
+    equations = _Equations(
+        states=tuple(meanings[one] for one in states),
+        inputs=tuple(meanings[one] for one in inputs),
+        rates=written(_WHO, list(rates.values()), meanings),
+        mass=written(_WHO, mass, meanings) if mass else None,
+        names=tuple(formulas),
+        outputs=written(f"{_WHO}: outputs", list(formulas.values()), slopes | meanings),
+        started=tuple(meanings[one] for one in follow),
+        start=written(f"{_WHO}: start", list(follow.values()), meanings),
+        units=units_for(_WHO, units, formulas),
+    )
+    return SymPySystem(
+        numbers_for(_WHO, parameters, given),
+        {meanings[one]: value for one, value in values.items()},
+        equations,
+    )
+
+
+def _mass_matrix(sympy: Any, given: Any, size: int) -> list[Any]:
+    """The entries of a mass matrix, row by row; none if there is none."""
+    if given is None:
+        return []
+    if not isinstance(given, sympy.MatrixBase) or given.shape != (size, size):
+        raise refusal(f"{_WHO}: mass_matrix", f"a SymPy matrix of shape ({size}, {size}), for as many rates", given)
+    return [expression(f"{_WHO}: mass_matrix", one) for one in given]
+
+
+def _started(given: Any, states: Sequence[Any]) -> tuple[dict[Any, Any], dict[Any, Any]]:
+    """Initial values that are numbers, distributions or decisions, and those that are expressions."""
+    what = f"{_WHO}: start"
+    start = symbols_given(what, {} if given is None else given)
+    refuse_unknown(what, start, states, "Expected initial values of states.")
+    sympy = load_sympy(_WHO)
+    follow = {one: expression(what, value) for one, value in start.items() if isinstance(value, sympy.Basic)}
+    values: dict[Any, Any] = {}
+    for state, value in start.items():
+        if state in follow:
+            continue
+        if not isinstance(value, AbstractLeaf) and shape_of(value) != ():
+            raise refusal(what, f"one number for '{name_of(state)}'", value)
+        values[state] = copied(_WHO, f"start of '{name_of(state)}'", value)
+    return values, follow
+
+
+def _parameters(states: Sequence[Any], moving: Found, told: Found, begun: Found) -> list[Any]:
+    """The symbols whose numbers are given: neither states nor the time."""
+    if begun.functions or begun.derivatives or any(one in states for one in begun.symbols):
+        raise ProblemError(f"{_WHO}: start: expected numbers, or expressions of the parameters alone.")
+    symbols = dict.fromkeys((*moving.symbols, *told.symbols, *begun.symbols))
+    return sorted((one for one in symbols if one not in states and one != time_symbol()), key=str)
+
+
+def _slopes(told: Found, rates: Mapping[Any, Any], explicit: bool) -> dict[Any, str]:
+    """What derivatives in outputs mean: the first ones of states, and second ones where the first is a state."""
+    time, known = time_symbol(), {}
+    # Plain symbols have no derivatives by time: SymPy gives zero.
+    for state, rate in ((state, rate) for state, rate in rates.items() if state.is_Function):
+        known[state.diff(time)] = _rate_of(name_of(state))
+        if explicit and rate in rates:
+            known[state.diff(time, 2)] = _rate_of(name_of(rate))
+    for one in told.derivatives:
+        if one not in known:
+            raise ProblemError(
+                f"{_WHO}: outputs: expected rates of states at most; received {one}. Give an input's derivative as an "
+                "input of its own."
+            )
+    return known

@@ -1,0 +1,163 @@
+"""What is wrong with a model of SymPy is said in one sentence, before anything is compiled."""
+
+import builtins
+
+import numpy as np
+import pytest
+import sympy as sp
+from sympy.physics import mechanics as me
+from sympy_models import OMEGA, ROD, THETA, WORLD, D, G, L, M, rod_by_kane, rod_by_lagrange
+
+import aleator as al
+
+X, V, FORCE = me.dynamicsymbols("x v force")
+C, K, X_0 = sp.symbols("c k x_0")
+P = sp.symbols("p", positive=True)
+T = me.dynamicsymbols._t
+RATES, NUMBERS = {X: V, V: (FORCE - C * V - K * X) / M}, {M: 2.0, C: 1.5, K: 40.0}
+GRID = al.Grid(1.0, 5)
+kane, lagrange, sympy = al.foreign.from_kane, al.foreign.from_lagrange, al.foreign.from_sympy
+formulas = al.foreign.from_sympy_formulas
+
+
+def formed(lagrangian, coordinates, **more):
+    method = me.LagrangesMethod(lagrangian, coordinates, **more)
+    method.form_lagranges_equations()
+    return method
+
+
+REFUSED = {
+    "a number is missing": (lambda: sympy(RATES, {M: 2.0, C: 1.5}), "received none for ['k']"),
+    "a number is not used": (lambda: sympy(RATES, NUMBERS | {X_0: 1.0}), "numbers has 'x_0', which is no parameter"),
+    "a symbol is misspelt": (lambda: sympy(RATES, NUMBERS | {sp.Symbol("kk"): 1.0}), "Did you mean 'k'?"),
+    "a symbol has other assumptions": (
+        lambda: sympy(RATES, {M: 1.0, C: 1.0, sp.Symbol("k", positive=True): 1.0}),
+        "another symbol than the model's",
+    ),
+    "a number contradicts its symbol": (
+        lambda: sympy({X: -P * X}, {P: al.Normal(1.0, 0.1)}),
+        "SymPy takes 'p' to be positive, and simplifies by it; received Normal",
+    ),
+    "a negative number contradicts its symbol": (lambda: sympy({X: -P * X}, {P: -1.0}), "to be positive"),
+    "two symbols have one name": (
+        lambda: sympy({X: -P * X * sp.Symbol("p")}, {P: 1.0, sp.Symbol("p"): 1.0}),
+        "two different symbols are called 'p'",
+    ),
+    "a symbol is called like a speed": (
+        lambda: lagrange(rod_by_lagrange(), ROD | {X_0: 1.0}, outputs={"a": sp.Symbol("theta_rate")}),
+        "two different symbols are called 'theta_rate'",
+    ),
+    "an equation is implicit": (lambda: sympy({X: sp.Eq(V, 1)}, {}), "received an equation. Solve it"),
+    "a rate contains a rate": (lambda: sympy({X: V, V: X.diff()}, {}), "received Derivative(x(t), t). Solve"),
+    "a rate is text": (lambda: sympy({X: "v"}, {}), "expected one SymPy expression; received 'v'"),
+    "a number is text": (lambda: sympy({X: -K * X}, {K: "1"}), "number 'k'; received '1'"),
+    "a number is an array": (lambda: sympy({X: -K * X}, {K: np.ones(2)}), "one number for 'k'; received shape (2,)"),
+    "a number is a signal": (
+        lambda: sympy({X: -K * X}, {K: al.PowerSeries(start=(1.0,))}),
+        "takes the symbol 'k' to be constant",
+    ),
+    "an input is a number": (lambda: sympy(RATES, NUMBERS | {FORCE: 1.0}), "force(t) is an input, not one of numbers"),
+    "a constant of SymPy changes": (
+        lambda: kane(rod_by_kane(), ROD | {M: al.PowerSeries(start=(1.0,))}),
+        "takes the symbol 'm' to be constant; received a signal, PowerSeries",
+    ),
+    "a function is none of JAX": (lambda: sympy({X: -sp.besselj(0, sp.sin(X))}, {}), "no function for besselj"),
+    "an expression is complex": (
+        lambda: sympy({X: sp.I * X}, {}),
+        "real and finite expressions; received I*x",
+    ),
+    "an expression is infinite": (lambda: sympy({X: sp.zoo}, {}), "received zoo"),
+    "a function is not of time": (lambda: sympy({X: sp.Function("f")(X)}, {}), "received f(x(t))"),
+    "nothing moves": (lambda: sympy({}, {}), "the rate of one state at least"),
+    "a state is text": (lambda: sympy({"x": X}, {}), "as keys; received 'x'"),
+    "a state is no name": (lambda: sympy({sp.Symbol("\\theta"): 1}, {}), "must be valid identifiers"),
+    "a mass matrix has another size": (
+        lambda: sympy({X: V, V: -X}, {}, mass_matrix=sp.eye(3)),
+        "a SymPy matrix of shape (2, 2)",
+    ),
+    "an output is a matrix": (
+        lambda: sympy(RATES, NUMBERS, outputs={"a": sp.Matrix([X])}),
+        "'a': expected one",
+    ),
+    "an output differentiates an input": (
+        lambda: sympy(RATES, NUMBERS, outputs={"a": FORCE.diff()}),
+        "received Derivative(force(t), t)",
+    ),
+    "an input has a start": (lambda: sympy(RATES, NUMBERS, start={FORCE: 1.0}), "'force(t)' is not known"),
+    "a start contains a state": (lambda: sympy(RATES, NUMBERS, start={X: V}), "expressions of the parameters alone"),
+    "a unit is of no output": (lambda: sympy(RATES, NUMBERS, units={"v_": "m/s"}), "no output. Did you mean 'v'?"),
+    "an input is not given": (
+        lambda: al.simulate(sympy(RATES, NUMBERS), GRID),
+        "['force']; received []",
+    ),
+    "an input is not known": (
+        lambda: al.simulate(sympy({X: -X}, {}), GRID, {"force": al.Tabulated([0.0, 1.0], [0.0, 1.0])}),
+        "takes the inputs []; received ['force']",
+    ),
+    "a formula has time": (lambda: formulas({"a": X}, {}), "expected formulas without time; received x(t)"),
+    "a number of a formula is missing": (lambda: formulas({"a": K}, {}), "received none for ['k']"),
+    "a method is none": (lambda: kane(rod_by_lagrange(), ROD), "expected a sympy.physics.mechanics.KanesMethod"),
+    "Kane's equations are not formed": (
+        lambda: kane(me.KanesMethod(WORLD, [THETA], [OMEGA], kd_eqs=[THETA.diff() - OMEGA]), {}),
+        "call kanes_equations() first",
+    ),
+    "Lagrange's equations are not formed": (
+        lambda: lagrange(me.LagrangesMethod(THETA.diff() ** 2, [THETA]), {}),
+        "call form_lagranges_equations() first",
+    ),
+    "constraints are nonholonomic": (
+        lambda: lagrange(formed(X.diff() ** 2 + V.diff() ** 2, [X, V], nonhol_coneqs=[X.diff() - V * V.diff()]), {}),
+        "received nonholonomic ones",
+    ),
+    "equations of motion contain the time": (
+        lambda: lagrange(formed(X.diff() ** 2 * M + T * X, [X]), {M: 1.0}),
+        "the time t stands in the model",
+    ),
+    "a support is driven": (
+        lambda: lagrange(formed((X.diff() + V.diff()) ** 2 * M, [X]), {M: 1.0}),
+        "Make v(t) a coordinate, and prescribe its motion by al.HybridDynamics",
+    ),
+    "a number of a mechanical model is missing": (lambda: kane(rod_by_kane(), {M: 1.0}), "none for ['d', 'g', 'l']"),
+    "an output is misspelt": (
+        lambda: kane(rod_by_kane(), ROD, outputs={"a": me.dynamicsymbols("thetta")}),
+        "do not contain thetta(t). Did you mean 'theta(t)'?",
+    ),
+    "an output has a standard name": (
+        lambda: al.simulate(al.ForwardDynamics(kane(rod_by_kane(), ROD, outputs={"theta": THETA})), GRID),
+        "['theta'] are standard outputs",
+    ),
+}
+
+
+@pytest.mark.parametrize("what", REFUSED)
+def test_a_model_is_refused_in_one_sentence_if(what):
+    call, words = REFUSED[what]
+    with pytest.raises(al.ProblemError) as caught:
+        call()
+    assert words in str(caught.value)
+    assert len(str(caught.value)) <= 400
+
+
+def test_rates_of_coordinates_with_further_terms_are_refused():
+    method = me.KanesMethod(WORLD, [THETA], [OMEGA], kd_eqs=[THETA.diff() - OMEGA - G])
+    pin, frame = me.Point("O"), WORLD.orientnew("A", "Axis", [THETA, WORLD.z])
+    pin.set_vel(WORLD, 0)
+    frame.set_ang_vel(WORLD, OMEGA * WORLD.z)
+    end = pin.locatenew("P", L * frame.x)
+    end.v2pt_theory(pin, WORLD, frame)
+    method.kanes_equations([me.Particle("ball", end, M)], [(end, -M * D * WORLD.y)])
+    with pytest.raises(al.ProblemError, match="linear in the speeds, without further terms"):
+        kane(method, {M: 1.0, L: 1.0, D: 1.0, G: 9.81})
+
+
+def test_without_sympy_the_extra_is_named(monkeypatch):
+    imported = builtins.__import__
+
+    def without(name, *more, **others):
+        if name.startswith("sympy"):
+            raise ImportError(name)
+        return imported(name, *more, **others)
+
+    monkeypatch.setattr(builtins, "__import__", without)
+    with pytest.raises(al.MissingExtraError, match=r"pip install 'aleator\[sympy\]'"):
+        sympy({}, {})

@@ -1,0 +1,163 @@
+"""Differential equations and formulas of SymPy as systems: values, programs that are shared, a design, refusals."""
+
+import jax
+import numpy as np
+import pytest
+import sympy as sp
+from sympy.physics.mechanics import dynamicsymbols
+
+import aleator as al
+from aleator._core.arrays import numbers_to_arrays
+from aleator._core.code import read_code
+from aleator._core.lasting import lasting_name
+from aleator.dynamics import initial_state
+from aleator.dynamics._simulation import _HISTORY
+from aleator.foreign._sympy_program import written
+from aleator.transcription import transcribe
+from tiny_models import Oscillator
+
+X, V, FORCE = dynamicsymbols("x v force")
+M, C, K, X_0 = sp.symbols("m c k x_0")
+T = dynamicsymbols._t
+RATES = {X: V, V: (FORCE - C * V - K * X) / M}
+NUMBERS = {M: 2.0, C: 1.5, K: 40.0}
+PUSH = {"force": al.Tabulated([0.0, 1.0], [0.0, 3.0])}
+
+
+def oscillator(numbers=NUMBERS, **more):
+    return al.foreign.from_sympy(RATES, numbers, **more)
+
+
+def test_a_system_of_sympy_moves_as_the_same_one_written_by_hand():
+    outputs = {"x": X, "v": V, "spring": K * X, "acceleration": X.diff(T, 2), "force": M * V.diff(T)}
+    found = al.simulate(oscillator(NUMBERS | {X_0: 0.3}, outputs=outputs, start={X: X_0}), al.Grid(1.0, 50), PUSH)
+    ours = al.simulate(Oscillator(m=2.0, c=1.5, k=40.0, x0=0.3), al.Grid(1.0, 50), PUSH)
+    for name in ("x", "v", "spring"):
+        np.testing.assert_allclose(found[name], ours[name], rtol=0, atol=1e-13, err_msg=name)
+    push = np.linspace(0.0, 3.0, 51)
+    np.testing.assert_allclose(found["force"], push - 1.5 * ours["v"] - 40 * ours["x"], atol=1e-12)
+    np.testing.assert_allclose(found["force"], 2 * found["acceleration"], rtol=1e-15)
+
+
+def test_plain_symbols_may_be_states_and_the_time_may_stand_in_rates():
+    x, a = sp.symbols("x a")
+    found = al.simulate(al.foreign.from_sympy({x: -a * x + a * sp.sin(T)}, {a: 3.0}, start={x: 1.0}), al.Grid(2.0, 400))
+    t = np.linspace(0.0, 2.0, 401)
+    closed = 1.3 * np.exp(-3 * t) + (9 * np.sin(t) - 3 * np.cos(t)) / 10
+    np.testing.assert_allclose(found["x"], closed, rtol=0, atol=1e-9)
+
+
+def test_a_mass_matrix_stands_before_the_rates():
+    mass = sp.Matrix([[1, 0], [C, M]])
+    coupled = al.foreign.from_sympy({X: V, V: -K * X}, NUMBERS, mass_matrix=mass, start={X: 0.3})
+    explicit = al.foreign.from_sympy({X: V, V: (-K * X - C * V) / M}, NUMBERS, start={X: 0.3})
+    found, expected = (al.simulate(one, al.Grid(1.0, 50))["x"] for one in (coupled, explicit))
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-13)
+
+
+def test_equal_models_share_a_program_and_others_never_do():
+    grid = al.Grid(1.0, 17)
+    first = al.simulate(oscillator(start={X: 0.3}), grid, PUSH)["x"]
+    count = _HISTORY.compilations
+    # The same equations, made again, with other numbers and the same symbols of another order.
+    again = al.foreign.from_sympy(dict(RATES), {K: 50.0, C: 1.5, M: 2.0}, start={X: 0.3})
+    second = al.simulate(again, grid, PUSH)["x"]
+    assert _HISTORY.compilations == count
+    # The same names and numbers, but another equation.
+    other = al.foreign.from_sympy(RATES | {V: (FORCE - C * V - K * X**3) / M}, NUMBERS, start={X: 0.3})
+    third = al.simulate(other, grid, PUSH)["x"]
+    assert _HISTORY.compilations == count + 1
+    assert min(np.abs(first - second).max(), np.abs(first - third).max(), np.abs(second - third).max()) > 0.01
+
+
+def test_what_a_model_computes_is_told_by_its_structure_alone():
+    one, other = oscillator(), oscillator(NUMBERS | {M: 3.0})
+    assert jax.tree.structure(one) == jax.tree.structure(other)
+    assert jax.tree.structure(one) != jax.tree.structure(al.foreign.from_sympy(RATES | {X: V + 1}, NUMBERS))
+    assert not read_code(one).doubts
+    assert read_code(one).reads == read_code(other).reads
+
+
+def test_programs_of_a_model_have_names_that_last_beyond_the_process():
+    def name(rates):
+        model = al.foreign.from_sympy(rates, NUMBERS)
+        return lasting_name(initial_state, (numbers_to_arrays(model),))
+
+    assert name(RATES) is not None
+    assert name(RATES) == name(dict(RATES))
+    assert name(RATES) != name(RATES | {X: V + 1})
+
+
+FUNCTIONS = {
+    "powers": X_0**3 + 1 / X_0 + sp.sqrt(X_0) / X_0**2 + (1 / X_0) ** C + X_0 ** sp.Rational(-3, 2),
+    "trigonometry": sp.sin(X_0) * sp.tan(X_0) + sp.atan2(X_0, C) + sp.asin(X_0 / 9) + sp.sec(X_0) + sp.cot(X_0),
+    "exponentials": sp.exp(-X_0) + sp.log(X_0) + sp.tanh(X_0) + sp.acosh(3 + X_0) + sp.sinh(X_0),
+    "kinks": sp.Abs(X_0 - 3) + sp.Max(X_0, C, 0) + sp.Min(X_0, C) + sp.sign(X_0) + sp.Heaviside(X_0 - C),
+    "pieces": sp.Piecewise((X_0**2, (X_0 > 1) & (X_0 < 2)), (sp.cos(X_0), X_0 > 3), (0, True)),
+    "special": sp.erf(X_0) + sp.erfc(X_0) + sp.loggamma(X_0) + sp.sinc(X_0) + sp.Mod(X_0, C) + sp.floor(X_0),
+    "constants": sp.pi * X_0 + sp.E**2 + sp.Rational(1, 3) + sp.Float("0.1") * X_0 + sp.GoldenRatio,
+    "for real numbers": sp.re(X_0) + sp.conjugate(X_0) + sp.Abs(X_0**2 - C).diff(X_0),
+}
+
+
+@pytest.mark.parametrize("kind", FUNCTIONS)
+@pytest.mark.parametrize("x", [0.7, 1.4, 3.5])
+def test_functions_have_the_values_that_sympy_gives_them(kind, x):
+    program = written("test", [FUNCTIONS[kind]], {X_0: "x", C: "c"})
+    (found,) = program({"x": x, "c": 1.3})
+    real = sp.Symbol("r", real=True)
+    expected = FUNCTIONS[kind].xreplace({X_0: real}).doit().subs({real: x, C: 1.3}).evalf(20)
+    np.testing.assert_allclose(found, float(expected), rtol=1e-13)
+
+
+@pytest.mark.parametrize("number", [1 / 3, -2e20 / 3, 1e-300 / 7, 10**30, sp.Rational(10**40, 7), sp.Float("0.1", 50)])
+def test_numbers_in_expressions_are_kept_to_their_last_bit(number):
+    program = written("test", [number * X_0], {X_0: "x"})
+    assert float(jax.jit(lambda x: program({"x": x})[0])(1.0)) == float(number)
+
+
+def test_zeros_in_outputs_of_plain_states_stay_zero():
+    x, a = sp.symbols("x a")
+    pieces = sp.Piecewise((0, x > -5), (1, True))
+    decay = al.foreign.from_sympy({x: -a * x}, {a: 3.0}, start={x: 1.0}, outputs={"none": pieces, "x": x})
+    found = al.simulate(decay, al.Grid(1.0, 4))
+    np.testing.assert_array_equal(found["none"], np.zeros(5))
+    assert np.ptp(found["x"]) > 0.9
+
+
+def test_formulas_are_a_system_without_time_whose_statistics_are_exact():
+    force, length, modulus = sp.symbols("F L E", positive=True)
+    beam = al.foreign.from_sympy_formulas(
+        {"sag": force * length**3 / (3 * modulus), "moment": force * length},
+        {force: al.Uniform(10.0, half_width=0.5), length: al.Decision(2.0, 1.0, 3.0), modulus: 4.0},
+        units={"moment": "N m"},
+    )
+    sag, moment = al.output("sag"), al.output("moment")
+    solution = al.solve(
+        al.Problem(beam, minimize=sag.mean + sag.std, subject_to=[moment.mean >= 15.0], expansion=al.Expansion(order=1))
+    )
+    assert solution.decisions["L"] == pytest.approx(1.5, rel=1e-6)
+    assert solution.objective == pytest.approx(1.5**3 / 12 * (10 + 0.5 / np.sqrt(3)), rel=1e-6)
+
+
+def test_a_robust_problem_of_a_model_of_sympy_has_the_values_and_derivatives_of_the_model_written_by_hand():
+    def problem(system):
+        x, spring = al.rms("x"), al.path("spring")
+        return al.Problem(
+            system,
+            grid=al.Grid(1.0, 10),
+            inputs=PUSH,
+            minimize=x.mean + x.std,
+            subject_to=[spring.at_most(9.0, sigmas=1.0)],
+            expansion=al.Expansion(order=1),
+        )
+
+    # One uncertain number: of several, the collocation points would follow the order of fields.
+    m, c = 2.0, al.Decision(1.5, 0.1, 20.0)
+    k = al.Uniform(al.Decision(40.0, 20.0, 90.0), half_width=4.0)
+    theirs = problem(oscillator({C: c, K: k, M: m}, outputs={"x": X, "spring": K * X}, start={X: 0.3}))
+    ours = problem(Oscillator(m=m, c=c, k=k, x0=0.3))
+    found, expected = (transcribe(one).program.evaluate(np.array([1.2, 50.0])) for one in (theirs, ours))
+    assert np.abs(expected.jacobian).max() > 0.01
+    for one, other in zip(found, expected, strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-11, atol=1e-12)
