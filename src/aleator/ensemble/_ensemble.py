@@ -19,6 +19,7 @@ from typing_extensions import override
 
 from aleator._core.arrays import Pytree, jax_array
 from aleator._core.errors import ProblemError
+from aleator._core.leaves import named_leaves
 from aleator._core.tracing import Traced, trace_kept
 from aleator.ensemble._batches import Part, each, fill, parts
 from aleator.ensemble._box import AbstractBox, Realisation
@@ -181,7 +182,7 @@ class CalledEnsemble(AbstractEnsemble):
 
     @override
     def _given(self, realised: Pytree) -> Pytree:
-        return as_python(realised)
+        return jax.tree.map(_as_python, realised)
 
     def _call(self, point: Float[Any, " variables"]) -> Pytree:
         outputs = self._at(self._model, self._decisions, point, np)
@@ -204,6 +205,7 @@ class BoxEnsemble(AbstractEnsemble):
     def __init__(self, box: AbstractBox, model: Pytree, places: Placements):
         super().__init__(box, model, places)
         self._box = box
+        self._names = [name for name, _ in named_leaves(model)]
         _refuse_traced(self._name, model)
 
     @override
@@ -216,14 +218,12 @@ class BoxEnsemble(AbstractEnsemble):
         return _stacked([one for one in found if one is not None]), np.array([one is not None for one in found])
 
     def _realisations(self, points: Points, before: int) -> list[Realisation]:
-        return [
-            Realisation(
-                before + i + 1,
-                as_python(realise(self._model, jnp.asarray(point), self._decisions)),
-                inputs_at(self.places, point, self._decisions),
-            )
-            for i, point in enumerate(points)
-        ]
+        return [self._realisation(number, point) for number, point in enumerate(points, before + 1)]
+
+    def _realisation(self, number: int, point: Any) -> Realisation:
+        model = jax.tree.map(_as_python, realise(self._model, jnp.asarray(point), self._decisions))
+        numbers = dict(zip(self._names, jax.tree.leaves(model), strict=True))
+        return Realisation(number, model, {name: float(numbers[name]) for name in self.places.distributions})
 
 
 def ensemble_for(
@@ -252,11 +252,6 @@ def same_shapes(one: Pytree, other: Pytree) -> bool:
     structures = [jax.tree.structure(outputs) for outputs in (one, other)]
     shapes = [[leaf.shape for leaf in jax.tree.leaves(outputs)] for outputs in (one, other)]
     return structures[0] == structures[1] and shapes[0] == shapes[1]
-
-
-def as_python(realised: Pytree) -> Pytree:
-    """A realised model with plain Python or NumPy numbers."""
-    return jax.tree.map(_as_python, realised)
 
 
 def _as_python(leaf: Any) -> Any:

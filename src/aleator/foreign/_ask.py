@@ -2,10 +2,9 @@
 
 import os
 from collections.abc import Mapping, Sequence
-from typing import Any, final
+from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
-import xarray
 from jaxtyping import Float
 from typing_extensions import override
 
@@ -19,8 +18,8 @@ from aleator.foreign._failures import drop_given, most_of, sound, warn_of_droppe
 from aleator.foreign._responses import NUMBER, answers, columns_of
 from aleator.uncertainty import placements
 
-# Where a user's `tell` stands, seen from the warning.
-_CALLER = 7
+if TYPE_CHECKING:
+    import xarray
 
 
 def ask(model: Pytree, expansion: Expansion | None = None) -> "Asked":
@@ -62,8 +61,10 @@ class Asked:
         return len(next(iter(self.points.values())))
 
     @property
-    def dataset(self) -> xarray.Dataset:
+    def dataset(self) -> "xarray.Dataset":
         """The points with dimension `sample`; outputs may be added to it."""
+        import xarray
+
         points = {name: (NUMBER, values) for name, values in self.points.items()}
         return xarray.Dataset(coords=points | {NUMBER: np.arange(1, len(self) + 1)})
 
@@ -138,7 +139,7 @@ class _Told(AbstractBox):
                 f"{self._drop:g} allows {most}{' here' * whole}: first {realisations[first]}, {failures[first]}."
             )
         if failures:
-            warn_of_dropped("the model", realisations, failures, stacklevel=_CALLER)
+            warn_of_dropped("the model", realisations, failures)
         return found
 
 

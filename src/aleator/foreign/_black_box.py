@@ -1,6 +1,5 @@
 """`BlackBox`: any function or command line as the model of an uncertainty analysis."""
 
-import warnings
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from pathlib import Path
@@ -11,15 +10,13 @@ from typing_extensions import override
 from aleator._core import given
 from aleator._core.arrays import Pytree
 from aleator._core.errors import AleatorError, SimulationError, SimulationWarning
+from aleator._core.warned import warn_outside
 from aleator.ensemble import AbstractBox, Realisation, name_of
 from aleator.foreign._campaign import Campaign
 from aleator.foreign._failures import drop_given, most_of, warn_of_dropped
 from aleator.foreign._identity import identity
 from aleator.foreign._journal import Journal
 from aleator.foreign._runs import Runs, executor_given
-
-# Where a user's call stands, seen from the functions of this module that warn.
-_CALLER = 6
 
 
 @final
@@ -85,7 +82,7 @@ class BlackBox(AbstractBox):
                 raise
             raise type(error)(f"{str(error).rstrip('.')}.{self._kept(campaign)}") from error
         if campaign.failures:
-            warn_of_dropped(name_of(self), realisations, campaign.failures, stacklevel=_CALLER)
+            warn_of_dropped(name_of(self), realisations, campaign.failures)
         return campaign.outputs
 
     def _refuse_failures(self, campaign: Campaign, *, whole: bool) -> None:
@@ -111,9 +108,8 @@ class BlackBox(AbstractBox):
     def _warn_of_others(self, campaign: Campaign) -> None:
         count = sum(map(self._journal.is_of_others, campaign.keys))
         if count:
-            warnings.warn(
+            warn_outside(
                 f"The journal {self._journal.path} has {count} of these samples by another box, or by this one before "
                 "its code or command changed: they are not used, and run again.",
                 SimulationWarning,
-                stacklevel=_CALLER,
             )

@@ -14,7 +14,7 @@ import numpy as np
 from aleator._core import given
 from aleator._core.arrays import Pytree
 from aleator._core.errors import ProblemError, SimulationError
-from aleator.foreign._ending import end_group, in_group
+from aleator._core.own_process import end_group, in_group
 
 # A placeholder in an argument, such as {mass}.
 _PLACEHOLDER = re.compile(r"\{([A-Za-z_]\w*)\}")

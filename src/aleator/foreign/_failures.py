@@ -1,7 +1,6 @@
 """Samples that fail: refused, or dropped with a warning on the bias that this may bring."""
 
 import math
-import warnings
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -11,6 +10,7 @@ import numpy as np
 from aleator._core.arrays import Pytree
 from aleator._core.errors import ProblemError, SimulationError, SimulationWarning
 from aleator._core.given import real, refusal
+from aleator._core.warned import warn_outside
 from aleator.ensemble import Realisation, as_outputs, same_shapes
 
 # Inputs of the dropped samples are named where these lie within this part of the range of all samples.
@@ -62,20 +62,17 @@ def _shapes(outputs: Pytree) -> str:
     return ", ".join(f"{name!r} of shape {shape}" if name else f"an array of shape {shape}" for name, shape in texts)
 
 
-def warn_of_dropped(
-    name: str, realisations: Sequence[Realisation], failures: Mapping[int, str], *, stacklevel: int
-) -> None:
+def warn_of_dropped(name: str, realisations: Sequence[Realisation], failures: Mapping[int, str]) -> None:
     """Warn that samples were dropped: how many, why the first one, and where they lie among all.
 
     `failures`: the reasons, by index into the realisations.
     """
     first = min(failures)
-    warnings.warn(
+    warn_outside(
         f"{len(failures)} of {len(realisations)} samples of {name} failed and were dropped, first {realisations[first]}"
         f": {failures[first]}. {_whereabouts(realisations, list(failures))} Statistics may be biased: they describe "
         "the inputs at which it works, and an expansion extrapolates to the others.",
         SimulationWarning,
-        stacklevel=stacklevel,
     )
 
 

@@ -1,16 +1,15 @@
 """`Isolated`: a function each of whose calls has a process of its own, which can be ended."""
 
 import multiprocessing
-import os
 from collections.abc import Callable
 from dataclasses import dataclass
-from multiprocessing.connection import Connection
 from typing import Any, final
 
 from aleator._core import given
 from aleator._core.arrays import Pytree
 from aleator._core.errors import SimulationError
-from aleator.foreign._ending import end_group
+from aleator._core.own_process import end_group, report
+
 
 
 @final
@@ -20,7 +19,7 @@ class Isolated:
 
     A function that hangs in a thread or in the process of an executor cannot be ended without ending the others there.
     Here it can: `BlackBox(al.foreign.Isolated(simulate, time_limit=60.0), executor=ThreadPoolExecutor(4))`. The price
-    is the start of a process for each call, some seconds of Python, this package and the function's own imports.
+    is the start of a process for each call, which takes a second or more: Python, JAX and the function's own imports.
 
     - `function`: stands at the top level of a module, so that the process finds it. In a script, whatever is not a
       definition belongs under `if __name__ == "__main__":`;
@@ -47,7 +46,7 @@ class Isolated:
         """The outputs of the function at one realisation."""
         context = multiprocessing.get_context("spawn")
         receiver, sender = context.Pipe(duplex=False)
-        process = context.Process(target=_report, args=(sender, self.function, realised))
+        process = context.Process(target=report, args=(sender, self.function, realised))
         process.start()
         sender.close()
         try:
@@ -63,16 +62,6 @@ class Isolated:
         if raised is not None:
             raise SimulationError(f"it raised {raised}")
         return returned
-
-
-def _report(sender: Connection, function: Callable[[Any], Pytree], realised: Pytree) -> None:
-    """In the process: call the function and send what it returns, or what it raises as text."""
-    if os.name != "nt":
-        os.setsid()
-    try:
-        sender.send((function(realised), None))
-    except Exception as error:
-        sender.send((None, f"{type(error).__name__}: {error}"))
 
 
 def _end(process: Any) -> None:

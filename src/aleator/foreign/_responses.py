@@ -7,7 +7,6 @@ from typing import Any
 
 import jax
 import numpy as np
-import xarray
 from jaxtyping import Float, Int
 
 from aleator._core import given
@@ -30,7 +29,7 @@ def columns_of(responses: Any, inputs: list[str]) -> Pytree:
     """Responses in any form as a dict of arrays with a row for each sample, or as one array."""
     if isinstance(responses, str | os.PathLike):
         return _required(str(responses), _from_table(responses), inputs)
-    if isinstance(responses, xarray.Dataset):
+    if hasattr(responses, "data_vars"):
         return _required("tell: the dataset", _from_dataset(responses), inputs)
     if isinstance(responses, Mapping):
         return {name: _rows_of(f"tell: {name!r}", values) for name, values in responses.items()}
@@ -111,7 +110,8 @@ def _rows_of(what: str, values: Any) -> np.ndarray:
     return array
 
 
-def _from_dataset(dataset: xarray.Dataset) -> dict[str, np.ndarray]:
+def _from_dataset(dataset: Any) -> dict[str, np.ndarray]:
+    """The variables and coordinates of an `xarray.Dataset`, whose library takes long to import."""
     columns = {}
     for name, values in dataset.variables.items():
         if NUMBER not in values.dims:

@@ -1,8 +1,14 @@
-"""Processes that can be ended with all those that they started."""
+"""Processes that can be ended with all those that they started.
+
+A process that only runs a user's function imports this module and none of the parts of the package that are slow to
+import.
+"""
 
 import os
 import signal
 import subprocess
+from collections.abc import Callable
+from multiprocessing.connection import Connection
 from typing import Any
 
 
@@ -20,3 +26,13 @@ def end_group(process: int) -> None:
         os.killpg(process, signal.SIGKILL)
     except ProcessLookupError:
         return
+
+
+def report(sender: Connection, function: Callable[[Any], Any], argument: Any) -> None:
+    """In a process of its own: call a function and send what it returns, or what it raises as text."""
+    if os.name != "nt":
+        os.setsid()
+    try:
+        sender.send((function(argument), None))
+    except Exception as error:
+        sender.send((None, f"{type(error).__name__}: {error}"))
