@@ -29,6 +29,7 @@ CHECKED = [
         "design",
         "nlp",
         "ensemble",
+        "foreign",
         "transcription",
         "solving",
         "validation",

@@ -39,6 +39,7 @@ NOT_CALLED = {
     "SimulationWarning",
     "Certificate",
     "Checked",
+    "Asked",
     "AtMeans",
     "Closure",
     "Costates",

@@ -1,6 +1,7 @@
 """Black boxes against the same functions called directly, bit by bit; and what becomes of samples that fail."""
 
 import json
+import math
 import multiprocessing
 import os
 import re
@@ -10,14 +11,14 @@ import sys
 import textwrap
 import threading
 import warnings
-from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import aleator as al
-import boxes
+import black_boxes as boxes
 from tiny_models import Decay
 
 TWO = {"x": al.Uniform.bounds(-1.0, 1.0), "z": al.Uniform.bounds(1.0, 3.0)}
@@ -252,6 +253,29 @@ def test_methods_with_derivatives_refuse_boxes():
             method(al.foreign.BlackBox(boxes.smooth), TWO)
 
 
+def test_a_function_may_change_what_it_is_given():
+    def moody(at):
+        first = at["x"] not in seen
+        seen.add(at["x"])
+        at["x"] = at["x"] + 1.0
+        at["table"] += 1.0
+        if first:
+            raise OSError("no licence")
+        return at["x"] + at["table"].sum()
+
+    seen = set()
+    model = TWO | {"table": np.zeros(2)}
+    found = al.expand(al.foreign.BlackBox(moody, retries=1), model, ORDER)
+    assert float(found.mean) == pytest.approx(3.0)
+    assert float(found.std) == pytest.approx(1 / np.sqrt(3))
+
+
+@pytest.mark.parametrize("function", [al.foreign.Command(["program", "{x}", "{z}"]), al.foreign.Isolated(boxes.smooth)])
+def test_what_leaves_this_process_is_not_traced_and_says_so(function):
+    with pytest.raises(al.ProblemError, match=r"wrap it, al\.foreign\.BlackBox\((Command|Isolated)"):
+        al.expand(function, TWO)
+
+
 # --- Journals --------------------------------------------------------------------------------------------------------
 
 
@@ -279,7 +303,7 @@ KILLED = """
 import os, signal, sys
 sys.path.insert(0, {folder!r})
 import aleator as al
-import boxes
+import black_boxes as boxes
 
 calls = []
 
@@ -299,7 +323,7 @@ print(len(calls), float(expanded["y"].mean).hex())
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no SIGKILL")
 def test_a_process_that_is_killed_loses_no_finished_sample(tmp_path):
     script = tmp_path / "analysis.py"
-    script.write_text(KILLED.format(folder=str(Path(__file__).parent)))
+    script.write_text(KILLED.format(folder=str(Path(__file__).parents[1])))
 
     def run():
         return subprocess.run([sys.executable, script.name], cwd=tmp_path, capture_output=True, text=True)
@@ -401,12 +425,10 @@ def test_an_executor_that_is_shut_down_is_refused():
 def test_an_executor_that_cancels_its_work_is_broken():
     class Cancelling(Executor):
         def submit(self, fn, /, *args, **kwargs):
-            future = super_future()
+            future = Future()
             future.cancel()
             future.set_running_or_notify_cancel()
             return future
-
-    from concurrent.futures import Future as super_future
 
     assert "it cancelled its work" in refused(al.foreign.BlackBox(boxes.smooth, executor=Cancelling()))
 
@@ -491,8 +513,6 @@ def script(tmp_path, monkeypatch):
 
 def exponential(at):
     """The function of the scripts, by the same library."""
-    import math
-
     return {"y": math.exp(at["x"]) * at["z"], "v": np.array([at["x"], at["z"] ** 2, 1.0])}
 
 
@@ -523,9 +543,7 @@ def test_inputs_reach_a_command_with_all_their_digits(script):
 
 
 def test_arrays_reach_a_command_by_its_input_file(script):
-    command = script(
-        'import json; print(sum(map(sum, json.load(open("in.json"))["table"])))', input_file="in.json"
-    )
+    command = script('import json; print(sum(map(sum, json.load(open("in.json"))["table"])))', input_file="in.json")
     assert command({"table": np.array([[1.0, 2.0], [3.0, 4.0]]), "name": "a text"}) == 10.0
 
 
@@ -534,7 +552,7 @@ def test_arrays_reach_a_command_by_its_input_file(script):
     [
         ("print('all is well')", "expected JSON in its standard output; received 'all is well'"),
         ("pass", "expected JSON in its standard output; received nothing"),
-        ("print('{\"y\": \"fast\"}')", "the output 'y': expected numbers; received 'fast'"),
+        ('print(\'{"y": "fast"}\')', "the output 'y': expected numbers; received 'fast'"),
         ("print('{\"y\": [1, [2]]}')", "the output 'y': expected numbers"),
         ("print('{\"y\": null}')", "the output 'y': expected numbers; received None"),
         ("print('{\"y\": true}')", "the output 'y': expected numbers; received True"),
@@ -608,6 +626,33 @@ def test_a_command_that_hangs_is_ended_with_its_children(script, tmp_path):
     assert "failed at sample 1 (x=-0.966667, z=2): it was ended after its time limit of 2 s" in message
     with lock.open("w") as file:
         fcntl.flock(file, fcntl.LOCK_EX)  # waits for the child, unless it has been ended
+    assert not survived.exists()
+
+
+WAITING = """
+import time
+open({begun!r}, "w").close()
+time.sleep(100)
+open({survived!r}, "w")
+"""
+
+
+@pytest.mark.skipif(os.name == "nt", reason="pipes with names are POSIX's")
+def test_ctrl_c_ends_the_commands_that_threads_wait_for(script, tmp_path, python_interrupts):
+    begun, survived = tmp_path / "begun", tmp_path / "survived"
+    os.mkfifo(begun)
+    box = al.foreign.BlackBox(
+        script(WAITING.format(begun=str(begun), survived=str(survived)), "{x}", "{z}"), executor=ThreadPoolExecutor(1)
+    )
+
+    def interrupt():
+        begun.open().close()  # waits for the script
+        os.kill(os.getpid(), signal.SIGINT)
+
+    threading.Thread(target=interrupt).start()
+    with pytest.raises(KeyboardInterrupt):
+        al.expand(box, TWO, ORDER)
+    box._executor.shutdown()
     assert not survived.exists()
 
 

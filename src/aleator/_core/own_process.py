@@ -7,9 +7,13 @@ import.
 import os
 import signal
 import subprocess
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from multiprocessing.connection import Connection
 from typing import Any
+
+# The processes that threads of this one are waiting for.
+_RUNNING: set[int] = set()
 
 
 def in_group() -> dict[str, Any]:
@@ -26,6 +30,24 @@ def end_group(process: int) -> None:
         os.killpg(process, signal.SIGKILL)
     except ProcessLookupError:
         return
+
+
+@contextmanager
+def ended_with(process: int, is_over: Callable[[], bool]) -> Iterator[None]:
+    """End a process that leads a group if the block is left before it `is_over`, or if `end_running` is called."""
+    _RUNNING.add(process)
+    try:
+        yield
+    finally:
+        _RUNNING.discard(process)
+        if not is_over():
+            end_group(process)
+
+
+def end_running() -> None:
+    """End all processes that threads of this one are waiting for: an interrupt reaches neither of them."""
+    for process in list(_RUNNING):
+        end_group(process)
 
 
 def report(sender: Connection, function: Callable[[Any], Any], argument: Any) -> None:

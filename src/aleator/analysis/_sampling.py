@@ -28,9 +28,7 @@ class Sampler:
         model = numbers_to_arrays(model) if traced else model
         ensemble = ensemble_for(function, model, self.places, traced=traced)
         self._box = ensemble if isinstance(ensemble, BoxEnsemble) else None
-        self._outputs: Callable[[Any], Pytree] = (
-            ensemble if isinstance(ensemble, TracedEnsemble) else _Once(ensemble)
-        )
+        self._outputs: Callable[[Any], Pytree] = ensemble if isinstance(ensemble, TracedEnsemble) else _Once(ensemble)
 
     @property
     def distributions(self) -> dict[str, AbstractDistribution]:

@@ -1,7 +1,9 @@
 """`ask`: the points of an expansion, to be answered by whoever has the model."""
 
+import csv
 import os
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
@@ -37,11 +39,16 @@ def ask(model: Pytree, expansion: Expansion | None = None) -> "Asked":
     places = placements(model)
     if not places.distributions:
         raise given.refusal("ask: the model", "distributions in it, such as al.Uniform.bounds(0.9, 1.1)", model)
+    if NUMBER in places.distributions:
+        raise ProblemError(f"ask: {NUMBER!r} is the name of the samples' numbers; expected another name of the input.")
     expansion = expansion or Expansion()
     _, nodes = candidate_terms(places.germs, expansion)
     decisions = jax_array(places.vector("initial"))
     rows = [inputs_at(places, point, decisions) for point in nodes.points]
-    return Asked(model, expansion, {name: np.array([row[name] for row in rows]) for name in places.distributions})
+    points = {name: np.array([row[name] for row in rows]) for name in places.distributions}
+    for values in points.values():
+        values.setflags(write=False)
+    return Asked(model, expansion, points)
 
 
 @final
@@ -73,12 +80,12 @@ class Asked:
 
         Raises `ProblemError` if the file cannot be written.
         """
-        header = ",".join([NUMBER, *self.points])
         rows = zip(*(values.tolist() for values in self.points.values()), strict=True)
-        lines = [",".join([str(i), *map(repr, row)]) for i, row in enumerate(rows, 1)]
         try:
-            with open(path, "w", encoding="utf-8") as file:  # noqa: PTH123
-                file.write("\n".join([header, *lines, ""]))
+            with Path(path).open("w", encoding="utf-8", newline="") as file:
+                table = csv.writer(file, lineterminator="\n")
+                table.writerow([NUMBER, *self.points])
+                table.writerows([number, *row] for number, row in enumerate(rows, 1))
         except TypeError as error:
             raise given.refusal("write_csv", "the path of a file", path) from error
         except OSError as error:

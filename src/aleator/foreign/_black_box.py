@@ -10,6 +10,7 @@ from typing_extensions import override
 from aleator._core import given
 from aleator._core.arrays import Pytree
 from aleator._core.errors import AleatorError, SimulationError, SimulationWarning
+from aleator._core.own_process import end_running
 from aleator._core.warned import warn_outside
 from aleator.ensemble import AbstractBox, Realisation, name_of
 from aleator.foreign._campaign import Campaign
@@ -77,10 +78,12 @@ class BlackBox(AbstractBox):
                 campaign.take(ended, runs)
                 self._refuse_failures(campaign, whole=whole)
         except BaseException as error:
+            if not isinstance(error, Exception):
+                end_running()
             campaign.take(one for one in runs.close() if one.error is None)
             if not isinstance(error, AleatorError):
                 raise
-            raise type(error)(f"{str(error).rstrip('.')}.{self._kept(campaign)}") from error
+            raise type(error)(f"{str(error).rstrip('.')}.{self._kept(campaign)}") from error.__cause__
         if campaign.failures:
             warn_of_dropped(name_of(self), realisations, campaign.failures)
         return campaign.outputs

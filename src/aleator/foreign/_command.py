@@ -14,7 +14,8 @@ import numpy as np
 from aleator._core import given
 from aleator._core.arrays import Pytree
 from aleator._core.errors import ProblemError, SimulationError
-from aleator._core.own_process import end_group, in_group
+from aleator._core.own_process import ended_with, in_group
+from aleator.foreign._runs import refuse_traced
 
 # A placeholder in an argument, such as {mass}.
 _PLACEHOLDER = re.compile(r"\{([A-Za-z_]\w*)\}")
@@ -85,6 +86,7 @@ class Command:
             return _numbers(self._text(folder, output), self.output_file or "its standard output")
 
     def _refuse_unfit(self, inputs: Any) -> None:
+        refuse_traced(self, inputs)
         if not isinstance(inputs, Mapping):
             raise given.refusal("Command: its model", "a dict of inputs by name", inputs)
         names = {str(name) for name in inputs}
@@ -104,14 +106,11 @@ class Command:
                 )
             except OSError as error:
                 raise ProblemError(f"Command: {arguments[0]} cannot be run ({error.strerror}).") from error
-            try:
-                code = process.wait(self.time_limit)
-            except subprocess.TimeoutExpired as error:
-                raise SimulationError(f"it was ended after its time limit of {self.time_limit:g} s") from error
-            finally:
-                if process.returncode is None:
-                    end_group(process.pid)
-                    process.wait()
+            with process, ended_with(process.pid, lambda: process.returncode is not None):
+                try:
+                    code = process.wait(self.time_limit)
+                except subprocess.TimeoutExpired as error:
+                    raise SimulationError(f"it was ended after its time limit of {self.time_limit:g} s") from error
             if code:
                 raise SimulationError(f"it ended with exit code {code}; {_end_of(errors)}")
 

@@ -3,13 +3,15 @@
 import multiprocessing
 from collections.abc import Callable
 from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
 from typing import Any, final
 
 from aleator._core import given
 from aleator._core.arrays import Pytree
 from aleator._core.errors import SimulationError
-from aleator._core.own_process import end_group, report
-
+from aleator._core.own_process import ended_with, report
+from aleator.foreign._runs import refuse_traced
 
 
 @final
@@ -44,28 +46,27 @@ class Isolated:
 
     def __call__(self, realised: Pytree) -> Pytree:
         """The outputs of the function at one realisation."""
+        refuse_traced(self, realised)
         context = multiprocessing.get_context("spawn")
         receiver, sender = context.Pipe(duplex=False)
         process = context.Process(target=report, args=(sender, self.function, realised))
         process.start()
         sender.close()
         try:
-            if not receiver.poll(self.time_limit):
-                raise SimulationError(f"it was ended after its time limit of {self.time_limit:g} s")
-            returned, raised = receiver.recv()
-        except EOFError as error:
-            process.join()
-            raise SimulationError(f"its process ended by itself, with exit code {process.exitcode}") from error
+            with receiver, ended_with(process.pid or 0, lambda: not process.is_alive()):
+                returned, raised = self._received(receiver, process)
         finally:
-            _end(process)
-            receiver.close()
+            process.kill()  # It may not have begun to lead a group.
+            process.join()
         if raised is not None:
             raise SimulationError(f"it raised {raised}")
         return returned
 
-
-def _end(process: Any) -> None:
-    if process.is_alive():
-        end_group(process.pid)
-        process.kill()  # It may not have begun to lead a group.
-    process.join()
+    def _received(self, receiver: Connection, process: BaseProcess) -> tuple[Pytree, str | None]:
+        if not receiver.poll(self.time_limit):
+            raise SimulationError(f"it was ended after its time limit of {self.time_limit:g} s")
+        try:
+            return receiver.recv()
+        except EOFError as error:
+            process.join()
+            raise SimulationError(f"its process ended by itself, with exit code {process.exitcode}") from error

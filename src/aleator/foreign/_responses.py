@@ -67,7 +67,7 @@ def _numbers(values: np.ndarray, count: int) -> Int[np.ndarray, " rows"]:
     """The samples of rows as indices from 0 on."""
     whole = np.isfinite(values) & (values == np.round(values)) & (values >= 1) & (values <= count)
     if values.ndim != 1 or not whole.all():
-        bad = values if values.ndim != 1 else values[~whole][0]
+        bad = values if values.ndim != 1 else float(values[~whole][0])
         raise given.refusal(f"tell: {NUMBER!r}", f"the numbers of samples from 1 to {count}", bad)
     found, times = np.unique(values, return_counts=True)
     if (times > 1).any():
@@ -88,9 +88,9 @@ def _refuse_changed(points: Mapping[str, np.ndarray], named: Mapping[str, np.nda
         if wrong.any():
             row = int(np.argmax(wrong))
             raise ProblemError(
-                f"tell: expected {name} = {expected[row]!r} at sample {numbers[row] + 1}, as asked; received "
-                f"{received[row]!r} ({np.count_nonzero(wrong)} of {len(wrong)} rows differ). Were points changed or "
-                "rows reordered? Ask again, or answer the points that were asked."
+                f"tell: expected {name} = {float(expected[row])!r} at sample {numbers[row] + 1}, as asked; received "
+                f"{float(received[row])!r} ({np.count_nonzero(wrong)} of {len(wrong)} rows differ). Were points "
+                "changed or rows reordered? Ask again, or answer the points that were asked."
             )
 
 

@@ -6,20 +6,24 @@ from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future
 from pickle import PicklingError
 from typing import Any, NamedTuple, final
 
+import jax
+import numpy as np
 from typing_extensions import override
 
 from aleator._core.arrays import Pytree
 from aleator._core.errors import ProblemError, SimulationError
 from aleator._core.given import refusal
+from aleator._core.leaves import is_traced
+from aleator.ensemble import name_of
 
 # Runs that an executor is given at a time: enough for all its workers, and few to cancel.
 _IN_FLIGHT = 256
 
 
 class Ended(NamedTuple):
-    """A run that has ended: the index of its sample, and what it returned or the exception that it raised."""
+    """A run that has ended: the place of its sample among all, and what it returned or the exception that it raised."""
 
-    index: int
+    place: int
     returned: Any
     error: BaseException | None
 
@@ -65,7 +69,7 @@ class Runs:
         while self._queue and len(self._flying) < self._width:
             index = self._queue.popleft()
             try:
-                self._flying[self._executor.submit(self._function, self._models[index])] = index
+                self._flying[self._executor.submit(self._function, _fresh(self._models[index]))] = index
             except BrokenExecutor as error:
                 return _broken(error)
             except RuntimeError as error:
@@ -87,6 +91,18 @@ class _Here(Executor):
         return future
 
 
+def refuse_traced(function: Callable[[Pytree], Pytree], realised: Pytree) -> None:
+    """Raise `ProblemError` for a function that leaves this process if JAX traces it."""
+    if is_traced(realised):
+        kind = type(function).__name__
+        raise ProblemError(f"{name_of(function)} cannot be traced by JAX: wrap it, al.foreign.BlackBox({kind}(...)).")
+
+
+def _fresh(model: Pytree) -> Pytree:
+    """A model with containers and arrays of its own, which a function may change."""
+    return jax.tree.map(lambda leaf: leaf.copy() if isinstance(leaf, np.ndarray) else leaf, model)
+
+
 def executor_given(executor: Any) -> Executor | None:
     """A checked executor. Forked processes are refused, because the threads of JAX do not survive a fork."""
     if executor is None:
@@ -96,8 +112,8 @@ def executor_given(executor: Any) -> Executor | None:
     context = getattr(executor, "_mp_context", None)
     if context is not None and context.get_start_method() == "fork":
         raise ProblemError(
-            "BlackBox: executor: expected one whose processes are spawned, because forked ones can hang with JAX; write "
-            'ProcessPoolExecutor(mp_context=multiprocessing.get_context("spawn")).'
+            "BlackBox: executor: expected one whose processes are spawned, because forked ones can hang with JAX; "
+            'write ProcessPoolExecutor(mp_context=multiprocessing.get_context("spawn")).'
         )
     return executor
 

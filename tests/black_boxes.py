@@ -51,8 +51,6 @@ def rod(at):
     def hanging_down(t, state):
         return state[0]
 
-    found = solve_ivp(
-        rates, (0.0, DURATION), (RELEASE, 0.0), "DOP853", events=hanging_down, rtol=1e-11, atol=1e-12
-    )
+    found = solve_ivp(rates, (0.0, DURATION), (RELEASE, 0.0), "DOP853", events=hanging_down, rtol=1e-11, atol=1e-12)
     passages = found.t_events[0]
     return {"period": passages[2] - passages[0], "angle": found.y[0, -1]}
