@@ -29,7 +29,6 @@ CHECKED = [
         "design",
         "nlp",
         "ensemble",
-        "foreign",
         "transcription",
         "solving",
         "validation",

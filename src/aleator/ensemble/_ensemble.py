@@ -174,7 +174,7 @@ class CalledEnsemble(AbstractEnsemble):
     def __init__(self, function: Function, model: Pytree, places: Placements):
         super().__init__(function, model, places)
         self._first: Pytree = None
-        _refuse_traced(self._name, model)
+        _refuse_traced(model, f"{self._name} is called with plain numbers (traced=False)")
 
     @override
     def _of_size(self, size: int) -> Callable[[Points, int], Pytree]:
@@ -206,7 +206,7 @@ class BoxEnsemble(AbstractEnsemble):
         super().__init__(box, model, places)
         self._box = box
         self._names = [name for name, _ in named_leaves(model)]
-        _refuse_traced(self._name, model)
+        _refuse_traced(model, f"{self._name} is a black box")
 
     @override
     def _of_size(self, size: int) -> Callable[[Points, int], Pytree]:
@@ -239,12 +239,9 @@ def _stacked(outputs: list[Pytree]) -> Pytree:
     return jax.tree.map(lambda *values: np.stack(values), *outputs)
 
 
-def _refuse_traced(name: str, model: Pytree) -> None:
+def _refuse_traced(model: Pytree, why: str) -> None:
     if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(model)):
-        raise ProblemError(
-            f"{name} is called with plain numbers (traced=False), so nothing can be differentiated or "
-            "compiled through it. Write it with jax.numpy and drop traced=False."
-        )
+        raise ProblemError(f"{why}, so nothing can be differentiated or compiled through it. Write it with jax.numpy.")
 
 
 def same_shapes(one: Pytree, other: Pytree) -> bool:

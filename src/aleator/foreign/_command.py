@@ -78,7 +78,9 @@ class Command:
     def __call__(self, inputs: Mapping[str, Any]) -> Pytree:
         """The outputs of one run."""
         self._refuse_unfit(inputs)
-        with tempfile.TemporaryDirectory(prefix="aleator-") as name, tempfile.TemporaryFile() as output:
+        # What a process that was ended still holds open must not hide why it was.
+        own_folder = tempfile.TemporaryDirectory(prefix="aleator-", ignore_cleanup_errors=True)
+        with own_folder as name, tempfile.TemporaryFile() as output:
             folder = Path(name)
             if self.input_file is not None:
                 (folder / self.input_file).write_text(json.dumps(_as_json(inputs)), encoding="utf-8")
@@ -135,8 +137,8 @@ def _filled(argument: str, inputs: Mapping[str, Any]) -> str:
 
 def _as_text(name: str, value: Any) -> str:
     """A number with all its digits, or a text."""
-    if np.ndim(value):
-        raise given.refusal(f"Command: {{{name}}}", "one number; write arrays into an input_file", value)
+    if isinstance(value, Mapping) or np.ndim(value):
+        raise given.refusal(f"Command: {{{name}}}", "one number; arrays and dicts need an input_file", value)
     return str(_as_json(value))
 
 
@@ -152,7 +154,7 @@ def _as_json(value: Any) -> Any:
 
 def _end_of(errors: IO[bytes]) -> str:
     """The end of what a program wrote to stderr."""
-    errors.seek(0)
+    errors.seek(max(0, errors.seek(0, 2) - 10 * _SHOWN))
     lines = [line.strip() for line in errors.read().decode(errors="replace").splitlines() if line.strip()]
     return f"its stderr ends with: {' / '.join(lines[-3:])[-_SHOWN:]}" if lines else "its stderr is empty"
 

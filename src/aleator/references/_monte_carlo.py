@@ -36,7 +36,8 @@ def monte_carlo(
     """Evaluate a function at random inputs: `al.references.monte_carlo(f, {"w": al.Uniform.bounds(0.9, 1.1)})`.
 
     - `function`: takes the model with plain numbers in the place of its distributions and returns an array or a dict of
-      arrays (any pytree of them);
+      arrays (any pytree of them); or an `al.foreign.BlackBox`, which may drop samples that fail, and whose samples are
+      run in one batch;
     - `model`: a dict or any other pytree with distributions in it, such as a `System`. Decisions are held at their
       initial values;
     - `traced`: False calls the function with plain numbers, point by point, if JAX cannot trace it;
