@@ -159,6 +159,15 @@ def test_an_input_that_there_is_not_ends_at_once_whatever_may_be_dropped():
     assert counted.calls == 1
 
 
+def test_a_key_that_the_function_itself_lacks_fails_one_sample_alone():
+    def looked_up(at):
+        return {True: boxes.smooth(at)}[at["x"] < 0.95]
+
+    assert "it raised KeyError: False" in refused(al.foreign.BlackBox(looked_up))
+    with pytest.warns(al.SimulationWarning, match="1 of 30 samples"):
+        al.expand(al.foreign.BlackBox(looked_up, drop=0.05), TWO, ORDER)
+
+
 def test_a_sample_that_fails_once_is_run_again():
     seen = set()
 

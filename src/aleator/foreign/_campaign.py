@@ -84,8 +84,11 @@ class Campaign:
         """The error that ends all runs if a run raised `error`."""
         if error is None:
             return None
-        if isinstance(error, Exception) and (missing := absent(error, self.realisations[index].model)):
-            return ProblemError(f"{self.name} asks for {missing}.")
+        # Once samples have finished, a key that is missing is one of the function's own.
+        if self._first is None and isinstance(error, Exception):
+            missing = absent(error, self.realisations[index].model)
+            if missing:
+                return ProblemError(f"{self.name} asks for {missing}.")
         return error if isinstance(error, ProblemError) or not isinstance(error, Exception) else None
 
 
