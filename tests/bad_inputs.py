@@ -628,6 +628,45 @@ _STUDIES: dict[str, tuple[Callable[..., Any], dict[str, Any], dict[str, Mapping[
             "model": {"no distribution": Told({"a": 1.0, "b": 2.0}, "nothing in the model is uncertain")},
         },
     ),
+    "BlackBox": (
+        al.foreign.BlackBox,
+        {"function": product},
+        {
+            "function": FUNCTION,
+            "executor": NO_OBJECT,
+            "retries": WHOLE,
+            "drop": without(NUMBER, "nothing in an array") | {"negative": -0.1, "half": 0.5},
+            "journal": {"number": 3.5, "list": ["x"], "object": Thing(), "function": math.sin, "empty": ""},
+        },
+    ),
+    "Command": (
+        al.foreign.Command,
+        {"arguments": ["python", "{a}"]},
+        {
+            "arguments": {"nothing": None, "text": "python {a}", "number": 3.5, "numbers": [1.0], "none": []},
+            "input_file": without(NAME, "nothing") | {"in a folder": "in/x.json"},
+            "output_file": without(NAME, "nothing") | {"in a folder": "out/x.json"},
+            "time_limit": without(POSITIVE, "nothing"),
+        },
+    ),
+    "Isolated": (
+        al.foreign.Isolated,
+        {"function": product},
+        {"function": FUNCTION, "time_limit": without(POSITIVE, "nothing")},
+    ),
+    "ask": (
+        al.foreign.ask,
+        {"model": TWO},
+        {"model": {"no distribution": {"a": 1.0}}, "expansion": NO_OBJECT},
+    ),
+    "tell": (
+        lambda responses, **others: al.foreign.ask(TWO).tell(responses, **others),
+        {"responses": {"y": np.zeros(30)}},
+        {
+            "responses": {"nothing": None, "number": 3.5, "object": Thing(), "file": "nobody.csv", "few": [1.0, 2.0]},
+            "drop": without(NUMBER, "nothing in an array") | {"negative": -0.1, "half": 0.5},
+        },
+    ),
     "monte_carlo": (
         al.references.monte_carlo,
         {"function": product, "model": TWO},

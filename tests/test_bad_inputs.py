@@ -40,6 +40,7 @@ NOT_CALLED = {
     "SimulationWarning",
     "Certificate",
     "Checked",
+    "Asked",
     "AtMeans",
     "Closure",
     "Costates",

@@ -41,7 +41,7 @@ class GridWarning(AleatorWarning):
 
 
 class SimulationWarning(AleatorWarning):
-    """A simulation's outputs are not finite; the message names the first of them, the time, and why if known."""
+    """Outputs of a simulation are not finite, or samples of a black box were dropped; the message names the first."""
 
 
 class CalibrationWarning(AleatorWarning):

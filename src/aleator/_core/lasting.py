@@ -84,6 +84,27 @@ def joined(texts: Iterable[str]) -> str:
     return hashlib.sha256("\0".join(texts).encode(errors="surrogatepass")).hexdigest()
 
 
+def code_digest(function: Callable[..., Any]) -> str:
+    """A digest of a user's function, equal in other processes: its name, its code and all that this reads.
+
+    What the code reads is left out where it cannot be written out.
+    """
+    name = f"{getattr(function, '__module__', '')}.{getattr(function, '__qualname__', type(function).__qualname__)}"
+    try:
+        parts = list(_read(read_code(function)))
+    except Exception:  # besides doubts: a user's object may raise any if it is looked at
+        parts = _own_code(function)
+    return hashlib.sha256("\0".join([name, *parts]).encode(errors="surrogatepass")).hexdigest()
+
+
+def _own_code(function: Callable[..., Any]) -> list[str]:
+    """The code of a function without what it reads; nothing if it has none that can be written out."""
+    try:
+        return list(_code(function.__code__))  # type: ignore[attr-defined]
+    except Exception:
+        return []
+
+
 def _surroundings() -> str:
     """All else that a program depends on: settings of JAX, Equinox and XLA, devices, and libraries that trace it."""
     if jax.device_count() > 1:

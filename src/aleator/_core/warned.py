@@ -1,4 +1,4 @@
-"""Warnings of many solves, each with the name of the one that it speaks of."""
+"""Warnings at the line that the package was called from, each of many solves with the name of the one it speaks of."""
 
 import contextlib
 import sys
@@ -29,6 +29,11 @@ def warned_of(where: str) -> Iterator[None]:
                 warnings.warn_explicit(f"{where}: {one.message}", one.category, *_caller())
             else:
                 warnings.warn_explicit(one.message, one.category, one.filename, one.lineno)
+
+
+def warn_outside(message: str, category: type[AleatorWarning]) -> None:
+    """Warn at the line outside of this package from which it was called, however deep within it this happens."""
+    warnings.warn_explicit(message, category, *_caller())
 
 
 def _caller() -> tuple[str, int]:

@@ -28,6 +28,7 @@ from aleator.expansion import (
     Discretisation,
     Expansion,
     Sparse,
+    at_fewer_points,
     collocate,
     resolved_instants,
 )
@@ -57,7 +58,7 @@ def expand(
     """Expand a function of uncertain inputs: `al.expand(f, {"w": al.Normal(1.0, 0.1)}, al.Expansion(order=10))`.
 
     - `function`: takes the model with plain numbers in the place of its distributions and returns an array or a dict of
-      arrays (any pytree of them);
+      arrays (any pytree of them); or an `al.foreign.BlackBox`;
     - `model`: a dict of distributions or any other pytree with distributions in it, such as a `System`. Decisions are
       held at their initial values;
     - `expansion`: order, index set, points and fit, default `Expansion()`; or `MultiElement()` for responses with jumps
@@ -81,7 +82,9 @@ def expand(
         raise ProblemError(f"expand: expected an Expansion or a MultiElement; received {expansion!r}.")
     expansion = expansion or Expansion()
     basis, collocation = _discretised(sampler, expansion)
-    samples = sampler.samples(collocation.points)
+    samples, kept = sampler.kept(collocation.points)
+    if not kept.all():
+        collocation = at_fewer_points(basis, collocation, expansion.fit, kept)
     coefficients = jax.tree.map(collocation.coefficients, samples)
     expanded = Expanded(sampler.distributions, basis, coefficients, collocation, samples, expansion.tolerance)
     _warn_of_doubts(expanded, collocation, times)

@@ -5,11 +5,11 @@ from typing import Any, final
 
 import jax
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from aleator._core.arrays import Pytree, jax_array, numbers_to_arrays
 from aleator.analysis._inputs import plain
-from aleator.ensemble import CalledEnsemble, Function, TracedEnsemble, uncertain_places
+from aleator.ensemble import BoxEnsemble, CalledEnsemble, Function, TracedEnsemble, ensemble_for, uncertain_places
 from aleator.uncertainty import AbstractDistribution
 
 
@@ -25,11 +25,10 @@ class Sampler:
 
     def __init__(self, function: Function, model: Pytree, *, traced: bool):
         self.places = uncertain_places("expand", function, model)
-        self._outputs: Callable[[Any], Pytree] = (
-            TracedEnsemble(function, numbers_to_arrays(model), self.places)
-            if traced
-            else _Once(CalledEnsemble(function, model, self.places))
-        )
+        model = numbers_to_arrays(model) if traced else model
+        ensemble = ensemble_for(function, model, self.places, traced=traced)
+        self._box = ensemble if isinstance(ensemble, BoxEnsemble) else None
+        self._outputs: Callable[[Any], Pytree] = ensemble if isinstance(ensemble, TracedEnsemble) else _Once(ensemble)
 
     @property
     def distributions(self) -> dict[str, AbstractDistribution]:
@@ -43,6 +42,13 @@ class Sampler:
         """
         return self._outputs(points)
 
+    def kept(self, points: Float[Array, "points variables"]) -> tuple[Pytree, Bool[np.ndarray, " points"]]:
+        """The function at the germ points that are not left out, which only a box does, and which points these are."""
+        if self._box is None:
+            return self.samples(points), np.ones(len(points), dtype=bool)
+        outputs, kept = self._box.kept(points)
+        return jax.tree.map(jax_array, outputs), kept
+
     def known(self, points: Float[Any, "points variables"]) -> Pytree:
         """The same as plain numbers, even under differentiation. Raises `ProblemError` inside `jax.jit`."""
         return plain(self.samples(jax_array(points)))
@@ -52,7 +58,7 @@ class Sampler:
 class _Once:
     """A called function that remembers its result at each point, because a call may take long."""
 
-    def __init__(self, ensemble: CalledEnsemble):
+    def __init__(self, ensemble: CalledEnsemble | BoxEnsemble):
         self._ensemble = ensemble
         self._known: dict[bytes, Pytree] = {}
 

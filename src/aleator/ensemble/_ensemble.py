@@ -14,13 +14,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 from typing_extensions import override
 
 from aleator._core.arrays import Pytree, jax_array
 from aleator._core.errors import ProblemError
+from aleator._core.leaves import named_leaves
 from aleator._core.tracing import Traced, trace_kept
 from aleator.ensemble._batches import Part, each, fill, parts
+from aleator.ensemble._box import AbstractBox, Realisation
 from aleator.ensemble._levels import at_levels
 from aleator.ensemble._outputs import (
     UNTRACEABLE,
@@ -68,7 +70,7 @@ class AbstractEnsemble(abc.ABC):
         Raises `SimulationError` where an output is not finite, naming the inputs' values there (not under `jax.jit`,
         where values are unknown), and `ProblemError` if an output is no real array or changes its shape.
         """
-        return self._checked(self._of_size(len(points))(points), points, before)
+        return self._checked(self._of_size(len(points))(points, before), points, before)
 
     def in_batches(self, levels: Float[np.ndarray, "n variables"], size: int) -> Iterator[tuple[Part, Pytree]]:
         """The outputs at probability levels, in parts of `size` and in their order, each with the levels of its points.
@@ -79,13 +81,16 @@ class AbstractEnsemble(abc.ABC):
 
         def outputs(part: Part) -> Pytree:
             points = at_levels(germs, part.points)
-            return self._checked(evaluate(points), points, part.first)
+            return self._checked(evaluate(points, part.first), points, part.first)
 
         return each(outputs, parts(levels, size), at_once=self.at_once)
 
     @abc.abstractmethod
-    def _of_size(self, size: int) -> Callable[[Points], Pytree]:
-        """A function that gives the outputs at `size` points or fewer, already traced if tracing is needed."""
+    def _of_size(self, size: int) -> Callable[[Points, int], Pytree]:
+        """A function that gives the outputs at `size` points or fewer, already traced if tracing is needed.
+
+        Its second argument is the number of points that came earlier.
+        """
 
     def _at(self, model: Pytree, decisions: Float[Array, " n_x"], point: Any, library: Any) -> Pytree:
         """The outputs at one realisation, as arrays of `library`."""
@@ -127,12 +132,13 @@ class TracedEnsemble(AbstractEnsemble):
         self._traced: dict[int, Traced] = {}
 
     @override
-    def _of_size(self, size: int) -> Callable[[Points], Pytree]:
+    def _of_size(self, size: int) -> Callable[[Points, int], Pytree]:
         if size not in self._traced:
             self._traced[size] = self._trace(size)
         traced = self._traced[size]
 
-        def outputs(points: Points) -> Pytree:
+        def outputs(points: Points, before: int) -> Pytree:
+            del before
             if len(points) == size:
                 return traced(self._numbers, self._decisions, jax_array(points))
             values = traced(self._numbers, self._decisions, jax_array(fill(np.asarray(points), size)))
@@ -168,15 +174,11 @@ class CalledEnsemble(AbstractEnsemble):
     def __init__(self, function: Function, model: Pytree, places: Placements):
         super().__init__(function, model, places)
         self._first: Pytree = None
-        if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(model)):
-            raise ProblemError(
-                f"{self._name} is called with plain numbers (traced=False), so nothing can be differentiated or "
-                "compiled through it. Write it with jax.numpy and drop traced=False."
-            )
+        _refuse_traced(model, f"{self._name} is called with plain numbers (traced=False)")
 
     @override
-    def _of_size(self, size: int) -> Callable[[Points], Pytree]:
-        return lambda points: jax.tree.map(lambda *values: np.stack(values), *map(self._call, points))
+    def _of_size(self, size: int) -> Callable[[Points, int], Pytree]:
+        return lambda points, _: jax.tree.map(lambda *values: np.stack(values), *map(self._call, points))
 
     @override
     def _given(self, realised: Pytree) -> Pytree:
@@ -186,7 +188,7 @@ class CalledEnsemble(AbstractEnsemble):
         outputs = self._at(self._model, self._decisions, point, np)
         if self._first is None:
             self._first = outputs
-        if _shapes(outputs) != _shapes(self._first):
+        if not same_shapes(outputs, self._first):
             first, now = (jax.tree.map(np.shape, one) for one in (self._first, outputs))
             raise ProblemError(
                 f"{self._name} must return arrays of the same shapes at every point; received {first} and {now}."
@@ -194,8 +196,59 @@ class CalledEnsemble(AbstractEnsemble):
         return outputs
 
 
-def _shapes(outputs: Pytree) -> tuple[Any, list[tuple[int, ...]]]:
-    return jax.tree.structure(outputs), [leaf.shape for leaf in jax.tree.leaves(outputs)]
+@final
+class BoxEnsemble(AbstractEnsemble):
+    """A box, which is given all points of a call at once: it runs them in its own way, and may leave some out."""
+
+    at_once: ClassVar[bool] = False
+
+    def __init__(self, box: AbstractBox, model: Pytree, places: Placements):
+        super().__init__(box, model, places)
+        self._box = box
+        self._names = [name for name, _ in named_leaves(model)]
+        _refuse_traced(model, f"{self._name} is a black box")
+
+    @override
+    def _of_size(self, size: int) -> Callable[[Points, int], Pytree]:
+        return lambda points, before: _stacked(self._box.at_all(self._realisations(points, before), whole=True))
+
+    def kept(self, points: Points) -> tuple[Pytree, Bool[np.ndarray, " points"]]:
+        """The outputs at the points that the box does not leave out, and which points these are."""
+        found = self._box.at_all(self._realisations(points, 0), whole=False)
+        return _stacked([one for one in found if one is not None]), np.array([one is not None for one in found])
+
+    def _realisations(self, points: Points, before: int) -> list[Realisation]:
+        return [self._realisation(number, point) for number, point in enumerate(points, before + 1)]
+
+    def _realisation(self, number: int, point: Any) -> Realisation:
+        model = jax.tree.map(_as_python, realise(self._model, jnp.asarray(point), self._decisions))
+        numbers = dict(zip(self._names, jax.tree.leaves(model), strict=True))
+        return Realisation(number, model, {name: float(numbers[name]) for name in self.places.distributions})
+
+
+def ensemble_for(
+    function: Function, model: Pytree, places: Placements, *, traced: bool
+) -> TracedEnsemble | CalledEnsemble | BoxEnsemble:
+    """The ensemble in which a function is evaluated: a box in its own way, any other traced or called."""
+    if isinstance(function, AbstractBox):
+        return BoxEnsemble(function, model, places)
+    return (TracedEnsemble if traced else CalledEnsemble)(function, model, places)
+
+
+def _stacked(outputs: list[Pytree]) -> Pytree:
+    return jax.tree.map(lambda *values: np.stack(values), *outputs)
+
+
+def _refuse_traced(model: Pytree, why: str) -> None:
+    if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(model)):
+        raise ProblemError(f"{why}, so nothing can be differentiated or compiled through it. Write it with jax.numpy.")
+
+
+def same_shapes(one: Pytree, other: Pytree) -> bool:
+    """Whether two outputs have the same structure, and arrays of the same shapes."""
+    structures = [jax.tree.structure(outputs) for outputs in (one, other)]
+    shapes = [[leaf.shape for leaf in jax.tree.leaves(outputs)] for outputs in (one, other)]
+    return structures[0] == structures[1] and shapes[0] == shapes[1]
 
 
 def _as_python(leaf: Any) -> Any:

@@ -46,13 +46,21 @@ def outputs_of(function: Function, realised: Pytree, library: Any, point: Callab
     except Exception as error:
         if isinstance(error, AleatorError) and point is None:
             raise
-        if absent := _absent(error, realised):
-            raise ProblemError(f"{name} asks for {absent}.") from error
+        if missing := absent(error, realised):
+            raise ProblemError(f"{name} asks for {missing}.") from error
         said = next(iter(str(error).splitlines()), "")[:_LONGEST].rstrip(".")
         raised = f"{name} raised {type(error).__name__}{said and ': '}{said}"
         if point is None:
             raise ProblemError(f"{raised}.") from error
         raise SimulationError(f"{raised}, at {point()}.") from error
+    return as_outputs(given, name, library)
+
+
+def as_outputs(given: Pytree, name: str, library: Any) -> Pytree:
+    """What the function called `name` returned, as arrays of `library`.
+
+    Raises `ProblemError` for an output that is no real array or is empty.
+    """
     if given is None:
         raise ProblemError(f"{name} returns nothing; expected an array or a dict of arrays.")
     outputs = jax.tree.map(lambda value: real_array(value, name, library), given, is_leaf=lambda one: one is None)
@@ -65,7 +73,7 @@ def outputs_of(function: Function, realised: Pytree, library: Any, point: Callab
     return outputs
 
 
-def _absent(error: Exception, realised: Pytree) -> str:
+def absent(error: Exception, realised: Pytree) -> str:
     """The name that a function asks its model for in vain, and those that there are; empty for other errors."""
     if isinstance(error, KeyError) and isinstance(realised, dict) and error.args and error.args[0] not in realised:
         return f"the input {error.args[0]!r}: expected one of {list(realised)}"

@@ -8,7 +8,9 @@ from aleator.expansion._collocation import leave_one_out as leave_one_out
 from aleator.expansion._collocation import leave_one_out_by_entry as leave_one_out_by_entry
 from aleator.expansion._expansion import Discretisation as Discretisation
 from aleator.expansion._expansion import Expansion as Expansion
+from aleator.expansion._expansion import candidate_terms as candidate_terms
 from aleator.expansion._expansion import collocate as collocate
+from aleator.expansion._fewer_points import at_fewer_points as at_fewer_points
 from aleator.expansion._fit import ILL_CONDITIONED as ILL_CONDITIONED
 from aleator.expansion._fit import AbstractFit as AbstractFit
 from aleator.expansion._fit import Interpolation as Interpolation

@@ -137,11 +137,25 @@ def collocate(
     if isinstance(expansion.index_set, Adaptive):
         basis, nodes = grow(germs, expansion.order, expansion.index_set, expansion.points, respond)
     else:
-        candidates = Basis(germs, expansion.index_set.indices(tuple(germs), expansion.order))
-        usual = expansion.fit.points_per_term * candidates.terms
-        if isinstance(expansion.points, AbstractCountedPoints):
-            candidates.refuse_beyond_memory(expansion.points.count or usual, _MATRICES)
-        nodes = expansion.points.nodes(candidates, usual)
-        candidates.refuse_beyond_memory(len(nodes.points), _MATRICES)
+        candidates, nodes = candidate_terms(germs, expansion)
         basis = expansion.fit.select(candidates, nodes, respond)
     return Discretisation(basis, expansion.fit.collocation(basis, nodes))
+
+
+def candidate_terms(germs: Mapping[str, AbstractGerm], expansion: Expansion) -> tuple[Basis, Nodes]:
+    """The terms of an index set that is not adaptive, and the points: known before any output is.
+
+    Raises `ProblemError` if an adaptive index set is asked for, or if the matrices would not fit into memory.
+    """
+    if isinstance(expansion.index_set, Adaptive):
+        raise ProblemError(
+            "Adaptive chooses its points by the model's outputs, a few at a time, so that they are not known before: "
+            "take a fixed index set, such as al.index_sets.TotalDegree()."
+        )
+    candidates = Basis(germs, expansion.index_set.indices(tuple(germs), expansion.order))
+    usual = expansion.fit.points_per_term * candidates.terms
+    if isinstance(expansion.points, AbstractCountedPoints):
+        candidates.refuse_beyond_memory(expansion.points.count or usual, _MATRICES)
+    nodes = expansion.points.nodes(candidates, usual)
+    candidates.refuse_beyond_memory(len(nodes.points), _MATRICES)
+    return candidates, nodes

@@ -12,14 +12,14 @@ from aleator._core.errors import ProblemError
 from aleator._core.given import whole as whole_given
 from aleator._core.memory import NUMBER, refuse_beyond_memory
 from aleator._core.progress import Progress
-from aleator.ensemble import AbstractEnsemble, CalledEnsemble, Function, TracedEnsemble, uncertain_places
+from aleator.ensemble import AbstractEnsemble, BoxEnsemble, Function, at_levels, ensemble_for, uncertain_places
 
 _MOST_BYTES = 2 * 2**30
 
 
 def ensemble_of(verb: str, function: Function, model: Pytree, *, traced: bool) -> AbstractEnsemble:
     """The function at the realisations of a model. Raises `ProblemError` if nothing in the model is uncertain."""
-    return (TracedEnsemble if traced else CalledEnsemble)(function, model, uncertain_places(verb, function, model))
+    return ensemble_for(function, model, uncertain_places(verb, function, model), traced=traced)
 
 
 def check_whole(verb: str, **numbers: Any) -> None:
@@ -51,6 +51,18 @@ def evaluate(
             whole[part.first : done] = some
         progress("Monte Carlo", done, total)
     return kept
+
+
+def evaluate_kept(
+    ensemble: AbstractEnsemble, levels: Float[np.ndarray, "n variables"], *, batch: int, progress: Progress
+) -> Pytree:
+    """The same without the samples that a box leaves out, for methods that can do without some."""
+    if not isinstance(ensemble, BoxEnsemble):
+        return evaluate(ensemble, levels, batch=batch, progress=progress)
+    progress("Monte Carlo", 0, len(levels))
+    values, _ = ensemble.kept(at_levels(ensemble.places.germs.values(), levels))
+    progress("Monte Carlo", len(levels), len(levels))
+    return values
 
 
 def _room(total: int, values: Pytree) -> Pytree:

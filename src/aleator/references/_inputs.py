@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 
 from aleator._core.arrays import Pytree
 from aleator._core.errors import ProblemError, SimulationError
-from aleator.ensemble import UNTRACEABLE, Function, concrete, outputs_of, uncertain_places
+from aleator.ensemble import UNTRACEABLE, AbstractBox, Function, concrete, outputs_of, uncertain_places
 from aleator.uncertainty import Normal, Placements, placements, realise, uncertain_numbers, with_distributions
 
 
@@ -23,6 +23,11 @@ class Inputs:
     """
 
     def __init__(self, verb: str, function: Function, model: Pytree):
+        if isinstance(function, AbstractBox):
+            raise ProblemError(
+                f"{verb}: a black box has no derivatives; expand it by al.expand, or sample it by "
+                "al.references.monte_carlo."
+            )
         self._places = uncertain_places(verb, function, model)
         self._verb, self._function = verb, function
         # A standard normal number equals its germ, so that values passed as the germ are the numbers themselves.

@@ -1,5 +1,6 @@
 """Monte Carlo and randomised quasi-Monte Carlo: a function of uncertain inputs, without any expansion."""
 
+import jax
 import numpy as np
 import scipy
 from jaxtyping import Float
@@ -9,7 +10,13 @@ from aleator._core.errors import ProblemError
 from aleator._core.progress import Progress, check_progress, silent
 from aleator.ensemble import Function, random_levels
 from aleator.references._estimate import group_count
-from aleator.references._evaluation import check_whole, ensemble_of, evaluate, refuse_large_sample
+from aleator.references._evaluation import (
+    check_whole,
+    ensemble_of,
+    evaluate,
+    evaluate_kept,
+    refuse_large_sample,
+)
 from aleator.references._random_sample import RandomSample
 
 # Binary digits of a Sobol point. Its coordinates are multiples of 2^-30, including 0.
@@ -29,7 +36,8 @@ def monte_carlo(
     """Evaluate a function at random inputs: `al.references.monte_carlo(f, {"w": al.Uniform.bounds(0.9, 1.1)})`.
 
     - `function`: takes the model with plain numbers in the place of its distributions and returns an array or a dict of
-      arrays (any pytree of them);
+      arrays (any pytree of them); or an `al.foreign.BlackBox`, which may drop samples that fail, and whose samples are
+      run in one batch;
     - `model`: a dict or any other pytree with distributions in it, such as a `System`. Decisions are held at their
       initial values;
     - `traced`: False calls the function with plain numbers, point by point, if JAX cannot trace it;
@@ -46,8 +54,8 @@ def monte_carlo(
     ensemble = ensemble_of("monte_carlo", function, model, traced=traced)
     refuse_large_sample("monte_carlo", samples, len(ensemble.places.germs))
     levels = random_levels(np.random.default_rng(seed), samples, len(ensemble.places.germs))
-    values = evaluate(ensemble, levels, batch=batch, progress=progress)
-    return RandomSample(values, group_count(samples), seed)
+    values = evaluate_kept(ensemble, levels, batch=batch, progress=progress)
+    return RandomSample(values, group_count(len(jax.tree.leaves(values)[0])), seed)
 
 
 def quasi_monte_carlo(

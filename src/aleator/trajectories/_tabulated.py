@@ -1,6 +1,5 @@
 """`Tabulated`: a table of times and values as a signal."""
 
-import csv
 from pathlib import Path
 from typing import Any, Self, final
 
@@ -13,6 +12,7 @@ from typing_extensions import override
 from aleator._core.errors import ProblemError
 from aleator._core.given import real_array
 from aleator._core.leaves import is_leaf, realised_shape
+from aleator._core.tables import entry, read_table
 from aleator.trajectories._signal import AbstractSignal
 
 
@@ -53,12 +53,12 @@ class Tabulated(AbstractSignal):
 
         Raises `ProblemError` if the file does not exist, is not a table, or does not have each of the two columns once.
         """
-        names, rows = _table(path)
+        names, rows = read_table("Tabulated.from_csv", path)
         for name in (time, value):
             if names.count(name) != 1:
                 raise ProblemError(f"{path}: expected one column '{name}'; received {names}.")
         try:
-            return cls(*(np.array([_entry(row, names.index(name)) for row in rows]) for name in (time, value)))
+            return cls(*(np.array([entry(row, names.index(name)) for row in rows]) for name in (time, value)))
         except ValueError as error:
             raise ProblemError(f"{path}: {error}") from error
 
@@ -72,29 +72,6 @@ class Tabulated(AbstractSignal):
     @override
     def span(self) -> tuple[float, float]:
         return float(self.times[0]), float(self.times[-1])
-
-
-def _entry(row: list[str], column: int) -> float:
-    """A number in a row of a table; NaN where the column is missing or empty."""
-    return float((row[column] if column < len(row) else "") or "nan")
-
-
-def _table(path: str | Path) -> tuple[list[str], list[list[str]]]:
-    """The names of the columns of a CSV file, and its rows."""
-    try:
-        text = Path(path).read_text(encoding="utf-8-sig")
-        names, *rows = csv.reader(line for line in text.splitlines() if line.strip() and not line.startswith("#"))
-    except TypeError as error:
-        raise ProblemError(f"Tabulated.from_csv: expected the path of a file; received {path!r}.") from error
-    except UnicodeDecodeError as error:
-        byte = f"{error.object[error.start]:#x}"
-        raise ProblemError(f"{path}: expected text in UTF-8; received the byte {byte}.") from error
-    except (OSError, csv.Error) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise ProblemError(f"{path}: expected a CSV file that can be read; received: {reason}.") from error
-    except ValueError as error:
-        raise ProblemError(f"{path}: expected a line with names of columns; received an empty file.") from error
-    return names, rows
 
 
 def _samples(values: Any) -> np.ndarray | tuple[Any, ...]:

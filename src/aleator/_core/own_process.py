@@ -1,0 +1,60 @@
+"""Processes that can be ended with all those that they started.
+
+A process that only runs a user's function imports this module and none of the parts of the package that are slow to
+import.
+"""
+
+import os
+import signal
+import subprocess
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from multiprocessing.connection import Connection
+from typing import Any
+
+# The processes that threads of this one are waiting for.
+_RUNNING: set[int] = set()
+
+
+def in_group() -> dict[str, Any]:
+    """What `subprocess.Popen` needs so that a process and its children form a group."""
+    return {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP} if os.name == "nt" else {"start_new_session": True}
+
+
+def end_group(process: int) -> None:
+    """End a process that leads a group and has not been waited for, with its children."""
+    if os.name == "nt":
+        subprocess.run(["taskkill", "/T", "/F", "/PID", str(process)], capture_output=True, check=False)
+        return
+    try:
+        os.killpg(process, signal.SIGKILL)
+    except ProcessLookupError:
+        return
+
+
+@contextmanager
+def ended_with(process: int, is_over: Callable[[], bool]) -> Iterator[None]:
+    """End a process that leads a group if the block is left before it `is_over`, or if `end_running` is called."""
+    _RUNNING.add(process)
+    try:
+        yield
+    finally:
+        _RUNNING.discard(process)
+        if not is_over():
+            end_group(process)
+
+
+def end_running() -> None:
+    """End all processes that threads of this one are waiting for: an interrupt reaches neither of them."""
+    for process in list(_RUNNING):
+        end_group(process)
+
+
+def report(sender: Connection, function: Callable[[Any], Any], argument: Any) -> None:
+    """In a process of its own: call a function and send what it returns, or what it raises as text."""
+    if os.name != "nt":
+        os.setsid()
+    try:
+        sender.send((function(argument), None))
+    except Exception as error:
+        sender.send((None, f"{type(error).__name__}: {error}"))

@@ -1,0 +1,33 @@
+"""Tables in CSV files."""
+
+import csv
+from pathlib import Path
+from typing import Any
+
+from aleator._core.errors import ProblemError
+
+
+def read_table(what: str, path: Any) -> tuple[list[str], list[list[str]]]:
+    """The names of the columns of a CSV file, and its rows; lines that start with `#` are comments.
+
+    Raises `ProblemError` if there is no such file or if it is no table; `what` begins the sentence for a wrong path.
+    """
+    try:
+        text = Path(path).read_text(encoding="utf-8-sig")
+        names, *rows = csv.reader(line for line in text.splitlines() if line.strip() and not line.startswith("#"))
+    except TypeError as error:
+        raise ProblemError(f"{what}: expected the path of a file; received {path!r}.") from error
+    except UnicodeDecodeError as error:
+        byte = f"{error.object[error.start]:#x}"
+        raise ProblemError(f"{path}: expected text in UTF-8; received the byte {byte}.") from error
+    except (OSError, csv.Error) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise ProblemError(f"{path}: expected a CSV file that can be read; received: {reason}.") from error
+    except ValueError as error:
+        raise ProblemError(f"{path}: expected a line with names of columns; received an empty file.") from error
+    return names, rows
+
+
+def entry(row: list[str], column: int) -> float:
+    """A number in a row of a table; NaN where the column is missing or empty."""
+    return float((row[column] if column < len(row) else "").strip() or "nan")

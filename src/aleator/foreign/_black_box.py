@@ -1,0 +1,118 @@
+"""`BlackBox`: any function or command line as the model of an uncertainty analysis."""
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
+from pathlib import Path
+from typing import Any, final
+
+from typing_extensions import override
+
+from aleator._core import given
+from aleator._core.arrays import Pytree
+from aleator._core.errors import AleatorError, SimulationError, SimulationWarning
+from aleator._core.own_process import end_running
+from aleator._core.warned import warn_outside
+from aleator.ensemble import AbstractBox, Realisation, name_of
+from aleator.foreign._campaign import Campaign
+from aleator.foreign._failures import drop_given, most_of, warn_of_dropped
+from aleator.foreign._identity import identity
+from aleator.foreign._journal import Journal
+from aleator.foreign._runs import Runs, executor_given
+
+
+@final
+class BlackBox(AbstractBox):
+    """A function that cannot be traced, for `al.expand`, `al.references.monte_carlo` and their like.
+
+        box = al.foreign.BlackBox(simulate, executor=executor, retries=1, drop=0.05, journal="runs.jsonl")
+        expanded = al.expand(box, {"mass": al.Normal(1.0, 0.1)}, al.Expansion(order=4))
+
+    - `function`: takes the model with plain numbers in the place of its distributions and returns a number, an array,
+      or a dict of these, always of the same shapes; or a `Command`. It must return the same for the same numbers;
+    - `executor`: any executor of `concurrent.futures` runs samples in parallel; by default they run one by one. A
+      command line needs threads only; processes must be spawned;
+    - `retries`: how often a sample that fails runs again;
+    - `drop`: the largest part of the samples that may be left out if they fail, below one half; by default none may.
+      Least squares on a fixed index set and plain Monte Carlo can do without some, other methods need all;
+    - `journal`: the path of a file that keeps finished samples, one line of JSON for each, for later calls and
+      processes. Without one, the box itself remembers them. A sample is found there if all numbers of the model are the
+      same and the function (its code, as far as that can be read) or the command (and the files that it names) is.
+
+    A sample fails if the function raises an exception, or if it returns anything but finite real numbers of the same
+    shapes as before. Results are those of the function called directly, bit by bit.
+
+    Raises `SimulationError` for a sample that fails, naming its number and inputs, and for a broken executor; samples
+    that finished are kept, so that a second call goes on. Warns with `SimulationWarning` if samples were dropped,
+    because failures are seldom random. Raises `ProblemError` if no sample could succeed, such as for a command that
+    does not exist.
+    """
+
+    def __init__(
+        self,
+        function: Callable[[Any], Pytree],
+        *,
+        executor: Executor | None = None,
+        retries: int = 0,
+        drop: float = 0.0,
+        journal: str | Path | None = None,
+    ):
+        if not callable(function):
+            raise given.refusal("BlackBox", "a function or a Command", function)
+        self._function, self._executor = function, executor_given(executor)
+        self._retries = given.whole("BlackBox: retries", retries, least=0)
+        self._drop = drop_given("BlackBox: drop", drop)
+        self._journal = Journal(journal, identity(function))
+        self.__name__ = name_of(function).strip("'")
+
+    @override
+    def __call__(self, realised: Pytree) -> Pytree:
+        return self._function(realised)
+
+    @override
+    def at_all(self, realisations: Sequence[Realisation], *, whole: bool) -> list[Pytree | None]:
+        campaign = Campaign(name_of(self), realisations, self._journal, self._retries)
+        self._warn_of_others(campaign)
+        runs = Runs(self._function, campaign.missing, self._executor)
+        try:
+            for ended in runs:
+                campaign.take(ended, runs)
+                self._refuse_failures(campaign, whole=whole)
+        except BaseException as error:
+            if not isinstance(error, Exception):
+                end_running()
+            campaign.take(one for one in runs.close() if one.error is None)
+            if not isinstance(error, AleatorError):
+                raise
+            raise type(error)(f"{str(error).rstrip('.')}.{self._kept(campaign)}") from error.__cause__
+        if campaign.failures:
+            warn_of_dropped(name_of(self), realisations, campaign.failures)
+        return campaign.outputs
+
+    def _refuse_failures(self, campaign: Campaign, *, whole: bool) -> None:
+        """Refuse more failures than may be dropped, naming the last one."""
+        failures, count = campaign.failures, len(campaign.realisations)
+        most = 0 if whole else most_of(self._drop, count)
+        if len(failures) <= most:
+            return
+        index = next(reversed(failures))
+        said = f"{name_of(self)} failed at {campaign.realisations[index]}: {failures[index]}"
+        if most:
+            said = f"{len(failures)} of {count} samples failed, and drop={self._drop:g} allows {most}: {said}"
+        elif whole and self._drop:
+            said += ". This method needs every sample, so that none is dropped"
+        raise SimulationError(said)
+
+    def _kept(self, campaign: Campaign) -> str:
+        """What has been kept, as a sentence."""
+        count = sum(outputs is not None for outputs in campaign.outputs)
+        place = "by this box" if self._journal.path is None else f"in {self._journal.path.name}"
+        return f" Finished samples are kept {place} ({count}): a second call goes on." if count else ""
+
+    def _warn_of_others(self, campaign: Campaign) -> None:
+        count = sum(map(self._journal.is_of_others, campaign.keys))
+        if count:
+            warn_outside(
+                f"The journal {self._journal.path} has {count} of these samples by another box, or by this one before "
+                "its code or command changed: they are not used, and run again.",
+                SimulationWarning,
+            )

@@ -1,0 +1,72 @@
+"""`Isolated`: a function each of whose calls has a process of its own, which can be ended."""
+
+import multiprocessing
+from collections.abc import Callable
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
+from typing import Any, final
+
+from aleator._core import given
+from aleator._core.arrays import Pytree
+from aleator._core.errors import SimulationError
+from aleator._core.own_process import ended_with, report
+from aleator.foreign._runs import refuse_traced
+
+
+@final
+@dataclass(frozen=True)
+class Isolated:
+    """A function each of whose calls has a Python process of its own: for functions that may hang or crash.
+
+    A function that hangs in a thread or in the process of an executor cannot be ended without ending the others there.
+    Here it can: `BlackBox(al.foreign.Isolated(simulate, time_limit=60.0), executor=ThreadPoolExecutor(4))`. The price
+    is the start of a process for each call, which takes a second or more: Python, JAX and the function's own imports.
+
+    - `function`: stands at the top level of a module, so that the process finds it. In a script, whatever is not a
+      definition belongs under `if __name__ == "__main__":`;
+    - `time_limit`: seconds from the start of the process, after which it is ended, with all processes that it started.
+
+    A call raises `SimulationError` if the process exceeds its time or ends by itself, or if the function raises.
+    """
+
+    function: Callable[[Any], Pytree]
+    time_limit: float | None = None
+
+    def __post_init__(self) -> None:
+        if not callable(self.function):
+            raise given.refusal("Isolated", "a function", self.function)
+        if self.time_limit is not None:
+            object.__setattr__(self, "time_limit", given.positive("Isolated: time_limit", self.time_limit))
+
+    @property
+    def __name__(self) -> str:
+        """The name of the function, for messages."""
+        return getattr(self.function, "__name__", type(self.function).__name__)
+
+    def __call__(self, realised: Pytree) -> Pytree:
+        """The outputs of the function at one realisation."""
+        refuse_traced(self, realised)
+        context = multiprocessing.get_context("spawn")
+        receiver, sender = context.Pipe(duplex=False)
+        process = context.Process(target=report, args=(sender, self.function, realised))
+        process.start()
+        sender.close()
+        try:
+            with receiver, ended_with(process.pid or 0, lambda: not process.is_alive()):
+                returned, raised = self._received(receiver, process)
+        finally:
+            process.kill()  # It may not have begun to lead a group.
+            process.join()
+        if raised is not None:
+            raise SimulationError(f"it raised {raised}")
+        return returned
+
+    def _received(self, receiver: Connection, process: BaseProcess) -> tuple[Pytree, str | None]:
+        if not receiver.poll(self.time_limit):
+            raise SimulationError(f"it was ended after its time limit of {self.time_limit:g} s")
+        try:
+            return receiver.recv()
+        except EOFError as error:
+            process.join()
+            raise SimulationError(f"its process ended by itself, with exit code {process.exitcode}") from error

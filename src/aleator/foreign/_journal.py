@@ -1,0 +1,131 @@
+"""`Journal`: the finished samples of a black box, kept in memory and in a file that only grows."""
+
+import hashlib
+import json
+from pathlib import Path
+from typing import Any, final
+
+import jax
+import numpy as np
+
+from aleator._core.arrays import Pytree
+from aleator._core.errors import ProblemError
+from aleator._core.given import refusal
+from aleator.ensemble import Realisation
+
+_HEADER = {"journal": "aleator.foreign", "version": 1}
+
+
+@final
+class Journal:
+    """Outputs by a digest of the box and of all numbers of its model.
+
+    A file has a header and then one line of JSON for each finished sample, written as soon as it is known. A line that
+    cannot be read, such as the last one of a process that was killed, counts as not written: its sample runs again.
+    Numbers are written with all their digits, so that outputs read back are the same to the last bit.
+
+    Raises `ProblemError` if the file is no journal, or cannot be read or written.
+    """
+
+    def __init__(self, path: Any, box: str):
+        self._box = box
+        self.path = None if path is None else _path_given(path)
+        self._known: dict[str, Pytree] = {}
+        self._of_others: set[str] = set()
+        if self.path is not None:
+            self._read(self.path)
+
+    def key(self, realisation: Realisation) -> str:
+        """What identifies a sample: all numbers of its model, and whatever else the model holds, as text."""
+        named = jax.tree_util.tree_leaves_with_path(realisation.model)
+        leaves = [(jax.tree_util.keystr(path), _text(leaf)) for path, leaf in named]
+        return _digest([str(jax.tree.structure(realisation.model)), leaves])
+
+    def find(self, key: str) -> Pytree | None:
+        """The outputs of a finished sample; None if it is not known."""
+        return self._known.get(key)
+
+    def is_of_others(self, key: str) -> bool:
+        """Whether the file has this sample by another box only, or by this one as it was before a change."""
+        return key in self._of_others and key not in self._known
+
+    def add(self, key: str, realisation: Realisation, outputs: Pytree) -> None:
+        """Keep a finished sample."""
+        self._known[key] = outputs
+        if self.path is not None:
+            line = {"box": self._box, "key": key, "inputs": realisation.inputs, "outputs": _as_json(outputs)}
+            self._write(self.path, json.dumps(line))
+
+    def _read(self, path: Path) -> None:
+        try:
+            lines = path.read_text(encoding="utf-8", errors="replace").splitlines() if path.exists() else []
+        except OSError as error:
+            raise ProblemError(f"BlackBox: the journal {path} cannot be read ({error.strerror}).") from error
+        if lines and _object(lines[0]) != _HEADER:
+            raise ProblemError(
+                f"BlackBox: expected the path of a journal, or of a file that does not exist yet; {path} is another "
+                "file, whose first line is not a journal's."
+            )
+        for line in map(_object, lines[1:]):
+            if not {"box", "key", "outputs"} <= set(line):
+                continue
+            if line["box"] == self._box:
+                self._known[line["key"]] = _from_json(line["outputs"])
+            else:
+                self._of_others.add(line["key"])
+
+    def _write(self, path: Path, line: str) -> None:
+        try:
+            with path.open("a+b") as file:
+                length = file.seek(0, 2)
+                if length == 0:
+                    file.write(f"{json.dumps(_HEADER)}\n".encode())
+                else:
+                    file.seek(-1, 2)
+                    # A line that a killed process left unfinished is ended, so that it spoils no other.
+                    file.write(b"" if file.read(1) == b"\n" else b"\n")
+                file.write(f"{line}\n".encode())
+        except OSError as error:
+            raise ProblemError(f"BlackBox: the journal {path} cannot be written ({error.strerror}).") from error
+
+
+def _path_given(path: Any) -> Path:
+    if not isinstance(path, str | Path) or not str(path):
+        raise refusal("BlackBox: journal", "the path of a file", path)
+    if Path(path).is_dir():
+        raise refusal("BlackBox: journal", "the path of a file, not of a folder", str(path))
+    return Path(path).absolute()
+
+
+def _digest(it: Any) -> str:
+    return hashlib.sha256(json.dumps(it).encode()).hexdigest()
+
+
+def _text(leaf: Any) -> Any:
+    """A leaf of a model as JSON, with all its digits."""
+    if isinstance(leaf, np.ndarray | np.generic):
+        return [str(leaf.dtype), list(leaf.shape), leaf.tolist() if leaf.dtype != object else repr(leaf)]
+    return leaf if isinstance(leaf, bool | int | float | str) else repr(leaf)
+
+
+def _object(line: str) -> dict[str, Any]:
+    """A line of JSON; empty if it is none."""
+    try:
+        found = json.loads(line)
+    except ValueError:
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
+def _as_json(outputs: Pytree) -> Any:
+    if isinstance(outputs, dict) and all(isinstance(name, str) for name in outputs):
+        return {name: _as_json(value) for name, value in outputs.items()}
+    if isinstance(outputs, np.ndarray):
+        return outputs.tolist()
+    raise refusal("BlackBox: a journal keeps", "arrays, or dicts of arrays by their names", outputs)
+
+
+def _from_json(outputs: Any) -> Pytree:
+    if isinstance(outputs, dict):
+        return {name: _from_json(value) for name, value in outputs.items()}
+    return np.array(outputs, dtype=float)
