@@ -6,6 +6,7 @@ import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
 import jax
+import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
@@ -43,7 +44,7 @@ def states(robot, count, seed):
     """Random coordinates, whose quaternions have length one, speeds and accelerations."""
     random = np.random.default_rng(seed)
     q, v, v_dot = (random.normal(size=(count, len(names))) for names in (robot.coordinates, robot.speeds, robot.speeds))
-    return np.array([robot.normalised(one) for one in q]), v, v_dot
+    return np.array([robot.normalised(jnp.asarray(one)) for one in q]), v, v_dot
 
 
 def by_aleator(robot, q, v, v_dot):
@@ -95,11 +96,13 @@ def orders(model, robot):
 
 
 def _joint(model, name):
-    for one in (name, name.removesuffix("_joint")):
-        found = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, one)
-        if found >= 0:
-            return found
-    return int(model.body_jntadr[mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name)])
+    """The joint of a name, or the one without a name on the body of this name."""
+    for joint in range(model.njnt):
+        body = int(model.jnt_bodyid[joint])
+        own = model.joint(joint).name or model.body(body).name or f"body_{body}"
+        if name in (own, f"{own}_joint"):
+            return joint
+    raise AssertionError(name)
 
 
 def assert_same(ours, theirs, tolerance=1e-9):

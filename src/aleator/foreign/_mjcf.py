@@ -69,10 +69,10 @@ def _notes(model: Any, limits: Mapping[str, Any]) -> Iterator[str]:
     if limits:
         yield "Limits are in robot.limits; nothing enforces them."
     if model.nu:
-        yield f"{model.nu} actuators are not read: each joint has a torque of its own."
+        yield f"Actuators are not read ({model.nu}): each joint has a torque of its own."
     if model.ngeom:
         yield "There is no contact: bodies pass through one another."
     if model.ntendon:
-        yield f"{model.ntendon} tendons are not read, nor their limits."
+        yield f"Tendons are not read, nor their limits ({model.ntendon})."
     if model.nmocap:
-        yield f"{model.nmocap} bodies that a program moves (mocap) are fixed to the ground."
+        yield f"Bodies that a program moves (mocap) are fixed to the ground ({model.nmocap})."

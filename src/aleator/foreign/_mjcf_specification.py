@@ -69,7 +69,7 @@ def _without_files(path: Any, specification: Any) -> Iterator[str]:
                 "the numbers that it computes itself by mj_saveLastXML).",
             )
     if shapes:
-        yield f"{len(shapes)} meshes and height fields are not read."
+        yield f"Meshes and height fields are not read ({len(shapes)})."
         names = {geom.name for geom in shapes if geom.name}
         _delete(specification, [one for one in specification.pairs if {one.geomname1, one.geomname2} & names])
         _delete(specification, shapes)

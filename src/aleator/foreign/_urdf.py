@@ -129,8 +129,7 @@ def _body(link: Place, name: str, **joined: Any) -> Body:
     center = (0, 0, 0) if origin is None else geometry(origin.numbers("xyz", (0, 0, 0)))
     turned = (0.0, 0.0, 0.0) if origin is None else origin.numbers("rpy", (0, 0, 0))
     given = inertial.needed("inertia")
-    moments = [given.number(f"i{name}") for name in ("xx", "yy", "zz")]
-    moments += [given.number(f"i{name}", 0.0) for name in ("xy", "xz", "yz")]
+    moments = [given.number(f"i{name}") for name in ("xx", "yy", "zz", "xy", "xz", "yz")]
     try:
         return Body(name, mass=mass, center=center, inertia=_along(turned, moments), **joined)
     except ProblemError as error:
