@@ -33,6 +33,7 @@ def run(program: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
         pytest.param("docs/uncertainty.md", marks=pytest.mark.slow),
         "docs/algebraic.md",
         "docs/motion.md",
+        "docs/robots.md",
         "docs/solvers.md",
         "docs/transcriptions.md",
     ],

@@ -23,6 +23,7 @@ TOPICS = (
     "cost",
     "expressions",
     "fits",
+    "foreign",
     "index_sets",
     "integrators",
     "joints",

@@ -1,6 +1,6 @@
 """Robots that other packages ship, by aleator and by MuJoCo's C library."""
 
-from contextlib import nullcontext
+import warnings
 
 import jax.numpy as jnp
 import mujoco
@@ -38,8 +38,9 @@ def read(name):
     file = file_of("gymnasium", f"envs/mujoco/assets/{path}")
     model = mujoco.MjSpec.from_file(str(file))
     model.option.density = model.option.viscosity = 0
-    # A file of these asks for a total mass in a way that MuJoCo warns of.
-    with pytest.warns(UserWarning) if name == "cheetah" else nullcontext():
+    with warnings.catch_warnings():
+        # One file asks for a total mass in a way that newer versions warn of.
+        warnings.simplefilter("ignore")
         model = model.compile()
     return al.foreign.read_mjcf(file, leave_out=left_out), model
 

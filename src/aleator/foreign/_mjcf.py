@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 
 from aleator._core.errors import ProblemError
-from aleator.foreign._effects import checked_effects, refuse_effects
-from aleator.foreign._files import broken, root_of
 from aleator.foreign._mjcf_bodies import bodies_of, joints_of, posture_of
 from aleator.foreign._mjcf_effects import effects_of, gravity_of, is_disabled
 from aleator.foreign._mjcf_specification import compiled
 from aleator.foreign._robot import Robot, robot_of
+from aleator.foreign._robot_effects import checked_effects, refuse_effects
+from aleator.foreign._xml import broken, root_of
 
 
 def read_mjcf(path: str | Path, *, leave_out: Sequence[str] = ()) -> Robot:

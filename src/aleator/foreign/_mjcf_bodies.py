@@ -5,9 +5,9 @@ from typing import Any
 
 import numpy as np
 
-from aleator.foreign._elements import geometry
 from aleator.foreign._mjcf_effects import is_disabled
 from aleator.foreign._robot import joint_name, known
+from aleator.foreign._xml import geometry
 from aleator.mechanics import AbstractJoint, Ball, Body, Fixed, Free, Prismatic, Revolute
 
 _FREE, _BALL, _SLIDE, _HINGE = range(4)

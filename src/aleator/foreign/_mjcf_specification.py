@@ -5,8 +5,8 @@ from collections.abc import Collection, Iterator
 from typing import Any
 
 from aleator._core.errors import MissingExtraError, ProblemError
-from aleator.foreign._effects import refuse_effects
-from aleator.foreign._files import broken
+from aleator.foreign._robot_effects import refuse_effects
+from aleator.foreign._xml import broken
 
 
 def library() -> Any:
@@ -75,7 +75,7 @@ def _without_files(path: Any, specification: Any) -> Iterator[str]:
         _delete(specification, shapes)
     for owner in (*specification.geoms, *specification.sites, *specification.tendons):
         owner.material = ""
-    for parts in ("sensors", "skins", "meshes", "hfields", "materials", "textures"):
+    for parts in ("sensors", "tuples", "skins", "meshes", "hfields", "materials", "textures"):
         _delete(specification, list(getattr(specification, parts)))
 
 

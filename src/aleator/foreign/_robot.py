@@ -112,5 +112,3 @@ def _refuse_massless(path: Any, bodies: Sequence[Body]) -> None:
                 f"{path}, joint '{body.name}': expected a joint that moves some mass; received none, neither in its "
                 "link nor beyond. Give the link an <inertial>, or fix the joint."
             )
-
-

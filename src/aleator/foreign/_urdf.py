@@ -13,11 +13,10 @@ import numpy as np
 
 from aleator._core.errors import ProblemError
 from aleator._core.given import refusal
-from aleator.foreign._effects import checked_effects, refuse_effects
-from aleator.foreign._elements import Place, geometry
-from aleator.foreign._files import broken, root_of
 from aleator.foreign._robot import Robot, joint_name, known, robot_of
+from aleator.foreign._robot_effects import checked_effects, refuse_effects
 from aleator.foreign._urdf_tree import ordered
+from aleator.foreign._xml import Place, broken, geometry, root_of
 from aleator.mechanics import AbstractJoint, Body, Fixed, Free, Prismatic, Revolute
 
 _AXIAL = {"revolute": Revolute, "continuous": Revolute, "prismatic": Prismatic}

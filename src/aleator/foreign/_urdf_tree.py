@@ -3,8 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
-from aleator.foreign._elements import Place
-from aleator.foreign._files import broken
+from aleator.foreign._xml import Place, broken
 
 
 def ordered(path: Any, links: Mapping[str, Place], joints: Mapping[str, Place]) -> tuple[str, dict[str, Place]]:

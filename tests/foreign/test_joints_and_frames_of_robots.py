@@ -12,7 +12,7 @@ import aleator as al
 EVERYTHING = """<mujoco>
   <compiler angle="degree"/>
   <option gravity="0.5 0 -3"/>
-  <default><joint damping="0.3"/><default class="stiff"><joint stiffness="2" springref="20"/></default></default>
+  <default><geom material="wood"/><joint damping="0.3"/><default class="stiff"><joint stiffness="2" springref="20"/></default></default>
   <asset><texture name="wood" type="2d" file="nowhere.png"/><material name="wood" texture="wood"/></asset>
   <worldbody>
     <geom type="plane" size="1 1 1" material="wood"/>
@@ -31,8 +31,8 @@ EVERYTHING = """<mujoco>
       </body>
     </frame>
     <body name="ball" pos="0 0 1"><joint name="socket" type="ball" damping="0"/><geom size="0.1" pos="0.3 0 0"/></body>
-    <body name="drone" pos="1 2 3" euler="0 0 90"><freejoint/><geom type="capsule" fromto="0 0 0 0.1 0.2 0.3" size="0.1"/>
-    </body>
+    <body name="drone" pos="1 2 3" euler="0 0 90"><freejoint/>
+      <geom type="capsule" fromto="0 0 0 0.1 0.2 0.3" size="0.1"/></body>
   </worldbody>
   <actuator><motor joint="about"/></actuator>
   <sensor><jointpos joint="about"/></sensor>
@@ -46,7 +46,8 @@ ARM = """<robot name="arm">
     <inertia ixx="0.2" iyy="0.3" izz="0.4" ixy="0.01" ixz="0.02" iyz="0.03"/></inertial></link>
   <link name="plate"><inertial><origin rpy="1 2 3"/><mass value="0.5"/>
     <inertia ixx="0.02" iyy="0.03" izz="0.04" ixy="0" ixz="0" iyz="0"/></inertial></link>
-  <link name="slider"><inertial><mass value="0.7"/><inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <link name="slider"><inertial><mass value="0.7"/>
+    <inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial></link>
   <joint name="down" type="prismatic"><parent link="plate"/><child link="slider"/><origin xyz="0 0 0.3" rpy="0.5 0 0"/>
     <axis xyz="0 1 1"/><limit lower="-0.1" upper="0.2" effort="30" velocity="2"/></joint>
   <joint name="shoulder" type="revolute"><parent link="base"/><child link="upper"/>
@@ -132,7 +133,7 @@ def test_any_number_may_be_uncertain_and_is_named_after_its_part(tmp_path):
 
     values = al.Uniform(2.0, std=0.1), *(al.Normal(mean, 0.01) for mean in (0.3, 0.4, 0.2, 1.0))
     uncertain = eqx.tree_at(places, robot, values)
-    still = {name: 0.2 for name in robot.coordinates}
+    still = dict.fromkeys(robot.coordinates, 0.2)
     problem = al.Problem(
         al.InverseDynamics(uncertain, motion=still),
         grid=al.Grid(1.0, 1),

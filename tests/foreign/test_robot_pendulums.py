@@ -6,7 +6,7 @@ import equinox as eqx
 import jax
 import numpy as np
 import pytest
-from pendulums import GRID, MJCF, START, URDF, Pendulum
+from robot_pendulums import GRID, MJCF, START, URDF, Pendulum
 from scipy.integrate import solve_ivp
 
 import aleator as al

@@ -5,7 +5,7 @@ from typing import Any
 
 from aleator._core.errors import ProblemError
 from aleator._core.given import members
-from aleator.foreign._files import broken
+from aleator.foreign._xml import broken
 
 EFFECTS: Mapping[str, str] = {
     "friction": "dry friction; put a smooth law into `bias` of a model of your own",
