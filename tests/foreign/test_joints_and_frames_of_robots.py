@@ -12,7 +12,8 @@ import aleator as al
 EVERYTHING = """<mujoco>
   <compiler angle="degree"/>
   <option gravity="0.5 0 -3"/>
-  <default><geom material="wood"/><joint damping="0.3"/><default class="stiff"><joint stiffness="2" springref="20"/></default></default>
+  <default><geom material="wood"/><joint damping="0.3"/>
+    <default class="stiff"><joint stiffness="2" springref="20"/></default></default>
   <asset><texture name="wood" type="2d" file="nowhere.png"/><material name="wood" texture="wood"/></asset>
   <worldbody>
     <geom type="plane" size="1 1 1" material="wood"/>

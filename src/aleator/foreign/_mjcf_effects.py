@@ -74,8 +74,7 @@ def _joints(model: Any, joints: Iterable[Any]) -> list[str]:
 
 
 def _named(model: Any, kind: str, is_found: Any) -> list[str]:
-    accessor = {"equality": "equality"}.get(kind, kind)
-    return [_said(kind, getattr(model, accessor)(int(i)).name, i) for i in np.flatnonzero(is_found)]
+    return [_said(kind, getattr(model, kind)(int(i)).name, i) for i in np.flatnonzero(is_found)]
 
 
 def _said(kind: str, name: str, number: Any) -> str:

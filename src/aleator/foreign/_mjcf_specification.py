@@ -87,8 +87,9 @@ def _needs_file(geom: Any) -> bool:
 def _gives_inertia(specification: Any, geom: Any) -> bool:
     """Whether the inertia of a moving body is computed from a shape."""
     kinds = library().mjtInertiaFromGeom
-    rule = specification.compiler.inertiafromgeom
-    first, last = specification.compiler.inertiagrouprange
+    # Bodies of an attached file keep its settings.
+    settings = getattr(geom.parent, "compiler", specification.compiler)
+    rule, (first, last) = settings.inertiafromgeom, settings.inertiagrouprange
     if not _moves(geom.parent) or not first <= geom.group <= last or rule == kinds.mjINERTIAFROMGEOM_FALSE:
         return False
     if rule != kinds.mjINERTIAFROMGEOM_TRUE and geom.parent.explicitinertial:
