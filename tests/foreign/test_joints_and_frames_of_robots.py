@@ -8,6 +8,7 @@ import pytest
 from mujoco_robots import assert_same, by_aleator, by_mujoco, states, urdf_by_mujoco
 
 import aleator as al
+from aleator._core.leaves import is_leaf, named_leaves
 
 EVERYTHING = """<mujoco>
   <compiler angle="degree"/>
@@ -100,6 +101,28 @@ def _on_a_free_base(model, folder):
     return f"{head}<worldbody>{base}{arm}</body></worldbody>{tail}"
 
 
+@pytest.mark.slow
+def test_a_joint_that_follows_another_is_a_constraint_of_a_model_around_the_robot(tmp_path):
+    text = ARM.replace('<axis xyz="0 1 1"/>', '<axis xyz="0 1 1"/><mimic joint="shoulder" multiplier="0.1"/>')
+    robot = al.foreign.read_urdf(written(tmp_path, text), leave_out="mimic")
+    system = al.ForwardDynamics(Geared(robot), start={"shoulder": 0.5}, guess={"down": 0.1})
+    found = al.simulate(system, al.Grid(0.2, 20), only=["shoulder", "down", "constraint_error"])
+    np.testing.assert_allclose(found["down"], 0.1 * found["shoulder"], rtol=0, atol=1e-12)
+    assert np.ptp(found["down"]) > 1e-3
+
+
+class Geared(al.Multibody):
+    robot: al.foreign.Robot
+    constraints = ("gear",)
+
+    def bodies(self):
+        return self.robot.bodies()
+
+    def constraint(self, q):
+        down, shoulder = (self.coordinates.index(name) for name in ("down", "shoulder"))
+        return (q[down] - 0.1 * q[shoulder],)
+
+
 def test_limits_have_the_names_of_outputs(tmp_path):
     robot = al.foreign.read_urdf(written(tmp_path, ARM))
     assert robot.limits == {
@@ -114,8 +137,10 @@ def test_limits_have_the_names_of_outputs(tmp_path):
 
 
 def test_a_joint_named_as_a_link_gets_a_name_of_its_own(tmp_path):
-    robot = al.foreign.read_urdf(written(tmp_path, ARM.replace('"shoulder"', '"upper"')))
-    assert set(robot.coordinates) == {"upper_joint", "down"}
+    text = ARM.replace('"shoulder"', '"upper"')
+    assert set(al.foreign.read_urdf(written(tmp_path, text)).coordinates) == {"upper_joint", "down"}
+    text = text.replace('"down"', '"upper_joint"')
+    assert set(al.foreign.read_urdf(written(tmp_path, text)).coordinates) == {"upper_joint", "upper_joint_2"}
 
 
 def test_bodies_keep_their_order_when_numbers_are_replaced(tmp_path):
@@ -134,13 +159,11 @@ def test_any_number_may_be_uncertain_and_is_named_after_its_part(tmp_path):
 
     values = al.Uniform(2.0, std=0.1), *(al.Normal(mean, 0.01) for mean in (0.3, 0.4, 0.2, 1.0))
     uncertain = eqx.tree_at(places, robot, values)
-    still = dict.fromkeys(robot.coordinates, 0.2)
-    problem = al.Problem(
-        al.InverseDynamics(uncertain, motion=still),
-        grid=al.Grid(1.0, 1),
-        minimize=al.terminal("shoulder_torque").std,
-        expansion=al.Expansion(order=1),
-    )
-    names = str(problem)
-    for name in ("upper.mass", "upper.center.2", "shoulder.joint.damping", "shoulder.joint.armature"):
-        assert name in names
+    system = al.InverseDynamics(uncertain, motion=dict.fromkeys(robot.coordinates, 0.2))
+    assert {name for name, number in named_leaves(system) if is_leaf(number)} == {
+        "upper.mass",
+        "upper.center.2",
+        "shoulder.joint.damping",
+        "shoulder.joint.armature",
+        "shoulder.position.0",
+    }

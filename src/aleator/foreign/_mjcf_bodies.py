@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from aleator.foreign._mjcf_effects import is_disabled
-from aleator.foreign._robot import joint_name, known
+from aleator.foreign._robot import carriers, known
 from aleator.foreign._xml import geometry
 from aleator.mechanics import AbstractJoint, Ball, Body, Fixed, Free, Prismatic, Revolute
 
@@ -17,15 +17,10 @@ _ROUNDING = 1e-15
 
 def joints_of(model: Any) -> dict[int, str]:
     """The names of the bodies that carry joints, by MuJoCo's number of the joint: those of the joints, as a rule."""
-    links = {_link_name(model, body) for body in range(1, model.nbody)}
-    found: dict[int, str] = {}
-    for joint in range(model.njnt):
-        link = _link_name(model, int(model.jnt_bodyid[joint]))
-        if _is_link_itself(model, joint):
-            found[joint] = link
-        else:
-            found[joint] = joint_name(model.joint(joint).name, {*links, *found.values()}, f"{link}_joint")
-    return found
+    links = [_link_name(model, body) for body in range(1, model.nbody)]
+    given = {i: model.joint(i).name or _link_name(model, int(model.jnt_bodyid[i])) for i in range(model.njnt)}
+    carried = carriers({i: name for i, name in given.items() if not _is_link_itself(model, i)}, links)
+    return {i: carried.get(i, name) for i, name in given.items()}
 
 
 def bodies_of(model: Any, joints: Mapping[int, str]) -> list[Body]:

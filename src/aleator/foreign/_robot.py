@@ -1,7 +1,8 @@
 """`Robot`: the tree of bodies that a file describes, with all its numbers as fields."""
 
-from collections.abc import Mapping, Sequence
-from typing import Any, final
+from collections.abc import Collection, Mapping, Sequence
+from itertools import chain, count
+from typing import Any, TypeVar, final
 
 import equinox as eqx
 from typing_extensions import override
@@ -9,6 +10,8 @@ from typing_extensions import override
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import transparent
 from aleator.mechanics import Body, Multibody
+
+Key = TypeVar("Key", int, str)
 
 
 @final
@@ -92,12 +95,14 @@ def known(number: float) -> float | int:
     return int(number) if number in (-1.0, 0.0, 1.0) else float(number)
 
 
-def joint_name(name: str, links: Any, default: str = "") -> str:
-    """The name of the body that carries a joint, among the names of links."""
-    name = name or default
-    while name in links:
-        name = f"{name}_joint"
-    return name
+def carriers(joints: Mapping[Key, str], links: Collection[str]) -> dict[Key, str]:
+    """The names of the bodies that carry joints: those of the joints, with an ending where a link has the same."""
+    found: dict[Key, str] = {}
+    for joint, name in joints.items():
+        taken = {*links, *joints.values(), *found.values()}
+        others = chain((f"{name}_joint",), (f"{name}_joint_{i}" for i in count(2)))
+        found[joint] = name if name not in links else next(one for one in others if one not in taken)
+    return found
 
 
 def _refuse_massless(path: Any, bodies: Sequence[Body]) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 
 from aleator._core.errors import ProblemError
 from aleator._core.given import refusal
-from aleator.foreign._robot import Robot, joint_name, known, robot_of
+from aleator.foreign._robot import Robot, carriers, known, robot_of
 from aleator.foreign._robot_effects import checked_effects, refuse_effects
 from aleator.foreign._urdf_tree import ordered
 from aleator.foreign._xml import Place, broken, geometry, root_of
@@ -57,10 +57,11 @@ def read_urdf(path: str | Path, *, floating: bool = False, leave_out: Sequence[s
         raise broken(path, "", "expected a robot with a <link>; received none.")
     first, joints = ordered(path, links, joints)
     notes = refuse_effects(path, _effects(joints), left_out)
+    names = carriers({name: name for name in joints}, links)
     bodies = [_base(links[first], floating)]
     for name, joint in joints.items():
-        bodies += _behind(joint, joint_name(name, links), links[joint.needed("child").text("link")])
-    limits = {name: ends for joint in joints for name, ends in _limits(joints[joint], joint_name(joint, links))}
+        bodies += _behind(joint, names[name], links[joint.needed("child").text("link")])
+    limits = {output: ends for name, joint in joints.items() for output, ends in _limits(joint, names[name])}
     return robot_of(path, bodies, limits=limits, posture={}, notes=(*notes, *_notes(root, links, limits)))
 
 
