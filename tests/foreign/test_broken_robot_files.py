@@ -134,6 +134,11 @@ def test_an_effect_of_a_urdf_may_be_left_out_by_name_and_is_noted(effect, tmp_pa
     assert robot.notes[0].startswith(f"Left out, as asked: {effect} (joint 'hinge'")
 
 
+def test_a_file_with_several_effects_is_told_all_that_it_takes_to_read_it(tmp_path):
+    text = URDF.replace('damping="0.1"', 'friction="0.1"').replace(AXIS, '<mimic joint="a"/>')
+    assert "leave_out=('mimic', 'friction')" in refusal(tmp_path, al.foreign.read_urdf, text)
+
+
 def test_effects_that_a_file_switches_off_are_no_effects(tmp_path):
     flags = '<option><flag frictionloss="disable" gravity="disable" spring="disable"/></option>'
     text = mjcf(HINGE.format('frictionloss="1" stiffness="2"'), after=flags)

@@ -16,7 +16,7 @@ EFFECTS: Mapping[str, str] = {
     "ball": "springs, dampers or armature of a ball or free joint",
     "polynomials": "stiffness or damping that is not constant",
     "actuators": "armature or damping of actuators; give them to the joints",
-    "fluid": "forces of a fluid; add them by `body_loads` of a model of your own",
+    "fluid": "forces of a fluid; write them as `body_loads` of a model of your own",
     "gravcomp": "compensated gravity",
     "flex": "deformable bodies",
     "plugins": "plugins of bodies",
@@ -38,15 +38,12 @@ def refuse_effects(path: Any, found: Mapping[str, Collection[str]], left_out: Co
 
     Raises `ProblemError` for one that is not left out.
     """
-    notes = []
-    for name, elements in found.items():
-        shown = ", ".join(list(elements)[:3]) + (f" and {len(elements) - 3} more" if len(elements) > 3 else "")
-        if name not in left_out:
-            raise broken(
-                path,
-                shown,
-                f"a tree of bodies has no place for {EFFECTS[name]}; or read the robot without it by "
-                f"leave_out=('{name}',).",
-            )
-        notes.append(f"Left out, as asked: {name} ({shown}).")
-    return tuple(notes)
+    missing = tuple(name for name in found if name not in left_out)
+    if missing:
+        what = f"a tree of bodies has no place for {EFFECTS[missing[0]]}"
+        raise broken(path, _shown(found[missing[0]]), f"{what}. Or read the robot without it by leave_out={missing!r}.")
+    return tuple(f"Left out, as asked: {name} ({_shown(elements)})." for name, elements in found.items())
+
+
+def _shown(elements: Collection[str]) -> str:
+    return ", ".join(list(elements)[:3]) + (f" and {len(elements) - 3} more" if len(elements) > 3 else "")
