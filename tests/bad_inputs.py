@@ -80,6 +80,9 @@ REQUIRED = NO_OBJECT | {"nothing": None}
 MAPPING: dict[str, Any] = {"nothing": None, "text": "x", "number": 3.5, "list": [1.0], "object": Thing()}
 FUNCTION: dict[str, Any] = {"nothing": None, "text": "x", "number": 3.5, "list": [1.0]}
 VECTOR = NOT_NUMBERS | {"inf": math.inf, "number": 1.0, "four numbers": np.ones(4)}
+FILE: dict[str, Any] = {"nothing": None, "number": 3.5, "list": [1.0], "object": Thing(), "missing": "nobody.xml"}
+FLAG: dict[str, Any] = {"nothing": None, "text": "yes", "number": 1.0}
+EFFECTS: dict[str, Any] = {"nothing": None, "number": 3.5, "numbers": [1.0], "unknown": ["rust"], "text": "rust"}
 AXIS = VECTOR | {"zeros": Told(np.zeros(3), "zero")}
 
 
@@ -248,7 +251,11 @@ _CONSTRUCTORS: dict[str, tuple[Callable[..., Any], dict[str, Any], dict[str, Map
     ),
     "Box": (al.shapes.Box, {"center": np.zeros(3), "half_sizes": np.ones(3)}, {"center": VECTOR, "half_sizes": VECTOR}),
     "HalfSpace": (al.shapes.HalfSpace, {"normal": np.ones(3), "offset": 0.0}, {"normal": AXIS, "offset": NUMBER}),
-    "Revolute": (al.joints.Revolute, {"axis": (0.0, 0.0, 1.0)}, {"axis": AXIS, "damping": NUMBER, "stiffness": NUMBER}),
+    "Revolute": (
+        al.joints.Revolute,
+        {"axis": (0.0, 0.0, 1.0)},
+        {"axis": AXIS, "damping": NUMBER, "stiffness": NUMBER, "armature": NUMBER},
+    ),
     "Prismatic": (al.joints.Prismatic, {"axis": (0.0, 0.0, 1.0)}, {"axis": AXIS, "rest": NUMBER}),
     "Body": (
         al.Body,
@@ -262,6 +269,17 @@ _CONSTRUCTORS: dict[str, tuple[Callable[..., Any], dict[str, Any], dict[str, Map
             "inertia": VECTOR,
         },
     ),
+    "foreign.Robot": (
+        al.foreign.Robot,
+        {"parts": {"arm": al.Body("arm", joint=al.joints.Fixed(), mass=1.0)}, "order": ("arm",)},
+        {"parts": MAPPING, "order": {"nothing": (), "another": ("leg",)}},
+    ),
+    "foreign.read_urdf": (
+        al.foreign.read_urdf,
+        {"path": "nobody.urdf"},
+        {"path": FILE, "floating": FLAG, "leave_out": EFFECTS},
+    ),
+    "foreign.read_mjcf": (al.foreign.read_mjcf, {"path": "nobody.xml"}, {"path": FILE, "leave_out": EFFECTS}),
     "BodyLoad": (al.BodyLoad, {"body": "arm"}, {"body": NAME, "force": VECTOR, "at": VECTOR}),
     "InverseDynamics": (
         al.InverseDynamics,

@@ -35,6 +35,7 @@ def run(program: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
         "docs/black_boxes.md",
         "docs/motion.md",
         "docs/openmdao.md",
+        "docs/robots.md",
         "docs/solvers.md",
         "docs/studies.md",
         "docs/sympy.md",

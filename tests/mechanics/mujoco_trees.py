@@ -36,16 +36,16 @@ def _part(random, name, kind):
     axis = random.normal(size=3)
     damping, stiffness, rest = random.uniform(0.1, 2.0, 3).tolist()
     joint = {
-        "revolute": Revolute(axis, damping=damping, stiffness=stiffness, rest=rest),
-        "prismatic": Prismatic(axis, damping=damping, stiffness=stiffness, rest=rest),
+        "revolute": Revolute(axis, damping=damping, stiffness=stiffness, rest=rest, armature=damping / 4),
+        "prismatic": Prismatic(axis, damping=damping, stiffness=stiffness, rest=rest, armature=damping / 2),
         "ball": Ball(),
         "free": Free(),
         "fixed": Fixed(),
     }[kind]
     spring = f'axis="{_text(axis)}" damping="{damping!r}" stiffness="{stiffness!r}" springref="{rest!r}"'
     tag = {
-        "revolute": f'<joint name="{name}" type="hinge" {spring}/>',
-        "prismatic": f'<joint name="{name}" type="slide" {spring}/>',
+        "revolute": f'<joint name="{name}" type="hinge" {spring} armature="{damping / 4!r}"/>',
+        "prismatic": f'<joint name="{name}" type="slide" {spring} armature="{damping / 2!r}"/>',
         "ball": f'<joint name="{name}" type="ball"/>',
         "free": f'<freejoint name="{name}"/>',
         "fixed": "",

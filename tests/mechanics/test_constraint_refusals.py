@@ -165,6 +165,10 @@ REFUSED = {
         lambda: al.joints.Closure("pin", parent="a", child="b", joint=al.joints.Revolute("z", stiffness=1.0)),
         ["without spring and damper"],
     ),
+    "a closure with a rotor": (
+        lambda: al.joints.Closure("pin", parent="a", child="b", joint=al.joints.Revolute("z", armature=1.0)),
+        ["without spring and damper (and armature)"],
+    ),
     "a closure of a body to itself": (
         lambda: al.joints.Closure("pin", parent="a", child="a", joint=al.joints.Ball()),
         ["expected two bodies; received 'a' twice"],

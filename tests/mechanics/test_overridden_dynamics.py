@@ -123,15 +123,14 @@ def test_units_are_told_by_joints_and_one_s_own_come_before_them():
     assert "head_w" not in units
 
 
-def test_a_damping_that_would_drive_a_joint_is_refused():
+@pytest.mark.parametrize("part", ["damping", "armature"])
+def test_a_damping_that_would_drive_a_joint_and_a_negative_armature_are_refused(part):
     class Driven(al.Multibody):
-        damping: al.Number = -1.0
+        number: al.Number = -1.0
 
         def bodies(self):
-            return (al.Body("a", joint=al.joints.Prismatic("x", damping=self.damping), mass=1.0),)
+            return (al.Body("a", joint=al.joints.Prismatic("x", **{part: self.number}), mass=1.0),)
 
-    for damping in (-1.0, al.Uniform(0.5, half_width=0.6)):
-        with pytest.raises(al.ProblemError, match="expected a damping that is not negative; received -"):
-            al.Problem(
-                al.ForwardDynamics(Driven(damping=damping)), grid=al.Grid(1.0, 4), minimize=al.terminal("a").mean
-            )
+    for number in (-1.0, al.Uniform(0.5, half_width=0.6)):
+        with pytest.raises(al.ProblemError, match=f"expected an? {part} that is not negative; received -"):
+            al.Problem(al.ForwardDynamics(Driven(number=number)), grid=al.Grid(1.0, 4), minimize=al.terminal("a").mean)

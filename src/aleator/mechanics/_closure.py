@@ -75,8 +75,8 @@ class Closure(eqx.Module):
             )
         if isinstance(self.joint, AbstractAxial) and not _is_passive(self.joint):
             raise ProblemError(
-                f"Closure '{self.name}': expected a joint without spring and damper, since it has no coordinate; "
-                "received one with them. Close the loop at another joint, or add their force by load(q, v)."
+                f"Closure '{self.name}': expected a joint without spring and damper (and armature), since it has no "
+                "coordinate; received one with them. Close the loop at another joint, or add their force by load(q, v)."
             )
         for given in ((self.position, self.orientation), (self.child_position, self.child_orientation)):
             if all_known(*given):
@@ -175,7 +175,7 @@ def residuals(kind: str, closures: Sequence[Closure], poses: Mapping[str, Pose])
 
 
 def _is_passive(joint: AbstractAxial) -> bool:
-    given = joint.damping, joint.stiffness
+    given = joint.damping, joint.stiffness, joint.armature
     return not any(is_leaf(one) or not isinstance(one, int | float) or one != 0 for one in given)
 
 

@@ -11,6 +11,7 @@ from typing_extensions import override
 
 from aleator._core.errors import ProblemError
 from aleator.mechanics._spatial import (
+    Block,
     Pose,
     Twist,
     about,
@@ -60,6 +61,10 @@ class AbstractJoint(eqx.Module):
         del q
         return jnp.zeros_like(v)
 
+    def rotors(self) -> Block:
+        """The inertia along each speed of what turns with the joint alone, (speeds, speeds); `None` for none."""
+        return None
+
     def energy(self, q: Float[Array, " coordinates"]) -> Float[Array, ""]:
         """The energy in springs, J."""
         del q
@@ -75,17 +80,22 @@ class AbstractJoint(eqx.Module):
 
 
 class AbstractAxial(AbstractJoint):
-    """A joint along or about one axis, with a spring and a damper: force `-damping rate - stiffness (q - rest)`.
+    """A joint along or about one axis, with a spring, a damper and the rotor of a geared motor: force `-damping rate -
+    stiffness (q - rest) - armature acceleration`.
 
     - `axis`: "x", "y", "z", or a nonzero vector of any length, in the joint's frame (which is also the body's);
     - `damping`: N·m·s/rad, or N·s/m, not negative; `stiffness`: N·m/rad, or N/m; `rest`: the coordinate at which the
-      spring is free of force, rad or m.
+      spring is free of force, rad or m;
+    - `armature`: the rotor's inertia times the square of the gear ratio, kg·m², or kg; not negative. As usual, its
+      gyroscopic moments are neglected.
     """
 
     axis: Any
     damping: Any = 0.0
     stiffness: Any = 0.0
     rest: Any = 0.0
+    # A whole number, which stays known where a joint's numbers are traced.
+    armature: Any = 0
 
     coordinates: ClassVar[tuple[str, ...]] = ("",)
     speeds: ClassVar[tuple[str, ...]] = ("_rate",)
@@ -93,7 +103,7 @@ class AbstractAxial(AbstractJoint):
     def __check_init__(self):
         if all_known(self.axis):
             self.direction()
-        for part in ("damping", "stiffness", "rest"):
+        for part in ("damping", "stiffness", "rest", "armature"):
             if all_known(value := getattr(self, part)):
                 as_array(value, f"{type(self).__name__}: {part}", ())
 
@@ -110,12 +120,14 @@ class AbstractAxial(AbstractJoint):
     @override
     def passive(self, q: Float[Array, " 1"], v: Float[Array, " 1"]) -> Float[Array, " 1"]:
         """Raises `ProblemError` for a negative damping."""
-        if is_known(self.damping) and np.any(np.asarray(self.damping) < 0):
-            raise ProblemError(
-                f"{type(self).__name__}: expected a damping that is not negative; received {self.damping}. A "
-                "negative one would drive the joint."
-            )
+        self._refuse_negative("a damping", self.damping, " A negative one would drive the joint.")
         return -self.damping * v - self.stiffness * (q - self.rest)
+
+    @override
+    def rotors(self) -> Block:
+        """Raises `ProblemError` for a negative armature."""
+        self._refuse_negative("an armature", self.armature)
+        return None if is_known(self.armature) and not np.any(self.armature) else self.armature * np.eye(1)
 
     @override
     def energy(self, q: Float[Array, " 1"]) -> Float[Array, ""]:
@@ -125,6 +137,10 @@ class AbstractAxial(AbstractJoint):
         """One."""
         del q
         return jnp.ones((1, 1))
+
+    def _refuse_negative(self, part: str, value: Any, why: str = "") -> None:
+        if is_known(value) and np.any(np.asarray(value) < 0):
+            raise ProblemError(f"{type(self).__name__}: expected {part} that is not negative; received {value}.{why}")
 
 
 @final

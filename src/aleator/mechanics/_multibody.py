@@ -48,7 +48,8 @@ class Multibody(AbstractMechanical):
     `al.joints.Ball` and `al.joints.Free` for theirs. They are in the order of the bodies, parents first. `gravity` is
     in m/s², in the world's axes; a field or property may replace it.
 
-    Override `bias` to add friction, drag and forces of rotors, and `mass_matrix` to add the inertia of geared motors:
+    Override `bias` to add friction, drag and gyroscopic forces of rotors, and `mass_matrix` to add inertia that is
+    neither a body's nor a joint's `armature`:
 
         def bias(self, q, v):
             return super().bias(q, v) + 0.2 * jnp.tanh(v / 1e-3)
@@ -188,10 +189,11 @@ class Multibody(AbstractMechanical):
 
     @override
     def diagnose(self, q: Float[Array, " coordinates"]) -> str:
-        """Nothing more than what joints refuse themselves, such as negative damping."""
+        """Nothing more than what joints refuse themselves, such as negative damping or armature."""
         tree = self._tree()
         for link in tree.links:
             link.joint.passive(q[link.q], jnp.zeros(link.v.stop - link.v.start))
+            link.joint.rotors()
         return ""
 
     @override
@@ -212,10 +214,12 @@ class Multibody(AbstractMechanical):
         return tuple(found)
 
     def kinetic_energy(self, q: Float[Array, " coordinates"], v: Float[Array, " speeds"]) -> Float[Array, ""]:
-        """The kinetic energy of the bodies, J."""
+        """The kinetic energy of the bodies and of the joints' rotors, J."""
         tree = self._tree()
         twists = moving(tree, q, v).twists
         energies = [power(twist, momentum(link.inertia, twist)) for link, twist in zip(tree.links, twists, strict=True)]
+        turning = [(link.joint.rotors(), v[link.v]) for link in tree.links]
+        energies += [rates @ rotors @ rates for rotors, rates in turning if rotors is not None]
         return 0.5 * sum(energies, start=jnp.zeros(()))
 
     def potential_energy(self, q: Float[Array, " coordinates"]) -> Float[Array, ""]:

@@ -96,7 +96,8 @@ def inverse_dynamics(
     forces: list[Any] = []
     for i, link in reversed(list(enumerate(tree.links))):
         passive = link.joint.passive(q[link.q], v[link.v])
-        forces.insert(0, power(link.joint.subspace(q[link.q]), wrenches[i]) - passive)
+        accelerated = times(link.joint.rotors(), v_dot[link.v])
+        forces.insert(0, plus(power(link.joint.subspace(q[link.q]), wrenches[i]), accelerated) - passive)
         if link.parent != GROUND:
             wrenches[link.parent] = added(wrenches[link.parent], wrench_outside(poses[i], wrenches[i]))
     return jnp.concatenate([jnp.zeros(0), *forces])
@@ -154,7 +155,7 @@ def mass_matrix(tree: Tree, q: Float[Array, " coordinates"]) -> Float[Array, "sp
     blocks: list[list[Any]] = [[np.zeros((m, n)) for n in sizes] for m in sizes]
     for i, link in reversed(list(enumerate(tree.links))):
         wrench = momentum(composite[i], subspaces[i])
-        blocks[i][i] = power(subspaces[i], wrench)
+        blocks[i][i] = plus(power(subspaces[i], wrench), link.joint.rotors())
         if link.parent != GROUND:
             composite[link.parent] = added(composite[link.parent], inertia_outside(poses[i], composite[i]))
         j = i
@@ -196,7 +197,7 @@ def forward_dynamics(
         passive = link.joint.passive(q[link.q], v[link.v])
         rest = force[link.v] + passive - power(subspace, wrenches[i])
         right = jnp.concatenate([rest[:, None], carried.moment.T, carried.force.T], axis=1)
-        solved = solve_positive(jnp.asarray(power(subspace, carried)), right)
+        solved = solve_positive(jnp.asarray(plus(power(subspace, carried), link.joint.rotors())), right)
         own[i], gains[i] = solved[:, 0], Twist(solved[:, 1:4], solved[:, 4:])
         if link.parent != GROUND:
             reduced = Articulated(

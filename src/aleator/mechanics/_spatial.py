@@ -290,6 +290,8 @@ def power(twist: Twist, wrench: Wrench) -> Block:
 
 def inertia_outside(pose: Pose, inertia: Inertia) -> Inertia:
     """The inertia of a body in the frame at `pose`, expressed in the outer frame."""
+    if library(*pose) is np and np.array_equal(pose.rotation, np.eye(3)) and not np.any(pose.position):
+        return inertia
     first = pose.rotation @ inertia.first
     across = skew(pose.position)
     # -P H' - H' P - m P P, with the moment moved to the outer origin (parallel axes).

@@ -1,0 +1,81 @@
+"""What a compiled MuJoCo model does beside moving a tree of bodies."""
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+
+from aleator.foreign._mjcf_specification import library
+
+
+def is_disabled(model: Any, flag: str) -> bool:
+    """Whether a file switches an effect off: "SPRING", "DAMPER", "GRAVITY" and others of `mjtDisableBit`."""
+    return bool(model.opt.disableflags & getattr(library().mjtDisableBit, f"mjDSBL_{flag}"))
+
+
+def gravity_of(model: Any) -> tuple[float, ...]:
+    """Gravity, m/s²."""
+    return (0.0, 0.0, 0.0) if is_disabled(model, "GRAVITY") else tuple(model.opt.gravity.tolist())
+
+
+def effects_of(model: Any) -> dict[str, list[str]]:
+    """Effects for which a tree of bodies has no place, by name with the elements that have them."""
+    constrained = not is_disabled(model, "CONSTRAINT")
+    springs, dampers = (not is_disabled(model, flag) for flag in ("SPRING", "DAMPER"))
+    rubs = constrained and not is_disabled(model, "FRICTIONLOSS")
+    equal = constrained and not is_disabled(model, "EQUALITY")
+    # MuJoCo leaves out all passive forces if both are switched off.
+    passive = springs or dampers
+    quaternions = model.jnt_type <= 1
+    loose = quaternions[model.dof_jntid]
+    found = {
+        "friction": [
+            *_joints(model, model.dof_jntid[(model.dof_frictionloss != 0) & rubs]),
+            *_named(model, "tendon", (model.tendon_frictionloss != 0) & rubs),
+        ],
+        "equality": _named(model, "equality", model.eq_active0.astype(bool) & equal),
+        "tendons": _named(
+            model,
+            "tendon",
+            (_nonzero(model, "tendon_stiffness", "tendon_stiffnesspoly") & springs)
+            | (_nonzero(model, "tendon_damping", "tendon_dampingpoly") & dampers)
+            | _nonzero(model, "tendon_armature"),
+        ),
+        "ball": [
+            *_joints(model, np.flatnonzero(quaternions & (model.jnt_stiffness != 0) & springs)),
+            *_joints(model, model.dof_jntid[loose & (model.dof_damping != 0) & dampers]),
+            *_joints(model, model.dof_jntid[loose & (model.dof_armature != 0)]),
+        ],
+        "polynomials": [
+            *_joints(model, np.flatnonzero(_nonzero(model, "jnt_stiffnesspoly") & springs)),
+            *_joints(model, model.dof_jntid[_nonzero(model, "dof_dampingpoly") & dampers]),
+        ],
+        "actuators": _named(
+            model,
+            "actuator",
+            _nonzero(model, "actuator_armature")
+            | (_nonzero(model, "actuator_damping", "actuator_dampingpoly") & dampers),
+        ),
+        "fluid": ["option"] if passive and (model.opt.density > 0 or model.opt.viscosity > 0) else [],
+        "gravcomp": _named(model, "body", (model.body_gravcomp != 0) & passive & any(gravity_of(model))),
+        "plugins": _named(model, "body", model.body_plugin >= 0),
+    }
+    return {name: list(dict.fromkeys(elements)) for name, elements in found.items() if elements}
+
+
+def _nonzero(model: Any, *fields: str) -> Any:
+    """Where one of some fields is not zero; fields that an older MuJoCo does not have are."""
+    values = [np.asarray(getattr(model, field)) for field in fields if hasattr(model, field)]
+    return np.logical_or.reduce([(one != 0).any(axis=tuple(range(1, one.ndim))) for one in values]) if values else False
+
+
+def _joints(model: Any, joints: Iterable[Any]) -> list[str]:
+    return [_said("joint", model.joint(int(joint)).name, joint) for joint in joints]
+
+
+def _named(model: Any, kind: str, is_found: Any) -> list[str]:
+    return [_said(kind, getattr(model, kind)(int(i)).name, i) for i in np.flatnonzero(is_found)]
+
+
+def _said(kind: str, name: str, number: Any) -> str:
+    return f"{kind} '{name}'" if name else f"{kind} {int(number)} (without a name)"

@@ -1,0 +1,111 @@
+"""An MJCF file compiled by MuJoCo, without what only needs meshes and pictures."""
+
+import warnings
+from collections.abc import Collection, Iterator
+from typing import Any
+
+from aleator._core.errors import MissingExtraError, ProblemError
+from aleator.foreign._robot_effects import refuse_effects
+from aleator.foreign._xml import broken
+
+
+def library() -> Any:
+    """MuJoCo, imported late. Raises `MissingExtraError` where it is not installed."""
+    try:
+        import mujoco
+    except ImportError as error:
+        raise MissingExtraError(
+            "`read_mjcf` needs the library mujoco: install it with `pip install 'aleator[robots]'`."
+        ) from error
+    return mujoco
+
+
+def compiled(path: Any, left_out: Collection[str]) -> tuple[Any, tuple[str, ...]]:
+    """The compiled model, and notes on what was removed before.
+
+    Raises `ProblemError` for what MuJoCo refuses, for deformable bodies, and for inertia from a mesh.
+    """
+    mujoco = library()
+    try:
+        specification = mujoco.MjSpec.from_file(str(path))
+    except ValueError as error:
+        raise _refused(path, error) from error
+    notes = (*_without_flexes(path, specification, left_out), *_without_files(path, specification))
+    # Bodies keep their names and places.
+    specification.compiler.fusestatic = False
+    with warnings.catch_warnings(record=True) as heard:
+        warnings.simplefilter("always")
+        try:
+            model = specification.compile()
+        except ValueError as error:
+            raise _refused(path, error) from error
+    return model, (*notes, *(f"MuJoCo: {one.message}." for one in heard))
+
+
+def _refused(path: Any, error: ValueError) -> ProblemError:
+    said = "; ".join(line.strip() for line in str(error).splitlines() if line.strip())
+    return broken(path, "", f"expected a model that MuJoCo accepts; received its refusal: {said}.")
+
+
+def _without_flexes(path: Any, specification: Any, left_out: Collection[str]) -> tuple[str, ...]:
+    flexes = list(specification.flexes)
+    if not flexes:
+        return ()
+    notes = refuse_effects(path, {"flex": [f"flex '{flex.name}'" for flex in flexes]}, left_out)
+    _delete(specification, flexes)
+    return notes
+
+
+def _without_files(path: Any, specification: Any) -> Iterator[str]:
+    """Remove what is read from further files: meshes, height fields, textures, skins, and what refers to them."""
+    shapes = [geom for geom in specification.geoms if _needs_file(geom)]
+    for geom in shapes:
+        if _gives_inertia(specification, geom):
+            raise broken(
+                path,
+                f"body '{geom.parent.name}'",
+                f"expected its inertia in numbers; received a mesh ('{geom.meshname or geom.name}') to compute it "
+                "from, which is not read. Give the body an <inertial> with pos, mass and fullinertia (MuJoCo writes "
+                "the numbers that it computes itself by mj_saveLastXML).",
+            )
+    if shapes:
+        yield f"Meshes and height fields are not read ({len(shapes)})."
+        names = {geom.name for geom in shapes if geom.name}
+        _delete(specification, [one for one in specification.pairs if {one.geomname1, one.geomname2} & names])
+        _delete(specification, shapes)
+    for owner in (*specification.geoms, *specification.sites, *specification.tendons):
+        owner.material = ""
+    for parts in ("sensors", "tuples", "skins", "meshes", "hfields", "materials", "textures"):
+        _delete(specification, list(getattr(specification, parts)))
+
+
+def _needs_file(geom: Any) -> bool:
+    """Whether a shape is a mesh or fitted to one, or a field of heights."""
+    return bool(geom.meshname or geom.hfieldname)
+
+
+def _gives_inertia(specification: Any, geom: Any) -> bool:
+    """Whether the inertia of a moving body is computed from a shape."""
+    kinds = library().mjtInertiaFromGeom
+    # Bodies of an attached file keep its settings.
+    settings = getattr(geom.parent, "compiler", specification.compiler)
+    rule, (first, last) = settings.inertiafromgeom, settings.inertiagrouprange
+    if not _moves(geom.parent) or not first <= geom.group <= last or rule == kinds.mjINERTIAFROMGEOM_FALSE:
+        return False
+    if rule != kinds.mjINERTIAFROMGEOM_TRUE and geom.parent.explicitinertial:
+        return False
+    # A mass that is not given is NaN.
+    return geom.mass != 0 and (geom.mass > 0 or geom.density > 0)
+
+
+def _moves(body: Any) -> bool:
+    while body is not None and body.name != "world":
+        if len(body.joints):
+            return True
+        body = body.parent
+    return False
+
+
+def _delete(specification: Any, parts: Collection[Any]) -> None:
+    for part in parts:
+        specification.delete(part)

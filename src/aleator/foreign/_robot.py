@@ -1,0 +1,119 @@
+"""`Robot`: the tree of bodies that a file describes, with all its numbers as fields."""
+
+from collections.abc import Collection, Mapping, Sequence
+from itertools import chain, count
+from typing import Any, TypeVar, final
+
+import equinox as eqx
+from typing_extensions import override
+
+from aleator._core.errors import ProblemError
+from aleator._core.leaves import transparent
+from aleator.mechanics import Body, Multibody
+
+Key = TypeVar("Key", int, str)
+
+
+@final
+@transparent("parts")
+class Robot(Multibody):
+    """A mechanical system read from a file, by `al.foreign.read_urdf` or `al.foreign.read_mjcf`.
+
+    - `parts`: its bodies by name. Each link of the file is a body with its `mass`, `center` and `inertia`, and each
+      joint that moves is a body without mass, with its `joint` (`axis`, `damping`, `stiffness`, `rest`, `armature`),
+      `position` and `orientation`; the link behind it is fixed to it. A joint whose name a link has as well ends in
+      `_joint`; one without a name is part of its link. Coordinates and torques have the names of the joints;
+    - `gravity` (3,), m/s²; a URDF has none, and gets `(0, 0, -9.81)`;
+    - `limits`: what the file allows, by the names of outputs: `robot.limits["elbow"]` is the lowest and the highest
+      angle, beside `elbow_rate` and `elbow_torque`. Nothing enforces them: they are for constraints of a problem;
+    - `start`: the coordinates in the file's own posture, where they are not zero;
+    - `notes`: what was in the file and is not in the model, in sentences.
+
+    Any of its numbers may be replaced:
+
+        robot = eqx.tree_at(lambda robot: robot.parts["forearm"].mass, robot, al.Uniform(3.0, half_width=0.2))
+
+    For more bodies, loads, or outputs write an `al.Multibody` with a robot as a field, whose `bodies` begin with
+    `self.robot.bodies()`.
+    """
+
+    parts: dict[str, Body]
+    gravity: Any = (0.0, 0.0, -9.81)
+    # A dictionary of a pytree comes back in the order of the alphabet.
+    order: tuple[str, ...] = eqx.field(static=True, default=(), kw_only=True)
+    allowed: tuple[tuple[str, tuple[float, float]], ...] = eqx.field(static=True, default=(), kw_only=True)
+    posture: tuple[tuple[str, float], ...] = eqx.field(static=True, default=(), kw_only=True)
+    notes: tuple[str, ...] = eqx.field(static=True, default=(), kw_only=True)
+
+    def __check_init__(self):
+        if not isinstance(self.parts, dict) or not all(isinstance(body, Body) for body in self.parts.values()):
+            raise ProblemError(f"Robot: expected parts as a dictionary of al.Body by name; received {self.parts!r}.")
+        if sorted(self.order) != sorted(self.parts):
+            raise ProblemError(f"Robot: expected the order of {sorted(self.parts)}; received {self.order!r}.")
+
+    @property
+    def limits(self) -> dict[str, tuple[float, float]]:
+        """The lowest and the highest value that the file allows, by the names of outputs."""
+        return dict(self.allowed)
+
+    @property
+    def start(self) -> dict[str, float]:
+        """The coordinates in the file's own posture, where they are not zero."""
+        return dict(self.posture)
+
+    @override
+    def bodies(self) -> Sequence[Body]:
+        return tuple(self.parts[name] for name in self.order)
+
+
+def robot_of(
+    path: Any,
+    bodies: Sequence[Body],
+    *,
+    gravity: Any = (0.0, 0.0, -9.81),
+    limits: Mapping[str, tuple[float, float]],
+    posture: Mapping[str, float],
+    notes: Sequence[str],
+) -> Robot:
+    """The robot of some bodies, parents first. Raises `ProblemError` for a joint that moves no mass."""
+    _refuse_massless(path, bodies)
+    return Robot(
+        {body.name: body for body in bodies},
+        gravity,
+        order=tuple(body.name for body in bodies),
+        allowed=tuple(limits.items()),
+        posture=tuple(posture.items()),
+        notes=tuple(notes),
+    )
+
+
+def known(number: float) -> float | int:
+    """A number of geometry; zero and one as whole numbers.
+
+    These are structure where a model is traced: what is zero costs nothing there.
+    """
+    return int(number) if number in (-1.0, 0.0, 1.0) else float(number)
+
+
+def carriers(joints: Mapping[Key, str], links: Collection[str]) -> dict[Key, str]:
+    """The names of the bodies that carry joints: those of the joints, with an ending where a link has the same."""
+    found: dict[Key, str] = {}
+    for joint, name in joints.items():
+        taken = {*links, *joints.values(), *found.values()}
+        others = chain((f"{name}_joint",), (f"{name}_joint_{i}" for i in count(2)))
+        found[joint] = name if name not in links else next(one for one in others if one not in taken)
+    return found
+
+
+def _refuse_massless(path: Any, bodies: Sequence[Body]) -> None:
+    carried = {body.name: float(body.mass) for body in bodies}
+    for body in reversed(bodies):
+        if body.parent is not None:
+            carried[body.parent] += carried[body.name]
+    for body in bodies:
+        joint = body.joint
+        if carried[body.name] == 0 and getattr(joint, "coordinates", ()) and not getattr(joint, "armature", 0):
+            raise ProblemError(
+                f"{path}, joint '{body.name}': expected a joint that moves some mass; received none, neither in its "
+                "link nor beyond. Give the link an <inertial>, or fix the joint."
+            )

@@ -1,0 +1,207 @@
+"""URDF: the Unified Robot Description Format of ROS (wiki.ros.org/urdf/XML), read by Python's own XML parser.
+
+Of a URDF, dynamics need a handful of elements, which are all read here: a library would bring meshes and viewers along,
+and would not say which element is wrong. Nothing is computed from geometry, which this format does not do either.
+"""
+
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+from xml.etree.ElementTree import Element
+
+import numpy as np
+
+from aleator._core.errors import ProblemError
+from aleator._core.given import refusal
+from aleator.foreign._robot import Robot, carriers, known, robot_of
+from aleator.foreign._robot_effects import checked_effects, refuse_effects
+from aleator.foreign._urdf_tree import ordered
+from aleator.foreign._xml import Place, broken, geometry, root_of
+from aleator.mechanics import AbstractJoint, Body, Fixed, Free, Prismatic, Revolute
+
+_AXIAL = {"revolute": Revolute, "continuous": Revolute, "prismatic": Prismatic}
+_KINDS = (*_AXIAL, "fixed", "floating")
+# What is read, and what has no part in the motion of a tree of bodies.
+_READ: Mapping[str, frozenset[str]] = {
+    "robot": frozenset({"link", "joint", "material"}),
+    "link": frozenset({"inertial", "visual", "collision"}),
+    "joint": frozenset(
+        {"origin", "parent", "child", "axis", "dynamics", "limit", "mimic", "calibration", "safety_controller"}
+    ),
+}
+
+
+def read_urdf(path: str | Path, *, floating: bool = False, leave_out: Sequence[str] = ()) -> Robot:
+    """The robot in a URDF file, as a tree of bodies: an `al.Multibody` whose numbers are fields.
+
+    - `floating`: whether the first link moves freely (coordinates `<link>_x`, ...), as those of drones and walking
+      robots; otherwise it is fixed to the ground;
+    - `leave_out`: effects to do without, by name: "friction" (dry friction, `<dynamics friction>`), "mimic" (a joint
+      that follows another one becomes a joint of its own) and "extensions" (attributes of `<dynamics>` that the format
+      does not have). A file with one of these is refused otherwise.
+
+    Read are links with their inertial elements, and fixed, revolute, continuous, prismatic and floating joints with
+    their dampers. Limits are in `robot.limits`. Geometry is not looked at: no file of a mesh need exist, bodies pass
+    through one another, and a link without `<inertial>` has no mass, as the format has it. `robot.notes` says what else
+    was not read.
+
+    Raises `ProblemError`, with the file and the element, for what is no URDF, no tree or no possible body.
+    """
+    left_out = checked_effects("read_urdf", leave_out)
+    if not isinstance(floating, bool):
+        raise refusal("read_urdf: floating", "True or False", floating)
+    root = root_of("read_urdf", path, "robot")
+    _refuse_macros(path, root)
+    links, joints = (_named(path, root, tag) for tag in ("link", "joint"))
+    if not links:
+        raise broken(path, "", "expected a robot with a <link>; received none.")
+    first, joints = ordered(path, links, joints)
+    notes = refuse_effects(path, _effects(joints), left_out)
+    names = carriers({name: name for name in joints}, links)
+    bodies = [_base(links[first], floating)]
+    for name, joint in joints.items():
+        bodies += _behind(joint, names[name], links[joint.needed("child").text("link")])
+    limits = {output: ends for name, joint in joints.items() for output, ends in _limits(joint, names[name])}
+    return robot_of(path, bodies, limits=limits, posture={}, notes=(*notes, *_notes(root, links, limits)))
+
+
+def _named(path: Any, root: Element, tag: str) -> dict[str, Place]:
+    """The elements of a tag by name."""
+    found: dict[str, Place] = {}
+    for element in root.findall(tag):
+        name = Place(path, f"<{tag}>", element).text("name")
+        if name in found:
+            raise broken(path, f"{tag} '{name}'", f"expected one {tag} of this name; received two.")
+        found[name] = Place(path, f"{tag} '{name}'", element)
+    return found
+
+
+def _base(link: Place, floating: bool) -> Body:
+    return _body(link, link.text("name"), parent=None, joint=Free() if floating else Fixed())
+
+
+def _behind(joint: Place, name: str, link: Place) -> tuple[Body, ...]:
+    """The bodies of a joint and of the link behind it."""
+    parent, child = joint.needed("parent").text("link"), link.text("name")
+    origin = joint.child("origin")
+    place = {
+        "position": (0, 0, 0) if origin is None else geometry(origin.numbers("xyz", (0, 0, 0))),
+        "orientation": (0, 0, 0) if origin is None else geometry(origin.numbers("rpy", (0, 0, 0))),
+    }
+    if joint.text("type") == "fixed":
+        return (_body(link, child, parent=parent, joint=Fixed(), **place),)
+    carrier = Body(name, parent=parent, joint=_joint(joint), mass=0, center=(0, 0, 0), inertia=(0, 0, 0), **place)
+    still = {"position": (0, 0, 0), "orientation": (0, 0, 0)}
+    return carrier, _body(link, child, parent=name, joint=Fixed(), **still)
+
+
+def _joint(joint: Place) -> AbstractJoint:
+    kind = joint.text("type")
+    if kind not in _KINDS:
+        instead = " Use two prismatic joints and a continuous one in its place." if kind == "planar" else ""
+        raise broken(
+            joint.path, joint.where, f"expected a joint of the types {list(_KINDS)}; received '{kind}'.{instead}"
+        )
+    dynamics = joint.child("dynamics")
+    damping = 0.0 if dynamics is None else dynamics.number("damping", 0.0)
+    if damping < 0:
+        raise broken(joint.path, joint.where, f"expected a damping that is not negative; received {damping:g}.")
+    if kind == "floating":
+        if damping:
+            raise broken(joint.path, joint.where, "expected a floating joint without damping; received one with it.")
+        return Free()
+    given = joint.child("axis")
+    axis = (1, 0, 0) if given is None else geometry(given.numbers("xyz", (1, 0, 0)))
+    if not any(axis):
+        raise broken(joint.path, joint.where, "expected an axis that is not zero; received 0 0 0.")
+    return _AXIAL[kind](axis, damping=damping or 0, stiffness=0, rest=0, armature=0)
+
+
+def _body(link: Place, name: str, **joined: Any) -> Body:
+    """A link with its inertia, in its own frame."""
+    inertial = link.child("inertial")
+    if inertial is None:
+        return Body(name, mass=0, center=(0, 0, 0), inertia=(0, 0, 0), **joined)
+    mass = inertial.needed("mass").number("value")
+    if mass < 0:
+        raise broken(link.path, link.where, f"expected a mass that is not negative; received {mass:g}.")
+    origin = inertial.child("origin")
+    center = (0, 0, 0) if origin is None else geometry(origin.numbers("xyz", (0, 0, 0)))
+    turned = (0.0, 0.0, 0.0) if origin is None else origin.numbers("rpy", (0, 0, 0))
+    given = inertial.needed("inertia")
+    moments = [given.number(f"i{name}") for name in ("xx", "yy", "zz", "xy", "xz", "yz")]
+    try:
+        return Body(name, mass=mass, center=center, inertia=_along(turned, moments), **joined)
+    except ProblemError as error:
+        raise broken(link.path, link.where, str(error)) from error
+
+
+def _along(turned: Sequence[float], moments: Sequence[float]) -> tuple[float | int, ...]:
+    """Moments of inertia along the axes of a link, from those along axes that are turned by roll, pitch and yaw."""
+    xx, yy, zz, xy, xz, yz = moments
+    if not any(turned):
+        return (xx, yy, zz, *map(known, (xy, xz, yz))) if any((xy, xz, yz)) else (xx, yy, zz)
+    rotation = _rotation(turned)
+    matrix = rotation @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ rotation.T
+    return tuple(matrix[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]].tolist())
+
+
+def _rotation(angles: Sequence[float]) -> np.ndarray:
+    (sr, sp, sy), (cr, cp, cy) = np.sin(angles), np.cos(angles)
+    about_x = np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])
+    about_y = np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
+    about_z = np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]])
+    return about_z @ about_y @ about_x
+
+
+def _effects(joints: Mapping[str, Place]) -> dict[str, list[str]]:
+    """Effects for which a tree has no place, with the joints that have them."""
+    found: dict[str, list[str]] = {}
+    for joint in joints.values():
+        dynamics = joint.child("dynamics")
+        if joint.text("type") == "fixed":
+            continue
+        if joint.child("mimic") is not None:
+            found.setdefault("mimic", []).append(joint.where)
+        if dynamics is not None and dynamics.number("friction", 0.0):
+            found.setdefault("friction", []).append(joint.where)
+        others = () if dynamics is None else dynamics.element.attrib.keys() - {"damping", "friction"}
+        found.setdefault("extensions", []).extend(f"{joint.where} ({name})" for name in sorted(others))
+    return {name: elements for name, elements in found.items() if elements}
+
+
+def _limits(joint: Place, name: str) -> Iterator[tuple[str, tuple[float, float]]]:
+    kind, limit = joint.text("type"), joint.child("limit")
+    if limit is None or kind not in _AXIAL:
+        return
+    if kind != "continuous":
+        yield name, (limit.number("lower", 0.0), limit.number("upper", 0.0))
+    for attribute, output in (("velocity", f"{name}_rate"), ("effort", f"{name}_torque")):
+        if attribute in limit.element.attrib:
+            most = limit.number(attribute)
+            yield output, (-most, most)
+
+
+def _notes(root: Element, links: Mapping[str, Place], limits: Collection[str]) -> Iterator[str]:
+    if limits:
+        yield "Limits are in robot.limits; nothing enforces them."
+    if root.find("link/collision") is not None:
+        yield "There is no contact: bodies pass through one another."
+    bare = [name for name, link in links.items() if link.child("inertial") is None]
+    if bare:
+        yield f"Links without <inertial> have no mass: {', '.join(bare)}."
+    for owner, tags in _READ.items():
+        elements = [root] if owner == "robot" else root.findall(owner)
+        others = sorted({str(child.tag) for element in elements for child in element} - tags)
+        if others:
+            yield f"Not read, in <{owner}>: {', '.join(f'<{tag}>' for tag in others)}."
+
+
+def _refuse_macros(path: Any, root: Element) -> None:
+    for element in root.iter():
+        if "xacro" in str(element.tag) or any("${" in value for value in element.attrib.values()):
+            raise broken(
+                path,
+                "",
+                "expected a URDF; received one with macros of xacro. Expand them first: xacro FILE > robot.urdf.",
+            )

@@ -1,0 +1,169 @@
+"""What files say about joints and frames, on small robots that have all of it, against MuJoCo."""
+
+import equinox as eqx
+import jax
+import mujoco
+import numpy as np
+import pytest
+from mujoco_robots import assert_same, by_aleator, by_mujoco, states, urdf_by_mujoco
+
+import aleator as al
+from aleator._core.leaves import is_leaf, named_leaves
+
+EVERYTHING = """<mujoco>
+  <compiler angle="degree"/>
+  <option gravity="0.5 0 -3"/>
+  <default><geom material="wood"/><joint damping="0.3"/>
+    <default class="stiff"><joint stiffness="2" springref="20"/></default></default>
+  <asset><texture name="wood" type="2d" file="nowhere.png"/><material name="wood" texture="wood"/></asset>
+  <worldbody>
+    <geom type="plane" size="1 1 1" material="wood"/>
+    <frame pos="0.3 0 0.2" euler="30 0 40">
+      <body name="cart" pos="0.1 0.2 0.3" euler="10 20 30">
+        <joint name="along" type="slide" axis="1 1 0" ref="0.4" armature="0.7"/>
+        <joint name="about" axis="0 1 2" pos="0.1 -0.2 0.3" ref="25" armature="0.2" class="stiff" range="-90 45"/>
+        <joint axis="1 0 0" pos="0 0.1 0"/>
+        <geom type="box" size="0.1 0.2 0.3" pos="0.1 0 0" euler="0 30 0"/>
+        <body name="plate" pos="0 0 0.4" quat="1 1 0 0"><geom type="cylinder" size="0.1 0.02"/>
+          <body pos="0.2 0 0">
+            <joint axis="0 0 1" damping="0"/>
+            <inertial pos="0.1 0 0" mass="2" fullinertia="0.2 0.3 0.4 0.01 0.02 0.03"/>
+          </body>
+        </body>
+      </body>
+    </frame>
+    <body name="ball" pos="0 0 1"><joint name="socket" type="ball" damping="0"/><geom size="0.1" pos="0.3 0 0"/></body>
+    <body name="drone" pos="1 2 3" euler="0 0 90"><freejoint/>
+      <geom type="capsule" fromto="0 0 0 0.1 0.2 0.3" size="0.1"/></body>
+  </worldbody>
+  <actuator><motor joint="about"/></actuator>
+  <sensor><jointpos joint="about"/></sensor>
+</mujoco>
+"""
+
+ARM = """<robot name="arm">
+  <link name="base"><inertial><mass value="3"/>
+    <inertia ixx="0.2" iyy="0.3" izz="0.4" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <link name="upper"><inertial><origin xyz="0.1 0.2 0.3" rpy="0.3 0.2 0.1"/><mass value="2"/>
+    <inertia ixx="0.2" iyy="0.3" izz="0.4" ixy="0.01" ixz="0.02" iyz="0.03"/></inertial></link>
+  <link name="plate"><inertial><origin rpy="1 2 3"/><mass value="0.5"/>
+    <inertia ixx="0.02" iyy="0.03" izz="0.04" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <link name="slider"><inertial><mass value="0.7"/>
+    <inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <joint name="down" type="prismatic"><parent link="plate"/><child link="slider"/><origin xyz="0 0 0.3" rpy="0.5 0 0"/>
+    <axis xyz="0 1 1"/><limit lower="-0.1" upper="0.2" effort="30" velocity="2"/></joint>
+  <joint name="shoulder" type="revolute"><parent link="base"/><child link="upper"/>
+    <origin xyz="1 2 3" rpy="0.1 0.2 0.3"/><axis xyz="1 2 3"/><dynamics damping="0.4"/>
+    <limit lower="-1" upper="2" effort="30" velocity="2"/></joint>
+  <joint name="bolt" type="fixed"><parent link="upper"/><child link="plate"/><origin xyz="0 0 1" rpy="0 0 1"/></joint>
+</robot>
+"""
+
+
+def written(folder, text, name="robot.xml"):
+    (folder / name).write_text(text)
+    return folder / name
+
+
+def test_springs_references_anchors_and_all_kinds_of_joints_are_those_of_mujoco(tmp_path):
+    robot = al.foreign.read_mjcf(written(tmp_path, EVERYTHING))
+    plain = EVERYTHING.replace(' file="nowhere.png"', ' builtin="flat" width="1" height="1"')
+    at = states(robot, 3, seed=1)
+    assert_same(by_aleator(robot, *at), by_mujoco(mujoco.MjModel.from_xml_string(plain), robot, *at))
+    moving = ("along", "about", "cart_joint", "body_3")
+    assert robot.coordinates[:4] == moving
+    assert robot.start == pytest.approx(
+        {"along": 0.4, "about": np.deg2rad(25), "socket_w": 1.0}
+        | {f"drone_{end}": value for end, value in zip("xyz", (1.0, 2.0, 3.0), strict=True)}
+        | {"drone_qw": np.sqrt(0.5), "drone_qz": np.sqrt(0.5)}
+    )
+    assert robot.limits["about"] == pytest.approx((-np.pi / 2, np.pi / 4))
+
+
+@pytest.mark.parametrize("floating", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_frames_and_turned_inertia_of_a_urdf_are_those_of_mujoco(tmp_path, floating):
+    robot = al.foreign.read_urdf(written(tmp_path, ARM), floating=floating)
+    model = urdf_by_mujoco(ARM)
+    if floating:
+        model = mujoco.MjModel.from_xml_string(_on_a_free_base(model, tmp_path))
+    at = states(robot, 3, seed=2)
+    # MuJoCo writes numbers with few digits.
+    tolerance = 1e-5 if floating else 1e-12
+    assert_same(by_aleator(robot, *at), by_mujoco(model, robot, *at), tolerance)
+
+
+def _on_a_free_base(model, folder):
+    """The same arm where its base, which is fixed in MuJoCo, moves freely."""
+    mujoco.mj_saveLastXML(str(folder / "saved.xml"), model)
+    head, rest = (folder / "saved.xml").read_text().split("<worldbody>")
+    arm, tail = rest.split("</worldbody>")
+    base = '<body name="base"><freejoint/><inertial pos="0 0 0" mass="3" diaginertia="0.2 0.3 0.4"/>'
+    return f"{head}<worldbody>{base}{arm}</body></worldbody>{tail}"
+
+
+@pytest.mark.slow
+def test_a_joint_that_follows_another_is_a_constraint_of_a_model_around_the_robot(tmp_path):
+    text = ARM.replace('<axis xyz="0 1 1"/>', '<axis xyz="0 1 1"/><mimic joint="shoulder" multiplier="0.1"/>')
+    robot = al.foreign.read_urdf(written(tmp_path, text), leave_out="mimic")
+    system = al.ForwardDynamics(Geared(robot), start={"shoulder": 0.5}, guess={"down": 0.1})
+    found = al.simulate(system, al.Grid(0.2, 20), only=["shoulder", "down", "constraint_error"])
+    np.testing.assert_allclose(found["down"], 0.1 * found["shoulder"], rtol=0, atol=1e-12)
+    assert np.ptp(found["down"]) > 1e-3
+
+
+class Geared(al.Multibody):
+    robot: al.foreign.Robot
+    constraints = ("gear",)
+
+    def bodies(self):
+        return self.robot.bodies()
+
+    def constraint(self, q):
+        down, shoulder = (self.coordinates.index(name) for name in ("down", "shoulder"))
+        return (q[down] - 0.1 * q[shoulder],)
+
+
+def test_limits_have_the_names_of_outputs(tmp_path):
+    robot = al.foreign.read_urdf(written(tmp_path, ARM))
+    assert robot.limits == {
+        "shoulder": (-1.0, 2.0),
+        "shoulder_rate": (-2.0, 2.0),
+        "shoulder_torque": (-30.0, 30.0),
+        "down": (-0.1, 0.2),
+        "down_rate": (-2.0, 2.0),
+        "down_torque": (-30.0, 30.0),
+    }
+    assert {"down", "down_rate"} <= set(robot.coordinates) | set(robot.speeds)
+
+
+def test_a_joint_named_as_a_link_gets_a_name_of_its_own(tmp_path):
+    text = ARM.replace('"shoulder"', '"upper"')
+    assert set(al.foreign.read_urdf(written(tmp_path, text)).coordinates) == {"upper_joint", "down"}
+    text = text.replace('"down"', '"upper_joint"')
+    assert set(al.foreign.read_urdf(written(tmp_path, text)).coordinates) == {"upper_joint", "upper_joint_2"}
+
+
+def test_bodies_keep_their_order_when_numbers_are_replaced(tmp_path):
+    robot = al.foreign.read_urdf(written(tmp_path, ARM))
+    same = jax.tree.map(lambda leaf: leaf, robot)
+    assert list(same.parts) != list(robot.parts)
+    assert [body.name for body in same.bodies()] == [body.name for body in robot.bodies()]
+
+
+def test_any_number_may_be_uncertain_and_is_named_after_its_part(tmp_path):
+    robot = al.foreign.read_urdf(written(tmp_path, ARM))
+
+    def places(robot):
+        upper, shoulder = robot.parts["upper"], robot.parts["shoulder"]
+        return upper.mass, upper.center[2], shoulder.joint.damping, shoulder.joint.armature, shoulder.position[0]
+
+    values = al.Uniform(2.0, std=0.1), *(al.Normal(mean, 0.01) for mean in (0.3, 0.4, 0.2, 1.0))
+    uncertain = eqx.tree_at(places, robot, values)
+    system = al.InverseDynamics(uncertain, motion=dict.fromkeys(robot.coordinates, 0.2))
+    assert {name for name, number in named_leaves(system) if is_leaf(number)} == {
+        "upper.mass",
+        "upper.center.2",
+        "shoulder.joint.damping",
+        "shoulder.joint.armature",
+        "shoulder.position.0",
+    }
