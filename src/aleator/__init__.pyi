@@ -3,6 +3,7 @@
 from . import cost as cost
 from . import expressions as expressions
 from . import fits as fits
+from . import foreign as foreign
 from . import index_sets as index_sets
 from . import integrators as integrators
 from . import joints as joints

@@ -1,0 +1,184 @@
+"""The equations of an FMU at an instant, as functions of time, states, inputs and parameters, and their derivatives."""
+
+import weakref
+from collections import OrderedDict
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from aleator._core.errors import ProblemError, SimulationError
+from aleator.foreign._fmu._differences import STEP, scales, slope
+from aleator.foreign._fmu._fmu import Fmu
+from aleator.foreign._fmu._instance import Instance
+
+# As many instances are kept, each with its own parameters.
+_KEPT = 256
+# By which a derivative that the FMU gives may differ from a difference, relative to the largest of its kind.
+_SAME = 1e-5
+
+
+class Place(NamedTuple):
+    """Where the equations are evaluated: time, states `x`, inputs `u`, parameters `p`."""
+
+    t: float
+    x: np.ndarray
+    u: np.ndarray
+    p: np.ndarray
+
+
+class Equations:
+    """Rates of the states, then outputs, of a model-exchange FMU; `parameters`, `inputs`, `outputs`: its variables.
+
+    Parameters are set before an FMU starts, so that there is one instance for each set of them.
+
+    Derivatives along a direction are those that the FMU offers, as far as these agree with differences where they were
+    judged (`judge`), and else differences. The standard promises them by states and inputs alone; many tools
+    offer them by parameters too.
+    """
+
+    def __init__(
+        self, fmu: Fmu, parameters: list[Any], inputs: list[Any], outputs: list[Any], t: float, tolerance: float
+    ):
+        self.fmu, self.parameters, self.inputs, self.outputs = fmu, parameters, inputs, outputs
+        self._t, self.tolerance = t, tolerance
+        self.n = len(fmu.variables.states)
+        self._of = [one.valueReference for one in (*fmu.variables.rates, *outputs)]
+        self._by = [one.valueReference for one in (*fmu.variables.states, *inputs, *parameters)]
+        self._input_references = [one.valueReference for one in inputs]
+        self._output_references = [one.valueReference for one in outputs]
+        # An initial value of a state acts through the state alone.
+        states = {one.valueReference for one in fmu.variables.states}
+        self._only_start = np.array([one.valueReference in states for one in parameters], dtype=bool)
+        self._instances: OrderedDict[bytes, Instance] = OrderedDict()
+        weakref.finalize(self, _free_all, self._instances)
+        self.trusted: np.ndarray | None = None
+        self._nominals: np.ndarray | None = None
+
+    def instance(self, p: Float[np.ndarray, " k"]) -> Instance:
+        """The instance of a set of parameters, started if it is new."""
+        key = p.tobytes()
+        if key in self._instances:
+            self._instances.move_to_end(key)
+            return self._instances[key]
+        most = 1 if self.fmu.library.is_alone else _KEPT
+        while len(self._instances) >= most:
+            self._instances.popitem(last=False)[1].free()
+        made = Instance(self.fmu.library, self.n, self.fmu.indicators)
+        try:
+            made.start({**self.fmu.settings, **dict(zip(self.parameters, p, strict=True))}, self._t, self.tolerance)
+        except BaseException:
+            made.free()
+            raise
+        self._instances[key] = made
+        return made
+
+    def forget(self) -> None:
+        """Give all instances back, so that nothing depends on what they went through."""
+        _free_all(self._instances)
+
+    def values(self, place: Place) -> Float[np.ndarray, " m"]:
+        """Rates of the states, then outputs. Raises `SimulationError` if the FMU fails."""
+        instance = self._at(place)
+        rates = instance.rates()
+        return np.concatenate([rates, instance.get(self._output_references)]) if self._output_references else rates
+
+    def slope(
+        self, place: Place, x: Float[np.ndarray, " n"], u: Float[np.ndarray, " r"], p: Float[np.ndarray, " k"]
+    ) -> Float[np.ndarray, " m"]:
+        """The derivative of the values along a direction of states, inputs and parameters."""
+        direction = np.concatenate([x, u, np.where(self._only_start, 0.0, p)])
+        trusted = np.zeros(len(direction), bool) if self.trusted is None else self.trusted
+        found = np.zeros(len(self._of))
+        if np.any(direction[trusted]):
+            by = [reference for reference, use in zip(self._by, trusted, strict=True) if use]
+            found += self._at(place).slopes(self._of, by, direction[trusted].tolist())
+        left = np.where(trusted, 0.0, direction)
+        return found + self._difference(place, left) if np.any(left) else found
+
+    def judge(self, places: list[Place]) -> None:
+        """Trust those derivatives of the FMU that agree with differences at all of some places."""
+        size = len(self._by)
+        asked = [one.causality in ("parameter", "input") for one in self.parameters]
+        candidates = np.array([True] * (size - len(asked)) + asked, dtype=bool) & self.fmu.offers_slopes
+        self.trusted = np.zeros(size, bool)
+        if not candidates.any():
+            return
+        units = np.eye(size)
+        for index in np.flatnonzero(candidates):
+            expected = np.array([self._difference(place, units[index]) for place in places])
+            given = np.array([self._given(place, int(index)) for place in places])
+            near = _SAME * np.maximum(np.max(np.abs(expected), axis=0), 1e-6)
+            self.trusted[index] = bool(np.all(np.abs(given - expected) <= near))
+
+    def distrusted(self) -> list[str]:
+        """The variables by which it is differentiated by differences."""
+        parameters = [one for one, skip in zip(self.parameters, self._only_start, strict=True) if not skip]
+        names = [one.name for one in (*self.fmu.variables.states, *self.inputs, *parameters)]
+        trusted = np.zeros(len(self._by), bool) if self.trusted is None else self.trusted
+        kept = np.append(np.ones(len(self._by) - len(self._only_start), bool), ~self._only_start)
+        return [name for name, use in zip(names, trusted[kept], strict=True) if not use]
+
+    def scales(self, values: np.ndarray, variables: list[Any]) -> np.ndarray:
+        """By how much a change of each of some variables is large."""
+        return scales(values, np.array([abs(float(one.nominal or 1.0)) or 1.0 for one in variables]))
+
+    def sizes(self, x: np.ndarray, u: np.ndarray, p: np.ndarray) -> np.ndarray:
+        """The same of all states, inputs and parameters."""
+        others = [self.scales(u, self.inputs), self.scales(p, self.parameters)]
+        return np.concatenate([scales(x, self.nominals(p)), *others])
+
+    def nominals(self, p: np.ndarray) -> np.ndarray:
+        """The usual sizes of the states."""
+        if self._nominals is None:
+            self._nominals = self.instance(p).nominals()
+        return self._nominals
+
+    def _at(self, place: Place) -> Instance:
+        instance = self.instance(place.p)
+        instance.at(place.t, place.x)
+        instance.set(self._input_references, place.u.tolist())
+        return instance
+
+    def _given(self, place: Place, index: int) -> np.ndarray:
+        """The derivative by one variable that the FMU gives; NaN if it refuses."""
+        try:
+            return self._at(place).slopes(self._of, [self._by[index]], [1.0])
+        except SimulationError:
+            return np.full(len(self._of), np.nan)
+
+    def _difference(self, place: Place, direction: np.ndarray) -> np.ndarray:
+        """The derivative along a direction by differences: along states and inputs at once, by each parameter alone.
+
+        So the same few sets of parameters serve a whole motion.
+        """
+        n, r = self.n, len(self.inputs)
+        x, u, p = direction[:n], direction[n : n + r], direction[n + r :]
+        found = np.zeros(len(self._of))
+        if np.any(direction[: n + r]):
+            sizes = self.sizes(place.x, place.u, place.p)[: n + r]
+            step = STEP / np.max(np.abs(direction[: n + r]) / sizes)
+            found += slope(
+                lambda a: self.values(place._replace(x=place.x + a * x, u=place.u + a * u)), float(step)
+            ).value
+        steps = STEP * self.scales(place.p, self.parameters)
+        for index in np.flatnonzero(p):
+            unit = np.eye(len(p))[index]
+            along = slope(lambda a, unit=unit: self.values(place._replace(p=place.p + a * unit)), steps[index])
+            found += p[index] * along.value
+        return found
+
+
+def refuse_events(fmu: Fmu, instance: Instance) -> None:
+    """Raise `ProblemError` for an FMU whose equations change at events."""
+    if fmu.indicators or np.isfinite(instance.first.next_event):
+        what = f"{fmu.indicators} event indicators" if fmu.indicators else "time events"
+        raise ProblemError(
+            f"FmuSystem: expected an FMU whose equations hold at all times; '{fmu.name}' has {what}. Use "
+            "FmuSimulation, which handles events."
+        )
+
+
+def _free_all(instances: OrderedDict[bytes, Instance]) -> None:
+    while instances:
+        instances.popitem()[1].free()

@@ -1,0 +1,103 @@
+"""The file of an FMU: read, checked and unpacked."""
+
+import shutil
+import tempfile
+import weakref
+import zipfile
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+from aleator._core.errors import MissingExtraError, ProblemError
+
+# As much of another library's message as ours repeats.
+_LONGEST = 160
+MODEL_EXCHANGE, CO_SIMULATION = "model exchange", "co-simulation"
+
+
+def load_fmpy(who: str) -> Any:
+    """FMPy, imported late. Raises `MissingExtraError` if it is not installed."""
+    try:
+        import fmpy
+        import fmpy.fmi2
+        import fmpy.fmi3
+        import fmpy.model_description
+    except ImportError as error:
+        raise MissingExtraError(
+            f"{who} needs the library FMPy: install it with `pip install 'aleator[fmu]'`."
+        ) from error
+    return fmpy
+
+
+def path_of(given: Any) -> Path:
+    """The path of an existing zip file. Raises `ProblemError` for anything else."""
+    if not isinstance(given, str | Path) or not str(given):
+        raise ProblemError(f"Fmu: expected the path of an FMU, such as 'pendulum.fmu'; received {given!r}.")
+    path = Path(given)
+    if not path.is_file():
+        raise ProblemError(f"Fmu: expected the path of an FMU; there is no file '{path}'.")
+    if not zipfile.is_zipfile(path):
+        raise ProblemError(f"Fmu: '{path.name}' is no FMU: expected a zip file with a modelDescription.xml in it.")
+    return path
+
+
+def read_description(path: Path) -> Any:
+    """The model description of an FMU. Raises `ProblemError` if it is missing, invalid, or of FMI 1."""
+    fmpy = load_fmpy("Fmu")
+    with zipfile.ZipFile(path) as archive:
+        if "modelDescription.xml" not in archive.namelist():
+            raise ProblemError(f"Fmu: '{path.name}' is no FMU: expected a modelDescription.xml in it; there is none.")
+    try:
+        found = fmpy.read_model_description(str(path))
+    except Exception as error:
+        problems = getattr(error, "problems", None) or [str(error)]
+        first = " ".join(str(problems[0]).split())[:_LONGEST].rstrip(".")
+        raise ProblemError(f"FMU '{path.stem}': its modelDescription.xml cannot be read: {first}.") from error
+    if found.fmiVersion.startswith("1"):
+        raise ProblemError(f"FMU '{path.stem}': expected FMI 2 or 3; received FMI {found.fmiVersion}.")
+    return found
+
+
+def offers_slopes(path: Path, kind: str) -> bool:
+    """Whether an FMU says that it provides directional derivatives: FMPy reads what FMI 2 calls this alone."""
+    with zipfile.ZipFile(path) as archive:
+        root = ElementTree.fromstring(archive.read("modelDescription.xml"))
+    interface = root.find("ModelExchange" if kind == MODEL_EXCHANGE else "CoSimulation")
+    flags = () if interface is None else (interface.get(f"providesDirectionalDerivative{end}") for end in ("", "s"))
+    return any(flag in ("true", "1") for flag in flags)
+
+
+def kind_of(name: str, description: Any, kind: Any) -> str:
+    """How an FMU is run: as it is asked for, or the first of model exchange and co-simulation that it offers."""
+    offered = {MODEL_EXCHANGE: description.modelExchange, CO_SIMULATION: description.coSimulation}
+    offered = {one: interface for one, interface in offered.items() if interface is not None}
+    if not offered:
+        raise ProblemError(
+            f"FMU '{name}': expected {MODEL_EXCHANGE} or {CO_SIMULATION}; it offers scheduled execution alone."
+        )
+    if kind is not None and kind not in offered:
+        raise ProblemError(f"FMU '{name}': expected as its kind one of {list(offered)}; received {kind!r}.")
+    return next(iter(offered)) if kind is None else kind
+
+
+def unpacked(path: Path, description: Any, identifier: str, owner: object) -> Path:
+    """The folder of an unpacked FMU, which is deleted with its `owner`. Raises `ProblemError` without our binary."""
+    fmpy = load_fmpy("Fmu")
+    folder = fmpy.platform if description.fmiVersion == "2.0" else fmpy.platform_tuple
+    with zipfile.ZipFile(path) as archive:
+        names = archive.namelist()
+    if f"binaries/{folder}/{identifier}{fmpy.sharedLibraryExtension}" not in names:
+        there = sorted({name.split("/")[1] for name in names if name.startswith("binaries/") and name.count("/") > 1})
+        sources = any(name.startswith("sources/") and not name.endswith("/") for name in names)
+        raise ProblemError(
+            f"FMU '{path.stem}': expected a binary for this machine, {folder}; it has "
+            f"{', '.join(there) if there else 'none'}. Export it for {folder}"
+            + (f", or compile its sources by `fmpy compile {path.name}`." if sources else ".")
+        )
+    target = Path(tempfile.mkdtemp(prefix="aleator-fmu-"))
+    weakref.finalize(owner, shutil.rmtree, target, ignore_errors=True)
+    try:
+        fmpy.extract(str(path), str(target))
+    except Exception as error:
+        raise ProblemError(f"FMU '{path.stem}' cannot be unpacked: {str(error)[:_LONGEST]}.") from error
+    return target
