@@ -41,6 +41,9 @@ def jacobian(
     function: Callable[[np.ndarray], np.ndarray], at: Float[np.ndarray, " n"], steps: Float[np.ndarray, " n"]
 ) -> Slope:
     """The derivatives of an array by each number of `at`, on a last axis."""
+    if not len(at):
+        nothing = np.zeros((*np.shape(function(at)), 0))
+        return Slope(nothing, nothing)
     units = np.eye(len(at))
     columns = [
         slope(lambda a, unit=unit: function(at + a * unit), step) for unit, step in zip(units, steps, strict=True)

@@ -10,6 +10,7 @@ from jaxtyping import Float
 from aleator._core.errors import ProblemError, SimulationError
 from aleator.foreign._fmu._differences import STEP, scales, slope
 from aleator.foreign._fmu._fmu import Fmu
+from aleator.foreign._fmu._hidden import Hidden
 from aleator.foreign._fmu._instance import Instance
 
 # As many instances are kept, each with its own parameters.
@@ -37,6 +38,13 @@ class Equations:
     offer them by parameters too.
     """
 
+    parameters = Hidden[list[Any]]()
+    inputs = Hidden[list[Any]]()
+    outputs = Hidden[list[Any]]()
+    trusted = Hidden[np.ndarray | None]()
+    _nominals = Hidden[np.ndarray | None]()
+    _instances = Hidden[OrderedDict[bytes, Instance]]()
+
     def __init__(
         self, fmu: Fmu, parameters: list[Any], inputs: list[Any], outputs: list[Any], t: float, tolerance: float
     ):
@@ -50,10 +58,9 @@ class Equations:
         # An initial value of a state acts through the state alone.
         states = {one.valueReference for one in fmu.variables.states}
         self._only_start = np.array([one.valueReference in states for one in parameters], dtype=bool)
-        self._instances: OrderedDict[bytes, Instance] = OrderedDict()
+        self._instances = OrderedDict()
         weakref.finalize(self, _free_all, self._instances)
-        self.trusted: np.ndarray | None = None
-        self._nominals: np.ndarray | None = None
+        self.trusted = self._nominals = None
 
     def instance(self, p: Float[np.ndarray, " k"]) -> Instance:
         """The instance of a set of parameters, started if it is new."""
@@ -95,6 +102,19 @@ class Equations:
             found += self._at(place).slopes(self._of, by, direction[trusted].tolist())
         left = np.where(trusted, 0.0, direction)
         return found + self._difference(place, left) if np.any(left) else found
+
+    def jacobian(self, place: Place) -> Float[np.ndarray, "m variables"]:
+        """The derivatives of the values by states, inputs and parameters."""
+        found = np.zeros((len(self._of), len(self._by)))
+        units = np.eye(len(self._by))
+        trusted = np.zeros(len(self._by), bool) if self.trusted is None else self.trusted
+        instance = self._at(place)
+        for index in np.flatnonzero(trusted):
+            found[:, index] = instance.slopes(self._of, [self._by[index]], [1.0])
+        skipped = np.append(np.zeros(len(self._by) - len(self._only_start), bool), self._only_start)
+        for index in np.flatnonzero(~trusted & ~skipped):
+            found[:, index] = self._difference(place, units[index])
+        return found
 
     def judge(self, places: list[Place]) -> None:
         """Trust those derivatives of the FMU that agree with differences at all of some places."""

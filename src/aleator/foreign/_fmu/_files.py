@@ -19,6 +19,7 @@ def load_fmpy(who: str) -> Any:
     """FMPy, imported late. Raises `MissingExtraError` if it is not installed."""
     try:
         import fmpy
+        import fmpy.fmi1
         import fmpy.fmi2
         import fmpy.fmi3
         import fmpy.model_description

@@ -8,6 +8,7 @@ from typing import Any, final
 from aleator._core.errors import ProblemError
 from aleator._core.given import shown
 from aleator.foreign._fmu._files import MODEL_EXCHANGE, kind_of, offers_slopes, path_of, read_description, unpacked
+from aleator.foreign._fmu._hidden import Hidden
 from aleator.foreign._fmu._instance import Instance, started
 from aleator.foreign._fmu._library import Library
 from aleator.foreign._fmu._variables import Variables
@@ -29,6 +30,10 @@ class Fmu:
     Raises `ProblemError` for a file that is no FMU, of FMI 1, or without a binary for this machine, and for unknown
     settings; `MissingExtraError` without FMPy.
     """
+
+    variables = Hidden[Variables]()
+    library = Hidden[Library]()
+    settings = Hidden[dict[Any, Any]]()
 
     def __init__(self, path: str | Path, *, kind: str | None = None, settings: Mapping[str, Any] | None = None):
         path = path_of(path)

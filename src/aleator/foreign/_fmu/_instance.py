@@ -129,13 +129,12 @@ class Instance:
         fmu = self._fmu
         with self._explained():
             if self._library.version == 2:
-                from fmpy.fmi1 import FMICallException
                 from fmpy.fmi2 import fmi2Discard, fmi2Terminated
 
                 try:
                     fmu.doStep(t, length)
-                except FMICallException as error:
-                    if error.status == fmi2Discard and fmu.getBooleanStatus(fmi2Terminated):
+                except self._library.failure as error:
+                    if getattr(error, "status", None) == fmi2Discard and fmu.getBooleanStatus(fmi2Terminated):
                         raise self._ended() from error
                     raise
                 return

@@ -36,6 +36,7 @@ class Library:
         self.is_exchange = kind == MODEL_EXCHANGE
         interface = description.modelExchange if self.is_exchange else description.coSimulation
         self.is_alone = interface.canBeInstantiatedOnlyOncePerProcess
+        self.failure: Any = fmpy.fmi1.FMICallException
         self.is_broken = False
         self.steps_are_reported = bool(getattr(interface, "needsCompletedIntegratorStep", False))
         model, slave = (
@@ -85,11 +86,9 @@ class Library:
     @contextmanager
     def explained(self, when: str) -> Iterator[None]:
         """Raise `SimulationError` for calls of the FMU that fail: `when`, such as 'at t = 1 s', and what it says."""
-        from fmpy.fmi1 import FMICallException
-
         try:
             yield
-        except FMICallException as error:
+        except self.failure as error:
             self.is_broken = self.is_broken or error.status == _FATAL
             status = _STATUS[error.status] if error.status in range(len(_STATUS)) else f"status {error.status}"
             raise SimulationError(f"FMU '{self.name}' failed {when}{said()} ({error.function}: {status}).") from error

@@ -13,9 +13,10 @@ from aleator._core.errors import ProblemError
 from aleator._core.given import one_of, positive, real, shown
 from aleator._core.leaves import AbstractLeaf
 from aleator.dynamics import Grid
-from aleator.foreign._fmu._callbacks import called_back
+from aleator.foreign._fmu._callbacks import Evaluations, called_back
 from aleator.foreign._fmu._fmu import Fmu, fmu_given
-from aleator.foreign._fmu._inputs import sampled_inputs
+from aleator.foreign._fmu._hidden import Hidden
+from aleator.foreign._fmu._inputs import Inputs, sampled_inputs
 from aleator.foreign._fmu._library import LOCK
 from aleator.foreign._fmu._runs import Runs
 
@@ -45,6 +46,10 @@ class FmuSimulation:
     `SimulationWarning`.
     """
 
+    _inputs = Hidden[Inputs]()
+    _outputs = Hidden[list[Any]]()
+    _runs = Hidden[dict[tuple[str, ...], Runs]]()
+
     def __init__(
         self,
         fmu: Fmu,
@@ -60,7 +65,7 @@ class FmuSimulation:
         self._tolerance = positive("FmuSimulation: tolerance", tolerance, below=1.0)
         self._inputs = sampled_inputs(fmu, grid, inputs)
         self._signals = list(inputs or {})
-        self._runs: dict[tuple[str, ...], Runs] = {}
+        self._runs = {}
 
     @property
     def times(self) -> Float[np.ndarray, " instants"]:
@@ -99,12 +104,15 @@ class FmuSimulation:
         def filled(z: np.ndarray) -> np.ndarray:
             return np.concatenate([z, fixed])
 
-        return called_back(
-            lambda z: runs.outputs(filled(z)).ravel(),
-            lambda z: runs.jacobian(filled(z))[..., :k].reshape(-1, k),
-            lambda z: runs.hessian(filled(z))[..., :k, :k].reshape(-1, k, k),
-            len(self.times) * len(self._outputs),
+        function = called_back(
+            Evaluations(
+                lambda _, z: runs.outputs(filled(z)).ravel(),
+                lambda _, z: runs.jacobian(filled(z))[..., :k].reshape(-1, k),
+                lambda _, z: runs.hessian(filled(z))[..., :k, :k].reshape(-1, k, k),
+                len(self.times) * len(self._outputs),
+            )
         )
+        return lambda numbers: function(0.0, numbers)
 
     def _by_name(self, found: Any) -> dict[str, Any]:
         return {one.name: found[:, index] for index, one in enumerate(self._outputs)}

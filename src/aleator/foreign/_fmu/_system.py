@@ -53,8 +53,8 @@ class FmuSystem(System):
 
     parameters: dict[str, Any]
     _equations: Equations = eqx.field(static=True)
-    _read: tuple[Any, ...] = eqx.field(static=True)
     _held: tuple[float, ...] = eqx.field(static=True)
+    _first: tuple[float, ...] = eqx.field(static=True)
 
     def __init__(self, fmu: Fmu, parameters: Mapping[str, Any] | None = None, *, outputs: Sequence[str] | None = None):
         fmu_given("FmuSystem", fmu)
@@ -69,10 +69,10 @@ class FmuSystem(System):
             )
         self.parameters = {name: _checked(fmu, name, value) for name, value in (parameters or {}).items()}
         variables = fmu.variables
-        chosen, self._read = variables.settable(self.parameters), tuple(variables.readable(outputs))
+        chosen, read = variables.settable(self.parameters), variables.readable(outputs)
         free = variables.of_inputs(one for one in fmu.inputs if one not in self.parameters)
-        self._equations = Equations(fmu, chosen, free, list(self._read), 0.0, _TOLERANCE)
-        self._held = _judged(self._equations, list(self.parameters.values()))
+        self._equations = Equations(fmu, chosen, free, read, 0.0, _TOLERANCE)
+        self._held, self._first = _judged(self._equations, list(self.parameters.values()))
 
     @property
     def states(self) -> tuple[str, ...]:  # type: ignore[override]
@@ -83,7 +83,7 @@ class FmuSystem(System):
     @property
     def units(self) -> Mapping[str, str]:  # type: ignore[override]
         """The units that the FMU declares."""
-        return units_of(self._read)
+        return units_of(self._equations.outputs)
 
     @override
     def initial(self) -> Mapping[str, Any]:
@@ -91,7 +91,8 @@ class FmuSystem(System):
 
     @override
     def starting(self, t: Any, inputs: Mapping[str, Any]) -> Mapping[str, Any]:
-        found = self._equations_at_start(jnp.concatenate([self._inputs(inputs), self._numbers()]))
+        given = jnp.concatenate([self._inputs(inputs), self._numbers()])
+        found = called_back(starts(self._equations))(0.0, given) if len(given) else self._first
         return dict(zip(self.states, found, strict=True))
 
     @override
@@ -106,9 +107,9 @@ class FmuSystem(System):
     def rates_and_outputs(self, t: Any, z: Any, *args: Any, **inputs: Any) -> tuple[tuple[Array, ...], dict[str, Any]]:
         del args
         n = self._equations.n
-        given = [jnp.reshape(jnp.asarray(t, dtype=float), 1), jnp.stack([*map(_number, z)]), self._inputs(inputs)]
-        found = called_back(*evaluations(self._equations))(jnp.concatenate([*given, self._numbers()]))
-        return tuple(found[:n]), {one.name: found[n + index] for index, one in enumerate(self._read)}
+        given = [jnp.stack([*map(_number, z)]) if n else jnp.zeros(0), self._inputs(inputs), self._numbers()]
+        found = called_back(evaluations(self._equations))(t, jnp.concatenate(given))
+        return tuple(found[:n]), {one.name: found[n + index] for index, one in enumerate(self._equations.outputs)}
 
     def _numbers(self) -> Array:
         return jnp.array([_number(one) for one in self.parameters.values()], dtype=float)
@@ -123,9 +124,6 @@ class FmuSystem(System):
         values = zip(taken, self._held, strict=True)
         return jnp.array([_number(given.get(name, held)) for name, held in values], dtype=float)
 
-    def _equations_at_start(self, z: Array) -> Array:
-        return called_back(*starts(self._equations))(z)
-
 
 def _checked(fmu: Fmu, name: str, value: Any) -> Any:
     """A number of the system, which may be a leaf, or traced."""
@@ -138,8 +136,8 @@ def _number(value: Any) -> Array:
     return jnp.asarray(value, dtype=float)
 
 
-def _judged(equations: Equations, numbers: list[Any]) -> tuple[float, ...]:
-    """Compare the FMU's derivatives with differences, and return the values of its free inputs, all at its start."""
+def _judged(equations: Equations, numbers: list[Any]) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Compare the FMU's derivatives with differences at its start; its free inputs and its states there."""
     with LOCK:
         own = equations.fmu.started({}, 0.0, _TOLERANCE)
         with own as instance:
@@ -150,4 +148,4 @@ def _judged(equations: Equations, numbers: list[Any]) -> tuple[float, ...]:
         x, sizes = equations.instance(p).initial, equations.nominals(p)
         signs = np.cos(np.arange(len(x)))
         equations.judge([Place(0.0, x + away * signs * sizes, u, p) for away in _AWAY])
-    return tuple(u.tolist())
+    return tuple(u.tolist()), tuple(x.tolist())
