@@ -192,7 +192,8 @@ class Equations:
 def refuse_events(fmu: Fmu, instance: Instance) -> None:
     """Raise `ProblemError` for an FMU whose equations change at events."""
     if fmu.indicators or np.isfinite(instance.first.next_event):
-        what = f"{fmu.indicators} event indicators" if fmu.indicators else "time events"
+        count = f"{fmu.indicators} event indicator{'s' * (fmu.indicators > 1)}"
+        what = count if fmu.indicators else "time events"
         raise ProblemError(
             f"FmuSystem: expected an FMU whose equations hold at all times; '{fmu.name}' has {what}. Use "
             "FmuSimulation, which handles events."

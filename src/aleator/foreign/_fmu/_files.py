@@ -4,6 +4,7 @@ import shutil
 import tempfile
 import weakref
 import zipfile
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -42,14 +43,25 @@ def path_of(given: Any) -> Path:
     return path
 
 
-def read_description(path: Path) -> Any:
-    """The model description of an FMU. Raises `ProblemError` if it is missing, invalid, or of FMI 1."""
+def folder_of(owner: object) -> Path:
+    """An empty folder, which is deleted with its `owner`."""
+    found = Path(tempfile.mkdtemp(prefix="aleator-fmu-"))
+    weakref.finalize(owner, shutil.rmtree, found, ignore_errors=True)
+    return found
+
+
+def read_description(path: Path, folder: Path) -> Any:
+    """The model description of an FMU, unpacked into a folder.
+
+    Raises `ProblemError` if it is missing, invalid, or of FMI 1.
+    """
     fmpy = load_fmpy("Fmu")
     with zipfile.ZipFile(path) as archive:
         if "modelDescription.xml" not in archive.namelist():
             raise ProblemError(f"Fmu: '{path.name}' is no FMU: expected a modelDescription.xml in it; there is none.")
+    _unpack(path, folder, include=lambda name: name.endswith("Description.xml"))
     try:
-        found = fmpy.read_model_description(str(path))
+        found = fmpy.read_model_description(str(folder))
     except Exception as error:
         problems = getattr(error, "problems", None) or [str(error)]
         first = " ".join(str(problems[0]).split())[:_LONGEST].rstrip(".")
@@ -59,10 +71,9 @@ def read_description(path: Path) -> Any:
     return found
 
 
-def offers_slopes(path: Path, kind: str) -> bool:
+def offers_slopes(folder: Path, kind: str) -> bool:
     """Whether an FMU says that it provides directional derivatives: FMPy reads what FMI 2 calls this alone."""
-    with zipfile.ZipFile(path) as archive:
-        root = ElementTree.fromstring(archive.read("modelDescription.xml"))
+    root = ElementTree.parse(folder / "modelDescription.xml").getroot()
     interface = root.find("ModelExchange" if kind == MODEL_EXCHANGE else "CoSimulation")
     flags = () if interface is None else (interface.get(f"providesDirectionalDerivative{end}") for end in ("", "s"))
     return any(flag in ("true", "1") for flag in flags)
@@ -81,24 +92,30 @@ def kind_of(name: str, description: Any, kind: Any) -> str:
     return next(iter(offered)) if kind is None else kind
 
 
-def unpacked(path: Path, description: Any, identifier: str, owner: object) -> Path:
-    """The folder of an unpacked FMU, which is deleted with its `owner`. Raises `ProblemError` without our binary."""
+def unpack_all(path: Path, folder: Path, description: Any, identifier: str) -> None:
+    """Unpack an FMU into a folder. Raises `ProblemError` without a binary for this machine."""
     fmpy = load_fmpy("Fmu")
-    folder = fmpy.platform if description.fmiVersion == "2.0" else fmpy.platform_tuple
+    platform = fmpy.platform if description.fmiVersion == "2.0" else fmpy.platform_tuple
     with zipfile.ZipFile(path) as archive:
         names = archive.namelist()
-    if f"binaries/{folder}/{identifier}{fmpy.sharedLibraryExtension}" not in names:
-        there = sorted({name.split("/")[1] for name in names if name.startswith("binaries/") and name.count("/") > 1})
-        sources = any(name.startswith("sources/") and not name.endswith("/") for name in names)
-        raise ProblemError(
-            f"FMU '{path.stem}': expected a binary for this machine, {folder}; it has "
-            f"{', '.join(there) if there else 'none'}. Export it for {folder}"
-            + (f", or compile its sources by `fmpy compile {path.name}`." if sources else ".")
-        )
-    target = Path(tempfile.mkdtemp(prefix="aleator-fmu-"))
-    weakref.finalize(owner, shutil.rmtree, target, ignore_errors=True)
+    library = f"{identifier}{fmpy.sharedLibraryExtension}"
+    if f"binaries/{platform}/{library}" not in names:
+        raise ProblemError(f"FMU '{path.stem}': expected {_lacking(path, names, platform, library)}.")
+    _unpack(path, folder)
+
+
+def _unpack(path: Path, folder: Path, include: Callable[[str], bool] | None = None) -> None:
     try:
-        fmpy.extract(str(path), str(target))
+        load_fmpy("Fmu").extract(str(path), str(folder), include)
     except Exception as error:
         raise ProblemError(f"FMU '{path.stem}' cannot be unpacked: {str(error)[:_LONGEST]}.") from error
-    return target
+
+
+def _lacking(path: Path, names: list[str], platform: str, library: str) -> str:
+    """What an FMU lacks for this machine, what it has, and what to do."""
+    there = sorted({name.split("/")[1] for name in names if name.startswith("binaries/") and name.count("/") > 1})
+    if platform in there:
+        return f"'{library}' among its binaries for {platform}; it has others: export it again"
+    sources = any(name.startswith("sources/") and not name.endswith("/") for name in names)
+    remedy = f"compile its sources by `fmpy compile {path.name}`" if sources else f"export it for {platform}"
+    return f"a binary for this machine, {platform}; it has {', '.join(there) or 'none'}: {remedy}"

@@ -7,7 +7,15 @@ from typing import Any, final
 
 from aleator._core.errors import ProblemError
 from aleator._core.given import shown
-from aleator.foreign._fmu._files import MODEL_EXCHANGE, kind_of, offers_slopes, path_of, read_description, unpacked
+from aleator.foreign._fmu._files import (
+    MODEL_EXCHANGE,
+    folder_of,
+    kind_of,
+    offers_slopes,
+    path_of,
+    read_description,
+    unpack_all,
+)
 from aleator.foreign._fmu._hidden import Hidden
 from aleator.foreign._fmu._instance import Instance, started
 from aleator.foreign._fmu._library import Library
@@ -37,15 +45,16 @@ class Fmu:
 
     def __init__(self, path: str | Path, *, kind: str | None = None, settings: Mapping[str, Any] | None = None):
         path = path_of(path)
-        description = read_description(path)
+        folder = folder_of(self)
+        description = read_description(path, folder)
         self.name = path.stem
         self.kind = kind_of(self.name, description, kind)
         self.variables = Variables(self.name, description)
         self.settings = self._settings(settings)
         interface = description.modelExchange if self.is_exchange else description.coSimulation
-        folder = unpacked(path, description, interface.modelIdentifier, self)
+        unpack_all(path, folder, description, interface.modelIdentifier)
         self.library = Library(self.name, description, self.kind, folder)
-        self.offers_slopes = offers_slopes(path, self.kind)
+        self.offers_slopes = offers_slopes(folder, self.kind)
         self.indicators = int(description.numberOfEventIndicators)
         self._version = description.fmiVersion
 

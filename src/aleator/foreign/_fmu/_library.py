@@ -1,6 +1,7 @@
 """The library of an FMU: loaded once, called by one thread at a time, heard when it says something."""
 
 import copy
+import os
 import threading
 from collections import deque
 from collections.abc import Iterator
@@ -39,15 +40,10 @@ class Library:
         self.failure: Any = fmpy.fmi1.FMICallException
         self.is_broken = False
         self.steps_are_reported = bool(getattr(interface, "needsCompletedIntegratorStep", False))
-        model, slave = (
-            (fmpy.fmi2.FMU2Model, fmpy.fmi2.FMU2Slave)
-            if self.version == 2
-            else (
-                fmpy.fmi3.FMU3Model,
-                fmpy.fmi3.FMU3Slave,
-            )
-        )
+        of_2, of_3 = (fmpy.fmi2.FMU2Model, fmpy.fmi2.FMU2Slave), (fmpy.fmi3.FMU3Model, fmpy.fmi3.FMU3Slave)
+        model, slave = of_2 if self.version == 2 else of_3
         made = model if self.is_exchange else slave
+        here = Path.cwd()  # FMPy goes to the folder of the library, and stays there if it cannot be loaded
         try:
             self._loaded = made(
                 guid=description.guid,
@@ -58,6 +54,8 @@ class Library:
         except Exception as error:
             said = " ".join(str(error).split())[:_LONGEST]
             raise ProblemError(f"FMU '{name}': its library cannot be loaded: {said}.") from error
+        finally:
+            os.chdir(here)
 
     def instantiated(self) -> Any:
         """A new instance, as an object of FMPy. Raises `SimulationError` if there is none."""

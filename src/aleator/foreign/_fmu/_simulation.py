@@ -60,7 +60,7 @@ class FmuSimulation:
         tolerance: float = 1e-9,
     ):
         self._fmu, self._grid = fmu_given("FmuSimulation", fmu), _known_grid(grid)
-        self.__name__ = f"FMU {fmu.name}"
+        self.__name__ = fmu.name  # in messages
         self._outputs = fmu.variables.readable(outputs)
         self._tolerance = positive("FmuSimulation: tolerance", tolerance, below=1.0)
         self._inputs = sampled_inputs(fmu, grid, inputs)

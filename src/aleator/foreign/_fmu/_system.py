@@ -112,7 +112,9 @@ class FmuSystem(System):
         return tuple(found[:n]), {one.name: found[n + index] for index, one in enumerate(self._equations.outputs)}
 
     def _numbers(self) -> Array:
-        return jnp.array([_number(one) for one in self.parameters.values()], dtype=float)
+        # By name: trees of JAX sort what is in a dict.
+        values = [self.parameters[one.name] for one in self._equations.parameters]
+        return jnp.array([_number(one) for one in values], dtype=float)
 
     def _inputs(self, given: Mapping[str, Any]) -> Array:
         """All inputs that are no parameters: as they are given, or as the FMU has them."""

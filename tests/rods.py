@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-SOURCE = Path(__file__).with_name("pendulum.c")
+SOURCE = Path(__file__).with_name("rod.c")
 
 # name, causality, variability, initial, start, and further attributes; the place in the list is the value reference.
 REALS: list[tuple[str, str, str, str | None, float | None, str]] = [
@@ -39,7 +39,8 @@ def description(version: int, *, wall: bool, slopes: bool, kinds: str) -> str:
     units = "".join(f'<Unit name="{one}"/>' for one in UNITS)
     offer = "providesDirectionalDerivative" + ("s" if version == 3 else "")
     flag = f'{offer}="{str(slopes).lower()}"'
-    offered = (f'<ModelExchange modelIdentifier="rod" {flag}/>' if "m" in kinds else "") + (
+    wants = 'needsCompletedIntegratorStep="true"' if version == 3 else ""
+    offered = (f'<ModelExchange modelIdentifier="rod" {wants} {flag}/>' if "m" in kinds else "") + (
         '<CoSimulation modelIdentifier="rod" canHandleVariableCommunicationStepSize="true"/>' if "c" in kinds else ""
     )
     if version == 2:
@@ -147,12 +148,12 @@ class Rods:
             archive.write(self.library(version, wall), f"binaries/{platform(version)}")
         return path
 
-    def changed(self, name: str, change: Callable[[str], str], version: int = 2) -> Path:
-        """The rod with another description, or with its library in another folder."""
+    def changed(self, name: str, change: Callable[[str], str], *, at: str = "", content: bytes = b"") -> Path:
+        """The rod of FMI 2 with another description, or with its library at another place, or another library."""
         path = self.folder / f"{name}.fmu"
-        with zipfile.ZipFile(path, "w") as archive, zipfile.ZipFile(self(version)) as source:
+        with zipfile.ZipFile(path, "w") as archive, zipfile.ZipFile(self(2)) as source:
             archive.writestr("modelDescription.xml", change(source.read("modelDescription.xml").decode()))
-            archive.write(self.library(version, False), f"binaries/{platform(version)}")
+            archive.writestr(at or f"binaries/{platform(2)}", content or self.library(2, False).read_bytes())
         return path
 
 
