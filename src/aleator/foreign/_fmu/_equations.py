@@ -2,6 +2,8 @@
 
 import weakref
 from collections import OrderedDict
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,6 +14,7 @@ from aleator.foreign._fmu._differences import STEP, scales, slope
 from aleator.foreign._fmu._fmu import Fmu
 from aleator.foreign._fmu._hidden import Hidden
 from aleator.foreign._fmu._instance import Instance
+from aleator.foreign._fmu._library import LOCK
 
 # As many instances are kept, each with its own parameters.
 _KEPT = 256
@@ -31,7 +34,8 @@ class Place(NamedTuple):
 class Equations:
     """Rates of the states, then outputs, of a model-exchange FMU; `parameters`, `inputs`, `outputs`: its variables.
 
-    Parameters are set before an FMU starts, so that there is one instance for each set of them.
+    Parameters are set before an FMU starts, so that there is one instance for each set of them; it starts at the time
+    `t` with the inputs `first`.
 
     Derivatives along a direction are those that the FMU offers, as far as these agree with differences where they were
     judged (`judge`), and else differences. The standard promises them by states and inputs alone; many tools
@@ -41,15 +45,23 @@ class Equations:
     parameters = Hidden[list[Any]]()
     inputs = Hidden[list[Any]]()
     outputs = Hidden[list[Any]]()
+    _first = Hidden[dict[Any, float]]()
     trusted = Hidden[np.ndarray | None]()
     _nominals = Hidden[np.ndarray | None]()
     _instances = Hidden[OrderedDict[bytes, Instance]]()
 
     def __init__(
-        self, fmu: Fmu, parameters: list[Any], inputs: list[Any], outputs: list[Any], t: float, tolerance: float
+        self,
+        fmu: Fmu,
+        parameters: list[Any],
+        inputs: list[Any],
+        outputs: list[Any],
+        t: float,
+        tolerance: float,
+        first: Mapping[Any, float] = MappingProxyType({}),
     ):
         self.fmu, self.parameters, self.inputs, self.outputs = fmu, parameters, inputs, outputs
-        self._t, self.tolerance = t, tolerance
+        self._t, self.tolerance, self._first = t, tolerance, dict(first)
         self.n = len(fmu.variables.states)
         self._of = [one.valueReference for one in (*fmu.variables.rates, *outputs)]
         self._by = [one.valueReference for one in (*fmu.variables.states, *inputs, *parameters)]
@@ -73,7 +85,8 @@ class Equations:
             self._instances.popitem(last=False)[1].free()
         made = Instance(self.fmu.library, self.n, self.fmu.indicators)
         try:
-            made.start({**self.fmu.settings, **dict(zip(self.parameters, p, strict=True))}, self._t, self.tolerance)
+            values = {**self.fmu.settings, **self._first, **dict(zip(self.parameters, p, strict=True))}
+            made.start(values, self._t, self.tolerance)
         except BaseException:
             made.free()
             raise
@@ -201,5 +214,6 @@ def refuse_events(fmu: Fmu, instance: Instance) -> None:
 
 
 def _free_all(instances: OrderedDict[bytes, Instance]) -> None:
-    while instances:
-        instances.popitem()[1].free()
+    with LOCK:
+        while instances:
+            instances.popitem()[1].free()

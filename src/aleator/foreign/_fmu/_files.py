@@ -10,6 +10,7 @@ from typing import Any
 from xml.etree import ElementTree
 
 from aleator._core.errors import MissingExtraError, ProblemError
+from aleator._core.given import shown
 
 # As much of another library's message as ours repeats.
 _LONGEST = 160
@@ -34,7 +35,7 @@ def load_fmpy(who: str) -> Any:
 def path_of(given: Any) -> Path:
     """The path of an existing zip file. Raises `ProblemError` for anything else."""
     if not isinstance(given, str | Path) or not str(given):
-        raise ProblemError(f"Fmu: expected the path of an FMU, such as 'pendulum.fmu'; received {given!r}.")
+        raise ProblemError(f"Fmu: expected the path of an FMU, such as 'pendulum.fmu'; received {shown(given)}.")
     path = Path(given)
     if not path.is_file():
         raise ProblemError(f"Fmu: expected the path of an FMU; there is no file '{path}'.")
@@ -87,8 +88,8 @@ def kind_of(name: str, description: Any, kind: Any) -> str:
         raise ProblemError(
             f"FMU '{name}': expected {MODEL_EXCHANGE} or {CO_SIMULATION}; it offers scheduled execution alone."
         )
-    if kind is not None and kind not in offered:
-        raise ProblemError(f"FMU '{name}': expected as its kind one of {list(offered)}; received {kind!r}.")
+    if kind is not None and kind not in list(offered):
+        raise ProblemError(f"FMU '{name}': expected as its kind one of {list(offered)}; received {shown(kind)}.")
     return next(iter(offered)) if kind is None else kind
 
 

@@ -18,7 +18,7 @@ from aleator.foreign._fmu._files import (
 )
 from aleator.foreign._fmu._hidden import Hidden
 from aleator.foreign._fmu._instance import Instance, started
-from aleator.foreign._fmu._library import Library
+from aleator.foreign._fmu._library import LOCK, Library
 from aleator.foreign._fmu._variables import Variables
 
 
@@ -50,10 +50,13 @@ class Fmu:
         self.name = path.stem
         self.kind = kind_of(self.name, description, kind)
         self.variables = Variables(self.name, description)
+        if self.is_exchange:
+            self.variables.refuse_odd_states()
         self.settings = self._settings(settings)
         interface = description.modelExchange if self.is_exchange else description.coSimulation
         unpack_all(path, folder, description, interface.modelIdentifier)
-        self.library = Library(self.name, description, self.kind, folder)
+        with LOCK:
+            self.library = Library(self.name, description, self.kind, folder)
         self.offers_slopes = offers_slopes(folder, self.kind)
         self.indicators = int(description.numberOfEventIndicators)
         self._version = description.fmiVersion

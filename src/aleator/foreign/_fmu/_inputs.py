@@ -31,6 +31,11 @@ class Inputs(NamedTuple):
         """The values at a time."""
         return np.array([np.interp(t, self.times, column) for column in self.values.T], dtype=float)
 
+    @property
+    def first(self) -> dict[Any, float]:
+        """The values at the start, by variable."""
+        return dict(zip(self.variables, self.values[0].tolist(), strict=True))
+
     def apply(self, instance: Instance, t: float) -> None:
         """Set the values at a time."""
         if self.references:

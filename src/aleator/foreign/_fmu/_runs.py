@@ -27,12 +27,15 @@ class Runs:
     def __init__(self, fmu: Fmu, parameters: list[Any], outputs: list[Any], inputs: Inputs, tolerance: float):
         self._fmu, self._parameters, self._outputs = fmu, parameters, outputs
         self._inputs, self._tolerance = inputs, tolerance
-        self.equations = Equations(fmu, parameters, inputs.variables, outputs, float(inputs.times[0]), tolerance)
+        self.equations = Equations(
+            fmu, parameters, inputs.variables, outputs, float(inputs.times[0]), tolerance, inputs.first
+        )
 
     def outputs(self, p: Float[np.ndarray, " k"]) -> Float[np.ndarray, "instants outputs"]:
         """The outputs at all instants. Raises `SimulationError` if a run fails or an output is not finite."""
         references = [one.valueReference for one in self._outputs]
-        inputs, start = self._inputs, dict(zip(self._parameters, p.tolist(), strict=True))
+        inputs = self._inputs
+        start = {**inputs.first, **dict(zip(self._parameters, p.tolist(), strict=True))}
         with self._explained(p), self._fmu.started(start, float(inputs.times[0]), self._tolerance) as instance:
             if self._fmu.is_exchange:
                 motion, first = motion_of(instance, references, inputs, self._tolerance)

@@ -24,6 +24,17 @@ class Variables:
         self.states: list[Any] = [one.derivative for one in rates]
         self.outputs = [name for name, one in self.all.items() if one.causality == "output" and _is_number(one)]
 
+    def refuse_odd_states(self) -> None:
+        """Raise `ProblemError` unless each state is one real number with a rate."""
+        odd = [
+            rate.name for rate, one in zip(self.rates, self.states, strict=True) if one is None or not _is_number(one)
+        ]
+        if odd:
+            raise ProblemError(
+                f"{self._who}: expected states of one real number each; '{odd[0]}' is the rate of none. Use it for "
+                "co-simulation, if it offers that."
+            )
+
     def parameters(self) -> list[str]:
         """The real parameters, the names for which a number may be uncertain first of all."""
         return [name for name, one in self.all.items() if one.causality == "parameter" and _is_number(one)]
