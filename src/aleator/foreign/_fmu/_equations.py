@@ -20,6 +20,8 @@ from aleator.foreign._fmu._library import LOCK
 _KEPT = 256
 # By which a derivative that the FMU gives may differ from a difference, relative to the largest of its kind.
 _SAME = 1e-5
+# Derivatives that are always smaller count as zero.
+_SMALL = 1e-6
 
 
 class Place(NamedTuple):
@@ -130,19 +132,14 @@ class Equations:
         return found
 
     def judge(self, places: list[Place]) -> None:
-        """Trust those derivatives of the FMU that agree with differences at all of some places."""
+        """Trust those derivatives of the FMU that agree with differences at all of some places where it has values."""
         size = len(self._by)
         asked = [one.causality in ("parameter", "input") for one in self.parameters]
         candidates = np.array([True] * (size - len(asked)) + asked, dtype=bool) & self.fmu.offers_slopes
         self.trusted = np.zeros(size, bool)
-        if not candidates.any():
-            return
-        units = np.eye(size)
-        for index in np.flatnonzero(candidates):
-            expected = np.array([self._difference(place, units[index]) for place in places])
-            given = np.array([self._given(place, int(index)) for place in places])
-            near = _SAME * np.maximum(np.max(np.abs(expected), axis=0), 1e-6)
-            self.trusted[index] = bool(np.all(np.abs(given - expected) <= near))
+        places = [place for place in places if self._has_values(place)]
+        for index in np.flatnonzero(candidates) if places else ():
+            self.trusted[index] = self._agree(places, int(index))
 
     def distrusted(self) -> list[str]:
         """The variables by which it is differentiated by differences."""
@@ -173,12 +170,22 @@ class Equations:
         instance.set(self._input_references, place.u.tolist())
         return instance
 
-    def _given(self, place: Place, index: int) -> np.ndarray:
-        """The derivative by one variable that the FMU gives; NaN if it refuses."""
+    def _has_values(self, place: Place) -> bool:
         try:
-            return self._at(place).slopes(self._of, [self._by[index]], [1.0])
+            return bool(np.isfinite(self.values(place)).all())
         except SimulationError:
-            return np.full(len(self._of), np.nan)
+            return False
+
+    def _agree(self, places: list[Place], index: int) -> bool:
+        """Whether the derivative by one variable that the FMU gives, if it gives one, is that of differences."""
+        unit = np.eye(len(self._by))[index]
+        try:
+            expected = np.array([self._difference(place, unit) for place in places])
+            given = np.array([self._at(place).slopes(self._of, [self._by[index]], [1.0]) for place in places])
+        except SimulationError:
+            return False
+        near = _SAME * np.maximum(np.max(np.abs(expected), axis=0), _SMALL)
+        return bool(np.all(np.abs(given - expected) <= near))
 
     def _difference(self, place: Place, direction: np.ndarray) -> np.ndarray:
         """The derivative along a direction by differences: along states and inputs at once, by each parameter alone.
