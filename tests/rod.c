@@ -25,11 +25,11 @@ typedef fmi3ValueReference Reference;
 #endif
 
 enum { TIME, ANGLE, RATE, ANGLE_RATE, RATE_RATE, MASS, LENGTH, DAMPING, GRAVITY, TORQUE, ENERGY, INERTIA, FAIL_AT, WALL_AT, REALS };
-enum { FINE, FAILS, TERMINATES, IS_NAN, NO_START, WRONG_SLOPES, NO_SLOPES_BY_PARAMETERS, DIES };
+enum { FINE, FAILS, TERMINATES, IS_NAN, NO_START, WRONG_SLOPES, NO_SLOPES_BY_PARAMETERS, REMEMBERS };
 enum { BEHAVIOUR = 100, STARTED = 101 };
 
 typedef struct {
-    double v[REALS];
+    double v[REALS], last;
     int behaviour, ready;
 #if FMI == 2
     const fmi2CallbackFunctions *callbacks;
@@ -60,12 +60,12 @@ static void evaluate(double *v) {
 static int is_due(const Rod *rod, int behaviour) { return rod->behaviour == behaviour && rod->v[TIME] >= rod->v[FAIL_AT] - 1e-12; }
 
 static int refresh(Rod *rod) {
-    if (is_due(rod, DIES)) exit(3);
     if (is_due(rod, FAILS)) {
         say(rod, ERROR, "the hinge is broken");
         return ERROR;
     }
     evaluate(rod->v);
+    if (rod->behaviour == REMEMBERS) rod->v[RATE_RATE] -= rod->last, rod->last = rod->v[ANGLE];
     if (is_due(rod, IS_NAN)) rod->v[RATE_RATE] = rod->v[ENERGY] = NAN;
     return OK;
 }
@@ -124,7 +124,7 @@ static int advance(Rod *rod, double h) {
         v[ANGLE] = phi + d / 6 * (p[0] + 2 * p[1] + 2 * p[2] + p[3]);
         v[RATE] = w + d / 6 * (q[0] + 2 * q[1] + 2 * q[2] + q[3]);
         v[TIME] += d;
-        if (is_due(rod, DIES) || is_due(rod, FAILS)) break;
+        if (is_due(rod, FAILS)) break;
     }
     if (refresh(rod) != OK) return ERROR;
     v[TIME] = end;

@@ -77,6 +77,12 @@ def test_an_fmu_with_events_is_no_system(rods):
         al.foreign.FmuSystem(al.foreign.Fmu(rods(3, wall=True)))
 
 
+def test_an_fmu_with_a_memory_is_no_system(rods):
+    fmu = al.foreign.Fmu(rods(3), settings={"behaviour": 7})
+    with pytest.raises(al.ProblemError, match=r"those of 'rod3_mc' depend on where it was before, by .* Use FmuSimul"):
+        al.foreign.FmuSystem(fmu)
+
+
 def test_co_simulation_is_no_system(rods):
     with pytest.raises(al.ProblemError, match="which gives the rates of its states; 'rod3_mc' is used for co-simul"):
         al.foreign.FmuSystem(al.foreign.Fmu(rods(3), kind="co-simulation"))

@@ -17,7 +17,8 @@ from aleator.foreign._fmu._library import LOCK
 Host: TypeAlias = Callable[[float, Float[np.ndarray, " n"]], np.ndarray]
 """A function of a time and a vector of known numbers."""
 
-# By time they are differentiated over such a step, s, after it alone: there may be nothing before the start.
+# By time they are differentiated over such a step, s, after it alone: there may be nothing before the start. What
+# changes within a millisecond is differentiated to five digits.
 _LATER = 1e-5
 
 

@@ -15,6 +15,7 @@ from aleator.foreign._fmu._fmu import Fmu
 from aleator.foreign._fmu._hidden import Hidden
 from aleator.foreign._fmu._instance import Instance
 from aleator.foreign._fmu._library import LOCK
+from aleator.foreign._fmu._variables import nominals_of
 
 # As many instances are kept, each with its own parameters.
 _KEPT = 256
@@ -22,6 +23,8 @@ _KEPT = 256
 _SAME = 1e-5
 # Derivatives that are always smaller count as zero.
 _SMALL = 1e-6
+# Values at one place may differ by this much, for an FMU may iterate for them.
+_REPEATED = 1e-6
 
 
 class Place(NamedTuple):
@@ -137,21 +140,13 @@ class Equations:
         asked = [one.causality in ("parameter", "input") for one in self.parameters]
         candidates = np.array([True] * (size - len(asked)) + asked, dtype=bool) & self.fmu.offers_slopes
         self.trusted = np.zeros(size, bool)
-        places = [place for place in places if self._has_values(place)]
+        places = [place for place in places if self.has_values(place)]
         for index in np.flatnonzero(candidates) if places else ():
             self.trusted[index] = self._agree(places, int(index))
 
-    def distrusted(self) -> list[str]:
-        """The variables by which it is differentiated by differences."""
-        parameters = [one for one, skip in zip(self.parameters, self._only_start, strict=True) if not skip]
-        names = [one.name for one in (*self.fmu.variables.states, *self.inputs, *parameters)]
-        trusted = np.zeros(len(self._by), bool) if self.trusted is None else self.trusted
-        kept = np.append(np.ones(len(self._by) - len(self._only_start), bool), ~self._only_start)
-        return [name for name, use in zip(names, trusted[kept], strict=True) if not use]
-
     def scales(self, values: np.ndarray, variables: list[Any]) -> np.ndarray:
         """By how much a change of each of some variables is large."""
-        return scales(values, np.array([abs(float(one.nominal or 1.0)) or 1.0 for one in variables]))
+        return scales(values, nominals_of(variables))
 
     def sizes(self, x: np.ndarray, u: np.ndarray, p: np.ndarray) -> np.ndarray:
         """The same of all states, inputs and parameters."""
@@ -170,7 +165,8 @@ class Equations:
         instance.set(self._input_references, place.u.tolist())
         return instance
 
-    def _has_values(self, place: Place) -> bool:
+    def has_values(self, place: Place) -> bool:
+        """Whether the FMU gives finite values at a place."""
         try:
             return bool(np.isfinite(self.values(place)).all())
         except SimulationError:
@@ -207,6 +203,22 @@ class Equations:
             along = slope(lambda a, unit=unit: self.values(place._replace(p=place.p + a * unit)), steps[index])
             found += p[index] * along.value
         return found
+
+
+def refuse_memory(equations: Equations, place: Place, others: list[Place]) -> None:
+    """Raise `ProblemError` if values at a place depend on where the FMU was before, as those of delays do."""
+    first = equations.values(place)
+    for other in others:
+        if equations.has_values(other):
+            again = equations.values(place)
+            if not np.allclose(
+                first, again, rtol=_REPEATED, atol=_REPEATED * float(np.max(np.abs(first), initial=0.0))
+            ):
+                raise ProblemError(
+                    f"FmuSystem: expected rates that follow from time, states, inputs and parameters; those of "
+                    f"'{equations.fmu.name}' depend on where it was before, by {np.max(np.abs(again - first)):.2g}. "
+                    "Use FmuSimulation."
+                )
 
 
 def refuse_events(fmu: Fmu, instance: Instance) -> None:

@@ -83,8 +83,8 @@ class Fmu:
 
     @property
     def states(self) -> list[str]:
-        """Its continuous states, in its own order."""
-        return [one.name for one in self.variables.states]
+        """Its continuous states, in its own order; none of co-simulation, which keeps them to itself."""
+        return [one.name for one in self.variables.states] if self.is_exchange else []
 
     def started(
         self, values: Mapping[Any, float], t: float, tolerance: float | None

@@ -16,6 +16,7 @@ from aleator.foreign._fmu._exchange import EventError, integrated, motion_of
 from aleator.foreign._fmu._fmu import Fmu
 from aleator.foreign._fmu._inputs import Inputs
 from aleator.foreign._fmu._sensitivities import sensitivities
+from aleator.foreign._fmu._variables import nominals_of
 
 # Differences over one step and over two may disagree by this part of the largest derivative.
 _NOISY = 1e-2
@@ -27,9 +28,10 @@ class Runs:
     def __init__(self, fmu: Fmu, parameters: list[Any], outputs: list[Any], inputs: Inputs, tolerance: float):
         self._fmu, self._parameters, self._outputs = fmu, parameters, outputs
         self._inputs, self._tolerance = inputs, tolerance
-        self.equations = Equations(
-            fmu, parameters, inputs.variables, outputs, float(inputs.times[0]), tolerance, inputs.first
-        )
+        self._equations = None
+        if fmu.is_exchange:
+            t = float(inputs.times[0])
+            self._equations = Equations(fmu, parameters, inputs.variables, outputs, t, tolerance, inputs.first)
 
     def outputs(self, p: Float[np.ndarray, " k"]) -> Float[np.ndarray, "instants outputs"]:
         """The outputs at all instants. Raises `SimulationError` if a run fails or an output is not finite."""
@@ -53,24 +55,24 @@ class Runs:
 
         Warns with `SimulationWarning` where differences over one step and over two do not agree.
         """
-        if self._fmu.is_exchange:
+        if self._equations is not None:
             try:
                 with self._explained(p):
-                    return sensitivities(self.equations, self._inputs, p, self._tolerance)
+                    return sensitivities(self._equations, self._inputs, p, self._tolerance)
             except EventError:
                 pass
             finally:
-                self.equations.forget()
-        found = differences.jacobian(self.outputs, p, differences.STEP * self._scales(p))
+                self._equations.forget()
+        found = differences.jacobian(self.outputs, p, self._steps(p))
         self._warn_of_noise(found)
         return found.value
 
     def hessian(self, p: Float[np.ndarray, " k"]) -> Float[np.ndarray, "instants outputs k k"]:
         """The second derivatives, by differences of the first."""
-        return differences.jacobian(self.jacobian, p, differences.STEP * self._scales(p)).value
+        return differences.jacobian(self.jacobian, p, self._steps(p)).value
 
-    def _scales(self, p: np.ndarray) -> np.ndarray:
-        return self.equations.scales(p, self._parameters)
+    def _steps(self, p: np.ndarray) -> np.ndarray:
+        return differences.STEP * differences.scales(p, nominals_of(self._parameters))
 
     @contextmanager
     def _explained(self, p: np.ndarray) -> Iterator[None]:

@@ -17,7 +17,7 @@ from aleator._core.given import real, shown
 from aleator._core.leaves import AbstractLeaf, transparent
 from aleator.dynamics import System
 from aleator.foreign._fmu._callbacks import called_back
-from aleator.foreign._fmu._equations import Equations, Place, refuse_events
+from aleator.foreign._fmu._equations import Equations, Place, refuse_events, refuse_memory
 from aleator.foreign._fmu._evaluations import evaluations, starts
 from aleator.foreign._fmu._fmu import Fmu, fmu_given
 from aleator.foreign._fmu._library import LOCK
@@ -149,5 +149,7 @@ def _judged(equations: Equations, numbers: list[Any]) -> tuple[tuple[float, ...]
         p = np.array([one if isinstance(one, float) else its for one, its in zip(numbers, p, strict=True)])
         x, sizes = equations.instance(p).initial, equations.nominals(p)
         signs = np.cos(np.arange(len(x)))
-        equations.judge([Place(0.0, x + away * signs * sizes, u, p) for away in _AWAY])
+        places = [Place(0.0, x + away * signs * sizes, u, p) for away in _AWAY]
+        refuse_memory(equations, places[0], places[1:])
+        equations.judge(places)
     return tuple(u.tolist()), tuple(x.tolist())

@@ -3,6 +3,8 @@
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
 from aleator._core.errors import ProblemError
 from aleator._core.given import meant, shown
 
@@ -134,6 +136,11 @@ def _kind_of(kind: str) -> tuple[str, Any]:
 def _listed(names: Sequence[str]) -> str:
     more = ", …" if len(names) > _LISTED else ""
     return (", ".join(f"'{one}'" for one in names[:_LISTED]) + more) or "none"
+
+
+def nominals_of(variables: Iterable[Any]) -> np.ndarray:
+    """The usual sizes that variables declare; 1 for others."""
+    return np.array([abs(float(one.nominal or 1.0)) or 1.0 for one in variables])
 
 
 def units_of(variables: Iterable[Any]) -> Mapping[str, str]:
