@@ -129,6 +129,9 @@ _DISTRIBUTIONS: dict[str, tuple[Callable[..., Any], dict[str, Any], dict[str, Ma
 }
 
 _CONSTRUCTORS: dict[str, tuple[Callable[..., Any], dict[str, Any], dict[str, Mapping[str, Any]]]] = {
+    "Fmu": (al.foreign.Fmu, {}, {"path": NAME}),
+    "FmuSimulation": (al.foreign.FmuSimulation, {"grid": al.Grid(1.0, 4)}, {"fmu": REQUIRED}),
+    "FmuSystem": (al.foreign.FmuSystem, {}, {"fmu": REQUIRED}),
     "Decision": (
         al.Decision,
         {"initial": 1.0, "lower": 0.0, "upper": 2.0},

@@ -115,6 +115,7 @@ def test_what_few_programs_need_is_not_loaded_with_the_package():
         "typer",
         "h5py",
         "diffrax",
+        "fmpy",
     ]
     script = f"""
 import sys, aleator as al

@@ -1,0 +1,108 @@
+"""Runs of an FMU over a grid as a function of its parameters: outputs at all instants, and their derivatives."""
+
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from aleator._core.errors import SimulationError, SimulationWarning
+from aleator.foreign._fmu import _differences as differences
+from aleator.foreign._fmu._cosimulation import stepped
+from aleator.foreign._fmu._equations import Equations
+from aleator.foreign._fmu._exchange import EventError, integrated, motion_of
+from aleator.foreign._fmu._fmu import Fmu
+from aleator.foreign._fmu._inputs import Inputs
+from aleator.foreign._fmu._sensitivities import sensitivities
+from aleator.foreign._fmu._variables import nominals_of
+
+# Differences over one step and over two may disagree by this part of the largest derivative.
+_NOISY = 1e-2
+
+
+class Runs:
+    """An FMU from the start to the end of a grid, by the values of `parameters`, with chosen `outputs`."""
+
+    def __init__(self, fmu: Fmu, parameters: list[Any], outputs: list[Any], inputs: Inputs, tolerance: float):
+        self._fmu, self._parameters, self._outputs = fmu, parameters, outputs
+        self._inputs, self._tolerance = inputs, tolerance
+        self._equations = None
+        if fmu.is_exchange:
+            t = float(inputs.times[0])
+            self._equations = Equations(fmu, parameters, inputs.variables, outputs, t, tolerance, inputs.first)
+
+    def outputs(self, p: Float[np.ndarray, " k"]) -> Float[np.ndarray, "instants outputs"]:
+        """The outputs at all instants. Raises `SimulationError` if a run fails or an output is not finite."""
+        references = [one.valueReference for one in self._outputs]
+        inputs = self._inputs
+        start = {**inputs.first, **dict(zip(self._parameters, p.tolist(), strict=True))}
+        with self._explained(p), self._fmu.started(start, float(inputs.times[0]), self._tolerance) as instance:
+            if self._fmu.is_exchange:
+                motion, first = motion_of(instance, references, inputs, self._tolerance)
+                found = integrated(instance, motion, first, inputs.times)
+            else:
+                found = stepped(instance, references, inputs, inputs.times)
+            self._refuse_missing(found)
+        return found
+
+    def jacobian(self, p: Float[np.ndarray, " k"]) -> Float[np.ndarray, "instants outputs k"]:
+        """The derivatives of the outputs by the parameters.
+
+        For model exchange by forward sensitivities, integrated with the states. These hold up to the first event: then,
+        and for co-simulation, by differences of runs.
+
+        Warns with `SimulationWarning` where differences over one step and over two do not agree.
+        """
+        if self._equations is not None:
+            try:
+                with self._explained(p):
+                    return sensitivities(self._equations, self._inputs, p, self._tolerance)
+            except EventError:
+                pass
+            finally:
+                self._equations.forget()
+        found = differences.jacobian(self.outputs, p, self._steps(p))
+        self._warn_of_noise(found)
+        return found.value
+
+    def hessian(self, p: Float[np.ndarray, " k"]) -> Float[np.ndarray, "instants outputs k k"]:
+        """The second derivatives, by differences of the first."""
+        return differences.jacobian(self.jacobian, p, self._steps(p)).value
+
+    def _steps(self, p: np.ndarray) -> np.ndarray:
+        return differences.STEP * differences.scales(p, nominals_of(self._parameters))
+
+    @contextmanager
+    def _explained(self, p: np.ndarray) -> Iterator[None]:
+        """Add the parameters to what is said of a failure."""
+        try:
+            yield
+        except SimulationError as error:
+            values = ", ".join(f"{one.name}={value:.6g}" for one, value in zip(self._parameters, p, strict=True))
+            text = str(error) if str(error).startswith("FMU ") else f"FMU '{self._fmu.name}': {error}."
+            raise SimulationError(f"{text.removesuffix('.')}, with {values}." if values else text) from error
+
+    def _refuse_missing(self, found: np.ndarray) -> None:
+        if np.isfinite(found).all():
+            return
+        instant, output = np.argwhere(~np.isfinite(found))[0]
+        raise SimulationError(
+            f"FMU '{self._fmu.name}': output '{self._outputs[output].name}' is {found[instant, output]:g} at "
+            f"t = {self._inputs.times[instant]:.6g} s"
+        )
+
+    def _warn_of_noise(self, found: differences.Slope) -> None:
+        largest = np.max(np.abs(found.value), axis=0)
+        doubt = np.max(found.disagreement, axis=0) / np.where(largest > 0, largest, 1.0)
+        output, parameter = np.unravel_index(np.argmax(doubt), doubt.shape)
+        if doubt[output, parameter] > _NOISY:
+            warnings.warn(
+                f"FMU '{self._fmu.name}': the derivative of '{self._outputs[output].name}' by "
+                f"'{self._parameters[parameter].name}' is unreliable: differences over two steps disagree by "
+                f"{doubt[output, parameter]:.1%}. Outputs jump at times that depend on it, or the FMU's own solver is "
+                "too coarse; optimise an expansion or a search without derivatives instead.",
+                SimulationWarning,
+                stacklevel=2,
+            )

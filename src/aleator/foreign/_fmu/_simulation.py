@@ -1,0 +1,155 @@
+"""`FmuSimulation`: a run of an FMU as a function of its parameters."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, final
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jaxtyping import Array, Float
+
+from aleator._core.errors import ProblemError
+from aleator._core.given import one_of, positive, real, shown
+from aleator._core.leaves import AbstractLeaf
+from aleator.dynamics import Grid
+from aleator.foreign._fmu._callbacks import Evaluations, called_back
+from aleator.foreign._fmu._fmu import Fmu, fmu_given
+from aleator.foreign._fmu._hidden import Hidden
+from aleator.foreign._fmu._inputs import Inputs, sampled_inputs
+from aleator.foreign._fmu._library import LOCK
+from aleator.foreign._fmu._runs import Runs
+
+
+@final
+class FmuSimulation:
+    """A run of an FMU as a function of its parameters: `swing({"damping": 0.1})` gives outputs at all instants.
+
+        swing = al.foreign.FmuSimulation(fmu, al.Grid(2.0, 200), outputs=["angle"])
+        al.expand(swing, {"damping": al.Uniform(0.1, half_width=0.02)}, traced=False)
+
+    - `fmu`: an `Fmu` of either kind;
+    - `grid`: the instants, with a known final time; co-simulation steps from each to the next;
+    - `outputs`: the variables to read, by default all real outputs;
+    - `inputs`: known signals by the names of inputs, taken at the instants and straight in between (co-simulation: the
+      mean of its ends over each step). An input that is constant may be among the parameters instead;
+    - `tolerance`: relative tolerance of the integration, and the one that an FMU of co-simulation is told.
+
+    A call takes numbers by the names of parameters, constant inputs, and initial values; others are as the FMU has
+    them. It returns arrays of shape (instants,) by output. With plain numbers these are NumPy's. Inside of JAX
+    it is differentiable in all modes: model exchange by forward sensitivities with the FMU's directional derivatives,
+    where it has any that agree with differences; co-simulation, and runs with events, by differences of runs.
+    Every run begins with a new instance, so that no run depends on another.
+
+    Raises `ProblemError` for unknown names and numbers that the FMU computes itself, and, called with plain numbers,
+    `SimulationError` for a run that fails, with what the FMU said. Inside of JAX such a run gives NaN, and warns with
+    `SimulationWarning`.
+    """
+
+    _inputs = Hidden[Inputs]()
+    _outputs = Hidden[list[Any]]()
+    _runs = Hidden[dict[tuple[str, ...], Runs]]()
+
+    def __init__(
+        self,
+        fmu: Fmu,
+        grid: Grid,
+        *,
+        outputs: Sequence[str] | None = None,
+        inputs: Mapping[str, Any] | None = None,
+        tolerance: float = 1e-9,
+    ):
+        self._fmu, self._grid = fmu_given("FmuSimulation", fmu), _known_grid(grid)
+        self.__name__ = fmu.name  # in messages
+        self._outputs = fmu.variables.readable(outputs)
+        self._tolerance = positive("FmuSimulation: tolerance", tolerance, below=1.0)
+        self._inputs = sampled_inputs(fmu, grid, inputs)
+        self._signals = list(inputs or {})
+        self._runs = {}
+
+    @property
+    def times(self) -> Float[np.ndarray, " instants"]:
+        """The instants, s."""
+        return self._inputs.times
+
+    def __call__(self, at: Mapping[str, Any]) -> dict[str, Any]:
+        """The outputs by name, each of shape (instants,), for numbers by the names of parameters."""
+        known, traced = self._sorted(at)
+        names = tuple(traced) + tuple(known)
+        runs = self._for(names)
+        fixed = np.array(list(known.values()), dtype=float)
+        if not traced:
+            with LOCK:
+                return self._by_name(runs.outputs(fixed))
+        numbers = jnp.stack([jnp.asarray(one, dtype=float) for one in traced.values()])
+        return self._by_name(self._differentiable(runs, fixed, len(traced))(numbers).reshape(len(self.times), -1))
+
+    def __str__(self) -> str:
+        outputs = ", ".join(one.name for one in self._outputs)
+        how = "forward sensitivities; differences of runs with events" if self._fmu.is_exchange else "differences"
+        return (
+            f"FMU '{self._fmu.name}', {self._fmu.kind}, from {self.times[0]:g} to {self.times[-1]:g} s in "
+            f"{len(self.times) - 1} steps: {outputs}\n  derivatives: {how}"
+        )
+
+    def _for(self, names: tuple[str, ...]) -> Runs:
+        if names not in self._runs:
+            variables = self._fmu.variables.settable(names)
+            self._runs[names] = Runs(self._fmu, variables, self._outputs, self._inputs, self._tolerance)
+        return self._runs[names]
+
+    def _differentiable(self, runs: Runs, fixed: np.ndarray, k: int) -> Any:
+        """The outputs as a function of JAX of the first `k` numbers, the others fixed."""
+
+        def filled(z: np.ndarray) -> np.ndarray:
+            return np.concatenate([z, fixed])
+
+        function = called_back(
+            Evaluations(
+                lambda _, z: runs.outputs(filled(z)).ravel(),
+                lambda _, z: runs.jacobian(filled(z))[..., :k].reshape(-1, k),
+                lambda _, z: runs.hessian(filled(z))[..., :k, :k].reshape(-1, k, k),
+                len(self.times) * len(self._outputs),
+            )
+        )
+        return lambda numbers: function(0.0, numbers)
+
+    def _by_name(self, found: Any) -> dict[str, Any]:
+        return {one.name: found[:, index] for index, one in enumerate(self._outputs)}
+
+    def _sorted(self, at: Any) -> tuple[dict[str, float], dict[str, Array]]:
+        """The numbers that are known, and those that are traced."""
+        who = f"FMU '{self._fmu.name}'"
+        if not isinstance(at, Mapping):
+            raise ProblemError(
+                f"{who}: expected numbers by the names of parameters, such as {{'{_example(self._fmu)}': 1.0}}; "
+                f"received {shown(at)}."
+            )
+        known, traced = {}, {}
+        for name, value in at.items():
+            self._fmu.variables.settable([name])
+            if name in self._signals:
+                raise ProblemError(f"{who}: the input '{name}' is given by a signal; leave it out of the parameters.")
+            if isinstance(value, AbstractLeaf):
+                raise ProblemError(
+                    f"{who}: expected plain numbers; '{name}' is {shown(value)}. Give it to al.expand, "
+                    "al.references.monte_carlo or a system in an al.Problem, which realise it."
+                )
+            if isinstance(value, Tracer):
+                if value.shape:
+                    raise ProblemError(f"{who}: expected one number for '{name}'; received the shape {value.shape}.")
+                traced[name] = value
+            else:
+                known[name] = real(f"{who}: '{name}'", np.asarray(value) if isinstance(value, jax.Array) else value)
+        return known, traced
+
+
+def _known_grid(grid: Any) -> Grid:
+    one_of("FmuSimulation: grid", grid, Grid, "al.Grid(2.0, 200)")
+    if not isinstance(grid.t_final, float | int):
+        raise ProblemError(f"FmuSimulation: expected a grid whose final time is known; received {shown(grid.t_final)}.")
+    return grid
+
+
+def _example(fmu: Fmu) -> str:
+    return next(iter(fmu.parameters), "x")

@@ -1,0 +1,155 @@
+"""`FmuSystem`: the equations of an FMU as a system of this package."""
+
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any, final
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jaxtyping import Array
+from typing_extensions import override
+
+from aleator._core.errors import ProblemError
+from aleator._core.given import real, shown
+from aleator._core.leaves import AbstractLeaf, transparent
+from aleator.dynamics import System
+from aleator.foreign._fmu._callbacks import called_back
+from aleator.foreign._fmu._equations import Equations, Place, refuse_events, refuse_memory
+from aleator.foreign._fmu._evaluations import evaluations, starts
+from aleator.foreign._fmu._fmu import Fmu, fmu_given
+from aleator.foreign._fmu._library import LOCK
+from aleator.foreign._fmu._variables import units_of
+
+# The initial state is told within this tolerance, if the FMU has to iterate for it.
+_TOLERANCE = 1e-10
+# Where the FMU's derivatives are judged: at its initial state, and so many of the states' usual sizes away.
+_AWAY = (0.0, 0.3, -0.7)
+
+
+@final
+@transparent("parameters")
+class FmuSystem(System):
+    """The equations of an FMU for model exchange as a `System`, integrated and optimised like any other.
+
+        rod = al.foreign.FmuSystem(fmu, {"damping": al.Uniform(al.Decision(0.1, 0.05, 1.0), half_width=0.02)})
+
+    - `fmu`: an `Fmu` for model exchange, without events;
+    - `parameters`: numbers, distributions and decisions by the names of its parameters and initial values; others are
+      as the FMU has them;
+    - `outputs`: the variables to read, by default all real outputs.
+
+    Its states are the FMU's, with `_` for what is no letter or digit. Its inputs are the FMU's, by their names; those
+    without a signal keep the FMU's initial values. Rates and outputs are differentiated by the FMU's directional
+    derivatives where these agree with differences at its initial state and beside it, and by differences elsewhere;
+    second derivatives are differences of these. Each evaluation calls the FMU, so that such a system is many times
+    slower than one written with JAX.
+
+    Raises `ProblemError` for an FMU with events or for co-simulation, for unknown names, and for variables that the FMU
+    computes itself; `SimulationError` if it fails at its initial state.
+    """
+
+    parameters: dict[str, Any]
+    _equations: Equations = eqx.field(static=True)
+    _held: tuple[float, ...] = eqx.field(static=True)
+    _first: tuple[float, ...] = eqx.field(static=True)
+
+    def __init__(self, fmu: Fmu, parameters: Mapping[str, Any] | None = None, *, outputs: Sequence[str] | None = None):
+        fmu_given("FmuSystem", fmu)
+        if not fmu.is_exchange:
+            raise ProblemError(
+                f"FmuSystem: expected an FMU for model exchange, which gives the rates of its states; '{fmu.name}' is "
+                "used for co-simulation. Use FmuSimulation."
+            )
+        if not isinstance(parameters, Mapping | None):
+            raise ProblemError(
+                f"FmuSystem: expected numbers by the names of parameters of '{fmu.name}'; received {shown(parameters)}."
+            )
+        self.parameters = {name: _checked(fmu, name, value) for name, value in (parameters or {}).items()}
+        variables = fmu.variables
+        chosen, read = variables.settable(self.parameters), variables.readable(outputs)
+        free = variables.of_inputs(one for one in fmu.inputs if one not in self.parameters)
+        self._equations = Equations(fmu, chosen, free, read, 0.0, _TOLERANCE)
+        self._held, self._first = _judged(self._equations, list(self.parameters.values()))
+
+    @property
+    def states(self) -> tuple[str, ...]:  # type: ignore[override]
+        """The FMU's states, as names of Python."""
+        names = [re.sub(r"\W", "_", one).strip("_") for one in self._equations.fmu.states]
+        return tuple(name if name.isidentifier() else f"x_{name}" for name in names)
+
+    @property
+    def units(self) -> Mapping[str, str]:  # type: ignore[override]
+        """The units that the FMU declares."""
+        return units_of(self._equations.outputs)
+
+    @override
+    def initial(self) -> Mapping[str, Any]:
+        return self.starting(0.0, {})
+
+    @override
+    def starting(self, t: Any, inputs: Mapping[str, Any]) -> Mapping[str, Any]:
+        given = jnp.concatenate([self._inputs(inputs), self._numbers()])
+        found = called_back(starts(self._equations))(0.0, given) if len(given) else self._first
+        return dict(zip(self.states, found, strict=True))
+
+    @override
+    def rhs(self, t: Any, z: Any, **inputs: Any) -> tuple[Array, ...]:
+        return self.rates_and_outputs(t, z, **inputs)[0]
+
+    @override
+    def outputs(self, t: Any, z: Any, **inputs: Any) -> dict[str, Any]:
+        return self.rates_and_outputs(t, z, **inputs)[1]
+
+    @override
+    def rates_and_outputs(self, t: Any, z: Any, *args: Any, **inputs: Any) -> tuple[tuple[Array, ...], dict[str, Any]]:
+        del args
+        n = self._equations.n
+        given = [jnp.stack([*map(_number, z)]) if n else jnp.zeros(0), self._inputs(inputs), self._numbers()]
+        found = called_back(evaluations(self._equations))(t, jnp.concatenate(given))
+        return tuple(found[:n]), {one.name: found[n + index] for index, one in enumerate(self._equations.outputs)}
+
+    def _numbers(self) -> Array:
+        # By name: trees of JAX sort what is in a dict.
+        values = [self.parameters[one.name] for one in self._equations.parameters]
+        return jnp.array([_number(one) for one in values], dtype=float)
+
+    def _inputs(self, given: Mapping[str, Any]) -> Array:
+        """All inputs that are no parameters: as they are given, or as the FMU has them."""
+        taken = [one.name for one in self._equations.inputs]
+        unknown = [name for name in given if name not in taken]
+        if unknown:
+            self._equations.fmu.variables.of_inputs(unknown)
+            raise ProblemError(f"FmuSystem: the input '{unknown[0]}' is among the parameters; give it once.")
+        values = zip(taken, self._held, strict=True)
+        return jnp.array([_number(given.get(name, held)) for name, held in values], dtype=float)
+
+
+def _checked(fmu: Fmu, name: str, value: Any) -> Any:
+    """A number of the system, which may be a leaf, or traced."""
+    if isinstance(value, AbstractLeaf | Tracer):
+        return value
+    return real(f"FMU '{fmu.name}': '{name}'", np.asarray(value) if isinstance(value, jax.Array) else value)
+
+
+def _number(value: Any) -> Array:
+    return jnp.asarray(value, dtype=float)
+
+
+def _judged(equations: Equations, numbers: list[Any]) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Compare the FMU's derivatives with differences at its start; its free inputs and its states there."""
+    with LOCK:
+        own = equations.fmu.started({}, 0.0, _TOLERANCE)
+        with own as instance:
+            refuse_events(equations.fmu, instance)
+            u = instance.get([one.valueReference for one in equations.inputs])
+            p = instance.get([one.valueReference for one in equations.parameters])
+        p = np.array([one if isinstance(one, float) else its for one, its in zip(numbers, p, strict=True)])
+        x, sizes = equations.instance(p).initial, equations.nominals(p)
+        signs = np.cos(np.arange(len(x)))
+        places = [Place(0.0, x + away * signs * sizes, u, p) for away in _AWAY]
+        refuse_memory(equations, places[0], places[1:])
+        equations.judge(places)
+    return tuple(u.tolist()), tuple(x.tolist())

@@ -1,0 +1,106 @@
+"""The equations of an FMU as a system, integrated and differentiated here."""
+
+import jax
+import numpy as np
+import pytest
+
+import aleator as al
+from rod_models import Rod
+
+GRID = al.Grid(1.0, 20)
+
+
+def damping():
+    return al.Uniform(al.Decision(0.3, 0.05, 3.0), half_width=0.05)
+
+
+@pytest.mark.parametrize("version", [2, 3])
+def test_a_system_of_an_fmu_moves_as_the_same_system_written_here_to_rounding(rods, version):
+    system = al.foreign.FmuSystem(al.foreign.Fmu(rods(version)), {"damping": 0.2, "rod.length": 1.1, "angle": 0.7})
+    assert system.states == ("angle", "rate")
+    assert system.units == {"angle": "rad", "rate": "rad/s", "energy": "J"}
+    torque = {"torque": al.Tabulated([0.0, 1.0], [0.0, 1.0])}
+    found, expected = al.simulate(system, GRID, torque), al.simulate(Rod(0.2, 1.1, 0.7), GRID, torque)
+    for name, values in found.items():
+        assert np.asarray(values) == pytest.approx(np.asarray(expected[name]), abs=1e-13)
+
+
+@pytest.mark.parametrize("slopes", [True, False], ids=["directional derivatives", "differences"])
+def test_a_system_of_an_fmu_is_differentiated_like_the_same_system_written_here(rods, slopes):
+    fmu = al.foreign.Fmu(rods(3, slopes=slopes))
+
+    def by_fmu(damping, length, angle, t_final):
+        system = al.foreign.FmuSystem(fmu, {"damping": damping, "rod.length": length, "angle": angle})
+        return al.simulate(system, grid(t_final), only=["energy"])["energy"][-1]
+
+    def by_rod(damping, length, angle, t_final):
+        return al.simulate(Rod(damping, length, angle), grid(t_final), only=["energy"])["energy"][-1]
+
+    def grid(t_final):
+        held = al.Grid(1.0, 5)
+        object.__setattr__(held, "t_final", t_final)
+        return held
+
+    at = (0.2, 1.1, 0.7, 1.0)
+    found, expected = (jax.jacfwd(one, argnums=(0, 1, 2, 3))(*at) for one in (by_fmu, by_rod))
+    assert np.asarray(found) == pytest.approx(np.asarray(expected), abs=1e-9)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("way", "steps"),
+    [(al.Sequential(), 20), (al.Simultaneous(al.schemes.GaussLegendre(3)), 4)],
+    ids=["sequential", "simultaneous"],
+)
+def test_a_robust_design_of_an_fmu_is_that_of_the_same_system_written_here(rods, way, steps):
+    fmu, energy = al.foreign.Fmu(rods(3)), al.terminal("energy")
+
+    def solution(system):
+        return al.solve(
+            al.Problem(
+                system,
+                grid=al.Grid(0.4, steps),
+                minimize=al.value("damping.mean"),
+                subject_to=[energy.mean + 2 * energy.std <= 2.2],
+                expansion=al.Expansion(order=1),
+            ),
+            transcription=way,
+        )
+
+    found = solution(al.foreign.FmuSystem(fmu, {"damping": damping(), "rod.length": 1.1}))
+    assert found.ok
+    assert found.objective == pytest.approx(solution(Rod(damping(), 1.1)).objective, rel=1e-9)
+
+
+def test_an_fmu_with_events_is_no_system(rods):
+    with pytest.raises(al.ProblemError, match=r"'rod3_wall_mc' has 1 event indicator\. Use FmuSimulation"):
+        al.foreign.FmuSystem(al.foreign.Fmu(rods(3, wall=True)))
+
+
+def test_an_fmu_with_a_memory_is_no_system(rods):
+    fmu = al.foreign.Fmu(rods(3), settings={"behaviour": 7})
+    with pytest.raises(al.ProblemError, match=r"those of 'rod3_mc' depend on where it was before, by .* Use FmuSimul"):
+        al.foreign.FmuSystem(fmu)
+
+
+def test_co_simulation_is_no_system(rods):
+    with pytest.raises(al.ProblemError, match="which gives the rates of its states; 'rod3_mc' is used for co-simul"):
+        al.foreign.FmuSystem(al.foreign.Fmu(rods(3), kind="co-simulation"))
+
+
+def test_an_unknown_input_of_a_system_is_named(rods):
+    system = al.foreign.FmuSystem(al.foreign.Fmu(rods(3)))
+    with pytest.raises(al.ProblemError, match=r"FMU 'rod3_mc' has no variable 'torqe'. Did you mean 'torque'\?"):
+        al.simulate(system, GRID, {"torqe": al.Tabulated([0.0, 1.0], [0.0, 1.0])})
+
+
+def test_where_an_fmu_fails_a_system_has_no_numbers_and_says_why(rods):
+    fmu = al.foreign.Fmu(rods(3), settings={"behaviour": 1})
+    system = al.foreign.FmuSystem(fmu, {"fail_at": 0.5})
+    with pytest.warns(al.SimulationWarning) as said:
+        found = al.simulate(system, GRID, only=["angle"])["angle"]
+    assert np.isfinite(found[9])
+    assert np.isnan(found[-1])
+    texts = [str(one.message) for one in said]
+    assert any("FMU 'rod3_mc' failed at t = 0.5 s: the hinge is broken" in text for text in texts)
+    assert any("output 'angle' is not finite" in text for text in texts)

@@ -1,0 +1,174 @@
+"""A rod that swings, compiled as an FMU of any kind."""
+
+import inspect
+import re
+import shutil
+import subprocess
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+SOURCE = Path(__file__).with_name("rod.c")
+
+# name, causality, variability, initial, start, and further attributes; the place in the list is the value reference.
+REALS: list[tuple[str, str, str, str | None, float | None, str]] = [
+    ("time", "independent", "continuous", None, None, ""),
+    ("angle", "output", "continuous", "exact", 1.0, 'unit="rad"'),
+    ("rate", "output", "continuous", "exact", 0.0, 'unit="rad/s"'),
+    ("der(angle)", "local", "continuous", None, None, 'derivative="{angle}"'),
+    ("der(rate)", "local", "continuous", None, None, 'derivative="{rate}"'),
+    ("rod.mass", "parameter", "fixed", "exact", 1.0, 'unit="kg"'),
+    ("rod.length", "parameter", "fixed", "exact", 1.0, 'unit="m"'),
+    ("damping", "parameter", "tunable", "exact", 0.1, 'unit="N.m.s/rad"'),
+    ("gravity", "parameter", "fixed", "exact", 9.81, 'unit="m/s2"'),
+    ("torque", "input", "continuous", None, 0.0, 'unit="N.m"'),
+    ("energy", "output", "continuous", "calculated", None, 'unit="J"'),
+    ("rod.inertia", "calculatedParameter", "fixed", "calculated", None, ""),
+    ("fail_at", "parameter", "fixed", "exact", 1e9, 'unit="s"'),
+    ("wall", "parameter", "fixed", "exact", -0.5, 'unit="rad"'),
+]
+UNITS = sorted({found for *_, more in REALS for found in re.findall(r'unit="([^"]+)"', more)})
+OUTPUTS = ("angle", "rate", "energy")
+
+
+def description(version: int, *, wall: bool, slopes: bool, kinds: str) -> str:
+    """The modelDescription.xml of the rod."""
+    units = "".join(f'<Unit name="{one}"/>' for one in UNITS)
+    offer = "providesDirectionalDerivative" + ("s" if version == 3 else "")
+    flag = f'{offer}="{str(slopes).lower()}"'
+    wants = 'needsCompletedIntegratorStep="true"' if version == 3 else ""
+    offered = (f'<ModelExchange modelIdentifier="rod" {wants} {flag}/>' if "m" in kinds else "") + (
+        '<CoSimulation modelIdentifier="rod" canHandleVariableCommunicationStepSize="true"/>' if "c" in kinds else ""
+    )
+    if version == 2:
+        places = {"angle": 2, "rate": 3}
+        variables = "".join(_real2(place, *one, places=places) for place, one in enumerate(REALS))
+        variables += (
+            '<ScalarVariable name="behaviour" valueReference="100" causality="parameter" variability="fixed" '
+            'initial="exact"><Integer start="0"/></ScalarVariable>'
+            '<ScalarVariable name="started" valueReference="101" causality="parameter" variability="fixed" '
+            'initial="exact"><Boolean start="true"/></ScalarVariable>'
+        )
+        structure = (
+            "<Outputs>" + "".join(f'<Unknown index="{index}"/>' for index in (2, 3, 11)) + "</Outputs>"
+            '<Derivatives><Unknown index="4"/><Unknown index="5"/></Derivatives>'
+            "<InitialUnknowns>"
+            + "".join(f'<Unknown index="{index}"/>' for index in (4, 5, 11, 12))
+            + "</InitialUnknowns>"
+        )
+        indicators = f'numberOfEventIndicators="{int(wall)}"'
+        head = f'fmiVersion="2.0" modelName="rod" guid="rod" {indicators}'
+    else:
+        places = {"angle": 1, "rate": 2}
+        variables = "".join(_real3(place, *one, places=places) for place, one in enumerate(REALS))
+        variables += (
+            '<Float64 name="distance" valueReference="99" causality="local" variability="continuous" '
+            'initial="calculated"/>'
+            * wall
+            + '<Int32 name="behaviour" valueReference="100" causality="parameter" variability="fixed" start="0"/>'
+            '<Boolean name="started" valueReference="101" causality="parameter" variability="fixed" start="true"/>'
+        )
+        structure = (
+            "".join(f'<Output valueReference="{one}"/>' for one in (1, 2, 10))
+            + "".join(f'<ContinuousStateDerivative valueReference="{one}"/>' for one in (3, 4))
+            + "".join(f'<InitialUnknown valueReference="{one}"/>' for one in (3, 4, 10, 11))
+            + '<EventIndicator valueReference="99"/>' * wall
+        )
+        head = 'fmiVersion="3.0" modelName="rod" instantiationToken="rod"'
+    return (
+        f'<?xml version="1.0" encoding="UTF-8"?><fmiModelDescription {head}>{offered}'
+        f"<UnitDefinitions>{units}</UnitDefinitions><ModelVariables>{variables}</ModelVariables>"
+        f"<ModelStructure>{structure}</ModelStructure></fmiModelDescription>"
+    )
+
+
+def _real2(place, name, causality, variability, initial, start, more, *, places):
+    began = f' initial="{initial}"' if initial else ""
+    value = "" if start is None else f' start="{start!r}"'
+    return (
+        f'<ScalarVariable name="{name}" valueReference="{place}" causality="{causality}" variability="{variability}"'
+        f"{began}><Real{value} {more.format(**places)}/></ScalarVariable>"
+    )
+
+
+def _real3(place, name, causality, variability, initial, start, more, *, places):
+    began = f' initial="{initial}"' if initial else ""
+    value = "" if start is None else f' start="{start!r}"'
+    return (
+        f'<Float64 name="{name}" valueReference="{place}" causality="{causality}" variability="{variability}"'
+        f"{began}{value} {more.format(**places)}/>"
+    )
+
+
+def _stubs(version: int, written: str) -> str:
+    """Functions that FMPy looks for and the rod does not need: they fail, should they be called."""
+    from fmpy import fmi2, fmi3
+
+    kinds = {2: (fmi2.FMU2Model, fmi2.FMU2Slave), 3: (fmi3.FMU3Model, fmi3.FMU3Slave)}[version]
+    names = {name for kind in kinds for name, _ in inspect.getmembers(kind) if name.startswith(f"fmi{version}")}
+    missing = sorted(name for name in names if not re.search(rf"{name}\b|NAME\({name[4:]}\)", written))
+    return "".join(f"int {name}(void) {{ return 3; }}\n" for name in missing)
+
+
+class Rods:
+    """FMUs of the rod, each compiled once: `rods(3, wall=True)` is the path of one."""
+
+    def __init__(self, folder: Path):
+        self.folder = folder
+        self._made: dict[Any, Path] = {}
+
+    def __call__(self, version: int = 3, *, wall: bool = False, slopes: bool = True, kinds: str = "mc") -> Path:
+        key = (version, wall, slopes, kinds)
+        if key not in self._made:
+            self._made[key] = self._make(version, wall=wall, slopes=slopes, kinds=kinds)
+        return self._made[key]
+
+    def library(self, version: int, wall: bool) -> Path:
+        import fmpy
+
+        path = self.folder / f"rod{version}{wall}{fmpy.sharedLibraryExtension}"
+        if not path.exists():
+            stubs = self.folder / f"stubs{version}.c"
+            stubs.write_text(_stubs(version, SOURCE.read_text()))
+            headers = Path(fmpy.__file__).with_name("c-code")
+            options = [f"-DFMI={version}", *(["-DWALL"] if wall else []), "-O2", "-shared", "-fPIC", f"-I{headers}"]
+            built = subprocess.run(
+                ["gcc", *options, str(SOURCE), str(stubs), "-o", str(path), "-lm"], capture_output=True, text=True
+            )
+            assert built.returncode == 0, built.stderr
+        return path
+
+    def _make(self, version: int, *, wall: bool, slopes: bool, kinds: str) -> Path:
+        path = self.folder / f"rod{version}{'_wall' * wall}{'_flat' * (not slopes)}_{kinds}.fmu"
+        with zipfile.ZipFile(path, "w") as archive:
+            archive.writestr("modelDescription.xml", description(version, wall=wall, slopes=slopes, kinds=kinds))
+            archive.write(self.library(version, wall), f"binaries/{platform(version)}")
+        return path
+
+    def changed(self, name: str, change: Callable[[str], str], *, at: str = "", content: bytes = b"") -> Path:
+        """The rod of FMI 2 with another description, or with its library at another place, or another library."""
+        path = self.folder / f"{name}.fmu"
+        with zipfile.ZipFile(path, "w") as archive, zipfile.ZipFile(self(2)) as source:
+            archive.writestr("modelDescription.xml", change(source.read("modelDescription.xml").decode()))
+            archive.writestr(at or f"binaries/{platform(2)}", content or self.library(2, False).read_bytes())
+        return path
+
+
+def platform(version: int) -> str:
+    """The place of a library inside an FMU for this machine."""
+    import fmpy
+
+    folder = fmpy.platform if version == 2 else fmpy.platform_tuple
+    return f"{folder}/rod{fmpy.sharedLibraryExtension}"
+
+
+@pytest.fixture(scope="session")
+def rods(tmp_path_factory):
+    """FMUs of the swinging rod. Skips without the compiler or FMPy."""
+    pytest.importorskip("fmpy", reason="FMPy is not installed")
+    if shutil.which("gcc") is None:
+        pytest.skip("gcc, which compiles the FMU of these tests, is not installed")
+    return Rods(tmp_path_factory.mktemp("rods"))
