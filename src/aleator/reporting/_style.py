@@ -125,6 +125,20 @@ def legend_entry(figure: "Figure", name: str, look: Look, *, line: bool = True) 
     )
 
 
+def add_band(figure: "Figure", times: np.ndarray, low: np.ndarray, high: np.ndarray, fill: str) -> None:
+    """A filled band between two curves over time."""
+    figure.add_scatter(
+        x=short(np.concatenate([times, times[::-1]])),
+        y=short(np.concatenate([high, low[::-1]])),
+        mode="lines",
+        line={"width": 0},
+        fill="toself",
+        fillcolor=fill,
+        showlegend=False,
+        hoverinfo="skip",
+    )
+
+
 def limit_line(
     figure: "Figure",
     value: float,

@@ -14,6 +14,11 @@ from aleator.design import (
 )
 
 
+def of_output(name: str, problem: Problem) -> str:
+    """The unit of an output of the system."""
+    return _shown(output_units(problem).get(name, ""))
+
+
 def of_functional(functional: AbstractFunctional, problem: Problem) -> str:
     """The unit of a functional."""
     return _shown(functional.unit(output_units(problem)))
