@@ -75,7 +75,7 @@ def _tell(figure: "Figure", name: str, decision: Decision, value: Any, unit: str
         y=plain(name),
         xanchor="right",
         yanchor="bottom",
-        yshift=5,
+        yshift=9,
         text=plain(f"{told}between {given(low)} and {given(high, unit)}"),
         showarrow=False,
         font={"size": SIZE - 2, "color": LIMIT},

@@ -3,6 +3,9 @@
 import html
 import re
 
+# Points of the font of a paper, and points for each pixel of a page.
+FONT, POINTS = 8, 0.55
+DASHES = {"solid": "-", "dash": "--", "dot": ":", "dashdot": "-."}
 # Matplotlib's markers for those of the house style.
 SYMBOLS = {
     "square": "s",

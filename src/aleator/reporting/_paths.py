@@ -1,11 +1,13 @@
 """Figures of paths: their mean with a band over time, and the histories of many realisations."""
 
+import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
 
+from aleator.reporting._boxes import DASHES
 from aleator.reporting._numbers import given
 from aleator.reporting._samples import add_lines, curves
 from aleator.reporting._style import add_band, blank, label, limit_line, looks, padded, plain, short
@@ -39,7 +41,7 @@ def path_figure(
     for name, one in paths.items():
         if np.any(one.std):
             add_band(figure, times, one.mean - sigmas * one.std, one.mean + sigmas * one.std, styles[name].fill(0.25))
-    for name, one in paths.items():
+    for dash, (name, one) in zip(itertools.cycle(DASHES), paths.items(), strict=False):
         spread = f" ± {sigmas:g} σ" if np.any(one.std) else ""
         figure.add_scatter(
             x=short(times),
@@ -47,7 +49,7 @@ def path_figure(
             customdata=short(one.std),
             mode="lines",
             name=plain(f"{name}{spread}"),
-            line={"color": styles[name].colour, "width": 2},
+            line={"color": styles[name].colour, "width": 2, "dash": dash},
             hovertemplate=(
                 f"{plain(name)}: %{{y:.4~g}}, σ %{{customdata:.2~g}} {plain(unit)} at %{{x:.3f}} s<extra></extra>"
             ),

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from aleator.reporting._numbers import share_text
+from aleator.reporting._numbers import residual, share_text
 from aleator.reporting._style import blank, label, limit_line, looks, plain
 
 if TYPE_CHECKING:
@@ -35,6 +35,7 @@ def shares_figure(
             },
             mode="markers",
             marker={"symbol": look.symbol, "size": 9, "color": look.colour},
+            cliponaxis=False,
             name=plain(name),
             text=[plain(share_text(one)) for _, one in known],
             hovertemplate=f"{plain(name)}, %{{x}}: %{{text}}<extra></extra>",
@@ -46,22 +47,24 @@ def shares_figure(
 
 
 def magnitudes_figure(
-    groups: Mapping[str, Mapping[str, float]], *, y: str, accepted: float, least: float = 1e-16
+    groups: Mapping[str, Mapping[str, float]], *, x: str, accepted: float, least: float = 1e-16
 ) -> "Figure":
-    """Numbers of very different magnitudes, by name, against the one accepted; what is below `least` is drawn there."""
-    figure = blank("", label(y), height=380)
-    for name, look in looks(groups).items():
+    """Numbers of very different magnitudes, a row for each, against the one accepted; those below `least` lie there."""
+    names = [plain(name) for group in groups.values() for name in group]
+    figure = blank(label(x), "", height=130 + 34 * len(names))
+    for kind, look in looks(groups).items():
+        values = groups[kind]
         figure.add_scatter(
-            x=[plain(one) for one in groups[name]],
-            y=[max(value, least) if np.isfinite(value) else None for value in groups[name].values()],
+            x=[max(one, least) if np.isfinite(one) else None for one in values.values()],
+            y=[plain(name) for name in values],
             mode="markers",
             marker={"symbol": look.symbol, "size": 9, "color": look.colour},
-            name=plain(name),
-            text=[f"{value:.1e}" for value in groups[name].values()],
-            hovertemplate="%{x}: %{text}<extra></extra>",
+            name=plain(kind),
+            text=[f"{one:.1e}" for one in values.values()],
+            hovertemplate="%{y}: %{text}<extra></extra>",
         )
-    limit_line(figure, accepted, f"accepted: {accepted:.0e}")
+    limit_line(figure, accepted, f"accepted: {residual(accepted)}", axis="x")
     figure.update_layout(showlegend=True)
-    figure.update_xaxes(type="category")
-    figure.update_yaxes(type="log", exponentformat="power", dtick=2)
+    figure.update_xaxes(type="log", exponentformat="power", dtick=2)
+    figure.update_yaxes(type="category", range=[len(names) - 0.5, -0.5])
     return figure

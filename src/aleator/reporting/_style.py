@@ -1,6 +1,7 @@
 """The style of all figures: colours that colour-blind readers can distinguish, one colour and marker per design."""
 
 import html
+import textwrap
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, final
@@ -13,6 +14,8 @@ if TYPE_CHECKING:
 FONT = 'system-ui, -apple-system, "Segoe UI", Roboto, "Helvetica Neue", Arial, sans-serif'
 INK, MUTED, GRID, LIMIT, ALARM = "#1b2733", "#5b6875", "#e4e8ec", "#33404d", "#8a1c5b"
 SIZE = 14
+# Characters along a vertical axis.
+_LINE = 38
 
 # Okabe and Ito (2008), without the yellow and the orange, which are too light for lines on white.
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#a3508a", "#3f8fc4", "#5b5b5b")
@@ -91,11 +94,16 @@ def blank(x: str, y: str, *, title: str = "", height: int = 420) -> "Figure":
         },
         hoverlabel={"font": {"size": SIZE - 1, "family": FONT}, "bgcolor": "white", "align": "left"},
         xaxis=axis | {"title": {"text": x, "standoff": 10}},
-        yaxis=axis | {"title": {"text": y, "standoff": 8}},
+        yaxis=axis | {"title": {"text": _in_lines(y), "standoff": 8}},
         hovermode="closest",
         separators=".\u202f",
     )
     return figure
+
+
+def _in_lines(text: str) -> str:
+    """A label of a vertical axis in lines that are no longer than the axis."""
+    return "<br>".join(textwrap.wrap(text, _LINE, break_long_words=False, break_on_hyphens=False))
 
 
 def short(values: np.ndarray) -> np.ndarray:

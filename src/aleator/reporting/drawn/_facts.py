@@ -55,7 +55,7 @@ def _table(table: Table) -> str:
     note = f"and {left} more. {table.note}" if left > 0 else table.note
     below = f"<p>{_escaped(note)}</p>" if note else ""
     body = "".join(_row(row, "td") for row in rows)
-    return f'<table style="border-collapse:collapse">{caption}{head}{body}</table>{below}'
+    return f'<table style="border-collapse:collapse;margin:0 0 0.8em 0">{caption}{head}{body}</table>{below}'
 
 
 def _row(cells: Sequence[str], kind: str) -> str:

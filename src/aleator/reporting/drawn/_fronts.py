@@ -6,9 +6,9 @@ from aleator._core.errors import ProblemError
 from aleator.reporting import _units
 from aleator.reporting._along_bounds import bound_unit, decision_figure, optimum_figure, price_figure
 from aleator.reporting._blocks import Table
-from aleator.reporting._numbers import number, percent, share_text, words
+from aleator.reporting._numbers import given, number, percent, share_text, words
+from aleator.reporting._penalties import excesses_figure
 from aleator.reporting._samples import calibration_figure
-from aleator.reporting._shares import magnitudes_figure
 from aleator.reporting._trade_offs import pair_figure, parallel_figure, space_figure
 from aleator.reporting.drawn._facts import Facts, facts_of
 from aleator.reporting.drawn._plots import AbstractPlots, Backend, chosen, drawn_by, plots_of, unknown
@@ -117,14 +117,7 @@ class HardenedPlots(AbstractPlots[Hardened]):
 
     def excesses(self, *, backend: Backend = "plotly") -> Any:
         """The excess of each constraint against the weight of its penalty, and the one accepted."""
-        one = self._result
-        names = list(one.excesses[0])
-        groups = {
-            name: {f"{weight:g}": found[name] for weight, found in zip(one.weights, one.excesses, strict=True)}
-            for name in names
-        }
-        figure = magnitudes_figure(groups, y="Excess, relative to the constraint's magnitude", accepted=one.tolerance)
-        return drawn_by(backend, figure.update_xaxes(title_text="Weight of the penalties"))
+        return drawn_by(backend, excesses_figure(self._result))
 
 
 plots_of.register(Hardened, HardenedPlots)
@@ -134,9 +127,7 @@ plots_of.register(Hardened, HardenedPlots)
 def _(front: Front) -> Facts:
     solved, every = int(front.solved.sum()), len(front.points)
     unit = bound_unit(front) if front.solutions else ""
-    rows = [
-        [number(value, 5, unit), *_point(front, one)] for value, one in zip(front.values, front.points, strict=True)
-    ]
+    rows = [[given(value, unit), *_point(front, one)] for value, one in zip(front.values, front.points, strict=True)]
     heading = f"Front over {front.bound}: {solved} of {every} points solved{', interrupted' * front.interrupted}"
     return Facts(heading, "", [Table("", [front.bound, "objective", "shadow price", "active"], rows)])
 

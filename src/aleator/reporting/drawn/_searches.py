@@ -13,11 +13,14 @@ from aleator.reporting._methods import bars_figure
 from aleator.reporting._numbers import count, number
 from aleator.reporting._searches import search_figure
 from aleator.reporting._shares import magnitudes_figure
-from aleator.reporting._style import ALARM, blank, label, looks
+from aleator.reporting._style import ALARM, blank, label, looks, padded
 from aleator.reporting.drawn._facts import Facts, facts_of
 from aleator.reporting.drawn._plots import AbstractPlots, Backend, drawn_by, plots_of
 from aleator.solution import Solution
 from aleator.sweep import Portfolio, Starts
+
+# Objectives with a smaller relative difference belong to one optimum.
+_ALIKE = 1e-4
 
 
 class StartsPlots(AbstractPlots[Starts]):
@@ -45,10 +48,20 @@ class StartsPlots(AbstractPlots[Starts]):
                     marker={"symbol": symbol, "size": 9, "color": colour},
                     hovertemplate=f"{name}: %{{y:.6g}}<extra></extra>",
                 )
+        figure.update_yaxes(range=_range([*solved, *failed]))
         return drawn_by(backend, figure.update_layout(showlegend=bool(failed)))
 
 
 plots_of.register(Starts, StartsPlots)
+
+
+def _range(values: list[float]) -> list[float]:
+    """A range around all objectives; where they belong to one optimum, so wide that they look alike."""
+    known = [one for one in values if np.isfinite(one)]
+    size = max(map(abs, known), default=0.0)
+    if known and max(known) - min(known) > _ALIKE * size:
+        return padded(known)
+    return padded([*known, *([known[0] - 0.1 * size, known[0] + 0.1 * size] if known else [])])
 
 
 class PortfolioPlots(AbstractPlots[Portfolio]):
@@ -115,7 +128,7 @@ class CrossCheckedPlots(AbstractPlots[CrossChecked]):
             "multipliers": {f"multiplier of {text}": value for text, value in one.multipliers.items()},
         }
         shown = {kind: each for kind, each in groups.items() if each}
-        return drawn_by(backend, magnitudes_figure(shown, y="Relative difference", accepted=one.tolerance))
+        return drawn_by(backend, magnitudes_figure(shown, x="Relative difference", accepted=one.tolerance))
 
 
 plots_of.register(CrossChecked, CrossCheckedPlots)
