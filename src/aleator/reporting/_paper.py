@@ -97,7 +97,7 @@ def _draw_plane(paper: "matplotlib.figure.Figure", figure: "Figure") -> None:
     for shape in layout.shapes:
         draw_shape(lower, shape)
     for note in layout.annotations:
-        draw_note(axes.get(note.yref or "y", lower), note, places)
+        draw_note(axes.get(note.yref or "y", lower), note, places, figure.layout)
     _fit(lower, layout)
     _add_legend(paper, lower, layout)
 

@@ -105,14 +105,19 @@ def draw_shape(axes: Axes, shape: Any) -> None:
         raise ProblemError(f"A figure on paper: expected lines across it and shaded ranges; received a {shape.type}.")
 
 
-def draw_note(axes: Axes, note: Any, places: Mapping[str, list[str]]) -> None:
+def _place(at: Any, places: list[str], axis: Any, is_share: bool) -> float:
+    """Where a text stands along an axis: at a share of it, at a name, or at a number."""
+    if isinstance(at, str):
+        return places.index(at)
+    # Plotly places texts on a logarithmic axis by exponents.
+    return 10.0**at if axis.type == "log" and not is_share else float(at)
+
+
+def draw_note(axes: Axes, note: Any, places: Mapping[str, list[str]], layout: Any) -> None:
     """A text at a place in the data, or along the edge of the figure."""
     across, up = (note.xref or "x").split()[0] == "paper", (note.yref or "y").split()[0] == "paper"
     frame = (("axes fraction" if across else "data"), ("axes fraction" if up else "data"))
-    at = tuple(
-        float(one) if is_share or not isinstance(one, str) else places[name].index(one)
-        for name, one, is_share in (("x", note.x, across), ("y", note.y, up))
-    )
+    at = _place(note.x, places["x"], layout.xaxis, across), _place(note.y, places["y"], layout.yaxis, up)
     turned, height = -(note.textangle or 0), {"top": "top", "bottom": "bottom"}.get(note.yanchor, "center")
     away = {"top": -1, "bottom": 1, "center": 0}[height] + POINTS * (note.yshift or 0)
     side = "right" if turned else {"left": "left", "right": "right"}.get(note.xanchor, "center")

@@ -26,7 +26,7 @@ def excesses_figure(hardened: Hardened) -> "Figure":
             marker={"symbol": look.symbol, "size": 9, "color": look.colour},
             hovertemplate=f"{plain(name)}: %{{y:.2~e}} at weight %{{x:.4~g}}<extra></extra>",
         )
-    limit_line(figure, hardened.tolerance, f"accepted: {residual(hardened.tolerance)}")
+    limit_line(figure, hardened.tolerance, f"accepted: {residual(hardened.tolerance)}", logarithmic=True)
     for axis in (figure.update_xaxes, figure.update_yaxes):
         axis(type="log", exponentformat="power", dtick=1)
     return figure.update_layout(showlegend=True)

@@ -63,7 +63,7 @@ def magnitudes_figure(
             text=[f"{one:.1e}" for one in values.values()],
             hovertemplate="%{y}: %{text}<extra></extra>",
         )
-    limit_line(figure, accepted, f"accepted: {residual(accepted)}", axis="x")
+    limit_line(figure, accepted, f"accepted: {residual(accepted)}", axis="x", logarithmic=True)
     figure.update_layout(showlegend=True)
     figure.update_xaxes(type="log", exponentformat="power", dtick=2)
     figure.update_yaxes(type="category", range=[len(names) - 0.5, -0.5])

@@ -156,12 +156,14 @@ def limit_line(
     dash: str = "dash",
     upright: bool = False,
     under: bool = False,
+    logarithmic: bool = False,
 ) -> None:
     """A limit as a line across the whole figure, with its name at its end, inside the plot.
 
     The name of a vertical limit is written along it, or `upright` beside its foot; that of a horizontal one above it,
-    or `under` it.
+    or `under` it. On a `logarithmic` axis Plotly places texts by exponents, but lines by values.
     """
+    place_of_text = float(np.log10(value)) if logarithmic else value
     note = {
         "text": plain(text),
         "showarrow": False,
@@ -172,8 +174,10 @@ def limit_line(
     if axis == "y":
         figure.add_shape(type="line", xref="paper", x0=0, x1=1, y0=value, y1=value, line=line)
         anchor = "top" if under else "bottom"
-        figure.add_annotation(xref="paper", x=1, xanchor="right", y=value, yanchor=anchor, **note)
+        figure.add_annotation(xref="paper", x=1, xanchor="right", y=place_of_text, yanchor=anchor, **note)
     else:
         figure.add_shape(type="line", yref="paper", y0=0, y1=1, x0=value, x1=value, line=line)
         place = {"xanchor": "left"} if upright else {"xanchor": "right", "textangle": -90}
-        figure.add_annotation(yref="paper", y=0, yanchor="bottom", x=value, **place, **note)
+        # Above the foot of a density, which is low at its limits.
+        height = 0.0 if upright else 0.3
+        figure.add_annotation(yref="paper", y=height, yanchor="bottom", x=place_of_text, **place, **note)

@@ -1,5 +1,6 @@
 """Figures of trade-offs: pairs of wishes, three of them in space, and more of them side by side."""
 
+import html
 from itertools import combinations
 from typing import TYPE_CHECKING
 
@@ -51,7 +52,7 @@ def space_figure(front: TradeOff) -> "Figure":
     )
     axes = {
         f"{axis}axis": {
-            "title": {"text": label(name, _unit(front, i))},
+            "title": {"text": _in_space(name, _unit(front, i))},
             "gridcolor": GRID,
             "linecolor": MUTED,
             "showbackground": False,
@@ -59,6 +60,11 @@ def space_figure(front: TradeOff) -> "Figure":
         for i, (axis, name) in enumerate(zip("xyz", front.names, strict=True))
     }
     return figure.update_layout(scene=axes | {"camera": {"eye": {"x": 1.6, "y": 1.6, "z": 0.9}}}, showlegend=False)
+
+
+def _in_space(name: str, unit: str) -> str:
+    """A label in space, where Plotly reads markup but no escaped characters."""
+    return html.unescape(label(name, unit)).replace("<", "‹").replace(">", "›")
 
 
 def parallel_figure(front: TradeOff) -> "Figure":

@@ -14,9 +14,9 @@ from aleator.design import (
 )
 
 
-def of_output(name: str, problem: Problem) -> str:
-    """The unit of an output of the system."""
-    return _shown(output_units(problem).get(name, ""))
+def of_outputs(problem: Problem) -> dict[str, str]:
+    """The units of the outputs of the system, by their names, as far as it declares them."""
+    return {name: _shown(unit) for name, unit in output_units(problem).items()}
 
 
 def of_functional(functional: AbstractFunctional, problem: Problem) -> str:

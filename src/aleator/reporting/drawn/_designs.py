@@ -15,7 +15,7 @@ from aleator.reporting._paths import histories_figure, limits_text, path_figure
 from aleator.reporting._searches import search_figure
 from aleator.reporting._tables import STATUS_WORDS, limit_rows
 from aleator.reporting.drawn._facts import Facts, facts_of
-from aleator.reporting.drawn._histories import CostatesPlots, StatesPlots, SwitchingPlots
+from aleator.reporting.drawn._histories import CostatesPlots, SwitchingPlots, state_figure
 from aleator.reporting.drawn._paths_of import components, limits_of, outputs_of, paths_of, simulated
 from aleator.reporting.drawn._plots import AbstractPlots, Backend, chosen, drawn_by, plots_of, unknown
 from aleator.solution import MeshError, Solution
@@ -75,7 +75,7 @@ class SolutionPlots(AbstractPlots[Solution]):
             outputs,
             _NO_OUTPUT,
         )
-        unit = _units.of_output(name, problem)
+        unit = _units.of_outputs(problem).get(name, "")
         values = simulated(self._result, name, samples, seed)
         limits = [one for text, one in paths.items() if one.output == name and text == name]
         texts = limits_of(problem, limits[0], unit).texts if limits else {}
@@ -116,7 +116,8 @@ class SolutionPlots(AbstractPlots[Solution]):
 
     def state(self, name: str | None = None, *, backend: Backend = "plotly") -> Any:
         """A state over time, of all realisations of a simultaneous program."""
-        return StatesPlots(_found(self._result.states, "plot.state")).state(name, backend=backend)
+        units = _units.of_outputs(self._result.problem)
+        return drawn_by(backend, state_figure(_found(self._result.states, "plot.state"), name, units))
 
     def costate(self, name: str | None = None, *, backend: Backend = "plotly") -> Any:
         """The costate of a state over time, of all realisations of a simultaneous program."""

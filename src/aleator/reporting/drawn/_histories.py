@@ -1,6 +1,7 @@
 """Figures of histories over time: states, costates, switching functions."""
 
-from typing import Any
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -8,8 +9,17 @@ from aleator.reporting._paths import histories_figure
 from aleator.reporting.drawn._plots import AbstractPlots, Backend, chosen, drawn_by, plots_of
 from aleator.solution import Costates, States, Switching
 
+if TYPE_CHECKING:
+    from plotly.graph_objects import Figure
+
 _NO_INPUT = "expected inputs that are certain; received none."
 _NONE = "expected states that are variables of the program; received a system without states."
+
+
+def state_figure(states: States, name: str | None, units: Mapping[str, str]) -> "Figure":
+    """A state of all realisations over time, with its unit as far as it is known."""
+    name, values = chosen("plot.state", name, states.values, _NONE)
+    return histories_figure(states.times, values, y=name, unit=units.get(name, ""), who="realisations")
 
 
 class StatesPlots(AbstractPlots[States]):
@@ -21,8 +31,7 @@ class StatesPlots(AbstractPlots[States]):
 
     def state(self, name: str | None = None, *, backend: Backend = "plotly") -> Any:
         """A state over time, of every realisation at the collocation points; by default the first."""
-        name, values = chosen("plot.state", name, self._result.values, _NONE)
-        return drawn_by(backend, histories_figure(self._result.times, values, y=name, who="realisations"))
+        return drawn_by(backend, state_figure(self._result, name, {}))
 
 
 plots_of.register(States, StatesPlots)
