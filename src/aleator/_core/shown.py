@@ -19,18 +19,23 @@ class Printed:
         return _showing().page_of(self)
 
 
+class _Figures:
+    """The figures of a result: `result.plot()` is the usual one, and the methods of `result.plot` are the others.
+
+    Each returns a figure of Plotly, or with `backend="matplotlib"` one of Matplotlib, for papers. It is a descriptor of
+    its own, not a property, because notebooks complete `result.plot.` only if looking it up is no property's code.
+    """
+
+    def __get__(self, result: Any, owner: Any = None) -> Any:
+        return self if result is None else _showing().plots_of(result)
+
+
 class Drawn(Printed):
     """A result of which there are figures."""
 
     __slots__ = ()
 
-    @property
-    def plot(self) -> Any:
-        """The figures of this result: `result.plot()` is the usual one, and its methods are the others.
-
-        Each returns a figure of Plotly, or with `backend="matplotlib"` one of Matplotlib, for papers.
-        """
-        return _showing().plots_of(self)
+    plot = _Figures()
 
 
 def _showing() -> Any:

@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from aleator.reporting._numbers import residual
+from aleator.reporting._numbers import given
 from aleator.reporting._style import blank, label, limit_line, looks, plain
 from aleator.sweep import Hardened
 
@@ -26,7 +26,7 @@ def excesses_figure(hardened: Hardened) -> "Figure":
             marker={"symbol": look.symbol, "size": 9, "color": look.colour},
             hovertemplate=f"{plain(name)}: %{{y:.2~e}} at weight %{{x:.4~g}}<extra></extra>",
         )
-    limit_line(figure, hardened.tolerance, f"accepted: {residual(hardened.tolerance)}", logarithmic=True)
+    limit_line(figure, hardened.tolerance, f"accepted: {given(hardened.tolerance)}", logarithmic=True)
     for axis in (figure.update_xaxes, figure.update_yaxes):
         axis(type="log", exponentformat="power", dtick=1)
     return figure.update_layout(showlegend=True)

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from aleator.reporting._numbers import residual, share_text
+from aleator.reporting._numbers import given, share_text
 from aleator.reporting._style import blank, label, limit_line, looks, plain
 
 if TYPE_CHECKING:
@@ -63,7 +63,7 @@ def magnitudes_figure(
             text=[f"{one:.1e}" for one in values.values()],
             hovertemplate="%{y}: %{text}<extra></extra>",
         )
-    limit_line(figure, accepted, f"accepted: {residual(accepted)}", axis="x", logarithmic=True)
+    limit_line(figure, accepted, f"accepted: {given(accepted)}", axis="x", logarithmic=True)
     figure.update_layout(showlegend=True)
     figure.update_xaxes(type="log", exponentformat="power", dtick=2)
     figure.update_yaxes(type="category", range=[len(names) - 0.5, -0.5])

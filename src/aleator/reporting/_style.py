@@ -1,6 +1,7 @@
 """The style of all figures: colours that colour-blind readers can distinguish, one colour and marker per design."""
 
 import html
+import re
 import textwrap
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -103,6 +104,8 @@ def blank(x: str, y: str, *, title: str = "", height: int = 420) -> "Figure":
 
 def _in_lines(text: str) -> str:
     """A label of a vertical axis in lines that are no longer than the axis."""
+    # What is in parentheses at its end, its unit, stays together.
+    text = re.sub(r"\([^()]*\)$", lambda unit: unit[0].replace(" ", "\u00a0"), text)
     return "<br>".join(textwrap.wrap(text, _LINE, break_long_words=False, break_on_hyphens=False))
 
 

@@ -28,11 +28,12 @@ class ExpandedPlots(AbstractPlots[AbstractExpanded]):
         return self.density(backend=backend)
 
     def density(
-        self, output: str | None = None, *, entry: int | tuple[int, ...] = (), backend: Backend = "plotly"
+        self, output: str | None = None, *, entry: int | tuple[int, ...] | None = None, backend: Backend = "plotly"
     ) -> Any:
         """The probability density of an output, with its mean and standard deviation.
 
-        - `output`: by its name, by default the first; `entry`: of an array, by its indices.
+        - `output`: by its name, by default the first; `entry`: of an array, by its indices; by default where its spread is
+          largest.
         """
         name, one, where = _scalar("plot.density", self._result, output, entry)
         mean, std = (float(np.asarray(part)[where]) for part in (one.mean, one.std))
@@ -45,14 +46,15 @@ class ExpandedPlots(AbstractPlots[AbstractExpanded]):
         return drawn_by(backend, density_figure(values, {name: heights}, x=name, title=title))
 
     def sensitivities(
-        self, output: str | None = None, *, entry: int | tuple[int, ...] = (), backend: Backend = "plotly"
+        self, output: str | None = None, *, entry: int | tuple[int, ...] | None = None, backend: Backend = "plotly"
     ) -> Any:
         """Which inputs an output's variance comes from: Sobol indices alone, and with interactions; largest first.
 
         Correlated inputs have Shapley effects instead, which share their common part. With more than twelve inputs, the
         largest twelve are drawn.
 
-        - `output`: by its name, by default the first; `entry`: of an array, by its indices.
+        - `output`: by its name, by default the first; `entry`: of an array, by its indices; by default where its spread is
+          largest.
         """
         name, one, where = _scalar("plot.sensitivities", self._result, output, entry)
         shares = _shares(one, where)
@@ -84,7 +86,7 @@ def _shares(one: AbstractExpanded, where: tuple[int, ...]) -> dict[str, dict[str
 
 
 def _scalar(
-    what: str, expanded: AbstractExpanded, output: str | None, entry: int | tuple[int, ...]
+    what: str, expanded: AbstractExpanded, output: str | None, entry: int | tuple[int, ...] | None
 ) -> tuple[str, AbstractExpanded, tuple[int, ...]]:
     """One number of an expansion: its name, the output that it belongs to, and its place there."""
     means = expanded.mean
@@ -94,10 +96,15 @@ def _scalar(
         one = expanded[name]
     elif output is not None:
         raise ProblemError(f"{what}: expected no name, for a function with one output; received '{output}'.")
-    shape, where = np.shape(one.mean), entry if isinstance(entry, tuple) else (entry,)
-    pairs = zip(where, shape, strict=False)
-    if len(where) != len(shape) or not all(isinstance(i, int) and -n <= i < n for i, n in pairs):
-        raise ProblemError(f"{what}: expected entry=..., a place in '{name}' of shape {shape}; received {entry!r}.")
+    stds = np.asarray(one.std)
+    if entry is None:
+        entry = tuple(int(i) for i in np.unravel_index(int(np.argmax(stds)), stds.shape))
+    where = entry if isinstance(entry, tuple) else (entry,)
+    pairs = zip(where, stds.shape, strict=False)
+    if len(where) != stds.ndim or not all(isinstance(i, int) and -n <= i < n for i, n in pairs):
+        raise ProblemError(
+            f"{what}: expected entry=..., a place in '{name}' of shape {stds.shape}; received {entry!r}."
+        )
     return f"{name}[{', '.join(map(str, where))}]" if where else name, one, where
 
 
