@@ -32,6 +32,7 @@ def run(program: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
         "docs/extending.md",
         pytest.param("docs/uncertainty.md", marks=pytest.mark.slow),
         "docs/algebraic.md",
+        "docs/figures.md",
         "docs/motion.md",
         "docs/solvers.md",
         "docs/transcriptions.md",

@@ -292,9 +292,8 @@ def test_tolerances_show_the_rejects_beyond_the_limits_and_where_spread_comes_fr
 
 
 def empty_trade_off():
-    return dataclasses.replace(
-        shown.trade_off(2), values=np.zeros((0, 2)), weights=np.zeros((0, 2)), solutions=(), failed=("it <b>broke",)
-    )
+    nothing = {"values": np.zeros((0, 2)), "weights": np.zeros((0, 2)), "solutions": ()}
+    return dataclasses.replace(shown.trade_off(2), **nothing, failed=("it <b>broke",))
 
 
 def unsolved_front():

@@ -104,6 +104,8 @@ def blank(x: str, y: str, *, title: str = "", height: int = 420) -> "Figure":
 
 def _in_lines(text: str) -> str:
     """A label of a vertical axis in lines that are no longer than the axis."""
+    if len(text) <= _LINE:
+        return text
     # What is in parentheses at its end, its unit, stays together.
     text = re.sub(r"\([^()]*\)$", lambda unit: unit[0].replace(" ", "\u00a0"), text)
     return "<br>".join(textwrap.wrap(text, _LINE, break_long_words=False, break_on_hyphens=False))

@@ -41,7 +41,7 @@ class SolutionPlots(AbstractPlots[Solution]):
         - `output`: of a path in the problem, by default the first; `sigmas`: by default as in its limits, else 2.
         """
         problem, known = self._result.problem, paths_of(self._result.problem)
-        if known and output is not None and output not in known:
+        if known and output is not None and not (isinstance(output, str) and output in known):
             raise ProblemError(f"{unknown('plot.band', output, known)} plot.histories simulates any other output.")
         name, functional = chosen("plot.band", output, known, _NO_PATH)
         unit = _units.of_functional(functional, problem)

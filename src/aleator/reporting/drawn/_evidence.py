@@ -20,6 +20,8 @@ from aleator.reporting.drawn._plots import AbstractPlots, Backend, chosen, drawn
 from aleator.sweep import EvidenceOfAll
 from aleator.validation import Evidence, Sampled
 
+# Bins of a histogram at most.
+_BINS = 200
 _NO_LIMIT = "expected a limit that single systems can break; received evidence that counts none."
 _NO_NUMBER = "expected a functional that is one number of each system, such as al.rms('x'); received none."
 
@@ -71,13 +73,12 @@ class EvidencePlots(AbstractPlots[Evidence]):
         """
         name, one = self._number("plot.density", functional)
         problem = self._result.solution.problem
+        unit = _units.of_moments(problem).get(name, "")
+        (taken,) = [each for each in functionals_of(problem.expressions) if each.text() == name]
         edges, heights = _steps(one.values)
         title = f"mean {number(float(one.mean))}, σ {number(float(one.std))}, {count(self._result.samples)} systems"
-        unit = _units.of_moments(problem).get(name, "")
-        limits = [b for c in problem.constraints if c.measure == name for b in (float(c.lower), float(c.upper))]
-        figure = density_figure(
-            edges, {"sampled": heights}, x=name, unit=unit, limits=[b for b in limits if np.isfinite(b)], title=title
-        )
+        limits = sorted(limits_of(problem, taken, unit).texts)
+        figure = density_figure(edges, {"sampled": heights}, x=name, unit=unit, limits=limits, title=title)
         return drawn_by(backend, figure)
 
     def percentiles(self, functional: str | None = None, *, backend: Backend = "plotly") -> Any:
@@ -98,13 +99,9 @@ class EvidencePlots(AbstractPlots[Evidence]):
 
     def _number(self, what: str, functional: str | None) -> tuple[str, Sampled]:
         known = {text: one for text, one in self._result.functionals.items() if one.values is not None}
-        of_output = [
-            one.text()
-            for one in functionals_of(self._result.solution.problem.expressions)
-            if one.text() in known and one.outputs == (functional,)
-        ]
-        asked = of_output[0] if functional not in known and len(of_output) == 1 else functional
-        return chosen(what, asked, known, _NO_NUMBER)
+        every = functionals_of(self._result.solution.problem.expressions)
+        of_output = [one.text() for one in every if one.text() in known and one.outputs == (functional,)]
+        return chosen(what, of_output[0] if len(of_output) == 1 else functional, known, _NO_NUMBER)
 
 
 plots_of.register(Evidence, EvidencePlots)
@@ -133,11 +130,17 @@ plots_of.register(EvidenceOfAll, EvidenceOfAllPlots)
 
 
 def _steps(values: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-    """A histogram as a curve in steps, by the rule of Freedman and Diaconis. Raises `ProblemError` for one value."""
+    """A histogram as a curve in steps, of widths by the rule of Freedman and Diaconis (1981), with 200 bins at most.
+
+    Raises `ProblemError` for one value.
+    """
     known = np.zeros(0) if values is None else values
     if not known.size or np.ptp(known) <= 1e-12 * float(np.max(np.abs(known))):
         raise ProblemError("plot.density: expected a functional that varies; received one that is the same for all.")
-    heights, edges = np.histogram(known, bins="fd", density=True)
+    # Half of the samples may be alike, and a few far away.
+    width = 2 * float(np.subtract(*np.percentile(known, (75.0, 25.0)))) / np.cbrt(known.size)
+    bins = int(np.clip(np.ptp(known) / width, 1, _BINS)) if width > 0 else _BINS
+    heights, edges = np.histogram(known, bins=bins, density=True)
     return np.repeat(edges, 2), np.concatenate([[0.0], np.repeat(heights, 2), [0.0]])
 
 

@@ -32,8 +32,8 @@ class ExpandedPlots(AbstractPlots[AbstractExpanded]):
     ) -> Any:
         """The probability density of an output, with its mean and standard deviation.
 
-        - `output`: by its name, by default the first; `entry`: of an array, by its indices; by default where its spread is
-          largest.
+        - `output`: by its name, by default the first;
+        - `entry`: of an array, by its indices; by default where its spread is largest.
         """
         name, one, where = _scalar("plot.density", self._result, output, entry)
         mean, std = (float(np.asarray(part)[where]) for part in (one.mean, one.std))
@@ -53,8 +53,8 @@ class ExpandedPlots(AbstractPlots[AbstractExpanded]):
         Correlated inputs have Shapley effects instead, which share their common part. With more than twelve inputs, the
         largest twelve are drawn.
 
-        - `output`: by its name, by default the first; `entry`: of an array, by its indices; by default where its spread is
-          largest.
+        - `output`: by its name, by default the first;
+        - `entry`: of an array, by its indices; by default where its spread is largest.
         """
         name, one, where = _scalar("plot.sensitivities", self._result, output, entry)
         shares = _shares(one, where)
