@@ -303,8 +303,11 @@ def unsolved_front():
 
 REFUSED = {
     "an output that is misspelt": (lambda: given.solution().plot.band("bakc"), "Did you mean 'back'? plot.histories"),
+    "an output in capitals": (lambda: given.solution().plot.band("Back"), "Did you mean 'back'?"),
     "an output without a path": (lambda: given.solution().plot.band("effort"), "plot.histories simulates any other"),
     "an output that is none": (lambda: given.solution().plot.histories("efort"), "Did you mean 'effort'?"),
+    "several outputs": (lambda: given.solution().plot.band(["back"]), "received ['back']."),
+    "several functionals": (lambda: given.evidence().plot.density(["effort"]), "received ['effort']."),
     "a name that is a number": (lambda: given.solution().plot.band(3), "received 3."),
     "no width": (lambda: given.solution().plot.band(sigmas=0), "sigmas: expected a positive number; received 0."),
     "no samples": (lambda: given.solution().plot.histories(samples=0), "at least 1; received 0."),

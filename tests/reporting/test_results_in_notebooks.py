@@ -108,6 +108,22 @@ def test_a_model_shows_its_numbers_with_distributions_and_units():
     assert "N/m" in text
 
 
+class Pendulum(al.Multibody):
+    """A rod on a hinge."""
+
+    mass: al.Number = al.parameter("kg", positive=True)
+
+    def bodies(self):
+        return (al.Body("rod", joint=al.joints.Revolute("z"), mass=self.mass, center=(0.5, 0.0, 0.0)),)
+
+
+def test_a_mechanical_model_shows_its_numbers():
+    text = Checked(Pendulum(mass=al.Normal(2.0, 0.1))._repr_html_()).text
+    assert text.startswith("PendulumA rod on a hinge.")
+    assert "Normal(mean=2" in text
+    assert "kg" in text
+
+
 def test_a_result_whose_facts_cannot_be_told_is_shown_as_printed(monkeypatch):
     solution = given.solution()
     monkeypatch.setattr(al.Solution, "active", property(lambda self: 1 / 0))

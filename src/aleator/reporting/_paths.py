@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from aleator.reporting._boxes import DASHES
 from aleator.reporting._numbers import given
-from aleator.reporting._samples import add_lines, curves
+from aleator.reporting._samples import DRAWN, add_lines, curves
 from aleator.reporting._style import add_band, blank, label, limit_line, looks, padded, plain, short
 from aleator.solution import Moments
 
@@ -32,11 +32,12 @@ def path_figure(
 ) -> "Figure":
     """The mean of each path, of shape (instants,), with the band of `sigmas` standard deviations about it.
 
-    - `histories`: of some systems, drawn behind; `limits`: drawn as lines, with their names.
+    - `histories`: of some systems, of which the first 60 are drawn behind; `limits`: drawn as lines, with their names.
     """
     figure = blank(label("Time", "s"), label(y, unit), title=plain(title), height=380)
-    rows = _as_rows(histories)
-    add_lines(figure, times, rows, f"{0 if histories is None else len(histories)} systems", _CLOUD, 0.8, True)
+    behind = np.zeros((0, len(times))) if histories is None else histories[:DRAWN]
+    rows = curves(behind, np.zeros(len(behind), dtype=bool))[0]
+    add_lines(figure, times, rows, f"{len(behind)} systems", _CLOUD, 0.8, True)
     styles = looks(paths)
     for name, one in paths.items():
         if np.any(one.std):
@@ -74,7 +75,7 @@ def histories_figure(
 ) -> "Figure":
     """The histories of some realisations, one line for each; of a vector, one for each component too."""
     figure = blank(label("Time", "s"), label(y, unit), title=plain(title), height=380)
-    rows, look = _as_rows(histories), looks([y])[y]
+    rows, look = curves(histories, np.zeros(len(histories), dtype=bool))[0], looks([y])[y]
     told = f"{len(histories)} {who if len(histories) != 1 else who.removesuffix('s')}"
     add_lines(figure, times, rows, plain(told), look.colour, 0.8 if len(rows) > 1 else 2.0, True)
     for bound, text in (limits or {}).items():
@@ -87,13 +88,6 @@ def histories_figure(
 def limits_text(bounds: Sequence[float], unit: str) -> dict[float, str]:
     """The text of each finite limit."""
     return {bound: f"limit {given(bound, unit)}" for bound in dict.fromkeys(bounds) if np.isfinite(bound)}
-
-
-def _as_rows(histories: np.ndarray | None) -> np.ndarray:
-    """One row for each curve: shape (curves, instants)."""
-    if histories is None or not len(histories):
-        return np.zeros((0, 1))
-    return curves(histories, np.zeros(len(histories), dtype=bool))[0]
 
 
 def _ends(*values: np.ndarray) -> Iterator[float]:

@@ -49,13 +49,18 @@ def page_of(result: Any) -> str:
 
 def _table(table: Table) -> str:
     rows = [list(row) for row in table.rows[:_MOST]]
-    caption = f'<caption style="text-align:left">{_escaped(table.caption)}</caption>' if table.caption else ""
+    caption = (
+        f'<caption style="text-align:left;white-space:nowrap">{_escaped(table.caption)}</caption>'
+    heading = heading if table.caption else ""
+        if table.caption
+        else ""
+    )
     head = _row(table.header, "th") if any(table.header) else ""
     left = len(table.rows) - _MOST
     note = f"and {left} more. {table.note}" if left > 0 else table.note
     below = f"<p>{_escaped(note)}</p>" if note else ""
     body = "".join(_row(row, "td") for row in rows)
-    return f'<table style="border-collapse:collapse;margin:0 0 0.8em 0">{caption}{head}{body}</table>{below}'
+    return f'<table style="border-collapse:collapse;margin:0 0 0.8em 0">{heading}{head}{body}</table>{below}'
 
 
 def _row(cells: Sequence[str], kind: str) -> str:
