@@ -12,6 +12,8 @@ from aleator.reporting._blocks import Table
 _MOST = 12
 # No colours but translucent greys: text takes the colours of the notebook, light or dark.
 _LINE = "1px solid rgba(128,128,128,0.45)"
+_TABLE = "border-collapse:collapse;margin:0 0 0.8em 0"
+_CAPTION = "text-align:left;white-space:nowrap"
 _CELL = f"padding:0.2em 0.8em 0.2em 0;text-align:left;vertical-align:top;border-bottom:{_LINE}"
 
 
@@ -49,18 +51,13 @@ def page_of(result: Any) -> str:
 
 def _table(table: Table) -> str:
     rows = [list(row) for row in table.rows[:_MOST]]
-    caption = (
-        f'<caption style="text-align:left;white-space:nowrap">{_escaped(table.caption)}</caption>'
-    heading = heading if table.caption else ""
-        if table.caption
-        else ""
-    )
+    caption = f'<caption style="{_CAPTION}">{_escaped(table.caption)}</caption>' if table.caption else ""
     head = _row(table.header, "th") if any(table.header) else ""
     left = len(table.rows) - _MOST
     note = f"and {left} more. {table.note}" if left > 0 else table.note
     below = f"<p>{_escaped(note)}</p>" if note else ""
     body = "".join(_row(row, "td") for row in rows)
-    return f'<table style="border-collapse:collapse;margin:0 0 0.8em 0">{heading}{head}{body}</table>{below}'
+    return f'<table style="{_TABLE}">{caption}{head}{body}</table>{below}'
 
 
 def _row(cells: Sequence[str], kind: str) -> str:
