@@ -165,6 +165,7 @@ def test_a_sampled_density_encloses_one_and_has_the_moments_of_the_samples():
     assert np.trapezoid(y, x) == pytest.approx(1.0)
     sampled = evidence.functionals["∫effort dt"]
     assert np.trapezoid(x * y, x) == pytest.approx(sampled.mean, rel=0.01)
+    np.testing.assert_allclose(np.percentile(sampled.values, (1, 5, 25, 50, 75, 95, 99)), sampled.percentiles)
     assert x.min() == sampled.values.min()
     assert x.max() == sampled.values.max()
     assert titles(figure) == ("∫effort dt (m²/s³)", "Density (1/(m²/s³))")

@@ -118,6 +118,8 @@ class Pendulum(al.Multibody):
 
 
 def test_a_mechanical_model_shows_its_numbers():
+    decided = Checked(Pendulum(mass=al.Decision(2.0, 1.0, 3.0))._repr_html_()).text
+    assert "Decision in [1, 3], from 2" in decided
     text = Checked(Pendulum(mass=al.Normal(2.0, 0.1))._repr_html_()).text
     assert text.startswith("PendulumA rod on a hinge.")
     assert "Normal(mean=2" in text

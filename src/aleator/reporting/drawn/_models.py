@@ -18,8 +18,10 @@ from aleator.uncertainty import AbstractDistribution, Decision, fields_of
 @facts_of.register(AbstractSystem)
 def _(system: AbstractMechanical | AbstractSystem) -> Facts:
     rows = [[name, _value(value), str(field.metadata.get("unit", ""))] for name, field, value in fields_of(system)]
-    said = (type(system).__doc__ or "").strip().split("\n")[0]
-    return Facts(type(system).__name__, said, [Table("", ["number", "value", "unit"], rows)] if rows else [])
+    name, said = type(system).__name__, (type(system).__doc__ or "").strip().split("\n")[0]
+    # A class without a docstring is given its signature as one.
+    said = "" if said.startswith(f"{name}(") else said
+    return Facts(name, said, [Table("", ["number", "value", "unit"], rows)] if rows else [])
 
 
 @facts_of.register(Problem)
@@ -30,8 +32,11 @@ def _(problem: Problem) -> Facts:
 
 def _value(value: Any) -> str:
     """A number, distribution or decision in words; arrays and others shortened."""
-    if isinstance(value, AbstractDistribution | Decision):
+    if isinstance(value, AbstractDistribution):
         return str(value)
+    if isinstance(value, Decision):
+        many = f"{np.size(value.initial)} numbers" if np.ndim(value.initial) else f"from {float(value.initial):g}"
+        return f"Decision in [{np.min(value.lower):g}, {np.max(value.upper):g}], {many}"
     if isinstance(value, int | float | np.number) and not isinstance(value, bool):
         return given(float(value))
     return shown(value)
