@@ -33,6 +33,7 @@ def run(program: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
         pytest.param("docs/uncertainty.md", marks=pytest.mark.slow),
         "docs/algebraic.md",
         "docs/black_boxes.md",
+        "docs/figures.md",
         "docs/motion.md",
         "docs/openmdao.md",
         "docs/robots.md",

@@ -7,6 +7,7 @@ from typing import final
 import numpy as np
 
 from aleator._core.given import one_of, positive, refusal
+from aleator._core.shown import Drawn
 from aleator.design import Estimated, Problem, estimated, statistics_in
 from aleator.nlp import AbstractSolver
 from aleator.solution import Solution
@@ -20,7 +21,7 @@ _SMALL = 1e-3
 
 @final
 @dataclass(frozen=True)
-class CrossChecked:
+class CrossChecked(Drawn):
     """Two solutions of one problem, and the differences between them.
 
     - `first`, `second`: the solutions; `ways`: how they were found, in words;

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from aleator._core.given import refusal
+from aleator._core.shown import Printed
 from aleator.certification import bound_size
 from aleator.design import Problem, current
 from aleator.nlp import Searched, Slopes, slopes_at
@@ -22,7 +23,7 @@ _NAMED = 3
 
 @final
 @dataclass(frozen=True)
-class Examination:
+class Examination(Printed):
     """What a solver meets at one design. `print(examination)` says it.
 
     - `rows`: the objective, then each constraint, as mathematics; `decisions`: their names, entry by entry;

@@ -9,6 +9,8 @@ Signals, trajectories and covariances of your own derive from `al.AbstractSignal
 """
 
 from aleator._core.progress import Progress as Progress
+from aleator._core.shown import Drawn as Drawn
+from aleator._core.shown import Printed as Printed
 from aleator.cli import run_study as run_study
 from aleator.design import AbstractFunctional as AbstractFunctional
 from aleator.design import AbstractIntegral as AbstractIntegral

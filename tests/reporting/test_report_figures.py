@@ -23,7 +23,7 @@ from aleator.reporting import (
     signal_figure,
     trajectory_figure,
 )
-from aleator.reporting._samples import _curves
+from aleator.reporting._samples import curves
 from aleator.solution import MeshError
 
 
@@ -172,8 +172,8 @@ def test_numbers_are_written_with_four_significant_digits(value, text):
 
 def test_a_vector_over_time_is_drawn_component_by_component():
     values = np.arange(12.0).reshape(2, 3, 2)
-    curves, violating = _curves(values, np.array([True, False]))
-    np.testing.assert_array_equal(curves, [[0, 2, 4], [1, 3, 5], [6, 8, 10], [7, 9, 11]])
+    lines, violating = curves(values, np.array([True, False]))
+    np.testing.assert_array_equal(lines, [[0, 2, 4], [1, 3, 5], [6, 8, 10], [7, 9, 11]])
     np.testing.assert_array_equal(violating, [True, True, False, False])
 
 

@@ -41,7 +41,8 @@ def refusal(what: str, expected: str, value: Any) -> ProblemError:
 
 def meant(name: str, known: Collection[str]) -> str:
     """A question that names the known name nearest to an unknown one; empty if none is near."""
-    close = difflib.get_close_matches(name, known, n=1)
+    alike = [one for one in known if one.lower() == name.lower()]
+    close = alike or difflib.get_close_matches(name, known, n=1)
     return f" Did you mean '{close[0]}'?" if close else ""
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from aleator._core.arrays import Pytree, jax_array
 from aleator._core.errors import ProblemError, SimulationError
 from aleator._core.given import one_of, real_array
+from aleator._core.shown import Drawn, Printed
 from aleator.analysis._expand import expand
 from aleator.analysis._expanded import Expanded
 from aleator.analysis._sampling import Sampler
@@ -30,7 +31,7 @@ _MOST_CORNERS = 12
 
 @final
 @dataclass(frozen=True)
-class Contribution:
+class Contribution(Printed):
     """The contribution of one dimension to the spread of the assembly.
 
     - `zone`: the tolerance zone of the dimension;
@@ -51,7 +52,7 @@ class Contribution:
 
 @final
 @dataclass(frozen=True)
-class ToleranceAnalysis:
+class ToleranceAnalysis(Drawn):
     """One output of an assembly under the tolerances of its parts. `print(analysis)` shows it as a table.
 
     - `nominal`: the output with every dimension at its mean; `mean`, `std`, `skewness`, `kurtosis` (3 if normal);

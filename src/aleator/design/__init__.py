@@ -81,6 +81,7 @@ from aleator.design._statistic import integrated_paths as integrated_paths
 from aleator.design._statistic import joined as joined
 from aleator.design._statistic import numbers_of as numbers_of
 from aleator.design._statistic import statistics_in as statistics_in
+from aleator.design._text import problem_rows as problem_rows
 from aleator.design._text import problem_text as problem_text
 from aleator.design._units import number_unit as number_unit
 from aleator.design._units import output_units as output_units

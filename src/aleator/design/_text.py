@@ -18,16 +18,21 @@ def problem_text(problem: AbstractProblem, mesh: str = "") -> str:
 
     - `mesh`: what holds states to their equations, in words, where they are variables; else the integrator does.
     """
+    return "\n".join(f"{label:<11} {text}" for label, text in problem_rows(problem, mesh))
+
+
+def problem_rows(problem: AbstractProblem, mesh: str = "") -> list[tuple[str, str]]:
+    """The lines of `problem_text`, each with its label, which is empty where that of the line before holds."""
     places = problem.placements
     rows = [("minimise", str(problem.objective))]
     rows += _labelled("over", [_decision_text(name, place.decision) for name, place in places.decisions.items()])
     rows += _labelled("subject to", [f"{one.name}: {one}" for one in problem.constraints])
     rows += _labelled("where", list(_distribution_texts(places.distributions)))
-    rows += [
+    return [
+        *rows,
         _physics_row(problem, mesh or type(problem.integrator).__name__),
         ("expansion", _expansion_text(problem, places.germs)),
     ]
-    return "\n".join(f"{label:<11} {text}" for label, text in rows)
 
 
 def _labelled(label: str, texts: list[str]) -> list[tuple[str, str]]:

@@ -6,8 +6,10 @@ from typing import Any, ClassVar
 
 import equinox as eqx
 
+from aleator._core.shown import Printed
 
-class AbstractSystem(eqx.Module):
+
+class AbstractSystem(eqx.Module, Printed):
     """What can be simulated: a `System`, which evolves in time, or an `AlgebraicSystem`, which has no time.
 
     - `has_time`: whether it evolves in time; `units`: the units of its outputs as far as they are known, for reports.

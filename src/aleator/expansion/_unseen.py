@@ -11,6 +11,7 @@ from typing import final
 import numpy as np
 from jaxtyping import Float
 
+from aleator._core.shown import Printed
 from aleator.expansion._basis import Basis
 
 # Corners that are checked: all those of up to ten variables, and at most as many of more variables.
@@ -22,7 +23,7 @@ _NAMED = 5
 
 @final
 @dataclass(frozen=True)
-class Unseen:
+class Unseen(Printed):
     """A corner of the germ's domain that holds no collocation point.
 
     - `probability`: that a system lies in it; `share`: the part of each variable's own distribution that it covers;

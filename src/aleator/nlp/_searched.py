@@ -7,10 +7,12 @@ from typing import final
 import numpy as np
 from jaxtyping import Float
 
+from aleator._core.shown import Drawn
+
 
 @final
 @dataclass(frozen=True)
-class Searched:
+class Searched(Drawn):
     """What a search, or a local solver, evaluated in order. Of a search: before its best point was polished.
 
     - `method`: its name and version;

@@ -1,5 +1,8 @@
 """Reports: figures, a self-contained HTML page, and files of results, made from result objects only."""
 
+from aleator.reporting._along_bounds import decision_figure as decision_figure
+from aleator.reporting._along_bounds import optimum_figure as optimum_figure
+from aleator.reporting._along_bounds import price_figure as price_figure
 from aleator.reporting._blocks import Block as Block
 from aleator.reporting._blocks import Card as Card
 from aleator.reporting._blocks import Code as Code
@@ -15,6 +18,7 @@ from aleator.reporting._boxes import Box as Box
 from aleator.reporting._boxes import projection_figure as projection_figure
 from aleator.reporting._datasets import dataset as dataset
 from aleator.reporting._datasets import tree as tree
+from aleator.reporting._decisions import decisions_figure as decisions_figure
 from aleator.reporting._files import as_path as as_path
 from aleator.reporting._files import check_writable as check_writable
 from aleator.reporting._files import write_whole as write_whole
@@ -43,6 +47,9 @@ from aleator.reporting._numbers import words as words
 from aleator.reporting._page import Page as Page
 from aleator.reporting._page import page_html as page_html
 from aleator.reporting._page import write_page as write_page
+from aleator.reporting._paper import paper_figure as paper_figure
+from aleator.reporting._paths import histories_figure as histories_figure
+from aleator.reporting._paths import path_figure as path_figure
 from aleator.reporting._report import HOW_TO_READ as HOW_TO_READ
 from aleator.reporting._report import footer as footer
 from aleator.reporting._report import report as report
@@ -55,6 +62,8 @@ from aleator.reporting._samples import trajectory_figure as trajectory_figure
 from aleator.reporting._savable import KINDS as KINDS
 from aleator.reporting._savable import savable as savable
 from aleator.reporting._searches import search_figure as search_figure
+from aleator.reporting._shares import magnitudes_figure as magnitudes_figure
+from aleator.reporting._shares import shares_figure as shares_figure
 from aleator.reporting._store import PAGE as PAGE
 from aleator.reporting._store import json_text as json_text
 from aleator.reporting._store import save as save
@@ -65,4 +74,7 @@ from aleator.reporting._tables import certificate_table as certificate_table
 from aleator.reporting._tables import designs_table as designs_table
 from aleator.reporting._tables import evidence_table as evidence_table
 from aleator.reporting._tables import unresolved as unresolved
+from aleator.reporting._trade_offs import pair_figure as pair_figure
+from aleator.reporting._trade_offs import parallel_figure as parallel_figure
+from aleator.reporting._trade_offs import space_figure as space_figure
 from aleator.reporting._trade_offs import trade_off_figure as trade_off_figure

@@ -58,7 +58,7 @@ def density_figure(
 
     `tails` are the probabilities below and above the limits. Tails too thin to be seen show on a `logarithmic` axis.
     """
-    figure = blank(label(x, unit), label("Density", f"1/{unit}" if unit else ""), title=title, height=380)
+    figure = blank(label(x, unit), label("Density", _per(unit)), title=title, height=380)
     for name, look in looks(densities).items():
         figure.add_scatter(
             x=values,
@@ -104,6 +104,11 @@ def density_figure(
     return figure
 
 
+def _per(unit: str) -> str:
+    """The unit of a density over a quantity with this unit."""
+    return f"1/({unit})" if any(sign in unit for sign in "/· ") else f"1/{unit}" if unit else ""
+
+
 def bars_figure(groups: Mapping[str, Mapping[str, float]], *, y: str, unit: str = "") -> "Figure":
     """Grouped bars: one colour for each group, one position for each name."""
     figure = blank("", label(y, unit), height=360)
@@ -114,7 +119,7 @@ def bars_figure(groups: Mapping[str, Mapping[str, float]], *, y: str, unit: str 
             y=list(shown.values()),
             name=plain(name),
             marker={"color": look.colour},
-            text=[number(value, 3) for value in shown.values()],
+            text=[number(value, 3) if value % 1 else count(int(value)) for value in shown.values()],
             textposition="outside",
             cliponaxis=False,
             hovertemplate=f"{plain(name)}, %{{x}}: %{{y:.4g}} {plain(unit)}<extra></extra>",

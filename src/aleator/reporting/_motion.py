@@ -13,6 +13,7 @@ from aleator.reporting._style import (
     LIMIT,
     SIZE,
     Look,
+    add_band,
     blank,
     label,
     limit_line,
@@ -58,8 +59,8 @@ def bands_figure(
     styles = looks(families)
     for name, rows in families.items():
         mean, std = rows.mean(axis=0), rows.std(axis=0)
-        _band(figure, times, rows.min(axis=0), rows.max(axis=0), styles[name].fill(0.08))
-        _band(figure, times, mean - std, mean + std, styles[name].fill(0.25))
+        add_band(figure, times, rows.min(axis=0), rows.max(axis=0), styles[name].fill(0.08))
+        add_band(figure, times, mean - std, mean + std, styles[name].fill(0.25))
     for name, rows in families.items():
         mean, std = rows.mean(axis=0), rows.std(axis=0)
         figure.add_scatter(
@@ -80,19 +81,6 @@ def bands_figure(
     reached = [edge(rows) for rows in families.values() for edge in (np.min, np.max)]
     figure.update_yaxes(range=padded([*reached, *limits], 0.1))
     return figure
-
-
-def _band(figure: "Figure", times: np.ndarray, low: np.ndarray, high: np.ndarray, fill: str) -> None:
-    figure.add_scatter(
-        x=short(np.concatenate([times, times[::-1]])),
-        y=short(np.concatenate([high, low[::-1]])),
-        mode="lines",
-        line={"width": 0},
-        fill="toself",
-        fillcolor=fill,
-        showlegend=False,
-        hoverinfo="skip",
-    )
 
 
 def _ring(figure: "Figure", x: float, y: float, look: Look, text: str) -> None:

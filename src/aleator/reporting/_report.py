@@ -3,15 +3,15 @@
 from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, TypeVar, cast
+from typing import TypeVar, cast
 
 import numpy as np
 
 from aleator._core.errors import ProblemError
 from aleator.reporting import _units
+from aleator.reporting._along_bounds import optimum_figure, price_figure
 from aleator.reporting._blocks import Block, Card, Code, Drawing, Section, Text, Verdict
 from aleator.reporting._files import as_path, check_writable
-from aleator.reporting._fronts import front_figure, shadow_price_figure
 from aleator.reporting._meshes import mesh_drawing
 from aleator.reporting._numbers import count, interval, number, percent, words
 from aleator.reporting._page import Page, write_page
@@ -28,9 +28,6 @@ from aleator.reporting._trade_offs import trade_off_blocks
 from aleator.solution import Solution
 from aleator.sweep import Front, TradeOff
 from aleator.validation import Evidence
-
-if TYPE_CHECKING:
-    from plotly.graph_objects import Figure
 
 Result = TypeVar("Result", Solution, Evidence, Front)
 
@@ -252,18 +249,12 @@ def _front_blocks(fronts: Mapping[str, Front]) -> list[Block]:
     blocks: list[Block] = []
     for bound in dict.fromkeys(one.bound for one in fronts.values()):
         group = {name: one for name, one in fronts.items() if one.bound == bound}
-        problem = next(iter(group.values())).solutions[0].problem
-        x_unit = _units.of_expression(problem.named(bound)[0].expression, problem)
-        y_unit = _units.of_expression(problem.objective, problem)
-        x = f"Limit of {bound}"
-        per = f"{y_unit or '1'} per {x_unit}" if x_unit else ""
         caption = (
             f"Filled markers: {bound} is active; open markers: something else limits the design. Crosses on the axis: "
             "no design meets all limits there; hover to see which are missed."
         )
-        figures: list[Figure] = [front_figure(group, y="Objective", y_unit=y_unit, x=x, x_unit=x_unit)]
-        blocks.append(Drawing(figures, f"Optimum against the limit of {bound}", caption))
-        worth = shadow_price_figure(group, y="Shadow price of the bound", y_unit=per, x=x, x_unit=x_unit)
+        blocks.append(Drawing([optimum_figure(group)], f"Optimum against the limit of {bound}", caption))
+        worth = price_figure(group)
         blocks.append(Drawing([worth], f"What relaxing {bound} is worth", "Zero where the limit is not active."))
     return blocks
 

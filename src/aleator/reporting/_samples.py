@@ -52,12 +52,12 @@ def trajectory_figure(
     times = evidence.solution.instants[::every]
     distinct = _distinct(kept)
     for one, first in zip(distinct, [True] + [False] * len(distinct), strict=False):
-        rows, broken = _curves(one.values[:drawn, ::every], one.violating[:drawn])
+        rows, broken = curves(one.values[:drawn, ::every], one.violating[:drawn])
         inside, outside = rows[~broken], rows[broken]
-        _add_lines(
+        add_lines(
             figure, times, inside, f"within the limits ({len(inside)} of {len(rows)} drawn)", "#a9b4bf", 0.8, first
         )
-        _add_lines(figure, times, outside, f"violating ({len(outside)} of {len(rows)} drawn)", ALARM, 0.9, first)
+        add_lines(figure, times, outside, f"violating ({len(outside)} of {len(rows)} drawn)", ALARM, 0.9, first)
     for bound in dict.fromkeys(value for one in kept for value in (one.upper, one.lower) if np.isfinite(value)):
         limit_line(figure, bound, f"limit {given(bound, unit)}")
     if kept:
@@ -67,7 +67,7 @@ def trajectory_figure(
     return figure
 
 
-def _curves(values: np.ndarray, violating: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def curves(values: np.ndarray, violating: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """One row per curve, and whether its system violates; a vector over time gives one curve per component."""
     broken = np.asarray(violating, dtype=bool)
     if values.ndim == 2:
@@ -91,7 +91,7 @@ def _distinct(kept: list[Trajectories]) -> list[Trajectories]:
     return found
 
 
-def _add_lines(
+def add_lines(
     figure: "Figure", times: np.ndarray, rows: np.ndarray, name: str, colour: str, width: float, legend: bool
 ) -> None:
     """Many curves as one trace, separated by gaps."""

@@ -1,6 +1,8 @@
 """The style of all figures: colours that colour-blind readers can distinguish, one colour and marker per design."""
 
 import html
+import re
+import textwrap
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, final
@@ -13,6 +15,8 @@ if TYPE_CHECKING:
 FONT = 'system-ui, -apple-system, "Segoe UI", Roboto, "Helvetica Neue", Arial, sans-serif'
 INK, MUTED, GRID, LIMIT, ALARM = "#1b2733", "#5b6875", "#e4e8ec", "#33404d", "#8a1c5b"
 SIZE = 14
+# Characters along a vertical axis.
+_LINE = 38
 
 # Okabe and Ito (2008), without the yellow and the orange, which are too light for lines on white.
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#a3508a", "#3f8fc4", "#5b5b5b")
@@ -91,11 +95,20 @@ def blank(x: str, y: str, *, title: str = "", height: int = 420) -> "Figure":
         },
         hoverlabel={"font": {"size": SIZE - 1, "family": FONT}, "bgcolor": "white", "align": "left"},
         xaxis=axis | {"title": {"text": x, "standoff": 10}},
-        yaxis=axis | {"title": {"text": y, "standoff": 8}},
+        yaxis=axis | {"title": {"text": _in_lines(y), "standoff": 8}},
         hovermode="closest",
         separators=".\u202f",
     )
     return figure
+
+
+def _in_lines(text: str) -> str:
+    """A label of a vertical axis in lines that are no longer than the axis."""
+    if len(text) <= _LINE:
+        return text
+    # What is in parentheses at its end, its unit, stays together.
+    text = re.sub(r"\([^()]*\)$", lambda unit: unit[0].replace(" ", "\u00a0"), text)
+    return "<br>".join(textwrap.wrap(text, _LINE, break_long_words=False, break_on_hyphens=False))
 
 
 def short(values: np.ndarray) -> np.ndarray:
@@ -125,6 +138,20 @@ def legend_entry(figure: "Figure", name: str, look: Look, *, line: bool = True) 
     )
 
 
+def add_band(figure: "Figure", times: np.ndarray, low: np.ndarray, high: np.ndarray, fill: str) -> None:
+    """A filled band between two curves over time."""
+    figure.add_scatter(
+        x=short(np.concatenate([times, times[::-1]])),
+        y=short(np.concatenate([high, low[::-1]])),
+        mode="lines",
+        line={"width": 0},
+        fill="toself",
+        fillcolor=fill,
+        showlegend=False,
+        hoverinfo="skip",
+    )
+
+
 def limit_line(
     figure: "Figure",
     value: float,
@@ -134,12 +161,14 @@ def limit_line(
     dash: str = "dash",
     upright: bool = False,
     under: bool = False,
+    logarithmic: bool = False,
 ) -> None:
     """A limit as a line across the whole figure, with its name at its end, inside the plot.
 
     The name of a vertical limit is written along it, or `upright` beside its foot; that of a horizontal one above it,
-    or `under` it.
+    or `under` it. On a `logarithmic` axis Plotly places texts by exponents, but lines by values.
     """
+    place_of_text = float(np.log10(value)) if logarithmic else value
     note = {
         "text": plain(text),
         "showarrow": False,
@@ -150,8 +179,10 @@ def limit_line(
     if axis == "y":
         figure.add_shape(type="line", xref="paper", x0=0, x1=1, y0=value, y1=value, line=line)
         anchor = "top" if under else "bottom"
-        figure.add_annotation(xref="paper", x=1, xanchor="right", y=value, yanchor=anchor, **note)
+        figure.add_annotation(xref="paper", x=1, xanchor="right", y=place_of_text, yanchor=anchor, **note)
     else:
         figure.add_shape(type="line", yref="paper", y0=0, y1=1, x0=value, x1=value, line=line)
         place = {"xanchor": "left"} if upright else {"xanchor": "right", "textangle": -90}
-        figure.add_annotation(yref="paper", y=0, yanchor="bottom", x=value, **place, **note)
+        # Above the foot of a density, which is low at its limits.
+        height = 0.0 if upright else 0.3
+        figure.add_annotation(yref="paper", y=height, yanchor="bottom", x=place_of_text, **place, **note)

@@ -104,6 +104,15 @@ def _worst(solution: Solution, name: str) -> str:
     return f"{number(worst, 5)} {relation} {given(bound, unit)}{when}{broken}"
 
 
+def limit_rows(solution: Solution) -> list[tuple[str, str]]:
+    """The name of each limit, with its worst value, its bound, and the shadow price of this where it is active."""
+    rows = []
+    for name in dict.fromkeys(one.name for one in solution.constraints):
+        price = solution.multiplier(name)
+        rows.append((name, _worst(solution, name) + (f", shadow price {number(price, 4)}" if price else "")))
+    return rows
+
+
 def _shadow_price(solution: Solution, name: str) -> str:
     return number(solution.multiplier(name), 4) if any(one.name == name for one in solution.constraints) else "–"
 

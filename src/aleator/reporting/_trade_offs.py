@@ -1,5 +1,6 @@
-"""Figures of trade-offs: each pair of wishes against one another."""
+"""Figures of trade-offs: pairs of wishes, three of them in space, and more of them side by side."""
 
+import html
 from collections.abc import Mapping, Sequence
 from itertools import combinations
 from typing import TYPE_CHECKING
@@ -9,7 +10,7 @@ import numpy as np
 from aleator.reporting import _units
 from aleator.reporting._blocks import Block, Drawing, Table
 from aleator.reporting._numbers import number
-from aleator.reporting._style import blank, label, looks, plain
+from aleator.reporting._style import FONT, GRID, INK, MUTED, SIZE, blank, label, looks, plain
 from aleator.sweep import LEVEL, TradeOff
 
 if TYPE_CHECKING:
@@ -47,10 +48,11 @@ def _told_values(front: TradeOff, row: Sequence[float]) -> list[str]:
 
 def trade_off_figure(front: TradeOff) -> "list[Figure]":
     """A figure for each pair of wishes: every design, with the values of all wishes to hover over."""
-    return [_pair(front, *pair) for pair in combinations(range(len(front.names)), 2)]
+    return [pair_figure(front, *pair) for pair in combinations(range(len(front.names)), 2)]
 
 
-def _pair(front: TradeOff, first: int, second: int) -> "Figure":
+def pair_figure(front: TradeOff, first: int, second: int) -> "Figure":
+    """Two wishes, by their places among `front.names`, against one another."""
     x, y = ((front.names[i], _unit(front, i)) for i in (first, second))
     figure = blank(label(*x), label(*y))
     look = looks(["design"])["design"]
@@ -65,6 +67,50 @@ def _pair(front: TradeOff, first: int, second: int) -> "Figure":
         hovertemplate="%{text}<extra></extra>",
     )
     return figure.update_layout(showlegend=False)
+
+
+def space_figure(front: TradeOff) -> "Figure":
+    """The designs of three wishes as points in space, coloured by the third."""
+    figure = blank("", "", height=560)
+    figure.add_scatter3d(
+        x=front.values[:, 0],
+        y=front.values[:, 1],
+        z=front.values[:, 2],
+        mode="markers",
+        marker={"size": 5, "color": front.values[:, 2], "colorscale": "Cividis", "line": {"width": 0.5, "color": INK}},
+        text=["<br>".join(_told(front, row)) for row in front.values],
+        hovertemplate="%{text}<extra></extra>",
+    )
+    axes = {
+        f"{axis}axis": {
+            "title": {"text": _in_space(name, _unit(front, i))},
+            "gridcolor": GRID,
+            "linecolor": MUTED,
+            "showbackground": False,
+        }
+        for i, (axis, name) in enumerate(zip("xyz", front.names, strict=True))
+    }
+    return figure.update_layout(scene=axes | {"camera": {"eye": {"x": 1.6, "y": 1.6, "z": 0.9}}}, showlegend=False)
+
+
+def _in_space(name: str, unit: str) -> str:
+    """A label in space, where Plotly reads markup but no escaped characters."""
+    return html.unescape(label(name, unit)).replace("<", "‹").replace(">", "›")
+
+
+def parallel_figure(front: TradeOff) -> "Figure":
+    """One axis for each wish and one line for each design, coloured by the first wish; drag along axes to select."""
+    figure = blank("", "", height=420)
+    figure.add_parcoords(
+        dimensions=[
+            {"label": label(name, _unit(front, i)), "values": np.asarray(front.values[:, i])}
+            for i, name in enumerate(front.names)
+        ],
+        line={"color": front.values[:, 0], "colorscale": "Cividis"},
+        labelfont={"size": SIZE, "family": FONT, "color": INK},
+    )
+    # Labels stand above the axes, and those of the outer ones reach beyond them.
+    return figure.update_layout(margin={"t": 80, "l": 110, "r": 110})
 
 
 def _told(front: TradeOff, row: "list[float]") -> list[str]:

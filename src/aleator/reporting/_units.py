@@ -14,6 +14,11 @@ from aleator.design import (
 )
 
 
+def of_outputs(problem: Problem) -> dict[str, str]:
+    """The units of the outputs of the system, by their names, as far as it declares them."""
+    return {name: _shown(unit) for name, unit in output_units(problem).items()}
+
+
 def of_functional(functional: AbstractFunctional, problem: Problem) -> str:
     """The unit of a functional."""
     return _shown(functional.unit(output_units(problem)))

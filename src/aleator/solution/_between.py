@@ -5,6 +5,7 @@ from typing import final
 
 import numpy as np
 
+from aleator._core.shown import Printed
 from aleator.nlp import HELD
 
 TOLERATED = 1e-3
@@ -15,7 +16,7 @@ _COSTLY = 0.05
 
 @final
 @dataclass(frozen=True)
-class Between:
+class Between(Printed):
     """The worst excess of a limit over time between the instants, found on a finer grid.
 
     - `factor`: how many times as many steps that grid has;

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from typing import final
 
+from aleator._core.shown import Printed
 from aleator.solution._between import Between
 from aleator.solution._expansion import ExpansionQuality
 from aleator.solution._grid_error import GridError
@@ -12,7 +13,7 @@ from aleator.solution._worst_case import WorstCase
 
 @final
 @dataclass(frozen=True)
-class Certificate:
+class Certificate(Printed):
     """How far an answer can be trusted: program, grid, expansion and model. `print` shows it.
 
     - `violation`, `stationarity`, `complementarity`: scaled residuals of the optimality conditions, recomputed from the

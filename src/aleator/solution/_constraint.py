@@ -6,12 +6,13 @@ from typing import final
 import numpy as np
 from jaxtyping import Float
 
+from aleator._core.shown import Printed
 from aleator.nlp import HELD
 
 
 @final
 @dataclass(frozen=True)
-class ConstraintResult:
+class ConstraintResult(Printed):
     """One constraint at a solution, in user units.
 
     - `values`: values of its expression, one number or one per instant; `times`: the instants (s), None for one number;

@@ -7,12 +7,13 @@ from typing import final
 import numpy as np
 from jaxtyping import Float
 
+from aleator._core.shown import Drawn
 from aleator.solution._states import known, ranges
 
 
 @final
 @dataclass(frozen=True)
-class Costates:
+class Costates(Drawn):
     """The derivative of the optimal objective by each state at each node: by an extra push of it at that instant.
 
     Their sign is that of the objective: a negative costate says that more of the state would lower it. A realisation is
@@ -36,7 +37,7 @@ class Costates:
 
 @final
 @dataclass(frozen=True)
-class Switching:
+class Switching(Drawn):
     """The derivative of the Hamiltonian by each input: by how much the objective changes for each unit of the input and
     each second that it is raised there. Where it is positive, an input at its lower bound is optimal; where it is
     negative, one at its upper bound; a control that is between its bounds makes it zero.

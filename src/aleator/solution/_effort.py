@@ -3,12 +3,13 @@
 from dataclasses import dataclass
 from typing import final
 
+from aleator._core.shown import Printed
 from aleator.nlp import Searched, Status
 
 
 @final
 @dataclass(frozen=True)
-class Times:
+class Times(Printed):
     """Wall times in seconds. `compile_` is zero if a problem of the same structure was compiled before."""
 
     import_: float
@@ -21,7 +22,7 @@ class Times:
 
 @final
 @dataclass(frozen=True)
-class AtMeans:
+class AtMeans(Printed):
     """The deterministic problem where that was solved first.
 
     - `status`: how it ended; `starts`: whether the problem itself was started from there;
@@ -40,7 +41,7 @@ class AtMeans:
 
 @final
 @dataclass(frozen=True)
-class Effort:
+class Effort(Printed):
     """Iterations, evaluations and times of a solve.
 
     - `solver`: its name and version; `iterations`: as the solver counts them, over all restarts;

@@ -7,12 +7,13 @@ from typing import NamedTuple, final
 import numpy as np
 from jaxtyping import Float
 
+from aleator._core.shown import Printed
 from aleator.expansion import ILL_CONDITIONED, UNRESOLVED, Unseen
 
 
 @final
 @dataclass(frozen=True)
-class Moments:
+class Moments(Printed):
     """Mean and standard deviation of one functional by the expansion: one number each, or one per instant."""
 
     mean: Float[np.ndarray, "*shape"]
@@ -41,7 +42,7 @@ class Tangent(NamedTuple):
 
 @final
 @dataclass(frozen=True)
-class ExpansionQuality:
+class ExpansionQuality(Printed):
     """How far the expansion can be trusted at the solution.
 
     - `order`, `terms`, `points`: of the expansion; for an adaptive one, as reached in the end;

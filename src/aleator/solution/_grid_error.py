@@ -6,6 +6,8 @@ from typing import final
 
 import numpy as np
 
+from aleator._core.shown import Printed
+
 # Limits on the factor of steps from one grid to the next, since the error of a very coarse grid predicts no number of
 # steps; and the safety factor on the number that the order of convergence predicts.
 _LEAST, _MOST, _AHEAD = 2, 8, 1.2
@@ -13,7 +15,7 @@ _LEAST, _MOST, _AHEAD = 2, 8, 1.2
 
 @final
 @dataclass(frozen=True)
-class Deviation:
+class Deviation(Printed):
     """How far a quantity differs from its value on a finer grid, in its own unit.
 
     - `error`: for a functional the largest change of its mean or its standard deviation, plus a quarter for the error
@@ -44,7 +46,7 @@ class Deviation:
 
 @final
 @dataclass(frozen=True)
-class GridError:
+class GridError(Printed):
     """The error of the time grid at a solution, estimated by a finer grid and an integrator of another order.
 
     - `steps`: of the solution's grid; `factor`: how many times as many the finer one has; `integrator`: the other one;

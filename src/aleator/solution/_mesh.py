@@ -7,13 +7,14 @@ from typing import final
 import numpy as np
 from jaxtyping import Float
 
+from aleator._core.shown import Drawn
 from aleator.dynamics import AbstractScheme
 from aleator.solution._systems import system_text
 
 
 @final
 @dataclass(frozen=True)
-class MeshError:
+class MeshError(Drawn):
     """The error of one mesh, interval by interval.
 
     - `nodes`: the ends of the intervals, s, shape (intervals + 1,); `scheme`: what holds states to their equations;

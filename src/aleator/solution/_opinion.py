@@ -4,10 +4,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import final
 
+from aleator._core.shown import Printed
+
 
 @final
 @dataclass(frozen=True)
-class SecondOpinion:
+class SecondOpinion(Printed):
     """A few fresh simulations at the answer, compared with its expansions.
 
     - `samples`: how many systems were simulated;

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from aleator._core.shown import Drawn
 from aleator.design import Problem, grid_at, problem_text
 from aleator.nlp import Status
 from aleator.solution._certificate import Certificate, lines
@@ -21,7 +22,7 @@ from aleator.solution._states import States
 
 @final
 @dataclass(frozen=True)
-class Solution:
+class Solution(Drawn):
     """An optimal design and its certificate. `print(solution)` shows both.
 
     - `status`: how it ended; `message`: that of the solver, or why its answer was rejected;

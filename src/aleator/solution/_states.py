@@ -8,11 +8,12 @@ import numpy as np
 from jaxtyping import Float
 
 from aleator._core.given import refusal
+from aleator._core.shown import Drawn
 
 
 @final
 @dataclass(frozen=True)
-class States:
+class States(Drawn):
     """The states of some realisations over time.
 
     - `times`: the points of the mesh, s, shape (points,);

@@ -7,12 +7,13 @@ from typing import final
 import numpy as np
 from jaxtyping import Float
 
+from aleator._core.shown import Printed
 from aleator.solution._systems import system_text
 
 
 @final
 @dataclass(frozen=True)
-class WorstRealisation:
+class WorstRealisation(Printed):
     """The system that comes closest to a limit on the worst case, or breaks it most.
 
     - `name`, `text`: of the constraint; `value`: of its functional; `beyond`: the excess over the bound, negative
@@ -43,7 +44,7 @@ class WorstRealisation:
 
 @final
 @dataclass(frozen=True)
-class WorstCase:
+class WorstCase(Printed):
     """The worst cases of a solution, found by a search over realisations of the model; the search is no proof.
 
     - `realisations`: the worst of each limit on the worst case, in the order of the constraints;

@@ -3,13 +3,14 @@
 from dataclasses import dataclass
 from typing import final
 
+from aleator._core.shown import Drawn, Printed
 from aleator.solution import Solution
 from aleator.validation import Evidence, Proportion, Share
 
 
 @final
 @dataclass(frozen=True)
-class Trial:
+class Trial(Printed):
     """One multiple of the standard deviation that was tried: its optimal design and how often it is violated."""
 
     sigmas: float
@@ -22,7 +23,7 @@ class Trial:
 
 @final
 @dataclass(frozen=True)
-class Calibration:
+class Calibration(Drawn):
     """The margin whose design is violated no more often than the target. `print(calibration)` shows it.
 
     - `names`: the limits; a system that breaks any of them counts; `target`: how often that may happen;

@@ -12,6 +12,7 @@ from jaxtyping import Float, Int
 from aleator._core.given import one_of
 from aleator._core.heard import heeding
 from aleator._core.progress import Progress, check_progress, silent
+from aleator._core.shown import Printed
 from aleator.certification import bound_size
 from aleator.design import Problem, current, is_at_points, is_worst_case
 from aleator.ensemble import inputs_at
@@ -27,7 +28,7 @@ _CORNERS = 64
 
 @final
 @dataclass(frozen=True)
-class Limit:
+class Limit(Printed):
     """A limit in a conflict: all constraints of one name.
 
     - `name`, `texts`: of its constraints that are in the way of the others;
@@ -56,7 +57,7 @@ class Limit:
 
 @final
 @dataclass(frozen=True)
-class Conflict:
+class Conflict(Printed):
     """Why a problem has no design. `print(conflict)` says it.
 
     - `limits`: a smallest set of limits that cannot hold together: without any one of them, the others can. Empty if

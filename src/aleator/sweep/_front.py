@@ -12,6 +12,7 @@ from aleator._core.errors import AleatorError, ProblemError
 from aleator._core.given import a_name, one_of, real_array
 from aleator._core.heard import heeding
 from aleator._core.progress import Progress, check_progress, silent
+from aleator._core.shown import Drawn, Printed
 from aleator._core.warned import warned_of
 from aleator.design import Problem, current, refuse_changed
 from aleator.nlp import AbstractSolver, Status
@@ -23,7 +24,7 @@ from aleator.transcription import DEFAULT, AbstractTranscription
 
 @final
 @dataclass(frozen=True)
-class Refused:
+class Refused(Printed):
     """A point of a front that was refused before it was solved, because no decision can meet the bound.
 
     - `problem`: the problem with that bound; `reason`: the message.
@@ -52,7 +53,7 @@ class Refused:
 
 @final
 @dataclass(frozen=True)
-class Front:
+class Front(Drawn):
     """Optimal designs along a bound. `print(front)` shows them.
 
     - `bound`: the name of the constraint; `values`: its bounds, shape (points,);

@@ -10,6 +10,7 @@ from jaxtyping import Float
 from aleator._core.given import a_name, one_of, positive, refusal, whole
 from aleator._core.heard import heeding
 from aleator._core.progress import Progress, check_progress, silent
+from aleator._core.shown import Drawn
 from aleator._core.warned import warned_of
 from aleator.certification import bound_size
 from aleator.design import Constraint, Problem, current, soft
@@ -21,7 +22,7 @@ from aleator.transcription import DEFAULT, AbstractTranscribed, AbstractTranscri
 
 @final
 @dataclass(frozen=True)
-class Hardened:
+class Hardened(Drawn):
     """Solutions by ever larger penalties. `print(hardened)` lists them.
 
     - `solutions`: one for each of the `weights`, those that failed included;

@@ -12,6 +12,7 @@ from aleator._core.errors import AleatorError, ProblemError
 from aleator._core.given import one_of, positive, whole
 from aleator._core.heard import heeding
 from aleator._core.progress import Progress, check_progress, silent
+from aleator._core.shown import Drawn
 from aleator._core.warned import warned_of
 from aleator.design import Problem, current, refuse_changed
 from aleator.nlp import AbstractSolver
@@ -26,7 +27,7 @@ _SAME = 1e-4
 
 @final
 @dataclass(frozen=True)
-class Starts:
+class Starts(Drawn):
     """A problem solved from several starts. `print(starts)` lists its local optima.
 
     - `solutions`: one per start, in order, failed ones included;

@@ -10,6 +10,7 @@ from jaxtyping import Float
 from aleator._core.given import one_of, whole
 from aleator._core.heard import heeding
 from aleator._core.progress import Progress, check_progress, silent
+from aleator._core.shown import Drawn, Printed
 from aleator._core.warned import warned_of
 from aleator.design import Problem, current
 from aleator.nlp import (
@@ -34,7 +35,7 @@ _CERTIFIED = 5
 
 @final
 @dataclass(frozen=True)
-class Optimum:
+class Optimum(Printed):
     """A local optimum of the program.
 
     - `objective`, `decisions`: by name;
@@ -56,7 +57,7 @@ class Optimum:
 
 @final
 @dataclass(frozen=True)
-class Portfolio:
+class Portfolio(Drawn):
     """What a global search and many local ones found. `print(portfolio)` lists the optima.
 
     - `best`: the best optimum with its certificate; if that fails, the next one whose certificate stands; if there is

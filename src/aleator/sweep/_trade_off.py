@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from aleator._core.errors import ProblemError
+from aleator._core.shown import Drawn
 from aleator.design import Expression
 from aleator.solution import Solution
 from aleator.sweep._hypervolume import hypervolume
@@ -15,7 +16,7 @@ from aleator.sweep._hypervolume import hypervolume
 
 @final
 @dataclass(frozen=True)
-class TradeOff:
+class TradeOff(Drawn):
     """Efficient designs: none is better in one wish without being worse in another. `print(trade_off)` lists them.
 
     - `names`: of the wishes, which are the expressions `wishes`; `values`: theirs, shape (points, wishes), in order of

@@ -9,6 +9,7 @@ from aleator._core.errors import AleatorError, ProblemError
 from aleator._core.given import refusal, whole
 from aleator._core.heard import heeding
 from aleator._core.progress import Progress, check_progress, silent
+from aleator._core.shown import Drawn
 from aleator._core.warned import warned_of
 from aleator.design import declared_anew, refuse_changed
 from aleator.solution import Solution
@@ -24,7 +25,7 @@ Designs: TypeAlias = Front | TradeOff | Starts | Sequence[Solution]
 
 @final
 @dataclass(frozen=True)
-class EvidenceOfAll:
+class EvidenceOfAll(Drawn):
     """Evidence on several designs. `print(evidence)` lists the share of systems that break each limit, with intervals.
 
     - `designs`: those that were validated, in order; `places`: each on its front, in words;

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from aleator._core.shown import Printed
 from aleator.design import Constraint, Estimated, Problem, Statistic, estimated, grid_at
 from aleator.references._estimate import pair
 from aleator.validation._disagreement import reach
@@ -18,7 +19,7 @@ _CONFIDENT = 1.96
 
 @final
 @dataclass(frozen=True)
-class Compared:
+class Compared(Printed):
     """A limit on a statistic, evaluated with the sampled statistic instead of the expansion's.
 
     - `value`, `standard_error`: its expression by the samples, at the `time` (s) closest to or furthest beyond the

@@ -19,6 +19,7 @@ import numpy as np
 import scipy
 from jaxtyping import Float
 
+from aleator._core.shown import Printed
 from aleator.references._estimate import pair
 from aleator.validation._proportion import Proportion
 
@@ -33,7 +34,7 @@ _ROUNDING = 1e-9
 
 @final
 @dataclass(frozen=True)
-class Disagreement:
+class Disagreement(Printed):
     """A number of the solution that fresh simulations contradict.
 
     - `text`: the number as mathematics, such as `σ[x(t)]`; `time`: the worst instant (s), None for a number;

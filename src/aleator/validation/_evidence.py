@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from aleator._core.errors import ProblemError
+from aleator._core.shown import Drawn, Printed
 from aleator.design import Statistic
 from aleator.references._estimate import pair
 from aleator.solution import Solution, ends
@@ -26,13 +27,14 @@ PERCENTILES = (1.0, 5.0, 25.0, 50.0, 75.0, 95.0, 99.0)
 
 @final
 @dataclass(frozen=True)
-class Sampled:
+class Sampled(Printed):
     """One functional over the samples, compared with the expansion.
 
     - `mean`, `std`: of the samples, a number or one number per instant; `standard_error`: of that mean;
     - `percentiles`: the sample's `PERCENTILES`, for functionals that are numbers; None for a path;
     - `expanded_mean`, `expanded_std`: by the expansion at the solution (for a deterministic design, its nominal value);
-    - `std_error`: the standard error of the sampled standard deviation.
+    - `std_error`: the standard error of the sampled standard deviation;
+    - `values`: of all samples, for functionals that are numbers; None for a path, and where nothing is uncertain.
     """
 
     text: str
@@ -43,6 +45,7 @@ class Sampled:
     expanded_mean: Float[np.ndarray, "*shape"]
     expanded_std: Float[np.ndarray, "*shape"]
     std_error: Float[np.ndarray, "*shape"]
+    values: Float[np.ndarray, " samples"] | None = None
 
     def __str__(self) -> str:
         return (
@@ -53,7 +56,7 @@ class Sampled:
 
 @final
 @dataclass(frozen=True)
-class Checked:
+class Checked(Printed):
     """One statistic of the problem, by the expansion and by the samples.
 
     - `expanded`: by the expansion at the solution (for a deterministic design, its nominal value);
@@ -73,7 +76,7 @@ class Checked:
 
 @final
 @dataclass(frozen=True)
-class Trajectories:
+class Trajectories(Printed):
     """The expression of one path constraint on some sampled systems.
 
     - `values`: shape (kept, instants);
@@ -92,7 +95,7 @@ class Trajectories:
 
 @final
 @dataclass(frozen=True)
-class Evidence:
+class Evidence(Drawn):
     """A design re-simulated on fresh random systems, without any expansion. `print(evidence)` shows it.
 
     - `violations`: by constraint name, the proportion of systems that violate any constraint of that name at any

@@ -5,10 +5,12 @@ from typing import final
 
 import scipy
 
+from aleator._core.shown import Printed
+
 
 @final
 @dataclass(frozen=True)
-class Proportion:
+class Proportion(Printed):
     """A count in independent samples, as an estimate of a probability.
 
     `lower` and `upper` enclose the true probability with at least the given confidence (Clopper and Pearson, 1934),

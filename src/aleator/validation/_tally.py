@@ -159,6 +159,7 @@ class Tally:
             expanded_mean=moments.mean,
             expanded_std=moments.std,
             std_error=sums.std_error,
+            values=self._scalars.get(i),
         )
 
     def _trajectories(self, i: int, broken: dict[str, np.ndarray]) -> Trajectories:

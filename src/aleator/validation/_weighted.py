@@ -7,12 +7,13 @@ import numpy as np
 import scipy
 from jaxtyping import Float
 
+from aleator._core.shown import Printed
 from aleator.validation._proportion import Proportion, percent
 
 
 @final
 @dataclass(frozen=True)
-class WeightedProportion:
+class WeightedProportion(Printed):
     """The probability of an event, estimated from samples of another distribution by their likelihood ratios.
 
     With the weight `w` of a sample in the event and 0 elsewhere, `estimate` is the mean of the weights, which is

@@ -1,0 +1,21 @@
+"""What results show of themselves: their figures (`result.plot`) and their tables in notebooks.
+
+`plots_of` and `facts_of` are functions of the type of a result (`functools.singledispatch`). A new type of result
+derives from `Drawn` of `aleator._core.shown` and is made known by one line for each: `plots_of.register(Type, Plots)`,
+and `@facts_of.register(Type)` above the function that gives its facts.
+"""
+
+from aleator.reporting.drawn import _designs as _designs
+from aleator.reporting.drawn import _evidence as _evidence
+from aleator.reporting.drawn import _expansions as _expansions
+from aleator.reporting.drawn import _fronts as _fronts
+from aleator.reporting.drawn import _histories as _histories
+from aleator.reporting.drawn import _models as _models
+from aleator.reporting.drawn import _searches as _searches
+from aleator.reporting.drawn._facts import Facts as Facts
+from aleator.reporting.drawn._facts import facts_of as facts_of
+from aleator.reporting.drawn._facts import page_of as page_of
+from aleator.reporting.drawn._plots import AbstractPlots as AbstractPlots
+from aleator.reporting.drawn._plots import Backend as Backend
+from aleator.reporting.drawn._plots import drawn_by as drawn_by
+from aleator.reporting.drawn._plots import plots_of as plots_of

@@ -1,0 +1,194 @@
+"""Figures and facts of solutions."""
+
+from typing import Any
+
+import numpy as np
+
+from aleator._core.errors import ProblemError
+from aleator._core.given import positive, whole
+from aleator.reporting import _units
+from aleator.reporting._blocks import Table
+from aleator.reporting._decisions import decisions_figure
+from aleator.reporting._meshes import mesh_figure
+from aleator.reporting._numbers import number, words
+from aleator.reporting._paths import histories_figure, limits_text, path_figure
+from aleator.reporting._searches import search_figure
+from aleator.reporting._tables import STATUS_WORDS, limit_rows
+from aleator.reporting.drawn._facts import Facts, facts_of
+from aleator.reporting.drawn._histories import CostatesPlots, SwitchingPlots, state_figure
+from aleator.reporting.drawn._paths_of import components, limits_of, outputs_of, paths_of, simulated
+from aleator.reporting.drawn._plots import AbstractPlots, Backend, chosen, drawn_by, plots_of, unknown
+from aleator.solution import MeshError, Solution
+
+_NO_PATH = (
+    "expected a path in the objective or in a limit, such as al.path('x'); received a problem without one. "
+    "plot.histories simulates any output."
+)
+_NO_OUTPUT = "expected a system with outputs; received one without."
+_SIMULATED = "expected a solution by al.Simultaneous(); received one whose states were simulated: see plot.histories."
+
+
+class SolutionPlots(AbstractPlots[Solution]):
+    """Figures of a solution."""
+
+    def __call__(self, *, backend: Backend = "plotly") -> Any:
+        """The band of the first path in the problem; without one, where the decisions lie."""
+        return self.band(backend=backend) if paths_of(self._result.problem) else self.decisions(backend=backend)
+
+    def band(self, output: str | None = None, *, sigmas: float | None = None, backend: Backend = "plotly") -> Any:
+        """The mean of a path over time with the band of `sigmas` standard deviations about it, and its limits.
+
+        - `output`: of a path in the problem, by default the first; `sigmas`: by default as in its limits, else 2.
+        """
+        problem, known = self._result.problem, paths_of(self._result.problem)
+        if known and output is not None and not (isinstance(output, str) and output in known):
+            raise ProblemError(f"{unknown('plot.band', output, known)} plot.histories simulates any other output.")
+        name, functional = chosen("plot.band", output, known, _NO_PATH)
+        unit = _units.of_functional(functional, problem)
+        limits, found = limits_of(problem, functional, unit), self._result.moments[functional.text()]
+        figure = path_figure(
+            self._result.instants,
+            components(f"mean of {name}", found.mean, found.std),
+            sigmas=limits.sigmas if sigmas is None else positive("plot.band: sigmas", sigmas),
+            y=name,
+            unit=unit,
+            limits=limits.texts,
+            title=self._told(),
+        )
+        return drawn_by(backend, figure)
+
+    def histories(
+        self, output: str | None = None, *, samples: int = 50, seed: int = 0, backend: Backend = "plotly"
+    ) -> Any:
+        """Any output of the system over time, simulated anew on random systems, with its limits.
+
+        - `output`: by default that of the first path in the problem, else the first of the system; `samples`: how many
+          systems, drawn from `seed`; a system of which nothing is uncertain is simulated once.
+        """
+        problem, paths = self._result.problem, paths_of(self._result.problem)
+        samples, seed = whole("plot.histories: samples", samples), whole("plot.histories: seed", seed, least=0)
+        outputs = outputs_of(problem, self._result)
+        first = next((one.output for one in paths.values()), None)
+        name, _ = chosen(
+            "plot.histories",
+            first if output is None else output,
+            outputs,
+            _NO_OUTPUT,
+        )
+        unit = _units.of_outputs(problem).get(name, "")
+        values = simulated(self._result, name, samples, seed)
+        limits = [one for text, one in paths.items() if one.output == name and text == name]
+        texts = limits_of(problem, limits[0], unit).texts if limits else {}
+        figure = histories_figure(
+            self._result.instants, values, y=name, unit=unit, limits=texts, title=self._told(), who="random systems"
+        )
+        return drawn_by(backend, figure)
+
+    def limit(self, name: str | None = None, *, backend: Backend = "plotly") -> Any:
+        """What a limit over time is on (such as mean + 2 σ), its bounds, and where it is active."""
+        pairs = zip(self._result.constraints, self._result.problem.constraints, strict=True)
+        over_time = {one.name: (one, one.times, declared) for one, declared in pairs if one.times is not None}
+        nothing = "expected a limit over time; received a problem without one."
+        name, (one, times, declared) = chosen("plot.limit", name, over_time, nothing)
+        unit = _units.of_expression(declared.expression, self._result.problem)
+        figure = path_figure(
+            times,
+            components(str(declared.expression), one.values, np.zeros_like(one.values)),
+            sigmas=1.0,
+            y=name,
+            unit=unit,
+            limits=limits_text([one.lower, one.upper], unit),
+            title=self._told(),
+        )
+        active = np.reshape(one.active, (len(times), -1))
+        figure.add_scatter(
+            x=np.repeat(times, active.sum(axis=1)),
+            y=np.reshape(one.values, active.shape)[active],
+            mode="markers",
+            name="active",
+            marker={"symbol": "circle", "size": 8, "color": "#8a1c5b"},
+        )
+        return drawn_by(backend, figure)
+
+    def decisions(self, *, backend: Backend = "plotly") -> Any:
+        """Where each decision lies between its bounds, and where it began."""
+        return drawn_by(backend, decisions_figure(self._result))
+
+    def state(self, name: str | None = None, *, backend: Backend = "plotly") -> Any:
+        """A state over time, of all realisations of a simultaneous program."""
+        units = _units.of_outputs(self._result.problem)
+        return drawn_by(backend, state_figure(_found(self._result.states, "plot.state"), name, units))
+
+    def costate(self, name: str | None = None, *, backend: Backend = "plotly") -> Any:
+        """The costate of a state over time, of all realisations of a simultaneous program."""
+        return CostatesPlots(_found(self._result.costates, "plot.costate")).costate(name, backend=backend)
+
+    def switching(self, name: str | None = None, *, backend: Backend = "plotly") -> Any:
+        """The switching function of an input over time, of a simultaneous program."""
+        return SwitchingPlots(_found(self._result.switching, "plot.switching")).input(name, backend=backend)
+
+    def mesh(self, *, backend: Backend = "plotly") -> Any:
+        """The meshes of a simultaneous program, with their errors."""
+        meshes = self._result.meshes
+        if not any(one.worst for one in meshes):
+            raise ProblemError(f"plot.mesh: {_SIMULATED}")
+        return drawn_by(backend, mesh_figure(meshes))
+
+    def search(self, *, backend: Backend = "plotly") -> Any:
+        """What a search without derivatives evaluated, or the local solver where there was none."""
+        searched = self._result.effort.searched or self._result.effort.visited
+        if searched is None or not searched.evaluations:
+            raise ProblemError("plot.search: expected a solve that evaluated designs; received one without a history.")
+        return drawn_by(backend, search_figure(searched, _objective_unit(self._result)))
+
+    def _told(self) -> str:
+        """What a reader must know of a design that is not solved."""
+        return "" if self._result.ok else f"Not a design: {STATUS_WORDS[self._result.status]}"
+
+
+plots_of.register(Solution, SolutionPlots)
+
+
+class MeshPlots(AbstractPlots[MeshError]):
+    """The figure of one mesh."""
+
+    def __call__(self, *, backend: Backend = "plotly") -> Any:
+        """The nodes of the mesh, and the error of each interval."""
+        return self.mesh(backend=backend)
+
+    def mesh(self, *, backend: Backend = "plotly") -> Any:
+        """The nodes of the mesh, and the error of each interval."""
+        return drawn_by(backend, mesh_figure([self._result]))
+
+
+plots_of.register(MeshError, MeshPlots)
+
+
+@facts_of.register(Solution)
+def _(solution: Solution) -> Facts:
+    heading = f"Solution: {STATUS_WORDS[solution.status]}"
+    rows = [("objective", f"{number(solution.objective, 5, _objective_unit(solution))} = {solution.problem.objective}")]
+    rows += [(name, _decided(solution, name)) for name in solution.decisions]
+    limits = [(f"limit {name}", text) for name, text in limit_rows(solution)]
+    active = [("active", words(list(solution.active), "nothing"))]
+    table = Table("", ["", ""], [*rows, *limits, *active, ("solver", solution.effort.solver)])
+    return Facts(heading, "" if solution.ok else solution.why(), [table])
+
+
+def _decided(solution: Solution, name: str) -> str:
+    """A decision with its unit, of an array from where to where it goes."""
+    value, unit = np.asarray(solution.decisions[name], float), _units.of_decision(name, solution.problem)
+    at = " (at its bound)" if solution.is_at_bound(name) else ""
+    if value.ndim == 0:
+        return number(float(value), 5, unit) + at
+    return f"{value.size} numbers from {number(value.min(), 4)} to {number(value.max(), 4, unit)}{at}"
+
+
+def _objective_unit(solution: Solution) -> str:
+    return _units.of_expression(solution.problem.objective, solution.problem)
+
+
+def _found(part: Any, what: str) -> Any:
+    if part is None:
+        raise ProblemError(f"{what}: {_SIMULATED}")
+    return part

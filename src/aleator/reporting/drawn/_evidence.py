@@ -1,0 +1,181 @@
+"""Figures and facts of evidence, of one design and of many."""
+
+from typing import Any
+
+import numpy as np
+
+from aleator._core.errors import ProblemError
+from aleator._core.given import positive
+from aleator.design import functionals_of
+from aleator.reporting import _units
+from aleator.reporting._blocks import Table
+from aleator.reporting._methods import density_figure
+from aleator.reporting._numbers import count, number, share_text
+from aleator.reporting._paths import path_figure
+from aleator.reporting._samples import percentile_figure, trajectory_figure
+from aleator.reporting._shares import shares_figure
+from aleator.reporting.drawn._facts import Facts, facts_of
+from aleator.reporting.drawn._paths_of import components, limits_of, paths_of
+from aleator.reporting.drawn._plots import AbstractPlots, Backend, chosen, drawn_by, plots_of
+from aleator.sweep import EvidenceOfAll
+from aleator.validation import Evidence, Sampled
+
+# Bins of a histogram at most.
+_BINS = 200
+_NO_LIMIT = "expected a limit that single systems can break; received evidence that counts none."
+_NO_NUMBER = "expected a functional that is one number of each system, such as al.rms('x'); received none."
+
+
+class EvidencePlots(AbstractPlots[Evidence]):
+    """Figures of evidence."""
+
+    def __call__(self, *, backend: Backend = "plotly") -> Any:
+        """The sampled systems against the first limit over time; without one, the density of the first functional."""
+        drawn = self.trajectories if self._result.trajectories else self.density
+        return drawn(backend=backend)
+
+    def trajectories(self, limit: str | None = None, *, backend: Backend = "plotly") -> Any:
+        """Sampled systems over time against a limit, by its name; those that break it are highlighted."""
+        nothing = "expected a limit over time, and keep > 0 in al.validate; received evidence without trajectories."
+        kept = {one.name: one for one in self._result.trajectories}
+        name, _ = chosen("plot.trajectories", limit, kept, nothing)
+        problem = self._result.solution.problem
+        unit = _units.of_expression(problem.named(name)[0].expression, problem)
+        return drawn_by(backend, trajectory_figure(self._result, name, unit=unit, every=1))
+
+    def band(self, output: str | None = None, *, sigmas: float | None = None, backend: Backend = "plotly") -> Any:
+        """The sampled mean of a path with its band, before sampled histories, and the mean by the expansion.
+
+        - `output`: of a path in the problem, by default the first; `sigmas`: by default as in its limits, else 2.
+        """
+        problem = self._result.solution.problem
+        nothing = "expected a path in the problem, such as al.path('x'); received one without."
+        name, functional = chosen("plot.band", output, paths_of(problem), nothing)
+        unit = _units.of_functional(functional, problem)
+        found, limits = self._result.functionals[functional.text()], limits_of(problem, functional, unit)
+        kept = [one.values for one in self._result.trajectories if one.name in limits.names]
+        figure = path_figure(
+            self._result.solution.instants,
+            components(f"sampled mean of {name}", found.mean, found.std)
+            | components(f"mean of {name} by the expansion", found.expanded_mean, np.zeros_like(found.std)),
+            sigmas=limits.sigmas if sigmas is None else positive("plot.band: sigmas", sigmas),
+            y=name,
+            unit=unit,
+            limits=limits.texts,
+            histories=kept[0] if kept else None,
+        )
+        return drawn_by(backend, figure)
+
+    def density(self, functional: str | None = None, *, backend: Backend = "plotly") -> Any:
+        """The sampled density of a functional, as a histogram, with the limits on it; by default of the first one.
+
+        - `functional`: its text, such as `"rms(x)"`, or the name of its output where that tells it apart.
+        """
+        name, one = self._number("plot.density", functional)
+        problem = self._result.solution.problem
+        unit = _units.of_moments(problem).get(name, "")
+        (taken,) = [each for each in functionals_of(problem.expressions) if each.text() == name]
+        edges, heights = _steps(one.values)
+        title = f"mean {number(float(one.mean))}, σ {number(float(one.std))}, {count(self._result.samples)} systems"
+        limits = sorted(limits_of(problem, taken, unit).texts)
+        figure = density_figure(edges, {"sampled": heights}, x=name, unit=unit, limits=limits, title=title)
+        return drawn_by(backend, figure)
+
+    def percentiles(self, functional: str | None = None, *, backend: Backend = "plotly") -> Any:
+        """The sampled spread of a functional: 1 to 99 %, 5 to 95 % and 25 to 75 % of the systems, median and mean."""
+        name, one = self._number("plot.percentiles", functional)
+        unit = _units.of_moments(self._result.solution.problem).get(name, "")
+        return drawn_by(backend, percentile_figure({"design": one}, x=name, unit=unit))
+
+    def violations(self, *, backend: Backend = "plotly") -> Any:
+        """How many systems break each limit, with 95 % confidence intervals."""
+        if not self._result.violations:
+            raise ProblemError(f"plot.violations: {_NO_LIMIT}")
+        shares = dict(self._result.violations)
+        if len(shares) > 1:
+            shares["any of them"] = self._result.joint
+        figure = shares_figure(list(shares), {"systems": list(shares.values())}, x="Limit", y="Systems that break it")
+        return drawn_by(backend, figure)
+
+    def _number(self, what: str, functional: str | None) -> tuple[str, Sampled]:
+        known = {text: one for text, one in self._result.functionals.items() if one.values is not None}
+        every = functionals_of(self._result.solution.problem.expressions)
+        of_output = [one.text() for one in every if one.text() in known and one.outputs == (functional,)]
+        return chosen(what, of_output[0] if len(of_output) == 1 else functional, known, _NO_NUMBER)
+
+
+plots_of.register(Evidence, EvidencePlots)
+
+
+class EvidenceOfAllPlots(AbstractPlots[EvidenceOfAll]):
+    """The figure of evidence on several designs."""
+
+    def __call__(self, *, backend: Backend = "plotly") -> Any:
+        """How many systems of each design break each limit."""
+        return self.violations(backend=backend)
+
+    def violations(self, *, backend: Backend = "plotly") -> Any:
+        """How many systems of each design break each limit, with 95 % confidence intervals."""
+        every = self._result.evidence
+        names = list(dict.fromkeys(name for one in every if one for name in one.violations))
+        if not names:
+            raise ProblemError(f"plot.violations: {_NO_LIMIT}")
+        shares = {name: [one.violations.get(name) if one else None for one in every] for name in names}
+        return drawn_by(
+            backend, shares_figure(self._result.places, shares, x="Design", y="Systems that break the limit")
+        )
+
+
+plots_of.register(EvidenceOfAll, EvidenceOfAllPlots)
+
+
+def _steps(values: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+    """A histogram as a curve in steps, of widths by the rule of Freedman and Diaconis (1981), with 200 bins at most.
+
+    Raises `ProblemError` for one value.
+    """
+    known = np.zeros(0) if values is None else values
+    if not known.size or np.ptp(known) <= 1e-12 * float(np.max(np.abs(known))):
+        raise ProblemError("plot.density: expected a functional that varies; received one that is the same for all.")
+    # Half of the samples may be alike, and a few far away.
+    width = 2 * float(np.subtract(*np.percentile(known, (75.0, 25.0)))) / np.cbrt(known.size)
+    bins = int(np.clip(np.ptp(known) / width, 1, _BINS)) if width > 0 else _BINS
+    heights, edges = np.histogram(known, bins=bins, density=True)
+    return np.repeat(edges, 2), np.concatenate([[0.0], np.repeat(heights, 2), [0.0]])
+
+
+@facts_of.register(Evidence)
+def _(evidence: Evidence) -> Facts:
+    shares = [[f"violates {name}", share_text(one)] for name, one in evidence.violations.items()]
+    shares += [["violates any limit", share_text(evidence.joint)]] if len(shares) > 1 else []
+    units = _units.of_moments(evidence.solution.problem)
+    rows = [
+        [
+            text,
+            f"{number(float(one.mean), 5)} ± {number(float(one.standard_error), 2, units.get(text, ''))}",
+            number(float(one.expanded_mean), 5),
+            number(float(one.std), 4),
+            number(float(one.expanded_std), 4),
+        ]
+        for text, one in evidence.functionals.items()
+        if np.ndim(one.mean) == 0
+    ]
+    header = ["", "mean, sampled", "by the expansion", "σ, sampled", "by the expansion"]
+    tables = [
+        Table("Systems that break limits, with 95 % intervals", ["", ""], shares) if shares else None,
+        Table("Sampled and expanded", header, rows) if rows else None,
+    ]
+    heading = f"Evidence: {count(evidence.samples)} fresh systems" if evidence.alone is None else "Evidence: one system"
+    return Facts(heading, "" if evidence.agrees else evidence.alarm(), [one for one in tables if one])
+
+
+@facts_of.register(EvidenceOfAll)
+def _(evidence: EvidenceOfAll) -> Facts:
+    names = list(dict.fromkeys(name for one in evidence.evidence if one for name in one.violations))
+    rows = [
+        [place, *(share_text(one.violations.get(name)) if one else evidence.refused[i] for name in names)]
+        for i, (place, one) in enumerate(zip(evidence.places, evidence.evidence, strict=True))
+    ]
+    heading = f"Evidence on {len(evidence.designs)} designs{', interrupted' * evidence.interrupted}"
+    said = "" if evidence.agrees else "Samples contradict some of the designs, or these could not be simulated."
+    return Facts(heading, said, [Table("Systems that break limits, with 95 % intervals", ["design", *names], rows)])
