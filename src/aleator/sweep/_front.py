@@ -106,7 +106,7 @@ class Front:
     def __str__(self) -> str:
         rows = [f"{self.bound:>10} {'objective':>12} {'shadow price':>12}  active"]
         rows += [_row(self, *point) for point in zip(self.values, self.points, strict=True)]
-        return "\n".join(rows)
+        return "\n".join([*rows, *(["interrupted by the user"] if self.interrupted else [])])
 
 
 def _row(front: Front, value: float, solution: Solution | Refused) -> str:
