@@ -140,7 +140,7 @@ class Stages(NamedTuple):
         self.heed()
         known = meshed.outcome if transcribed is meshed.transcribed else None
         outcome = _optimise(transcribed, solver, start, multipliers) if known is None else known
-        if multipliers is None:
+        if multipliers is None and outcome.status is not Status.INTERRUPTED:
             outcome = _looked_around(transcribed, solver.local, outcome, start)
         self.heed()
         outcome, between, finer = held_between(transcribed, solver.local, outcome, self.between)
@@ -165,13 +165,15 @@ def _looked_around(
     transcribed: AbstractTranscribed, solver: AbstractSolver, outcome: Outcome, start: np.ndarray | None
 ) -> Outcome:
     """The outcome of a start of which nothing is known, or a better one found by points elsewhere."""
-    program = transcribed.program
+    program, found = transcribed.program, outcome
     begun = program.start if start is None else start
     outcome = feasible_elsewhere(program, outcome, begun, lambda other, first: solver.solve(other, start=first))
     outcome = moved_on(program, outcome, begun, lambda first: solver.solve(program, start=first))
     if outcome.searched is None:
         refuse_blind(outcome, transcribed)
         return outcome
+    if outcome.status is Status.INTERRUPTED:
+        return replace(found, status=Status.INTERRUPTED)
     # A search has compared values, so that it has chosen, though derivatives cannot confirm it.
     names = blind_decisions(outcome, transcribed)
     end = f"{outcome.searched.end}; its values alone chose {names}, by which all derivatives are zero"

@@ -215,6 +215,9 @@ class _Sweep:
         try:
             with warned_of(self._place(value)):
                 found = solve(**self._call(value, neighbour))
+                if found.status is Status.INTERRUPTED:
+                    self._keep(value, found)
+                    raise KeyboardInterrupt
                 if not found.ok and neighbour is not None:
                     found = _better(solve(**self._call(value, None)), found)
         except ProblemError as error:

@@ -14,7 +14,7 @@ from aleator._core.progress import Progress, check_progress, silent
 from aleator._core.warned import warned_of
 from aleator.certification import bound_size
 from aleator.design import Constraint, Problem, current, soft
-from aleator.nlp import AbstractSolver
+from aleator.nlp import AbstractSolver, Status
 from aleator.solution import Solution
 from aleator.solving import solve
 from aleator.transcription import DEFAULT, AbstractTranscribed, AbstractTranscription, transcribe
@@ -120,6 +120,8 @@ def harden(
                 solutions.append(found)
                 if found.ok and max(excesses[-1].values()) <= tolerance:
                     break
+                if found.status is Status.INTERRUPTED:
+                    raise KeyboardInterrupt
                 heed()
         interrupted = False
     except KeyboardInterrupt:
