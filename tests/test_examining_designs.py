@@ -120,7 +120,7 @@ def test_an_infinite_slope_is_told_of_its_decision_and_hides_no_other():
     assert sentence.startswith("objective a^0.5 + b², by a")
     assert "inf by the derivative" in sentence
     assert "no finite derivative" in str(found)
-    assert not (found.kinks or found.jumps or found.wrong or found.unfit)
+    assert [found.kinks, found.jumps, found.wrong, found.unfit] == [()] * 4
     assert not found.ok
     # The change over a tenth of the typical magnitude of 0.3.
     assert found.effects[0, 1] > 0.1
@@ -138,7 +138,7 @@ STEEP = {
 def test_what_is_merely_steep_is_not_accused(what):
     rule, start = STEEP[what]
     found = al.examine(of(lambda a, b: rule(a) + b, a=al.Decision(start, -2.0, 2.0)))
-    assert not (found.kinks or found.jumps or found.wrong)
+    assert [found.kinks, found.jumps, found.wrong] == [()] * 3
 
 
 @pytest.mark.parametrize("away", [-1e-7, -1e-9, 1e-9, 1e-7])

@@ -92,8 +92,8 @@ def examine(subject: Problem | Solution) -> Examination:
     """Look at a problem around one design as a gradient solver does: before a solve, or after one that failed.
 
     Exact derivatives are compared with the slopes seen over steps of three lengths to both sides of each decision
-    (eight evaluations a decision), which tells kinks, jumps and wrong derivatives; where one is suspected, smaller steps
-    (up to 32 more evaluations) tell it from a function that is merely steep. Effects tell what is badly scaled.
+    (eight evaluations a decision), which tells kinks, jumps and wrong derivatives; where one is suspected, smaller
+    steps (up to 32 more evaluations) tell it from a function that is merely steep. Effects tell what is badly scaled.
 
     - `subject`: a problem, at its initial decisions, or a solution, at its own, even one that failed
       (`error.solution`). States are simulated.
@@ -146,7 +146,9 @@ def _refuse_unknown(transcribed: AbstractTranscribed, point: Float[np.ndarray, "
     if unknown:
         more = f" and {len(unknown) - _NAMED} others" if len(unknown) > _NAMED else ""
         where = transcribed.decisions(point)
-        decided = ", ".join(f"{name} = {one:.6g}" for name, one in zip(transcribed.places.entry_names(), where, strict=True))
+        decided = ", ".join(
+            f"{name} = {one:.6g}" for name, one in zip(transcribed.places.entry_names(), where, strict=True)
+        )
         raise SimulationError(
             f"examine: expected a design at which all rows are finite; not finite here: {'; '.join(unknown[:_NAMED])}"
             f"{more}. Look for a root or logarithm of zero, or a division by zero, and start elsewhere. The decisions "
@@ -184,7 +186,7 @@ def _unfit(
     largest = effects.max(axis=1, initial=0.0)
     known = largest[largest > 0]
     middle = float(np.median(known)) if known.size else 0.0
-    for name, one, is_unknown in zip(names, largest, hidden.any(axis=1), strict=True):
+    for name, one, is_unknown in zip(names, largest, np.atleast_1d(hidden.any(axis=1)), strict=True):
         if is_unknown:
             continue
         if one == 0:

@@ -226,7 +226,9 @@ def test_where_the_start_is_not_finite_searches_begin_elsewhere():
     found = al.conflict(from_nowhere(LOW, (X.mean >= 2.0).named("high")))
     assert found.names == ("log", "high")
     assert found.shown
-    np.testing.assert_allclose([one.relaxed for one in found.limits], [np.log(2.0) + 1.0, 2.0 - np.exp(-1.0)], rtol=1e-5)
+    np.testing.assert_allclose(
+        [one.relaxed for one in found.limits], [np.log(2.0) + 1.0, 2.0 - np.exp(-1.0)], rtol=1e-5
+    )
 
 
 def test_nothing_is_said_of_a_model_that_is_finite_nowhere():

@@ -71,7 +71,7 @@ def journalled(
     what: str,
     given: Mapping[str, Any],
     compute: Callable[[], Result],
-    is_finished: Callable[[Result], bool] = lambda result: True,
+    is_finished: Callable[[Result], bool] = lambda _: True,
 ) -> Result:
     """The result that an earlier run has found from the same code and numbers, or else computed and kept.
 

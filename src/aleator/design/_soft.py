@@ -63,7 +63,9 @@ def _with_slacks(
     problem: Problem, softened: Mapping[str, tuple[Constraint, ...]], weight: float, most: float
 ) -> Problem:
     slacks = {_excess(name): _slack(every, most) for name, every in softened.items()}
-    if taken := [name for name in softened if _excess(name) in {*problem.simulation.numbers, *problem.placements.decisions}]:
+    if taken := [
+        name for name in softened if _excess(name) in {*problem.simulation.numbers, *problem.placements.decisions}
+    ]:
         raise ProblemError(
             f"soft: expected no number called '{_excess(taken[0])}' yet, which is the slack of the constraint "
             f"'{taken[0]}'; received a problem that has one. Make a limit soft once, with one weight, or give the "

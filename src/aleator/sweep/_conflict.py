@@ -22,7 +22,7 @@ from aleator.transcription import DEFAULT, AbstractTranscribed, germ_box, transc
 
 # Added where a claim rests on searches that were stopped.
 _NOT_SHOWN = (
-    "not shown: some searches were stopped, as where the model is not finite, so that there may be a design all the same"
+    "not shown: some searches were stopped, as where the model is not finite, so that a design may exist all the same"
 )
 # Points in the range of the decisions that are tried where the model is not finite at a start, and how many of those at
 # which it is are starts.
@@ -118,8 +118,9 @@ def conflict(problem: Problem, *, solver: AbstractSolver | None = None, progress
     - `problem`: as declared, states being simulated; `solver`: `al.solvers.Ipopt()` by default, since elastic programs
       are almost linear, where others know no length of a step.
 
-    Where the model is not finite at a start, searches begin at points elsewhere at which it is. Raises `ProblemError` if
-    a limit contradicts itself or cannot be met by any decision at all, `SimulationError` if the model is finite nowhere.
+    Where the model is not finite at a start, searches begin at points elsewhere at which it is. Raises `ProblemError`
+    if a limit contradicts itself or cannot be met by any decision at all, `SimulationError` if the model is finite at
+    none of these.
     """
     one_of("conflict: problem", problem, Problem)
     check_progress("conflict", progress)
@@ -153,8 +154,8 @@ class _Search:
         self._starts = _finite_starts(program)
         if not self._starts:
             raise SimulationError(
-                f"conflict: the model is finite neither at the start nor at {_TRIED} other designs, so that nothing can "
-                f"be said of its limits. {diagnose(transcribed, transcribed.decisions(program.start))}"
+                f"conflict: the model is finite neither at the start nor at {_TRIED} other designs, so that nothing "
+                f"can be said of its limits. {diagnose(transcribed, transcribed.decisions(program.start))}"
             )
         self._shown = True
 

@@ -300,7 +300,7 @@ def _certified(
             except ProblemError:
                 if search is None:
                     raise
-                # Derivatives cannot choose, but values have: the point is judged as the answer of a search of one point.
+                # Derivatives cannot choose, but values have: the point is judged as the answer of a search of one.
                 found.append(solve(problem, replace(search, evaluations=1), start=start, throw=False))
         if found[-1].ok:
             return found[-1]
