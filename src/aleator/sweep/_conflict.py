@@ -21,9 +21,7 @@ from aleator.solution import system_text
 from aleator.transcription import DEFAULT, AbstractTranscribed, germ_box, transcribe
 
 # Added where a claim rests on searches that were stopped.
-_NOT_SHOWN = (
-    "not shown: some searches were stopped, as where the model is not finite, so that a design may exist all the same"
-)
+_NOT_SHOWN = "not shown: some searches were stopped, as where the model is not finite; a design may exist all the same"
 # Points in the range of the decisions that are tried where the model is not finite at a start, and how many of those at
 # which it is are starts.
 _TRIED, _KEPT = 64, 4
