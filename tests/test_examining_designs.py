@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import aleator as al
+from aleator.studies._check import Check
 
 
 class Rule(al.AlgebraicSystem):
@@ -109,6 +110,13 @@ def test_a_design_that_is_not_finite_is_refused_by_what_is_not():
     log = (al.expressions.function(jnp.log, al.value("a")) <= 1.0).named("log")
     with pytest.raises(al.SimulationError, match=r"not finite here: log\(a\) ≤ 1\. .*decisions are a = -1, b = 0\.3"):
         al.examine(of(lambda a, b: a + b**2, log, a=al.Decision(-1.0, -2.0, 2.0)))
+
+
+def test_the_check_of_a_study_tells_a_start_that_is_not_finite_and_goes_on():
+    study = al.Study({"near": of(lambda a, b: a + b), "nowhere": of(lambda a, b: jnp.log(a - 1.0) + b)})
+    table, troubles = Check(study).table()
+    assert any(one.startswith("nowhere: examine: expected a design at which all rows are finite") for one in troubles)
+    assert list(table.header) == ["", "near", "nowhere"]
 
 
 def test_an_infinite_slope_is_told_of_its_decision_and_hides_no_other():

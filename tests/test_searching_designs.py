@@ -214,3 +214,10 @@ def test_ctrl_c_while_a_design_is_polished_keeps_it_with_its_status(monkeypatch)
     with pytest.raises(al.SolveError, match="interrupted by the user") as caught:
         al.solve(declared(), POPULATION)
     assert caught.value.solution.objective == found.objective
+    starts = al.multistart(declared(), 3, solver=POPULATION)
+    assert starts.interrupted
+    assert [one.status for one in starts.solutions] == [al.Status.INTERRUPTED]
+    limit = al.terminal("x").at_least(-0.5, sigmas=1.0).named("low")
+    front = al.pareto(declared(subject_to=[limit]), "low", [-0.6, -0.5], solver=POPULATION)
+    assert front.interrupted
+    assert front.values.tolist() == [-0.6]
