@@ -109,7 +109,7 @@ def follows_from(
         "solver": solver or transcription.solver,
         "transcription": transcription,
         "warm_start": warm_start,
-        "start": None if start is None else dict(start),
+        "start": dict(start) if isinstance(start, Mapping) else start,
         "how": (deterministic_first, between, float(accuracy), refine),
     }
 
