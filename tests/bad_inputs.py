@@ -638,6 +638,11 @@ _STUDIES: dict[str, tuple[Callable[..., Any], dict[str, Any], dict[str, Mapping[
         {},
         {"#0": NAME, "weight": POSITIVE, "exact": {"text": "yes", "one": 1, "nothing": None}},
     ),
+    "soft exact": (
+        lambda **a: al.soft(problem(), weight=1.0, exact=True, **a),
+        {},
+        {"most": without(POSITIVE, "nothing")},
+    ),
     "soft of": (functools.partial(al.soft, weight=1.0), {}, {"#0": REQUIRED}),
     "with_sigmas": (lambda *a: problem().with_sigmas("response", *a), {}, {"#0": POSITIVE}),
     "expand": (

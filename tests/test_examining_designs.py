@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import aleator as al
+from aleator.studies._check import Check
 
 
 class Rule(al.AlgebraicSystem):
@@ -103,3 +104,64 @@ def test_the_history_of_a_solve_is_every_point_that_was_evaluated():
 def test_only_problems_and_solutions():
     with pytest.raises(al.ProblemError, match="examine: expected a problem, or a solution"):
         al.examine("design")  # type: ignore[arg-type]
+
+
+def test_a_design_that_is_not_finite_is_refused_by_what_is_not():
+    log = (al.expressions.function(jnp.log, al.value("a")) <= 1.0).named("log")
+    with pytest.raises(al.SimulationError, match=r"not finite here: log\(a\) ≤ 1\. .*decisions are a = -1, b = 0\.3"):
+        al.examine(of(lambda a, b: a + b**2, log, a=al.Decision(-1.0, -2.0, 2.0)))
+
+
+def test_the_check_of_a_study_tells_a_start_that_is_not_finite_and_goes_on():
+    study = al.Study({"near": of(lambda a, b: a + b), "nowhere": of(lambda a, b: jnp.log(a - 1.0) + b)})
+    table, troubles = Check(study).table()
+    assert any(one.startswith("nowhere: examine: expected a design at which all rows are finite") for one in troubles)
+    assert list(table.header) == ["", "near", "nowhere"]
+
+
+def test_an_infinite_slope_is_told_of_its_decision_and_hides_no_other():
+    root = al.value("a") ** 0.5
+    system = Rule(lambda a, b: a + b, a=al.Decision(0.0, 0.0, 2.0))
+    problem = al.Problem(system, minimize=root + al.value("b") ** 2, subject_to=[al.output("z").mean <= 2.0])
+    found = al.examine(problem)
+    (sentence,) = found.endless
+    assert sentence.startswith("objective a^0.5 + b², by a")
+    assert "inf by the derivative" in sentence
+    assert "no finite derivative" in str(found)
+    assert [found.kinks, found.jumps, found.wrong, found.unfit] == [()] * 4
+    assert not found.ok
+    # The change over a tenth of the typical magnitude of 0.3.
+    assert found.effects[0, 1] > 0.1
+
+
+STEEP = {
+    "a logarithm near zero": (lambda a: jnp.log(a), 1e-12),
+    "a switch": (lambda a: jnp.tanh(1e6 * (a - 0.5)), 0.5),
+    "a pole": (lambda a: 1.0 / (a - 0.4999), 0.5),
+    "a fast wave": (lambda a: jnp.sin(1e6 * a), 0.5),
+}
+
+
+@pytest.mark.parametrize("what", STEEP)
+def test_what_is_merely_steep_is_not_accused(what):
+    rule, start = STEEP[what]
+    found = al.examine(of(lambda a, b: rule(a) + b, a=al.Decision(start, -2.0, 2.0)))
+    assert [found.kinks, found.jumps, found.wrong] == [()] * 3
+
+
+@pytest.mark.parametrize("away", [-1e-7, -1e-9, 1e-9, 1e-7])
+def test_kinks_and_jumps_beside_a_design_are_still_told(away):
+    kink = al.examine(of(lambda a, b: jnp.abs(a - 0.5 - away) + a**4 + b))
+    assert len(kink.kinks) == 1
+    jump = al.examine(of(lambda a, b: jnp.where(a < 0.5 + away, 0.0, 1.0) + a**4 + b))
+    assert len(jump.jumps) == 1
+
+
+def test_a_derivative_that_is_a_little_wrong_is_told():
+    @jax.custom_jvp
+    def off(a):
+        return jnp.exp(a)
+
+    off.defjvp(lambda primal, tangent: (jnp.exp(*primal), 1.01 * jnp.exp(*primal) * tangent[0]))
+    (sentence,) = al.examine(of(lambda a, b: off(a) + b)).wrong
+    assert "by a" in sentence

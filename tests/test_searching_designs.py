@@ -166,3 +166,58 @@ def test_what_a_search_cannot_do_is_refused_by_name(problem, solver, words):
 def test_equations_of_motion_are_no_constraints_for_a_search():
     with pytest.raises(al.ProblemError, match=r"cannot hold equations of motion.*al\.Sequential\(\)"):
         al.solve(declared(), POPULATION, transcription=al.Simultaneous())
+
+
+class Rounded(al.AlgebraicSystem):
+    a: al.Number
+    b: al.Number
+    off: al.Number
+
+    def outputs(self):
+        return {"r": jnp.round(self.a) + self.off, "b": self.b + self.off}
+
+
+def rounded():
+    decisions = al.Decision(1.5, -4.0, 4.0), al.Decision(0.5, -4.0, 4.0)
+    wish = (al.output("r").mean - 2.0) ** 2 + (al.output("b").mean - 1.0) ** 2
+    return al.Problem(Rounded(*decisions, al.Uniform(0.0, half_width=0.1)), minimize=wish)
+
+
+def test_values_choose_where_derivatives_cannot():
+    with pytest.raises(al.ProblemError, match=r"no solver by derivatives can choose.*let a search compare values"):
+        al.solve(rounded())
+    # This search ends where `a` began, so that nothing has moved it.
+    found = al.solve(rounded(), al.solvers.DualAnnealing(evaluations=300, seed=0))
+    assert found.objective == pytest.approx(0.0, abs=1e-9)
+    assert found.decisions["a"] == 1.5
+    assert "its values alone chose 'a', by which all derivatives are zero" in str(found)
+    several = al.portfolio(rounded(), 4, search=al.solvers.DifferentialEvolution(evaluations=300, population=24))
+    assert several.best.ok
+    assert several.best.objective == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.usefixtures("python_interrupts")
+def test_ctrl_c_while_a_design_is_polished_keeps_it_with_its_status(monkeypatch):
+    from aleator.nlp import FilterSQP
+
+    original = FilterSQP.minimise
+
+    def interrupted(self, scaled, multipliers):
+        signal.raise_signal(signal.SIGINT)
+        return original(self, scaled, multipliers)
+
+    monkeypatch.setattr(FilterSQP, "minimise", interrupted)
+    found = al.solve(declared(), POPULATION, throw=False)
+    assert found.status is al.Status.INTERRUPTED
+    assert found.objective < least() + 0.1
+    assert "polishing was stopped by the user" in str(found)
+    with pytest.raises(al.SolveError, match="interrupted by the user") as caught:
+        al.solve(declared(), POPULATION)
+    assert caught.value.solution.objective == found.objective
+    starts = al.multistart(declared(), 3, solver=POPULATION)
+    assert starts.interrupted
+    assert [one.status for one in starts.solutions] == [al.Status.INTERRUPTED]
+    limit = al.terminal("x").at_least(-0.5, sigmas=1.0).named("low")
+    front = al.pareto(declared(subject_to=[limit]), "low", [-0.6, -0.5], solver=POPULATION)
+    assert front.interrupted
+    assert front.values.tolist() == [-0.6]

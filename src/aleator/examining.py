@@ -5,8 +5,9 @@ from dataclasses import dataclass
 from typing import final
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
+from aleator._core.errors import SimulationError
 from aleator._core.given import refusal
 from aleator._core.shown import Printed
 from aleator.certification import bound_size
@@ -31,6 +32,7 @@ class Examination(Printed):
       shape (rows, decisions), of a path the largest over time;
     - `kinks`, `jumps`, `wrong`: pairs of a row and a decision, in words, at which slopes to both sides differ, values
       jump, and the exact derivative is not the slope that is seen;
+    - `endless`: pairs, in words, at which the derivative is infinite or not a number, so that no solver can go on;
     - `unfit`: rows and decisions whose scale is far from that of the others, in words;
     - `violations`: of the constraints that do not hold, in words;
     - `history`: what the solver evaluated on its way; None for a problem that was not solved.
@@ -42,6 +44,7 @@ class Examination(Printed):
     kinks: tuple[str, ...]
     jumps: tuple[str, ...]
     wrong: tuple[str, ...]
+    endless: tuple[str, ...]
     unfit: tuple[str, ...]
     violations: tuple[str, ...]
     history: Searched | None
@@ -49,7 +52,7 @@ class Examination(Printed):
     @property
     def ok(self) -> bool:
         """Whether nothing was found that stops a gradient solver."""
-        return not (self.kinks or self.jumps or self.wrong or self.unfit)
+        return not (self.kinks or self.jumps or self.wrong or self.endless or self.unfit)
 
     def __str__(self) -> str:
         found = [
@@ -61,6 +64,10 @@ class Examination(Printed):
             *(
                 f"wrong derivative: {one}. Look for stop_gradient, rounding or a custom rule there"
                 for one in self.wrong
+            ),
+            *(
+                f"no finite derivative: {one}. Keep the design away from there by a bound, or square the root"
+                for one in self.endless
             ),
             *(f"scale: {one}" for one in self.unfit),
         ]
@@ -86,12 +93,13 @@ def examine(subject: Problem | Solution) -> Examination:
     """Look at a problem around one design as a gradient solver does: before a solve, or after one that failed.
 
     Exact derivatives are compared with the slopes seen over steps of three lengths to both sides of each decision
-    (eight evaluations a decision), which tells kinks, jumps and wrong derivatives; effects tell what is badly scaled.
+    (eight evaluations a decision), which tells kinks, jumps and wrong derivatives; where one is suspected, smaller
+    steps (up to 32 more evaluations) tell it from a function that is merely steep. Effects tell what is badly scaled.
 
     - `subject`: a problem, at its initial decisions, or a solution, at its own, even one that failed
       (`error.solution`). States are simulated.
 
-    Raises `ProblemError` for anything else, and if the problem cannot be evaluated there.
+    Raises `ProblemError` for anything else, and `SimulationError` if the objective or a constraint is not finite there.
     """
     if not isinstance(subject, Problem | Solution):
         raise refusal("examine", "a problem, or a solution such as that of al.solve(problem, throw=False)", subject)
@@ -99,6 +107,7 @@ def examine(subject: Problem | Solution) -> Examination:
     problem = current(subject.problem if isinstance(subject, Solution) else subject)
     transcribed = transcribe(problem, DEFAULT)
     point = transcribed.program.start if solution is None else np.asarray(solution.vector)
+    _refuse_unknown(transcribed, point)
     slopes = slopes_at(transcribed.program, point)
     return _told(transcribed, point, slopes, solution)
 
@@ -106,22 +115,46 @@ def examine(subject: Problem | Solution) -> Examination:
 def _told(
     transcribed: AbstractTranscribed, point: Float[np.ndarray, " n"], slopes: Slopes, solution: Solution | None
 ) -> Examination:
-    rows = (f"objective {transcribed.problem.objective}", *transcribed.texts.constraints)
+    rows = _rows(transcribed)
     decisions = tuple(transcribed.places.entry_names())
     effects = _effects(transcribed, point, slopes)
+    hidden = np.array([slopes.endless[own].any(axis=0) for own in _blocks(transcribed)])
     told = {
         name: tuple(_pairs(transcribed, rows, decisions, slopes, getattr(slopes, name)))
-        for name in ("kinks", "jumps", "wrong")
+        for name in ("kinks", "jumps", "wrong", "endless")
     }
     return Examination(
         rows=rows,
         decisions=decisions,
         effects=effects,
         **told,
-        unfit=(*_unfit("", rows, effects), *_unfit("the decision ", decisions, effects.T)),
+        unfit=(*_unfit("", rows, effects, hidden), *_unfit("the decision ", decisions, effects.T, hidden.T)),
         violations=() if solution is None else tuple(one.sentence() for one in solution.violated),
         history=None if solution is None else solution.effort.visited,
     )
+
+
+def _rows(transcribed: AbstractTranscribed) -> tuple[str, ...]:
+    """The objective and each constraint, as mathematics."""
+    return (f"objective {transcribed.problem.objective}", *transcribed.texts.constraints)
+
+
+def _refuse_unknown(transcribed: AbstractTranscribed, point: Float[np.ndarray, " n"]) -> None:
+    """Raise `SimulationError` if a row is not finite at a point, where nothing can be said of its slopes."""
+    found = transcribed.program.evaluate(point)
+    finite = np.isfinite(np.append(found.objective, found.constraints))
+    unknown = [row for row, own in zip(_rows(transcribed), _blocks(transcribed), strict=True) if not finite[own].all()]
+    if unknown:
+        more = f" and {len(unknown) - _NAMED} others" if len(unknown) > _NAMED else ""
+        where = transcribed.decisions(point)
+        decided = ", ".join(
+            f"{name} = {one:.6g}" for name, one in zip(transcribed.places.entry_names(), where, strict=True)
+        )
+        raise SimulationError(
+            f"examine: expected a design at which all rows are finite; not finite here: {'; '.join(unknown[:_NAMED])}"
+            f"{more}. Look for a root or logarithm of zero, or a division by zero, and start elsewhere. The decisions "
+            f"are {decided}."
+        )
 
 
 def _blocks(transcribed: AbstractTranscribed) -> list[slice]:
@@ -144,12 +177,19 @@ def _effects(
     return np.array(found)
 
 
-def _unfit(what: str, names: tuple[str, ...], effects: Float[np.ndarray, "names others"]) -> Iterator[str]:
-    """Rows, or decisions, whose largest effect is far from the middle of all."""
+def _unfit(
+    what: str,
+    names: tuple[str, ...],
+    effects: Float[np.ndarray, "names others"],
+    hidden: Bool[np.ndarray, "names others"],
+) -> Iterator[str]:
+    """Rows, or decisions, whose largest effect is far from the middle of all, unless a slope `hidden` is unknown."""
     largest = effects.max(axis=1, initial=0.0)
     known = largest[largest > 0]
     middle = float(np.median(known)) if known.size else 0.0
-    for name, one in zip(names, largest, strict=True):
+    for name, one, is_unknown in zip(names, largest, np.atleast_1d(hidden.any(axis=1)), strict=True):
+        if is_unknown:
+            continue
         if one == 0:
             yield f"{what}{name} has no effect here" if what else f"{name} is changed by no decision here"
         elif not _WEAK * middle <= one <= _STRONG * middle:

@@ -170,3 +170,10 @@ def test_an_equality_sign_in_the_place_of_equals_is_refused_with_a_hint():
     problem = gain_problem()
     with pytest.raises(al.ProblemError, match=r"For an equality write expression\.equals"):
         al.Problem(problem.system, grid=problem.grid, minimize=problem.objective, subject_to=[al.rms("x").mean == 5.0])
+
+
+@pytest.mark.parametrize("which", ["at_points", "worst_case"])
+@pytest.mark.parametrize("value", ["yes", None, 1])
+def test_what_is_neither_true_nor_false_is_refused(which, value):
+    with pytest.raises(al.ProblemError, match=rf"'response\(t_f\)': {which}: expected True or False; received"):
+        RESPONSE.at_most(1.0, **{which: value})

@@ -216,3 +216,32 @@ def test_weights_carry_units_so_that_penalties_join_any_objective():
         4,
     )
     np.testing.assert_allclose(np.prod(front.values, axis=1), 4.0, rtol=1e-6)
+
+
+def test_the_name_of_a_slack_that_is_taken_is_refused():
+    limit = (RESPONSE.mean <= LIMIT).named("low")
+    once = al.soft(problem(limit), "low", weight=1.0, exact=True)
+    with pytest.raises(al.ProblemError, match=r"no number called 'low\.excess' yet.*soft once.*\.named"):
+        al.soft(once, "low", weight=1.0, exact=True)
+    owned = al.Problem(
+        Gain(al.Decision(1.0, 0.01, 10.0), al.Uniform(1.0, half_width=HALF_WIDTH)),
+        grid=ONE_STEP,
+        minimize=LOSS.mean,
+        subject_to=[limit],
+        decisions={"low.excess": al.Decision(7.0, 0.0, 9.0)},
+    )
+    with pytest.raises(al.ProblemError, match=r"no number called 'low\.excess' yet"):
+        al.soft(owned, "low", weight=1.0, exact=True)
+
+
+@pytest.mark.parametrize(("most", "gain"), [(0.9, 2.75), (0.5, 2.5)])
+def test_a_slack_with_a_bound_can_be_searched_and_is_hard_beyond_it(most, gain):
+    # `(g - 3)² + w (g - 2)` is least at 3 - w/2.
+    limit = (RESPONSE.mean <= LIMIT).named("low")
+    search = al.solvers.DifferentialEvolution(evaluations=400, population=24)
+    with pytest.raises(al.ProblemError, match=r"'low\.excess' has none.*most="):
+        al.solve(al.soft(problem(limit), weight=0.5, exact=True), search)
+    found = al.solve(al.soft(problem(limit), weight=0.5, exact=True, most=most), search)
+    assert found.decisions["gain"] == pytest.approx(gain, rel=1e-6)
+    with pytest.raises(al.ProblemError, match="soft: most: expected it with exact=True alone"):
+        al.soft(problem(limit), weight=0.5, most=most)

@@ -239,3 +239,30 @@ def test_a_search_of_ones_own():
     assert found.searched.objectives[-1] == pytest.approx(0.0)
     assert isinstance(one, NonlinearProgram)
     assert least < found.evaluation.objective <= np.nanmin(found.searched.objectives)
+
+
+@pytest.mark.parametrize("solver", EVERY, ids=named)
+@pytest.mark.usefixtures("python_interrupts")
+def test_ctrl_c_while_the_best_point_is_polished_keeps_it(solver):
+    from dataclasses import replace
+
+    one = within(rosenbrock(), -2.0, 2.0)
+    polished = []
+
+    def values(points):
+        found = [one.evaluate(each) for each in points]
+        return np.array([each.objective for each in found]), np.zeros((len(points), 0))
+
+    def evaluate(x):
+        polished.append(x)
+        if len(polished) == 2:
+            signal.raise_signal(signal.SIGINT)
+        return one.evaluate(x)
+
+    before = signal.getsignal(signal.SIGINT)
+    found = replace(solver, evaluations=60).solve(replace(one, evaluate=evaluate, values=values))
+    assert found.status is al.Status.INTERRUPTED
+    assert found.evaluation.objective <= np.nanmin(found.searched.objectives) * (1 + 1e-9)
+    assert found.searched.end.endswith("polishing was stopped by the user")
+    assert found.searched.evaluations == 60
+    assert signal.getsignal(signal.SIGINT) is before

@@ -208,3 +208,41 @@ def test_limits_on_statistics_name_no_system():
         plane((X.mean <= 1.0).named("above"), (X.mean >= 2.0).named("below"), Y.at_most(9.0, worst_case=True))
     )
     assert [one.systems for one in found.limits] == [(), ()]
+
+
+LOW = (al.expressions.function(jnp.log, X.mean) <= -1.0).named("log")
+
+
+def from_nowhere(*limits):
+    """The model is finite neither at the start nor in the middle of the decisions' range."""
+    decisions = al.Decision(-1.0, -4.0, 4.0), al.Decision(0.5, -4.0, 4.0), al.Decision(0.5, -4.0, 4.0)
+    return al.Problem(Plane(*decisions, al.Uniform(0.0, half_width=0.1)), minimize=Y.mean**2, subject_to=limits)
+
+
+def test_where_the_start_is_not_finite_searches_begin_elsewhere():
+    free = al.conflict(from_nowhere(LOW, (Y.mean >= 2.0).named("high")))
+    assert free.names == ()
+    assert 0.0 < free.nearest["a"] <= np.exp(-1.0) + 1e-6
+    found = al.conflict(from_nowhere(LOW, (X.mean >= 2.0).named("high")))
+    assert found.names == ("log", "high")
+    assert found.shown
+    np.testing.assert_allclose(
+        [one.relaxed for one in found.limits], [np.log(2.0) + 1.0, 2.0 - np.exp(-1.0)], rtol=1e-5
+    )
+
+
+def test_nothing_is_said_of_a_model_that_is_finite_nowhere():
+    never = (al.expressions.function(jnp.log, X.mean - 30.0) <= 0.0).named("log")
+    with pytest.raises(al.SimulationError, match="finite neither at the start nor at 64 other designs"):
+        al.conflict(from_nowhere(never, Y.mean <= 1.0))
+
+
+def test_what_was_not_shown_is_not_claimed():
+    # One iteration ends nowhere.
+    hurried = al.solvers.Ipopt(max_iterations=1)
+    found = al.conflict(
+        plane((X.mean * Y.mean <= 1.0).named("budget"), (X.mean * Y.mean + Z.mean**2 >= 3.0).named("need")),
+        solver=hurried,
+    )
+    assert not found.shown
+    assert "not shown" in str(found)

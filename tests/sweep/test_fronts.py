@@ -163,5 +163,6 @@ def test_a_ctrl_c_that_a_callback_swallows_ends_the_front_after_the_point():
     before = signal.getsignal(signal.SIGINT)
     front = al.pareto(gain_problem(), "response", [1.0, 2.0, 3.0, 4.0], progress=swallow)
     assert front.interrupted
+    assert str(front).endswith("interrupted by the user")
     assert front.values.tolist() == [1.0, 2.0]
     assert signal.getsignal(signal.SIGINT) is before

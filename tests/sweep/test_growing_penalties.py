@@ -59,3 +59,23 @@ def test_ctrl_c_keeps_what_was_found():
 def test_a_factor_that_does_not_grow_is_refused():
     with pytest.raises(al.ProblemError, match="harden: factor: expected a number above 1"):
         al.harden(problem(RESPONSE.mean <= LIMIT), factor=1.0)
+
+
+def test_what_is_printed_is_a_sentence_and_tells_of_an_interruption():
+    limits = (RESPONSE.mean <= LIMIT).named("low")
+    found = al.harden(problem(limits), most=2)
+    heading, *_, end = str(found).splitlines()
+    assert heading.endswith("largest excess, relative to its limit's magnitude")
+    assert end == "not all hold to 1e-04 of their magnitudes: allow larger weights, or see al.conflict"
+
+    def stop(stage, done, total):
+        if done == 1:
+            raise KeyboardInterrupt
+
+    stopped = al.harden(problem(limits), progress=stop)
+    assert str(stopped).endswith("not all hold to 1e-04 of their magnitudes: interrupted by the user")
+
+
+def test_weights_beyond_all_numbers_are_refused():
+    with pytest.raises(al.ProblemError, match=r"harden: expected weights below 1e\+100.*smaller factor"):
+        al.harden(problem(RESPONSE.mean <= LIMIT), weight=1e150, factor=1e200)

@@ -1,12 +1,14 @@
 """A portfolio finds the best of many optima, and says how sure one may be of it."""
 
 import signal
+from dataclasses import replace
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import aleator as al
+import aleator.sweep._portfolio as portfolio_module
 
 
 class Wave(al.System):
@@ -109,3 +111,71 @@ def test_decisions_without_bounds_need_no_search():
         al.portfolio(problem(upper=np.inf))
     found = al.portfolio(problem(upper=np.inf), 4, search=None)
     assert found.best.ok
+
+
+SEARCH = al.solvers.DifferentialEvolution(evaluations=300, population=24)
+
+
+@pytest.mark.usefixtures("python_interrupts")
+def test_ctrl_c_before_the_first_local_search_keeps_what_the_global_one_found():
+    def stop(task, done, total):
+        if task == "local searches":
+            signal.raise_signal(signal.SIGINT)
+
+    found = al.portfolio(problem(), 6, search=SEARCH, progress=stop)
+    assert found.interrupted
+    assert found.starts == 0
+    assert found.best.ok
+    assert found.best.objective == pytest.approx(minima()[0], rel=1e-5)
+    assert "Nothing can be said" in found.sure()
+
+
+@pytest.mark.usefixtures("python_interrupts")
+def test_ctrl_c_in_the_global_search_ends_the_local_ones_too():
+    def stop(task, done, total):
+        if done > 100:
+            signal.raise_signal(signal.SIGINT)
+
+    found = al.portfolio(problem(), 6, search=replace(SEARCH, progress=stop))
+    assert found.interrupted
+    assert found.starts == 0
+    assert found.best.ok
+    assert found.searched.end == "stopped by the user"
+
+
+@pytest.mark.usefixtures("python_interrupts")
+def test_ctrl_c_while_the_best_is_certified_ends_with_its_certificate(monkeypatch):
+    calls = []
+
+    def solved(*arguments, **options):
+        calls.append(options["start"])
+        if len(calls) == 1:
+            raise KeyboardInterrupt
+        return al.solve(*arguments, **options)
+
+    monkeypatch.setattr(portfolio_module, "solve", solved)
+    found = al.portfolio(problem(), 4, search=None)
+    assert found.interrupted
+    assert found.starts == 4
+    assert found.best.ok
+    assert calls[0] == calls[1]
+
+
+def test_objectives_that_are_zero_are_one_optimum():
+    # Every `phase` on a circle around zero has a level of `depth` at which the objective is zero, to rounding.
+    reachable = (al.terminal("x").mean - 0.2) ** 2
+    found = al.portfolio(problem(minimize=reachable), 8, search=None)
+    assert [one.objective < 1e-12 for one in found.optima].count(True) == 1
+
+
+def test_nothing_is_said_of_designs_not_seen_from_few_random_starts():
+    bowl = al.value("phase") ** 2 - 4.0 * al.value("phase") + al.value("depth") ** 2
+    few = al.portfolio(problem(minimize=bowl), 3, search=None)
+    assert few.solved == 2
+    assert few.unseen == 1.0
+    assert "Nothing can be said" in few.sure()
+    assert "%" not in few.sure()
+    enough = al.portfolio(problem(minimize=bowl), 7, search=None)
+    assert enough.solved == 6
+    assert enough.unseen == pytest.approx(1 * 2 / (6 * 5))
+    assert "7%" in enough.sure()

@@ -67,11 +67,16 @@ def entry_of(what: str, given: Mapping[str, Any]) -> AbstractEntry:
     return _Unkept() if journal is None else journal.entry(what, given)
 
 
-def journalled(what: str, given: Mapping[str, Any], compute: Callable[[], Result]) -> Result:
+def journalled(
+    what: str,
+    given: Mapping[str, Any],
+    compute: Callable[[], Result],
+    is_finished: Callable[[Result], bool] = lambda _: True,
+) -> Result:
     """The result that an earlier run has found from the same code and numbers, or else computed and kept.
 
     `given`: all that the result follows from, by name. Results within it are computed without a journal: they are parts
-    of this one.
+    of this one. One that is not `is_finished`, because the user stopped it, is not kept.
     """
     entry = entry_of(what, given)
     if entry.recalled is not None:
@@ -84,5 +89,8 @@ def journalled(what: str, given: Mapping[str, Any], compute: Callable[[], Result
         raise
     finally:
         _present.reset(token)
-    entry.keep(result)
+    if is_finished(result):
+        entry.keep(result)
+    else:
+        entry.failed(KeyboardInterrupt())
     return result

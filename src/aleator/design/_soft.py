@@ -16,7 +16,7 @@ from aleator.uncertainty import Decision
 _FIRST_EXCESS = 0.1
 
 
-def soft(problem: Problem, *names: str, weight: float, exact: bool = False) -> Problem:
+def soft(problem: Problem, *names: str, weight: float, exact: bool = False, most: float | None = None) -> Problem:
     """The same problem with the constraints of these names, or all of them, as penalties in its objective.
 
     A limit `x <= b` becomes `weight (x - b)₊²`, which is zero where it holds (equation 7); an equality `x = b` becomes
@@ -28,20 +28,25 @@ def soft(problem: Problem, *names: str, weight: float, exact: bool = False) -> P
       wherever it would be active. Several weights: `soft(soft(problem, "a", weight=1e3), "b", weight=10.0)`;
     - `exact`: the penalty is `weight` times the largest excess itself, over all instants and all constraints of one
       name, by a slack that is decided too: `"a.excess"` of the constraint `"a"`, which stays, loosened by it. Above the
-      sum of the constraint's shadow prices the limit then holds exactly (Fletcher 1987, 12.3); below, it is exceeded.
+      sum of the constraint's shadow prices the limit then holds exactly (Fletcher 1987, 12.3); below, it is exceeded;
+    - `most`: the largest excess that an exact penalty allows, in the constraint's unit, beyond which the limit is hard;
+      none by default. Searches, which look between bounds, need it.
 
     The problem given is unchanged. Raises `ProblemError` for names that no constraint has, if there is no constraint,
-    for a weight that is not positive, and for limits on the worst case unless `exact`, since they hold realisation by
-    realisation.
+    for a weight that is not positive, for limits on the worst case unless `exact`, since they hold realisation by
+    realisation, and if the name of a slack is taken, as where a limit is made soft twice.
     """
     problem, weight = one_of("soft", problem, Problem), positive("soft: weight", weight)
     if not isinstance(exact, bool):
         raise refusal("soft: exact", "True or False", exact)
+    if most is not None and not exact:
+        raise refusal("soft: most", "it with exact=True alone, whose slack it bounds", most)
+    largest = np.inf if most is None else positive("soft: most", most)
     if not problem.constraints:
         raise ProblemError("soft: the problem has no constraints that could become penalties.")
     chosen = tuple(dict.fromkeys(a_name("soft: a constraint", name) for name in names)) or problem.names
     softened = {name: problem.named(name) for name in chosen}
-    return _with_slacks(problem, softened, weight) if exact else _with_penalties(problem, softened, weight)
+    return _with_slacks(problem, softened, weight, largest) if exact else _with_penalties(problem, softened, weight)
 
 
 def _with_penalties(problem: Problem, softened: Mapping[str, tuple[Constraint, ...]], weight: float) -> Problem:
@@ -54,8 +59,18 @@ def _with_penalties(problem: Problem, softened: Mapping[str, tuple[Constraint, .
     )
 
 
-def _with_slacks(problem: Problem, softened: Mapping[str, tuple[Constraint, ...]], weight: float) -> Problem:
-    slacks = {f"{name}.excess": _slack(every) for name, every in softened.items()}
+def _with_slacks(
+    problem: Problem, softened: Mapping[str, tuple[Constraint, ...]], weight: float, most: float
+) -> Problem:
+    slacks = {_excess(name): _slack(every, most) for name, every in softened.items()}
+    if taken := [
+        name for name in softened if _excess(name) in {*problem.simulation.numbers, *problem.placements.decisions}
+    ]:
+        raise ProblemError(
+            f"soft: expected no number called '{_excess(taken[0])}' yet, which is the slack of the constraint "
+            f"'{taken[0]}'; received a problem that has one. Make a limit soft once, with one weight, or give the "
+            "constraint another name by .named(...)."
+        )
     kept = [loose for one in problem.constraints for loose in (_loosened(one) if one.name in softened else [one])]
     return declared_anew(
         problem,
@@ -66,15 +81,20 @@ def _with_slacks(problem: Problem, softened: Mapping[str, tuple[Constraint, ...]
     )
 
 
-def _slack(constraints: Sequence[Constraint]) -> Decision:
+def _excess(name: str) -> str:
+    """The name of a constraint's slack."""
+    return f"{name}.excess"
+
+
+def _slack(constraints: Sequence[Constraint], most: float) -> Decision:
     """What some constraints are exceeded by, started at a tenth of their largest bound."""
     sizes = [abs(bound) for one in constraints for bound in (float(one.lower), float(one.upper)) if np.isfinite(bound)]
-    return Decision(_FIRST_EXCESS * (max(sizes) or 1.0), 0.0)
+    return Decision(min(_FIRST_EXCESS * (max(sizes) or 1.0), most), 0.0, most)
 
 
 def _loosened(constraint: Constraint) -> list[Constraint]:
     """A constraint whose finite bounds are loosened by its slack, each in a constraint of its own."""
-    expression, excess, name = constraint.expression, value(f"{constraint.name}.excess"), constraint.name
+    expression, excess, name = constraint.expression, value(_excess(constraint.name)), constraint.name
     lower, upper = float(constraint.lower), float(constraint.upper)
     above = [Constraint(expression - excess, upper=upper, name=name)] if np.isfinite(upper) else []
     below = [Constraint(expression + excess, lower=lower, name=name)] if np.isfinite(lower) else []

@@ -11,6 +11,7 @@ from jaxtyping import Array, Float
 from typing_extensions import override
 
 from aleator._core.errors import ProblemError
+from aleator._core.given import refusal
 from aleator._core.libraries import is_library
 from aleator.design._expression import Constraint, Expression, ordered
 from aleator.design._extreme import Extreme
@@ -154,6 +155,9 @@ class AbstractFunctional(AbstractRandom, AbstractMeasured[Expression]):
     ) -> Expression:
         """The upper (`side = 1`) or lower (`side = -1`) end of its distribution."""
         multiple = _multiple(self, sigmas)
+        for name, given in (("worst_case", worst_case), ("at_points", at_points)):
+            if not isinstance(given, bool):
+                raise refusal(f"'{self.text()}': {name}", "True or False", given)
         asked = {
             "sigmas": multiple > 0,
             "probability": probability is not None,

@@ -48,6 +48,11 @@ class Excess(NamedTuple):
         """The sum of all excesses; infinite where the others do not hold."""
         return float(self.excesses.sum())
 
+    @property
+    def is_shown(self) -> bool:
+        """Whether the search ended where no small step lowers it, rather than where it could not go on."""
+        return self.total <= HELD or self.outcome.status in (Status.SOLVED, Status.INFEASIBLE)
+
 
 @final
 class Elastic:
@@ -64,7 +69,8 @@ class Elastic:
     ) -> Excess:
         """The least total excess of the `elastic` groups while the groups `held` hold; others are left out.
 
-        `starts`: shape (n,) each; the search ends at the first one from which all groups hold.
+        `starts`: shape (n,) each; the search ends at the first one from which all groups hold. Of others that are
+        equally good, one that is shown to be least is returned.
         """
         program, sides = self._program_of(held, elastic)
         found: list[Excess] = []
@@ -75,7 +81,7 @@ class Elastic:
                 raise KeyboardInterrupt
             if found[-1].total <= HELD:
                 break
-        return min(found, key=lambda one: one.total)
+        return min(found, key=lambda one: (one.total, not one.is_shown))
 
     def _first(self, start: Float[np.ndarray, " n"], sides: _Sides, count: int) -> Float[np.ndarray, " elastic"]:
         """The excesses of the groups at a start, so that these hold there."""

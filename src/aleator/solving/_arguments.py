@@ -63,6 +63,8 @@ def check_search(
     lower, upper = places.vector("lower"), places.vector("upper")
     if solver.needs_bounds and not (closed := np.isfinite(lower) & np.isfinite(upper)).all():
         name = places.entry_names()[int(np.flatnonzero(~closed)[0])]
+        if name.endswith(".excess"):
+            remedy = "al.soft(..., exact=True, most=...) bounds a slack."
         raise ProblemError(
             f"{what}: {who} searches between bounds: expected finite bounds of every decision; '{name}' has none on at "
             f"least one side. {remedy}"

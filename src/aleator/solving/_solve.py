@@ -79,6 +79,7 @@ def solve(
         lambda: _solved(
             problem, solver, transcription, warm_start, start, deterministic_first, between, float(accuracy), refine
         ),
+        lambda found: found.status is not Status.INTERRUPTED,
     )
     if throw and solution.status is Status.EVALUATION_FAILED:
         raise SimulationError(solution.message)

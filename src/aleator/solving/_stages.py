@@ -23,7 +23,7 @@ from aleator.certification import (
 from aleator.design import Problem, is_over_time
 from aleator.nlp import AbstractSolver, Outcome, Status, feasible_elsewhere, moved_on
 from aleator.solution import TOLERATED, Between, Solution, WorstCase
-from aleator.transcription import AbstractTranscribed, AbstractTranscription, refuse_blind, transcribe
+from aleator.transcription import AbstractTranscribed, AbstractTranscription, blind_decisions, refuse_blind, transcribe
 
 UNSOLVED = (Status.INFEASIBLE, Status.FAILED, Status.ITERATION_LIMIT)
 """Ends of a search that a grid which is far off may have led astray."""
@@ -90,7 +90,7 @@ class Stages(NamedTuple):
             factor=factor if is_between else 1,
             known=known,
         )
-        if outcome.status is Status.INTERRUPTED:
+        if outcome.status is Status.INTERRUPTED and outcome.searched is None:
             raise KeyboardInterrupt
         if outcome.failed_at is not None:
             outcome = replace(outcome, message=diagnose(transcribed, transcribed.decisions(outcome.failed_at)))
@@ -140,7 +140,7 @@ class Stages(NamedTuple):
         self.heed()
         known = meshed.outcome if transcribed is meshed.transcribed else None
         outcome = _optimise(transcribed, solver, start, multipliers) if known is None else known
-        if multipliers is None:
+        if multipliers is None and outcome.status is not Status.INTERRUPTED:
             outcome = _looked_around(transcribed, solver.local, outcome, start)
         self.heed()
         outcome, between, finer = held_between(transcribed, solver.local, outcome, self.between)
@@ -165,9 +165,16 @@ def _looked_around(
     transcribed: AbstractTranscribed, solver: AbstractSolver, outcome: Outcome, start: np.ndarray | None
 ) -> Outcome:
     """The outcome of a start of which nothing is known, or a better one found by points elsewhere."""
-    program = transcribed.program
+    program, found = transcribed.program, outcome
     begun = program.start if start is None else start
     outcome = feasible_elsewhere(program, outcome, begun, lambda other, first: solver.solve(other, start=first))
     outcome = moved_on(program, outcome, begun, lambda first: solver.solve(program, start=first))
-    refuse_blind(outcome, transcribed)
-    return outcome
+    if outcome.searched is None:
+        refuse_blind(outcome, transcribed)
+        return outcome
+    if outcome.status is Status.INTERRUPTED:
+        return replace(found, status=Status.INTERRUPTED)
+    # A search has compared values, so that it has chosen, though derivatives cannot confirm it.
+    names = blind_decisions(outcome, transcribed)
+    end = f"{outcome.searched.end}; its values alone chose {names}, by which all derivatives are zero"
+    return replace(outcome, searched=replace(outcome.searched, end=end)) if names else outcome

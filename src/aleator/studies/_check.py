@@ -5,6 +5,7 @@ from typing import final
 
 import numpy as np
 
+from aleator._core.errors import SimulationError
 from aleator._core.memory import NUMBER
 from aleator.design import Problem, problem_text
 from aleator.dynamics import Grid
@@ -50,7 +51,7 @@ def _column(problem: Problem, samples: int) -> tuple[dict[str, str], list[str]]:
     transcribed = transcribe(problem, DEFAULT)
     compiled = time.perf_counter() - began
     each = _seconds(transcribed)
-    examined = examine(problem)
+    derivatives, troubles = _examined(problem)
     points, decisions = len(transcribed.collocation.points), problem.placements.size
     grid = problem.grid
     uncertain = transcribed.basis.variables
@@ -64,7 +65,7 @@ def _column(problem: Problem, samples: int) -> tuple[dict[str, str], list[str]]:
         "collocation points": f"{points}",
         "condition number": number(float(transcribed.collocation.condition_number), 3),
         "rows of limits": f"{len(transcribed.program.constraint_lower)}",
-        "derivatives": "agree with differences" if examined.ok else "see below",
+        "derivatives": derivatives,
         "compilation": _SECONDS.format(compiled),
         "one evaluation": _SECONDS.format(each),
         "one solve": f"about {_SECONDS.format(_EVALUATIONS * each)}",
@@ -72,7 +73,17 @@ def _column(problem: Problem, samples: int) -> tuple[dict[str, str], list[str]]:
         "simulations": f"about {simulated}",
         "memory of derivatives": _bytes(NUMBER * len(transcribed.program.constraint_lower) * (1 + decisions)),
     }
-    return rows, [*examined.kinks, *examined.jumps, *examined.wrong, *examined.unfit]
+    return rows, troubles
+
+
+def _examined(problem: Problem) -> tuple[str, list[str]]:
+    """What is said of the derivatives at the start, and what may stop a solver there."""
+    try:
+        found = examine(problem)
+    except SimulationError as error:
+        return "see below", [str(error)]
+    troubles = [*found.kinks, *found.jumps, *found.wrong, *found.endless, *found.unfit]
+    return "agree with differences" if found.ok else "see below", troubles
 
 
 def _bytes(size: int) -> str:

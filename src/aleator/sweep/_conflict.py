@@ -9,17 +9,23 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
+from aleator._core.errors import SimulationError
 from aleator._core.given import one_of
 from aleator._core.heard import heeding
 from aleator._core.progress import Progress, check_progress, silent
 from aleator._core.shown import Printed
-from aleator.certification import bound_size
+from aleator.certification import bound_size, diagnose
 from aleator.design import Problem, current, is_at_points, is_worst_case
 from aleator.ensemble import inputs_at
-from aleator.nlp import HELD, AbstractSolver, Elastic, Excess, Ipopt, variable_range
+from aleator.nlp import HELD, AbstractSolver, Elastic, Excess, Ipopt, NonlinearProgram, variable_range
 from aleator.solution import system_text
 from aleator.transcription import DEFAULT, AbstractTranscribed, germ_box, transcribe
 
+# Added where a claim rests on searches that were stopped.
+_NOT_SHOWN = "not shown: some searches were stopped, as where the model is not finite; a design may exist all the same"
+# Points in the range of the decisions that are tried where the model is not finite at a start, and how many of those at
+# which it is are starts.
+_TRIED, _KEPT = 64, 4
 # Instants that are named at most.
 _NAMED = 3
 # Corners of the germ's box at which limits on the worst case are imposed at most.
@@ -36,7 +42,7 @@ class Limit(Printed):
     - `systems`: the realisations at which they are, by the values of their uncertain numbers; empty for limits on
       statistics;
     - `relaxed`: by how much its bounds alone would have to move, in their unit, for all limits of the problem to hold;
-      infinite if that does not suffice.
+      infinite if that does not suffice, NaN if that is not known, because the search could not go on.
     """
 
     name: str
@@ -51,8 +57,12 @@ class Limit(Printed):
         when = f" at t = {shown} s{more}" if self.times else ""
         others = f" and {len(self.systems) - 1} other systems" if len(self.systems) > 1 else ""
         when += f" with {system_text(self.systems[0])}{others}" if self.systems else ""
-        alone = f"relaxed alone, by {self.relaxed:.4g}" if np.isfinite(self.relaxed) else "not enough alone"
-        return f"{self.name}: {'; '.join(self.texts)}{when}: {alone}"
+        return f"{self.name}: {'; '.join(self.texts)}{when}: {self._alone()}"
+
+    def _alone(self) -> str:
+        if np.isnan(self.relaxed):
+            return "whether it is enough alone is not known"
+        return f"relaxed alone, by {self.relaxed:.4g}" if np.isfinite(self.relaxed) else "not enough alone"
 
 
 @final
@@ -63,13 +73,16 @@ class Conflict(Printed):
     - `limits`: a smallest set of limits that cannot hold together: without any one of them, the others can. Empty if
       all limits of the problem can hold;
     - `decisions`: decisions whose bounds keep the least violated design from being better;
-    - `least`: the least sum of the limits' excesses, each relative to its magnitude; `nearest`: the decisions there.
+    - `least`: the least sum of the limits' excesses, each relative to its magnitude; `nearest`: the decisions there;
+    - `shown`: whether every search ended at a least excess. If not, the model stopped one where it is not finite, or it
+      did not end, and there may be a design all the same.
     """
 
     limits: tuple[Limit, ...]
     decisions: tuple[str, ...]
     least: float
     nearest: dict[str, float | Float[np.ndarray, "..."]]
+    shown: bool = True
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -87,6 +100,7 @@ class Conflict(Printed):
                 f"no design found that meets {heading}",
                 *(f"  {one}" for one in self.limits),
                 *([bounds] if bounds else []),
+                *([] if self.shown else [_NOT_SHOWN]),
             ]
         )
 
@@ -103,7 +117,9 @@ def conflict(problem: Problem, *, solver: AbstractSolver | None = None, progress
     - `problem`: as declared, states being simulated; `solver`: `al.solvers.Ipopt()` by default, since elastic programs
       are almost linear, where others know no length of a step.
 
-    Raises `ProblemError` if a limit contradicts itself or cannot be met by any decision at all.
+    Where the model is not finite at a start, searches begin at points elsewhere at which it is. Raises `ProblemError`
+    if a limit contradicts itself or cannot be met by any decision at all, `SimulationError` if the model is finite at
+    none of these.
     """
     one_of("conflict: problem", problem, Problem)
     check_progress("conflict", progress)
@@ -134,8 +150,13 @@ class _Search:
             for own, size in zip(self._of_name, self._sizes, strict=True)
         ]
         self._elastic = Elastic(program, groups)
-        lower, upper = variable_range(program.start, program.lower, program.upper, program.variable_scale)
-        self._starts = [program.start, (lower + upper) / 2]
+        self._starts = _finite_starts(program)
+        if not self._starts:
+            raise SimulationError(
+                f"conflict: the model is finite neither at the start nor at {_TRIED} other designs, so that nothing "
+                f"can be said of its limits. {diagnose(transcribed, transcribed.decisions(program.start))}"
+            )
+        self._shown = True
 
     def conflict(self) -> Conflict:
         """The conflict of the problem's limits."""
@@ -161,11 +182,14 @@ class _Search:
             tuple(names[together.bounds[self._transcribed.decided]].tolist()) if members else (),
             least.total if members else 0.0,
             self._transcribed.places.named(self._transcribed.decisions(least.point)),
+            self._shown,
         )
 
     def _least(self, elastic: Sequence[int], held: Sequence[int] = ()) -> Excess:
         self._heed()
-        return self._elastic.least(self._solver, held, elastic, self._starts)
+        found = self._elastic.least(self._solver, held, elastic, self._starts)
+        self._shown = self._shown and found.is_shown
+        return found
 
     def _limit(self, which: int, together: Excess) -> Limit:
         """One limit of the conflict, with what it would have to be relaxed by, alone among all."""
@@ -173,11 +197,12 @@ class _Search:
         own = self._of_name[which]
         pushing = [i for i in own if rows & set(_rows(transcribed, i).tolist())] or own
         others = [one for one in range(len(self._names)) if one != which]
-        alone = self._least((which,), others)
+        alone = self._elastic.least(self._solver, others, (which,), self._starts)
+        relaxed = alone.total if np.isfinite(alone.total) or alone.is_shown else np.nan
         times = sorted({time for i in pushing for time in self._times(i, together)})
         texts = tuple(transcribed.texts.constraints[i] for i in pushing)
         systems = [one for i in pushing for one in self._systems(i, together)]
-        return Limit(self._names[which], texts, tuple(times), alone.total * self._sizes[which], tuple(systems))
+        return Limit(self._names[which], texts, tuple(times), relaxed * self._sizes[which], tuple(systems))
 
     def _times(self, constraint: int, together: Excess) -> list[float]:
         """The instants at which a limit over time is in the way."""
@@ -216,6 +241,17 @@ def _with_corners(transcribed: AbstractTranscribed) -> AbstractTranscribed:
     corners = np.array([box[np.arange(len(box)), list(one)] for one in signs])
     points = np.concatenate([corners, np.asarray(transcribed.collocation.points)])
     return transcribed.at_scenarios(scenarios.joined(points, np.zeros(len(scenarios.used), dtype=bool)))
+
+
+def _finite_starts(program: NonlinearProgram) -> list[Float[np.ndarray, " n"]]:
+    """The start and the middle of the range; where the model is not finite at one, points of the range where it is."""
+    lower, upper = variable_range(program.start, program.lower, program.upper, program.variable_scale)
+    usual = [program.start, (lower + upper) / 2]
+    starts = [one for one in usual if program.evaluate(one).is_finite]
+    if len(starts) < len(usual):
+        drawn = np.random.default_rng(0).uniform(lower, upper, (_TRIED, lower.size))
+        starts += itertools.islice((one for one in drawn if program.evaluate(one).is_finite), _KEPT)
+    return starts
 
 
 def _rows(transcribed: AbstractTranscribed, constraint: int) -> Int[np.ndarray, " rows"]:

@@ -107,7 +107,7 @@ class Front(Drawn):
     def __str__(self) -> str:
         rows = [f"{self.bound:>10} {'objective':>12} {'shadow price':>12}  active"]
         rows += [_row(self, *point) for point in zip(self.values, self.points, strict=True)]
-        return "\n".join(rows)
+        return "\n".join([*rows, *(["interrupted by the user"] if self.interrupted else [])])
 
 
 def _row(front: Front, value: float, solution: Solution | Refused) -> str:
@@ -216,6 +216,9 @@ class _Sweep:
         try:
             with warned_of(self._place(value)):
                 found = solve(**self._call(value, neighbour))
+                if found.status is Status.INTERRUPTED:
+                    self._keep(value, found)
+                    raise KeyboardInterrupt
                 if not found.ok and neighbour is not None:
                     found = _better(solve(**self._call(value, None)), found)
         except ProblemError as error:

@@ -7,6 +7,7 @@ from typing import final
 import numpy as np
 from jaxtyping import Float
 
+from aleator._core.errors import ProblemError
 from aleator._core.given import a_name, one_of, positive, refusal, whole
 from aleator._core.heard import heeding
 from aleator._core.progress import Progress, check_progress, silent
@@ -14,10 +15,13 @@ from aleator._core.shown import Drawn
 from aleator._core.warned import warned_of
 from aleator.certification import bound_size
 from aleator.design import Constraint, Problem, current, soft
-from aleator.nlp import AbstractSolver
+from aleator.nlp import AbstractSolver, Status
 from aleator.solution import Solution
 from aleator.solving import solve
 from aleator.transcription import DEFAULT, AbstractTranscribed, AbstractTranscription, transcribe
+
+# Beyond this weight, a penalty leaves no digit of the objective, and its square overflows.
+_LARGEST = 1e100
 
 
 @final
@@ -49,13 +53,15 @@ class Hardened(Drawn):
         return (solved or self.solutions)[-1]
 
     def __str__(self) -> str:
-        rows = [f"{'weight':>12}{'objective':>16}  largest excess"]
+        rows = [f"{'weight':>12}{'objective':>16}  largest excess, relative to its limit's magnitude"]
         for weight, one, excesses in zip(self.weights, self.solutions, self.excesses, strict=True):
             name = max(excesses, key=lambda each: np.nan_to_num(excesses[each], nan=np.inf))
             said = "" if one.ok else f"  {one.status.value}"
             rows.append(f"{weight:12.4g}{one.objective:16.8g}  {excesses[name]:.1e} of {name}{said}")
-        end = "all hold" if self.holds else "not all hold: allow larger weights, or see al.conflict"
-        return "\n".join([*rows, f"{end}, to {self.tolerance:.0e} of their magnitudes"])
+        part = f"to {self.tolerance:.0e} of their magnitudes"
+        end = f"all hold, {part}" if self.holds else f"not all hold {part}"
+        remedy = "interrupted by the user" if self.interrupted else "allow larger weights, or see al.conflict"
+        return "\n".join([*rows, end if self.holds and not self.interrupted else f"{end}: {remedy}"])
 
 
 def harden(
@@ -81,13 +87,20 @@ def harden(
     - `solver`, `transcription`: see `al.solve`.
 
     Everything is compiled once. Ctrl-C returns the solutions found so far. Raises `ProblemError` as `al.soft` does, and
-    for a factor of at most 1.
+    for a factor of at most 1, and for weights that grow beyond all numbers.
     """
     one_of("harden: problem", problem, Problem)
     weight, tolerance = positive("harden: weight", weight), positive("harden: tolerance", tolerance)
     factor, most = positive("harden: factor", factor), whole("harden: most", most)
     if factor <= 1:
         raise refusal("harden: factor", "a number above 1, by which weights grow", factor)
+    # By logarithms, since the last weight itself may overflow.
+    if np.log(weight) + (most - 1) * np.log(factor) >= np.log(_LARGEST):
+        raise ProblemError(
+            f"harden: expected weights below {_LARGEST:g}; received a first one of {weight:g} that grows {most - 1} "
+            f"times by a factor of {factor:g}. Take a smaller one, a smaller factor, or fewer solves (most=...)."
+        )
+    weights = weight * factor ** np.arange(most)
     check_progress("harden", progress)
     one_of("harden: transcription", transcription, AbstractTranscription, "al.Sequential()")
     problem = current(problem)
@@ -97,7 +110,7 @@ def harden(
     interrupted = True
     try:
         with heeding() as heed:
-            for done, each in enumerate(weight * factor ** np.arange(most)):
+            for done, each in enumerate(weights):
                 progress("weights", done, most)
                 softened = soft(problem, *names, weight=float(each), exact=exact)
                 start = solutions[-1].decisions if solutions else None
@@ -108,13 +121,15 @@ def harden(
                 solutions.append(found)
                 if found.ok and max(excesses[-1].values()) <= tolerance:
                     break
+                if found.status is Status.INTERRUPTED:
+                    raise KeyboardInterrupt
                 heed()
         interrupted = False
     except KeyboardInterrupt:
         if not solutions:
             raise
-    weights = tuple(float(one) for one in weight * factor ** np.arange(len(solutions)))
-    return Hardened(tuple(solutions), weights, tuple(excesses[: len(solutions)]), tolerance, interrupted)
+    used = tuple(float(one) for one in weights[: len(solutions)])
+    return Hardened(tuple(solutions), used, tuple(excesses[: len(solutions)]), tolerance, interrupted)
 
 
 def _chosen(problem: Problem, names: tuple[str, ...]) -> tuple[str, ...]:

@@ -15,7 +15,7 @@ from aleator._core.progress import Progress, check_progress, silent
 from aleator._core.shown import Drawn
 from aleator._core.warned import warned_of
 from aleator.design import Problem, current, refuse_changed
-from aleator.nlp import AbstractSolver
+from aleator.nlp import AbstractSolver, Status
 from aleator.solution import Solution
 from aleator.solving import solve
 from aleator.sweep._elsewhere import check_executor, each_elsewhere
@@ -126,6 +126,8 @@ def multistart(
             for i, found in _each_here(calls) if executor is None else _each_by(executor, calls):
                 solutions[i] = found
                 progress("starts", len(solutions), len(given))
+                if found.status is Status.INTERRUPTED:
+                    raise KeyboardInterrupt
                 heed()
         interrupted = False
     except KeyboardInterrupt:

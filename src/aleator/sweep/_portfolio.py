@@ -1,12 +1,13 @@
 """`portfolio`: a global search and many local ones, and how sure one may be of their best."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, final
 
 import numpy as np
 from jaxtyping import Float
 
+from aleator._core.errors import ProblemError
 from aleator._core.given import one_of, whole
 from aleator._core.heard import heeding
 from aleator._core.progress import Progress, check_progress, silent
@@ -27,8 +28,12 @@ from aleator.solution import Solution
 from aleator.solving import check_search, solve
 from aleator.transcription import DEFAULT, transcribe
 
-# Objectives, or decisions, with a smaller relative difference belong to one optimum.
-_SAME = 1e-4
+# Objectives, or decisions, with a smaller relative difference belong to one optimum, and so do objectives whose
+# difference is below this part of those at the starts, since they may be zero.
+_SAME, _NONE = 1e-4, 1e-9
+# With fewer random starts, or with not this many more than optima, nothing can be said of those not seen: there the
+# estimate is a number without meaning (Boender and Rinnooy Kan 1987 need two more for its mean, three for its spread).
+_FEWEST, _MORE = 6, 3
 # Optima that are certified at most, from the best one on, until one stands.
 _CERTIFIED = 5
 
@@ -67,7 +72,7 @@ class Portfolio(Drawn):
       at an optimum;
     - `searched`: the history of the global search; None if there was none;
     - `proven`: whether no design can be better, because the objective is at its lower bound;
-    - `interrupted`: whether Ctrl-C ended it; what was found by then is kept.
+    - `interrupted`: whether Ctrl-C ended it; what was found by then is kept, and certified.
     """
 
     best: Solution
@@ -88,18 +93,27 @@ class Portfolio(Drawn):
     def unseen(self) -> float:
         """The expected share of starts that lead to optima not seen yet: `w (w + 1) / (n (n - 1))`.
 
-        For `w` optima seen from `n` uniform random starts (Boender and Rinnooy Kan 1987). 1 for too few starts.
+        For `w` optima seen from `n` uniform random starts (Boender and Rinnooy Kan 1987). 1 for too few starts to say
+        anything: fewer than six, or than three more than optima.
         """
         w, n = self.seen_at_random, self.solved
-        return min(w * (w + 1) / (n * (n - 1)), 1.0) if n > 1 and w else 1.0
+        return w * (w + 1) / (n * (n - 1)) if self._is_telling else 1.0
+
+    @property
+    def _is_telling(self) -> bool:
+        """Whether there are random starts enough to conclude from."""
+        return self.solved >= max(_FEWEST, self.seen_at_random + _MORE)
 
     def sure(self) -> str:
         """How sure one may be that no design is better, in words."""
         if self.proven:
             return "No design is better: the objective is at its lower bound."
         best = self.optima[0] if self.optima else None
-        if best is None or self.solved < 2:
-            return "Too few random starts ended at an optimum to say how many others there are."
+        if best is None or not self._is_telling:
+            return (
+                f"Too few random starts ended at an optimum to say how many others there are: {self.solved}, at "
+                f"{self.seen_at_random} optima. Nothing can be said of designs not seen; take more starts."
+            )
         found = f"{best.random} of {self.solved} random starts" if best.random else "Only the global search"
         return (
             f"{found} led to the best one; a further random start would lead to an optimum not seen yet with a "
@@ -146,7 +160,7 @@ def portfolio(
     The global search costs simulations without derivatives, many in one call. Half of the local searches begin at its
     best points that lie apart, the others at uniformly random ones, which tell how many optima there may be. The
     problem is compiled once, states are simulated (`al.Sequential()`), and only the best optimum is certified, or the
-    next ones where its certificate fails. Ctrl-C ends the search and certifies the best so far.
+    next ones where its certificate fails. Ctrl-C ends the searches and certifies the best so far.
 
     - `starts`: local searches in all; `search`: None leaves the global search out;
     - `solver`: of the local searches, `al.solvers.FilterSQP()` by default; `seed`: of the random starts.
@@ -163,14 +177,16 @@ def portfolio(
     one_of("portfolio: solver", local, AbstractSolver, "al.solvers.FilterSQP()")
     program = transcribe(problem, DEFAULT).program
     ends: list[_End] = []
+    found: list[Float[np.ndarray, " n"]] = []
     searched: Searched | None = None
     interrupted = True
     try:
         with heeding() as heed:
-            found: list[Float[np.ndarray, " n"]] = []
             if search is not None:
                 sought, searched = search.seek(program)
                 found = sought.candidates(max(starts // 2, 1))
+                if sought.halt is not None:
+                    raise KeyboardInterrupt
             for done, one in enumerate(_starts(program, found, starts, seed)):
                 progress("local searches", done, starts)
                 outcome = local.local.solve(program, start=one.point)
@@ -181,10 +197,16 @@ def portfolio(
         progress("local searches", starts, starts)
         interrupted = False
     except KeyboardInterrupt:
-        if not ends:
+        if not ends and not found:
             raise
     optima = _optima(problem, ends)
-    best = _certified(problem, local.local, optima, ends)
+    points = _worth_certifying(optima, ends, found)
+    try:
+        best = _certified(problem, local.local, search, points)
+    except KeyboardInterrupt:
+        # Here Ctrl-C ends the comparison, not the certificate, without which there would be no result.
+        interrupted = True
+        best = _certified(problem, local.local, search, points[:1])
     return Portfolio(
         best=best,
         optima=tuple(one for one, _ in optima),
@@ -213,9 +235,10 @@ def _optima(problem: Problem, ends: Sequence[_End]) -> list[tuple[Optimum, Float
     """The different optima, best first, with their points."""
     solved = sorted((one for one in ends if one.outcome.ok), key=lambda one: one.outcome.evaluation.objective)
     size = np.max(np.abs([one.outcome.point for one in solved]), axis=0, initial=1e-12) if solved else np.zeros(0)
+    none = _NONE * _at_starts(ends)
     groups: list[list[_End]] = []
     for one in solved:
-        if groups and _is_same(groups[-1][0].outcome, one.outcome, size):
+        if groups and _is_same(groups[-1][0].outcome, one.outcome, size, none):
             groups[-1].append(one)
         else:
             groups.append([one])
@@ -228,10 +251,18 @@ def _optimum(problem: Problem, group: Sequence[_End]) -> Optimum:
     return Optimum(first.evaluation.objective, named, len(group), sum(one.is_random for one in group))
 
 
-def _is_same(one: Outcome, other: Outcome, size: Float[np.ndarray, " n"]) -> bool:
-    """Mirrored designs count as one, by their objective, and so do equal ones, since the objective may be zero."""
+def _at_starts(ends: Sequence[_End]) -> float:
+    """The middle magnitude of the objective at the starts of local searches."""
+    first = [one.outcome.visited.objectives[:1] for one in ends if one.outcome.visited is not None]
+    known = np.abs(np.concatenate([np.zeros(0), *first]))
+    known = known[np.isfinite(known)]
+    return float(np.median(known)) if known.size else 0.0
+
+
+def _is_same(one: Outcome, other: Outcome, size: Float[np.ndarray, " n"], none: float) -> bool:
+    """Mirrored designs count as one, by their objective, and so do equal designs."""
     first, second = one.evaluation.objective, other.evaluation.objective
-    close = abs(first - second) <= _SAME * max(abs(first), abs(second))
+    close = abs(first - second) <= max(_SAME * max(abs(first), abs(second)), none)
     return bool(close or np.all(np.abs(one.point - other.point) < _SAME * size))
 
 
@@ -241,20 +272,37 @@ def _is_least(program: NonlinearProgram, objective: float, tolerance: float) -> 
     return bool(np.isfinite(program.least)) and bool(objective - program.least <= tolerance * above)
 
 
+def _worth_certifying(
+    optima: Sequence[tuple[Optimum, Float[np.ndarray, " n"]]],
+    ends: Sequence[_End],
+    found: Sequence[Float[np.ndarray, " n"]],
+) -> list[Float[np.ndarray, " n"]]:
+    """The best optima; without any, the least violated design, or the best one of the search."""
+    if optima:
+        return [point for _, point in optima[:_CERTIFIED]]
+    if ends:
+        return [min(ends, key=lambda one: np.nan_to_num(one.outcome.violation, nan=np.inf)).outcome.point]
+    return list(found[:1])
+
+
 def _certified(
     problem: Problem,
     solver: AbstractSolver,
-    optima: Sequence[tuple[Optimum, Float[np.ndarray, " n"]]],
-    ends: Sequence[_End],
+    search: AbstractSearch | None,
+    points: Sequence[Float[np.ndarray, " n"]],
 ) -> Solution:
-    """The best optimum whose certificate stands, else the best one; without optima, the least violated design."""
-    points = [point for _, point in optima[:_CERTIFIED]]
-    if not points:
-        points = [min(ends, key=lambda one: np.nan_to_num(one.outcome.violation, nan=np.inf)).outcome.point]
+    """The first of some points whose certificate stands, else the first one."""
     found: list[Solution] = []
     for point in points:
+        start = problem.placements.named(point)
         with warned_of("portfolio"):
-            found.append(solve(problem, solver, start=problem.placements.named(point), throw=False))
+            try:
+                found.append(solve(problem, solver, start=start, throw=False))
+            except ProblemError:
+                if search is None:
+                    raise
+                # Derivatives cannot choose, but values have: the point is judged as the answer of a search of one.
+                found.append(solve(problem, replace(search, evaluations=1), start=start, throw=False))
         if found[-1].ok:
             return found[-1]
     return found[0]

@@ -13,6 +13,7 @@ from aleator.transcription._scenarios import germ_box as germ_box
 from aleator.transcription._scope import scope_of as scope_of
 from aleator.transcription._transcribe import DEFAULT as DEFAULT
 from aleator.transcription._transcribe import transcribe as transcribe
+from aleator.transcription._unsatisfiable import blind_decisions as blind_decisions
 from aleator.transcription._unsatisfiable import refuse_blind as refuse_blind
 from aleator.transcription._warm_start import started_from as started_from
 from aleator.transcription.sequential import Sequential as Sequential

@@ -43,15 +43,21 @@ def refuse_unsatisfiable(
 
 def refuse_blind(outcome: Outcome, transcribed: AbstractTranscribed) -> None:
     """Raise `ProblemError` for decisions that change values although all derivatives by them are zero."""
-    names = dict(zip(transcribed.decided.tolist(), transcribed.places.entry_names(), strict=True))
-    blind = " and ".join(f"'{names[i]}'" for i in outcome.blind if i in names)
-    if not blind:
+    names = blind_decisions(outcome, transcribed)
+    if not names:
         return
     raise ProblemError(
-        f"The objective or a constraint changes with {blind}, but all derivatives tried "
-        "are zero, so that no solver can choose: the model rounds, floors, casts to whole numbers or stops gradients. "
-        "Make the effect smooth, or fix the number and compare its values one by one."
+        f"The objective or a constraint changes with {names}, but all derivatives tried are zero, so that no solver by "
+        "derivatives can choose: the model rounds, floors, casts to whole numbers or stops gradients. "
+        "Make the effect smooth, let a search compare values (al.solvers.DifferentialEvolution()), or fix the number "
+        "and compare its values one by one."
     )
+
+
+def blind_decisions(outcome: Outcome, transcribed: AbstractTranscribed) -> str:
+    """The decisions that change values although all derivatives by them are zero, in words; empty if there is none."""
+    names = dict(zip(transcribed.decided.tolist(), transcribed.places.entry_names(), strict=True))
+    return " and ".join(f"'{names[i]}'" for i in outcome.blind if i in names)
 
 
 def _excess(constraint: Constraint, value: np.ndarray) -> np.ndarray:

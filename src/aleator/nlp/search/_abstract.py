@@ -3,6 +3,7 @@
 import abc
 import math
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar, final
 
@@ -56,7 +57,8 @@ class AbstractSearch(AbstractSolver):
 
     Constraints become an exact penalty: the largest violation, in a weight that grows until the best point is almost
     feasible. The polished point is judged like that of every other solver. Ctrl-C ends the search, and the best point
-    so far is polished.
+    so far is polished; while a point is polished, it ends that, and the best point so far is the answer, with
+    `Status.INTERRUPTED` unless one is an optimum already.
 
     - `tolerance`: see `AbstractSolver`;
     - `evaluations`: at most so many simulations of the problem, those of polishing not counted;
@@ -120,7 +122,10 @@ class AbstractSearch(AbstractSolver):
         del multipliers  # Values know nothing of them.
         began = time.perf_counter()
         sought, searched = self.seek(program, start)
-        outcome = self._polished(program, sought)
+        with answering():
+            outcome, is_cut = self._polished(program, sought)
+        if is_cut:
+            searched = replace(searched, end=f"{searched.end}; polishing was stopped by the user")
         return replace(
             outcome,
             evaluations=outcome.evaluations + searched.evaluations,
@@ -201,20 +206,35 @@ class AbstractSearch(AbstractSolver):
         merits = sought.merits(points)
         return points[np.argsort(merits, kind="stable")]
 
-    def _polished(self, program: NonlinearProgram, sought: Sought) -> Outcome:
-        """The best of a few points that are far apart, polished."""
+    def _polished(self, program: NonlinearProgram, sought: Sought) -> tuple[Outcome, bool]:
+        """The best of a few points that are far apart, polished, and whether the user stopped that."""
         outcomes: list[Outcome] = []
-        for point in sought.candidates(_POLISHED if self.polish else 1):
-            outcomes.append(self.local.solve(program, start=point))
-            if outcomes[-1].status is Status.INTERRUPTED:
-                return outcomes[-1]
+        is_cut = False
+        try:
+            for point in sought.candidates(_POLISHED if self.polish else 1):
+                outcomes.append(self.local.solve(program, start=point))
+                if is_cut := outcomes[-1].status is Status.INTERRUPTED:
+                    break
+        except KeyboardInterrupt:
+            is_cut = True
+        best = self._best(program, sought, outcomes)
+        if is_cut and not best.ok:
+            best = replace(best, status=Status.INTERRUPTED, message="the best point so far")
+        return best, is_cut
+
+    def _best(self, program: NonlinearProgram, sought: Sought, polished: Sequence[Outcome]) -> Outcome:
+        """The best of some polished points, or that of the search, with the effort of all."""
+        outcomes = list(polished) or [self._as_it_is(program, sought)]
         best = min([one for one in outcomes if one.ok] or outcomes, key=_rank)
         lowest, reached = sought.least_held(HELD), best.evaluation.objective
         if not (best.violation <= HELD and reached <= lowest + _LOWER * max(abs(lowest), abs(reached))):
             # Polishing may end above the search's best point where the model is not smooth.
-            outcomes.append(_AsItIs(self.tolerance).solve(program, start=sought.candidates(1)[0]))
+            outcomes.append(self._as_it_is(program, sought))
             best = min(outcomes, key=_rank)
         return best.with_effort_of(*(one for one in outcomes if one is not best))
+
+    def _as_it_is(self, program: NonlinearProgram, sought: Sought) -> Outcome:
+        return _AsItIs(self.tolerance).solve(program, start=sought.candidates(1)[0])
 
 
 def _rank(outcome: Outcome) -> tuple[bool, float]:
