@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 from aleator._core.errors import ProblemError
 from aleator.nlp import NonlinearProgram, variable_range
 from aleator.sweep._seeking import Seeker
-from aleator.sweep._wishes import LEVEL, Design, Found, Wishes, pressed
+from aleator.sweep._wishes import LEVEL, Design, Wishes, pressed
 from aleator.transcription import transcribe
 
 # A wish of a smaller range, as a part of its magnitude, is constant; an improvement by less of the range is none.

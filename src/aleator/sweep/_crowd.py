@@ -15,7 +15,6 @@ from aleator.sweep._places import far_apart
 from aleator.sweep._wishes import LEVEL, Design, Wishes, pressed, without_level
 from aleator.transcription import DEFAULT, AbstractTranscribed, transcribe
 
-
 # Violations of at most this part of a constraint's magnitude count as none.
 _HELD = 1e-6
 
