@@ -68,33 +68,50 @@ def crowd(
     def values(free: Float[np.ndarray, "k n"]) -> tuple[np.ndarray, np.ndarray]:
         assert program.values is not None
         _, constraints = program.values(whole(free))
-        reached, violations = constraints[:, rows], _violations(program, constraints)
-        seen.append((free[violations <= _HELD], reached[violations <= _HELD]))
-        return reached, violations
+        return constraints[:, rows], _violations(program, constraints)
 
-    first = np.array([places.moved(program.start, without_level(one.solution.decisions)) for one in anchors])[
-        :, ~is_level
-    ]
-    lower, upper = program.lower[~is_level], program.upper[~is_level]
-    given = {"points": points, "evaluations": budget.evaluations, "seed": budget.seed}
-    seen: list[tuple[Float[np.ndarray, "k n"], Float[np.ndarray, "k wishes"]]] = []
-    interrupted = True
-    found, reached = np.zeros((0, len(lower))), np.zeros((0, len(rows)))
-    try:
-        with answering() as answer:
-            found = population_front(values, lower, upper, first, **given, heed=lambda done: (heed(done), answer()))
-            reached = values(found)[0]
-        interrupted = False
-    except KeyboardInterrupt:
-        if seen:
-            found, reached = (np.concatenate(part) for part in zip(*seen, strict=True))
-            kept = efficient(reached, np.zeros(len(rows)))
-            found, reached = found[kept], reached[kept]
+    every = np.array([places.moved(program.start, without_level(one.solution.decisions)) for one in anchors])
+    bounds = program.lower[~is_level], program.upper[~is_level]
+    found, reached, interrupted = _population(values, bounds, every[:, ~is_level], points, budget, heed)
     # The anchors are on the front already.
     reached = np.concatenate([known, reached])
     chosen = [i - len(known) for i in far_apart(reached, points, taken=len(known))]
-    members = [Member(reached[len(known) + i], places.named(whole(found[i : i + 1])[0])) for i in chosen]
-    return members, interrupted
+    return [Member(reached[len(known) + i], places.named(whole(found[i : i + 1])[0])) for i in chosen], interrupted
+
+
+def _population(
+    values: Callable[[Float[np.ndarray, "k n"]], tuple[np.ndarray, np.ndarray]],
+    bounds: tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]],
+    first: Float[np.ndarray, "some n"],
+    points: int,
+    budget: Budget,
+    heed: Callable[[int], None],
+) -> tuple[Float[np.ndarray, "k n"], Float[np.ndarray, "k wishes"], bool]:
+    """The front of a population and its wishes; after Ctrl-C, the best of all designs until then, and True."""
+    seen: list[tuple[Float[np.ndarray, "k n"], Float[np.ndarray, "k wishes"]]] = []
+
+    def noted(free: Float[np.ndarray, "k n"]) -> tuple[np.ndarray, np.ndarray]:
+        reached, violations = values(free)
+        held = violations <= _HELD
+        seen.append((free[held], reached[held]))
+        return reached, violations
+
+    try:
+        with answering() as answer:
+
+            def heeded(done: int) -> None:
+                heed(done)
+                answer()
+
+            own = {"points": points, "evaluations": budget.evaluations, "seed": budget.seed, "heed": heeded}
+            found = population_front(noted, *bounds, first, **own)
+            return found, values(found)[0], False
+    except KeyboardInterrupt:
+        if not seen:
+            raise
+        found, reached = (np.concatenate(part) for part in zip(*seen, strict=True))
+        kept = efficient(reached, np.zeros(reached.shape[1]))
+        return found[kept], reached[kept], True
 
 
 def _row(transcribed: AbstractTranscribed, name: str) -> int:

@@ -177,7 +177,16 @@ class FrontInTheMaking:
             asked=self._points,
             dominated=dominated,
             repeated=len(designs) - len(distinct) - dominated,
-            holes=tuple(self._holes),
+            holes=self._told_holes(values[distinct][:, 0]),
             failed=tuple(self._further.failed),
             interrupted=interrupted,
         )
+
+    def _told_holes(self, first: Float[np.ndarray, " points"]) -> tuple[tuple[float, float], ...]:
+        """The holes, from one design that is told to the next: a line through one may end at a dominated design."""
+        told = set[tuple[float, float]]()
+        for low, high in self._holes:
+            before = int(np.searchsorted(first, (low + high) / 2)) - 1
+            if 0 <= before < len(first) - 1:
+                told.add((float(first[before]), float(first[before + 1])))
+        return tuple(sorted(told))
