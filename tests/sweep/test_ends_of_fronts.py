@@ -25,9 +25,9 @@ class Space(al.AlgebraicSystem):
         return {"x": self.a + self.off, "y": self.b + self.off, "z": self.c + self.off}
 
 
-def space(*limits, lower=-4.0, upper=4.0, minimize=X.mean, decisions=None):
-    own = (al.Decision(0.5, lower, upper) for _ in "abc")
-    system = Space(*own, al.Uniform(0.0, half_width=0.1))
+def space(*limits, lower=-4.0, upper=4.0, start=0.5, minimize=X.mean, decisions=None):
+    a, b, c = (al.Decision(start, lower, upper) for _ in "abc")
+    system = Space(a, b, c, al.Uniform(0.0, half_width=0.1))
     return al.Problem(system, minimize=minimize, subject_to=limits, decisions=decisions)
 
 
@@ -82,6 +82,19 @@ def test_a_flat_wish_is_at_its_best_at_its_end():
     # Within the tolerance of solvers the eighth power leaves a distance of a tenth.
     assert found.worst[1] == pytest.approx(4.0, rel=0.06)
     assert found.worst[0] == pytest.approx(256.0, rel=1e-3)
+
+
+def test_a_wish_that_is_flat_far_away_is_sought_from_the_best_design_of_another():
+    # From here the first step for one of the bells leads far out, where both are flat.
+    def bell(sign):
+        means = (one.mean for one in (X, Y, Z))
+        square = sum(((one - sign / np.sqrt(3)) ** 2 for one in means), start=0.0 * X.mean)
+        return al.expressions.function(lambda s: 1.0 - jnp.exp(-s), square)
+
+    found = al.trade_off(space(start=0.4), {"plus": bell(1.0), "minus": bell(-1.0)}, 3)
+    np.testing.assert_allclose(found.best, 0.0, atol=1e-6)
+    np.testing.assert_allclose(found.worst, 1.0 - np.exp(-4.0), rtol=1e-3)
+    np.testing.assert_allclose(found.values[1], 1.0 - np.exp(-1.0), rtol=1e-4)
 
 
 def test_weights_at_the_ends_are_those_beside_them():

@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float
 
 from aleator._core.errors import ProblemError
 from aleator.nlp import NonlinearProgram, variable_range
-from aleator.sweep._seeking import Seeker
+from aleator.sweep._seeking import Seeker, Start
 from aleator.sweep._wishes import LEVEL, Design, Wishes, pressed
 from aleator.transcription import transcribe
 
@@ -66,9 +66,10 @@ class Anchors:
         self._measure()
         for which in range(len(self._wishes.names)):
             progress(which)
-            self.designs.append(self._alone(which))
+            self.designs.append(self._alone(which, self._seeker.everywhere(self._wishes.only(which))))
             self.least[which] = self.designs[which].values[which]
             heed()
+        self._settle_rivals()
         scales = self.scales
         if self.constant.all():
             return
@@ -88,9 +89,19 @@ class Anchors:
         if transcribed.program.start.size == transcribed.problem.placements.size:
             _refuse_still(self._wishes.names, transcribed.program, rows, self.sizes)
 
-    def _alone(self, which: int) -> Design:
+    def _settle_rivals(self) -> None:
+        """Where another's design is better in a wish than its own, which ended at a worse optimum or on a plateau, seek
+        it again from there.
+        """
+        for which, own in enumerate(self.designs):
+            rival = self.designs[int(np.argmin(self.values[:, which]))]
+            if rival.values[which] < own.values[which] - SAME * self.range[which]:
+                level = float(rival.values[which] / self.sizes[which])
+                self.designs[which] = self._alone(which, {**rival.solution.decisions, LEVEL: level})
+                self.least[which] = self.designs[which].values[which]
+
+    def _alone(self, which: int, start: Start) -> Design:
         compromise = self._wishes.least(which, 1.0 / self.sizes)
-        start = self._seeker.everywhere(self._wishes.only(which))
         design, reason = self._seeker.sought(compromise, start)
         if design is None:
             name = self._wishes.names[which]
