@@ -254,7 +254,7 @@ def test_the_hypervolume_of_boxes_is_their_union():
         ),
         (
             lambda: al.trade_off(plane(), {"one": X.mean, "two": Y.mean}).hypervolume([1.0]),
-            "reference of 2 numbers",
+            "2 finite numbers, one a wish",
         ),
     ],
 )

@@ -11,7 +11,7 @@ from aleator.reporting import _units
 from aleator.reporting._blocks import Block, Drawing, Table
 from aleator.reporting._numbers import number
 from aleator.reporting._style import FONT, GRID, INK, MUTED, SIZE, blank, label, looks, plain
-from aleator.sweep import LEVEL, TradeOff
+from aleator.sweep import TradeOff
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
@@ -33,7 +33,7 @@ def trade_off_blocks(fronts: Mapping[str, TradeOff]) -> list[Block]:
 
 def trade_off_table(front: TradeOff, name: str) -> Table:
     """The designs of a trade-off: wishes, then decisions."""
-    decided = [one for one, value in front.solutions[0].decisions.items() if np.ndim(value) == 0 and one != LEVEL]
+    decided = [one for one, value in front.solutions[0].decisions.items() if np.ndim(value) == 0]
     rows = [
         [*_told_values(front, row), *(number(float(solution.decisions[one]), 4) for one in decided)]
         for row, solution in zip(front.values, front.solutions, strict=True)

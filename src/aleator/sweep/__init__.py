@@ -20,5 +20,4 @@ from aleator.sweep._trade_off import TradeOff as TradeOff
 from aleator.sweep._trading import trade_off as trade_off
 from aleator.sweep._validate_all import EvidenceOfAll as EvidenceOfAll
 from aleator.sweep._validate_all import validate_all as validate_all
-from aleator.sweep._wishes import LEVEL as LEVEL
 from aleator.sweep._workers import workers as workers

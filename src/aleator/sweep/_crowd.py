@@ -7,11 +7,16 @@ import numpy as np
 from jaxtyping import Float
 
 from aleator._core.errors import ProblemError
+from aleator._core.heard import answering
 from aleator.design import Problem
 from aleator.nlp import NonlinearProgram, load_pymoo, population_front
-from aleator.solution import Solution
-from aleator.sweep._wishes import LEVEL, Wishes, pressed
+from aleator.sweep._hypervolume import efficient
+from aleator.sweep._places import far_apart
+from aleator.sweep._wishes import LEVEL, Design, Wishes, pressed, without_level
 from aleator.transcription import DEFAULT, AbstractTranscribed, transcribe
+
+# Violations of at most this part of a constraint's magnitude count as none.
+_HELD = 1e-6
 
 
 class Budget(NamedTuple):
@@ -42,15 +47,17 @@ def check_crowd(problem: Problem) -> None:
 
 
 def crowd(
-    wishes: Wishes, anchors: Sequence[Solution], points: int, budget: Budget, heed: Callable[[int], None]
-) -> list[Member]:
-    """Designs of a population spread over the front, at most `points`, as far from one another as can be.
+    wishes: Wishes, anchors: Sequence[Design], points: int, budget: Budget, heed: Callable[[int], None]
+) -> tuple[list[Member], bool]:
+    """Designs of a population spread over the front, at most `points`, as far from one another as can be; and whether
+    Ctrl-C ended it, after which they are the best until then.
 
     - `anchors`: the best designs of the wishes, of its first generation; `heed`: called with the evaluations done.
     """
     transcribed = transcribe(wishes.unscaled().problem, DEFAULT)
     program, places = transcribed.program, transcribed.places
     is_level = np.array([name == LEVEL for name in places.entry_names()])
+    known = np.array([one.values for one in anchors])
     rows = np.array([_row(transcribed, pressed(name)) for name in wishes.names])
 
     def whole(free: Float[np.ndarray, "k n"]) -> Float[np.ndarray, "k all"]:
@@ -63,16 +70,48 @@ def crowd(
         _, constraints = program.values(whole(free))
         return constraints[:, rows], _violations(program, constraints)
 
-    first = np.array([places.moved(program.start, _own(one)) for one in anchors])[:, ~is_level]
-    lower, upper = program.lower[~is_level], program.upper[~is_level]
-    given = {"points": points, "evaluations": budget.evaluations, "seed": budget.seed, "heed": heed}
-    found = population_front(values, lower, upper, first, **given)
-    reached = values(found)[0]
-    return [Member(reached[i], places.named(whole(found[i : i + 1])[0])) for i in _far_apart(reached, points)]
+    every = np.array([places.moved(program.start, without_level(one.solution.decisions)) for one in anchors])
+    bounds = program.lower[~is_level], program.upper[~is_level]
+    found, reached, interrupted = _population(values, bounds, every[:, ~is_level], points, budget, heed)
+    # The anchors are on the front already.
+    reached = np.concatenate([known, reached])
+    chosen = [i - len(known) for i in far_apart(reached, points, taken=len(known))]
+    return [Member(reached[len(known) + i], places.named(whole(found[i : i + 1])[0])) for i in chosen], interrupted
 
 
-def _own(solution: Solution) -> dict[str, Any]:
-    return {name: one for name, one in solution.decisions.items() if name != LEVEL}
+def _population(
+    values: Callable[[Float[np.ndarray, "k n"]], tuple[np.ndarray, np.ndarray]],
+    bounds: tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]],
+    first: Float[np.ndarray, "some n"],
+    points: int,
+    budget: Budget,
+    heed: Callable[[int], None],
+) -> tuple[Float[np.ndarray, "k n"], Float[np.ndarray, "k wishes"], bool]:
+    """The front of a population and its wishes; after Ctrl-C, the best of all designs until then, and True."""
+    seen: list[tuple[Float[np.ndarray, "k n"], Float[np.ndarray, "k wishes"]]] = []
+
+    def noted(free: Float[np.ndarray, "k n"]) -> tuple[np.ndarray, np.ndarray]:
+        reached, violations = values(free)
+        held = violations <= _HELD
+        seen.append((free[held], reached[held]))
+        return reached, violations
+
+    try:
+        with answering() as answer:
+
+            def heeded(done: int) -> None:
+                heed(done)
+                answer()
+
+            own = {"points": points, "evaluations": budget.evaluations, "seed": budget.seed, "heed": heeded}
+            found = population_front(noted, *bounds, first, **own)
+            return found, values(found)[0], False
+    except KeyboardInterrupt:
+        if not seen:
+            raise
+        found, reached = (np.concatenate(part) for part in zip(*seen, strict=True))
+        kept = efficient(reached, np.zeros(reached.shape[1]))
+        return found[kept], reached[kept], True
 
 
 def _row(transcribed: AbstractTranscribed, name: str) -> int:
@@ -85,16 +124,3 @@ def _violations(program: NonlinearProgram, constraints: Float[np.ndarray, "k m"]
     beyond = np.fmax(constraints - program.constraint_upper, program.constraint_lower - constraints)
     worst = np.max(beyond / program.constraint_scale, axis=1, initial=0.0)
     return np.where(np.isfinite(constraints).all(axis=1), worst, np.inf)
-
-
-def _far_apart(values: Float[np.ndarray, "k wishes"], count: int) -> list[int]:
-    """The indices of at most so many points, each as far as can be from those before."""
-    spread = np.ptp(values, axis=0)
-    scaled = values / np.where(spread > 0, spread, 1.0)
-    chosen = [int(np.argmin(scaled[:, 0]))]
-    while len(chosen) < min(count, len(values)):
-        away = np.abs(scaled[:, None] - scaled[chosen][None]).max(axis=2).min(axis=1)
-        if not away.max() > 0:
-            break
-        chosen.append(int(np.argmax(away)))
-    return chosen

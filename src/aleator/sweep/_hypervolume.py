@@ -5,11 +5,14 @@ from jaxtyping import Bool, Float
 
 
 def efficient(points: Float[np.ndarray, "n wishes"], tolerance: Float[np.ndarray, " wishes"]) -> Bool[np.ndarray, " n"]:
-    """Which points no other one dominates: is as good in every wish, and better in one by more than its tolerance."""
+    """Which points no other one dominates: is as good in every wish, and better in one by more than its tolerance.
+
+    As good is what is worse by at most a tenth of the tolerance, so that steep ends of a front are kept.
+    """
     kept = np.ones(len(points), dtype=bool)
     for i, point in enumerate(points):
         others = points[kept & (np.arange(len(points)) != i)]
-        as_good = (others <= point + tolerance).all(axis=1)
+        as_good = (others <= point + 0.1 * tolerance).all(axis=1)
         better = (others < point - tolerance).any(axis=1)
         kept[i] = not (as_good & better).any()
     return kept

@@ -7,7 +7,7 @@ from typing import final
 import numpy as np
 from jaxtyping import Float
 
-from aleator._core.errors import ProblemError
+from aleator._core.given import real_array, refusal
 from aleator._core.shown import Drawn
 from aleator.design import Expression
 from aleator.solution import Solution
@@ -21,12 +21,19 @@ class TradeOff(Drawn):
 
     - `names`: of the wishes, which are the expressions `wishes`; `values`: theirs, shape (points, wishes), in order of
       the first one;
-    - `solutions`: the design at each point, with its certificate;
-    - `best`: the least value of each wish alone, shape (wishes,); `worst`: its largest among these anchors;
+    - `solutions`: the design at each point, with its certificate, as a solution of the given problem with the sum of
+      the wishes times their `weights` as its objective, of which it is a stationary point (where the front is concave,
+      not the least one); at the best design of a wish whose weights are not known, with that wish alone;
+    - `best`: the least value of each wish alone, shape (wishes,), NaN where an interruption left it unknown; `worst`:
+      its largest among the best designs of the wishes;
     - `weights`: how much the wishes count at each point, shape (points, wishes), by the multipliers: along the front,
-      one unit more of the wish `i` buys `weights[i] / weights[j]` units less of the wish `j`;
-    - `dominated`: how many designs were found that others are better than in every wish; `failed`: why points have no
-      design;
+      one unit more of the wish `i` buys `weights[i] / weights[j]` units less of the wish `j`. At the ends of a front
+      they are those beside the end, and NaN where the front gets ever steeper, or nothing is known of it;
+    - `asked`: how many designs were asked for. There are fewer where some were dominated, found again, or not found;
+    - `dominated`: how many designs were found that others are better than in every wish; `repeated`: how many that were
+      known already; `failed`: why points have no design;
+    - `holes`: for two wishes and `method="boundary"`: the values of the first one between which no line ends at a
+      design, as far as local searches tell: where the front has a gap;
     - `interrupted`: whether Ctrl-C ended it; the points found by then are included.
     """
 
@@ -37,28 +44,42 @@ class TradeOff(Drawn):
     best: Float[np.ndarray, " wishes"]
     worst: Float[np.ndarray, " wishes"]
     weights: Float[np.ndarray, "points wishes"]
+    asked: int = 0
     dominated: int = 0
+    repeated: int = 0
+    holes: tuple[tuple[float, float], ...] = ()
     failed: tuple[str, ...] = ()
     interrupted: bool = False
 
     def hypervolume(self, reference: Sequence[float] | Float[np.ndarray, " wishes"] | None = None) -> float:
         """The volume of values that some point is better than, up to a reference; by default `worst`."""
-        corner = self.worst if reference is None else np.asarray(reference, dtype=float)
-        if corner.shape != self.worst.shape:
-            raise ProblemError(
-                f"hypervolume: expected a reference of {len(self.names)} numbers, one a wish; received {reference!r}."
-            )
+        expected = f"{len(self.names)} finite numbers, one a wish"
+        corner = self.worst if reference is None else real_array("hypervolume: reference", reference, expected)
+        if corner.shape != self.worst.shape or not np.isfinite(corner).all():
+            raise refusal("hypervolume: reference", expected, reference)
         return hypervolume(self.values, corner)
 
     def __str__(self) -> str:
-        width = max(12, *(len(name) + 1 for name in self.names))
+        width = max(14, *(len(name) + 2 for name in self.names))
         heading = "".join(f"{name:>{width}}" for name in self.names)
         rows = ["".join(f"{one:>{width}.6g}" for one in row) for row in self.values]
-        several = f"{len(rows)} designs, each solved and certified; none is better than another in every wish"
-        notes = [
-            several if len(rows) > 1 else "the wishes do not conflict: one design, solved, is best for all of them",
-            *([f"{self.dominated} designs were dominated by others"] if self.dominated else []),
+        return "\n".join([heading, *rows, *self._notes(len(rows))])
+
+    def _notes(self, count: int) -> list[str]:
+        several = f"{count} designs, each solved and certified; none is better than another in every wish"
+        alone = "the wishes do not conflict: one design, solved, is best for all of them"
+        if self.interrupted and count == 1:
+            several = "one design, solved and certified"
+        return [
+            several if count > 1 or self.interrupted else alone,
+            *([f"{self.asked} designs were asked for"] if 1 < count < self.asked else []),
+            *([f"{_designs(self.dominated)} dominated by others"] if self.dominated else []),
+            *([f"{_designs(self.repeated)} found again"] if self.repeated else []),
+            *(f"no design was found between {self.names[0]} = {low:.6g} and {high:.6g}" for low, high in self.holes),
             *(f"no design: {one}" for one in self.failed),
             *(["interrupted by the user"] if self.interrupted else []),
         ]
-        return "\n".join([heading, *rows, *notes])
+
+
+def _designs(count: int) -> str:
+    return "1 design was" if count == 1 else f"{count} designs were"

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, TypeAlias, final
 
 from aleator._core.errors import AleatorError, ProblemError
@@ -11,13 +11,11 @@ from aleator._core.heard import heeding
 from aleator._core.progress import Progress, check_progress, silent
 from aleator._core.shown import Drawn
 from aleator._core.warned import warned_of
-from aleator.design import declared_anew, refuse_changed
 from aleator.solution import Solution
 from aleator.sweep._elsewhere import check_executor, each_elsewhere
 from aleator.sweep._front import Front
 from aleator.sweep._multistart import Starts
 from aleator.sweep._trade_off import TradeOff
-from aleator.sweep._wishes import is_of_trade_off
 from aleator.validation import Evidence, validate
 
 Designs: TypeAlias = Front | TradeOff | Starts | Sequence[Solution]
@@ -84,7 +82,7 @@ def validate_all(
         raise ProblemError("validate_all: expected at least one solved design; received none.")
     places, chosen = zip(*solved, strict=True)
     check_executor("validate_all", executor)
-    calls = [{"solution": _with_own_limits(one), "samples": samples, "seed": seed} for one in chosen]
+    calls = [{"solution": one, "samples": samples, "seed": seed} for one in chosen]
     found: dict[int, Evidence | AleatorError] = {}
     interrupted = True
     progress("evidence", 0, len(chosen))
@@ -145,17 +143,3 @@ def _placed(designs: Any) -> list[tuple[str, Solution]]:
     ):
         return [(f"{i}", one) for i, one in enumerate(designs)]
     raise refusal("validate_all: designs", "what al.pareto, al.trade_off or al.multistart gives, or solutions", designs)
-
-
-def _with_own_limits(solution: Solution) -> Solution:
-    """A design with its problem's own limits alone: those that choose a place on a front are none."""
-    problem = solution.problem
-    kept = tuple(one for one in problem.constraints if not is_of_trade_off(one.name))
-    if len(kept) == len(problem.constraints):
-        return solution
-    refuse_changed("validate_all", problem, "when the design was solved")
-    return replace(
-        solution,
-        problem=declared_anew(problem, problem.simulation, minimize=problem.objective, subject_to=kept),
-        constraints=tuple(one for one in solution.constraints if not is_of_trade_off(one.name)),
-    )

@@ -1,13 +1,14 @@
 """One problem for every compromise between several wishes: its numbers choose which."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import NamedTuple, final
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple, final
 
 import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
+from aleator._core.errors import ProblemError
 from aleator.design import Constraint, Expression, Problem, as_expression, declared_anew, pure, value
 from aleator.solution import Solution
 from aleator.uncertainty import Decision
@@ -24,9 +25,12 @@ def pressed(name: str) -> str:
     return f"{_OWN}wish {name}"
 
 
-def is_of_trade_off(name: str) -> bool:
-    """Whether a constraint is one that chooses a place on a front."""
-    return name.startswith(_OWN)
+def refuse_own_names(problem: Problem) -> None:
+    """Raise `ProblemError` for a problem that uses the names by which places on a front are chosen."""
+    own = [name for name in problem.names if name.startswith(_OWN)]
+    own += [name for name in problem.placements.decisions if name == LEVEL]
+    if own:
+        raise ProblemError(f"trade_off: problem: the name '{own[0]}' is one of trade_off's own: use another.")
 
 
 class _Numbers(NamedTuple):
@@ -60,23 +64,48 @@ class Compromise(NamedTuple):
         weighted = solution.multiplier(WEIGHTED) * numbers.weights
         return numbers.scales * (rows + weighted + numbers.share)
 
-    def distance(self, values: Float[np.ndarray, " wishes"]) -> float:
-        """How far a design's wishes are from where this one is to be, in scaled wishes."""
+    def away(self, values: Float[np.ndarray, " wishes"]) -> Float[np.ndarray, " wishes"]:
+        """By how much a design's wishes differ from where this one is to be, in scaled wishes."""
         away = values * self.numbers.scales - self.numbers.offsets
         if self.numbers.directions.all():
-            return float(np.ptp(away))
-        limited = np.isfinite(away) & (self.numbers.directions == 0)
-        return float(np.max(np.abs(away[limited]), initial=0.0))
+            return away - away.mean()
+        return np.where(np.isfinite(away) & (self.numbers.directions == 0), away, 0.0)
+
+    def distance(self, values: Float[np.ndarray, " wishes"]) -> float:
+        """How far a design's wishes are from where this one is to be, in scaled wishes."""
+        return float(np.ptp(np.append(self.away(values), 0.0)))
+
+    def design(self, solution: Solution) -> "Design":
+        """Its solution, with the wishes there."""
+        weights = self.weights(solution)
+        return Design(solution, self.values(solution), weights, weights)
+
+
+class Design(NamedTuple):
+    """A design that was found.
+
+    - `solution`: of the problem that led there; `values`: the wishes, in their own units;
+    - `weights`: how much they count there, NaN where that is not known; `factors`: a sum of the wishes with these is
+      stationary there.
+    """
+
+    solution: Solution
+    values: Float[np.ndarray, " wishes"]
+    weights: Float[np.ndarray, " wishes"]
+    factors: Float[np.ndarray, " wishes"]
 
 
 @dataclass
 class Found:
-    """What has been found of a front so far: designs with their wishes and weights, and why others were not found."""
+    """What has been found of a front so far: designs, and why others were not found."""
 
-    solutions: list[Solution] = field(default_factory=list)
-    values: list[Float[np.ndarray, " wishes"]] = field(default_factory=list)
-    weights: list[Float[np.ndarray, " wishes"]] = field(default_factory=list)
+    designs: list[Design] = field(default_factory=list)
     failed: list[str] = field(default_factory=list)
+
+    @property
+    def values(self) -> Float[np.ndarray, "designs wishes"]:
+        """The wishes of all designs, in their own units."""
+        return np.array([one.values for one in self.designs])
 
 
 @final
@@ -97,6 +126,7 @@ class Wishes:
         # Scales and weights carry units.
         self._terms = tuple(map(pure, self.expressions))
         ones = np.ones(len(wishes))
+        self._summed = declared_anew(problem, problem.simulation, minimize=self._sum(ones))
         first = _Numbers(ones, ones, ones, ones, 1.0, 1.0)
         self._problem = declared_anew(
             problem,
@@ -111,26 +141,55 @@ class Wishes:
         ones = np.ones(len(self.names))
         return self._with(_Numbers(ones, np.inf * ones, 0.0 * ones, 0.0 * ones, np.inf, 0.0))
 
+    def told(self, design: Design) -> Solution:
+        """A design as the solution of the problem that was given, with the sum of the wishes as its objective.
+
+        Whatever led there is a stationary point of that sum: what was added to choose a place is left out.
+        """
+        solution, own = design.solution, len(self._given.constraints)
+        problem = eqx.tree_at(lambda one: one.objective, self._summed, self._sum(design.factors))
+        whole, rows = solution.problem.placements, sum(one.multipliers.size for one in solution.constraints)
+        kept = np.array([name != LEVEL for name in whole.entry_names()])
+        # States that are variables bring rows of their own.
+        is_all = rows == solution.multipliers.size
+        return replace(
+            solution,
+            problem=problem,
+            objective=float(design.factors @ design.values),
+            decisions=without_level(solution.decisions),
+            vector=solution.vector[kept],
+            constraints=solution.constraints[:own],
+            at_bounds=tuple(name for name in solution.at_bounds if name != LEVEL),
+            idle=tuple(name for name in solution.idle if name != LEVEL),
+            multipliers=solution.multipliers[: rows - len(self.names) - 1] if is_all else np.zeros(0),
+            bound_multipliers=without_level(solution.bound_multipliers),
+        )
+
     def only(self, which: int) -> Problem:
         """The problem with one wish as its objective, without any others."""
         return declared_anew(self._given, self._given.simulation, minimize=self.expressions[which])
 
-    def least(self, which: int, scales: Float[np.ndarray, " wishes"], *, alone: bool = False) -> "Compromise":
-        """One wish; the others count a little unless it is `alone`."""
-        return self.within(which, np.full(len(self.names), np.inf), scales, alone=alone)
+    def least(self, which: int, scales: Float[np.ndarray, " wishes"]) -> "Compromise":
+        """One wish alone: the others do not count."""
+        compromise = self.within(which, np.full(len(self.names), np.inf), scales)
+        return self._with(compromise.numbers._replace(share=0.0))
+
+    def held(self, which: int, most: float, scales: Float[np.ndarray, " wishes"]) -> "Compromise":
+        """The sum of the other wishes, with one of at most so much in its own unit."""
+        one = np.arange(len(self.names)) == which
+        offsets = np.where(one, scales * most, np.inf)
+        return self._with(_Numbers(scales, offsets, 0.0 * scales, (~one).astype(float), 0.0, 0.0))
 
     def within(
         self,
         which: int,
         limits: Float[np.ndarray, " wishes"],
         scales: Float[np.ndarray, " wishes"],
-        *,
-        alone: bool = False,
     ) -> "Compromise":
         """One wish within limits on the others, which are in the wishes' own units."""
         one = np.arange(len(self.names)) == which
         offsets = np.where(one, 0.0, scales * limits)
-        return self._with(_Numbers(scales, offsets, one.astype(float), 0.0 * scales, np.inf, 0.0 if alone else _SHARE))
+        return self._with(_Numbers(scales, offsets, one.astype(float), 0.0 * scales, np.inf, _SHARE))
 
     def along(self, start: Float[np.ndarray, " wishes"], scales: Float[np.ndarray, " wishes"]) -> "Compromise":
         """The last point of a line through `start`, in the wishes' own units, on which all get better alike."""
@@ -163,6 +222,11 @@ class Wishes:
     def _sum(self, factors: Sequence[float] | Float[np.ndarray, " wishes"]) -> Expression:
         terms = (float(factor) * wish for factor, wish in zip(factors, self._terms, strict=True))
         return sum(terms, start=as_expression(0.0))
+
+
+def without_level(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Values of decisions by name, but for the level."""
+    return {name: one for name, one in values.items() if name != LEVEL}
 
 
 def _at_most(name: str, expression: Expression, bound: float) -> Constraint:
