@@ -40,8 +40,9 @@ class AbstractLocalSolver(AbstractSolver):
     - `tolerance`: see `AbstractSolver`; the library itself aims at a hundredth of it (`aim`);
     - `max_iterations`: the limit of iterations, restarts included.
 
-    If the library ends at a point that is not within the tolerance in scales taken there, it is restarted from that
-    point in those scales; more restarts follow only if the scales then differ considerably.
+    If the library ends at a point that is not within the tolerance in scales taken there, or from which the objective
+    still falls noticeably, it is restarted from that point in those scales; more restarts follow only if the scales
+    then differ considerably, or with second derivatives by differences where an approximation got no further.
     """
 
     max_iterations: int = 500
@@ -138,8 +139,10 @@ class AbstractLocalSolver(AbstractSolver):
             if stands or rounds == _MOST_ROUNDS or spent >= self.max_iterations:
                 return answer
             judged_in, better = scaled.scales, better_scales(scaled, answer)
-            if answer.claim is not Status.ITERATION_LIMIT:
-                if tried and better.is_near(ran_in, _SAME_SCALE):
+            in_vain = bool(answer.unfinished) or answer.claim is Status.ITERATION_LIMIT or scaled.straightness.is_shown
+            sharper = (in_vain or tried) and scaled.take_differences()
+            if not in_vain:
+                if tried and not sharper and better.is_near(ran_in, _SAME_SCALE):
                     return answer
                 tried = True
             scaled.rescale(answer.point, better)

@@ -16,6 +16,7 @@ from aleator.nlp._certificate import (
     lagrangian_gradient,
 )
 from aleator.nlp._evaluations import NotFiniteError
+from aleator.nlp._hidden import hidden_descent
 from aleator.nlp._outcome import Status
 from aleator.nlp._program import Evaluation
 from aleator.nlp._scaling import Multipliers, ScaledProgram, Scales
@@ -61,7 +62,8 @@ class Answer(NamedTuple):
     - `point`: shape (n_free,);
     - `multipliers`: None if the solver gives none;
     - `iterations`: its count;
-    - `message`: its message.
+    - `message`: its message;
+    - `unfinished`: why a point that meets the first-order conditions is no answer, in words; left empty by solvers.
     """
 
     claim: Status
@@ -69,6 +71,7 @@ class Answer(NamedTuple):
     multipliers: Multipliers | None
     iterations: int
     message: str
+    unfinished: str = ""
 
 
 def checked_answer(who: str, answer: Any, scaled: ScaledProgram) -> Answer:
@@ -129,7 +132,7 @@ def judge(scaled: ScaledProgram, answer: Answer, tolerance: float) -> Verdict:
     if status is Status.INFEASIBLE:
         least = _at_best(scaled, answer._replace(claim=status), tolerance)
         verdict = least if least.certificate.violation > _held(tolerance) else verdict
-    said = _advice(scaled, verdict, tolerance)
+    said = _advice(scaled, verdict, answer.unfinished, tolerance)
     return verdict._replace(message=f"{said} (the solver said: {answer.message})") if said else verdict
 
 
@@ -141,7 +144,7 @@ def _held(tolerance: float) -> float:
 def _status(scaled: ScaledProgram, answer: Answer, certificate: Certificate, tolerance: float) -> Status:
     if not _has_run_away(scaled, answer.point, _LOST):
         if certificate.within(_held(tolerance), tolerance):
-            return Status.SOLVED
+            return Status.FAILED if answer.unfinished else Status.SOLVED
         infeasible = certificate.violation > _held(tolerance)
         if infeasible and (answer.claim is Status.INFEASIBLE or _is_least_violated(scaled, answer)):
             return Status.INFEASIBLE
@@ -247,23 +250,20 @@ def settle(scaled: ScaledProgram, answer: Answer, tolerance: float) -> tuple[Ans
     status = _status(scaled, answer, verdict.certificate, tolerance)
     if status is Status.SOLVED:
         kept = complementary(scaled, answer.point, scaled.evaluate(answer.point), verdict.multipliers, tolerance)
-        descent = descent_in_valley(scaled, answer.point, kept)
+        descent = descent_in_valley(scaled, answer.point, kept) or hidden_descent(scaled, answer.point, kept)
         if descent is not None:
             return _further(scaled, answer, descent), False
     return answer, status in (Status.SOLVED, Status.INFEASIBLE)
 
 
 def _further(scaled: ScaledProgram, answer: Answer, descent: Descent) -> Answer:
-    """The answer from which to go on along the floor of a valley, in a scale in which its gradient is not small."""
+    """The answer from which to go on downwards, in a scale in which its gradient is not small."""
+    said = f"{descent.where}, along which the objective would fall by about {descent.fall:.2g}"
+    answer = answer._replace(unfinished=said)
     if descent.point is not None:
         return answer._replace(point=descent.point)
     scales = scaled.scales
-    said = (
-        f"{answer.message}; it is on the floor of a steep valley, along which the objective would fall by about "
-        f"{descent.fall:.2g}: lower the largest weights of the objective, or start elsewhere"
-    )
-    rescaled = _rescaled(scaled, answer, scales._replace(objective=scales.objective * descent.slope))
-    return rescaled._replace(message=said)
+    return _rescaled(scaled, answer, scales._replace(objective=scales.objective * descent.slope))
 
 
 def _size_of_gradient(scaled: ScaledProgram, z: np.ndarray, multipliers: Multipliers, tolerance: float) -> float:
@@ -306,12 +306,14 @@ def _unknown(scaled: ScaledProgram, answer: Answer) -> Verdict:
     return Verdict(answer.claim, answer.point, scaled.evaluations.last, zero, nowhere, answer.message, sizes)
 
 
-def _advice(scaled: ScaledProgram, verdict: Verdict, tolerance: float) -> str:
+def _advice(scaled: ScaledProgram, verdict: Verdict, unfinished: str, tolerance: float) -> str:
     """Why a point is no solution and what to do, in words; empty for a solution."""
     if verdict.status not in _REMEDIES:
         return ""
     if verdict.status not in (Status.ITERATION_LIMIT, Status.FAILED):
         return _REMEDIES[verdict.status]
+    if unfinished:
+        return f"{unfinished}. Lower the largest weights of the objective, or start elsewhere"
     reason, remedy = _reason(scaled, verdict, tolerance)
     if not remedy and _has_run_away(scaled, verdict.point):
         reason += ", and decisions are far out on a side without a bound, where there may be no optimum"

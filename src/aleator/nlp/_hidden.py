@@ -1,0 +1,112 @@
+"""Descent by decisions whose slopes are nothing beside a larger one, although they are large for themselves.
+
+Stationarity is relative to the largest term of the Lagrangian's gradient. A weight of 1e8 on one decision hides
+all that others could still gain: solvers end as soon as the rest is a hundred-millionth. So every decision is compared
+with its own terms, and what is left is tried.
+"""
+
+import numpy as np
+
+from aleator.nlp._certificate import lagrangian_gradient
+from aleator.nlp._evaluations import NotFiniteError
+from aleator.nlp._matrices import dense_rows
+from aleator.nlp._program import Evaluation
+from aleator.nlp._scaling import Multipliers, ScaledProgram
+from aleator.nlp._valley import Descent
+
+# A slope below this part of its own terms, or of its change over a typical magnitude of the variable, is none.
+_OWN = 1e-3
+# A noticeable fall, as a part of the objective, and beside the larger one at the start.
+_NOTICEABLE, _BESIDE_START = 1e-3, 1e-8
+# A fall below this part of all terms may be rounding.
+_ROUNDING = 1e-13
+# Size of a differencing step, and how close to its bound a row holds a step back.
+_STEP, _CLOSE = 1e-4, 1e-6
+# Shares of a step that are tried, and the part of the predicted fall that one must bring.
+_SHARES, _BROUGHT = (1.0, 0.25, 0.0625, 0.015625), 0.1
+
+
+def hidden_descent(scaled: ScaledProgram, z: np.ndarray, multipliers: Multipliers) -> Descent | None:
+    """A descent by variables whose slopes are small beside others but not beside their own terms; None if there is none.
+
+    One evaluation if some slope might matter; up to four more if it is not explained by curvature.
+    """
+    if not isinstance(scaled.sparsity, np.ndarray):
+        return None
+    here = scaled.evaluate(z)
+    slope = lagrangian_gradient(here, multipliers)
+    room = np.minimum(np.where(slope > 0, z - scaled.lower, scaled.upper - z), np.maximum(1.0, np.abs(z)))
+    noticeable = _noticeable(scaled, here, multipliers, z)
+    pushes = np.abs(multipliers.rows)[:, None] * np.abs(here.jacobian)
+    own = np.maximum(pushes.max(axis=0, initial=0.0), np.abs(multipliers.bounds))
+    hidden = (np.abs(slope) > _OWN * own) & (room > 0)
+    if float((np.abs(slope) * room)[hidden].sum()) <= noticeable:
+        return None
+    try:
+        reach = _reach(scaled, z, slope, np.where(hidden, room, 0.0), multipliers)
+        step = _along_rows(scaled, z, here, -np.sign(slope) * reach, multipliers)
+        fall = _fall(scaled, z, slope, step, multipliers, noticeable)
+    except NotFiniteError:
+        return None
+    if fall is None:
+        return None
+    largest = float(np.abs(slope[reach > 0]).max())
+    return Descent(fall * scaled.objective_scale, largest, None, "it is beside a slope that larger ones hide")
+
+
+def _noticeable(scaled: ScaledProgram, here: Evaluation, multipliers: Multipliers, z: np.ndarray) -> float:
+    """The least fall of the scaled objective that counts."""
+    objective = abs(scaled.evaluations.at(scaled.unscaled(z)).objective) / scaled.objective_scale
+    start = scaled.start_objective
+    terms = objective + start + float(np.abs(multipliers.rows) @ np.abs(here.constraints))
+    return max(min(_NOTICEABLE * objective, _BESIDE_START * (objective + start)), _ROUNDING * terms)
+
+
+def _reach(
+    scaled: ScaledProgram, z: np.ndarray, slope: np.ndarray, room: np.ndarray, multipliers: Multipliers
+) -> np.ndarray:
+    """How far each variable may go: within its room, and to where curvature ends the fall; zero if that is close by."""
+    moved = np.clip(z - _STEP * np.sign(slope) * room, scaled.lower, scaled.upper)
+    curvature = np.abs(lagrangian_gradient(scaled.evaluate(moved), multipliers) - slope) / _STEP
+    explained = np.abs(slope) <= _OWN * curvature
+    shares = np.divide(np.abs(slope), curvature, out=np.ones_like(slope), where=curvature > np.abs(slope))
+    return np.where(explained, 0.0, shares * room)
+
+
+def _along_rows(
+    scaled: ScaledProgram, z: np.ndarray, here: Evaluation, step: np.ndarray, multipliers: Multipliers
+) -> np.ndarray:
+    """The step with what leaves the active rows removed, by all variables that no bound holds."""
+    active = (multipliers.rows != 0) | (scaled.violation(here.constraints) > -_CLOSE)
+    if not active.any():
+        return step
+    room = np.minimum(np.minimum(z - scaled.lower, scaled.upper - z), 1.0)
+    reach = np.where(step != 0, np.abs(step), np.where(multipliers.bounds == 0, room, 0.0))
+    rows = dense_rows(here.jacobian, np.flatnonzero(active)) * reach
+    units = np.sign(step)
+    return reach * (units - np.linalg.lstsq(rows, rows @ units, rcond=None)[0])
+
+
+def _fall(
+    scaled: ScaledProgram,
+    z: np.ndarray,
+    slope: np.ndarray,
+    step: np.ndarray,
+    multipliers: Multipliers,
+    noticeable: float,
+) -> float | None:
+    """By how much the Lagrangian falls along a share of the step; None if not noticeably."""
+    before = _lagrangian(scaled.evaluate(z), multipliers)
+    for share in _SHARES:
+        moved = np.clip(z + share * step, scaled.lower, scaled.upper)
+        predicted = -float(slope @ (moved - z))
+        if predicted <= noticeable:
+            return None
+        there = _lagrangian(scaled.evaluate(moved), multipliers) + float(multipliers.bounds @ (moved - z))
+        if before - there >= max(_BROUGHT * predicted, noticeable):
+            return before - there
+    return None
+
+
+def _lagrangian(evaluation: Evaluation, multipliers: Multipliers) -> float:
+    return evaluation.objective + float(multipliers.rows @ evaluation.constraints)
