@@ -20,8 +20,8 @@ from aleator.nlp._verdict import Answer, Verdict, better_scales, checked_answer,
 
 # Rounds from a steep start, each of which lowers the slope of the objective by many orders of magnitude.
 _MOST_ROUNDS = 4
-# Curvature from a steep start can make a solver very slow, so the first round leaves this part of the iterations, if
-# there are enough of them, to later rounds in a better scale.
+# Curvature from a steep start can make a solver very slow, and so can approximated curvature anywhere. So rounds leave
+# this part of the iterations, if there are enough of them, to later rounds in a better scale, or with differences.
 _LEFT_OVER, _WORTH_SHARING = 4, 50
 # Solvers aim at this part of the tolerance, because they run in another scale than that of the verdict.
 _AIM = 1e-2
@@ -128,7 +128,8 @@ class AbstractLocalSolver(AbstractSolver):
         while True:
             rounds += 1
             left = self.max_iterations - spent
-            share = left - left // _LEFT_OVER if rounds == 1 and left >= _WORTH_SHARING else left
+            shared = left >= _WORTH_SHARING and (rounds == 1 or scaled.can_take_differences)
+            share = left - left // _LEFT_OVER if shared else left
             ran_in = scaled.scales
             answer = dataclasses.replace(self, max_iterations=share)._claimed(scaled, multipliers)
             spent += answer.iterations

@@ -241,12 +241,17 @@ class ScaledProgram:
             raise NotFiniteError
         return numbers
 
-    def take_differences(self) -> bool:
-        """Have a Hessian by differences of slopes from now on. Returns whether that is new, and possible.
+    @property
+    def can_take_differences(self) -> bool:
+        """Whether there is no Hessian, but could be one by differences: of few variables, or if nothing curves."""
+        return self.curved is None and (self.size <= MOST_DIFFERENCED or self.straightness.is_shown)
 
-        It is zero as long as all slopes were the same, and possible for few variables, or as long as that is so.
+    def take_differences(self) -> bool:
+        """Have a Hessian by differences of slopes from now on, zero as long as these were the same everywhere.
+
+        Returns whether that is new, and possible.
         """
-        if self.curved is not None or not (self.size <= MOST_DIFFERENCED or self.straightness.is_shown):
+        if not self.can_take_differences:
             return False
         self.curved, self._by_differences = lower_triangle(self.size), True
         return True
