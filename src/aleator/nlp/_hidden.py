@@ -45,13 +45,14 @@ def hidden_descent(scaled: ScaledProgram, z: np.ndarray, multipliers: Multiplier
     try:
         reach = _reach(scaled, z, slope, np.where(hidden, room, 0.0), multipliers)
         step = _along_rows(scaled, z, here, -np.sign(slope) * reach, multipliers)
-        fall = _fall(scaled, z, slope, step, multipliers, noticeable)
+        lower = _lower(scaled, z, slope, step, multipliers, noticeable)
     except NotFiniteError:
         return None
-    if fall is None:
+    if lower is None:
         return None
+    fall, point = lower
     largest = float(np.abs(slope[reach > 0]).max())
-    return Descent(fall * scaled.objective_scale, largest, None, "it is beside a slope that larger ones hide")
+    return Descent(fall * scaled.objective_scale, largest, point, "it is beside a slope that larger ones hide")
 
 
 def _noticeable(scaled: ScaledProgram, here: Evaluation, multipliers: Multipliers, z: np.ndarray) -> float:
@@ -87,24 +88,28 @@ def _along_rows(
     return reach * (units - np.linalg.lstsq(rows, rows @ units, rcond=None)[0])
 
 
-def _fall(
+def _lower(
     scaled: ScaledProgram,
     z: np.ndarray,
     slope: np.ndarray,
     step: np.ndarray,
     multipliers: Multipliers,
     noticeable: float,
-) -> float | None:
-    """By how much the Lagrangian falls along a share of the step; None if not noticeably."""
+) -> tuple[float, np.ndarray | None] | None:
+    """By how much the Lagrangian falls along a share of the step, and the point there, or None for one that leaves the
+    rows; None if it does not fall noticeably.
+    """
     before = _lagrangian(scaled.evaluate(z), multipliers)
     for share in _SHARES:
         moved = np.clip(z + share * step, scaled.lower, scaled.upper)
         predicted = -float(slope @ (moved - z))
         if predicted <= noticeable:
             return None
-        there = _lagrangian(scaled.evaluate(moved), multipliers) + float(multipliers.bounds @ (moved - z))
-        if before - there >= max(_BROUGHT * predicted, noticeable):
-            return before - there
+        there = scaled.evaluate(moved)
+        fall = before - _lagrangian(there, multipliers) - float(multipliers.bounds @ (moved - z))
+        if fall >= max(_BROUGHT * predicted, noticeable):
+            holds = not multipliers.rows.any() and float(scaled.violation(there.constraints).max(initial=0.0)) <= 0
+            return fall, moved if holds else None
     return None
 
 

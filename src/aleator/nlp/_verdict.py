@@ -35,6 +35,8 @@ _PROBE = 1e-4
 _FAR = 100.0
 # One that is so many away has none: beside such magnitudes every slope and every violation is nothing.
 _LOST = 1e12
+# How often an answer is left for a lower point close by before the solver is asked again.
+_MOST_MOVES = 4
 # What to do where nothing more is known.
 _REMEDIES = {
     Status.EVALUATION_FAILED: (
@@ -237,9 +239,24 @@ def settle(scaled: ScaledProgram, answer: Answer, tolerance: float) -> tuple[Ans
     inside all bounds they vanish), it is judged by the change of that gradient over a typical magnitude of the
     variables, which takes one more evaluation close by. Neither depends on the start or on an offset.
     """
-    user = _user(scaled, answer)
     if answer.claim in (Status.EVALUATION_FAILED, Status.INTERRUPTED):
         return answer, True
+    for _ in range(_MOST_MOVES):
+        answer, status, descent = _settled(scaled, answer, tolerance)
+        if descent is None:
+            return answer, status in (Status.SOLVED, Status.INFEASIBLE)
+        said = f"{descent.where}, along which the objective would fall by about {descent.fall:.2g}"
+        if descent.point is None:
+            break
+        answer = answer._replace(point=descent.point)
+    # The next round needs a scale in which this slope is not small.
+    further = scaled.scales._replace(objective=scaled.scales.objective * descent.slope)
+    return _rescaled(scaled, answer._replace(unfinished=said), further), False
+
+
+def _settled(scaled: ScaledProgram, answer: Answer, tolerance: float) -> tuple[Answer, Status, Descent | None]:
+    """The answer in its own scales, with its status, and a descent from it if it is only stationary beside others."""
+    user = _user(scaled, answer)
     answer = _framed(scaled, _examined(scaled, answer, user, tolerance), user)
     verdict = _at(scaled, answer, user, tolerance)
     if verdict.certificate.violation <= _held(tolerance):
@@ -248,22 +265,11 @@ def settle(scaled: ScaledProgram, answer: Answer, tolerance: float) -> tuple[Ans
         answer = _rescaled(scaled, answer, scales._replace(objective=scales.objective * size))
         verdict = _at(scaled, answer, user, tolerance)
     status = _status(scaled, answer, verdict.certificate, tolerance)
-    if status is Status.SOLVED:
-        kept = complementary(scaled, answer.point, scaled.evaluate(answer.point), verdict.multipliers, tolerance)
-        descent = descent_in_valley(scaled, answer.point, kept) or hidden_descent(scaled, answer.point, kept)
-        if descent is not None:
-            return _further(scaled, answer, descent), False
-    return answer, status in (Status.SOLVED, Status.INFEASIBLE)
-
-
-def _further(scaled: ScaledProgram, answer: Answer, descent: Descent) -> Answer:
-    """The answer from which to go on downwards, in a scale in which its gradient is not small."""
-    said = f"{descent.where}, along which the objective would fall by about {descent.fall:.2g}"
-    answer = answer._replace(unfinished=said)
-    if descent.point is not None:
-        return answer._replace(point=descent.point)
-    scales = scaled.scales
-    return _rescaled(scaled, answer, scales._replace(objective=scales.objective * descent.slope))
+    if status is not Status.SOLVED:
+        return answer, status, None
+    kept = complementary(scaled, answer.point, scaled.evaluate(answer.point), verdict.multipliers, tolerance)
+    descent = descent_in_valley(scaled, answer.point, kept) or hidden_descent(scaled, answer.point, kept)
+    return answer, status, descent
 
 
 def _size_of_gradient(scaled: ScaledProgram, z: np.ndarray, multipliers: Multipliers, tolerance: float) -> float:
