@@ -95,4 +95,3 @@ def _neighbour(z: np.ndarray, which: int, lower: np.ndarray, upper: np.ndarray, 
     moved = z.copy()
     moved[which] += sign * step if room >= step else -sign * step
     return np.clip(moved, lower, upper)
-

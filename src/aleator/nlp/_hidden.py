@@ -20,8 +20,10 @@ _OWN = 1e-3
 _NOTICEABLE, _BESIDE_START = 1e-3, 1e-8
 # A fall below this part of all terms may be rounding.
 _ROUNDING = 1e-13
-# Size of a differencing step, and how close to its bound a row holds a step back.
-_STEP, _CLOSE = 1e-4, 1e-6
+# Size of a differencing step, how close to its bound a row holds a step back, and how close it may have a multiplier.
+_STEP, _CLOSE, _NEAR = 1e-4, 1e-6, 1e-4
+# A step that crosses a row before this share of it goes along that row.
+_SOON = 0.25
 # Shares of a step that are tried, and the part of the predicted fall that one must bring.
 _SHARES, _BROUGHT = (1.0, 0.25, 0.0625, 0.015625), 0.1
 
@@ -34,6 +36,7 @@ def hidden_descent(scaled: ScaledProgram, z: np.ndarray, multipliers: Multiplier
     if not isinstance(scaled.sparsity, np.ndarray):
         return None
     here = scaled.evaluate(z)
+    multipliers = _of_near(scaled, z, here, multipliers)
     slope = lagrangian_gradient(here, multipliers)
     room = np.minimum(np.where(slope > 0, z - scaled.lower, scaled.upper - z), np.maximum(1.0, np.abs(z)))
     noticeable = _noticeable(scaled, here, multipliers, z)
@@ -44,8 +47,14 @@ def hidden_descent(scaled: ScaledProgram, z: np.ndarray, multipliers: Multiplier
         return None
     try:
         reach = _reach(scaled, z, slope, np.where(hidden, room, 0.0), multipliers)
-        step = _along_rows(scaled, z, here, -np.sign(slope) * reach, multipliers)
-        lower = _lower(scaled, z, slope, step, multipliers, noticeable)
+        whole = -np.sign(slope) * reach
+        shares = _shares_to_rows(scaled, here, whole)
+        lower = None
+        # First along the rows that a step would soon cross, then up to them.
+        for held in (shares < _SOON, shares <= 0):
+            step = _along_rows(scaled, z, here, whole, held | (multipliers.rows != 0), multipliers)
+            longest = min(1.0, float(shares[~held].min(initial=1.0)))
+            lower = lower or _lower(scaled, z, slope, longest * step, multipliers, noticeable)
     except NotFiniteError:
         return None
     if lower is None:
@@ -53,6 +62,15 @@ def hidden_descent(scaled: ScaledProgram, z: np.ndarray, multipliers: Multiplier
     fall, point = lower
     largest = float(np.abs(slope[reach > 0]).max())
     return Descent(fall * scaled.objective_scale, largest, point, "it is beside a slope that larger ones hide")
+
+
+def _of_near(scaled: ScaledProgram, z: np.ndarray, here: Evaluation, multipliers: Multipliers) -> Multipliers:
+    """The multipliers of rows and bounds close by: beside a large one, interior points leave others anywhere."""
+    beyond = np.maximum(z - scaled.upper, scaled.lower - z)
+    return Multipliers(
+        np.where(scaled.violation(here.constraints) > -_NEAR, multipliers.rows, 0.0),
+        np.where(beyond > -_NEAR, multipliers.bounds, 0.0),
+    )
 
 
 def _noticeable(scaled: ScaledProgram, here: Evaluation, multipliers: Multipliers, z: np.ndarray) -> float:
@@ -74,16 +92,28 @@ def _reach(
     return np.where(explained, 0.0, shares * room)
 
 
+def _shares_to_rows(scaled: ScaledProgram, here: Evaluation, step: np.ndarray) -> np.ndarray:
+    """The share of a step after which each row reaches its bound, by its slope; zero for a row at it."""
+    change, values = here.jacobian @ step, here.constraints
+    slack = np.where(change > 0, scaled.constraint_upper - values, values - scaled.constraint_lower)
+    shares = np.divide(slack, np.abs(change), out=np.full(slack.shape, np.inf), where=change != 0)
+    return np.where(scaled.violation(values) > -_CLOSE, 0.0, shares)
+
+
 def _along_rows(
-    scaled: ScaledProgram, z: np.ndarray, here: Evaluation, step: np.ndarray, multipliers: Multipliers
+    scaled: ScaledProgram,
+    z: np.ndarray,
+    here: Evaluation,
+    step: np.ndarray,
+    held: np.ndarray,
+    multipliers: Multipliers,
 ) -> np.ndarray:
-    """The step with what leaves the active rows removed, by all variables that no bound holds."""
-    active = (multipliers.rows != 0) | (scaled.violation(here.constraints) > -_CLOSE)
-    if not active.any():
+    """The step with what leaves the rows `held` removed, by all variables that no bound holds."""
+    if not held.any():
         return step
     room = np.minimum(np.minimum(z - scaled.lower, scaled.upper - z), 1.0)
     reach = np.where(step != 0, np.abs(step), np.where(multipliers.bounds == 0, room, 0.0))
-    rows = dense_rows(here.jacobian, np.flatnonzero(active)) * reach
+    rows = dense_rows(here.jacobian, np.flatnonzero(held)) * reach
     units = np.sign(step)
     return reach * (units - np.linalg.lstsq(rows, rows @ units, rcond=None)[0])
 
@@ -99,7 +129,7 @@ def _lower(
     """By how much the Lagrangian falls along a share of the step, and the point there, or None for one that leaves the
     rows; None if it does not fall noticeably.
     """
-    before = _lagrangian(scaled.evaluate(z), multipliers)
+    before, free = _lagrangian(scaled.evaluate(z), multipliers), multipliers.rows == 0
     for share in _SHARES:
         moved = np.clip(z + share * step, scaled.lower, scaled.upper)
         predicted = -float(slope @ (moved - z))
@@ -107,9 +137,9 @@ def _lower(
             return None
         there = scaled.evaluate(moved)
         fall = before - _lagrangian(there, multipliers) - float(multipliers.bounds @ (moved - z))
-        if fall >= max(_BROUGHT * predicted, noticeable):
-            holds = not multipliers.rows.any() and float(scaled.violation(there.constraints).max(initial=0.0)) <= 0
-            return fall, moved if holds else None
+        outside = float(scaled.violation(there.constraints)[free].max(initial=-np.inf))
+        if outside <= _CLOSE and fall >= max(_BROUGHT * predicted, noticeable):
+            return fall, moved if free.all() and outside <= 0 else None
     return None
 
 
