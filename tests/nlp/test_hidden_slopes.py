@@ -11,7 +11,7 @@ SEEDS = range(12)
 
 
 def linear(cost, matrix, most, start, lower, upper):
-    """Minimise `cost x` subject to `matrix x <= most` between bounds, with typical magnitudes as decisions have them."""
+    """Minimise `cost x` subject to `matrix x <= most` between bounds, with the typical magnitudes of decisions."""
     cost, matrix, start = np.array(cost), np.reshape(matrix, (-1, len(cost))), np.array(start)
     span = np.array(upper) - np.array(lower)
     scale = np.maximum(np.abs(start), np.where(np.isfinite(span), span / 10, 0.0))

@@ -29,9 +29,9 @@ _SHARES, _BROUGHT = (1.0, 0.25, 0.0625, 0.015625), 0.1
 
 
 def hidden_descent(scaled: ScaledProgram, z: np.ndarray, multipliers: Multipliers) -> Descent | None:
-    """A descent by variables whose slopes are small beside others but not beside their own terms; None if there is none.
+    """A descent by variables whose slopes are small beside others but not beside their own terms; None if none is.
 
-    One evaluation if some slope might matter; up to four more if it is not explained by curvature.
+    One evaluation if some slope might matter; up to eight more if it is not explained by curvature.
     """
     if not isinstance(scaled.sparsity, np.ndarray):
         return None

@@ -241,14 +241,15 @@ def settle(scaled: ScaledProgram, answer: Answer, tolerance: float) -> tuple[Ans
     """
     if answer.claim in (Status.EVALUATION_FAILED, Status.INTERRUPTED):
         return answer, True
-    for _ in range(_MOST_MOVES):
+    moves = 0
+    while True:
         answer, status, descent = _settled(scaled, answer, tolerance)
         if descent is None:
             return answer, status in (Status.SOLVED, Status.INFEASIBLE)
-        said = f"{descent.where}, along which the objective would fall by about {descent.fall:.2g}"
-        if descent.point is None:
+        if descent.point is None or moves == _MOST_MOVES:
             break
-        answer = answer._replace(point=descent.point)
+        answer, moves = answer._replace(point=descent.point), moves + 1
+    said = f"{descent.where}, along which the objective would fall by about {descent.fall:.2g}"
     # The next round needs a scale in which this slope is not small.
     further = scaled.scales._replace(objective=scaled.scales.objective * descent.slope)
     return _rescaled(scaled, answer._replace(unfinished=said), further), False
