@@ -3,6 +3,7 @@
 from aleator.nlp._condensing import Condensing as Condensing
 from aleator.nlp._elastic import Elastic as Elastic
 from aleator.nlp._elastic import Excess as Excess
+from aleator.nlp._elsewhere import UNBOUNDED as UNBOUNDED
 from aleator.nlp._elsewhere import feasible_elsewhere as feasible_elsewhere
 from aleator.nlp._elsewhere import variable_range as variable_range
 from aleator.nlp._filtersqp import FilterSQP as FilterSQP

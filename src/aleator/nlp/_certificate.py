@@ -1,10 +1,13 @@
 """Optimality conditions at a point and its multipliers, computed alike for every solver, in scaled quantities."""
 
+import contextlib
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import final
 
 import numpy as np
 
+from aleator.nlp._evaluations import NotFiniteError
 from aleator.nlp._matrices import (
     Matrix,
     bounded_fit,
@@ -23,6 +26,8 @@ from aleator.nlp._scaling import Multipliers, ScaledProgram
 _ACTIVE, _ACTIVE_FRACTION = 1e-5, 1e-3
 # A violation is stationary if one typical magnitude of every variable would lower it by less than this fraction.
 _STATIONARY_FRACTION = 1e-3
+# Shares of the step that should lower a violation to zero, and by which part one must lower it to count.
+_SHARES, _FALL = (1.0, 0.1), 0.05
 
 
 @final
@@ -123,7 +128,7 @@ def fit_multipliers(scaled: ScaledProgram, z: np.ndarray, evaluation: Evaluation
 
 
 def is_least_violated(scaled: ScaledProgram, z: np.ndarray, evaluation: Evaluation) -> bool:
-    """Whether no small step lowers the violation: its sum over the rows, or its maximum.
+    """Whether no step lowers the violation: its sum over the rows, or its maximum.
 
     Either proves that the linearised constraints have no solution near `z`: a step that meets them all would
     lower both measures.
@@ -153,7 +158,10 @@ def _sum_is_stationary(scaled: ScaledProgram, z: np.ndarray, evaluation: Evaluat
     if columns.shape[1]:
         ceiling = np.concatenate([np.ones(rows.size), np.full(cone.shape[1], np.inf)])
         remainder = steepest + columns @ bounded_fit(columns, -steepest, ceiling)
-    return float(np.linalg.norm(remainder)) <= _STATIONARY_FRACTION * float(outside[violated].sum())
+    total = float(outside[violated].sum())
+    if float(np.linalg.norm(remainder)) > _STATIONARY_FRACTION * total:
+        return False
+    return not _falls(scaled, z, remainder, total, lambda beyond: float(np.maximum(beyond, 0.0).sum()))
 
 
 def _maximum_is_stationary(scaled: ScaledProgram, z: np.ndarray, evaluation: Evaluation, outside: np.ndarray) -> bool:
@@ -165,8 +173,37 @@ def _maximum_is_stationary(scaled: ScaledProgram, z: np.ndarray, evaluation: Eva
     sums = np.concatenate([np.ones(steep.shape[1]), np.zeros(cone.shape[1])])
     system = with_last_row(side_by_side(steep, cone), sums)
     target = np.append(np.zeros(z.size), 1.0)
-    residual = np.linalg.norm(system @ nonnegative_fit(system, target) - target)
-    return float(residual) <= _STATIONARY_FRACTION * float(outside.max())
+    remainder = system @ nonnegative_fit(system, target) - target
+    largest = float(outside.max())
+    if float(np.linalg.norm(remainder)) > _STATIONARY_FRACTION * largest:
+        return False
+    return not _falls(scaled, z, remainder[:-1], largest, lambda beyond: float(beyond.max(initial=0.0)))
+
+
+def _falls(
+    scaled: ScaledProgram,
+    z: np.ndarray,
+    slope: np.ndarray,
+    violation: float,
+    measured: Callable[[np.ndarray], float],
+) -> bool:
+    """Whether the violation falls as a slope says that is small beside it, by steps that should lower it by much.
+
+    Where a variable without a bound must go far, as a level above all rows, one typical magnitude of it is nothing.
+    """
+    steepness = float(slope @ slope)
+    if not 0 < steepness < np.inf:
+        return False
+    for share in _SHARES:
+        moved = np.clip(z - share * violation / steepness * slope, scaled.lower, scaled.upper)
+        promised = float(slope @ (z - moved))
+        if not np.isfinite(moved).all() or promised < _FALL * violation:
+            return False
+        with contextlib.suppress(NotFiniteError):
+            beyond = scaled.violation(scaled.evaluate(moved).constraints)
+            if violation - measured(beyond) >= promised / 2:
+                return True
+    return False
 
 
 def _close(outside: np.ndarray) -> float:

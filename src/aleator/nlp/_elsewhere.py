@@ -15,6 +15,8 @@ from aleator.nlp._program import NonlinearProgram
 # How many points in the whole range of the variables are evaluated, and how far from the start an unbounded range
 # extends, in typical magnitudes.
 _POINTS, _FAR = 8, 3.0
+# Bounds that are so many typical magnitudes, or units, away stand for none.
+UNBOUNDED = 1e15
 # A violation is lower if it is so by more than this part.
 _LESS = 1e-2
 
@@ -48,8 +50,8 @@ def variable_range(
     start: np.ndarray, lower: np.ndarray, upper: np.ndarray, scale: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """The least and greatest values of the variables, or three typical magnitudes from the start if unbounded."""
-    far = _FAR * scale
-    return np.where(np.isfinite(lower), lower, start - far), np.where(np.isfinite(upper), upper, start + far)
+    far, bounded = _FAR * scale, UNBOUNDED * np.maximum(scale, 1.0)
+    return np.where(lower > -bounded, lower, start - far), np.where(upper < bounded, upper, start + far)
 
 
 def _points(program: NonlinearProgram, start: np.ndarray) -> list[np.ndarray]:

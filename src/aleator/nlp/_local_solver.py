@@ -20,8 +20,8 @@ from aleator.nlp._verdict import Answer, Verdict, better_scales, checked_answer,
 
 # Rounds from a steep start, each of which lowers the slope of the objective by many orders of magnitude.
 _MOST_ROUNDS = 4
-# Curvature from a steep start can make a solver very slow, so the first round leaves this part of the iterations, if
-# there are enough of them, to later rounds in a better scale.
+# Curvature from a steep start can make a solver very slow, and so can approximated curvature anywhere. So rounds leave
+# this part of the iterations, if there are enough of them, to later rounds in a better scale, or with differences.
 _LEFT_OVER, _WORTH_SHARING = 4, 50
 # Solvers aim at this part of the tolerance, because they run in another scale than that of the verdict.
 _AIM = 1e-2
@@ -40,8 +40,9 @@ class AbstractLocalSolver(AbstractSolver):
     - `tolerance`: see `AbstractSolver`; the library itself aims at a hundredth of it (`aim`);
     - `max_iterations`: the limit of iterations, restarts included.
 
-    If the library ends at a point that is not within the tolerance in scales taken there, it is restarted from that
-    point in those scales; more restarts follow only if the scales then differ considerably.
+    If the library ends at a point that is not within the tolerance in scales taken there, or from which the objective
+    still falls noticeably, it is restarted from that point in those scales; more restarts follow only if the scales
+    then differ considerably, or with second derivatives by differences where an approximation got no further.
     """
 
     max_iterations: int = 500
@@ -127,7 +128,8 @@ class AbstractLocalSolver(AbstractSolver):
         while True:
             rounds += 1
             left = self.max_iterations - spent
-            share = left - left // _LEFT_OVER if rounds == 1 and left >= _WORTH_SHARING else left
+            shared = left >= _WORTH_SHARING and (rounds == 1 or scaled.can_take_differences)
+            share = left - left // _LEFT_OVER if shared else left
             ran_in = scaled.scales
             answer = dataclasses.replace(self, max_iterations=share)._claimed(scaled, multipliers)
             spent += answer.iterations
@@ -138,8 +140,10 @@ class AbstractLocalSolver(AbstractSolver):
             if stands or rounds == _MOST_ROUNDS or spent >= self.max_iterations:
                 return answer
             judged_in, better = scaled.scales, better_scales(scaled, answer)
-            if answer.claim is not Status.ITERATION_LIMIT:
-                if tried and better.is_near(ran_in, _SAME_SCALE):
+            in_vain = bool(answer.unfinished) or answer.claim is Status.ITERATION_LIMIT or scaled.straightness.is_shown
+            sharper = (in_vain or tried) and scaled.take_differences()
+            if not in_vain:
+                if tried and not sharper and better.is_near(ran_in, _SAME_SCALE):
                     return answer
                 tried = True
             scaled.rescale(answer.point, better)

@@ -5,6 +5,7 @@ from typing import NamedTuple, final
 
 import numpy as np
 
+from aleator.nlp._differences import MOST_DIFFERENCED, Straightness, differenced, lower_triangle
 from aleator.nlp._evaluations import Evaluations, NotFiniteError
 from aleator.nlp._matrices import Block, Matrix, checked_sparse
 from aleator.nlp._program import Evaluation, Magnitudes, NonlinearProgram
@@ -60,7 +61,9 @@ class ScaledProgram:
 
     - `size`, `rows`: n_free and m_useful;
     - `sparsity`: the entries of the Jacobian that may be nonzero, shape (m_useful, n_free), dense or sparse as the
-      Jacobians are; `curved`: those of the Hessian's lower triangle, None if there is no Hessian;
+      Jacobians are; `curved`: those of the Hessian's lower triangle, None if there is no Hessian
+      (`take_differences` makes one);
+    - `straightness`: whether all slopes seen so far were the same;
     - `ties`: those of the useful rows and free variables, None if none are known;
     - `start`: scaled start, clipped to the bounds, shape (n_free,);
     - `lower`, `upper`: scaled bounds, shape (n_free,);
@@ -103,6 +106,8 @@ class ScaledProgram:
         self.start = np.clip(self._fixed_variables[self._free] / self._variable_scale, self.lower, self.upper)
         self.best: tuple[np.ndarray, Evaluation] | None = None
         self.visited: list[tuple[float, float]] = []
+        self.straightness = Straightness()
+        self._by_differences = False
         self.objective_scale = 1.0
         self._objective_origin = 0.0
         self._scale_constraints(program.constraint_scale[self._useful])
@@ -191,6 +196,7 @@ class ScaledProgram:
             except NotFiniteError:
                 self._note(np.nan, np.nan)
                 raise
+            self.straightness.note(np.array(z, dtype=float), user)
             self._last = (key, self.scale(user))
             violation = self._rank(np.array(z, dtype=float), user, self._last[1])
             self._note(user.objective, violation)
@@ -220,6 +226,8 @@ class ScaledProgram:
         `weight` is that of the scaled objective, `multipliers` those of the useful scaled rows. Raises `NotFiniteError`
         if some entries are not finite, `HaltedError` if the solve must end.
         """
+        if self._by_differences:
+            return self._differenced(z, weight, multipliers)
         program = self._program
         assert program.hessian is not None
         assert self._hessian_block is not None
@@ -232,6 +240,27 @@ class ScaledProgram:
         if not np.isfinite(numbers).all():
             raise NotFiniteError
         return numbers
+
+    @property
+    def can_take_differences(self) -> bool:
+        """Whether there is no Hessian, but could be one by differences: of few variables, or if nothing curves."""
+        return self.curved is None and (self.size <= MOST_DIFFERENCED or self.straightness.is_shown)
+
+    def take_differences(self) -> bool:
+        """Have a Hessian by differences of slopes from now on, zero as long as these were the same everywhere.
+
+        Returns whether that is new, and possible.
+        """
+        if not self.can_take_differences:
+            return False
+        self.curved, self._by_differences = lower_triangle(self.size), True
+        return True
+
+    def _differenced(self, z: np.ndarray, weight: float, multipliers: np.ndarray) -> np.ndarray:
+        assert self.curved is not None
+        if self.straightness.is_shown or self.size > MOST_DIFFERENCED:
+            return np.zeros(self.curved.nnz)
+        return differenced(self.evaluate, np.array(z, dtype=float), (self.lower, self.upper), weight, multipliers)
 
     def terms(self, evaluation: Evaluation, multipliers: Multipliers) -> float:
         """The scaled magnitude of the terms of the Lagrangian, to which its rounding is relative."""

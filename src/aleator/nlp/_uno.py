@@ -49,7 +49,8 @@ def run_uno(
     max_iterations: int,
     options: Mapping[str, Any] = MappingProxyType({}),
 ) -> Answer:
-    """Run one of Uno's presets until it ends, the solve must end, or a derivative outside `pattern` is nonzero.
+    """Run one of Uno's presets until it ends, the solve must end, a derivative outside `pattern` is nonzero, or it
+    approximates curvature where there is none.
 
     - `aim`: the tolerance for Uno; `options`: those of the preset alone.
     """
@@ -67,7 +68,12 @@ def run_uno(
     }
     for option, value in (common | dict(options)).items():
         solver.set_option(option, value)
-    solver.set_termination_callback(lambda *_: scaled.evaluations.halt is not None or pattern.outgrown)
+
+    def is_over(*_: Any) -> bool:
+        in_vain = scaled.curved is None and scaled.straightness.is_shown
+        return scaled.evaluations.halt is not None or pattern.outgrown or in_vain
+
+    solver.set_termination_callback(is_over)
     return _answer(solver.optimize(_model(unopy, scaled, pattern, start, multipliers)))
 
 

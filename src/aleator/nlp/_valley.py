@@ -22,15 +22,17 @@ _SHARES = (1.0, 0.25, 0.0625)
 
 
 class Descent(NamedTuple):
-    """A noticeable descent along the floor of a valley.
+    """A noticeable descent, for example along the floor of a valley.
 
     - `fall`: of the objective by Newton's method, in user units; `slope`: the largest entry of the scaled gradient;
-    - `point`: one that is lower indeed, shape (n_free,); None if the floor is too curved for a step along it.
+    - `point`: one that is lower indeed, shape (n_free,); None if the floor is too curved for a step along it;
+    - `where`: it is, in words.
     """
 
     fall: float
     slope: float
     point: np.ndarray | None
+    where: str
 
 
 def descent_in_valley(scaled: ScaledProgram, z: np.ndarray, multipliers: Multipliers) -> Descent | None:
@@ -59,7 +61,7 @@ def descent_in_valley(scaled: ScaledProgram, z: np.ndarray, multipliers: Multipl
     lower = _lowest(scaled, z, step, noticeable)
     if lower is None and fall <= _ROUNDING * scaled.start_objective:
         return None
-    return Descent(fall * scaled.objective_scale, largest, lower)
+    return Descent(fall * scaled.objective_scale, largest, lower, "it is on the floor of a steep valley")
 
 
 def _newton_step(scaled: ScaledProgram, z: np.ndarray, slope: np.ndarray, free: np.ndarray, step: float) -> np.ndarray:

@@ -16,6 +16,7 @@ from aleator.nlp._certificate import (
     lagrangian_gradient,
 )
 from aleator.nlp._evaluations import NotFiniteError
+from aleator.nlp._hidden import hidden_descent
 from aleator.nlp._outcome import Status
 from aleator.nlp._program import Evaluation
 from aleator.nlp._scaling import Multipliers, ScaledProgram, Scales
@@ -34,6 +35,8 @@ _PROBE = 1e-4
 _FAR = 100.0
 # One that is so many away has none: beside such magnitudes every slope and every violation is nothing.
 _LOST = 1e12
+# How often an answer is left for a lower point close by before the solver is asked again.
+_MOST_MOVES = 4
 # What to do where nothing more is known.
 _REMEDIES = {
     Status.EVALUATION_FAILED: (
@@ -61,7 +64,8 @@ class Answer(NamedTuple):
     - `point`: shape (n_free,);
     - `multipliers`: None if the solver gives none;
     - `iterations`: its count;
-    - `message`: its message.
+    - `message`: its message;
+    - `unfinished`: why a point that meets the first-order conditions is no answer, in words; left empty by solvers.
     """
 
     claim: Status
@@ -69,6 +73,7 @@ class Answer(NamedTuple):
     multipliers: Multipliers | None
     iterations: int
     message: str
+    unfinished: str = ""
 
 
 def checked_answer(who: str, answer: Any, scaled: ScaledProgram) -> Answer:
@@ -129,7 +134,7 @@ def judge(scaled: ScaledProgram, answer: Answer, tolerance: float) -> Verdict:
     if status is Status.INFEASIBLE:
         least = _at_best(scaled, answer._replace(claim=status), tolerance)
         verdict = least if least.certificate.violation > _held(tolerance) else verdict
-    said = _advice(scaled, verdict, tolerance)
+    said = _advice(scaled, verdict, answer.unfinished, tolerance)
     return verdict._replace(message=f"{said} (the solver said: {answer.message})") if said else verdict
 
 
@@ -141,7 +146,7 @@ def _held(tolerance: float) -> float:
 def _status(scaled: ScaledProgram, answer: Answer, certificate: Certificate, tolerance: float) -> Status:
     if not _has_run_away(scaled, answer.point, _LOST):
         if certificate.within(_held(tolerance), tolerance):
-            return Status.SOLVED
+            return Status.FAILED if answer.unfinished else Status.SOLVED
         infeasible = certificate.violation > _held(tolerance)
         if infeasible and (answer.claim is Status.INFEASIBLE or _is_least_violated(scaled, answer)):
             return Status.INFEASIBLE
@@ -234,9 +239,25 @@ def settle(scaled: ScaledProgram, answer: Answer, tolerance: float) -> tuple[Ans
     inside all bounds they vanish), it is judged by the change of that gradient over a typical magnitude of the
     variables, which takes one more evaluation close by. Neither depends on the start or on an offset.
     """
-    user = _user(scaled, answer)
     if answer.claim in (Status.EVALUATION_FAILED, Status.INTERRUPTED):
         return answer, True
+    moves = 0
+    while True:
+        answer, status, descent = _settled(scaled, answer, tolerance)
+        if descent is None:
+            return answer, status in (Status.SOLVED, Status.INFEASIBLE)
+        if descent.point is None or moves == _MOST_MOVES:
+            break
+        answer, moves = answer._replace(point=descent.point), moves + 1
+    said = f"{descent.where}, along which the objective would fall by about {descent.fall:.2g}"
+    # The next round needs a scale in which this slope is not small.
+    further = scaled.scales._replace(objective=scaled.scales.objective * descent.slope)
+    return _rescaled(scaled, answer._replace(unfinished=said), further), False
+
+
+def _settled(scaled: ScaledProgram, answer: Answer, tolerance: float) -> tuple[Answer, Status, Descent | None]:
+    """The answer in its own scales, with its status, and a descent from it if it is only stationary beside others."""
+    user = _user(scaled, answer)
     answer = _framed(scaled, _examined(scaled, answer, user, tolerance), user)
     verdict = _at(scaled, answer, user, tolerance)
     if verdict.certificate.violation <= _held(tolerance):
@@ -245,25 +266,11 @@ def settle(scaled: ScaledProgram, answer: Answer, tolerance: float) -> tuple[Ans
         answer = _rescaled(scaled, answer, scales._replace(objective=scales.objective * size))
         verdict = _at(scaled, answer, user, tolerance)
     status = _status(scaled, answer, verdict.certificate, tolerance)
-    if status is Status.SOLVED:
-        kept = complementary(scaled, answer.point, scaled.evaluate(answer.point), verdict.multipliers, tolerance)
-        descent = descent_in_valley(scaled, answer.point, kept)
-        if descent is not None:
-            return _further(scaled, answer, descent), False
-    return answer, status in (Status.SOLVED, Status.INFEASIBLE)
-
-
-def _further(scaled: ScaledProgram, answer: Answer, descent: Descent) -> Answer:
-    """The answer from which to go on along the floor of a valley, in a scale in which its gradient is not small."""
-    if descent.point is not None:
-        return answer._replace(point=descent.point)
-    scales = scaled.scales
-    said = (
-        f"{answer.message}; it is on the floor of a steep valley, along which the objective would fall by about "
-        f"{descent.fall:.2g}: lower the largest weights of the objective, or start elsewhere"
-    )
-    rescaled = _rescaled(scaled, answer, scales._replace(objective=scales.objective * descent.slope))
-    return rescaled._replace(message=said)
+    if status is not Status.SOLVED:
+        return answer, status, None
+    kept = complementary(scaled, answer.point, scaled.evaluate(answer.point), verdict.multipliers, tolerance)
+    descent = descent_in_valley(scaled, answer.point, kept) or hidden_descent(scaled, answer.point, kept)
+    return answer, status, descent
 
 
 def _size_of_gradient(scaled: ScaledProgram, z: np.ndarray, multipliers: Multipliers, tolerance: float) -> float:
@@ -306,12 +313,14 @@ def _unknown(scaled: ScaledProgram, answer: Answer) -> Verdict:
     return Verdict(answer.claim, answer.point, scaled.evaluations.last, zero, nowhere, answer.message, sizes)
 
 
-def _advice(scaled: ScaledProgram, verdict: Verdict, tolerance: float) -> str:
+def _advice(scaled: ScaledProgram, verdict: Verdict, unfinished: str, tolerance: float) -> str:
     """Why a point is no solution and what to do, in words; empty for a solution."""
     if verdict.status not in _REMEDIES:
         return ""
     if verdict.status not in (Status.ITERATION_LIMIT, Status.FAILED):
         return _REMEDIES[verdict.status]
+    if unfinished:
+        return f"{unfinished}. Lower the largest weights of the objective, or start elsewhere"
     reason, remedy = _reason(scaled, verdict, tolerance)
     if not remedy and _has_run_away(scaled, verdict.point):
         reason += ", and decisions are far out on a side without a bound, where there may be no optimum"

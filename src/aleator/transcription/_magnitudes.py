@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from aleator.design import AbstractAtom, Composed, Constraint, Peak, Problem, Rms, Statistic
-from aleator.nlp import HELD, Evaluation, Magnitudes, Matrix, variable_range
+from aleator.nlp import HELD, UNBOUNDED, Evaluation, Magnitudes, Matrix, variable_range
 from aleator.statistics import Mean, Std, Variance
 
 Values: TypeAlias = Sequence[Float[np.ndarray, "..."]]
@@ -159,9 +159,12 @@ def _is_never_negative(atom: AbstractAtom, certain: bool) -> bool:
 
 
 def decision_scales(start: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> Float[np.ndarray, " n"]:
-    """A typical magnitude of each decision: its start, or a tenth of its range if that is larger."""
+    """A typical magnitude of each decision: its start, or a tenth of its range if that is larger.
+
+    A range of 1e15 starts, or of 1e15 if these are small, says no more than a missing bound does.
+    """
     span = upper - lower
-    scale = np.maximum(np.abs(start), np.where(np.isfinite(span), 0.1 * span, 0.0))
+    scale = np.maximum(np.abs(start), np.where(span < UNBOUNDED * np.maximum(1.0, np.abs(start)), 0.1 * span, 0.0))
     return np.where(scale > 0, scale, 1.0)
 
 
