@@ -141,7 +141,11 @@ class AbstractLocalSolver(AbstractSolver):
                 return answer
             judged_in, better = scaled.scales, better_scales(scaled, answer)
             in_vain = bool(answer.unfinished) or answer.claim is Status.ITERATION_LIMIT or scaled.straightness.is_shown
-            sharper = (in_vain or tried) and not has_run_away(scaled, answer.point) and scaled.take_differences()
+            sharper = (
+                (in_vain or tried)
+                and (scaled.straightness.is_shown or not has_run_away(scaled, answer.point))
+                and scaled.take_differences()
+            )
             if not in_vain:
                 if tried and not sharper and better.is_near(ran_in, _SAME_SCALE):
                     return answer
