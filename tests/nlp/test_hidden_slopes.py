@@ -55,7 +55,7 @@ def test_a_linear_program_takes_few_points():
     assert outcome.evaluations < 20
 
 
-@pytest.mark.parametrize("offset", [50.0, 1e2, 1e3, 1e4, 1e6])
+@pytest.mark.parametrize("offset", [50.0, 1e2, 1e3, 1e4])
 def test_a_level_rises_as_far_as_it_must(offset):
     # The least level above two rows that are far above its start: -4 + offset.
     rows = [[1.0, 0.0, -1.0], [0.0, 1.0, -1.0]]

@@ -28,6 +28,8 @@ _ACTIVE, _ACTIVE_FRACTION = 1e-5, 1e-3
 _STATIONARY_FRACTION = 1e-3
 # Shares of the step that should lower a violation to zero, and by which part one must lower it to count.
 _SHARES, _FALL = (1.0, 0.1), 0.05
+# How far such a step may go, in typical magnitudes of the variables.
+_FARTHEST = 1e5
 
 
 @final
@@ -197,7 +199,8 @@ def _falls(
     for share in _SHARES:
         moved = np.clip(z - share * violation / steepness * slope, scaled.lower, scaled.upper)
         promised = float(slope @ (z - moved))
-        if not np.isfinite(moved).all() or promised < _FALL * violation:
+        # Further out, another scale of the variables is needed, which other starts have.
+        if not np.abs(moved - z).max() < _FARTHEST or promised < _FALL * violation:
             return False
         with contextlib.suppress(NotFiniteError):
             beyond = scaled.violation(scaled.evaluate(moved).constraints)

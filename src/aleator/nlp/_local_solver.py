@@ -16,7 +16,7 @@ from aleator.nlp._program import NonlinearProgram
 from aleator.nlp._scaling import ScaledProgram
 from aleator.nlp._searched import Searched
 from aleator.nlp._solver import AbstractSolver, checked
-from aleator.nlp._verdict import Answer, Verdict, better_scales, checked_answer, judge, settle
+from aleator.nlp._verdict import Answer, Verdict, better_scales, checked_answer, has_run_away, judge, settle
 
 # Rounds from a steep start, each of which lowers the slope of the objective by many orders of magnitude.
 _MOST_ROUNDS = 4
@@ -141,7 +141,11 @@ class AbstractLocalSolver(AbstractSolver):
                 return answer
             judged_in, better = scaled.scales, better_scales(scaled, answer)
             in_vain = bool(answer.unfinished) or answer.claim is Status.ITERATION_LIMIT or scaled.straightness.is_shown
-            sharper = (in_vain or tried) and scaled.take_differences()
+            sharper = (
+                (in_vain or tried)
+                and (scaled.straightness.is_shown or not has_run_away(scaled, answer.point))
+                and scaled.take_differences()
+            )
             if not in_vain:
                 if tried and not sharper and better.is_near(ran_in, _SAME_SCALE):
                     return answer

@@ -144,7 +144,7 @@ def _held(tolerance: float) -> float:
 
 
 def _status(scaled: ScaledProgram, answer: Answer, certificate: Certificate, tolerance: float) -> Status:
-    if not _has_run_away(scaled, answer.point, _LOST):
+    if not has_run_away(scaled, answer.point, _LOST):
         if certificate.within(_held(tolerance), tolerance):
             return Status.FAILED if answer.unfinished else Status.SOLVED
         infeasible = certificate.violation > _held(tolerance)
@@ -322,13 +322,13 @@ def _advice(scaled: ScaledProgram, verdict: Verdict, unfinished: str, tolerance:
     if unfinished:
         return f"{unfinished}. Lower the largest weights of the objective, or start elsewhere"
     reason, remedy = _reason(scaled, verdict, tolerance)
-    if not remedy and _has_run_away(scaled, verdict.point):
+    if not remedy and has_run_away(scaled, verdict.point):
         reason += ", and decisions are far out on a side without a bound, where there may be no optimum"
         remedy = "Give all decisions bounds, or allow the solver more iterations, by its max_iterations"
     return f"{reason}. {remedy or _REMEDIES[verdict.status]}"
 
 
-def _has_run_away(scaled: ScaledProgram, z: np.ndarray, far: float = _FAR) -> bool:
+def has_run_away(scaled: ScaledProgram, z: np.ndarray, far: float = _FAR) -> bool:
     """Whether a variable is more typical magnitudes away from zero than `far`, on a side on which it has no bound."""
     open_ended = np.where(z > 0, np.isposinf(scaled.upper), np.isneginf(scaled.lower))
     return bool(np.any(open_ended & (np.abs(z) > far)))
