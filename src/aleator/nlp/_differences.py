@@ -17,7 +17,7 @@ _STEP = 1e-5
 # So many points, one of them so many typical magnitudes away from the first, show that nothing curves.
 _POINTS, _AWAY = 10, 1e-2
 # Slopes that differ by less than this part of themselves, or of the largest, are the same.
-_SAME, _NOTHING = 1e-9, 1e-13
+_SAME, _NOTHING = 1e-12, 1e-13
 
 
 @final
