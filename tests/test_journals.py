@@ -43,9 +43,9 @@ def solved(monkeypatch: pytest.MonkeyPatch) -> list[al.Problem]:
     """The problems that are really solved, in order."""
     done, solve = [], solving._solve._solved
 
-    def noted(problem, *rest):
-        done.append(problem)
-        return solve(problem, *rest)
+    def noted(call):
+        done.append(call.problem)
+        return solve(call)
 
     monkeypatch.setattr(solving._solve, "_solved", noted)
     return done

@@ -22,7 +22,7 @@ class AbstractEntry(abc.ABC):
 
     @abc.abstractmethod
     def keep(self, result: Any) -> None:
-        """Keep a finished result at once."""
+        """Keep a finished result at once, unless the user stopped it."""
 
     @abc.abstractmethod
     def failed(self, error: BaseException) -> None:
@@ -67,16 +67,11 @@ def entry_of(what: str, given: Mapping[str, Any]) -> AbstractEntry:
     return _Unkept() if journal is None else journal.entry(what, given)
 
 
-def journalled(
-    what: str,
-    given: Mapping[str, Any],
-    compute: Callable[[], Result],
-    is_finished: Callable[[Result], bool] = lambda _: True,
-) -> Result:
+def journalled(what: str, given: Mapping[str, Any], compute: Callable[[], Result]) -> Result:
     """The result that an earlier run has found from the same code and numbers, or else computed and kept.
 
     `given`: all that the result follows from, by name. Results within it are computed without a journal: they are parts
-    of this one. One that is not `is_finished`, because the user stopped it, is not kept.
+    of this one.
     """
     entry = entry_of(what, given)
     if entry.recalled is not None:
@@ -89,8 +84,5 @@ def journalled(
         raise
     finally:
         _present.reset(token)
-    if is_finished(result):
-        entry.keep(result)
-    else:
-        entry.failed(KeyboardInterrupt())
+    entry.keep(result)
     return result

@@ -3,7 +3,7 @@
 import warnings
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -22,6 +22,20 @@ from aleator.transcription import DEFAULT, AbstractTranscription, started_from
 
 # Ends of the deterministic problem that start nothing.
 _NO_START = (*UNSOLVED, Status.EVALUATION_FAILED)
+
+
+class Call(NamedTuple):
+    """Arguments of `solve`."""
+
+    problem: Problem
+    solver: AbstractSolver | None = None
+    transcription: AbstractTranscription = DEFAULT
+    warm_start: Solution | None = None
+    start: Mapping[str, Any] | None = None
+    deterministic_first: bool = False
+    between: int | None = None
+    accuracy: float = 1e-3
+    refine: bool = False
 
 
 def solve(
@@ -70,17 +84,10 @@ def solve(
     one_of("solve: transcription", transcription, AbstractTranscription, "al.Sequential()")
     solver = solver or transcription.solver
     check_arguments(problem, solver, warm_start, deterministic_first, between, accuracy)
-    given = follows_from(
-        problem, solver, transcription, warm_start, start, deterministic_first, between, accuracy, refine
+    call = Call(
+        problem, solver, transcription, warm_start, start, deterministic_first, between, float(accuracy), refine
     )
-    solution = journalled(
-        "solve",
-        given,
-        lambda: _solved(
-            problem, solver, transcription, warm_start, start, deterministic_first, between, float(accuracy), refine
-        ),
-        lambda found: found.status is not Status.INTERRUPTED,
-    )
+    solution = journalled("solve", follows_from(call), lambda: _solved(call))
     if throw and solution.status is Status.EVALUATION_FAILED:
         raise SimulationError(solution.message)
     if throw and not solution.ok:
@@ -90,51 +97,33 @@ def solve(
     return solution
 
 
-def follows_from(
-    problem: Problem,
-    solver: AbstractSolver | None = None,
-    transcription: AbstractTranscription = DEFAULT,
-    warm_start: Solution | None = None,
-    start: Mapping[str, Any] | None = None,
-    deterministic_first: bool = False,
-    between: int | None = None,
-    accuracy: float = 1e-3,
-    refine: bool = False,
-    throw: bool = True,
-) -> dict[str, Any]:
-    """All that an answer of `solve` follows from, by name, for the same arguments."""
-    del throw
+def follows_from(call: Call) -> dict[str, Any]:
+    """All that an answer follows from, by name."""
     return {
-        "problem": problem,
-        "solver": solver or transcription.solver,
-        "transcription": transcription,
-        "warm_start": warm_start,
-        "start": dict(start) if isinstance(start, Mapping) else start,
-        "how": (deterministic_first, between, float(accuracy), refine),
+        "problem": call.problem,
+        "solver": call.solver or call.transcription.solver,
+        "transcription": call.transcription,
+        "warm_start": call.warm_start,
+        "start": dict(call.start) if isinstance(call.start, Mapping) else call.start,
+        "how": (call.deterministic_first, call.between, call.accuracy, call.refine),
     }
 
 
-def _solved(
-    problem: Problem,
-    solver: AbstractSolver,
-    transcription: AbstractTranscription,
-    warm_start: Solution | None,
-    start: Mapping[str, Any] | None,
-    deterministic_first: bool,
-    between: int | None,
-    accuracy: float,
-    refine: bool,
-) -> Solution:
+def _solved(call: Call) -> Solution:
     """The solution, whatever its status: see `solve`."""
-    transcription = transcription if warm_start is None else transcription.starting_from(warm_start)
-    first = first_decisions(problem, transcription, warm_start, start)
-    known = (None, None) if warm_start is None else (warm_start.multipliers, warm_start.certificate.worst_case)
+    problem, warm, transcription = call.problem, call.warm_start, call.transcription
+    transcription = transcription if warm is None else transcription.starting_from(warm)
+    first = first_decisions(problem, transcription, warm, call.start)
+    known = (None, None) if warm is None else (warm.multipliers, warm.certificate.worst_case)
+    solver = call.solver or transcription.solver
     # Ctrl-C may be lost where Python cannot raise: in a callback of the garbage collector, of which JAX has one.
     with heeding() as heed, dropped_on_failure():
-        stages = Stages(transcription, solver, between, accuracy, compile_seconds(transcription), heed)
-        stages, first, at_means = _from_means(stages, problem, first) if deterministic_first else (stages, first, None)
+        stages = Stages(transcription, solver, call.between, call.accuracy, compile_seconds(transcription), heed)
+        at_means = None
+        if call.deterministic_first:
+            stages, first, at_means = _from_means(stages, problem, first)
         answer = stages.answer(problem, first, *known)
-        if refine:
+        if call.refine:
             answer = _refined(stages, answer)
         solution = _with_opinion(stages, answer)
         solution = replace(solution, effort=replace(solution.effort, at_means=at_means))

@@ -10,6 +10,7 @@ import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError, Executor, Future, as_completed
 from dataclasses import replace
+from functools import partial
 from typing import Any, Literal, TypeAlias, cast
 
 from aleator._core.errors import AleatorError, AleatorWarning, ProblemError, SimulationError
@@ -18,14 +19,14 @@ from aleator._core.journalled import AbstractEntry, entry_of
 from aleator._core.warned import warned_of
 from aleator.design import Problem, current
 from aleator.solution import Solution
-from aleator.solving import follows_from, solve
+from aleator.solving import Call, follows_from, solve
 from aleator.validation import validate, validated_from
 
 Work: TypeAlias = Literal["solve", "validate"]
 # Python hears warnings in one thread of a process at a time; several threads of one would take them from each other.
 _HEARD = threading.RLock()
-_WORKS = {"solve": solve, "validate": validate}
-_GIVEN = {"solve": follows_from, "validate": validated_from}
+_WORKS = {"solve": partial(solve, throw=False), "validate": validate}
+_GIVEN = {"solve": lambda **call: follows_from(Call(**call)), "validate": validated_from}
 
 
 def check_executor(who: str, executor: Any) -> None:

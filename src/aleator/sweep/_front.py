@@ -200,7 +200,7 @@ class _Sweep:
         return Front(self._bound, np.array(finished), tuple(points[value] for value in finished), interrupted)
 
     def _call(self, value: float, neighbour: Solution | None) -> dict[str, Any]:
-        return {"problem": self._problems[value], "warm_start": neighbour, "throw": False, **self._own}
+        return {"problem": self._problems[value], "warm_start": neighbour, **self._own}
 
     def _place(self, value: float) -> str:
         return f"pareto, at {self._bound} = {value:g}"
@@ -215,12 +215,12 @@ class _Sweep:
         neighbour = _nearest(self.solutions, value)
         try:
             with warned_of(self._place(value)):
-                found = solve(**self._call(value, neighbour))
+                found = solve(**self._call(value, neighbour), throw=False)
                 if found.status is Status.INTERRUPTED:
                     self._keep(value, found)
                     raise KeyboardInterrupt
                 if not found.ok and neighbour is not None:
-                    found = _better(solve(**self._call(value, None)), found)
+                    found = _better(solve(**self._call(value, None), throw=False), found)
         except ProblemError as error:
             self._keep(value, error)
         else:

@@ -116,7 +116,7 @@ def multistart(
     for start in given:
         places.moved(places.vector("initial"), start)
     check_executor("multistart", executor)
-    own = {"problem": problem, "solver": solver, "transcription": transcription, "throw": False}
+    own = {"problem": problem, "solver": solver, "transcription": transcription}
     calls = [{**own, "start": start} for start in given]
     solutions: dict[int, Solution] = {}
     interrupted = True
@@ -140,7 +140,7 @@ def _each_here(calls: Sequence[Mapping[str, Any]]) -> Iterator[tuple[int, Soluti
     for i, call in enumerate(calls):
         refuse_changed("multistart", call["problem"], "at the first start")
         with warned_of(_place(i)):
-            found = solve(**call)
+            found = solve(**call, throw=False)
         yield i, found
 
 
