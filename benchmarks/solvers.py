@@ -1,6 +1,6 @@
 """Every family of solvers on programs with known optima and on two designs, from many seeds; populations at once.
 
-    python benchmarks/solvers.py [programs] [designs] [seeds] [population] [fronts] [starts] [curvature]
+    python benchmarks/solvers.py [programs] [designs] [seeds] [optima] [population] [fronts] [starts] [curvature]
 
 Prints a table for each part that is named, all by default: distance from the known optimum after polishing, evaluations
 and seconds. Solvers by derivatives start where the searches do. Peers in the same run: one design after the other for
@@ -305,6 +305,44 @@ def _dominated(first: np.ndarray, second: np.ndarray, corner: np.ndarray) -> flo
     return float(np.sum(widths * np.maximum(corner[1] - best[inside], 0.0)))
 
 
+class Waves(al.AlgebraicSystem):
+    """Two decisions whose load comes in waves, with many local optima (after Rastrigin) or few (after Branin)."""
+
+    a: al.Number
+    b: al.Number
+    off: al.Number
+
+    def outputs(self) -> dict[str, jax.Array]:
+        """A thousand minima, three, and six of which two are global; all disturbed."""
+        a, b = self.a, self.b
+        many = 20 + a**2 - 10 * jnp.cos(2 * jnp.pi * a) + b**2 - 10 * jnp.cos(2 * jnp.pi * b)
+        inner = (b + 5) * 1.5 - 5.1 / (4 * jnp.pi**2) * (a + 2.5) ** 2 + 5 / jnp.pi * (a + 2.5) - 6
+        three = inner**2 + 10 * (1 - 1 / (8 * jnp.pi)) * jnp.cos(a + 2.5) + 10
+        six = (4 - 2.1 * a**2 + a**4 / 3) * a**2 + a * b + (-4 + 4 * b**2) * b**2
+        return {"many": many + self.off, "three": three + self.off, "six": six + self.off}
+
+
+def designs_of_many_optima() -> None:
+    """How often the portfolio ends at the global optimum of robust designs with several, and how often one solve does.
+
+    The optima are those of the undisturbed functions, and the standard deviation of the disturbance, which is constant.
+    """
+    spread = 0.1 / np.sqrt(3)
+    known = {"many": 0.0, "three": 0.39788735772973816, "six": -1.0316284534898774}
+    print(f"\nrobust designs with several optima: global one found, of {SEEDS} seeds (starts)")
+    for name, least in known.items():
+        output = al.output(name)
+        decisions = (al.Decision(start, -5.0, 5.0) for start in (1.7, -2.3))
+        problem = al.Problem(Waves(*decisions, al.Uniform(0.0, half_width=0.1)), minimize=output.mean + output.std)
+        best = least + spread + ENOUGH
+        right = {"portfolio": 0, "one solve": 0}
+        for seed in range(SEEDS):
+            right["portfolio"] += al.portfolio(problem, 6, seed=seed).best.objective <= best
+            start = dict(zip("ab", np.random.default_rng(seed).uniform(-5.0, 5.0, 2).tolist(), strict=True))
+            right["one solve"] += al.solve(problem, start=start, throw=False).objective <= best
+        print(f"  {name:8} {', '.join(f'{way} {count}' for way, count in right.items())}")
+
+
 def starts() -> None:
     """The portfolio beside forty random starts, all of the same local solver, which is compiled before."""
     cases = {
@@ -386,6 +424,7 @@ PARTS = {
     "programs": programs,
     "designs": designs,
     "seeds": seeds,
+    "optima": designs_of_many_optima,
     "population": population,
     "fronts": fronts,
     "starts": starts,
