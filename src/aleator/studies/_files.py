@@ -28,6 +28,7 @@ class Oscillator(al.System):
     """Write the physics of your own system here: its states, its numbers, its equations of motion, its outputs."""
 
     states = ("x", "v")
+    units = {{"x": "m", "force": "N"}}
 
     mass: al.Number = al.parameter("kg", positive=True)
     stiffness: al.Number = al.parameter("N/m", positive=True)

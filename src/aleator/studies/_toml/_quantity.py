@@ -57,8 +57,8 @@ def _factor(given: str, wanted: str) -> float:
         return 1.0
     if not wanted:
         raise ProblemError(
-            f"expected a number without a unit, since the model declares none here (al.parameter('kg') does); received "
-            f"the unit '{given}'."
+            f"expected a number without a unit, since the model declares none here (`al.parameter('kg')` does for a "
+            f"number, `units = {{...}}` of the system for outputs); received the unit '{given}'."
         )
     registry = _registry()
     try:
