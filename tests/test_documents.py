@@ -28,6 +28,7 @@ def run(program: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
     "document",
     [
         "README.md",
+        "docs/index.md",
         "docs/guide.md",
         "docs/extending.md",
         pytest.param("docs/uncertainty.md", marks=pytest.mark.slow),

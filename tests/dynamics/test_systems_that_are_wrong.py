@@ -115,3 +115,20 @@ def test_each_method_is_given_the_inputs_that_it_names_and_no_others(model, inpu
 def test_an_input_that_is_missing_or_misspelt_is_refused(model, inputs, message):
     with pytest.raises(al.ProblemError, match=message):
         al.simulate(model, GRID, inputs)
+
+
+def test_initial_values_that_are_no_method_are_refused():
+    class Model(al.System):
+        states = ("x",)
+        initial = {"x": 1.0}  # noqa: RUF012
+
+        def rhs(self, t, z):
+            return (-z.x,)
+
+        def outputs(self, t, z):
+            return {"x": z.x}
+
+    with pytest.raises(
+        al.ProblemError, match=r"Model\.initial: expected a method that returns values by state; received"
+    ):
+        al.simulate(Model(), GRID)

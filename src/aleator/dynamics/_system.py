@@ -13,6 +13,7 @@ from jaxtyping import Array
 from typing_extensions import override
 
 from aleator._core.errors import AleatorError, ProblemError
+from aleator._core.given import refusal
 from aleator.dynamics._abstract_system import AbstractSystem
 from aleator.trajectories import AbstractSignal
 
@@ -87,6 +88,8 @@ class System(AbstractSystem):
     def starting(self, t: Any, inputs: Mapping[str, Any]) -> Mapping[str, Any]:
         """Initial values at the time `t` with the inputs' values there: those of `initial`, if it tells them all."""
         del t, inputs
+        if not callable(self.initial):
+            raise refusal(f"{type(self).__name__}.initial", "a method that returns values by state", self.initial)
         return self.initial()
 
     def signals(self) -> Mapping[str, AbstractSignal]:

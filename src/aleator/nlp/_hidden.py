@@ -18,6 +18,8 @@ from aleator.nlp._valley import Descent
 _OWN = 1e-3
 # A noticeable fall, as a part of the objective, and beside the larger one at the start.
 _NOTICEABLE, _BESIDE_START = 1e-3, 1e-8
+# In typical magnitudes of variables: tolerances leave shorter steps, whose fall is none unless it is a large part.
+_SHORT = 1e-4
 # A fall below this part of all terms may be rounding.
 _ROUNDING = 1e-13
 # Size of a differencing step, how close to its bound a row holds a step back, and how close it may have a multiplier.
@@ -137,6 +139,8 @@ def _lower(
             return None
         there = scaled.evaluate(moved)
         fall = before - _lagrangian(there, multipliers) - float(multipliers.bounds @ (moved - z))
+        if np.abs(moved - z).max() < _SHORT and fall < _NOTICEABLE * abs(before):
+            return None
         outside = float(scaled.violation(there.constraints)[free].max(initial=-np.inf))
         if outside <= _CLOSE and fall >= max(_BROUGHT * predicted, noticeable):
             return fall, moved if free.all() and outside <= 0 else None
