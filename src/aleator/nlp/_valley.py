@@ -19,6 +19,8 @@ _STEP = 1e-4
 _FLAT = 1e-13
 # Shares of Newton's step that are tried.
 _SHARES = (1.0, 0.25, 0.0625)
+# A limit that forbids even this share of it stands in its way.
+_LEAST_SHARE = 1e-6
 
 
 class Descent(NamedTuple):
@@ -26,13 +28,14 @@ class Descent(NamedTuple):
 
     - `fall`: of the objective by Newton's method, in user units; `slope`: the largest entry of the scaled gradient;
     - `point`: one that is lower indeed, shape (n_free,); None if the floor is too curved for a step along it;
-    - `where`: it is, in words.
+    - `where`: it is, in words; `is_blocked`: whether a limit ends it before the objective has fallen noticeably.
     """
 
     fall: float
     slope: float
     point: np.ndarray | None
     where: str
+    is_blocked: bool = False
 
 
 def descent_in_valley(scaled: ScaledProgram, z: np.ndarray, multipliers: Multipliers) -> Descent | None:
@@ -58,10 +61,10 @@ def descent_in_valley(scaled: ScaledProgram, z: np.ndarray, multipliers: Multipl
     fall = -float(slope @ step) / 2
     if fall <= noticeable or float(np.abs(step).max()) <= _NOTICEABLE * typical:
         return None
-    lower = _lowest(scaled, z, step, noticeable)
+    lower, is_blocked = _lowest(scaled, z, step, noticeable)
     if lower is None and fall <= _ROUNDING * scaled.start_objective:
         return None
-    return Descent(fall * scaled.objective_scale, largest, lower, "it is on the floor of a steep valley")
+    return Descent(fall * scaled.objective_scale, largest, lower, "it is on the floor of a steep valley", is_blocked)
 
 
 def _newton_step(scaled: ScaledProgram, z: np.ndarray, slope: np.ndarray, free: np.ndarray, step: float) -> np.ndarray:
@@ -82,15 +85,28 @@ def _newton_step(scaled: ScaledProgram, z: np.ndarray, slope: np.ndarray, free: 
     return whole
 
 
-def _lowest(scaled: ScaledProgram, z: np.ndarray, step: np.ndarray, noticeable: float) -> np.ndarray | None:
-    """The first share of a step that is feasible and lowers the objective noticeably."""
-    before = scaled.evaluate(z).objective
+def _lowest(
+    scaled: ScaledProgram, z: np.ndarray, step: np.ndarray, noticeable: float
+) -> tuple[np.ndarray | None, bool]:
+    """The first share of a step that is feasible and lowers the objective noticeably, and whether limits forbid any."""
+    before, is_blocked = scaled.evaluate(z).objective, False
     for share in _SHARES:
         moved = np.clip(z + share * step, scaled.lower, scaled.upper)
         try:
             there = scaled.evaluate(moved)
         except NotFiniteError:
             continue
-        if there.objective < before - noticeable and float(scaled.violation(there.constraints).max(initial=0.0)) <= 0:
-            return moved
-    return None
+        if there.objective < before - noticeable:
+            if float(scaled.violation(there.constraints).max(initial=0.0)) <= 0:
+                return moved, False
+            is_blocked = True
+    return None, is_blocked and _is_held(scaled, z + _LEAST_SHARE * step)
+
+
+def _is_held(scaled: ScaledProgram, point: np.ndarray) -> bool:
+    """Whether even a point this close breaks a limit."""
+    try:
+        found = scaled.evaluate(np.clip(point, scaled.lower, scaled.upper))
+    except NotFiniteError:
+        return True
+    return bool(np.any(scaled.violation(found.constraints) > 0))
