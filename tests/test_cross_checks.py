@@ -147,6 +147,7 @@ def test_what_is_no_problem_is_refused():
         al.cross_check(Oscillator(m=1.0, c=1.0, k=1.0))
 
 
+@pytest.mark.slow
 def test_two_ways_of_one_kind_are_told_apart():
     problem = smooth_problem()
     schemes = (al.schemes.Radau(2), al.schemes.GaussLegendre(2))

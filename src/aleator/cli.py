@@ -243,7 +243,7 @@ class _Run:
 
     def complain(self, what: str, error: Exception | str) -> None:
         """Print an error."""
-        self._errors.print(Text.assemble((what, "bold red"), f": {error}"))
+        self._errors.print(Text.assemble((what, "bold red"), f": {error}"), soft_wrap=True)
 
     def _last_words(self) -> str:
         """What an interrupted run has saved."""

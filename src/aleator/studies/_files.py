@@ -147,7 +147,8 @@ def _executed(path: Path) -> ModuleType:
     try:
         spec.loader.exec_module(module)
     except SyntaxError as error:
-        raise ProblemError(f"{error.filename or path}, line {error.lineno}: {error.msg}.") from error
+        is_own = error.filename is None or Path(error.filename).resolve() == path.resolve()
+        raise ProblemError(f"{path if is_own else error.filename}, line {error.lineno}: {error.msg}.") from error
     except (Exception, SystemExit) as error:
         if before is None:
             del sys.modules[path.stem]
