@@ -28,14 +28,14 @@ class Descent(NamedTuple):
 
     - `fall`: of the objective by Newton's method, in user units; `slope`: the largest entry of the scaled gradient;
     - `point`: one that is lower indeed, shape (n_free,); None if the floor is too curved for a step along it;
-    - `where`: it is, in words; `is_blocked`: whether a limit ends it before the objective has fallen noticeably.
+    - `where`: it is, in words; `is_doubtful`: whether no point shows it: nothing falls along it, or a limit forbids it.
     """
 
     fall: float
     slope: float
     point: np.ndarray | None
     where: str
-    is_blocked: bool = False
+    is_doubtful: bool = False
 
 
 def descent_in_valley(scaled: ScaledProgram, z: np.ndarray, multipliers: Multipliers) -> Descent | None:
@@ -61,10 +61,10 @@ def descent_in_valley(scaled: ScaledProgram, z: np.ndarray, multipliers: Multipl
     fall = -float(slope @ step) / 2
     if fall <= noticeable or float(np.abs(step).max()) <= _NOTICEABLE * typical:
         return None
-    lower, is_blocked = _lowest(scaled, z, step, noticeable)
+    lower, is_doubtful = _lowest(scaled, z, step, noticeable)
     if lower is None and fall <= _ROUNDING * scaled.start_objective:
         return None
-    return Descent(fall * scaled.objective_scale, largest, lower, "it is on the floor of a steep valley", is_blocked)
+    return Descent(fall * scaled.objective_scale, largest, lower, "it is on the floor of a steep valley", is_doubtful)
 
 
 def _newton_step(scaled: ScaledProgram, z: np.ndarray, slope: np.ndarray, free: np.ndarray, step: float) -> np.ndarray:
@@ -88,8 +88,10 @@ def _newton_step(scaled: ScaledProgram, z: np.ndarray, slope: np.ndarray, free: 
 def _lowest(
     scaled: ScaledProgram, z: np.ndarray, step: np.ndarray, noticeable: float
 ) -> tuple[np.ndarray | None, bool]:
-    """The first share of a step that is feasible and lowers the objective noticeably, and whether limits forbid any."""
-    before, is_blocked = scaled.evaluate(z).objective, False
+    """The first share of a step that is feasible and lowers the objective noticeably; and whether none even seems to,
+    since the objective falls at no share, or limits forbid any.
+    """
+    before, falls = scaled.evaluate(z).objective, False
     for share in _SHARES:
         moved = np.clip(z + share * step, scaled.lower, scaled.upper)
         try:
@@ -99,8 +101,8 @@ def _lowest(
         if there.objective < before - noticeable:
             if float(scaled.violation(there.constraints).max(initial=0.0)) <= 0:
                 return moved, False
-            is_blocked = True
-    return None, is_blocked and _is_held(scaled, z + _LEAST_SHARE * step)
+            falls = True
+    return None, not falls or _is_held(scaled, z + _LEAST_SHARE * step)
 
 
 def _is_held(scaled: ScaledProgram, point: np.ndarray) -> bool:

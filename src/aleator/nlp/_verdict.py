@@ -66,7 +66,7 @@ class Answer(NamedTuple):
     - `iterations`: its count;
     - `message`: its message;
     - `unfinished`: why a point that meets the first-order conditions may be no answer, in words; left empty by solvers;
-    - `is_blocked`: whether a limit stands in the way of what would be better, so that the point is an answer after all.
+    - `is_doubtful`: whether no point shows that, so that this one is judged by first-order conditions after all.
     """
 
     claim: Status
@@ -75,7 +75,7 @@ class Answer(NamedTuple):
     iterations: int
     message: str
     unfinished: str = ""
-    is_blocked: bool = False
+    is_doubtful: bool = False
 
 
 def checked_answer(who: str, answer: Any, scaled: ScaledProgram) -> Answer:
@@ -148,7 +148,7 @@ def _held(tolerance: float) -> float:
 def _status(scaled: ScaledProgram, answer: Answer, certificate: Certificate, tolerance: float) -> Status:
     if not has_run_away(scaled, answer.point, _LOST):
         if certificate.within(_held(tolerance), tolerance):
-            return Status.FAILED if answer.unfinished and not answer.is_blocked else Status.SOLVED
+            return Status.FAILED if answer.unfinished and not answer.is_doubtful else Status.SOLVED
         infeasible = certificate.violation > _held(tolerance)
         if infeasible and (answer.claim is Status.INFEASIBLE or _is_least_violated(scaled, answer)):
             return Status.INFEASIBLE
@@ -254,7 +254,7 @@ def settle(scaled: ScaledProgram, answer: Answer, tolerance: float) -> tuple[Ans
     said = f"{descent.where}, along which the objective would fall by about {descent.fall:.2g}"
     # The next round needs a scale in which this slope is not small.
     further = scaled.scales._replace(objective=scaled.scales.objective * descent.slope)
-    return _rescaled(scaled, answer._replace(unfinished=said, is_blocked=descent.is_blocked), further), False
+    return _rescaled(scaled, answer._replace(unfinished=said, is_doubtful=descent.is_doubtful), further), False
 
 
 def _settled(scaled: ScaledProgram, answer: Answer, tolerance: float) -> tuple[Answer, Status, Descent | None]:
