@@ -1,5 +1,7 @@
 """The nonlinear program and its solvers, independent of any physics."""
 
+from aleator.nlp._advice import HELD as HELD
+from aleator.nlp._answer import Answer as Answer
 from aleator.nlp._condensing import Condensing as Condensing
 from aleator.nlp._elastic import Elastic as Elastic
 from aleator.nlp._elastic import Excess as Excess
@@ -20,7 +22,7 @@ from aleator.nlp._program import Evaluation as Evaluation
 from aleator.nlp._program import Hessian as Hessian
 from aleator.nlp._program import Magnitudes as Magnitudes
 from aleator.nlp._program import NonlinearProgram as NonlinearProgram
-from aleator.nlp._scaling import Multipliers as Multipliers
+from aleator.nlp._scales import Multipliers as Multipliers
 from aleator.nlp._scaling import ScaledProgram as ScaledProgram
 from aleator.nlp._searched import Searched as Searched
 from aleator.nlp._slopes import Slopes as Slopes
@@ -29,8 +31,6 @@ from aleator.nlp._slsqp import Slsqp as Slsqp
 from aleator.nlp._solver import AbstractSolver as AbstractSolver
 from aleator.nlp._ties import Ties as Ties
 from aleator.nlp._unmoved import moved_on as moved_on
-from aleator.nlp._verdict import HELD as HELD
-from aleator.nlp._verdict import Answer as Answer
 from aleator.nlp.search import AbstractSearch as AbstractSearch
 from aleator.nlp.search import CmaEs as CmaEs
 from aleator.nlp.search import DifferentialEvolution as DifferentialEvolution

@@ -6,13 +6,13 @@ from typing import final
 import numpy as np
 from typing_extensions import override
 
+from aleator.nlp._answer import Answer
 from aleator.nlp._condensed import IllConditionedError
 from aleator.nlp._elimination import Elimination, SingularTiesError
 from aleator.nlp._interior_search import Search, StuckError
 from aleator.nlp._ipopt import Ipopt
 from aleator.nlp._local_solver import AbstractLocalSolver
 from aleator.nlp._scaling import ScaledProgram
-from aleator.nlp._verdict import Answer
 
 # Most numbers of how tied variables follow the others: 2 GB.
 _MOST_MOVES = 250_000_000

@@ -6,11 +6,11 @@ from typing import NamedTuple, final
 import numpy as np
 from jaxtyping import Float, Int
 
+from aleator.nlp._advice import HELD
 from aleator.nlp._matrices import dense_rows
 from aleator.nlp._outcome import Outcome, Status
 from aleator.nlp._program import Evaluation, NonlinearProgram
 from aleator.nlp._solver import AbstractSolver
-from aleator.nlp._verdict import HELD
 
 # The first excess of every group that may be exceeded, in sizes.
 _FIRST = 1.0

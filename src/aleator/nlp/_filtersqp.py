@@ -8,12 +8,12 @@ from typing_extensions import override
 
 from aleator._core import given
 from aleator._core.errors import MissingExtraError
+from aleator.nlp._answer import Answer
 from aleator.nlp._ipopt import Ipopt
 from aleator.nlp._local_solver import AbstractLocalSolver
 from aleator.nlp._pattern import AnyPattern, pattern_of
 from aleator.nlp._scaling import ScaledProgram
 from aleator.nlp._uno import load_unopy, run_uno, uno_version
-from aleator.nlp._verdict import Answer
 
 # With more pairs, the limited-memory Hessian costs more than it gains.
 _LARGEST_MEMORY = 20

@@ -11,7 +11,8 @@ from aleator.nlp._certificate import lagrangian_gradient
 from aleator.nlp._evaluations import NotFiniteError
 from aleator.nlp._matrices import dense_rows
 from aleator.nlp._program import Evaluation
-from aleator.nlp._scaling import Multipliers, ScaledProgram
+from aleator.nlp._scales import Multipliers
+from aleator.nlp._scaling import ScaledProgram
 from aleator.nlp._valley import Descent
 
 # A slope below this part of its own terms, or of its change over a typical magnitude of the variable, is none.

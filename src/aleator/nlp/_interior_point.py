@@ -6,11 +6,11 @@ from typing import final
 import numpy as np
 from typing_extensions import override
 
+from aleator.nlp._answer import Answer
 from aleator.nlp._local_solver import AbstractLocalSolver
 from aleator.nlp._pattern import pattern_of
 from aleator.nlp._scaling import ScaledProgram
 from aleator.nlp._uno import load_unopy, run_uno, uno_version
-from aleator.nlp._verdict import Answer
 
 
 @final

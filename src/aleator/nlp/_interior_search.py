@@ -4,6 +4,7 @@ from typing import final
 
 import numpy as np
 
+from aleator.nlp._answer import Answer
 from aleator.nlp._barrier import Iterate, Slacked
 from aleator.nlp._condensed import IllConditionedError
 from aleator.nlp._elimination import Elimination
@@ -12,8 +13,8 @@ from aleator.nlp._filter import Filter
 from aleator.nlp._newton import Newton, first_multipliers
 from aleator.nlp._outcome import Status
 from aleator.nlp._program import Evaluation
-from aleator.nlp._scaling import Multipliers, ScaledProgram
-from aleator.nlp._verdict import Answer
+from aleator.nlp._scales import Multipliers
+from aleator.nlp._scaling import ScaledProgram
 
 # Names of the source in brackets.
 _FIRST_WEIGHT, _WARM_WEIGHT = 0.1, 1e-6  # μ at a cold and at a warm start

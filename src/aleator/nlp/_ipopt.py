@@ -6,11 +6,12 @@ from typing import Any, final
 import numpy as np
 from typing_extensions import override
 
+from aleator.nlp._answer import Answer
 from aleator.nlp._casadi import callbacks_of
 from aleator.nlp._local_solver import AbstractLocalSolver
 from aleator.nlp._outcome import Status
-from aleator.nlp._scaling import Multipliers, ScaledProgram
-from aleator.nlp._verdict import Answer
+from aleator.nlp._scales import Multipliers
+from aleator.nlp._scaling import ScaledProgram
 
 _CLAIMS = {
     "Solve_Succeeded": Status.SOLVED,

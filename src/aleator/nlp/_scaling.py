@@ -1,7 +1,6 @@
 """The program as solvers see it: dimensionless, without fixed variables and without unbounded rows."""
 
-from dataclasses import dataclass
-from typing import NamedTuple, final
+from typing import final
 
 import numpy as np
 
@@ -9,6 +8,7 @@ from aleator.nlp._differences import MOST_DIFFERENCED, Straightness, differenced
 from aleator.nlp._evaluations import Evaluations, NotFiniteError
 from aleator.nlp._matrices import Block, Matrix, checked_sparse
 from aleator.nlp._program import Evaluation, Magnitudes, NonlinearProgram
+from aleator.nlp._scales import Multipliers, Scales
 
 # The steepest scaled slope at the start. Solvers begin without curvature, so it is also the length of their first
 # step, in typical magnitudes of the variables.
@@ -19,35 +19,6 @@ _ROUNDING = 1e-10
 _NEGLIGIBLE_VIOLATION = 1e-7
 # Slacks and multipliers up to this count as zero; the latter are residues of the solver.
 _REACHED = 1e-6
-
-
-@final
-@dataclass(frozen=True)
-class Multipliers:
-    """Scaled multipliers: of the rows, shape (m_useful,), and of the free variables' bounds, shape (n_free,)."""
-
-    rows: np.ndarray
-    bounds: np.ndarray
-
-
-class Scales(NamedTuple):
-    """The divisors of the objective and of the useful constraints, shape (m_useful,)."""
-
-    objective: float
-    constraints: np.ndarray
-
-    def converted(self, multipliers: Multipliers | None, into: "Scales") -> Multipliers | None:
-        """Multipliers converted into other scales."""
-        if multipliers is None:
-            return None
-        ratio = self.objective / into.objective
-        rows = multipliers.rows * ratio * (into.constraints / self.constraints)
-        return Multipliers(rows, multipliers.bounds * ratio)
-
-    def is_near(self, other: "Scales", factor: float) -> bool:
-        """Whether no scale differs from the other's by more than a factor."""
-        objective, rows = self.objective / other.objective, self.constraints / other.constraints
-        return bool(1 / factor <= objective <= factor and np.all((rows <= factor) & (rows >= 1 / factor)))
 
 
 @final

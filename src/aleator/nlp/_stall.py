@@ -6,7 +6,8 @@ import numpy as np
 
 from aleator.nlp._certificate import lagrangian_gradient
 from aleator.nlp._evaluations import NotFiniteError
-from aleator.nlp._scaling import Multipliers, ScaledProgram
+from aleator.nlp._scales import Multipliers
+from aleator.nlp._scaling import ScaledProgram
 
 # Lengths of the probing steps, in typical magnitudes of the variables.
 _STEPS = (1e-3, 1e-5, 1e-7)

@@ -11,12 +11,13 @@ import numpy as np
 
 from aleator._core.errors import MissingExtraError
 from aleator._core.heard import take_back
+from aleator.nlp._answer import Answer
 from aleator.nlp._matrices import rows_of_entries
 from aleator.nlp._outcome import Status
 from aleator.nlp._pattern import AnyPattern
 from aleator.nlp._program import Evaluation
-from aleator.nlp._scaling import Multipliers, ScaledProgram
-from aleator.nlp._verdict import Answer
+from aleator.nlp._scales import Multipliers
+from aleator.nlp._scaling import ScaledProgram
 
 _CLAIMS = {
     "FEASIBLE_KKT_POINT": Status.SOLVED,

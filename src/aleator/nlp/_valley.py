@@ -5,7 +5,8 @@ from typing import NamedTuple
 import numpy as np
 
 from aleator.nlp._evaluations import NotFiniteError
-from aleator.nlp._scaling import Multipliers, ScaledProgram
+from aleator.nlp._scales import Multipliers
+from aleator.nlp._scaling import ScaledProgram
 
 # Most variables for which second derivatives are taken from differences of gradients, two for each.
 _MOST = 30

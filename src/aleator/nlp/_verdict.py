@@ -1,12 +1,9 @@
 """The verdict on a solver's answer, from the conditions at its point rather than from the solver's claim."""
 
-from numbers import Integral
-from typing import Any, NamedTuple
-
 import numpy as np
 
-from aleator._core.errors import ProblemError
-from aleator._core.given import real_array
+from aleator.nlp._advice import LOST, advice, has_run_away, held
+from aleator.nlp._answer import Answer, Verdict
 from aleator.nlp._certificate import (
     Certificate,
     certify,
@@ -19,100 +16,16 @@ from aleator.nlp._evaluations import NotFiniteError
 from aleator.nlp._hidden import hidden_descent
 from aleator.nlp._outcome import Status
 from aleator.nlp._program import Evaluation
-from aleator.nlp._scaling import Multipliers, ScaledProgram, Scales
-from aleator.nlp._stall import stall
+from aleator.nlp._scales import Multipliers, Scales
+from aleator.nlp._scaling import ScaledProgram
 from aleator.nlp._valley import Descent, descent_in_valley
-
-HELD = 1e-6
-"""A constraint holds if it exceeds its bound by at most this part of its size: the magnitude of the bound and of the
-values around the answer."""
 
 # Rows of a sparse program whose multipliers are fitted where a solver's own do not certify it.
 _MOST_FITTED = 2000
 # Size of a probing step in typical magnitudes, so large that the change of the gradient exceeds its rounding.
 _PROBE = 1e-4
-# A variable without a bound that is so many typical magnitudes away from zero may have no optimum.
-_FAR = 100.0
-# One that is so many away has none: beside such magnitudes every slope and every violation is nothing.
-_LOST = 1e12
 # How often an answer is left for a lower point close by before the solver is asked again.
 _MOST_MOVES = 4
-# What to do where nothing more is known.
-_REMEDIES = {
-    Status.EVALUATION_FAILED: (
-        "Stuck next to points where the model is not finite: exclude these by the bounds of the decisions"
-    ),
-    Status.INFEASIBLE: (
-        "Relax a limit (al.conflict names those that cannot hold together), widen the bounds of the decisions, or try "
-        "other starts with al.multistart"
-    ),
-    Status.ITERATION_LIMIT: (
-        "Allow the solver more iterations, by its max_iterations, start closer to the solution, or see what "
-        "al.examine tells of scales and derivatives"
-    ),
-    Status.FAILED: (
-        "See what al.examine tells of scales and derivatives, try another solver (al.solvers.FilterSQP, Ipopt or "
-        "Slsqp), or other starts with al.multistart"
-    ),
-}
-
-
-class Answer(NamedTuple):
-    """What a solver claims, in scaled quantities.
-
-    - `claim`: the status that the solver claims;
-    - `point`: shape (n_free,);
-    - `multipliers`: None if the solver gives none;
-    - `iterations`: its count;
-    - `message`: its message;
-    - `unfinished`: why a point that meets the first-order conditions may be no answer, in words; left empty by solvers;
-    - `is_doubtful`: whether no point shows that, so that this one is judged by first-order conditions after all.
-    """
-
-    claim: Status
-    point: np.ndarray
-    multipliers: Multipliers | None
-    iterations: int
-    message: str
-    unfinished: str = ""
-    is_doubtful: bool = False
-
-
-def checked_answer(who: str, answer: Any, scaled: ScaledProgram) -> Answer:
-    """A checked answer to a program. Raises `ProblemError` in the name of `who` for anything else."""
-    if not isinstance(answer, Answer):
-        raise ProblemError(f"{who}: expected an Answer; received {type(answer).__name__} {answer!r}.")
-    point = real_array(f"{who}: point", answer.point)
-    if point.shape != scaled.start.shape:
-        raise ProblemError(
-            f"{who}: expected a point of shape {scaled.start.shape}, that of `scaled.start`; "
-            f"received shape {point.shape}."
-        )
-    expected: tuple[tuple[str, Any, type], ...] = (
-        ("claim", answer.claim, Status),
-        ("multipliers", answer.multipliers, Multipliers | None),  # type: ignore[arg-type]
-        ("iterations", answer.iterations, Integral),
-    )
-    for name, value, kind in expected:
-        if not isinstance(value, kind):
-            what = getattr(kind, "__name__", "Multipliers, or None")
-            raise ProblemError(f"{who}: expected `{name}` as {what}; received {value!r}.")
-    return answer._replace(point=point)
-
-
-class Verdict(NamedTuple):
-    """The result to report: a point with its evaluation in user units, scaled multipliers and their certificate.
-
-    `sizes`: of the useful constraints at the point, in user units, shape (m_useful,).
-    """
-
-    status: Status
-    point: np.ndarray
-    user: Evaluation
-    multipliers: Multipliers
-    certificate: Certificate
-    message: str
-    sizes: np.ndarray
 
 
 def judge(scaled: ScaledProgram, answer: Answer, tolerance: float) -> Verdict:
@@ -135,21 +48,16 @@ def judge(scaled: ScaledProgram, answer: Answer, tolerance: float) -> Verdict:
     verdict = verdict._replace(status=status)
     if status is Status.INFEASIBLE:
         least = _at_best(scaled, answer._replace(claim=status), tolerance)
-        verdict = least if least.certificate.violation > _held(tolerance) else verdict
-    said = _advice(scaled, verdict, answer.unfinished, tolerance)
+        verdict = least if least.certificate.violation > held(tolerance) else verdict
+    said = advice(scaled, verdict, answer.unfinished, tolerance)
     return verdict._replace(message=f"{said} (the solver said: {answer.message})") if said else verdict
 
 
-def _held(tolerance: float) -> float:
-    """The largest violation of a constraint that holds, over its size."""
-    return min(HELD, tolerance)
-
-
 def _status(scaled: ScaledProgram, answer: Answer, certificate: Certificate, tolerance: float) -> Status:
-    if not has_run_away(scaled, answer.point, _LOST):
-        if certificate.within(_held(tolerance), tolerance):
+    if not has_run_away(scaled, answer.point, LOST):
+        if certificate.within(held(tolerance), tolerance):
             return Status.FAILED if answer.unfinished and not answer.is_doubtful else Status.SOLVED
-        infeasible = certificate.violation > _held(tolerance)
+        infeasible = certificate.violation > held(tolerance)
         if infeasible and (answer.claim is Status.INFEASIBLE or _is_least_violated(scaled, answer)):
             return Status.INFEASIBLE
     if answer.claim in (Status.ITERATION_LIMIT, Status.EVALUATION_FAILED):
@@ -171,7 +79,7 @@ def _examined(scaled: ScaledProgram, answer: Answer, user: Evaluation, tolerance
     """
     size = scaled.magnitudes(user, answer.point).size
     outside = scaled.violation(scaled.scale(user).constraints) * scaled.scales.constraints / size
-    if float(outside.max(initial=0.0)) > _held(tolerance) and _is_least_violated(scaled, answer):
+    if float(outside.max(initial=0.0)) > held(tolerance) and _is_least_violated(scaled, answer):
         return answer._replace(claim=Status.INFEASIBLE)
     return answer._replace(claim=Status.FAILED) if answer.claim is Status.INFEASIBLE else answer
 
@@ -262,7 +170,7 @@ def _settled(scaled: ScaledProgram, answer: Answer, tolerance: float) -> tuple[A
     user = _user(scaled, answer)
     answer = _framed(scaled, _examined(scaled, answer, user, tolerance), user)
     verdict = _at(scaled, answer, user, tolerance)
-    if verdict.certificate.violation <= _held(tolerance):
+    if verdict.certificate.violation <= held(tolerance):
         size = _size_of_gradient(scaled, answer.point, verdict.multipliers, tolerance)
         scales = scaled.scales
         answer = _rescaled(scaled, answer, scales._replace(objective=scales.objective * size))
@@ -313,37 +221,3 @@ def _unknown(scaled: ScaledProgram, answer: Answer) -> Verdict:
     zero = Multipliers(np.zeros(scaled.rows), np.zeros(scaled.size))
     sizes = scaled.scales.constraints
     return Verdict(answer.claim, answer.point, scaled.evaluations.last, zero, nowhere, answer.message, sizes)
-
-
-def _advice(scaled: ScaledProgram, verdict: Verdict, unfinished: str, tolerance: float) -> str:
-    """Why a point is no solution and what to do, in words; empty for a solution."""
-    if verdict.status not in _REMEDIES:
-        return ""
-    if verdict.status not in (Status.ITERATION_LIMIT, Status.FAILED):
-        return _REMEDIES[verdict.status]
-    if unfinished:
-        return f"{unfinished}. Lower the largest weights of the objective, or start elsewhere"
-    reason, remedy = _reason(scaled, verdict, tolerance)
-    if not remedy and has_run_away(scaled, verdict.point):
-        reason += ", and decisions are far out on a side without a bound, where there may be no optimum"
-        remedy = "Give all decisions bounds, or allow the solver more iterations, by its max_iterations"
-    return f"{reason}. {remedy or _REMEDIES[verdict.status]}"
-
-
-def has_run_away(scaled: ScaledProgram, z: np.ndarray, far: float = _FAR) -> bool:
-    """Whether a variable is more typical magnitudes away from zero than `far`, on a side on which it has no bound."""
-    open_ended = np.where(z > 0, np.isposinf(scaled.upper), np.isneginf(scaled.lower))
-    return bool(np.any(open_ended & (np.abs(z) > far)))
-
-
-def _reason(scaled: ScaledProgram, verdict: Verdict, tolerance: float) -> tuple[str, str]:
-    """Why a point is no solution: the condition that is not met with, if known, the reason; and the remedy for that."""
-    certificate = verdict.certificate
-    if certificate.violation > _held(tolerance):
-        return (
-            f"a constraint is missed by {certificate.violation:.1e} of its size, where {_held(tolerance):.0e} is "
-            "asked, although small steps would still reduce it"
-        ), ""
-    residual = max(certificate.stationarity, certificate.complementarity)
-    known, remedy = stall(scaled, verdict.point, verdict.multipliers)
-    return f"stationarity is {residual:.1e}, where {tolerance:.0e} is asked{known and ': '}{known}", remedy
