@@ -82,7 +82,7 @@ def unfinished(study):
 def test_a_study_that_came_to_its_end_has_its_sections_and_the_glossary():
     study = finished()
     assert study.finished == ("design", "sweep")
-    assert headings(study) == ["The decay", "How to read this"]
+    assert headings(study) == ["The decay", "Where this comes from", "How to read this"]
     assert study.page().sections[-1].blocks[-1].rows == study.glossary
     assert study.headline() == "Build: It decays."
 

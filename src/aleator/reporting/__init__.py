@@ -50,6 +50,8 @@ from aleator.reporting._page import write_page as write_page
 from aleator.reporting._paper import paper_figure as paper_figure
 from aleator.reporting._paths import histories_figure as histories_figure
 from aleator.reporting._paths import path_figure as path_figure
+from aleator.reporting._provenance import design_digest as design_digest
+from aleator.reporting._provenance import provenance as provenance
 from aleator.reporting._report import HOW_TO_READ as HOW_TO_READ
 from aleator.reporting._report import footer as footer
 from aleator.reporting._report import report as report

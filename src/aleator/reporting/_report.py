@@ -15,6 +15,7 @@ from aleator.reporting._files import as_path, check_writable
 from aleator.reporting._meshes import mesh_drawing
 from aleator.reporting._numbers import count, interval, number, percent, words
 from aleator.reporting._page import Page, write_page
+from aleator.reporting._provenance import provenance
 from aleator.reporting._samples import percentile_figure, trajectory_figure
 from aleator.reporting._searches import search_drawings
 from aleator.reporting._tables import (
@@ -129,7 +130,11 @@ def _page(designs: dict[str, Solution], evidence: dict[str, Evidence], fronts: d
         title=title,
         subtitle=f"{words([str(name) for name in designs])}: result and evidence",
         verdict=verdict(designs, evidence),
-        sections=[*sections(designs, evidence, fronts), Section("How to read this", [Text(HOW_TO_READ)])],
+        sections=[
+            *sections(designs, evidence, fronts),
+            provenance({"designs": designs, "evidence": evidence, "fronts": fronts}),
+            Section("How to read this", [Text(HOW_TO_READ)]),
+        ],
         footer=footer(),
     )
 

@@ -12,6 +12,7 @@ import numpy as np
 from aleator.reporting import _units
 from aleator.reporting._datasets import tree
 from aleator.reporting._files import write_together
+from aleator.reporting._provenance import design_digest, environment
 from aleator.reporting._savable import savable
 from aleator.solution import ConstraintResult, Solution
 from aleator.sweep import Calibration, Front, TradeOff
@@ -51,7 +52,7 @@ def _write(folder: str | Path, results: Mapping[str, Any], outdated: Sequence[st
     """Write one set of results, and remove outdated files with the earlier set."""
     generation = uuid.uuid4().hex
     nodes = tree(results)
-    nodes.attrs["generation"] = generation
+    nodes.attrs |= {"generation": generation, **environment()}
     document = {place: {**one, "generation": generation} for place, one in designs_document(results).items()}
     files = {
         # In memory, since on a full disk HDF5 fails to close its file and ends the process.
@@ -145,6 +146,7 @@ def solution_document(solution: Solution, evidence: Evidence | None = None) -> d
             "leave_one_out_of_derivatives": quality.tangents,
         },
         "seconds": {"compile": solution.effort.times.compile_, "solve": solution.effort.times.solve},
+        "digest": design_digest(solution),
         "problem": solution.problem_text.splitlines(),
     }
     if not solution.ok:

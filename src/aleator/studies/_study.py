@@ -18,6 +18,7 @@ from aleator.reporting import (
     Text,
     Verdict,
     footer,
+    provenance,
     savable,
     save_study,
     words,
@@ -131,6 +132,7 @@ class AbstractStudy(abc.ABC):
         sections = [
             Section("This run", self._unfinished()),
             *_declared.sections_of(self),
+            provenance(savable(*_declared.asked(self, "results"))[0]),
             Section("How to read this", [Text(HOW_TO_READ), *glossary]),
         ]
         return self._framed(self._whole_verdict(), [one for one in sections if one.blocks])
