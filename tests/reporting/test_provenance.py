@@ -51,7 +51,7 @@ def other_equations():
     model = Stiffer(k=al.Uniform(4.0, half_width=0.4), c=al.Uniform(al.Decision(1.0, 0.2, 3.0), half_width=0.1))
     return al.Problem(
         model,
-        grid=asked.grid,
+        grid=al.Grid(t_final=4.0, steps=50),
         minimize=al.integral("effort").mean,
         subject_to=list(asked.constraints),
         expansion=al.Expansion(order=2),
