@@ -15,7 +15,7 @@ from jaxtyping import Array
 
 from aleator._core import stored
 from aleator._core.beside import beside, undisturbed
-from aleator._core.devices import devices, elsewhere, home, is_placed
+from aleator._core.devices import Device, devices, elsewhere, home, placed
 from aleator._core.differentiable import explained
 from aleator._core.errors import ProblemError
 from aleator._core.executables import OnEach, Tried, ready
@@ -144,7 +144,8 @@ class Compiled:
         shapes = tuple((leaf.shape, leaf.dtype) for leaf in leaves)
         kinds = tuple(type(leaf) for leaf in static_leaves)  # 1 and True are equal, but not the same structure
         code = self._code(*arguments) if self._code else None
-        return self, way, structure, static_structure, tuple(static_leaves), kinds, shapes, home(), code
+        device = placed(leaves) or home()
+        return self, way, structure, static_structure, tuple(static_leaves), kinds, shapes, device, code
 
     def _known(
         self, key: Hashable, arguments: tuple[Any, ...], build: Callable[..., Callable[[], Executable]]
@@ -221,7 +222,8 @@ class Compiled:
             traced = jax.jit(flat).trace(*arguments)
             lowered = traced.lower()
         # Asked here, because what JAX is told of devices holds for one thread.
-        platform, moves = home().platform, len(devices()) > 1 and not is_placed(arguments)
+        bound_to = placed(arguments)
+        platform, moves = (bound_to or home()).platform, bound_to is None and len(devices()) > 1
 
         def finish() -> Executable:
             before = stored.found_by_jax()
@@ -259,8 +261,8 @@ class Bound:
         given: tuple[jax.Array, list[jax.Array]],
     ):
         self._find_key, self._program, self._given = key, program, given
-        self._moves = not is_placed(given)
-        self._copies: dict[jax.Device, tuple[jax.Array, list[jax.Array]]] = {}
+        self._moves = placed(given) is None
+        self._copies: dict[Device, tuple[jax.Array, list[jax.Array]]] = {}
         self._key: Hashable | None = None
         self._executable: Executable | None = None
 

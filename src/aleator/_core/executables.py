@@ -1,5 +1,7 @@
-"""Executables as they are called: results in their own layout; NaN where a check stops one; an earlier run's tried;
-copies for other devices."""
+"""Executables as they are called: results in their own layout; NaN where a check stops one; an earlier run's tried.
+
+On several devices, one has a copy for each.
+"""
 
 import functools
 import threading
@@ -10,7 +12,7 @@ import jax
 import jax.numpy as jnp
 
 from aleator._core import stored
-from aleator._core.devices import elsewhere
+from aleator._core.devices import Device, elsewhere
 from aleator._core.layouts import is_real
 from aleator._core.programs import Executable
 
@@ -47,7 +49,7 @@ class OnEach:
 
     def __init__(self, at_home: Executable, compiled_here: Callable[[], Executable]):
         self._at_home, self._compiled_here = at_home, compiled_here
-        self._copies: dict[jax.Device, Executable] = {}
+        self._copies: dict[Device, Executable] = {}
         self._lock = threading.Lock()
 
     def __call__(self, *given: Any) -> Any:

@@ -17,7 +17,7 @@ from jax.extend.core import ClosedJaxpr, Jaxpr
 from aleator._core.arrays import Pytree
 from aleator._core.code import read_code
 from aleator._core.compilation import Use, compiled_for
-from aleator._core.devices import here, home, is_placed
+from aleator._core.devices import Device, here, placed
 from aleator._core.equations import array_digest, equations_text
 from aleator._core.purity import steadily
 
@@ -59,12 +59,12 @@ class _Executed:
     def __init__(self, jaxpr: Jaxpr, use: Use):
         self._within = jax.jit(lambda constants, *leaves: eval_jaxpr(jaxpr, constants, *leaves))
         self._use, self._lock = use, threading.Lock()
-        self._compiled: dict[jax.Device, Callable[..., list[Any]]] = {}
+        self._compiled: dict[Device, Callable[..., list[Any]]] = {}
 
     def __call__(self, constants: list[Any], *leaves: Any) -> list[Any]:
         if any(isinstance(one, Tracer) for one in (*constants, *leaves)):
             return self._within(constants, *leaves)
-        device = home() if is_placed((constants, leaves)) else here()
+        device = placed((constants, leaves)) or here()
         with self._lock:
             if device not in self._compiled:
                 lowered = self._within.lower(constants, *leaves)
