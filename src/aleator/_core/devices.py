@@ -10,6 +10,7 @@ from contextvars import ContextVar
 from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 import jax
+from jax.core import Tracer
 
 from aleator._core.beside import in_order
 
@@ -61,7 +62,7 @@ def elsewhere() -> Device | None:
 def placed(tree: Any) -> Device | None:
     """The device on which a user has put an array of a tree, where all that follows from it stays; None if nowhere."""
     for leaf in jax.tree.leaves(tree):
-        if isinstance(leaf, jax.Array) and leaf.committed:
+        if isinstance(leaf, jax.Array) and not isinstance(leaf, Tracer) and leaf.committed:
             return min(leaf.devices(), key=lambda one: one.id)
     return None
 
