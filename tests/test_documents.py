@@ -38,6 +38,7 @@ def run(program: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
         "docs/motion.md",
         "docs/openmdao.md",
         "docs/robots.md",
+        "docs/scaling.md",
         "docs/solvers.md",
         "docs/studies.md",
         "docs/sympy.md",

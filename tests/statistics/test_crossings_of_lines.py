@@ -26,7 +26,7 @@ def crossings(powers):
 @pytest.mark.parametrize("degree", [1, 2, 3, 5, 8])
 def test_crossings_are_the_real_roots_of_each_polynomial(degree, use):
     powers = polynomials(degree)
-    found = np.asarray(compiled_for(use, jax.jit(crossings).lower(jnp.asarray(powers)))(jnp.asarray(powers)))
+    found = np.asarray(compiled_for(use, jax.jit(crossings).lower(jnp.asarray(powers)), "cpu")(jnp.asarray(powers)))
     for line in range(LINES):
         roots = np.polynomial.polynomial.polyroots(powers[:, line])
         size, slopes = np.abs(powers[:, line]).sum(), np.polynomial.polynomial.polyder(powers[:, line])

@@ -14,13 +14,17 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array
 
 from aleator._core import stored
-from aleator._core.beside import beside
+from aleator._core.beside import beside, undisturbed
+from aleator._core.devices import Device, devices, elsewhere, home, placed
 from aleator._core.differentiable import explained
 from aleator._core.errors import ProblemError
-from aleator._core.executables import Tried, ready
+from aleator._core.executables import OnEach, Tried, ready
 from aleator._core.lasting import lasting_name
 from aleator._core.layouts import Leaves, Packed, Way, is_real
 from aleator._core.programs import PROGRAMS, Executable, Program
+
+# The compiler with the options below; those of other devices know other options.
+_CPU = "cpu"
 
 # On a CPU, XLA removes `jax.lax.optimization_barrier` before it fuses loops, and then recomputes an intermediate result
 # wherever it is used, such as the sine of an angle for each derivative that depends on it. Without the pass of this
@@ -50,7 +54,7 @@ class Compiled:
 
     Arrays in the arguments (also deep inside a problem) are traced; all the rest is structure. `compilations` and
     `seconds` count all compilations so far. Several threads may call it: they wait for a program that one of them is
-    compiling.
+    compiling. Within a part that runs on another device (`over_devices`), so does the program; it is traced once.
 
     - `use`: the use of its programs, or a function of the arguments that gives it.
 
@@ -140,7 +144,8 @@ class Compiled:
         shapes = tuple((leaf.shape, leaf.dtype) for leaf in leaves)
         kinds = tuple(type(leaf) for leaf in static_leaves)  # 1 and True are equal, but not the same structure
         code = self._code(*arguments) if self._code else None
-        return self, way, structure, static_structure, tuple(static_leaves), kinds, shapes, code
+        device = placed(leaves) or home()
+        return self, way, structure, static_structure, tuple(static_leaves), kinds, shapes, device, code
 
     def _known(
         self, key: Hashable, arguments: tuple[Any, ...], build: Callable[..., Callable[[], Executable]]
@@ -187,15 +192,16 @@ class Compiled:
         made = trace() if earlier is None else functools.partial(Tried, ready(earlier), anew)
         spent = time.perf_counter() - started
 
-        def finish() -> Executable:
-            started = time.perf_counter()
-            executable = made()
-            with self._lock:
-                self.seconds += spent + time.perf_counter() - started
-                self.compilations += 1
-            return executable
+        return lambda: self._counted(made, spent)
 
-        return finish
+    def _counted(self, made: Callable[[], Executable], spent: float = 0.0) -> Executable:
+        """An executable that is made now, on record with the time `spent` before."""
+        started = time.perf_counter()
+        executable = made()
+        with self._lock:
+            self.seconds += spent + time.perf_counter() - started
+            self.compilations += 1
+        return executable
 
     def _traced(
         self, way: Way, function: Callable[..., Any], *arguments: Any, use: Use, name: str | None
@@ -213,22 +219,31 @@ class Compiled:
             # could not be kept under this one.
             flat.__name__ = f"flat_{name}"
         with explained():
-            lowered = jax.jit(flat).lower(*arguments)
+            traced = jax.jit(flat).trace(*arguments)
+            lowered = traced.lower()
+        # Asked here, because what JAX is told of devices holds for one thread.
+        bound_to = placed(arguments)
+        platform, moves = (bound_to or home()).platform, bound_to is None and len(devices()) > 1
 
         def finish() -> Executable:
             before = stored.found_by_jax()
-            found = stored.Stored(compiled_for(use, lowered), results[0])
+            found = stored.Stored(compiled_for(use, lowered, platform), results[0])
             if name is not None and stored.found_by_jax() == before:
                 stored.keep(name, lowered, found)
-            return ready(found)
+            return OnEach(ready(found), lambda: self._counted(here)) if moves else ready(found)
+
+        def here() -> Executable:
+            PROGRAMS.make_room()
+            again = traced.lower()
+            return ready(stored.Stored(undisturbed(lambda: compiled_for(use, again, platform)), results[0]))
 
         return finish
 
 
-def compiled_for(use: Use, lowered: jax.stages.Lowered) -> jax.stages.Compiled:
-    """Compile a traced program, with default options if this XLA does not know ours."""
+def compiled_for(use: Use, lowered: jax.stages.Lowered, platform: str) -> jax.stages.Compiled:
+    """Compile a traced program for devices of a platform, with default options if this XLA does not know ours."""
     try:
-        return lowered.compile(compiler_options=use.value if jax.default_backend() == "cpu" else {})
+        return lowered.compile(compiler_options=use.value if platform == _CPU else {})
     except jax.errors.JaxRuntimeError as error:
         if "No such compile option" not in str(error):
             raise
@@ -246,6 +261,8 @@ class Bound:
         given: tuple[jax.Array, list[jax.Array]],
     ):
         self._find_key, self._program, self._given = key, program, given
+        self._moves = placed(given) is None
+        self._copies: dict[Device, tuple[jax.Array, list[jax.Array]]] = {}
         self._key: Hashable | None = None
         self._executable: Executable | None = None
 
@@ -268,7 +285,16 @@ class Bound:
 
     def __call__(self, last: Any) -> Any:
         """The function's value."""
-        return self.prepare(last)(*self._given, last)
+        return self.prepare(last)(*self._given_here(), last)
+
+    def _given_here(self) -> tuple[jax.Array, list[jax.Array]]:
+        """The fixed arguments on the device of the present part, to which they are copied once."""
+        device = elsewhere()
+        if device is None or not self._moves:
+            return self._given
+        if device not in self._copies:
+            self._copies[device] = jax.device_put(self._given, device)
+        return self._copies[device]
 
 
 def _alike(tree: Any) -> Any:

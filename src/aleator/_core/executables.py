@@ -1,4 +1,7 @@
-"""Executables as they are called: results in their own layout; NaN where a check stops one; an earlier run's tried."""
+"""Executables as they are called: results in their own layout; NaN where a check stops one; an earlier run's tried.
+
+On several devices, one has a copy for each.
+"""
 
 import functools
 import threading
@@ -9,6 +12,7 @@ import jax
 import jax.numpy as jnp
 
 from aleator._core import stored
+from aleator._core.devices import Device, elsewhere
 from aleator._core.layouts import is_real
 from aleator._core.programs import Executable
 
@@ -37,6 +41,26 @@ class Tried:
             return self._executable(*given)
         self._anew = None  # with what it holds: it can run
         return result
+
+
+@final
+class OnEach:
+    """An executable of one device, and its copies for others, each compiled when it is first called there."""
+
+    def __init__(self, at_home: Executable, compiled_here: Callable[[], Executable]):
+        self._at_home, self._compiled_here = at_home, compiled_here
+        self._copies: dict[Device, Executable] = {}
+        self._lock = threading.Lock()
+
+    def __call__(self, *given: Any) -> Any:
+        device = elsewhere()
+        if device is None:
+            return self._at_home(*given)
+        # One after the other: XLA compiles on all cores, and may find the second one in JAX's cache.
+        with self._lock:
+            if device not in self._copies:
+                self._copies[device] = self._compiled_here()
+        return self._copies[device](*given)
 
 
 def ready(found: stored.Stored) -> Executable:

@@ -107,8 +107,8 @@ def _own_code(function: Callable[..., Any]) -> list[str]:
 
 def _surroundings() -> str:
     """All else that a program depends on: settings of JAX, Equinox and XLA, devices, and libraries that trace it."""
-    if jax.device_count() > 1:
-        raise DoubtError  # On which of them a program runs is no part of its name.
+    if jax.device_count() > 1 or jax.config.jax_default_device is not None:  # type: ignore[attr-defined]
+        raise DoubtError  # On which device a program runs is no part of its name.
     # Attributes give the present values, even within a `with` statement; not every setting has one.
     known = {name: getattr(jax.config, name, value) for name, value in jax.config.values.items()}
     settings = [f"{name}={value}" for name, value in sorted(known.items()) if not name.startswith(_ASIDE)]

@@ -17,6 +17,7 @@ from jax.extend.core import ClosedJaxpr, Jaxpr
 from aleator._core.arrays import Pytree
 from aleator._core.code import read_code
 from aleator._core.compilation import Use, compiled_for
+from aleator._core.devices import Device, here, placed
 from aleator._core.equations import array_digest, equations_text
 from aleator._core.purity import steadily
 
@@ -58,15 +59,17 @@ class _Executed:
     def __init__(self, jaxpr: Jaxpr, use: Use):
         self._within = jax.jit(lambda constants, *leaves: eval_jaxpr(jaxpr, constants, *leaves))
         self._use, self._lock = use, threading.Lock()
-        self._compiled: Callable[..., list[Any]] | None = None
+        self._compiled: dict[Device, Callable[..., list[Any]]] = {}
 
     def __call__(self, constants: list[Any], *leaves: Any) -> list[Any]:
         if any(isinstance(one, Tracer) for one in (*constants, *leaves)):
             return self._within(constants, *leaves)
+        device = placed((constants, leaves)) or here()
         with self._lock:
-            if self._compiled is None:
-                self._compiled = compiled_for(self._use, self._within.lower(constants, *leaves))
-        return self._compiled(constants, *leaves)
+            if device not in self._compiled:
+                lowered = self._within.lower(constants, *leaves)
+                self._compiled[device] = compiled_for(self._use, lowered, device.platform)
+        return self._compiled[device](constants, *leaves)
 
 
 # Size of the cache: enough for a session's functions.

@@ -1,4 +1,4 @@
-"""Evaluate many points in batches: of one compiled size, in order, on all cores."""
+"""Evaluate many points in batches: of one compiled size, in order, on all cores and devices."""
 
 from collections.abc import Callable, Iterable, Iterator
 from typing import NamedTuple, TypeVar
@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from aleator._core.arrays import Pytree
-from aleator._core.beside import in_order
 from aleator._core.compilation import Compiled
+from aleator._core.devices import over_devices
 
 # Systems whose histories are held in memory at a time: larger batches gain little time.
 _TOGETHER = 64
@@ -41,15 +41,15 @@ def each(
 ) -> Iterator[tuple[Part, _Result]]:
     """The results of `work` for each part, in order. Every evaluation in batches goes through here.
 
-    With `at_once`, as many parts are evaluated in parallel as there are cores, with the digits of a plain loop. Only
-    executables may be: a user's function need not be thread-safe.
+    With `at_once`, as many parts are evaluated in parallel as there are cores, each on one of JAX's devices in turn,
+    with the digits of a plain loop. Only executables may be: a user's function need not be thread-safe.
     """
 
     def worked(part: Part) -> tuple[Part, _Result]:
         return part, work(part)
 
     # Any other ordered map, such as that of an executor, would go here.
-    return in_order(worked, some) if at_once else map(worked, some)
+    return over_devices(worked, some) if at_once else map(worked, some)
 
 
 def in_batches(

@@ -6,8 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from aleator._core.beside import in_order
 from aleator._core.compilation import Compiled, Use
+from aleator._core.devices import over_devices
 from aleator.design import Problem, functionals_of, grid_at, refuse_changed_code
 from aleator.expansion import Collocation
 from aleator.nlp import Evaluation
@@ -150,7 +150,7 @@ class _AtOnce:
 
 @final
 class _InParts:
-    """A problem whose points are simulated in parts, on all cores."""
+    """A problem whose points are simulated in parts, on all cores and devices."""
 
     def __init__(self, traced: Problem, constants: Constants, parts: tuple[Part, ...], points: int):
         self._parts = [CONTRIBUTE.bound(traced, *map(jnp.asarray, one), packed=False) for one in parts]
@@ -165,7 +165,7 @@ class _InParts:
         # The calling thread traces a user's code before other threads start.
         for part in self._parts:
             part.prepare(decisions)
-        shares: tuple[Share, ...] = tuple(in_order(lambda part: part(decisions), self._parts))
+        shares: tuple[Share, ...] = tuple(over_devices(lambda part: part(decisions), self._parts))
         terms, slopes, finite = (
             tuple(each) for each in zip(*((one.terms, one.slopes, one.finite) for one in shares), strict=True)
         )
