@@ -48,15 +48,20 @@ class _Bars(AbstractShown):
 
     def __init__(self, bars: Progress, total: float):
         self._bars, self._overall = bars, bars.add_task("all stages", total=total)
-        self._stage, self._inner = "", self._overall
+        self._stage, self._inner, self._task = "", self._overall, ""
 
     @override
     def begin(self, stage: str) -> None:
-        self._stage, self._inner = stage, self._bars.add_task(f"  {stage}", total=None)
+        self._stage, self._inner, self._task = stage, self._bars.add_task(f"  {stage}", total=None), ""
 
     @override
     def show(self, task: str, done: int, total: int) -> None:
-        self._bars.update(self._inner, description=f"  {self._stage}: {task}", completed=done, total=total)
+        if done and task != self._task and total <= _FEW:
+            self._bars.console.print(f"  {task}")
+            self._task = task
+        brief = task.partition(": ")[0]
+        told = self._stage if brief == self._stage else f"{self._stage}: {brief}"
+        self._bars.update(self._inner, description=f"  {told}", completed=done, total=total)
 
     @override
     def end(self, stage: str, share: float, seconds: float) -> None:
@@ -71,17 +76,19 @@ class _Lines(AbstractShown):
 
     def __init__(self, console: Console, clock: Callable[[], float] = time.monotonic):
         self._console, self._clock = console, clock
-        self._begun = self._last = clock()
-        self._told = (0, "")
+        self.begin("")
 
     @override
     def begin(self, stage: str) -> None:
         self._begun = self._last = self._clock()
-        self._told = (0, "")
+        self._told, self._steps = (0, ""), (0, 0)
 
     @override
     def show(self, task: str, done: int, total: int) -> None:
         now = self._clock()
+        if total != self._steps[1] or done < self._steps[0]:  # other work, within the same stage
+            self._begun = now
+        self._steps = (done, total)
         is_step = total <= _FEW or done == total
         if done and (done, task) != self._told and (is_step or now > self._last + _NOW_AND_THEN):
             left = (now - self._begun) / done * (total - done)

@@ -43,7 +43,7 @@ def _page(folder: Path, kept: Recalled) -> tuple[Page, list[str]]:
     study = recorded(folder).made() if (folder / RECORD).is_file() else None
     if study is not None and study.stages_are_journalled:
         missing = _recalled(study, kept)
-        if study.finished:
+        if any(study.results().values()):
             return study.page(), missing
     return _bare_page(folder, kept, study)
 

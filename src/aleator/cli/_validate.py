@@ -20,7 +20,7 @@ from aleator.cli._record import RECORD, recorded
 from aleator.cli._terminal import FAILED, Terminal
 from aleator.design import Problem
 from aleator.journalling import Journal, journal
-from aleator.reporting import evidence_document, evidence_table
+from aleator.reporting import Table, evidence_document, evidence_table, share_text
 from aleator.solution import Solution, in_brief
 from aleator.solving import solve
 from aleator.studies import AbstractStudy, design_of
@@ -51,6 +51,7 @@ def validate(
         code = sampling.of(designs, {} if study is None else study.solving)
     terminal.note(folder=str(folder), samples=samples, seed=seed, designs=sampling.document())
     if sampling.found:
+        terminal.table(_shares(sampling.found))
         terminal.table(evidence_table(sampling.found))
     terminal.conclude(code)
 
@@ -79,6 +80,14 @@ def _wanted(
     if not found:
         raise ProblemError(f"validate: there is no finished design in '{folder}': name the study to solve it first.")
     return found if design is None else {design: found[design]}
+
+
+def _shares(found: Mapping[str, Evidence]) -> Table:
+    """How many systems break each limit, a column for each design."""
+    limits = list(dict.fromkeys(name for one in found.values() for name in one.violations))
+    rows = [[name, *(share_text(one.violations.get(name)) for one in found.values())] for name in limits]
+    rows.append(["any limit", *(share_text(one.joint if one.violations else None) for one in found.values())])
+    return Table("Systems that violate limits", ["", *found], rows, "In brackets: 95 % confidence.")
 
 
 @final

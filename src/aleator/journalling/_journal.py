@@ -63,13 +63,14 @@ def forget(folder: Path) -> None:
 class Journal(AbstractJournal):
     """The journal of one folder, of which this process is the only writer.
 
-    - `recalled`: how many results were taken from there so far.
+    - `recalled`: how many results of earlier processes were taken from there so far.
     """
 
     def __init__(self, folder: Path):
         self.folder, self.recalled = folder, 0
         entries, size = read(folder / FILE)
         self._known = {key: interrupted(one) for key, one in entries.items()}
+        self._earlier = {key for key, one in entries.items() if one.is_finished}
         self._keys = Keys()
         self._lock, self._told = threading.Lock(), set[str]()
         (folder / _RESULTS).mkdir(exist_ok=True)
@@ -94,7 +95,7 @@ class Journal(AbstractJournal):
         if found is None:
             self._tell_changed(said, parts)
         else:
-            self.recalled += 1
+            self.recalled += key in self._earlier
             self._keys.remember(found, key)
             if self._known[key].state is State.STALE:
                 self.append(replace(self._known[key], state=_state_of(found), why=""))

@@ -8,7 +8,7 @@ import numpy as np
 from typing_extensions import override
 
 from aleator._core.errors import ProblemError, SolveError
-from aleator._core.given import meant, real_array, whole
+from aleator._core.given import meant, real_array, refusal, whole
 from aleator._core.progress import Progress
 from aleator.design import Problem
 from aleator.reporting import Section, Table, Verdict, count, number, sections, words
@@ -58,8 +58,8 @@ class SweptStudy(AbstractStudy):
         problem.named(bound)
         self.title, self.subtitle = f"{study.title}: {name} over {bound}", study.subtitle
         self._values = np.ravel(real_array("sweep: values", list(values)))
-        if not self._values.size:
-            raise ProblemError("sweep: expected at least one value of the bound; received none.")
+        if not self._values.size or not np.isfinite(self._values).all():
+            raise refusal("sweep: values", "one finite value of the bound at least", self._values.tolist())
         self._workers = None if workers is None else whole("sweep: workers", workers)
         self._name, self._problem, self._bound, self._solving = name, problem, bound, study.solving
         self.front: Front | None = None
