@@ -1,6 +1,8 @@
 """The commands on a run's folder: resume, sweep, validate, report, compare and list."""
 
 import json
+import signal
+import subprocess
 import sys
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -188,6 +190,8 @@ def test_a_front_is_printed_kept_and_written_as_a_page(here: Path):
     assert "stress = 0.04, infeasible, violation" in told
     assert "1 of 2 points over stress are solved" in told
     assert (here / "results/bar-over-stress" / FILE).is_file()
+    sampled = document(aleator("validate", "results/bar-over-stress", "--samples", "100", "--json"))
+    assert list(sampled["designs"]) == ["stress = 0.5"]
     page = (here / "results/bar-over-stress/report.html").read_text()
     assert "Bar: robust over stress" in page
     assert f"objective {NEEDED / 0.5:.6g}" in page
@@ -346,6 +350,21 @@ def test_a_study_that_no_journal_keeps_as_a_whole_is_told_by_its_designs(
     assert document(checked)["problems"]["robust"]["samples"] is None
 
 
+@pytest.mark.parametrize(
+    ("problems", "told"),
+    [({}, "'Partly kept' declares no problems"), ([1], "problems by their names"), ({"a": 1}, "'a': expected Problem")],
+)
+def test_a_study_without_proper_problems_is_refused_where_they_are_needed(
+    here: Path, monkeypatch: pytest.MonkeyPatch, problems, told: str
+):
+    monkeypatch.setattr(Partial, "problems", problems)
+    monkeypatch.setattr(studies, "load", lambda name, quick=False: Partial())
+    for command in (("check",), ("validate",), ("sweep", "--bound", "stress", "--values", "1")):
+        result = aleator(command[0], "partial", *command[1:])
+        assert result.exit_code == 2
+        assert told in said(result)
+
+
 def test_runs_are_compared_design_by_design_and_by_what_they_follow_from(here: Path, finished: Path):
     changed = BAR.replace("half_width=0.3", "half_width=0.2")
     (here / "bar.py").write_text(changed)
@@ -393,3 +412,22 @@ def test_every_case_study_declares_its_problems(name: str):
     problems = load(name, quick=True).problems
     assert problems
     assert all(isinstance(one, al.Problem) for one in problems.values())
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform == "win32", reason="processes are killed by a signal")
+def test_a_sweep_that_is_killed_is_resumed_from_its_folder_down_to_the_last_bit(here: Path):
+    values = "0.5,0.55,0.6,0.65,0.7,0.75,0.8,0.85"
+    arguments = ["sweep", "bar.py", "--bound", "stress", "--values", values, "--out", "there"]
+    journal = here / "there" / FILE
+    with subprocess.Popen([sys.executable, "-m", "aleator", *arguments], stdout=subprocess.DEVNULL) as run:
+        while run.poll() is None and not (journal.exists() and b'"state": "done"' in journal.read_bytes()):
+            pass
+        run.send_signal(signal.SIGKILL)
+    assert run.returncode == -signal.SIGKILL
+    states = [one["state"] for one in document(aleator("list", "there", "--json"))["results"]]
+    assert "waiting" in states
+    found = document(aleator("resume", "there", "--json"))
+    assert found["recalled"] >= 1
+    whole = document(aleator("sweep", "bar.py", "--bound", "stress", "--values", values, "--out", "whole", "--json"))
+    assert found["fronts"] == whole["fronts"]

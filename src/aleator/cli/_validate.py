@@ -23,7 +23,7 @@ from aleator.journalling import Journal, journal
 from aleator.reporting import Table, evidence_document, evidence_table, share_text
 from aleator.solution import Solution, in_brief
 from aleator.solving import solve
-from aleator.studies import AbstractStudy, design_of
+from aleator.studies import AbstractStudy, Study, problems_of
 from aleator.validation import Evidence
 from aleator.validation import validate as validated
 
@@ -69,11 +69,10 @@ def _wanted(
 ) -> Mapping[str, Solution | Problem]:
     """Designs of a folder, and problems that are to be solved first, by name."""
     found: dict[str, Solution | Problem] = {}
-    if study is None or not study.stages_are_journalled:
-        found.update(sorted_by_kind(kept.finished())[0])
-    if study is not None:
-        design_of(study, None)
-        found = {**study.problems, **found}
+    if not isinstance(study, Study):  # whose designs the journal knows by all that they follow from
+        found.update({name: one for name, one in sorted_by_kind(kept.finished())[0].items() if one.ok})
+    if study is not None and (not found or (design is not None and design not in found)):
+        found = {**problems_of(study), **found}
     if design is not None and design not in found:
         known = f"expected one of {list(found)}.{meant(design, found)}"
         raise ProblemError(f"validate: there is no design '{design}' in '{folder}'; {known}")

@@ -14,7 +14,7 @@ from aleator.examining import examine
 from aleator.reporting import Code, Table, number
 from aleator.studies._own import Study
 from aleator.studies._study import AbstractStudy
-from aleator.studies._swept import design_of
+from aleator.studies._swept import problems_of
 from aleator.transcription import DEFAULT, AbstractTranscribed, transcribe
 
 # Evaluations of a typical solve by derivatives, for predictions.
@@ -58,18 +58,17 @@ class Check:
     """
 
     def __init__(self, study: AbstractStudy):
-        design_of(study, None)
-        self._study = study
+        self._study, self._problems = study, problems_of(study)
         self._samples = study.samples if isinstance(study, Study) else None
         self.facts: dict[str, Facts] = {}
         self.troubles = list[str]()
-        for name, problem in study.problems.items():
+        for name, problem in self._problems.items():
             self.facts[name], found = _facts(problem, self._samples)
             self.troubles += [f"{name}: {one}" for one in found]
 
     def mathematics(self) -> list[Code]:
         """Each problem as mathematics."""
-        return [Code(name, problem_text(one, ""), True) for name, one in self._study.problems.items()]
+        return [Code(name, problem_text(one, ""), True) for name, one in self._problems.items()]
 
     def table(self) -> Table:
         """A column for each problem."""

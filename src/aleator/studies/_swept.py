@@ -8,7 +8,7 @@ import numpy as np
 from typing_extensions import override
 
 from aleator._core.errors import ProblemError, SolveError
-from aleator._core.given import meant, real_array, refusal, whole
+from aleator._core.given import meant, one_of, real_array, refusal, whole
 from aleator._core.progress import Progress
 from aleator.design import Problem
 from aleator.reporting import Section, Table, Verdict, count, number, sections, words
@@ -125,20 +125,26 @@ class SweptStudy(AbstractStudy):
             raise SolveError(f"No point over {self._bound} was solved: {self.front.points[0].why()}")
 
 
-def design_of(study: AbstractStudy, design: str | None) -> tuple[str, Problem]:
-    """A design's name and problem; the last if none is named. Raises `ProblemError` if there is none of that name."""
-    problems = study.problems
+def problems_of(study: AbstractStudy) -> dict[str, Problem]:
+    """The problems that a study declares. Raises `ProblemError` if there are none, or anything else."""
+    what, problems = f"{type(study).__name__}.problems", study.problems
+    if not isinstance(problems, Mapping):
+        raise refusal(what, "problems by their names", problems)
     if not problems:
         raise ProblemError(
             f"The study '{study.title}' declares no problems: give its class the property `problems`, by their names."
         )
+    return {name: one_of(f"{what}: '{name}'", one, Problem) for name, one in problems.items()}
+
+
+def design_of(study: AbstractStudy, design: str | None) -> tuple[str, Problem]:
+    """A design's name and problem; the last if none is named. Raises `ProblemError` if there is none of that name."""
+    problems = problems_of(study)
     if design is None:
         design = list(problems)[-1]
     if design not in problems:
-        raise ProblemError(
-            f"The study '{study.title}' has no design '{design}'; expected one of {list(problems)}."
-            f"{meant(design, problems)}"
-        )
+        known = f"expected one of {list(problems)}.{meant(design, problems)}"
+        raise ProblemError(f"The study '{study.title}' has no design '{design}'; {known}")
     return design, problems[design]
 
 
