@@ -19,7 +19,7 @@ from pathlib import Path  # noqa: E402
 import numpy as np  # noqa: E402
 
 import aleator as al  # noqa: E402
-from aleator import cli  # noqa: E402
+from aleator import studies  # noqa: E402
 from aleator._core.progress import Progress  # noqa: E402
 from aleator.reporting import PAGE, Section, Table, Verdict, report  # noqa: E402
 from aleator.studies import STUDIES, AbstractStudy, Entry, Stage, stop_if_interrupted, suspension  # noqa: E402
@@ -108,5 +108,5 @@ MADE = {"decay": DecayStudy, "suspension": small_suspension, "clutch": small_clu
 
 if __name__ == "__main__":
     STUDIES["decay"] = Entry("A decay", "")
-    cli.load = lambda name, *, quick: MADE[name]()
+    studies.load = lambda name, *, quick: MADE[name]()
     aleator_command.main()

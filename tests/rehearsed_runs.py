@@ -17,7 +17,7 @@ from functools import partial
 from pathlib import Path
 
 import aleator_command
-from aleator import cli
+from aleator import cli, studies  # noqa: F401  the commands are imported before a fork
 from aleator._core import interruption
 from aleator._core.progress import Progress
 from aleator.reporting import PAGE, Section, Table, Verdict
@@ -133,7 +133,7 @@ def rehearse(moment: str, number: int, folder: Path) -> None:
         study.at("while the study is loaded")
         return study
 
-    cli.load = load
+    studies.load = load
     if moment == "while the package is imported":
         sys.modules["aleator.cli"] = types.SimpleNamespace(main=lambda: study.at(moment))
     sys.argv = ["aleator", "run", "rehearsal", "--out", str(folder)]

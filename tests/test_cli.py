@@ -12,7 +12,7 @@ import pytest
 from typer.testing import CliRunner
 
 import aleator as al
-from aleator import cli
+from aleator import cli, studies
 from aleator._core.progress import Progress
 from aleator.reporting import Section, Table, Verdict, _lock
 from aleator.studies import AbstractStudy, Stage
@@ -57,7 +57,7 @@ class Rehearsal(AbstractStudy):
 
 
 def invoke(monkeypatch: pytest.MonkeyPatch, study: Rehearsal, *arguments: str):
-    monkeypatch.setattr(cli, "load", lambda name, quick: study)
+    monkeypatch.setattr(studies, "load", lambda name, quick: study)
     return CliRunner().invoke(cli.application, ["run", "rehearsal", *arguments])
 
 

@@ -199,6 +199,54 @@ def test_what_another_run_could_not_recognise_is_not_kept_and_said(tmp_path: Pat
     assert not list((tmp_path / "finished").iterdir())
 
 
+def waiting(folder: Path) -> list[str]:
+    return [one.name for one in al.load(folder).entries if one.state is State.WAITING]
+
+
+def test_points_of_a_front_wait_in_the_journal_until_they_begin(tmp_path: Path, monkeypatch, python_interrupts):
+    solve, seen = solving._solve._solved, list[list[str]]()
+
+    def watched(call):
+        seen.append(waiting(tmp_path))
+        if len(seen) == 2:
+            raise KeyboardInterrupt
+        return solve(call)
+
+    monkeypatch.setattr(solving._solve, "_solved", watched)
+    with al.journal(tmp_path):
+        front = al.pareto(bar(), "stress", [0.4, 0.5, 0.6])
+    assert front.interrupted
+    assert seen == [["stress = 0.5", "stress = 0.6"], ["stress = 0.6"]]
+    assert states(tmp_path) == ["done", "interrupted", "waiting"]
+    # A later run for something else does not wait for it; the same front ends with nothing that waits.
+    with al.journal(tmp_path):
+        pass
+    assert waiting(tmp_path) == []
+    with al.journal(tmp_path):
+        al.pareto(bar(), "stress", [0.4, 0.5, 0.6])
+    assert states(tmp_path) == ["done"] * 3
+    assert {one.name for one in al.load(tmp_path).entries} == {"stress = 0.4", "stress = 0.5", "stress = 0.6"}
+
+
+def test_what_is_refused_before_it_is_solved_does_not_wait_for_ever(tmp_path: Path):
+    fixed = bar().with_bound("stress", 0.5)
+    narrow = al.Problem(fixed.system, minimize=MASS.mean, subject_to=[(MASS.mean <= 3.0).named("mass")])
+    with al.journal(tmp_path):
+        al.pareto(narrow, "mass", [3.0, -1.0])
+    assert waiting(tmp_path) == []
+
+
+def test_a_journal_is_read_once_when_it_is_opened(tmp_path: Path, monkeypatch):
+    with al.journal(tmp_path):
+        al.solve(bar())
+    path, read = tmp_path / FILE, list[Path]()
+    bytes_of = Path.read_bytes
+    monkeypatch.setattr(Path, "read_bytes", lambda self: (read.append(self), bytes_of(self))[1])
+    with al.journal(tmp_path):
+        pass
+    assert read == [path]
+
+
 def test_a_folder_without_a_journal_and_a_name_without_a_result_are_refused(tmp_path: Path):
     with pytest.raises(al.ProblemError, match="there is no journal"):
         al.load(tmp_path)

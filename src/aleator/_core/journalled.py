@@ -5,7 +5,7 @@ journal, and where.
 """
 
 import abc
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import Any, TypeVar, final
@@ -36,6 +36,14 @@ class AbstractJournal(abc.ABC):
     def entry(self, what: str, given: Mapping[str, Any]) -> AbstractEntry:
         """The entry of a result that follows from what is given, whatever the process."""
 
+    @abc.abstractmethod
+    def expect(self, what: str, problems: Mapping[str, Any]) -> list[str]:
+        """Note what will be done with some problems, by their names; returns keys for `withdraw`."""
+
+    @abc.abstractmethod
+    def withdraw(self, keys: Sequence[str]) -> None:
+        """Note that nothing more is expected under these keys."""
+
 
 @final
 class _Unkept(AbstractEntry):
@@ -65,6 +73,19 @@ def entry_of(what: str, given: Mapping[str, Any]) -> AbstractEntry:
     """The entry of a result in the present journal; one that keeps nothing if there is none."""
     journal = _present.get()
     return _Unkept() if journal is None else journal.entry(what, given)
+
+
+@contextmanager
+def expected(what: str, problems: Mapping[str, Any]) -> Iterator[None]:
+    """Let the present journal know what a block will do, with which problems by name: they wait for their turn.
+
+    Where the block is interrupted, those not begun go on waiting, for a later run.
+    """
+    journal = _present.get()
+    keys = [] if journal is None else journal.expect(what, problems)
+    yield
+    if journal is not None:
+        journal.withdraw(keys)
 
 
 def journalled(what: str, given: Mapping[str, Any], compute: Callable[[], Result]) -> Result:

@@ -11,6 +11,7 @@ import numpy as np
 from aleator._core.arrays import Pytree
 from aleator._core.errors import ProblemError
 from aleator._core.given import refusal
+from aleator._core.json_lines import read_lines
 from aleator.ensemble import Realisation
 
 _HEADER = {"journal": "aleator.foreign", "version": 1}
@@ -58,16 +59,17 @@ class Journal:
 
     def _read(self, path: Path) -> None:
         try:
-            lines = path.read_text(encoding="utf-8", errors="replace").splitlines() if path.exists() else []
+            found = read_lines(path)
         except OSError as error:
             raise ProblemError(f"BlackBox: the journal {path} cannot be read ({error.strerror}).") from error
-        if lines and _object(lines[0]) != _HEADER:
+        lines = [line.value for line in found.lines]
+        if (lines or found.cut) and lines[:1] != [_HEADER]:
             raise ProblemError(
                 f"BlackBox: expected the path of a journal, or of a file that does not exist yet; {path} is another "
                 "file, whose first line is not a journal's."
             )
-        for line in map(_object, lines[1:]):
-            if not {"box", "key", "outputs"} <= set(line):
+        for line in lines[1:]:
+            if not isinstance(line, dict) or not {"box", "key", "outputs"} <= set(line):
                 continue
             if line["box"] == self._box:
                 self._known[line["key"]] = _from_json(line["outputs"])
@@ -106,15 +108,6 @@ def _text(leaf: Any) -> Any:
     if isinstance(leaf, np.ndarray | np.generic):
         return [str(leaf.dtype), list(leaf.shape), leaf.tolist() if leaf.dtype != object else repr(leaf)]
     return leaf if isinstance(leaf, bool | int | float | str) else repr(leaf)
-
-
-def _object(line: str) -> dict[str, Any]:
-    """A line of JSON; empty if it is none."""
-    try:
-        found = json.loads(line)
-    except ValueError:
-        return {}
-    return found if isinstance(found, dict) else {}
 
 
 def _as_json(outputs: Pytree) -> Any:

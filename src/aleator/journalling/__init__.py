@@ -1,8 +1,15 @@
 """Run folders: every finished result is kept at once, so that the same command goes on where a run was ended."""
 
+from aleator.journalling._entry import FILE as FILE
+from aleator.journalling._entry import Entry as Entry
 from aleator.journalling._entry import State as State
-from aleator.journalling._journal import FILE as FILE
+from aleator.journalling._entry import named as named
+from aleator.journalling._journal import Journal as Journal
 from aleator.journalling._journal import forget as forget
 from aleator.journalling._journal import journal as journal
 from aleator.journalling._load import Loaded as Loaded
+from aleator.journalling._load import entries_in as entries_in
 from aleator.journalling._load import load as load
+from aleator.journalling._recalling import NotKeptError as NotKeptError
+from aleator.journalling._recalling import Recalled as Recalled
+from aleator.journalling._recalling import recalling as recalling

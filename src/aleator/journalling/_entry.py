@@ -1,21 +1,27 @@
-"""The lines of a journal: what was begun, by whom, and how it ended."""
+"""The lines of a journal: what waits, what was begun, by whom, and how it ended."""
 
 import enum
 import json
 import os
 import socket
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, final
+from typing import NamedTuple, final
 
 from aleator._core.errors import ProblemError
+from aleator._core.json_lines import read_lines
+
+FILE = "journal.jsonl"
+"""The journal in a run's folder, a line for each beginning and each end of a result."""
 
 
 class State(enum.Enum):
     """How far a result is."""
 
+    WAITING = "waiting"
+    WITHDRAWN = "withdrawn"
     RUNNING = "running"
     INTERRUPTED = "interrupted"
     DONE = "done"
@@ -31,6 +37,7 @@ class Entry:
 
     - `key`: a digest of all that it follows from; `parts`: digests of these by name, such as `code` and `versions`;
     - `what`: `solve` or `validate`, with the model's name; `state`; `why`: the reason of a failure;
+    - `name`: what the study calls it, such as `designs/robust` or `stress = 0.4`, if it has a name for it;
     - `host`, `process`, `since`: who began it, and when (UTC); `seconds`: how long it took;
     - `file`: where its result is, relative to the folder; `digest`: of that file.
     """
@@ -46,12 +53,24 @@ class Entry:
     file: str = ""
     digest: str = ""
     why: str = ""
+    name: str = ""
 
     @classmethod
-    def begun(cls, key: str, what: str, parts: Mapping[str, str]) -> "Entry":
+    def begun(cls, key: str, what: str, parts: Mapping[str, str], name: str = "") -> "Entry":
         """An entry of this process that begins now."""
         since = datetime.now(UTC).isoformat(timespec="seconds")
-        return cls(key, what, State.RUNNING, dict(parts), socket.gethostname(), os.getpid(), since)
+        return cls(key, what, State.RUNNING, dict(parts), socket.gethostname(), os.getpid(), since, name=name)
+
+    @classmethod
+    def awaited(cls, what: str, problem: str, name: str) -> "Entry":
+        """An entry that waits for its turn. What it will start from is not known yet: only its problem, by a digest."""
+        begun = cls.begun("", what, {"problem": problem}, name)
+        return replace(begun, key=begun.waits_as, state=State.WAITING)
+
+    @property
+    def waits_as(self) -> str:
+        """The key under which it waits before it begins."""
+        return f"waiting {self.what} {self.parts.get('problem', '')}"
 
     @property
     def is_finished(self) -> bool:
@@ -63,41 +82,64 @@ class Entry:
         return json.dumps({**vars(self), "state": self.state.value}, ensure_ascii=False) + "\n"
 
     def __str__(self) -> str:
-        took = f"{self.seconds:.2g} s" if self.is_finished else f"since {self.since} on {self.host} ({self.process})"
-        return f"{self.state.value:<12} {self.what}  {took}{f'  {self.why}' if self.why else ''}"
+        told = [self.what, self.name, self._when(), self.why]
+        return f"{self.state.value:<12} {'  '.join(one for one in told if one)}"
+
+    def _when(self) -> str:
+        if self.is_finished:
+            return f"{self.seconds:.2g} s"
+        return "" if self.state is State.WAITING else f"since {self.since} on {self.host} ({self.process})"
 
 
-def read(path: Path) -> dict[str, Entry]:
-    """The last entry of each key, in order of their beginnings; empty if there is no file.
+class Entries(NamedTuple):
+    """The last entry of each key, in order of their beginnings, and the size of their lines in bytes."""
+
+    by_key: dict[str, Entry]
+    size: int
+
+
+def read(path: Path) -> Entries:
+    """What a journal says; nothing if there is no file.
 
     A last line that was cut off is ignored: its result is computed again. Raises `ProblemError` for anything else that
     is no entry, with its line.
     """
     try:
-        lines = path.read_bytes().split(b"\n")
-    except FileNotFoundError:
-        return {}
+        lines, size, _ = read_lines(path)
     except OSError as error:
         raise ProblemError(f"The journal '{path}' cannot be read ({error.strerror}).") from error
     entries: dict[str, Entry] = {}
-    for number, line in enumerate(lines, 1):
-        if not line.strip():
-            continue
+    for line in lines:
         try:
-            one = _entry(json.loads(line))
+            one = Entry(**{**line.value, "state": State(line.value["state"])})
         except (ValueError, TypeError, KeyError) as error:
-            if number == len(lines):
-                continue
             raise ProblemError(
-                f"'{path}', line {number}: expected an entry of a journal; received {line[:60]!r}. Remove the line, or "
-                "begin another folder; finished results in other lines stay valid."
+                f"'{path}', line {line.number}: expected an entry of a journal; received {line.text[:60]!r}. Remove "
+                "the line, or begin another folder; finished results in other lines stay valid."
             ) from error
+        note(entries, one)
+    return Entries(entries, size)
+
+
+def note(entries: dict[str, Entry], one: Entry) -> None:
+    """Let a further line change what a journal says: what begins does not wait any more."""
+    if one.state is not State.WAITING:
+        entries.pop(one.waits_as, None)
+    if one.state is State.WITHDRAWN:
+        entries.pop(one.key, None)
+    else:
         entries[one.key] = one
-    return entries
 
 
-def _entry(data: dict[str, Any]) -> Entry:
-    return Entry(**{**data, "state": State(data["state"])})
+def named(entries: Iterable[Entry]) -> dict[str, Entry]:
+    """The results that are there, by what was done, counted in the order of their beginnings: `solve Bar 1`."""
+    counted: dict[str, int] = {}
+    found: dict[str, Entry] = {}
+    for one in entries:
+        if one.is_finished and one.state is not State.STALE:
+            counted[one.what] = counted.get(one.what, 0) + 1
+            found[f"{one.what} {counted[one.what]}"] = one
+    return found
 
 
 def interrupted(one: Entry) -> Entry:

@@ -5,9 +5,8 @@ import shutil
 import threading
 import time
 import warnings
-import weakref
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, final
@@ -16,15 +15,13 @@ from typing_extensions import override
 
 from aleator._core.errors import JournalWarning, ProblemError
 from aleator._core.journalled import AbstractEntry, AbstractJournal, journalling
-from aleator._core.lasting import DoubtError, joined, lasting_parts
-from aleator.design import Problem
+from aleator._core.lasting import DoubtError
 from aleator.journalling import _results
-from aleator.journalling._entry import Entry, State, interrupted, read
+from aleator.journalling._entry import FILE, Entry, State, interrupted, note, read
+from aleator.journalling._keys import Keys, done_with
+from aleator.journalling._load import finished
 from aleator.nlp import Status
 from aleator.reporting import check_writable, only_writer
-
-FILE = "journal.jsonl"
-"""The journal in a run's folder, a line for each beginning and each end of a result."""
 
 _RESULTS = "finished"
 _CODE = "the model's code"
@@ -66,35 +63,77 @@ def forget(folder: Path) -> None:
 class Journal(AbstractJournal):
     """The journal of one folder, of which this process is the only writer.
 
-    - `recalled`: how many results were taken from there so far.
+    - `recalled`: how many results of earlier processes were taken from there so far.
     """
 
     def __init__(self, folder: Path):
         self.folder, self.recalled = folder, 0
-        self._known = {key: interrupted(one) for key, one in read(folder / FILE).items()}
-        self._keys = dict[int, tuple[weakref.ref[Any], str]]()
+        entries, size = read(folder / FILE)
+        self._known = {key: interrupted(one) for key, one in entries.items()}
+        self._earlier = {key for key, one in entries.items() if one.is_finished}
+        self._keys = Keys()
         self._lock, self._told = threading.Lock(), set[str]()
         (folder / _RESULTS).mkdir(exist_ok=True)
-        self._drop_cut_line()
+        with suppress(FileNotFoundError):
+            # Without a line that a crash cut off, so that the next one begins a line.
+            os.truncate(folder / FILE, size)
+        # What an earlier run was waiting for need not be wanted now.
+        self.withdraw([key for key, one in self._known.items() if one.state is State.WAITING])
 
     @override
     def entry(self, what: str, given: Mapping[str, Any]) -> AbstractEntry:
-        said = f"{what} {_of_model(given)}".strip()
         try:
-            parts = lasting_parts({name: self._identified(one) for name, one in given.items()} | _equations(given))
+            key, said, parts = self._keys.identity(what, given)
         except DoubtError as doubt:
+            said = done_with(what, given)
             self.warn(f"{said} is not kept: another run could not tell whether it is the same ({doubt}).")
             return _Entry(self, None)
-        key = joined([what, *(f"{name} {digest}" for name, digest in sorted(parts.items()))])
+        begun = Entry.begun(key, said, parts)
+        waiting = self._known.get(begun.waits_as)
+        begun = begun if waiting is None else replace(begun, name=waiting.name)
         found = self._recalled(key)
         if found is None:
             self._tell_changed(said, parts)
         else:
-            self.recalled += 1
-            self._remember(found, key)
+            self.recalled += key in self._earlier
+            self._keys.remember(found, key)
             if self._known[key].state is State.STALE:
-                self.append(replace(self._known[key], state=_state_of(found)))
-        return _Entry(self, Entry.begun(key, said, parts), found)
+                self.append(replace(self._known[key], state=_state_of(found), why=""))
+            elif waiting is not None:
+                self.withdraw([waiting.key])
+        return _Entry(self, begun, found)
+
+    @override
+    def expect(self, what: str, problems: Mapping[str, Any]) -> list[str]:
+        try:
+            waiting = [
+                Entry.awaited(done_with(what, {"problem": one}), self._keys.problem_digest(one), name)
+                for name, one in problems.items()
+            ]
+        except DoubtError:  # told where it is computed
+            return []
+        self.append(*waiting)
+        return [one.key for one in waiting]
+
+    @override
+    def withdraw(self, keys: Sequence[str]) -> None:
+        left = [self._known[key] for key in keys if key in self._known]
+        self.append(*(replace(one, state=State.WITHDRAWN) for one in left))
+
+    def call(self, named: Mapping[str, Any]) -> None:
+        """Note what a study calls the results of this journal, by name; a name is that of one result."""
+        for name, result in named.items():
+            key = self._keys.of(result)
+            before = [one for one in self._known.values() if one.name == name and one.key != key]
+            if key and self._known[key].name != name:
+                self.append(*(replace(one, name="") for one in before), replace(self._known[key], name=name))
+
+    def finished(self) -> dict[str, Any]:
+        """All results that can be read: see `finished` in `_load`."""
+        found, refused = finished(self.folder, self._known.values(), self._keys)
+        for one in refused:
+            self.warn(one)
+        return found
 
     def _recalled(self, key: str) -> Any:
         known = self._known.get(key)
@@ -106,25 +145,16 @@ class Journal(AbstractJournal):
             self.warn(f"{error} It is computed again.")
             return None
 
-    def _identified(self, it: Any) -> Any:
-        """A result of this journal by its key, a problem without its equations."""
-        reference, key = self._keys.get(id(it), (None, ""))
-        if reference is not None and reference() is it:
-            return key
-        if isinstance(it, Problem):
-            return it.simulation, it.objective, it.constraints, it.expansion
-        return it
-
-    def _remember(self, result: Any, key: str) -> None:
-        self._keys[id(result)] = weakref.ref(result), key
-
-    def append(self, entry: Entry) -> None:
-        """Write a line, whole, at the end of the journal."""
+    def append(self, *entries: Entry) -> None:
+        """Write lines, whole, at the end of the journal."""
+        if not entries:
+            return
         with self._lock:
-            self._known[entry.key] = entry
+            for one in entries:
+                note(self._known, one)
             try:
                 with (self.folder / FILE).open("ab") as file:
-                    file.write(entry.line().encode())
+                    file.write("".join(one.line() for one in entries).encode())
                     file.flush()
                     os.fsync(file.fileno())
             except OSError as error:
@@ -141,7 +171,7 @@ class Journal(AbstractJournal):
         except ProblemError as error:
             self.warn(f"{entry.what} is not kept: {error}")
             return
-        self._remember(result, entry.key)
+        self._keys.remember(result, entry.key)
         self.append(replace(entry, state=_state_of(result), seconds=seconds, file=name, digest=digest))
 
     def warn(self, said: str) -> None:
@@ -159,13 +189,6 @@ class Journal(AbstractJournal):
                 if one.state is not State.STALE:
                     self.append(replace(one, state=State.STALE, why=f"{told} changed"))
                 self.warn(f"what an earlier run found is not used, because {told} has changed since.")
-
-    def _drop_cut_line(self) -> None:
-        """Remove a last line that a crash cut off, so that the next one begins a line."""
-        path = self.folder / FILE
-        content = path.read_bytes() if path.exists() else b""
-        if content and not content.endswith(b"\n"):
-            os.truncate(path, content.rfind(b"\n") + 1)
 
 
 @final
@@ -195,18 +218,3 @@ def _state_of(result: Any) -> State:
     if status in (Status.INFEASIBLE, Status.INTERRUPTED):
         return State.INFEASIBLE if status is Status.INFEASIBLE else State.INTERRUPTED
     return State.DONE if getattr(result, "ok", True) else State.FAILED
-
-
-def _equations(given: Mapping[str, Any]) -> dict[str, str]:
-    """The digest of a problem's equations, without what is random in it where equations do not show all.
-
-    What the code reads is told apart in any case.
-    """
-    problem = given.get("problem")
-    return {"equations": problem.physics.partition(" ")[0]} if isinstance(problem, Problem) else {}
-
-
-def _of_model(given: Mapping[str, Any]) -> str:
-    """The name of the model that a result is about."""
-    problem = given.get("problem") or getattr(given.get("solution"), "problem", None)
-    return type(problem.system).__name__ if problem is not None else ""

@@ -1,6 +1,6 @@
 """`load`: the results in a folder, as objects again."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, final
 
@@ -9,8 +9,8 @@ from typing_extensions import override
 from aleator._core.errors import ProblemError
 from aleator._core.given import meant
 from aleator.journalling import _results
-from aleator.journalling._entry import Entry, State, read
-from aleator.journalling._journal import FILE
+from aleator.journalling._entry import FILE, Entry, State, named, read
+from aleator.journalling._keys import Keys
 from aleator.reporting import as_path
 
 
@@ -26,12 +26,7 @@ class Loaded(Mapping[str, Any]):
 
     def __init__(self, folder: Path, entries: tuple[Entry, ...]):
         self._folder, self.entries = folder, entries
-        counted: dict[str, int] = {}
-        self._named: dict[str, Entry] = {}
-        for one in entries:
-            if one.is_finished and one.state is not State.STALE:
-                counted[one.what] = counted.get(one.what, 0) + 1
-                self._named[f"{one.what} {counted[one.what]}"] = one
+        self._named = named(entries)
 
     @override
     def __getitem__(self, name: str) -> Any:
@@ -67,9 +62,33 @@ def load(folder: str | Path) -> Loaded:
     Raises `ProblemError` if there is no journal, and, when a result is asked for, if it cannot be read.
     """
     place = as_path(folder)
+    return Loaded(place, entries_in(place))
+
+
+def entries_in(place: Path) -> tuple[Entry, ...]:
+    """What the journal of a folder says, in the order of beginnings; what waits comes last.
+
+    Raises `ProblemError` if there is no journal.
+    """
     if not (place / FILE).is_file():
         raise ProblemError(
             f"load: there is no journal in '{place}': expected a folder in which `aleator run` or a script within "
             "`al.journal(folder)` has kept results."
         )
-    return Loaded(place, tuple(read(place / FILE).values()))
+    return tuple(sorted(read(place / FILE).by_key.values(), key=lambda one: one.state is State.WAITING))
+
+
+def finished(folder: Path, entries: Iterable[Entry], keys: Keys) -> tuple[dict[str, Any], list[str]]:
+    """All results that can be read, by the names that a study gives them, or else those of `load`; and what cannot.
+
+    Their keys are remembered, so that what follows from them is recognised.
+    """
+    found, refused = dict[str, Any](), list[str]()
+    for name, entry in named(entries).items():
+        try:
+            found[entry.name or name] = result = _results.read(folder / entry.file, entry.digest)
+        except ProblemError as error:
+            refused.append(str(error))
+        else:
+            keys.remember(result, entry.key)
+    return found, refused

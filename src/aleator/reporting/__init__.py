@@ -43,6 +43,7 @@ from aleator.reporting._numbers import interval as interval
 from aleator.reporting._numbers import number as number
 from aleator.reporting._numbers import percent as percent
 from aleator.reporting._numbers import share_text as share_text
+from aleator.reporting._numbers import values_text as values_text
 from aleator.reporting._numbers import words as words
 from aleator.reporting._page import Page as Page
 from aleator.reporting._page import page_html as page_html
@@ -67,9 +68,12 @@ from aleator.reporting._searches import search_figure as search_figure
 from aleator.reporting._shares import magnitudes_figure as magnitudes_figure
 from aleator.reporting._shares import shares_figure as shares_figure
 from aleator.reporting._store import PAGE as PAGE
+from aleator.reporting._store import designs_document as designs_document
+from aleator.reporting._store import evidence_document as evidence_document
 from aleator.reporting._store import json_text as json_text
 from aleator.reporting._store import save as save
 from aleator.reporting._store import save_study as save_study
+from aleator.reporting._store import solution_document as solution_document
 from aleator.reporting._style import Look as Look
 from aleator.reporting._style import looks as looks
 from aleator.reporting._tables import certificate_table as certificate_table

@@ -152,17 +152,22 @@ def solution_document(solution: Solution, evidence: Evidence | None = None) -> d
     if not solution.ok:
         document["why"] = solution.why()
     if evidence is not None:
-        shares = {name: _share(one) for name, one in evidence.violations.items()}
-        document["evidence"] = {
-            "samples": evidence.samples,
-            "seed": evidence.seed,
-            "instants": evidence.instants,
-            "agrees": evidence.agrees,
-            "disagreements": [one.sentence() for one in evidence.disagreements],
-            "compared": [one.sentence() for one in evidence.compared],
-            "violations": {**shares, "any": _share(evidence.joint)},
-        }
+        document["evidence"] = evidence_document(evidence)
     return document
+
+
+def evidence_document(evidence: Evidence) -> dict[str, Any]:
+    """Evidence on one design: the share of fresh systems that break each limit, with its interval."""
+    shares = {name: _share(one) for name, one in evidence.violations.items()}
+    return {
+        "samples": evidence.samples,
+        "seed": evidence.seed,
+        "instants": evidence.instants,
+        "agrees": evidence.agrees,
+        "disagreements": [one.sentence() for one in evidence.disagreements],
+        "compared": [one.sentence() for one in evidence.compared],
+        "violations": {**shares, "any": _share(evidence.joint)},
+    }
 
 
 def _constraint(one: ConstraintResult, unit: str) -> dict[str, Any]:

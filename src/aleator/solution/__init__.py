@@ -2,6 +2,7 @@
 
 from aleator.solution._between import TOLERATED as TOLERATED
 from aleator.solution._between import Between as Between
+from aleator.solution._brief import in_brief as in_brief
 from aleator.solution._certificate import Certificate as Certificate
 from aleator.solution._constraint import ConstraintResult as ConstraintResult
 from aleator.solution._costates import Costates as Costates

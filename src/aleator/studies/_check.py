@@ -1,7 +1,8 @@
 """What a study will do, before anything is spent: sizes, quality of the points, derivatives, time."""
 
 import time
-from typing import final
+from collections.abc import Mapping
+from typing import Any, NamedTuple, final
 
 import numpy as np
 
@@ -12,6 +13,8 @@ from aleator.dynamics import Grid
 from aleator.examining import examine
 from aleator.reporting import Code, Table, number
 from aleator.studies._own import Study
+from aleator.studies._study import AbstractStudy
+from aleator.studies._swept import problems_of
 from aleator.transcription import DEFAULT, AbstractTranscribed, transcribe
 
 # Evaluations of a typical solve by derivatives, for predictions.
@@ -19,71 +22,122 @@ _EVALUATIONS = 30
 _SECONDS = "{:.2g} s"
 
 
+class Facts(NamedTuple):
+    """What is known of a problem before it is solved; `instants` and `samples` are None where there are none.
+
+    - `seconds_to_compile`, `seconds_of_evaluation`: on this machine, at the start; `bytes_of_derivatives`: of all rows.
+    """
+
+    decisions: int
+    uncertain: int
+    instants: int | None
+    order: int
+    terms: int
+    points: int
+    condition_number: float
+    rows: int
+    derivatives_agree: bool
+    seconds_to_compile: float
+    seconds_of_evaluation: float
+    samples: int | None
+    bytes_of_derivatives: int
+
+    @property
+    def simulations(self) -> int:
+        """How many are expected: of a solve, and of its evidence."""
+        return _EVALUATIONS * self.points + (self.samples or 0 if self.uncertain else 1)
+
+
 @final
 class Check:
-    """The problems of a study as tables: what each is, how well it is posed, and what it will take."""
+    """The problems of a study: what each is, how well it is posed, and what it will take.
 
-    def __init__(self, study: Study):
-        self._study = study
+    - `facts`: by the names of designs; `troubles`: what may stop a solver, a sentence each.
+
+    Raises `ProblemError` if the study declares no problems.
+    """
+
+    def __init__(self, study: AbstractStudy):
+        self._study, self._problems = study, problems_of(study)
+        self._samples = study.samples if isinstance(study, Study) else None
+        self.facts: dict[str, Facts] = {}
+        self.troubles = list[str]()
+        for name, problem in self._problems.items():
+            self.facts[name], found = _facts(problem, self._samples)
+            self.troubles += [f"{name}: {one}" for one in found]
 
     def mathematics(self) -> list[Code]:
         """Each problem as mathematics."""
-        return [Code(name, problem_text(one, ""), True) for name, one in self._study.problems.items()]
+        return [Code(name, problem_text(one, ""), True) for name, one in self._problems.items()]
 
-    def table(self) -> tuple[Table, list[str]]:
-        """A column for each problem; and what was found that may stop a solver, a sentence each."""
-        columns, troubles = [], []
-        for name, problem in self._study.problems.items():
-            rows, found = _column(problem, self._study.samples)
-            columns.append(rows)
-            troubles += [f"{name}: {one}" for one in found]
-        names = list(columns[0])
-        rows = [[row, *(one.get(row, "–") for one in columns)] for row in names]
-        note = (
-            f"Times on this machine, at the start: {_EVALUATIONS} evaluations for a solve, and {self._study.solves} "
-            "solves in all."
-        )
-        return Table("What will be done", ["", *self._study.problems], rows, note), troubles
+    def table(self) -> Table:
+        """A column for each problem."""
+        columns = [_column(one) for one in self.facts.values()]
+        rows = [[row, *(one[row] for one in columns)] for row in columns[0]]
+        solves = f", and {self._study.solves} solves in all" if isinstance(self._study, Study) else ""
+        note = f"Times on this machine, at the start: {_EVALUATIONS} evaluations for a solve{solves}."
+        return Table("What will be done", ["", *self.facts], rows, note)
+
+    def document(self) -> Mapping[str, Any]:
+        """The same for programs."""
+        return {name: {**one._asdict(), "simulations": one.simulations} for name, one in self.facts.items()}
 
 
-def _column(problem: Problem, samples: int) -> tuple[dict[str, str], list[str]]:
+def _facts(problem: Problem, samples: int | None) -> tuple[Facts, list[str]]:
+    """What is known of a problem, and what may stop a solver."""
     began = time.perf_counter()
     transcribed = transcribe(problem, DEFAULT)
     compiled = time.perf_counter() - began
     each = _seconds(transcribed)
-    derivatives, troubles = _examined(problem)
-    points, decisions = len(transcribed.collocation.points), problem.placements.size
-    grid = problem.grid
-    uncertain = transcribed.basis.variables
-    instants = grid.steps + 1 if isinstance(grid, Grid) else 1
-    simulated = _EVALUATIONS * points + (samples if uncertain else 1)
-    rows = {
-        "decisions": f"{decisions}",
-        "uncertain numbers": f"{uncertain}",
-        "instants": f"{instants}" if isinstance(grid, Grid) else "no time",
-        "expansion": f"order {transcribed.basis.order}, {transcribed.basis.terms} terms" if uncertain else "none",
-        "collocation points": f"{points}",
-        "condition number": number(float(transcribed.collocation.condition_number), 3),
-        "rows of limits": f"{len(transcribed.program.constraint_lower)}",
-        "derivatives": derivatives,
-        "compilation": _SECONDS.format(compiled),
-        "one evaluation": _SECONDS.format(each),
-        "one solve": f"about {_SECONDS.format(_EVALUATIONS * each)}",
-        "samples": f"{samples}" if uncertain else "one system, on a finer grid",
-        "simulations": f"about {simulated}",
-        "memory of derivatives": _bytes(NUMBER * len(transcribed.program.constraint_lower) * (1 + decisions)),
+    agree, troubles = _examined(problem)
+    grid, basis, rows = problem.grid, transcribed.basis, len(transcribed.program.constraint_lower)
+    decisions = problem.placements.size
+    facts = Facts(
+        decisions=decisions,
+        uncertain=basis.variables,
+        instants=grid.steps + 1 if isinstance(grid, Grid) else None,
+        order=basis.order,
+        terms=basis.terms,
+        points=len(transcribed.collocation.points),
+        condition_number=float(transcribed.collocation.condition_number),
+        rows=rows,
+        derivatives_agree=agree,
+        seconds_to_compile=compiled,
+        seconds_of_evaluation=each,
+        samples=samples,
+        bytes_of_derivatives=NUMBER * rows * (1 + decisions),
+    )
+    return facts, troubles
+
+
+def _column(facts: Facts) -> dict[str, str]:
+    sampled = "as many as the study asks for" if facts.samples is None else f"{facts.samples}"
+    return {
+        "decisions": f"{facts.decisions}",
+        "uncertain numbers": f"{facts.uncertain}",
+        "instants": "no time" if facts.instants is None else f"{facts.instants}",
+        "expansion": f"order {facts.order}, {facts.terms} terms" if facts.uncertain else "none",
+        "collocation points": f"{facts.points}",
+        "condition number": number(facts.condition_number, 3),
+        "rows of limits": f"{facts.rows}",
+        "derivatives": "agree with differences" if facts.derivatives_agree else "see below",
+        "compilation": _SECONDS.format(facts.seconds_to_compile),
+        "one evaluation": _SECONDS.format(facts.seconds_of_evaluation),
+        "one solve": f"about {_SECONDS.format(_EVALUATIONS * facts.seconds_of_evaluation)}",
+        "samples": sampled if facts.uncertain else "one system, on a finer grid",
+        "simulations": f"about {facts.simulations}",
+        "memory of derivatives": _bytes(facts.bytes_of_derivatives),
     }
-    return rows, troubles
 
 
-def _examined(problem: Problem) -> tuple[str, list[str]]:
-    """What is said of the derivatives at the start, and what may stop a solver there."""
+def _examined(problem: Problem) -> tuple[bool, list[str]]:
+    """Whether the derivatives at the start agree with differences, and what may stop a solver there."""
     try:
         found = examine(problem)
     except SimulationError as error:
-        return "see below", [str(error)]
+        return False, [str(error)]
     troubles = [*found.kinks, *found.jumps, *found.wrong, *found.endless, *found.unfit]
-    return "agree with differences" if found.ok else "see below", troubles
+    return found.ok, troubles
 
 
 def _bytes(size: int) -> str:

@@ -1,9 +1,8 @@
 """`Study`: a study of one's own, declared by its problems alone."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack
 from functools import partial
-from typing import Any, NamedTuple, final
+from typing import Any, ClassVar, NamedTuple, final
 
 import numpy as np
 from typing_extensions import override
@@ -15,11 +14,12 @@ from aleator.design import Expression, Problem
 from aleator.nlp import AbstractSolver
 from aleator.reporting import Section, Table, Verdict, certificate_table, designs_table, evidence_table, sections
 from aleator.reporting import verdict as verdict_on
-from aleator.solution import Solution
+from aleator.solution import Solution, in_brief
 from aleator.solving import solve
 from aleator.studies._declared import Stage
 from aleator.studies._study import AbstractStudy, stop_if_interrupted
-from aleator.sweep import Front, TradeOff, pareto, trade_off, workers
+from aleator.studies._swept import front_of
+from aleator.sweep import Front, TradeOff, trade_off
 from aleator.transcription import DEFAULT, AbstractTranscription
 from aleator.validation import Evidence, validate
 
@@ -62,6 +62,8 @@ class Study(AbstractStudy):
     Raises `ProblemError` for anything else, and for sweeps over bounds that the last design does not have.
     """
 
+    stages_are_journalled: ClassVar = True
+
     def __init__(
         self,
         designs: Problem | Mapping[str, Problem],
@@ -78,7 +80,7 @@ class Study(AbstractStudy):
         workers: int | None = None,
         quick: bool = False,
     ):
-        self.problems = _problems(designs)
+        self._problems = _problems(designs)
         self.title = one_of("Study: title", title, str)
         self.subtitle = one_of("Study: subtitle", subtitle, str)
         self._samples, self._seed = whole("Study: samples", samples, least=2), whole("Study: seed", seed, least=0)
@@ -112,6 +114,16 @@ class Study(AbstractStudy):
             workers=self._workers,
             quick=True,
         )
+
+    @property
+    @override
+    def problems(self) -> Mapping[str, Problem]:
+        return self._problems
+
+    @property
+    @override
+    def solving(self) -> Mapping[str, Any]:
+        return {"solver": self._solver, "transcription": self._transcription}
 
     @property
     def samples(self) -> int:
@@ -178,9 +190,8 @@ class Study(AbstractStudy):
 
     def _solve(self, name: str, progress: Progress) -> None:
         progress(f"design {name}", 0, 1)
-        problem = self.problems[name]
-        self._found.designs[name] = solve(problem, self._solver, transcription=self._transcription, throw=False)
-        progress(f"design {name}", 1, 1)
+        found = self._found.designs[name] = solve(self.problems[name], **self.solving, throw=False)
+        progress(f"design {name}: {in_brief(found)}", 1, 1)
 
     def _validate(self, name: str, progress: Progress) -> None:
         if self._found.designs[name].ok:
@@ -188,16 +199,13 @@ class Study(AbstractStudy):
             self._found.evidence[name] = found
 
     def _sweep(self, bound: str, progress: Progress) -> None:
-        own = {"solver": self._solver, "transcription": self._transcription}
-        with ExitStack() as held:
-            executor = None if self._workers is None else held.enter_context(workers(self._workers))
-            front = pareto(self._last, bound, self._sweeps[bound], executor=executor, progress=progress, **own)
+        values = self._sweeps[bound]
+        front = front_of(self._last, bound, values, processes=self._workers, solving=self.solving, progress=progress)
         self._found.fronts[bound] = front
         stop_if_interrupted(self._found.fronts[bound])
 
     def _trade_off(self, progress: Progress) -> None:
-        own = {"solver": self._solver, "transcription": self._transcription}
-        found = trade_off(self._last, self._wishes, self._points, progress=progress, **own)
+        found = trade_off(self._last, self._wishes, self._points, progress=progress, **self.solving)
         self._found.trade_offs[" against ".join(self._wishes)] = found
         stop_if_interrupted(found)
 

@@ -8,6 +8,7 @@ from typing import Any, ClassVar, Protocol, TypeVar
 
 from aleator._core.given import one_of, refusal
 from aleator._core.progress import Progress, check_progress, silent
+from aleator.design import Problem
 from aleator.reporting import (
     HOW_TO_READ,
     PAGE,
@@ -42,7 +43,9 @@ class AbstractStudy(abc.ABC):
     - `title`, `subtitle`: of the page;
     - `glossary`: its terms and their meanings;
     - `finished`: the completed stages;
-    - `failed_parts`: what failed, and why.
+    - `failed_parts`: what failed, and why;
+    - `stages_are_journalled`: whether a journal keeps all that its stages compute, so that a page can be written of
+      what is in a folder without computing anything.
     """
 
     title: str = "A case study"
@@ -50,6 +53,17 @@ class AbstractStudy(abc.ABC):
     glossary: ClassVar[Sequence[tuple[str, str]]] = ()
     finished: tuple[str, ...] = ()
     failed_parts: tuple[Failure, ...] = ()
+    stages_are_journalled: ClassVar[bool] = False
+
+    @property
+    def problems(self) -> Mapping[str, Problem]:
+        """The problems behind its designs by name, for `aleator check`, `sweep` and `validate`; none by default."""
+        return {}
+
+    @property
+    def solving(self) -> Mapping[str, Any]:
+        """How its problems are solved: arguments of `al.solve` by name, of its solver and transcription."""
+        return {}
 
     @property
     @abc.abstractmethod

@@ -11,12 +11,13 @@ from jaxtyping import Float
 from aleator._core.errors import AleatorError, ProblemError
 from aleator._core.given import a_name, one_of, real_array
 from aleator._core.heard import heeding
+from aleator._core.journalled import expected
 from aleator._core.progress import Progress, check_progress, silent
 from aleator._core.shown import Drawn, Printed
 from aleator._core.warned import warned_of
 from aleator.design import Problem, current, refuse_changed
 from aleator.nlp import AbstractSolver, Status
-from aleator.solution import Solution
+from aleator.solution import Solution, in_brief
 from aleator.solving import solve
 from aleator.sweep._elsewhere import check_executor, each_elsewhere
 from aleator.transcription import DEFAULT, AbstractTranscription
@@ -152,10 +153,10 @@ def pareto(
     sweep = _Sweep(bound, {value: problem.with_bound(bound, value) for value in bounds}, own, progress)
     interrupted = True
     try:
-        with heeding() as heed:
+        with expected("solve", sweep.named), heeding() as heed:
             sweep.solve_here(heed) if executor is None else sweep.solve_by(executor, heed)
         interrupted = False
-        progress(f"front over {bound}", len(bounds), len(bounds))
+        sweep.tell()
     except KeyboardInterrupt:
         if not sweep.solutions:
             raise
@@ -171,6 +172,12 @@ class _Sweep:
         self.solutions: dict[float, Solution] = {}
         self._refused: dict[float, Refused] = {}
         self._first: ProblemError | None = None
+        self._last = ""
+
+    @property
+    def named(self) -> dict[str, Problem]:
+        """The problems by the values of their bounds, in words."""
+        return {f"{self._bound} = {value:.6g}": one for value, one in self._problems.items()}
 
     def solve_here(self, heed: Callable[[], None]) -> None:
         """Solve each point in this process, from the nearest one before."""
@@ -184,8 +191,8 @@ class _Sweep:
             neighbours = [_nearest(self.solutions, value) for value in wave]
             calls = [self._call(value, near) for value, near in zip(wave, neighbours, strict=True)]
             for i, found in each_elsewhere("solve", executor, calls, [self._place(value) for value in wave]):
-                self._tell()
                 self._keep(wave[i], found)
+                self.tell()
                 heed()
         for value in [value for value, one in self.solutions.items() if not one.ok]:
             self._point(value)
@@ -205,12 +212,14 @@ class _Sweep:
     def _place(self, value: float) -> str:
         return f"pareto, at {self._bound} = {value:g}"
 
-    def _tell(self) -> None:
-        self._progress(f"front over {self._bound}", len(self.solutions) + len(self._refused), len(self._problems))
+    def tell(self) -> None:
+        """Report how far the front is, and its last point."""
+        done = len(self.solutions) + len(self._refused)
+        self._progress(f"front over {self._bound}{self._last}", done, len(self._problems))
 
     def _point(self, value: float) -> None:
         """Solve one point here; if it fails from the neighbour and the start, keep the less violated of the two."""
-        self._tell()
+        self.tell()
         refuse_changed("pareto", self._problems[value], "when the front was begun")
         neighbour = _nearest(self.solutions, value)
         try:
@@ -230,9 +239,11 @@ class _Sweep:
         if isinstance(found, Solution):
             before = self.solutions.get(value)
             self.solutions[value] = found if before is None else _better(found, before)
+            self._last = f": {self._bound} = {value:.6g}, {in_brief(self.solutions[value])}"
         elif isinstance(found, ProblemError):
             self._first = self._first or found
             self._refused[value] = Refused(self._problems[value], str(found))
+            self._last = f": {self._bound} = {value:.6g}, no design"
         else:
             raise found
 

@@ -5,10 +5,11 @@ from typing import Any, final
 
 from typing_extensions import override
 
+import aleator as al
 from aleator.reporting import Section, Table, Verdict
 from aleator.studies._declared import Stage
 from aleator.studies._study import AbstractStudy
-from aleator.studies.clutch import _page, _run
+from aleator.studies.clutch import _page, _run, allocation_problem
 from aleator.studies.clutch._facts import (
     allocation_table,
     analysis_table,
@@ -32,6 +33,11 @@ class ClutchStudy(AbstractStudy):
 
     def __init__(self, effort: Effort):
         self.found = ClutchResults(effort)
+
+    @property
+    @override
+    def problems(self) -> Mapping[str, al.Problem]:
+        return {"allocation": allocation_problem()}
 
     @property
     @override

@@ -59,13 +59,16 @@ class FourBarResults:
     front: al.results.Front | None = None
 
 
+def problems() -> dict[str, al.Problem]:
+    """The problems of the three designs."""
+    return {NOMINAL: nominal_problem(), ROBUST: robust_problem(), ALLOCATED: allocation_problem()}
+
+
 def solve_designs(results: FourBarResults, progress: Progress) -> None:
     """The three designs."""
-    for i, (name, declare) in enumerate(
-        {NOMINAL: nominal_problem, ROBUST: robust_problem, ALLOCATED: allocation_problem}.items()
-    ):
+    for i, (name, problem) in enumerate(problems().items()):
         progress(f"design {name}", i, len(DESIGNS))
-        results.designs[name] = al.solve(declare())
+        results.designs[name] = al.solve(problem)
 
 
 def sample_designs(results: FourBarResults, progress: Progress) -> None:

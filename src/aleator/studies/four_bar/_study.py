@@ -5,6 +5,7 @@ from typing import Any, final
 
 from typing_extensions import override
 
+import aleator as al
 from aleator.reporting import Section, Table, Verdict, given
 from aleator.studies._declared import Stage
 from aleator.studies._second_way import collocated
@@ -29,6 +30,11 @@ class FourBarStudy(AbstractStudy):
 
     def __init__(self, effort: Effort):
         self.found = FourBarResults(effort)
+
+    @property
+    @override
+    def problems(self) -> Mapping[str, al.Problem]:
+        return _run.problems()
 
     @property
     @override

@@ -35,14 +35,24 @@ FULL = Effort(starts=4)
 QUICK = Effort(starts=1, samples=2_000, family=400, calibration_samples=2_000, whole=False)
 
 
+def problems() -> dict[str, al.Problem]:
+    """The problems of all plans."""
+    bare = {
+        MEAN: deterministic_problem(),
+        ROBUST: robust_problem(),
+        LEAST: terminal_variance_problem(effort=MOST),
+    }
+    return {name: named(one, TOGETHER) for name, one in bare.items()}
+
+
 def search_plans(done: MotionResults, names: Collection[str], progress: Progress) -> None:
     """Deterministic from bent paths; those of `names` from the plans before them, and from these paths as well."""
     # An empty start is the problem's own.
     bent = [{}, *({"torque.free": start_torques(bend)} for bend in BENDS)][: done.effort.starts]
-    plan = done.search(MEAN, named(deterministic_problem(), TOGETHER), bent, progress)
-    problems = {ROBUST: robust_problem(), LEAST: terminal_variance_problem(effort=MOST)}
-    for name in (name for name in problems if name in names):
-        plan = done.search(name, named(problems[name], TOGETHER), [dict(plan.decisions), *bent[1:]], progress)
+    declared = problems()
+    plan = done.search(MEAN, declared.pop(MEAN), bent, progress)
+    for name in (name for name in declared if name in names):
+        plan = done.search(name, declared[name], [dict(plan.decisions), *bent[1:]], progress)
     done.solve_at_instants()
 
 

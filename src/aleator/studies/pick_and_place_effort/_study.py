@@ -50,6 +50,11 @@ class PickAndPlaceEffort(AbstractMotionStudy):
         self.spreads: dict[str, dict[str, Spread]] = {}
         self.flown: dict[str, Family] = {}
 
+    @property
+    @override
+    def problems(self) -> Mapping[str, al.Problem]:
+        return _run.problems()
+
     @override
     def find_plans(self, progress: Progress) -> None:
         _run.search_plans(self.done, self.planned, progress)

@@ -17,9 +17,15 @@ FULL = Effort(starts=16)
 QUICK = Effort(starts=3, samples=4_000, family=400, calibration_samples=2_000, whole=False)
 
 
+def problems() -> dict[str, al.Problem]:
+    """The problems of all plans, each with its own start."""
+    bare = {MEAN: deterministic_problem(), **{name: robust_problem(sigmas) for name, sigmas in SIGMAS.items()}}
+    return {name: named(one, TOGETHER) for name, one in bare.items()}
+
+
 def search_plans(done: MotionResults, progress: Progress) -> None:
     """Each plan from several starts: the first from random ones, the robust ones also from the optima before."""
-    plan = done.search(MEAN, named(deterministic_problem(), TOGETHER), done.effort.starts, progress)
+    plan = done.search(MEAN, problems()[MEAN], done.effort.starts, progress)
     for name, sigmas in SIGMAS.items():
         problem = named(robust_problem(sigmas, guess=plan.decisions["motion.free"]), TOGETHER)
         earlier = [dict(one.decisions) for search in done.searches.values() for one, _ in search.optima[:4]]

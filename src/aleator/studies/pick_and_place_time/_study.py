@@ -1,6 +1,6 @@
 """The study of pick and place in minimum time."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import ClassVar, final
 
 from typing_extensions import override
@@ -35,6 +35,11 @@ class PickAndPlaceTime(AbstractMotionStudy):
     who = "payloads"
     measures: ClassVar = dict.fromkeys(names, "duration, s")
     unit = "s"
+
+    @property
+    @override
+    def problems(self) -> Mapping[str, al.Problem]:
+        return _run.problems()
 
     @override
     def find_plans(self, progress: Progress) -> None:

@@ -76,14 +76,18 @@ class SuspensionResults:
     second_way: al.results.CrossChecked | None = None
 
 
-def solve_designs(results: SuspensionResults, progress: Progress) -> None:
-    """The three designs side by side."""
-    problems = {
+def problems() -> dict[str, al.Problem]:
+    """The problems of the three designs."""
+    return {
         "dOpt": deterministic_problem(TRAVEL, HOLDING),
         "uOpt": robust_problem(TRAVEL, HOLDING),
         "aOpt": apportionment_problem(TRAVEL, HOLDING, RIDE),
     }
-    _solve(problems, results.designs, "design", progress)
+
+
+def solve_designs(results: SuspensionResults, progress: Progress) -> None:
+    """The three designs side by side."""
+    _solve(problems(), results.designs, "design", progress)
 
 
 def solve_narrow(results: SuspensionResults, progress: Progress) -> None:

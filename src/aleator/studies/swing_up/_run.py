@@ -39,6 +39,16 @@ FAMILY_SWINGS: tuple[Swing, ...] = ((3.0, 4, -0.8, 2), (3.0, 5, -0.8, 2), (4.0, 
 """The swings from which searches for the whole family start: late and wide ones spread it too far."""
 
 
+def problems() -> dict[str, al.Problem]:
+    """The problems of all plans, each with its own start."""
+    bare = {
+        MEAN: deterministic_problem(),
+        ENERGY: robust_problem(expected="energy"),
+        EXPECTED: robust_problem(expected="torque"),
+    }
+    return {name: named(one, _TOGETHER) for name, one in bare.items()}
+
+
 def search_plans(results: MotionResults, names: Collection[str], progress: Progress) -> None:
     """The plans of these names, each from its problem's own start and several swings; the last from the optimum before
     it, too.
@@ -47,11 +57,12 @@ def search_plans(results: MotionResults, names: Collection[str], progress: Progr
     # An empty start is the problem's own.
     starts = [{}, *(_start(*one) for one in SWINGS)][:count]
     family_starts = [{}, *(_start(*one) for one in FAMILY_SWINGS)][:count]
-    results.search(MEAN, named(deterministic_problem(), _TOGETHER), starts, progress)
+    declared = problems()
+    results.search(MEAN, declared[MEAN], starts, progress)
     if ENERGY in names:
-        plan = results.search(ENERGY, named(robust_problem(expected="energy"), _TOGETHER), family_starts, progress)
+        plan = results.search(ENERGY, declared[ENERGY], family_starts, progress)
         family_starts = [dict(plan.decisions), *family_starts]
-    results.search(EXPECTED, named(robust_problem(expected="torque"), _TOGETHER), family_starts, progress)
+    results.search(EXPECTED, declared[EXPECTED], family_starts, progress)
 
 
 def margin_problem(plan: al.Solution) -> al.Problem:

@@ -51,6 +51,11 @@ class SwingUp(AbstractMotionStudy):
         self.finer: dict[str, Family] = {}
         self.frictionless: dict[str, Family] = {}
 
+    @property
+    @override
+    def problems(self) -> Mapping[str, al.Problem]:
+        return _run.problems()
+
     @override
     def find_plans(self, progress: Progress) -> None:
         _run.search_plans(self.done, self.planned, progress)

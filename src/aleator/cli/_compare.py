@@ -1,0 +1,151 @@
+"""`aleator compare`: runs side by side."""
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple
+
+import typer
+
+from aleator._core.errors import ProblemError
+from aleator.cli._kept import sorted_by_kind
+from aleator.cli._options import AsJson
+from aleator.cli._record import RECORD, recorded
+from aleator.cli._terminal import Terminal
+from aleator.journalling import FILE, Entry, Recalled, entries_in, named
+from aleator.reporting import Table, percent, solution_document, values_text, words
+
+_DESIGNS = "designs.json"
+
+# Parts of a key, in words.
+_PARTS = {
+    "equations": "equations",
+    "code": "the model's code",
+    "versions": "versions of aleator or of libraries",
+    "problem": "numbers of the problem",
+    "solver": "the solver",
+    "transcription": "the transcription",
+    "warm_start": "the start",
+    "start": "the start",
+    "how": "settings of the solve",
+}
+
+
+class _Run(NamedTuple):
+    """A run: its label, its designs as documents by name, and the journal's entries of these."""
+
+    label: str
+    designs: Mapping[str, Any]
+    entries: Mapping[str, Entry]
+
+
+def compare(
+    folders: Annotated[
+        list[Path], typer.Argument(help="Runs' folders, two or more.", metavar="FOLDER FOLDER...", show_default=False)
+    ],
+    as_json: AsJson = False,
+) -> None:
+    """Print the designs of several runs side by side, and what differs between the runs.
+
+    Decisions, objective, the evidence with its intervals; and which parts of what the designs follow from: equations,
+    code, numbers, versions.
+    """
+    terminal = Terminal("compare", as_json)
+    with terminal.refusing():
+        if len(folders) < 2:
+            raise ProblemError("compare: expected two folders or more; received one.")
+        labels = _labels(folders)
+        runs = [_run(label, folder) for label, folder in zip(labels, folders, strict=True)]
+    names = list(dict.fromkeys(name for one in runs for name in one.designs))
+    differences = {name: _differences(name, runs) for name in names}
+    for name in names:
+        terminal.table(_table(name, runs))
+        for label, parts in differences[name].items():
+            terminal.tell(f"{name}: {_sentence(runs[0].label, label, parts)}")
+    designs = {name: {one.label: one.designs.get(name) for one in runs} for name in names}
+    terminal.note(folders=[str(one) for one in folders], designs=designs, differences=differences)
+    terminal.conclude(0)
+
+
+def _labels(folders: Sequence[Path]) -> list[str]:
+    """The last parts of the folders' names where these differ, the whole names elsewhere."""
+    short = [one.resolve().name for one in folders]
+    return short if len(set(short)) == len(short) else [str(one) for one in folders]
+
+
+def _run(label: str, folder: Path) -> _Run:
+    """A run's designs, as the run has written them, or as its journal keeps them."""
+    entries = entries_in(folder) if (folder / FILE).is_file() else ()
+    known = {one.name or name: one for name, one in named(entries).items()}
+    if (folder / _DESIGNS).is_file():
+        return _Run(label, _written(folder / _DESIGNS), known)
+    if not entries:
+        raise ProblemError(
+            f"compare: there are no results in '{folder}': expected a folder in which `aleator run` or a script within "
+            "`al.journal(folder)` has kept results."
+        )
+    if (folder / RECORD).is_file():
+        recorded(folder).made()  # so that its models' modules are there
+    designs, evidence = sorted_by_kind(Recalled(folder).finished())
+    documents = {name: solution_document(one, evidence.get(name)) for name, one in designs.items()}
+    return _Run(label, documents, {name.rpartition("/")[2]: one for name, one in known.items()})
+
+
+def _written(path: Path) -> Mapping[str, Any]:
+    try:
+        found = json.loads(path.read_bytes())
+        return {name: found[name] for name in found if isinstance(found[name]["decisions"], dict)}
+    except (OSError, ValueError, TypeError, KeyError) as error:
+        raise ProblemError(
+            f"'{path}' cannot be read as the designs of a run ({type(error).__name__}: {error})."
+        ) from error
+
+
+def _table(name: str, runs: Sequence[_Run]) -> Table:
+    """One design in every run."""
+    found = [one.designs.get(name) for one in runs]
+    rows = [["Status", *("–" if one is None else one["status"].partition(":")[0] for one in found)]]
+    for decision in _union([one["decisions"] for one in found if one]):
+        rows.append([decision, *(_value(one and one["decisions"].get(decision)) for one in found)])
+    rows.append(["Objective", *(_value(one and one["objective"]) for one in found)])
+    shares = [(one or {}).get("evidence", {}).get("violations", {}) for one in found]
+    for limit in _union(shares):
+        label = "any limit" if limit == "any" else limit
+        rows.append([f"Systems that violate {label}", *(_share(one.get(limit)) for one in shares)])
+    return Table(name, ["", *(one.label for one in runs)], rows, "")
+
+
+def _union(groups: Sequence[Mapping[str, Any]]) -> list[str]:
+    return list(dict.fromkeys(name for group in groups for name in group))
+
+
+def _value(told: Mapping[str, Any] | None) -> str:
+    if told is None or told["value"] is None:
+        return "–"
+    return values_text(told["value"], 6, told["unit"])
+
+
+def _share(told: Mapping[str, Any] | None) -> str:
+    if told is None:
+        return "–"
+    return f"{percent(told['estimate'])} [{percent(told['lower'])} to {percent(told['upper'])}]"
+
+
+def _differences(name: str, runs: Sequence[_Run]) -> dict[str, list[str] | None]:
+    """What each further run's design follows from that differs from the first one's; None where that is not known."""
+    return {one.label: _changed(runs[0].entries.get(name), one.entries.get(name)) for one in runs[1:]}
+
+
+def _changed(first: Entry | None, other: Entry | None) -> list[str] | None:
+    if first is None or other is None:
+        return None
+    changed = [part for part in _union([first.parts, other.parts]) if first.parts.get(part) != other.parts.get(part)]
+    return list(dict.fromkeys(_PARTS.get(part, part) for part in changed))
+
+
+def _sentence(first: str, other: str, parts: list[str] | None) -> str:
+    if parts is None:
+        return f"what {first} and {other} follow from is not known: one of their journals does not have it."
+    if not parts:
+        return f"{first} and {other} follow from the same equations, code, numbers and versions."
+    return f"{first} and {other} differ in {words(parts)}."

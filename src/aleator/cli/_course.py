@@ -1,0 +1,218 @@
+"""The course of a study: stages in order, saved one by one, its page and its tables, whatever ends it."""
+
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any, final
+
+from aleator._core.errors import AleatorError, ProblemError
+from aleator._core.given import one_of
+from aleator._core.interruption import Interruptions
+from aleator.cli._facts import facts_of
+from aleator.cli._progress import shown
+from aleator.cli._record import RECORD, Record
+from aleator.cli._terminal import FAILED, USAGE, Terminal
+from aleator.journalling import Journal, forget, journal
+from aleator.reporting import PAGE, Table, check_writable, only_writer, save_study, words
+from aleator.solution import Solution
+from aleator.studies import AbstractStudy, PartlySavedError, tables_of
+from aleator.validation import Evidence
+
+
+def run_study(study: AbstractStudy, folder: str | Path) -> int:
+    """Run your own study as `aleator run` runs the built-in ones; returns the exit code.
+
+    Stages run in order, with progress bars. Finished results are saved into `folder` after each stage, and on Ctrl-C;
+    then the page is written and the tables are printed.
+    """
+    return executed(Terminal("run"), lambda: study, Path(folder))
+
+
+def executed(
+    terminal: Terminal,
+    made: Callable[[], AbstractStudy],
+    out: Path,
+    *,
+    afresh: bool = False,
+    record: Record | None = None,
+) -> int:
+    """Make a study and run it while no other run writes into its folder, which notes the command that began it.
+
+    Returns the exit code.
+    """
+    course = _Course(terminal)
+    with ExitStack() as held:
+        held.enter_context(course.interruptions)
+        try:
+            job = one_of("run_study: the study", made(), AbstractStudy)
+            job.check_declaration()
+            folder = check_writable(out)
+            held.enter_context(only_writer(folder))
+            if afresh:
+                forget(folder)
+            if record is None:
+                (folder / RECORD).unlink(missing_ok=True)
+            else:
+                record.write(folder)
+            kept = held.enter_context(journal(folder))
+        except ProblemError as error:
+            terminal.complain("error", error)
+            return USAGE
+        try:
+            code = course.execute(job, folder, kept)
+            if kept.recalled:
+                terminal.tell(f"{kept.recalled} results were taken from an earlier run; --afresh computes them anew.")
+            return code
+        except BrokenPipeError:
+            raise
+        except OSError as error:
+            terminal.complain("error", error)
+            return FAILED
+
+
+@final
+class _Course:
+    """One run of a study: its finished stages, which are on disk, and its messages."""
+
+    def __init__(self, terminal: Terminal) -> None:
+        self._terminal = terminal
+        self.interruptions = Interruptions(self._last_words)
+        self._stage, self._folder = "", Path()
+        self._finished, self._paths = list[str](), list[Path]()
+        self._tables: Sequence[Table] = ()
+        self._told = list[str]()
+        self._mistake: Exception | None = None
+
+    def execute(self, job: AbstractStudy, folder: Path, kept: Journal) -> int:
+        """Run all stages, saving after each, write the page, and print the tables; returns the exit code."""
+        self._folder, self._kept = folder, kept
+        with self._terminal.warning():
+            code = self._run_through(job)
+        self._terminal.note(**self._facts(job), recalled=kept.recalled)
+        return code
+
+    def _run_through(self, job: AbstractStudy) -> int:
+        code = self._attempt(job, "saving", lambda: self._run_stages(job))
+        code = self._attempt(job, "the tables", lambda: self._ask_tables(job)) or code
+        if self._finished or self._tables or job.failed_parts:
+            code = self._attempt(job, "saving", lambda: self._save_rest(job)) or code
+            code = self._attempt(job, "the page", lambda: self._write_page(job)) or code
+        if not self._interrupted(code):
+            self.interruptions.rest()
+            code = self._attempt(job, "the last word", lambda: self._print_results(job)) or code
+        if not self._interrupted(code):
+            if self._mistake is not None:
+                raise self._mistake
+            return code
+        self.interruptions.conclude()
+        self._terminal.last_words(self._last_words())
+        return self.interruptions.exit_code
+
+    def _interrupted(self, code: int) -> bool:
+        return self.interruptions.received is not None or code == self.interruptions.exit_code
+
+    def _attempt(self, job: AbstractStudy, where: str, part: Callable[[], None]) -> int:
+        """Do a part of the run; returns the exit code. The study records failures for its page."""
+        try:
+            part()
+        except KeyboardInterrupt:
+            return self.interruptions.exit_code
+        except Exception as error:
+            # Libraries may have turned an interrupt into another exception.
+            if self.interruptions.received is not None:
+                job.failed_parts = ()
+                return self.interruptions.exit_code
+            if isinstance(error, BrokenPipeError):
+                raise
+            job.note_failure(where, error)
+            self._tell(error)
+            return FAILED
+        return 0
+
+    def _tell(self, error: Exception) -> None:
+        """Report an error, once. One in a study's own code is raised again after writing, for its traceback."""
+        said = f"{error}"
+        if not isinstance(error, AleatorError | MemoryError | OSError):
+            self._mistake = self._mistake or error
+            said = f"{type(error).__name__}: {error}"
+        if said not in self._told:
+            self._told.append(said)
+            self._terminal.complain(f"error{self._during()}", said)
+
+    def _during(self) -> str:
+        return f" during '{self._stage}'" if self._stage else ""
+
+    def _last_words(self) -> str:
+        """What an interrupted run has saved."""
+        if not self._paths:
+            return f"Interrupted{self._during()}: no stage was finished; nothing was written."
+        kept = words([f"'{name}'" for name in self._finished], "what was found")
+        verb = "are" if len(self._finished) > 1 else "is"
+        report = "" if PAGE in [path.name for path in self._paths] else ", without a report"
+        return f"Interrupted{self._during()}: {kept} {verb} kept in {self._folder}{report}."
+
+    def _run_stages(self, job: AbstractStudy) -> None:
+        total = sum(stage.share for stage in job.stages.values())
+        with shown(self._terminal.console, total) as progress:
+            for name, stage in job.stages.items():
+                self._stage, started = name, time.perf_counter()
+                progress.begin(name)
+                with self.interruptions.work():
+                    job.run(name, progress.show)
+                self._save(job, [*self._finished, name])
+                progress.end(name, stage.share, time.perf_counter() - started)
+        self._stage = ""
+
+    def _save(self, job: AbstractStudy, finished: list[str]) -> None:
+        try:
+            self._paths, self._finished = job.save(self._folder), finished
+        except PartlySavedError as error:
+            self._paths, self._finished = error.paths, finished
+            raise
+        self._kept.call(dict(_journalled_results("", job.results())))
+
+    def _ask_tables(self, job: AbstractStudy) -> None:
+        self._tables = tables_of(job)
+
+    def _save_rest(self, job: AbstractStudy) -> None:
+        """Save the results of a stage that was not completed."""
+        if len(self._finished) < len(job.stages):
+            self._save(job, self._finished)
+
+    def _write_page(self, job: AbstractStudy) -> None:
+        """Write the page, never beside results of an earlier run; a reduced one where the study's own fails."""
+        if not self._paths:
+            self._paths = list(save_study(self._folder, {}))
+        try:
+            page = job.write_page(self._folder)
+        except Exception as error:
+            if self.interruptions.received is None:
+                job.note_failure("the page", error)
+                self._paths = [*self._paths, job.write_what_is_left(self._folder)]
+            raise
+        self._paths = [*self._paths, page]
+
+    def _print_results(self, job: AbstractStudy) -> None:
+        for table in self._tables:
+            self._terminal.table(table)
+        self._terminal.title(job.headline())
+        for path in self._paths:
+            self._terminal.tell(f"wrote {path}")
+
+    def _facts(self, job: AbstractStudy) -> Mapping[str, Any]:
+        """The run for its JSON document, whatever of it is there."""
+        if not self._terminal.is_json:
+            return {}
+        facts = {"folder": str(self._folder), "finished": self._finished, "files": [str(one) for one in self._paths]}
+        return {**facts, **facts_of(job)}
+
+
+def _journalled_results(place: str, results: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+    """The designs and the evidence among a study's results, each by its place."""
+    for name, one in results.items():
+        here = f"{place}/{name}".lstrip("/")
+        if isinstance(one, Mapping):
+            yield from _journalled_results(here, one)
+        elif isinstance(one, Solution | Evidence):
+            yield here, one

@@ -1,0 +1,113 @@
+"""What began a run, in its folder: so that `aleator resume FOLDER` goes on from the folder alone."""
+
+import json
+import os
+import sys
+from dataclasses import asdict, dataclass, fields, replace
+from pathlib import Path
+from typing import Any, final
+
+from aleator import studies
+from aleator._core.errors import ProblemError
+from aleator.reporting import json_text, write_whole
+from aleator.studies import AbstractStudy, SweptStudy
+
+RECORD = "command.json"
+"""The file in a run's folder that says what began it."""
+
+_FILES = (".py", ".toml")
+
+
+@final
+@dataclass(frozen=True)
+class Record:
+    """The command that began a run.
+
+    - `study`: its name, file or module, as given; `quick`: of `aleator run`;
+    - `directory`: where the command was given; `beside`: the study's file, relative to the run's folder;
+    - `bound`, `values`, `design`, `workers`: of `aleator sweep`; empty for `aleator run`.
+    """
+
+    study: str
+    quick: bool = False
+    directory: str = ""
+    beside: str = ""
+    bound: str = ""
+    values: tuple[float, ...] = ()
+    design: str = ""
+    workers: int = 0
+
+    @property
+    def command(self) -> str:
+        """The name of the command."""
+        return "sweep" if self.bound else "run"
+
+    def made(self) -> AbstractStudy:
+        """The study, ready to run. Raises `ProblemError` if there is no such study, or none such."""
+        study = studies.load(self.study, quick=self.quick)
+        if not self.bound:
+            return study
+        return SweptStudy(study, self.bound, self.values, design=self.design or None, workers=self.workers or None)
+
+    def write(self, folder: Path) -> None:
+        """Note it in the run's folder, atomically."""
+        text = json_text({"command": self.command, **asdict(self._placed(folder))})
+        write_whole(folder / RECORD, lambda file: file.write_text(text, encoding="utf-8"))
+
+    def _placed(self, folder: Path) -> "Record":
+        """The same, with the places from which the study can be found again."""
+        here = Path.cwd()
+        beside = _relative(here / self.study, folder.resolve()) if self.study.endswith(_FILES) else ""
+        return replace(self, directory=str(here), beside=beside)
+
+
+def _relative(file: Path, folder: Path) -> str:
+    try:
+        return os.path.relpath(file.resolve(), folder)
+    except ValueError:  # on another drive of Windows
+        return ""
+
+
+def recorded(folder: Path) -> Record:
+    """What began the run of a folder, whose modules can be imported from now on.
+
+    Raises `ProblemError` if the folder does not say, or if the study's file has gone.
+    """
+    path = folder / RECORD
+    try:
+        data = json.loads(path.read_bytes())
+        record = Record(**{name: _known(data[name], name) for name in (one.name for one in fields(Record))})
+    except FileNotFoundError:
+        raise ProblemError(
+            f"There is no '{RECORD}' in '{folder}': expected a folder that `aleator run` or `aleator sweep` has begun. "
+            "Name the study instead, or run your script again."
+        ) from None
+    except (OSError, ValueError, TypeError, KeyError) as error:
+        raise ProblemError(
+            f"'{path}' does not say what began the run ({type(error).__name__}: {error}): run the study by its name, "
+            "with --out for this folder."
+        ) from error
+    return _found(record, folder)
+
+
+def _known(value: Any, name: str) -> Any:
+    kinds = {"quick": bool, "workers": int, "values": list}
+    if not isinstance(value, kinds.get(name, str)):
+        raise TypeError(f"{name} = {value!r}")
+    return tuple(map(float, value)) if isinstance(value, list) else value
+
+
+def _found(record: Record, folder: Path) -> Record:
+    """The record, with the study's file where it is now: as it was given, or as it lies from the folder."""
+    if not record.study.endswith(_FILES):
+        if record.directory not in sys.path:
+            sys.path.insert(0, record.directory)
+        return record
+    places = [Path(record.directory) / record.study, folder / record.beside]
+    for place in places:
+        if place.is_file():
+            return replace(record, study=str(place))
+    raise ProblemError(
+        f"The study of '{folder}' has gone: there is no file '{places[0]}', nor '{places[1]}'. Put it back, or run it "
+        "where it is now, with --out for this folder."
+    )

@@ -1,0 +1,49 @@
+"""`aleator sweep`: a front over one bound of any study."""
+
+import re
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from aleator._core.given import refusal
+from aleator.cli._course import executed
+from aleator.cli._options import AsJson, Design, StudyName, folder_of
+from aleator.cli._record import Record
+from aleator.cli._terminal import Terminal
+
+
+def sweep(
+    study: StudyName,
+    bound: Annotated[str, typer.Option(help="Name of the limit whose bound is varied.", show_default=False)],
+    values: Annotated[str, typer.Option(help="Its bounds: numbers with commas between them.", show_default=False)],
+    workers: Annotated[
+        int | None, typer.Option(min=1, help="Processes that solve points at once.", show_default="this one")
+    ] = None,
+    design: Design = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for the results.", show_default="results/STUDY-over-BOUND")
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Solve one design of a study again for each value of a bound, and write the front with its page.
+
+    The last design is taken if none is named. Each point is kept as soon as it is there.
+    """
+    terminal = Terminal("sweep", as_json)
+    with terminal.refusing():
+        record = Record(study, bound=bound, values=numbers(values), design=design or "", workers=workers or 0)
+    folder = out or folder_of(study).with_name(f"{folder_of(study).name}-over-{_in_a_path(bound)}")
+    terminal.conclude(executed(terminal, record.made, folder, record=record))
+
+
+def numbers(text: str) -> tuple[float, ...]:
+    """Numbers with commas between them. Raises `ProblemError` for anything else."""
+    try:
+        return tuple(float(one) for one in text.split(",") if one.strip())
+    except ValueError:
+        raise refusal("sweep: --values", "numbers with commas between them, such as 1,1.2,1.4", text) from None
+
+
+def _in_a_path(name: str) -> str:
+    return re.sub(r"[^\w.-]+", "-", name).strip("-")

@@ -1,0 +1,112 @@
+"""What a command says: results on stdout, errors on stderr; or one JSON document on stdout, and all else on stderr."""
+
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any, NoReturn, final
+
+import typer
+from rich.console import Console
+from rich.table import Table as RichTable
+from rich.text import Text
+
+from aleator._core.errors import AleatorError, AleatorWarning
+from aleator.reporting import Table, json_text
+
+FAILED, USAGE = 1, 2
+
+
+@final
+class Terminal:
+    """Where one command speaks; `as_json` asks for one JSON document, of what is noted in the meantime.
+
+    - `console`: for words, tables and progress.
+    """
+
+    def __init__(self, command: str, as_json: bool = False):
+        self._errors = _console(stderr=True)
+        self.console = self._errors if as_json else _console()
+        self._document: dict[str, Any] | None = {"command": command} if as_json else None
+        self._said = list[str]()
+
+    def tell(self, said: str) -> None:
+        """Print a sentence."""
+        self.console.print(said, soft_wrap=True)
+
+    def title(self, said: str) -> None:
+        """Print a heading."""
+        self.console.print(Text(said, style="bold"))
+
+    def table(self, table: Table) -> None:
+        """Print a table."""
+        self.console.print(_rich(table))
+
+    def look_at(self, said: str) -> None:
+        """Print what deserves a look."""
+        self.console.print(Text.assemble(("look at", "bold yellow"), f": {said}"), soft_wrap=True)
+
+    def complain(self, what: str, error: Exception | str) -> None:
+        """Print an error."""
+        self._said.append(f"{error}")
+        self._errors.print(Text.assemble((what, "bold red"), f": {error}"), soft_wrap=True)
+
+    def warn(self, said: str) -> None:
+        """Print a warning."""
+        self._errors.print(Text.assemble(("warning", "bold yellow"), f": {said}"), soft_wrap=True)
+
+    def last_words(self, said: str) -> None:
+        """Print what remains to be said on stderr."""
+        self._errors.print(said, soft_wrap=True)
+
+    def note(self, **facts: Any) -> None:
+        """Add to the JSON document, if there is one."""
+        if self._document is not None:
+            self._document.update(facts)
+
+    @property
+    def is_json(self) -> bool:
+        """Whether a JSON document is asked for."""
+        return self._document is not None
+
+    def conclude(self, code: int) -> NoReturn:
+        """Print the JSON document, if there is one, and end with an exit code."""
+        if self._document is not None:
+            typer.echo(json_text({**self._document, "exit_code": code, "errors": self._said}), nl=False)
+        raise typer.Exit(code)
+
+    @contextmanager
+    def refusing(self) -> Iterator[None]:
+        """Turn what is refused within a block into a message and the exit code of wrong usage."""
+        try:
+            yield
+        except (AleatorError, OSError) as error:
+            self.complain("error", error)
+            self.conclude(USAGE)
+
+    @contextmanager
+    def warning(self) -> Iterator[None]:
+        """Show our warnings within a block as sentences, without their place in the code."""
+        with warnings.catch_warnings():
+            elsewhere = warnings.showwarning
+
+            def show(message: Warning | str, category: type[Warning], *place: Any) -> None:
+                if issubclass(category, AleatorWarning):
+                    self.warn(f"{message}")
+                else:
+                    elsewhere(message, category, *place)
+
+            warnings.showwarning = show
+            yield
+
+
+def _console(*, stderr: bool = False) -> Console:
+    """A console that prints text literally, without markup."""
+    return Console(stderr=stderr, markup=False, emoji=False, highlight=False)
+
+
+def _rich(table: Table) -> RichTable:
+    """A table of a report for the terminal."""
+    shown = RichTable(*table.header, title=table.caption, caption=table.note, caption_justify="left")
+    for row in table.rows:
+        shown.add_row(*map(str, row))
+    return shown

@@ -1,0 +1,132 @@
+"""`aleator validate`: fresh evidence on the designs of a study or of a folder."""
+
+import time
+from collections.abc import Mapping
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Annotated, Any, final
+
+import typer
+
+from aleator import studies
+from aleator._core.errors import AleatorError, ProblemError
+from aleator._core.given import meant
+from aleator._core.interruption import Interruptions
+from aleator._core.progress import Progress
+from aleator.cli._kept import sorted_by_kind
+from aleator.cli._options import AsJson, Design, StudyOrFolder, folder_of
+from aleator.cli._progress import shown
+from aleator.cli._record import RECORD, recorded
+from aleator.cli._terminal import FAILED, Terminal
+from aleator.design import Problem
+from aleator.journalling import Journal, journal
+from aleator.reporting import Table, evidence_document, evidence_table, share_text
+from aleator.solution import Solution, in_brief
+from aleator.solving import solve
+from aleator.studies import AbstractStudy, Study, problems_of
+from aleator.validation import Evidence
+from aleator.validation import validate as validated
+
+
+def validate(
+    place: StudyOrFolder,
+    samples: Annotated[int, typer.Option(min=2, help="Fresh random systems for each design.")] = 20_000,
+    seed: Annotated[int, typer.Option(min=0, help="Of the random systems.")] = 0,
+    design: Design = None,
+    as_json: AsJson = False,
+) -> None:
+    """Count on fresh random systems how often designs break their limits, with 95 % intervals.
+
+    Designs are taken from the folder (of a study: results/STUDY), and solved first where they are not there. The
+    evidence is kept there too; the study's page stays as it is.
+    """
+    terminal = Terminal("validate", as_json)
+    sampling = _Sampling(terminal, samples, seed)
+    with ExitStack() as held:
+        held.enter_context(sampling.interruptions)
+        held.enter_context(terminal.warning())
+        with terminal.refusing():
+            study, folder = _meant(place)
+            designs = _wanted(study, held.enter_context(journal(folder)), folder, design)
+        code = sampling.of(designs, {} if study is None else study.solving)
+    terminal.note(folder=str(folder), samples=samples, seed=seed, designs=sampling.document())
+    if sampling.found:
+        terminal.table(_shares(sampling.found))
+        terminal.table(evidence_table(sampling.found))
+    terminal.conclude(code)
+
+
+def _meant(place: str) -> tuple[AbstractStudy | None, Path]:
+    """The study and the folder of a name: a folder's study if it says which it is, a study's folder."""
+    folder = Path(place)
+    if not folder.is_dir():
+        return studies.load(place), folder_of(place)
+    return (recorded(folder).made() if (folder / RECORD).is_file() else None), folder
+
+
+def _wanted(
+    study: AbstractStudy | None, kept: Journal, folder: Path, design: str | None
+) -> Mapping[str, Solution | Problem]:
+    """Designs of a folder, and problems that are to be solved first, by name."""
+    found: dict[str, Solution | Problem] = {}
+    if not isinstance(study, Study):  # whose designs the journal knows by all that they follow from
+        found.update({name: one for name, one in sorted_by_kind(kept.finished())[0].items() if one.ok})
+    if study is not None and (not found or (design is not None and design not in found)):
+        found = {**problems_of(study), **found}
+    if design is not None and design not in found:
+        known = f"expected one of {list(found)}.{meant(design, found)}"
+        raise ProblemError(f"validate: there is no design '{design}' in '{folder}'; {known}")
+    if not found:
+        raise ProblemError(f"validate: there is no finished design in '{folder}': name the study to solve it first.")
+    return found if design is None else {design: found[design]}
+
+
+def _shares(found: Mapping[str, Evidence]) -> Table:
+    """How many systems break each limit, a column for each design."""
+    limits = list(dict.fromkeys(name for one in found.values() for name in one.violations))
+    rows = [[name, *(share_text(one.violations.get(name)) for one in found.values())] for name in limits]
+    rows.append(["any limit", *(share_text(one.joint if one.violations else None) for one in found.values())])
+    return Table("Systems that violate limits", ["", *found], rows, "In brackets: 95 % confidence.")
+
+
+@final
+class _Sampling:
+    """Designs that are solved where needed, and sampled one after another; `found` is the evidence so far."""
+
+    def __init__(self, terminal: Terminal, samples: int, seed: int):
+        self._terminal, self._samples, self._seed = terminal, samples, seed
+        self.interruptions = Interruptions(lambda: "Interrupted: finished evidence is kept.")
+        self.found: dict[str, Evidence] = {}
+        self._refused: dict[str, str] = {}
+
+    def of(self, designs: Mapping[str, Solution | Problem], solving: Mapping[str, Any]) -> int:
+        """Sample designs; returns the exit code."""
+        try:
+            with shown(self._terminal.console, len(designs)) as progress, self.interruptions.work():
+                for name, one in designs.items():
+                    begun = time.perf_counter()
+                    progress.begin(f"evidence on {name}")
+                    self._sample(name, one, solving, progress.show)
+                    progress.end(f"evidence on {name}", 1.0, time.perf_counter() - begun)
+        except KeyboardInterrupt:
+            self.interruptions.conclude()
+            self._terminal.last_words("Interrupted: finished evidence is kept.")
+            return self.interruptions.exit_code
+        self.interruptions.rest()
+        return FAILED if self._refused else 0
+
+    def document(self) -> Mapping[str, Any]:
+        """What was found, by the names of the designs."""
+        told = {name: evidence_document(one) for name, one in self.found.items()}
+        return {**told, **{name: {"why": why} for name, why in self._refused.items()}}
+
+    def _sample(self, name: str, one: Solution | Problem, solving: Mapping[str, Any], progress: Progress) -> None:
+        try:
+            design = one if isinstance(one, Solution) else solve(one, **solving, throw=False)
+            progress(f"{name}: {in_brief(design)}", 0, self._samples)
+            if not design.ok:
+                raise ProblemError(design.why())
+            self.found[name] = validated(design, self._samples, seed=self._seed, progress=progress)
+        except AleatorError as error:
+            self._refused[name] = f"{error}"
+            self._terminal.complain(f"error with '{name}'", error)

@@ -1,0 +1,66 @@
+"""Keys of results: digests of all that they follow from, the same in every process."""
+
+import weakref
+from collections.abc import Mapping
+from typing import Any, NamedTuple, final
+
+from aleator._core.lasting import joined, lasting_parts
+from aleator.design import Problem
+
+
+class Identity(NamedTuple):
+    """What a result is: its key, what is done with which model, and digests of all that it follows from, by name."""
+
+    key: str
+    what: str
+    parts: Mapping[str, str]
+
+
+@final
+class Keys:
+    """The keys of the results that this process knows. What follows from a result is identified by its key."""
+
+    def __init__(self) -> None:
+        self._keys = dict[int, tuple[weakref.ref[Any], str]]()
+
+    def remember(self, result: Any, key: str) -> None:
+        """Note the key of a result."""
+        self._keys[id(result)] = weakref.ref(result), key
+
+    def of(self, result: Any) -> str:
+        """The key of a known result; empty for anything else."""
+        reference, key = self._keys.get(id(result), (None, ""))
+        return key if reference is not None and reference() is result else ""
+
+    def identity(self, what: str, given: Mapping[str, Any]) -> Identity:
+        """What a result is that follows from what is given. Raises `DoubtError` if another process could not tell."""
+        parts = lasting_parts({name: self._identified(one) for name, one in given.items()} | _equations(given))
+        key = joined([what, *(f"{name} {digest}" for name, digest in sorted(parts.items()))])
+        return Identity(key, done_with(what, given), parts)
+
+    def problem_digest(self, problem: Problem) -> str:
+        """The part of a key that tells the problem, whatever else a result follows from. Raises `DoubtError`."""
+        return lasting_parts({"problem": self._identified(problem)})["problem"]
+
+    def _identified(self, it: Any) -> Any:
+        """A known result by its key, a problem without its equations."""
+        if key := self.of(it):
+            return key
+        if isinstance(it, Problem):
+            return it.simulation, it.objective, it.constraints, it.expansion
+        return it
+
+
+def done_with(what: str, given: Mapping[str, Any]) -> str:
+    """What is done, with the name of the model."""
+    problem = given.get("problem") or getattr(given.get("solution"), "problem", None)
+    return f"{what} {type(problem.system).__name__}" if problem is not None else what
+
+
+def _equations(given: Mapping[str, Any]) -> dict[str, str]:
+    """The digest of a problem's equations, without what is random in it where equations do not show all.
+
+    What the code reads is told apart in any case.
+    """
+    problem = given.get("problem")
+    return {"equations": problem.physics.partition(" ")[0]} if isinstance(problem, Problem) else {}

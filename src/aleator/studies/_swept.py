@@ -1,0 +1,166 @@
+"""`SweptStudy`: one design of another study, along one bound."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from typing import Any, ClassVar, final
+
+import numpy as np
+from typing_extensions import override
+
+from aleator._core.errors import ProblemError, SolveError
+from aleator._core.given import meant, one_of, real_array, refusal, whole
+from aleator._core.progress import Progress
+from aleator.design import Problem
+from aleator.reporting import Section, Table, Verdict, count, number, sections, words
+from aleator.solution import Solution, in_brief
+from aleator.studies._declared import Stage
+from aleator.studies._study import AbstractStudy, stop_if_interrupted
+from aleator.sweep import Front, Refused, pareto, workers
+
+
+def front_of(
+    problem: Problem,
+    bound: str,
+    values: np.ndarray,
+    *,
+    processes: int | None,
+    solving: Mapping[str, Any],
+    progress: Progress,
+) -> Front:
+    """The front of a problem over one bound, by this process or by several; `solving` as for `al.solve`."""
+    with ExitStack() as held:
+        executor = None if processes is None else held.enter_context(workers(processes))
+        return pareto(problem, bound, values, executor=executor, progress=progress, **solving)
+
+
+@final
+class SweptStudy(AbstractStudy):
+    """One design of a study, solved again for each value of a bound.
+
+    - `study`: any with `problems`; `design`: one of them by name, the last if it is left out;
+    - `bound`, `values`: as for `al.pareto`; `workers`: processes that solve points (`al.workers`), this one if none.
+
+    Raises `ProblemError` for a design or a bound that is not there, and for values that are no numbers.
+    """
+
+    stages_are_journalled: ClassVar = True
+
+    def __init__(
+        self,
+        study: AbstractStudy,
+        bound: str,
+        values: Sequence[float],
+        *,
+        design: str | None = None,
+        workers: int | None = None,
+    ):
+        name, problem = design_of(study, design)
+        problem.named(bound)
+        self.title, self.subtitle = f"{study.title}: {name} over {bound}", study.subtitle
+        self._values = np.ravel(real_array("sweep: values", list(values)))
+        if not self._values.size or not np.isfinite(self._values).all():
+            raise refusal("sweep: values", "one finite value of the bound at least", self._values.tolist())
+        self._workers = None if workers is None else whole("sweep: workers", workers)
+        self._name, self._problem, self._bound, self._solving = name, problem, bound, study.solving
+        self.front: Front | None = None
+
+    @property
+    @override
+    def problems(self) -> Mapping[str, Problem]:
+        return {self._name: self._problem}
+
+    @property
+    @override
+    def solving(self) -> Mapping[str, Any]:
+        return self._solving
+
+    @property
+    @override
+    def stages(self) -> Mapping[str, Stage]:
+        return {f"front over {self._bound}": Stage(self._sweep, 1.0)}
+
+    @override
+    def results(self) -> Mapping[str, Any]:
+        return {"fronts": {self._name: self.front}} if self.front is not None else {}
+
+    @override
+    def verdict(self) -> Verdict:
+        solved = [] if self.front is None else [one for one in self.front.optima if one is not None]
+        if self.front is None or not solved:
+            return Verdict("bad", "Nothing solved", f"No point over {self._bound} was solved.")
+        told = f"{count(len(solved))} of {count(len(self._values))} points over {self._bound} are solved"
+        ends = words([number(one.objective, 4) for one in (solved[0], solved[-1])])
+        whole_front = len(solved) == len(self._values)
+        headline = f"{told}; the objective at the ends is {ends}."
+        return Verdict("good" if whole_front else "caution", "Swept" if whole_front else "Partly solved", headline)
+
+    @override
+    def sections(self) -> Sequence[Section]:
+        if self.front is None:
+            return []
+        solved = {_place(self.front, i): one for i, one in enumerate(self.front.points) if isinstance(one, Solution)}
+        ends = {name: solved[name] for name in list(solved)[:: max(len(solved) - 1, 1)]}
+        return [Section("Points", self.tables()), *sections(ends, {}, {self._name: self.front})]
+
+    @override
+    def tables(self) -> list[Table]:
+        return [front_table(self.front, f"{self._name} over {self._bound}")] if self.front is not None else []
+
+    @override
+    def cut_short(self) -> Iterator[str]:
+        if self.front is not None and self.front.interrupted:
+            yield f"{len(self.front.values)} of {len(self._values)} points are available."
+
+    def _sweep(self, progress: Progress) -> None:
+        self.front = front_of(
+            self._problem,
+            self._bound,
+            self._values,
+            processes=self._workers,
+            solving=self._solving,
+            progress=progress,
+        )
+        stop_if_interrupted(self.front)
+        if not self.front.solved.any():
+            raise SolveError(f"No point over {self._bound} was solved: {self.front.points[0].why()}")
+
+
+def problems_of(study: AbstractStudy) -> dict[str, Problem]:
+    """The problems that a study declares. Raises `ProblemError` if there are none, or anything else."""
+    what, problems = f"{type(study).__name__}.problems", study.problems
+    if not isinstance(problems, Mapping):
+        raise refusal(what, "problems by their names", problems)
+    if not problems:
+        raise ProblemError(
+            f"The study '{study.title}' declares no problems: give its class the property `problems`, by their names."
+        )
+    return {name: one_of(f"{what}: '{name}'", one, Problem) for name, one in problems.items()}
+
+
+def design_of(study: AbstractStudy, design: str | None) -> tuple[str, Problem]:
+    """A design's name and problem; the last if none is named. Raises `ProblemError` if there is none of that name."""
+    problems = problems_of(study)
+    if design is None:
+        design = list(problems)[-1]
+    if design not in problems:
+        known = f"expected one of {list(problems)}.{meant(design, problems)}"
+        raise ProblemError(f"The study '{study.title}' has no design '{design}'; {known}")
+    return design, problems[design]
+
+
+def _place(front: Front, i: int) -> str:
+    return f"{front.bound} = {front.values[i]:.6g}"
+
+
+def front_table(front: Front, caption: str) -> Table:
+    """The points of a front: bound, objective, shadow price, what is active; or why there is no design."""
+    rows = [_row(front, i) for i in range(len(front.points))]
+    return Table(caption, [front.bound, "Result", "Shadow price", "Active"], rows)
+
+
+def _row(front: Front, i: int) -> list[str]:
+    one, value = front.points[i], f"{front.values[i]:.6g}"
+    if isinstance(one, Refused):
+        return [value, f"no design: {one.reason}", "–", "–"]
+    price = number(one.multiplier(front.bound), 4) if one.ok else "–"
+    return [value, in_brief(one), price, words(one.active, "nothing") if one.ok else "–"]

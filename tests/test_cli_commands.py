@@ -1,0 +1,433 @@
+"""The commands on a run's folder: resume, sweep, validate, report, compare and list."""
+
+import json
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import aleator as al
+from aleator import cli, solving, studies
+from aleator.journalling import FILE
+from aleator.reporting import Section, Table, Verdict
+from aleator.studies import AbstractStudy, Stage, _swept, load
+
+BAR = '''"""A bar that carries an uncertain load."""
+
+import aleator as al
+
+
+class Bar(al.AlgebraicSystem):
+    width: al.Number = al.parameter("mm", positive=True)
+    load: al.Number = al.parameter("N")
+
+    def outputs(self):
+        return {"stress": self.load / self.width, "mass": self.width}
+
+
+stress = al.output("stress")
+bar = Bar(al.Decision(4.0, 0.1, 10.0), al.Uniform(1.0, half_width=0.3))
+strong = (stress.mean + 3 * stress.std <= 0.5).named("stress")
+problem = al.Problem(bar, minimize=al.output("mass").mean, subject_to=[strong])
+study = al.Study(
+    {"nominal": al.deterministic(problem), "robust": problem},
+    title="Bar",
+    samples=2000,
+    sweeps={"stress": [0.5, 0.6, 0.8]},
+)
+'''
+# stress = load / width, whose mean is 1 / width and whose standard deviation 0.3 / √3 / width.
+NEEDED = 1.0 + 3.0 * 0.3 / np.sqrt(3.0)
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """A folder with a study to work in, whose module is forgotten afterwards."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "bar.py").write_text(BAR)
+    path = list(sys.path)
+    yield tmp_path
+    sys.modules.pop("bar", None)
+    sys.path[:] = path
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a quick run, complete, which no test changes; `bar.py` stands beside it."""
+    place = tmp_path_factory.mktemp("finished")
+    (place / "bar.py").write_text(BAR)
+    result = aleator("run", str(place / "bar.py"), "--quick", "--out", str(place / "results"))
+    assert result.exit_code == 0, result.output
+    return place / "results"
+
+
+def aleator(*arguments: str):
+    return CliRunner().invoke(cli.application, list(arguments))
+
+
+def document(result) -> dict:
+    """The one JSON document on stdout, whose numbers are finite."""
+
+    def refuse(name: str) -> None:
+        raise AssertionError(f"{name} is no JSON")
+
+    return json.loads(result.stdout, parse_constant=refuse)
+
+
+def said(result) -> str:
+    return " ".join(result.output.split())
+
+
+@pytest.fixture
+def interrupted(monkeypatch: pytest.MonkeyPatch, python_interrupts) -> pytest.MonkeyPatch:
+    """Ctrl-C in the second solve of this process, until undone."""
+    solve, done = solving._solve._solved, list[object]()
+
+    def stopped(call):
+        done.append(call)
+        if len(done) == 2:
+            raise KeyboardInterrupt
+        return solve(call)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(solving._solve, "_solved", stopped)
+        yield patch
+
+
+@pytest.fixture
+def nothing_solved(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No solve may happen."""
+
+    def never(call):
+        raise AssertionError("something was computed")
+
+    monkeypatch.setattr(solving._solve, "_solved", never)
+
+
+def test_a_sweep_that_was_interrupted_tells_what_waits_and_is_resumed_from_its_folder(here: Path, interrupted):
+    values = [0.5, 0.6, 0.8]
+    result = aleator("sweep", "bar.py", "--bound", "stress", "--values", "0.5,0.6,0.8", "--out", "there")
+    assert result.exit_code == 130, result.output
+    listed = {one["name"]: one for one in document(aleator("list", "there", "--json"))["results"]}
+    assert {name: one["state"] for name, one in listed.items()} == {
+        "stress = 0.5": "done",
+        "stress = 0.6": "interrupted",
+        "stress = 0.8": "waiting",
+    }
+    assert all(one["host"] and one["process"] for one in listed.values())
+    assert "waiting solve Bar stress = 0.8" in said(aleator("list", "there"))
+
+    page = aleator("report", "there", "--json")
+    assert page.exit_code == 0, page.output
+    assert "'front over stress' is not finished" in document(page)["missing"][0]
+    text = (here / "there/report.html").read_text()
+    assert "1 of 3 points are available" in text
+
+    interrupted.undo()
+    resumed = aleator("resume", "there", "--json")
+    assert resumed.exit_code == 0, resumed.output
+    found = document(resumed)
+    assert found["recalled"] == 1
+    points = found["fronts"]["fronts/robust"]["points"]
+    np.testing.assert_allclose([one["objective"] for one in points], NEEDED / np.array(values), rtol=1e-6)
+    undisturbed = al.pareto(load("bar.py").problems["robust"], "stress", values)
+    assert [one["objective"] for one in points] == undisturbed.objectives.tolist()
+    assert [one["state"] for one in document(aleator("list", "there", "--json"))["results"]] == ["done"] * 3
+    assert document(aleator("report", "there", "--json"))["missing"] == []
+
+
+def test_a_run_is_resumed_as_it_was_begun_wherever_its_project_has_moved(here: Path, finished: Path, tmp_path: Path):
+    moved = tmp_path / "moved"
+    finished.parent.rename(moved)
+    try:
+        before = json.loads((moved / "results/designs.json").read_text())
+        result = aleator("resume", str(moved / "results"), "--json")
+        assert result.exit_code == 0, result.output
+        found = document(result)
+    finally:
+        moved.rename(finished.parent)
+    assert found["designs"]["designs/robust"]["evidence"]["samples"] == 100
+    assert found["recalled"] == 5
+    for name, one in before.items():
+        assert found["designs"][name]["objective"] == one["objective"]
+
+
+@pytest.mark.parametrize(
+    ("damage", "told"),
+    [
+        (lambda folder: (folder / "command.json").unlink(), "There is no 'command.json'"),
+        (lambda folder: (folder / "command.json").write_text("{"), "does not say what began the run"),
+        (lambda folder: (folder / "command.json").write_text('{"study": 3}'), "does not say what began the run"),
+        (lambda folder: (folder.parent / "bar.py").unlink(), "The study of 'results' has gone: there is no file"),
+    ],
+)
+def test_a_folder_that_does_not_say_how_to_go_on_is_refused(here: Path, damage, told: str):
+    (here / "results").mkdir()
+    cli._record.Record("bar.py").write(here / "results")
+    damage(here / "results")
+    result = aleator("resume", "results")
+    assert result.exit_code == 2
+    assert told in said(result)
+
+
+def test_a_script_that_runs_its_own_study_leaves_no_command_to_resume(here: Path):
+    cli._record.Record("bar.py").write(here)
+    assert cli.run_study(Partial(), here) == 0
+    assert "There is no 'command.json'" in said(aleator("resume", str(here)))
+
+
+def test_a_front_is_printed_kept_and_written_as_a_page(here: Path):
+    result = aleator("sweep", "bar.py", "--bound", "stress", "--values", "0.5,0.04", "--design", "robust")
+    assert result.exit_code == 0, result.output
+    told = said(result)
+    assert f"stress = 0.5, objective {NEEDED / 0.5:.6g}, feasible, 1 of 2, about" in told
+    assert "stress = 0.04, infeasible, violation" in told
+    assert "1 of 2 points over stress are solved" in told
+    assert (here / "results/bar-over-stress" / FILE).is_file()
+    sampled = document(aleator("validate", "results/bar-over-stress", "--samples", "100", "--json"))
+    assert list(sampled["designs"]) == ["stress = 0.5"]
+    page = (here / "results/bar-over-stress/report.html").read_text()
+    assert "Bar: robust over stress" in page
+    assert f"objective {NEEDED / 0.5:.6g}" in page
+
+
+def test_a_front_by_several_workers_is_that_of_pareto_with_an_executor(here: Path, monkeypatch: pytest.MonkeyPatch):
+    begun = list[int]()
+
+    def threads(count: int) -> ThreadPoolExecutor:
+        begun.append(count)
+        return ThreadPoolExecutor(count)
+
+    monkeypatch.setattr(_swept, "workers", threads)
+    result = aleator("sweep", "bar.py", "--bound", "stress", "--values", "0.5,0.6,0.8", "--workers", "2", "--json")
+    assert result.exit_code == 0, result.output
+    points = document(result)["fronts"]["fronts/robust"]["points"]
+    with ThreadPoolExecutor(2) as executor:
+        front = al.pareto(load("bar.py").problems["robust"], "stress", [0.5, 0.6, 0.8], executor=executor)
+    assert begun == [2]
+    assert [one["objective"] for one in points] == front.objectives.tolist()
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (("--bound", "strain", "--values", "1"), "strain"),
+        (("--bound", "stress", "--values", "1;2"), "expected numbers with commas between them"),
+        (("--bound", "stress", "--values", ","), "one finite value of the bound at least"),
+        (("--bound", "stress", "--values", "nan"), "sweep: values"),
+        (("--bound", "stress", "--values", "1", "--design", "robot"), "Did you mean 'robust'"),
+        (("--bound", "stress", "--values", "1", "--workers", "0"), "workers"),
+    ],
+)
+def test_a_sweep_that_cannot_be_is_refused_before_any_work(here: Path, options: tuple[str, ...], told: str):
+    result = aleator("sweep", "bar.py", *options)
+    assert result.exit_code == 2
+    assert told in said(result)
+    assert not (here / "results").exists()
+
+
+def test_fresh_evidence_is_counted_on_the_designs_of_a_folder(finished: Path, nothing_solved):
+    arguments = ("validate", str(finished), "--samples", "4000", "--seed", "5", "--json")
+    result = aleator(*arguments)
+    assert result.exit_code == 0, result.output
+    found = document(result)["designs"]
+    shares = {name: one["violations"]["stress"] for name, one in found.items()}
+    # The nominal bar carries the mean load at its limit: half of the symmetric loads are beyond it.
+    assert shares["nominal"]["lower"] < 0.5 < shares["nominal"]["upper"]
+    assert shares["robust"]["count"] == 0
+    before = (finished / FILE).read_bytes()
+    again = aleator(*arguments)
+    assert document(again)["designs"] == found
+    assert (finished / FILE).read_bytes() == before
+    one = document(aleator("validate", str(finished), "--samples", "200", "--design", "robust", "--json"))
+    assert list(one["designs"]) == ["robust"]
+
+
+def test_designs_that_are_not_there_are_solved_before_they_are_sampled(here: Path):
+    result = aleator("validate", "bar.py", "--samples", "200", "--design", "robust")
+    assert result.exit_code == 0, result.output
+    assert "Systems that violate limits" in result.output
+    assert f"objective {NEEDED / 0.5:.6g}" in aleator("run", "bar.py").output
+    named = [one["name"] for one in document(aleator("list", "results/bar", "--json"))["results"]]
+    assert named.count("designs/robust") == 1
+
+
+def test_evidence_on_what_a_script_has_kept_needs_no_study(here: Path):
+    problem = load("bar.py").problems["robust"]
+    with al.journal("kept"):
+        al.solve(problem)
+    found = document(aleator("validate", "kept", "--samples", "300", "--json"))["designs"]
+    assert found["solve Bar 1"]["samples"] == 300
+    page = aleator("report", "kept", "--out", "kept.html")
+    assert page.exit_code == 0, page.output
+    assert "solve Bar 1" in (here / "kept.html").read_text()
+    (here / "empty").mkdir()
+    assert "there is no finished design in 'empty'" in said(aleator("validate", "empty"))
+    assert "there is no journal in 'empty'" in said(aleator("report", "empty"))
+
+
+def test_a_design_that_cannot_be_solved_has_no_evidence_and_exits_with_one(here: Path):
+    (here / "bar.py").write_text(BAR.replace("<= 0.5", "<= 0.05"))
+    result = aleator("validate", "bar.py", "--samples", "100", "--json")
+    assert result.exit_code == 1
+    found = document(result)
+    assert "infeasible" in found["designs"]["robust"]["why"]
+    assert len(found["errors"]) == 2
+
+
+def test_the_page_of_a_folder_is_written_without_computing_or_noting_anything(
+    finished: Path, nothing_solved, tmp_path: Path
+):
+    before = (finished / FILE).read_bytes()
+    result = aleator("report", str(finished), "--out", str(tmp_path / "page.html"), "--json")
+    assert result.exit_code == 0, result.output
+    assert document(result)["missing"] == []
+    assert (finished / FILE).read_bytes() == before
+    page = (tmp_path / "page.html").read_text()
+    assert "Optimum against the limit of stress" in page
+    assert "Systems that violate stress" in page
+
+
+class Partial(AbstractStudy):
+    """A study with a stage of its own that no journal keeps, after a design."""
+
+    title = "Partly kept"
+
+    def __init__(self) -> None:
+        self.found: dict[str, al.Solution] = {}
+        self.others = 0
+
+    @property
+    def problems(self):
+        return {"robust": load("bar.py").problems["robust"]}
+
+    @property
+    def stages(self):
+        return {"design": Stage(self.solve, 1.0), "other": Stage(self.other, 1.0)}
+
+    def solve(self, progress):
+        self.found["robust"] = al.solve(self.problems["robust"])
+
+    def other(self, progress):
+        self.others += 1
+
+    def results(self):
+        return {"designs": self.found}
+
+    def verdict(self):
+        return Verdict("good", "Done", "as far as it went.")
+
+    def sections(self):
+        return [Section("Own", [Table("Own", ["a"], [["b"]])])]
+
+    def tables(self):
+        return []
+
+
+def test_a_study_that_no_journal_keeps_as_a_whole_is_told_by_its_designs(
+    here: Path, monkeypatch: pytest.MonkeyPatch, nothing_solved: None
+):
+    monkeypatch.undo()
+    monkeypatch.chdir(here)
+    study = Partial()
+    monkeypatch.setattr(studies, "load", lambda name, quick=False: study)
+    assert aleator("run", "partial", "--out", "there").exit_code == 0
+    assert study.others == 1
+    result = aleator("report", "there", "--json")
+    assert result.exit_code == 0, result.output
+    assert study.others == 1
+    assert "aleator resume" in document(result)["missing"][0]
+    assert "Partly kept" in (here / "there/report.html").read_text()
+    checked = aleator("check", "partial", "--json")
+    assert checked.exit_code == 0, checked.output
+    assert document(checked)["problems"]["robust"]["points"] >= 4
+    assert document(checked)["problems"]["robust"]["samples"] is None
+
+
+@pytest.mark.parametrize(
+    ("problems", "told"),
+    [({}, "'Partly kept' declares no problems"), ([1], "problems by their names"), ({"a": 1}, "'a': expected Problem")],
+)
+def test_a_study_without_proper_problems_is_refused_where_they_are_needed(
+    here: Path, monkeypatch: pytest.MonkeyPatch, problems, told: str
+):
+    monkeypatch.setattr(Partial, "problems", problems)
+    monkeypatch.setattr(studies, "load", lambda name, quick=False: Partial())
+    for command in (("check",), ("validate",), ("sweep", "--bound", "stress", "--values", "1")):
+        result = aleator(command[0], "partial", *command[1:])
+        assert result.exit_code == 2
+        assert told in said(result)
+
+
+def test_runs_are_compared_design_by_design_and_by_what_they_follow_from(here: Path, finished: Path):
+    changed = BAR.replace("half_width=0.3", "half_width=0.2")
+    (here / "bar.py").write_text(changed)
+    assert aleator("run", "bar.py", "--quick", "--out", "narrow").exit_code == 0
+    result = aleator("compare", str(finished), "narrow", "--json")
+    assert result.exit_code == 0, result.output
+    found = document(result)
+    narrow = found["designs"]["designs/robust"]["narrow"]
+    assert narrow["objective"]["value"] == pytest.approx((1 + 3 * 0.2 / np.sqrt(3)) / 0.5, rel=1e-6)
+    assert found["designs"]["designs/robust"]["results"]["objective"]["value"] == pytest.approx(NEEDED / 0.5, rel=1e-6)
+    assert found["differences"]["designs/robust"] == {"narrow": ["numbers of the problem"]}
+    told = said(aleator("compare", str(finished), "narrow"))
+    assert "designs/robust: results and narrow differ in numbers of the problem." in told
+    assert "Systems that violate stress" in told
+    same = said(aleator("compare", "narrow", "narrow"))
+    assert "follow from the same equations, code, numbers and versions" in same
+    assert "two folders or more" in said(aleator("compare", "narrow"))
+    (here / "empty").mkdir()
+    assert "there are no results in 'empty'" in said(aleator("compare", "narrow", "empty"))
+
+
+def test_a_run_tells_programs_its_verdict_designs_and_fronts(finished: Path):
+    result = aleator("resume", str(finished), "--json")
+    found = document(result)
+    assert set(found) == {
+        *("command", "folder", "finished", "files", "title", "verdict", "designs", "fronts", "recalled"),
+        *("exit_code", "errors"),
+    }
+    assert found["finished"][0] == "design nominal"
+    assert "stress" in found["fronts"]["fronts/stress"]["bound"]
+    assert "wrote" in result.stderr
+
+
+def test_a_refusal_is_a_document_too():
+    result = aleator("run", "suspention", "--json")
+    assert result.exit_code == 2
+    assert document(result)["exit_code"] == 2
+    assert "There is no study 'suspention'" in document(result)["errors"][0]
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(one, marks=[pytest.mark.slow] * (one in ("four-bar", "swing-up"))) for one in studies.STUDIES]
+)
+def test_every_case_study_declares_its_problems(name: str):
+    problems = load(name, quick=True).problems
+    assert problems
+    assert all(isinstance(one, al.Problem) for one in problems.values())
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform == "win32", reason="processes are killed by a signal")
+def test_a_sweep_that_is_killed_is_resumed_from_its_folder_down_to_the_last_bit(here: Path):
+    values = "0.5,0.55,0.6,0.65,0.7,0.75,0.8,0.85"
+    arguments = ["sweep", "bar.py", "--bound", "stress", "--values", values, "--out", "there"]
+    journal = here / "there" / FILE
+    with subprocess.Popen([sys.executable, "-m", "aleator", *arguments], stdout=subprocess.DEVNULL) as run:
+        while run.poll() is None and not (journal.exists() and b'"state": "done"' in journal.read_bytes()):
+            pass
+        run.send_signal(signal.SIGKILL)
+    assert run.returncode == -signal.SIGKILL
+    states = [one["state"] for one in document(aleator("list", "there", "--json"))["results"]]
+    assert "waiting" in states
+    found = document(aleator("resume", "there", "--json"))
+    assert found["recalled"] >= 1
+    whole = document(aleator("sweep", "bar.py", "--bound", "stress", "--values", values, "--out", "whole", "--json"))
+    assert found["fronts"] == whole["fronts"]
