@@ -17,6 +17,7 @@ from aleator.ensemble._ensemble import same_shapes as same_shapes
 from aleator.ensemble._ensemble import uncertain_places as uncertain_places
 from aleator.ensemble._levels import at_levels as at_levels
 from aleator.ensemble._levels import draw as draw
+from aleator.ensemble._levels import drawn_from as drawn_from
 from aleator.ensemble._levels import random_levels as random_levels
 from aleator.ensemble._outputs import UNTRACEABLE as UNTRACEABLE
 from aleator.ensemble._outputs import Function as Function

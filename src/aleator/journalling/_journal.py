@@ -15,11 +15,12 @@ from typing import Any, final
 from typing_extensions import override
 
 from aleator._core.errors import JournalWarning, ProblemError
-from aleator._core.journalled import AbstractEntry, AbstractJournal, journalling
+from aleator._core.journalled import AbstractEntry, AbstractJournal, AbstractParts, journalling
 from aleator._core.lasting import DoubtError, joined, lasting_parts
 from aleator.design import Problem
 from aleator.journalling import _results
 from aleator.journalling._entry import Entry, State, interrupted, read
+from aleator.journalling._parts import Parts
 from aleator.nlp import Status
 from aleator.reporting import check_writable, only_writer
 
@@ -142,7 +143,12 @@ class Journal(AbstractJournal):
             self.warn(f"{entry.what} is not kept: {error}")
             return
         self._remember(result, entry.key)
+        self.parts_of(entry).drop()
         self.append(replace(entry, state=_state_of(result), seconds=seconds, file=name, digest=digest))
+
+    def parts_of(self, entry: Entry) -> Parts:
+        """The parts of a result that is not finished."""
+        return Parts(self.folder / _RESULTS, entry.key[:_NAMED], self.warn)
 
     def warn(self, said: str) -> None:
         """Warn of something, once."""
@@ -177,6 +183,11 @@ class _Entry(AbstractEntry):
         self._started = time.perf_counter()
         if begun is not None and recalled is None:
             journal.append(begun)
+
+    @property
+    @override
+    def parts(self) -> AbstractParts:
+        return super().parts if self._begun is None else self._journal.parts_of(self._begun)
 
     @override
     def keep(self, result: Any) -> None:
