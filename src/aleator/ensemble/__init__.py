@@ -9,6 +9,7 @@ from aleator.ensemble._batches import parts as parts
 from aleator.ensemble._box import AbstractBox as AbstractBox
 from aleator.ensemble._box import Realisation as Realisation
 from aleator.ensemble._ensemble import AbstractEnsemble as AbstractEnsemble
+from aleator.ensemble._ensemble import Alone as Alone
 from aleator.ensemble._ensemble import BoxEnsemble as BoxEnsemble
 from aleator.ensemble._ensemble import CalledEnsemble as CalledEnsemble
 from aleator.ensemble._ensemble import TracedEnsemble as TracedEnsemble

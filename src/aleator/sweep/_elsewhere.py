@@ -6,7 +6,6 @@ from concurrent.futures import Executor, as_completed
 from dataclasses import replace
 from typing import Any, Literal, TypeAlias, cast
 
-from aleator._core.elsewhere import check_executor as check_executor
 from aleator._core.elsewhere import packed, received, run
 from aleator._core.errors import AleatorError, SimulationError
 from aleator._core.journalled import entry_of

@@ -45,7 +45,8 @@ def folds(problem: Problem) -> bool:
 
 def _is_pointwise(constraint: Constraint) -> bool:
     return all(
-        isinstance(atom, Value) or (isinstance(atom, Statistic) and all(isinstance(one, Path) for one in atom.functionals))
+        isinstance(atom, Value)
+        or (isinstance(atom, Statistic) and all(isinstance(one, Path) for one in atom.functionals))
         for atom in constraint.expression.atoms
     )
 
@@ -109,7 +110,7 @@ def _simulate_folded(
 
 
 def _moments(value: Array, is_wanted: Bool[Array, ""], count: Int[Array, ""]) -> tuple[Array, ...]:
-    """The mean over the wanted systems of a batch, and the sums of the second, third and fourth powers of deviations."""
+    """Over the wanted systems of a batch, the mean and the sums of the powers 2 to 4 of deviations from it."""
     mean = _over_systems(jnp.where(is_wanted, value, 0.0)) / count
     away = jnp.where(is_wanted, value - mean, 0.0)
     square = away**2

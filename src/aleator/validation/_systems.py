@@ -70,9 +70,7 @@ class Systems:
         if self._finer is not None:
             EXCESS_OVER_TIME.prepare(self._finer, germ, self._decisions)
 
-    def simulate(
-        self, germ: Float[np.ndarray, "systems variables"], count: int, *, is_folded: bool = False
-    ) -> Batch:
+    def simulate(self, germ: Float[np.ndarray, "systems variables"], count: int, *, is_folded: bool = False) -> Batch:
         """Simulate the systems at some germ points. Those after the first `count` are padding and do not count.
 
         - `is_folded`: without storing histories, and so without the values of path constraints.
