@@ -2,8 +2,8 @@
 
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor
-from dataclasses import replace
-from typing import Any, NamedTuple
+from dataclasses import dataclass, replace
+from typing import Any, final
 
 import numpy as np
 from jaxtyping import Float
@@ -16,7 +16,9 @@ from aleator.nlp import AbstractSearch, AbstractSolver, NonlinearProgram, Outcom
 from aleator.transcription import DEFAULT, transcribe
 
 
-class FoundGlobally(NamedTuple):
+@final
+@dataclass(frozen=True)
+class FoundGlobally:
     """What a global search found: points that lie apart, best first, and its history.
 
     - `status`: `Status.INTERRUPTED` if the user ended it.
