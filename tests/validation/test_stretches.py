@@ -147,8 +147,7 @@ KILLED = """
     import sys
 
     import aleator as al
-    from aleator.solution import Solution
-from aleator.validation import Evidence, _part_by_part, _stretches, _validate
+    from aleator.validation import _part_by_part, _stretches
     from carts import cart_problem
 
     _part_by_part._OFTEN, _stretches._MANY = 0.0, 0
