@@ -61,7 +61,7 @@ def test_stretches_are_the_whole_sample_in_order():
     for samples, batch, before in ((1000, 250, 1000), (10**6, 250, 250), (1003, 10, 20), (7, 250, 7)):
         plan = _stretches.Plan(samples, 0, min(batch, samples), 0, before)
         assert len(plan.stretches) < 260
-        ends = [one.first + one.count for one in plan.stretches]
+        ends = [one.end for one in plan.stretches]
         assert [0, *ends[:-1]] == [one.first for one in plan.stretches]
         assert ends[-1] == samples
         assert before in {*ends, 0}
@@ -182,5 +182,5 @@ def test_evidence_killed_at_seventy_percent_goes_on_from_there_to_the_last_bit(
         solution = al.solve(cart_problem())
         resumed = al.validate(solution, 50_000, batch=100)
     assert parts > 60
-    assert sum(one.count for one in later) <= 0.35 * 50_000
+    assert sum(one.systems for one in later) <= 0.35 * 50_000
     assert bits(resumed) == bits(al.validate(solution, 50_000, batch=100))

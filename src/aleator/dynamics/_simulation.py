@@ -64,8 +64,10 @@ class Simulation(eqx.Module):
     @property
     def folds(self) -> bool:
         """Whether outputs can be folded instant by instant while they are simulated (see `Asked`)."""
-        fixed = isinstance(self.integrator, AbstractFixedStep) and isinstance(self.grid, Grid)
-        return fixed and isinstance(self.system, System) and bool(self.system.states) and self._parts(self.grid) == 1
+        system, grid = self.system, self.grid
+        if not (isinstance(system, System) and system.states and isinstance(grid, Grid)):
+            return False
+        return isinstance(self.integrator, AbstractFixedStep) and self._parts(grid) == 1
 
     def _parts(self, grid: Grid) -> int:
         """Steps that are taken in the place of each: none may cross a node of a control, where order would be lost."""

@@ -12,6 +12,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from aleator._core.compilation import Compiled
 from aleator.design import (
+    AbstractFunctional,
     AbstractIntegral,
     Constraint,
     OneSystem,
@@ -68,7 +69,7 @@ def _simulate_folded(
 
     def simulated(point: Float[Array, " variables"], is_wanted: Bool[Array, ""]) -> Any:
         def fold(carried: Any, found: dict[str, Array]) -> tuple[Any, Any]:
-            values = {one: found[one.output] for one in paths}
+            values: dict[AbstractFunctional, Array] = {one: found[one.output] for one in paths}
             scope = OneSystem(values, numbers, step)
             excess = [judged(one, scope)[0] for one in limits]
             # Zero unless some number is not finite, from when on it stays NaN.

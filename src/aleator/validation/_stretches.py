@@ -65,8 +65,13 @@ class Stretch(NamedTuple):
     """Systems of a sample, one after another: the first one's number, how many, and how many at a time."""
 
     first: int
-    count: int
+    systems: int
     batch: int
+
+    @property
+    def end(self) -> int:
+        """The number of the system after the last one."""
+        return self.first + self.systems
 
 
 class Simulated(NamedTuple):
@@ -117,8 +122,8 @@ def simulated(systems: Systems, plan: Plan, stretches: Sequence[Stretch]) -> Ite
 
     def parts() -> Iterator[Part]:
         for one in stretches:
-            for first in range(one.first, one.first + one.count, one.batch):
-                count = min(one.batch, one.first + one.count - first)
+            for first in range(one.first, one.end, one.batch):
+                count = min(one.batch, one.end - first)
                 yield Part(first, drawn_from(systems.germs, plan.seed, first, count))
 
     def batch(part: Part) -> Simulated:
@@ -128,5 +133,5 @@ def simulated(systems: Systems, plan: Plan, stretches: Sequence[Stretch]) -> Ite
 
     found = each(batch, parts())
     for one in stretches:
-        some = [done for _, done in itertools.islice(found, -(-one.count // one.batch))]
+        some = [done for _, done in itertools.islice(found, -(-one.systems // one.batch))]
         yield one, Simulated.joined(some)

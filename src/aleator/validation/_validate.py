@@ -85,7 +85,7 @@ def _sampled(
     progress("Monte Carlo", 0, samples)
     for stretch, found in part_by_part(plan.stretches, _by(executor, solution, systems, plan), parts_so_far()):
         tally.add(found, stretch.first)
-        progress("Monte Carlo", stretch.first + stretch.count, samples)
+        progress("Monte Carlo", stretch.end, samples)
     return tally.evidence(solution, seed, time.perf_counter() - started)
 
 
