@@ -521,7 +521,7 @@ _STUDIES: dict[str, tuple[Callable[..., Any], dict[str, Any], dict[str, Mapping[
         },
     ),
     "cross_check itself": (al.cross_check, {}, {"#0": REQUIRED}),
-    "validate": (OfSolution(al.validate), {}, SAMPLING | {"batch": COUNT}),
+    "validate": (OfSolution(al.validate), {}, SAMPLING | {"batch": COUNT, "executor": NO_OBJECT}),
     "validate itself": (al.validate, {}, {"#0": REQUIRED}),
     "rare_violation": (
         OfSolution(al.rare_violation),
@@ -539,6 +539,7 @@ _STUDIES: dict[str, tuple[Callable[..., Any], dict[str, Any], dict[str, Mapping[
             "precision": POSITIVE,
             "max_trials": COUNT,
             "solver": NO_OBJECT,
+            "executor": NO_OBJECT,
         },
     ),
     "calibrate itself": (al.calibrate, {"names": "x"}, {"problem": REQUIRED}),
@@ -609,6 +610,7 @@ _STUDIES: dict[str, tuple[Callable[..., Any], dict[str, Any], dict[str, Mapping[
             "search": without(NO_OBJECT, "nothing"),
             "solver": NO_OBJECT,
             "seed": WHOLE,
+            "executor": NO_OBJECT,
             "progress": {"text": "yes", "nothing": None},
         },
     ),
@@ -696,12 +698,12 @@ _STUDIES: dict[str, tuple[Callable[..., Any], dict[str, Any], dict[str, Mapping[
     "monte_carlo": (
         al.references.monte_carlo,
         {"function": product, "model": TWO},
-        {"function": FUNCTION} | SAMPLING | {"batch": COUNT},
+        {"function": FUNCTION} | SAMPLING | {"batch": COUNT, "executor": NO_OBJECT},
     ),
     "quasi_monte_carlo": (
         al.references.quasi_monte_carlo,
         {"function": product, "model": TWO},
-        {"function": FUNCTION, "replicates": COUNT} | SAMPLING,
+        {"function": FUNCTION, "replicates": COUNT, "executor": NO_OBJECT} | SAMPLING,
     ),
     "sobol_indices": (
         al.references.sobol_indices,

@@ -41,6 +41,26 @@ def bar() -> al.Problem:
     return al.Problem(model, minimize=al.output("mass").mean, subject_to=[strong])
 
 
+class Valleys(al.AlgebraicSystem):
+    """A depth with a minimum on either side."""
+
+    place: al.Number
+    off: al.Number
+
+    def outputs(self):
+        return {"depth": (self.place**2 - 1.0) ** 2 + 0.2 * self.place + self.off}
+
+
+def two_valleys() -> al.Problem:
+    """The deeper valley is on the left."""
+    return al.Problem(Valleys(al.Decision(0.5, -2.0, 2.0), al.Normal(0.0, 0.1)), minimize=al.output("depth").mean)
+
+
+def scattered(model):
+    """A sum, and a row of numbers."""
+    return {"sum": model["off"] + model["more"], "row": jnp.stack([model["off"] ** 2, jnp.sin(model["more"])])}
+
+
 def dies_once(mark: str, number: int) -> int:
     """Twice a number; the first process that is asked for three dies."""
     if number == 3 and not Path(mark).exists():

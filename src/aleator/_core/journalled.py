@@ -15,10 +15,27 @@ from typing_extensions import override
 Result = TypeVar("Result")
 
 
+class AbstractParts(abc.ABC):
+    """Finished parts of a result that is not finished, by the number at which each begins."""
+
+    @abc.abstractmethod
+    def recall(self, number: int) -> Any:
+        """The part that begins at a number; None if no earlier run has finished it."""
+
+    @abc.abstractmethod
+    def keep(self, number: int, part: Any) -> None:
+        """Keep a part at once, until the whole result is kept."""
+
+
 class AbstractEntry(abc.ABC):
     """The place of one result: `recalled` is what an earlier run found, None if there is nothing."""
 
     recalled: Any = None
+
+    @property
+    def parts(self) -> AbstractParts:
+        """The parts of the result so far; by default nothing is kept of these."""
+        return _NoParts()
 
     @abc.abstractmethod
     def keep(self, result: Any) -> None:
@@ -46,6 +63,17 @@ class AbstractJournal(abc.ABC):
 
 
 @final
+class _NoParts(AbstractParts):
+    @override
+    def recall(self, number: int) -> Any:
+        return None
+
+    @override
+    def keep(self, number: int, part: Any) -> None:
+        pass
+
+
+@final
 class _Unkept(AbstractEntry):
     @override
     def keep(self, result: Any) -> None:
@@ -57,6 +85,7 @@ class _Unkept(AbstractEntry):
 
 
 _present: ContextVar[AbstractJournal | None] = ContextVar("journal", default=None)
+_begun: ContextVar[AbstractEntry | None] = ContextVar("entry", default=None)
 
 
 @contextmanager
@@ -97,7 +126,7 @@ def journalled(what: str, given: Mapping[str, Any], compute: Callable[[], Result
     entry = entry_of(what, given)
     if entry.recalled is not None:
         return entry.recalled
-    token = _present.set(None)
+    token, outer = _present.set(None), _begun.set(entry)
     try:
         result = compute()
     except BaseException as error:
@@ -105,5 +134,12 @@ def journalled(what: str, given: Mapping[str, Any], compute: Callable[[], Result
         raise
     finally:
         _present.reset(token)
+        _begun.reset(outer)
     entry.keep(result)
     return result
+
+
+def parts_so_far() -> AbstractParts:
+    """The parts of the result that is being computed, for whoever computes it part by part."""
+    entry = _begun.get()
+    return _NoParts() if entry is None else entry.parts

@@ -52,6 +52,7 @@ from aleator.design._problem import current as current
 from aleator.design._problem import declared_anew as declared_anew
 from aleator.design._problem import deterministic as deterministic
 from aleator.design._problem import refuse_changed as refuse_changed
+from aleator.design._problem import refuse_other_code as refuse_other_code
 from aleator.design._problem import uncertain as uncertain
 from aleator.design._response import OneSystem as OneSystem
 from aleator.design._response import Sampled as Sampled
@@ -68,6 +69,7 @@ from aleator.design._scope import AbstractAtom as AbstractAtom
 from aleator.design._scope import AbstractScope as AbstractScope
 from aleator.design._scope import AbstractScopeOfInstants as AbstractScopeOfInstants
 from aleator.design._scope import Units as Units
+from aleator.design._scope import Value as Value
 from aleator.design._sizes import sizes as sizes
 from aleator.design._soft import soft as soft
 from aleator.design._statistic import AbstractFunctional as AbstractFunctional

@@ -221,6 +221,15 @@ def refuse_changed(verb: str, problem: Problem, since: str) -> None:
     )
 
 
+def refuse_other_code(problem: Problem) -> None:
+    """Raise `ProblemError` if a problem that was sent to this process has other code here."""
+    if current(problem) is not problem:
+        raise ProblemError(
+            f"executor: a worker has other code of {type(problem.system).__name__} than the process that sent the "
+            "problem. Start the workers anew, with the same files."
+        )
+
+
 def deterministic(problem: Problem) -> Problem:
     """The same problem with every distribution held at its mean (dOpt, equations 93 and 113)."""
     return _with_simulation(one_of("deterministic", problem, Problem), at_means(problem.simulation))

@@ -90,8 +90,8 @@ class AbstractFixedStep(AbstractIntegrator):
             z = completed(system, t, z, u)
             return asked.slopes(system, t, z, u)
 
-        def advance(carried: tuple[Pytree, Pytree], now: tuple) -> tuple[tuple[Pytree, Pytree], tuple[Any, Any]]:
-            (z, integrals), (t, first, after, before, *middle) = carried, now
+        def advance(carried: tuple[Pytree, ...], now: tuple) -> tuple[tuple[Pytree, ...], tuple[Any, Any]]:
+            (z, integrals, folded), (t, first, after, before, *middle) = carried, now
             # A step sees the side of a jump that is its own.
             last = {**after, **before}
             signals = {0.0: first, 1.0: last, **dict(zip(inner, middle, strict=True))}
@@ -103,14 +103,14 @@ class AbstractFixedStep(AbstractIntegrator):
                 growths.append(stage[1])
             end = _moved(z, h, weights, slopes)
             # Outputs are taken inside the loop, so that states need not be stored.
-            found = asked.at_instant(system, t + h, end, after)
+            folded, found = asked.folded(folded, asked.at_instant(system, t + h, end, after))
             halfway = {}
             if asked.nodes:
                 arrived = derivative(system, t + h, end, last)
                 # Cubic Hermite interpolation between both ends, as accurate as these are.
                 centre = jax.tree.map(lambda a, b, da, db: (a + b) / 2 + h / 8 * (da - db), z, end, slopes[0], arrived)
                 halfway = asked.at_node(system, t + h / 2, centre, signals[0.5])
-            return (end, _moved(integrals, h, weights, growths)), (found, halfway)
+            return (end, _moved(integrals, h, weights, growths), folded), (found, halfway)
 
         zeros = jax.tree.map(lambda one: jnp.zeros(one.shape), _rate_shapes(asked, system, grid, start, now))
         spans = (
@@ -120,10 +120,10 @@ class AbstractFixedStep(AbstractIntegrator):
             arriving,
             *between,
         )
-        (_, integrals), (rest, middles) = jax.lax.scan(advance, (start, zeros), spans)
-        first = asked.at_instant(system, grid.times[0], start, now)
-        history = {name: jnp.concatenate([first[name][None], rest[name]]) for name in first}
-        return Record(history, _interleaved(history, middles), integrals)
+        folded, first = asked.folded(None, asked.at_instant(system, grid.times[0], start, now))
+        (_, integrals, folded), (rest, middles) = jax.lax.scan(advance, (start, zeros, folded), spans)
+        history = {name: jax.tree.map(_preceded, first[name], rest[name]) for name in first}
+        return Record(history, _interleaved(history, middles), integrals, folded)
 
     @override
     def explain(self, system: System, grid: Grid, inputs: Inputs) -> str:
@@ -146,6 +146,10 @@ def _moved(z: Pytree, h: Any, weights: tuple[float, ...], slopes: list[Pytree]) 
         z,
         *(slope for _, slope in used),
     )
+
+
+def _preceded(first: Array, rest: Array) -> Array:
+    return jnp.concatenate([first[None], rest])
 
 
 def _interleaved(history: dict[str, Array], middles: dict[str, Array]) -> dict[str, Array]:

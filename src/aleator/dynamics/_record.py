@@ -12,6 +12,9 @@ from aleator.dynamics._system import System
 History: TypeAlias = dict[str, Float[Array, "instants ..."]]
 Integrand: TypeAlias = Callable[[Mapping[str, Array]], Float[Array, "..."]]
 """A function of the outputs at one time."""
+Fold: TypeAlias = Callable[[Any, dict[str, Array]], tuple[Any, dict[str, Array]]]
+"""From what is carried from instant to instant (None before the first) and the outputs there: what is carried on, and
+what is recorded in the place of these outputs."""
 
 
 class Asked(NamedTuple):
@@ -20,13 +23,19 @@ class Asked(NamedTuple):
     - `instants`: the outputs to record at every instant, by name; None for all;
     - `nodes`: those of them to record at the midpoints of the steps too, for statistics that are integrated over time;
     - `integrands`: functions integrated over time along the realisation, as accurately as its states; `integrated`: the
-      outputs that they depend on.
+      outputs that they depend on;
+    - `fold`: what is made of the outputs at every instant instead of keeping them, where `Simulation.folds`.
     """
 
     instants: frozenset[str] | None = None
     nodes: frozenset[str] = frozenset()
     integrands: tuple[Integrand, ...] = ()
     integrated: frozenset[str] = frozenset()
+    fold: Fold | None = None
+
+    def folded(self, carried: Any, found: dict[str, Array]) -> tuple[Any, dict[str, Array]]:
+        """What is carried on from an instant, and what is recorded of the outputs there: without a fold, all."""
+        return ((), found) if self.fold is None else self.fold(carried, found)
 
     def at_instant(self, system: System, t: Any, z: Any, now: dict[str, Array]) -> dict[str, Array]:
         """What is recorded at an instant of the grid."""
@@ -56,12 +65,13 @@ class Record(NamedTuple):
 
     - `history`: outputs at every instant, shape (instants, ...); `nodes`: outputs at every instant and at the midpoint
       of every step, shape (2 steps + 1, ...);
-    - `integrals`: in the order of the integrands.
+    - `integrals`: in the order of the integrands; `folded`: what a fold carried to the last instant.
     """
 
     history: History
     nodes: History
     integrals: tuple[Float[Array, "..."], ...]
+    folded: Any = ()
 
     def thinned(self, parts: int) -> "Record":
         """The record of a grid with so many times fewer steps."""

@@ -22,7 +22,7 @@ from aleator.dynamics._algebraic import AlgebraicSystem, algebraic_outputs, expl
 from aleator.dynamics._evaluation import derivative, initial_state, observation
 from aleator.dynamics._grid import AbstractGrid, Grid, Instant
 from aleator.dynamics._instantaneous import observed
-from aleator.dynamics._integrators import AbstractIntegrator, Inputs, RungeKutta4, sampled
+from aleator.dynamics._integrators import AbstractFixedStep, AbstractIntegrator, Inputs, RungeKutta4, sampled
 from aleator.dynamics._record import Asked, History, Record, chosen
 from aleator.dynamics._refusals import check_signals, refuse_unrealised
 from aleator.dynamics._system import System, check_variables
@@ -51,8 +51,7 @@ class Simulation(eqx.Module):
             return Record(chosen(self.system, self._solved(self.system), asked.instants), {}, ())
         assert isinstance(self.system, System)
         grid = self._checked_grid(self.system)
-        # No step may cross a node of a control: the order of the integrator would be lost there.
-        parts = math.lcm(least_steps((self.system, self.inputs)), grid.steps) // grid.steps
+        parts = self._parts(grid)
         if parts > 1:
             return self.on(grid.finer(parts)).record(asked).thinned(parts)
         system = self.system
@@ -61,6 +60,18 @@ class Simulation(eqx.Module):
         if not system.states:
             return observed(system, grid, self.inputs, asked)
         return self.integrator.record(system, grid, {**system.signals(), **self.inputs}, asked)
+
+    @property
+    def folds(self) -> bool:
+        """Whether outputs can be folded instant by instant while they are simulated (see `Asked`)."""
+        system, grid = self.system, self.grid
+        if not (isinstance(system, System) and system.states and isinstance(grid, Grid)):
+            return False
+        return isinstance(self.integrator, AbstractFixedStep) and self._parts(grid) == 1
+
+    def _parts(self, grid: Grid) -> int:
+        """Steps that are taken in the place of each: none may cross a node of a control, where order would be lost."""
+        return math.lcm(least_steps((self.system, self.inputs)), grid.steps) // grid.steps
 
     def recorded(self, asked: Asked) -> History:
         """The outputs of `record`, by a program that serves the same equations with any other numbers.

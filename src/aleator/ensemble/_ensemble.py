@@ -7,7 +7,7 @@ the same program. They share levels, batches and messages with this module, and 
 
 import abc
 from collections.abc import Callable, Iterator
-from typing import Any, ClassVar, TypeAlias, final
+from typing import Any, ClassVar, NamedTuple, TypeAlias, final
 
 import equinox as eqx
 import jax
@@ -51,6 +51,18 @@ def uncertain_places(verb: str, function: Function, model: Pytree) -> Placements
     return places
 
 
+class Alone(NamedTuple):
+    """What an ensemble is made of, to be sent to another process: `again` makes it anew."""
+
+    kind: "type[AbstractEnsemble]"
+    function: Function
+    model: Pytree
+
+    def again(self) -> "AbstractEnsemble":
+        """The same ensemble in this process."""
+        return self.kind(self.function, self.model, placements(self.model))
+
+
 class AbstractEnsemble(abc.ABC):
     """A function at the realisations of a model, with decisions at their initial values.
 
@@ -84,6 +96,10 @@ class AbstractEnsemble(abc.ABC):
             return self._checked(evaluate(points, part.first), points, part.first)
 
         return each(outputs, parts(levels, size), at_once=self.at_once)
+
+    def alone(self) -> Alone:
+        """What it is made of, without anything compiled."""
+        return Alone(type(self), self._function, self._model)
 
     @abc.abstractmethod
     def _of_size(self, size: int) -> Callable[[Points, int], Pytree]:

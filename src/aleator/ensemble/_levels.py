@@ -27,3 +27,13 @@ def draw(
 ) -> Float[np.ndarray, "count variables"]:
     """Independent random germ points."""
     return at_levels(germs, random_levels(generator, count, len(germs)))
+
+
+def drawn_from(
+    germs: Collection[AbstractGerm], seed: int, first: int, count: int
+) -> Float[np.ndarray, "count variables"]:
+    """Those of the random germ points of a seed that follow the `first` ones: all of them together are one `draw`."""
+    bits = np.random.PCG64(seed)
+    # One state of the generator for each number.
+    bits.advance(first * len(germs))
+    return draw(germs, count, np.random.Generator(bits))

@@ -14,12 +14,13 @@ from typing import Any, final
 from typing_extensions import override
 
 from aleator._core.errors import JournalWarning, ProblemError
-from aleator._core.journalled import AbstractEntry, AbstractJournal, journalling
+from aleator._core.journalled import AbstractEntry, AbstractJournal, AbstractParts, journalling
 from aleator._core.lasting import DoubtError
 from aleator.journalling import _results
 from aleator.journalling._entry import FILE, Entry, State, interrupted, note, read
 from aleator.journalling._keys import Keys, done_with
 from aleator.journalling._load import finished
+from aleator.journalling._parts import Parts
 from aleator.nlp import Status
 from aleator.reporting import check_writable, only_writer
 
@@ -173,6 +174,11 @@ class Journal(AbstractJournal):
             return
         self._keys.remember(result, entry.key)
         self.append(replace(entry, state=_state_of(result), seconds=seconds, file=name, digest=digest))
+        self.parts_of(entry).drop()
+
+    def parts_of(self, entry: Entry) -> Parts:
+        """The parts of a result that is not finished."""
+        return Parts(self.folder / _RESULTS, entry.key[:_NAMED], self.warn)
 
     def warn(self, said: str) -> None:
         """Warn of something, once."""
@@ -200,6 +206,11 @@ class _Entry(AbstractEntry):
         self._started = time.perf_counter()
         if begun is not None and recalled is None:
             journal.append(begun)
+
+    @property
+    @override
+    def parts(self) -> AbstractParts:
+        return super().parts if self._begun is None else self._journal.parts_of(self._begun)
 
     @override
     def keep(self, result: Any) -> None:

@@ -1,6 +1,8 @@
 """A function of uncertain inputs at a whole sample, kept in memory."""
 
 import math
+from collections.abc import Iterable
+from concurrent.futures import Executor
 from typing import Any
 
 import jax
@@ -8,13 +10,24 @@ import numpy as np
 from jaxtyping import Float
 
 from aleator._core.arrays import Pytree
+from aleator._core.elsewhere import each_done
 from aleator._core.errors import ProblemError
 from aleator._core.given import whole as whole_given
 from aleator._core.memory import NUMBER, refuse_beyond_memory
-from aleator._core.progress import Progress
-from aleator.ensemble import AbstractEnsemble, BoxEnsemble, Function, at_levels, ensemble_for, uncertain_places
+from aleator._core.progress import Progress, silent
+from aleator.ensemble import (
+    AbstractEnsemble,
+    Alone,
+    BoxEnsemble,
+    Function,
+    at_levels,
+    ensemble_for,
+    uncertain_places,
+)
 
 _MOST_BYTES = 2 * 2**30
+# Calls of an executor at most.
+_CALLS = 32
 
 
 def ensemble_of(verb: str, function: Function, model: Pytree, *, traced: bool) -> AbstractEnsemble:
@@ -41,14 +54,47 @@ def evaluate(
 
     Raises the errors of an ensemble, and `ProblemError` if the outputs would not fit into memory.
     """
-    total, kept = len(levels), None
-    found = ensemble.in_batches(levels, min(batch, total))
+    found = ensemble.in_batches(levels, min(batch, len(levels)))
+    return _gathered(len(levels), ((part.first, values) for part, values in found), progress)
+
+
+def evaluate_elsewhere(
+    verb: str,
+    executor: Executor,
+    ensemble: AbstractEnsemble,
+    levels: Float[np.ndarray, "n variables"],
+    *,
+    batch: int,
+    progress: Progress,
+) -> Pytree:
+    """The same by an executor, in batches of the same size. Raises `ProblemError` for a black box: it has its own."""
+    if isinstance(ensemble, BoxEnsemble):
+        raise ProblemError(
+            f"{verb}: executor: expected a function; received a black box, which runs its samples in its own way: give "
+            "the executor to the black box."
+        )
+    batch = min(batch, len(levels))
+    size = batch * max(-(-len(levels) // (_CALLS * batch)), 1)
+    begins = range(0, len(levels), size)
+    calls = [{"ensemble": ensemble.alone(), "levels": levels[first : first + size], "batch": batch} for first in begins]
+    found = each_done(executor, _evaluated_there, calls, [verb] * len(calls))
+    return _gathered(len(levels), ((begins[i], values) for i, values in found), progress)
+
+
+def _evaluated_there(ensemble: Alone, levels: Float[np.ndarray, "n variables"], batch: int) -> Pytree:
+    found = ensemble.again().in_batches(levels, batch)
+    return _gathered(len(levels), ((part.first, values) for part, values in found), silent)
+
+
+def _gathered(total: int, found: Iterable[tuple[int, Pytree]], progress: Progress) -> Pytree:
+    """Outputs at all points, from those at some points together and the number of the first of these."""
+    kept, done = None, 0
     progress("Monte Carlo", 0, total)
-    for part, values in found:
+    for first, values in found:
         kept = _room(total, values) if kept is None else kept
-        done = part.first + len(part.points)
         for whole, some in zip(jax.tree.leaves(kept), jax.tree.leaves(values), strict=True):
-            whole[part.first : done] = some
+            whole[first : first + len(some)] = some
+        done += len(jax.tree.leaves(values)[0])
         progress("Monte Carlo", done, total)
     return kept
 

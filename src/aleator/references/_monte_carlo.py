@@ -1,11 +1,14 @@
 """Monte Carlo and randomised quasi-Monte Carlo: a function of uncertain inputs, without any expansion."""
 
+from concurrent.futures import Executor
+
 import jax
 import numpy as np
 import scipy
 from jaxtyping import Float
 
 from aleator._core.arrays import Pytree
+from aleator._core.elsewhere import check_executor
 from aleator._core.errors import ProblemError
 from aleator._core.progress import Progress, check_progress, silent
 from aleator.ensemble import Function, random_levels
@@ -14,6 +17,7 @@ from aleator.references._evaluation import (
     check_whole,
     ensemble_of,
     evaluate,
+    evaluate_elsewhere,
     evaluate_kept,
     refuse_large_sample,
 )
@@ -31,6 +35,7 @@ def monte_carlo(
     seed: int = 0,
     traced: bool = True,
     batch: int = 4096,
+    executor: Executor | None = None,
     progress: Progress = silent,
 ) -> RandomSample:
     """Evaluate a function at random inputs: `al.references.monte_carlo(f, {"w": al.Uniform.bounds(0.9, 1.1)})`.
@@ -41,7 +46,8 @@ def monte_carlo(
     - `model`: a dict or any other pytree with distributions in it, such as a `System`. Decisions are held at their
       initial values;
     - `traced`: False calls the function with plain numbers, point by point, if JAX cannot trace it;
-    - `batch`: how many inputs to evaluate at a time; lower it to save memory. The sample does not depend on it.
+    - `batch`: how many inputs to evaluate at a time; lower it to save memory. The sample does not depend on it;
+    - `executor`: evaluates batches at once (see `al.pareto`), with the same result. A black box has one of its own.
 
     Returns a `RandomSample`, whose statistics are estimates with standard errors. The whole sample is kept, at most 2
     GiB. Standard errors fall as `samples^(-1/2)`. Raises `ProblemError` if nothing is uncertain or the sample is too
@@ -49,12 +55,16 @@ def monte_carlo(
     """
     check_whole("monte_carlo", samples=samples, seed=seed, batch=batch)
     check_progress("monte_carlo", progress)
+    check_executor("monte_carlo", executor)
     if samples < 4:
         raise ProblemError(f"monte_carlo: expected at least 4 samples; received {samples}.")
     ensemble = ensemble_of("monte_carlo", function, model, traced=traced)
     refuse_large_sample("monte_carlo", samples, len(ensemble.places.germs))
     levels = random_levels(np.random.default_rng(seed), samples, len(ensemble.places.germs))
-    values = evaluate_kept(ensemble, levels, batch=batch, progress=progress)
+    if executor is not None:
+        values = evaluate_elsewhere("monte_carlo", executor, ensemble, levels, batch=batch, progress=progress)
+    else:
+        values = evaluate_kept(ensemble, levels, batch=batch, progress=progress)
     return RandomSample(values, group_count(len(jax.tree.leaves(values)[0])), seed)
 
 
@@ -67,6 +77,7 @@ def quasi_monte_carlo(
     seed: int = 0,
     traced: bool = True,
     batch: int = 4096,
+    executor: Executor | None = None,
     progress: Progress = silent,
 ) -> RandomSample:
     """Evaluate a function at scrambled Sobol points.
@@ -79,9 +90,13 @@ def quasi_monte_carlo(
     """
     check_whole("quasi_monte_carlo", samples=samples, replicates=replicates, seed=seed, batch=batch)
     check_progress("quasi_monte_carlo", progress)
+    check_executor("quasi_monte_carlo", executor)
     ensemble = ensemble_of("quasi_monte_carlo", function, model, traced=traced)
     levels = scrambled_nets("quasi_monte_carlo", len(ensemble.places.germs), samples, replicates, seed)
-    values = evaluate(ensemble, levels, batch=batch, progress=progress)
+    if executor is not None:
+        values = evaluate_elsewhere("quasi_monte_carlo", executor, ensemble, levels, batch=batch, progress=progress)
+    else:
+        values = evaluate(ensemble, levels, batch=batch, progress=progress)
     return RandomSample(values, replicates, seed)
 
 

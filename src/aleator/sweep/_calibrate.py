@@ -3,6 +3,7 @@
 import bisect
 import warnings
 from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
 from dataclasses import replace
 from functools import partial
 from typing import Any, final
@@ -10,6 +11,7 @@ from typing import Any, final
 import numpy as np
 import scipy
 
+from aleator._core.elsewhere import check_executor
 from aleator._core.errors import CalibrationWarning, ProblemError
 from aleator._core.heard import heeding
 from aleator._core.progress import Progress, check_progress, silent
@@ -45,6 +47,7 @@ def calibrate(
     max_trials: int = 12,
     solver: AbstractSolver | None = None,
     transcription: AbstractTranscription = DEFAULT,
+    executor: Executor | None = None,
     progress: Progress = silent,
 ) -> Calibration:
     """Find the `sigmas` at which systems violate the constraints called `names` no more often than `target`.
@@ -66,13 +69,15 @@ def calibrate(
 
     An unconfirmed result is returned too, with a `CalibrationWarning` that says what is missing: see
     `Calibration.confirmed`. So is the result when Ctrl-C is pressed after the first trial. A later solve that fails
-    bounds the search. `solver` and `transcription` are those of `al.solve`.
+    bounds the search. `solver` and `transcription` are those of `al.solve`. An `executor` (see `al.pareto`) shares the
+    systems that are counted, with the same result; trials follow from one another, and importance sampling stays here.
 
     Raises `ProblemError`, before anything is solved, for invalid arguments, and whatever the first solve raises.
     """
     check_progress("calibrate", progress)
+    check_executor("calibrate", executor)
     names = _checked(problem, names, target, samples, seed, precision, max_trials)
-    sampler = _Sampler(names, float(target), samples, seed)
+    sampler = _Sampler(names, float(target), samples, seed, executor)
     given = {name: max(one.expression.sigmas or 0.0 for one in problem.named(name)) for name in names}
     solved = partial(solve, solver=solver, transcription=transcription)
     search = MarginSearch(problem, given, sampler.trial, sampler.aim, precision, solved)
@@ -175,8 +180,8 @@ class _Run:
 class _Sampler:
     """How often designs are violated: on the common sample of all trials, and on fresh samples, each used once."""
 
-    def __init__(self, names: tuple[str, ...], target: float, samples: int, seed: int):
-        self.names, self.target = names, target
+    def __init__(self, names: tuple[str, ...], target: float, samples: int, seed: int, executor: Executor | None):
+        self.names, self.target, self._executor = names, target, executor
         self._samples, self._seed = samples, seed
         self._looks = 0
 
@@ -190,7 +195,7 @@ class _Sampler:
         seed = self._stream(1 + self._looks)
         share, evidence = self._drawn(solution, times, seed, keep=200)
         if evidence is None:
-            evidence = validate(solution, self._samples, seed=seed)
+            evidence = validate(solution, self._samples, seed=seed, executor=self._executor)
         return replace(share, confidence=_confidence(self._looks)), evidence
 
     def hoped(self, share: Share, times: float) -> Share:
@@ -226,7 +231,7 @@ class _Sampler:
             if not isinstance(found, Proportion):
                 return found, None
             count = min(times * int(np.ceil(_COUNTED / self.target)), _MOST_COUNTED)
-        evidence = validate(solution, count, seed=seed, keep=keep)
+        evidence = validate(solution, count, seed=seed, keep=keep, executor=self._executor)
         return evidence.violation(*self.names), evidence
 
     def _stream(self, number: int) -> int:

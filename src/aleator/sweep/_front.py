@@ -8,6 +8,7 @@ from typing import Any, final
 import numpy as np
 from jaxtyping import Float
 
+from aleator._core.elsewhere import check_executor
 from aleator._core.errors import AleatorError, ProblemError
 from aleator._core.given import a_name, one_of, real_array
 from aleator._core.heard import heeding
@@ -19,7 +20,7 @@ from aleator.design import Problem, current, refuse_changed
 from aleator.nlp import AbstractSolver, Status
 from aleator.solution import Solution, in_brief
 from aleator.solving import solve
-from aleator.sweep._elsewhere import check_executor, each_elsewhere
+from aleator.sweep._elsewhere import each_elsewhere
 from aleator.transcription import DEFAULT, AbstractTranscription
 
 

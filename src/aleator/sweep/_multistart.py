@@ -8,6 +8,7 @@ from typing import Any, final
 import numpy as np
 from jaxtyping import Float
 
+from aleator._core.elsewhere import check_executor
 from aleator._core.errors import AleatorError, ProblemError
 from aleator._core.given import one_of, positive, whole
 from aleator._core.heard import heeding
@@ -18,7 +19,7 @@ from aleator.design import Problem, current, refuse_changed
 from aleator.nlp import AbstractSolver, Status
 from aleator.solution import Solution
 from aleator.solving import solve
-from aleator.sweep._elsewhere import check_executor, each_elsewhere
+from aleator.sweep._elsewhere import each_elsewhere
 from aleator.transcription import DEFAULT, AbstractTranscription
 
 # Objectives, or decisions, with a smaller relative difference belong to one local optimum.

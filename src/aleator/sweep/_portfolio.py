@@ -1,12 +1,14 @@
 """`portfolio`: a global search and many local ones, and how sure one may be of their best."""
 
 from collections.abc import Iterator, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, final
 
 import numpy as np
 from jaxtyping import Float
 
+from aleator._core.elsewhere import check_executor
 from aleator._core.errors import ProblemError
 from aleator._core.given import one_of, whole
 from aleator._core.heard import heeding
@@ -26,6 +28,7 @@ from aleator.nlp import (
 )
 from aleator.solution import Solution
 from aleator.solving import check_search, solve
+from aleator.sweep._searches import each_outcome, searched_globally
 from aleator.transcription import DEFAULT, transcribe
 
 # Objectives, or decisions, with a smaller relative difference belong to one optimum, and so do objectives whose
@@ -153,6 +156,7 @@ def portfolio(
     search: AbstractSearch | None = DifferentialEvolution(),  # noqa: B008 -- frozen
     solver: AbstractSolver | None = None,
     seed: int = 0,
+    executor: Executor | None = None,
     progress: Progress = silent,
 ) -> Portfolio:
     """Look for the best of all designs: search globally, then locally from many points, then certify the best optimum.
@@ -163,12 +167,16 @@ def portfolio(
     next ones where its certificate fails. Ctrl-C ends the searches and certifies the best so far.
 
     - `starts`: local searches in all; `search`: None leaves the global search out;
-    - `solver`: of the local searches, `al.solvers.FilterSQP()` by default; `seed`: of the random starts.
+    - `solver`: of the local searches, `al.solvers.FilterSQP()` by default; `seed`: of the random starts;
+    - `executor`: does several local searches at once (see `al.pareto`), with the same results.
+
+    Within `al.journal(folder)` the global search and each local one are kept as soon as they have ended.
 
     Raises `ProblemError` for too few starts, and for decisions without bounds if there is a search that needs them.
     """
     one_of("portfolio: problem", problem, Problem)
     starts, seed = whole("portfolio: starts", starts), whole("portfolio: seed", seed, least=0)
+    check_executor("portfolio", executor)
     check_progress("portfolio", progress)
     if search is not None:
         one_of("portfolio: search", search, AbstractSearch, "al.solvers.DifferentialEvolution(), or None")
@@ -176,29 +184,31 @@ def portfolio(
     problem, local = current(problem), (solver or DEFAULT.solver)
     one_of("portfolio: solver", local, AbstractSolver, "al.solvers.FilterSQP()")
     program = transcribe(problem, DEFAULT).program
-    ends: list[_End] = []
-    found: list[Float[np.ndarray, " n"]] = []
+    ended: dict[int, _End] = {}
+    found: Sequence[Float[np.ndarray, " n"]] = []
     searched: Searched | None = None
     interrupted = True
     try:
         with heeding() as heed:
             if search is not None:
-                sought, searched = search.seek(program)
-                found = sought.candidates(max(starts // 2, 1))
-                if sought.halt is not None:
+                found_by = searched_globally(problem, program, search, max(starts // 2, 1))
+                found, searched = found_by.candidates, found_by.searched
+                if found_by.status is Status.INTERRUPTED:
                     raise KeyboardInterrupt
-            for done, one in enumerate(_starts(program, found, starts, seed)):
-                progress("local searches", done, starts)
-                outcome = local.local.solve(program, start=one.point)
+            begun = list(_starts(program, found, starts, seed))
+            progress("local searches", 0, starts)
+            points = [one.point for one in begun]
+            for i, outcome in each_outcome(problem, program, local.local, points, executor):
                 if outcome.status is Status.INTERRUPTED:
                     raise KeyboardInterrupt
-                ends.append(_End(outcome, one.is_random))
+                ended[i] = _End(outcome, begun[i].is_random)
+                progress("local searches", len(ended), starts)
                 heed()
-        progress("local searches", starts, starts)
         interrupted = False
     except KeyboardInterrupt:
-        if not ends and not found:
+        if not ended and not found:
             raise
+    ends = [ended[i] for i in sorted(ended)]
     optima = _optima(problem, ends)
     points = _worth_certifying(optima, ends, found)
     try:

@@ -5,6 +5,7 @@ from concurrent.futures import Executor
 from dataclasses import dataclass
 from typing import Any, TypeAlias, final
 
+from aleator._core.elsewhere import check_executor
 from aleator._core.errors import AleatorError, ProblemError
 from aleator._core.given import refusal, whole
 from aleator._core.heard import heeding
@@ -12,7 +13,7 @@ from aleator._core.progress import Progress, check_progress, silent
 from aleator._core.shown import Drawn
 from aleator._core.warned import warned_of
 from aleator.solution import Solution
-from aleator.sweep._elsewhere import check_executor, each_elsewhere
+from aleator.sweep._elsewhere import each_elsewhere
 from aleator.sweep._front import Front
 from aleator.sweep._multistart import Starts
 from aleator.sweep._trade_off import TradeOff

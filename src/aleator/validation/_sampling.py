@@ -58,9 +58,9 @@ def _simulate_batch(
 
     def judge(values: tuple[Array, ...]) -> tuple[list[Array], dict[int, Array]]:
         scope = OneSystem(dict(zip(functionals, values, strict=True)), numbers, step)
-        judged = [_judge(constraint, scope) for constraint in problem.constraints]
-        paths = {i: value[::finer] for i, (_, value) in enumerate(judged) if problem.constraints[i].is_path}
-        return [excess for excess, _ in judged], paths
+        both = [judged(constraint, scope) for constraint in problem.constraints]
+        paths = {i: value[::finer] for i, (_, value) in enumerate(both) if problem.constraints[i].is_path}
+        return [excess for excess, _ in both], paths
 
     excess, values = jax.vmap(judge)(samples)
     systems = len(germ)
@@ -94,7 +94,7 @@ def _sums(
     return mean, *jax.lax.reduce((square, square * away, square**2), zeros, added, (0,))
 
 
-def _judge(constraint: Constraint, scope: AbstractScope) -> tuple[Array, Array]:
+def judged(constraint: Constraint, scope: AbstractScope) -> tuple[Array, Array]:
     """One system's largest excess over a constraint's bounds, and the constraint's expression."""
     value = jnp.asarray(constraint.expression.evaluate(scope))
     excess = jnp.max(jnp.maximum(value - constraint.upper, constraint.lower - value))
@@ -116,7 +116,7 @@ def _excess_over_time(
     def judge(point: Float[Array, " variables"]) -> Float[Array, " limits"]:
         values = responses(problem, functionals, point[None], decisions)
         scope = OneSystem({one: value[0] for one, value in zip(functionals, values, strict=True)}, numbers, step)
-        return jnp.stack([_judge(limit, scope)[0] for limit in limits])
+        return jnp.stack([judged(limit, scope)[0] for limit in limits])
 
     return few_at_once(judge, germ).T
 

@@ -23,6 +23,7 @@ from aleator.design import (
 from aleator.ensemble import inputs_at, listed
 from aleator.solution import Solution
 from aleator.validation._counted import finer_by, is_counted, sampled_by
+from aleator.validation._folded import SIMULATE_FOLDED, folds
 from aleator.validation._sampling import EXCESS_OVER_TIME, SIMULATE_BATCH, Batch
 
 
@@ -31,7 +32,8 @@ class Systems:
     """The uncertain systems of a solution, at its decisions: one for each germ point of a batch.
 
     - `problem`: the problem with its distributions restored; `germs`: their variables;
-    - `sampled`: the problem on the grid for simulations, whose error is an order of magnitude below the tolerance.
+    - `sampled`: the problem on the grid for simulations, whose error is an order of magnitude below the tolerance;
+    - `folds`: whether it can be simulated without storing histories (`is_folded`).
 
     Raises `ProblemError`, in the name of the caller `who`, where nothing is uncertain or nothing can be sampled, and
     where the code of the system has changed since the design was solved.
@@ -51,22 +53,32 @@ class Systems:
         self._decisions, self._factor = jnp.asarray(solution.vector), sampled_by(solution)
         self.sampled = _on_finer(self.problem, self._factor)
         self._traced = numbers_to_arrays(self.sampled)
+        self.folds = folds(self.sampled)
         counted = finer_by(solution)
         self._finer = None if counted == self._factor else _for_limits(self.problem, counted)
 
-    def prepare(self, batch: int) -> None:
+    @property
+    def instants(self) -> int:
+        """The number of instants of each simulation."""
+        return self.sampled.grid.steps + 1
+
+    def prepare(self, batch: int, *, is_folded: bool = False) -> None:
         """Start compiling for batches of `batch` systems. The user's code is traced here, by one thread alone."""
         germ = jnp.zeros((batch, len(self.germs)))
-        SIMULATE_BATCH.prepare(self._traced, germ, self._decisions, jnp.asarray(batch), self._factor)
+        program = SIMULATE_FOLDED if is_folded else SIMULATE_BATCH
+        program.prepare(self._traced, germ, self._decisions, jnp.asarray(batch), self._factor)
         if self._finer is not None:
             EXCESS_OVER_TIME.prepare(self._finer, germ, self._decisions)
 
-    def simulate(self, germ: Float[np.ndarray, "systems variables"], count: int) -> Batch:
+    def simulate(self, germ: Float[np.ndarray, "systems variables"], count: int, *, is_folded: bool = False) -> Batch:
         """Simulate the systems at some germ points. Those after the first `count` are padding and do not count.
+
+        - `is_folded`: without storing histories, and so without the values of path constraints.
 
         Raises `SimulationError` if a system's results are not finite, naming its parameter values.
         """
-        result = SIMULATE_BATCH(self._traced, jnp.asarray(germ), self._decisions, jnp.asarray(count), self._factor)
+        program = SIMULATE_FOLDED if is_folded else SIMULATE_BATCH
+        result = program(self._traced, jnp.asarray(germ), self._decisions, jnp.asarray(count), self._factor)
         refuse_broken(self.sampled, np.asarray(result.finite)[:count], germ[:count], self._vector)
         if self._finer is None:
             return result

@@ -1,4 +1,4 @@
-"""Accumulation of batches of systems into evidence: counts, estimates of statistics, moments of paths."""
+"""Accumulation of stretches of systems into evidence: counts, estimates of statistics, moments of paths."""
 
 from collections.abc import Mapping
 from typing import final
@@ -25,40 +25,34 @@ from aleator.validation._compared import Compared, compared
 from aleator.validation._counted import finer_by, is_counted, uncounted
 from aleator.validation._evidence import PERCENTILES, Checked, Evidence, Sampled, Trajectories
 from aleator.validation._proportion import Proportion
-from aleator.validation._sampling import Batch
+from aleator.validation._stretches import Simulated
 from aleator.validation._sums import Sums
 
 
 @final
 class Tally:
-    """The samples so far. Moments of paths are merged batch by batch."""
+    """The samples so far. Moments of paths are merged stretch by stretch."""
 
-    def __init__(self, problem: Problem, tolerances: Float[np.ndarray, " constraints"], samples: int, keep: int):
+    def __init__(self, problem: Problem, tolerances: Float[np.ndarray, " constraints"], samples: int):
         self._problem = problem
         self._functionals = functionals_of(problem.expressions)
         self._tolerances = tolerances
-        self._samples, self._keep = samples, keep
+        self._samples = samples
         self._scalars: dict[int, Float[np.ndarray, " samples"]] = {}
         self._paths: dict[int, Sums] = {}
         self._excess = np.empty((len(problem.constraints), samples))
         self._kept: dict[int, list[np.ndarray]] = {}
 
-    def add(self, batch: Batch, start: int, count: int) -> None:
-        """Add the first `count` systems of a batch, numbered from `start`."""
-        rows = slice(start, start + count)
-        self._excess[:, rows] = np.asarray(batch.excess)[:, :count]
-        for i, values in batch.scalars.items():
-            self._scalars.setdefault(i, np.empty(self._samples))[rows] = np.asarray(values)[:count]
-        for i, values in batch.values.items():
-            wanted = min(count, self._keep - start)
-            if wanted > 0:
-                self._kept.setdefault(i, []).append(np.asarray(values[:wanted]))
-        self._merge(batch, count)
-
-    def _merge(self, batch: Batch, count: int) -> None:
-        for i, parts in batch.paths.items():
-            new = Sums(count, *map(np.asarray, parts))
-            self._paths[i] = self._paths[i].merged(new) if i in self._paths else new
+    def add(self, found: Simulated, start: int) -> None:
+        """Add a stretch whose systems are numbered from `start`."""
+        rows = slice(start, start + found.excess.shape[1])
+        self._excess[:, rows] = found.excess
+        for i, values in found.scalars.items():
+            self._scalars.setdefault(i, np.empty(self._samples))[rows] = values
+        for i, values in found.values.items():
+            self._kept.setdefault(i, []).append(values)
+        for i, sums in found.paths.items():
+            self._paths[i] = self._paths[i].merged(sums) if i in self._paths else sums
 
     def evidence(self, solution: Solution, seed: int, seconds: float) -> Evidence:
         """Everything sampled, as evidence."""

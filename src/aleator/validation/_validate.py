@@ -2,23 +2,24 @@
 
 import time
 import warnings
+from concurrent.futures import Executor
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
-
 from aleator._core.beside import working
+from aleator._core.elsewhere import check_executor
 from aleator._core.errors import ExpansionWarning, ProblemError
 from aleator._core.given import whole
-from aleator._core.journalled import journalled
+from aleator._core.journalled import journalled, parts_so_far
 from aleator._core.memory import NUMBER, refuse_beyond_memory
 from aleator._core.progress import Progress, check_progress, silent
 from aleator.design import functionals_of, refuse_large_histories, uncertain
-from aleator.ensemble import Part, draw, each, fill
 from aleator.solution import Solution
 from aleator.validation._alone import alone
 from aleator.validation._counted import tolerances
 from aleator.validation._evidence import Evidence
+from aleator.validation._part_by_part import Simulate, part_by_part, simulated_elsewhere
+from aleator.validation._stretches import Plan, simulated
 from aleator.validation._systems import Systems
 from aleator.validation._tally import Tally
 
@@ -30,13 +31,16 @@ def validate(
     seed: int = 0,
     batch: int = 250,
     keep: int = 200,
+    executor: Executor | None = None,
     progress: Progress = silent,
 ) -> Evidence:
     """Simulate `samples` fresh random systems at a solution's decisions, from the problem's own distributions.
 
     A deterministic design is validated on the uncertain systems that it stands for. Systems are simulated `batch` at a
     time on each core, so that memory does not grow with their number; the trajectories of `keep` of them are kept, for
-    plots. `seed` makes the result reproducible.
+    plots. `seed` makes the result reproducible. An `executor` (see `al.pareto`) simulates parts of the sample at once,
+    with the same result. Within `al.journal(folder)` what takes long is kept part by part, every few seconds: after a
+    crash the same call goes on from there.
 
     Systems are simulated on the design's own grid if its error is an order of magnitude below the tolerance (see
     `Solution.grid_error`), and otherwise on the finer grid used to estimate it. Where the design's limits over time
@@ -53,9 +57,10 @@ def validate(
         raise ProblemError(f"validate: expected a Solution, from al.solve; received {type(solution).__name__}.")
     least = {"samples": (samples, 2), "batch": (batch, 1), "seed": (seed, 0), "keep": (keep, 0)}
     samples, batch, seed, keep = (whole(f"validate: {name}", one, least=n) for name, (one, n) in least.items())
+    check_executor("validate", executor)
     check_progress("validate", progress)
     given = validated_from(solution, samples, seed=seed, batch=batch, keep=keep)
-    evidence = journalled("validate", given, lambda: _sampled(solution, samples, seed, batch, keep, progress))
+    evidence = journalled("validate", given, lambda: _sampled(solution, samples, seed, batch, keep, executor, progress))
     return _told(evidence if evidence.solution is solution else replace(evidence, solution=solution))
 
 
@@ -66,25 +71,29 @@ def validated_from(
     return {"solution": solution, "how": (samples, seed, batch, keep)}
 
 
-def _sampled(solution: Solution, samples: int, seed: int, batch: int, keep: int, progress: Progress) -> Evidence:
+def _sampled(
+    solution: Solution, samples: int, seed: int, batch: int, keep: int, executor: Executor | None, progress: Progress
+) -> Evidence:
     """The evidence: see `validate`."""
     started = time.perf_counter()
     if not uncertain(solution.problem).placements.germs:
         return alone(solution, started)
     systems = Systems(solution, "validate")
     _refuse_large(systems, samples, min(batch, samples))
-    generator = np.random.default_rng(seed)
-    tally = Tally(systems.problem, tolerances(solution), samples, min(keep, samples))
-    batch = min(batch, samples)
-    drawn = (
-        Part(done, draw(systems.germs, min(batch, samples - done), generator)) for done in range(0, samples, batch)
-    )
+    plan = Plan.of(systems, samples, seed, batch, keep)
+    tally = Tally(systems.problem, tolerances(solution), samples)
     progress("Monte Carlo", 0, samples)
-    systems.prepare(batch)
-    for part, found in each(lambda part: systems.simulate(fill(part.points, batch), len(part.points)), drawn):
-        tally.add(found, part.first, len(part.points))
-        progress("Monte Carlo", part.first + len(part.points), samples)
+    for stretch, found in part_by_part(plan.stretches, _by(executor, solution, systems, plan), parts_so_far()):
+        tally.add(found, stretch.first)
+        progress("Monte Carlo", stretch.end, samples)
     return tally.evidence(solution, seed, time.perf_counter() - started)
+
+
+def _by(executor: Executor | None, solution: Solution, systems: Systems, plan: Plan) -> Simulate:
+    """How stretches are simulated: here, or by an executor."""
+    if executor is None:
+        return lambda stretches: simulated(systems, plan, stretches)
+    return lambda stretches: simulated_elsewhere(executor, solution, plan, stretches)
 
 
 def _told(evidence: Evidence) -> Evidence:

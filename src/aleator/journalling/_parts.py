@@ -1,0 +1,60 @@
+"""Parts of a result that takes long, kept until the whole result is."""
+
+import hashlib
+import os
+import pickle
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, final
+
+from typing_extensions import override
+
+from aleator._core.errors import ProblemError
+from aleator._core.journalled import AbstractParts
+from aleator._core.kept_programs import is_private
+from aleator.reporting import write_whole
+
+_DIGEST = hashlib.sha256().digest_size
+_OTHERS = 0o022  # may write
+
+
+@final
+class Parts(AbstractParts):
+    """One file a part, beside the results: a digest, and Python's pickle, which nobody else may have written.
+
+    - `key`: that of the result; `warn`: is told why a part could not be kept.
+    """
+
+    def __init__(self, folder: Path, key: str, warn: Callable[[str], None]):
+        self._folder, self._key, self._warn = folder, key, warn
+
+    @override
+    def recall(self, number: int) -> Any:
+        try:
+            with self._place(number).open("rb") as file:
+                private, data = is_private(os.fstat(file.fileno())), file.read()
+        except OSError:
+            return None
+        digest, content = data[:_DIGEST], data[_DIGEST:]
+        # What others could have written, or a crash has cut off, is computed again.
+        if not private or hashlib.sha256(content).digest() != digest:
+            return None
+        return pickle.loads(content)
+
+    @override
+    def keep(self, number: int, part: Any) -> None:
+        content = pickle.dumps(part)
+        data = hashlib.sha256(content).digest() + content
+        try:
+            path = write_whole(self._place(number), lambda file: file.write_bytes(data))
+            path.chmod(path.stat().st_mode & ~_OTHERS)
+        except (ProblemError, OSError) as error:
+            self._warn(f"a part of a result is not kept: {error}")
+
+    def drop(self) -> None:
+        """Delete all parts: the whole result is kept."""
+        for path in self._folder.glob(f"{self._key}-*.part"):
+            path.unlink(missing_ok=True)
+
+    def _place(self, number: int) -> Path:
+        return self._folder / f"{self._key}-{number}.part"

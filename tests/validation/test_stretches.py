@@ -1,0 +1,186 @@
+"""Evidence in stretches: folded or not, here or elsewhere, at once or after a crash, it is the same."""
+
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+from collections.abc import Iterator
+from concurrent.futures import Executor, ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+from carts import cart_problem, rooted_problem
+
+import aleator as al
+from aleator.ensemble import draw, drawn_from
+from aleator.solution import Solution
+from aleator.validation import Evidence, _part_by_part, _stretches, _validate
+from aleator.validation._folded import folds
+
+SAMPLES = 3000
+
+
+@pytest.fixture(scope="module")
+def solution() -> Solution:
+    return al.solve(cart_problem())
+
+
+@pytest.fixture
+def folded(monkeypatch: pytest.MonkeyPatch) -> None:
+    """All samples are large enough to be folded."""
+    monkeypatch.setattr(_stretches, "_MANY", 0)
+
+
+@pytest.fixture
+def threads() -> Iterator[Executor]:
+    with ThreadPoolExecutor(2) as executor:
+        yield executor
+
+
+def bits(evidence: Evidence) -> list[bytes]:
+    """All numbers of some evidence."""
+    found = list(evidence.broken.values())
+    for one in evidence.functionals.values():
+        found += [one.mean, one.std, one.std_error, *([] if one.values is None else [one.values])]
+    found += [np.array([one.estimate, one.standard_error]) for one in evidence.statistics.values()]
+    found += [one.values for one in evidence.trajectories]
+    return [np.ascontiguousarray(one).tobytes() for one in found]
+
+
+def test_each_system_has_its_own_place_in_one_stream_of_random_numbers():
+    germs = tuple(cart_problem().placements.germs.values())
+    generator = np.random.default_rng(7)
+    whole = np.concatenate([draw(germs, count, generator) for count in (10, 3, 30)])
+    parts = [drawn_from(germs, 7, first, count) for first, count in ((0, 7), (7, 30), (37, 6))]
+    assert np.concatenate(parts).tobytes() == whole.tobytes()
+
+
+def test_stretches_are_the_whole_sample_in_order():
+    for samples, batch, before in ((1000, 250, 1000), (10**6, 250, 250), (1003, 10, 20), (7, 250, 7)):
+        plan = _stretches.Plan(samples, 0, min(batch, samples), 0, before)
+        assert len(plan.stretches) < 260
+        ends = [one.end for one in plan.stretches]
+        assert [0, *ends[:-1]] == [one.first for one in plan.stretches]
+        assert ends[-1] == samples
+        assert before in {*ends, 0}
+
+
+def test_folded_evidence_is_that_of_stored_histories(solution: Solution, monkeypatch: pytest.MonkeyPatch):
+    stored = al.validate(solution, SAMPLES, batch=100, keep=150)
+    monkeypatch.setattr(_stretches, "_MANY", 0)
+    folded = al.validate(solution, SAMPLES, batch=100, keep=150)
+    assert folded.functionals.keys() == stored.functionals.keys()
+    for one, other in zip(folded.functionals.values(), stored.functionals.values(), strict=True):
+        for name in ("mean", "std", "std_error"):
+            np.testing.assert_allclose(getattr(one, name), getattr(other, name), rtol=1e-9, atol=1e-12)
+    assert any(0 < share.count < SAMPLES for share in stored.violations.values())
+    assert folded.violations == stored.violations
+    assert all((folded.broken[name] == mask).all() for name, mask in stored.broken.items())
+    assert [one.values.tobytes() for one in folded.trajectories] == [
+        one.values.tobytes() for one in stored.trajectories
+    ]
+
+
+def test_only_what_can_be_told_instant_by_instant_is_folded():
+    assert folds(cart_problem())
+    at_peak = al.peak("x").at_most(2.0, sigmas=1)
+    product = al.path("x").mean * al.path("v").mean <= 9.0
+    assert not folds(cart_problem(at_peak))
+    assert not folds(cart_problem(product))
+    assert not folds(cart_problem(integrator=al.integrators.Tsit5()))
+
+
+def test_a_system_that_is_not_finite_is_named_where_it_is_folded(folded: None):
+    with pytest.warns(al.ExpansionWarning, match="does not resolve"):
+        rooted = al.solve(rooted_problem(), throw=False)
+    with pytest.raises(al.SimulationError, match=r"mass = 0\.[0-4].*output 'root'"):
+        al.validate(rooted, SAMPLES, keep=0)
+
+
+@pytest.mark.parametrize("many", [0, np.inf])
+def test_evidence_by_an_executor_is_that_of_this_process_to_the_last_bit(
+    solution: Solution, threads: Executor, many: float, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(_stretches, "_MANY", many)
+    here, there = (al.validate(solution, SAMPLES, batch=20, executor=executor) for executor in (None, threads))
+    assert there.solution is solution
+    assert bits(here) == bits(there)
+
+
+def test_evidence_that_was_ended_goes_on_from_its_parts(
+    solution: Solution, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    undisturbed = al.validate(solution, SAMPLES, batch=100)
+    monkeypatch.setattr(_part_by_part, "_OFTEN", 0.0)
+
+    def end(task: str, done: int, total: int) -> None:
+        if done >= 0.7 * total:
+            raise RuntimeError("ended")
+
+    with al.journal(tmp_path), pytest.raises(RuntimeError, match="ended"):
+        al.validate(solution, SAMPLES, batch=100, progress=end)
+    parts = sorted((tmp_path / "finished").glob("*.part"))
+    assert len(parts) == 21
+    parts[0].write_bytes(parts[0].read_bytes()[:-1])
+    later = []
+    simulated = _stretches.simulated
+
+    def noted(systems, plan, stretches):
+        later.extend(stretches)
+        return simulated(systems, plan, stretches)
+
+    monkeypatch.setattr(_validate, "simulated", noted)
+    with al.journal(tmp_path):
+        resumed = al.validate(solution, SAMPLES, batch=100)
+    assert bits(resumed) == bits(undisturbed)
+    assert len(later) in (9, 30)
+    assert not list((tmp_path / "finished").glob("*.part"))
+    with al.journal(tmp_path):
+        assert bits(al.validate(solution, SAMPLES, batch=100)) == bits(undisturbed)
+
+
+KILLED = """
+    import os
+    import signal
+    import sys
+
+    import aleator as al
+    from aleator.validation import _part_by_part, _stretches
+    from carts import cart_problem
+
+    _part_by_part._OFTEN, _stretches._MANY = 0.0, 0
+
+
+    def kill(task, done, total):
+        if done >= 0.7 * total:
+            os.kill(os.getpid(), signal.SIGKILL)
+
+
+    with al.journal(sys.argv[1]):
+        al.validate(al.solve(cart_problem()), 50_000, batch=100, progress=kill)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform == "win32", reason="processes are killed by a signal")
+def test_evidence_killed_at_seventy_percent_goes_on_from_there_to_the_last_bit(
+    tmp_path: Path, folded: None, monkeypatch: pytest.MonkeyPatch
+):
+    script = tmp_path / "killed.py"
+    script.write_text(textwrap.dedent(KILLED))
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(Path(__file__).parent), *sys.path])}
+    folder = tmp_path / "run"
+    done = subprocess.run([sys.executable, script, folder], env=environment, capture_output=True, text=True)
+    assert done.returncode == -signal.SIGKILL, done.stderr
+    parts = len(list((folder / "finished").glob("*.part")))
+    later = []
+    simulated = _stretches.simulated
+    monkeypatch.setattr(_validate, "simulated", lambda *given: later.extend(given[2]) or simulated(*given))
+    with al.journal(folder):
+        solution = al.solve(cart_problem())
+        resumed = al.validate(solution, 50_000, batch=100)
+    assert parts > 60
+    assert sum(one.systems for one in later) <= 0.35 * 50_000
+    assert bits(resumed) == bits(al.validate(solution, 50_000, batch=100))
