@@ -99,6 +99,8 @@ def _draw_plane(paper: "matplotlib.figure.Figure", figure: "Figure") -> None:
     for note in layout.annotations:
         draw_note(axes.get(note.yref or "y", lower), note, places, figure.layout)
     _fit(lower, layout)
+    if layout.yaxis.scaleanchor == "x":
+        lower.set_aspect("equal")
     _add_legend(paper, lower, layout)
 
 
