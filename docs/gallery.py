@@ -161,7 +161,7 @@ EVERY: dict[str, dict[str, Entry]] = {
             "Pick and place with least effort",
             "Torques of a two-link arm are planned for uncertain payloads, past an obstacle (forward dynamics). "
             "A second plan spends more effort for a smaller spread at the end.",
-            "Paths of the tip under the robust plan: one system in several colours would not show it.",
+            "Paths of the tip for random payloads under the robust plan; those that touch obstacle or wall stand out.",
             lambda: study("pick-and-place-effort", "Path of the tip", 1),
         ),
         "pick-and-place-time": Entry(
@@ -175,8 +175,8 @@ EVERY: dict[str, dict[str, Entry]] = {
             "Swing-up of a double pendulum",
             "One motor swings up two links whose second mass is uncertain (hybrid dynamics). The mean of the family "
             "ends upright, and the spread of its tip is bounded.",
-            "Both joints of all pendulums under one plan; rings are the targets.",
-            lambda: study("swing-up", "Joints and tip over time"),
+            "Paths of the tip of random pendulums under the robust plan; the cross is upright.",
+            lambda: study("swing-up", "Path of the tip", 1),
         ),
         "four-bar": Entry(
             "A straight-line linkage",
