@@ -14,6 +14,7 @@ import sys
 import tempfile
 import types
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -77,9 +78,11 @@ def first() -> "Figure":
     return al.validate(al.solve(names["problem"])).plot(backend="matplotlib")
 
 
-def study(name: str, heading: str, which: int = 0) -> "Figure":
-    """One of the figures under a heading of a study's page, after a quick run."""
-    one = load(name, quick=True)
+def study(name: str, heading: str, which: int = 0, **more: int) -> "Figure":
+    """One of the figures under a heading of a study's page, after a quick run, or one with more effort."""
+    one: Any = load(name, quick=True)
+    if more:
+        one = type(one)(replace(one.quick, **more))
     for stage in one.stages:
         one.run(stage)
     blocks = [block for section in one.sections() for block in section.blocks]
@@ -148,7 +151,7 @@ EVERY: dict[str, dict[str, Entry]] = {
             "Spring and damper of a quarter car with five uncertain numbers: designed for the mean car, robustly, and "
             "with spreads apportioned at minimum cost. It recomputes chapters 6 and 7 of the dissertation.",
             "The best ride over the travel allowed: uncertainty shifts the whole front.",
-            lambda: study("suspension", "Ride against the travel limit, H = 0.034 m"),
+            lambda: study("suspension", "Ride against the travel limit, H = 0.034 m", front_points=10),
         ),
         "clutch": Entry(
             "Tolerances of a one-way clutch",
@@ -220,8 +223,13 @@ def write_picture(figure: "Figure", path: Path) -> None:
     with matplotlib.rc_context({"svg.hashsalt": "aleator", "path.simplify_threshold": 0.3}):
         drawn = io.StringIO()
         figure.savefig(drawn, format="svg", metadata={"Date": None}, facecolor="white")
-    # Two decimals of a point are more than any screen shows.
-    path.write_text(re.sub(r"(?<=[ML ])(-?\d+\.\d{2})\d+(?=[ \n])", r"\1", drawn.getvalue()), encoding="utf-8")
+    path.write_text(re.sub(r' d="[^"QC]*"', _short, drawn.getvalue()), encoding="utf-8")
+
+
+def _short(polyline: re.Match[str]) -> str:
+    """A polyline in tenths of a point, finer than any screen shows, without a letter for each of its points."""
+    rounded = re.sub(r"-?\d+\.\d+", lambda number: f"{float(number[0]):.1f}", polyline[0])
+    return re.sub(r"\s+L\s+|\s+", " ", rounded)
 
 
 def main(names: Sequence[str]) -> None:

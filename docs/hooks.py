@@ -36,7 +36,7 @@ def on_page_content(content: str, **_: Any) -> str:
 
 
 def formula(tex: str, *, own_line: bool) -> str:
-    """A formula as MathML; one of its own line with its number, `\\tag{33}`, at the right."""
+    """A formula as MathML; one of its own line with its number, given by TeX's `tag`, at the right."""
     number = _NUMBER.search(tex)
     shown = convert(_NUMBER.sub("", tex).strip(), display="block" if own_line else "inline")
     if not own_line:

@@ -106,7 +106,7 @@ def density_figure(
 
 
 def _beyond(limit: float, side: int, values: np.ndarray, density: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The part of a density below (`side` -1) or above (1) a limit, from the limit itself, which need not be a value."""
+    """The part of a density below (`side` -1) or above (1) a limit, which need not be among the values."""
     chosen = side * (values - limit) > 0
     if not chosen.any():
         return values[chosen], density[chosen]

@@ -50,7 +50,7 @@ def paper_figure(figure: "Figure") -> "matplotlib.figure.Figure":
         raise ProblemError(f"A figure on paper: expected curves, points, bands and bars; received {odd}.")
     matplotlib = _matplotlib()
     with matplotlib.rc_context(_STYLE):
-        large = bool(kinds & {"scatter3d", "parcoords"})
+        large = bool(kinds & {"scatter3d", "parcoords"}) or figure.layout.yaxis.scaleanchor == "x"
         paper = matplotlib.figure.Figure(figsize=(_WIDTH, _LARGE if large else _HEIGHT), layout="constrained")
         if "scatter3d" in kinds:
             _draw_space(paper, figure)

@@ -105,7 +105,7 @@ def draw_shape(axes: Axes, shape: Any) -> None:
         _draw_solid(axes, shape)
     else:
         raise ProblemError(
-            f"A figure on paper: expected lines across it, shaded ranges, discs and rectangles; received a {shape.type}."
+            f"A figure on paper: expected lines across it, shaded ranges, discs, rectangles; received a {shape.type}."
         )
 
 
@@ -136,12 +136,12 @@ def draw_note(axes: Axes, note: Any, places: Mapping[str, list[str]], layout: An
     at = _place(note.x, places["x"], layout.xaxis, across), _place(note.y, places["y"], layout.yaxis, up)
     turned, height = -(note.textangle or 0), {"top": "top", "bottom": "bottom"}.get(note.yanchor, "center")
     away = {"top": -1, "bottom": 1, "center": 0}[height] + POINTS * (note.yshift or 0)
-    side = "right" if turned else {"left": "left", "right": "right"}.get(note.xanchor, "center")
+    side = {"left": "left", "right": "right"}.get(note.xanchor, "center")
     axes.annotate(
         drawn_text(note.text),
         at,
         xycoords=frame,
-        xytext=(-2 if turned else POINTS * (note.xshift or 0), away),
+        xytext=(-2 if turned and side == "right" else POINTS * (note.xshift or 0), away),
         textcoords="offset points",
         ha=side,
         va=height,

@@ -14,7 +14,6 @@ from aleator._core.errors import ProblemError, SimulationError
 from aleator.design import (
     AbstractFunctional,
     Constraint,
-    Expression,
     Problem,
     Statistic,
     functionals_of,
@@ -57,7 +56,7 @@ def limits_of(problem: Problem, functional: AbstractFunctional, unit: str) -> Li
     texts: dict[float, str] = {}
     sigmas, names = 0.0, set()
     for one in problem.constraints:
-        if functionals_of((one.expression,)) != (functional,) or not (_is_of_path(one.expression) or is_worst_case(one)):
+        if functionals_of((one.expression,)) != (functional,) or not _has_values_of_path(one):
             continue
         multiple = one.expression.sigmas or 0.0
         sigmas = max(sigmas, multiple)
@@ -75,9 +74,13 @@ def _how(limit: Constraint, multiple: float) -> str:
     return " in the worst case" if is_worst_case(limit) else ""
 
 
-def _is_of_path(expression: Expression) -> bool:
-    """Whether an expression has the path's own values: one statistic of it, not in proportion, and its spreads."""
-    pairs = list(zip(expression.factors, expression.atoms, strict=True))
+def _has_values_of_path(limit: Constraint) -> bool:
+    """Whether what is limited has the path's own values: its worst case, or one statistic of it, not in proportion, and
+    its spreads.
+    """
+    if is_worst_case(limit):
+        return True
+    pairs = list(zip(limit.expression.factors, limit.expression.atoms, strict=True))
     located = [float(factor) for factor, atom in pairs if not atom.is_spread]
     return located == [1.0] and all(isinstance(atom, Statistic) for _, atom in pairs)
 
