@@ -216,13 +216,14 @@ def _source(chapter: str, name: str) -> str:
     return f"`aleator run {name}`: [its physics and problems](../{package}/__init__.py)"
 
 
-def write_picture(figure: "Figure", path: Path) -> None:
+def write_picture(draw: Callable[[], "Figure"], path: Path) -> None:
     """A picture that is the same whenever it is made: without date and with fixed names inside."""
     import matplotlib
 
-    with matplotlib.rc_context({"svg.hashsalt": "aleator", "path.simplify_threshold": 0.3}):
+    # Curves keep the simplification with which they were drawn: to half a point.
+    with matplotlib.rc_context({"svg.hashsalt": "aleator", "path.simplify_threshold": 0.5}):
         drawn = io.StringIO()
-        figure.savefig(drawn, format="svg", metadata={"Date": None}, facecolor="white")
+        draw().savefig(drawn, format="svg", metadata={"Date": None}, facecolor="white")
     path.write_text(re.sub(r' d="[^"QC]*"', _short, drawn.getvalue()), encoding="utf-8")
 
 
@@ -237,7 +238,7 @@ def main(names: Sequence[str]) -> None:
     drawn = {FIRST: first} | {name: one.draw for entries in EVERY.values() for name, one in entries.items()}
     for name in names or drawn:
         print(name, flush=True)
-        write_picture(drawn[name](), PICTURES / f"{name}.svg")
+        write_picture(drawn[name], PICTURES / f"{name}.svg")
     (DOCS / "gallery.md").write_text(page(), encoding="utf-8")
 
 
