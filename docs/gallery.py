@@ -79,14 +79,14 @@ def first() -> "Figure":
 
 
 def study(name: str, heading: str, which: int = 0, **more: int) -> "Figure":
-    """One of the figures under a heading of a study's page, after a quick run, or one with more effort."""
+    """A figure of a study's page, under the last such heading, after a quick run or one with more effort."""
     one: Any = load(name, quick=True)
     if more:
         one = type(one)(replace(one.quick, **more))
     for stage in one.stages:
         one.run(stage)
     blocks = [block for section in one.sections() for block in section.blocks]
-    (drawing,) = (block for block in blocks if isinstance(block, Drawing) and block.heading == heading)
+    *_, drawing = (block for block in blocks if isinstance(block, Drawing) and block.heading == heading)
     return paper_figure(drawing.figures[which])
 
 
@@ -103,7 +103,7 @@ EVERY: dict[str, dict[str, Entry]] = {
         ),
         "five_sources": Entry(
             "A heated stage with five sources of uncertainty",
-            "A parameter, a first temperature, and three random processes - sensor, heater, air - act in one "
+            "A parameter, a first temperature, and three random processes (sensor, heater and air) act in one "
             "expansion. The noisiest thermometer that still holds the temperature is chosen with the controller's "
             "gain.",
             "The heater's power: its mean, the band of two standard deviations, and its limits.",
@@ -178,8 +178,8 @@ EVERY: dict[str, dict[str, Entry]] = {
             "Swing-up of a double pendulum",
             "One motor swings up two links whose second mass is uncertain (hybrid dynamics). The mean of the family "
             "ends upright, and the spread of its tip is bounded.",
-            "Paths of the tip of random pendulums under the robust plan; the cross is upright.",
-            lambda: study("swing-up", "Path of the tip", 1),
+            "Both joints of 200 pendulums under the robust plan: mean, standard deviation and range. Rings: upright.",
+            lambda: study("swing-up", "Joints and tip over time"),
         ),
         "four-bar": Entry(
             "A straight-line linkage",
