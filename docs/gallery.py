@@ -18,6 +18,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
+
 import aleator as al
 from aleator.reporting import Drawing, paper_figure
 from aleator.studies import load
@@ -27,6 +29,8 @@ if TYPE_CHECKING:
 
 DOCS = Path(__file__).parent
 FIRST = "landing"
+OFF = 0.2
+"""Points of type that a curve may be off when it is drawn with fewer points."""
 PICTURES, EXAMPLES = DOCS / "pictures", DOCS.parent / "examples"
 
 
@@ -150,7 +154,7 @@ EVERY: dict[str, dict[str, Entry]] = {
             "Suspension of a car",
             "Spring and damper of a quarter car with five uncertain numbers: designed for the mean car, robustly, and "
             "with spreads apportioned at minimum cost. It recomputes chapters 6 and 7 of the dissertation.",
-            "The best ride over the travel allowed: uncertainty shifts the whole front.",
+            "The best ride over the travel allowed, for the mean car (dOpt) and for all cars (uOpt).",
             lambda: study("suspension", "Ride against the travel limit, H = 0.034 m", front_points=10),
         ),
         "clutch": Entry(
@@ -178,14 +182,14 @@ EVERY: dict[str, dict[str, Entry]] = {
             "Swing-up of a double pendulum",
             "One motor swings up two links whose second mass is uncertain (hybrid dynamics). The mean of the family "
             "ends upright, and the spread of its tip is bounded.",
-            "Both joints of 200 pendulums under the robust plan: mean, standard deviation and range. Rings: upright.",
-            lambda: study("swing-up", "Joints and tip over time"),
+            "The motor's torque for 200 pendulums under the robust plan: mean, standard deviation and range.",
+            lambda: study("swing-up", "Torque over time"),
         ),
         "four-bar": Entry(
             "A straight-line linkage",
             "Lengths, tolerances and clearances of Hoeken's linkage, with the forces in its pins. The tool stays "
             "within its zone for all but a few linkages, at the lowest cost of manufacture.",
-            "The tool's deviation from the line, of 400 linkages of the apportioned design.",
+            "The tool's deviation from the line, of 400 linkages of the apportioned design (aOpt).",
             lambda: study("four-bar", "Deviation from the line", 3),
         ),
     },
@@ -220,17 +224,37 @@ def write_picture(draw: Callable[[], "Figure"], path: Path) -> None:
     """A picture that is the same whenever it is made: without date and with fixed names inside."""
     import matplotlib
 
-    # Curves keep the simplification with which they were drawn: to half a point.
-    with matplotlib.rc_context({"svg.hashsalt": "aleator", "path.simplify_threshold": 0.5}):
+    with matplotlib.rc_context({"svg.hashsalt": "aleator", "path.simplify": False}):
         drawn = io.StringIO()
         draw().savefig(drawn, format="svg", metadata={"Date": None}, facecolor="white")
-    path.write_text(re.sub(r' d="[^"QC]*"', _short, drawn.getvalue()), encoding="utf-8")
+    path.write_text(re.sub(r' d="([^"QC]*)"', _short, drawn.getvalue()), encoding="utf-8")
 
 
-def _short(polyline: re.Match[str]) -> str:
-    """A polyline in tenths of a point, finer than any screen shows, without a letter for each of its points."""
-    rounded = re.sub(r"-?\d+\.\d+", lambda number: f"{float(number[0]):.1f}", polyline[0])
-    return re.sub(r"\s+L\s+|\s+", " ", rounded)
+def _short(path: re.Match[str]) -> str:
+    """A path of straight lines with as few points as a screen needs, in tenths of a point."""
+    parts = []
+    for part in path[1].split("M")[1:]:
+        points = np.array(re.findall(r"-?[\d.]+", part), float).reshape(-1, 2)
+        numbers = " ".join(f"{one:.1f}" for one in _thinned(points).ravel())
+        parts.append(f"M{numbers}{'z' * ('z' in part)}")
+    return f' d="{"".join(parts)}"'
+
+
+def _thinned(points: np.ndarray) -> np.ndarray:
+    """The points of a curve without those that are hardly off the lines between others (Douglas and Peucker, 1973)."""
+    kept, spans = {0, len(points) - 1}, [(0, len(points) - 1)]
+    while spans:
+        first, last = spans.pop()
+        between, chord = points[first + 1 : last] - points[first], points[last] - points[first]
+        if not len(between):
+            continue
+        length = float(np.hypot(*chord))
+        off = np.abs(between @ [-chord[1], chord[0]]) / length if length else np.hypot(*between.T)
+        if off.max() > OFF:
+            middle = first + 1 + int(off.argmax())
+            kept.add(middle)
+            spans += [(first, middle), (middle, last)]
+    return points[sorted(kept)]
 
 
 def main(names: Sequence[str]) -> None:

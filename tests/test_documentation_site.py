@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 import aleator as al
@@ -56,6 +57,17 @@ def test_the_gallery_has_every_example_and_every_study_with_a_small_picture():
     for path in pictures.values():
         assert "<svg" in path.read_text(encoding="utf-8")
         assert path.stat().st_size < LARGEST_PICTURE, path.name
+
+
+def test_curves_of_pictures_are_thinned_by_less_than_can_be_seen():
+    gallery = loaded("gallery")
+    x = np.linspace(0.0, 200.0, 1001)
+    curve = np.column_stack([x, 50.0 * np.sin(x / 20.0)])
+    thinned = gallery._thinned(curve)
+    assert len(thinned) < 100
+    assert np.abs(np.interp(x, *thinned.T) - curve[:, 1]).max() < 3 * gallery.OFF  # its slope is up to 2.5
+    square = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0], [0.0, 0.0]])
+    np.testing.assert_array_equal(gallery._thinned(square), square)
 
 
 def test_the_gallery_is_the_page_that_its_script_writes():
