@@ -231,12 +231,12 @@ def write_picture(draw: Callable[[], "Figure"], path: Path) -> None:
 
 
 def _short(path: re.Match[str]) -> str:
-    """A path of straight lines with as few points as a screen needs, in tenths of a point."""
+    """A path of straight lines with as few points as a screen needs, in tenths of a point, from each to the next."""
     parts = []
     for part in path[1].split("M")[1:]:
-        points = np.array(re.findall(r"-?[\d.]+", part), float).reshape(-1, 2)
-        numbers = " ".join(f"{one:.1f}" for one in _thinned(points).ravel())
-        parts.append(f"M{numbers}{'z' * ('z' in part)}")
+        points = _thinned(np.array(re.findall(r"-?[\d.]+", part), float).reshape(-1, 2)).round(1)
+        steps = " ".join(f"{one:.1f}" for one in np.diff(points, axis=0).ravel())
+        parts.append(f"M{points[0, 0]:.1f} {points[0, 1]:.1f}l{steps}{'z' * ('z' in part)}")
     return f' d="{"".join(parts)}"'
 
 
