@@ -33,7 +33,7 @@ def swing(at):
 
 
 def main():
-    """The period and the last angle: how uncertain, and because of what."""
+    """The period and the last angle: how uncertain, and because of what. Returns the expansion."""
     uncertain = {
         "mass": al.Normal(1.0, 0.02),  # kg
         "length": al.Uniform(1.0, half_width=0.01),  # m
@@ -51,6 +51,7 @@ def main():
     rows = [swing(dict(zip(asked.points, row, strict=True))) for row in zip(*asked.points.values(), strict=True)]
     told = asked.tell({name: np.array([row[name] for row in rows]) for name in ("period", "angle")})
     print("answered elsewhere, the same:", float(told["period"].std) == float(expanded["period"].std))
+    return expanded
 
 
 if __name__ == "__main__":

@@ -7,7 +7,7 @@ from rest to rest. The objective is the total cost of time, of the tolerance, an
     python examples/co_design.py
 """
 
-from typing import Any
+from typing import Any, ClassVar
 
 import jax.numpy as jnp
 import numpy as np
@@ -19,6 +19,7 @@ class Lift(al.Lagrangian):
     """A beam on a joint: the payload on one side, a counterweight on the other; `angle` is measured from horizontal."""
 
     names = ("angle",)
+    units: ClassVar = {"angle_torque": "N m", "height": "m"}
 
     payload: al.Number = al.parameter("kg", positive=True)
     reach: al.Number = al.parameter("m", positive=True)

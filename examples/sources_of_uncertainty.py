@@ -4,6 +4,8 @@ A drawer closes against a damper. Its mass varies with what is inside, its start
 it, and the damper with its manufacture: how exactly must the damper be made, if exactness costs?
 """
 
+from typing import ClassVar
+
 import aleator as al
 
 
@@ -11,6 +13,7 @@ class Drawer(al.System):
     """A mass that a damper slows down: x is the distance closed in m, v the speed."""
 
     states = ("x", "v")
+    units: ClassVar = {"closed": "m", "speed": "m/s"}
     mass: al.Number = al.parameter("kg", positive=True)
     damping: al.Number = al.parameter("N s/m", positive=True)
     push: al.Number = al.parameter("m/s")

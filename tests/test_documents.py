@@ -34,6 +34,7 @@ def run(program: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
         pytest.param("docs/uncertainty.md", marks=pytest.mark.slow),
         "docs/algebraic.md",
         "docs/black_boxes.md",
+        "docs/choosing.md",
         "docs/figures.md",
         "docs/motion.md",
         "docs/openmdao.md",
@@ -49,6 +50,17 @@ def test_code_shown_in_documents_runs(document: str, tmp_path: Path):
     (tmp_path / "shown.py").write_text(code_of(document), encoding="utf-8")
     finished = run(["shown.py"], tmp_path)
     assert finished.returncode == 0, finished.stderr
+
+
+@pytest.mark.parametrize("document", ["docs/index.md"])
+def test_the_first_program_has_fifteen_lines_and_ends_in_a_picture(document: str):
+    text = (ROOT / document).read_text(encoding="utf-8")
+    (program, shown), *_ = re.findall(r"```python\n(.*?)```\n\n!\[.+?\]\((.+?)\)", text, flags=re.DOTALL)
+    assert text.index(program) == text.index("```python\n") + len("```python\n")
+    lines = [line for line in program.splitlines() if line.strip()]
+    assert len(lines) <= 15
+    assert ".plot()" in lines[-1]
+    assert (ROOT / document).parent.joinpath(shown).is_file()
 
 
 @pytest.mark.slow

@@ -1,6 +1,7 @@
 """Journals of runs: what is kept, what is taken from there, and what is not."""
 
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -15,27 +16,7 @@ import xarray
 import aleator as al
 from aleator import solving
 from aleator.journalling import FILE, State
-
-
-class Bar(al.AlgebraicSystem):
-    """A bar of some width under an uncertain load."""
-
-    width: al.Number
-    load: al.Number
-
-    def outputs(self):
-        return {"stress": self.load / self.width, "mass": self.width}
-
-
-STRESS, MASS = al.output("stress"), al.output("mass")
-# stress = load / width: its mean plus three standard deviations are NEEDED / width.
-NEEDED = 1.0 + 3.0 * 0.3 / np.sqrt(3.0)
-
-
-def bar(load: float = 1.0, highest: float = 10.0) -> al.Problem:
-    model = Bar(al.Decision(4.0, 0.1, highest), al.Uniform(load, half_width=0.3))
-    strong = (STRESS.mean + 3 * STRESS.std <= 0.5).named("stress")
-    return al.Problem(model, minimize=MASS.mean, subject_to=[strong])
+from bars import NEEDED, Bar, bar
 
 
 @pytest.fixture
@@ -270,33 +251,17 @@ SWEPT = """
         calibrated = al.calibrate(problem, "stress", target=0.05, samples=2000)
     np.save(sys.argv[2], np.concatenate([front.objectives, front.shadow_prices, [calibrated.solution.objective]]))
 """
-BARS = """
-    import numpy as np
-    import aleator as al
-
-    class Bar(al.AlgebraicSystem):
-        width: al.Number
-        load: al.Number
-
-        def outputs(self):
-            return {"stress": self.load / self.width, "mass": self.width}
-
-    def bar():
-        stress = al.output("stress")
-        model = Bar(al.Decision(4.0, 0.1, 10.0), al.Normal(1.0, 0.1))
-        strong = (stress.mean + stress.std <= 0.5).named("stress")
-        return al.Problem(model, minimize=al.output("mass").mean, subject_to=[strong])
-"""
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="processes are killed by a signal")
 def test_a_run_that_is_killed_again_and_again_ends_as_an_undisturbed_one(tmp_path: Path):
-    (tmp_path / "bars.py").write_text(textwrap.dedent(BARS))
     (tmp_path / "swept.py").write_text(textwrap.dedent(SWEPT))
+    places = [str(Path(__file__).parent), *os.environ.get("PYTHONPATH", "").split(os.pathsep)]
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, places))}
 
     def begun(folder: str, result: str) -> subprocess.Popen:
-        return subprocess.Popen([sys.executable, "swept.py", folder, result], cwd=tmp_path)
+        return subprocess.Popen([sys.executable, "swept.py", folder, result], cwd=tmp_path, env=environment)
 
     assert begun("undisturbed", "whole.npy").wait() == 0
     kept, generator = [], np.random.default_rng(0)

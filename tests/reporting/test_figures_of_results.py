@@ -15,6 +15,7 @@ import shown_results as shown
 import aleator as al
 from aleator._core.shown import Drawn
 from aleator.reporting.drawn import AbstractPlots, plots_of
+from aleator.reporting.drawn._paths_of import limits_of
 
 
 def named(figure, name):
@@ -83,6 +84,17 @@ def test_a_band_shows_mean_and_spread_of_a_path_and_the_limit_on_them():
 
 def test_a_band_has_the_width_of_its_limit_unless_asked_otherwise():
     assert any("± 1 σ" in (one.name or "") for one in given.solution().plot.band().data)
+
+
+def test_limits_on_a_path_are_drawn_with_the_systems_for_which_they_hold():
+    back = al.path("back")
+    both = [back.at_most(0.2, worst_case=True).named("reach"), back.at_least(-1.5, sigmas=3**0.5).named("start")]
+    problem = al.Problem(
+        given.problem().system, grid=al.Grid(4.0, 50), minimize=al.integral("effort").mean, subject_to=both
+    )
+    limits = limits_of(problem, back, "m")
+    assert limits.texts == {0.2: "reach: 0.2\u202fm in the worst case", -1.5: "start: −1.5\u202fm at 1.73 σ"}
+    assert limits.names == {"reach", "start"}
 
 
 def test_histories_are_those_of_random_systems_at_the_decisions():

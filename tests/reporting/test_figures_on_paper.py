@@ -9,7 +9,7 @@ import report_problems as given
 import shown_results as shown
 
 import aleator as al
-from aleator.reporting import mesh_figure, paper_figure
+from aleator.reporting import Look, Scene, mesh_figure, paper_figure, plane_figure
 from aleator.reporting._style import blank
 
 pytest.importorskip("matplotlib", reason="matplotlib is not installed")
@@ -112,7 +112,18 @@ def test_dollar_signs_in_names_are_not_mathematics(tmp_path):
     assert paper.axes[0].get_xlabel() == r"cost in \$"
 
 
-@pytest.mark.parametrize("odd", ["animation", "pie", "circle"])
+def test_a_plane_on_paper_has_equal_scales_its_obstacle_and_its_wall():
+    paths = np.array([[[0.5, 0.0], [1.0, 2.0]], [[0.5, 0.0], [1.5, 2.0]]])
+    scene = Scene(discs=[(1.0, 1.0, 0.25)], wall=0.0)
+    (axes,) = paper_figure(plane_figure(paths, paths[0], look=Look("#0072b2", "square"), scene=scene)).axes
+    assert axes.get_aspect() == 1.0
+    disc, wall = (one.get_extents().transformed(axes.transData.inverted()) for one in axes.patches)
+    np.testing.assert_allclose([disc.x0, disc.y0, disc.x1, disc.y1], [0.75, 0.75, 1.25, 1.25], rtol=1e-9)
+    assert wall.x1 == pytest.approx(0.0, abs=1e-12)
+    assert {text.get_text() for text in axes.texts} == {"obstacle", "wall"}
+
+
+@pytest.mark.parametrize("odd", ["animation", "pie", "path"])
 def test_what_has_no_form_on_paper_is_refused(odd):
     figure = blank("x", "y")
     figure.add_scatter(x=[0.0], y=[0.0], mode="markers", marker={"color": "#0072b2"})
@@ -120,8 +131,8 @@ def test_what_has_no_form_on_paper_is_refused(odd):
         figure.frames = [go.Frame(data=[])]
     if odd == "pie":
         figure.add_pie(values=[1.0])
-    if odd == "circle":
-        figure.add_shape(type="circle", x0=0, x1=1, y0=0, y1=1)
+    if odd == "path":
+        figure.add_shape(type="path", path="M 0,0 L 1,1")
     with pytest.raises(al.ProblemError, match=f"A figure on paper: expected .*; received .*{odd}"):
         paper_figure(figure)
 

@@ -138,14 +138,14 @@ def test_a_density_shows_its_limits_and_what_is_rejected_beyond_them(logarithmic
     density = np.exp(-0.5 * values**2) / np.sqrt(2 * np.pi)
     tails = ("22 800\nppm", "1 350\nppm")
     figure = density_figure(
-        values, {"normal": density}, x="Angle", unit="°", limits=(-2.0, 3.0), tails=tails, logarithmic=logarithmic
+        values, {"normal": density}, x="Angle", unit="°", limits=(-2.03, 3.04), tails=tails, logarithmic=logarithmic
     )
-    assert [line.x0 for line in figure.layout.shapes] == [-2.0, 3.0]
+    assert [line.x0 for line in figure.layout.shapes] == [-2.03, 3.04]
     shaded = [np.array(one.x) for one in figure.data if one.fill == "tozeroy"]
-    assert shaded[0].max() == pytest.approx(-2.0)
-    assert shaded[1].min() == pytest.approx(3.0)
+    assert shaded[0].max() == pytest.approx(-2.03)
+    assert shaded[1].min() == pytest.approx(3.04)
     said = {one.text: one.x for one in figure.layout.annotations if "ppm" in one.text}
-    assert said == {"22 800<br>ppm": -2.0, "1 350<br>ppm": 3.0}
+    assert said == {"22 800<br>ppm": -2.03, "1 350<br>ppm": 3.04}
     assert figure.layout.yaxis.type == ("log" if logarithmic else None)
 
 

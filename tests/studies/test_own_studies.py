@@ -11,29 +11,12 @@ import pytest
 from typer.testing import CliRunner
 
 import aleator as al
+import bars
 from aleator import cli
 from aleator.studies import Study, load
 
-BAR = '''"""A bar that carries an uncertain load."""
-
-import aleator as al
-
-
-class Bar(al.AlgebraicSystem):
-    width: al.Number = al.parameter("mm", positive=True)
-    load: al.Number = al.parameter("N")
-
-    def outputs(self):
-        return {"stress": self.load / self.width, "mass": self.width}
-
-
-stress = al.output("stress")
-bar = Bar(al.Decision(4.0, 0.1, 10.0), al.Uniform(1.0, half_width=0.3))
-strong = (stress.mean + 3 * stress.std <= 0.5).named("stress")
-problem = al.Problem(bar, minimize=al.output("mass").mean, subject_to=[strong])
-'''
 SWEPT = (
-    BAR
+    bars.FILE
     + """
 study = al.Study(
     {"robust": problem},
@@ -45,8 +28,6 @@ study = al.Study(
 )
 """
 )
-# stress = load / width, whose mean is 1 / width and whose standard deviation 0.3 / √3 / width.
-NEEDED = 1.0 + 3.0 * 0.3 / np.sqrt(3.0)
 
 
 @pytest.fixture
@@ -66,11 +47,11 @@ def aleator(*arguments: str):
 
 
 def test_a_file_with_a_problem_alone_is_a_study(here: Path):
-    (here / "bar.py").write_text(BAR)
+    (here / "bar.py").write_text(bars.FILE)
     result = aleator("run", "bar.py")
     assert result.exit_code == 0, result.output
     designs = json.loads((here / "results/bar/designs.json").read_text())
-    assert designs["designs/problem"]["objective"]["value"] == pytest.approx(NEEDED / 0.5, rel=1e-6)
+    assert designs["designs/problem"]["objective"]["value"] == pytest.approx(bars.NEEDED / 0.5, rel=1e-6)
     assert (here / "results/bar/report.html").is_file()
     assert "evidence on problem" in result.output
     assert "earlier run" not in result.output
@@ -89,7 +70,7 @@ def test_a_declared_study_sweeps_and_trades_off(here: Path):
     assert "Bar [v2]" in page
     assert "Trade-off: mass against stress" in page
     front = al.pareto(load("bar.py").problems["robust"], "stress", [0.5, 0.6, 0.8])
-    np.testing.assert_allclose(front.objectives, NEEDED / np.array([0.5, 0.6, 0.8]), rtol=1e-6)
+    np.testing.assert_allclose(front.objectives, bars.NEEDED / np.array([0.5, 0.6, 0.8]), rtol=1e-6)
     for value in front.objectives:
         assert f"{value:.3g}" in page
 
@@ -101,13 +82,13 @@ def test_a_quick_run_takes_fewer_samples_and_points(here: Path):
     assert study.samples == 100
     assert study.solves == 1 + 1 + 2
     assert "all samples" in study.left_out
-    (here / "bar.py").write_text(BAR)
+    (here / "bar.py").write_text(bars.FILE)
     assert load("bar.py", quick=True).solves == 1
 
 
 @pytest.mark.parametrize("place", ["bar", "bar:problem", "bar:declared"])
 def test_an_importable_module_is_a_study(here: Path, place: str):
-    (here / "bar.py").write_text(BAR + "\ndef declared():\n    return problem\n")
+    (here / "bar.py").write_text(bars.FILE + "\ndef declared():\n    return problem\n")
     sys.path.insert(0, str(here))
     study = load(place if ":" in place else "bar.py")
     assert isinstance(study, Study)
@@ -194,7 +175,7 @@ def test_a_study_that_is_not_there_is_refused(here: Path, name: str, said: str):
     ],
 )
 def test_a_study_that_cannot_be_run_is_refused_when_it_is_declared(here: Path, options: dict, said: str):
-    (here / "bar.py").write_text(BAR)
+    (here / "bar.py").write_text(bars.FILE)
     problem = load("bar.py").problems["problem"]
     with pytest.raises(al.ProblemError, match=said):
         Study(problem, **options)

@@ -11,27 +11,9 @@ import pytest
 from typer.testing import CliRunner
 
 import aleator as al
+import bars
 from aleator import cli
 from aleator.studies import Study, load, schema
-
-BAR = """
-import aleator as al
-
-
-class Bar(al.AlgebraicSystem):
-    width: al.Number = al.parameter("mm", positive=True)
-    load: al.Number = al.parameter("kN")
-    units = {"stress": "kN/mm", "mass": "mm"}
-
-    def outputs(self):
-        return {"stress": self.load / self.width, "mass": self.width}
-
-
-stress = al.output("stress")
-bar = Bar(al.Decision(4.0, 0.1, 10.0), al.Uniform(1.0, half_width=0.3))
-strong = (stress.mean + 3 * stress.std <= 0.5).named("stress")
-problem = al.Problem(bar, minimize=al.output("mass").mean, subject_to=[strong])
-"""
 
 WHOLE = """\
 problem = "bars_of_a_file:problem"
@@ -66,7 +48,7 @@ stress = [0.5, "0.6 kN/mm"]
 def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     monkeypatch.chdir(tmp_path)
     path = list(sys.path)
-    (tmp_path / "bars_of_a_file.py").write_text(BAR)
+    (tmp_path / "bars_of_a_file.py").write_text(bars.FILE)
     yield tmp_path
     sys.modules.pop("bars_of_a_file", None)
     sys.path[:] = path

@@ -11,10 +11,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from bars import NEEDED, Bar, Wave, bar, dies, dies_once
 
 import aleator as al
 from aleator.sweep._front import waves
+from bars import NEEDED, Bar, Wave, bar, dies, dies_once
 
 VALUES = [0.5, 0.4, 0.6, 0.7, 0.45]
 posix = pytest.mark.skipif(sys.platform == "win32", reason="processes are killed by a signal")
@@ -178,7 +178,7 @@ ON_A_CLUSTER = """
 @pytest.mark.slow
 def test_fronts_of_loky_and_of_a_cluster_whose_worker_is_killed_are_the_same(tmp_path: Path, threads: Executor):
     (tmp_path / "swept.py").write_text(textwrap.dedent(ON_A_CLUSTER))
-    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parent)}
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[1])}
     done = subprocess.run(
         [sys.executable, "swept.py", "fronts.npy"], cwd=tmp_path, env=environment, capture_output=True, text=True
     )

@@ -70,10 +70,11 @@ def density_figure(
         )
     if densities and len(limits) == 2:
         first = next(iter(densities.values()))
-        for beyond in (values <= limits[0], values >= limits[1]):
+        for side, limit in zip((-1, 1), limits, strict=True):
+            x_beyond, y_beyond = _beyond(limit, side, values, first)
             figure.add_scatter(
-                x=values[beyond],
-                y=first[beyond],
+                x=x_beyond,
+                y=y_beyond,
                 mode="lines",
                 line={"width": 0},
                 fill="tozeroy",
@@ -102,6 +103,18 @@ def density_figure(
             font={"size": SIZE - 1, "color": ALARM},
         )
     return figure
+
+
+def _beyond(limit: float, side: int, values: np.ndarray, density: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The part of a density below (`side` -1) or above (1) a limit, which need not be among the values."""
+    chosen = side * (values - limit) > 0
+    if not chosen.any():
+        return values[chosen], density[chosen]
+    place = 0 if side > 0 else int(chosen.sum())
+    return (
+        np.insert(values[chosen], place, limit),
+        np.insert(density[chosen], place, np.interp(limit, values, density)),
+    )
 
 
 def _per(unit: str) -> str:

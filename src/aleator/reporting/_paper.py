@@ -50,7 +50,7 @@ def paper_figure(figure: "Figure") -> "matplotlib.figure.Figure":
         raise ProblemError(f"A figure on paper: expected curves, points, bands and bars; received {odd}.")
     matplotlib = _matplotlib()
     with matplotlib.rc_context(_STYLE):
-        large = bool(kinds & {"scatter3d", "parcoords"})
+        large = bool(kinds & {"scatter3d", "parcoords"}) or figure.layout.yaxis.scaleanchor == "x"
         paper = matplotlib.figure.Figure(figsize=(_WIDTH, _LARGE if large else _HEIGHT), layout="constrained")
         if "scatter3d" in kinds:
             _draw_space(paper, figure)
@@ -99,6 +99,8 @@ def _draw_plane(paper: "matplotlib.figure.Figure", figure: "Figure") -> None:
     for note in layout.annotations:
         draw_note(axes.get(note.yref or "y", lower), note, places, figure.layout)
     _fit(lower, layout)
+    if layout.yaxis.scaleanchor == "x":
+        lower.set_aspect("equal")
     _add_legend(paper, lower, layout)
 
 
@@ -169,11 +171,20 @@ def _add_legend(paper: "matplotlib.figure.Figure", axes: Axes, layout: Any) -> N
 
 
 def _draw_space(paper: "matplotlib.figure.Figure", figure: "Figure") -> None:
+    """Points in space, each on a stem, without which nobody sees where it stands."""
     axes: Any = paper.add_subplot(projection="3d")
     trace: Any = figure.data[0]
     scene = figure.layout.scene
+    x, y, z = (numbers(getattr(trace, one), []) for one in "xyz")
+    floor = float(z.min() - 0.08 * np.ptp(z))
+    for i in range(len(x)):
+        axes.plot([x[i], x[i]], [y[i], y[i]], [floor, z[i]], color="#a9b4bf", lw=0.6)
+    axes.set_zlim(bottom=floor)
+    axes.locator_params(nbins=4)
     axes.scatter(
-        *(numbers(getattr(trace, one), []) for one in "xyz"),
+        x,
+        y,
+        z,
         c=numbers(trace.marker.color, []),
         cmap="cividis",
         s=14,
@@ -185,7 +196,7 @@ def _draw_space(paper: "matplotlib.figure.Figure", figure: "Figure") -> None:
         getattr(axes, f"set_{one}label")(drawn_text(getattr(scene, f"{one}axis").title.text))
     # As seen from the camera of the page.
     axes.view_init(elev=22, azim=45)
-    axes.set_box_aspect(None, zoom=0.78)
+    axes.set_box_aspect(None, zoom=0.8)
 
 
 def _draw_parallel(paper: "matplotlib.figure.Figure", figure: "Figure") -> None:

@@ -95,14 +95,30 @@ def draw_bars(axes: Axes, trace: Any, which: int, count: int, places: list[str])
 
 
 def draw_shape(axes: Axes, shape: Any) -> None:
-    """A limit across the figure, or a shaded part of an axis."""
+    """A limit across the figure, a shaded part of an axis, or a shaded disc or rectangle in the plane."""
     if shape.type == "line":
         style = {"color": colour(shape.line.color), "lw": POINTS * 1.6, "ls": DASHES[shape.line.dash or "solid"]}
         axes.axhline(shape.y0, **style) if shape.xref == "paper" else axes.axvline(shape.x0, **style)
     elif shape.type == "rect" and shape.yref in ("paper", "y domain"):
         axes.axvspan(shape.x0, shape.x1, color=colour(shape.fillcolor), alpha=shape.opacity, lw=0, zorder=1)
+    elif shape.type in ("circle", "rect") and (shape.xref or "x", shape.yref or "y") == ("x", "y"):
+        _draw_solid(axes, shape)
     else:
-        raise ProblemError(f"A figure on paper: expected lines across it and shaded ranges; received a {shape.type}.")
+        raise ProblemError(
+            f"A figure on paper: expected lines across it, shaded ranges, discs, rectangles; received a {shape.type}."
+        )
+
+
+def _draw_solid(axes: Axes, shape: Any) -> None:
+    """A disc or a rectangle between two corners."""
+    from matplotlib.patches import Ellipse, Rectangle
+
+    corner, size = (shape.x0, shape.y0), (shape.x1 - shape.x0, shape.y1 - shape.y0)
+    middle = (shape.x0 + shape.x1) / 2, (shape.y0 + shape.y1) / 2
+    kind, place = (Ellipse, middle) if shape.type == "circle" else (Rectangle, corner)
+    width = 1.0 if shape.line.width is None else shape.line.width
+    edge = {"ec": colour(shape.line.color), "lw": POINTS * width}
+    axes.add_patch(kind(place, *size, fc=colour(shape.fillcolor), zorder=1, **edge))
 
 
 def _place(at: Any, places: list[str], axis: Any, is_share: bool) -> float:
@@ -120,12 +136,12 @@ def draw_note(axes: Axes, note: Any, places: Mapping[str, list[str]], layout: An
     at = _place(note.x, places["x"], layout.xaxis, across), _place(note.y, places["y"], layout.yaxis, up)
     turned, height = -(note.textangle or 0), {"top": "top", "bottom": "bottom"}.get(note.yanchor, "center")
     away = {"top": -1, "bottom": 1, "center": 0}[height] + POINTS * (note.yshift or 0)
-    side = "right" if turned else {"left": "left", "right": "right"}.get(note.xanchor, "center")
+    side = {"left": "left", "right": "right"}.get(note.xanchor, "center")
     axes.annotate(
         drawn_text(note.text),
         at,
         xycoords=frame,
-        xytext=(-2 if turned else POINTS * (note.xshift or 0), away),
+        xytext=(-2 if turned and side == "right" else POINTS * (note.xshift or 0), away),
         textcoords="offset points",
         ha=side,
         va=height,

@@ -43,7 +43,7 @@ def path_figure(
         if np.any(one.std):
             add_band(figure, times, one.mean - sigmas * one.std, one.mean + sigmas * one.std, styles[name].fill(0.25))
     for dash, (name, one) in zip(itertools.cycle(DASHES), paths.items(), strict=False):
-        spread = f" ± {sigmas:g} σ" if np.any(one.std) else ""
+        spread = f" ± {sigmas:.3g} σ" if np.any(one.std) else ""
         figure.add_scatter(
             x=short(times),
             y=short(one.mean),

@@ -13,11 +13,12 @@ from aleator._core.compilation import Compiled
 from aleator._core.errors import ProblemError, SimulationError
 from aleator.design import (
     AbstractFunctional,
-    Expression,
+    Constraint,
     Problem,
     Statistic,
     functionals_of,
     history,
+    is_worst_case,
     path,
     refuse_changed,
     refuse_changed_code,
@@ -49,24 +50,37 @@ def paths_of(problem: Problem) -> dict[str, AbstractFunctional]:
 
 
 def limits_of(problem: Problem, functional: AbstractFunctional, unit: str) -> Limits:
-    """The limits on one path alone: on its mean, or on its mean and a multiple of its standard deviation."""
+    """The limits on one path alone: on its mean, with a multiple of its standard deviation or without, or on its worst
+    case.
+    """
     texts: dict[float, str] = {}
     sigmas, names = 0.0, set()
     for one in problem.constraints:
-        if functionals_of((one.expression,)) != (functional,) or not _is_of_mean(one.expression):
+        if functionals_of((one.expression,)) != (functional,) or not _has_values_of_path(one):
             continue
         multiple = one.expression.sigmas or 0.0
         sigmas = max(sigmas, multiple)
         names.add(one.name)
         for bound in (float(one.lower), float(one.upper)):
             if np.isfinite(bound):
-                texts[bound] = f"{one.name}: {given(bound, unit)}" + (f" at {multiple:g} σ" if multiple else "")
+                texts[bound] = f"{one.name}: {given(bound, unit)}{_how(one, multiple)}"
     return Limits(texts, sigmas or _USUAL, names)
 
 
-def _is_of_mean(expression: Expression) -> bool:
-    """Whether an expression has the path's own values: one statistic of it, not in proportion, and its spreads."""
-    pairs = list(zip(expression.factors, expression.atoms, strict=True))
+def _how(limit: Constraint, multiple: float) -> str:
+    """For which systems a limit holds, in words."""
+    if multiple:
+        return f" at {multiple:.3g} σ"
+    return " in the worst case" if is_worst_case(limit) else ""
+
+
+def _has_values_of_path(limit: Constraint) -> bool:
+    """Whether what is limited has the path's own values: its worst case, or one statistic of it, not in proportion, and
+    its spreads.
+    """
+    if is_worst_case(limit):
+        return True
+    pairs = list(zip(limit.expression.factors, limit.expression.atoms, strict=True))
     located = [float(factor) for factor, atom in pairs if not atom.is_spread]
     return located == [1.0] and all(isinstance(atom, Statistic) for _, atom in pairs)
 

@@ -1,4 +1,4 @@
-"""A bar whose front is known, in a module that other processes can import."""
+"""A bar whose front is known: as a model that other processes can import, and as the text of a study file."""
 
 import os
 import signal
@@ -11,6 +11,27 @@ import aleator as al
 
 # stress = load / width, whose mean plus three standard deviations are NEEDED / width.
 NEEDED = 1.0 + 3.0 * 0.3 / np.sqrt(3.0)
+
+# The same bar as a file that a user writes.
+FILE = '''"""A bar that carries an uncertain load."""
+
+import aleator as al
+
+
+class Bar(al.AlgebraicSystem):
+    width: al.Number = al.parameter("mm", positive=True)
+    load: al.Number = al.parameter("kN")
+    units = {"stress": "kN/mm", "mass": "mm"}
+
+    def outputs(self):
+        return {"stress": self.load / self.width, "mass": self.width}
+
+
+stress = al.output("stress")
+bar = Bar(al.Decision(4.0, 0.1, 10.0), al.Uniform(1.0, half_width=0.3))
+strong = (stress.mean + 3 * stress.std <= 0.5).named("stress")
+problem = al.Problem(bar, minimize=al.output("mass").mean, subject_to=[strong])
+'''
 
 
 class Bar(al.AlgebraicSystem):
@@ -33,12 +54,14 @@ class Wave(al.AlgebraicSystem):
         return {"wave": jnp.sin(8.0 * self.off) * self.width, "width": self.width}
 
 
-def bar() -> al.Problem:
-    """The lightest bar that is strong enough."""
-    stress = al.output("stress")
-    model = Bar(al.Decision(4.0, 0.1, 10.0), al.Uniform(1.0, half_width=0.3))
-    strong = (stress.mean + 3 * stress.std <= 0.5).named("stress")
-    return al.Problem(model, minimize=al.output("mass").mean, subject_to=[strong])
+STRESS, MASS = al.output("stress"), al.output("mass")
+
+
+def bar(load: float = 1.0, highest: float = 10.0) -> al.Problem:
+    """The lightest bar that is strong enough, no wider than `highest`."""
+    model = Bar(al.Decision(4.0, 0.1, highest), al.Uniform(load, half_width=0.3))
+    strong = (STRESS.mean + 3 * STRESS.std <= 0.5).named("stress")
+    return al.Problem(model, minimize=MASS.mean, subject_to=[strong])
 
 
 class Valleys(al.AlgebraicSystem):

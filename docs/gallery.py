@@ -1,0 +1,270 @@
+"""The gallery of the site: runs the examples and the studies, draws a picture of each, and writes the page.
+
+    python docs/gallery.py            # everything: about half an hour
+    python docs/gallery.py clutch     # one picture, and the page
+
+Pictures are those of Matplotlib (`python -m pip install 'aleator[paper]'`); the studies are run as by `--quick`.
+"""
+
+import io
+import os
+import re
+import runpy
+import sys
+import tempfile
+import types
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+import aleator as al
+from aleator.reporting import Drawing, paper_figure
+from aleator.studies import load
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+DOCS = Path(__file__).parent
+FIRST = "landing"
+OFF = 0.2
+"""Points of type that a curve may be off when it is drawn with fewer points."""
+PICTURES, EXAMPLES = DOCS / "pictures", DOCS.parent / "examples"
+
+
+class Entry(NamedTuple):
+    """What the gallery tells of an example or a study: a heading, two sentences, and how its picture is drawn."""
+
+    heading: str
+    told: str
+    shows: str
+    draw: Callable[[], "Figure"]
+
+
+def example(name: str) -> dict[str, Any]:
+    """What an example has computed, by its names, in a folder that is thrown away."""
+    here = Path.cwd()
+    with tempfile.TemporaryDirectory() as folder:
+        os.chdir(folder)
+        try:
+            return runpy.run_path(str(EXAMPLES / f"{name}.py"), run_name="__main__")
+        finally:
+            os.chdir(here)
+
+
+def solved(name: str) -> Any:
+    """The figures of an example's solution."""
+    return example(name)["solution"].plot
+
+
+def called(name: str) -> Any:
+    """What the function `main` of an example returns, which starts processes and so is imported by its name."""
+    sys.path.insert(0, str(EXAMPLES))
+    here = Path.cwd()
+    with tempfile.TemporaryDirectory() as folder:
+        os.chdir(folder)
+        try:
+            return __import__(name).main()
+        finally:
+            os.chdir(here)
+            sys.path.remove(str(EXAMPLES))
+
+
+def first() -> "Figure":
+    """The figure of the first program on the front page."""
+    text = (DOCS / "index.md").read_text(encoding="utf-8")
+    *program, _ = text.split("```python\n")[1].split("```")[0].splitlines()
+    names: dict[str, Any] = {"__name__": FIRST}
+    sys.modules[FIRST] = types.ModuleType(FIRST)
+    exec("\n".join(program), names)
+    return al.validate(al.solve(names["problem"])).plot(backend="matplotlib")
+
+
+def study(name: str, heading: str, which: int = 0, **more: int) -> "Figure":
+    """A figure of a study's page, under the last such heading, after a quick run or one with more effort."""
+    one: Any = load(name, quick=True)
+    if more:
+        one = type(one)(replace(one.quick, **more))
+    for stage in one.stages:
+        one.run(stage)
+    blocks = [block for section in one.sections() for block in section.blocks]
+    *_, drawing = (block for block in blocks if isinstance(block, Drawing) and block.heading == heading)
+    return paper_figure(drawing.figures[which])
+
+
+EVERY: dict[str, dict[str, Entry]] = {
+    "Examples": {
+        "sources_of_uncertainty": Entry(
+            "A drawer and its damper",
+            "A drawer closes against a damper; its load, the push of the hand and the damper itself vary. The widest "
+            "tolerance of the damper is found for which the drawer still ends in the right place.",
+            "The distance closed of 20 000 drawers, and its limits.",
+            lambda: al.validate(example("sources_of_uncertainty")["solution"], 20_000).plot.density(
+                backend="matplotlib"
+            ),
+        ),
+        "five_sources": Entry(
+            "A heated stage with five sources of uncertainty",
+            "A parameter, a first temperature, and three random processes (sensor, heater and air) act in one "
+            "expansion. The noisiest thermometer that still holds the temperature is chosen with the controller's "
+            "gain.",
+            "The heater's power: its mean, the band of two standard deviations, and its limits.",
+            lambda: solved("five_sources").band("power", backend="matplotlib"),
+        ),
+        "co_design": Entry(
+            "An arm, its counterweight, its motion and a tolerance",
+            "A lifting arm is designed together with its fastest motion and the tolerance of its payload. The torque "
+            "keeps its limits in the worst case of all payloads.",
+            "The torque of the joint for random payloads, between its limits.",
+            lambda: solved("co_design").histories("angle_torque", samples=25, backend="matplotlib"),
+        ),
+        "ride_travel_holding": Entry(
+            "Ride, travel and holding of a car",
+            "What three wishes for a car's suspension cost one another, with a margin of one standard deviation in "
+            "each. Every point of the surface is a certified design, counted on fresh cars.",
+            "Designs none of which is better than another in all three wishes.",
+            lambda: called("ride_travel_holding")[0].plot(backend="matplotlib"),
+        ),
+        "from_sympy": Entry(
+            "A crane from SymPy",
+            "The equations of motion come from SymPy's `LagrangesMethod`. The trolley moves so that the load hangs "
+            "still at the end, whatever the rope's length and the load's mass.",
+            "The force of the drive for random ropes and loads, between its limits.",
+            lambda: solved("from_sympy").histories("force", samples=25, backend="matplotlib"),
+        ),
+        "robot_from_file": Entry(
+            "A robot from a URDF file",
+            "An arm is read from a file as CAD programs write it, with the torque limits in it. Its counterweight "
+            "and its fastest motion are decided together, for all payloads.",
+            "The shoulder's torque: its mean and the band of all payloads, between its limits.",
+            lambda: solved("robot_from_file").band("shoulder_torque", backend="matplotlib"),
+        ),
+        "black_box": Entry(
+            "A simulator that is not ours",
+            "A pendulum integrated by SciPy is expanded without being traced: samples run in processes and are kept "
+            "in a journal. The same points can be answered by anyone, anywhere.",
+            "Which uncertain number causes how much of the variance of the period.",
+            lambda: called("black_box").plot.sensitivities("period", backend="matplotlib"),
+        ),
+    },
+    "Studies": {
+        "suspension": Entry(
+            "Suspension of a car",
+            "Spring and damper of a quarter car with five uncertain numbers: designed for the mean car, robustly, and "
+            "with spreads apportioned at minimum cost. It recomputes chapters 6 and 7 of the dissertation.",
+            "The best ride over the travel allowed, for the mean car (dOpt) and for all cars (uOpt).",
+            lambda: study("suspension", "Ride against the travel limit, H = 0.034 m", front_points=10),
+        ),
+        "clutch": Entry(
+            "Tolerances of a one-way clutch",
+            "The pressure angle of a closed vector loop by expansion, linearisation and sampling, against its exact "
+            "value. The cheapest tolerances follow for a given share of rejects.",
+            "The distribution of the angle, its limits, and the rejects in parts per million.",
+            lambda: study("clutch", "Distribution of the angle, limits and rejects", 1),
+        ),
+        "pick-and-place-effort": Entry(
+            "Pick and place with least effort",
+            "Torques of a two-link arm are planned for uncertain payloads, past an obstacle (forward dynamics). "
+            "A second plan spends more effort for a smaller spread at the end.",
+            "Paths of the tip for random payloads under the robust plan; those that touch obstacle or wall stand out.",
+            lambda: study("pick-and-place-effort", "Path of the tip", 1),
+        ),
+        "pick-and-place-time": Entry(
+            "Pick and place in least time",
+            "The same arm follows a motion exactly, and its torques vary with the payload (inverse dynamics). The "
+            "margin for which no payload overloads a joint is found and counted.",
+            "Both torques for all payloads under the robust plan, between their limits.",
+            lambda: study("pick-and-place-time", "Torques of the robust plans", 1),
+        ),
+        "swing-up": Entry(
+            "Swing-up of a double pendulum",
+            "One motor swings up two links whose second mass is uncertain (hybrid dynamics). The mean of the family "
+            "ends upright, and the spread of its tip is bounded.",
+            "The motor's torque for 200 pendulums under the robust plan: mean, standard deviation and range.",
+            lambda: study("swing-up", "Torque over time"),
+        ),
+        "four-bar": Entry(
+            "A straight-line linkage",
+            "Lengths, tolerances and clearances of Hoeken's linkage, with the forces in its pins. The tool stays "
+            "within its zone for all but a few linkages, at the lowest cost of manufacture.",
+            "The tool's deviation from the line, of 400 linkages of the apportioned design (aOpt).",
+            lambda: study("four-bar", "Deviation from the line", 3),
+        ),
+    },
+}
+
+
+def page() -> str:
+    """The page, as Markdown."""
+    parts = [
+        "# Gallery",
+        "",
+        "Every example and every built-in study, with one of its pictures. Examples are run by `python "
+        "examples/NAME.py`, studies by `aleator run NAME`, which writes a whole report. The pictures and this page are "
+        "made by `python docs/gallery.py`.",
+    ]
+    for chapter, entries in EVERY.items():
+        parts += ["", f"## {chapter}"]
+        for name, one in entries.items():
+            parts += ["", f"### {one.heading}", "", f"![{one.shows}](pictures/{name}.svg)", ""]
+            parts += [one.told, "", f"*{one.shows}* {_source(chapter, name)}"]
+    return "\n".join(parts) + "\n"
+
+
+def _source(chapter: str, name: str) -> str:
+    if chapter == "Examples":
+        return f"[`examples/{name}.py`](../examples/{name}.py)"
+    package = f"src/aleator/studies/{name.replace('-', '_')}"
+    return f"`aleator run {name}`: [its physics and problems](../{package}/__init__.py)"
+
+
+def write_picture(draw: Callable[[], "Figure"], path: Path) -> None:
+    """A picture that is the same whenever it is made: without date and with fixed names inside."""
+    import matplotlib
+
+    with matplotlib.rc_context({"svg.hashsalt": "aleator", "path.simplify": False}):
+        drawn = io.StringIO()
+        draw().savefig(drawn, format="svg", metadata={"Date": None}, facecolor="white")
+    path.write_text(re.sub(r' d="([^"QC]*)"', _short, drawn.getvalue()), encoding="utf-8")
+
+
+def _short(path: re.Match[str]) -> str:
+    """A path of straight lines with as few points as a screen needs, in tenths of a point, from each to the next."""
+    parts = []
+    for part in path[1].split("M")[1:]:
+        points = _thinned(np.array(re.findall(r"-?[\d.]+", part), float).reshape(-1, 2)).round(1)
+        steps = " ".join(f"{one:.1f}" for one in np.diff(points, axis=0).ravel())
+        parts.append(f"M{points[0, 0]:.1f} {points[0, 1]:.1f}l{steps}{'z' * ('z' in part)}")
+    return f' d="{"".join(parts)}"'
+
+
+def _thinned(points: np.ndarray) -> np.ndarray:
+    """The points of a curve without those that are hardly off the lines between others (Douglas and Peucker, 1973)."""
+    kept, spans = {0, len(points) - 1}, [(0, len(points) - 1)]
+    while spans:
+        first, last = spans.pop()
+        between, chord = points[first + 1 : last] - points[first], points[last] - points[first]
+        if not len(between):
+            continue
+        length = float(np.hypot(*chord))
+        off = np.abs(between @ [-chord[1], chord[0]]) / length if length else np.hypot(*between.T)
+        if off.max() > OFF:
+            middle = first + 1 + int(off.argmax())
+            kept.add(middle)
+            spans += [(first, middle), (middle, last)]
+    return points[sorted(kept)]
+
+
+def main(names: Sequence[str]) -> None:
+    """Draw the pictures of these names, or all, and write the page."""
+    drawn = {FIRST: first} | {name: one.draw for entries in EVERY.values() for name, one in entries.items()}
+    for name in names or drawn:
+        print(name, flush=True)
+        write_picture(drawn[name], PICTURES / f"{name}.svg")
+    (DOCS / "gallery.md").write_text(page(), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
