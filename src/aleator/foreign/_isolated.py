@@ -10,7 +10,7 @@ from typing import Any, final
 from aleator._core import given
 from aleator._core.arrays import Pytree
 from aleator._core.errors import SimulationError
-from aleator._core.own_process import ended_with, report
+from aleator._core.own_process import ended_with, exit_told, report
 from aleator.foreign._runs import refuse_traced
 
 
@@ -69,4 +69,4 @@ class Isolated:
             return receiver.recv()
         except EOFError as error:
             process.join()
-            raise SimulationError(f"its process ended by itself, with exit code {process.exitcode}") from error
+            raise SimulationError(f"its process ended by itself, by {exit_told(process.exitcode)}") from error

@@ -147,3 +147,9 @@ def units_of(variables: Iterable[Any]) -> Mapping[str, str]:
     """The units that variables declare, by name."""
     declared = {one.name: one.unit or getattr(one.declaredType, "unit", None) for one in variables}
     return {name: unit.replace(".", " ") for name, unit in declared.items() if unit}
+
+
+def with_numbers(names: Iterable[str], values: Iterable[float]) -> str:
+    """Values of variables as the end of a sentence; empty if there are none."""
+    said = ", ".join(f"{name}={value:.6g}" for name, value in zip(names, values, strict=True))
+    return f", with {said}" if said else ""
