@@ -1,7 +1,9 @@
 """FMUs in processes of their own: what crashes, hangs or prints there ends neither this process nor its work."""
 
 import gc
+import os
 import pickle
+import select
 import shutil
 import subprocess
 import sys
@@ -11,11 +13,12 @@ import zipfile
 
 import jax
 import numpy as np
-import psutil
 import pytest
 
 import aleator as al
 from rods import here
+
+pytestmark = pytest.mark.skipif(not hasattr(os, "pidfd_open"), reason="processes are watched as Linux does")
 
 GRID = al.Grid(2.0, 4)
 FINE, ABORTS, LOOPS, SHOUTS, LEAVES, DIES_IN_SLOPES = 0, 8, 9, 10, 11, 12
@@ -25,8 +28,19 @@ def fmu_of(rods, behaviour, *, version=3, **given):
     return al.foreign.Fmu(rods(version), settings={"behaviour": behaviour}, **given)
 
 
-def children():
-    return {one.pid for one in psutil.Process().children(recursive=True)}
+def process_of(fmu):
+    """The number of the process of an FMU."""
+    return fmu.door._running[0].process.pid
+
+
+def has_ended(process):
+    """Whether a process has ended, or does within some seconds."""
+    try:
+        handle = os.pidfd_open(process)
+    except ProcessLookupError:
+        return True
+    with os.fdopen(handle):
+        return bool(select.select([handle], [], [], 20)[0])
 
 
 @pytest.mark.parametrize("kind", ["model exchange", "co-simulation"])
@@ -70,16 +84,15 @@ def test_an_fmu_that_ends_its_process_fails_a_run_and_the_next_one_goes_on(rods,
 
 
 def test_an_fmu_that_loops_for_ever_is_ended_after_its_time_limit(rods):
-    before = children()
     fmu = fmu_of(rods, LOOPS, time_limit=1.0, kind="co-simulation")
-    own = children() - before
+    process = process_of(fmu)
     run = al.foreign.FmuSimulation(fmu, GRID, outputs=["angle"])
     message = (
         r"^FMU 'rod3_mc' did not end a run within its time limit of 1 s, with fail_at=0.6: its process was ended\."
     )
     with pytest.raises(al.SimulationError, match=message):
         run({"fail_at": 0.6})
-    assert not own & children()
+    assert has_ended(process)
     assert np.isfinite(run({"fail_at": 9.0})["angle"]).all()
 
 
@@ -140,11 +153,11 @@ def test_a_script_needs_no_main_and_its_processes_end_with_it(rods, tmp_path):
     script.write_text(
         textwrap.dedent(
             f"""
-            import os, psutil
+            import os
             import aleator as al
             fmu = al.foreign.Fmu({str(rods(3))!r})
             print(al.foreign.FmuSimulation(fmu, al.Grid(1.0, 2))({{}})["angle"][0])
-            print(*(one.pid for one in psutil.Process().children()), flush=True)
+            print(fmu.door._running[0].process.pid, flush=True)
             os._exit(0)
             """
         )
@@ -152,19 +165,15 @@ def test_a_script_needs_no_main_and_its_processes_end_with_it(rods, tmp_path):
     ended = subprocess.run([sys.executable, script], capture_output=True, text=True, check=True)
     angle, process = ended.stdout.split()
     assert float(angle) == 1.0
-    with_process = [one for one in psutil.process_iter() if one.pid == int(process)]
-    assert psutil.wait_procs(with_process, timeout=20)[1] == []
+    assert has_ended(int(process))
 
 
 def test_an_fmu_that_nobody_holds_has_no_process(rods):
-    gc.collect()
-    before = children()
     fmu = fmu_of(rods, FINE)
-    own = children() - before
-    assert len(own) == 1
+    process = process_of(fmu)
     del fmu
     gc.collect()
-    assert not own & children()
+    assert has_ended(process)
 
 
 def test_a_run_is_sent_to_other_processes_as_its_file(rods, tmp_path):

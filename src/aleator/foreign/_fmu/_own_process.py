@@ -37,7 +37,7 @@ _ERRORS = {kind.__name__: kind for kind in (ProblemError, SimulationError)}
 class _Process(NamedTuple):
     """A process, the connection to it, the end of what it printed, and the numbers of the objects that it knows."""
 
-    process: subprocess.Popen[bytes]
+    process: subprocess.Popen[Any]
     connection: Connection
     printed: "_Printed"
     known: set[int]

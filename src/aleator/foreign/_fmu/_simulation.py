@@ -14,9 +14,9 @@ from aleator._core.given import one_of, positive, real, shown
 from aleator._core.leaves import AbstractLeaf
 from aleator.dynamics import Grid
 from aleator.foreign._fmu._callbacks import Evaluations, called_back
+from aleator.foreign._fmu._doors import Served
 from aleator.foreign._fmu._fmu import Fmu, fmu_given
 from aleator.foreign._fmu._hidden import Hidden
-from aleator.foreign._fmu._doors import Served
 from aleator.foreign._fmu._inputs import Sampled
 from aleator.foreign._fmu._sampled import sampled_inputs
 from aleator.foreign._fmu._variables import with_numbers

@@ -16,8 +16,9 @@ from aleator.foreign._fmu._served import Objects
 def serve(address: Any, key: bytes) -> None:
     """Connect to the process that started this one, and serve it.
 
-    Its first message is what `Opened` takes, others are the numbers of objects to forget and a request. Answers are what
-    is returned, what is raised (the name of its type and its text), and the texts of warnings; None is a sign of life.
+    Its first message is what `Opened` takes, others are the numbers of objects to forget and a request. Answers are
+    what is returned, what is raised (the name of its type and its text), and the texts of warnings; None is a sign of
+    life.
     """
     threading.Thread(target=_end_with_parent, daemon=True).start()
     with Client(address, authkey=key) as connection:
