@@ -12,7 +12,8 @@ import numpy as np
 
 from aleator._core.errors import ProblemError
 from aleator.foreign._mjcf_bodies import bodies_of, joints_of, posture_of
-from aleator.foreign._mjcf_effects import effects_of, gravity_of, is_disabled
+from aleator.foreign._mjcf_effects import effects_of, gravity_of, has_equations, is_disabled
+from aleator.foreign._mjcf_equalities import Equalities, are_held, equalities_of
 from aleator.foreign._mjcf_specification import compiled
 from aleator.foreign._robot import Robot, robot_of
 from aleator.foreign._robot_effects import checked_effects, refuse_effects
@@ -27,11 +28,14 @@ def read_mjcf(path: str | Path, *, leave_out: Sequence[str] = ()) -> Robot:
     armature, several to a body; coordinates have the values that MuJoCo gives them, and the reference posture is in
     `robot.start`, limits in `robot.limits`. Files of meshes and textures need not exist.
 
-    `leave_out` names effects to do without: "friction" (frictionloss), "equality", "tendons" (their springs, dampers
-    and armature), "ball" (those of ball and free joints), "polynomials" (stiffness or damping that varies), "actuators"
-    (their armature and damping), "fluid", "gravcomp", "flex", "plugins". A file with others is refused, and so is one
-    with inertia from a mesh. Each joint has a torque in the place of the file's actuators; there is no contact.
-    `robot.notes` says what else was not read.
+    Equations that are active hold exactly: `connect` and `weld` close loops, `joint` couples coordinates
+    (`robot.loops`, `robot.couplings`); a loop of hinges in one plane is closed in this plane.
+
+    `leave_out` names effects to do without: "friction" (frictionloss), "equality" (all equations), "tendons" (their
+    springs, dampers and armature), "ball" (those of ball and free joints), "polynomials" (stiffness or damping that
+    varies), "actuators" (their armature and damping), "fluid", "gravcomp", "flex", "plugins". A file with others is
+    refused, and so is one with inertia from a mesh. Each joint has a torque in the place of the file's actuators; there
+    is no contact. `robot.notes` says what else was not read.
 
     Raises `ProblemError`, with the file and the element, for what is no MJCF or no possible body, and
     `MissingExtraError` without MuJoCo.
@@ -39,8 +43,11 @@ def read_mjcf(path: str | Path, *, leave_out: Sequence[str] = ()) -> Robot:
     left_out = checked_effects("read_mjcf", leave_out)
     root_of("read_mjcf", path, "mujoco")
     model, unread = compiled(path, left_out)
-    notes = refuse_effects(path, effects_of(model), left_out)
+    unheld = ~are_held(model) | ("equality" in left_out)
+    notes = refuse_effects(path, effects_of(model, unheld), left_out)
     joints = joints_of(model)
+    is_bound = has_equations(model) and "equality" not in left_out
+    equalities = equalities_of(path, model, joints) if is_bound else Equalities({}, {}, ())
     try:
         bodies = bodies_of(model, joints)
     except ProblemError as error:
@@ -52,7 +59,9 @@ def read_mjcf(path: str | Path, *, leave_out: Sequence[str] = ()) -> Robot:
         gravity=gravity_of(model),
         limits=limits,
         posture=posture_of(model, joints),
-        notes=(*notes, *unread, *_notes(model, limits)),
+        loops=equalities.loops,
+        couplings=equalities.couplings,
+        notes=(*notes, *unread, *equalities.notes, *_notes(model, limits)),
     )
 
 

@@ -4,6 +4,7 @@ from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
+from jaxtyping import Bool
 
 from aleator.foreign._mjcf_specification import library
 
@@ -18,12 +19,19 @@ def gravity_of(model: Any) -> tuple[float, ...]:
     return (0.0, 0.0, 0.0) if is_disabled(model, "GRAVITY") else tuple(model.opt.gravity.tolist())
 
 
-def effects_of(model: Any) -> dict[str, list[str]]:
-    """Effects for which a tree of bodies has no place, by name with the elements that have them."""
+def has_equations(model: Any) -> bool:
+    """Whether a file's equations are switched on."""
+    return not (is_disabled(model, "CONSTRAINT") or is_disabled(model, "EQUALITY"))
+
+
+def effects_of(model: Any, unheld: Bool[np.ndarray, " equations"]) -> dict[str, list[str]]:
+    """Effects for which a tree of bodies has no place, by name with the elements that have them.
+
+    `unheld`: which of the equations, if they are active, are among them.
+    """
     constrained = not is_disabled(model, "CONSTRAINT")
     springs, dampers = (not is_disabled(model, flag) for flag in ("SPRING", "DAMPER"))
     rubs = constrained and not is_disabled(model, "FRICTIONLOSS")
-    equal = constrained and not is_disabled(model, "EQUALITY")
     # MuJoCo leaves out all passive forces if both are switched off.
     passive = springs or dampers
     quaternions = model.jnt_type <= 1
@@ -33,7 +41,7 @@ def effects_of(model: Any) -> dict[str, list[str]]:
             *_joints(model, model.dof_jntid[(model.dof_frictionloss != 0) & rubs]),
             *_named(model, "tendon", (model.tendon_frictionloss != 0) & rubs),
         ],
-        "equality": _named(model, "equality", model.eq_active0.astype(bool) & equal),
+        "equality": _named(model, "equality", model.eq_active0.astype(bool) & has_equations(model) & unheld),
         "tendons": _named(
             model,
             "tendon",

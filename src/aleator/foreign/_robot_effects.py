@@ -11,7 +11,7 @@ EFFECTS: Mapping[str, str] = {
     "friction": "dry friction; put a smooth law into `bias` of a model of your own",
     "mimic": "a coordinate that follows another one; add a constraint to a model of your own",
     "extensions": "attributes that the format does not have; replace numbers of the robot that is read without them",
-    "equality": "equations between bodies or joints; close loops by al.joints.Closure in a model of your own",
+    "equality": "equations but connect, joint, and weld in space; write them as `constraint` of a model of your own",
     "tendons": "springs, dampers or inertia of tendons",
     "ball": "springs, dampers or armature of a ball or free joint",
     "polynomials": "stiffness or damping that is not constant",
