@@ -489,7 +489,7 @@ def test_a_function_in_a_process_of_its_own_returns_the_same():
     ("function", "said"),
     [
         (al.foreign.Isolated(boxes.hanging, time_limit=0.5), "ended after its time limit of 0.5 s"),
-        (al.foreign.Isolated(boxes.crash), "its process ended by itself, with exit code 3"),
+        (al.foreign.Isolated(boxes.crash), "its process ended by itself, by exit code 3"),
     ],
 )
 def test_a_function_in_a_process_of_its_own_can_hang_and_crash(function, said):

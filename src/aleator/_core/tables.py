@@ -25,6 +25,12 @@ def read_table(what: str, path: Any) -> tuple[list[str], list[list[str]]]:
         raise ProblemError(f"{path}: expected a CSV file that can be read; received: {reason}.") from error
     except ValueError as error:
         raise ProblemError(f"{path}: expected a line with names of columns; received an empty file.") from error
+    for number, row in enumerate(rows, 1):
+        if any(one.strip() for one in row[len(names) :]):
+            raise ProblemError(
+                f"{path}: expected {len(names)} entries in each row, as in the line of names; received {len(row)} in row "
+                f"{number}. Numbers have decimal points."
+            )
     return names, rows
 
 

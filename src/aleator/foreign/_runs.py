@@ -86,7 +86,7 @@ class _Here(Executor):
         future: Future = Future()
         try:
             future.set_result(fn(*args, **kwargs))
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             future.set_exception(error)
         return future
 
@@ -124,6 +124,9 @@ def _outcome(future: Future) -> tuple[Any, BaseException | None]:
     error = future.exception()
     if error is None:
         return future.result(), None
+    if isinstance(error, SystemExit):
+        # A model that ends its own process has failed; it does not end this one.
+        return None, SimulationError(f"it ended itself by sys.exit({'' if error.code is None else error.code!r})")
     return None, _unsendable(error) if _is_of_pickle(error) else error
 
 
