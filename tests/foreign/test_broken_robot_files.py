@@ -163,10 +163,10 @@ def test_what_a_file_has_beside_bodies_is_noted(tmp_path):
     for words in ("Meshes", "nothing enforces them", "Actuators are not read (1)", "no contact"):
         assert words in notes
     (tmp_path / "robot.xml").write_text(
-        URDF.replace("</robot>", "<gazebo/></robot>").replace("<visual>", "<inertail/><visual>")
+        URDF.replace("</robot>", "<gazebo/></robot>").replace("<visual>", "<stiffness/><visual>")
     )
     notes = " ".join(al.foreign.read_urdf(tmp_path / "robot.xml").notes)
-    for words in ("have no mass: ground", "in <robot>: <gazebo>", "in <link>: <inertail>"):
+    for words in ("have no mass: ground", "in <robot>: <gazebo>", "in <link>: <stiffness>"):
         assert words in notes
 
 

@@ -12,6 +12,7 @@ from jaxtyping import Array, Float
 
 from aleator._core.arrays import Pytree
 from aleator._core.errors import AleatorError, ProblemError, SimulationError
+from aleator._core.given import is_masked
 from aleator.uncertainty import Placements, uncertain_numbers
 
 Function: TypeAlias = Callable[[Any], Pytree]
@@ -108,12 +109,14 @@ def real_array(value: Any, name: str, library: Any) -> Any:
             f"{name} must return a real array or a dict of real arrays; received {type(value).__name__}"
             f"{'' if kind is None else f' of {kind}'}. Stack a list with jnp.stack; take real parts of a complex array."
         )
-    if isinstance(value, np.ma.MaskedArray) and np.ma.is_masked(value):
+    if is_masked(value):
         raise ProblemError(f"{name} returned masked numbers; expected numbers, or NaN where there are none.")
     try:
         value = float(value) if isinstance(value, int) else value
     except OverflowError as error:
-        raise ProblemError(f"{name} returned a whole number beyond 1e308, which no number of this machine is.") from error
+        raise ProblemError(
+            f"{name} returned a whole number beyond 1e308, which no number of this machine is."
+        ) from error
     # A called function may return the same array each time, with other numbers in it.
     return np.array(value, dtype=float) if library is np else library.asarray(value, dtype=float)
 

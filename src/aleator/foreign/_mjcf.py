@@ -7,6 +7,7 @@ knows in full: what it compiles is what it simulates.
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
+from xml.etree.ElementTree import Element
 
 import numpy as np
 
@@ -41,7 +42,7 @@ def read_mjcf(path: str | Path, *, leave_out: Sequence[str] = ()) -> Robot:
     `MissingExtraError` without MuJoCo.
     """
     left_out = checked_effects("read_mjcf", leave_out)
-    root_of("read_mjcf", path, "mujoco")
+    _refuse_nan(path, root_of("read_mjcf", path, "mujoco"))
     model, unread = compiled(path, left_out)
     unheld = ~are_held(model) | ("equality" in left_out)
     notes = refuse_effects(path, effects_of(model, unheld), left_out)
@@ -63,6 +64,15 @@ def read_mjcf(path: str | Path, *, leave_out: Sequence[str] = ()) -> Robot:
         couplings=equalities.couplings,
         notes=(*notes, *unread, *equalities.notes, *_notes(model, limits)),
     )
+
+
+def _refuse_nan(path: Any, root: Element) -> None:
+    """Raise `ProblemError` for numbers that are none, which MuJoCo replaces by its defaults."""
+    for element in root.iter():
+        for attribute, text in element.attrib.items():
+            if attribute != "name" and "nan" in text.lower().split():
+                where = f"{element.tag} '{element.get('name', '')}'"
+                raise broken(path, where, f"expected numbers as {attribute}; received {text!r}.")
 
 
 def _limits(model: Any, joints: Mapping[int, str]) -> Iterator[tuple[str, tuple[float, float]]]:

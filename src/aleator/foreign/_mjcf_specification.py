@@ -4,6 +4,8 @@ import warnings
 from collections.abc import Collection, Iterator
 from typing import Any
 
+import numpy as np
+
 from aleator._core.errors import MissingExtraError, ProblemError
 from aleator.foreign._robot_effects import refuse_effects
 from aleator.foreign._xml import broken
@@ -39,7 +41,20 @@ def compiled(path: Any, left_out: Collection[str]) -> tuple[Any, tuple[str, ...]
             model = specification.compile()
         except ValueError as error:
             raise _refused(path, error) from error
+    _refuse_no_numbers(path, model)
     return model, (*notes, *(f"MuJoCo: {one.message}." for one in heard))
+
+
+def _refuse_no_numbers(path: Any, model: Any) -> None:
+    """Raise `ProblemError` for a model without bodies, and for numbers that are not finite: MuJoCo warns of them."""
+    if model.nbody == 1:
+        raise broken(path, "", "expected a model with a body; received none.")
+    for part in ("body", "jnt", "dof", "eq"):
+        for field in (name for name in dir(model) if name.startswith(f"{part}_")):
+            values = getattr(model, field)
+            if isinstance(values, np.ndarray) and values.dtype.kind == "f" and np.isnan(values).any():
+                index = int(np.argwhere(np.isnan(values))[0][0])
+                raise broken(path, "", f"expected numbers; received NaN in {field} of MuJoCo's model, number {index}.")
 
 
 def _refused(path: Any, error: ValueError) -> ProblemError:

@@ -26,7 +26,7 @@ def root_of(reader: str, path: Any, outermost: str) -> Element:
         root = _parsed(Path(path).read_bytes())
     except TypeError as error:
         raise ProblemError(f"{reader}: expected the path of a file; received {path!r}.") from error
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, LookupError) as error:
         reason = getattr(error, "strerror", None) or error
         raise broken(path, "", f"expected a file that can be read; received: {reason}.") from error
     except expat.ExpatError as error:
@@ -94,7 +94,8 @@ class Place:
             found = tuple(map(float, text.split()))
         except ValueError:
             found = ()
-        if len(found) != count or not np.isfinite(found).all():
+        # Python takes 1_000 for a number, and no other reader of these files does.
+        if len(found) != count or "_" in text or not np.isfinite(found).all():
             expected = "a finite number" if count == 1 else f"{count} finite numbers"
             raise broken(self.path, self.where, f"expected {attribute} as {expected}; received {text!r}.")
         return found
