@@ -16,6 +16,7 @@ from aleator.foreign._mjcf_bodies import bodies_of, joints_of, posture_of
 from aleator.foreign._mjcf_effects import effects_of, gravity_of, has_equations, is_disabled
 from aleator.foreign._mjcf_equalities import Equalities, are_held, equalities_of
 from aleator.foreign._mjcf_specification import compiled
+from aleator.foreign._mjcf_types import Model
 from aleator.foreign._robot import Robot, robot_of
 from aleator.foreign._robot_effects import checked_effects, refuse_effects
 from aleator.foreign._xml import broken, root_of
@@ -66,7 +67,7 @@ def read_mjcf(path: str | Path, *, leave_out: Sequence[str] = ()) -> Robot:
     )
 
 
-def _refuse_nan(path: Any, root: Element) -> None:
+def _refuse_nan(path: str | Path, root: Element) -> None:
     """Raise `ProblemError` for numbers that are none, which MuJoCo replaces by its defaults."""
     for element in root.iter():
         for attribute, text in element.attrib.items():
@@ -75,7 +76,7 @@ def _refuse_nan(path: Any, root: Element) -> None:
                 raise broken(path, where, f"expected numbers as {attribute}; received {text!r}.")
 
 
-def _limits(model: Any, joints: Mapping[int, str]) -> Iterator[tuple[str, tuple[float, float]]]:
+def _limits(model: Model, joints: Mapping[int, str]) -> Iterator[tuple[str, tuple[float, float]]]:
     for joint, name in joints.items():
         if np.isin(model.jnt_type[joint], (2, 3)):  # slides and hinges
             if model.jnt_limited[joint] and not is_disabled(model, "LIMIT"):
@@ -84,7 +85,7 @@ def _limits(model: Any, joints: Mapping[int, str]) -> Iterator[tuple[str, tuple[
                 yield f"{name}_torque", tuple(model.jnt_actfrcrange[joint].tolist())
 
 
-def _notes(model: Any, limits: Mapping[str, Any]) -> Iterator[str]:
+def _notes(model: Model, limits: Mapping[str, Any]) -> Iterator[str]:
     if limits:
         yield "Limits are in robot.limits; nothing enforces them."
     if model.nu:

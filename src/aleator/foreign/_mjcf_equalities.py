@@ -4,6 +4,7 @@ MuJoCo yields where its solver needs to (`solref`, `solimp`); here equations hol
 """
 
 from collections.abc import Iterator, Mapping
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,6 +13,7 @@ from jaxtyping import Bool, Float
 from aleator.foreign._couplings import Coupling
 from aleator.foreign._mjcf_bodies import link_name, orientation, rotation_of
 from aleator.foreign._mjcf_specification import library
+from aleator.foreign._mjcf_types import Model, Posture
 from aleator.foreign._robot import known
 from aleator.foreign._xml import broken, geometry
 from aleator.mechanics import Ball, Closure, Fixed, Revolute
@@ -38,7 +40,7 @@ class Equalities(NamedTuple):
     notes: tuple[str, ...]
 
 
-def are_held(model: Any) -> Bool[np.ndarray, " equations"]:
+def are_held(model: Model) -> Bool[np.ndarray, " equations"]:
     """Which equations of a model, active or not, a robot can hold.
 
     A weld of a loop in one plane would say three things twice, and so leave its forces undetermined.
@@ -53,7 +55,7 @@ def are_held(model: Any) -> Bool[np.ndarray, " equations"]:
     )
 
 
-def equalities_of(path: Any, model: Any, joints: Mapping[int, str]) -> Equalities:
+def equalities_of(path: str | Path, model: Model, joints: Mapping[int, str]) -> Equalities:
     """The active equations of a model whose joints have these names.
 
     Raises `ProblemError` for one that cannot hold, because nothing between its bodies moves as it would have to.
@@ -83,15 +85,15 @@ def equalities_of(path: Any, model: Any, joints: Mapping[int, str]) -> Equalitie
     return Equalities(loops, couplings, tuple(notes))
 
 
-def _coupling(model: Any, index: int, joints: Mapping[int, str]) -> Coupling:
+def _coupling(model: Model, index: int, joints: Mapping[int, str]) -> Coupling:
     follower, leader = int(model.eq_obj1id[index]), int(model.eq_obj2id[index])
-    rest = [known(model.qpos0[model.jnt_qposadr[joint]]) if joint >= 0 else 0 for joint in (follower, leader)]
+    rest = [known(float(model.qpos0[model.jnt_qposadr[joint]])) if joint >= 0 else 0 for joint in (follower, leader)]
     coefficients = tuple(model.eq_data[index, :5].tolist())
     return Coupling(joints[follower], joints[leader] if leader >= 0 else None, coefficients, *rest)
 
 
 def _closure(
-    model: Any, data: Any, name: str, is_weld: bool, ends: tuple[_End, _End], axis: Float[np.ndarray, "3"] | None
+    model: Model, data: Posture, name: str, is_weld: bool, ends: tuple[_End, _End], axis: Float[np.ndarray, "3"] | None
 ) -> Closure:
     outer, inner = ends
     joint: Any = Fixed() if is_weld else Ball()
@@ -110,7 +112,7 @@ def _closure(
     )
 
 
-def _ends(model: Any, index: int) -> tuple[_End, _End]:
+def _ends(model: Model, index: int) -> tuple[_End, _End]:
     """What an equation binds, as MuJoCo's engine takes its numbers."""
     first, second = int(model.eq_obj1id[index]), int(model.eq_obj2id[index])
     if model.eq_objtype[index] == library().mjtObj.mjOBJ_SITE:
@@ -121,24 +123,24 @@ def _ends(model: Any, index: int) -> tuple[_End, _End]:
     return _End(first, numbers[:3], straight), _End(second, numbers[3:6], straight)
 
 
-def _of_site(model: Any, site: int) -> _End:
+def _of_site(model: Model, site: int) -> _End:
     return _End(int(model.site_bodyid[site]), model.site_pos[site], rotation_of(model.site_quat[site]))
 
 
-def _between(model: Any, ends: tuple[_End, _End]) -> Iterator[int]:
+def _between(model: Model, ends: tuple[_End, _End]) -> Iterator[int]:
     """The joints by which two bodies move against one another."""
     chains = [set(_upwards(model, end.body)) for end in ends]
     for body in sorted(chains[0] ^ chains[1]):
         yield from range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body])
 
 
-def _upwards(model: Any, body: int) -> Iterator[int]:
+def _upwards(model: Model, body: int) -> Iterator[int]:
     while body:
         yield body
         body = int(model.body_parentid[body])
 
 
-def _plane(model: Any, data: Any, ends: tuple[_End, _End]) -> Float[np.ndarray, "3"] | None:
+def _plane(model: Model, data: Posture, ends: tuple[_End, _End]) -> Float[np.ndarray, "3"] | None:
     """The direction, in the world's axes, across a plane to which the joints between two bodies confine them."""
     joints = list(_between(model, ends))
     hinges = [joint for joint in joints if model.jnt_type[joint] == _HINGE]
@@ -152,7 +154,9 @@ def _plane(model: Any, data: Any, ends: tuple[_End, _End]) -> Float[np.ndarray, 
     return axis
 
 
-def _refuse_apart(path: Any, name: str, data: Any, ends: tuple[_End, _End], fixed: Float[np.ndarray, "3 n"]) -> None:
+def _refuse_apart(
+    path: str | Path, name: str, data: Posture, ends: tuple[_End, _End], fixed: Float[np.ndarray, "3 n"]
+) -> None:
     """Raise `ProblemError` for points that stay apart along `fixed` directions, in which nothing moves them."""
     outer, inner = (data.xpos[end.body] + _rotation_of_body(data, end.body) @ end.position for end in ends)
     if (distance := float(np.linalg.norm((inner - outer) @ fixed))) > _SAME:
@@ -163,11 +167,11 @@ def _refuse_apart(path: Any, name: str, data: Any, ends: tuple[_End, _End], fixe
         )
 
 
-def _rotation_of_body(data: Any, body: int) -> Float[np.ndarray, "3 3"]:
+def _rotation_of_body(data: Posture, body: int) -> Float[np.ndarray, "3 3"]:
     return data.xmat[body].reshape(3, 3)
 
 
-def _at_reference(model: Any) -> Any:
+def _at_reference(model: Model) -> Posture:
     """What MuJoCo makes of a model in its reference posture."""
     data = library().MjData(model)
     library().mj_kinematics(model, data)

@@ -2,6 +2,7 @@
 
 from collections.abc import Collection, Mapping, Sequence
 from itertools import chain, count
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any, TypeVar, final
 
@@ -100,7 +101,7 @@ class Robot(Multibody):
 
 
 def robot_of(
-    path: Any,
+    path: str | Path,
     bodies: Sequence[Body],
     *,
     gravity: Any = (0.0, 0.0, -9.81),
@@ -142,7 +143,7 @@ def carriers(joints: Mapping[Key, str], links: Collection[str]) -> dict[Key, str
     return found
 
 
-def _refuse_massless(path: Any, bodies: Sequence[Body]) -> None:
+def _refuse_massless(path: str | Path, bodies: Sequence[Body]) -> None:
     carried = {body.name: float(body.mass) for body in bodies}
     for body in reversed(bodies):
         if body.parent is not None:

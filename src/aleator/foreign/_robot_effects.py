@@ -1,6 +1,7 @@
 """What a file may describe and a tree of bodies has no place for: refused, unless the user leaves it out by name."""
 
 from collections.abc import Collection, Mapping
+from pathlib import Path
 from typing import Any
 
 from aleator._core.errors import ProblemError
@@ -33,7 +34,9 @@ def checked_effects(reader: str, given: Any) -> frozenset[str]:
     return frozenset(names)
 
 
-def refuse_effects(path: Any, found: Mapping[str, Collection[str]], left_out: Collection[str]) -> tuple[str, ...]:
+def refuse_effects(
+    path: str | Path, found: Mapping[str, Collection[str]], left_out: Collection[str]
+) -> tuple[str, ...]:
     """Notes on the effects found, by name with the elements that have them.
 
     Raises `ProblemError` for one that is not left out.

@@ -77,7 +77,7 @@ def read_urdf(path: str | Path, *, floating: bool = False, leave_out: Sequence[s
     return robot_of(path, bodies, limits=limits, posture={}, notes=(*notes, *_notes(root, links, limits)))
 
 
-def _named(path: Any, root: Element, tag: str) -> dict[str, Place]:
+def _named(path: str | Path, root: Element, tag: str) -> dict[str, Place]:
     """The elements of a tag by name."""
     found: dict[str, Place] = {}
     for element in root.findall(tag):
@@ -214,7 +214,7 @@ def _notes(root: Element, links: Mapping[str, Place], limits: Collection[str]) -
             yield f"Not read, in <{owner}>: {', '.join(f'<{tag}>' for tag in others)}."
 
 
-def _refuse_misspelt(path: Any, root: Element) -> None:
+def _refuse_misspelt(path: str | Path, root: Element) -> None:
     """Raise `ProblemError` for elements and attributes that are nearly those that are read, and would be ignored."""
     for owner in (*root.findall("link"), *root.findall("joint")):
         where = f"{owner.tag} '{owner.get('name', '')}'"
@@ -228,7 +228,7 @@ def _refuse_misspelt(path: Any, root: Element) -> None:
                 raise broken(path, where, f"<{part.tag}>: expected some of {sorted(known)}; received {others[0]!r}.")
 
 
-def _refuse_macros(path: Any, root: Element) -> None:
+def _refuse_macros(path: str | Path, root: Element) -> None:
     for element in root.iter():
         if "xacro" in str(element.tag) or any("${" in value for value in element.attrib.values()):
             raise broken(

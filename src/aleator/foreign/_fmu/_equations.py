@@ -4,7 +4,7 @@ import weakref
 from collections import OrderedDict
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -14,7 +14,7 @@ from aleator.foreign._fmu._differences import STEP, scales, slope
 from aleator.foreign._fmu._instance import Instance
 from aleator.foreign._fmu._library import LOCK
 from aleator.foreign._fmu._opened import Opened
-from aleator.foreign._fmu._variables import nominals_of
+from aleator.foreign._fmu._variables import Variable, nominals_of
 
 # As many instances are kept, each with its own parameters.
 _KEPT = 256
@@ -49,12 +49,12 @@ class Equations:
     def __init__(
         self,
         fmu: Opened,
-        parameters: list[Any],
-        inputs: list[Any],
-        outputs: list[Any],
+        parameters: list[Variable],
+        inputs: list[Variable],
+        outputs: list[Variable],
         t: float,
         tolerance: float,
-        first: Mapping[Any, float] = MappingProxyType({}),
+        first: Mapping[Variable, float] = MappingProxyType({}),
     ):
         self.fmu, self.parameters, self.inputs, self.outputs = fmu, parameters, inputs, outputs
         self._t, self.tolerance, self._first = t, tolerance, dict(first)
@@ -136,7 +136,7 @@ class Equations:
         for index in np.flatnonzero(candidates) if places else ():
             self.trusted[index] = self._agree(places, int(index))
 
-    def scales(self, values: np.ndarray, variables: list[Any]) -> np.ndarray:
+    def scales(self, values: np.ndarray, variables: list[Variable]) -> np.ndarray:
         """By how much a change of each of some variables is large."""
         return scales(values, nominals_of(variables))
 

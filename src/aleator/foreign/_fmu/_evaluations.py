@@ -1,6 +1,6 @@
 """An FMU's equations and its initial state as functions of one vector, with two derivatives."""
 
-from typing import Any, final
+from typing import final
 
 import numpy as np
 from jaxtyping import Float
@@ -8,6 +8,7 @@ from jaxtyping import Float
 from aleator.foreign._fmu import _differences as differences
 from aleator.foreign._fmu._equations import Equations, Place, refuse_events, refuse_memory
 from aleator.foreign._fmu._opened import Opened
+from aleator.foreign._fmu._variables import Variable
 
 # The initial state is told within this tolerance, if the FMU has to iterate for it.
 _TOLERANCE = 1e-10
@@ -30,9 +31,9 @@ class Field:
     def __init__(
         self,
         fmu: Opened,
-        parameters: list[Any],
-        inputs: list[Any],
-        outputs: list[Any],
+        parameters: list[Variable],
+        inputs: list[Variable],
+        outputs: list[Variable],
         numbers: list[float | None],
     ):
         self._fmu = fmu

@@ -1,11 +1,12 @@
 """Inputs of an FMU that vary with time: known at the instants of a grid, straight in between."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from aleator.foreign._fmu._instance import Instance
+from aleator.foreign._fmu._variables import Variable
 
 
 class Sampled(NamedTuple):
@@ -19,7 +20,7 @@ class Sampled(NamedTuple):
 class Inputs(NamedTuple):
     """Values of inputs at instants, shape (instants, inputs)."""
 
-    variables: list[Any]
+    variables: list[Variable]
     times: Float[np.ndarray, " instants"]
     values: Float[np.ndarray, "instants inputs"]
 
@@ -33,7 +34,7 @@ class Inputs(NamedTuple):
         return np.array([np.interp(t, self.times, column) for column in self.values.T], dtype=float)
 
     @property
-    def first(self) -> dict[Any, float]:
+    def first(self) -> dict[Variable, float]:
         """The values at the start, by variable."""
         return dict(zip(self.variables, self.values[0].tolist(), strict=True))
 

@@ -10,7 +10,7 @@ from aleator._core.given import shown
 from aleator.foreign._fmu._files import MODEL_EXCHANGE, described, kind_of, offers_slopes
 from aleator.foreign._fmu._instance import Instance, started
 from aleator.foreign._fmu._library import Library
-from aleator.foreign._fmu._variables import Variables
+from aleator.foreign._fmu._variables import Variable, Variables
 
 
 class Described:
@@ -41,7 +41,7 @@ class Described:
         """Its continuous states, in its own order; none of co-simulation, which keeps them to itself."""
         return [one.name for one in self.variables.states] if self.is_exchange else []
 
-    def _settings(self, given: Any) -> dict[Any, Any]:
+    def _settings(self, given: Any) -> dict[Variable, Any]:
         if not isinstance(given, Mapping | None):
             raise ProblemError(
                 f"FMU '{self.name}': expected settings as values by name, such as {{'stages': 3}}; "
@@ -60,7 +60,7 @@ class Opened(Described):
         self.library = Library(name, self.description, self.kind, folder)
 
     def started(
-        self, values: Mapping[Any, float], t: float, tolerance: float | None
+        self, values: Mapping[Variable, float], t: float, tolerance: float | None
     ) -> AbstractContextManager[Instance]:
         """A fresh instance at the time `t`, with values of variables besides the settings."""
         return started(self.library, len(self.states), self.indicators, {**self.settings, **values}, t, tolerance)

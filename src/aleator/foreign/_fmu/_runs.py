@@ -3,7 +3,6 @@
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -16,7 +15,7 @@ from aleator.foreign._fmu._exchange import EventError, integrated, motion_of
 from aleator.foreign._fmu._inputs import Inputs
 from aleator.foreign._fmu._opened import Opened
 from aleator.foreign._fmu._sensitivities import sensitivities
-from aleator.foreign._fmu._variables import nominals_of, with_numbers
+from aleator.foreign._fmu._variables import Variable, nominals_of, with_numbers
 
 # Differences over one step and over two may disagree by this part of the largest derivative.
 _NOISY = 1e-2
@@ -25,7 +24,9 @@ _NOISY = 1e-2
 class Runs:
     """An FMU from the start to the end of a grid, by the values of `parameters`, with chosen `outputs`."""
 
-    def __init__(self, fmu: Opened, parameters: list[Any], outputs: list[Any], inputs: Inputs, tolerance: float):
+    def __init__(
+        self, fmu: Opened, parameters: list[Variable], outputs: list[Variable], inputs: Inputs, tolerance: float
+    ):
         self._fmu, self._parameters, self._outputs = fmu, parameters, outputs
         self._inputs, self._tolerance = inputs, tolerance
         self._equations = None
