@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 import aleator as al
+from aleator.foreign._fmu._fmu import _opened_again
 from rods import here
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "pidfd_open"), reason="processes are watched as Linux does")
@@ -185,10 +186,32 @@ def test_a_run_is_sent_to_other_processes_as_its_file(rods, tmp_path):
     again, system_again = pickle.loads(packed)
     assert np.array_equal(again({})["angle"], run({})["angle"])
     assert np.array_equal(system_again.initial()["angle"], system.initial()["angle"])
+    assert pickle.loads(packed)[0]._fmu is again._fmu
     with zipfile.ZipFile(path, "a") as archive:
         archive.writestr("note", "changed")
+    _opened_again.cache_clear()
     with pytest.raises(al.ProblemError, match=r"FMU 'sent': '.*sent\.fmu' has changed since the model was made"):
         pickle.loads(packed)
+
+
+def test_a_journal_tells_apart_fmus_of_one_name_their_settings_and_their_inputs(rods, tmp_path):
+    path, ramp = tmp_path / "same.fmu", al.Tabulated([0.0, 2.0], [0.0, 1.0])
+
+    def mean(fmu, **given):
+        run = al.foreign.FmuSimulation(fmu, GRID, outputs=["angle"], **given)
+        box = al.foreign.BlackBox(run, journal=tmp_path / "runs.jsonl")
+        al.references.monte_carlo(box, {"damping": al.Uniform(0.1, half_width=0.05)}, samples=4, seed=1)
+        return len((tmp_path / "runs.jsonl").read_text().splitlines())
+
+    shutil.copy(rods(3), path)
+    assert [mean(here(path)), mean(here(path))] == [5, 5]
+    with pytest.warns(al.SimulationWarning, match="by another box"):
+        assert mean(here(path), inputs={"torque": ramp}) == 9
+    with pytest.warns(al.SimulationWarning, match="by another box"):
+        assert mean(here(path, settings={"behaviour": FINE + 5})) == 13
+    shutil.copy(rods(3, wall=True), path)
+    with pytest.warns(al.SimulationWarning, match="by another box"):
+        assert mean(here(path)) == 17
 
 
 def test_options_of_processes_are_checked(rods):

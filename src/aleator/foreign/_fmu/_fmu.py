@@ -1,5 +1,6 @@
 """`Fmu`: a model in a file, and what it offers."""
 
+import functools
 import hashlib
 from collections.abc import Mapping
 from pathlib import Path
@@ -63,7 +64,7 @@ class Fmu:
         self._settings = dict(settings or {})
         interface = known.description.modelExchange if self.is_exchange else known.description.coSimulation
         unpack_all(path, folder, known.description, interface.modelIdentifier)
-        self._given = path.absolute(), self.kind, self._settings, own_process, limit
+        self._given = path.absolute(), self.kind, tuple(self._settings.items()), own_process, limit
         opening = self.name, folder, self.kind, self._settings
         self.door = OwnProcess(opening, limit) if own_process else Here(*opening)
 
@@ -120,10 +121,17 @@ def fmu_given(who: str, given: Any) -> Fmu:
     return given
 
 
+# Each task that a worker is sent has the model anew: the FMU stays open for the next one.
+@functools.lru_cache(maxsize=4)
 def _opened_again(
-    path: Path, kind: str, settings: dict[str, Any], own_process: bool, time_limit: float | None, digest: str
+    path: Path,
+    kind: str,
+    settings: tuple[tuple[str, Any], ...],
+    own_process: bool,
+    time_limit: float | None,
+    digest: str,
 ) -> Fmu:
-    found = Fmu(path, kind=kind, settings=settings, own_process=own_process, time_limit=time_limit)
+    found = Fmu(path, kind=kind, settings=dict(settings), own_process=own_process, time_limit=time_limit)
     if found._digest != digest:
         raise ProblemError(f"FMU '{found.name}': '{path}' has changed since the model was made: make the model again.")
     return found
