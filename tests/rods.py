@@ -11,6 +11,8 @@ from typing import Any
 
 import pytest
 
+import aleator as al
+
 SOURCE = Path(__file__).with_name("rod.c")
 
 # name, causality, variability, initial, start, and further attributes; the place in the list is the value reference.
@@ -163,6 +165,11 @@ def platform(version: int) -> str:
 
     folder = fmpy.platform if version == 2 else fmpy.platform_tuple
     return f"{folder}/rod{fmpy.sharedLibraryExtension}"
+
+
+def here(path: Path, **given: Any) -> al.foreign.Fmu:
+    """An FMU whose code runs in this process, which is sooner ready."""
+    return al.foreign.Fmu(path, own_process=False, **given)
 
 
 @pytest.fixture(scope="session")

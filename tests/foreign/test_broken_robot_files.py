@@ -91,9 +91,16 @@ BROKEN_MJCF = {
         ["body 'rod'", "a mesh ('rod')", "<inertial>", "mj_saveLastXML"],
     ),
     "dry friction": (mjcf(HINGE.format('frictionloss="1"')), ["joint 'hinge'", "('friction',)"]),
-    "a loop": (
-        mjcf(after='<equality><connect name="pin" body1="rod" anchor="0 0 1"/></equality>'),
-        ["equality 'pin'", "al.joints.Closure", "('equality',)"],
+    "a weld in a plane": (
+        mjcf(after='<equality><weld name="pin" body1="rod"/></equality>'),
+        ["equality 'pin'", "equations but connect, joint, and weld in space", "('equality',)"],
+    ),
+    "an equation of tendons": (
+        mjcf(
+            after='<tendon><fixed name="rope"><joint joint="hinge" coef="1"/></fixed></tendon>'
+            '<equality><tendon name="taut" tendon1="rope"/></equality>'
+        ),
+        ["equality 'taut'", "('equality',)"],
     ),
     "a tendon with a spring": (
         mjcf(after='<tendon><fixed name="rope" stiffness="3"><joint joint="hinge" coef="1"/></fixed></tendon>'),
@@ -156,10 +163,10 @@ def test_what_a_file_has_beside_bodies_is_noted(tmp_path):
     for words in ("Meshes", "nothing enforces them", "Actuators are not read (1)", "no contact"):
         assert words in notes
     (tmp_path / "robot.xml").write_text(
-        URDF.replace("</robot>", "<gazebo/></robot>").replace("<visual>", "<inertail/><visual>")
+        URDF.replace("</robot>", "<gazebo/></robot>").replace("<visual>", "<stiffness/><visual>")
     )
     notes = " ".join(al.foreign.read_urdf(tmp_path / "robot.xml").notes)
-    for words in ("have no mass: ground", "in <robot>: <gazebo>", "in <link>: <inertail>"):
+    for words in ("have no mass: ground", "in <robot>: <gazebo>", "in <link>: <stiffness>"):
         assert words in notes
 
 

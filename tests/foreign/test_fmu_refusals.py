@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import aleator as al
+from rods import here
 
 GRID = al.Grid(2.0, 4)
 LONGEST = 400
@@ -21,16 +22,14 @@ def refused(error, message, call, *arguments, **named):
 
 
 def test_an_fmu_says_what_it_offers(rods):
-    assert str(al.foreign.Fmu(rods(2), kind="model exchange")).splitlines() == [
+    assert str(here(rods(2), kind="model exchange")).splitlines() == [
         "FMU 'rod2_mc': FMI 2.0, model exchange; offers directional derivatives",
         "  parameters: rod.mass, rod.length, damping, gravity, fail_at, wall",
         "  inputs: torque",
         "  states: angle, rate",
         "  outputs: angle, rate, energy",
     ]
-    assert str(al.foreign.FmuSimulation(al.foreign.Fmu(rods(3)), GRID)).startswith(
-        "FMU 'rod3_mc', model exchange, from 0"
-    )
+    assert str(al.foreign.FmuSimulation(here(rods(3)), GRID)).startswith("FMU 'rod3_mc', model exchange, from 0")
 
 
 def test_files_that_are_no_fmu_are_refused(rods, tmp_path):
@@ -93,13 +92,13 @@ def test_without_fmpy_the_extra_is_named(rods, monkeypatch):
     ],
 )
 def test_names_that_are_no_parameters_are_refused(rods, name, message):
-    fmu = al.foreign.Fmu(rods(3))
+    fmu = here(rods(3))
     refused(al.ProblemError, f"FMU 'rod3_mc'.*{message}", al.foreign.FmuSimulation(fmu, GRID), {name: 1.0})
     refused(al.ProblemError, f"FMU 'rod3_mc'.*{message}", al.foreign.FmuSystem, fmu, {name: 1.0})
 
 
 def test_numbers_that_are_none_are_refused(rods):
-    run = al.foreign.FmuSimulation(al.foreign.Fmu(rods(3)), GRID)
+    run = al.foreign.FmuSimulation(here(rods(3)), GRID)
     refused(al.ProblemError, "'damping': expected a finite number; received 'x'", run, {"damping": "x"})
     refused(al.ProblemError, "'damping': expected a finite number; received nan", run, {"damping": np.nan})
     refused(al.ProblemError, "expected numbers by the names of parameters", run, 3.0)
@@ -108,7 +107,7 @@ def test_numbers_that_are_none_are_refused(rods):
 
 
 def test_outputs_inputs_and_settings_are_checked(rods):
-    fmu, ramp = al.foreign.Fmu(rods(3)), al.Tabulated([0.0, 2.0], [0.0, 1.0])
+    fmu, ramp = here(rods(3)), al.Tabulated([0.0, 2.0], [0.0, 1.0])
 
     def run(**named):
         return al.foreign.FmuSimulation(fmu, GRID, **named)
@@ -132,18 +131,16 @@ def test_outputs_inputs_and_settings_are_checked(rods):
         fmu,
         al.Grid(al.Decision(1.0, 0.5, 2.0), 4),
     )
-    refused(al.ProblemError, "expected one of|expected as its kind", al.foreign.Fmu, rods(3), kind="both")
+    refused(al.ProblemError, "expected one of|expected as its kind", here, rods(3), kind="both")
     refused(
         al.ProblemError,
         "a whole number for 'behaviour'; received 1.5",
-        al.foreign.Fmu,
+        here,
         rods(3),
         settings={"behaviour": 1.5},
     )
-    refused(
-        al.ProblemError, "True or False for 'started'; received 1", al.foreign.Fmu, rods(3), settings={"started": 1}
-    )
-    refused(al.ProblemError, "no variable 'stages'", al.foreign.Fmu, rods(3), settings={"stages": 3})
+    refused(al.ProblemError, "True or False for 'started'; received 1", here, rods(3), settings={"started": 1})
+    refused(al.ProblemError, "no variable 'stages'", here, rods(3), settings={"stages": 3})
 
 
 FAILURES = {
@@ -158,7 +155,7 @@ FAILURES = {
 @pytest.mark.parametrize("kind", ["model exchange", "co-simulation"])
 @pytest.mark.parametrize(("behaviour", "message"), FAILURES.values(), ids=FAILURES)
 def test_a_run_that_fails_says_when_and_what_the_fmu_said(rods, version, kind, behaviour, message):
-    fmu = al.foreign.Fmu(rods(version), kind=kind, settings={"behaviour": behaviour})
+    fmu = here(rods(version), kind=kind, settings={"behaviour": behaviour})
     run = al.foreign.FmuSimulation(fmu, GRID)
     refused(al.SimulationError, f"FMU 'rod{version}_mc'.*{message}", run, {"fail_at": 0.6})
     # Another run begins anew.
@@ -167,7 +164,7 @@ def test_a_run_that_fails_says_when_and_what_the_fmu_said(rods, version, kind, b
 
 
 def test_a_failure_among_uncertain_parameters_names_them(rods):
-    fmu = al.foreign.Fmu(rods(3), settings={"behaviour": 1})
+    fmu = here(rods(3), settings={"behaviour": 1})
     run, uncertain = al.foreign.FmuSimulation(fmu, GRID), {"fail_at": al.Uniform(2.0, half_width=0.5)}
     with pytest.raises(al.SimulationError, match=r"'rod3_mc' raised .* the hinge is broken .* where fail_at=1\."):
         al.expand(run, uncertain, al.Expansion(order=2), traced=False)

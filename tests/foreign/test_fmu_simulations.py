@@ -10,6 +10,7 @@ import scipy
 
 import aleator as al
 from rod_models import HangingRod, Rod
+from rods import here
 
 MODEL_EXCHANGE, CO_SIMULATION = "model exchange", "co-simulation"
 KINDS = [(version, kind) for version in (2, 3) for kind in (MODEL_EXCHANGE, CO_SIMULATION)]
@@ -26,7 +27,7 @@ def own(damping=0.1, length=1.0, angle=1.0, **more):
 def swinging(rods, version=3, kind=None, grid=GRID, **more):
     how = {name: more.pop(name) for name in ("settings",) if name in more}
     made = {name: more.pop(name) for name in ("wall", "slopes") if name in more}
-    return al.foreign.FmuSimulation(al.foreign.Fmu(rods(version, **made), kind=kind, **how), grid, **more)
+    return al.foreign.FmuSimulation(here(rods(version, **made), kind=kind, **how), grid, **more)
 
 
 @pytest.mark.parametrize(("version", "kind"), KINDS)

@@ -6,6 +6,7 @@ import pytest
 
 import aleator as al
 from rod_models import Rod
+from rods import here
 
 GRID = al.Grid(1.0, 20)
 
@@ -16,7 +17,7 @@ def damping():
 
 @pytest.mark.parametrize("version", [2, 3])
 def test_a_system_of_an_fmu_moves_as_the_same_system_written_here_to_rounding(rods, version):
-    system = al.foreign.FmuSystem(al.foreign.Fmu(rods(version)), {"damping": 0.2, "rod.length": 1.1, "angle": 0.7})
+    system = al.foreign.FmuSystem(here(rods(version)), {"damping": 0.2, "rod.length": 1.1, "angle": 0.7})
     assert system.states == ("angle", "rate")
     assert system.units == {"angle": "rad", "rate": "rad/s", "energy": "J"}
     torque = {"torque": al.Tabulated([0.0, 1.0], [0.0, 1.0])}
@@ -27,7 +28,7 @@ def test_a_system_of_an_fmu_moves_as_the_same_system_written_here_to_rounding(ro
 
 @pytest.mark.parametrize("slopes", [True, False], ids=["directional derivatives", "differences"])
 def test_a_system_of_an_fmu_is_differentiated_like_the_same_system_written_here(rods, slopes):
-    fmu = al.foreign.Fmu(rods(3, slopes=slopes))
+    fmu = here(rods(3, slopes=slopes))
 
     def by_fmu(damping, length, angle, t_final):
         system = al.foreign.FmuSystem(fmu, {"damping": damping, "rod.length": length, "angle": angle})
@@ -53,7 +54,7 @@ def test_a_system_of_an_fmu_is_differentiated_like_the_same_system_written_here(
     ids=["sequential", "simultaneous"],
 )
 def test_a_robust_design_of_an_fmu_is_that_of_the_same_system_written_here(rods, way, steps):
-    fmu, energy = al.foreign.Fmu(rods(3)), al.terminal("energy")
+    fmu, energy = here(rods(3)), al.terminal("energy")
 
     def solution(system):
         return al.solve(
@@ -74,28 +75,28 @@ def test_a_robust_design_of_an_fmu_is_that_of_the_same_system_written_here(rods,
 
 def test_an_fmu_with_events_is_no_system(rods):
     with pytest.raises(al.ProblemError, match=r"'rod3_wall_mc' has 1 event indicator\. Use FmuSimulation"):
-        al.foreign.FmuSystem(al.foreign.Fmu(rods(3, wall=True)))
+        al.foreign.FmuSystem(here(rods(3, wall=True)))
 
 
 def test_an_fmu_with_a_memory_is_no_system(rods):
-    fmu = al.foreign.Fmu(rods(3), settings={"behaviour": 7})
+    fmu = here(rods(3), settings={"behaviour": 7})
     with pytest.raises(al.ProblemError, match=r"those of 'rod3_mc' depend on where it was before, by .* Use FmuSimul"):
         al.foreign.FmuSystem(fmu)
 
 
 def test_co_simulation_is_no_system(rods):
     with pytest.raises(al.ProblemError, match="which gives the rates of its states; 'rod3_mc' is used for co-simul"):
-        al.foreign.FmuSystem(al.foreign.Fmu(rods(3), kind="co-simulation"))
+        al.foreign.FmuSystem(here(rods(3), kind="co-simulation"))
 
 
 def test_an_unknown_input_of_a_system_is_named(rods):
-    system = al.foreign.FmuSystem(al.foreign.Fmu(rods(3)))
+    system = al.foreign.FmuSystem(here(rods(3)))
     with pytest.raises(al.ProblemError, match=r"FMU 'rod3_mc' has no variable 'torqe'. Did you mean 'torque'\?"):
         al.simulate(system, GRID, {"torqe": al.Tabulated([0.0, 1.0], [0.0, 1.0])})
 
 
 def test_where_an_fmu_fails_a_system_has_no_numbers_and_says_why(rods):
-    fmu = al.foreign.Fmu(rods(3), settings={"behaviour": 1})
+    fmu = here(rods(3), settings={"behaviour": 1})
     system = al.foreign.FmuSystem(fmu, {"fail_at": 0.5})
     with pytest.warns(al.SimulationWarning) as said:
         found = al.simulate(system, GRID, only=["angle"])["angle"]

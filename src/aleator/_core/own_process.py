@@ -50,6 +50,16 @@ def end_running() -> None:
         end_group(process)
 
 
+def exit_told(code: int | None) -> str:
+    """How a process ended, in words: by a signal, whose number is negative, or with an exit code."""
+    if code is None or code >= 0:
+        return f"exit code {code}"
+    try:
+        return f"the signal {signal.Signals(-code).name}"
+    except ValueError:
+        return f"the signal {-code}"
+
+
 def report(sender: Connection, function: Callable[[Any], Any], argument: Any) -> None:
     """In a process of its own: call a function and send what it returns, or what it raises as text."""
     if os.name != "nt":

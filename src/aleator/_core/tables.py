@@ -25,9 +25,18 @@ def read_table(what: str, path: Any) -> tuple[list[str], list[list[str]]]:
         raise ProblemError(f"{path}: expected a CSV file that can be read; received: {reason}.") from error
     except ValueError as error:
         raise ProblemError(f"{path}: expected a line with names of columns; received an empty file.") from error
+    for number, row in enumerate(rows, 1):
+        if any(one.strip() for one in row[len(names) :]):
+            raise ProblemError(
+                f"{path}: expected {len(names)} entries in each row, as in the line of names; received {len(row)} in "
+                f"row {number}. Numbers have decimal points."
+            )
     return names, rows
 
 
 def entry(row: list[str], column: int) -> float:
     """A number in a row of a table; NaN where the column is missing or empty."""
-    return float((row[column] if column < len(row) else "").strip() or "nan")
+    text = (row[column] if column < len(row) else "").strip() or "nan"
+    if "_" in text:  # which Python takes for a separator of digits
+        raise ValueError(f"could not convert string to float: {text!r}")
+    return float(text)

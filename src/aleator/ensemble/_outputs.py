@@ -12,6 +12,7 @@ from jaxtyping import Array, Float
 
 from aleator._core.arrays import Pytree
 from aleator._core.errors import AleatorError, ProblemError, SimulationError
+from aleator._core.given import is_masked
 from aleator.uncertainty import Placements, uncertain_numbers
 
 Function: TypeAlias = Callable[[Any], Pytree]
@@ -63,6 +64,7 @@ def as_outputs(given: Pytree, name: str, library: Any) -> Pytree:
     """
     if given is None:
         raise ProblemError(f"{name} returns nothing; expected an array or a dict of arrays.")
+    _refuse_odd_names(given, name)
     outputs = jax.tree.map(lambda value: real_array(value, name, library), given, is_leaf=lambda one: one is None)
     for path, leaf in jax.tree_util.tree_leaves_with_path(outputs):
         if leaf.size == 0:
@@ -71,6 +73,16 @@ def as_outputs(given: Pytree, name: str, library: Any) -> Pytree:
                 "which there are no statistics. Leave it out."
             )
     return outputs
+
+
+def _refuse_odd_names(given: Pytree, name: str) -> None:
+    """Raise `ProblemError` for dicts with names of several types, which have no order."""
+    if isinstance(given, dict):
+        kinds = sorted({type(one).__name__ for one in given})
+        if len(kinds) > 1:
+            raise ProblemError(f"{name} must return dicts by texts; received names of the types {', '.join(kinds)}.")
+    for part in given.values() if isinstance(given, dict) else given if isinstance(given, list | tuple) else ():
+        _refuse_odd_names(part, name)
 
 
 def absent(error: Exception, realised: Pytree) -> str:
@@ -97,6 +109,14 @@ def real_array(value: Any, name: str, library: Any) -> Any:
             f"{name} must return a real array or a dict of real arrays; received {type(value).__name__}"
             f"{'' if kind is None else f' of {kind}'}. Stack a list with jnp.stack; take real parts of a complex array."
         )
+    if is_masked(value):
+        raise ProblemError(f"{name} returned masked numbers; expected numbers, or NaN where there are none.")
+    try:
+        value = float(value) if isinstance(value, int) else value
+    except OverflowError as error:
+        raise ProblemError(
+            f"{name} returned a whole number beyond 1e308, which no number of this machine is."
+        ) from error
     # A called function may return the same array each time, with other numbers in it.
     return np.array(value, dtype=float) if library is np else library.asarray(value, dtype=float)
 

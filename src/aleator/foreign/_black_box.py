@@ -83,7 +83,7 @@ class BlackBox(AbstractBox):
             campaign.take(one for one in runs.close() if one.error is None)
             if not isinstance(error, AleatorError):
                 raise
-            raise type(error)(f"{str(error).rstrip('.')}.{self._kept(campaign)}") from error.__cause__
+            raise type(error)(f"{str(error).rstrip('.')}.{self._kept(campaign, error)}") from error.__cause__
         if campaign.failures:
             warn_of_dropped(name_of(self), realisations, campaign.failures)
         return campaign.outputs
@@ -102,10 +102,12 @@ class BlackBox(AbstractBox):
             said += ". This method needs every sample, so that none is dropped"
         raise SimulationError(said)
 
-    def _kept(self, campaign: Campaign) -> str:
+    def _kept(self, campaign: Campaign, error: AleatorError) -> str:
         """What has been kept, as a sentence."""
         count = sum(outputs is not None for outputs in campaign.outputs)
-        place = "by this box" if self._journal.path is None else f"in {self._journal.path.name}"
+        path = self._journal.path
+        # A journal that could not be written does not have them.
+        place = "by this box" if path is None or not isinstance(error, SimulationError) else f"in {path.name}"
         return f" Finished samples are kept {place} ({count}): a second call goes on." if count else ""
 
     def _warn_of_others(self, campaign: Campaign) -> None:

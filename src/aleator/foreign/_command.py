@@ -14,7 +14,7 @@ import numpy as np
 from aleator._core import given
 from aleator._core.arrays import Pytree
 from aleator._core.errors import ProblemError, SimulationError
-from aleator._core.own_process import ended_with, in_group
+from aleator._core.own_process import ended_with, exit_told, in_group
 from aleator.foreign._runs import refuse_traced
 
 # A placeholder in an argument, such as {mass}.
@@ -106,15 +106,16 @@ class Command:
                 process = subprocess.Popen(
                     arguments, cwd=folder, stdin=subprocess.DEVNULL, stdout=output, stderr=errors, **in_group()
                 )
-            except OSError as error:
-                raise ProblemError(f"Command: {arguments[0]} cannot be run ({error.strerror}).") from error
+            except (OSError, ValueError) as error:
+                said = getattr(error, "strerror", None) or error
+                raise ProblemError(f"Command: {arguments[0]} cannot be run ({said}).") from error
             with process, ended_with(process.pid, lambda: process.returncode is not None):
                 try:
                     code = process.wait(self.time_limit)
                 except subprocess.TimeoutExpired as error:
                     raise SimulationError(f"it was ended after its time limit of {self.time_limit:g} s") from error
             if code:
-                raise SimulationError(f"it ended with exit code {code}; {_end_of(errors)}")
+                raise SimulationError(f"it ended by {exit_told(code)}; {_end_of(errors)}")
 
     def _text(self, folder: Path, output: IO[bytes]) -> str:
         if self.output_file is None:
@@ -164,12 +165,22 @@ def _numbers(text: str, source: str) -> Pytree:
     last = next((line for line in reversed(text.splitlines()) if line.strip()), "")
     for part in (text, last):
         try:
-            parsed = json.loads(part)
-        except ValueError:
+            parsed = json.loads(part, object_pairs_hook=_once_each)
+        except (ValueError, RecursionError):
             continue
         return _arrays(parsed, "the output")
     said = f"received {last.strip()[-_SHOWN:]!r}" if last else "received nothing"
     raise SimulationError(f"expected JSON in {source}; {said}")
+
+
+def _once_each(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """An object of JSON. Raises `SimulationError` for a name that it has twice."""
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        names = [name for name, _ in pairs]
+        twice = next(name for name in names if names.count(name) > 1)
+        raise SimulationError(f"expected each output once; received {twice!r} twice")
+    return found
 
 
 def _arrays(parsed: Any, what: str) -> Pytree:

@@ -10,8 +10,8 @@ from typing import Any, final
 from aleator._core import given
 from aleator._core.arrays import Pytree
 from aleator._core.errors import SimulationError
-from aleator._core.own_process import ended_with, report
-from aleator.foreign._runs import refuse_traced
+from aleator._core.own_process import ended_with, exit_told, report
+from aleator.foreign._runs import is_of_pickle, refuse_traced, unsendable
 
 
 @final
@@ -27,7 +27,8 @@ class Isolated:
       definition belongs under `if __name__ == "__main__":`;
     - `time_limit`: seconds from the start of the process, after which it is ended, with all processes that it started.
 
-    A call raises `SimulationError` if the process exceeds its time or ends by itself, or if the function raises.
+    A call raises `SimulationError` if the process exceeds its time or ends by itself, or if the function raises, and
+    `ProblemError` if the function cannot be sent to a process.
     """
 
     function: Callable[[Any], Pytree]
@@ -50,7 +51,12 @@ class Isolated:
         context = multiprocessing.get_context("spawn")
         receiver, sender = context.Pipe(duplex=False)
         process = context.Process(target=report, args=(sender, self.function, realised))
-        process.start()
+        try:
+            process.start()
+        except Exception as error:
+            if is_of_pickle(error):
+                raise unsendable("Isolated", error) from error
+            raise
         sender.close()
         try:
             with receiver, ended_with(process.pid or 0, lambda: not process.is_alive()):
@@ -69,4 +75,4 @@ class Isolated:
             return receiver.recv()
         except EOFError as error:
             process.join()
-            raise SimulationError(f"its process ended by itself, with exit code {process.exitcode}") from error
+            raise SimulationError(f"its process ended by itself, by {exit_told(process.exitcode)}") from error

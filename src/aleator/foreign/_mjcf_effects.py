@@ -4,26 +4,35 @@ from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
+from jaxtyping import Bool
 
 from aleator.foreign._mjcf_specification import library
+from aleator.foreign._mjcf_types import Model
 
 
-def is_disabled(model: Any, flag: str) -> bool:
+def is_disabled(model: Model, flag: str) -> bool:
     """Whether a file switches an effect off: "SPRING", "DAMPER", "GRAVITY" and others of `mjtDisableBit`."""
     return bool(model.opt.disableflags & getattr(library().mjtDisableBit, f"mjDSBL_{flag}"))
 
 
-def gravity_of(model: Any) -> tuple[float, ...]:
+def gravity_of(model: Model) -> tuple[float, ...]:
     """Gravity, m/s²."""
     return (0.0, 0.0, 0.0) if is_disabled(model, "GRAVITY") else tuple(model.opt.gravity.tolist())
 
 
-def effects_of(model: Any) -> dict[str, list[str]]:
-    """Effects for which a tree of bodies has no place, by name with the elements that have them."""
+def has_equations(model: Model) -> bool:
+    """Whether a file's equations are switched on."""
+    return not (is_disabled(model, "CONSTRAINT") or is_disabled(model, "EQUALITY"))
+
+
+def effects_of(model: Model, unheld: Bool[np.ndarray, " equations"]) -> dict[str, list[str]]:
+    """Effects for which a tree of bodies has no place, by name with the elements that have them.
+
+    `unheld`: which of the equations, if they are active, are among them.
+    """
     constrained = not is_disabled(model, "CONSTRAINT")
     springs, dampers = (not is_disabled(model, flag) for flag in ("SPRING", "DAMPER"))
     rubs = constrained and not is_disabled(model, "FRICTIONLOSS")
-    equal = constrained and not is_disabled(model, "EQUALITY")
     # MuJoCo leaves out all passive forces if both are switched off.
     passive = springs or dampers
     quaternions = model.jnt_type <= 1
@@ -33,7 +42,7 @@ def effects_of(model: Any) -> dict[str, list[str]]:
             *_joints(model, model.dof_jntid[(model.dof_frictionloss != 0) & rubs]),
             *_named(model, "tendon", (model.tendon_frictionloss != 0) & rubs),
         ],
-        "equality": _named(model, "equality", model.eq_active0.astype(bool) & equal),
+        "equality": _named(model, "equality", model.eq_active0.astype(bool) & has_equations(model) & unheld),
         "tendons": _named(
             model,
             "tendon",
@@ -63,17 +72,17 @@ def effects_of(model: Any) -> dict[str, list[str]]:
     return {name: list(dict.fromkeys(elements)) for name, elements in found.items() if elements}
 
 
-def _nonzero(model: Any, *fields: str) -> Any:
+def _nonzero(model: Model, *fields: str) -> Any:
     """Where one of some fields is not zero; fields that an older MuJoCo does not have are."""
     values = [np.asarray(getattr(model, field)) for field in fields if hasattr(model, field)]
     return np.logical_or.reduce([(one != 0).any(axis=tuple(range(1, one.ndim))) for one in values]) if values else False
 
 
-def _joints(model: Any, joints: Iterable[Any]) -> list[str]:
+def _joints(model: Model, joints: Iterable[Any]) -> list[str]:
     return [_said("joint", model.joint(int(joint)).name, joint) for joint in joints]
 
 
-def _named(model: Any, kind: str, is_found: Any) -> list[str]:
+def _named(model: Model, kind: str, is_found: Any) -> list[str]:
     return [_said(kind, getattr(model, kind)(int(i)).name, i) for i in np.flatnonzero(is_found)]
 
 

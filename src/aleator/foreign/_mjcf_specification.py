@@ -2,9 +2,13 @@
 
 import warnings
 from collections.abc import Collection, Iterator
+from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from aleator._core.errors import MissingExtraError, ProblemError
+from aleator.foreign._mjcf_types import Model
 from aleator.foreign._robot_effects import refuse_effects
 from aleator.foreign._xml import broken
 
@@ -20,7 +24,7 @@ def library() -> Any:
     return mujoco
 
 
-def compiled(path: Any, left_out: Collection[str]) -> tuple[Any, tuple[str, ...]]:
+def compiled(path: str | Path, left_out: Collection[str]) -> tuple[Model, tuple[str, ...]]:
     """The compiled model, and notes on what was removed before.
 
     Raises `ProblemError` for what MuJoCo refuses, for deformable bodies, and for inertia from a mesh.
@@ -39,15 +43,28 @@ def compiled(path: Any, left_out: Collection[str]) -> tuple[Any, tuple[str, ...]
             model = specification.compile()
         except ValueError as error:
             raise _refused(path, error) from error
+    _refuse_no_numbers(path, model)
     return model, (*notes, *(f"MuJoCo: {one.message}." for one in heard))
 
 
-def _refused(path: Any, error: ValueError) -> ProblemError:
+def _refuse_no_numbers(path: str | Path, model: Model) -> None:
+    """Raise `ProblemError` for a model without bodies, and for numbers that are not finite: MuJoCo warns of them."""
+    if model.nbody == 1:
+        raise broken(path, "", "expected a model with a body; received none.")
+    for part in ("body", "jnt", "dof", "eq"):
+        for field in (name for name in dir(model) if name.startswith(f"{part}_")):
+            values = getattr(model, field)
+            if isinstance(values, np.ndarray) and values.dtype.kind == "f" and np.isnan(values).any():
+                index = int(np.argwhere(np.isnan(values))[0][0])
+                raise broken(path, "", f"expected numbers; received NaN in {field} of MuJoCo's model, number {index}.")
+
+
+def _refused(path: str | Path, error: ValueError) -> ProblemError:
     said = "; ".join(line.strip() for line in str(error).splitlines() if line.strip())
     return broken(path, "", f"expected a model that MuJoCo accepts; received its refusal: {said}.")
 
 
-def _without_flexes(path: Any, specification: Any, left_out: Collection[str]) -> tuple[str, ...]:
+def _without_flexes(path: str | Path, specification: Any, left_out: Collection[str]) -> tuple[str, ...]:
     flexes = list(specification.flexes)
     if not flexes:
         return ()
@@ -56,7 +73,7 @@ def _without_flexes(path: Any, specification: Any, left_out: Collection[str]) ->
     return notes
 
 
-def _without_files(path: Any, specification: Any) -> Iterator[str]:
+def _without_files(path: str | Path, specification: Any) -> Iterator[str]:
     """Remove what is read from further files: meshes, height fields, textures, skins, and what refers to them."""
     shapes = [geom for geom in specification.geoms if _needs_file(geom)]
     for geom in shapes:

@@ -32,6 +32,8 @@ def columns_of(responses: Any, inputs: list[str]) -> Pytree:
     if hasattr(responses, "data_vars"):
         return _required("tell: the dataset", _from_dataset(responses), inputs)
     if isinstance(responses, Mapping):
+        if odd := [name for name in responses if not isinstance(name, str)]:
+            raise given.refusal("tell: the responses", "names of outputs that are texts", odd[0])
         return {name: _rows_of(f"tell: {name!r}", values) for name, values in responses.items()}
     return _rows_of("tell", responses)
 

@@ -2,14 +2,20 @@
 
 from collections.abc import Collection, Mapping, Sequence
 from itertools import chain, count
+from pathlib import Path
+from types import MappingProxyType
 from typing import Any, TypeVar, final
 
 import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
 from typing_extensions import override
 
 from aleator._core.errors import ProblemError
 from aleator._core.leaves import transparent
-from aleator.mechanics import Body, Multibody
+from aleator.foreign._couplings import Coupling
+from aleator.mechanics import Body, Closure, Multibody
 
 Key = TypeVar("Key", int, str)
 
@@ -24,6 +30,8 @@ class Robot(Multibody):
       `position` and `orientation`; the link behind it is fixed to it. A joint whose name a link has as well ends in
       `_joint`; one without a name is part of its link. Coordinates and torques have the names of the joints;
     - `gravity` (3,), m/s²; a URDF has none, and gets `(0, 0, -9.81)`;
+    - `loops`: the joints that close loops, by name, as `al.joints.Closure`; `couplings`: coordinates that follow
+      others, by name, with their `coefficients`. Both are constraints, whose multipliers have their names;
     - `limits`: what the file allows, by the names of outputs: `robot.limits["elbow"]` is the lowest and the highest
       angle, beside `elbow_rate` and `elbow_torque`. Nothing enforces them: they are for constraints of a problem;
     - `start`: the coordinates in the file's own posture, where they are not zero;
@@ -34,11 +42,13 @@ class Robot(Multibody):
         robot = eqx.tree_at(lambda robot: robot.parts["forearm"].mass, robot, al.Uniform(3.0, half_width=0.2))
 
     For more bodies, loads, or outputs write an `al.Multibody` with a robot as a field, whose `bodies` begin with
-    `self.robot.bodies()`.
+    `self.robot.bodies()`, and whose `closures` with `self.robot.closures()`.
     """
 
     parts: dict[str, Body]
     gravity: Any = (0.0, 0.0, -9.81)
+    loops: dict[str, Closure] = eqx.field(default_factory=dict, kw_only=True)
+    couplings: dict[str, Coupling] = eqx.field(default_factory=dict, kw_only=True)
     # A dictionary of a pytree comes back in the order of the alphabet.
     order: tuple[str, ...] = eqx.field(static=True, default=(), kw_only=True)
     allowed: tuple[tuple[str, tuple[float, float]], ...] = eqx.field(static=True, default=(), kw_only=True)
@@ -65,12 +75,38 @@ class Robot(Multibody):
     def bodies(self) -> Sequence[Body]:
         return tuple(self.parts[name] for name in self.order)
 
+    @override
+    def closures(self) -> Sequence[Closure]:
+        return tuple(self.loops[name] for name in sorted(self.loops))
+
+    @property
+    @override
+    def constraints(self) -> tuple[str, ...]:
+        return (*super().constraints, *sorted(self.couplings))
+
+    @override
+    def constraint(self, q: Float[Array, " coordinates"]) -> Float[Array, " constraints"]:
+        """What is left of the equations of the loops, then of the couplings."""
+        return jnp.concatenate([super().constraint(q), self._apart(q)])
+
+    @override
+    def constraint_jacobian(self, q: Float[Array, " coordinates"]) -> Float[Array, "constraints speeds"]:
+        return jnp.concatenate([self._closure_jacobian(q), jax.jacfwd(self._apart)(q) @ self.velocity_map(q)])
+
+    def _apart(self, q: Float[Array, " coordinates"]) -> Float[Array, " couplings"]:
+        """What is left of the equations of the couplings."""
+        at = dict(zip(self.coordinates, q, strict=True))
+        found = [self.couplings[name].residual(at) for name in sorted(self.couplings)]
+        return jnp.stack(found) if found else jnp.zeros(0)
+
 
 def robot_of(
-    path: Any,
+    path: str | Path,
     bodies: Sequence[Body],
     *,
     gravity: Any = (0.0, 0.0, -9.81),
+    loops: Mapping[str, Closure] = MappingProxyType({}),
+    couplings: Mapping[str, Coupling] = MappingProxyType({}),
     limits: Mapping[str, tuple[float, float]],
     posture: Mapping[str, float],
     notes: Sequence[str],
@@ -80,6 +116,8 @@ def robot_of(
     return Robot(
         {body.name: body for body in bodies},
         gravity,
+        loops=dict(loops),
+        couplings=dict(couplings),
         order=tuple(body.name for body in bodies),
         allowed=tuple(limits.items()),
         posture=tuple(posture.items()),
@@ -105,7 +143,7 @@ def carriers(joints: Mapping[Key, str], links: Collection[str]) -> dict[Key, str
     return found
 
 
-def _refuse_massless(path: Any, bodies: Sequence[Body]) -> None:
+def _refuse_massless(path: str | Path, bodies: Sequence[Body]) -> None:
     carried = {body.name: float(body.mass) for body in bodies}
     for body in reversed(bodies):
         if body.parent is not None:

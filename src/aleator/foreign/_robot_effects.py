@@ -1,6 +1,7 @@
 """What a file may describe and a tree of bodies has no place for: refused, unless the user leaves it out by name."""
 
 from collections.abc import Collection, Mapping
+from pathlib import Path
 from typing import Any
 
 from aleator._core.errors import ProblemError
@@ -11,7 +12,7 @@ EFFECTS: Mapping[str, str] = {
     "friction": "dry friction; put a smooth law into `bias` of a model of your own",
     "mimic": "a coordinate that follows another one; add a constraint to a model of your own",
     "extensions": "attributes that the format does not have; replace numbers of the robot that is read without them",
-    "equality": "equations between bodies or joints; close loops by al.joints.Closure in a model of your own",
+    "equality": "equations but connect, joint, and weld in space; write them as `constraint` of a model of your own",
     "tendons": "springs, dampers or inertia of tendons",
     "ball": "springs, dampers or armature of a ball or free joint",
     "polynomials": "stiffness or damping that is not constant",
@@ -33,7 +34,9 @@ def checked_effects(reader: str, given: Any) -> frozenset[str]:
     return frozenset(names)
 
 
-def refuse_effects(path: Any, found: Mapping[str, Collection[str]], left_out: Collection[str]) -> tuple[str, ...]:
+def refuse_effects(
+    path: str | Path, found: Mapping[str, Collection[str]], left_out: Collection[str]
+) -> tuple[str, ...]:
     """Notes on the effects found, by name with the elements that have them.
 
     Raises `ProblemError` for one that is not left out.

@@ -86,7 +86,7 @@ class _Here(Executor):
         future: Future = Future()
         try:
             future.set_result(fn(*args, **kwargs))
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             future.set_exception(error)
         return future
 
@@ -124,10 +124,13 @@ def _outcome(future: Future) -> tuple[Any, BaseException | None]:
     error = future.exception()
     if error is None:
         return future.result(), None
-    return None, _unsendable(error) if _is_of_pickle(error) else error
+    if isinstance(error, SystemExit):
+        # A model that ends its own process has failed; it does not end this one.
+        return None, SimulationError(f"it ended itself by sys.exit({'' if error.code is None else error.code!r})")
+    return None, unsendable("BlackBox", error) if is_of_pickle(error) else error
 
 
-def _is_of_pickle(error: BaseException) -> bool:
+def is_of_pickle(error: BaseException) -> bool:
     """Whether something could not be sent to a process. Before Python 3.14 the types of these errors are no help."""
     said = str(error).lower()
     return isinstance(error, PicklingError) or (
@@ -135,10 +138,11 @@ def _is_of_pickle(error: BaseException) -> bool:
     )
 
 
-def _unsendable(error: BaseException) -> ProblemError:
+def unsendable(who: str, error: BaseException) -> ProblemError:
+    """The error that says that something cannot be sent to a process."""
     said = next(iter(str(error).splitlines()), "").rstrip(".")
     return ProblemError(
-        "BlackBox: expected a function and results that can be sent to another process, such as a function at the top "
+        f"{who}: expected a function and results that can be sent to another process, such as a function at the top "
         f"level of a module; received: {said}."
     )
 

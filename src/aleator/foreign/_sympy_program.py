@@ -4,6 +4,7 @@ The text has the common subexpressions first. Its variables are numbered: what a
 """
 
 import functools
+import math
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -59,6 +60,8 @@ def written(who: str, expressions: Sequence[Any], meanings: Mapping[Any, str]) -
     for ours, theirs in zip(plain, expressions, strict=True):
         if ours.has(sympy.I, sympy.zoo, sympy.nan):
             raise ProblemError(f"{who}: expected real and finite expressions; received {_brief(theirs)}.")
+        if any(math.isinf(float(number)) for number in ours.atoms(sympy.Number)):
+            raise ProblemError(f"{who}: expected numbers below 1e308; received {_brief(theirs)}.")
     common, reduced = sympy.cse(plain, symbols=sympy.numbered_symbols("x"))
     printer = _printer()
     lines = [f"    {symbol} = {_printed(who, printer, one)}" for symbol, one in common]
@@ -95,6 +98,9 @@ def _printer() -> Any:
 
         def _print_Integer(self, expr: Any) -> str:  # noqa: N802
             return str(expr.p) if abs(expr.p) < 2**53 else repr(float(expr))
+
+        def _print_Rational(self, expr: Any) -> str:  # noqa: N802
+            return f"({expr.p}/{expr.q})" if max(abs(expr.p), expr.q) < 2**53 else repr(float(expr))
 
         def _print_Pow(self, expr: Any, rational: bool = False) -> str:  # noqa: N802
             if expr.exp.is_Integer and expr.exp < 0:

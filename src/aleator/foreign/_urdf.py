@@ -12,7 +12,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from aleator._core.errors import ProblemError
-from aleator._core.given import refusal
+from aleator._core.given import meant, refusal
 from aleator.foreign._robot import Robot, carriers, known, robot_of
 from aleator.foreign._robot_effects import checked_effects, refuse_effects
 from aleator.foreign._urdf_tree import ordered
@@ -28,6 +28,17 @@ _READ: Mapping[str, frozenset[str]] = {
     "joint": frozenset(
         {"origin", "parent", "child", "axis", "dynamics", "limit", "mimic", "calibration", "safety_controller"}
     ),
+}
+
+
+# The attributes of elements that say where things are and what they weigh: another one is a slip of the pen.
+_ATTRIBUTES: Mapping[str, frozenset[str]] = {
+    "origin": frozenset({"xyz", "rpy"}),
+    "axis": frozenset({"xyz"}),
+    "mass": frozenset({"value"}),
+    "inertia": frozenset({"ixx", "iyy", "izz", "ixy", "ixz", "iyz"}),
+    "parent": frozenset({"link"}),
+    "child": frozenset({"link"}),
 }
 
 
@@ -52,6 +63,7 @@ def read_urdf(path: str | Path, *, floating: bool = False, leave_out: Sequence[s
         raise refusal("read_urdf: floating", "True or False", floating)
     root = root_of("read_urdf", path, "robot")
     _refuse_macros(path, root)
+    _refuse_misspelt(path, root)
     links, joints = (_named(path, root, tag) for tag in ("link", "joint"))
     if not links:
         raise broken(path, "", "expected a robot with a <link>; received none.")
@@ -65,7 +77,7 @@ def read_urdf(path: str | Path, *, floating: bool = False, leave_out: Sequence[s
     return robot_of(path, bodies, limits=limits, posture={}, notes=(*notes, *_notes(root, links, limits)))
 
 
-def _named(path: Any, root: Element, tag: str) -> dict[str, Place]:
+def _named(path: str | Path, root: Element, tag: str) -> dict[str, Place]:
     """The elements of a tag by name."""
     found: dict[str, Place] = {}
     for element in root.findall(tag):
@@ -175,10 +187,15 @@ def _limits(joint: Place, name: str) -> Iterator[tuple[str, tuple[float, float]]
     if limit is None or kind not in _AXIAL:
         return
     if kind != "continuous":
-        yield name, (limit.number("lower", 0.0), limit.number("upper", 0.0))
+        ends = limit.number("lower", 0.0), limit.number("upper", 0.0)
+        if ends[0] > ends[1]:
+            raise broken(limit.path, limit.where, f"expected a lower limit below the upper; received {ends}.")
+        yield name, ends
     for attribute, output in (("velocity", f"{name}_rate"), ("effort", f"{name}_torque")):
         if attribute in limit.element.attrib:
             most = limit.number(attribute)
+            if most < 0:
+                raise broken(limit.path, limit.where, f"expected {attribute} that is not negative; received {most:g}.")
             yield output, (-most, most)
 
 
@@ -197,7 +214,21 @@ def _notes(root: Element, links: Mapping[str, Place], limits: Collection[str]) -
             yield f"Not read, in <{owner}>: {', '.join(f'<{tag}>' for tag in others)}."
 
 
-def _refuse_macros(path: Any, root: Element) -> None:
+def _refuse_misspelt(path: str | Path, root: Element) -> None:
+    """Raise `ProblemError` for elements and attributes that are nearly those that are read, and would be ignored."""
+    for owner in (*root.findall("link"), *root.findall("joint")):
+        where = f"{owner.tag} '{owner.get('name', '')}'"
+        for child in owner:
+            tag = str(child.tag)
+            if tag not in _READ[owner.tag] and (hint := meant(tag, _READ[owner.tag])):
+                raise broken(path, where, f"expected one of {sorted(_READ[owner.tag])}; received <{tag}>.{hint}")
+        for part in (*owner.findall("*"), *owner.findall("inertial/*")):
+            known = _ATTRIBUTES.get(str(part.tag))
+            if known is not None and (others := sorted(set(part.attrib) - known)):
+                raise broken(path, where, f"<{part.tag}>: expected some of {sorted(known)}; received {others[0]!r}.")
+
+
+def _refuse_macros(path: str | Path, root: Element) -> None:
     for element in root.iter():
         if "xacro" in str(element.tag) or any("${" in value for value in element.attrib.values()):
             raise broken(

@@ -1,12 +1,12 @@
 """The tree that the joints of a URDF make of its links."""
 
 from collections.abc import Mapping
-from typing import Any
+from pathlib import Path
 
 from aleator.foreign._xml import Place, broken
 
 
-def ordered(path: Any, links: Mapping[str, Place], joints: Mapping[str, Place]) -> tuple[str, dict[str, Place]]:
+def ordered(path: str | Path, links: Mapping[str, Place], joints: Mapping[str, Place]) -> tuple[str, dict[str, Place]]:
     """The first link, and the joints, those of parents before those of children.
 
     Raises `ProblemError` for links that do not exist, and for joints that make no tree with one root.

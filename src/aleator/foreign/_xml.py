@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Self
+from typing import Self
 from xml.etree.ElementTree import Element, TreeBuilder
 from xml.parsers import expat
 
@@ -15,18 +15,18 @@ from aleator.foreign._robot import known
 _READERS = {"robot": "al.foreign.read_urdf", "mujoco": "al.foreign.read_mjcf"}
 
 
-def broken(path: Any, where: str, what: str) -> ProblemError:
+def broken(path: str | Path, where: str, what: str) -> ProblemError:
     """The error that names a file, an element in it, and what is wrong there."""
     return ProblemError(f"{path}, {where}: {what}" if where else f"{path}: {what}")
 
 
-def root_of(reader: str, path: Any, outermost: str) -> Element:
+def root_of(reader: str, path: str | Path, outermost: str) -> Element:
     """The outermost element of a file. Raises `ProblemError` where it cannot be read, or has another name."""
     try:
         root = _parsed(Path(path).read_bytes())
     except TypeError as error:
         raise ProblemError(f"{reader}: expected the path of a file; received {path!r}.") from error
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, LookupError) as error:
         reason = getattr(error, "strerror", None) or error
         raise broken(path, "", f"expected a file that can be read; received: {reason}.") from error
     except expat.ExpatError as error:
@@ -51,7 +51,7 @@ def _parsed(text: bytes) -> Element:
 class Place:
     """An element, and where it is: in a file, and under a name that a user finds there."""
 
-    path: Any
+    path: str | Path
     where: str
     element: Element
 
@@ -94,7 +94,8 @@ class Place:
             found = tuple(map(float, text.split()))
         except ValueError:
             found = ()
-        if len(found) != count or not np.isfinite(found).all():
+        # Python takes 1_000 for a number, and no other reader of these files does.
+        if len(found) != count or "_" in text or not np.isfinite(found).all():
             expected = "a finite number" if count == 1 else f"{count} finite numbers"
             raise broken(self.path, self.where, f"expected {attribute} as {expected}; received {text!r}.")
         return found

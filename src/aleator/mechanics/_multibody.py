@@ -126,6 +126,10 @@ class Multibody(AbstractMechanical):
     def constraint_jacobian(self, q: Float[Array, " coordinates"]) -> Float[Array, "constraints speeds"]:
         if type(self).constraint is not Multibody.constraint:
             return super().constraint_jacobian(q)
+        return self._closure_jacobian(q)
+
+    def _closure_jacobian(self, q: Float[Array, " coordinates"]) -> Float[Array, "constraints speeds"]:
+        """How the equations of the closures change with the speeds."""
         tree = self._tree()
         poses = _poses(tree, q)
         rows = [closure.jacobian(tree, q, poses) for closure in self._closures()]

@@ -12,7 +12,6 @@ from jaxtyping import Array, Float
 
 from aleator._core.errors import SimulationError, SimulationWarning
 from aleator.foreign._fmu._differences import forward_slope
-from aleator.foreign._fmu._library import LOCK
 
 Host: TypeAlias = Callable[[float, Float[np.ndarray, " n"]], np.ndarray]
 """A function of a time and a vector of known numbers."""
@@ -88,8 +87,7 @@ def _or_nan(host: Host, point: np.ndarray, shape: tuple[int, ...]) -> np.ndarray
     if not np.isfinite(point).all():
         return np.full(shape, np.nan)
     try:
-        with LOCK:
-            return host(float(point[0]), point[1:])
+        return host(float(point[0]), point[1:])
     except SimulationError as error:
         warnings.warn(str(error), SimulationWarning, stacklevel=2)
         return np.full(shape, np.nan)

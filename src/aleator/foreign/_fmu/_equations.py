@@ -4,18 +4,17 @@ import weakref
 from collections import OrderedDict
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from aleator._core.errors import ProblemError, SimulationError
 from aleator.foreign._fmu._differences import STEP, scales, slope
-from aleator.foreign._fmu._fmu import Fmu
-from aleator.foreign._fmu._hidden import Hidden
 from aleator.foreign._fmu._instance import Instance
 from aleator.foreign._fmu._library import LOCK
-from aleator.foreign._fmu._variables import nominals_of
+from aleator.foreign._fmu._opened import Opened
+from aleator.foreign._fmu._variables import Variable, nominals_of
 
 # As many instances are kept, each with its own parameters.
 _KEPT = 256
@@ -47,23 +46,15 @@ class Equations:
     offer them by parameters too.
     """
 
-    parameters = Hidden[list[Any]]()
-    inputs = Hidden[list[Any]]()
-    outputs = Hidden[list[Any]]()
-    _first = Hidden[dict[Any, float]]()
-    trusted = Hidden[np.ndarray | None]()
-    _nominals = Hidden[np.ndarray | None]()
-    _instances = Hidden[OrderedDict[bytes, Instance]]()
-
     def __init__(
         self,
-        fmu: Fmu,
-        parameters: list[Any],
-        inputs: list[Any],
-        outputs: list[Any],
+        fmu: Opened,
+        parameters: list[Variable],
+        inputs: list[Variable],
+        outputs: list[Variable],
         t: float,
         tolerance: float,
-        first: Mapping[Any, float] = MappingProxyType({}),
+        first: Mapping[Variable, float] = MappingProxyType({}),
     ):
         self.fmu, self.parameters, self.inputs, self.outputs = fmu, parameters, inputs, outputs
         self._t, self.tolerance, self._first = t, tolerance, dict(first)
@@ -75,9 +66,10 @@ class Equations:
         # An initial value of a state acts through the state alone.
         states = {one.valueReference for one in fmu.variables.states}
         self._only_start = np.array([one.valueReference in states for one in parameters], dtype=bool)
-        self._instances = OrderedDict()
+        self._instances: OrderedDict[bytes, Instance] = OrderedDict()
         weakref.finalize(self, _free_all, self._instances)
-        self.trusted = self._nominals = None
+        self.trusted: Bool[np.ndarray, " variables"] | None = None
+        self._nominals: Float[np.ndarray, " n"] | None = None
 
     def instance(self, p: Float[np.ndarray, " k"]) -> Instance:
         """The instance of a set of parameters, started if it is new."""
@@ -144,7 +136,7 @@ class Equations:
         for index in np.flatnonzero(candidates) if places else ():
             self.trusted[index] = self._agree(places, int(index))
 
-    def scales(self, values: np.ndarray, variables: list[Any]) -> np.ndarray:
+    def scales(self, values: np.ndarray, variables: list[Variable]) -> np.ndarray:
         """By how much a change of each of some variables is large."""
         return scales(values, nominals_of(variables))
 
@@ -221,7 +213,7 @@ def refuse_memory(equations: Equations, place: Place, others: list[Place]) -> No
                 )
 
 
-def refuse_events(fmu: Fmu, instance: Instance) -> None:
+def refuse_events(fmu: Opened, instance: Instance) -> None:
     """Raise `ProblemError` for an FMU whose equations change at events."""
     if fmu.indicators or np.isfinite(instance.first.next_event):
         count = f"{fmu.indicators} event indicator{'s' * (fmu.indicators > 1)}"

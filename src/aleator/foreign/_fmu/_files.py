@@ -56,19 +56,24 @@ def read_description(path: Path, folder: Path) -> Any:
 
     Raises `ProblemError` if it is missing, invalid, or of FMI 1.
     """
-    fmpy = load_fmpy("Fmu")
+    load_fmpy("Fmu")
     with zipfile.ZipFile(path) as archive:
         if "modelDescription.xml" not in archive.namelist():
             raise ProblemError(f"Fmu: '{path.name}' is no FMU: expected a modelDescription.xml in it; there is none.")
     _unpack(path, folder, include=lambda name: name.endswith("Description.xml"))
+    return described(path.stem, folder)
+
+
+def described(name: str, folder: Path, *, validate: bool = True) -> Any:
+    """The model description in the folder of the FMU `name`. Raises `ProblemError` if it is invalid, or of FMI 1."""
     try:
-        found = fmpy.read_model_description(str(folder))
+        found = load_fmpy("Fmu").read_model_description(str(folder), validate=validate)
     except Exception as error:
         problems = getattr(error, "problems", None) or [str(error)]
         first = " ".join(str(problems[0]).split())[:_LONGEST].rstrip(".")
-        raise ProblemError(f"FMU '{path.stem}': its modelDescription.xml cannot be read: {first}.") from error
+        raise ProblemError(f"FMU '{name}': its modelDescription.xml cannot be read: {first}.") from error
     if found.fmiVersion.startswith("1"):
-        raise ProblemError(f"FMU '{path.stem}': expected FMI 2 or 3; received FMI {found.fmiVersion}.")
+        raise ProblemError(f"FMU '{name}': expected FMI 2 or 3; received FMI {found.fmiVersion}.")
     return found
 
 

@@ -1,24 +1,18 @@
 """`Fmu`: a model in a file, and what it offers."""
 
+import functools
+import hashlib
 from collections.abc import Mapping
-from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any, final
 
 from aleator._core.errors import ProblemError
-from aleator._core.given import shown
-from aleator.foreign._fmu._files import (
-    MODEL_EXCHANGE,
-    folder_of,
-    kind_of,
-    offers_slopes,
-    path_of,
-    read_description,
-    unpack_all,
-)
+from aleator._core.given import positive, refusal, shown
+from aleator.foreign._fmu._doors import AbstractDoor, Here
+from aleator.foreign._fmu._files import folder_of, path_of, read_description, unpack_all
 from aleator.foreign._fmu._hidden import Hidden
-from aleator.foreign._fmu._instance import Instance, started
-from aleator.foreign._fmu._library import LOCK, Library
+from aleator.foreign._fmu._opened import Described
+from aleator.foreign._fmu._own_process import OwnProcess
 from aleator.foreign._fmu._variables import Variables
 
 
@@ -29,42 +23,64 @@ class Fmu:
     - `path`: the file;
     - `kind`: "model exchange" (the FMU gives the rates of its states, which are integrated here, with sensitivities) or
       "co-simulation" (it steps by itself); by default the first of the two that it offers;
-    - `settings`: values of parameters of any type (numbers, whole numbers, truth values, texts), for all runs.
+    - `settings`: values of parameters of any type (numbers, whole numbers, truth values, texts), for all runs;
+    - `own_process`: whether the compiled code of the FMU runs in a process of its own, which starts once, and again
+      after a crash. Without one, an FMU that crashes or hangs does so with this process;
+    - `time_limit`: seconds for one run, or for one evaluation of an `FmuSystem`, after which that process is ended and
+      the run has failed; None for no limit.
 
     `parameters`, `inputs`, `outputs` and `states` list its real variables by name. It is run by `FmuSimulation`, a
-    function of its parameters, and by `FmuSystem`, a system. All calls of FMUs are made one at a time, in this process:
-    an FMU that crashes ends it.
+    function of its parameters, and by `FmuSystem`, a system. Calls of one FMU are made one at a time.
 
     Raises `ProblemError` for a file that is no FMU, of FMI 1, or without a binary for this machine, and for unknown
-    settings; `MissingExtraError` without FMPy.
+    settings; `SimulationError` if its library ends its process while it is loaded; `MissingExtraError` without FMPy.
     """
 
-    variables = Hidden[Variables]()
-    library = Hidden[Library]()
-    settings = Hidden[dict[Any, Any]]()
+    door = Hidden[AbstractDoor]()
+    _described = Hidden[Described]()
+    _given = Hidden[tuple[Any, ...]]()
 
-    def __init__(self, path: str | Path, *, kind: str | None = None, settings: Mapping[str, Any] | None = None):
+    def __init__(
+        self,
+        path: str | Path,
+        *,
+        kind: str | None = None,
+        settings: Mapping[str, Any] | None = None,
+        own_process: bool = True,
+        time_limit: float | None = 600.0,
+    ):
         path = path_of(path)
+        if not isinstance(own_process, bool):
+            raise refusal("Fmu: own_process", "True or False", own_process)
+        limit = None if time_limit is None else positive("Fmu: time_limit", time_limit)
         folder = folder_of(self)
-        description = read_description(path, folder)
         self.name = path.stem
-        self.kind = kind_of(self.name, description, kind)
-        self.variables = Variables(self.name, description)
-        if self.is_exchange:
-            self.variables.refuse_odd_states()
-        self.settings = self._settings(settings)
-        interface = description.modelExchange if self.is_exchange else description.coSimulation
-        unpack_all(path, folder, description, interface.modelIdentifier)
-        with LOCK:
-            self.library = Library(self.name, description, self.kind, folder)
-        self.offers_slopes = offers_slopes(folder, self.kind)
-        self.indicators = int(description.numberOfEventIndicators)
-        self._version = description.fmiVersion
+        self._described = known = Described(
+            self.name, folder, kind, settings, description=read_description(path, folder)
+        )
+        self.kind = known.kind
+        # Two files are two models, whatever they are called.
+        self._digest = hashlib.sha256(path.read_bytes()).hexdigest()
+        self._settings = dict(settings or {})
+        interface = known.description.modelExchange if self.is_exchange else known.description.coSimulation
+        unpack_all(path, folder, known.description, interface.modelIdentifier)
+        self._given = path.absolute(), self.kind, tuple(self._settings.items()), own_process, limit
+        opening = self.name, folder, self.kind, self._settings
+        self.door = OwnProcess(opening, limit) if own_process else Here(*opening)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Sent to other processes as its file, which must be the same there."""
+        return _opened_again, (*self._given, self._digest)
+
+    @property
+    def variables(self) -> Variables:
+        """Its variables by name."""
+        return self._described.variables
 
     @property
     def is_exchange(self) -> bool:
         """Whether its states are integrated here."""
-        return self.kind == MODEL_EXCHANGE
+        return self._described.is_exchange
 
     @property
     def parameters(self) -> list[str]:
@@ -84,31 +100,18 @@ class Fmu:
     @property
     def states(self) -> list[str]:
         """Its continuous states, in its own order; none of co-simulation, which keeps them to itself."""
-        return [one.name for one in self.variables.states] if self.is_exchange else []
-
-    def started(
-        self, values: Mapping[Any, float], t: float, tolerance: float | None
-    ) -> AbstractContextManager[Instance]:
-        """A fresh instance at the time `t`, with values of variables besides the settings."""
-        return started(self.library, len(self.states), self.indicators, {**self.settings, **values}, t, tolerance)
+        return self._described.states
 
     def __str__(self) -> str:
+        known = self._described
         parts = {name: getattr(self, name) for name in ("parameters", "inputs", "states", "outputs")}
         if not self.is_exchange:
             del parts["states"]
         lines = [f"  {name}: {', '.join(found) or 'none'}" for name, found in parts.items()]
-        offer = "offers directional derivatives" if self.offers_slopes else "offers no derivatives"
-        events = f"; {self.indicators} event indicators" if self.is_exchange and self.indicators else ""
-        return "\n".join([f"FMU '{self.name}': FMI {self._version}, {self.kind}; {offer}{events}", *lines])
-
-    def _settings(self, given: Any) -> dict[Any, Any]:
-        if not isinstance(given, Mapping | None):
-            raise ProblemError(
-                f"FMU '{self.name}': expected settings as values by name, such as {{'stages': 3}}; "
-                f"received {shown(given)}."
-            )
-        # Variables of FMPy are told apart by identity, so that they may be keys.
-        return dict(self.variables.setting(name, value) for name, value in (given or {}).items())
+        offer = "offers directional derivatives" if known.offers_slopes else "offers no derivatives"
+        events = f"; {known.indicators} event indicators" if self.is_exchange and known.indicators else ""
+        version = known.description.fmiVersion
+        return "\n".join([f"FMU '{self.name}': FMI {version}, {self.kind}; {offer}{events}", *lines])
 
 
 def fmu_given(who: str, given: Any) -> Fmu:
@@ -116,3 +119,19 @@ def fmu_given(who: str, given: Any) -> Fmu:
     if not isinstance(given, Fmu):
         raise ProblemError(f"{who}: expected an al.foreign.Fmu, such as Fmu('pendulum.fmu'); received {shown(given)}.")
     return given
+
+
+# Each task that a worker is sent has the model anew: the FMU stays open for the next one.
+@functools.lru_cache(maxsize=4)
+def _opened_again(
+    path: Path,
+    kind: str,
+    settings: tuple[tuple[str, Any], ...],
+    own_process: bool,
+    time_limit: float | None,
+    digest: str,
+) -> Fmu:
+    found = Fmu(path, kind=kind, settings=dict(settings), own_process=own_process, time_limit=time_limit)
+    if found._digest != digest:
+        raise ProblemError(f"FMU '{found.name}': '{path}' has changed since the model was made: make the model again.")
+    return found

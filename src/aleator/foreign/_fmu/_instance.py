@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from aleator._core.errors import SimulationError
 from aleator.foreign._fmu._library import Library, said
-from aleator.foreign._fmu._variables import REAL
+from aleator.foreign._fmu._variables import REAL, Variable
 
 # Most iterations of the equations at one event.
 _MOST_UPDATES = 1000
@@ -35,7 +35,7 @@ class Instance:
         self._time = 0.0
         self.first, self.initial = Update(False, np.inf), np.zeros(0)
 
-    def start(self, values: Mapping[Any, Any], t: float, tolerance: float | None) -> None:
+    def start(self, values: Mapping[Variable, Any], t: float, tolerance: float | None) -> None:
         """Set variables, initialise at the time `t`, and get ready for steps or for continuous time."""
         fmu, self._time = self._fmu, t
         with self._library.explained("to initialise"):
@@ -152,7 +152,7 @@ class Instance:
                 asked(buffer, size)
         return np.array(buffer, dtype=float)
 
-    def _set_all(self, values: Mapping[Any, Any]) -> None:
+    def _set_all(self, values: Mapping[Variable, Any]) -> None:
         for one, value in values.items():
             name = "Integer" if one.type == "Enumeration" and self._library.version == 2 else one.type
             name = "Int64" if name == "Enumeration" else name
@@ -183,7 +183,7 @@ class Instance:
 
 @contextmanager
 def started(
-    library: Library, states: int, indicators: int, values: Mapping[Any, Any], t: float, tolerance: float | None
+    library: Library, states: int, indicators: int, values: Mapping[Variable, Any], t: float, tolerance: float | None
 ) -> Iterator[Instance]:
     """A fresh instance that has been initialised, so that no run depends on one before; given back at the end."""
     instance = Instance(library, states, indicators)

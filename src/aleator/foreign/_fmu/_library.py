@@ -4,7 +4,7 @@ import copy
 import os
 import threading
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from ctypes import byref
 from pathlib import Path
@@ -25,7 +25,7 @@ _KEPT: list[Any] = []
 
 
 class Library:
-    """The loaded library of an FMU, of which instances are made.
+    """The loaded library of an FMU, of which instances are made; `on_start` is called before each is.
 
     Raises `ProblemError` if it cannot be loaded.
     """
@@ -39,6 +39,7 @@ class Library:
         self.is_alone = interface.canBeInstantiatedOnlyOncePerProcess
         self.failure: Any = fmpy.fmi1.FMICallException
         self.is_broken = False
+        self.on_start: Callable[[], None] = lambda: None
         self.steps_are_reported = bool(getattr(interface, "needsCompletedIntegratorStep", False))
         of_2, of_3 = (fmpy.fmi2.FMU2Model, fmpy.fmi2.FMU2Slave), (fmpy.fmi3.FMU3Model, fmpy.fmi3.FMU3Slave)
         model, slave = of_2 if self.version == 2 else of_3
@@ -63,6 +64,7 @@ class Library:
             raise SimulationError(
                 f"FMU '{self.name}' failed fatally before, and must not be used again in this process: start another."
             )
+        self.on_start()
         _HEARD.clear()
         found = copy.copy(self._loaded)
         try:

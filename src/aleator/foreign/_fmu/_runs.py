@@ -3,7 +3,6 @@
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -13,10 +12,10 @@ from aleator.foreign._fmu import _differences as differences
 from aleator.foreign._fmu._cosimulation import stepped
 from aleator.foreign._fmu._equations import Equations
 from aleator.foreign._fmu._exchange import EventError, integrated, motion_of
-from aleator.foreign._fmu._fmu import Fmu
 from aleator.foreign._fmu._inputs import Inputs
+from aleator.foreign._fmu._opened import Opened
 from aleator.foreign._fmu._sensitivities import sensitivities
-from aleator.foreign._fmu._variables import nominals_of
+from aleator.foreign._fmu._variables import Variable, nominals_of, with_numbers
 
 # Differences over one step and over two may disagree by this part of the largest derivative.
 _NOISY = 1e-2
@@ -25,7 +24,9 @@ _NOISY = 1e-2
 class Runs:
     """An FMU from the start to the end of a grid, by the values of `parameters`, with chosen `outputs`."""
 
-    def __init__(self, fmu: Fmu, parameters: list[Any], outputs: list[Any], inputs: Inputs, tolerance: float):
+    def __init__(
+        self, fmu: Opened, parameters: list[Variable], outputs: list[Variable], inputs: Inputs, tolerance: float
+    ):
         self._fmu, self._parameters, self._outputs = fmu, parameters, outputs
         self._inputs, self._tolerance = inputs, tolerance
         self._equations = None
@@ -80,9 +81,9 @@ class Runs:
         try:
             yield
         except SimulationError as error:
-            values = ", ".join(f"{one.name}={value:.6g}" for one, value in zip(self._parameters, p, strict=True))
             text = str(error) if str(error).startswith("FMU ") else f"FMU '{self._fmu.name}': {error}."
-            raise SimulationError(f"{text.removesuffix('.')}, with {values}." if values else text) from error
+            values = with_numbers([one.name for one in self._parameters], p)
+            raise SimulationError(f"{text.removesuffix('.')}{values}.") from error
 
     def _refuse_missing(self, found: np.ndarray) -> None:
         if np.isfinite(found).all():

@@ -14,11 +14,12 @@ from aleator._core.given import one_of, positive, real, shown
 from aleator._core.leaves import AbstractLeaf
 from aleator.dynamics import Grid
 from aleator.foreign._fmu._callbacks import Evaluations, called_back
+from aleator.foreign._fmu._doors import Served
 from aleator.foreign._fmu._fmu import Fmu, fmu_given
 from aleator.foreign._fmu._hidden import Hidden
-from aleator.foreign._fmu._inputs import Inputs, sampled_inputs
-from aleator.foreign._fmu._library import LOCK
-from aleator.foreign._fmu._runs import Runs
+from aleator.foreign._fmu._inputs import Sampled
+from aleator.foreign._fmu._sampled import sampled_inputs
+from aleator.foreign._fmu._variables import with_numbers
 
 
 @final
@@ -46,9 +47,8 @@ class FmuSimulation:
     `SimulationWarning`.
     """
 
-    _inputs = Hidden[Inputs]()
-    _outputs = Hidden[list[Any]]()
-    _runs = Hidden[dict[tuple[str, ...], Runs]]()
+    _inputs = Hidden[Sampled]()
+    _served = Hidden[dict[tuple[str, ...], Served]]()
 
     def __init__(
         self,
@@ -61,11 +61,11 @@ class FmuSimulation:
     ):
         self._fmu, self._grid = fmu_given("FmuSimulation", fmu), _known_grid(grid)
         self.__name__ = fmu.name  # in messages
-        self._outputs = fmu.variables.readable(outputs)
+        self._outputs = [one.name for one in fmu.variables.readable(outputs)]
         self._tolerance = positive("FmuSimulation: tolerance", tolerance, below=1.0)
         self._inputs = sampled_inputs(fmu, grid, inputs)
-        self._signals = list(inputs or {})
-        self._runs = {}
+        self._signals = dict(inputs or {})
+        self._served = {}
 
     @property
     def times(self) -> Float[np.ndarray, " instants"]:
@@ -76,46 +76,49 @@ class FmuSimulation:
         """The outputs by name, each of shape (instants,), for numbers by the names of parameters."""
         known, traced = self._sorted(at)
         names = tuple(traced) + tuple(known)
-        runs = self._for(names)
         fixed = np.array(list(known.values()), dtype=float)
         if not traced:
-            with LOCK:
-                return self._by_name(runs.outputs(fixed))
+            return self._by_name(self._run(names, "outputs", fixed))
         numbers = jnp.stack([jnp.asarray(one, dtype=float) for one in traced.values()])
-        return self._by_name(self._differentiable(runs, fixed, len(traced))(numbers).reshape(len(self.times), -1))
+        return self._by_name(self._differentiable(names, fixed, len(traced))(numbers).reshape(len(self.times), -1))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Sent to other processes as what it was made of."""
+        return _made, (self._fmu, self._grid, self._outputs, self._signals, self._tolerance)
 
     def __str__(self) -> str:
-        outputs = ", ".join(one.name for one in self._outputs)
+        outputs = ", ".join(self._outputs)
         how = "forward sensitivities; differences of runs with events" if self._fmu.is_exchange else "differences"
         return (
             f"FMU '{self._fmu.name}', {self._fmu.kind}, from {self.times[0]:g} to {self.times[-1]:g} s in "
             f"{len(self.times) - 1} steps: {outputs}\n  derivatives: {how}"
         )
 
-    def _for(self, names: tuple[str, ...]) -> Runs:
-        if names not in self._runs:
-            variables = self._fmu.variables.settable(names)
-            self._runs[names] = Runs(self._fmu, variables, self._outputs, self._inputs, self._tolerance)
-        return self._runs[names]
+    def _run(self, names: tuple[str, ...], method: str, numbers: Float[np.ndarray, " k"]) -> np.ndarray:
+        """Ask for the outputs of a run, or for their derivatives, by the names of its numbers."""
+        if names not in self._served:
+            parts = list(names), self._outputs, self._inputs, self._tolerance
+            self._served[names] = Served(self._fmu.door, "runs", *parts)
+        return self._served[names].ask(method, numbers, where=lambda: with_numbers(names, numbers))
 
-    def _differentiable(self, runs: Runs, fixed: np.ndarray, k: int) -> Any:
+    def _differentiable(self, names: tuple[str, ...], fixed: np.ndarray, k: int) -> Any:
         """The outputs as a function of JAX of the first `k` numbers, the others fixed."""
 
-        def filled(z: np.ndarray) -> np.ndarray:
-            return np.concatenate([z, fixed])
+        def asked(method: str, z: np.ndarray) -> np.ndarray:
+            return self._run(names, method, np.concatenate([z, fixed]))
 
         function = called_back(
             Evaluations(
-                lambda _, z: runs.outputs(filled(z)).ravel(),
-                lambda _, z: runs.jacobian(filled(z))[..., :k].reshape(-1, k),
-                lambda _, z: runs.hessian(filled(z))[..., :k, :k].reshape(-1, k, k),
+                lambda _, z: asked("outputs", z).ravel(),
+                lambda _, z: asked("jacobian", z)[..., :k].reshape(-1, k),
+                lambda _, z: asked("hessian", z)[..., :k, :k].reshape(-1, k, k),
                 len(self.times) * len(self._outputs),
             )
         )
         return lambda numbers: function(0.0, numbers)
 
     def _by_name(self, found: Any) -> dict[str, Any]:
-        return {one.name: found[:, index] for index, one in enumerate(self._outputs)}
+        return {name: found[:, index] for index, name in enumerate(self._outputs)}
 
     def _sorted(self, at: Any) -> tuple[dict[str, float], dict[str, Array]]:
         """The numbers that are known, and those that are traced."""
@@ -142,6 +145,10 @@ class FmuSimulation:
             else:
                 known[name] = real(f"{who}: '{name}'", np.asarray(value) if isinstance(value, jax.Array) else value)
         return known, traced
+
+
+def _made(fmu: Fmu, grid: Grid, outputs: list[str], inputs: dict[str, Any], tolerance: float) -> FmuSimulation:
+    return FmuSimulation(fmu, grid, outputs=outputs, inputs=inputs, tolerance=tolerance)
 
 
 def _known_grid(grid: Any) -> Grid:

@@ -16,17 +16,11 @@ from aleator._core.errors import ProblemError
 from aleator._core.given import real, shown
 from aleator._core.leaves import AbstractLeaf, transparent
 from aleator.dynamics import System
-from aleator.foreign._fmu._callbacks import called_back
-from aleator.foreign._fmu._equations import Equations, Place, refuse_events, refuse_memory
-from aleator.foreign._fmu._evaluations import evaluations, starts
+from aleator.foreign._fmu._callbacks import Evaluations, Host, called_back
+from aleator.foreign._fmu._doors import Served
 from aleator.foreign._fmu._fmu import Fmu, fmu_given
-from aleator.foreign._fmu._library import LOCK
-from aleator.foreign._fmu._variables import units_of
-
-# The initial state is told within this tolerance, if the FMU has to iterate for it.
-_TOLERANCE = 1e-10
-# Where the FMU's derivatives are judged: at its initial state, and so many of the states' usual sizes away.
-_AWAY = (0.0, 0.3, -0.7)
+from aleator.foreign._fmu._hidden import Hidden
+from aleator.foreign._fmu._variables import units_of, with_numbers
 
 
 @final
@@ -52,7 +46,7 @@ class FmuSystem(System):
     """
 
     parameters: dict[str, Any]
-    _equations: Equations = eqx.field(static=True)
+    _equations: "Equations" = eqx.field(static=True)
     _held: tuple[float, ...] = eqx.field(static=True)
     _first: tuple[float, ...] = eqx.field(static=True)
 
@@ -69,10 +63,12 @@ class FmuSystem(System):
             )
         self.parameters = {name: _checked(fmu, name, value) for name, value in (parameters or {}).items()}
         variables = fmu.variables
-        chosen, read = variables.settable(self.parameters), variables.readable(outputs)
-        free = variables.of_inputs(one for one in fmu.inputs if one not in self.parameters)
-        self._equations = Equations(fmu, chosen, free, read, 0.0, _TOLERANCE)
-        self._held, self._first = _judged(self._equations, list(self.parameters.values()))
+        variables.settable(self.parameters)
+        read = [one.name for one in variables.readable(outputs)]
+        numbers = {name: value if isinstance(value, float) else None for name, value in self.parameters.items()}
+        free = [one.name for one in variables.of_inputs(one for one in fmu.inputs if one not in numbers)]
+        self._equations = Equations(fmu, numbers, free, read)
+        self._held, self._first = self._equations.first()
 
     @property
     def states(self) -> tuple[str, ...]:  # type: ignore[override]
@@ -83,7 +79,7 @@ class FmuSystem(System):
     @property
     def units(self) -> Mapping[str, str]:  # type: ignore[override]
         """The units that the FMU declares."""
-        return units_of(self._equations.outputs)
+        return units_of(self._equations.fmu.variables.readable(self._equations.outputs))
 
     @override
     def initial(self) -> Mapping[str, Any]:
@@ -92,7 +88,7 @@ class FmuSystem(System):
     @override
     def starting(self, t: Any, inputs: Mapping[str, Any]) -> Mapping[str, Any]:
         given = jnp.concatenate([self._inputs(inputs), self._numbers()])
-        found = called_back(starts(self._equations))(0.0, given) if len(given) else self._first
+        found = called_back(self._equations.starts())(0.0, given) if len(given) else self._first
         return dict(zip(self.states, found, strict=True))
 
     @override
@@ -108,17 +104,17 @@ class FmuSystem(System):
         del args
         n = self._equations.n
         given = [jnp.stack([*map(_number, z)]) if n else jnp.zeros(0), self._inputs(inputs), self._numbers()]
-        found = called_back(evaluations(self._equations))(t, jnp.concatenate(given))
-        return tuple(found[:n]), {one.name: found[n + index] for index, one in enumerate(self._equations.outputs)}
+        found = called_back(self._equations.evaluations())(t, jnp.concatenate(given))
+        return tuple(found[:n]), {name: found[n + index] for index, name in enumerate(self._equations.outputs)}
 
     def _numbers(self) -> Array:
         # By name: trees of JAX sort what is in a dict.
-        values = [self.parameters[one.name] for one in self._equations.parameters]
+        values = [self.parameters[name] for name in self._equations.parameters]
         return jnp.array([_number(one) for one in values], dtype=float)
 
     def _inputs(self, given: Mapping[str, Any]) -> Array:
         """All inputs that are no parameters: as they are given, or as the FMU has them."""
-        taken = [one.name for one in self._equations.inputs]
+        taken = self._equations.inputs
         unknown = [name for name in given if name not in taken]
         if unknown:
             self._equations.fmu.variables.of_inputs(unknown)
@@ -138,18 +134,41 @@ def _number(value: Any) -> Array:
     return jnp.asarray(value, dtype=float)
 
 
-def _judged(equations: Equations, numbers: list[Any]) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Compare the FMU's derivatives with differences at its start; its free inputs and its states there."""
-    with LOCK:
-        own = equations.fmu.started({}, 0.0, _TOLERANCE)
-        with own as instance:
-            refuse_events(equations.fmu, instance)
-            u = instance.get([one.valueReference for one in equations.inputs])
-            p = instance.get([one.valueReference for one in equations.parameters])
-        p = np.array([one if isinstance(one, float) else its for one, its in zip(numbers, p, strict=True)])
-        x, sizes = equations.instance(p).initial, equations.nominals(p)
-        signs = np.cos(np.arange(len(x)))
-        places = [Place(0.0, x + away * signs * sizes, u, p) for away in _AWAY]
-        refuse_memory(equations, places[0], places[1:])
-        equations.judge(places)
-    return tuple(u.tolist()), tuple(x.tolist())
+@final
+class Equations:
+    """The equations of an FMU: those of a `Field`, wherever its library is loaded.
+
+    `numbers`: its parameters with their values, as far as these are known; `inputs`, `outputs`: names.
+    """
+
+    _served = Hidden[Served]()
+
+    def __init__(self, fmu: Fmu, numbers: dict[str, float | None], inputs: list[str], outputs: list[str]):
+        self.fmu, self.inputs, self.outputs = fmu, inputs, outputs
+        self.parameters, self._numbers, self.n = list(numbers), numbers, len(fmu.states)
+        self._served = Served(fmu.door, "field", numbers, inputs, outputs)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Sent to other processes as what it was made of."""
+        return Equations, (self.fmu, self._numbers, self.inputs, self.outputs)
+
+    def first(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """The FMU's own values of the inputs, and its states at the start."""
+        u, x = self._served.ask("first", where=lambda: " near its initial state")
+        return tuple(u), tuple(x)
+
+    def evaluations(self) -> Evaluations:
+        """Rates and outputs, of the time and of states, inputs and parameters in one vector."""
+        return self._of("rates", [*self.fmu.states, *self.inputs, *self.parameters], self.n + len(self.outputs))
+
+    def starts(self) -> Evaluations:
+        """The initial state, of inputs and parameters in one vector."""
+        return self._of("start", [*self.inputs, *self.parameters], self.n)
+
+    def _of(self, method: str, names: list[str], size: int) -> Evaluations:
+        def asked(method: str) -> Host:
+            return lambda t, z: self._served.ask(
+                method, t, z, where=lambda: f" at t = {t:.6g} s{with_numbers(names, z)}"
+            )
+
+        return Evaluations(asked(method), asked(f"{method}_jacobian"), asked(f"{method}_hessian"), size)

@@ -1,7 +1,7 @@
 """Variables of an FMU by name: which may be set before it starts, which are read; refusals name the nearest one."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -15,15 +15,32 @@ _WHOLE = ("Integer", "Enumeration", "Int8", "UInt8", "Int16", "UInt16", "Int32",
 _LISTED = 6
 
 
+class Variable(Protocol):
+    """What is used of a variable of FMPy, which declares no types. Variables are told apart by identity."""
+
+    name: str
+    type: str
+    causality: str
+    variability: str
+    initial: str | None
+    valueReference: int  # noqa: N815
+    shape: Sequence[int] | None
+    nominal: str | float | None
+    unit: str | None
+    declaredType: Any  # noqa: N815
+
+    def __hash__(self) -> int: ...
+
+
 class Variables:
     """The variables of the FMU called `name`, by their names."""
 
     def __init__(self, name: str, description: Any):
         self._who = f"FMU '{name}'"
-        self.all: dict[str, Any] = {one.name: one for one in description.modelVariables}
+        self.all: dict[str, Variable] = {one.name: one for one in description.modelVariables}
         rates = [one.variable for one in description.derivatives]
-        self.rates: list[Any] = rates
-        self.states: list[Any] = [one.derivative for one in rates]
+        self.rates: list[Variable] = rates
+        self.states: list[Variable] = [one.derivative for one in rates]
         self.outputs = [name for name, one in self.all.items() if one.causality == "output" and _is_number(one)]
 
     def refuse_odd_states(self) -> None:
@@ -45,11 +62,11 @@ class Variables:
         """The real inputs."""
         return [name for name, one in self.all.items() if one.causality == "input" and _is_number(one)]
 
-    def settable(self, names: Iterable[Any]) -> list[Any]:
+    def settable(self, names: Iterable[Any]) -> list[Variable]:
         """The variables of these names. Raises `ProblemError` for one that is no real number set before the start."""
         return [self._real(self._settable(name), name) for name in names]
 
-    def readable(self, names: Any) -> list[Any]:
+    def readable(self, names: Any) -> list[Variable]:
         """The variables of these names, by default all outputs. Raises `ProblemError` for one that is no real one."""
         names = self.outputs if names is None else names
         if isinstance(names, str | bytes) or not isinstance(names, Sequence) or not names:
@@ -61,7 +78,7 @@ class Variables:
             raise ProblemError(f"{self._who}: expected each variable to read once; received {shown(names)}.")
         return [self._real(self._known(name, self.outputs), name) for name in names]
 
-    def of_inputs(self, names: Iterable[Any]) -> list[Any]:
+    def of_inputs(self, names: Iterable[Any]) -> list[Variable]:
         """The inputs of these names. Raises `ProblemError` for one that is none."""
         found = []
         for name in names:
@@ -74,7 +91,7 @@ class Variables:
             found.append(self._real(one, name))
         return found
 
-    def setting(self, name: Any, value: Any) -> tuple[Any, Any]:
+    def setting(self, name: Any, value: Any) -> tuple[Variable, Any]:
         """A variable of any type and its value, checked, for every run."""
         one = self._settable(name)
         if one.shape:
@@ -84,7 +101,7 @@ class Variables:
             raise ProblemError(f"{self._who}: expected {kind} for '{name}'; received {shown(value)}.")
         return one, value
 
-    def _known(self, name: Any, near: Sequence[str]) -> Any:
+    def _known(self, name: Any, near: Sequence[str]) -> Variable:
         if not isinstance(name, str):
             raise ProblemError(f"{self._who}: expected names of variables; received {shown(name)}.")
         if name not in self.all:
@@ -92,7 +109,7 @@ class Variables:
             raise ProblemError(f"{self._who} has no variable '{name}'.{hint}")
         return self.all[name]
 
-    def _settable(self, name: Any) -> Any:
+    def _settable(self, name: Any) -> Variable:
         one = self._known(name, self.parameters())
         if one.causality == "input" or (one.variability != "constant" and one.initial == "exact"):
             return one
@@ -107,7 +124,7 @@ class Variables:
             f"received '{name}', {why} (causality '{one.causality}', variability '{one.variability}')."
         )
 
-    def _real(self, one: Any, name: str) -> Any:
+    def _real(self, one: Variable, name: str) -> Variable:
         if one.type not in REAL:
             raise ProblemError(
                 f"{self._who}: expected a real variable; received '{name}' of type {one.type}. Give values of other "
@@ -118,7 +135,7 @@ class Variables:
         return one
 
 
-def _is_number(one: Any) -> bool:
+def _is_number(one: Variable) -> bool:
     return one.type in REAL and not one.shape
 
 
@@ -138,12 +155,18 @@ def _listed(names: Sequence[str]) -> str:
     return (", ".join(f"'{one}'" for one in names[:_LISTED]) + more) or "none"
 
 
-def nominals_of(variables: Iterable[Any]) -> np.ndarray:
+def nominals_of(variables: Iterable[Variable]) -> np.ndarray:
     """The usual sizes that variables declare; 1 for others."""
     return np.array([abs(float(one.nominal or 1.0)) or 1.0 for one in variables])
 
 
-def units_of(variables: Iterable[Any]) -> Mapping[str, str]:
+def units_of(variables: Iterable[Variable]) -> Mapping[str, str]:
     """The units that variables declare, by name."""
     declared = {one.name: one.unit or getattr(one.declaredType, "unit", None) for one in variables}
     return {name: unit.replace(".", " ") for name, unit in declared.items() if unit}
+
+
+def with_numbers(names: Iterable[str], values: Iterable[float]) -> str:
+    """Values of variables as the end of a sentence; empty if there are none."""
+    said = ", ".join(f"{name}={value:.6g}" for name, value in zip(names, values, strict=True))
+    return f", with {said}" if said else ""

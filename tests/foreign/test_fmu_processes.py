@@ -1,0 +1,221 @@
+"""FMUs in processes of their own: what crashes, hangs or prints there ends neither this process nor its work."""
+
+import gc
+import os
+import pickle
+import select
+import shutil
+import subprocess
+import sys
+import textwrap
+import time
+import zipfile
+
+import jax
+import numpy as np
+import pytest
+
+import aleator as al
+from aleator.foreign._fmu._fmu import _opened_again
+from rods import here
+
+pytestmark = pytest.mark.skipif(not hasattr(os, "pidfd_open"), reason="processes are watched as Linux does")
+
+GRID = al.Grid(2.0, 4)
+FINE, ABORTS, LOOPS, SHOUTS, LEAVES, DIES_IN_SLOPES = 0, 8, 9, 10, 11, 12
+
+
+def fmu_of(rods, behaviour, *, version=3, **given):
+    return al.foreign.Fmu(rods(version), settings={"behaviour": behaviour}, **given)
+
+
+def process_of(fmu):
+    """The number of the process of an FMU."""
+    return fmu.door._running[0].process.pid
+
+
+def has_ended(process):
+    """Whether a process has ended, or does within some seconds."""
+    try:
+        handle = os.pidfd_open(process)
+    except ProcessLookupError:
+        return True
+    with os.fdopen(handle):
+        return bool(select.select([handle], [], [], 20)[0])
+
+
+@pytest.mark.parametrize("kind", ["model exchange", "co-simulation"])
+def test_runs_and_their_derivatives_are_the_same_in_a_process_of_its_own(rods, kind):
+    def at(fmu):
+        run = al.foreign.FmuSimulation(fmu, GRID, inputs={"torque": al.Tabulated([0.0, 2.0], [0.0, 1.0])})
+        point = {"damping": 0.2, "rod.length": 1.1}
+        slopes = jax.jacfwd(lambda damping: run({"damping": damping, "rod.length": 1.1})["energy"])(0.2)
+        return {**run(point), "slopes": slopes}
+
+    found, expected = at(al.foreign.Fmu(rods(3), kind=kind)), at(here(rods(3), kind=kind))
+    for name, values in expected.items():
+        assert np.array_equal(found[name], values)
+
+
+@pytest.mark.slow
+def test_a_system_is_the_same_in_a_process_of_its_own(rods):
+    def at(fmu):
+        def energy(damping):
+            return al.simulate(al.foreign.FmuSystem(fmu, {"damping": damping}), GRID, only=["energy"])["energy"]
+
+        return energy(0.2), jax.jacfwd(energy)(0.2)
+
+    found, expected = at(al.foreign.Fmu(rods(3))), at(here(rods(3)))
+    assert np.array_equal(found, expected)
+
+
+@pytest.mark.parametrize(
+    ("behaviour", "message"),
+    [
+        (ABORTS, "ended its process by the signal SIGABRT, with fail_at=0.6; it printed: assertion failed: the rod is"),
+        pytest.param(LEAVES, "ended its process by exit code 3, with fail_at=0.6", marks=pytest.mark.slow),
+    ],
+    ids=["aborts", "exits"],
+)
+def test_an_fmu_that_ends_its_process_fails_a_run_and_the_next_one_goes_on(rods, behaviour, message):
+    run = al.foreign.FmuSimulation(fmu_of(rods, behaviour), GRID, outputs=["angle"])
+    with pytest.raises(al.SimulationError, match=f"^FMU 'rod3_mc' {message}"):
+        run({"fail_at": 0.6})
+    assert np.array_equal(run({"fail_at": 9.0})["angle"], run({"fail_at": 8.0})["angle"])
+
+
+def test_an_fmu_that_loops_for_ever_is_ended_after_its_time_limit(rods):
+    fmu = fmu_of(rods, LOOPS, time_limit=1.0, kind="co-simulation")
+    process = process_of(fmu)
+    run = al.foreign.FmuSimulation(fmu, GRID, outputs=["angle"])
+    message = (
+        r"^FMU 'rod3_mc' did not end a run within its time limit of 1 s, with fail_at=0.6: its process was ended\."
+    )
+    with pytest.raises(al.SimulationError, match=message):
+        run({"fail_at": 0.6})
+    assert has_ended(process)
+    assert np.isfinite(run({"fail_at": 9.0})["angle"]).all()
+
+
+@pytest.mark.slow
+def test_a_time_limit_is_one_of_each_run_not_of_all_runs_behind_a_derivative(rods):
+    run = al.foreign.FmuSimulation(here(rods(3), kind="co-simulation"), al.Grid(2.0, 2000), outputs=["angle"])
+    began = time.perf_counter()
+    run({"damping": 0.2})
+    one = time.perf_counter() - began
+    fmu = al.foreign.Fmu(rods(3), kind="co-simulation", time_limit=max(10 * one, 0.5))
+    run = al.foreign.FmuSimulation(fmu, al.Grid(2.0, 2000), outputs=["angle"])
+    second = jax.jacfwd(jax.jacfwd(lambda damping: run({"damping": damping})["angle"][-1]))(0.2)
+    assert np.isfinite(second)
+
+
+def test_where_an_fmu_dies_inside_of_jax_values_are_missing_and_a_warning_says_why(rods):
+    run = al.foreign.FmuSimulation(fmu_of(rods, ABORTS), GRID, outputs=["angle"])
+    with pytest.warns(al.SimulationWarning, match="ended its process by the signal SIGABRT, with fail_at=0.6"):
+        found = jax.jit(jax.vmap(lambda end: run({"fail_at": end})["angle"]))(np.array([9.0, 0.6, 8.0]))
+    assert np.isfinite(found).all(axis=1).tolist() == [True, False, True]
+
+
+@pytest.mark.slow
+def test_a_sample_at_which_an_fmu_dies_is_dropped_by_a_black_box(rods):
+    box = al.foreign.BlackBox(al.foreign.FmuSimulation(fmu_of(rods, ABORTS), GRID, outputs=["angle"]), drop=0.4)
+    with pytest.warns(al.SimulationWarning, match="1 of 4 samples .* failed and were dropped"):
+        al.references.monte_carlo(box, {"fail_at": al.Uniform(2.4, half_width=0.8)}, samples=4, seed=2)
+
+
+def test_directional_derivatives_that_crash_are_told_with_their_point(rods):
+    run = al.foreign.FmuSimulation(fmu_of(rods, DIES_IN_SLOPES), GRID, outputs=["angle"])
+    assert np.isfinite(run({"damping": 0.2})["angle"]).all()
+    with pytest.warns(al.SimulationWarning, match="ended its process by the signal SIGSEGV, with damping=0.2"):
+        slopes = jax.jacfwd(lambda damping: run({"damping": damping})["angle"][-1])(0.2)
+    assert np.isnan(slopes)
+    with pytest.raises(al.SimulationError, match="by the signal SIGSEGV near its initial state"):
+        al.foreign.FmuSystem(fmu_of(rods, DIES_IN_SLOPES))
+
+
+def test_what_an_fmu_prints_reaches_neither_its_numbers_nor_the_screen(rods, capfd):
+    found = al.foreign.FmuSimulation(fmu_of(rods, SHOUTS), GRID)({"fail_at": 0.1})
+    expected = al.foreign.FmuSimulation(here(rods(3)), GRID)({})
+    assert np.array_equal(found["angle"], expected["angle"])
+    assert capfd.readouterr() == ("", "")
+
+
+def test_a_library_that_dies_while_it_is_loaded_is_told(rods, tmp_path):
+    source, library = tmp_path / "dies.c", tmp_path / "dies.so"
+    source.write_text("#include <stdlib.h>\n__attribute__((constructor)) static void die(void) { abort(); }\n")
+    subprocess.run(["gcc", "-shared", "-fPIC", source, "-o", library], check=True)
+    path = rods.changed("dies", lambda text: text, content=library.read_bytes())
+    with pytest.raises(al.SimulationError, match=r"FMU 'dies' ended its process by the signal SIGABRT while its libra"):
+        al.foreign.Fmu(path)
+
+
+def test_a_script_needs_no_main_and_its_processes_end_with_it(rods, tmp_path):
+    script = tmp_path / "plain.py"
+    script.write_text(
+        textwrap.dedent(
+            f"""
+            import os
+            import aleator as al
+            fmu = al.foreign.Fmu({str(rods(3))!r})
+            print(al.foreign.FmuSimulation(fmu, al.Grid(1.0, 2))({{}})["angle"][0])
+            print(fmu.door._running[0].process.pid, flush=True)
+            os._exit(0)
+            """
+        )
+    )
+    ended = subprocess.run([sys.executable, script], capture_output=True, text=True, check=True)
+    angle, process = ended.stdout.split()
+    assert float(angle) == 1.0
+    assert has_ended(int(process))
+
+
+def test_an_fmu_that_nobody_holds_has_no_process(rods):
+    fmu = fmu_of(rods, FINE)
+    process = process_of(fmu)
+    del fmu
+    gc.collect()
+    assert has_ended(process)
+
+
+def test_a_run_is_sent_to_other_processes_as_its_file(rods, tmp_path):
+    path = tmp_path / "sent.fmu"
+    shutil.copy(rods(3), path)
+    run = al.foreign.FmuSimulation(here(path), GRID, outputs=["angle"])
+    system = al.foreign.FmuSystem(here(path), {"damping": 0.2})
+    packed = pickle.dumps((run, system))
+    again, system_again = pickle.loads(packed)
+    assert np.array_equal(again({})["angle"], run({})["angle"])
+    assert np.array_equal(system_again.initial()["angle"], system.initial()["angle"])
+    assert pickle.loads(packed)[0]._fmu is again._fmu
+    with zipfile.ZipFile(path, "a") as archive:
+        archive.writestr("note", "changed")
+    _opened_again.cache_clear()
+    with pytest.raises(al.ProblemError, match=r"FMU 'sent': '.*sent\.fmu' has changed since the model was made"):
+        pickle.loads(packed)
+
+
+def test_a_journal_tells_apart_fmus_of_one_name_their_settings_and_their_inputs(rods, tmp_path):
+    path, ramp = tmp_path / "same.fmu", al.Tabulated([0.0, 2.0], [0.0, 1.0])
+
+    def mean(fmu, **given):
+        run = al.foreign.FmuSimulation(fmu, GRID, outputs=["angle"], **given)
+        box = al.foreign.BlackBox(run, journal=tmp_path / "runs.jsonl")
+        al.references.monte_carlo(box, {"damping": al.Uniform(0.1, half_width=0.05)}, samples=4, seed=1)
+        return len((tmp_path / "runs.jsonl").read_text().splitlines())
+
+    shutil.copy(rods(3), path)
+    assert [mean(here(path)), mean(here(path))] == [5, 5]
+    with pytest.warns(al.SimulationWarning, match="by another box"):
+        assert mean(here(path), inputs={"torque": ramp}) == 9
+    with pytest.warns(al.SimulationWarning, match="by another box"):
+        assert mean(here(path, settings={"behaviour": FINE + 5})) == 13
+    shutil.copy(rods(3, wall=True), path)
+    with pytest.warns(al.SimulationWarning, match="by another box"):
+        assert mean(here(path)) == 17
+
+
+def test_options_of_processes_are_checked(rods):
+    with pytest.raises(al.ProblemError, match="Fmu: own_process: expected True or False; received 1"):
+        al.foreign.Fmu(rods(3), own_process=1)
+    with pytest.raises(al.ProblemError, match=r"Fmu: time_limit: expected .* received 0"):
+        al.foreign.Fmu(rods(3), time_limit=0)
