@@ -73,6 +73,9 @@ def problem_with(*constraints):
         ([Y.within(-1, 1)], 3.0, [(-np.inf, 3.0), (-3.0, np.inf)]),
         ([al.Constraint(Y.mean, lower=-1, upper=1)], 3.0, [(-3.0, 3.0)]),
         ([Y.within(0, 1)], (2.0, 5.0), [(-np.inf, 5.0), (2.0, np.inf)]),
+        ([Y.mean >= 1], (2.0, np.inf), [(2.0, np.inf)]),
+        ([Y.mean <= 1], (-np.inf, 3.0), [(-np.inf, 3.0)]),
+        ([Y.mean.equals(1)], (2.0, 3.0), [(2.0, 3.0)]),
         ([Y.mean.equals(1)], 3.0, [(3.0, 3.0)]),
         ([Y.mean.equals(0)], 3.0, [(3.0, 3.0)]),
     ],
@@ -85,6 +88,33 @@ def test_a_bound_moves_the_side_that_is_closed(constraints, bound, expected):
 def test_a_pair_that_is_not_symmetric_asks_for_both_bounds():
     with pytest.raises(al.ProblemError, match=r"bounds \[0.0\] and \[1.0\], which are not symmetric.*\(lower, upper\)"):
         problem_with(Y.within(0, 1)).with_bound("response", 2.0)
+
+
+def limited_by(*constraints):
+    """A problem with these constraints on an output that it has."""
+    system = Gain(gain=al.Decision(0.5, 0.0, 10.0), theta=al.Uniform(1.0, half_width=0.3))
+    named = [one.named("limit") for one in constraints]
+    return al.Problem(system, grid=ONE_STEP, minimize=LOSS.mean, subject_to=named)
+
+
+@pytest.mark.parametrize("limit", [RESPONSE.mean <= 1, RESPONSE.mean >= 1, 2 * RESPONSE.mean <= 1])
+def test_two_bounds_make_a_limit_on_a_mean_one_of_two_sides(limit):
+    (moved,) = limited_by(limit).with_bound("limit", (2.0, 3.0)).constraints
+    assert (moved.lower, moved.upper) == (2.0, 3.0)
+
+
+@pytest.mark.parametrize(
+    "limits",
+    [
+        [RESPONSE.mean + 2 * RESPONSE.std <= 1],
+        [RESPONSE.at_most(1, probability=0.9)],
+        [RESPONSE.at_least(0, worst_case=True)],
+        [RESPONSE.mean <= 1, LOSS.mean <= 1],
+    ],
+)
+def test_two_bounds_of_limits_that_can_take_one_are_refused(limits):
+    with pytest.raises(al.ProblemError, match=r"expected one number.*received \(2, 3\).*within\(lower, upper\)"):
+        limited_by(*limits).with_bound("limit", (2.0, 3.0))
 
 
 def test_an_unknown_constraint_is_refused_with_those_that_exist():

@@ -79,6 +79,7 @@ def test_a_file_changes_numbers_limits_margins_expansion_and_solver_in_their_uni
         ('load = "2000 N"', 2.0),
         ('load = "2000 ± 30 N"', al.Toleranced(2.0, tolerance=0.03)),
         ('load = "2 +0.3/-0.1 kN"', al.Toleranced(2.0, plus=0.3, minus=0.1)),
+        ('load = "2000 +300/+100 N"', al.Toleranced(2.0, plus=0.3, minus=-0.1)),
         ('load = { distribution = "Normal", mean = 2, std = "100 N" }', al.Normal(2.0, 0.1)),
         (
             'load = { distribution = "Normal", mean = { start = "2 kN", upper = "3000 N" }, std = 0.1 }',
@@ -92,6 +93,26 @@ def test_quantities_are_those_that_python_would_declare(here: Path, text: str, l
     (problem,) = loaded(f'problem = "bars_of_a_file:problem"\n[model]\n{text}\n').problems.values()
     found = problem.system.load
     assert str(found) == str(load)
+
+
+def test_a_tolerance_of_a_positive_number_is_refused_with_the_distribution_that_is_taken(here: Path):
+    head = 'problem = "bars_of_a_file:problem"\n[model]\nload = { start = 1.0 }\nwidth = '
+    with pytest.raises(al.ProblemError, match="'width' must stay positive") as refused:
+        loaded(f'{head}"27.645 +0.05/-0.02 mm"\n')
+    advised = re.search(r"write (TruncatedNormal)\((.*?)\)", str(refused.value))
+    assert advised is not None
+    (problem,) = loaded(f'{head}{{ distribution = "{advised[1]}", {advised[2]} }}\n').problems.values()
+    found = problem.system.width
+    # The zone of the drawing, whose half-width is three standard deviations.
+    assert [float(one) for one in found.support()] == pytest.approx([27.625, 27.695])
+    assert found.parameters["scale"] == pytest.approx(0.035 / 3)
+
+
+def test_two_bounds_make_a_limit_on_a_mean_two_sided(here: Path):
+    with Path("bars_of_a_file.py").open("a", encoding="utf-8") as file:
+        file.write('\nheavy = al.Problem(bar, minimize=stress.std, subject_to=[al.output("mass").mean >= 1.0])\n')
+    (problem,) = loaded('problem = "bars_of_a_file:heavy"\n[limits]\nmass = ["2 mm", "0.3 cm"]\n').problems.values()
+    assert [(float(one.lower), float(one.upper)) for one in problem.constraints] == [(2.0, 3.0)]
 
 
 def test_a_file_runs_to_its_report(here: Path):
@@ -114,6 +135,10 @@ def test_a_file_runs_to_its_report(here: Path):
         ('"2000 N"', '"a lot"', 8, "expected a quantity"),
         ('"2000 N"', "nan", 8, "finite"),
         ('"Uniform"', '"Unifrom"', 8, "model.load.distribution"),
+        ('"2000 N"', "true", 8, "input should be a valid number"),
+        ("stress = 2\n", 'stress = "2"\n', 15, "valid number"),
+        ('{ distribution = "Uniform", mean', '{ distribution = "Beta", alpha = "2", mean', 8, "received the text '2'"),
+        ('stress = "600 N/mm"', "stress = [0.5, 0.6]", 12, "Constraint 'stress': expected one number"),
         ("half_width = 0.3", "halfwidth = 0.3", 8, "Uniform has no parameter 'halfwidth'"),
         ("half_width = 0.3", "half_width = -0.3", 8, "half_width"),
         ("lower = 0.1", "lower = 70", 9, "A Decision"),

@@ -15,6 +15,8 @@ from aleator.design._control import on_grid
 from aleator.design._declaration import AbstractProblem
 from aleator.design._expression import Constraint, Expression, as_expression, ordered
 from aleator.design._physics import changes
+from aleator.design._scope import Value
+from aleator.design._statistic import Statistic
 from aleator.design._text import problem_text
 from aleator.dynamics import (
     AbstractGrid,
@@ -25,6 +27,7 @@ from aleator.dynamics import (
     simulation_of,
 )
 from aleator.expansion import Expansion
+from aleator.statistics import Mean
 from aleator.trajectories import AbstractSignal
 from aleator.uncertainty import Decision, at_means, uncertain_again
 
@@ -76,10 +79,15 @@ class Problem(AbstractProblem):
         """The same problem with the bound of the constraints called `name` set to `bound`.
 
         One number sets an upper or a lower bound, the right-hand side of an equality, or both bounds of a symmetric
-        pair (to `-bound` and `bound`); other pairs need `(lower, upper)`. Raises `ProblemError` for a pair in the wrong
-        order.
+        pair (to `-bound` and `bound`); other pairs need `(lower, upper)`. Two numbers make a limit of one side of plain
+        means one of two sides. Raises `ProblemError` for a pair in the wrong order, and for a side that cannot be kept:
+        that of a limit with a margin, whose other side would need a margin of its own.
         """
-        lower, upper = _new_bounds(self.named(name), name, bound)
+        constraints = self.named(name)
+        lower, upper = _new_bounds(constraints, name, bound)
+        if isinstance(bound, tuple) and _opens(constraints, lower, upper):
+            _refuse_one_sided(constraints, name, lower, upper)
+            return self._with(name, lambda one: one.with_bounds(lower, upper))
         return self._with(name, lambda one: one.with_bounds(*(_moved(one.lower, lower), _moved(one.upper, upper))))
 
     def with_sigmas(self, name: str, sigmas: float) -> Self:
@@ -156,6 +164,25 @@ def _told_apart(constraints: tuple[Constraint, ...]) -> tuple[Constraint, ...]:
 
 def _moved(old: Any, new: float) -> float:
     return new if np.isfinite(old) else float(old)
+
+
+def _opens(constraints: tuple[Constraint, ...], lower: float, upper: float) -> bool:
+    """Whether a new bound is on a side that no constraint has, where it would be lost."""
+    has_lower = any(np.isfinite(one.lower) for one in constraints)
+    has_upper = any(np.isfinite(one.upper) for one in constraints)
+    return bool((np.isfinite(lower) and not has_lower) or (np.isfinite(upper) and not has_upper))
+
+
+def _refuse_one_sided(constraints: tuple[Constraint, ...], name: str, lower: float, upper: float) -> None:
+    """Raise `ProblemError` unless one constraint can take both bounds: one on nothing but means and numbers."""
+    leaves = [leaf for one in constraints for leaf in one.expression.leaves]
+    plain = all(isinstance(one, Value) or (isinstance(one, Statistic) and isinstance(one.kind, Mean)) for one in leaves)
+    if len(constraints) > 1 or not plain:
+        side = "upper" if any(np.isfinite(one.upper) for one in constraints) else "lower"
+        raise ProblemError(
+            f"Constraint '{name}': expected one number, since the model has {side} limits alone here; received "
+            f"({lower:g}, {upper:g}). For both sides write .within(lower, upper) or a second limit in the model."
+        )
 
 
 def _new_bounds(

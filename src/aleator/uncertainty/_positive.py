@@ -14,6 +14,7 @@ from aleator._core.given import refusal
 from aleator._core.leaves import is_leaf, is_transparent, lowest, shown
 from aleator.trajectories import AbstractSignal
 from aleator.uncertainty._at_mean import free
+from aleator.uncertainty._toleranced import Toleranced
 
 
 def parameter(unit: str = "", *, positive: bool = False, **options: Any) -> Any:
@@ -90,8 +91,19 @@ def _message(name: str, leaf: Any, least: float | None) -> str:
             f"'{name}' must stay positive: expected a number, a distribution or a Decision; "
             f"received {type(leaf).__name__} {leaf!r}. Give a number."
         )
+    if isinstance(leaf, Toleranced) and not any(map(is_leaf, leaf.parameters.values())):
+        return _message_of_tolerance(name, leaf)
     reach = "is unbounded below" if least == -np.inf else f"can reach {least:g}"
     return (
         f"'{name}' must stay positive, but {leaf} {reach}. "
         "Reduce its spread, choose a bounded distribution, or raise the lower bound of its decisions."
+    )
+
+
+def _message_of_tolerance(name: str, leaf: Toleranced) -> str:
+    (lower, upper), location, scale = leaf.limits(), leaf.mean(), leaf.std()
+    return (
+        f"'{name}' must stay positive, but {leaf} is a normal distribution, and so unbounded below. If no part outside "
+        f"its limits is used, write TruncatedNormal(location={location:.9g}, scale={scale:.9g}, lower={lower:.9g}, "
+        f"upper={upper:.9g}); or declare the number without positive=True."
     )

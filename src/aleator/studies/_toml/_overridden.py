@@ -15,7 +15,7 @@ from aleator.design import Problem, declared_anew, units_of
 from aleator.dynamics import Grid
 from aleator.nlp import AbstractSolver
 from aleator.studies._toml._quantity import amount, plain
-from aleator.uncertainty import Decision, Toleranced, fields_of
+from aleator.uncertainty import Decision, fields_of
 
 # Parameters of distributions that are pure numbers.
 _PURE = ("alpha", "beta", "shape", "cp", "cpk", "sigmas")
@@ -45,12 +45,7 @@ def _leaf(value: Any, unit: str) -> Any:
         return _distribution(value, unit)
     if hasattr(value, "start"):
         return _decision(value, unit)
-    found = amount(value, unit)
-    if found.plus is None:
-        return found.number
-    if found.plus == found.minus:
-        return Toleranced(found.number, tolerance=found.plus)
-    return Toleranced(found.number, plus=found.plus, minus=found.minus)
+    return amount(value, unit)
 
 
 def _decision(table: Any, unit: str) -> Decision:
@@ -62,7 +57,7 @@ def _decision(table: Any, unit: str) -> Decision:
 def _distribution(table: Any, unit: str) -> Any:
     family = getattr(uncertainty, table.distribution)
     given = {
-        name: _decision(one, unit) if hasattr(one, "start") else plain(one, "" if name in _PURE else unit)
+        name: _decision(one, unit) if hasattr(one, "start") else _parameter(name, one, unit)
         for name, one in (table.__pydantic_extra__ or {}).items()
     }
     known = [name for name in inspect.signature(family).parameters if name not in ("unnamed", "shared_name")]
@@ -70,6 +65,13 @@ def _distribution(table: Any, unit: str) -> Any:
         if name not in known:
             raise ProblemError(f"{table.distribution} has no parameter '{name}'; expected some of {known}.")
     return family(**given)
+
+
+def _parameter(name: str, value: Any, unit: str) -> float:
+    """A parameter of a distribution."""
+    if name in _PURE and isinstance(value, str):
+        raise ProblemError(f"{name}: expected a number; received the text '{value}'. Leave out the quotation marks.")
+    return plain(value, "" if name in _PURE else unit)
 
 
 def limited(problem: Problem, name: str, bound: Any) -> Problem:

@@ -1,57 +1,69 @@
 """Quantities as text, in numbers of the model's own unit: `30 kN/m`, `27.645 +0.05/-0.02 mm`, `40 ± 4 N/m`."""
 
-import functools
 import math
 import re
-from typing import Any, NamedTuple
+from typing import Any
 
-from aleator._core.errors import MissingExtraError, ProblemError
+from aleator._core.errors import ProblemError
+from aleator.studies._toml._units import factor
+from aleator.uncertainty import Toleranced, toleranced
 
-_NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
-_QUANTITY = re.compile(
-    rf"\s*(?P<number>{_NUMBER})\s*"
-    rf"(?:(?:±|\+/-)\s*(?P<both>{_NUMBER})|\+\s*(?P<plus>{_NUMBER})\s*/\s*-\s*(?P<minus>{_NUMBER}))?\s*(?P<unit>.*?)\s*"
-)
-
-
-class Amount(NamedTuple):
-    """A number, and the tolerances beside it, None if there are none; all in the unit asked for."""
-
-    number: float
-    plus: float | None = None
-    minus: float | None = None
+_NUMBER = r"(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
+# A deviation from the nominal value has a sign, or is zero.
+_DEVIATION = rf"\s*(?:(?:±|\+\s*/\s*-|\+-|/?\s*[+-])\s*{_NUMBER}|/\s*0(?![\d.])|\s0(?![\d.]))"
+_QUANTITY = re.compile(rf"\s*(?P<number>[+-]?{_NUMBER})(?P<deviations>(?:{_DEVIATION})*)\s*(?P<unit>.*?)\s*")
+_TOLERANCE_IN_UNIT = re.compile(r"[±+]|(?<![\w^(*])-")
+_NUMBER_IN_UNIT = re.compile(r"/\s*\d|\*|(?!1\s*/)\d")
 
 
-def amount(text: float | str, unit: str) -> Amount:
+def amount(text: float | str, unit: str) -> float | Toleranced:
     """A quantity in the unit of the model; a number without a unit is in that one already.
 
     Raises `ProblemError` for a text that is no quantity, and for a unit that cannot be converted.
     """
     if not isinstance(text, str):
-        return Amount(float(text))
-    found = _QUANTITY.fullmatch(text)
+        return float(text)
+    found = _QUANTITY.fullmatch(text.replace("\N{MINUS SIGN}", "-"))
     if found is None:
         raise ProblemError(f"expected a quantity, such as '30 kN/m'; received '{text}'.")
-    factor = _factor(found["unit"], unit)
-    numbers = [None if found[name] is None else factor * float(found[name]) for name in ("number", "plus", "minus")]
-    number, plus, minus = numbers
-    if found["both"] is not None:
-        plus = minus = factor * float(found["both"])
-    assert number is not None
-    if not math.isfinite(number):
-        raise ProblemError(f"expected a finite quantity; received '{text}'.")
-    return Amount(number, plus, minus)
+    if _TOLERANCE_IN_UNIT.search(found["unit"]):
+        raise _no_tolerances(text)
+    if _NUMBER_IN_UNIT.match(found["unit"]):
+        raise ProblemError(f"expected one number, with a decimal point, and its unit; received '{text}'.")
+    scale = _scale(found["unit"], unit)
+    if not found["deviations"].strip():
+        return _finite(scale * float(found["number"]), text)
+    try:
+        zone = toleranced(found["number"] + found["deviations"]).parameters
+    except ProblemError as error:
+        raise _no_tolerances(text) from error
+    names = [name for name in ("nominal", "tolerance", "plus", "minus") if name in zone]
+    scaled: dict[str, Any] = {name: _finite(scale * float(zone[name]), text) for name in names}
+    return Toleranced(**scaled)
+
+
+def _no_tolerances(text: str) -> ProblemError:
+    return ProblemError(
+        "expected tolerances as on a drawing, with the unit once at the end, such as '27.645 +0.05/-0.02 mm' or "
+        f"'40 ± 4 N/m'; received '{text}'."
+    )
 
 
 def plain(text: float | str, unit: str) -> float:
     """A quantity without tolerances."""
     found = amount(text, unit)
-    if found.plus is not None:
+    if isinstance(found, Toleranced):
         raise ProblemError(f"expected a quantity without tolerances; received '{text}'.")
-    return found.number
+    return found
 
 
-def _factor(given: str, wanted: str) -> float:
+def _finite(number: float, text: str) -> float:
+    if not math.isfinite(number):
+        raise ProblemError(f"expected a finite quantity; received '{text}'.")
+    return number
+
+
+def _scale(given: str, wanted: str) -> float:
     """What a number in one unit is multiplied by to be in the other."""
     if not given:
         return 1.0
@@ -60,25 +72,4 @@ def _factor(given: str, wanted: str) -> float:
             f"expected a number without a unit, since the model declares none here (`al.parameter('kg')` does for a "
             f"number, `units = {{...}}` of the system for outputs); received the unit '{given}'."
         )
-    registry = _registry()
-    try:
-        one = registry.Quantity(1.0, _parsed(given)).to(_parsed("" if wanted == "-" else wanted))
-        none = registry.Quantity(0.0, _parsed(given)).to(_parsed("" if wanted == "-" else wanted))
-    except Exception as error:  # pint has one for each way to fail
-        raise ProblemError(f"expected a unit that can be converted to '{wanted}'; received '{given}'.") from error
-    if none.magnitude:
-        raise ProblemError(f"expected a unit whose zero is that of '{wanted}'; received '{given}': convert it.")
-    return float(one.magnitude)
-
-
-def _parsed(unit: str) -> Any:
-    return _registry().parse_units(re.sub(r"(?<=[^\s*/·])\s+(?=[^\s*/·])", "*", unit.replace("·", "*").strip()))
-
-
-@functools.cache
-def _registry() -> Any:
-    try:
-        import pint
-    except ImportError as error:
-        raise MissingExtraError("Quantities with units need pint: pip install pint") from error
-    return pint.UnitRegistry()
+    return factor(given, wanted)

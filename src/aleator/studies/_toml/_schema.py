@@ -2,10 +2,14 @@
 
 from typing import Annotated, Any, Literal, TypeAlias
 
-from pydantic import BaseModel, ConfigDict, Discriminator, Field, FiniteFloat, Tag
+from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag
 
+# Texts and truth values are no numbers.
+Real: TypeAlias = Annotated[float, Field(strict=True, allow_inf_nan=False)]
+Truth: TypeAlias = Annotated[bool, Field(strict=True)]
 Quantity: TypeAlias = Annotated[
-    FiniteFloat | str, Field(description='A number in the unit of the model, or with its own: "30 kN/m".')
+    Real | Annotated[str, Field(strict=True)],
+    Field(description='A number in the unit of the model, or with its own: "30 kN/m".'),
 ]
 Whole: TypeAlias = Annotated[int, Field(strict=True)]
 
@@ -69,7 +73,7 @@ class SolverTable(BaseModel):
     """A solver by its name, with its options."""
 
     model_config = ConfigDict(extra="allow")
-    __pydantic_extra__: dict[str, FiniteFloat | bool | int]  # pyright: ignore
+    __pydantic_extra__: dict[str, Truth | Whole | Real]  # pyright: ignore
     name: Literal[
         "FilterSQP",
         "Ipopt",
@@ -96,7 +100,7 @@ class StudyFile(_Table):
     samples: Annotated[Whole, Field(ge=2, le=10_000_000_000)] = 20_000
     seed: Annotated[Whole, Field(ge=0)] = 0
     workers: Annotated[Whole, Field(ge=1, le=10_000)] | None = None
-    deterministic: Annotated[bool, Field(description="Solve the problem at the means too, for comparison.")] = False
+    deterministic: Annotated[Truth, Field(description="Solve the problem at the means too, for comparison.")] = False
     model: Annotated[
         dict[str, _VALUE], Field(description="Numbers, distributions and decisions by the names of the model's fields.")
     ] = {}
@@ -104,7 +108,7 @@ class StudyFile(_Table):
         dict[str, Quantity | tuple[Quantity, Quantity]], Field(description="Bounds by the names of constraints.")
     ] = {}
     sigmas: Annotated[
-        dict[str, Annotated[FiniteFloat, Field(gt=0)]], Field(description="Margins by the names of constraints.")
+        dict[str, Annotated[Real, Field(gt=0)]], Field(description="Margins by the names of constraints.")
     ] = {}
     sweeps: Annotated[
         dict[str, Annotated[list[Quantity], Field(min_length=1)]], Field(description="Values of bounds for fronts.")
