@@ -1,5 +1,6 @@
 """Study files in TOML: what they change, and one sentence with its line for each thing that is wrong."""
 
+import json
 import random
 import re
 import sys
@@ -106,6 +107,17 @@ def test_a_tolerance_of_a_positive_number_is_refused_with_the_distribution_that_
     # The zone of the drawing, whose half-width is three standard deviations.
     assert [float(one) for one in found.support()] == pytest.approx([27.625, 27.695])
     assert found.parameters["scale"] == pytest.approx(0.035 / 3)
+
+
+def test_a_check_prints_the_plain_numbers_of_the_model_with_their_units(here: Path):
+    text = 'problem = "bars_of_a_file:problem"\n[model]\nload = "0.0012 MN"\n'
+    Path("bar.toml").write_text(text, encoding="utf-8")
+    told = CliRunner().invoke(cli.application, ["check", "bar.toml"])
+    assert re.search(r"load\s*│\s*1\.2\s*kN", told.output), told.output
+    assert not re.search(r"width\s*│", told.output)
+    found = json.loads(CliRunner().invoke(cli.application, ["check", "bar.toml", "--json"]).stdout)
+    (problem,) = found["problems"].values()
+    assert problem["numbers"] == {"load": {"value": pytest.approx(1.2), "unit": "kN"}}
 
 
 def test_two_bounds_make_a_limit_on_a_mean_two_sided(here: Path):

@@ -15,6 +15,8 @@ def check(study: StudyName, as_json: AsJson = False) -> None:
     for one in looked.mathematics():
         terminal.title(one.heading)
         terminal.tell(one.text)
+    if (numbers := looked.numbers()) is not None:
+        terminal.table(numbers)
     terminal.table(looked.table())
     for one in looked.troubles:
         terminal.look_at(one)

@@ -4,9 +4,11 @@ import time
 from collections.abc import Mapping
 from typing import Any, NamedTuple, final
 
+import jax
 import numpy as np
 
 from aleator._core.errors import SimulationError
+from aleator._core.leaves import AbstractLeaf
 from aleator._core.memory import NUMBER
 from aleator.design import Problem, problem_text
 from aleator.dynamics import Grid
@@ -16,6 +18,7 @@ from aleator.studies._own import Study
 from aleator.studies._study import AbstractStudy
 from aleator.studies._swept import problems_of
 from aleator.transcription import DEFAULT, AbstractTranscribed, transcribe
+from aleator.uncertainty import fields_of
 
 # Evaluations of a typical solve by derivatives, for predictions.
 _EVALUATIONS = 30
@@ -70,6 +73,13 @@ class Check:
         """Each problem as mathematics."""
         return [Code(name, problem_text(one, ""), True) for name, one in self._problems.items()]
 
+    def numbers(self) -> Table | None:
+        """The plain numbers of each model in the units that it declares, as a file may have changed them."""
+        found = {name: _numbers(one) for name, one in self._problems.items()}
+        names = dict.fromkeys(row for one in found.values() for row, value in one.items() if isinstance(value, _Plain))
+        rows = [[row, *(str(one.get(row, "–")) for one in found.values())] for row in names]
+        return Table("Numbers of the model", ["", *found], rows) if rows else None
+
     def table(self) -> Table:
         """A column for each problem."""
         columns = [_column(one) for one in self.facts.values()]
@@ -80,7 +90,36 @@ class Check:
 
     def document(self) -> Mapping[str, Any]:
         """The same for programs."""
-        return {name: {**one._asdict(), "simulations": one.simulations} for name, one in self.facts.items()}
+        return {
+            name: {**one._asdict(), "simulations": one.simulations, "numbers": _plain_numbers(self._problems[name])}
+            for name, one in self.facts.items()
+        }
+
+
+class _Plain(NamedTuple):
+    """A number of a model that is neither decided nor uncertain, in its unit."""
+
+    value: float
+    unit: str
+
+    def __str__(self) -> str:
+        return f"{self.value:.7g} {'' if self.unit == '-' else self.unit}".rstrip()
+
+
+def _numbers(problem: Problem) -> dict[str, "_Plain | str"]:
+    """The numbers of a model by name; of those that are not plain, what they are."""
+    found = dict[str, _Plain | str]()
+    for name, field, value in fields_of(problem.system):
+        is_number = isinstance(value, int | float | np.generic | np.ndarray | jax.Array) and not isinstance(value, bool)
+        if isinstance(value, AbstractLeaf):
+            found[name] = "uncertain" if value.UNCERTAIN else "decided"
+        elif is_number and not field.metadata.get("static", False) and np.ndim(value) == 0:
+            found[name] = _Plain(float(value), field.metadata.get("unit", ""))
+    return found
+
+
+def _plain_numbers(problem: Problem) -> dict[str, dict[str, Any]]:
+    return {name: one._asdict() for name, one in _numbers(problem).items() if isinstance(one, _Plain)}
 
 
 def _facts(problem: Problem, samples: int | None) -> tuple[Facts, list[str]]:

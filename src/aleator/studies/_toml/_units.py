@@ -111,7 +111,7 @@ def _registry() -> Any:
         import pint
     except ImportError as error:
         raise MissingExtraError("Quantities with units need pint: pip install pint") from error
-    registry = pint.UnitRegistry()
+    registry = pint.UnitRegistry(on_redefinition="ignore")  # of Nm, a measure of yarn there
     registry.define("@alias turn = rev")
     registry.define("newton_meter = newton * meter = Nm")
     return registry
