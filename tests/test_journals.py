@@ -16,7 +16,8 @@ import xarray
 import aleator as al
 from aleator import solving
 from aleator.journalling import FILE, State
-from bars import NEEDED, Bar, bar
+from aleator.journalling._parts import Parts
+from bars import MASS, NEEDED, Bar, bar
 
 
 @pytest.fixture
@@ -151,6 +152,33 @@ def test_a_file_that_is_damaged_is_told_and_computed_again(tmp_path: Path, solve
     with al.journal(tmp_path):
         al.solve(bar())
     assert len(solved) == 2
+
+
+def test_results_whose_places_were_exchanged_are_told_and_computed_again(tmp_path: Path, solved: list):
+    """The lines of a journal that name each other's files, with their digests."""
+    with al.journal(tmp_path):
+        for load in (1.0, 1.1):
+            al.solve(bar(load=load))
+    lines = [json.loads(line) for line in (tmp_path / FILE).read_text().splitlines()]
+    one, other = (line for line in lines if line["state"] == "done")
+    for name in ("file", "digest"):
+        one[name], other[name] = other[name], one[name]
+    (tmp_path / FILE).write_text("".join(json.dumps(line) + "\n" for line in lines))
+    with pytest.raises(al.ProblemError, match="holds another result than the journal says"):
+        al.load(tmp_path)["solve Bar 1"]
+    with al.journal(tmp_path), pytest.warns(al.JournalWarning, match="another result .* computed again"):
+        found = al.solve(bar())
+    assert found.objective == pytest.approx(2 * NEEDED, rel=1e-6)
+    assert len(solved) == 3
+
+
+def test_parts_whose_places_were_exchanged_are_not_taken(tmp_path: Path):
+    parts = Parts(tmp_path, "key", lambda said: pytest.fail(said))
+    parts.keep(0, "first")
+    parts.keep(1, "second")
+    assert [parts.recall(number) for number in (0, 1)] == ["first", "second"]
+    (tmp_path / "key-0.part").replace(tmp_path / "key-1.part")
+    assert parts.recall(1) is None
 
 
 def test_failures_are_noted_and_infeasible_problems_kept(tmp_path: Path, solved: list):

@@ -141,7 +141,7 @@ class Journal(AbstractJournal):
         if known is None or not known.is_finished:
             return None
         try:
-            return _results.read(self.folder / known.file, known.digest)
+            return _results.read(self.folder / known.file, known.digest, key)
         except ProblemError as error:
             self.warn(f"{error} It is computed again.")
             return None
@@ -168,7 +168,7 @@ class Journal(AbstractJournal):
             return
         name = f"{_RESULTS}/{entry.what.split()[0]}-{entry.key[:_NAMED]}.nc"
         try:
-            digest = _results.write(self.folder / name, result)
+            digest = _results.write(self.folder / name, result, entry.key)
         except ProblemError as error:
             self.warn(f"{entry.what} is not kept: {error}")
             return

@@ -34,7 +34,7 @@ class Loaded(Mapping[str, Any]):
             hint = meant(name, self._named) if isinstance(name, str) else ""
             raise ProblemError(f"load: there is no result '{name}' in '{self._folder}'.{hint}")
         entry = self._named[name]
-        return _results.read(self._folder / entry.file, entry.digest)
+        return _results.read(self._folder / entry.file, entry.digest, entry.key)
 
     @override
     def __iter__(self) -> Iterator[str]:
@@ -86,7 +86,7 @@ def finished(folder: Path, entries: Iterable[Entry], keys: Keys) -> tuple[dict[s
     found, refused = dict[str, Any](), list[str]()
     for name, entry in named(entries).items():
         try:
-            found[entry.name or name] = result = _results.read(folder / entry.file, entry.digest)
+            found[entry.name or name] = result = _results.read(folder / entry.file, entry.digest, entry.key)
         except ProblemError as error:
             refused.append(str(error))
         else:

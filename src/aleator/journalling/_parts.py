@@ -20,7 +20,9 @@ _OTHERS = 0o022  # may write
 
 @final
 class Parts(AbstractParts):
-    """One file a part, beside the results: a digest, and Python's pickle, which nobody else may have written.
+    """One file a part, beside the results: a digest of its place and content, and Python's pickle.
+
+    Files that others could have written are not read.
 
     - `key`: that of the result; `warn`: is told why a part could not be kept.
     """
@@ -37,14 +39,14 @@ class Parts(AbstractParts):
             return None
         digest, content = data[:_DIGEST], data[_DIGEST:]
         # What others could have written, or a crash has cut off, is computed again.
-        if not private or hashlib.sha256(content).digest() != digest:
+        if not private or self._digest(number, content) != digest:
             return None
         return pickle.loads(content)
 
     @override
     def keep(self, number: int, part: Any) -> None:
         content = pickle.dumps(part)
-        data = hashlib.sha256(content).digest() + content
+        data = self._digest(number, content) + content
         try:
             path = write_whole(self._place(number), lambda file: file.write_bytes(data))
             path.chmod(path.stat().st_mode & ~_OTHERS)
@@ -55,6 +57,10 @@ class Parts(AbstractParts):
         """Delete all parts: the whole result is kept."""
         for path in self._folder.glob(f"{self._key}-*.part"):
             path.unlink(missing_ok=True)
+
+    def _digest(self, number: int, content: bytes) -> bytes:
+        """Of the result and the number too: elsewhere, a part would be another one."""
+        return hashlib.sha256(f"{self._key} {number}\0".encode() + content).digest()
 
     def _place(self, number: int) -> Path:
         return self._folder / f"{self._key}-{number}.part"

@@ -52,7 +52,7 @@ class Recalled(AbstractJournal):
         if known is None or not known.is_finished:
             raise self._not_kept(identity.what)
         try:
-            found = _results.read(self._folder / known.file, known.digest)
+            found = _results.read(self._folder / known.file, known.digest, known.key)
         except ProblemError as error:
             raise self._not_kept(str(error)) from error
         self._keys.remember(found, known.key)

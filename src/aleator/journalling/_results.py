@@ -16,12 +16,12 @@ from aleator._core.errors import ProblemError
 from aleator._core.kept_programs import is_private
 from aleator.reporting import KINDS, tree, write_whole
 
-_OBJECT = "object"
+_OBJECT, _KEY = "object", "key"
 _OTHERS = 0o022  # may write
 
 
-def write(path: Path, result: Any) -> str:
-    """Write a result atomically, for its owner alone to change; returns the digest of its file.
+def write(path: Path, result: Any, key: str) -> str:
+    """Write a result with its key, atomically, for its owner alone to change; returns the digest of its file.
 
     Raises `ProblemError` if it cannot be written, or holds what no other process could read.
     """
@@ -30,7 +30,7 @@ def write(path: Path, result: Any) -> str:
     except Exception as error:  # of whatever kind a user's object raises
         raise ProblemError(f"it holds an object that no other process could read ({error}).") from error
     nodes = tree({"result": result} if isinstance(result, KINDS) else {})
-    nodes[_OBJECT] = _variable(content)
+    nodes[_OBJECT] = _variable(content, key)
     data = bytes(nodes.to_netcdf(engine="h5netcdf"))
 
     write_whole(path, lambda file: file.write_bytes(data))
@@ -38,8 +38,11 @@ def write(path: Path, result: Any) -> str:
     return hashlib.sha256(data).hexdigest()
 
 
-def read(path: Path, digest: str) -> Any:
-    """The result in a file. Raises `ProblemError` if it is not what was written, or cannot be read here."""
+def read(path: Path, digest: str, key: str) -> Any:
+    """The result in a file. Raises `ProblemError` if it is not what was written under its key, or cannot be read here.
+
+    Files of earlier versions have no key, and are taken at the journal's word.
+    """
     try:
         with path.open("rb") as file:
             private, data = is_private(os.fstat(file.fileno())), file.read()
@@ -52,7 +55,13 @@ def read(path: Path, digest: str) -> Any:
     if hashlib.sha256(data).hexdigest() != digest:
         raise ProblemError(f"'{path}' is not what was written there.")
     try:
-        return pickle.loads(_content(data))
+        content, its_key = _content(data)
+    except Exception as error:  # those of xarray and h5netcdf
+        raise ProblemError(f"'{path}' cannot be read ({type(error).__name__}: {error}).") from error
+    if its_key not in ("", key):
+        raise ProblemError(f"'{path}' holds another result than the journal says.")
+    try:
+        return pickle.loads(content)
     except ModuleNotFoundError as error:
         raise ProblemError(
             f"'{path}' needs the module '{error.name}', in which its model is written: import it first."
@@ -61,18 +70,19 @@ def read(path: Path, digest: str) -> Any:
         raise ProblemError(f"'{path}' cannot be read ({type(error).__name__}: {error}).") from error
 
 
-def _variable(content: bytes) -> Any:
+def _variable(content: bytes, key: str) -> Any:
     import xarray
 
     return xarray.DataArray(
         np.frombuffer(content, dtype=np.uint8),
         dims=("byte of the object",),
-        attrs={"long_name": "the result as Python's pickle, for al.load"},
+        attrs={"long_name": "the result as Python's pickle, for al.load", _KEY: key},
     )
 
 
-def _content(data: bytes) -> bytes:
+def _content(data: bytes) -> tuple[bytes, str]:
+    """The pickle of a result, and its key, which is empty in files of earlier versions."""
     import xarray
 
     with xarray.open_datatree(data, engine="h5netcdf") as nodes:  # pyright: ignore[reportArgumentType]
-        return nodes[_OBJECT].to_numpy().tobytes()
+        return nodes[_OBJECT].to_numpy().tobytes(), str(nodes[_OBJECT].attrs.get(_KEY, ""))
