@@ -1,11 +1,12 @@
 """Sweeps by executors: the same results as anywhere, whatever becomes of a worker."""
 
 import os
+import pickle
 import subprocess
 import sys
 import textwrap
 from collections.abc import Iterator
-from concurrent.futures import Executor, ThreadPoolExecutor
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 
@@ -84,6 +85,65 @@ def test_warnings_and_failures_of_workers_are_told_with_their_place(threads: Exe
 def test_what_is_no_executor_is_refused(executor):
     with pytest.raises(al.ProblemError, match=r"executor: expected an executor, such as al.workers\(2\)"):
         al.pareto(bar(), "stress", VALUES, executor=executor)
+
+
+class Inline(Executor):
+    """Does work at once, and gives what `given` makes of the results so far, the last of them being asked for."""
+
+    def __init__(self, given):
+        self._given, self._results, self.futures = given, [], []
+
+    def submit(self, fn, /, *args, **kwargs):
+        self._results.append(fn(*args, **kwargs))
+        self.futures.append(Future())
+        self.futures[-1].set_result(self._given(self._results))
+        return self.futures[-1]
+
+
+def raises(results: list):
+    raise OSError("queue is full")
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        (lambda results: results[0], "at stress = 0.6: the executor gave the result of other work, which is not used"),
+        (lambda results: None, "expected what a worker has found; received None from the executor"),
+        (lambda results: b"nonsense", "expected what a worker has found; received b'nonsense' from the executor"),
+        (lambda results: pickle.dumps((1, 2)), "expected what a worker has found; received b'"),
+        (raises, r"the executor did not take the work \(OSError: queue is full\)"),
+    ],
+)
+def test_what_is_no_result_of_the_work_that_was_sent_is_never_believed(tmp_path: Path, given, said: str):
+    with al.journal(tmp_path), pytest.raises(al.SimulationError, match=said) as refused:
+        al.pareto(bar(), "stress", [0.5, 0.6], executor=Inline(given))
+    assert "Finished results are kept within al.journal(folder)" in str(refused.value)
+    for one in al.load(tmp_path).values():
+        assert one.objective == pytest.approx(NEEDED / float(one.problem.named("stress")[0].upper), rel=1e-6)
+
+
+def test_an_executor_that_gives_no_futures_or_one_twice_is_refused(threads: Executor, monkeypatch: pytest.MonkeyPatch):
+    one = Future()
+    for given, said in ((lambda *_: 5, "expected a future of concurrent.futures"), (lambda *_: one, "the same future")):
+        monkeypatch.setattr(threads, "submit", given)
+        with pytest.raises(al.SimulationError, match=f"start .*{said}"):
+            al.multistart(bar(), 2, executor=threads)
+    assert one.cancelled()
+
+
+def test_what_was_sent_is_cancelled_where_an_executor_takes_no_more(threads: Executor, monkeypatch: pytest.MonkeyPatch):
+    taken = [Future()]
+
+    def submit(*_):
+        if len(taken) > 2:
+            raise RuntimeError("cannot schedule new futures after shutdown")
+        taken.append(Future())
+        return taken[-1]
+
+    monkeypatch.setattr(threads, "submit", submit)
+    with pytest.raises(al.SimulationError, match="cannot schedule new futures after shutdown"):
+        al.multistart(bar(), 3, executor=threads)
+    assert [one.cancelled() for one in taken] == [False, True, True]
 
 
 class Local(al.AlgebraicSystem):

@@ -4,19 +4,24 @@ Arguments and results travel as pickles of our own, so that every executor gives
 told before anything is sent.
 """
 
+import hashlib
 import pickle
 import threading
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError, Executor, Future, as_completed
+from contextlib import contextmanager
 from typing import Any, TypeAlias
 
 from aleator._core.errors import AleatorError, AleatorWarning, ProblemError, SimulationError
-from aleator._core.given import refusal
+from aleator._core.given import refusal, shown
 from aleator._core.warned import warned_of
 
 Work: TypeAlias = Callable[..., Any]
 """A function of a module of ours, so that a pickle names it."""
+
+Sent: TypeAlias = dict["Future[bytes]", int]
+"""The futures of work that was sent, each with its index."""
 
 # Python hears warnings in one thread of a process at a time; several threads of one would take them from each other.
 _HEARD = threading.RLock()
@@ -37,18 +42,49 @@ def each_done(
     Warnings begin with the words in `where`. Where the caller stops, what has not begun is cancelled. Raises what the
     work raises, `ProblemError` for arguments that cannot travel, and `SimulationError` if workers keep dying.
     """
-    packs = [packed(work, one) for one in calls]
-    sent = {executor.submit(run, one): i for i, one in enumerate(packs)}
-    try:
+    packs = {i: packed(work, one) for i, one in enumerate(calls)}
+    with sending(executor, packs, where) as sent:
         for future in as_completed(sent):
             i = sent[future]
-            result = received(future, where[i])
+            result = received(future, packs[i], where[i])
             if isinstance(result, AleatorError):
                 raise result
             yield i, result
+
+
+@contextmanager
+def sending(
+    executor: Executor, packs: Mapping[int, bytes], where: Sequence[str]
+) -> "Iterator[dict[Future[bytes], int]]":
+    """Send packs of work by their indices, which the futures have within the block; after it, the rest is cancelled.
+
+    Raises `SimulationError` if the executor does not take them.
+    """
+    sent: Sent = {}
+    try:
+        for i, pack in packs.items():
+            future = _submitted(executor, pack, where[i])
+            if future in sent:
+                raise _lost(where[i], "the executor gave the same future for two pieces of work")
+            sent[future] = i
+        yield sent
     finally:
         for future in sent:
             future.cancel()
+
+
+def _submitted(executor: Executor, pack: bytes, where: str) -> "Future[bytes]":
+    try:
+        future = executor.submit(run, pack)
+    except Exception as error:  # every executor has its own
+        raise _lost(where, f"the executor did not take the work ({type(error).__name__}: {error})") from error
+    if not isinstance(future, Future):
+        raise _lost(where, f"expected a future of concurrent.futures from the executor; received {shown(future)}")
+    return future
+
+
+def _lost(where: str, why: str) -> SimulationError:
+    return SimulationError(f"{where}: {why}. Finished results are kept within al.journal(folder), for the next run.")
 
 
 def packed(work: Work, call: Mapping[str, Any]) -> bytes:
@@ -69,7 +105,7 @@ def packed(work: Work, call: Mapping[str, Any]) -> bytes:
 
 
 def run(pack: bytes) -> bytes:
-    """Do some work in another process: the result or our own exception, and the warnings."""
+    """Do some work in another process: a digest of it, the result or our own exception, and the warnings."""
     work, call = pickle.loads(pack)
     with _HEARD, warnings.catch_warnings(record=True) as heard:
         warnings.simplefilter("always")
@@ -78,21 +114,32 @@ def run(pack: bytes) -> bytes:
         except AleatorError as error:
             result = error
     told = [(one.category, str(one.message)) for one in heard if issubclass(one.category, AleatorWarning)]
-    return pickle.dumps((result, told))
+    return pickle.dumps((_digest(pack), result, told))
 
 
-def received(future: "Future[bytes]", where: str) -> Any:
-    """The result of `run`, or our own exception as a result, with its warnings told here.
+def _digest(pack: bytes) -> bytes:
+    """Tells one piece of work from another, so that no result is believed that an executor gives for another one."""
+    return hashlib.sha256(pack).digest()
 
-    Raises `SimulationError` if the worker was lost.
+
+def received(future: "Future[bytes]", pack: bytes, where: str) -> Any:
+    """The result of `run` for a pack, or our own exception as a result, with its warnings told here.
+
+    Raises `SimulationError` if the worker was lost, or gave what is no result of this pack.
     """
     try:
-        result, told = pickle.loads(future.result())
+        given = future.result()
     except (OSError, RuntimeError, CancelledError) as error:
         raise SimulationError(
             f"{where}: its worker died or was lost ({type(error).__name__}: {error}). Finished results are kept within "
             "al.journal(folder); is there enough memory for as many workers?"
         ) from error
+    try:
+        digest, result, told = pickle.loads(given)
+    except Exception as error:  # of whatever kind nonsense raises
+        raise _lost(where, f"expected what a worker has found; received {shown(given)} from the executor") from error
+    if digest != _digest(pack):
+        raise _lost(where, "the executor gave the result of other work, which is not used")
     with _HEARD, warned_of(where):
         for category, message in told:
             warnings.warn(message, category, stacklevel=2)

@@ -6,7 +6,7 @@ from concurrent.futures import Executor, as_completed
 from dataclasses import replace
 from typing import Any, Literal, TypeAlias, cast
 
-from aleator._core.elsewhere import packed, received, run
+from aleator._core.elsewhere import packed, received, sending
 from aleator._core.errors import AleatorError, SimulationError
 from aleator._core.journalled import entry_of
 from aleator.design import Problem, refuse_other_code
@@ -29,16 +29,14 @@ def each_elsewhere(
     Raises `ProblemError` for models that cannot travel, and `SimulationError` if workers keep dying.
     """
     entries = [entry_of(work, _GIVEN[work](**one)) for one in calls]
-    missing = [entry.recalled is None for entry in entries]
     done = {"solve": _solved, "validate": _validated}[work]
-    packs = [packed(done, one) if is_missing else None for is_missing, one in zip(missing, calls, strict=True)]
+    packs = {i: packed(done, calls[i]) for i, entry in enumerate(entries) if entry.recalled is None}
     yield from ((i, entry.recalled) for i, entry in enumerate(entries) if entry.recalled is not None)
-    sent = {executor.submit(run, one): i for i, one in enumerate(packs) if one is not None}
-    try:
+    with sending(executor, packs, where) as sent:
         for future in as_completed(sent):
             i = sent[future]
             try:
-                result = received(future, where[i])
+                result = received(future, packs[i], where[i])
             except SimulationError as error:
                 entries[i].failed(error)
                 raise
@@ -48,9 +46,6 @@ def each_elsewhere(
                 result = _of_here(result, calls[i])
                 entries[i].keep(result)
             yield i, result
-    finally:
-        for future in sent:
-            future.cancel()
 
 
 def _solved(**call: Any) -> Solution:
