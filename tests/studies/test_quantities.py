@@ -40,6 +40,8 @@ PAIRS = [
     ("3 kg m2", "kg m^2", 3.0),
     ("1 W/(m² K)", "mW/(mm^2 K)", 1e-3),
     ("20 degC", "degC", 20.0),
+    ("20 °C", "degC", 20.0),
+    ("1 1/degC", "1/K", 1.0),
     ("7 EUR", "EUR", 7.0),
 ]
 
@@ -64,7 +66,10 @@ def test_quantities_are_converted_with_their_angles(text: str, unit: str, expect
         ("1 J/kg K", "J/(kg K)", "can be read in one way alone; received 'J/kg K'. Write brackets."),
         ("1/8 in", "mm", "expected one number, with a decimal point"),
         ("1 000 mm", "mm", "expected one number, with a decimal point"),
-        ("20 degC", "K", "whose zero"),
+        ("20 degC", "K", "expected a unit whose zero is that of 'K'; received 'degC': convert it."),
+        ("300 K", "degC", "expected a unit whose zero is that of 'degC'; received 'K': convert it."),
+        ("68 degF", "degC", "whose zero"),
+        ("2 dB", "1", "whose zero"),
         ("1e400 mm", "mm", "expected a finite quantity"),
     ],
 )
@@ -106,10 +111,19 @@ def test_the_unit_of_a_tolerance_may_begin_with_a_number_or_end_in_a_power(unit:
 
 @pytest.mark.parametrize(
     "text",
-    ["20 +-0.1/-+0.2 mm", "20 +-0.1/--0.2 mm", "20 ±-0.1 mm", "20 mm ± 1 mm", "20 mm +1/-2", "20 +0.1 mm", "5 0 mm"],
+    [
+        "20 +-0.1/-+0.2 mm",
+        "20 +-0.1/--0.2 mm",
+        "20 ±-0.1 mm",
+        "20 mm ± 1 mm",
+        "20 mm +1/-2",
+        "20 +0.1 mm",
+        "5 0 mm",
+        "1 ±0 mm",
+    ],
 )
 def test_what_no_drawing_says_is_refused(text: str):
-    with pytest.raises(al.ProblemError, match="expected tolerances as on a drawing, with the unit once at the end"):
+    with pytest.raises(al.ProblemError, match="expected tolerances as on a drawing, with limits apart"):
         amount(text, "mm")
 
 

@@ -44,8 +44,8 @@ def amount(text: float | str, unit: str) -> float | Toleranced:
 
 def _no_tolerances(text: str) -> ProblemError:
     return ProblemError(
-        "expected tolerances as on a drawing, with the unit once at the end, such as '27.645 +0.05/-0.02 mm' or "
-        f"'40 ± 4 N/m'; received '{text}'."
+        "expected tolerances as on a drawing, with limits apart and the unit once at the end, such as '27.645 "
+        f"+0.05/-0.02 mm' or '40 ± 4 N/m'; received '{text}'."
     )
 
 

@@ -25,10 +25,11 @@ _PLAIN_POWER = re.compile(r"(?<![\w^.])([^\W\d_]+)(-?\d+)(?!\w)")
 class _Measured(NamedTuple):
     """A unit in root units: its size, powers of all but angles, the power of angles, and that of hertz.
 
-    - `plainly`: whether radians are the only angles in it.
+    - `zero`: where its zero is, as that of degrees Celsius; `plainly`: whether radians are the only angles in it.
     """
 
     size: float
+    zero: float
     powers: Mapping[str, float]
     angles: float
     hertz: float
@@ -50,6 +51,8 @@ def factor(given: str, wanted: str) -> float:
         raise ProblemError(f"{_expected(given, wanted)} {_WRITE}") from error
     if one.powers != other.powers:
         raise ProblemError(_expected(given, wanted))
+    if one.zero != other.zero:
+        raise ProblemError(f"expected a unit whose zero is that of '{wanted}'; received '{given}': convert it.")
     ratio = one.size / other.size
     if one.angles == other.angles:
         return ratio
@@ -75,14 +78,12 @@ def _of_angles(given: str, wanted: str, has_angle: bool) -> str:
 def _measured(unit: str) -> _Measured:
     registry = _registry()
     written = registry.Quantity(1.0, _parsed(unit))
-    root = written.to_root_units()
-    if registry.Quantity(0.0, written.units).to_root_units().magnitude:
-        raise ProblemError(f"expected a unit whose zero is that of others of its kind; received '{unit}': convert it.")
+    root, zero = written.to_root_units(), registry.Quantity(0.0, written.units).to_root_units().magnitude
     powers = dict(root.unit_items())
     angles = powers.pop("radian", 0)
     hertz = sum(power for name, power in written.unit_items() if name.endswith("hertz"))
     radians = sum(power for name, power in written.unit_items() if name == "radian")
-    return _Measured(float(root.magnitude), powers, angles, hertz, radians == angles)
+    return _Measured(float(root.magnitude - zero), float(zero), powers, angles, hertz, radians == angles)
 
 
 def _parsed(unit: str) -> Any:
