@@ -47,8 +47,8 @@ HOW_TO_READ = (
         "objective would fall for each unit that the limit is relaxed; the shadow price of an inactive limit is zero."
     ),
     (
-        "In the figures, hover over a point for its numbers. Drag to zoom, double-click to return. On a front, click on "
-        "a point, or choose it in the table by the arrow keys, to see its design."
+        "In the figures, hover over a point for its numbers. Drag to zoom, double-click to return. On a front, click "
+        "on a point, or choose it in the table by the arrow keys, to see its design."
     ),
 )
 

@@ -9,6 +9,7 @@ from aleator._core.given import positive, whole
 from aleator.reporting import _units
 from aleator.reporting._blocks import Table
 from aleator.reporting._decisions import decisions_figure
+from aleator.reporting._limited_paths import components, limits_of, paths_of
 from aleator.reporting._meshes import mesh_figure
 from aleator.reporting._numbers import number, words
 from aleator.reporting._paths import histories_figure, limits_text, path_figure
@@ -16,7 +17,6 @@ from aleator.reporting._searches import search_figure
 from aleator.reporting._tables import STATUS_WORDS, decision_text, limit_rows
 from aleator.reporting.drawn._facts import Facts, facts_of
 from aleator.reporting.drawn._histories import CostatesPlots, SwitchingPlots, state_figure
-from aleator.reporting._limited_paths import components, limits_of, paths_of
 from aleator.reporting.drawn._paths_of import outputs_of, simulated
 from aleator.reporting.drawn._plots import AbstractPlots, Backend, chosen, drawn_by, plots_of, unknown
 from aleator.solution import MeshError, Solution
