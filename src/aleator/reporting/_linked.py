@@ -1,6 +1,7 @@
 """Fronts and trade-offs on a page, each linked with its designs: a reader chooses one and sees all of it."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,6 +16,9 @@ from aleator.solution import Solution
 from aleator.sweep import Front, Refused, TradeOff
 from aleator.validation import Evidence
 
+if TYPE_CHECKING:
+    from plotly.graph_objects import Figure
+
 _CHOOSE = "Choose a design, by a click on its point or in the table, to see it beside the figures."
 
 
@@ -25,26 +29,35 @@ def front_blocks(fronts: Mapping[str, Front], evidence: Iterable[Evidence] = ())
     for bound in dict.fromkeys(one.bound for one in fronts.values()):
         # A study names the front of its design by the bound.
         group = {"design" if name == bound else name: one for name, one in fronts.items() if one.bound == bound}
-        points = [point for front in group.values() for point in front.points]
-        choices = [
-            choice(name, point, evidence_on(point, known)) for name, point in zip(_places(group), points, strict=True)
-        ]
         caption = (
             f"Filled markers: {bound} is active; open markers: something else limits the design. Crosses on the axis: "
             f"no design meets all limits there. The shadow price is what relaxing {bound} is worth: zero where it is "
-            f"not active. {_CHOOSE}"
+            "not active."
         )
-        blocks.append(
-            Linked(
-                [optimum_figure(group), price_figure(group)],
-                f"Optimum against the limit of {bound}",
-                _front_table(group, known),
-                choices,
-                _first_solved(points),
-                caption,
-            )
-        )
+        figures = [optimum_figure(group), price_figure(group)]
+        blocks.append(linked_front(group, figures, f"Optimum against the limit of {bound}", caption, evidence=known))
     return blocks
+
+
+def linked_front(
+    fronts: Mapping[str, Front],
+    figures: "Sequence[Figure]",
+    heading: str,
+    caption: str = "",
+    number: str = "",
+    evidence: Iterable[Evidence] = (),
+) -> Linked:
+    """Figures of fronts along one bound, linked with the designs.
+
+    - `figures`: of all these fronts in the same order, by `front_figure` or `shadow_price_figure`; `evidence`: on some
+      of the designs.
+    """
+    known = list(evidence)
+    points = [point for front in fronts.values() for point in front.points]
+    places = zip(_places(fronts), points, strict=True)
+    choices = [choice(name, point, evidence_on(point, known)) for name, point in places]
+    caption = f"{caption} {_CHOOSE}".strip()
+    return Linked(figures, heading, _front_table(fronts, known), choices, _first_solved(points), caption, number)
 
 
 def _places(group: Mapping[str, Front]) -> list[str]:
