@@ -60,9 +60,10 @@ function showBand(plot, stage, band) {
   plot.closest(".panel").hidden = !band;
   if (!band) return;
   const { times, mean, std, sigmas } = band;
-  const high = mean.map((value, i) => value + sigmas * std[i]);
-  const low = mean.map((value, i) => value - sigmas * std[i]);
-  const around = { x: [...times, ...times.toReversed()], y: [...high, ...low.toReversed()] };
+  // What is not finite is null, which would count as zero.
+  const edge = (sign) =>
+    mean.map((value, i) => (value === null || std[i] === null ? null : value + sign * sigmas * std[i]));
+  const around = { x: [...times, ...[...times].reverse()], y: [...edge(1), ...edge(-1).reverse()] };
   const data = stage.data.map((trace) =>
     trace.fill ? { ...trace, ...around } : { ...trace, x: times, y: mean, customdata: std });
   Plotly.react(plot, data, { ...plot.layout, ...limitsOf(stage.layout, band.limits) });

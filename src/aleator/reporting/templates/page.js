@@ -20,7 +20,7 @@ function fitToPaper(plots) {
   addEventListener("beforeprint", () => {
     opened = [...document.querySelectorAll("details:not([open])")];
     for (const one of opened) one.open = true;
-    for (const plot of plots) Plotly.relayout(plot, { width: 660, autosize: false });
+    for (const plot of plots) Plotly.relayout(plot, { width: 640, autosize: false });
   });
   addEventListener("afterprint", () => {
     for (const one of opened) one.open = false;

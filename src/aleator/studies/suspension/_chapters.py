@@ -194,11 +194,12 @@ def apportionment(results: SuspensionResults) -> Iterator[Block]:
     rides = {name: one for name, one in results.travel_fronts.items() if name != "aOpt"}
     if front is not None:
         start = results.designs.get("uOpt") or results.designs.get("dOpt")
+        costs = {"aOpt": front}
         yield linked_front(
-            {"aOpt": front},
+            costs,
             [
                 front_figure(
-                    {"aOpt": front},
+                    costs,
                     x=TRAVEL_NAME,
                     x_unit="m",
                     y="Cost of the spreads",
