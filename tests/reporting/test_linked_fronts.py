@@ -72,11 +72,13 @@ def test_each_point_of_a_front_tells_its_decisions_objective_limits_prices_and_c
 def test_a_point_without_a_design_tells_why():
     failed = linked().choices[3]
     assert facts(failed, "Certificate")["Status"] == "infeasible"
-    assert facts(failed, "Certificate")["Why"] == given.front().points[3].why()
+    assert failed.facts[0].note == given.front().points[3].why()
+    assert "Shadow prices" not in [one.caption for one in failed.facts]
     refused = al.results.Refused(given.problem(), "no decision can meet it")
     front = dataclasses.replace(given.front(), points=(*given.front().points[:3], refused))
     alone = front_blocks({"uOpt": front})[0].choices[3]
-    assert facts(alone, "Certificate") == {"Status": "infeasible", "Why": "no decision can meet it"}
+    assert facts(alone, "Certificate") == {"Status": "infeasible"}
+    assert alone.facts[0].note == "no decision can meet it"
     assert alone.bands == ()
 
 

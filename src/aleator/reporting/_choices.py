@@ -31,7 +31,7 @@ def choice(
     - `evidence`: on this design; `wishes`: their values and rates, where the objective is a weighted sum of wishes.
     """
     if isinstance(point, Refused):
-        return Choice(name, [_table("Certificate", [("Status", STATUS_WORDS[point.status]), ("Why", point.reason)])])
+        return Choice(name, [_table("Certificate", [("Status", STATUS_WORDS[point.status])], point.reason)])
     tables = [
         _table("Decisions", [(one, decision_text(point, one)) for one in point.decisions]),
         _table("Wishes", wishes.items())
@@ -41,9 +41,11 @@ def choice(
         _table(f"Shadow prices{' in the weighted sum of the wishes' if wishes else ''}", _prices(point)),
         _table("Statistics", _statistics(point)),
         _table("Evidence", _counted(evidence), _alarms(evidence)),
-        _table("Certificate", _certified(point)),
     ]
-    return Choice(name, [one for one in tables if one.rows or one.note], bands(point))
+    certificate = _table("Certificate", _certified(point), "" if point.ok else point.why())
+    # That there is no design comes first.
+    ordered = [*tables, certificate] if point.ok else [certificate, *tables]
+    return Choice(name, [one for one in ordered if one.rows or one.note], bands(point))
 
 
 def evidence_on(solution: Solution | Refused, known: Iterable[Evidence]) -> Evidence | None:
@@ -66,7 +68,9 @@ def _limits(solution: Solution) -> list[str]:
 
 
 def _prices(solution: Solution) -> Iterator[tuple[str, str]]:
-    """The shadow price of each limit, and those of the bounds of decisions where these lie at one."""
+    """The shadow price of each limit, and those of the bounds of decisions where these lie at one. Of designs alone."""
+    if not solution.ok:
+        return
     objective = _units.of_expression(solution.problem.objective, solution.problem)
     for name in _limits(solution):
         unit = _units.of_expression(solution.problem.named(name)[0].expression, solution.problem)
@@ -109,14 +113,13 @@ def _alarms(evidence: Evidence | None) -> str:
 
 def _certified(solution: Solution) -> Iterator[tuple[str, str]]:
     yield "Status", STATUS_WORDS[solution.status]
-    if not solution.ok:
-        yield "Why", solution.why()
     yield "Active", words(list(solution.active), "nothing")
     found = solution.certificate
     residuals = (("violation", found.violation), ("stationarity", found.stationarity))
     told = [f"{name} {residual(value)}" for name, value in (*residuals, ("complementarity", found.complementarity))]
     yield "Residuals, scaled", ", ".join(told)
-    if errors := found.expansion.leave_one_out:
+    errors = found.expansion.leave_one_out
+    if errors and found.expansion.points > 1:
         worst = max(errors, key=lambda text: errors[text])
         yield "Worst leave-one-out error", f"{residual(errors[worst])} ({worst})"
 
