@@ -85,7 +85,7 @@ def said(result) -> str:
 
 
 @pytest.fixture
-def interrupted(monkeypatch: pytest.MonkeyPatch, python_interrupts) -> pytest.MonkeyPatch:
+def interrupted(monkeypatch: pytest.MonkeyPatch, python_interrupts) -> Iterator[pytest.MonkeyPatch]:
     """Ctrl-C in the second solve of this process, until undone."""
     solve, done = solving._solve._solved, list[object]()
 
