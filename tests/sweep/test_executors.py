@@ -131,6 +131,13 @@ def test_an_executor_that_gives_no_futures_or_one_twice_is_refused(threads: Exec
     assert one.cancelled()
 
 
+def test_workers_outside_their_block_are_refused_with_the_place():
+    with al.workers(2) as executor:
+        pass
+    with pytest.raises(al.SimulationError, match=r"at stress = 0.5: .*the workers have been shut down"):
+        al.pareto(bar(), "stress", [0.5, 0.6], executor=executor)
+
+
 def test_what_was_sent_is_cancelled_where_an_executor_takes_no_more(threads: Executor, monkeypatch: pytest.MonkeyPatch):
     taken = [Future()]
 
@@ -189,6 +196,23 @@ def test_the_death_of_a_worker_is_survived(tmp_path: Path):
 def test_work_that_always_kills_its_worker_ends():
     with al.workers(1) as executor, pytest.raises(BrokenProcessPool):
         executor.submit(dies, 1).result()
+
+
+def test_the_first_point_of_a_front_is_rehearsed_by_all_other_workers(
+    threads: Executor, monkeypatch: pytest.MonkeyPatch
+):
+    sent = []
+    executor = al.workers(3)
+
+    def submit(*given):
+        sent.append(given)
+        return threads.submit(*given)
+
+    monkeypatch.setattr(executor, "submit", submit)
+    front = al.pareto(bar(), "stress", VALUES[:2], executor=executor)
+    assert front.objectives == pytest.approx(NEEDED / np.array(VALUES[:2]), rel=1e-6)
+    assert len(sent) == 4
+    assert sent[0] == sent[1] == sent[2]
 
 
 @pytest.mark.slow

@@ -4,6 +4,7 @@ import enum
 import json
 import os
 import socket
+import sys
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
@@ -140,6 +141,24 @@ def named(entries: Iterable[Entry]) -> dict[str, Entry]:
             counted[one.what] = counted.get(one.what, 0) + 1
             found[f"{one.what} {counted[one.what]}"] = one
     return found
+
+
+def seen(one: Entry) -> Entry:
+    """An entry as a reader sees it: what a process of this machine had begun that is no more was interrupted."""
+    return interrupted(one) if one.host == socket.gethostname() and _has_ended(one.process) else one
+
+
+def _has_ended(process: int) -> bool:
+    """Whether there is no such process; no where that cannot be told."""
+    if sys.platform == "win32" or process <= 0:
+        return False
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return True
+    except OSError:
+        return False
+    return False
 
 
 def interrupted(one: Entry) -> Entry:

@@ -1,12 +1,12 @@
 """Solves and evidence by an executor, recalled and kept by the journal of this process."""
 
 import pickle
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, as_completed
 from dataclasses import replace
 from typing import Any, Literal, TypeAlias, cast
 
-from aleator._core.elsewhere import packed, received, sending
+from aleator._core.elsewhere import packed, received, run, sending
 from aleator._core.errors import AleatorError, SimulationError
 from aleator._core.journalled import entry_of
 from aleator.design import Problem, refuse_other_code
@@ -46,6 +46,11 @@ def each_elsewhere(
                 result = _of_here(result, calls[i])
                 entries[i].keep(result)
             yield i, result
+
+
+def solving_of(call: Mapping[str, Any]) -> tuple[Callable[[bytes], bytes], bytes]:
+    """What an executor is given for one call of `solve`."""
+    return run, packed(_solved, call)
 
 
 def _solved(**call: Any) -> Solution:
