@@ -7,9 +7,9 @@ from typing import Any
 
 _LIBRARIES = {"jax", "jaxlib", "equinox", "jaxtyping", "numpy", "scipy", "diffrax", "optimistix", "lineax", "aleator"}
 _PYTHON = sysconfig.get_path("stdlib")
-# Modules whose results differ between calls.
+# Modules whose results differ between calls, or that find objects which no name in the code shows.
 _MOODY = {"random", "time", "datetime", "os", "io", "secrets", "uuid", "socket", "subprocess", "threading"}
-_MOODY |= {"_random", "_io", "posix", "nt", "numpy.random"}
+_MOODY |= {"_random", "_io", "posix", "nt", "numpy.random", "gc", "importlib", "inspect", "runpy"}
 
 
 @functools.lru_cache(maxsize=4096)
