@@ -38,12 +38,14 @@ class Names(NamedTuple):
     """The names in a function's code, inner functions included.
 
     - `chains`: each as far as it can be followed; what it leads to may go anywhere from there;
-    - `attributes`: all that are looked up; `loose`: those looked up in something computed, perhaps a module.
+    - `attributes`: all that are looked up; `loose`: those looked up in something computed, perhaps a module;
+    - `owned`: those looked up in an argument, which may be a module only to whoever calls the function.
     """
 
     chains: tuple[Chain, ...]
     attributes: tuple[str, ...]
     loose: tuple[str, ...]
+    owned: tuple[str, ...]
 
 
 @functools.lru_cache(maxsize=4096)
@@ -53,17 +55,18 @@ def names_in(code: types.CodeType) -> Names:
     for one in code.co_consts:
         if isinstance(one, types.CodeType):
             scan.inner(names_in(one))
-    return Names(*(tuple(dict.fromkeys(found)) for found in (scan.chains, scan.attributes, scan.loose)))
+    return Names(*(tuple(dict.fromkeys(found)) for found in (scan.chains, scan.attributes, scan.loose, scan.owned)))
 
 
 @final
 class _Scan:
-    """One pass over the instructions; `_top` is what the last one left on the stack: a chain, an argument or neither."""
+    """One pass over the instructions; `_top` is what the last one left: a chain, an argument or neither."""
 
     def __init__(self, code: types.CodeType):
         self.chains: list[Chain] = []
         self.attributes: list[str] = []
         self.loose: list[str] = []
+        self.owned: list[str] = []
         self._code, self._instructions = code, list(dis.get_instructions(code))
         arguments = code.co_argcount + code.co_kwonlyargcount + bool(code.co_flags & 4) + bool(code.co_flags & 8)
         stored = Counter(name for one in self._instructions if "STORE" in one.opname for name in _locals(one))
@@ -82,12 +85,12 @@ class _Scan:
     def inner(self, names: Names) -> None:
         """The names of an inner function; its closure variables may be locals of this one."""
         self.attributes += names.attributes
-        self.loose += names.loose
+        self.loose += names.loose + names.owned
         for chain in names.chains:
             if chain.kind != "closure variable" or chain.name in self._code.co_freevars:
                 self.chains.append(chain)
-            elif chain.name not in self._arguments:
-                self.loose += chain.attributes
+            else:
+                (self.owned if chain.name in self._arguments else self.loose).extend(chain.attributes)
 
     def _settle(self) -> None:
         """Whatever was on top is used in a way that is not followed."""
@@ -99,6 +102,7 @@ class _Scan:
         name, operation = one.argval, one.opname
         if one.is_jump_target:  # another path may have left something else there
             self._settle()
+            self._imported = None
         if operation in _ATTRIBUTE:
             self._attribute(name)
             if operation not in ("LOAD_ATTR", "LOAD_METHOD"):
@@ -122,8 +126,8 @@ class _Scan:
         self.attributes.append(name)
         if isinstance(self._top, Chain):
             self._top = self._top.then(name)
-        elif not self._top:
-            self.loose.append(name)
+        else:
+            (self.owned if self._top else self.loose).append(name)
 
     def _begin(self, number: int, one: dis.Instruction) -> None:
         """What an instruction leaves on top, beginning anew."""

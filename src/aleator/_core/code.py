@@ -7,6 +7,7 @@ must be traced again. Anything that cannot be read, such as the state of a rando
 Libraries are presumed not to change; names in them that are bound to other objects now are detected.
 """
 
+import contextlib
 import enum
 import functools
 import importlib.util
@@ -27,7 +28,7 @@ import numpy as np
 from jax.core import Tracer
 
 from aleator._core.arrays import Pytree, is_number
-from aleator._core.bytecode import Chain, names_in
+from aleator._core.bytecode import names_in
 from aleator._core.contents import array_parts, is_of_c, memory
 from aleator._core.equations import array_digest, equations_text
 from aleator._core.libraries import is_library, is_moody
@@ -225,8 +226,9 @@ class _Reader:
 
     def _builtin(self, it: Any, place: Place) -> None:
         owner = it.__self__
-        hidden = it.__module__ == "builtins" and it.__name__ in _HIDDEN if hasattr(it, "__module__") else False
-        self._known(it, place, doubtful=hidden or _may_vary(it, getattr(it, "__module__", None)))
+        module = getattr(it, "__module__", None)
+        hidden = module == "builtins" and it.__name__ in _HIDDEN
+        self._known(it, place, doubtful=hidden or _may_vary(it, module))
         if owner is not None and not isinstance(owner, types.ModuleType):
             self.value(owner, place)
 
@@ -293,17 +295,20 @@ class _Reader:
         self.reads.append((Place(who, "code", ""), Same(it.__code__)))
         for name, default in [*enumerate(it.__defaults__ or ()), *(it.__kwdefaults__ or {}).items()]:
             self.value(default, Place(who, "default", str(name)))
-        cells = {name: list(_contents(cell)) for name, cell in zip(it.__code__.co_freevars, it.__closure__ or (), strict=True)}
+        cells = {
+            name: list(_contents(cell))
+            for name, cell in zip(it.__code__.co_freevars, it.__closure__ or (), strict=True)
+        }
         for name, contents in cells.items():
             for content in contents:
                 if is_library(home) or not isinstance(content, types.ModuleType):
                     self.value(content, Place(who, "closure variable", name))
         self._attributes(it, Place(who, "attribute", ""))
         if not is_library(home):
-            self._names(it, who, {name: contents[0] for name, contents in cells.items() if contents})
+            self._names(it, who, cells)
 
     def _names(self, it: types.FunctionType, who: str, cells: Mapping[str, Any]) -> None:
-        chains, attributes, loose = names_in(it.__code__)
+        chains, attributes, loose, _ = names_in(it.__code__)
         known, builtins = it.__globals__, it.__builtins__  # type: ignore[attr-defined]
         begun = set[str]()
         for chain in chains:
@@ -329,22 +334,23 @@ class _Reader:
             if not isinstance(it, types.ModuleType):
                 break
             self.reads.append((place, Same(it)))
-            if name == "__dict__" and is_library(it.__name__):
+            further = Place(place.who, "global", f"{place.name}.{name}")
+            if is_moody(it.__name__):
                 self.doubts.append(place)
                 return
-            if is_moody(it.__name__) or is_moody(f"{it.__name__}.{name}"):
-                self.doubts.append(place)
+            if is_moody(f"{it.__name__}.{name}") or (name == "__dict__" and is_library(it.__name__)):
+                self.doubts.append(further)
                 return
             if name not in vars(it):  # all of it, for whatever makes the attribute
                 break
-            it, place = vars(it)[name], Place(place.who, "global", f"{place.name}.{name}")
+            it, place = vars(it)[name], further
         if isinstance(it, types.ModuleType):
             self._module(it, place, loose)
         else:
             self.value(it, place)
 
     def _module(self, it: types.ModuleType, place: Place, loose: tuple[str, ...]) -> None:
-        """A module that may go anywhere: a user's is read as a whole, and of a library's what is `loose` in the code."""
+        """A module that may go anywhere: a user's is read as a whole, of a library's what is `loose` in the code."""
         self.reads.append((place, Same(it)))
         if is_moody(it.__name__):
             self.doubts.append(place)
@@ -381,8 +387,8 @@ def _has_attributes(it: Any) -> bool:
     return hasattr(it, "__dict__") or any("__slots__" in vars(one) for one in type(it).__mro__)
 
 
-def _contents(cell: types.CellType) -> Iterator[Any]:
-    try:
-        yield cell.cell_contents
-    except ValueError:  # empty as yet
-        return
+def _contents(it: types.FunctionType) -> Iterator[tuple[str, Any]]:
+    """The closure variables of a function by name, without those that are empty as yet."""
+    for name, cell in zip(it.__code__.co_freevars, it.__closure__ or (), strict=True):
+        with contextlib.suppress(ValueError):
+            yield name, cell.cell_contents
