@@ -285,7 +285,7 @@ def in_a_loop():
     for number in range(2):
         if number:
             return it.value
-        it = MODULE
+        it = MODULE  # noqa: F841
     return None
 
 

@@ -31,21 +31,12 @@ from aleator._core.arrays import Pytree, is_number
 from aleator._core.bytecode import names_in
 from aleator._core.contents import array_parts, is_of_c, memory
 from aleator._core.equations import array_digest, equations_text
-from aleator._core.libraries import is_library, is_moody
+from aleator._core.libraries import HIDDEN, MOODY_NAMES, is_library, is_moody, may_vary, reaches
 from aleator._core.readings import Again, Place, Plain, Reading, Same
 
 # Most objects of a reading: larger programs are not read to the end.
 _MOST = 5_000
-# Methods whose results differ between calls, or are read from a file; attributes that lead to a function's globals.
-_MOODY_NAMES = {"rvs", "read_text", "read_bytes", "__globals__", "f_globals", "f_locals", "f_builtins"}
-# Functions of libraries that read files.
-_OF_FILES = {"load", "loadtxt", "loadmat", "genfromtxt", "fromfile", "memmap", "read_csv", "read_table"} | {
-    *("read_excel", "read_parquet", "read_hdf", "read_json", "open_dataset", "load_dataset"),
-}
-# Functions that read objects which no name in the code shows.
-_HIDDEN = {"eval", "exec", "compile", "globals", "locals", "vars", "getattr", "open", "input", "__import__"}
-# The same in Python's modules.
-_REACHING = {"_getframe", "_current_frames", "attrgetter"}
+# Functions that remember what they found; JAX's own have this type too.
 WRAPPERS = (type(jax.jit(lambda: None)), functools._lru_cache_wrapper)
 _DISPATCHED = type(np.sum)
 _PLAIN = (str, bytes, int, bool, complex, type(None), type(Ellipsis), range, Decimal, Fraction, np.dtype)
@@ -157,7 +148,7 @@ class _Reader:
         if isinstance(it, types.FunctionType):
             self._function(it, place)
         elif isinstance(it, type):
-            self._known(it, place, doubtful=is_moody(it.__module__) or _reaches(it))
+            self._known(it, place, doubtful=is_moody(it.__module__) or reaches(it))
             self._class(it)
         elif isinstance(it, np.ndarray | np.generic):
             self._array(it, place)
@@ -227,8 +218,8 @@ class _Reader:
     def _builtin(self, it: Any, place: Place) -> None:
         owner = it.__self__
         module = getattr(it, "__module__", None)
-        hidden = module == "builtins" and it.__name__ in _HIDDEN
-        self._known(it, place, doubtful=hidden or _may_vary(it, module))
+        hidden = module == "builtins" and it.__name__ in HIDDEN
+        self._known(it, place, doubtful=hidden or may_vary(it, module))
         if owner is not None and not isinstance(owner, types.ModuleType):
             self.value(owner, place)
 
@@ -240,7 +231,7 @@ class _Reader:
             if not is_library(module):
                 self._wrapped(it, place)
         elif isinstance(it, _DISPATCHED) and is_library(module):
-            self._known(it, place, doubtful=_may_vary(it, module))
+            self._known(it, place, doubtful=may_vary(it, module))
         elif hasattr(it, "__name__") and is_library(module) and kind.__module__.startswith("jax"):
             self._known(it, place, doubtful=is_moody(module))
         elif is_of_c(it):
@@ -289,20 +280,17 @@ class _Reader:
             self.reads.append((place, Same(it.__code__)))
             return
         if is_library(home) and is_library(it.__module__) and "<locals>" not in it.__qualname__:
-            self._known(it, place, doubtful=_may_vary(it, home))
+            self._known(it, place, doubtful=may_vary(it, home))
             return
         who = it.__qualname__
         self.reads.append((Place(who, "code", ""), Same(it.__code__)))
         for name, default in [*enumerate(it.__defaults__ or ()), *(it.__kwdefaults__ or {}).items()]:
             self.value(default, Place(who, "default", str(name)))
-        cells = {
-            name: list(_contents(cell))
-            for name, cell in zip(it.__code__.co_freevars, it.__closure__ or (), strict=True)
-        }
-        for name, contents in cells.items():
-            for content in contents:
-                if is_library(home) or not isinstance(content, types.ModuleType):
-                    self.value(content, Place(who, "closure variable", name))
+        cells = dict(_contents(it))
+        for name, content in cells.items():
+            # Of a module, what is read follows from the names in the code.
+            if is_library(home) or not isinstance(content, types.ModuleType):
+                self.value(content, Place(who, "closure variable", name))
         self._attributes(it, Place(who, "attribute", ""))
         if not is_library(home):
             self._names(it, who, cells)
@@ -324,9 +312,9 @@ class _Reader:
                 if isinstance(known[chain.name], types.ModuleType) or chain.name not in begun:
                     self._follow(known[chain.name], place, chain.attributes, loose)
                 begun.add(chain.name)
-            elif chain.name in _HIDDEN and chain.name in builtins:
+            elif chain.name in HIDDEN and chain.name in builtins:
                 self.doubts.append(Place(who, "name", chain.name))
-        self.doubts += [Place(who, "name", name) for name in attributes if name in _MOODY_NAMES]
+        self.doubts += [Place(who, "name", name) for name in attributes if name in MOODY_NAMES]
 
     def _follow(self, it: Any, place: Place, attributes: Iterable[str], loose: tuple[str, ...]) -> None:
         """The object at the end of a chain; from the first on that is no module, attributes are the object's own."""
@@ -371,16 +359,6 @@ def _absolute(name: str, package: str | None) -> str:
         return importlib.util.resolve_name(name, package)
     except (ImportError, ValueError):  # the function cannot import it either
         return name
-
-
-def _reaches(it: Any) -> bool:
-    """Whether something of a library looks names up that the code does not show."""
-    return is_library(it.__module__) and it.__name__ in _REACHING
-
-
-def _may_vary(function: Any, home: str | None) -> bool:
-    """Whether a function of the library `home` may return something else although it is the same."""
-    return is_moody(home) or function.__name__ in _OF_FILES | _REACHING
 
 
 def _has_attributes(it: Any) -> bool:
