@@ -7,7 +7,7 @@ import dis
 import functools
 import types
 from collections import Counter
-from typing import NamedTuple, final
+from typing import Any, NamedTuple, final
 
 # Loads of globals; in bodies of classes too. The last two are those of Python 3.12 and later.
 _GLOBAL = {"LOAD_GLOBAL", "LOAD_NAME", "STORE_GLOBAL", "DELETE_GLOBAL", "LOAD_FROM_DICT_OR_GLOBALS"}
@@ -55,7 +55,8 @@ def names_in(code: types.CodeType) -> Names:
     for one in code.co_consts:
         if isinstance(one, types.CodeType):
             scan.inner(names_in(one))
-    return Names(*(tuple(dict.fromkeys(found)) for found in (scan.chains, scan.attributes, scan.loose, scan.owned)))
+    found: Any = (scan.chains, scan.attributes, scan.loose, scan.owned)
+    return Names(*(tuple(dict.fromkeys(one)) for one in found))
 
 
 @final

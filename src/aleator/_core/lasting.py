@@ -238,7 +238,7 @@ def _token(token: Any) -> Iterator[str]:
     elif isinstance(token, Plain):
         yield _name_of(token.kind)
         # Of a user's kind of number, say, whose class is read too.
-        base = next((one for one in _PLAIN if isinstance(token.value, one)), token.kind)
+        base: Any = next((one for one in _PLAIN if isinstance(token.value, one)), token.kind)
         known = token.kind in _PLAIN or isinstance(token.value, enum.Enum | tuple)
         yield from _texts(token.value) if known else [token.text or base.__repr__(token.value)]
     elif isinstance(token, Again):
@@ -269,8 +269,8 @@ def _same(it: Any) -> Iterator[str]:
         yield from _texts(it.__reduce__()[1])
     elif isinstance(it, types.BuiltinFunctionType) and isinstance(it.__self__, type):
         yield f"{_name_of(it.__self__)}.{it.__name__}"
-    elif hasattr(it, "__objclass__"):
-        yield f"{_name_of(it.__objclass__)}.{it.__name__}"
+    elif (owner := getattr(it, "__objclass__", None)) is not None:
+        yield f"{_name_of(owner)}.{getattr(it, '__name__', '')}"
     elif type(it) is object:
         yield _mark(it)
     else:
