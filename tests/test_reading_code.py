@@ -294,7 +294,21 @@ def of_a_closure():
     return lambda: it.value
 
 
+def exchanged():
+    import math as first
+
+    second, it = first, MODULE
+    return second.pi, it.value
+
+
+def imported_deeply():
+    import measured.deep as inside  # type: ignore[import-not-found]
+
+    return inside.value
+
+
 FROM_MODULES = {
+    "two names at once": exchanged,
     "an attribute": lambda: MODULE.value,
     "another name": lambda: [it := MODULE, it.value],
     "an argument": lambda: of_a_module(MODULE),
@@ -314,6 +328,27 @@ def test_a_value_in_a_module_is_followed_wherever_the_module_goes(monkeypatch, f
     assert not before.doubts
     monkeypatch.setattr(MODULE, "value", 2.0)
     assert read_code([function]) != before
+
+
+def test_a_module_imported_by_its_whole_name_is_the_inner_one(monkeypatch):
+    monkeypatch.setitem(sys.modules, "measured", MODULE)
+    monkeypatch.setitem(sys.modules, "measured.deep", MODULE.deep)
+    before = read_code([imported_deeply])
+    assert not before.doubts
+    monkeypatch.setattr(MODULE, "value", 2.0)
+    assert read_code([imported_deeply]) == before
+    monkeypatch.setattr(MODULE.deep, "value", 2.0)
+    assert read_code([imported_deeply]) != before
+
+
+def test_using_a_flag_does_not_change_it():
+    def function():
+        return Way.UP
+
+    before = read_code([function])
+    assert ~Way.UP | Way.DOWN
+    assert read_code([function]) == before
+    assert not before.doubts
 
 
 def test_of_a_module_only_what_is_named_is_read(monkeypatch):
@@ -336,6 +371,10 @@ class Mixed(float):
 
 class Load(enum.Enum):
     HEAVY = [1.0]  # noqa: RUF012
+
+
+class Way(enum.Flag):
+    UP, DOWN = 1, 2
 
 
 MASKED = np.ma.array([2.0, 3.0], mask=[False, True])

@@ -78,6 +78,7 @@ class _Scan:
         self._loaded = set[str]()
         self._top: Chain | bool | None = None  # True: an argument, or an attribute of one
         self._imported: Chain | None = None
+        self._renames = False  # between the loads of `import a.b as c`
         for number, one in enumerate(self._instructions):
             if one.opname not in _NOTHING:
                 self._step(number, one)
@@ -109,19 +110,22 @@ class _Scan:
             if operation not in ("LOAD_ATTR", "LOAD_METHOD"):
                 self._settle()
         elif operation == "IMPORT_FROM":
-            self._settle_unless(self._imported)
+            if self._top != self._imported:
+                self._settle()
             self._top = self._imported.then(name) if self._imported else None
-        elif operation in _SHUFFLE and self._imported and isinstance(self._top, Chain):
+            self._renames = True
+            return
+        elif operation in _SHUFFLE and self._renames and isinstance(self._top, Chain):
             self._imported = self._top
+            return
         elif operation == "STORE_FAST" and isinstance(self._top, Chain) and name in self._single - self._loaded:
             self._aliases[name], self._top = self._top, None
         else:
             self._settle()
             self._begin(number, one)
-
-    def _settle_unless(self, chain: Chain | None) -> None:
-        if self._top != chain:
-            self._settle()
+            if operation in ("STORE_GLOBAL", "DELETE_GLOBAL"):
+                self._settle()
+        self._renames = False
 
     def _attribute(self, name: str) -> None:
         self.attributes.append(name)

@@ -59,6 +59,8 @@ _BOOKKEEPING = {
     *("__abstractmethods__", "_abc_impl", "__abstractvars__", "__abstractclassvars__", "__slots__", "__match_args__"),
     *("__dataclass_params__", "__dataclass_fields__", "__parameters__", "__orig_bases__", "__static_attributes__"),
     *("__firstlineno__", "__annotations_cache__", "__slotnames__"),
+    # Of enumerations; they grow with the use of flags.
+    *("_value2member_map_", "_unhashable_values_", "_hashable_values_", "_unhashable_values_map_"),
 }
 _OF_MODULES = {
     *("__builtins__", "__cached__", "__doc__", "__file__", "__loader__", "__name__", "__package__", "__path__"),
@@ -257,6 +259,8 @@ class _Reader:
 
     def _attributes(self, it: Any, place: Place) -> None:
         for name, value in list(getattr(it, "__dict__", {}).items()):
+            if isinstance(it, enum.Enum) and name.startswith("_") and name != "_value_":
+                continue
             self.value(value, Place(place.who, place.kind, f"{place.name}.{name}"))
         for kind in type(it).__mro__:
             slots = vars(kind).get("__slots__", ())
