@@ -1,6 +1,9 @@
 """Journals of runs: what is kept, what is taken from there, and what is not."""
 
+import array
+import enum
 import json
+import logging
 import os
 import signal
 import subprocess
@@ -10,6 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import xarray
@@ -190,23 +194,51 @@ def test_failures_are_noted_and_infeasible_problems_kept(tmp_path: Path, solved:
     assert states(tmp_path) == [State.INFEASIBLE.value]
 
 
-squared = jax.jit(lambda x: x**2)
+scale = array.array("d", [1.0])
 
 
-class Compiled(al.AlgebraicSystem):
-    """With a function whose code cannot be read."""
+class Packed(al.AlgebraicSystem):
+    """Reads an object that cannot be read here."""
 
     a: al.Number
 
     def outputs(self):
-        return {"y": squared(self.a)}
+        return {"y": scale[0] * self.a**2}
 
 
 def test_what_another_run_could_not_recognise_is_not_kept_and_said(tmp_path: Path):
-    problem = al.Problem(Compiled(al.Decision(3.0, -5.0, 5.0)), minimize=al.output("y").mean)
-    with al.journal(tmp_path), pytest.warns(al.JournalWarning, match="is not kept"):
+    problem = al.Problem(Packed(al.Decision(3.0, -5.0, 5.0)), minimize=al.output("y").mean)
+    with (
+        al.journal(tmp_path),
+        pytest.warns(al.JournalWarning, match="the global 'scale' that .*outputs reads"),
+    ):
         assert al.solve(problem).objective == pytest.approx(0.0, abs=1e-10)
     assert not list((tmp_path / "finished").iterdir())
+
+
+squared, LOGGER = jax.jit(lambda x: x**2), logging.getLogger(__name__)
+
+
+class Side(enum.Enum):
+    LEFT, RIGHT = -1.0, 1.0
+
+
+class Named(al.AlgebraicSystem):
+    """Its field has the name of a function that reads files."""
+
+    load: al.Number
+
+    def outputs(self):
+        LOGGER.info("outputs of %s", self)
+        return {"y": Side.LEFT.value * np.pi * jnp.sqrt(1.0 + squared(self.load)), "z": self.load.sum()}
+
+
+def test_a_field_may_have_any_name_and_code_may_compile_and_log(tmp_path: Path, solved: list):
+    problem = al.Problem(Named(al.Decision(3.0, -5.0, 5.0)), minimize=al.output("z").mean)
+    for _ in range(2):
+        with al.journal(tmp_path):
+            assert al.solve(problem).objective == pytest.approx(-5.0)
+    assert len(solved) == 1
 
 
 def waiting(folder: Path) -> list[str]:

@@ -1,16 +1,24 @@
 """Readings of code: equal where nothing has changed, different where something has, doubtful where none can tell."""
 
+import ctypes
+import enum
 import functools
+import importlib
 import itertools
+import logging
 import math
+import operator
 import random
-from collections import deque
+import sys
+import types
+from collections import defaultdict, deque
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy
 from scipy.interpolate import CubicSpline
 
 import aleator as al
@@ -85,6 +93,8 @@ def renamed(x):
     return jnp.sin(x) + math.pi
 
 
+COMPILED, REMEMBERING = jax.jit(lambda: NUMBERS["gain"]), functools.lru_cache(helper)
+
 FUNCTIONS = {
     "a dict": lambda: NUMBERS["gain"],
     "through a function": lambda: helper(),
@@ -103,6 +113,8 @@ FUNCTIONS = {
     "a named tuple": lambda: PAIR.scaled(),
     "a number of its own kind": lambda: LABELLED.scaled(),
     "a class of NumPy that calls": np.vectorize(helper),
+    "a compiled function": lambda: COMPILED(),
+    "a function that remembers": lambda: REMEMBERING(),
 }
 
 
@@ -160,8 +172,8 @@ def test_numbers_of_the_tree_are_data_and_no_code():
     assert read_code({"a": 1.0, "b": np.arange(3.0)}) == read_code({"a": 2.0, "b": np.arange(4.0)})
 
 
-ITERATOR, GENERATOR, JITTED = itertools.count(), np.random.default_rng(0), jax.jit(lambda: NUMBERS["gain"])
-REMEMBERED = functools.lru_cache(helper)
+ITERATOR, GENERATOR = itertools.count(), np.random.default_rng(0)
+POINTER = ctypes.pointer(ctypes.c_double(1.0))
 UFUNC = np.frompyfunc(lambda x: x, 1, 1)
 
 DOUBTS = {
@@ -169,13 +181,20 @@ DOUBTS = {
     "a generator of random numbers": lambda: GENERATOR.normal(),
     "random numbers of NumPy": lambda: np.random.normal(),  # noqa: NPY002
     "random numbers": lambda: random.random(),
-    "a compiled function": lambda: JITTED(),
-    "a function that remembers": lambda: REMEMBERED(),
     "Python code inside NumPy": lambda: UFUNC(1.0),
     "an evaluated text": lambda: eval("NUMBERS['gain']"),
     "a name that is put together": lambda: getattr(SLOTTED, "ga" + "in"),
     "all globals": lambda: globals()["NUMBERS"],
     "what is typed": lambda: input(),
+    "all modules": lambda: sys.modules[__name__].NUMBERS,
+    "the names of a caller": lambda: sys._getframe().f_globals["NUMBERS"],
+    "the globals of a function": lambda: helper.__globals__["NUMBERS"],
+    "a module by its name": lambda: importlib.import_module(__name__).NUMBERS,
+    "an attribute by its name": lambda: operator.attrgetter("gain")(SLOTTED),
+    "all names of a library": lambda: np.__dict__["pi"],
+    "random numbers of a library under another name": lambda: (lambda it: it.random.rand())(np),
+    "an address": lambda: POINTER[0],
+    "a file that a library reads": lambda: np.load("table.npy"),
 }
 
 
@@ -212,3 +231,205 @@ def test_an_attribute_of_the_name_of_a_global_is_not_the_global(monkeypatch, met
     before = read_code(method)
     monkeypatch.setitem(globals(), "gain", 5.0)
     assert (read_code(method).reads != before.reads) is follows
+
+
+class Sheet:
+    """Has fields and methods of the names of functions in libraries."""
+
+    def outputs(self):
+        xp = jnp
+        columns = [one.read_csv for one in self.columns]
+        return xp.sqrt(self.load) * np.pi + self.input.sum() + np.sum(self.open) + jnp.sin(self.load).max(), columns
+
+    def inside(self):
+        import numpy as inside
+        import scipy.linalg as algebra
+        from numpy import cos as cosine
+
+        return [inside.sin(self.load), algebra.norm(self.memmap), cosine(self.loadtxt)]
+
+
+@pytest.mark.parametrize("method", [Sheet.outputs, Sheet.inside])
+def test_an_attribute_of_the_name_of_a_librarys_function_is_no_doubt(method):
+    reading = read_code(method)
+    assert not reading.doubts
+    assert not any("load" in place.name for place, _ in reading.reads)
+
+
+@pytest.mark.parametrize(
+    ("method", "owner", "name"),
+    [
+        (Sheet.outputs, jnp, "sqrt"),
+        (Sheet.outputs, np, "sum"),
+        (Sheet.inside, np, "sin"),
+        (Sheet.inside, np, "cos"),
+        (Sheet.inside, scipy.linalg, "norm"),
+    ],
+)
+def test_attributes_are_followed_from_globals_imports_and_their_other_names(monkeypatch, method, owner, name):
+    before = read_code(method)
+    monkeypatch.setattr(owner, name, len)
+    assert read_code(method) != before
+
+
+MODULE = types.ModuleType("measured")
+MODULE.value, MODULE.deep = 1.0, types.ModuleType("measured.deep")  # type: ignore[attr-defined]
+MODULE.deep.value = 1.0  # type: ignore[attr-defined]
+
+
+def of_a_module(it):
+    return it.value
+
+
+def in_a_loop():
+    for number in range(2):
+        if number:
+            return it.value
+        it = MODULE  # noqa: F841
+    return None
+
+
+def of_a_closure():
+    it = MODULE
+    return lambda: it.value
+
+
+def exchanged():
+    import math as first
+
+    second, it = first, MODULE
+    return second.pi, it.value
+
+
+def imported_deeply():
+    import measured.deep as inside  # type: ignore[import-not-found]
+
+    return inside.value
+
+
+FROM_MODULES = {
+    "two names at once": exchanged,
+    "an attribute": lambda: MODULE.value,
+    "another name": lambda: [it := MODULE, it.value],
+    "an argument": lambda: of_a_module(MODULE),
+    "a default": lambda it=MODULE: it.value,
+    "one of two": lambda yes=True: (math if yes else MODULE).value,
+    "a closure": of_a_closure(),
+    "a loop": in_a_loop,
+    "a list": functools.partial(lambda modules: modules[0].value, [MODULE]),
+    "its names": lambda: MODULE.__dict__["value"],
+}
+
+
+@pytest.mark.parametrize("function", FROM_MODULES.values(), ids=FROM_MODULES)
+def test_a_value_in_a_module_is_followed_wherever_the_module_goes(monkeypatch, function):
+    before = read_code([function])
+    assert before == read_code([function])
+    assert not before.doubts
+    monkeypatch.setattr(MODULE, "value", 2.0)
+    assert read_code([function]) != before
+
+
+def test_a_module_imported_by_its_whole_name_is_the_inner_one(monkeypatch):
+    monkeypatch.setitem(sys.modules, "measured", MODULE)
+    monkeypatch.setitem(sys.modules, "measured.deep", MODULE.deep)
+    before = read_code([imported_deeply])
+    assert not before.doubts
+    monkeypatch.setattr(MODULE, "value", 2.0)
+    assert read_code([imported_deeply]) == before
+    monkeypatch.setattr(MODULE.deep, "value", 2.0)
+    assert read_code([imported_deeply]) != before
+
+
+def test_using_a_flag_does_not_change_it():
+    def function():
+        return Way.UP
+
+    before = read_code([function])
+    assert ~Way.UP | Way.DOWN
+    assert read_code([function]) == before
+    assert not before.doubts
+
+
+def test_of_a_module_only_what_is_named_is_read(monkeypatch):
+    before = read_code([FROM_MODULES["an attribute"]])
+    monkeypatch.setattr(MODULE.deep, "value", 2.0)
+    assert read_code([FROM_MODULES["an attribute"]]) == before
+
+
+class Noted(np.ndarray):
+    pass
+
+
+class Scaled(dict):
+    pass
+
+
+class Mixed(float):
+    pass
+
+
+class Load(enum.Enum):
+    HEAVY = [1.0]  # noqa: RUF012
+
+
+class Way(enum.Flag):
+    UP, DOWN = 1, 2
+
+
+MASKED = np.ma.array([2.0, 3.0], mask=[False, True])
+NOTED, SCALED, MIXED = np.zeros(2).view(Noted), Scaled(), Mixed(1.0)
+NOTED.factor = SCALED.factor = MIXED.factor = 1.0  # type: ignore[attr-defined]
+OF_C, RECORDS = (ctypes.c_double * 2)(1.0, 2.0), np.array([(1.0, [1.0])], dtype=[("a", float), ("b", object)])
+DEFAULTS = defaultdict(lambda: 1.0)
+
+CHANGES = {
+    "the mask": (MASKED, lambda: setattr(MASKED, "mask", [True, False])),
+    "masked data": (MASKED, lambda: MASKED.data.__setitem__(1, 7.0)),
+    "the value in place of what is masked": (MASKED, lambda: setattr(MASKED, "fill_value", 5.0)),
+    "an attribute of an array": (NOTED, lambda: setattr(NOTED, "factor", 2.0)),
+    "an attribute of a dict": (SCALED, lambda: setattr(SCALED, "factor", 2.0)),
+    "an attribute of a number": (MIXED, lambda: setattr(MIXED, "factor", 2.0)),
+    "memory of C": (OF_C, lambda: OF_C.__setitem__(1, 3.0)),
+    "an object in a record": (RECORDS, lambda: RECORDS["b"][0].append(2.0)),
+    "what is made for a missing key": (DEFAULTS, lambda: setattr(DEFAULTS, "default_factory", lambda: 2.0)),
+    "the value of a member": (Load, lambda: Load.HEAVY.value.append(2.0)),
+}
+
+
+@pytest.mark.parametrize(("it", "change"), CHANGES.values(), ids=CHANGES)
+def test_what_an_object_adds_to_its_kind_is_read(it, change):
+    def function():
+        return it
+
+    before = read_code([function])
+    assert before == read_code([function])
+    assert not before.doubts
+    change()
+    assert read_code([function]) != before
+
+
+def test_using_a_masked_array_does_not_change_it():
+    it = np.ma.array([1.0, 2.0], mask=[True, False])
+
+    def function():
+        return it
+
+    before = read_code([function])
+    assert it.sum() + it.filled().sum() > 0.0
+    assert read_code([function]) == before
+
+
+def test_a_function_that_remembers_is_a_doubt_once_what_it_reads_has_changed():
+    numbers = {"gain": 1.0}
+    inner = jax.jit(lambda: numbers["gain"])
+    assert not read_code([lambda: inner()]).doubts
+    numbers["gain"] = 2.0
+    assert read_code([lambda: inner()]).doubts
+    numbers["gain"] = 1.0
+    assert not read_code([lambda: inner()]).doubts
+
+
+def test_what_is_only_logged_is_no_doubt():
+    logger = logging.getLogger(__name__)
+    assert not read_code([lambda: (logger.info("solved"), logging.info("solved"))]).doubts

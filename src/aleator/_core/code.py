@@ -7,15 +7,20 @@ must be traced again. Anything that cannot be read, such as the state of a rando
 Libraries are presumed not to change; names in them that are bound to other objects now are detected.
 """
 
-import dis
+import contextlib
 import enum
 import functools
+import importlib.util
+import logging
+import operator
 import sys
 import types
-from collections.abc import Callable, Hashable, Iterator, Mapping
+from collections import defaultdict
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
 from decimal import Decimal
 from fractions import Fraction
-from typing import Any, NamedTuple, final
+from typing import Any, final
+from weakref import WeakKeyDictionary
 
 import equinox as eqx
 import jax
@@ -23,23 +28,17 @@ import numpy as np
 from jax.core import Tracer
 
 from aleator._core.arrays import Pytree, is_number
+from aleator._core.bytecode import names_in
+from aleator._core.contents import array_parts, is_of_c, memory
 from aleator._core.equations import array_digest, equations_text
-from aleator._core.libraries import is_library, is_moody
+from aleator._core.libraries import HIDDEN, MOODY_NAMES, is_library, is_moody, may_vary, reaches
 from aleator._core.readings import Again, Place, Plain, Reading, Same
 
 # Most objects of a reading: larger programs are not read to the end.
 _MOST = 5_000
-# Methods whose results differ between calls, or are read from a file.
-_MOODY_NAMES = {"rvs", "read_text", "read_bytes"}
-# Functions of libraries that read files.
-_OF_FILES = {"load", "loadtxt", "loadmat", "genfromtxt", "fromfile", "memmap", "read_csv", "read_table"} | {
-    *("read_excel", "read_parquet", "read_hdf", "read_json", "open_dataset", "load_dataset"),
-}
-# Functions that read objects which no name in the code shows.
-_HIDDEN = {"eval", "exec", "compile", "globals", "locals", "vars", "getattr", "open", "input", "__import__"}
-# Instructions with these endings look a name up in an object, not among globals.
-_OF_OBJECTS = ("_ATTR", "_METHOD")
-_JITTED = type(jax.jit(lambda: None))
+# Functions that remember what they found; JAX's own have this type too.
+WRAPPERS = (type(jax.jit(lambda: None)), functools._lru_cache_wrapper)
+_DISPATCHED = type(np.sum)
 _PLAIN = (str, bytes, int, bool, complex, type(None), type(Ellipsis), range, Decimal, Fraction, np.dtype)
 _WITHOUT_CODE = (float, *_PLAIN)
 _DESCRIPTORS = (
@@ -49,12 +48,23 @@ _DESCRIPTORS = (
     types.MethodDescriptorType,
     type(Place.who),  # a field of a named tuple
 )
+# Methods of every named tuple.
+_OF_NAMED_TUPLES = {
+    getattr(one, "__func__", one).__code__
+    for one in (vars(Place)[name] for name in ("_make", "_replace", "__repr__", "_asdict", "__getnewargs__"))
+}
 _SEQUENCES = (tuple, list, set, frozenset)
 _BOOKKEEPING = {
     *("__doc__", "__module__", "__dict__", "__weakref__", "__annotations__", "__annotate_func__", "__qualname__"),
     *("__abstractmethods__", "_abc_impl", "__abstractvars__", "__abstractclassvars__", "__slots__", "__match_args__"),
     *("__dataclass_params__", "__dataclass_fields__", "__parameters__", "__orig_bases__", "__static_attributes__"),
     *("__firstlineno__", "__annotations_cache__", "__slotnames__"),
+    # Of enumerations; they grow with the use of flags.
+    *("_value2member_map_", "_unhashable_values_", "_hashable_values_", "_unhashable_values_map_"),
+}
+_OF_MODULES = {
+    *("__builtins__", "__cached__", "__doc__", "__file__", "__loader__", "__name__", "__package__", "__path__"),
+    *("__spec__", "__annotations__", "__warningregistry__"),
 }
 
 
@@ -78,35 +88,16 @@ def told_apart(function: Callable[..., Pytree], *arguments: Pytree) -> Hashable:
     return equations_text(closed), tuple(map(array_digest, closed.consts)), reading.reads
 
 
-class _Names(NamedTuple):
-    """The names in a function's code, inner functions included, and the modules that it imports itself.
-
-    Some `names` are looked up only as attributes, as in `self.gain`; `bare` are those that may be globals.
-    """
-
-    names: tuple[str, ...]
-    bare: tuple[str, ...]
-    imports: tuple[str, ...]
-
-
-@functools.lru_cache(maxsize=4096)
-def _names(code: types.CodeType) -> _Names:
-    inner = [_names(one) for one in code.co_consts if isinstance(one, types.CodeType)]
-    instructions = list(dis.get_instructions(code))
-    imports = [one.argval for one in instructions if one.opname == "IMPORT_NAME"]
-    bare = [one.argval for one in instructions if one.opcode in dis.hasname and not one.opname.endswith(_OF_OBJECTS)]
-    return _Names(
-        tuple(dict.fromkeys([*code.co_names, *(name for one in inner for name in one.names)])),
-        tuple(dict.fromkeys([*bare, *(name for one in inner for name in one.bare)])),
-        tuple(dict.fromkeys([*imports, *(name for one in inner for name in one.imports)])),
-    )
+# The first readings in this process of functions inside `jax.jit` or `functools.lru_cache`.
+_FIRST: "WeakKeyDictionary[Any, tuple[Any, ...]]" = WeakKeyDictionary()
 
 
 @final
 class _Reader:
     """Reads each object once, depth first."""
 
-    def __init__(self) -> None:
+    def __init__(self, *, checks: bool = True) -> None:
+        self._checks = checks  # whether functions that remember are compared with their first readings
         self.reads: list[tuple[Place, Any]] = []
         self.doubts: list[Place] = []
         # Objects already read are kept alive, because an address can be reused; each with its number in the order.
@@ -143,8 +134,10 @@ class _Reader:
         if isinstance(it, _WITHOUT_CODE):
             self._class(type(it))
             self.reads.append((place, Plain(type(it), it, it.hex() if isinstance(it, float) else "")))
+            if type(it) not in _WITHOUT_CODE and self._is_new(it):
+                self._attributes(it, place)
         elif isinstance(it, types.ModuleType):
-            self.reads.append((place, Same(it)))
+            self._module(it, place, ())
         elif len(self._seen) > _MOST:
             self.doubts.append(place)
         elif self._is_new(it):
@@ -157,14 +150,20 @@ class _Reader:
         if isinstance(it, types.FunctionType):
             self._function(it, place)
         elif isinstance(it, type):
-            self._known(it, place, doubtful=is_moody(it.__module__))
+            self._known(it, place, doubtful=is_moody(it.__module__) or reaches(it))
             self._class(it)
         elif isinstance(it, np.ndarray | np.generic):
-            self._array(np.asarray(it), place)
+            self._array(it, place)
         elif isinstance(it, Tracer):
             self.doubts.append(place)
-        elif isinstance(it, jax.Array | enum.Enum):
+        elif isinstance(it, jax.Array):
             self.reads.append((place, Same(it)))
+        elif isinstance(it, enum.Enum):
+            self.reads.append((place, Same(it)))
+            if not is_library(type(it).__module__):
+                self._attributes(it, place)
+        elif it is sys.modules:
+            self.doubts.append(place)
         elif isinstance(it, _SEQUENCES):
             self.reads.append((place, Plain(type(it), len(it))))
             self._all(it, place)
@@ -172,6 +171,8 @@ class _Reader:
         elif isinstance(it, Mapping) and hasattr(it, "items"):
             self.reads.append((place, Plain(type(it), len(it))))
             self._all((part for item in list(it.items()) for part in item), place)
+            self._all([it.default_factory] if isinstance(it, defaultdict) else [], place)
+            self._attributes(it, place)
         elif isinstance(it, types.MethodType):
             self._all((it.__func__, it.__self__), place)
         elif isinstance(it, property):
@@ -182,9 +183,12 @@ class _Reader:
             self._all((it.func,), place)
         elif isinstance(it, functools.partial):
             self._all((it.func, it.args, it.keywords), place)
+        elif isinstance(it, operator.itemgetter):
+            self.reads.append((place, Same(type(it))))
+            self._all(it.__reduce__()[1], place)
         elif isinstance(it, types.BuiltinFunctionType | types.MethodWrapperType):
             self._builtin(it, place)
-        elif isinstance(it, _DESCRIPTORS) or type(it) is object:
+        elif isinstance(it, (*_DESCRIPTORS, logging.Logger)) or type(it) is object:
             self._known(it, place, doubtful=False)
         elif isinstance(it, np.ufunc):
             self._known(it, place, doubtful=all("O" in one for one in it.types))
@@ -201,36 +205,62 @@ class _Reader:
         if doubtful:
             self.doubts.append(place)
 
-    def _array(self, it: np.ndarray, place: Place) -> None:
-        if it.dtype == object:
-            self._all(it.ravel().tolist(), place)
-        else:
-            self.reads.append((place, array_digest(it)))
+    def _array(self, it: Any, place: Place) -> None:
+        """An array with all that its own kind adds, such as a mask."""
+        self.reads.append((place, Plain(tuple, it.shape)))
+        numbers, added = array_parts(it)
+        for one in numbers:
+            if one.dtype.hasobject:
+                self._all(one.ravel().tolist(), place)
+            else:
+                self.reads.append((place, array_digest(one)))
+        for name, value in added.items():
+            self.value(value, Place(place.who, place.kind, f"{place.name}.{name}"))
 
     def _builtin(self, it: Any, place: Place) -> None:
         owner = it.__self__
-        self._known(it, place, doubtful=_may_vary(it, getattr(it, "__module__", None)))
+        module = getattr(it, "__module__", None)
+        hidden = module == "builtins" and it.__name__ in HIDDEN
+        self._known(it, place, doubtful=hidden or may_vary(it, module))
         if owner is not None and not isinstance(owner, types.ModuleType):
             self.value(owner, place)
 
     def _object(self, it: Any, place: Place) -> None:
         kind = type(it)
         module = getattr(it, "__module__", None)
-        if isinstance(it, _JITTED | functools._lru_cache_wrapper):
-            # They remember earlier values.
-            self._known(it, place, doubtful=not is_library(module))
+        if isinstance(it, WRAPPERS):
+            self._known(it, place, doubtful=False)
             if not is_library(module):
-                self.value(getattr(it, "__wrapped__", None), place)
+                self._wrapped(it, place)
+        elif isinstance(it, _DISPATCHED) and is_library(module):
+            self._known(it, place, doubtful=may_vary(it, module))
         elif hasattr(it, "__name__") and is_library(module) and kind.__module__.startswith("jax"):
             self._known(it, place, doubtful=is_moody(module))
+        elif is_of_c(it):
+            held = memory(it)
+            self.reads.append((place, Plain(kind, held)))
+            self.doubts += [place] if held is None else []
         elif is_moody(kind.__module__) or not _has_attributes(it):
             self._known(it, place, doubtful=True)
         else:
             self.reads.append((place, Same(kind)))
             self._attributes(it, place)
 
+    def _wrapped(self, it: Any, place: Place) -> None:
+        """The function inside `jax.jit` or `functools.lru_cache`. They remember values from before a change in it."""
+        inner = it.__wrapped__
+        self.value(inner, place)
+        if not self._checks:
+            return
+        alone = _Reader(checks=False)
+        alone.value(inner, place._replace(who="", name=""))
+        if _FIRST.setdefault(it, tuple(alone.reads)) != tuple(alone.reads):
+            self.doubts.append(place)
+
     def _attributes(self, it: Any, place: Place) -> None:
         for name, value in list(getattr(it, "__dict__", {}).items()):
+            if isinstance(it, enum.Enum) and name.startswith("_") and name != "_value_":
+                continue
             self.value(value, Place(place.who, place.kind, f"{place.name}.{name}"))
         for kind in type(it).__mro__:
             slots = vars(kind).get("__slots__", ())
@@ -250,57 +280,97 @@ class _Reader:
 
     def _function(self, it: types.FunctionType, place: Place) -> None:
         home = it.__globals__.get("__name__")
+        if it.__code__ in _OF_NAMED_TUPLES:
+            self.reads.append((place, Same(it.__code__)))
+            return
         if is_library(home) and is_library(it.__module__) and "<locals>" not in it.__qualname__:
-            self._known(it, place, doubtful=_may_vary(it, home))
+            self._known(it, place, doubtful=may_vary(it, home))
             return
         who = it.__qualname__
         self.reads.append((Place(who, "code", ""), Same(it.__code__)))
         for name, default in [*enumerate(it.__defaults__ or ()), *(it.__kwdefaults__ or {}).items()]:
             self.value(default, Place(who, "default", str(name)))
-        for name, cell in zip(it.__code__.co_freevars, it.__closure__ or (), strict=True):
-            for content in _contents(cell):
+        cells = dict(_contents(it))
+        for name, content in cells.items():
+            # Of a module, what is read follows from the names in the code.
+            if is_library(home) or not isinstance(content, types.ModuleType):
                 self.value(content, Place(who, "closure variable", name))
         self._attributes(it, Place(who, "attribute", ""))
         if not is_library(home):
-            self._globals(it, who)
+            self._names(it, who, cells)
 
-    def _globals(self, it: types.FunctionType, who: str) -> None:
-        names, bare, imports = _names(it.__code__)
-        known, builtins, modules = it.__globals__, it.__builtins__, set[int]()  # type: ignore[attr-defined]
-        for name in names:
-            if name in known and name in bare:
-                self._named(known[name], Place(who, "global", name), names, modules)
-            elif (name in _HIDDEN and name in builtins) or name in _MOODY_NAMES:
-                self.doubts.append(Place(who, "name", name))
-        for name in imports:
-            if name in sys.modules:
-                self._named(sys.modules[name], Place(who, "module", name), names, modules)
+    def _names(self, it: types.FunctionType, who: str, cells: Mapping[str, Any]) -> None:
+        chains, attributes, loose, _ = names_in(it.__code__)
+        known, builtins = it.__globals__, it.__builtins__  # type: ignore[attr-defined]
+        begun = set[str]()
+        for chain in chains:
+            place = Place(who, chain.kind, chain.name)
+            if chain.kind == "module":
+                name = _absolute(chain.name, known.get("__package__"))
+                if name in sys.modules:
+                    self._follow(sys.modules[name], place._replace(name=name), chain.attributes, loose)
+            elif chain.kind == "closure variable":
+                if isinstance(cells.get(chain.name), types.ModuleType):
+                    self._follow(cells[chain.name], place, chain.attributes, loose)
+            elif chain.name in known:
+                if isinstance(known[chain.name], types.ModuleType) or chain.name not in begun:
+                    self._follow(known[chain.name], place, chain.attributes, loose)
+                begun.add(chain.name)
+            elif chain.name in HIDDEN and chain.name in builtins:
+                self.doubts.append(Place(who, "name", chain.name))
+        self.doubts += [Place(who, "name", name) for name in attributes if name in MOODY_NAMES]
 
-    def _named(self, it: Any, place: Place, names: tuple[str, ...], modules: set[int]) -> None:
-        """The object bound to a name; for a module, its attributes that the code names, such as `physics.GRAVITY`."""
-        self.value(it, place)
-        if not isinstance(it, types.ModuleType) or id(it) in modules:
-            return
-        modules.add(id(it))
+    def _follow(self, it: Any, place: Place, attributes: Iterable[str], loose: tuple[str, ...]) -> None:
+        """The object at the end of a chain; from the first on that is no module, attributes are the object's own."""
+        for name in attributes:
+            if not isinstance(it, types.ModuleType):
+                break
+            self.reads.append((place, Same(it)))
+            further = Place(place.who, "global", f"{place.name}.{name}")
+            if is_moody(it.__name__):
+                self.doubts.append(place)
+                return
+            if is_moody(f"{it.__name__}.{name}") or (name == "__dict__" and is_library(it.__name__)):
+                self.doubts.append(further)
+                return
+            if name not in vars(it):  # all of it, for whatever makes the attribute
+                break
+            it, place = vars(it)[name], further
+        if isinstance(it, types.ModuleType):
+            self._module(it, place, loose)
+        else:
+            self.value(it, place)
+
+    def _module(self, it: types.ModuleType, place: Place, loose: tuple[str, ...]) -> None:
+        """A module that may go anywhere: a user's is read as a whole, of a library's what is `loose` in the code."""
+        self.reads.append((place, Same(it)))
         if is_moody(it.__name__):
             self.doubts.append(place)
-            return
-        for name in names:
-            if name in vars(it):
-                self._named(vars(it)[name], Place(place.who, "global", f"{place.name}.{name}"), names, modules)
+        elif is_library(it.__name__):
+            for name in loose:
+                if name in vars(it) and vars(it)[name] is not it:
+                    rest = tuple(one for one in loose if one != name)
+                    self._follow(vars(it)[name], Place(place.who, "global", f"{place.name}.{name}"), (), rest)
+        elif self._is_new(it):
+            self._class(type(it))
+            for name, value in list(vars(it).items()):
+                if name not in _OF_MODULES:
+                    self.value(value, Place(it.__name__, "global", name))
 
 
-def _may_vary(function: Any, home: str | None) -> bool:
-    """Whether a function of the library `home` may return something else although it is the same."""
-    return is_moody(home) or function.__name__ in _OF_FILES
+def _absolute(name: str, package: str | None) -> str:
+    try:
+        return importlib.util.resolve_name(name, package)
+    except (ImportError, ValueError):  # the function cannot import it either
+        return name
 
 
 def _has_attributes(it: Any) -> bool:
     return hasattr(it, "__dict__") or any("__slots__" in vars(one) for one in type(it).__mro__)
 
 
-def _contents(cell: types.CellType) -> Iterator[Any]:
-    try:
-        yield cell.cell_contents
-    except ValueError:  # empty as yet
-        return
+def _contents(it: types.FunctionType) -> Iterator[tuple[str, Any]]:
+    """The closure variables of a function by name, without those that are empty as yet."""
+    for name, cell in zip(it.__code__.co_freevars, it.__closure__ or (), strict=True):
+        with contextlib.suppress(ValueError):
+            yield name, cell.cell_contents

@@ -9,12 +9,13 @@ import dataclasses
 import enum
 import functools
 import hashlib
+import logging
 import os
 import platform
 import sys
 import time
 import types
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from decimal import Decimal
 from fractions import Fraction
 from importlib import metadata
@@ -26,14 +27,15 @@ import jax
 import numpy as np
 
 from aleator._core.beside import CORES
-from aleator._core.code import read_code
+from aleator._core.code import WRAPPERS, read_code
 from aleator._core.equations import array_digest
 from aleator._core.libraries import is_library
-from aleator._core.readings import Again, Plain, Reading, Same
+from aleator._core.readings import Again, Place, Plain, Reading, Same
 
 # Libraries besides JAX that trace and compile; the folder is separate for each version of JAX.
 _TRACING = ("equinox", "numpy", "scipy", "diffrax", "lineax", "optimistix")
 _PLAIN = (str, bytes, int, bool, float, complex, type(None), type(Ellipsis), range, Decimal, Fraction, np.dtype)
+_OF_NAMED_TUPLE = type(Place.who)  # a field of a named tuple, in its class
 # Settings of JAX that do not affect a program.
 _ASIDE = ("jax_compilation_cache_dir", "jax_persistent_cache", "jax_raise_persistent", "jax_log", "jax_explain")
 
@@ -72,7 +74,7 @@ def lasting_parts(given: Mapping[str, Any]) -> dict[str, str]:
     except DoubtError:
         raise
     except Exception as error:  # a user's object may raise any if it is looked at, and may hold itself
-        raise DoubtError(str(error)) from error
+        raise DoubtError(f"looking at it raises {type(error).__name__}: {error}") from error
 
 
 def _in_numpy(leaf: Any) -> Any:
@@ -108,7 +110,8 @@ def _own_code(function: Callable[..., Any]) -> list[str]:
 def _surroundings() -> str:
     """All else that a program depends on: settings of JAX, Equinox and XLA, devices, and libraries that trace it."""
     if jax.device_count() > 1 or jax.config.jax_default_device is not None:  # type: ignore[attr-defined]
-        raise DoubtError  # On which device a program runs is no part of its name.
+        # On which device a program runs is no part of its name.
+        raise DoubtError("there is more than one device, or a default one was chosen")
     # Attributes give the present values, even within a `with` statement; not every setting has one.
     known = {name: getattr(jax.config, name, value) for name, value in jax.config.values.items()}
     settings = [f"{name}={value}" for name, value in sorted(known.items()) if not name.startswith(_ASIDE)]
@@ -129,11 +132,11 @@ def _libraries() -> str:
     own = Path(__file__).parents[1]
     sources = sorted(own.rglob("*.py"))
     if not sources:
-        raise DoubtError
+        raise DoubtError("the sources of aleator cannot be read")
     for path in sources:
         status = path.stat()
         if max(status.st_mtime, status.st_ctime) > _BEGAN:
-            raise DoubtError
+            raise DoubtError(f"{path.name} of aleator has changed since this run began")
         digest.update(str(path.relative_to(own)).encode() + b"\0" + path.read_bytes() + b"\0")
     for name in _TRACING:
         try:
@@ -148,7 +151,7 @@ def _texts(it: Any) -> Iterator[str]:
     if isinstance(it, jax.Array | jax.ShapeDtypeStruct):
         yield f"array {it.shape} {it.dtype} {it.weak_type}"
     elif isinstance(it, np.ndarray | np.generic):
-        yield f"constant {array_digest(it)}" if np.asarray(it).dtype != object else _doubtful()
+        yield f"constant {_constant(it)}"
     elif isinstance(it, _PLAIN) and type(it) in _PLAIN:
         yield f"{type(it).__name__} {it.hex() if isinstance(it, float) else repr(it)}"
     elif isinstance(it, enum.Enum):
@@ -175,7 +178,7 @@ def _compound(it: Any) -> Iterator[str]:
     elif is_library(type(it).__module__) and getattr(it, "__dict__", None) == {}:
         parts = ()  # a mark, such as Equinox's for a field that is missing
     else:
-        raise DoubtError(type(it))
+        raise DoubtError(f"it holds an object of {_name_of(type(it))}")
     for name, value in parts:
         yield from _texts(name)
         yield from _texts(value)
@@ -186,38 +189,64 @@ def _name_of(it: Any) -> str:
     return f"{it.__module__}.{it.__qualname__}"
 
 
+def _constant(array: Any) -> str:
+    """Shape, type and values of an array, which has nothing else."""
+    if array.dtype.hasobject or not (type(array) is np.ndarray or isinstance(array, np.generic)):
+        raise DoubtError(f"it holds an array of {_name_of(type(array))} with {array.dtype}")
+    return array_digest(array)
+
+
 def _named(it: Any) -> Iterator[str]:
     """An object of a library, by its name there."""
     module, name = getattr(it, "__module__", None), getattr(it, "__qualname__", getattr(it, "__name__", ""))
     if isinstance(it, np.ufunc):
         module = "numpy"
     if not isinstance(module, str) or not is_library(module):
-        raise DoubtError(it)
+        raise DoubtError(_unnamed(it))
     found: Any = sys.modules.get(module)
     for part in name.split("."):
         found = getattr(found, part, None)
     if found is not it:
-        raise DoubtError(it)
+        raise DoubtError(_unnamed(it))
     yield f"{module}:{name}"
+
+
+def _unnamed(it: Any) -> str:
+    return f"{_name_of(type(it))} '{getattr(it, '__qualname__', '')}' is known to one run alone"
 
 
 def _read(reading: Reading) -> Iterator[str]:
     """A reading as texts."""
     if reading.doubts:
-        raise DoubtError
+        raise DoubtError(_told(reading.doubts))
     for place, token in reading.reads:
         yield f"{place.who}\t{place.kind}\t{place.name}"
-        if isinstance(token, str):
-            yield token
-        elif isinstance(token, Plain):
-            yield _name_of(token.kind)
-            yield from _texts(token.value)
-        elif isinstance(token, Again):
-            yield f"again {token.order}"
-        elif isinstance(token, Same):
-            yield from _same(token.it)
-        else:
-            raise DoubtError
+        try:
+            yield from _token(token)
+        except DoubtError:
+            raise DoubtError(_told([place])) from None
+
+
+def _told(places: Sequence[Place], most: int = 3) -> str:
+    said = ", ".join(str(one) for one in places[:most])
+    return said + (f", and {len(places) - most} more" if len(places) > most else "")
+
+
+def _token(token: Any) -> Iterator[str]:
+    if isinstance(token, str):
+        yield token
+    elif isinstance(token, Plain):
+        yield _name_of(token.kind)
+        # Of a user's kind of number, say, whose class is read too.
+        base: Any = next((one for one in _PLAIN if isinstance(token.value, one)), token.kind)
+        known = token.kind in _PLAIN or isinstance(token.value, enum.Enum | tuple)
+        yield from _texts(token.value) if known else [token.text or base.__repr__(token.value)]
+    elif isinstance(token, Again):
+        yield f"again {token.order}"
+    elif isinstance(token, Same):
+        yield from _same(token.it)
+    else:
+        raise DoubtError(_unnamed(token))
 
 
 def _same(it: Any) -> Iterator[str]:
@@ -232,10 +261,39 @@ def _same(it: Any) -> Iterator[str]:
         yield array_digest(it)
     elif isinstance(it, enum.Enum):
         yield f"{_name_of(type(it))}.{it.name}"
-    elif hasattr(it, "__objclass__"):
-        yield f"{_name_of(it.__objclass__)}.{it.__name__}"
+    elif isinstance(it, WRAPPERS) and not is_library(it.__module__):
+        yield from _wrapper(it)
+    elif isinstance(it, logging.Logger):
+        yield f"logger {it.name}"
+    elif isinstance(it, _OF_NAMED_TUPLE):
+        yield from _texts(it.__reduce__()[1])
+    elif isinstance(it, types.BuiltinFunctionType) and isinstance(it.__self__, type):
+        yield f"{_name_of(it.__self__)}.{it.__name__}"
+    elif (owner := getattr(it, "__objclass__", None)) is not None:
+        yield f"{_name_of(owner)}.{getattr(it, '__name__', '')}"
+    elif type(it) is object:
+        yield _mark(it)
     else:
         yield from _named(it)
+
+
+def _wrapper(it: Any) -> Iterator[str]:
+    """What a compiled or remembering function adds to the one inside, which is read for itself."""
+    yield _name_of(type(it))
+    if hasattr(it, "cache_parameters"):
+        yield from _texts(it.cache_parameters())
+    else:
+        known = it.__getstate__()
+        yield f"{known['static_argnums']} {known['static_argnames']} {known['global_cache_key']}"
+
+
+def _mark(it: object) -> str:
+    """A bare object, such as the one by which JAX marks a missing name, by its name in a library."""
+    modules = ((name, module) for name, module in list(sys.modules.items()) if is_library(name))
+    places = (f"{module}:{name}" for module, one in modules for name, value in list(vars(one).items()) if value is it)
+    if found := min(places, default=""):
+        return found
+    raise DoubtError(_unnamed(it))
 
 
 def _code(code: types.CodeType) -> Iterator[str]:
@@ -248,7 +306,3 @@ def _code(code: types.CodeType) -> Iterator[str]:
             yield from _code(constant)
         else:
             yield from _texts(constant)
-
-
-def _doubtful() -> str:
-    raise DoubtError
