@@ -16,7 +16,7 @@ import xarray
 import aleator as al
 from aleator import solving
 from aleator.journalling import FILE, State
-from bars import NEEDED, Bar, bar
+from bars import MASS, NEEDED, Bar, bar
 
 
 @pytest.fixture

@@ -5,7 +5,6 @@ from aleator.journalling._entry import Entry as Entry
 from aleator.journalling._entry import State as State
 from aleator.journalling._entry import named as named
 from aleator.journalling._journal import Journal as Journal
-from aleator.journalling._journal import forget as forget
 from aleator.journalling._journal import journal as journal
 from aleator.journalling._load import Loaded as Loaded
 from aleator.journalling._load import entries_in as entries_in

@@ -8,6 +8,7 @@ from typing import TypeVar, cast
 import numpy as np
 
 from aleator._core.errors import ProblemError
+from aleator.nlp import Status
 from aleator.reporting import _units
 from aleator.reporting._along_bounds import optimum_figure, price_figure
 from aleator.reporting._blocks import Block, Card, Code, Drawing, Section, Text, Verdict
@@ -169,8 +170,7 @@ def verdict(designs: Mapping[str, Solution], evidence: Mapping[str, Evidence]) -
         sentences.append("There is no Monte Carlo evidence: how often single systems violate the limits is not known.")
     cards = [*_solution_cards(designs), *_violation_cards(evidence)][:4]
     if failed:
-        headline = f"{words(list(failed))} {'is' if len(failed) == 1 else 'are'} not solved: do not use as a design."
-        return Verdict("bad", "Not solved", headline, sentences, cards)
+        return Verdict("bad", "Not solved", _unsolved(failed, len(designs)), sentences, cards)
     solved = "The design is solved" if len(designs) == 1 else f"All {len(designs)} designs are solved"
     if coarse:
         return Verdict("bad", "Not resolved", f"{solved}, but the expansion is too coarse to trust.", sentences, cards)
@@ -184,13 +184,34 @@ def verdict(designs: Mapping[str, Solution], evidence: Mapping[str, Evidence]) -
     if not any(one.violations for one in evidence.values()):
         headline = f"{solved} to tolerance; no limit applies to single systems, so none was counted."
         return Verdict("good", "Solved", headline, sentences, cards)
-    worst = max(evidence.values(), key=lambda one: one.joint.estimate).joint
-    share = f"{percent(worst.estimate)} [{interval(worst)}]"
-    if worst.estimate > OFTEN:
-        headline = f"{solved} to tolerance, but up to {share} of systems break a limit: check the margin."
+    proposed, *others = list(designs)[::-1]
+    joint = evidence[proposed].joint
+    of = "systems" if not others else f"the systems of {proposed}"
+    share = f"{percent(joint.estimate)} [{interval(joint)}] of {of}"
+    compared = _comparison({name: evidence[name] for name in others})
+    if joint.estimate > OFTEN:
+        headline = f"{solved} to tolerance, but {share} break a limit: check the margin.{compared}"
         return Verdict("caution", "Solved, limits often broken", headline, sentences, cards)
-    headline = f"{solved} to tolerance; at most {share} of systems break a limit."
+    headline = f"{solved} to tolerance; {share} break a limit.{compared}"
     return Verdict("good", "Solved and checked", headline, sentences, cards)
+
+
+def _unsolved(failed: Mapping[str, Solution], designs: int) -> str:
+    """How many designs are solved, and what the others are."""
+    told = [f"'{name}' is {_UNSOLVED.get(one.status, 'not solved')}" for name, one in failed.items()]
+    why = f": {next(iter(failed.values())).why().rstrip('.')}" if len(failed) == 1 else ""
+    if designs == 1:
+        return f"{told[0]}{why}. Do not use it as a design."
+    return f"{designs - len(failed)} of {designs} designs are solved; {words(told)}{why}."
+
+
+_UNSOLVED = {Status.INFEASIBLE: "infeasible", Status.INTERRUPTED: "interrupted"}
+
+
+def _comparison(others: Mapping[str, Evidence]) -> str:
+    """How often the designs break a limit that are shown beside the proposed one, which is the last."""
+    shares = [f"{percent(one.joint.estimate)} of {name}" for name, one in others.items() if one.violations]
+    return f" For comparison: {words(shares[::-1])}." if shares else ""
 
 
 def _violation_sentence(name: str, evidence: Evidence) -> str:
