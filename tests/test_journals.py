@@ -290,9 +290,7 @@ def count(folder: Path) -> int:
     return sum(json.loads(line)["file"] != "" for line in lines if line)
 
 
-def test_computing_afresh_keeps_each_earlier_result_until_its_replacement_is_there(
-    tmp_path: Path, solved: list
-):
+def test_computing_afresh_keeps_each_earlier_result_until_its_replacement_is_there(tmp_path: Path, solved: list):
     with al.journal(tmp_path):
         before = al.pareto(bar(), "stress", [0.4, 0.5])
         other = al.solve(bar(load=2.0))

@@ -8,6 +8,8 @@ from aleator.journalling._journal import Journal as Journal
 from aleator.journalling._journal import journal as journal
 from aleator.journalling._load import Loaded as Loaded
 from aleator.journalling._load import entries_in as entries_in
+from aleator.journalling._load import examined as examined
+from aleator.journalling._load import listing as listing
 from aleator.journalling._load import load as load
 from aleator.journalling._recalling import NotKeptError as NotKeptError
 from aleator.journalling._recalling import Recalled as Recalled

@@ -28,6 +28,7 @@ class State(enum.Enum):
     INFEASIBLE = "infeasible"
     FAILED = "failed"
     STALE = "stale"
+    LOST = "lost"
 
 
 @final

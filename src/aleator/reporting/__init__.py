@@ -26,6 +26,7 @@ from aleator.reporting._fronts import decision_path_figure as decision_path_figu
 from aleator.reporting._fronts import front_figure as front_figure
 from aleator.reporting._fronts import relative_figure as relative_figure
 from aleator.reporting._fronts import shadow_price_figure as shadow_price_figure
+from aleator.reporting._lock import has_writer as has_writer
 from aleator.reporting._lock import only_writer as only_writer
 from aleator.reporting._meshes import mesh_drawing as mesh_drawing
 from aleator.reporting._meshes import mesh_figure as mesh_figure
