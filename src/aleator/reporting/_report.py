@@ -154,10 +154,14 @@ def footer() -> str:
 
 
 def verdict(designs: Mapping[str, Solution], evidence: Mapping[str, Evidence]) -> Verdict:
-    """The verdict: is everything solved, how often are limits violated, can the moments be trusted?"""
+    """The verdict: is everything solved, how often are limits violated, can the moments be trusted?
+
+    The last design is the one that is proposed; the others stand beside it for comparison.
+    """
     failed = {name: one for name, one in designs.items() if not one.ok}
     coarse = unresolved(designs)
-    sentences = [f"{name}: {one.why()}" for name, one in failed.items()]
+    # The headline says why, where it is one.
+    sentences = [f"{name}: {one.why()}" for name, one in failed.items()] if len(failed) > 1 else []
     contradicted = {name: one for name, one in evidence.items() if not one.agrees}
     sentences += [f"{name}: {one.alarm()}" for name, one in contradicted.items()]
     sentences += [_violation_sentence(name, one) for name, one in evidence.items()]
@@ -181,14 +185,14 @@ def verdict(designs: Mapping[str, Solution], evidence: Mapping[str, Evidence]) -
     if unchecked:
         headline = f"{solved} to tolerance, but there is no Monte Carlo evidence for {words(unchecked)}."
         return Verdict("caution", "Solved, not checked", headline, sentences, cards)
-    if not any(one.violations for one in evidence.values()):
-        headline = f"{solved} to tolerance; no limit applies to single systems, so none was counted."
-        return Verdict("good", "Solved", headline, sentences, cards)
     proposed, *others = list(designs)[::-1]
-    joint = evidence[proposed].joint
-    of = "systems" if not others else f"the systems of {proposed}"
-    share = f"{percent(joint.estimate)} [{interval(joint)}] of {of}"
+    of = "" if not others else f" of {proposed}"
     compared = _comparison({name: evidence[name] for name in others})
+    if not evidence[proposed].violations:
+        headline = f"{solved} to tolerance; no limit applies to single systems{of}, so none was counted.{compared}"
+        return Verdict("good", "Solved", headline, sentences, cards)
+    joint = evidence[proposed].joint
+    share = f"{percent(joint.estimate)} [{interval(joint)}] of {'systems' if not others else f'the systems{of}'}"
     if joint.estimate > OFTEN:
         headline = f"{solved} to tolerance, but {share} break a limit: check the margin.{compared}"
         return Verdict("caution", "Solved, limits often broken", headline, sentences, cards)
