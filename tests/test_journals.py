@@ -17,7 +17,7 @@ import xarray
 import aleator as al
 from aleator import solving
 from aleator.journalling import FILE, Entry, State
-from bars import MASS, NEEDED, Bar, bar
+from bars import MASS, NEEDED, STRESS, Bar, bar
 
 
 @pytest.fixture
@@ -345,6 +345,17 @@ def test_an_earlier_result_outlives_the_death_of_the_run_that_computes_it_afresh
         al.solve(bar())
     assert len(solved) == 1
     assert states(tmp_path) == ["done"]
+
+
+def test_designs_of_a_trade_off_have_names_and_none_of_them_is_dropped(tmp_path: Path):
+    with al.journal(tmp_path) as kept:
+        al.trade_off(bar(), {"mass": MASS.mean, "stress": STRESS.mean}, 4)
+        entries = al.load(tmp_path).entries
+        assert len(kept.finished()) == len(entries)
+    names = [one.name for one in entries]
+    assert all(names)
+    assert "best of each wish" in names
+    assert {name for name in names if "point" in name} >= {"trade-off, point 1", "trade-off, point 2"}
 
 
 def test_a_file_in_the_place_of_the_results_is_refused(tmp_path: Path):

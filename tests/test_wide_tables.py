@@ -15,10 +15,11 @@ WIDE = Table("Designs", ["", *NAMES], [[f"row {j}", *one] for j, one in enumerat
 
 
 def printed(table: Table, width: int) -> str:
-    console = Console(file=io.StringIO(), width=width, markup=False, emoji=False, highlight=False)
+    written = io.StringIO()
+    console = Console(file=written, width=width, markup=False, emoji=False, highlight=False)
     for one in fitted(table, width):
         console.print(one)
-    return console.file.getvalue()
+    return written.getvalue()
 
 
 @pytest.mark.parametrize("width", [40, 60, 80, 100, 400])

@@ -13,7 +13,7 @@ from typing import Any, final
 from typing_extensions import override
 
 from aleator._core.errors import JournalWarning, ProblemError
-from aleator._core.journalled import AbstractEntry, AbstractJournal, AbstractParts, journalling
+from aleator._core.journalled import AbstractEntry, AbstractJournal, AbstractParts, called, journalling
 from aleator._core.lasting import DoubtError
 from aleator.journalling import _results
 from aleator.journalling._entry import FILE, Entry, State, note, read, unfinished
@@ -85,7 +85,7 @@ class Journal(AbstractJournal):
             said = done_with(what, given)
             self.warn(f"{said} is not kept: another run could not tell whether it is the same ({doubt}).")
             return _Entry(self, None)
-        begun = Entry.begun(key, said, parts)
+        begun = Entry.begun(key, said, parts, called())
         waiting = self._known.get(begun.waits_as)
         begun = begun if waiting is None else replace(begun, name=waiting.name)
         found = None if key in self._outdated else self._recalled(key)

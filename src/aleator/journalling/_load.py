@@ -114,8 +114,9 @@ def finished(folder: Path, entries: Iterable[Entry], keys: Keys) -> tuple[dict[s
     """
     found, refused = dict[str, Any](), list[str]()
     for name, entry in named(entries).items():
+        place = name if entry.name in found else entry.name or name
         try:
-            found[entry.name or name] = result = _results.read(folder / entry.file, entry.digest)
+            found[place] = result = _results.read(folder / entry.file, entry.digest)
         except ProblemError as error:
             refused.append(str(error))
         else:

@@ -52,7 +52,7 @@ class Study(AbstractStudy):
     A file with this as `study`, or with problems alone, is run by `aleator run FILE.py`.
 
     - `designs`: a problem, or several by name: each is solved, and validated on `samples` fresh systems drawn with
-      `seed`;
+      `seed`; the last is the one that is proposed, on which the verdict is, and the others stand beside it;
     - `sweeps`: values of bounds by the names of constraints, along which the last design is solved again
       (`al.pareto`); `wishes`: what is traded off in the last design (`al.trade_off`), at `points` places;
     - `title`, `subtitle`: of the page; `solver`, `transcription`: see `al.solve`;
