@@ -1,5 +1,6 @@
 """The command line: what it prints, what it keeps and how it exits."""
 
+import json
 import os
 import subprocess
 import sys
@@ -199,6 +200,14 @@ def test_results_that_cannot_be_written_end_a_run_with_one(monkeypatch, tmp_path
     assert result.exit_code == 1
     assert result.output.count("No space left on device") == 1
     assert (tmp_path / "finished.txt").read_text() == "first"
+
+
+def test_a_mistake_in_a_study_s_own_code_ends_with_its_traceback_and_a_document(monkeypatch, tmp_path):
+    result = invoke(monkeypatch, Rehearsal(ZeroDivisionError("by the engineer")), "--out", str(tmp_path), "--json")
+    assert isinstance(result.exception, ZeroDivisionError)
+    told = json.loads(result.stdout)
+    assert told["exit_code"] == 1
+    assert told["errors"] == ["ZeroDivisionError: by the engineer"]
 
 
 def test_work_that_takes_too_much_memory_ends_a_run_with_one_and_keeps_what_was_finished(monkeypatch, tmp_path):

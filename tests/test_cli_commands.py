@@ -1,6 +1,5 @@
 """The commands on a run's folder: resume, sweep, validate, report, compare and list."""
 
-import dataclasses
 import json
 import re
 import shutil
@@ -89,7 +88,7 @@ def said(result) -> str:
 
 
 @pytest.fixture
-def interrupted(monkeypatch: pytest.MonkeyPatch, python_interrupts) -> pytest.MonkeyPatch:
+def interrupted(monkeypatch: pytest.MonkeyPatch, python_interrupts) -> Iterator[pytest.MonkeyPatch]:
     """Ctrl-C in the second solve of this process, until undone."""
     solve, done = solving._solve._solved, list[object]()
 
@@ -409,13 +408,13 @@ def test_a_refusal_is_a_document_too():
     assert "There is no study 'suspention'" in document(result)["errors"][0]
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(one, marks=[pytest.mark.slow] * (one in ("four-bar", "swing-up"))) for one in studies.STUDIES]
-)
+@pytest.mark.parametrize("name", list(studies.STUDIES))
 def test_every_case_study_declares_its_problems(name: str):
-    problems = load(name, quick=True).problems
-    assert problems
-    assert all(isinstance(one, al.Problem) for one in problems.values())
+    study = load(name, quick=True)
+    assert type(study).problems is not AbstractStudy.problems
+    if name not in ("four-bar", "swing-up"):  # whose problems take long to trace; their own tests solve them
+        assert study.problems
+        assert all(isinstance(one, al.Problem) for one in study.problems.values())
 
 
 @pytest.mark.slow
@@ -446,7 +445,7 @@ def test_the_list_tells_names_the_dead_and_what_is_lost(here: Path, finished: Pa
     entries = al.load(place).entries
     (place / entries[0].file).unlink()
     (place / entries[1].file).write_bytes(b"")
-    begun = dataclasses.replace(Entry.begun("1", "solve Bar", {}), process=2**22 + 1)
+    begun = Entry.begun("1", "solve Bar", {})
     with (place / FILE).open("a") as file:
         file.write(begun.line())
     before = (place / FILE).read_bytes()

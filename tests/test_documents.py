@@ -52,7 +52,7 @@ def test_code_shown_in_documents_runs(document: str, tmp_path: Path):
     assert finished.returncode == 0, finished.stderr
 
 
-@pytest.mark.parametrize("document", ["docs/index.md"])
+@pytest.mark.parametrize("document", ["README.md", "docs/index.md"])
 def test_the_first_program_has_fifteen_lines_and_ends_in_a_picture(document: str):
     text = (ROOT / document).read_text(encoding="utf-8")
     (program, shown), *_ = re.findall(r"```python\n(.*?)```\n\n!\[.+?\]\((.+?)\)", text, flags=re.DOTALL)

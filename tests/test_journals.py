@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import textwrap
+from dataclasses import replace
 from pathlib import Path
 
 import jax
@@ -216,6 +217,17 @@ def test_what_is_refused_before_it_is_solved_does_not_wait_for_ever(tmp_path: Pa
     with al.journal(tmp_path):
         al.pareto(narrow, "mass", [3.0, -1.0])
     assert waiting(tmp_path) == []
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="other processes are not looked at there")
+def test_what_a_dead_process_was_running_is_told_as_interrupted(tmp_path: Path):
+    gone = subprocess.Popen(["true"])
+    gone.wait()
+    for process in (os.getpid(), gone.pid):
+        begun = replace(Entry.begun(f"{process}", "solve Bar", {}), process=process)
+        with (tmp_path / FILE).open("a") as file:
+            file.write(begun.line())
+    assert states(tmp_path) == ["running", "interrupted"]
 
 
 def test_a_journal_is_read_once_when_it_is_opened(tmp_path: Path, monkeypatch):

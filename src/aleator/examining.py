@@ -12,7 +12,7 @@ from aleator._core.given import refusal
 from aleator._core.shown import Printed
 from aleator.certification import bound_size
 from aleator.design import Problem, current
-from aleator.nlp import Searched, Slopes, slopes_at
+from aleator.nlp import Searched, Slopes, lost_variables, slopes_at
 from aleator.solution import Solution
 from aleator.transcription import DEFAULT, AbstractTranscribed, transcribe
 
@@ -123,6 +123,7 @@ def _told(
         name: tuple(_pairs(transcribed, rows, decisions, slopes, getattr(slopes, name)))
         for name in ("kinks", "jumps", "wrong", "endless")
     }
+    told["wrong"] = told["wrong"] or tuple(_lost(transcribed, point, rows[0], decisions))
     return Examination(
         rows=rows,
         decisions=decisions,
@@ -137,6 +138,17 @@ def _told(
 def _rows(transcribed: AbstractTranscribed) -> tuple[str, ...]:
     """The objective and each constraint, as mathematics."""
     return (f"objective {transcribed.problem.objective}", *transcribed.texts.constraints)
+
+
+def _lost(
+    transcribed: AbstractTranscribed, point: Float[np.ndarray, " n"], objective: str, decisions: tuple[str, ...]
+) -> Iterator[str]:
+    """Where the objective changes without a slope, too coarsely for the steps that tell slopes."""
+    program = transcribed.program
+    lost = set(lost_variables(program, point, program.evaluate(point)))
+    for name, i in zip(decisions, transcribed.decided.tolist(), strict=True):
+        if i in lost:
+            yield f"{objective}, by {name}: it changes further away, although its derivative is zero there and here"
 
 
 def _refuse_unknown(transcribed: AbstractTranscribed, point: Float[np.ndarray, " n"]) -> None:

@@ -57,7 +57,9 @@ def headings(page):
 
 
 def numbers(page):
-    return [block.number for section in page.sections for block in section.blocks if block.kind == "drawing"]
+    return [
+        block.number for section in page.sections for block in section.blocks if block.kind in ("drawing", "linked")
+    ]
 
 
 def test_the_page_of_a_study_that_reached_nothing_says_so(tmp_path):

@@ -159,6 +159,23 @@ def test_workers_without_work_end_at_ctrl_c_without_a_word(tmp_path: Path):
     assert ended.returncode == 0
 
 
+def test_the_first_point_of_a_front_is_rehearsed_by_all_other_workers(
+    threads: Executor, monkeypatch: pytest.MonkeyPatch
+):
+    sent = []
+    executor = al.workers(3)
+
+    def submit(*given):
+        sent.append(given)
+        return threads.submit(*given)
+
+    monkeypatch.setattr(executor, "submit", submit)
+    front = al.pareto(bar(), "stress", VALUES[:2], executor=executor)
+    assert front.objectives == pytest.approx(NEEDED / np.array(VALUES[:2]), rel=1e-6)
+    assert len(sent) == 4
+    assert sent[0] == sent[1] == sent[2]
+
+
 @pytest.mark.slow
 def test_fronts_of_processes_are_those_of_threads_down_to_the_last_bit(threads: Executor):
     with al.workers(2) as two, al.workers(1) as one:

@@ -92,7 +92,7 @@ def test_a_start_at_the_minimum_stays_there():
 
 @pytest.mark.parametrize("kind", ["round", "stopped", "whole"])
 def test_a_decision_whose_derivative_was_lost_is_refused_by_name(kind):
-    with pytest.raises(al.ProblemError, match=r"changes with 'a', but all derivatives tried are zero"):
+    with pytest.raises(al.ProblemError, match=r"changes with 'a', but all its derivatives tried are zero"):
         answer(kind, al.Decision(2.0, 0.0, 10.0))
 
 

@@ -70,6 +70,9 @@ def executed(
         except OSError as error:
             terminal.complain("error", error)
             return FAILED
+        except Exception:  # a mistake in a study's own code, told already, whose traceback follows
+            terminal.print_document(FAILED)
+            raise
 
 
 @final

@@ -69,10 +69,14 @@ class Terminal:
         """Whether a JSON document is asked for."""
         return self._document is not None
 
-    def conclude(self, code: int) -> NoReturn:
-        """Print the JSON document, if there is one, and end with an exit code."""
+    def print_document(self, code: int) -> None:
+        """Print the JSON document, if there is one, with the exit code."""
         if self._document is not None:
             typer.echo(json_text({**self._document, "exit_code": code, "errors": self._said}), nl=False)
+
+    def conclude(self, code: int) -> NoReturn:
+        """Print the JSON document, if there is one, and end with an exit code."""
+        self.print_document(code)
         raise typer.Exit(code)
 
     @contextmanager

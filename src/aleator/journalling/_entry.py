@@ -4,6 +4,7 @@ import enum
 import json
 import os
 import socket
+import sys
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
@@ -153,3 +154,22 @@ def unfinished(one: Entry, state: State = State.INTERRUPTED, why: str = "") -> E
     if not one.is_finished:
         return replace(one, state=state, why=why)
     return replace(one, state=State.STALE, why=f"its replacement: {state.value}{f', {why}' if why else ''}")
+
+
+def seen(one: Entry) -> Entry:
+    """An entry as a reader sees it: what a process of this machine had begun that is no more was interrupted."""
+    is_over = one.state is State.RUNNING and one.host == socket.gethostname() and _has_ended(one.process)
+    return unfinished(one) if is_over else one
+
+
+def _has_ended(process: int) -> bool:
+    """Whether there is no such process; no where that cannot be told."""
+    if sys.platform == "win32" or process <= 0:
+        return False
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return True
+    except OSError:
+        return False
+    return False

@@ -11,7 +11,7 @@ from typing_extensions import override
 from aleator._core.errors import ProblemError
 from aleator._core.given import meant
 from aleator.journalling import _results
-from aleator.journalling._entry import FILE, Entry, State, named, read, unfinished
+from aleator.journalling._entry import FILE, Entry, State, named, read, seen, unfinished
 from aleator.journalling._keys import Keys
 from aleator.reporting import as_path, has_writer
 
@@ -86,7 +86,8 @@ def entries_in(place: Path) -> tuple[Entry, ...]:
             f"load: there is no journal in '{place}': expected a folder in which `aleator run` or a script within "
             "`al.journal(folder)` has kept results."
         )
-    return tuple(sorted(read(place / FILE).by_key.values(), key=lambda one: one.state is State.WAITING))
+    entries = map(seen, read(place / FILE).by_key.values())
+    return tuple(sorted(entries, key=lambda one: one.state is State.WAITING))
 
 
 def examined(place: Path) -> tuple[Entry, ...]:

@@ -2,22 +2,19 @@
 
 import abc
 from collections.abc import Collection, Mapping, Sequence
-from typing import Any, TypeVar
+from typing import Any
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 from typing_extensions import override
 
-from aleator._core.arrays import is_number
 from aleator._core.errors import ProblemError
-from aleator._core.leaves import is_leaf
 from aleator._core.once import once_for_each
 from aleator.mechanics._body import Body
 from aleator.mechanics._body_load import BodyLoad, refuse_moving_places, wrenches_of
 from aleator.mechanics._closure import Closure, checked_closures, residuals
-from aleator.mechanics._instant import at, later
+from aleator.mechanics._instant import later
 from aleator.mechanics._joints import AbstractJoint
 from aleator.mechanics._mechanical import AbstractMechanical, evaluated
 from aleator.mechanics._recursions import (
@@ -29,10 +26,8 @@ from aleator.mechanics._recursions import (
     world_poses,
 )
 from aleator.mechanics._spatial import Block, Pose, as_array, composed, cross, momentum, plus, power
+from aleator.mechanics._structure import with_numbers, without_numbers
 from aleator.mechanics._tree import GROUND, Tree, build_tree, sorted_bodies
-from aleator.trajectories import AbstractSignal
-
-Part = TypeVar("Part", bound=AbstractJoint | Closure)
 
 
 class Multibody(AbstractMechanical):
@@ -292,37 +287,14 @@ class Multibody(AbstractMechanical):
 @once_for_each
 def _joints_of(model: Multibody) -> list[tuple[str, AbstractJoint]]:
     """The moving bodies of a model with their joints; cached, since building bodies is slow."""
-    bodies = sorted_bodies(_with_numbers(model)._bodies())
-    return [(body.name, _without_numbers(body.joint)) for body in bodies if isinstance(body.joint, AbstractJoint)]
+    bodies = sorted_bodies(with_numbers(model)._bodies())
+    return [(body.name, without_numbers(body.joint)) for body in bodies if isinstance(body.joint, AbstractJoint)]
 
 
 @once_for_each
 def _closures_of(model: Multibody) -> list[Closure]:
     """The closures of a model; cached too."""
-    return [_without_numbers(closure) for closure in _with_numbers(model)._closures()]
-
-
-def _with_numbers(model: Multibody) -> Multibody:
-    """The model with numbers in the place of distributions, decisions and signals."""
-    plain = jax.tree.map(_as_number, model, is_leaf=_is_no_number)
-    return plain if model._when is not None else at(plain, jnp.zeros(()), None)
-
-
-def _without_numbers(part: Part) -> Part:
-    """The structure of a joint or a closure: it outlives the trace in which its numbers may have been made."""
-    return jax.tree.map(lambda leaf: np.zeros(np.shape(leaf)) if is_number(leaf) else leaf, part)
-
-
-def _is_no_number(node: Any) -> bool:
-    return is_leaf(node) or isinstance(node, AbstractSignal)
-
-
-def _as_number(leaf: Any) -> Any:
-    """A placeholder number of the right shape for a distribution, a decision or a signal."""
-    if isinstance(leaf, AbstractSignal):
-        plain = jax.tree.map(_as_number, leaf, is_leaf=is_leaf)
-        return jnp.ones(jax.eval_shape(plain, jnp.zeros(())).shape)
-    return jnp.ones(leaf.shape) if is_leaf(leaf) else leaf
+    return [without_numbers(closure) for closure in with_numbers(model)._closures()]
 
 
 def _poses(tree: Tree, q: Array) -> dict[str, Pose]:

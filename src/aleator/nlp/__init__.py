@@ -13,6 +13,7 @@ from aleator.nlp._filtersqp import default_solver as default_solver
 from aleator.nlp._interior_point import InteriorPoint as InteriorPoint
 from aleator.nlp._ipopt import Ipopt as Ipopt
 from aleator.nlp._local_solver import AbstractLocalSolver as AbstractLocalSolver
+from aleator.nlp._lost import lost_variables as lost_variables
 from aleator.nlp._matrices import Matrix as Matrix
 from aleator.nlp._matrices import SparseMatrix as SparseMatrix
 from aleator.nlp._matrices import with_entries as with_entries

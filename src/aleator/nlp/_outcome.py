@@ -59,8 +59,8 @@ class Outcome:
       shape (m,);
     - `failed_at`: the last point at which the model was not finite, shape (n,), if the status is EVALUATION_FAILED;
       else None;
-    - `idle`: variables left at their start that change nothing at the points checked; `blind`: those that do change
-      something although all derivatives by them are zero;
+    - `idle`: variables left at their start that change nothing at the points checked; `blind`: those by which a value
+      changes although all of its derivatives by them are zero;
     - `searched`: the points of a search without derivatives; None if there was none;
     - `visited`: the points of the local solver, over all restarts; None if there was none.
     """

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from aleator.nlp._lost import lost_variables
 from aleator.nlp._matrices import Matrix, alone_in_a_row, column_is_zero
 from aleator.nlp._outcome import Outcome, Status
 from aleator.nlp._program import Evaluation, NonlinearProgram
@@ -43,7 +44,8 @@ def moved_on(
 
     - `start`: the start of the outcome, shape (n,); `again`: solves from another start.
 
-    The result's `idle` lists variables that change nothing, `blind` those that do although their derivatives are zero.
+    The result's `idle` lists variables that change nothing, `blind` those that change something although its
+    derivatives by them are zero.
     """
     for _ in range(_MOST_MOVES):
         if outcome.status is not Status.SOLVED:
@@ -54,7 +56,15 @@ def moved_on(
         before, outcome = outcome, _better(outcome, again(lower))
         if np.array_equal(before.point, outcome.point):
             break
-    return outcome
+    return _with_lost(program, outcome)
+
+
+def _with_lost(program: NonlinearProgram, outcome: Outcome) -> Outcome:
+    """The outcome, where also variables are blind by which the objective alone changes without a slope."""
+    if outcome.status is not Status.SOLVED:
+        return outcome
+    lost = lost_variables(program, outcome.point, outcome.evaluation)
+    return replace(outcome, blind=tuple(sorted({*outcome.blind, *lost})))
 
 
 def _examined(program: NonlinearProgram, outcome: Outcome, start: np.ndarray) -> tuple[Outcome, np.ndarray | None]:

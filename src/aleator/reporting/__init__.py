@@ -3,10 +3,13 @@
 from aleator.reporting._along_bounds import decision_figure as decision_figure
 from aleator.reporting._along_bounds import optimum_figure as optimum_figure
 from aleator.reporting._along_bounds import price_figure as price_figure
+from aleator.reporting._blocks import Band as Band
 from aleator.reporting._blocks import Block as Block
 from aleator.reporting._blocks import Card as Card
+from aleator.reporting._blocks import Choice as Choice
 from aleator.reporting._blocks import Code as Code
 from aleator.reporting._blocks import Drawing as Drawing
+from aleator.reporting._blocks import Linked as Linked
 from aleator.reporting._blocks import Schematic as Schematic
 from aleator.reporting._blocks import Section as Section
 from aleator.reporting._blocks import Table as Table
@@ -26,6 +29,9 @@ from aleator.reporting._fronts import decision_path_figure as decision_path_figu
 from aleator.reporting._fronts import front_figure as front_figure
 from aleator.reporting._fronts import relative_figure as relative_figure
 from aleator.reporting._fronts import shadow_price_figure as shadow_price_figure
+from aleator.reporting._linked import front_blocks as front_blocks
+from aleator.reporting._linked import linked_front as linked_front
+from aleator.reporting._linked import trade_off_blocks as trade_off_blocks
 from aleator.reporting._lock import has_writer as has_writer
 from aleator.reporting._lock import only_writer as only_writer
 from aleator.reporting._meshes import mesh_drawing as mesh_drawing

@@ -1,9 +1,12 @@
 """The parts of a page: a verdict, and sections of text, tables and figures. Each is checked when it is created."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, final, get_args
+
+import numpy as np
+from jaxtyping import Float
 
 from aleator._core.given import members, one_of, refusal
 
@@ -133,7 +136,71 @@ class Schematic:
         return "".join(f'<div class="sketch">{one}</div>' for one in self.drawings)
 
 
-Block = Text | Code | Table | Drawing | Schematic
+@final
+@dataclass(frozen=True)
+class Band:
+    """A path of one design: its mean over time, shape (instants,), with `sigmas` standard deviations about it.
+
+    - `limits`: values, in `unit`, by which it is limited, each with its name.
+    """
+
+    name: str
+    unit: str
+    times: Float[np.ndarray, " instants"]
+    mean: Float[np.ndarray, " instants"]
+    std: Float[np.ndarray, " instants"]
+    sigmas: float
+    limits: Mapping[float, str]
+
+
+@final
+@dataclass(frozen=True)
+class Choice:
+    """A design that a reader can choose on a page: its name, what is known of it in tables, and its paths."""
+
+    name: str
+    facts: Sequence[Table]
+    bands: Sequence[Band] = ()
+
+    def __post_init__(self) -> None:
+        _texts(self, "name")
+        members(f"Choice '{self.name}': facts", self.facts, Table)
+        members(f"Choice '{self.name}': bands", self.bands, Band)
+
+
+@final
+@dataclass(frozen=True)
+class Linked:
+    """Figures of designs and a table of them, one row each, beside all that is known of the one that a reader chooses.
+
+    - `figures`: a trace says by its `meta`, a list of places in `choices`, to which designs its points belong;
+    - `table`: a row for each of `choices`, in the same order; without JavaScript it is what is shown;
+    - `chosen`: the place of the one shown first.
+    """
+
+    figures: "Sequence[Figure]"
+    heading: str
+    table: Table
+    choices: Sequence[Choice]
+    chosen: int = 0
+    caption: str = ""
+    number: str = ""
+    kind: str = "linked"
+
+    def __post_init__(self) -> None:
+        from plotly.graph_objects import Figure
+
+        _texts(self, "heading", "caption", "number")
+        members(f"Linked '{self.heading}': figures", self.figures, Figure)
+        one_of(f"Linked '{self.heading}': table", self.table, Table)
+        count = len(members(f"Linked '{self.heading}': choices", self.choices, Choice))
+        if len(self.table.rows) != count:
+            raise refusal(f"Linked '{self.heading}': table", f"{count} rows, one a choice", len(self.table.rows))
+        if self.chosen not in range(count):
+            raise refusal(f"Linked '{self.heading}': chosen", f"the place of one of {count} choices", self.chosen)
+
+
+Block = Text | Code | Table | Drawing | Schematic | Linked
 
 
 @final

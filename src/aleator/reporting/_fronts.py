@@ -1,5 +1,6 @@
 """Figures of fronts: the optimum, its shadow price, its decisions and its spreads along a bound."""
 
+import itertools
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -50,10 +51,11 @@ def front_figure(
     shown = measure or (lambda solution: solution.objective)
     low, high = _range(fronts, shown, tuple((limits or {}).values()))
     step = 0.07 * (high - low)
+    places = _numbered(fronts)
     for row, (name, front) in enumerate(fronts.items()):
         look = looks(fronts)[name]
-        _add_solved(figure, name, front, look, shown, (x_unit, y_unit))
-        _add_infeasible(figure, name, front, look, low - step * (row + 1), x_unit)
+        _add_solved(figure, name, front, look, shown, (x_unit, y_unit), places[name])
+        _add_infeasible(figure, name, front, look, low - step * (row + 1), x_unit, places[name])
     rows = 1 + max((i + 1 for i, one in enumerate(fronts.values()) if not one.solved.all()), default=0)
     # Leaves room below the data for the label of the shaded band.
     rows += 1 if infeasible else 0
@@ -65,6 +67,12 @@ def front_figure(
     return figure
 
 
+def _numbered(fronts: Mapping[str, Front]) -> dict[str, list[int]]:
+    """The places of the points of each front among those of all, by which a page links them with their designs."""
+    counted = itertools.count()
+    return {name: list(itertools.islice(counted, len(one.points))) for name, one in fronts.items()}
+
+
 def _range(fronts: Mapping[str, Front], measure: Measure, extra: tuple[float, ...]) -> tuple[float, float]:
     values = [measure(one) for front in fronts.values() for one in front.optima if one] + list(extra)
     low, high = (min(values), max(values)) if values else (0.0, 1.0)
@@ -72,7 +80,7 @@ def _range(fronts: Mapping[str, Front], measure: Measure, extra: tuple[float, ..
 
 
 def _add_solved(
-    figure: "Figure", name: str, front: Front, look: Look, measure: Measure, units: tuple[str, str]
+    figure: "Figure", name: str, front: Front, look: Look, measure: Measure, units: tuple[str, str], places: list[int]
 ) -> None:
     """The solved points as one line, interrupted where a point between them has no solution."""
     values = [measure(one) if one else None for one in front.optima]
@@ -92,6 +100,7 @@ def _add_solved(
             "line": {"color": look.colour, "width": 2},
         },
         text=[_hover(front, i) for i in range(len(front.points))],
+        meta=places,
         hovertemplate=f"<b>{plain(name)}</b>: %{{y:.4~g}} {plain(units[1])}<br>%{{text}}<extra></extra>",
     )
 
@@ -112,7 +121,9 @@ def _hover(front: Front, i: int) -> str:
     return f"{plain(front.bound)} limit {number(front.values[i])}<br>active: {plain(active)}{shadow_price}{decisions}"
 
 
-def _add_infeasible(figure: "Figure", name: str, front: Front, look: Look, height: float, unit: str) -> None:
+def _add_infeasible(
+    figure: "Figure", name: str, front: Front, look: Look, height: float, unit: str, places: list[int]
+) -> None:
     """Points without a solution, on the axis, with the smallest violations."""
     missing = [i for i, one in enumerate(front.points) if not one.ok]
     if not missing:
@@ -129,6 +140,7 @@ def _add_infeasible(figure: "Figure", name: str, front: Front, look: Look, heigh
         textposition="middle right" if 2 * front.values[last] < sum(_ends(front)) else "middle left",
         textfont={"size": SIZE - 1, "color": look.colour},
         customdata=[_why(front.points[i]) for i in missing],
+        meta=[places[i] for i in missing],
         hovertemplate=(
             f"<b>{plain(name)}</b>: not solved at %{{x:.4~g}} {plain(unit)}<br>%{{customdata}}<extra></extra>"
         ),
@@ -176,6 +188,7 @@ def shadow_price_figure(
 ) -> "Figure":
     """The value of relaxing a bound: the multiplier along each front, times `scale`."""
     figure = blank(label(x, x_unit), label(y, y_unit), height=360)
+    places = _numbered(fronts)
     for name, front in fronts.items():
         look = looks(fronts)[name]
         figure.add_scatter(
@@ -186,6 +199,7 @@ def shadow_price_figure(
             line={"color": look.colour, "width": 2},
             marker={"symbol": look.symbol, "size": 8, "color": look.colour},
             cliponaxis=False,
+            meta=places[name],
             hovertemplate=(
                 f"<b>{plain(name)}</b>: %{{y:.4~g}} {plain(y_unit)}<br>limit %{{x:.4~g}} {plain(x_unit)}<extra></extra>"
             ),

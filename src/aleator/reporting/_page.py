@@ -7,10 +7,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
-from typing import Any, final
+from typing import TYPE_CHECKING, Any, final
 
-from aleator.reporting._blocks import Drawing, Section, Verdict
+from aleator.reporting._blocks import Drawing, Linked, Section, Verdict
 from aleator.reporting._files import write_text
+from aleator.reporting._stages import choices_data, stages
+
+_PARTS = ("page.html.j2", "page.css", "page.js", "linked.js")
+
+if TYPE_CHECKING:
+    from plotly.graph_objects import Figure
 
 
 @final
@@ -31,17 +37,17 @@ def page_html(page: Page) -> str:
     from plotly.offline import get_plotlyjs
 
     folder = resources.files("aleator.reporting") / "templates"
-    source = {one: (folder / one).read_text(encoding="utf-8") for one in ("page.html.j2", "page.css", "page.js")}
+    source = {one: (folder / one).read_text(encoding="utf-8") for one in _PARTS}
     environment = jinja2.Environment(
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    drawings = [_panels(block, i) for i, block in enumerate(_drawings(page))]
+    drawings = [_drawn(block, i) for i, block in enumerate(_drawings(page))]
     return environment.from_string(source["page.html.j2"]).render(
         page=page,
         anchors=_anchors(page),
-        next_panels=iter(drawings).__next__,
+        next_drawn=iter(drawings).__next__,
         css=_raw(source["page.css"]),
-        script=_raw(source["page.js"]),
+        script=_raw(source["page.js"] + source["linked.js"]),
         plotly=_raw(get_plotlyjs()) if drawings else "",
     )
 
@@ -60,28 +66,41 @@ def _anchors(page: Page) -> list[str]:
     return found
 
 
-def _drawings(page: Page) -> list[Drawing]:
-    return [block for section in page.sections for block in section.blocks if isinstance(block, Drawing)]
+def _drawings(page: Page) -> list[Drawing | Linked]:
+    return [block for section in page.sections for block in section.blocks if isinstance(block, Drawing | Linked)]
 
 
-def _panels(drawing: Drawing, place: int) -> list[dict[str, Any]]:
-    """The data of each figure in a drawing for the template. Titles become HTML, which wraps on narrow screens."""
-    panels = []
-    for i, figure in enumerate(drawing.figures):
-        content = json.loads(figure.to_json() or "{}")
-        title = html.unescape((content["layout"].pop("title", None) or {}).get("text", ""))
-        if title:
-            content["layout"]["margin"]["t"] = 40
-        panels.append(
-            {
-                "id": f"figure-{place}-{i}",
-                "title": title,
-                "height": content["layout"].get("height", 420),
-                "alt": ". ".join(part for part in (drawing.heading, title, drawing.caption) if part),
-                "json": _raw(json.dumps(content, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")),
-            }
-        )
-    return panels
+def _drawn(block: Drawing | Linked, place: int) -> dict[str, Any]:
+    """What the template needs to draw a block: its name, its panels, and what a reader can choose."""
+    name = f"figure-{place}"
+    panels = [_panel(one, f"{name}-{i}", block.heading, block.caption) for i, one in enumerate(block.figures)]
+    if isinstance(block, Drawing):
+        return {"name": name, "panels": panels}
+    bands = [
+        _panel(one, f"{name}-band-{i}", f"{block.heading}: {path} of the chosen design", "")
+        for i, (path, one) in enumerate(stages(block).items())
+    ]
+    return {"name": name, "panels": panels, "bands": bands, "json": _json(choices_data(block))}
+
+
+def _panel(figure: "Figure", name: str, heading: str, caption: str) -> dict[str, Any]:
+    """The data of a figure for the template. Titles become HTML, which wraps on narrow screens."""
+    content = json.loads(figure.to_json() or "{}")
+    title = html.unescape((content["layout"].pop("title", None) or {}).get("text", ""))
+    if title:
+        content["layout"]["margin"]["t"] = 40
+    return {
+        "id": name,
+        "title": title,
+        "height": content["layout"].get("height", 420),
+        "alt": ". ".join(part for part in (heading, title, caption) if part),
+        "json": _json(content),
+    }
+
+
+def _json(content: Any) -> Any:
+    """Data that a script element may hold."""
+    return _raw(json.dumps(content, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c"))
 
 
 def _raw(text: str) -> Any:

@@ -1,6 +1,6 @@
 """`report`: the results of any problem as one page, verdict first."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import TypeVar, cast
@@ -10,9 +10,9 @@ import numpy as np
 from aleator._core.errors import ProblemError
 from aleator.nlp import Status
 from aleator.reporting import _units
-from aleator.reporting._along_bounds import optimum_figure, price_figure
 from aleator.reporting._blocks import Block, Card, Code, Drawing, Section, Text, Verdict
 from aleator.reporting._files import as_path, check_writable
+from aleator.reporting._linked import front_blocks, trade_off_blocks
 from aleator.reporting._meshes import mesh_drawing
 from aleator.reporting._numbers import count, interval, number, percent, words
 from aleator.reporting._page import Page, write_page
@@ -26,12 +26,11 @@ from aleator.reporting._tables import (
     statistics_table,
     unresolved,
 )
-from aleator.reporting._trade_offs import trade_off_blocks
 from aleator.solution import Solution
-from aleator.sweep import Front, TradeOff
+from aleator.sweep import EvidenceOfAll, Front, TradeOff
 from aleator.validation import Evidence
 
-Result = TypeVar("Result", Solution, Evidence, Front)
+Result = TypeVar("Result", Solution, Evidence, Front | TradeOff, EvidenceOfAll)
 
 OFTEN = 0.05
 """A share of violating systems above which a page does not show green."""
@@ -49,15 +48,19 @@ HOW_TO_READ = (
         "An active limit is one that the design meets with equality. Its shadow price is the amount by which the "
         "objective would fall for each unit that the limit is relaxed; the shadow price of an inactive limit is zero."
     ),
-    "In the figures, hover over a point for its numbers. Drag to zoom, double-click to return.",
+    (
+        "In the figures, hover over a point for its numbers. Drag to zoom, double-click to return. On a front, click "
+        "on a point, or choose it in the table by the arrow keys, to see its design."
+    ),
 )
 
 
 def report(
     solutions: Solution | Mapping[str, Solution],
     evidence: Evidence | Mapping[str, Evidence] | None = None,
-    fronts: Front | Mapping[str, Front] | None = None,
+    fronts: Front | TradeOff | Mapping[str, Front | TradeOff] | None = None,
     *,
+    along: EvidenceOfAll | Mapping[str, EvidenceOfAll] | None = None,
     path: str | Path,
     title: str = "Design under uncertainty",
 ) -> Path:
@@ -66,30 +69,37 @@ def report(
     Give one solution with its evidence and front, or several of each by name, with evidence and fronts under the names
     of their designs. Sections without results are omitted; a design that was not solved is reported as such, first.
 
+    - `fronts`: of `al.pareto` or `al.trade_off`; a reader who chooses a point sees the design there; `along`: evidence
+      on these designs, of `al.validate_all`.
+
     Raises `ProblemError` if there is no solution or the file cannot be written.
     """
     designs = _named(solutions, Solution)
     if not designs:
         raise ProblemError("report: expected at least one solution; received none.")
     first = next(iter(designs))
-    sampled, swept = _named(evidence, Evidence, first), _named(fronts, Front, first)
+    sampled, swept = _named(evidence, Evidence, first), _named(fronts, (Front, TradeOff), first)
     for name, one in sampled.items():
         _check_belongs(name, one, designs)
+    checked = [each for one in _named(along, EvidenceOfAll).values() for each in one.evidence if each is not None]
     check_writable(as_path(path).parent)
-    return write_page(_page(designs, sampled, swept, title), path)
+    return write_page(_page(designs, sampled, swept, checked, title), path)
 
 
-def _named(given: Result | Mapping[str, Result] | None, kind: type[Result], name: str = "design") -> dict[str, Result]:
+def _named(
+    given: Result | Mapping[str, Result] | None, kinds: type[Result] | tuple[type[Result], ...], name: str = "design"
+) -> dict[str, Result]:
     """One or several results by name; anything else is refused."""
     if given is None:
         return {}
-    if isinstance(given, kind):
+    if isinstance(given, kinds):
         return {name: given}
+    expected = " or ".join(one.__name__ for one in (kinds if isinstance(kinds, tuple) else (kinds,)))
     if not isinstance(given, Mapping):
-        raise ProblemError(f"report: expected a {kind.__name__} or several by name; received {type(given).__name__}.")
+        raise ProblemError(f"report: expected a {expected} or several by name; received {type(given).__name__}.")
     for key, one in given.items():
-        if not isinstance(one, kind):
-            raise ProblemError(f"report: expected a {kind.__name__} as '{key}'; received {type(one).__name__}.")
+        if not isinstance(one, kinds):
+            raise ProblemError(f"report: expected a {expected} as '{key}'; received {type(one).__name__}.")
     return cast("dict[str, Result]", {str(key): one for key, one in given.items()})
 
 
@@ -110,15 +120,20 @@ def sections(
     evidence: Mapping[str, Evidence],
     fronts: Mapping[str, Front],
     trade_offs: Mapping[str, TradeOff] = MappingProxyType({}),
+    along: Sequence[Evidence] = (),
 ) -> list[Section]:
-    """The chapters on any designs: designs side by side, fronts, evidence, trust and mathematics."""
+    """The chapters on any designs: designs side by side, fronts, evidence, trust and mathematics.
+
+    - `along`: evidence on the designs of fronts and trade-offs.
+    """
     fronts = {name: one for name, one in fronts.items() if one.solutions}
     if not designs:
         return []
+    known = [*along, *evidence.values()]
     every = [
         Section("Designs", _design_blocks(designs, evidence)),
         Section("Trajectories", _trajectory_blocks(evidence)),
-        Section("Trade-offs", [*_front_blocks(fronts), *trade_off_blocks(trade_offs)]),
+        Section("Trade-offs", [*front_blocks(fronts, known), *trade_off_blocks(trade_offs, known)]),
         Section("Evidence", _evidence_blocks(evidence)),
         Section("Certificate", [certificate_table(designs), *_mesh_blocks(designs), *search_drawings(designs)]),
         Section("The problem as mathematics", [Code(name, one.problem_text, True) for name, one in designs.items()]),
@@ -126,13 +141,22 @@ def sections(
     return [one for one in every if one.blocks]
 
 
-def _page(designs: dict[str, Solution], evidence: dict[str, Evidence], fronts: dict[str, Front], title: str) -> Page:
+def _page(
+    designs: dict[str, Solution],
+    evidence: dict[str, Evidence],
+    fronts: dict[str, Front | TradeOff],
+    along: Sequence[Evidence],
+    title: str,
+) -> Page:
+    swept = {name: one for name, one in fronts.items() if isinstance(one, Front)}
+    traded = {name: one for name, one in fronts.items() if isinstance(one, TradeOff)}
+    chapters = sections(designs, evidence, swept, traded, along)
     return Page(
         title=title,
         subtitle=f"{words([str(name) for name in designs])}: result and evidence",
         verdict=verdict(designs, evidence),
         sections=[
-            *sections(designs, evidence, fronts),
+            *chapters,
             provenance({"designs": designs, "evidence": evidence, "fronts": fronts}),
             Section("How to read this", [Text(HOW_TO_READ)]),
         ],
@@ -175,7 +199,9 @@ def verdict(designs: Mapping[str, Solution], evidence: Mapping[str, Evidence]) -
     cards = [*_solution_cards(designs), *_violation_cards(evidence)][:4]
     if failed:
         return Verdict("bad", "Not solved", _unsolved(failed, len(designs)), sentences, cards)
-    solved = "The design is solved" if len(designs) == 1 else f"All {len(designs)} designs are solved"
+    solved = {1: "The design is solved", 2: "Both designs are solved"}.get(
+        len(designs), f"All {len(designs)} designs are solved"
+    )
     if coarse:
         return Verdict("bad", "Not resolved", f"{solved}, but the expansion is too coarse to trust.", sentences, cards)
     if contradicted:
@@ -271,21 +297,6 @@ def _trajectory_blocks(evidence: Mapping[str, Evidence]) -> list[Block]:
                     "Sampled systems over time; those that violate a limit are highlighted.",
                 )
             )
-    return blocks
-
-
-def _front_blocks(fronts: Mapping[str, Front]) -> list[Block]:
-    """For each swept bound: the optimum along it, and the shadow price of the bound."""
-    blocks: list[Block] = []
-    for bound in dict.fromkeys(one.bound for one in fronts.values()):
-        group = {name: one for name, one in fronts.items() if one.bound == bound}
-        caption = (
-            f"Filled markers: {bound} is active; open markers: something else limits the design. Crosses on the axis: "
-            "no design meets all limits there; hover to see which are missed."
-        )
-        blocks.append(Drawing([optimum_figure(group)], f"Optimum against the limit of {bound}", caption))
-        worth = price_figure(group)
-        blocks.append(Drawing([worth], f"What relaxing {bound} is worth", "Zero where the limit is not active."))
     return blocks
 
 

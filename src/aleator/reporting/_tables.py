@@ -37,9 +37,9 @@ def designs_table(solutions: Mapping[str, Solution], evidence: Mapping[str, Evid
     rows: list[list[str]] = [["Status", *(STATUS_WORDS[one.status] for one in every)]]
     for name in _union([list(one.decisions) for one in every]):
         rows.append([name, *(_decision(one, name) for one in every)])
-    rows.append(["Objective", *(_objective(one) for one in every)])
+    rows.append(["Objective", *(objective_text(one) for one in every)])
     for name in _union([[part.name for part in one.constraints] for one in every]):
-        rows.append([f"{name}: worst value", *(_worst(one, name) for one in every)])
+        rows.append([f"{name}: worst value", *(worst_text(one, name) for one in every)])
         rows.append([f"{name}: shadow price of the bound", *(_shadow_price(one, name) for one in every)])
     broken = [[part.name for part in one.violated] for one in every]
     held = [[name for name in one.active if name not in names] for one, names in zip(every, broken, strict=True)]
@@ -76,7 +76,16 @@ def _decision(solution: Solution, name: str) -> str:
     return f"{text} (at its bound)" if solution.is_at_bound(name) else text
 
 
-def _objective(solution: Solution) -> str:
+def decision_text(solution: Solution, name: str) -> str:
+    """A decision with its unit, of an array from where to where it goes."""
+    value, unit = np.asarray(solution.decisions[name], float), _units.of_decision(name, solution.problem)
+    at = " (at its bound)" if solution.is_at_bound(name) else ""
+    if value.ndim == 0:
+        return number(float(value), 5, unit) + at
+    return f"{value.size} numbers from {number(value.min(), 4)} to {number(value.max(), 4, unit)}{at}"
+
+
+def objective_text(solution: Solution) -> str:
     return number(solution.objective, 5, _units.of_expression(solution.problem.objective, solution.problem))
 
 
@@ -90,18 +99,18 @@ def _parts(solution: Solution, name: str) -> list[tuple[ConstraintResult, str]]:
     ]
 
 
-def _worst(solution: Solution, name: str) -> str:
+def worst_text(solution: Solution, name: str) -> str:
     """The value closest to or furthest beyond a bound, and that bound."""
     parts = _parts(solution, name)
     if not parts:
         return "–"
     one, unit = max(parts, key=lambda part: float(np.max(part[0].excess)))
-    worst = one.worst
-    upper = one.lower == one.upper or worst - one.upper >= one.lower - worst
+    value = one.worst
+    upper = one.lower == one.upper or value - one.upper >= one.lower - value
     relation, bound = ("=" if one.lower == one.upper else "≤", one.upper) if upper else ("≥", one.lower)
     when = "" if one.worst_time is None else f" at {number(one.worst_time, 4, 's')}"
     broken = ", violated" if one in solution.violated else ""
-    return f"{number(worst, 5)} {relation} {given(bound, unit)}{when}{broken}"
+    return f"{number(value, 5)} {relation} {given(bound, unit)}{when}{broken}"
 
 
 def limit_rows(solution: Solution) -> list[tuple[str, str]]:
@@ -109,7 +118,7 @@ def limit_rows(solution: Solution) -> list[tuple[str, str]]:
     rows = []
     for name in dict.fromkeys(one.name for one in solution.constraints):
         price = solution.multiplier(name)
-        rows.append((name, _worst(solution, name) + (f", shadow price {number(price, 4)}" if price else "")))
+        rows.append((name, worst_text(solution, name) + (f", shadow price {number(price, 4)}" if price else "")))
     return rows
 
 

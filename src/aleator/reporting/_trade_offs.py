@@ -1,14 +1,14 @@
 """Figures of trade-offs: pairs of wishes, three of them in space, and more of them side by side."""
 
 import html
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from itertools import combinations
 from typing import TYPE_CHECKING
 
 import numpy as np
+from jaxtyping import Float
 
 from aleator.reporting import _units
-from aleator.reporting._blocks import Block, Drawing, Table
 from aleator.reporting._numbers import number
 from aleator.reporting._style import FONT, GRID, INK, MUTED, SIZE, blank, label, looks, plain
 from aleator.sweep import TradeOff
@@ -17,33 +17,9 @@ if TYPE_CHECKING:
     from plotly.graph_objects import Figure
 
 
-_CAPTION = (
-    "Each point is a certified design: none other is better in all wishes. Hover over it for the values of all of them."
-)
-
-
-def trade_off_blocks(fronts: Mapping[str, TradeOff]) -> list[Block]:
-    """For each trade-off: a figure for each pair of wishes, and a table of its designs."""
-    blocks: list[Block] = []
-    for name, front in fronts.items():
-        if front.solutions:
-            blocks += [Drawing(trade_off_figure(front), f"Trade-off: {name}", _CAPTION), trade_off_table(front, name)]
-    return blocks
-
-
-def trade_off_table(front: TradeOff, name: str) -> Table:
-    """The designs of a trade-off: wishes, then decisions."""
-    decided = [one for one, value in front.solutions[0].decisions.items() if np.ndim(value) == 0]
-    rows = [
-        [*_told_values(front, row), *(number(float(solution.decisions[one]), 4) for one in decided)]
-        for row, solution in zip(front.values, front.solutions, strict=True)
-    ]
-    note = "How many units of one wish buy a unit of another is in the result's `weights`."
-    return Table(f"Designs of {name}", [*front.names, *decided], rows, note)
-
-
-def _told_values(front: TradeOff, row: Sequence[float]) -> list[str]:
-    return [number(float(one), 5, _unit(front, i)) for i, one in enumerate(row)]
+def told_values(front: TradeOff, row: Sequence[float] | Float[np.ndarray, " wishes"]) -> list[str]:
+    """The value of each wish with its unit."""
+    return [number(float(one), 5, unit_of(front, i)) for i, one in enumerate(row)]
 
 
 def trade_off_figure(front: TradeOff) -> "list[Figure]":
@@ -53,7 +29,7 @@ def trade_off_figure(front: TradeOff) -> "list[Figure]":
 
 def pair_figure(front: TradeOff, first: int, second: int) -> "Figure":
     """Two wishes, by their places among `front.names`, against one another."""
-    x, y = ((front.names[i], _unit(front, i)) for i in (first, second))
+    x, y = ((front.names[i], unit_of(front, i)) for i in (first, second))
     figure = blank(label(*x), label(*y))
     look = looks(["design"])["design"]
     is_line = len(front.names) == 2
@@ -65,6 +41,7 @@ def pair_figure(front: TradeOff, first: int, second: int) -> "Figure":
         marker={"symbol": look.symbol, "size": 9, "color": look.colour},
         text=["<br>".join(_told(front, row)) for row in front.values],
         hovertemplate="%{text}<extra></extra>",
+        meta=list(range(len(front.values))),
     )
     return figure.update_layout(showlegend=False)
 
@@ -83,7 +60,7 @@ def space_figure(front: TradeOff) -> "Figure":
     )
     axes = {
         f"{axis}axis": {
-            "title": {"text": _in_space(name, _unit(front, i))},
+            "title": {"text": _in_space(name, unit_of(front, i))},
             "gridcolor": GRID,
             "linecolor": MUTED,
             "showbackground": False,
@@ -103,7 +80,7 @@ def parallel_figure(front: TradeOff) -> "Figure":
     figure = blank("", "", height=420)
     figure.add_parcoords(
         dimensions=[
-            {"label": label(name, _unit(front, i)), "values": np.asarray(front.values[:, i])}
+            {"label": label(name, unit_of(front, i)), "values": np.asarray(front.values[:, i])}
             for i, name in enumerate(front.names)
         ],
         line={"color": front.values[:, 0], "colorscale": "Cividis"},
@@ -115,9 +92,9 @@ def parallel_figure(front: TradeOff) -> "Figure":
 
 def _told(front: TradeOff, row: "list[float]") -> list[str]:
     each = enumerate(zip(front.names, row, strict=True))
-    return [plain(f"{name}: {number(float(one), 5, _unit(front, i))}") for i, (name, one) in each]
+    return [plain(f"{name}: {number(float(one), 5, unit_of(front, i))}") for i, (name, one) in each]
 
 
-def _unit(front: TradeOff, which: int) -> str:
+def unit_of(front: TradeOff, which: int) -> str:
     """The unit of a wish; empty where it is unknown."""
     return _units.of_expression(front.wishes[which], front.solutions[0].problem) if front.solutions else ""

@@ -44,5 +44,11 @@ def of_moments(problem: Problem) -> dict[str, str]:
     return {one.text(): of_functional(one, problem) for one in functionals_of(problem.expressions)}
 
 
+def of_statistics(problem: Problem) -> dict[str, str]:
+    """The unit of each statistic in a problem, by its text."""
+    every = (one for expression in problem.expressions for one in expression.leaves if isinstance(one, Statistic))
+    return {one.text(): of_statistic(one, problem) for one in every}
+
+
 def _shown(unit: str) -> str:
     return "" if unit == PURE else unit

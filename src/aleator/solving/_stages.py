@@ -176,5 +176,5 @@ def _looked_around(
         return replace(found, status=Status.INTERRUPTED)
     # A search has compared values, so that it has chosen, though derivatives cannot confirm it.
     names = blind_decisions(outcome, transcribed)
-    end = f"{outcome.searched.end}; its values alone chose {names}, by which all derivatives are zero"
+    end = f"{outcome.searched.end}; its values alone chose {names}, by which its derivatives are zero"
     return replace(outcome, searched=replace(outcome.searched, end=end)) if names else outcome

@@ -1,7 +1,7 @@
 """Solves and evidence by an executor, recalled and kept by the journal of this process."""
 
 import pickle
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, as_completed
 from dataclasses import replace
 from typing import Any, Literal, TypeAlias, cast
@@ -51,6 +51,11 @@ def each_elsewhere(
     finally:
         for future in sent:
             future.cancel()
+
+
+def solving_of(call: Mapping[str, Any]) -> tuple[Callable[[bytes], bytes], bytes]:
+    """What an executor is given for one call of `solve`."""
+    return run, packed(_solved, call)
 
 
 def _solved(**call: Any) -> Solution:

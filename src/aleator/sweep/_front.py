@@ -20,7 +20,8 @@ from aleator.design import Problem, current, refuse_changed
 from aleator.nlp import AbstractSolver, Status
 from aleator.solution import Solution, in_brief
 from aleator.solving import solve
-from aleator.sweep._elsewhere import each_elsewhere
+from aleator.sweep._elsewhere import each_elsewhere, solving_of
+from aleator.sweep._workers import Workers
 from aleator.transcription import DEFAULT, AbstractTranscription
 
 
@@ -191,6 +192,8 @@ class _Sweep:
         for wave in waves(list(self._problems)):
             neighbours = [_nearest(self.solutions, value) for value in wave]
             calls = [self._call(value, near) for value, near in zip(wave, neighbours, strict=True)]
+            if not self.solutions and isinstance(executor, Workers):
+                executor.rehearse(*solving_of(calls[0]))
             for i, found in each_elsewhere("solve", executor, calls, [self._place(value) for value in wave]):
                 self._keep(wave[i], found)
                 self.tell()

@@ -34,11 +34,11 @@ def workers(count: int | None = None) -> Executor:
     and what they did is begun again, up to three times. A script that uses them begins its work under
     `if __name__ == "__main__":`, since each process reads it once; models stand in modules of their own.
     """
-    return _Workers(CORES if count is None else whole("workers: count", count))
+    return Workers(CORES if count is None else whole("workers: count", count))
 
 
 @final
-class _Workers(Executor):
+class Workers(Executor):
     """A pool of processes that is replaced when it breaks."""
 
     def __init__(self, count: int):
@@ -52,6 +52,14 @@ class _Workers(Executor):
         future: Future[_Result] = Future()
         self._send(future, lambda pool: pool.submit(_worked, fn, *args, **kwargs), 0)
         return future
+
+    def rehearse(self, fn: Callable[..., Any], /, *args: Any) -> None:
+        """Let all workers but one begin with work that is submitted next, alone, and more of its kind later.
+
+        Each begins, traces and compiles while that one works, instead of after it. Its results are of no use.
+        """
+        for _ in range(self._count - 1):
+            self.submit(fn, *args)
 
     def _send(self, future: "Future[Any]", submit: Callable[[ProcessPoolExecutor], "Future[Any]"], tries: int) -> None:
         with self._lock:

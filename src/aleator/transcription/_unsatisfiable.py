@@ -47,8 +47,8 @@ def refuse_blind(outcome: Outcome, transcribed: AbstractTranscribed) -> None:
     if not names:
         return
     raise ProblemError(
-        f"The objective or a constraint changes with {names}, but all derivatives tried are zero, so that no solver by "
-        "derivatives can choose: the model rounds, floors, casts to whole numbers or stops gradients. "
+        f"The objective or a constraint changes with {names}, but all its derivatives tried are zero, so that no "
+        "solver by derivatives can choose: the model rounds, floors, casts to whole numbers or stops gradients. "
         "Make the effect smooth, let a search compare values (al.solvers.DifferentialEvolution()), or fix the number "
         "and compare its values one by one."
     )

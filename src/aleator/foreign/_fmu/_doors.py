@@ -4,7 +4,8 @@ import itertools
 import weakref
 from abc import abstractmethod
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any, final
 
 from typing_extensions import override
@@ -40,7 +41,7 @@ class AbstractDoor:
 class Here(AbstractDoor):
     """An FMU in this process."""
 
-    def __init__(self, name: str, folder: Any, kind: str, settings: Any):
+    def __init__(self, name: str, folder: Path, kind: str, settings: Mapping[str, Any]):
         super().__init__()
         with LOCK:
             self._objects = Objects(Opened(name, folder, kind, settings))

@@ -82,7 +82,7 @@ class OwnProcess(AbstractDoor):
             raise
         return running
 
-    def _answered(self, running: _Process, sent: Any, where: Callable[[], str]) -> Any:
+    def _answered(self, running: _Process, sent: tuple[Any, ...], where: Callable[[], str]) -> Any:
         """What the process answers. It is ended if that takes too long, or is interrupted."""
         answer = None
         try:
@@ -99,7 +99,9 @@ class OwnProcess(AbstractDoor):
             raise _ERRORS.get(kind, SimulationError)(text if kind in _ERRORS else self._odd(kind, text, where))
         return returned
 
-    def _received(self, running: _Process, sent: Any, where: Callable[[], str]) -> tuple[Any, Any, list[str]]:
+    def _received(
+        self, running: _Process, sent: tuple[Any, ...], where: Callable[[], str]
+    ) -> tuple[Any, tuple[str, str] | None, list[str]]:
         try:
             running.connection.send(sent)
             while running.connection.poll(self._limit):

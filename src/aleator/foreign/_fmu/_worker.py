@@ -13,7 +13,7 @@ from aleator.foreign._fmu._opened import Opened
 from aleator.foreign._fmu._served import Objects
 
 
-def serve(address: Any, key: bytes) -> None:
+def serve(address: str | tuple[str, int], key: bytes) -> None:
     """Connect to the process that started this one, and serve it.
 
     Its first message is what `Opened` takes, others are the numbers of objects to forget and a request. Answers are

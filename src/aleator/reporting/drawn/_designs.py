@@ -9,14 +9,15 @@ from aleator._core.given import positive, whole
 from aleator.reporting import _units
 from aleator.reporting._blocks import Table
 from aleator.reporting._decisions import decisions_figure
+from aleator.reporting._limited_paths import components, limits_of, paths_of
 from aleator.reporting._meshes import mesh_figure
 from aleator.reporting._numbers import number, words
 from aleator.reporting._paths import histories_figure, limits_text, path_figure
 from aleator.reporting._searches import search_figure
-from aleator.reporting._tables import STATUS_WORDS, limit_rows
+from aleator.reporting._tables import STATUS_WORDS, decision_text, limit_rows
 from aleator.reporting.drawn._facts import Facts, facts_of
 from aleator.reporting.drawn._histories import CostatesPlots, SwitchingPlots, state_figure
-from aleator.reporting.drawn._paths_of import components, limits_of, outputs_of, paths_of, simulated
+from aleator.reporting.drawn._paths_of import outputs_of, simulated
 from aleator.reporting.drawn._plots import AbstractPlots, Backend, chosen, drawn_by, plots_of, unknown
 from aleator.solution import MeshError, Solution
 
@@ -168,20 +169,11 @@ plots_of.register(MeshError, MeshPlots)
 def _(solution: Solution) -> Facts:
     heading = f"Solution: {STATUS_WORDS[solution.status]}"
     rows = [("objective", f"{number(solution.objective, 5, _objective_unit(solution))} = {solution.problem.objective}")]
-    rows += [(name, _decided(solution, name)) for name in solution.decisions]
+    rows += [(name, decision_text(solution, name)) for name in solution.decisions]
     limits = [(f"limit {name}", text) for name, text in limit_rows(solution)]
     active = [("active", words(list(solution.active), "nothing"))]
     table = Table("", ["", ""], [*rows, *limits, *active, ("solver", solution.effort.solver)])
     return Facts(heading, "" if solution.ok else solution.why(), [table])
-
-
-def _decided(solution: Solution, name: str) -> str:
-    """A decision with its unit, of an array from where to where it goes."""
-    value, unit = np.asarray(solution.decisions[name], float), _units.of_decision(name, solution.problem)
-    at = " (at its bound)" if solution.is_at_bound(name) else ""
-    if value.ndim == 0:
-        return number(float(value), 5, unit) + at
-    return f"{value.size} numbers from {number(value.min(), 4)} to {number(value.max(), 4, unit)}{at}"
 
 
 def _objective_unit(solution: Solution) -> str:

@@ -9,13 +9,13 @@ from aleator._core.given import positive
 from aleator.design import functionals_of
 from aleator.reporting import _units
 from aleator.reporting._blocks import Table
+from aleator.reporting._limited_paths import components, limits_of, paths_of
 from aleator.reporting._methods import density_figure
 from aleator.reporting._numbers import count, number, share_text
 from aleator.reporting._paths import path_figure
 from aleator.reporting._samples import percentile_figure, trajectory_figure
 from aleator.reporting._shares import shares_figure
 from aleator.reporting.drawn._facts import Facts, facts_of
-from aleator.reporting.drawn._paths_of import components, limits_of, paths_of
 from aleator.reporting.drawn._plots import AbstractPlots, Backend, chosen, drawn_by, plots_of
 from aleator.sweep import EvidenceOfAll
 from aleator.validation import Evidence, Sampled

@@ -19,6 +19,7 @@ from aleator.reporting import (
     effort_figure,
     front_figure,
     given,
+    linked_front,
 )
 from aleator.studies.clutch import LIMITS, MEANS, NAMES, TOLERANCES, clutch
 from aleator.studies.clutch._counts import CHEAPEST, GIVEN, SAFE, tolerances_of
@@ -167,9 +168,10 @@ def _allocation(results: ClutchResults) -> Iterator[Block]:
         bars = {name: {NAMES[part]: value for part, value in one.items()} for name, one in sets.items()}
         yield Drawing([bars_figure(bars, y="Tolerance ±T", unit="mm")], "Tolerances before and after")
     if results.front is not None:
-        figure = front_figure({"cheapest": results.front}, x="Rejects allowed", y="Cost Σ 1/T", y_unit="1/mm")
+        fronts = {"cheapest": results.front}
+        figure = front_figure(fronts, x="Rejects allowed", y="Cost Σ 1/T", y_unit="1/mm")
         figure.update_xaxes(type="log", exponentformat="power", title="Rejects allowed (share)")
-        yield Drawing([figure], "The cost of fewer rejects", "Each point is an optimum; hover for its tolerances.")
+        yield linked_front(fronts, [figure], "The cost of fewer rejects", "Each point is an optimum.")
     yield Code("The problem as mathematics", str(results.allocation.problem))
 
 

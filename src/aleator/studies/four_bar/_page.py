@@ -18,6 +18,7 @@ from aleator.reporting import (
     front_figure,
     given,
     linkage_animation,
+    linked_front,
     looks,
     trajectory_figure,
 )
@@ -163,8 +164,9 @@ def _tolerances(results: FourBarResults) -> Iterator[Block]:
         )
         yield Drawing([bars_figure(bars, y="Width ±", unit="mm")], "Tolerances before and after", caption)
     if results.front is not None:
-        figure = front_figure({ALLOCATED: results.front}, x="Zone allowed ±", x_unit="mm", y="Cost", y_unit="$")
-        yield Drawing([figure], "The cost of a narrower zone", "Each point is an optimum; hover for its decisions.")
+        fronts = {ALLOCATED: results.front}
+        figure = front_figure(fronts, x="Zone allowed ±", x_unit="mm", y="Cost", y_unit="$")
+        yield linked_front(fronts, [figure], "The cost of a narrower zone", "Each point is an optimum.")
 
 
 def _short(width: str) -> str:

@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping, Sequence
 
 import aleator as al
-from aleator.reporting import Block, Drawing, Text, front_figure
+from aleator.reporting import Block, Drawing, Text, front_figure, linked_front
 from aleator.studies._motion.family import Family
 from aleator.studies._motion.views import SHADES, angles_figure, animations, joints_and_tip, tip_paths, torques_figure
 from aleator.studies.pick_and_place_effort._facts import LESSON, UNIT, spreads_table
@@ -64,8 +64,9 @@ def trade_off(front: al.results.Front | None) -> Iterator[Block]:
     """The trade-off between effort and spread."""
     if front is None:
         return
+    fronts = {"least variance": front}
     figure = front_figure(
-        {"least variance": front},
+        fronts,
         x="Effort allowed",
         x_unit=UNIT,
         y="Norm of the tip's variances",
@@ -75,7 +76,7 @@ def trade_off(front: al.results.Front | None) -> Iterator[Block]:
         "Each point is the plan with the smallest spread of the tip for its effort. The first increases beyond the "
         "robust plan's effort gain most; at the right end the torques are at their limits wherever that helps."
     )
-    yield Drawing([figure], "The cost of a smaller spread", caption)
+    yield linked_front(fronts, [figure], "The cost of a smaller spread", caption)
 
 
 def lesson(wide: Family | None, spreads: Mapping[str, Mapping[str, Spread]], names: Sequence[str]) -> Iterator[Block]:

@@ -15,6 +15,7 @@ from aleator.reporting import (
     decision_path_figure,
     front_figure,
     given,
+    linked_front,
     number,
     projection_figure,
     relative_figure,
@@ -62,22 +63,26 @@ def robust_design(results: SuspensionResults) -> Iterator[Block]:
     yield Drawing([signal], "The road", "Four bumps of 0.15 m at 1, 5, 10 and 15 Hz, with noise on top.", "6.2")
     pair = {name: one for name, one in results.travel_fronts.items() if name != "aOpt"}
     if pair:
-        yield Drawing(
+        yield linked_front(
+            pair,
             [_ride_front(pair, TRAVEL_NAME)],
             f"Ride against the travel limit, H = {HOLDING:g} m",
             f"{HOW_TO_SEE} {_transition(pair, 'travel', 'm')} Accounting for uncertainty shifts the whole trade-off "
             "up; where the curves are flat, holding is active and more travel brings no gain.",
             "6.4",
+            results.evidence.values(),
         )
         yield _shadow_price(pair, TRAVEL_NAME, "travel", "The value of a centimetre of travel", 0.01, "cm")
     if results.holding_fronts:
-        yield Drawing(
+        yield linked_front(
+            results.holding_fronts,
             [_ride_front(results.holding_fronts, HOLDING_NAME)],
             f"Ride against the holding limit, R = {TRAVEL:g} m",
             f"{HOW_TO_SEE} {_transition(results.holding_fronts, 'holding', 'm')} The robust design changes its active "
             "limit first, because its box meets the travel limit earlier (figure 6.7). Crosses: no design meets all"
             " limits.",
             "6.5",
+            results.evidence.values(),
         )
         yield _shadow_price(
             results.holding_fronts, HOLDING_NAME, "holding", "The value of a millimetre of holding", 0.001, "mm"
@@ -189,10 +194,12 @@ def apportionment(results: SuspensionResults) -> Iterator[Block]:
     rides = {name: one for name, one in results.travel_fronts.items() if name != "aOpt"}
     if front is not None:
         start = results.designs.get("uOpt") or results.designs.get("dOpt")
-        yield Drawing(
+        costs = {"aOpt": front}
+        yield linked_front(
+            costs,
             [
                 front_figure(
-                    {"aOpt": front},
+                    costs,
                     x=TRAVEL_NAME,
                     x_unit="m",
                     y="Cost of the spreads",
@@ -204,9 +211,11 @@ def apportionment(results: SuspensionResults) -> Iterator[Block]:
             f"{HOW_TO_SEE} Above the line, spreads must be tighter than the initial ones; at the crosses no choice of "
             "spreads meets all limits.",
             "7.3",
+            results.evidence.values(),
         )
     if rides:
-        yield Drawing(
+        yield linked_front(
+            rides,
             [
                 front_figure(
                     rides,
@@ -222,6 +231,7 @@ def apportionment(results: SuspensionResults) -> Iterator[Block]:
             "Where uOpt lies above the ride limit, aOpt must tighten spreads to meet it. In the grey band even that is "
             "not enough: the load mₛ and the tyre kᵤ keep their spreads.",
             "7.4",
+            results.evidence.values(),
         )
     if front is not None and front.solved.any():
         names = {name: f"{text} (initially ±{_initial(front, name)})" for name, text in SPREADS.items()}

@@ -1,0 +1,139 @@
+"""What a page shows of one design that a reader chooses: its facts as tables, and its paths."""
+
+from collections.abc import Iterable, Iterator, Mapping
+from types import MappingProxyType
+
+import numpy as np
+
+from aleator.reporting import _units
+from aleator.reporting._blocks import Band, Choice, Table
+from aleator.reporting._limited_paths import components, limits_of, paths_of
+from aleator.reporting._numbers import count, number, residual, share_text, words
+from aleator.reporting._tables import STATUS_WORDS, decision_text, objective_text, worst_text
+from aleator.solution import Solution
+from aleator.sweep import Refused
+from aleator.validation import Evidence
+
+# Instants of a path on a page: more than its figure has pixels for would only make the page larger.
+_INSTANTS = 200
+
+_UNCHECKED = "No fresh systems were simulated at this design: see al.validate_all."
+
+
+def choice(
+    name: str,
+    point: Solution | Refused,
+    evidence: Evidence | None = None,
+    wishes: Mapping[str, str] = MappingProxyType({}),
+) -> Choice:
+    """All that is known of a design, or why there is none.
+
+    - `evidence`: on this design; `wishes`: their values and rates, where the objective is a weighted sum of wishes.
+    """
+    if isinstance(point, Refused):
+        return Choice(name, [_table("Certificate", [("Status", STATUS_WORDS[point.status])], point.reason)])
+    tables = [
+        _table("Decisions", [(one, decision_text(point, one)) for one in point.decisions]),
+        _table("Wishes", wishes.items())
+        if wishes
+        else _table("Objective", [(str(point.problem.objective), objective_text(point))]),
+        _table("Limits", [(one, worst_text(point, one)) for one in _limits(point)]),
+        _table(f"Shadow prices{' in the weighted sum of the wishes' if wishes else ''}", _prices(point)),
+        _table("Statistics", _statistics(point)),
+        _table("Evidence", _counted(evidence), _alarms(evidence)),
+    ]
+    certificate = _table("Certificate", _certified(point), "" if point.ok else point.why())
+    # That there is no design comes first.
+    ordered = [*tables, certificate] if point.ok else [certificate, *tables]
+    return Choice(name, [one for one in ordered if one.rows or one.note], bands(point))
+
+
+def evidence_on(solution: Solution | Refused, known: Iterable[Evidence]) -> Evidence | None:
+    """The evidence on this very design: on its decisions, in a problem with the same text; None if there is none."""
+    if isinstance(solution, Refused):
+        return None
+    for one in known:
+        same = np.array_equal(one.solution.vector, solution.vector)
+        if one.solution is solution or (same and one.solution.problem_text == solution.problem_text):
+            return one
+    return None
+
+
+def _table(caption: str, rows: Iterable[tuple[str, str]], note: str = "") -> Table:
+    return Table(caption, ["", ""], [list(row) for row in rows], note)
+
+
+def _limits(solution: Solution) -> list[str]:
+    return list(dict.fromkeys(one.name for one in solution.constraints))
+
+
+def _prices(solution: Solution) -> Iterator[tuple[str, str]]:
+    """The shadow price of each limit, and those of the bounds of decisions where these lie at one. Of designs alone."""
+    if not solution.ok:
+        return
+    objective = _units.of_expression(solution.problem.objective, solution.problem)
+    for name in _limits(solution):
+        unit = _units.of_expression(solution.problem.named(name)[0].expression, solution.problem)
+        yield name, number(solution.multiplier(name), 4, _per(objective, unit))
+    for name, value in solution.bound_multipliers.items():
+        if np.any(value) and solution.is_at_bound(name):
+            price = float(np.sum(np.abs(value)))
+            yield f"bound of {name}", number(price, 4, _per(objective, _units.of_decision(name, solution.problem)))
+
+
+def _per(unit: str, by: str) -> str:
+    return f"{unit} per {by}".strip() if by else unit
+
+
+def _statistics(solution: Solution) -> Iterator[tuple[str, str]]:
+    """The statistics in the problem that are numbers; those of paths are drawn."""
+    units = _units.of_statistics(solution.problem)
+    for text, value in solution.statistics.items():
+        if np.ndim(value) == 0:
+            yield text, number(float(value), 5, units.get(text, ""))
+
+
+def _counted(evidence: Evidence | None) -> Iterator[tuple[str, str]]:
+    if evidence is None:
+        return
+    yield "Fresh systems", count(evidence.samples)
+    for name, share in evidence.violations.items():
+        yield f"Violate {name}", share_text(share)
+    if evidence.violations:
+        yield "Violate any limit", share_text(evidence.joint)
+    yield "Agree with the expansion", "yes" if evidence.agrees else "no"
+
+
+def _alarms(evidence: Evidence | None) -> str:
+    if evidence is None:
+        return _UNCHECKED
+    said = [] if evidence.agrees else [evidence.alarm()]
+    return " ".join([*said, *(one.sentence() for one in evidence.compared)])
+
+
+def _certified(solution: Solution) -> Iterator[tuple[str, str]]:
+    yield "Status", STATUS_WORDS[solution.status]
+    yield "Active", words(list(solution.active), "nothing")
+    found = solution.certificate
+    residuals = (("violation", found.violation), ("stationarity", found.stationarity))
+    told = [f"{name} {residual(value)}" for name, value in (*residuals, ("complementarity", found.complementarity))]
+    yield "Residuals, scaled", ", ".join(told)
+    errors = found.expansion.leave_one_out
+    if errors and found.expansion.points > 1:
+        worst = max(errors, key=lambda text: errors[text])
+        yield "Worst leave-one-out error", f"{residual(errors[worst])} ({worst})"
+
+
+def bands(solution: Solution) -> list[Band]:
+    """The paths in the problem of a design, with their limits, at no more than 200 instants."""
+    every = []
+    for name, functional in paths_of(solution.problem).items():
+        unit = _units.of_functional(functional, solution.problem)
+        limits = limits_of(solution.problem, functional, unit)
+        found, times = solution.moments[functional.text()], solution.instants
+        kept = np.unique(np.linspace(0, len(times) - 1, min(_INSTANTS, len(times))).round().astype(int))
+        for one, moments in components(name, found.mean, found.std).items():
+            every.append(
+                Band(one, unit, times[kept], moments.mean[kept], moments.std[kept], limits.sigmas, limits.texts)
+            )
+    return every

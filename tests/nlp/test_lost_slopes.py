@@ -1,0 +1,56 @@
+"""An objective that changes without a slope is refused, where its decision acts smoothly on a limit."""
+
+import jax.numpy as jnp
+import pytest
+
+import aleator as al
+
+
+class Bar(al.AlgebraicSystem):
+    """A bar whose cost is some function of its width."""
+
+    width: al.Number
+    load: al.Number
+    kind: str = "smooth"
+
+    def outputs(self):
+        return {"stress": self.load / self.width, "cost": COSTS[self.kind](self.width)}
+
+
+COSTS = {
+    "hundredths": lambda width: jnp.round(width, 2),
+    "whole": jnp.round,
+    "floored": lambda width: jnp.floor(1000 * width) / 1000,
+    "sizes on stock": lambda width: jnp.array([3.0, 4.0, 6.0])[jnp.searchsorted(jnp.array([2.5, 3.6]), width)],
+    "smooth": jnp.sqrt,
+    "no matter": lambda width: 0 * width + 1,
+    "never thinner": lambda width: jnp.maximum(width, 3.5),
+}
+
+
+def problem(kind):
+    stress = al.output("stress")
+    strong = (stress.mean + 3 * stress.std <= 0.5).named("stress")
+    bar = Bar(al.Decision(4.0, 0.1, 10.0), al.Uniform(1.0, half_width=0.3), kind)
+    return al.Problem(bar, minimize=al.output("cost").mean, subject_to=[strong])
+
+
+@pytest.mark.parametrize("kind", ["hundredths", "whole", "floored", "sizes on stock"])
+def test_a_rounded_objective_is_refused_by_name(kind):
+    with pytest.raises(al.ProblemError, match="changes with 'width', but all its derivatives tried are zero"):
+        al.solve(problem(kind))
+    assert any("by width" in one for one in al.examine(problem(kind)).wrong)
+
+
+@pytest.mark.parametrize(
+    ("kind", "least"), [("smooth", 1.7433388897576192), ("no matter", 1.0), ("never thinner", 3.5)]
+)
+def test_a_flat_or_smooth_objective_is_solved(kind, least):
+    assert al.solve(problem(kind)).objective == pytest.approx(least, rel=1e-9)
+    assert not al.examine(problem(kind)).wrong
+
+
+def test_a_search_compares_values_and_says_so():
+    found = al.solve(problem("hundredths"), al.solvers.DifferentialEvolution(seed=1))
+    assert found.objective == pytest.approx(3.04, abs=1e-9)
+    assert "values alone chose 'width'" in str(found.effort)

@@ -1,0 +1,196 @@
+"""What a page holds of each design of a front, for a reader to choose."""
+
+import dataclasses
+import json
+import re
+
+import numpy as np
+import pytest
+import report_problems as given
+import shown_results as shown
+
+import aleator as al
+from aleator import ProblemError
+from aleator.reporting import (
+    Band,
+    Choice,
+    Linked,
+    Page,
+    Section,
+    Table,
+    Verdict,
+    front_blocks,
+    page_html,
+    report,
+    share_text,
+    trade_off_blocks,
+)
+from aleator.reporting._choices import bands, choice
+from aleator.reporting._stages import choices_data
+
+MASS = al.output("mass")
+
+
+class Bar(al.AlgebraicSystem):
+    """A bar that carries an uncertain load."""
+
+    width: al.Number = al.parameter("mm", positive=True)
+    load: al.Number = al.parameter("N")
+
+    def outputs(self):
+        return {"stress": self.load / self.width, "mass": self.width}
+
+
+def facts(choice, caption):
+    """The facts of one kind, by name, with plain spaces."""
+    rows = next(one.rows for one in choice.facts if one.caption.startswith(caption))
+    return {name: value.replace("\u202f", " ") for name, value in rows}
+
+
+def linked(evidence=()):
+    return front_blocks({"uOpt": given.front()}, evidence)[0]
+
+
+def test_each_point_of_a_front_tells_its_decisions_objective_limits_prices_and_certificate():
+    front, block = given.front(), linked()
+    assert [one.name.replace("\u202f", " ").split(": ")[1] for one in block.choices] == [
+        "0.9 m",
+        "0.3 m",
+        "0.2 m",
+        "−0.5 m",
+    ]
+    chosen, solution = block.choices[2], front.solutions[2]
+    assert facts(chosen, "Decisions") == {"c.mean": f"{solution.decisions['c.mean']:.4f} N s/m"}
+    assert facts(chosen, "Objective") == {"μ[∫effort dt]": f"{solution.objective:.3f} m²/s³"}
+    assert re.match(r"0\.\d+ ≤ 0\.2 m at \d\.\d+ s", facts(chosen, "Limits")[given.NAME])
+    assert facts(chosen, "Shadow prices") == {given.NAME: f"{front.shadow_prices[2]:.2f} m²/s³ per m"}
+    assert facts(chosen, "Statistics") == {"μ[∫effort dt]": f"{solution.objective:.3f} m²/s³"}
+    assert facts(chosen, "Certificate")["Status"] == "solved"
+    assert facts(chosen, "Certificate")["Active"] == given.NAME
+
+
+def test_a_point_without_a_design_tells_why():
+    failed = linked().choices[3]
+    assert facts(failed, "Certificate")["Status"] == "infeasible"
+    assert failed.facts[0].note == given.front().points[3].why()
+    assert "Shadow prices" not in [one.caption for one in failed.facts]
+    refused = al.results.Refused(given.problem(), "no decision can meet it")
+    front = dataclasses.replace(given.front(), points=(*given.front().points[:3], refused))
+    alone = front_blocks({"uOpt": front})[0].choices[3]
+    assert facts(alone, "Certificate") == {"Status": "infeasible"}
+    assert alone.facts[0].note == "no decision can meet it"
+    assert alone.bands == ()
+
+
+def test_a_decision_at_its_own_bound_tells_what_the_bound_costs():
+    problem = al.Problem(Bar(al.Decision(4.0, 1.0, 10.0), al.Uniform(1.0, half_width=0.3)), minimize=MASS.mean)
+    # The mass is the width, whose lower bound it reaches.
+    prices = facts(choice("alone", al.solve(problem)), "Shadow prices")
+    assert prices == {"bound of width": "1.000 per mm"}
+
+
+def test_evidence_is_shown_at_the_design_on_which_it_was_sampled_and_nowhere_else():
+    along = al.validate_all(given.front(), 400, seed=3)
+    block = linked([one for one in along.evidence if one])
+    for each, evidence in zip(block.choices, along.evidence, strict=False):
+        counted = facts(each, "Evidence")
+        assert counted["Fresh systems"] == "400"
+        share = share_text(evidence.violations[given.NAME])
+        assert counted[f"Violate {given.NAME}"] == share.replace("\u202f", " ")
+    assert block.table.header[-1] == "Violate any limit"
+    assert block.table.rows[3][-1] == "–"
+    # The evidence on the solution of another problem with the same decisions is not on these.
+    other = [dataclasses.replace(given.evidence(), solution=given.front().solutions[0])]
+    assert "Fresh systems" not in facts(linked(other).choices[1], "Evidence")
+
+
+def test_the_points_of_several_fronts_are_linked_with_their_own_designs():
+    first = given.front()
+    second = al.results.Front(first.bound, first.values[1:3], first.points[1:3])
+    block = front_blocks({"a": first, "b": second})[0]
+    assert [one.name.split(",")[0] for one in block.choices] == ["a"] * 4 + ["b"] * 2
+    for figure in block.figures:
+        traces = [one for one in figure.data if one.meta and len(one.meta) > 1]
+        assert [list(one.meta) for one in traces] == [[0, 1, 2, 3], [4, 5]]
+        for trace in traces:
+            for x, place in zip(trace.x, trace.meta, strict=True):
+                assert f"{x:g}".replace("-", "−") in block.choices[place].name
+
+
+def test_the_designs_of_a_trade_off_are_linked_with_their_points():
+    front = shown.trade_off(3)
+    (block,) = trade_off_blocks({"ours": front})
+    assert len(block.figures) == 3
+    assert all(list(figure.data[0].meta) == [0, 1, 2] for figure in block.figures)
+    for row, one in zip(block.table.rows, block.choices, strict=True):
+        assert [cell.replace("\u202f", " ") for cell in row[:3]] == list(facts(one, "Wishes").values())[:3]
+
+
+def test_what_a_wish_buys_is_the_slope_of_the_front():
+    problem = al.Problem(Bar(al.Decision(4.0, 1.0, 10.0), al.Uniform(1.0, half_width=0.3)), minimize=MASS.mean)
+    front = al.trade_off(problem, {"mass": MASS.mean, "stress": al.output("stress").std}, 5)
+    (block,) = trade_off_blocks({"bar": front})
+    told = facts(block.choices[2], "Wishes")["Each unit more of mass buys"]
+    # The standard deviation is 0.3 / √3 / width.
+    assert float(told.split(" ")[0]) == pytest.approx(0.3 / np.sqrt(3.0) / front.values[2, 0] ** 2, rel=1e-3)
+
+
+def test_bands_on_the_page_are_thin_and_exact_to_a_pixel():
+    solution = given.solution()
+    path = al.results.Moments(np.sin(np.linspace(0, 9, 51)) * 1e5 + 3e8, np.linspace(0, 1e4, 51))
+    odd = dataclasses.replace(solution, moments={**solution.moments, "back(t)": path})
+    front = al.results.Front(given.NAME, np.array([0.2]), (odd,))
+    data = choices_data(front_blocks({"uOpt": front})[0])
+    (band,) = data["choices"][0]["bands"].values()
+    reach = np.ptp([*path.mean, 0.2])
+    np.testing.assert_allclose(band["mean"], path.mean, atol=reach / 1000)
+    np.testing.assert_allclose(band["std"], path.std, atol=reach / 1000)
+    assert band["limits"][0][0] == 0.2
+
+
+def test_forty_designs_with_thousands_of_instants_stay_small(monkeypatch):
+    times = np.linspace(0, 10, 5001)
+    path = Band("x", "m", times, np.sin(times), 0.1 + 0.0 * times, 2.0, {1.0: "limit"})
+    solution = given.solution()
+    long = dataclasses.replace(
+        solution, moments={**solution.moments, "back(t)": al.results.Moments(path.mean, path.std)}
+    )
+    monkeypatch.setattr(type(long), "instants", property(lambda one: times))
+    assert [len(one.mean) for one in bands(long)] == [200]
+    assert bands(long)[0].times[[0, -1]].tolist() == [0, 10]
+    front = al.results.Front(given.NAME, np.linspace(0.1, 0.9, 40), (long,) * 40)
+    data = choices_data(front_blocks({"uOpt": front})[0])
+    assert len(data["choices"]) == 40
+    assert len(json.dumps(data)) < 300_000
+
+
+def test_the_page_says_which_design_is_shown_first_and_escapes_all_names(tmp_path):
+    path = report({"u": given.solution()}, fronts={"u": given.front()}, path=tmp_path / "page.html")
+    page = path.read_text(encoding="utf-8")
+    body = page[page.index("<body>") : page.index('<script data-library="plotly">')]
+    assert body.count('type="radio"') == 4
+    assert body.count(" checked>") == 1
+    assert "reach <b>" not in body
+
+
+def test_a_front_and_a_trade_off_are_reported_together(tmp_path):
+    both = {"u": given.front(), "traded": shown.trade_off(2)}
+    page = report({"u": given.solution()}, fronts=both, path=tmp_path / "page.html").read_text(encoding="utf-8")
+    assert page.count('<figure class="linked"') == 2
+    with pytest.raises(ProblemError, match="expected a EvidenceOfAll or several by name; received Evidence"):
+        report(given.solution(), fronts=both, along=given.evidence(), path=tmp_path / "page.html")
+
+
+def test_a_block_whose_table_does_not_fit_its_choices_is_refused():
+    table, choices = Table("t", ["a"], [["1"], ["2"]]), [Choice("one", [])]
+    with pytest.raises(ProblemError, match="expected 1 rows, one a choice; received 2"):
+        Linked([], "h", table, choices)
+    with pytest.raises(ProblemError, match="expected the place of one of 2 choices; received 2"):
+        Linked([], "h", table, choices * 2, chosen=2)
+
+
+def test_choices_without_paths_have_no_figure_of_any():
+    block = Linked([], "h", Table("t", ["a"], [["1"]]), [Choice("one", [Table("Facts", ["", ""], [["a", "b"]])])])
+    page = page_html(Page("t", "s", Verdict("good", "Good", "All well"), [Section("Same", [block])]))
+    assert '<section class="chosen"' in page
+    assert 'class="plot"' not in page
