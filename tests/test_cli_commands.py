@@ -1,6 +1,8 @@
 """The commands on a run's folder: resume, sweep, validate, report, compare and list."""
 
 import json
+import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -14,8 +16,9 @@ from typer.testing import CliRunner
 
 import aleator as al
 from aleator import cli, solving, studies
-from aleator.journalling import FILE
-from aleator.reporting import Section, Table, Verdict
+from aleator.cli._record import Record
+from aleator.journalling import FILE, Entry
+from aleator.reporting import Section, Table, Verdict, only_writer
 from aleator.studies import AbstractStudy, Stage, _swept, load
 
 BAR = '''"""A bar that carries an uncertain load."""
@@ -431,3 +434,140 @@ def test_a_sweep_that_is_killed_is_resumed_from_its_folder_down_to_the_last_bit(
     assert found["recalled"] >= 1
     whole = document(aleator("sweep", "bar.py", "--bound", "stress", "--values", values, "--out", "whole", "--json"))
     assert found["fronts"] == whole["fronts"]
+
+
+def test_the_list_tells_names_the_dead_and_what_is_lost(here: Path, finished: Path):
+    place = here / "copy"
+    shutil.copytree(finished, place)
+    told = said(aleator("list", str(place)))
+    for name in ("designs/nominal", "designs/robust", "evidence/nominal", "evidence/robust"):
+        assert name in told
+    entries = al.load(place).entries
+    (place / entries[0].file).unlink()
+    (place / entries[1].file).write_bytes(b"")
+    begun = Entry.begun("1", "solve Bar", {})
+    with (place / FILE).open("a") as file:
+        file.write(begun.line())
+    before = (place / FILE).read_bytes()
+
+    def states() -> list[str]:
+        return [one["state"] for one in document(aleator("list", str(place), "--json"))["results"]]
+
+    assert states() == ["lost", "lost", *["done"] * (len(entries) - 2), "interrupted"]
+    told = said(aleator("list", str(place)))
+    assert "its file cannot be read: No such file" in told
+    assert "its file is not what was written" in told
+    assert f"{len(entries) - 2} results" in told
+    with only_writer(place):
+        assert states()[-1] == "running"
+    assert (place / FILE).read_bytes() == before
+
+
+def test_another_study_of_the_same_name_does_not_share_a_folder(here: Path):
+    (here / "results/bar").mkdir(parents=True)
+    (here / "results/bar/report.html").write_text("kept")
+    cli._record.Record("bar.toml").write(here / "results/bar")
+    (here / "bar.toml").write_text("")
+    for command in (("run", "bar.py"), ("run", "bar.py", "--afresh"), ("validate", "bar.py")):
+        result = aleator(*command)
+        assert result.exit_code == 2, result.output
+        assert "The results of `aleator run bar.toml` are in 'results/bar'" in said(result)
+        assert "--out results/bar-py" in said(result)
+    assert (here / "results/bar/report.html").read_text() == "kept"
+    assert not (here / "results/bar" / FILE).exists()
+
+
+@pytest.mark.parametrize(
+    ("begun", "other", "is_its_own"),
+    [
+        (Record("bar.py"), Record("bar.py", quick=True), True),
+        (Record("bar.py"), Record("./bar.py"), True),
+        (Record("bar.py"), Record("bar.toml"), False),
+        (Record("bar.py"), Record("bar"), False),
+        (Record("suspension"), Record("suspension"), True),
+        (Record("bar.py"), Record("bar.py", bound="stress", values=(1.0,)), False),
+        (Record("bar.py", bound="stress", values=(1.0,)), Record("bar.py", bound="stress", values=(2.0,)), True),
+        (Record("bar.py", bound="stress", values=(1.0,)), Record("bar.py", bound="mass", values=(1.0,)), False),
+    ],
+)
+def test_a_folder_belongs_to_what_began_it(here: Path, begun: Record, other: Record, is_its_own: bool):
+    (here / "there").mkdir()
+    begun.write(here / "there")
+    if is_its_own:
+        other.check_owns(here / "there")
+    else:
+        with pytest.raises(al.ProblemError, match="name another folder"):
+            other.check_owns(here / "there")
+
+
+def test_a_folder_goes_on_belonging_to_a_study_that_has_moved(here: Path):
+    Record("bar.py").write(here)
+    (here / "moved").mkdir()
+    (here / "bar.py").rename(here / "moved/bar.py")
+    Record("moved/bar.py").check_owns(here)
+
+
+def test_recalled_results_are_told_as_such(here: Path):
+    arguments = ("sweep", "bar.py", "--bound", "stress", "--out", "there")
+    assert "recalled" not in said(aleator(*arguments, "--values", "0.5"))
+    told = said(aleator(*arguments, "--values", "0.5,0.6"))
+    assert re.search(r"front over stress: [\d.]+ s, 1 of 2 recalled", told)
+    assert "1 result was taken from an earlier run" in told
+    assert "front over stress: recalled from an earlier run" in said(aleator(*arguments, "--values", "0.5,0.6"))
+
+
+def test_one_infeasible_design_is_told_among_those_that_are_solved(here: Path):
+    (here / "bar.py").write_text(
+        BAR[: BAR.index("study =")]
+        + "study = al.Study({'impossible': problem.with_bound('stress', 0.01), 'robust': problem}, samples=100)\n"
+    )
+    result = aleator("run", "bar.py", "--json")
+    assert result.exit_code == 1, result.output
+    found = document(result)
+    assert found["verdict"].startswith("Not solved: 1 of 2 designs are solved; 'impossible' is infeasible: ")
+    assert found["errors"] == [one for one in found["errors"] if one.startswith("'impossible' is not solved")]
+    page = (here / "results/bar/report.html").read_text()
+    assert "1 of 2 designs are solved" in page
+    for wrong in ("stopped early", "summary'", "No recommendation after an error"):
+        assert wrong not in page + result.output
+
+
+def test_a_front_without_a_design_says_why_and_exits_with_one(here: Path):
+    result = aleator("sweep", "bar.py", "--bound", "stress", "--values", "0.01", "--json")
+    assert result.exit_code == 1, result.output
+    assert "No point over stress is solved" in document(result)["verdict"]
+    assert "No recommendation" not in result.output
+
+
+DIVERGING = """import aleator as al
+import jax.numpy as jnp
+
+
+class Rod(al.System):
+    states = ("x",)
+    k: al.Number
+
+    def initial(self):
+        return {"x": 1.0}
+
+    def rhs(self, t, z):
+        return (-jnp.sqrt(z.x - 0.5 * self.k),)
+
+    def outputs(self, t, z):
+        return {"x": z.x}
+
+
+rod = Rod(al.Uniform(al.Decision(1.0, 0.5, 2.0), half_width=0.1))
+problem = al.Problem(rod, grid=al.Grid(5.0, 50), minimize=al.terminal("x").mean)
+"""
+
+
+def test_a_model_that_diverges_ends_with_its_reason_and_a_page(here: Path):
+    (here / "bar.py").write_text(DIVERGING)
+    result = aleator("run", "bar.py")
+    assert result.exit_code == 1
+    assert isinstance(result.exception, SystemExit), "no traceback of ours"
+    told = said(result)
+    assert "is not finite: output 'x' from t = 1.3 s on" in told
+    assert "cannot convert" not in told
+    assert "model failed" in (here / "results/bar/report.html").read_text()

@@ -71,7 +71,7 @@ def test_only_a_terminal_gets_control_characters(is_terminal: bool):
     ) as progress:
         progress.begin("front")
         progress.show("front: [x] = 1, objective 2", 1, 1)
-        progress.end("front", 1.0, 0.5)
+        progress.end("front", 1.0, "0.5 s")
     assert ("\x1b" in file.getvalue()) == is_terminal
     assert "front: [x] = 1, objective 2" in file.getvalue()
     assert "front: 0.5 s" in file.getvalue()

@@ -1,6 +1,7 @@
 """Journals of runs: what is kept, what is taken from there, and what is not."""
 
 import array
+import dataclasses
 import enum
 import json
 import logging
@@ -22,7 +23,7 @@ import aleator as al
 from aleator import solving
 from aleator.journalling import FILE, Entry, State
 from aleator.journalling._parts import Parts
-from bars import MASS, NEEDED, Bar, bar
+from bars import MASS, NEEDED, STRESS, Bar, bar
 
 
 @pytest.fixture
@@ -359,3 +360,77 @@ def count(folder: Path) -> int:
     path = folder / FILE
     lines = path.read_bytes().split(b"\n")[:-1] if path.exists() else []
     return sum(json.loads(line)["file"] != "" for line in lines if line)
+
+
+def test_computing_afresh_keeps_each_earlier_result_until_its_replacement_is_there(tmp_path: Path, solved: list):
+    with al.journal(tmp_path):
+        before = al.pareto(bar(), "stress", [0.4, 0.5])
+        other = al.solve(bar(load=2.0))
+    files = {one.file for one in al.load(tmp_path).entries}
+    with al.journal(tmp_path, afresh=True) as kept:
+        al.solve(bar().with_bound("stress", 0.4))
+        assert (kept.recalled, kept.begun) == (0, 1)
+    entries = al.load(tmp_path).entries
+    assert states(tmp_path) == ["done"] * 3
+    assert len(files & {one.file for one in entries}) == 2, "one is replaced, the others are as they were"
+    assert all((tmp_path / one.file).is_file() for one in entries)
+    assert sorted(f"finished/{one.name}" for one in (tmp_path / "finished").iterdir()) == sorted(
+        one.file for one in entries
+    )
+
+    done = len(solved)
+    with al.journal(tmp_path):
+        again = al.pareto(bar(), "stress", [0.4, 0.5])
+        al.solve(bar(load=2.0))
+    assert len(solved) == done
+    assert again.objectives.tobytes() == before.objectives.tobytes()
+    assert other.ok
+
+
+def test_an_earlier_result_outlives_the_death_of_the_run_that_computes_it_afresh(
+    tmp_path: Path, solved: list, monkeypatch: pytest.MonkeyPatch
+):
+    with al.journal(tmp_path):
+        before = al.solve(bar())
+
+    def dies(call):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch, al.journal(tmp_path, afresh=True):
+        patch.setattr(solving._solve, "_solved", dies)
+        with pytest.raises(KeyboardInterrupt):
+            al.solve(bar())
+    assert states(tmp_path) == ["stale"]
+    assert "its replacement: interrupted" in str(al.load(tmp_path))
+    with al.journal(tmp_path):
+        assert al.solve(bar()).vector.tobytes() == before.vector.tobytes()
+    assert len(solved) == 1
+    assert states(tmp_path) == ["done"]
+
+    # A killed process writes nothing more.
+    entry = al.load(tmp_path).entries[0]
+    running = dataclasses.replace(Entry.begun(entry.key, entry.what, entry.parts), process=2**22 + 1)
+    with (tmp_path / FILE).open("a") as file:
+        file.write(running.instead_of(entry).line())
+    assert "running" in (tmp_path / FILE).read_text().splitlines()[-1]
+    with al.journal(tmp_path):
+        al.solve(bar())
+    assert len(solved) == 1
+    assert states(tmp_path) == ["done"]
+
+
+def test_designs_of_a_trade_off_have_names_and_none_of_them_is_dropped(tmp_path: Path):
+    with al.journal(tmp_path) as kept:
+        al.trade_off(bar(), {"mass": MASS.mean, "stress": STRESS.mean}, 4)
+        entries = al.load(tmp_path).entries
+        assert len(kept.finished()) == len(entries)
+    names = [one.name for one in entries]
+    assert all(names)
+    assert "best of each wish" in names
+    assert {name for name in names if "point" in name} >= {"trade-off, point 1", "trade-off, point 2"}
+
+
+def test_a_file_in_the_place_of_the_results_is_refused(tmp_path: Path):
+    (tmp_path / "finished").write_text("")
+    with pytest.raises(al.ProblemError, match=r"finished' is a file; expected a folder"), al.journal(tmp_path):
+        pass

@@ -1,4 +1,6 @@
+import math
 import re
+from dataclasses import replace
 from html.parser import HTMLParser
 
 import numpy as np
@@ -8,7 +10,10 @@ import report_problems as given
 import aleator as al
 from aleator import ProblemError
 from aleator.reporting import Card, Page, Section, Table, Text, Verdict, dataset, page_html, report
+from aleator.reporting._numbers import count, number, percent, residual, seconds, values_text
+from aleator.reporting._numbers import given as given_number
 from aleator.reporting._report import verdict
+from aleator.validation import Proportion
 from tiny_models import LOSS, ONE_STEP, RESPONSE, gain_problem
 
 
@@ -147,3 +152,24 @@ def test_evidence_on_another_design_is_refused(tmp_path):
     with pytest.raises(ProblemError, match="evidence on 'b', but no design of that name"):
         report({"a": other}, {"b": strange}, path=tmp_path / "page.html")
     assert not list(tmp_path.iterdir())
+
+
+def test_the_verdict_is_on_the_proposed_design_and_tells_the_others_for_comparison():
+    good, broken = given.evidence(), given.evidence()
+    few = replace(good, violations={name: Proportion(1, 1000) for name in good.violations}, joint=Proportion(1, 1000))
+    designs = {"nominal": broken.solution, "robust": good.solution}
+    said = verdict(designs, {"nominal": broken, "robust": few})
+    assert said.word == "Solved and checked"
+    assert "0.100" in said.headline
+    assert "of the systems of robust break a limit. For comparison: " in said.headline
+    assert "of nominal." in said.headline
+    assert "check the margin" not in said.headline
+    turned = verdict(designs, {"nominal": few, "robust": broken})
+    assert turned.word == "Solved, limits often broken"
+    assert "of the systems of robust break a limit: check the margin. For comparison: 0.100" in turned.headline
+
+
+@pytest.mark.parametrize("write", [number, given_number, percent, residual, count, seconds, values_text])
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_what_is_no_number_is_written_all_the_same(write, value):
+    assert ("–" if math.isnan(value) else "∞") in write(value)

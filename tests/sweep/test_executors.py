@@ -198,6 +198,34 @@ def test_work_that_always_kills_its_worker_ends():
         executor.submit(dies, 1).result()
 
 
+AT_CTRL_C = """
+    import os
+    import signal
+
+    import aleator as al
+
+    if __name__ == "__main__":
+        with al.workers(2) as executor:
+            try:
+                print([one.result() for one in [executor.submit(abs, -number) for number in range(4)]])
+                os.killpg(0, signal.SIGINT)
+                signal.pause()
+            except KeyboardInterrupt:
+                print("interrupted")
+"""
+
+
+@posix
+@pytest.mark.slow
+def test_workers_without_work_end_at_ctrl_c_without_a_word(tmp_path: Path):
+    (tmp_path / "script.py").write_text(textwrap.dedent(AT_CTRL_C))
+    command = [sys.executable, str(tmp_path / "script.py")]
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=120, start_new_session=True, check=False)
+    assert ended.stdout.split("\n") == ["[0, 1, 2, 3]", "interrupted", ""], ended.stderr
+    assert ended.stderr == ""
+    assert ended.returncode == 0
+
+
 def test_the_first_point_of_a_front_is_rehearsed_by_all_other_workers(
     threads: Executor, monkeypatch: pytest.MonkeyPatch
 ):

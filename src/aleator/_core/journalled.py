@@ -86,6 +86,7 @@ class _Unkept(AbstractEntry):
 
 _present: ContextVar[AbstractJournal | None] = ContextVar("journal", default=None)
 _begun: ContextVar[AbstractEntry | None] = ContextVar("entry", default=None)
+_called: ContextVar[str] = ContextVar("name of the work", default="")
 
 
 @contextmanager
@@ -115,6 +116,21 @@ def expected(what: str, problems: Mapping[str, Any]) -> Iterator[None]:
     yield
     if journal is not None:
         journal.withdraw(keys)
+
+
+@contextmanager
+def calling(name: str) -> Iterator[None]:
+    """Let a journal call what is computed within a block by a name, unless it has one of its own."""
+    token = _called.set(name)
+    try:
+        yield
+    finally:
+        _called.reset(token)
+
+
+def called() -> str:
+    """The name of the present work; empty if it has none."""
+    return _called.get()
 
 
 def journalled(what: str, given: Mapping[str, Any], compute: Callable[[], Result]) -> Result:

@@ -13,7 +13,7 @@ from aleator.cli._facts import facts_of
 from aleator.cli._progress import shown
 from aleator.cli._record import RECORD, Record
 from aleator.cli._terminal import FAILED, USAGE, Terminal
-from aleator.journalling import Journal, forget, journal
+from aleator.journalling import Journal, journal
 from aleator.reporting import PAGE, Table, check_writable, only_writer, save_study, words
 from aleator.solution import Solution
 from aleator.studies import AbstractStudy, PartlySavedError, tables_of
@@ -49,20 +49,21 @@ def executed(
             job.check_declaration()
             folder = check_writable(out)
             held.enter_context(only_writer(folder))
-            if afresh:
-                forget(folder)
+            if record is not None:
+                record.check_owns(folder)
+            kept = held.enter_context(journal(folder, afresh=afresh))
             if record is None:
                 (folder / RECORD).unlink(missing_ok=True)
             else:
                 record.write(folder)
-            kept = held.enter_context(journal(folder))
         except ProblemError as error:
             terminal.complain("error", error)
             return USAGE
         try:
             code = course.execute(job, folder, kept)
             if kept.recalled:
-                terminal.tell(f"{kept.recalled} results were taken from an earlier run; --afresh computes them anew.")
+                told = "1 result was" if kept.recalled == 1 else f"{kept.recalled} results were"
+                terminal.tell(f"{told} taken from an earlier run; --afresh computes anew.")
             return code
         except BrokenPipeError:
             raise
@@ -82,7 +83,7 @@ class _Course:
         self._terminal = terminal
         self.interruptions = Interruptions(self._last_words)
         self._stage, self._folder = "", Path()
-        self._finished, self._paths = list[str](), list[Path]()
+        self._finished, self._paths, self._reduced = list[str](), list[Path](), list[Path]()
         self._tables: Sequence[Table] = ()
         self._told = list[str]()
         self._mistake: Exception | None = None
@@ -107,10 +108,17 @@ class _Course:
         if not self._interrupted(code):
             if self._mistake is not None:
                 raise self._mistake
-            return code
+            return self._judged(job, code)
         self.interruptions.conclude()
         self._terminal.last_words(self._last_words())
         return self.interruptions.exit_code
+
+    def _judged(self, job: AbstractStudy, code: int) -> int:
+        """The exit code of a run that went through: that of a failure where something has no solution."""
+        if code or not job.unsolved:
+            return code
+        self._terminal.complain("error", job.unsolved)
+        return FAILED
 
     def _interrupted(self, code: int) -> bool:
         return self.interruptions.received is not None or code == self.interruptions.exit_code
@@ -160,11 +168,13 @@ class _Course:
         with shown(self._terminal.console, total) as progress:
             for name, stage in job.stages.items():
                 self._stage, started = name, time.perf_counter()
+                recalled, begun = self._kept.recalled, self._kept.begun
                 progress.begin(name)
                 with self.interruptions.work():
                     job.run(name, progress.show)
                 self._save(job, [*self._finished, name])
-                progress.end(name, stage.share, time.perf_counter() - started)
+                told = _told(time.perf_counter() - started, self._kept.recalled - recalled, self._kept.begun - begun)
+                progress.end(name, stage.share, told)
         self._stage = ""
 
     def _save(self, job: AbstractStudy, finished: list[str]) -> None:
@@ -192,7 +202,8 @@ class _Course:
         except Exception as error:
             if self.interruptions.received is None:
                 job.note_failure("the page", error)
-                self._paths = [*self._paths, job.write_what_is_left(self._folder)]
+                self._reduced = [job.write_what_is_left(self._folder)]
+                self._paths = [*self._paths, *self._reduced]
             raise
         self._paths = [*self._paths, page]
 
@@ -200,8 +211,9 @@ class _Course:
         for table in self._tables:
             self._terminal.table(table)
         self._terminal.title(job.headline())
-        for path in self._paths:
-            self._terminal.tell(f"wrote {path}")
+        for path in dict.fromkeys(self._paths):
+            if path.exists():
+                self._terminal.tell(f"wrote {path}{', without the parts that failed' if path in self._reduced else ''}")
 
     def _facts(self, job: AbstractStudy) -> Mapping[str, Any]:
         """The run for its JSON document, whatever of it is there."""
@@ -209,6 +221,13 @@ class _Course:
             return {}
         facts = {"folder": str(self._folder), "finished": self._finished, "files": [str(one) for one in self._paths]}
         return {**facts, **facts_of(job)}
+
+
+def _told(seconds: float, recalled: int, begun: int) -> str:
+    """How a stage came to its end: by computing, or with results of an earlier run."""
+    if not recalled:
+        return f"{seconds:.1f} s"
+    return f"{seconds:.1f} s, {recalled} of {recalled + begun} recalled" if begun else "recalled from an earlier run"
 
 
 def _journalled_results(place: str, results: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:

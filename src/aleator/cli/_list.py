@@ -8,7 +8,7 @@ from rich.table import Table as RichTable
 
 from aleator.cli._options import AsJson
 from aleator.cli._terminal import Terminal
-from aleator.journalling import Entry, load
+from aleator.journalling import Entry, examined, listing
 from aleator.studies import STUDIES
 
 
@@ -24,9 +24,9 @@ def list_studies(
         _tell_studies(terminal)
     else:
         with terminal.refusing():
-            found = load(folder)
-        terminal.tell(f"{found}")
-        terminal.note(folder=str(folder), results=[_row(one) for one in found.entries])
+            found = examined(folder)
+        terminal.tell(listing(folder, found))
+        terminal.note(folder=str(folder), results=[_row(one) for one in found])
     terminal.conclude(0)
 
 

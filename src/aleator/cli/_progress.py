@@ -26,8 +26,8 @@ class AbstractShown(abc.ABC):
         """A stage begins."""
 
     @abc.abstractmethod
-    def end(self, stage: str, share: float, seconds: float) -> None:
-        """A stage has ended; `share` is its part of all."""
+    def end(self, stage: str, share: float, told: str) -> None:
+        """A stage has ended; `share` is its part of all, `told` how long it took."""
 
 
 @contextmanager
@@ -64,9 +64,9 @@ class _Bars(AbstractShown):
         self._bars.update(self._inner, description=f"  {told}", completed=done, total=total)
 
     @override
-    def end(self, stage: str, share: float, seconds: float) -> None:
+    def end(self, stage: str, share: float, told: str) -> None:
         self._bars.remove_task(self._inner)
-        self._bars.console.print(f"{stage}: {seconds:.1f} s")
+        self._bars.console.print(f"{stage}: {told}")
         self._bars.advance(self._overall, share)
 
 
@@ -97,8 +97,8 @@ class _Lines(AbstractShown):
             self._last, self._told = now, (done, task)
 
     @override
-    def end(self, stage: str, share: float, seconds: float) -> None:
-        self._console.print(f"{stage}: {seconds:.1f} s", soft_wrap=True)
+    def end(self, stage: str, share: float, told: str) -> None:
+        self._console.print(f"{stage}: {told}", soft_wrap=True)
 
 
 def _duration(seconds: float) -> str:

@@ -49,6 +49,39 @@ class Record:
             return study
         return SweptStudy(study, self.bound, self.values, design=self.design or None, workers=self.workers or None)
 
+    def check_owns(self, folder: Path) -> None:
+        """Refuse a folder that another study has begun, or another sweep: its results would be replaced.
+
+        Raises `ProblemError`; also where the folder does not say what began it.
+        """
+        if not (folder / RECORD).is_file():
+            return
+        other = _read(folder)
+        if not self._is_of(other, folder):
+            raise ProblemError(
+                f"The results of `{other}` are in '{folder}', and `{self}` would replace them: name another folder, "
+                f"such as --out {_another(folder, self.study)}, or remove that one."
+            )
+
+    def _is_of(self, other: "Record", folder: Path) -> bool:
+        """Whether it goes on with the run that another has begun, wherever its file is now."""
+        if (self.bound, self.design) != (other.bound, other.design):
+            return False
+        if not self.study.endswith(_FILES) or not other.study.endswith(_FILES):
+            return self.study == other.study
+        places = [one for one in other.places(folder) if one.is_file()]
+        if not places:
+            return Path(self.study).name == Path(other.study).name
+        return Path(self.study).resolve() in [one.resolve() for one in places]
+
+    def places(self, folder: Path) -> list[Path]:
+        """Where the study's file may be: as it was given, or as it lies from the run's folder."""
+        return [Path(self.directory) / self.study, folder / self.beside]
+
+    def __str__(self) -> str:
+        bound = f" --bound {self.bound}" if self.bound else ""
+        return f"aleator {self.command} {self.study}{bound}{f' --design {self.design}' if self.design else ''}"
+
     def write(self, folder: Path) -> None:
         """Note it in the run's folder, atomically."""
         text = json_text({"command": self.command, **asdict(self._placed(folder))})
@@ -68,15 +101,26 @@ def _relative(file: Path, folder: Path) -> str:
         return ""
 
 
+def _another(folder: Path, study: str) -> Path:
+    """A name for another folder, in which the kind of the study's file is told."""
+    kind = Path(study).suffix.removeprefix(".") if study.endswith(_FILES) else ""
+    return folder.with_name(f"{folder.name}-{kind or 'again'}")
+
+
 def recorded(folder: Path) -> Record:
     """What began the run of a folder, whose modules can be imported from now on.
 
     Raises `ProblemError` if the folder does not say, or if the study's file has gone.
     """
+    return _found(_read(folder), folder)
+
+
+def _read(folder: Path) -> Record:
+    """What began the run of a folder, as it was noted. Raises `ProblemError` if the folder does not say."""
     path = folder / RECORD
     try:
         data = json.loads(path.read_bytes())
-        record = Record(**{name: _known(data[name], name) for name in (one.name for one in fields(Record))})
+        return Record(**{name: _known(data[name], name) for name in (one.name for one in fields(Record))})
     except FileNotFoundError:
         raise ProblemError(
             f"There is no '{RECORD}' in '{folder}': expected a folder that `aleator run` or `aleator sweep` has begun. "
@@ -84,10 +128,9 @@ def recorded(folder: Path) -> Record:
         ) from None
     except (OSError, ValueError, TypeError, KeyError) as error:
         raise ProblemError(
-            f"'{path}' does not say what began the run ({type(error).__name__}: {error}): run the study by its name, "
-            "with --out for this folder."
+            f"'{path}' does not say what began the run ({type(error).__name__}: {error}): remove this file if you know "
+            "it, and run the study by its name, with --out for this folder."
         ) from error
-    return _found(record, folder)
 
 
 def _known(value: Any, name: str) -> Any:
@@ -103,7 +146,7 @@ def _found(record: Record, folder: Path) -> Record:
         if record.directory not in sys.path:
             sys.path.insert(0, record.directory)
         return record
-    places = [Path(record.directory) / record.study, folder / record.beside]
+    places = record.places(folder)
     for place in places:
         if place.is_file():
             return replace(record, study=str(place))

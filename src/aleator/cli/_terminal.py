@@ -7,10 +7,10 @@ from typing import Any, NoReturn, final
 
 import typer
 from rich.console import Console
-from rich.table import Table as RichTable
 from rich.text import Text
 
 from aleator._core.errors import AleatorError, AleatorWarning
+from aleator.cli._tables import fitted
 from aleator.reporting import Table, json_text
 
 FAILED, USAGE = 1, 2
@@ -39,7 +39,8 @@ class Terminal:
 
     def table(self, table: Table) -> None:
         """Print a table."""
-        self.console.print(_rich(table))
+        for one in fitted(table, self.console.width):
+            self.console.print(one)
 
     def look_at(self, said: str) -> None:
         """Print what deserves a look."""
@@ -106,11 +107,3 @@ class Terminal:
 def _console(*, stderr: bool = False) -> Console:
     """A console that prints text literally, without markup."""
     return Console(stderr=stderr, markup=False, emoji=False, highlight=False)
-
-
-def _rich(table: Table) -> RichTable:
-    """A table of a report for the terminal."""
-    shown = RichTable(*table.header, title=table.caption, caption=table.note, caption_justify="left")
-    for row in table.rows:
-        shown.add_row(*map(str, row))
-    return shown

@@ -16,7 +16,7 @@ from aleator._core.progress import Progress
 from aleator.cli._kept import sorted_by_kind
 from aleator.cli._options import AsJson, Design, StudyOrFolder, folder_of
 from aleator.cli._progress import shown
-from aleator.cli._record import RECORD, recorded
+from aleator.cli._record import RECORD, Record, recorded
 from aleator.cli._terminal import FAILED, Terminal
 from aleator.design import Problem
 from aleator.journalling import Journal, journal
@@ -60,7 +60,9 @@ def _meant(place: str) -> tuple[AbstractStudy | None, Path]:
     """The study and the folder of a name: a folder's study if it says which it is, a study's folder."""
     folder = Path(place)
     if not folder.is_dir():
-        return studies.load(place), folder_of(place)
+        study, folder = studies.load(place), folder_of(place)
+        Record(place).check_owns(folder)
+        return study, folder
     return (recorded(folder).made() if (folder / RECORD).is_file() else None), folder
 
 
@@ -107,7 +109,7 @@ class _Sampling:
                     begun = time.perf_counter()
                     progress.begin(f"evidence on {name}")
                     self._sample(name, one, solving, progress.show)
-                    progress.end(f"evidence on {name}", 1.0, time.perf_counter() - begun)
+                    progress.end(f"evidence on {name}", 1.0, f"{time.perf_counter() - begun:.1f} s")
         except KeyboardInterrupt:
             self.interruptions.conclude()
             self._terminal.last_words("Interrupted: finished evidence is kept.")

@@ -29,6 +29,7 @@ class State(enum.Enum):
     INFEASIBLE = "infeasible"
     FAILED = "failed"
     STALE = "stale"
+    LOST = "lost"
 
 
 @final
@@ -68,6 +69,11 @@ class Entry:
         begun = cls.begun("", what, {"problem": problem}, name)
         return replace(begun, key=begun.waits_as, state=State.WAITING)
 
+    def instead_of(self, earlier: "Entry") -> "Entry":
+        """The same, beginning while an earlier result is there, which stays until this one replaces it."""
+        kept = {"file": earlier.file, "digest": earlier.digest, "seconds": earlier.seconds}
+        return replace(self, name=self.name or earlier.name, **kept)
+
     @property
     def waits_as(self) -> str:
         """The key under which it waits before it begins."""
@@ -87,7 +93,7 @@ class Entry:
         return f"{self.state.value:<12} {'  '.join(one for one in told if one)}"
 
     def _when(self) -> str:
-        if self.is_finished:
+        if self.is_finished and self.state is not State.RUNNING:
             return f"{self.seconds:.2g} s"
         return "" if self.state is State.WAITING else f"since {self.since} on {self.host} ({self.process})"
 
@@ -143,9 +149,17 @@ def named(entries: Iterable[Entry]) -> dict[str, Entry]:
     return found
 
 
+def unfinished(one: Entry, state: State = State.INTERRUPTED, why: str = "") -> Entry:
+    """An entry that ended without a result; one that was to replace an earlier result has this still."""
+    if not one.is_finished:
+        return replace(one, state=state, why=why)
+    return replace(one, state=State.STALE, why=f"its replacement: {state.value}{f', {why}' if why else ''}")
+
+
 def seen(one: Entry) -> Entry:
     """An entry as a reader sees it: what a process of this machine had begun that is no more was interrupted."""
-    return interrupted(one) if one.host == socket.gethostname() and _has_ended(one.process) else one
+    is_over = one.state is State.RUNNING and one.host == socket.gethostname() and _has_ended(one.process)
+    return unfinished(one) if is_over else one
 
 
 def _has_ended(process: int) -> bool:
@@ -159,8 +173,3 @@ def _has_ended(process: int) -> bool:
     except OSError:
         return False
     return False
-
-
-def interrupted(one: Entry) -> Entry:
-    """An entry as it is seen by the only process that may write now: what another had begun was interrupted."""
-    return replace(one, state=State.INTERRUPTED) if one.state is State.RUNNING else one

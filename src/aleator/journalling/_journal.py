@@ -1,7 +1,6 @@
 """`journal`: a folder in which every finished result is kept at once."""
 
 import os
-import shutil
 import threading
 import time
 import warnings
@@ -14,10 +13,10 @@ from typing import Any, final
 from typing_extensions import override
 
 from aleator._core.errors import JournalWarning, ProblemError
-from aleator._core.journalled import AbstractEntry, AbstractJournal, AbstractParts, journalling
+from aleator._core.journalled import AbstractEntry, AbstractJournal, AbstractParts, called, journalling
 from aleator._core.lasting import DoubtError
 from aleator.journalling import _results
-from aleator.journalling._entry import FILE, Entry, State, interrupted, note, read
+from aleator.journalling._entry import FILE, Entry, State, note, read, unfinished
 from aleator.journalling._keys import Keys, done_with
 from aleator.journalling._load import finished
 from aleator.journalling._parts import Parts
@@ -31,7 +30,7 @@ _NAMED = 24  # characters of a key in the name of its file
 
 
 @contextmanager
-def journal(folder: str | Path) -> "Iterator[Journal]":
+def journal(folder: str | Path, *, afresh: bool = False) -> "Iterator[Journal]":
     """Keep every design and all evidence found within a block in `folder`, each as soon as it is there.
 
         with al.journal("results/bracket"):
@@ -42,42 +41,39 @@ def journal(folder: str | Path) -> "Iterator[Journal]":
     versions, down to the last bit, and computes the rest: single solves, fronts, calibrations, starts, and evidence.
     `al.load(folder)` gives the results back. Nothing in it is overwritten by other numbers.
 
+    With `afresh`, what is asked for is computed again all the same. What an earlier run found stays until its
+    replacement is there; results that are not asked for stay as they are.
+
     Raises `ProblemError` if the folder cannot be written to, if another process is writing into it, or if what is there
     is no journal. Warns with `JournalWarning` of results that cannot be kept (a model whose code draws random numbers,
     say), of what an earlier run kept that fits no more and which part of it has changed, and once if the disk is full.
     """
     place = check_writable(folder)
     with only_writer(place):
-        kept = Journal(place)
+        kept = Journal(place, afresh=afresh)
         with journalling(kept):
             yield kept
-
-
-def forget(folder: Path) -> None:
-    """Delete a journal with its results, so that everything is computed again."""
-    with only_writer(folder):
-        shutil.rmtree(folder / _RESULTS, ignore_errors=True)
-        (folder / FILE).unlink(missing_ok=True)
 
 
 @final
 class Journal(AbstractJournal):
     """The journal of one folder, of which this process is the only writer.
 
-    - `recalled`: how many results of earlier processes were taken from there so far.
+    - `recalled`: how many results of earlier processes were taken from there so far; `begun`: how many were not there.
     """
 
-    def __init__(self, folder: Path):
-        self.folder, self.recalled = folder, 0
+    def __init__(self, folder: Path, *, afresh: bool = False):
+        self.folder, self.recalled, self.begun = folder, 0, 0
         entries, size = read(folder / FILE)
-        self._known = {key: interrupted(one) for key, one in entries.items()}
+        self._known = dict(entries)
         self._earlier = {key for key, one in entries.items() if one.is_finished}
+        self._outdated = set(self._earlier) if afresh else set[str]()
+        self._afresh = afresh
         self._keys = Keys()
         self._lock, self._told = threading.Lock(), set[str]()
-        (folder / _RESULTS).mkdir(exist_ok=True)
-        with suppress(FileNotFoundError):
-            # Without a line that a crash cut off, so that the next one begins a line.
-            os.truncate(folder / FILE, size)
+        _prepare(folder, size)
+        # Nobody else writes there any more.
+        self.append(*(unfinished(one) for one in entries.values() if one.state is State.RUNNING))
         # What an earlier run was waiting for need not be wanted now.
         self.withdraw([key for key, one in self._known.items() if one.state is State.WAITING])
 
@@ -89,12 +85,14 @@ class Journal(AbstractJournal):
             said = done_with(what, given)
             self.warn(f"{said} is not kept: another run could not tell whether it is the same ({doubt}).")
             return _Entry(self, None)
-        begun = Entry.begun(key, said, parts)
+        begun = Entry.begun(key, said, parts, called())
         waiting = self._known.get(begun.waits_as)
         begun = begun if waiting is None else replace(begun, name=waiting.name)
-        found = self._recalled(key)
+        found = None if key in self._outdated else self._recalled(key)
         if found is None:
             self._tell_changed(said, parts)
+            self.begun += 1
+            begun = begun.instead_of(self._known[key]) if key in self._outdated else begun
         else:
             self.recalled += key in self._earlier
             self._keys.remember(found, key)
@@ -146,10 +144,10 @@ class Journal(AbstractJournal):
             self.warn(f"{error} It is computed again.")
             return None
 
-    def append(self, *entries: Entry) -> None:
-        """Write lines, whole, at the end of the journal."""
+    def append(self, *entries: Entry) -> bool:
+        """Write lines, whole, at the end of the journal; returns whether they are there."""
         if not entries:
-            return
+            return True
         with self._lock:
             for one in entries:
                 note(self._known, one)
@@ -160,25 +158,31 @@ class Journal(AbstractJournal):
                     os.fsync(file.fileno())
             except OSError as error:
                 self.warn(f"The journal in '{self.folder}' cannot be written ({error.strerror}): work goes on unkept.")
+                return False
+            return True
 
     def keep(self, entry: Entry, result: Any, seconds: float) -> None:
         """Write a result, then the line that says so."""
         if _state_of(result) is State.INTERRUPTED:
-            self.append(replace(entry, state=State.INTERRUPTED))
+            self.append(unfinished(entry))
             return
-        name = f"{_RESULTS}/{entry.what.split()[0]}-{entry.key[:_NAMED]}.nc"
+        name = _place(entry)
         try:
             digest = _results.write(self.folder / name, result, entry.key)
         except ProblemError as error:
             self.warn(f"{entry.what} is not kept: {error}")
             return
         self._keys.remember(result, entry.key)
-        self.append(replace(entry, state=_state_of(result), seconds=seconds, file=name, digest=digest))
+        self._outdated.discard(entry.key)
+        self._earlier.discard(entry.key)
+        told = self.append(replace(entry, state=_state_of(result), seconds=seconds, file=name, digest=digest))
+        if told and entry.file:
+            (self.folder / entry.file).unlink(missing_ok=True)
         self.parts_of(entry).drop()
 
     def parts_of(self, entry: Entry) -> Parts:
         """The parts of a result that is not finished."""
-        return Parts(self.folder / _RESULTS, entry.key[:_NAMED], self.warn)
+        return Parts(self.folder / _RESULTS, entry.key[:_NAMED], self.warn, recalls=not self._afresh)
 
     def warn(self, said: str) -> None:
         """Warn of something, once."""
@@ -221,7 +225,28 @@ class _Entry(AbstractEntry):
     def failed(self, error: BaseException) -> None:
         if self._begun is not None:
             state = State.INTERRUPTED if isinstance(error, KeyboardInterrupt) else State.FAILED
-            self._journal.append(replace(self._begun, state=state, why=f"{type(error).__name__}: {error}"))
+            self._journal.append(unfinished(self._begun, state, f"{type(error).__name__}: {error}"))
+
+
+def _prepare(folder: Path, size: int) -> None:
+    """A place for results, and a journal without a line that a crash cut off, so that the next one begins a line."""
+    place = folder / _RESULTS
+    try:
+        place.mkdir(exist_ok=True)
+        with suppress(FileNotFoundError):
+            os.truncate(folder / FILE, size)
+    except FileExistsError:
+        raise ProblemError(
+            f"'{place}' is a file; expected a folder for finished results. Move it away, or name another folder."
+        ) from None
+    except OSError as error:
+        raise ProblemError(f"The folder '{folder}' cannot take a journal ({error.strerror}): name another.") from error
+
+
+def _place(entry: Entry) -> str:
+    """Where the result of an entry goes: not where an earlier one is, which stays until the journal names the new."""
+    first = f"{_RESULTS}/{entry.what.split()[0]}-{entry.key[:_NAMED]}"
+    return f"{first}.nc" if entry.file != f"{first}.nc" else f"{first}-again.nc"
 
 
 def _state_of(result: Any) -> State:

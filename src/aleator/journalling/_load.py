@@ -1,6 +1,8 @@
 """`load`: the results in a folder, as objects again."""
 
+import socket
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, final
 
@@ -9,9 +11,9 @@ from typing_extensions import override
 from aleator._core.errors import ProblemError
 from aleator._core.given import meant
 from aleator.journalling import _results
-from aleator.journalling._entry import FILE, Entry, State, named, read, seen
+from aleator.journalling._entry import FILE, Entry, State, named, read, seen, unfinished
 from aleator.journalling._keys import Keys
-from aleator.reporting import as_path
+from aleator.reporting import as_path, has_writer
 
 
 @final
@@ -49,7 +51,16 @@ class Loaded(Mapping[str, Any]):
         return name in self._named
 
     def __str__(self) -> str:
-        return "\n".join([f"{self._folder}: {len(self)} results", *(f"  {one}" for one in self.entries)])
+        return listing(self._folder, self.entries)
+
+
+def listing(folder: Path, entries: Iterable[Entry]) -> str:
+    """How many results a folder has, and all entries, a line each."""
+    entries = list(entries)
+    there = sum(one.is_finished and one.state not in (State.STALE, State.LOST) for one in entries)
+    return "\n".join(
+        [f"{folder}: {'1 result' if there == 1 else f'{there} results'}", *(f"  {one}" for one in entries)]
+    )
 
 
 def load(folder: str | Path) -> Loaded:
@@ -79,6 +90,24 @@ def entries_in(place: Path) -> tuple[Entry, ...]:
     return tuple(sorted(entries, key=lambda one: one.state is State.WAITING))
 
 
+def examined(place: Path) -> tuple[Entry, ...]:
+    """What the journal of a folder says, and what is so: whether somebody works there, and whether files are whole.
+
+    What is running has been interrupted if no process writes there any more; a result whose file is missing or
+    damaged is lost. Raises `ProblemError` if there is no journal.
+    """
+    entries, busy = entries_in(place), has_writer(place)
+    return tuple(_examined(place, one, busy) for one in entries)
+
+
+def _examined(place: Path, one: Entry, busy: bool) -> Entry:
+    if one.state is State.RUNNING and not busy and one.host == socket.gethostname():
+        one = unfinished(one)
+    if not one.is_finished or not (why := _results.damage(place / one.file, one.digest)):
+        return one
+    return replace(one, state=State.LOST, why=f"{why}; it is computed again when it is asked for")
+
+
 def finished(folder: Path, entries: Iterable[Entry], keys: Keys) -> tuple[dict[str, Any], list[str]]:
     """All results that can be read, by the names that a study gives them, or else those of `load`; and what cannot.
 
@@ -86,8 +115,9 @@ def finished(folder: Path, entries: Iterable[Entry], keys: Keys) -> tuple[dict[s
     """
     found, refused = dict[str, Any](), list[str]()
     for name, entry in named(entries).items():
+        place = name if entry.name in found else entry.name or name
         try:
-            found[entry.name or name] = result = _results.read(folder / entry.file, entry.digest, entry.key)
+            found[place] = result = _results.read(folder / entry.file, entry.digest, entry.key)
         except ProblemError as error:
             refused.append(str(error))
         else:

@@ -24,14 +24,17 @@ class Parts(AbstractParts):
 
     Files that others could have written are not read.
 
-    - `key`: that of the result; `warn`: is told why a part could not be kept.
+    - `key`: that of the result; `warn`: is told why a part could not be kept;
+    - `recalls`: whether parts of an earlier run are taken.
     """
 
-    def __init__(self, folder: Path, key: str, warn: Callable[[str], None]):
-        self._folder, self._key, self._warn = folder, key, warn
+    def __init__(self, folder: Path, key: str, warn: Callable[[str], None], *, recalls: bool = True):
+        self._folder, self._key, self._warn, self._recalls = folder, key, warn, recalls
 
     @override
     def recall(self, number: int) -> Any:
+        if not self._recalls:
+            return None
         try:
             with self._place(number).open("rb") as file:
                 private, data = is_private(os.fstat(file.fileno())), file.read()

@@ -38,6 +38,15 @@ def write(path: Path, result: Any, key: str) -> str:
     return hashlib.sha256(data).hexdigest()
 
 
+def damage(path: Path, digest: str) -> str:
+    """What is wrong with the file of a result, without reading the result; empty if it is what was written."""
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        return f"its file cannot be read: {error.strerror}"
+    return "" if hashlib.sha256(content).hexdigest() == digest else "its file is not what was written"
+
+
 def read(path: Path, digest: str, key: str) -> Any:
     """The result in a file. Raises `ProblemError` if it is not what was written under its key, or cannot be read here.
 

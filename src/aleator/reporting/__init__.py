@@ -32,6 +32,7 @@ from aleator.reporting._fronts import shadow_price_figure as shadow_price_figure
 from aleator.reporting._linked import front_blocks as front_blocks
 from aleator.reporting._linked import linked_front as linked_front
 from aleator.reporting._linked import trade_off_blocks as trade_off_blocks
+from aleator.reporting._lock import has_writer as has_writer
 from aleator.reporting._lock import only_writer as only_writer
 from aleator.reporting._meshes import mesh_drawing as mesh_drawing
 from aleator.reporting._meshes import mesh_figure as mesh_figure

@@ -57,6 +57,23 @@ def only_writer(folder: Path) -> Iterator[None]:
                 os.close(place.handle)
 
 
+def has_writer(folder: Path) -> bool:
+    """Whether a process is writing results into a folder, as far as can be told; nothing is written to find out."""
+    try:
+        handle = os.open(folder / NAME, os.O_RDWR)
+    except FileNotFoundError:
+        return False
+    except OSError:  # a folder of somebody else
+        return True
+    try:
+        _lock(handle)
+    except OSError:
+        return True
+    finally:
+        os.close(handle)
+    return False
+
+
 def _locked(folder: Path) -> int:
     """The lock's file, opened and locked; only opened where the file system has no locks."""
     try:

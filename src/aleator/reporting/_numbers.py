@@ -10,6 +10,9 @@ if TYPE_CHECKING:
 
     from aleator.validation import Share
 
+NOTHING = "–"
+"""In the place of a number that is not there, or is none."""
+
 _THIN = "\u202f"  # narrow no-break space
 _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
@@ -18,13 +21,18 @@ def number(value: float, digits: int = 4, unit: str = "") -> str:
     """A number to `digits` significant digits, whole where it is large, with its unit: `23 339 N/m`, `−0.0322 m`."""
     value = float(value)
     if math.isnan(value):
-        return "–"
-    text = "∞" if math.isinf(value) else _magnitude(abs(value), digits)
+        return NOTHING
+    text = _magnitude(abs(value), digits)
     signed = f"−{text}" if value < 0 and text != "0" else text
     return f"{signed}{_THIN}{unit}" if unit not in ("", "-") else signed
 
 
 def _magnitude(value: float, digits: int) -> str:
+    """A number that is not negative; a diverged model's are not finite."""
+    if math.isnan(value):
+        return NOTHING
+    if math.isinf(value):
+        return "∞"
     if value == 0:
         return "0"
     if value >= 1e7 or value < 1e-4:
@@ -36,13 +44,15 @@ def _magnitude(value: float, digits: int) -> str:
 
 def given(value: float, unit: str = "") -> str:
     """A number as it was given, without redundant digits: `0.034 m`, `220`."""
-    text = f"{float(value):.6g}".replace("-", "−")
+    if math.isnan(float(value)):
+        return NOTHING
+    text = f"{float(value):.6g}".replace("-", "−").replace("inf", "∞")
     return f"{text}{_THIN}{unit}" if unit not in ("", "-") else text
 
 
 def count(value: int) -> str:
     """A whole number: `20 000`."""
-    return f"{int(value):,}".replace(",", _THIN)
+    return f"{int(value):,}".replace(",", _THIN) if math.isfinite(value) else number(value)
 
 
 def residual(value: float) -> str:
@@ -58,6 +68,8 @@ def seconds(value: float) -> str:
 def percent(probability: float) -> str:
     """A probability to three significant digits: `35.0 %`."""
     value = 100 * float(probability)
+    if not math.isfinite(value):
+        return number(value, unit="%")
     if value == 0 or value == 100:
         return f"{value:.0f}{_THIN}%"
     return f"{value:#.3g}".rstrip(".") + f"{_THIN}%"

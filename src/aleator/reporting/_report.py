@@ -8,6 +8,7 @@ from typing import TypeVar, cast
 import numpy as np
 
 from aleator._core.errors import ProblemError
+from aleator.nlp import Status
 from aleator.reporting import _units
 from aleator.reporting._blocks import Block, Card, Code, Drawing, Section, Text, Verdict
 from aleator.reporting._files import as_path, check_writable
@@ -177,10 +178,14 @@ def footer() -> str:
 
 
 def verdict(designs: Mapping[str, Solution], evidence: Mapping[str, Evidence]) -> Verdict:
-    """The verdict: is everything solved, how often are limits violated, can the moments be trusted?"""
+    """The verdict: is everything solved, how often are limits violated, can the moments be trusted?
+
+    The last design is the one that is proposed; the others stand beside it for comparison.
+    """
     failed = {name: one for name, one in designs.items() if not one.ok}
     coarse = unresolved(designs)
-    sentences = [f"{name}: {one.why()}" for name, one in failed.items()]
+    # The headline says why, where it is one.
+    sentences = [f"{name}: {one.why()}" for name, one in failed.items()] if len(failed) > 1 else []
     contradicted = {name: one for name, one in evidence.items() if not one.agrees}
     sentences += [f"{name}: {one.alarm()}" for name, one in contradicted.items()]
     sentences += [_violation_sentence(name, one) for name, one in evidence.items()]
@@ -193,8 +198,7 @@ def verdict(designs: Mapping[str, Solution], evidence: Mapping[str, Evidence]) -
         sentences.append("There is no Monte Carlo evidence: how often single systems violate the limits is not known.")
     cards = [*_solution_cards(designs), *_violation_cards(evidence)][:4]
     if failed:
-        headline = f"{words(list(failed))} {'is' if len(failed) == 1 else 'are'} not solved: do not use as a design."
-        return Verdict("bad", "Not solved", headline, sentences, cards)
+        return Verdict("bad", "Not solved", _unsolved(failed, len(designs)), sentences, cards)
     solved = {1: "The design is solved", 2: "Both designs are solved"}.get(
         len(designs), f"All {len(designs)} designs are solved"
     )
@@ -207,16 +211,37 @@ def verdict(designs: Mapping[str, Solution], evidence: Mapping[str, Evidence]) -
     if unchecked:
         headline = f"{solved} to tolerance, but there is no Monte Carlo evidence for {words(unchecked)}."
         return Verdict("caution", "Solved, not checked", headline, sentences, cards)
-    if not any(one.violations for one in evidence.values()):
-        headline = f"{solved} to tolerance; no limit applies to single systems, so none was counted."
+    proposed, *others = list(designs)[::-1]
+    of = "" if not others else f" of {proposed}"
+    compared = _comparison({name: evidence[name] for name in others})
+    if not evidence[proposed].violations:
+        headline = f"{solved} to tolerance; no limit applies to single systems{of}, so none was counted.{compared}"
         return Verdict("good", "Solved", headline, sentences, cards)
-    worst = max(evidence.values(), key=lambda one: one.joint.estimate).joint
-    share = f"{percent(worst.estimate)} [{interval(worst)}]"
-    if worst.estimate > OFTEN:
-        headline = f"{solved} to tolerance, but up to {share} of systems break a limit: check the margin."
+    joint = evidence[proposed].joint
+    share = f"{percent(joint.estimate)} [{interval(joint)}] of {'systems' if not others else f'the systems{of}'}"
+    if joint.estimate > OFTEN:
+        headline = f"{solved} to tolerance, but {share} break a limit: check the margin.{compared}"
         return Verdict("caution", "Solved, limits often broken", headline, sentences, cards)
-    headline = f"{solved} to tolerance; at most {share} of systems break a limit."
+    headline = f"{solved} to tolerance; {share} break a limit.{compared}"
     return Verdict("good", "Solved and checked", headline, sentences, cards)
+
+
+def _unsolved(failed: Mapping[str, Solution], designs: int) -> str:
+    """How many designs are solved, and what the others are."""
+    told = [f"'{name}' is {_UNSOLVED.get(one.status, 'not solved')}" for name, one in failed.items()]
+    why = f": {next(iter(failed.values())).why().rstrip('.')}" if len(failed) == 1 else ""
+    if designs == 1:
+        return f"{told[0]}{why}. Do not use it as a design."
+    return f"{designs - len(failed)} of {designs} designs are solved; {words(told)}{why}."
+
+
+_UNSOLVED = {Status.INFEASIBLE: "infeasible", Status.INTERRUPTED: "interrupted"}
+
+
+def _comparison(others: Mapping[str, Evidence]) -> str:
+    """How often the designs break a limit that are shown beside the proposed one, which is the last."""
+    shares = [f"{percent(one.joint.estimate)} of {name}" for name, one in others.items() if one.violations]
+    return f" For comparison: {words(shares[::-1])}." if shares else ""
 
 
 def _violation_sentence(name: str, evidence: Evidence) -> str:

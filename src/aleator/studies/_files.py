@@ -59,6 +59,7 @@ robust = al.Problem(
     subject_to=[*al.path("force").within(-0.8, 0.8, sigmas=2.0)],
 )
 
+# The last design is the one that is proposed; the nominal one stands beside it for comparison.
 study = al.Study(
     {{"nominal": al.deterministic(robust), "robust": robust}},
     title="{title}",

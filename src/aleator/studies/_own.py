@@ -7,7 +7,7 @@ from typing import Any, ClassVar, NamedTuple, final
 import numpy as np
 from typing_extensions import override
 
-from aleator._core.errors import ProblemError, SolveError
+from aleator._core.errors import ProblemError
 from aleator._core.given import a_name, one_of, real_array, refusal, whole
 from aleator._core.progress import Progress
 from aleator.design import Expression, Problem
@@ -52,7 +52,7 @@ class Study(AbstractStudy):
     A file with this as `study`, or with problems alone, is run by `aleator run FILE.py`.
 
     - `designs`: a problem, or several by name: each is solved, and validated on `samples` fresh systems drawn with
-      `seed`;
+      `seed`; the last is the one that is proposed, on which the verdict is, and the others stand beside it;
     - `sweeps`: values of bounds by the names of constraints, along which the last design is solved again
       (`al.pareto`); `wishes`: what is traded off in the last design (`al.trade_off`), at `points` places;
     - `title`, `subtitle`: of the page; `solver`, `transcription`: see `al.solve`;
@@ -150,7 +150,7 @@ class Study(AbstractStudy):
             for name, values in self._sweeps.items()
         }
         traded = {"trade-off": Stage(self._trade_off, _POINT * self._points)} if self._wishes else {}
-        return {**solved, **sampled, **swept, **traded, "summary": Stage(self._summarise, 0.1)}
+        return {**solved, **sampled, **swept, **traded}
 
     @override
     def results(self) -> Mapping[str, Any]:
@@ -182,6 +182,12 @@ class Study(AbstractStudy):
     def left_out(self) -> str:
         return "all samples and all points of its fronts" if self._is_quick else ""
 
+    @property
+    @override
+    def unsolved(self) -> str:
+        failed = {name: one for name, one in self._found.designs.items() if not one.ok}
+        return "; ".join(f"'{name}' is not solved: {one.why()}" for name, one in failed.items())
+
     @override
     def cut_short(self) -> Iterator[str]:
         for name, one in self._found.fronts.items():
@@ -208,13 +214,6 @@ class Study(AbstractStudy):
         found = trade_off(self._last, self._wishes, self._points, progress=progress, **self.solving)
         self._found.trade_offs[" against ".join(self._wishes)] = found
         stop_if_interrupted(found)
-
-    def _summarise(self, progress: Progress) -> None:
-        """Fail where a design is not solved, after everything else has been done."""
-        del progress
-        failed = {name: one for name, one in self._found.designs.items() if not one.ok}
-        if failed:
-            raise SolveError("; ".join(f"'{name}' is not solved: {one.why()}" for name, one in failed.items()))
 
 
 def _checked_wishes(wishes: Mapping[str, Expression] | None) -> dict[str, Expression]:

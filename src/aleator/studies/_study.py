@@ -94,6 +94,11 @@ class AbstractStudy(abc.ABC):
         """The parts that this run skips to be quick, in words; empty by default."""
         return ""
 
+    @property
+    def unsolved(self) -> str:
+        """What was asked for and has no solution, in a sentence: the command exits with 1. Empty by default."""
+        return ""
+
     def cut_short(self) -> Iterator[str]:
         """Sentences on what is available of interrupted parts; none by default."""
         yield from ()
@@ -108,6 +113,7 @@ class AbstractStudy(abc.ABC):
         one_of(f"{name}.title", self.title, str)
         one_of(f"{name}.subtitle", self.subtitle, str)
         one_of(f"{name}.left_out", self.left_out, str)
+        one_of(f"{name}.unsolved", self.unsolved, str)
         Table(f"{name}.glossary", _TERMS, self.glossary)
 
     def run(self, stage: str, progress: Progress = silent) -> None:

@@ -7,7 +7,7 @@ from typing import Any, ClassVar, final
 import numpy as np
 from typing_extensions import override
 
-from aleator._core.errors import ProblemError, SolveError
+from aleator._core.errors import ProblemError
 from aleator._core.given import meant, one_of, real_array, refusal, whole
 from aleator._core.progress import Progress
 from aleator.design import Problem
@@ -87,7 +87,7 @@ class SweptStudy(AbstractStudy):
     def verdict(self) -> Verdict:
         solved = [] if self.front is None else [one for one in self.front.optima if one is not None]
         if self.front is None or not solved:
-            return Verdict("bad", "Nothing solved", f"No point over {self._bound} was solved.")
+            return Verdict("bad", "Nothing solved", self.unsolved or f"No point over {self._bound} is there yet.")
         told = f"{count(len(solved))} of {count(len(self._values))} points over {self._bound} are solved"
         ends = words([number(one.objective, 4) for one in (solved[0], solved[-1])])
         whole_front = len(solved) == len(self._values)
@@ -106,6 +106,13 @@ class SweptStudy(AbstractStudy):
     def tables(self) -> list[Table]:
         return [front_table(self.front, f"{self._name} over {self._bound}")] if self.front is not None else []
 
+    @property
+    @override
+    def unsolved(self) -> str:
+        if self.front is None or not self.front.points or self.front.solved.any():
+            return ""
+        return f"No point over {self._bound} is solved. The first: {self.front.points[0].why()}"
+
     @override
     def cut_short(self) -> Iterator[str]:
         if self.front is not None and self.front.interrupted:
@@ -121,8 +128,6 @@ class SweptStudy(AbstractStudy):
             progress=progress,
         )
         stop_if_interrupted(self.front)
-        if not self.front.solved.any():
-            raise SolveError(f"No point over {self._bound} was solved: {self.front.points[0].why()}")
 
 
 def problems_of(study: AbstractStudy) -> dict[str, Problem]:

@@ -6,6 +6,7 @@ from typing import get_args
 from aleator._core.errors import ProblemError
 from aleator._core.given import a_name, one_of, refusal, whole
 from aleator._core.heard import heeding
+from aleator._core.journalled import calling
 from aleator._core.progress import Progress, check_progress, silent
 from aleator.design import Expression, Problem, current
 from aleator.nlp import AbstractSolver
@@ -76,13 +77,15 @@ def trade_off(
     interrupted = True
     try:
         with heeding() as heed:
-            front.anchors.find(lambda done: progress("best of each wish", done, len(names)), heed)
+            with calling("best of each wish"):
+                front.anchors.find(lambda done: progress("best of each wish", done, len(names)), heed)
             stopped = method == "population" and front.spread(
                 budget, lambda done: progress("population", done, evaluations)
             )
             for one in front.problems(method):
                 progress("trade-off", front.done, points)
-                front.add(one)
+                with calling(f"trade-off, point {front.done + 1}"):
+                    front.add(one)
                 heed()
         interrupted = stopped
     except KeyboardInterrupt:

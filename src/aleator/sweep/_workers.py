@@ -1,12 +1,15 @@
 """`workers`: processes on this machine, one a core, that outlive the death of any of them."""
 
 import os
+import signal
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from multiprocessing import get_context
 from multiprocessing.queues import Queue
+from types import FrameType
 from typing import Any, TypeVar, final
 
 from typing_extensions import override
@@ -47,7 +50,7 @@ class Workers(Executor):
         if self._closed:
             raise RuntimeError("the workers have been shut down: expected a call within their `with` block.")
         future: Future[_Result] = Future()
-        self._send(future, lambda pool: pool.submit(fn, *args, **kwargs), 0)
+        self._send(future, lambda pool: pool.submit(_worked, fn, *args, **kwargs), 0)
         return future
 
     def rehearse(self, fn: Callable[..., Any], /, *args: Any) -> None:
@@ -64,12 +67,13 @@ class Workers(Executor):
     def _send(self, future: "Future[Any]", submit: Callable[[ProcessPoolExecutor], "Future[Any]"], tries: int) -> None:
         with self._lock:
             pool = self._pool = self._pool or self._begun()
-            try:
-                inner = submit(pool)
-            except BrokenProcessPool:
-                self._pool = None
-                pool = self._pool = self._begun()
-                inner = submit(pool)
+            with _interrupts_wait():  # which `submit` begins processes in
+                try:
+                    inner = submit(pool)
+                except BrokenProcessPool:
+                    self._pool = None
+                    pool = self._pool = self._begun()
+                    inner = submit(pool)
         # What has not begun can be cancelled from outside.
         future.add_done_callback(lambda one: inner.cancel() if one.cancelled() else None)
         inner.add_done_callback(lambda one: self._finish(one, future, pool, submit, tries))
@@ -112,10 +116,46 @@ class Workers(Executor):
             pool.shutdown(wait, cancel_futures=cancel_futures)
 
 
+@contextmanager
+def _interrupts_wait() -> Iterator[None]:
+    """Let Ctrl-C wait, here and in the processes that begin within a block: there until they have settled."""
+    if not hasattr(signal, "pthread_sigmask"):  # Windows
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+# Whether this process, a worker, is doing something.
+_busy = threading.Event()
+
+
 def _settle(cores: "Queue[int]") -> None:
     """Begin a worker: one core, which XLA's threads keep to as well, and one thread of ours."""
+    signal.signal(signal.SIGINT, _interrupt)
+    if hasattr(signal, "pthread_sigmask"):
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     core = cores.get()
     if hasattr(os, "sched_setaffinity"):
         mine = sorted(os.sched_getaffinity(0))
         os.sched_setaffinity(0, {mine[core % len(mine)]})
     threads(1)
+
+
+def _worked(fn: Callable[..., _Result], /, *args: Any, **kwargs: Any) -> _Result:
+    """What a worker does."""
+    _busy.set()
+    try:
+        return fn(*args, **kwargs)
+    finally:
+        _busy.clear()
+
+
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    """End work at Ctrl-C as Python does, and a worker without any without a word: a terminal tells it to all."""
+    if _busy.is_set():
+        signal.default_int_handler(number, frame)
+    os._exit(128 + number)
