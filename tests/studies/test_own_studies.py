@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import xarray
 from typer.testing import CliRunner
 
 import aleator as al
@@ -73,6 +74,12 @@ def test_a_declared_study_sweeps_and_trades_off(here: Path):
     np.testing.assert_allclose(front.objectives, bars.NEEDED / np.array([0.5, 0.6, 0.8]), rtol=1e-6)
     for value in front.objectives:
         assert f"{value:.3g}" in page
+    with xarray.open_datatree(here / "there/results.nc", engine="h5netcdf") as tree:
+        along = {name: one.to_dataset() for name, one in tree["along/stress"].children.items()}
+    assert list(along) == ["stress = 0.5", "stress = 0.6", "stress = 0.8"]
+    for one in along.values():
+        # No load is above the NEEDED one.
+        assert float(one["violation"].sel(limit="stress")) == 0.0
 
 
 def test_a_quick_run_takes_fewer_samples_and_points(here: Path):

@@ -19,14 +19,14 @@ from aleator.solving import solve
 from aleator.studies._declared import Stage
 from aleator.studies._study import AbstractStudy, stop_if_interrupted
 from aleator.studies._swept import front_of
-from aleator.sweep import Front, TradeOff, trade_off
+from aleator.sweep import EvidenceOfAll, Front, TradeOff, trade_off, validate_all
 from aleator.transcription import DEFAULT, AbstractTranscription
 from aleator.validation import Evidence, validate
 
 # A quick run takes these parts of the samples, and of the points of fronts.
 _QUICK_SAMPLES, _QUICK_POINTS = 20, 3
 # Relative durations of the stages: the first solve compiles.
-_SOLVE, _EVIDENCE, _POINT = 3.0, 2.0, 1.0
+_SOLVE, _EVIDENCE, _POINT, _EVIDENCE_ALONG = 3.0, 2.0, 1.0, 0.5
 
 
 class _Found(NamedTuple):
@@ -36,6 +36,7 @@ class _Found(NamedTuple):
     evidence: dict[str, Evidence]
     fronts: dict[str, Front]
     trade_offs: dict[str, TradeOff]
+    along: dict[str, EvidenceOfAll]
 
 
 @final
@@ -54,7 +55,8 @@ class Study(AbstractStudy):
     - `designs`: a problem, or several by name: each is solved, and validated on `samples` fresh systems drawn with
       `seed`; the last is the one that is proposed, on which the verdict is, and the others stand beside it;
     - `sweeps`: values of bounds by the names of constraints, along which the last design is solved again
-      (`al.pareto`); `wishes`: what is traded off in the last design (`al.trade_off`), at `points` places;
+      (`al.pareto`); `wishes`: what is traded off in the last design (`al.trade_off`), at `points` places; each solved
+      point is validated on as many systems as a design;
     - `title`, `subtitle`: of the page; `solver`, `transcription`: see `al.solve`;
     - `workers`: processes that solve the points of `sweeps` (`al.workers`); in this one if it is left out;
     - `quick`: for a first look: a twentieth of the samples, and every third point of fronts.
@@ -96,7 +98,7 @@ class Study(AbstractStudy):
         self._is_quick = quick
         for name in self._sweeps:
             self._last.named(name)
-        self._found = _Found({}, {}, {}, {})
+        self._found = _Found({}, {}, {}, {}, {})
 
     def quickened(self) -> "Study":
         """The same study, small enough for a first look."""
@@ -137,6 +139,10 @@ class Study(AbstractStudy):
         return len(self.problems) + sum(map(len, self._sweeps.values())) + front
 
     @property
+    def _wished(self) -> str:
+        return " against ".join(self._wishes)
+
+    @property
     def _last(self) -> Problem:
         return list(self.problems.values())[-1]
 
@@ -145,17 +151,23 @@ class Study(AbstractStudy):
     def stages(self) -> Mapping[str, Stage]:
         solved = {f"design {name}": Stage(partial(self._solve, name), _SOLVE) for name in self.problems}
         sampled = {f"evidence on {name}": Stage(partial(self._validate, name), _EVIDENCE) for name in self.problems}
-        swept = {
-            f"front over {name}": Stage(partial(self._sweep, name), _POINT * len(values))
-            for name, values in self._sweeps.items()
-        }
-        traded = {"trade-off": Stage(self._trade_off, _POINT * self._points)} if self._wishes else {}
-        return {**solved, **sampled, **swept, **traded}
+        swept: dict[str, Stage] = {}
+        for name, values in self._sweeps.items():
+            swept[f"front over {name}"] = Stage(partial(self._sweep, name), _POINT * len(values))
+            swept[f"evidence along the front over {name}"] = self._along(name, self._found.fronts, len(values))
+        if self._wishes:
+            swept["trade-off"] = Stage(self._trade_off, _POINT * self._points)
+            swept["evidence along the trade-off"] = self._along(self._wished, self._found.trade_offs, self._points)
+        return {**solved, **sampled, **swept}
+
+    def _along(self, name: str, fronts: Mapping[str, Front | TradeOff], points: int) -> Stage:
+        return Stage(partial(self._validate_along, name, fronts), _EVIDENCE_ALONG * points)
 
     @override
     def results(self) -> Mapping[str, Any]:
         found = self._found
-        named = {"evidence": found.evidence, "fronts": found.fronts, "trade-offs": found.trade_offs}
+        along = {name: one.by_place for name, one in found.along.items()}
+        named = {"evidence": found.evidence, "fronts": found.fronts, "trade-offs": found.trade_offs, "along": along}
         return {"designs": found.designs, **{name: one for name, one in named.items() if one}}
 
     @override
@@ -167,7 +179,9 @@ class Study(AbstractStudy):
 
     @override
     def sections(self) -> Sequence[Section]:
-        return sections(*self._found)
+        found = self._found
+        along = [each for one in found.along.values() for each in one.by_place.values()]
+        return sections(found.designs, found.evidence, found.fronts, found.trade_offs, along)
 
     @override
     def tables(self) -> list[Table]:
@@ -212,8 +226,15 @@ class Study(AbstractStudy):
 
     def _trade_off(self, progress: Progress) -> None:
         found = trade_off(self._last, self._wishes, self._points, progress=progress, **self.solving)
-        self._found.trade_offs[" against ".join(self._wishes)] = found
+        self._found.trade_offs[self._wished] = found
         stop_if_interrupted(found)
+
+    def _validate_along(self, name: str, fronts: Mapping[str, Front | TradeOff], progress: Progress) -> None:
+        """Count on the same systems at each solved point, so that whoever chooses one sees how often it fails."""
+        if any(one.ok for one in fronts[name].solutions):
+            found = validate_all(fronts[name], self._samples, seed=self._seed, progress=progress)
+            self._found.along[name] = found
+            stop_if_interrupted(found)
 
 
 def _checked_wishes(wishes: Mapping[str, Expression] | None) -> dict[str, Expression]:

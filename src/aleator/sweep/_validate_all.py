@@ -39,6 +39,11 @@ class EvidenceOfAll(Drawn):
     interrupted: bool = False
 
     @property
+    def by_place(self) -> dict[str, Evidence]:
+        """The evidence by the places of its designs, without those that could not be simulated."""
+        return {place: one for place, one in zip(self.places, self.evidence, strict=True) if one is not None}
+
+    @property
     def agrees(self) -> bool:
         """Whether samples contradict none of the designs."""
         return not self.refused and all(one is not None and one.agrees for one in self.evidence)
