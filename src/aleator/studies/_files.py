@@ -57,6 +57,7 @@ robust = al.Problem(
     grid=al.Grid(t_final=3.0, steps=300),
     minimize=al.rms("x").mean,
     subject_to=[*al.path("force").within(-0.8, 0.8, sigmas=2.0)],
+    expansion=al.Expansion(order=4),
 )
 
 # The last design is the one that is proposed; the nominal one stands beside it for comparison.
