@@ -14,8 +14,8 @@ import shown_results as shown
 
 import aleator as al
 from aleator._core.shown import Drawn
+from aleator.reporting._limited_paths import limits_of
 from aleator.reporting.drawn import AbstractPlots, plots_of
-from aleator.reporting.drawn._paths_of import limits_of
 
 
 def named(figure, name):

@@ -20,6 +20,7 @@ from aleator.reporting import (
     Table,
     Verdict,
     front_blocks,
+    optimum_figure,
     page_html,
     report,
     share_text,
@@ -117,6 +118,27 @@ def test_the_points_of_several_fronts_are_linked_with_their_own_designs():
                 assert f"{x:g}".replace("-", "−") in block.choices[place].name
 
 
+def test_lines_join_neighbours_whatever_the_order_of_the_points():
+    front = given.front()
+    order = [2, 0, 3, 1]
+    shuffled = al.results.Front(front.bound, front.values[order], tuple(front.points[i] for i in order))
+    block = front_blocks({"uOpt": shuffled})[0]
+    for figure in block.figures:
+        (line,) = (one for one in figure.data if one.meta and len(one.meta) == 4)
+        assert list(line.x) == sorted(front.values)
+        for x, place in zip(line.x, line.meta, strict=True):
+            assert f"{x:g}".replace("-", "−") in block.choices[place].name
+
+
+def test_what_solvers_leave_of_a_flat_optimum_is_no_cliff():
+    front = given.front()
+    solved = front.points[0]
+    points = tuple(dataclasses.replace(solved, objective=solved.objective * (1 + i * 1e-13)) for i in range(3))
+    flat = al.results.Front(front.bound, front.values[:3], points)
+    low, high = optimum_figure({"uOpt": flat}).layout.yaxis.range
+    assert high - low > 0.5 * abs(solved.objective)
+
+
 def test_the_designs_of_a_trade_off_are_linked_with_their_points():
     front = shown.trade_off(3)
     (block,) = trade_off_blocks({"ours": front})
@@ -130,6 +152,8 @@ def test_what_a_wish_buys_is_the_slope_of_the_front():
     problem = al.Problem(Bar(al.Decision(4.0, 1.0, 10.0), al.Uniform(1.0, half_width=0.3)), minimize=MASS.mean)
     front = al.trade_off(problem, {"mass": MASS.mean, "stress": al.output("stress").std}, 5)
     (block,) = trade_off_blocks({"bar": front})
+    for end in (0, -1):
+        assert facts(block.choices[end], "Wishes")["Rates of exchange"] == "none at an end of the front"
     told = facts(block.choices[2], "Wishes")["Each unit more of mass buys"]
     # The standard deviation is 0.3 / √3 / width.
     assert float(told.split(" ")[0]) == pytest.approx(0.3 / np.sqrt(3.0) / front.values[2, 0] ** 2, rel=1e-3)

@@ -7,6 +7,7 @@ import numpy as np
 
 from aleator.reporting import _units
 from aleator.reporting._fronts import front_figure, shadow_price_figure
+from aleator.reporting._ordered import ordered
 from aleator.reporting._style import blank, label, looks, plain
 from aleator.sweep import Front
 
@@ -40,7 +41,7 @@ def bound_unit(front: Front) -> str:
 
 def decision_figure(front: Front, name: str) -> "Figure":
     """A decision along the bound of a front, of an array each entry; gaps where there is no design."""
-    problem = front.solutions[0].problem
+    front, problem = ordered(front), front.solutions[0].problem
     unit = _units.of_decision(name, problem)
     figure = blank(label(f"Limit of {front.bound}", bound_unit(front)), label(name, unit))
     shape = np.shape(problem.placements.decisions[name].decision.initial)

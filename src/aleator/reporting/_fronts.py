@@ -1,12 +1,12 @@
 """Figures of fronts: the optimum, its shadow price, its decisions and its spreads along a bound."""
 
-import itertools
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from aleator.reporting._numbers import given, number
+from aleator.reporting._ordered import in_order, ordered
 from aleator.reporting._style import (
     LIMIT,
     MUTED,
@@ -28,6 +28,9 @@ if TYPE_CHECKING:
 
 Measure = Callable[[Solution], float]
 
+# Values that differ by less than this part are shown as equal: the rest is what solvers' tolerances leave.
+_FLAT = 1e-6
+
 
 def front_figure(
     fronts: Mapping[str, Front],
@@ -43,7 +46,7 @@ def front_figure(
 ) -> "Figure":
     """The optimum (or another `measure` of each design) against the bound, one line for each front.
 
-    A marker is filled where the swept bound is active and open where something else limits the design. Points without a
+    A marker is filled where the swept bound is active and open where it is not. Points without a
     solution are crosses on the axis; their hover text says what cannot be met. `limits` are drawn as lines;
     `infeasible` shades the bounds at which another design does not exist.
     """
@@ -51,11 +54,10 @@ def front_figure(
     shown = measure or (lambda solution: solution.objective)
     low, high = _range(fronts, shown, tuple((limits or {}).values()))
     step = 0.07 * (high - low)
-    places = _numbered(fronts)
-    for row, (name, front) in enumerate(fronts.items()):
+    for row, (name, (front, places)) in enumerate(in_order(fronts).items()):
         look = looks(fronts)[name]
-        _add_solved(figure, name, front, look, shown, (x_unit, y_unit), places[name])
-        _add_infeasible(figure, name, front, look, low - step * (row + 1), x_unit, places[name])
+        _add_solved(figure, name, front, look, shown, (x_unit, y_unit), places)
+        _add_infeasible(figure, name, front, look, low - step * (row + 1), x_unit, places)
     rows = 1 + max((i + 1 for i, one in enumerate(fronts.values()) if not one.solved.all()), default=0)
     # Leaves room below the data for the label of the shaded band.
     rows += 1 if infeasible else 0
@@ -67,16 +69,12 @@ def front_figure(
     return figure
 
 
-def _numbered(fronts: Mapping[str, Front]) -> dict[str, list[int]]:
-    """The places of the points of each front among those of all, by which a page links them with their designs."""
-    counted = itertools.count()
-    return {name: list(itertools.islice(counted, len(one.points))) for name, one in fronts.items()}
-
-
 def _range(fronts: Mapping[str, Front], measure: Measure, extra: tuple[float, ...]) -> tuple[float, float]:
     values = [measure(one) for front in fronts.values() for one in front.optima if one] + list(extra)
     low, high = (min(values), max(values)) if values else (0.0, 1.0)
-    return (low, high) if high > low else (low - 0.5 * abs(low or 1.0), high + 0.5 * abs(high or 1.0))
+    if high - low > _FLAT * max(abs(low), abs(high)):
+        return low, high
+    return low - 0.5 * abs(low or 1.0), high + 0.5 * abs(high or 1.0)
 
 
 def _add_solved(
@@ -94,7 +92,7 @@ def _add_solved(
         showlegend=False,
         line={"color": look.colour, "width": 2},
         marker={
-            "symbol": [f"{look.symbol}{'' if _holds(one, front.bound) else '-open'}" for one in front.points],
+            "symbol": _symbols(front, look),
             "size": 9,
             "color": look.colour,
             "line": {"color": look.colour, "width": 2},
@@ -103,6 +101,11 @@ def _add_solved(
         meta=places,
         hovertemplate=f"<b>{plain(name)}</b>: %{{y:.4~g}} {plain(units[1])}<br>%{{text}}<extra></extra>",
     )
+
+
+def _symbols(front: Front, look: Look) -> list[str]:
+    """The markers of a front's points: filled where the swept bound is active."""
+    return [f"{look.symbol}{'' if _holds(one, front.bound) else '-open'}" for one in front.points]
 
 
 def _holds(point: Solution | Refused, bound: str) -> bool:
@@ -188,8 +191,7 @@ def shadow_price_figure(
 ) -> "Figure":
     """The value of relaxing a bound: the multiplier along each front, times `scale`."""
     figure = blank(label(x, x_unit), label(y, y_unit), height=360)
-    places = _numbered(fronts)
-    for name, front in fronts.items():
+    for name, (front, places) in in_order(fronts).items():
         look = looks(fronts)[name]
         figure.add_scatter(
             x=front.values,
@@ -197,9 +199,9 @@ def shadow_price_figure(
             mode="lines+markers",
             name=plain(name),
             line={"color": look.colour, "width": 2},
-            marker={"symbol": look.symbol, "size": 8, "color": look.colour},
+            marker={"symbol": _symbols(front, look), "size": 8, "color": look.colour, "line": {"width": 2}},
             cliponaxis=False,
-            meta=places[name],
+            meta=places,
             hovertemplate=(
                 f"<b>{plain(name)}</b>: %{{y:.4~g}} {plain(y_unit)}<br>limit %{{x:.4~g}} {plain(x_unit)}<extra></extra>"
             ),
@@ -221,7 +223,7 @@ def decision_path_figure(
 ) -> "Figure":
     """Two decisions against each other along each front (figure 6.8); the rightmost end is labelled with its bound."""
     figure = blank(plain(x), plain(y))
-    for name, front in fronts.items():
+    for name, (front, _) in in_order(fronts).items():
         look = looks(fronts)[name]
         found = [(value, one) for value, one in zip(front.values, front.optima, strict=True) if one]
         places = [float(one.decisions[across]) for _, one in found]
@@ -260,7 +262,7 @@ def relative_figure(
     front: Front, names: Mapping[str, str], *, x: str, y: str, x_unit: str = "", reference: str = "initial value"
 ) -> "Figure":
     """Decisions along a front in percent of their initial values (figure 7.5); `names` are their labels."""
-    figure = blank(label(x, x_unit), plain(y))
+    front, figure = ordered(front), blank(label(x, x_unit), plain(y))
     starts = {name: front.solutions[0].problem.placements.decisions[name].decision.initial for name in names}
     styles: dict[str, dict[str, Any]] = {
         name: {"colour": colour, "symbol": symbol, "dash": dash}

@@ -30,9 +30,9 @@ def front_blocks(fronts: Mapping[str, Front], evidence: Iterable[Evidence] = ())
         # A study names the front of its design by the bound.
         group = {"design" if name == bound else name: one for name, one in fronts.items() if one.bound == bound}
         caption = (
-            f"Filled markers: {bound} is active; open markers: something else limits the design. Crosses on the axis: "
-            f"no design meets all limits there. The shadow price is what relaxing {bound} is worth: zero where it is "
-            "not active."
+            f"Filled markers: {bound} is active; open markers: it is not, and something else, or nothing, limits the "
+            f"design. Crosses on the axis: no design meets all limits there. The shadow price is what relaxing {bound} "
+            "is worth: zero where it is not active."
         )
         figures = [optimum_figure(group), price_figure(group)]
         blocks.append(linked_front(group, figures, f"Optimum against the limit of {bound}", caption, evidence=known))
@@ -131,7 +131,14 @@ def _traded(front: TradeOff, place: int, evidence: list[Evidence]) -> Choice:
 
 
 def _rates(front: TradeOff, place: int) -> dict[str, str]:
-    """By how much each other wish falls for one unit more of the first one, as long as changes are small."""
+    """By how much each other wish falls for one unit more of the first one, as long as changes are small.
+
+    At the best design of a wish the front ends: its multipliers need not be the slope of what is left of the front, and
+    the wish may not give way at all.
+    """
+    values = front.values
+    if np.any(values[place] <= values.min(axis=0)):
+        return {"Rates of exchange": "none at an end of the front"}
     first, *others = front.weights[place]
     unit = unit_of(front, 0)
     return {

@@ -74,6 +74,8 @@ def blank(x: str, y: str, *, title: str = "", height: int = 420) -> "Figure":
         "ticklen": 4,
         "tickfont": {"size": SIZE - 1},
         "automargin": True,
+        # Not "1µ" on an axis whose unit has a prefix of its own.
+        "exponentformat": "power",
     }
     figure.update_layout(
         # Only our own template: plotly's default one would add 7 kB to every figure of a page.
