@@ -129,7 +129,7 @@ def test_a_sweep_that_was_interrupted_tells_what_waits_and_is_resumed_from_its_f
     page = aleator("report", "there", "--json")
     assert page.exit_code == 0, page.output
     assert "'front over stress' is not finished" in document(page)["missing"][0]
-    text = (here / "there/report.html").read_text()
+    text = (here / "there/report-so-far.html").read_text()
     assert "1 of 3 points are available" in text
 
     interrupted.undo()
@@ -297,6 +297,61 @@ def test_the_page_of_a_folder_is_written_without_computing_or_noting_anything(
     assert "Systems that violate stress" in page
 
 
+def interrupt_in_the_first_solve(monkeypatch: pytest.MonkeyPatch) -> None:
+    def stopped(call):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(solving._solve, "_solved", stopped)
+
+
+def test_before_the_first_design_is_finished_a_report_says_that_nothing_is(
+    here: Path, monkeypatch: pytest.MonkeyPatch, python_interrupts
+):
+    with monkeypatch.context() as patch:
+        interrupt_in_the_first_solve(patch)
+        result = aleator("run", "bar.py", "--json")
+    assert result.exit_code == 130, result.output
+    assert document(result)["verdict"].startswith("Interrupted: No design was finished")
+    result = aleator("report", "results/bar", "--json")
+    assert result.exit_code == 2, result.output
+    found = document(result)
+    assert "nothing is finished yet in 'results/bar'" in found["errors"][0]
+    assert "'design nominal' is not finished" in found["missing"][0]
+    assert "'evidence on nominal' is not finished: what it follows from is missing." in found["missing"]
+    assert found["files"] == []
+
+
+def test_a_sweep_stopped_in_its_first_point_has_a_report_or_a_reason(
+    here: Path, monkeypatch: pytest.MonkeyPatch, python_interrupts
+):
+    arguments = ("sweep", "bar.py", "--bound", "stress", "--values", "0.5", "--out", "there", "--json")
+    interrupt_in_the_first_solve(monkeypatch)
+    result = aleator(*arguments)
+    assert result.exit_code == 130, result.output
+    assert document(result)["verdict"].startswith("Interrupted: No point over stress")
+    found = document(aleator("report", "there", "--json"))
+    assert "nothing is finished yet" in found["errors"][0]
+    assert "'front over stress' is not finished" in found["missing"][0]
+
+
+def test_after_an_edit_the_page_is_written_beside_the_complete_one(here: Path, finished: Path, nothing_solved):
+    shutil.copytree(finished, here / "results")
+    Record("bar.py", quick=True).write(here / "results")
+    complete = (here / "results/report.html").read_bytes()
+    edited = BAR.replace("half_width=0.3", "half_width=0.2")
+    for text, told in ((edited, "an earlier form of the study"), (BAR.replace("2000", "4000"), "evidence on robust")):
+        (here / "bar.py").write_text(text)
+        result = aleator("report", "results", "--json")
+        assert result.exit_code == 0, result.output
+        found = document(result)
+        assert told in " ".join(found["missing"])
+        assert found["files"] == ["results/report-so-far.html"]
+        assert "report.html stays as it is" in said(result)
+        assert (here / "results/report.html").read_bytes() == complete
+    assert document(aleator("report", "results", "--out", "results/report.html", "--json"))["exit_code"] == 0
+    assert (here / "results/report.html").read_bytes() != complete
+
+
 class Partial(AbstractStudy):
     """A study with a stage of its own that no journal keeps, after a design."""
 
@@ -346,7 +401,7 @@ def test_a_study_that_no_journal_keeps_as_a_whole_is_told_by_its_designs(
     assert result.exit_code == 0, result.output
     assert study.others == 1
     assert "aleator resume" in document(result)["missing"][0]
-    assert "Partly kept" in (here / "there/report.html").read_text()
+    assert "Partly kept" in (here / "there/report-so-far.html").read_text()
     checked = aleator("check", "partial", "--json")
     assert checked.exit_code == 0, checked.output
     assert document(checked)["problems"]["robust"]["points"] >= 4
