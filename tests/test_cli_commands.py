@@ -226,9 +226,13 @@ def test_a_front_by_several_workers_is_that_of_pareto_with_an_executor(here: Pat
         (("--bound", "stress", "--values", "nan"), "sweep: values"),
         (("--bound", "stress", "--values", "1", "--design", "robot"), "Did you mean 'robust'"),
         (("--bound", "stress", "--values", "1", "--workers", "0"), "workers"),
+        (("--bound", "range", "--values", "0.2,0.3"), "0.2 alone cannot be the bound of 'range'"),
+        (("--bound", "range", "--values", "0.2"), "sweep a limit of one side, or write each side"),
     ],
 )
 def test_a_sweep_that_cannot_be_is_refused_before_any_work(here: Path, options: tuple[str, ...], told: str):
+    two_sided = 'subject_to=[strong, (stress.mean <= 0.4).named("range"), (stress.mean >= 0.1).named("range")]'
+    (here / "bar.py").write_text(BAR.replace("subject_to=[strong]", two_sided))
     result = aleator("sweep", "bar.py", *options)
     assert result.exit_code == 2
     assert told in said(result)
@@ -553,6 +557,42 @@ def test_a_folder_belongs_to_what_began_it(here: Path, begun: Record, other: Rec
     else:
         with pytest.raises(al.ProblemError, match="name another folder"):
             other.check_owns(here / "there")
+
+
+def test_neither_a_sweep_nor_a_run_replaces_what_the_other_has_found(here: Path, finished: Path, nothing_solved):
+    shutil.copytree(finished, here / "results")
+    Record("bar.py", quick=True).write(here / "results")
+    sweep = ("sweep", "bar.py", "--bound", "stress", "--values", "0.5", "--out")
+    (here / "results-over-stress").mkdir()
+    Record("bar.py", bound="stress", values=(0.5,)).write(here / "results-over-stress")
+    files = {one: one.read_bytes() for one in here.glob("res*/*") if one.is_file()}
+    for command, advice in (
+        ((*sweep, "results"), "--out results-over-stress"),
+        ((*sweep, "results", "--afresh"), "--out results-over-stress"),
+        (("run", "bar.py", "--out", "results-over-stress"), "--out results-over-stress-py"),
+    ):
+        result = aleator(*command)
+        assert result.exit_code == 2, result.output
+        assert advice in said(result)
+    assert {one: one.read_bytes() for one in here.glob("res*/*") if one.is_file() and one in files} == files
+
+
+def test_a_sweep_counts_each_bound_once_and_names_the_range_that_is_solved(here: Path):
+    arguments = ("sweep", "bar.py", "--bound", "stress", "--out", "there", "--json", "--values")
+    assert document(aleator(*arguments, "0.6,0.5,0.6"))["verdict"] == (
+        f"Swept: 2 of 2 points over stress are solved; the objective is {NEEDED / 0.5:.4g} at stress = 0.5 and "
+        f"{NEEDED / 0.6:.4g} at stress = 0.6."
+    )
+    again = aleator(*arguments, "0.6,0.001", "--afresh")
+    assert document(again)["recalled"] == 0
+    assert document(again)["verdict"] == (
+        "Partly solved: 1 of 2 points over stress are solved; the objective is "
+        f"{NEEDED / 0.6:.4g} at stress = 0.6."
+    )
+    told = said(aleator("resume", "there"))
+    assert "taken from an earlier run." in told
+    assert "--afresh" not in told
+    assert "--afresh computes anew" in said(aleator(*arguments, "0.6"))
 
 
 def test_a_folder_goes_on_belonging_to_a_study_that_has_moved(here: Path):

@@ -34,11 +34,12 @@ def executed(
     made: Callable[[], AbstractStudy],
     out: Path,
     *,
-    afresh: bool = False,
+    afresh: bool | None = None,
     record: Record | None = None,
 ) -> int:
     """Make a study and run it while no other run writes into its folder, which notes the command that began it.
 
+    `afresh`: whether to compute everything anew; None for a command without this option.
     Returns the exit code.
     """
     course = _Course(terminal)
@@ -51,7 +52,7 @@ def executed(
             held.enter_context(only_writer(folder))
             if record is not None:
                 record.check_owns(folder)
-            kept = held.enter_context(journal(folder, afresh=afresh))
+            kept = held.enter_context(journal(folder, afresh=bool(afresh)))
             if record is None:
                 (folder / RECORD).unlink(missing_ok=True)
             else:
@@ -63,7 +64,8 @@ def executed(
             code = course.execute(job, folder, kept)
             if kept.recalled:
                 told = "1 result was" if kept.recalled == 1 else f"{kept.recalled} results were"
-                terminal.tell(f"{told} taken from an earlier run; --afresh computes anew.")
+                hint = "" if afresh is None else "; --afresh computes anew"
+                terminal.tell(f"{told} taken from an earlier run{hint}.")
             return code
         except BrokenPipeError:
             raise
