@@ -316,6 +316,7 @@ def test_before_the_first_design_is_finished_a_report_says_that_nothing_is(
         result = aleator("run", "bar.py", "--json")
     assert result.exit_code == 130, result.output
     assert document(result)["verdict"].startswith("Interrupted: No design was finished")
+    assert document(result)["errors"][0].startswith("Interrupted during 'design nominal'")
     result = aleator("report", "results/bar", "--json")
     assert result.exit_code == 2, result.output
     found = document(result)
@@ -323,6 +324,31 @@ def test_before_the_first_design_is_finished_a_report_says_that_nothing_is(
     assert "'design nominal' is not finished" in found["missing"][0]
     assert "'evidence on nominal' is not finished: what it follows from is missing." in found["missing"]
     assert found["files"] == []
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals are sent as on Unix")
+@pytest.mark.parametrize(
+    ("begun", "command"),
+    [
+        ("aleator_command.main()", ["run", "waiting.py", "--json"]),
+        ("aleator_command.main()", ["check", "waiting.py", "--json"]),
+        ("aleator_command.mind_signals(); os.kill(os.getpid(), signal.SIGINT)", ["report", "there", "--json"]),
+    ],
+)
+def test_an_early_signal_leaves_a_document(here: Path, begun: str, command: list[str]):
+    """While the study is loaded, and while the package is imported."""
+    (here / "waiting.py").write_text(
+        "import os, signal, threading\nos.kill(os.getpid(), signal.SIGINT)\nthreading.Event().wait()\n"
+    )
+    program = (
+        "import os, signal; signal.signal(signal.SIGINT, signal.default_int_handler); import aleator_command; " + begun
+    )
+    done = subprocess.run([sys.executable, "-c", program, *command], capture_output=True, text=True, timeout=120)
+    assert done.returncode == 130, done.stderr
+    found = document(done)
+    assert (found["command"], found["exit_code"]) == (command[0], 130)
+    assert found["errors"][0].startswith("Interrupted")
+    assert "Interrupted" in done.stderr
 
 
 def test_a_sweep_stopped_in_its_first_point_has_a_report_or_a_reason(

@@ -83,7 +83,7 @@ class _Course:
 
     def __init__(self, terminal: Terminal) -> None:
         self._terminal = terminal
-        self.interruptions = Interruptions(self._last_words)
+        self.interruptions = Interruptions(self._end_at_once)
         self._stage, self._folder = "", Path()
         self._finished, self._paths, self._reduced = list[str](), list[Path](), list[Path]()
         self._tables: Sequence[Table] = ()
@@ -164,6 +164,9 @@ class _Course:
         verb = "are" if len(self._finished) > 1 else "is"
         report = "" if PAGE in [path.name for path in self._paths] else ", without a report"
         return f"Interrupted{self._during()}: {kept} {verb} kept in {self._folder}{report}."
+
+    def _end_at_once(self) -> str:
+        return self._terminal.ended_at_once(self._last_words(), self.interruptions.exit_code)
 
     def _run_stages(self, job: AbstractStudy) -> None:
         total = sum(stage.share for stage in job.stages.values())
