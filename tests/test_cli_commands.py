@@ -474,6 +474,32 @@ def test_runs_are_compared_design_by_design_and_by_what_they_follow_from(here: P
     assert "there are no results in 'empty'" in said(aleator("compare", "narrow", "empty"))
 
 
+def test_a_run_is_compared_with_a_sweep_by_what_their_designs_are(here: Path):
+    (here / "bar.py").write_text(BAR.replace("samples=2000", "samples=100"))
+    assert aleator("run", "bar.py", "--out", "run").exit_code == 0
+    sweep = ("sweep", "bar.py", "--bound", "stress", "--values", "0.5,0.6", "--out", "sweep")
+    assert aleator(*sweep).exit_code == 0
+    result = aleator("compare", "run", "sweep", "--json")
+    assert result.exit_code == 0, result.output
+    found = document(result)
+    objectives = {
+        name: [one and one["objective"]["value"] for one in each.values()] for name, each in found["designs"].items()
+    }
+    assert objectives == {
+        "designs/nominal": [pytest.approx(2.0, rel=1e-6), None],
+        "designs/robust": [pytest.approx(NEEDED / 0.5, rel=1e-6)] * 2,
+        "stress = 0.6": [pytest.approx(NEEDED / 0.6, rel=1e-6)] * 2,
+    }
+    assert found["differences"]["designs/nominal"] == {"sweep": None}
+    assert found["differences"]["designs/robust"] == {"sweep": []}
+    assert found["differences"]["stress = 0.6"] == {"sweep": []}
+    assert found["designs"]["stress = 0.6"]["run"]["evidence"]["samples"] == 100
+    assert "There as" in said(result)
+    swapped = document(aleator("compare", "sweep", "run", "--json"))
+    assert list(swapped["designs"]) == ["stress = 0.5", "stress = 0.6", "designs/nominal"]
+    assert swapped["differences"]["stress = 0.5"] == {"run": []}
+
+
 def test_a_run_tells_programs_its_verdict_designs_and_fronts(finished: Path):
     result = aleator("resume", str(finished), "--json")
     found = document(result)
@@ -612,8 +638,7 @@ def test_a_sweep_counts_each_bound_once_and_names_the_range_that_is_solved(here:
     again = aleator(*arguments, "0.6,0.001", "--afresh")
     assert document(again)["recalled"] == 0
     assert document(again)["verdict"] == (
-        "Partly solved: 1 of 2 points over stress are solved; the objective is "
-        f"{NEEDED / 0.6:.4g} at stress = 0.6."
+        f"Partly solved: 1 of 2 points over stress are solved; the objective is {NEEDED / 0.6:.4g} at stress = 0.6."
     )
     told = said(aleator("resume", "there"))
     assert "taken from an earlier run." in told

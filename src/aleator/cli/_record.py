@@ -76,7 +76,7 @@ class Record:
         return Path(self.study).resolve() in [one.resolve() for one in places]
 
     def _another(self, folder: Path, other: "Record") -> Path:
-        """A name for another folder, in which is told what it differs in: the bound, or the kind of the study's file."""
+        """A name for another folder, which tells what differs: the bound, or the kind of the study's file."""
         if self.bound and self.bound != other.bound:
             return folder_over(folder, self.bound)
         kind = Path(self.study).suffix.removeprefix(".") if self.study.endswith(_FILES) else ""

@@ -87,7 +87,9 @@ class SweptStudy(AbstractStudy):
     def verdict(self) -> Verdict:
         solved = [] if self.front is None else [one for one in self.front.optima if one is not None]
         if self.front is None or (self.front.interrupted and not solved):
-            return Verdict("caution", "Interrupted", f"No point over {self._bound} was solved before the sweep stopped.")
+            return Verdict(
+                "caution", "Interrupted", f"No point over {self._bound} was solved before the sweep stopped."
+            )
         if not solved:
             return Verdict("bad", "Nothing solved", self.unsolved)
         told = f"{count(len(solved))} of {count(len(self._values))} points over {self._bound} are solved"
