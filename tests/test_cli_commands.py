@@ -369,7 +369,7 @@ def test_after_an_edit_the_page_is_written_beside_the_complete_one(here: Path, f
     Record("bar.py", quick=True).write(here / "results")
     complete = (here / "results/report.html").read_bytes()
     edited = BAR.replace("half_width=0.3", "half_width=0.2")
-    for text, told in ((edited, "an earlier form of the study"), (BAR.replace("2000", "4000"), "evidence on robust")):
+    for text, told in ((edited, "an earlier form of the study"), (BAR.replace("2000", "6000"), "evidence on robust")):
         (here / "bar.py").write_text(text)
         result = aleator("report", "results", "--json")
         assert result.exit_code == 0, result.output

@@ -201,7 +201,5 @@ def test_evidence_along_another_front_is_refused(tmp_path):
     along = al.validate_all(front, 100, seed=3)
     assert report(solution, fronts=front, along=along, path=path) == path
     other = dataclasses.replace(front, values=front.values[:1], points=front.points[:1])
-    with pytest.raises(
-        ProblemError, match=f"evidence at '{along.places[1]}' was sampled from a design that is on none"
-    ):
+    with pytest.raises(ProblemError, match=f"evidence at '{along.places[1]}' .* is on none of the fronts"):
         report(solution, fronts=other, along=along, path=path)
