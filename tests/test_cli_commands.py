@@ -326,6 +326,21 @@ def test_before_the_first_design_is_finished_a_report_says_that_nothing_is(
     assert found["files"] == []
 
 
+def test_a_run_stopped_in_its_second_design_has_a_page_of_the_first(here: Path, interrupted):
+    assert aleator("run", "bar.py").exit_code == 130
+    complete = (here / "results/bar/report.html").read_bytes()
+    result = aleator("report", "results/bar", "--json")
+    assert result.exit_code == 0, result.output
+    found = document(result)
+    assert found["files"] == ["results/bar/report-so-far.html"]
+    assert [one.partition(" is not")[0] for one in found["missing"]] == [
+        *("'design robust'", "'evidence on nominal'", "'evidence on robust'"),
+        *("'front over stress'", "'evidence along the front over stress'"),
+    ]
+    assert "nominal" in (here / "results/bar/report-so-far.html").read_text()
+    assert (here / "results/bar/report.html").read_bytes() == complete
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="signals are sent as on Unix")
 @pytest.mark.parametrize(
     ("begun", "command"),
