@@ -1,7 +1,9 @@
 """The `aleator` command, which minds signals before it imports the package: that takes a second or two."""
 
+import json
 import os
 import signal
+import sys
 from types import FrameType
 
 
@@ -28,6 +30,9 @@ def mind_signals() -> None:
 def _end(number: int, frame: FrameType | None) -> None:
     """Before a run has begun there is nothing to keep."""
     del frame
+    if "--json" in sys.argv[1:]:
+        told = {"command": sys.argv[1], "exit_code": 128 + number, "errors": ["Interrupted."]}
+        os.write(1, f"{json.dumps(told)}\n".encode())
     os.write(2, b"Interrupted.\n")
     os._exit(128 + number)
 

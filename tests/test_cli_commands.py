@@ -129,7 +129,7 @@ def test_a_sweep_that_was_interrupted_tells_what_waits_and_is_resumed_from_its_f
     page = aleator("report", "there", "--json")
     assert page.exit_code == 0, page.output
     assert "'front over stress' is not finished" in document(page)["missing"][0]
-    text = (here / "there/report.html").read_text()
+    text = (here / "there/report-so-far.html").read_text()
     assert "1 of 3 points are available" in text
 
     interrupted.undo()
@@ -226,9 +226,13 @@ def test_a_front_by_several_workers_is_that_of_pareto_with_an_executor(here: Pat
         (("--bound", "stress", "--values", "nan"), "sweep: values"),
         (("--bound", "stress", "--values", "1", "--design", "robot"), "Did you mean 'robust'"),
         (("--bound", "stress", "--values", "1", "--workers", "0"), "workers"),
+        (("--bound", "range", "--values", "0.2,0.3"), "0.2 alone cannot be the bound of 'range'"),
+        (("--bound", "range", "--values", "0.2"), "sweep a limit of one side, or write each side"),
     ],
 )
 def test_a_sweep_that_cannot_be_is_refused_before_any_work(here: Path, options: tuple[str, ...], told: str):
+    two_sided = 'subject_to=[strong, (stress.mean <= 0.4).named("range"), (stress.mean >= 0.1).named("range")]'
+    (here / "bar.py").write_text(BAR.replace("subject_to=[strong]", two_sided))
     result = aleator("sweep", "bar.py", *options)
     assert result.exit_code == 2
     assert told in said(result)
@@ -297,6 +301,102 @@ def test_the_page_of_a_folder_is_written_without_computing_or_noting_anything(
     assert "Systems that violate stress" in page
 
 
+def interrupt_in_the_first_solve(monkeypatch: pytest.MonkeyPatch) -> None:
+    def stopped(call):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(solving._solve, "_solved", stopped)
+
+
+def test_before_the_first_design_is_finished_a_report_says_that_nothing_is(
+    here: Path, monkeypatch: pytest.MonkeyPatch, python_interrupts
+):
+    with monkeypatch.context() as patch:
+        interrupt_in_the_first_solve(patch)
+        result = aleator("run", "bar.py", "--json")
+    assert result.exit_code == 130, result.output
+    assert document(result)["verdict"].startswith("Interrupted: No design was finished")
+    assert document(result)["errors"][0].startswith("Interrupted during 'design nominal'")
+    result = aleator("report", "results/bar", "--json")
+    assert result.exit_code == 2, result.output
+    found = document(result)
+    assert "nothing is finished yet in 'results/bar'" in found["errors"][0]
+    assert "'design nominal' is not finished" in found["missing"][0]
+    assert "'evidence on nominal' is not finished: what it follows from is missing." in found["missing"]
+    assert found["files"] == []
+
+
+def test_a_run_stopped_in_its_second_design_has_a_page_of_the_first(here: Path, interrupted):
+    assert aleator("run", "bar.py").exit_code == 130
+    complete = (here / "results/bar/report.html").read_bytes()
+    result = aleator("report", "results/bar", "--json")
+    assert result.exit_code == 0, result.output
+    found = document(result)
+    assert found["files"] == ["results/bar/report-so-far.html"]
+    assert [one.partition(" is not")[0] for one in found["missing"]] == [
+        *("'design robust'", "'evidence on nominal'", "'evidence on robust'"),
+        *("'front over stress'", "'evidence along the front over stress'"),
+    ]
+    assert "nominal" in (here / "results/bar/report-so-far.html").read_text()
+    assert (here / "results/bar/report.html").read_bytes() == complete
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals are sent as on Unix")
+@pytest.mark.parametrize(
+    ("begun", "command"),
+    [
+        ("aleator_command.main()", ["run", "waiting.py", "--json"]),
+        ("aleator_command.main()", ["check", "waiting.py", "--json"]),
+        ("aleator_command.mind_signals(); os.kill(os.getpid(), signal.SIGINT)", ["report", "there", "--json"]),
+    ],
+)
+def test_an_early_signal_leaves_a_document(here: Path, begun: str, command: list[str]):
+    """While the study is loaded, and while the package is imported."""
+    (here / "waiting.py").write_text(
+        "import os, signal, threading\nos.kill(os.getpid(), signal.SIGINT)\nthreading.Event().wait()\n"
+    )
+    program = (
+        "import os, signal; signal.signal(signal.SIGINT, signal.default_int_handler); import aleator_command; " + begun
+    )
+    done = subprocess.run([sys.executable, "-c", program, *command], capture_output=True, text=True, timeout=120)
+    assert done.returncode == 130, done.stderr
+    found = document(done)
+    assert (found["command"], found["exit_code"]) == (command[0], 130)
+    assert found["errors"][0].startswith("Interrupted")
+    assert "Interrupted" in done.stderr
+
+
+def test_a_sweep_stopped_in_its_first_point_has_a_report_or_a_reason(
+    here: Path, monkeypatch: pytest.MonkeyPatch, python_interrupts
+):
+    arguments = ("sweep", "bar.py", "--bound", "stress", "--values", "0.5", "--out", "there", "--json")
+    interrupt_in_the_first_solve(monkeypatch)
+    result = aleator(*arguments)
+    assert result.exit_code == 130, result.output
+    assert document(result)["verdict"].startswith("Interrupted: No point over stress")
+    found = document(aleator("report", "there", "--json"))
+    assert "nothing is finished yet" in found["errors"][0]
+    assert "'front over stress' is not finished" in found["missing"][0]
+
+
+def test_after_an_edit_the_page_is_written_beside_the_complete_one(here: Path, finished: Path, nothing_solved):
+    shutil.copytree(finished, here / "results")
+    Record("bar.py", quick=True).write(here / "results")
+    complete = (here / "results/report.html").read_bytes()
+    edited = BAR.replace("half_width=0.3", "half_width=0.2")
+    for text, told in ((edited, "an earlier form of the study"), (BAR.replace("2000", "6000"), "evidence on robust")):
+        (here / "bar.py").write_text(text)
+        result = aleator("report", "results", "--json")
+        assert result.exit_code == 0, result.output
+        found = document(result)
+        assert told in " ".join(found["missing"])
+        assert found["files"] == ["results/report-so-far.html"]
+        assert "report.html stays as it is" in said(result)
+        assert (here / "results/report.html").read_bytes() == complete
+    assert document(aleator("report", "results", "--out", "results/report.html", "--json"))["exit_code"] == 0
+    assert (here / "results/report.html").read_bytes() != complete
+
+
 class Partial(AbstractStudy):
     """A study with a stage of its own that no journal keeps, after a design."""
 
@@ -346,7 +446,7 @@ def test_a_study_that_no_journal_keeps_as_a_whole_is_told_by_its_designs(
     assert result.exit_code == 0, result.output
     assert study.others == 1
     assert "aleator resume" in document(result)["missing"][0]
-    assert "Partly kept" in (here / "there/report.html").read_text()
+    assert "Partly kept" in (here / "there/report-so-far.html").read_text()
     checked = aleator("check", "partial", "--json")
     assert checked.exit_code == 0, checked.output
     assert document(checked)["problems"]["robust"]["points"] >= 4
@@ -387,6 +487,32 @@ def test_runs_are_compared_design_by_design_and_by_what_they_follow_from(here: P
     assert "two folders or more" in said(aleator("compare", "narrow"))
     (here / "empty").mkdir()
     assert "there are no results in 'empty'" in said(aleator("compare", "narrow", "empty"))
+
+
+def test_a_run_is_compared_with_a_sweep_by_what_their_designs_are(here: Path):
+    (here / "bar.py").write_text(BAR.replace("samples=2000", "samples=100"))
+    assert aleator("run", "bar.py", "--out", "run").exit_code == 0
+    sweep = ("sweep", "bar.py", "--bound", "stress", "--values", "0.5,0.6", "--out", "sweep")
+    assert aleator(*sweep).exit_code == 0
+    result = aleator("compare", "run", "sweep", "--json")
+    assert result.exit_code == 0, result.output
+    found = document(result)
+    objectives = {
+        name: [one and one["objective"]["value"] for one in each.values()] for name, each in found["designs"].items()
+    }
+    assert objectives == {
+        "designs/nominal": [pytest.approx(2.0, rel=1e-6), None],
+        "designs/robust": [pytest.approx(NEEDED / 0.5, rel=1e-6)] * 2,
+        "stress = 0.6": [pytest.approx(NEEDED / 0.6, rel=1e-6)] * 2,
+    }
+    assert found["differences"]["designs/nominal"] == {"sweep": None}
+    assert found["differences"]["designs/robust"] == {"sweep": []}
+    assert found["differences"]["stress = 0.6"] == {"sweep": []}
+    assert found["designs"]["stress = 0.6"]["run"]["evidence"]["samples"] == 100
+    assert "There as" in said(result)
+    swapped = document(aleator("compare", "sweep", "run", "--json"))
+    assert list(swapped["designs"]) == ["stress = 0.5", "stress = 0.6", "designs/nominal"]
+    assert swapped["differences"]["stress = 0.5"] == {"run": []}
 
 
 def test_a_run_tells_programs_its_verdict_designs_and_fronts(finished: Path):
@@ -498,6 +624,41 @@ def test_a_folder_belongs_to_what_began_it(here: Path, begun: Record, other: Rec
     else:
         with pytest.raises(al.ProblemError, match="name another folder"):
             other.check_owns(here / "there")
+
+
+def test_neither_a_sweep_nor_a_run_replaces_what_the_other_has_found(here: Path, finished: Path, nothing_solved):
+    shutil.copytree(finished, here / "results")
+    Record("bar.py", quick=True).write(here / "results")
+    sweep = ("sweep", "bar.py", "--bound", "stress", "--values", "0.5", "--out")
+    (here / "results-over-stress").mkdir()
+    Record("bar.py", bound="stress", values=(0.5,)).write(here / "results-over-stress")
+    files = {one: one.read_bytes() for one in here.glob("res*/*") if one.is_file()}
+    for command, advice in (
+        ((*sweep, "results"), "--out results-over-stress"),
+        ((*sweep, "results", "--afresh"), "--out results-over-stress"),
+        (("run", "bar.py", "--out", "results-over-stress"), "--out results-over-stress-py"),
+    ):
+        result = aleator(*command)
+        assert result.exit_code == 2, result.output
+        assert advice in said(result)
+    assert {one: one.read_bytes() for one in here.glob("res*/*") if one.is_file() and one in files} == files
+
+
+def test_a_sweep_counts_each_bound_once_and_names_the_range_that_is_solved(here: Path):
+    arguments = ("sweep", "bar.py", "--bound", "stress", "--out", "there", "--json", "--values")
+    assert document(aleator(*arguments, "0.6,0.5,0.6"))["verdict"] == (
+        f"Swept: 2 of 2 points over stress are solved; the objective is {NEEDED / 0.5:.4g} at stress = 0.5 and "
+        f"{NEEDED / 0.6:.4g} at stress = 0.6."
+    )
+    again = aleator(*arguments, "0.6,0.001", "--afresh")
+    assert document(again)["recalled"] == 0
+    assert document(again)["verdict"] == (
+        f"Partly solved: 1 of 2 points over stress are solved; the objective is {NEEDED / 0.6:.4g} at stress = 0.6."
+    )
+    told = said(aleator("resume", "there"))
+    assert "taken from an earlier run." in told
+    assert "--afresh" not in told
+    assert "--afresh computes anew" in said(aleator(*arguments, "0.6"))
 
 
 def test_a_folder_goes_on_belonging_to_a_study_that_has_moved(here: Path):

@@ -218,3 +218,12 @@ def test_choices_without_paths_have_no_figure_of_any():
     page = page_html(Page("t", "s", Verdict("good", "Good", "All well"), [Section("Same", [block])]))
     assert '<section class="chosen"' in page
     assert 'class="plot"' not in page
+
+
+def test_evidence_along_another_front_is_refused(tmp_path):
+    solution, front, path = given.solution(), given.front(), tmp_path / "page.html"
+    along = al.validate_all(front, 100, seed=3)
+    assert report(solution, fronts=front, along=along, path=path) == path
+    other = dataclasses.replace(front, values=front.values[:1], points=front.points[:1])
+    with pytest.raises(ProblemError, match=f"evidence at '{along.places[1]}' .* is on none of the fronts"):
+        report(solution, fronts=other, along=along, path=path)

@@ -10,7 +10,8 @@ from aleator.studies import Check
 def check(study: StudyName, as_json: AsJson = False) -> None:
     """Print what a study will do, before anything is spent: sizes, points, derivatives, times."""
     terminal = Terminal("check", as_json)
-    with Interruptions(lambda: "Interrupted."), terminal.refusing():
+    interruptions = Interruptions(lambda: terminal.ended_at_once("Interrupted.", interruptions.exit_code))
+    with interruptions, terminal.refusing():
         looked = Check(studies.load(study))
     for one in looked.mathematics():
         terminal.title(one.heading)

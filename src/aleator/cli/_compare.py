@@ -8,11 +8,11 @@ from typing import Annotated, Any, NamedTuple
 import typer
 
 from aleator._core.errors import ProblemError
-from aleator.cli._kept import sorted_by_kind
+from aleator.cli._kept import evidence_on, sorted_by_kind
 from aleator.cli._options import AsJson
 from aleator.cli._record import RECORD, recorded
 from aleator.cli._terminal import Terminal
-from aleator.journalling import FILE, Entry, Recalled, entries_in, named
+from aleator.journalling import FILE, Entry, Recalled, entries_in, load, named
 from aleator.reporting import Table, percent, solution_document, values_text, words
 
 _DESIGNS = "designs.json"
@@ -32,11 +32,27 @@ _PARTS = {
 
 
 class _Run(NamedTuple):
-    """A run: its label, its designs as documents by name, and the journal's entries of these."""
+    """A run: its label, its designs as documents by name, and the journal's entries of all that was solved, by name."""
 
     label: str
+    folder: Path
     designs: Mapping[str, Any]
     entries: Mapping[str, Entry]
+
+    def name_of(self, name: str, others: Sequence["_Run"]) -> str | None:
+        """What it calls a design that some run calls `name`: if nothing is called so here, what is the same problem."""
+        if name in self.designs or name in self.entries:
+            return name
+        for sought in (one.entries[name] for one in others if name in one.entries):
+            same = {here: one for here, one in self.entries.items() if _problem(one) == _problem(sought)}
+            if same:
+                return next((here for here, one in same.items() if one.key == sought.key), list(same)[-1])
+        return None
+
+
+def _problem(entry: Entry) -> tuple[str, str | None]:
+    """What an entry solves, however it came there."""
+    return entry.what, entry.parts.get("problem")
 
 
 def compare(
@@ -56,13 +72,17 @@ def compare(
             raise ProblemError("compare: expected two folders or more; received one.")
         labels = _labels(folders)
         runs = [_run(label, folder) for label, folder in zip(labels, folders, strict=True)]
-    names = list(dict.fromkeys(name for one in runs for name in one.designs))
-    differences = {name: _differences(name, runs) for name in names}
-    for name in names:
-        terminal.table(_table(name, runs))
+    rows: dict[tuple[str | None, ...], str] = {}  # what each run calls a design, whose first name is told
+    for name in (name for one in runs for name in one.designs):
+        rows.setdefault(tuple(one.name_of(name, runs) for one in runs), name)
+    designs, differences = dict[str, Any](), dict[str, Any]()
+    for called, name in rows.items():
+        found = [one and _document(run, one) for run, one in zip(runs, called, strict=True)]
+        terminal.table(_table(name, runs, called, found))
+        designs[name] = {run.label: one for run, one in zip(runs, found, strict=True)}
+        differences[name] = _differences(runs, called)
         for label, parts in differences[name].items():
             terminal.tell(f"{name}: {_sentence(runs[0].label, label, parts)}")
-    designs = {name: {one.label: one.designs.get(name) for one in runs} for name in names}
     terminal.note(folders=[str(one) for one in folders], designs=designs, differences=differences)
     terminal.conclude(0)
 
@@ -76,19 +96,36 @@ def _labels(folders: Sequence[Path]) -> list[str]:
 def _run(label: str, folder: Path) -> _Run:
     """A run's designs, as the run has written them, or as its journal keeps them."""
     entries = entries_in(folder) if (folder / FILE).is_file() else ()
-    known = {one.name or name: one for name, one in named(entries).items()}
-    if (folder / _DESIGNS).is_file():
-        return _Run(label, _written(folder / _DESIGNS), known)
+    known = {one.name or name: one for name, one in named(entries).items() if one.what.startswith("solve ")}
+    written = _written(folder / _DESIGNS) if (folder / _DESIGNS).is_file() else {}
+    if written:
+        return _Run(label, folder, written, known)
     if not entries:
         raise ProblemError(
             f"compare: there are no results in '{folder}': expected a folder in which `aleator run` or a script within "
             "`al.journal(folder)` has kept results."
         )
+    designs, evidence = sorted_by_kind(_finished(folder))
+    documents = {name: solution_document(one, evidence.get(name)) for name, one in designs.items()}
+    return _Run(label, folder, documents, {name.rpartition("/")[2]: one for name, one in known.items()})
+
+
+def _finished(folder: Path) -> Mapping[str, Any]:
     if (folder / RECORD).is_file():
         recorded(folder).made()  # so that its models' modules are there
-    designs, evidence = sorted_by_kind(Recalled(folder).finished())
-    documents = {name: solution_document(one, evidence.get(name)) for name, one in designs.items()}
-    return _Run(label, documents, {name.rpartition("/")[2]: one for name, one in known.items()})
+    return Recalled(folder).finished()
+
+
+def _document(run: _Run, name: str) -> Any:
+    """A design of a run; None if only its journal has it, and it cannot be read any more."""
+    if name in run.designs:
+        return run.designs[name]
+    try:
+        finished, kept = _finished(run.folder), load(run.folder)
+        place = next(there for there, one in named(kept.entries).items() if one.key == run.entries[name].key)
+        return solution_document(kept[place], evidence_on(kept[place], finished))
+    except ProblemError:
+        return None
 
 
 def _written(path: Path) -> Mapping[str, Any]:
@@ -101,10 +138,11 @@ def _written(path: Path) -> Mapping[str, Any]:
         ) from error
 
 
-def _table(name: str, runs: Sequence[_Run]) -> Table:
+def _table(name: str, runs: Sequence[_Run], called: Sequence[str | None], found: Sequence[Any]) -> Table:
     """One design in every run."""
-    found = [one.designs.get(name) for one in runs]
     rows = [["Status", *("–" if one is None else one["status"].partition(":")[0] for one in found)]]
+    if any(one not in (None, name) for one in called):
+        rows = [["There as", *(one or "–" for one in called)], *rows]
     for decision in _union([one["decisions"] for one in found if one]):
         rows.append([decision, *(_value(one and one["decisions"].get(decision)) for one in found)])
     rows.append(["Objective", *(_value(one and one["objective"]) for one in found)])
@@ -131,9 +169,10 @@ def _share(told: Mapping[str, Any] | None) -> str:
     return f"{percent(told['estimate'])} [{percent(told['lower'])} to {percent(told['upper'])}]"
 
 
-def _differences(name: str, runs: Sequence[_Run]) -> dict[str, list[str] | None]:
+def _differences(runs: Sequence[_Run], called: Sequence[str | None]) -> dict[str, list[str] | None]:
     """What each further run's design follows from that differs from the first one's; None where that is not known."""
-    return {one.label: _changed(runs[0].entries.get(name), one.entries.get(name)) for one in runs[1:]}
+    first, *others = [run.entries.get(name or "") for run, name in zip(runs, called, strict=True)]
+    return {run.label: _changed(first, one) for run, one in zip(runs[1:], others, strict=True)}
 
 
 def _changed(first: Entry | None, other: Entry | None) -> list[str] | None:
@@ -145,7 +184,7 @@ def _changed(first: Entry | None, other: Entry | None) -> list[str] | None:
 
 def _sentence(first: str, other: str, parts: list[str] | None) -> str:
     if parts is None:
-        return f"what {first} and {other} follow from is not known: one of their journals does not have it."
+        return f"what {first} and {other} follow from is not known: one of them does not have it."
     if not parts:
         return f"{first} and {other} follow from the same equations, code, numbers and versions."
     return f"{first} and {other} differ in {words(parts)}."

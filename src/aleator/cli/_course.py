@@ -34,11 +34,12 @@ def executed(
     made: Callable[[], AbstractStudy],
     out: Path,
     *,
-    afresh: bool = False,
+    afresh: bool | None = None,
     record: Record | None = None,
 ) -> int:
     """Make a study and run it while no other run writes into its folder, which notes the command that began it.
 
+    `afresh`: whether to compute everything anew; None for a command without this option.
     Returns the exit code.
     """
     course = _Course(terminal)
@@ -51,7 +52,7 @@ def executed(
             held.enter_context(only_writer(folder))
             if record is not None:
                 record.check_owns(folder)
-            kept = held.enter_context(journal(folder, afresh=afresh))
+            kept = held.enter_context(journal(folder, afresh=bool(afresh)))
             if record is None:
                 (folder / RECORD).unlink(missing_ok=True)
             else:
@@ -63,7 +64,8 @@ def executed(
             code = course.execute(job, folder, kept)
             if kept.recalled:
                 told = "1 result was" if kept.recalled == 1 else f"{kept.recalled} results were"
-                terminal.tell(f"{told} taken from an earlier run; --afresh computes anew.")
+                hint = "" if afresh is None else "; --afresh computes anew"
+                terminal.tell(f"{told} taken from an earlier run{hint}.")
             return code
         except BrokenPipeError:
             raise
@@ -81,7 +83,7 @@ class _Course:
 
     def __init__(self, terminal: Terminal) -> None:
         self._terminal = terminal
-        self.interruptions = Interruptions(self._last_words)
+        self.interruptions = Interruptions(self._end_at_once)
         self._stage, self._folder = "", Path()
         self._finished, self._paths, self._reduced = list[str](), list[Path](), list[Path]()
         self._tables: Sequence[Table] = ()
@@ -162,6 +164,9 @@ class _Course:
         verb = "are" if len(self._finished) > 1 else "is"
         report = "" if PAGE in [path.name for path in self._paths] else ", without a report"
         return f"Interrupted{self._during()}: {kept} {verb} kept in {self._folder}{report}."
+
+    def _end_at_once(self) -> str:
+        return self._terminal.ended_at_once(self._last_words(), self.interruptions.exit_code)
 
     def _run_stages(self, job: AbstractStudy) -> None:
         total = sum(stage.share for stage in job.stages.values())

@@ -17,9 +17,14 @@ def sorted_by_kind(finished: Mapping[str, Any]) -> tuple[dict[str, Solution], di
     solutions = {name: one for name, one in finished.items() if isinstance(one, Solution)}
     named = {name.rpartition("/")[2]: one for name, one in solutions.items() if "/" in name}
     designs = named or solutions
-    every = [one for one in finished.values() if isinstance(one, Evidence)]
-    found = {name: [one for one in every if _is_on(one, design)] for name, design in designs.items()}
-    return designs, {name: on[-1] for name, on in found.items() if on}
+    found = {name: evidence_on(design, finished) for name, design in designs.items()}
+    return designs, {name: one for name, one in found.items() if one is not None}
+
+
+def evidence_on(design: Solution, finished: Mapping[str, Any]) -> Evidence | None:
+    """The last evidence on a design among results; None if there is none."""
+    found = [one for one in finished.values() if isinstance(one, Evidence) and _is_on(one, design)]
+    return found[-1] if found else None
 
 
 def _is_on(evidence: Evidence, design: Solution) -> bool:

@@ -1,5 +1,6 @@
 """Arguments and options that commands share."""
 
+import re
 from pathlib import Path
 from typing import Annotated, TypeAlias
 
@@ -34,6 +35,7 @@ Folder: TypeAlias = Annotated[Path, typer.Argument(help="A run's folder.", show_
 AsJson: TypeAlias = Annotated[
     bool, typer.Option("--json", help="Print one JSON document on stdout, and all else on stderr.")
 ]
+Afresh: TypeAlias = Annotated[bool, typer.Option("--afresh", help="Compute everything anew.")]
 Design: TypeAlias = Annotated[
     str | None, typer.Option("--design", help="Name of one of its designs.", show_default=False)
 ]
@@ -43,3 +45,9 @@ def folder_of(study: str) -> Path:
     """Where the results of a study go by default: `results/` and the last part of its name, file or module."""
     place = Path(study).stem if study.endswith((".py", ".toml")) else study.rpartition(":")[2]
     return Path("results") / place.rpartition(".")[2]
+
+
+def folder_over(folder: Path, bound: str) -> Path:
+    """Where a sweep goes by default: beside the results of its study."""
+    of_the_bound = re.sub(r"[^\w.-]+", "-", bound).strip("-")
+    return folder.with_name(f"{folder.name}-over-{of_the_bound}")

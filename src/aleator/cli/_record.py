@@ -9,6 +9,7 @@ from typing import Any, final
 
 from aleator import studies
 from aleator._core.errors import ProblemError
+from aleator.cli._options import folder_over
 from aleator.reporting import json_text, write_whole
 from aleator.studies import AbstractStudy, SweptStudy
 
@@ -60,7 +61,7 @@ class Record:
         if not self._is_of(other, folder):
             raise ProblemError(
                 f"The results of `{other}` are in '{folder}', and `{self}` would replace them: name another folder, "
-                f"such as --out {_another(folder, self.study)}, or remove that one."
+                f"such as --out {self._another(folder, other)}, or remove that one."
             )
 
     def _is_of(self, other: "Record", folder: Path) -> bool:
@@ -73,6 +74,13 @@ class Record:
         if not places:
             return Path(self.study).name == Path(other.study).name
         return Path(self.study).resolve() in [one.resolve() for one in places]
+
+    def _another(self, folder: Path, other: "Record") -> Path:
+        """A name for another folder, which tells what differs: the bound, or the kind of the study's file."""
+        if self.bound and self.bound != other.bound:
+            return folder_over(folder, self.bound)
+        kind = Path(self.study).suffix.removeprefix(".") if self.study.endswith(_FILES) else ""
+        return folder.with_name(f"{folder.name}-{kind or 'again'}")
 
     def places(self, folder: Path) -> list[Path]:
         """Where the study's file may be: as it was given, or as it lies from the run's folder."""
@@ -99,12 +107,6 @@ def _relative(file: Path, folder: Path) -> str:
         return os.path.relpath(file.resolve(), folder)
     except ValueError:  # on another drive of Windows
         return ""
-
-
-def _another(folder: Path, study: str) -> Path:
-    """A name for another folder, in which the kind of the study's file is told."""
-    kind = Path(study).suffix.removeprefix(".") if study.endswith(_FILES) else ""
-    return folder.with_name(f"{folder.name}-{kind or 'again'}")
 
 
 def recorded(folder: Path) -> Record:

@@ -1,5 +1,6 @@
 """`aleator report`: the page of what is in a folder."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -14,6 +15,8 @@ from aleator.journalling import Recalled, recalling
 from aleator.reporting import PAGE, Page, Section, Text, footer, sections, verdict, words, write_page
 from aleator.studies import AbstractStudy
 
+SO_FAR = "report-so-far.html"
+
 
 def report(
     folder: Folder,
@@ -24,28 +27,38 @@ def report(
 ) -> None:
     """Write the page of what is in a run's folder, without computing anything, and say what is missing.
 
-    Another process may be running there.
+    Another process may be running there. A page that is there is not replaced by one from which something is missing:
+    this one is written beside it, as report-so-far.html.
     """
     terminal = Terminal("report", as_json)
+    missing = list[str]()
+    terminal.note(folder=str(folder), files=[], missing=missing, verdict=None)
     with terminal.refusing(), terminal.warning():
         with recalling(folder) as kept:
-            page, missing = _page(folder, kept)
-        path = write_page(page, out or folder / PAGE)
+            page = _page(folder, kept, missing)
+        path = write_page(page, out or _place(folder, missing))
     for one in missing:
         terminal.look_at(one)
+    if path.name == SO_FAR:
+        terminal.look_at(f"{folder / PAGE} stays as it is, because the page of now is without what is missing.")
     terminal.tell(f"wrote {path}")
-    terminal.note(folder=str(folder), files=[str(path)], missing=missing, verdict=page.verdict.headline)
+    terminal.note(files=[str(path)], verdict=page.verdict.headline)
     terminal.conclude(0)
 
 
-def _page(folder: Path, kept: Recalled) -> tuple[Page, list[str]]:
-    """The page, and what is missing from it, a sentence each."""
+def _place(folder: Path, missing: Sequence[str]) -> Path:
+    """Where the page goes: never over another one if something is missing from it."""
+    return folder / (SO_FAR if missing and (folder / PAGE).exists() else PAGE)
+
+
+def _page(folder: Path, kept: Recalled, missing: list[str]) -> Page:
+    """The page; what is missing from it is added, a sentence each."""
     study = recorded(folder).made() if (folder / RECORD).is_file() else None
     if study is not None and study.stages_are_journalled:
-        missing = _recalled(study, kept)
+        missing += _recalled(study, kept)
         if any(study.results().values()):
-            return study.page(), missing
-    return _bare_page(folder, kept, study)
+            return study.page()
+    return _bare_page(folder, kept, study, missing)
 
 
 def _recalled(study: AbstractStudy, kept: Recalled) -> list[str]:
@@ -55,29 +68,35 @@ def _recalled(study: AbstractStudy, kept: Recalled) -> list[str]:
         try:
             study.run(name)
         except KeyboardInterrupt:
-            missing.append(f"'{name}' is not finished: {words(list(dict.fromkeys(kept.missing)), 'some')} is missing.")
+            absent = words(list(dict.fromkeys(kept.missing)), "what it follows from")
+            missing.append(f"'{name}' is not finished: {absent} is missing.")
         except AleatorError as error:
             missing.append(f"'{name}' failed: {error}")
         kept.missing.clear()
     return missing
 
 
-def _bare_page(folder: Path, kept: Recalled, study: AbstractStudy | None) -> tuple[Page, list[str]]:
-    """A page of all designs and all evidence in a folder, whatever computed them."""
+def _bare_page(folder: Path, kept: Recalled, study: AbstractStudy | None, missing: list[str]) -> Page:
+    """A page of all designs and all evidence in a folder, whatever computed them; adds what is missing from it."""
     designs, evidence = sorted_by_kind(kept.finished())
+    missing += kept.missing
     if not designs:
-        raise ProblemError(f"report: there is no finished design in '{folder}' yet.")
-    told = [*kept.missing, *([_HARD_TO_SEE] if study is not None and not study.stages_are_journalled else [])]
-    page = Page(
+        raise ProblemError(f"report: nothing is finished yet in '{folder}': there is no design to show.")
+    if study is not None:
+        missing.append(_OF_ANOTHER_FORM if study.stages_are_journalled else _HARD_TO_SEE)
+    return Page(
         title=study.title if study is not None else folder.resolve().name,
         subtitle=f"Kept in {folder.resolve().name}: {words(list(designs))}",
         verdict=verdict(designs, evidence),
-        sections=[*sections(designs, evidence, {}), *([Section("Missing", [Text(told)])] if told else [])],
+        sections=[*sections(designs, evidence, {}), *([Section("Missing", [Text(missing)])] if missing else [])],
         footer=footer(),
     )
-    return page, told
 
 
+_OF_ANOTHER_FORM = (
+    "These are designs of an earlier form of the study, or of its fronts: the study as it is now has no result here "
+    "yet; `aleator resume` computes them."
+)
 _HARD_TO_SEE = (
     "This page has the designs and the evidence that the journal keeps; the study's own chapters follow with "
     "`aleator resume`."

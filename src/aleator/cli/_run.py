@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from aleator.cli._course import executed
-from aleator.cli._options import AsJson, StudyName, folder_of
+from aleator.cli._options import Afresh, AsJson, StudyName, folder_of
 from aleator.cli._record import Record
 from aleator.cli._terminal import Terminal
 
@@ -15,7 +15,7 @@ def run(
     study: StudyName,
     quick: Annotated[bool, typer.Option("--quick", help="Fewer samples and points: a first look in a minute.")] = False,
     out: Annotated[Path | None, typer.Option(help="Folder for the results.", show_default="results/STUDY")] = None,
-    afresh: Annotated[bool, typer.Option("--afresh", help="Compute everything anew.")] = False,
+    afresh: Afresh = False,
     as_json: AsJson = False,
 ) -> None:
     """Run a study: solve, check by Monte Carlo, sweep, and write the report.

@@ -1,6 +1,5 @@
 """`aleator sweep`: a front over one bound of any study."""
 
-import re
 from pathlib import Path
 from typing import Annotated
 
@@ -8,7 +7,7 @@ import typer
 
 from aleator._core.given import refusal
 from aleator.cli._course import executed
-from aleator.cli._options import AsJson, Design, StudyName, folder_of
+from aleator.cli._options import Afresh, AsJson, Design, StudyName, folder_of, folder_over
 from aleator.cli._record import Record
 from aleator.cli._terminal import Terminal
 
@@ -24,6 +23,7 @@ def sweep(
     out: Annotated[
         Path | None, typer.Option(help="Folder for the results.", show_default="results/STUDY-over-BOUND")
     ] = None,
+    afresh: Afresh = False,
     as_json: AsJson = False,
 ) -> None:
     """Solve one design of a study again for each value of a bound, and write the front with its page.
@@ -33,8 +33,8 @@ def sweep(
     terminal = Terminal("sweep", as_json)
     with terminal.refusing():
         record = Record(study, bound=bound, values=numbers(values), design=design or "", workers=workers or 0)
-    folder = out or folder_of(study).with_name(f"{folder_of(study).name}-over-{_in_a_path(bound)}")
-    terminal.conclude(executed(terminal, record.made, folder, record=record))
+    folder = out or folder_over(folder_of(study), bound)
+    terminal.conclude(executed(terminal, record.made, folder, afresh=afresh, record=record))
 
 
 def numbers(text: str) -> tuple[float, ...]:
@@ -43,7 +43,3 @@ def numbers(text: str) -> tuple[float, ...]:
         return tuple(float(one) for one in text.split(",") if one.strip())
     except ValueError:
         raise refusal("sweep: --values", "numbers with commas between them, such as 1,1.2,1.4", text) from None
-
-
-def _in_a_path(name: str) -> str:
-    return re.sub(r"[^\w.-]+", "-", name).strip("-")

@@ -1,5 +1,6 @@
 """What a command says: results on stdout, errors on stderr; or one JSON document on stdout, and all else on stderr."""
 
+import os
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -56,8 +57,17 @@ class Terminal:
         self._errors.print(Text.assemble(("warning", "bold yellow"), f": {said}"), soft_wrap=True)
 
     def last_words(self, said: str) -> None:
-        """Print what remains to be said on stderr."""
+        """Print on stderr what an interrupted run has kept."""
+        self._said.append(said)
         self._errors.print(said, soft_wrap=True)
+
+    def ended_at_once(self, said: str, code: int) -> str:
+        """The last word of a process that another thread ends at once, after its JSON document, if there is one."""
+        self._said.append(said)
+        if self._document is not None:
+            with os.fdopen(os.dup(1), "w", encoding="utf-8") as stdout:
+                stdout.write(self._finished_document(code))
+        return said
 
     def note(self, **facts: Any) -> None:
         """Add to the JSON document, if there is one."""
@@ -72,7 +82,10 @@ class Terminal:
     def print_document(self, code: int) -> None:
         """Print the JSON document, if there is one, with the exit code."""
         if self._document is not None:
-            typer.echo(json_text({**self._document, "exit_code": code, "errors": self._said}), nl=False)
+            typer.echo(self._finished_document(code), nl=False)
+
+    def _finished_document(self, code: int) -> str:
+        return json_text({**(self._document or {}), "exit_code": code, "errors": self._said})
 
     def conclude(self, code: int) -> NoReturn:
         """Print the JSON document, if there is one, and end with an exit code."""

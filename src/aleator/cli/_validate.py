@@ -27,6 +27,8 @@ from aleator.studies import AbstractStudy, Study, problems_of
 from aleator.validation import Evidence
 from aleator.validation import validate as validated
 
+_KEPT = "Interrupted: finished evidence is kept."
+
 
 def validate(
     place: StudyOrFolder,
@@ -97,7 +99,7 @@ class _Sampling:
 
     def __init__(self, terminal: Terminal, samples: int, seed: int):
         self._terminal, self._samples, self._seed = terminal, samples, seed
-        self.interruptions = Interruptions(lambda: "Interrupted: finished evidence is kept.")
+        self.interruptions = Interruptions(lambda: terminal.ended_at_once(_KEPT, self.interruptions.exit_code))
         self.found: dict[str, Evidence] = {}
         self._refused: dict[str, str] = {}
 
@@ -112,7 +114,7 @@ class _Sampling:
                     progress.end(f"evidence on {name}", 1.0, f"{time.perf_counter() - begun:.1f} s")
         except KeyboardInterrupt:
             self.interruptions.conclude()
-            self._terminal.last_words("Interrupted: finished evidence is kept.")
+            self._terminal.last_words(_KEPT)
             return self.interruptions.exit_code
         self.interruptions.rest()
         return FAILED if self._refused else 0

@@ -11,6 +11,7 @@ from aleator._core.errors import ProblemError
 from aleator.nlp import Status
 from aleator.reporting import _units
 from aleator.reporting._blocks import Block, Card, Code, Drawing, Section, Text, Verdict
+from aleator.reporting._choices import evidence_on
 from aleator.reporting._files import as_path, check_writable
 from aleator.reporting._linked import front_blocks, trade_off_blocks
 from aleator.reporting._meshes import mesh_drawing
@@ -72,7 +73,8 @@ def report(
     - `fronts`: of `al.pareto` or `al.trade_off`; a reader who chooses a point sees the design there; `along`: evidence
       on these designs, of `al.validate_all`.
 
-    Raises `ProblemError` if there is no solution or the file cannot be written.
+    Raises `ProblemError` if there is no solution, for evidence on a design that is not shown, and if the file cannot be
+    written.
     """
     designs = _named(solutions, Solution)
     if not designs:
@@ -81,7 +83,11 @@ def report(
     sampled, swept = _named(evidence, Evidence, first), _named(fronts, (Front, TradeOff), first)
     for name, one in sampled.items():
         _check_belongs(name, one, designs)
-    checked = [each for one in _named(along, EvidenceOfAll).values() for each in one.evidence if each is not None]
+    sampled_along = _named(along, EvidenceOfAll)
+    shown = [*designs.values(), *(point for one in swept.values() for point in one.solutions)]
+    for one in sampled_along.values():
+        _check_along(one, shown)
+    checked = [each for one in sampled_along.values() for each in one.evidence if each is not None]
     check_writable(as_path(path).parent)
     return write_page(_page(designs, sampled, swept, checked, title), path)
 
@@ -113,6 +119,16 @@ def _check_belongs(name: str, evidence: Evidence, designs: Mapping[str, Solution
         raise ProblemError(
             f"report: the evidence on '{name}' was sampled from another design than the one shown: validate that one."
         )
+
+
+def _check_along(along: EvidenceOfAll, shown: Sequence[Solution]) -> None:
+    """Raise `ProblemError` for evidence on a design that is no point of the fronts, and none of the designs, shown."""
+    for place, evidence in along.by_place.items():
+        if not any(evidence_on(one, [evidence]) is evidence for one in shown):
+            raise ProblemError(
+                f"report: along: the evidence at '{place}' was sampled from a design that is on none of the fronts "
+                "shown: expected al.validate_all(front) of a front among `fronts`."
+            )
 
 
 def sections(

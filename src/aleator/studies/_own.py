@@ -2,26 +2,27 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
-from typing import Any, ClassVar, NamedTuple, final
+from typing import Any, ClassVar, NamedTuple, TypeVar, final
 
-import numpy as np
 from typing_extensions import override
 
 from aleator._core.errors import ProblemError
-from aleator._core.given import a_name, one_of, real_array, refusal, whole
+from aleator._core.given import a_name, one_of, refusal, whole
 from aleator._core.progress import Progress
 from aleator.design import Expression, Problem
-from aleator.nlp import AbstractSolver
+from aleator.nlp import AbstractSolver, Status
 from aleator.reporting import Section, Table, Verdict, certificate_table, designs_table, evidence_table, sections
 from aleator.reporting import verdict as verdict_on
 from aleator.solution import Solution, in_brief
 from aleator.solving import solve
 from aleator.studies._declared import Stage
 from aleator.studies._study import AbstractStudy, stop_if_interrupted
-from aleator.studies._swept import front_of
+from aleator.studies._swept import check_sweepable, distinct, front_of
 from aleator.sweep import EvidenceOfAll, Front, TradeOff, trade_off, validate_all
 from aleator.transcription import DEFAULT, AbstractTranscription
 from aleator.validation import Evidence, validate
+
+Part = TypeVar("Part")
 
 # A quick run takes these parts of the samples, and of the points of fronts.
 _QUICK_SAMPLES, _QUICK_POINTS = 20, 3
@@ -89,15 +90,15 @@ class Study(AbstractStudy):
         if not isinstance(sweeps, Mapping | None):
             raise refusal("Study: sweeps", "values by the names of constraints", sweeps)
         swept = (sweeps or {}).items()
-        self._sweeps = {name: np.ravel(real_array(f"Study: sweep over '{name}'", one)) for name, one in swept}
+        self._sweeps = {name: distinct(f"Study: sweep over '{name}'", one) for name, one in swept}
         self._wishes = _checked_wishes(wishes)
         self._points = whole("Study: points", points, least=max(2, len(self._wishes)))
         self._solver = None if solver is None else one_of("Study: solver", solver, AbstractSolver, "al.solvers.Ipopt()")
         self._transcription = one_of("Study: transcription", transcription, AbstractTranscription, "al.Sequential()")
         self._workers = None if workers is None else whole("Study: workers", workers)
         self._is_quick = quick
-        for name in self._sweeps:
-            self._last.named(name)
+        for name, values in self._sweeps.items():
+            check_sweepable("Study: sweeps", self._last, name, values)
         self._found = _Found({}, {}, {}, {}, {})
 
     def quickened(self) -> "Study":
@@ -174,7 +175,7 @@ class Study(AbstractStudy):
     def verdict(self) -> Verdict:
         found = self._found
         if not found.designs:
-            return Verdict("bad", "Nothing solved", "No design was solved: there is nothing to recommend.")
+            return Verdict("caution", "Interrupted", "No design was finished before the study stopped: run it again.")
         return verdict_on(found.designs, found.evidence)
 
     @override
@@ -212,11 +213,13 @@ class Study(AbstractStudy):
         progress(f"design {name}", 0, 1)
         found = self._found.designs[name] = solve(self.problems[name], **self.solving, throw=False)
         progress(f"design {name}: {in_brief(found)}", 1, 1)
+        if found.status is Status.INTERRUPTED:
+            raise KeyboardInterrupt
 
     def _validate(self, name: str, progress: Progress) -> None:
-        if self._found.designs[name].ok:
-            found = validate(self._found.designs[name], self._samples, seed=self._seed, progress=progress)
-            self._found.evidence[name] = found
+        design = _there(self._found.designs, name)
+        if design.ok:
+            self._found.evidence[name] = validate(design, self._samples, seed=self._seed, progress=progress)
 
     def _sweep(self, bound: str, progress: Progress) -> None:
         values = self._sweeps[bound]
@@ -231,10 +234,18 @@ class Study(AbstractStudy):
 
     def _validate_along(self, name: str, fronts: Mapping[str, Front | TradeOff], progress: Progress) -> None:
         """Count on the same systems at each solved point, so that whoever chooses one sees how often it fails."""
-        if any(one.ok for one in fronts[name].solutions):
-            found = validate_all(fronts[name], self._samples, seed=self._seed, progress=progress)
+        front = _there(fronts, name)
+        if any(one.ok for one in front.solutions):
+            found = validate_all(front, self._samples, seed=self._seed, progress=progress)
             self._found.along[name] = found
             stop_if_interrupted(found)
+
+
+def _there(found: Mapping[str, Part], name: str) -> Part:
+    """What an earlier stage has found. Raises `KeyboardInterrupt` where that one was stopped before it had anything."""
+    if name not in found:
+        raise KeyboardInterrupt
+    return found[name]
 
 
 def _checked_wishes(wishes: Mapping[str, Expression] | None) -> dict[str, Expression]:

@@ -55,11 +55,11 @@ class SweptStudy(AbstractStudy):
         workers: int | None = None,
     ):
         name, problem = design_of(study, design)
-        problem.named(bound)
         self.title, self.subtitle = f"{study.title}: {name} over {bound}", study.subtitle
-        self._values = np.ravel(real_array("sweep: values", list(values)))
+        self._values = distinct("sweep: values", list(values))
         if not self._values.size or not np.isfinite(self._values).all():
             raise refusal("sweep: values", "one finite value of the bound at least", self._values.tolist())
+        check_sweepable("sweep", problem, bound, self._values)
         self._workers = None if workers is None else whole("sweep: workers", workers)
         self._name, self._problem, self._bound, self._solving = name, problem, bound, study.solving
         self.front: Front | None = None
@@ -86,12 +86,15 @@ class SweptStudy(AbstractStudy):
     @override
     def verdict(self) -> Verdict:
         solved = [] if self.front is None else [one for one in self.front.optima if one is not None]
-        if self.front is None or not solved:
-            return Verdict("bad", "Nothing solved", self.unsolved or f"No point over {self._bound} is there yet.")
+        if self.front is None or (self.front.interrupted and not solved):
+            return Verdict(
+                "caution", "Interrupted", f"No point over {self._bound} was solved before the sweep stopped."
+            )
+        if not solved:
+            return Verdict("bad", "Nothing solved", self.unsolved)
         told = f"{count(len(solved))} of {count(len(self._values))} points over {self._bound} are solved"
-        ends = words([number(one.objective, 4) for one in (solved[0], solved[-1])])
         whole_front = len(solved) == len(self._values)
-        headline = f"{told}; the objective at the ends is {ends}."
+        headline = f"{told}; {_range_of(self.front)}."
         return Verdict("good" if whole_front else "caution", "Swept" if whole_front else "Partly solved", headline)
 
     @override
@@ -151,6 +154,31 @@ def design_of(study: AbstractStudy, design: str | None) -> tuple[str, Problem]:
         known = f"expected one of {list(problems)}.{meant(design, problems)}"
         raise ProblemError(f"The study '{study.title}' has no design '{design}'; {known}")
     return design, problems[design]
+
+
+def distinct(what: str, values: Any) -> np.ndarray:
+    """Values of a bound, each once, in the order in which they are given. Raises `ProblemError` for other things."""
+    return np.array(list(dict.fromkeys(np.ravel(real_array(what, values)).tolist())))
+
+
+def check_sweepable(what: str, problem: Problem, bound: str, values: np.ndarray) -> None:
+    """Refuse a bound that is not there, or that one number cannot set. Raises `ProblemError`."""
+    limit = words([str(one) for one in problem.named(bound)])
+    for value in values.tolist():
+        try:
+            problem.with_bound(bound, value)
+        except ProblemError as error:
+            raise ProblemError(
+                f"{what}: {value:g} alone cannot be the bound of '{bound}', which is {limit}: sweep a limit of one "
+                "side, or write each side in the study as a limit with a name of its own."
+            ) from error
+
+
+def _range_of(front: Front) -> str:
+    """Objective and bound at both ends of what is solved."""
+    solved = sorted((value, i) for i, value in enumerate(front.values.tolist()) if front.points[i].ok)
+    ends = dict.fromkeys(i for _, i in (solved[0], solved[-1]))
+    return f"the objective is {words([f'{number(front.objectives[i], 4)} at {_place(front, i)}' for i in ends])}"
 
 
 def _place(front: Front, i: int) -> str:
