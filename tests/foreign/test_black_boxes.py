@@ -43,7 +43,7 @@ def spawned(workers=2):
 
 
 class Counted:
-    """A function that counts its calls, from several threads too: in a queue, whose contents nothing can read as its code."""
+    """A function that counts its calls, from several threads too: in a queue, which cannot be read as its code."""
 
     def __init__(self, function=boxes.smooth):
         self.function, self._queue = function, queue.SimpleQueue()
@@ -60,7 +60,7 @@ class Counted:
 def until(path, failing):
     """`failing` until there is a file, and `boxes.smooth` from then on."""
     path = str(path)
-    return lambda at: boxes.smooth(at) if os.path.exists(path) else failing(at)
+    return lambda at: boxes.smooth(at) if Path(path).exists() else failing(at)
 
 
 # --- The same bits ---------------------------------------------------------------------------------------------------
@@ -418,7 +418,8 @@ def test_a_number_that_the_function_reads_may_change_between_two_calls(tmp_path,
         assert float(al.expand(box, model, expansion).mean) == pytest.approx(3.5)
     assert state["calls"] == 2 * calls
     told = [str(one.message) for one in caught if issubclass(one.category, al.SimulationWarning)]
-    assert len(told) == kept and all("such as a count of its calls" in one for one in told)
+    assert len(told) == kept
+    assert all("such as a count of its calls" in one for one in told)
 
 
 def test_a_plain_number_of_the_model_is_part_of_a_sample(tmp_path):
@@ -499,9 +500,7 @@ def test_forked_processes_are_refused():
 def test_forked_processes_are_refused_wherever_an_executor_is_given():
     with ProcessPoolExecutor(1) as executor:
         for method in (al.references.monte_carlo, al.references.quasi_monte_carlo):
-            with pytest.raises(
-                al.ProblemError, match=r"_carlo: executor: .*processes that are forked\. Write al\.work"
-            ):
+            with pytest.raises(al.ProblemError, match=r"_carlo: executor: .*processes that are forked\. Write al\.w"):
                 method(boxes.smooth, TWO, 8, executor=executor)
 
 
