@@ -216,7 +216,7 @@ def test_a_number_that_agrees_with_the_assumptions_of_its_symbol_is_taken(assump
     ],
 )
 def test_what_the_printer_of_sympy_cannot_write_for_jax_is_refused_by_name(expression, said):
-    numbers = {one: 1.0 for one in expression.free_symbols}
+    numbers = dict.fromkeys(expression.free_symbols, 1.0)
     with pytest.raises(al.ProblemError, match=rf"no function for {said}; rewrite it .*\.doit\(\)"):
         formulas({"y": expression}, numbers)
 

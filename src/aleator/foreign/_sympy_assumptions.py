@@ -36,8 +36,8 @@ def refuse_stepping(who: str, symbol: Any, name: str) -> None:
     """Raise `ProblemError` for a function of time that SymPy takes to be integer, or zero: it moves continuously."""
     if kind := next((kind for kind in ("integer", "zero") if getattr(symbol, f"is_{kind}")), None):
         raise ProblemError(
-            f"{who}: SymPy takes '{name}' to be {kind}, and simplifies by it; expected a symbol without this assumption "
-            "for what moves continuously."
+            f"{who}: SymPy takes '{name}' to be {kind}, and simplifies by it; expected a symbol without this "
+            "assumption for what moves continuously."
         )
 
 
