@@ -11,6 +11,7 @@ import xarray
 
 import aleator as al
 import black_boxes as boxes
+from aleator.foreign._responses import answers
 
 TWO = {"x": al.Uniform.bounds(-1.0, 1.0), "z": al.Normal(2.0, 0.1)}
 ORDER = al.Expansion(order=3)
@@ -138,6 +139,47 @@ def test_inputs_rounded_to_the_digits_of_a_spreadsheet_are_the_same(tmp_path, as
 
     written(tmp_path / "table.csv", asked, rounded)
     assert_same(asked.tell(tmp_path / "table.csv"), direct)
+
+
+@pytest.mark.parametrize("digits", [9, 6])
+def test_inputs_rounded_to_six_digits_are_the_same_too(tmp_path, asked, digits):
+    def rounded(table):
+        return [row | {name: float(f"{row[name]:.{digits}g}") for name in TWO} for row in table]
+
+    written(tmp_path / "table.csv", asked, rounded)
+    told = asked.tell(tmp_path / "table.csv")
+    # The outputs in the table are those at all digits.
+    assert_same(told, al.expand(boxes.smooth, TWO, ORDER, traced=False))
+    written(tmp_path / "table.csv", asked, lambda table: [row | {"x": float(f"{row['x']:.3g}")} for row in table])
+    with pytest.raises(al.ProblemError, match="points changed or rows reordered"):
+        asked.tell(tmp_path / "table.csv")
+
+
+@pytest.mark.parametrize("digits", [9, 6])
+def test_rounded_inputs_that_are_hardly_uncertain_are_refused(tmp_path, digits):
+    narrow = al.foreign.ask({"x": al.Normal(1000.0, 10.0 ** (2 - digits))}, al.Expansion(order=2))
+    rows = [(i, f"{x:.{digits}g}", x) for i, x in enumerate(narrow.points["x"], 1)]
+    (tmp_path / "table.csv").write_text("\n".join(["sample,x,y", *(f"{i},{x},{y}" for i, x, y in rows)]))
+    with pytest.raises(al.ProblemError, match=r"points changed or rows reordered|fit another sample too"):
+        narrow.tell(tmp_path / "table.csv")
+
+
+def test_rounded_inputs_that_fit_two_samples_are_refused():
+    points = {"x": np.array([0.0, 1.0, 1.000004, 0.005])}
+    named = {"sample": np.arange(1.0, 5.0), "x": np.array([0.0, 1.000002, 1.000004, 0.005]), "y": np.ones(4)}
+    with pytest.raises(al.ProblemError, match="those of sample 2 are rounded so that they fit another sample too"):
+        answers(points, named)
+    assert len(answers(points, named | {"x": points["x"]})) == 4
+
+
+@pytest.mark.parametrize("texts", [["", "pump was cold"], ["-", "?"], ["", ""], ["1", "see page 2"]])
+def test_a_column_of_comments_is_left_aside(tmp_path, asked, direct, texts):
+    def commented(table):
+        return [row | {"Comment": texts[i % 2]} for i, row in enumerate(table)]
+
+    written(tmp_path / "table.csv", asked, commented)
+    assert_same(asked.tell(tmp_path / "table.csv"), direct)
+    assert set(asked.tell(tmp_path / "table.csv").coefficients) == {"y", "v"}
 
 
 def renumbered(table):

@@ -4,6 +4,7 @@ import json
 import math
 import multiprocessing
 import os
+import queue
 import re
 import signal
 import subprocess
@@ -42,15 +43,24 @@ def spawned(workers=2):
 
 
 class Counted:
-    """A function that counts its calls, from several threads too."""
+    """A function that counts its calls, from several threads too: in a queue, which cannot be read as its code."""
 
     def __init__(self, function=boxes.smooth):
-        self.function, self.calls, self._lock = function, 0, threading.Lock()
+        self.function, self._queue = function, queue.SimpleQueue()
+
+    @property
+    def calls(self):
+        return self._queue.qsize()
 
     def __call__(self, at):
-        with self._lock:
-            self.calls += 1
+        self._queue.put(None)
         return self.function(at)
+
+
+def until(path, failing):
+    """`failing` until there is a file, and `boxes.smooth` from then on."""
+    path = str(path)
+    return lambda at: boxes.smooth(at) if Path(path).exists() else failing(at)
 
 
 # --- The same bits ---------------------------------------------------------------------------------------------------
@@ -297,22 +307,23 @@ def test_what_leaves_this_process_is_not_traced_and_says_so(function):
 # --- Journals --------------------------------------------------------------------------------------------------------
 
 
-def test_a_second_call_goes_on_where_the_first_failed():
-    counted = Counted(odd(None))
+def test_a_second_call_goes_on_where_the_first_failed(tmp_path):
+    counted = Counted(until(tmp_path / "repaired", odd(None)))
     box = al.foreign.BlackBox(counted)
     refused(box)
     assert counted.calls == 30
-    counted.function = boxes.smooth
+    (tmp_path / "repaired").touch()
     assert_same(al.expand(box, TWO, ORDER), directly())
     assert counted.calls == 31
 
 
 def test_threads_finish_what_they_have_begun_and_nothing_is_run_twice(tmp_path):
-    counted = Counted(boxes.stiff)
+    counted = Counted(until(tmp_path / "repaired", boxes.stiff))
     with ThreadPoolExecutor(3) as executor:
         refused(al.foreign.BlackBox(counted, executor=executor, journal=tmp_path / "runs.jsonl"))
     known = len((tmp_path / "runs.jsonl").read_text().splitlines()) - 1
-    counted.function, before = boxes.smooth, counted.calls
+    (tmp_path / "repaired").touch()
+    before = counted.calls
     al.expand(al.foreign.BlackBox(counted, journal=tmp_path / "runs.jsonl"), TWO, ORDER)
     assert known + counted.calls - before == 30
 
@@ -386,6 +397,31 @@ def test_a_function_that_reads_another_number_is_another_box(tmp_path):
             assert float(al.expand(box, TWO).sobol("x")) == pytest.approx(factor**2 / (1 + factor**2))
 
 
+@pytest.mark.parametrize("beside", [None, threading.Lock()], ids=["all is read", "a lock cannot be read"])
+@pytest.mark.parametrize("kept", [False, True], ids=["in memory", "in a journal"])
+def test_a_number_that_the_function_reads_may_change_between_two_calls(tmp_path, kept, beside):
+    state = {"stiffness": 3.0, "beside": beside, "calls": 0}
+
+    def spring(at):
+        state["calls"] += 1
+        return state["stiffness"] * at["x"]
+
+    box = al.foreign.BlackBox(spring, journal=tmp_path / "runs.jsonl" if kept else None)
+    model, expansion = {"x": al.Uniform.bounds(0.0, 1.0)}, al.Expansion(order=2)
+    assert float(al.expand(box, model, expansion).mean) == pytest.approx(1.5)
+    calls = state["calls"]
+    assert float(al.expand(box, model, expansion).mean) == pytest.approx(1.5)
+    assert state["calls"] == calls, "what the function counts itself is no change"
+    state["stiffness"] = 7.0
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        assert float(al.expand(box, model, expansion).mean) == pytest.approx(3.5)
+    assert state["calls"] == 2 * calls
+    told = [str(one.message) for one in caught if issubclass(one.category, al.SimulationWarning)]
+    assert len(told) == kept
+    assert all("such as a count of its calls" in one for one in told)
+
+
 def test_a_plain_number_of_the_model_is_part_of_a_sample(tmp_path):
     counted = Counted(lambda at: at["gain"] * at["x"])
     box = al.foreign.BlackBox(counted, journal=tmp_path / "runs.jsonl")
@@ -455,9 +491,17 @@ def test_an_executor_that_cancels_its_work_is_broken():
 def test_forked_processes_are_refused():
     with (
         ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("fork")) as executor,
-        pytest.raises(al.ProblemError, match="whose processes are spawned"),
+        pytest.raises(al.ProblemError, match=r"whose processes are spawned.*mp_context=multiprocessing\.get_context"),
     ):
         al.foreign.BlackBox(boxes.smooth, executor=executor)
+
+
+@pytest.mark.skipif(multiprocessing.get_start_method() != "fork", reason="processes are not forked by default here")
+def test_forked_processes_are_refused_wherever_an_executor_is_given():
+    with ProcessPoolExecutor(1) as executor:
+        for method in (al.references.monte_carlo, al.references.quasi_monte_carlo):
+            with pytest.raises(al.ProblemError, match=r"_carlo: executor: .*processes that are forked\. Write al\.w"):
+                method(boxes.smooth, TWO, 8, executor=executor)
 
 
 def test_ctrl_c_leaves_what_has_finished(python_interrupts):

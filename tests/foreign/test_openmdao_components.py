@@ -1,6 +1,7 @@
 """Problems as components of OpenMDAO: partials by its own check, optima of its drivers, a place in a larger model."""
 
 import builtins
+from typing import ClassVar
 
 import jax.numpy as jnp
 import numpy as np
@@ -10,6 +11,7 @@ from openmdao.utils.assert_utils import assert_check_partials
 
 import aleator as al
 from aleator.foreign import _openmdao
+from aleator.foreign._openmdao_units import as_in_openmdao
 from tiny_models import Decay
 
 # Instants and constraints that some decisions do not move are as they should be.
@@ -130,6 +132,76 @@ def test_names_are_those_that_openmdao_allows_and_each_is_used_once():
     given = ["k.half_width", "x(t_f)", "x(t)", "x(t_f)", "objective", "2nd", "?"]
     expected = ["k:half_width", "x_t_f", "x_t", "x_t_f_2", "objective_2", "of_2nd", "constraint"]
     assert _openmdao._names(given) == expected
+
+
+class Plate(al.AlgebraicSystem):
+    """The sag of a plate under an uncertain pressure, in declared units."""
+
+    units: ClassVar = {"sag": "mm", "mass": "kg"}
+    thickness: al.Number = al.parameter("mm")
+    pressure: al.Number = al.parameter("N/m²")
+    price: al.Number = al.parameter("EUR/kg")
+
+    def outputs(self):
+        return {"sag": 1e-3 * self.pressure / self.thickness**3, "mass": 0.5 * self.thickness, "pays": self.price}
+
+
+def test_declared_units_are_those_of_inputs_and_outputs():
+    sag, mass = al.output("sag"), al.output("mass")
+    plate = Plate(
+        thickness=al.Decision(20.0, 5.0, 50.0),
+        pressure=al.Normal(al.Decision(4e3, 1e3, 9e3), 100.0),
+        price=al.Decision(2.0, 1.0, 3.0),
+    )
+    problem = al.Problem(
+        plate,
+        minimize=sag.mean + 2.0 * sag.std,
+        subject_to=[mass.at_most(30.0), (al.output("pays").mean >= 1.0).named("pays")],
+        expansion=al.Expansion(order=1),
+    )
+    model, component = built(problem)
+    model.setup()
+    model.set_val("thickness", 0.02, units="m")
+    model.set_val("pressure:mean", 5.0, units="kPa")
+    model.run_model()
+    listed = component.list_vars(units=True, out_stream=None)
+    found = {name.removeprefix("design."): one["units"] for name, one in listed}
+    assert found == {
+        "thickness": "mm",
+        "pressure:mean": "N/m**2",
+        "price": None,
+        "objective": "mm",
+        "mass": "kg",
+        "pays": None,
+    }
+    sag_of = 1e-3 * (5e3 + 2 * 100.0) / 20.0**3
+    np.testing.assert_allclose(model.get_val("objective", units="m"), 1e-3 * sag_of)
+    np.testing.assert_allclose(model.get_val("mass", units="g"), 1e4)
+
+
+@pytest.mark.parametrize(
+    ("unit", "there"),
+    [
+        ("m²/s⁴", "m**2/s**4"),
+        ("N m", "N*m"),
+        ("N·m", "N*m"),
+        ("kg m^2 s^-2", "kg*m**2*s**-2"),
+        ("J/(kg K)", "J/(kg*K)"),
+        ("rad/s", "rad/s"),
+        ("°", "deg"),
+        ("N m/rad", "N*m/rad"),
+        ("kPa", "kPa"),
+        ("°C", None),
+        ("%", None),
+        ("W/m² K", None),
+        ("g", None),
+        ("-", None),
+        ("", None),
+        ("bananas", None),
+    ],
+)
+def test_units_are_spelt_as_in_openmdao_or_there_is_none(unit, there):
+    assert as_in_openmdao(unit) == there
 
 
 def test_limits_on_single_realisations_are_refused():

@@ -13,6 +13,7 @@ import aleator as al
 X, V, FORCE = me.dynamicsymbols("x v force")
 C, K, X_0 = sp.symbols("c k x_0")
 P = sp.symbols("p", positive=True)
+I, EVEN = sp.Symbol("i", integer=True), me.dynamicsymbols("turns", even=True)  # noqa: E741
 T = me.dynamicsymbols._t
 RATES, NUMBERS = {X: V, V: (FORCE - C * V - K * X) / M}, {M: 2.0, C: 1.5, K: 40.0}
 GRID = al.Grid(1.0, 5)
@@ -39,6 +40,23 @@ REFUSED = {
         "SymPy takes 'p' to be positive, and simplifies by it; received Normal",
     ),
     "a negative number contradicts its symbol": (lambda: sympy({X: -P * X}, {P: -1.0}), "to be positive"),
+    "a start has other assumptions": (
+        lambda: sympy({X: -X}, {}, start={sp.Symbol("x"): 1.0}),
+        "'x' is another symbol than the model's of this name: one is a function of time, or their assumptions differ",
+    ),
+    "a start contradicts its symbol": (
+        lambda: sympy({P: -P}, {}, start={P: -1.0}),
+        "start: SymPy takes 'p' to be positive, and simplifies by it; received -1.0",
+    ),
+    "a state is integer": (
+        lambda: sympy({I: -I}, {}, start={I: 1.0}),
+        "SymPy takes 'i' to be integer, and simplifies by it; expected a symbol without this assumption",
+    ),
+    "a coordinate is even": (
+        lambda: lagrange(formed(EVEN.diff() ** 2 - EVEN**2, [EVEN]), {}),
+        "takes 'turns' to be integer",
+    ),
+    "an initial value has no such state": (lambda: sympy({X: -X}, {}, start={sp.Symbol("xx"): 1.0}), "mean 'x'?"),
     "two symbols have one name": (
         lambda: sympy({X: -P * X * sp.Symbol("p")}, {P: 1.0, sp.Symbol("p"): 1.0}),
         "two different symbols are called 'p'",
@@ -127,6 +145,80 @@ REFUSED = {
         "['theta'] are standard outputs",
     ),
 }
+
+
+CONTRADICTED = [
+    ({"integer": True}, 2.5, "integer"),
+    ({"integer": True}, al.Uniform.bounds(0.0, 3.0), "integer"),
+    ({"integer": True}, al.Uniform.bounds(0.2, 0.8), "integer"),
+    ({"integer": True}, al.Decision(2.0, 1.0, 3.0), "integer"),
+    ({"even": True}, 3, "even"),
+    ({"odd": True}, 4.0, "odd"),
+    ({"odd": True}, 2.5, "odd"),
+    ({"prime": True}, 9, "prime"),
+    ({"composite": True}, 7, "composite"),
+    ({"noninteger": True}, 2, "noninteger"),
+    ({"noninteger": True}, al.Normal(0.5, 0.1), "noninteger"),
+    ({"integer": False}, 2.0, "not integer"),
+    ({"positive": True, "integer": True}, 2.5, "integer"),
+    ({"nonzero": True}, 0.0, "nonzero"),
+    ({"nonzero": True}, al.Uniform.bounds(-1.0, 1.0), "nonzero"),
+    ({"zero": False}, 0.0, "not zero"),
+    ({"zero": True}, 1e-300, "zero"),
+    ({"positive": False}, 1.0, "not positive"),
+    ({"nonnegative": True}, al.Normal(1.0, 0.1), "nonnegative"),
+    ({"nonpositive": True}, al.Uniform.bounds(-1.0, 1.0), "nonpositive"),
+    ({"negative": True}, 0.0, "negative"),
+    ({"imaginary": True}, 1.0, "imaginary"),
+    ({"infinite": True}, 1.0, "infinite"),
+    ({"real": False}, 1.0, "not real"),
+]
+KEPT = [
+    ({"integer": True}, -2.0),
+    ({"even": True}, 4),
+    ({"odd": True}, np.int64(3)),
+    ({"prime": True}, 7),
+    ({"composite": True}, 9),
+    ({"nonzero": True}, al.Uniform.bounds(1.0, 2.0)),
+    ({"noninteger": True}, al.Uniform.bounds(1.2, 1.8)),
+    ({"nonnegative": True}, al.Uniform.bounds(0.0, 1.0)),
+    ({"nonpositive": True}, 0.0),
+    ({"negative": True}, -1e-3),
+    ({"real": True}, al.Normal(0.0, 1.0)),
+    ({"finite": True, "rational": True}, 0.1),
+]
+
+
+@pytest.mark.parametrize(("assumptions", "number", "kind"), CONTRADICTED)
+def test_a_number_that_contradicts_an_assumption_of_its_symbol_is_refused(assumptions, number, kind):
+    n = sp.Symbol("n", **assumptions)
+    with pytest.raises(al.ProblemError, match=f"SymPy takes 'n' to be {kind}, and simplifies by it; received"):
+        formulas({"y": n * M}, {n: number, M: 1.0})
+
+
+@pytest.mark.parametrize(("assumptions", "number"), KEPT)
+def test_a_number_that_agrees_with_the_assumptions_of_its_symbol_is_taken(assumptions, number):
+    n = sp.Symbol("n", **assumptions)
+    assert set(formulas({"y": n * M + 1}, {n: number, M: 1.0}).numbers) == {"m", "n"}
+
+
+@pytest.mark.parametrize(
+    ("expression", "said"),
+    [
+        (sp.Sum((K - I) ** 2, (I, 1, 3)), "Sum"),
+        (sp.sin(sp.Sum((K - I) ** 2, (I, 1, 3))), "Sum"),
+        (sp.Product(K - I, (I, 1, 3)), "Product"),
+        (sp.Subs(sp.sin(K) * C, K, C), "Subs"),
+        (sp.Integral(sp.sin(K * C) / C, (C, 0, 1)), "Integral"),
+        (sp.KroneckerDelta(K, M), "KroneckerDelta"),
+        (sp.CRootOf(C**5 + C + 1, 0) * K, "ComplexRootOf"),
+        (sp.factorial(K), "factorial"),
+    ],
+)
+def test_what_the_printer_of_sympy_cannot_write_for_jax_is_refused_by_name(expression, said):
+    numbers = dict.fromkeys(expression.free_symbols, 1.0)
+    with pytest.raises(al.ProblemError, match=rf"no function for {said}; rewrite it .*\.doit\(\)"):
+        formulas({"y": expression}, numbers)
 
 
 @pytest.mark.parametrize("what", REFUSED)

@@ -28,10 +28,19 @@ _HEARD = threading.RLock()
 
 
 def check_executor(who: str, executor: Any) -> None:
-    """Refuse what is no executor of `concurrent.futures`."""
-    if executor is not None and not isinstance(executor, Executor):
+    """Refuse what is no executor of `concurrent.futures`, and forked processes: the threads of JAX survive no fork."""
+    if executor is None:
+        return
+    if not isinstance(executor, Executor):
         expected = "an executor, such as al.workers(2), loky's, or Dask's client.get_executor()"
         raise refusal(f"{who}: executor", expected, executor)
+    context = getattr(executor, "_mp_context", None)  # of a ProcessPoolExecutor, also where none was given
+    if context is not None and context.get_start_method() == "fork":
+        raise ProblemError(
+            f"{who}: executor: expected one whose processes are spawned, because forked ones can hang for ever with "
+            "JAX; received processes that are forked. Write al.workers(2), or "
+            'ProcessPoolExecutor(2, mp_context=multiprocessing.get_context("spawn")).'
+        )
 
 
 def each_done(

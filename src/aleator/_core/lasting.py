@@ -89,12 +89,12 @@ def joined(texts: Iterable[str]) -> str:
 def code_digest(function: Callable[..., Any]) -> str:
     """A digest of a user's function, equal in other processes: its name, its code and all that this reads.
 
-    What the code reads is left out where it cannot be written out.
+    What cannot be written out is left out, and nothing else.
     """
     name = f"{getattr(function, '__module__', '')}.{getattr(function, '__qualname__', type(function).__qualname__)}"
     try:
-        parts = list(_read(read_code(function)))
-    except Exception:  # besides doubts: a user's object may raise any if it is looked at
+        parts = [text for place, token in read_code(function).reads for text in _written(place, token)]
+    except Exception:  # a user's object may raise any if it is looked at
         parts = _own_code(function)
     return hashlib.sha256("\0".join([name, *parts]).encode(errors="surrogatepass")).hexdigest()
 
@@ -225,6 +225,15 @@ def _read(reading: Reading) -> Iterator[str]:
             yield from _token(token)
         except DoubtError:
             raise DoubtError(_told([place])) from None
+
+
+def _written(place: Place, token: Any) -> list[str]:
+    """What is read at a place as texts, or the place alone."""
+    head = f"{place.who}\t{place.kind}\t{place.name}"
+    try:
+        return [head, *_token(token)]
+    except Exception:  # besides doubts: a user's object may raise any if it is looked at
+        return [head]
 
 
 def _told(places: Sequence[Place], most: int = 3) -> str:

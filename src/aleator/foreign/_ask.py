@@ -97,7 +97,8 @@ class Asked:
         - `responses`: the path of the CSV file with further columns for outputs, `y` or `y[0]`, `y[1]`, ...; or an
           `xarray.Dataset` with dimension `sample`; or a dict of arrays of shape (n, *shape), or one such array. Rows
           that give the number of their `sample` may come in any order; values of the inputs, which a file and a dataset
-          must have, are compared with the points. A response is missing if its row is, or if all its numbers are NaN
+          must have, are compared with the points, to six digits at least. A column `comment` may have texts, which are
+          left aside. A response is missing if its row is, or if all its numbers are NaN
           or empty;
         - `drop`: the largest part of the samples that may be missing, below one half; least squares then takes the
           others, as long as it stays well conditioned;

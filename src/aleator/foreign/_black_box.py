@@ -9,15 +9,16 @@ from typing_extensions import override
 
 from aleator._core import given
 from aleator._core.arrays import Pytree
+from aleator._core.elsewhere import check_executor
 from aleator._core.errors import AleatorError, SimulationError, SimulationWarning
 from aleator._core.own_process import end_running
 from aleator._core.warned import warn_outside
 from aleator.ensemble import AbstractBox, Realisation, name_of
 from aleator.foreign._campaign import Campaign
 from aleator.foreign._failures import drop_given, most_of, warn_of_dropped
-from aleator.foreign._identity import identity
+from aleator.foreign._identity import Watched
 from aleator.foreign._journal import Journal
-from aleator.foreign._runs import Runs, executor_given
+from aleator.foreign._runs import Runs
 
 
 @final
@@ -36,7 +37,8 @@ class BlackBox(AbstractBox):
       Least squares on a fixed index set and plain Monte Carlo can do without some, other methods need all;
     - `journal`: the path of a file that keeps finished samples, one line of JSON for each, for later calls and
       processes. Without one, the box itself remembers them. A sample is found there if all numbers of the model are the
-      same and the function (its code, as far as that can be read) or the command (and the files that it names) is.
+      same and the function (its code and what this reads, as far as Python shows it) or the command (and the files that
+      it names) is. This is read again at each call of the box.
 
     A sample fails if the function raises an exception, or if it returns anything but finite real numbers of the same
     shapes as before. Results are those of the function called directly, bit by bit.
@@ -58,10 +60,12 @@ class BlackBox(AbstractBox):
     ):
         if not callable(function):
             raise given.refusal("BlackBox", "a function or a Command", function)
-        self._function, self._executor = function, executor_given(executor)
+        check_executor("BlackBox", executor)
+        self._function, self._executor = function, executor
         self._retries = given.whole("BlackBox: retries", retries, least=0)
         self._drop = drop_given("BlackBox: drop", drop)
-        self._journal = Journal(journal, identity(function))
+        self._watched = Watched(function)
+        self._journal = Journal(journal, self._watched.begun())
         self.__name__ = name_of(function).strip("'")
 
     @override
@@ -70,8 +74,19 @@ class BlackBox(AbstractBox):
 
     @override
     def at_all(self, realisations: Sequence[Realisation], *, whole: bool) -> list[Pytree | None]:
+        self._journal.box = self._watched.begun()
         campaign = Campaign(name_of(self), realisations, self._journal, self._retries)
         self._warn_of_others(campaign)
+        try:
+            self._run(campaign, whole=whole)
+        finally:
+            self._watched.ended()
+        if campaign.failures:
+            warn_of_dropped(name_of(self), realisations, campaign.failures)
+        return campaign.outputs
+
+    def _run(self, campaign: Campaign, *, whole: bool) -> None:
+        """Run what has not finished yet."""
         runs = Runs(self._function, campaign.missing, self._executor)
         try:
             for ended in runs:
@@ -84,9 +99,6 @@ class BlackBox(AbstractBox):
             if not isinstance(error, AleatorError):
                 raise
             raise type(error)(f"{str(error).rstrip('.')}.{self._kept(campaign, error)}") from error.__cause__
-        if campaign.failures:
-            warn_of_dropped(name_of(self), realisations, campaign.failures)
-        return campaign.outputs
 
     def _refuse_failures(self, campaign: Campaign, *, whole: bool) -> None:
         """Refuse more failures than may be dropped, naming the last one."""
@@ -115,6 +127,8 @@ class BlackBox(AbstractBox):
         if count:
             warn_outside(
                 f"The journal {self._journal.path} has {count} of these samples by another box, or by this one before "
-                "its code or command changed: they are not used, and run again.",
+                "its code or command changed: they are not used, and run again. A global or an attribute that the "
+                "function itself changes, such as a count of its calls, is part of its code: count in a file, or by "
+                "the lines of the journal.",
                 SimulationWarning,
             )

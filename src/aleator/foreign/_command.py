@@ -37,7 +37,8 @@ class Command:
       object of these by name;
     - `time_limit`: seconds after which a run is ended, with all processes that it started.
 
-    Each run has a temporary folder, which is deleted after it.
+    Each run has a temporary folder, which is deleted after it. Processes that a program leaves behind when it ends by
+    itself, such as a licence server, live on.
 
     Raises `ProblemError` if the program is not found, or if an input reaches it nowhere; a call raises
     `SimulationError` if a run exceeds its time, ends with another exit code than 0, or writes no JSON of numbers.

@@ -4,7 +4,7 @@ import hashlib
 import json
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, final
 
 from aleator._core.lasting import code_digest
 from aleator.foreign._command import Command
@@ -20,3 +20,27 @@ def identity(function: Callable[..., Any]) -> str:
     files = [hashlib.sha256(Path(one).read_bytes()).hexdigest() for one in function.arguments if Path(one).is_file()]
     told = [list(function.arguments), function.input_file, function.output_file, files]
     return hashlib.sha256(json.dumps(told).encode()).hexdigest()
+
+
+@final
+class Watched:
+    """The identity of a function from call to call of its box.
+
+    What changes while it runs, such as a count of its calls, is its own doing: it returns the same for the same numbers
+    all the same. What changes between two calls, such as a number that it reads, makes it another function.
+    """
+
+    def __init__(self, function: Callable[..., Any]):
+        self._function = function
+        self._now = self._left = identity(function)
+
+    def begun(self) -> str:
+        """The identity, as a call begins."""
+        found = identity(self._function)
+        if found != self._left:
+            self._now = self._left = found
+        return self._now
+
+    def ended(self) -> None:
+        """See how a call leaves the function."""
+        self._left = identity(self._function)

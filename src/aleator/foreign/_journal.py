@@ -19,7 +19,7 @@ _HEADER = {"journal": "aleator.foreign", "version": 1}
 
 @final
 class Journal:
-    """Outputs by a digest of the box and of all numbers of its model.
+    """Outputs by a digest of the `box`, which may become another, and of all numbers of its model.
 
     A file has a header and then one line of JSON for each finished sample, written as soon as it is known. A line that
     cannot be read, such as the last one of a process that was killed, counts as not written: its sample runs again.
@@ -29,10 +29,10 @@ class Journal:
     """
 
     def __init__(self, path: Any, box: str):
-        self._box = box
+        self.box = box
         self.path = None if path is None else _path_given(path)
-        self._known: dict[str, Pytree] = {}
-        self._of_others: set[str] = set()
+        self._known: dict[tuple[str, str], Pytree] = {}
+        self._keys: set[str] = set()
         if self.path is not None:
             self._read(self.path)
 
@@ -44,18 +44,22 @@ class Journal:
 
     def find(self, key: str) -> Pytree | None:
         """The outputs of a finished sample; None if it is not known."""
-        return self._known.get(key)
+        return self._known.get((self.box, key))
 
     def is_of_others(self, key: str) -> bool:
         """Whether the file has this sample by another box only, or by this one as it was before a change."""
-        return key in self._of_others and key not in self._known
+        return self.path is not None and key in self._keys and (self.box, key) not in self._known
 
     def add(self, key: str, realisation: Realisation, outputs: Pytree) -> None:
         """Keep a finished sample."""
-        self._known[key] = outputs
+        self._keep(self.box, key, outputs)
         if self.path is not None:
-            line = {"box": self._box, "key": key, "inputs": realisation.inputs, "outputs": _as_json(outputs)}
+            line = {"box": self.box, "key": key, "inputs": realisation.inputs, "outputs": _as_json(outputs)}
             self._write(self.path, json.dumps(line))
+
+    def _keep(self, box: str, key: str, outputs: Pytree) -> None:
+        self._known[box, key] = outputs
+        self._keys.add(key)
 
     def _read(self, path: Path) -> None:
         try:
@@ -71,10 +75,7 @@ class Journal:
         for line in lines[1:]:
             if not isinstance(line, dict) or not {"box", "key", "outputs"} <= set(line):
                 continue
-            if line["box"] == self._box:
-                self._known[line["key"]] = _from_json(line["outputs"])
-            else:
-                self._of_others.add(line["key"])
+            self._keep(line["box"], line["key"], _from_json(line["outputs"]))
 
     def _write(self, path: Path, line: str) -> None:
         try:

@@ -9,7 +9,8 @@ import numpy as np
 
 from aleator._core.errors import MissingExtraError, ProblemError
 from aleator._core.given import one_of, shown
-from aleator.design import Problem, is_at_points, is_worst_case
+from aleator.design import Problem, is_at_points, is_worst_case, number_unit, units_of
+from aleator.foreign._openmdao_units import as_in_openmdao
 from aleator.nlp import Evaluation
 from aleator.transcription import transcribe
 
@@ -26,7 +27,8 @@ def openmdao_component(problem: Problem, *, declared: bool = True) -> Any:
     Its inputs are the decisions, from their initial values; its outputs `objective`, and the values of each constraint,
     without its bounds: one for each instant of a path. Their partial derivatives are exact, from the same call of the
     compiled transcription as the values. Names are those of the problem, where signs that OpenMDAO does not allow are
-    replaced: `k.half_width` is `k:half_width`, and several constraints of one name are `force`, `force_2`, ...
+    replaced: `k.half_width` is `k:half_width`, and several constraints of one name are `force`, `force_2`, ... Units
+    are those that the model declares, as far as OpenMDAO knows them.
 
     - `declared`: whether the component declares its design variables, objective and constraints, with their bounds and
       typical magnitudes. Say False if the larger model has others.
@@ -63,15 +65,21 @@ def _component() -> Any:
             self._decisions = dict(zip(_names(places.decisions), places.decisions.values(), strict=True))
             rows = zip(_names(one.name for one in constraints), self._transcribed.rows, strict=True)
             self._rows: dict[str, slice] = dict(rows)
+            units = [number_unit(name, problem) for name in places.decisions]
+            units += [
+                one.unit(units_of(one, problem)) for one in (problem.objective, *(c.expression for c in constraints))
+            ]
+            names = (*self._decisions, _OBJECTIVE, *self._rows)
+            self._units = dict(zip(names, map(as_in_openmdao, units), strict=True))
 
         def setup(self) -> None:
             """Declare inputs, outputs and partials; with `declared`, the optimisation too."""
             program = self._transcribed.program
             for name, place in self._decisions.items():
-                self.add_input(name, val=np.array(place.decision.initial, dtype=float))
-            self.add_output(_OBJECTIVE, val=0.0)
+                self.add_input(name, val=np.array(place.decision.initial, dtype=float), units=self._units[name])
+            self.add_output(_OBJECTIVE, val=0.0, units=self._units[_OBJECTIVE])
             for name, rows in self._rows.items():
-                self.add_output(name, shape=(rows.stop - rows.start,))
+                self.add_output(name, shape=(rows.stop - rows.start,), units=self._units[name])
             self.declare_partials("*", "*")
             if not self._declared:
                 return

@@ -18,8 +18,14 @@ from aleator._core.tables import entry, read_table
 NUMBER = "sample"
 """The column with the numbers of samples, from 1 on."""
 
-# Inputs may be rounded to this part of their range, as spreadsheets do: 15 digits.
+# Inputs may be rounded to this part of their range, as spreadsheets do (15 digits), or to six digits: by this part of
+# the number, and by this part of the range, as long as each row belongs to one point alone.
 _ROUNDED = 1e-9
+_SIX_DIGITS = 5.000001e-6
+_OF_RANGE = 1e-3
+
+# Columns of a table that may have texts, which nobody reads here.
+_COMMENTS = ("comment", "comments")
 
 # A column with one entry of an output: y[3].
 _ENTRY = re.compile(r"(.+)\[(\d+)\]")
@@ -78,15 +84,15 @@ def _numbers(values: np.ndarray, count: int) -> Int[np.ndarray, " rows"]:
 
 
 def _refuse_changed(points: Mapping[str, np.ndarray], named: Mapping[str, np.ndarray], numbers: np.ndarray) -> None:
-    """Refuse inputs that differ from those that were asked for."""
-    for name, asked in points.items():
-        if name not in named:
-            continue
+    """Refuse inputs that differ from those that were asked for, and rounded ones that might be those of two samples."""
+    told = {name: asked for name, asked in points.items() if name in named}
+    rounded = np.zeros(len(numbers), dtype=bool)
+    for name, asked in told.items():
         received, expected = named[name], asked[numbers]
-        scale = max(np.ptp(asked), np.abs(asked).max())
         if received.shape != expected.shape:
             raise given.refusal(f"tell: the input {name!r}", "one number in each row", received)
-        wrong = ~(np.abs(received - expected) <= _ROUNDED * scale)
+        rounded |= received != expected
+        wrong = ~(np.abs(received - expected) <= _to_six_digits(asked)[numbers])
         if wrong.any():
             row = int(np.argmax(wrong))
             raise ProblemError(
@@ -94,6 +100,20 @@ def _refuse_changed(points: Mapping[str, np.ndarray], named: Mapping[str, np.nda
                 f"{float(received[row])!r} ({np.count_nonzero(wrong)} of {len(wrong)} rows differ). Were points "
                 "changed or rows reordered? Ask again, or answer the points that were asked."
             )
+    for row in np.flatnonzero(rounded):
+        fits = [np.abs(asked - named[name][row]) <= _to_six_digits(asked) for name, asked in told.items()]
+        others = [asked != asked[numbers[row]] for asked in told.values()]
+        if np.any(np.all(fits, axis=0) & np.any(others, axis=0)):
+            raise ProblemError(
+                f"tell: expected inputs with more digits; those of sample {numbers[row] + 1} are rounded so that they "
+                "fit another sample too."
+            )
+
+
+def _to_six_digits(asked: np.ndarray) -> Float[np.ndarray, " n"]:
+    """How far each input in a table may be from the one that was asked for."""
+    least = _ROUNDED * max(np.ptp(asked), np.abs(asked).max())
+    return np.maximum(np.minimum(_SIX_DIGITS * np.abs(asked), _OF_RANGE * np.ptp(asked)), least)
 
 
 def _required(what: str, columns: dict[str, np.ndarray], inputs: list[str]) -> dict[str, np.ndarray]:
@@ -133,11 +153,14 @@ def _from_table(path: Any) -> dict[str, np.ndarray]:
         raise ProblemError(f"{path}: expected each column once; received {names}.")
     columns: dict[str, list[np.ndarray]] = {}
     for column, name in enumerate(names):
+        if name.lower() in _COMMENTS and not _is_all_numbers(rows, column):
+            continue
         try:
             values = np.array([entry(row, column) for row in rows])
         except ValueError as error:
             raise ProblemError(
-                f"{path}: expected numbers in the column {name!r}, empty where there is no response; {error}."
+                f"{path}: expected numbers in the column {name!r}, empty where there is no response; {error}. "
+                f"Texts may stand in a column {_COMMENTS[0]!r}."
             ) from error
         if part := _ENTRY.fullmatch(name):
             of_output = columns.setdefault(part[1], [])
@@ -148,3 +171,10 @@ def _from_table(path: Any) -> dict[str, np.ndarray]:
             columns[name] = [values]
     entries = {part[1] for part in map(_ENTRY.fullmatch, names) if part}
     return {name: np.stack(parts, axis=1) if name in entries else parts[0] for name, parts in columns.items()}
+
+
+def _is_all_numbers(rows: list[list[str]], column: int) -> bool:
+    try:
+        return all(np.isfinite(entry(row, column)) for row in rows)
+    except ValueError:
+        return False

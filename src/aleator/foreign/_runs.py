@@ -12,7 +12,6 @@ from typing_extensions import override
 
 from aleator._core.arrays import Pytree
 from aleator._core.errors import ProblemError, SimulationError
-from aleator._core.given import refusal
 from aleator._core.leaves import is_traced
 from aleator.ensemble import name_of
 
@@ -101,21 +100,6 @@ def refuse_traced(function: Callable[[Pytree], Pytree], realised: Pytree) -> Non
 def _fresh(model: Pytree) -> Pytree:
     """A model with containers and arrays of its own, which a function may change."""
     return jax.tree.map(lambda leaf: leaf.copy() if isinstance(leaf, np.ndarray) else leaf, model)
-
-
-def executor_given(executor: Any) -> Executor | None:
-    """A checked executor. Forked processes are refused, because the threads of JAX do not survive a fork."""
-    if executor is None:
-        return None
-    if not isinstance(executor, Executor):
-        raise refusal("BlackBox: executor", "an executor of concurrent.futures, or None", executor)
-    context = getattr(executor, "_mp_context", None)
-    if context is not None and context.get_start_method() == "fork":
-        raise ProblemError(
-            "BlackBox: executor: expected one whose processes are spawned, because forked ones can hang with JAX; "
-            'write ProcessPoolExecutor(mp_context=multiprocessing.get_context("spawn")).'
-        )
-    return executor
 
 
 def _outcome(future: Future) -> tuple[Any, BaseException | None]:

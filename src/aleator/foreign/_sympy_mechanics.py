@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 
 from aleator._core.errors import ProblemError
 from aleator._core.given import meant, refusal
+from aleator.foreign._sympy_assumptions import refuse_stepping
 from aleator.foreign._sympy_mechanical import Mechanics, SymPyMechanical, acceleration_of, rate_of
 from aleator.foreign._sympy_program import load_sympy, written
 from aleator.foreign._sympy_symbols import (
@@ -142,6 +143,8 @@ def _mechanical(given: _Given, numbers: Any, outputs: Any, units: Any) -> SymPyM
     direct = len(q) == len(v) and forms == sympy.eye(len(q))
 
     meanings = named(who, (*q, *v, *torques, *parameters))
+    for one in (*q, *v, *torques):
+        refuse_stepping(who, one, meanings[one])
     posture = {one: meanings[one] for one in (*q, *parameters)}
     speeds = {one: meanings[one] for one in v}
     multipliers = {one: f"\0{name_of(one)}" for one in given.multipliers}

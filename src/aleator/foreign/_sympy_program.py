@@ -3,6 +3,7 @@
 The text has the common subexpressions first. Its variables are numbered: what a symbol is called is no part of it.
 """
 
+import ast
 import functools
 import math
 from collections.abc import Mapping, Sequence
@@ -20,6 +21,9 @@ from aleator._core.errors import MissingExtraError, ProblemError
 _SPECIAL = MappingProxyType(
     {name: f"jax.scipy.special.{ours}" for name, ours in (("erf", "erf"), ("erfc", "erfc"), ("loggamma", "gammaln"))}
 )
+# Names in a text besides symbols, and what SymPy writes in Python where it knows nothing of JAX, as for sums.
+_NAMES = {"jax", "functools", "abs"}
+_OF_PYTHON = (ast.IfExp, ast.comprehension, ast.BoolOp, ast.Lambda)
 _MODULES = {"jax", "jax.numpy", "jax.scipy.special", "functools"}
 
 
@@ -135,7 +139,17 @@ def _text(printer: Any, expression: Any) -> str | None:
         return None
     imports = printer.module_imports
     known = set(imports) <= _MODULES and all(hasattr(jnp, name) for name in imports.get("jax.numpy", ()))
-    return text if known else None
+    return text if known and _is_traceable(text, {str(one) for one in expression.free_symbols}) else None
+
+
+def _is_traceable(text: str, symbols: set[str]) -> bool:
+    """Whether a text has names of JAX and symbols alone, and no choices or loops of Python, which JAX cannot trace."""
+    try:
+        nodes = list(ast.walk(ast.parse(text, mode="eval")))
+    except SyntaxError:
+        return False
+    names = {node.id for node in nodes if isinstance(node, ast.Name)}
+    return names <= symbols | _NAMES and not any(isinstance(node, _OF_PYTHON) for node in nodes)
 
 
 def _brief(expression: Any) -> str:

@@ -5,8 +5,8 @@ from collections.abc import Collection, Iterable, Mapping
 from typing import Any, NamedTuple
 
 from aleator._core.errors import ProblemError
-from aleator._core.given import meant, refusal, shown
-from aleator._core.leaves import highest, lowest
+from aleator._core.given import meant, refusal
+from aleator.foreign._sympy_assumptions import refuse_contradiction, refuse_stepping
 from aleator.foreign._sympy_program import load_sympy
 from aleator.trajectories import AbstractSignal, AbstractTrajectory
 from aleator.trajectories._trajectory import copied, shape_of
@@ -139,19 +139,7 @@ def _number(who: str, symbol: Any, given: Any) -> Any:
     if shape_of(given) != ():
         raise ProblemError(f"{who}: expected one number for '{name}'; received shape {shape_of(given)}.")
     number = copied(who, f"number '{name}'", given)
-    ends = lowest(number), highest(number)
-    least, most = (0.0 if one is None else one for one in ends)
-    assumed = {
-        "positive": symbol.is_positive and ends[0] is not None and not least > 0,
-        "nonnegative": symbol.is_nonnegative and least < 0,
-        "negative": symbol.is_negative and ends[1] is not None and not most < 0,
-        "nonpositive": symbol.is_nonpositive and most > 0,
-    }
-    if wrong := next((kind for kind, is_wrong in assumed.items() if is_wrong), None):
-        raise ProblemError(
-            f"{who}: SymPy takes '{name}' to be {wrong}, and simplifies by it; received {shown(given)}. Change the "
-            "number, or the assumption of the symbol."
-        )
+    refuse_contradiction(who, name, symbol, number)
     return number
 
 
@@ -162,6 +150,7 @@ def _signal(who: str, symbol: Any, given: AbstractSignal) -> AbstractSignal:
             f"{who}: SymPy takes the symbol '{symbol}' to be constant; received a signal, {type(given).__name__}. Put "
             "a function of time in its place (dynamicsymbols)."
         )
+    refuse_stepping(who, symbol, name_of(symbol))
     if isinstance(given, AbstractTrajectory) and given.shape != ():
         raise ProblemError(f"{who}: expected a signal of one number for '{symbol}'; received shape {given.shape}.")
     return given
@@ -173,6 +162,11 @@ def refuse_unknown(what: str, symbols: Iterable[Any], known: Iterable[Any], reme
     for one in symbols:
         if one not in known:
             names = [name_of(other) for other in known]
+            if name_of(one) in names:
+                raise ProblemError(
+                    f"{what}: '{one}' is another symbol than the model's of this name: one is a function of time, or "
+                    "their assumptions differ. Use the very same symbol."
+                )
             raise ProblemError(f"{what}: '{one}' is not known.{meant(name_of(one), names)} {remedy}")
 
 

@@ -13,6 +13,7 @@ from aleator._core.given import refusal
 from aleator._core.leaves import AbstractLeaf, transparent
 from aleator.dynamics import System
 from aleator.dynamics._system import state_type
+from aleator.foreign._sympy_assumptions import refuse_contradiction, refuse_stepping
 from aleator.foreign._sympy_program import Program, load_sympy, written
 from aleator.foreign._sympy_symbols import (
     Found,
@@ -177,6 +178,8 @@ def from_sympy(
         )
     parameters = _parameters(states, moving, told, found_in(f"{_WHO}: start", follow.values()))
     meanings = named(_WHO, (*states, *inputs, *parameters)) | {time_symbol(): _TIME}
+    for one in (*states, *inputs):
+        refuse_stepping(_WHO, one, meanings[one])
     slopes = _slopes(told, rates, mass_matrix is None)
     state_type(tuple(meanings[one] for one in states))
     equations = _Equations(
@@ -220,6 +223,7 @@ def _started(given: Any, states: Sequence[Any]) -> tuple[dict[Any, Any], dict[An
         if not isinstance(value, AbstractLeaf) and shape_of(value) != ():
             raise refusal(what, f"one number for '{name_of(state)}'", value)
         values[state] = copied(_WHO, f"start of '{name_of(state)}'", value)
+        refuse_contradiction(what, name_of(state), state, values[state])
     return values, follow
 
 
