@@ -4,6 +4,7 @@ A process that only runs a user's function imports this module and none of the p
 import.
 """
 
+import itertools
 import os
 import signal
 import subprocess
@@ -12,8 +13,10 @@ from contextlib import contextmanager
 from multiprocessing.connection import Connection
 from typing import Any
 
-# The processes that threads of this one are waiting for.
+# The processes that threads of this one are waiting for, and how often all of them have been ended.
 _RUNNING: set[int] = set()
+_ENDINGS = itertools.count(1)
+_ended = 0
 
 
 def in_group() -> dict[str, Any]:
@@ -32,10 +35,20 @@ def end_group(process: int) -> None:
         return
 
 
+def endings() -> int:
+    """How often `end_running` has been called: to be asked before a process is started."""
+    return _ended
+
+
 @contextmanager
-def ended_with(process: int, is_over: Callable[[], bool]) -> Iterator[None]:
-    """End a process that leads a group if the block is left before it `is_over`, or if `end_running` is called."""
+def ended_with(process: int, is_over: Callable[[], bool], before: int) -> Iterator[None]:
+    """End a process that leads a group if the block is left before it `is_over`, or if `end_running` is called.
+
+    `before`: the `endings` before it was started; one that was called since then did not know of it.
+    """
     _RUNNING.add(process)
+    if endings() != before:
+        end_group(process)
     try:
         yield
     finally:
@@ -46,6 +59,8 @@ def ended_with(process: int, is_over: Callable[[], bool]) -> Iterator[None]:
 
 def end_running() -> None:
     """End all processes that threads of this one are waiting for: an interrupt reaches neither of them."""
+    global _ended
+    _ended = next(_ENDINGS)
     for process in list(_RUNNING):
         end_group(process)
 

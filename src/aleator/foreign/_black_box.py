@@ -93,6 +93,8 @@ class BlackBox(AbstractBox):
                 campaign.take(ended, runs)
                 self._refuse_failures(campaign, whole=whole)
         except BaseException as error:
+            # First, or a thread whose run is ended would begin the next one.
+            runs.cancel()
             if not isinstance(error, Exception):
                 end_running()
             campaign.take(one for one in runs.close() if one.error is None)

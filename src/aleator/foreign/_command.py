@@ -14,7 +14,7 @@ import numpy as np
 from aleator._core import given
 from aleator._core.arrays import Pytree
 from aleator._core.errors import ProblemError, SimulationError
-from aleator._core.own_process import ended_with, exit_told, in_group
+from aleator._core.own_process import ended_with, endings, exit_told, in_group
 from aleator.foreign._runs import refuse_traced
 
 # A placeholder in an argument, such as {mass}.
@@ -102,6 +102,7 @@ class Command:
             )
 
     def _run(self, arguments: list[str], folder: Path, output: IO[bytes]) -> None:
+        before = endings()
         with tempfile.TemporaryFile() as errors:
             try:
                 process = subprocess.Popen(
@@ -110,7 +111,7 @@ class Command:
             except (OSError, ValueError) as error:
                 said = getattr(error, "strerror", None) or error
                 raise ProblemError(f"Command: {arguments[0]} cannot be run ({said}).") from error
-            with process, ended_with(process.pid, lambda: process.returncode is not None):
+            with process, ended_with(process.pid, lambda: process.returncode is not None, before):
                 try:
                     code = process.wait(self.time_limit)
                 except subprocess.TimeoutExpired as error:

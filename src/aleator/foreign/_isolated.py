@@ -10,7 +10,7 @@ from typing import Any, final
 from aleator._core import given
 from aleator._core.arrays import Pytree
 from aleator._core.errors import SimulationError
-from aleator._core.own_process import ended_with, exit_told, report
+from aleator._core.own_process import ended_with, endings, exit_told, report
 from aleator.foreign._runs import is_of_pickle, refuse_traced, unsendable
 
 
@@ -48,7 +48,7 @@ class Isolated:
     def __call__(self, realised: Pytree) -> Pytree:
         """The outputs of the function at one realisation."""
         refuse_traced(self, realised)
-        context = multiprocessing.get_context("spawn")
+        before, context = endings(), multiprocessing.get_context("spawn")
         receiver, sender = context.Pipe(duplex=False)
         process = context.Process(target=report, args=(sender, self.function, realised))
         try:
@@ -59,7 +59,7 @@ class Isolated:
             raise
         sender.close()
         try:
-            with receiver, ended_with(process.pid or 0, lambda: not process.is_alive()):
+            with receiver, ended_with(process.pid or 0, lambda: not process.is_alive(), before):
                 returned, raised = self._received(receiver, process)
         finally:
             process.kill()  # It may not have begun to lead a group.

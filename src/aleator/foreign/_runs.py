@@ -32,7 +32,7 @@ class Runs:
     """Runs that have yet to end; iterating gives the runs that have ended, several at a time, until none is left.
 
     Raises `ProblemError` if the executor is shut down or cannot be sent the function, and `SimulationError` if it is
-    broken; all that ended before has been given then. Runs that have not begun are cancelled when it is closed.
+    broken; all that ended before has been given then. `cancel` before `close`.
     """
 
     def __init__(self, function: Callable[[Pytree], Pytree], models: dict[int, Pytree], executor: Executor | None):
@@ -55,10 +55,13 @@ class Runs:
         """Run a sample once more, next."""
         self._queue.appendleft(index)
 
-    def close(self) -> list[Ended]:
-        """Cancel the runs that have not begun; returns those that ended meanwhile, which nothing else would see."""
+    def cancel(self) -> None:
+        """Cancel the runs that have not begun."""
         for future in self._flying:
             future.cancel()
+
+    def close(self) -> list[Ended]:
+        """End, after `cancel`; returns the runs that ended meanwhile, which nothing else would see."""
         done = {future: i for future, i in self._flying.items() if future.done() and not future.cancelled()}
         self._flying, self._queue = {}, deque()
         return [Ended(index, *_outcome(future)) for future, index in done.items()]

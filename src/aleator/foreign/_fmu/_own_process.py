@@ -17,7 +17,7 @@ from typing import IO, Any, NamedTuple, final
 from typing_extensions import override
 
 from aleator._core.errors import ProblemError, SimulationError, SimulationWarning
-from aleator._core.own_process import end_group, ended_with, exit_told, in_group
+from aleator._core.own_process import end_group, ended_with, endings, exit_told, in_group
 from aleator.foreign._fmu._doors import AbstractDoor
 from aleator.foreign._fmu._served import Request
 
@@ -86,7 +86,7 @@ class OwnProcess(AbstractDoor):
         """What the process answers. It is ended if that takes too long, or is interrupted."""
         answer = None
         try:
-            with ended_with(running.process.pid, lambda: answer is not None):
+            with ended_with(running.process.pid, lambda: answer is not None, endings()):
                 answer = self._received(running, sent, where)
         except BaseException:
             self._end()
