@@ -15,38 +15,24 @@ import pytest
 from typer.testing import CliRunner
 
 import aleator as al
+import bars
 from aleator import cli, solving, studies
 from aleator.cli._record import Record
 from aleator.journalling import FILE, Entry
 from aleator.reporting import Section, Table, Verdict, only_writer
 from aleator.studies import AbstractStudy, Stage, _swept, load
+from bars import NEEDED
 
-BAR = '''"""A bar that carries an uncertain load."""
-
-import aleator as al
-
-
-class Bar(al.AlgebraicSystem):
-    width: al.Number = al.parameter("mm", positive=True)
-    load: al.Number = al.parameter("N")
-
-    def outputs(self):
-        return {"stress": self.load / self.width, "mass": self.width}
-
-
-stress = al.output("stress")
-bar = Bar(al.Decision(4.0, 0.1, 10.0), al.Uniform(1.0, half_width=0.3))
-strong = (stress.mean + 3 * stress.std <= 0.5).named("stress")
-problem = al.Problem(bar, minimize=al.output("mass").mean, subject_to=[strong])
-study = al.Study(
+BAR = (
+    bars.FILE
+    + """study = al.Study(
     {"nominal": al.deterministic(problem), "robust": problem},
     title="Bar",
     samples=2000,
     sweeps={"stress": [0.5, 0.6, 0.8]},
 )
-'''
-# stress = load / width, whose mean is 1 / width and whose standard deviation 0.3 / √3 / width.
-NEEDED = 1.0 + 3.0 * 0.3 / np.sqrt(3.0)
+"""
+)
 
 
 @pytest.fixture

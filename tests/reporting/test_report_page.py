@@ -12,7 +12,7 @@ from aleator import ProblemError
 from aleator.reporting import Card, Page, Section, Table, Text, Verdict, dataset, page_html, report
 from aleator.reporting._numbers import count, number, percent, residual, seconds, values_text
 from aleator.reporting._numbers import given as given_number
-from aleator.reporting._report import verdict
+from aleator.reporting._verdict import verdict
 from aleator.validation import Proportion
 from tiny_models import LOSS, ONE_STEP, RESPONSE, gain_problem
 

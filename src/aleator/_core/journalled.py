@@ -74,7 +74,12 @@ class _NoParts(AbstractParts):
 
 
 @final
-class _Unkept(AbstractEntry):
+class Settled(AbstractEntry):
+    """An entry to which nothing can be added: of what an earlier run found, or of what nobody keeps."""
+
+    def __init__(self, recalled: Any = None):
+        self.recalled = recalled
+
     @override
     def keep(self, result: Any) -> None:
         pass
@@ -102,7 +107,7 @@ def journalling(journal: AbstractJournal) -> Iterator[None]:
 def entry_of(what: str, given: Mapping[str, Any]) -> AbstractEntry:
     """The entry of a result in the present journal; one that keeps nothing if there is none."""
     journal = _present.get()
-    return _Unkept() if journal is None else journal.entry(what, given)
+    return Settled() if journal is None else journal.entry(what, given)
 
 
 @contextmanager

@@ -4,7 +4,6 @@ A process that only runs a user's function imports this module and none of the p
 import.
 """
 
-import itertools
 import os
 import signal
 import subprocess
@@ -15,7 +14,6 @@ from typing import Any
 
 # The processes that threads of this one are waiting for, and how often all of them have been ended.
 _RUNNING: set[int] = set()
-_ENDINGS = itertools.count(1)
 _ended = 0
 
 
@@ -60,7 +58,7 @@ def ended_with(process: int, is_over: Callable[[], bool], before: int) -> Iterat
 def end_running() -> None:
     """End all processes that threads of this one are waiting for: an interrupt reaches neither of them."""
     global _ended
-    _ended = next(_ENDINGS)
+    _ended += 1
     for process in list(_RUNNING):
         end_group(process)
 

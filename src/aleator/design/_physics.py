@@ -59,6 +59,11 @@ _known: OrderedDict[Hashable, list[_Known]] = OrderedDict()
 _lock = threading.Lock()
 
 
+def equations_digest(problem: AbstractProblem) -> str:
+    """The digest of a problem's equations, without what is drawn at random where equations do not show all."""
+    return problem.physics.partition(" ")[0]
+
+
 def physics_of(problem: AbstractProblem, trace: Callable[[], Digest]) -> str:
     """The digest of a problem's equations with its present code; `trace` is called only if it is not known.
 

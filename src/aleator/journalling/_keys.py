@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple, final
 
 from aleator._core.lasting import joined, lasting_parts
-from aleator.design import Problem
+from aleator.design import Problem, equations_digest
 
 
 class Identity(NamedTuple):
@@ -58,9 +58,6 @@ def done_with(what: str, given: Mapping[str, Any]) -> str:
 
 
 def _equations(given: Mapping[str, Any]) -> dict[str, str]:
-    """The digest of a problem's equations, without what is random in it where equations do not show all.
-
-    What the code reads is told apart in any case.
-    """
+    """The digest of a problem's equations; what the code reads is told apart in any case."""
     problem = given.get("problem")
-    return {"equations": problem.physics.partition(" ")[0]} if isinstance(problem, Problem) else {}
+    return {"equations": equations_digest(problem)} if isinstance(problem, Problem) else {}

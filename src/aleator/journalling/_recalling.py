@@ -8,7 +8,7 @@ from typing import Any, final
 from typing_extensions import override
 
 from aleator._core.errors import ProblemError
-from aleator._core.journalled import AbstractEntry, AbstractJournal, journalling
+from aleator._core.journalled import AbstractEntry, AbstractJournal, Settled, journalling
 from aleator._core.lasting import DoubtError
 from aleator.journalling import _results
 from aleator.journalling._keys import Keys
@@ -56,7 +56,7 @@ class Recalled(AbstractJournal):
         except ProblemError as error:
             raise self._not_kept(str(error)) from error
         self._keys.remember(found, known.key)
-        return _Found(found)
+        return Settled(found)
 
     @override
     def expect(self, what: str, problems: Mapping[str, Any]) -> list[str]:
@@ -75,17 +75,3 @@ class Recalled(AbstractJournal):
     def _not_kept(self, said: str) -> NotKeptError:
         self.missing.append(said)
         return NotKeptError(said)
-
-
-@final
-class _Found(AbstractEntry):
-    def __init__(self, result: Any):
-        self.recalled = result
-
-    @override
-    def keep(self, result: Any) -> None:
-        pass
-
-    @override
-    def failed(self, error: BaseException) -> None:
-        pass

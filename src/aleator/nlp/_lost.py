@@ -22,19 +22,20 @@ def lost_variables(program: NonlinearProgram, point: np.ndarray, here: Evaluatio
     """Variables by which the slope of the objective is zero at a point and wherever else it is tried, although it
     changes with them.
 
-    Two evaluations if some slope is exactly zero, four more for each suspect if the objective changes. In sparse
-    programs, where an objective depends on few variables by construction, none is looked for.
+    Two evaluations if some slope is exactly zero, two more for each of several suspects if the objective changes. In
+    sparse programs, where an objective depends on few variables by construction, none is looked for.
     """
     flat = np.flatnonzero((here.gradient == 0) & (program.lower < program.upper))
     if not flat.size or not isinstance(here.jacobian, np.ndarray) or not np.isfinite(here.objective):
         return ()
-    if not any(_changes_blindly(here, there, flat) for there in _steps(program, point, flat)):
+    if not _are_lost(program, point, here, flat):
         return ()
-    return tuple(
-        int(one)
-        for one in flat[:_MOST]
-        if any(_changes_blindly(here, there, np.array([one])) for there in _steps(program, point, np.array([one])))
-    )
+    return tuple(int(one) for one in flat[:_MOST] if flat.size == 1 or _are_lost(program, point, here, np.array([one])))
+
+
+def _are_lost(program: NonlinearProgram, point: np.ndarray, here: Evaluation, which: np.ndarray) -> bool:
+    """Whether some step of these variables changes the objective without a slope."""
+    return any(_changes_blindly(here, there, which) for there in _steps(program, point, which))
 
 
 def _steps(program: NonlinearProgram, point: np.ndarray, which: np.ndarray) -> Iterator[Evaluation]:

@@ -64,7 +64,6 @@ from aleator.reporting._report import HOW_TO_READ as HOW_TO_READ
 from aleator.reporting._report import footer as footer
 from aleator.reporting._report import report as report
 from aleator.reporting._report import sections as sections
-from aleator.reporting._report import verdict as verdict
 from aleator.reporting._samples import calibration_figure as calibration_figure
 from aleator.reporting._samples import percentile_figure as percentile_figure
 from aleator.reporting._samples import signal_figure as signal_figure
@@ -91,3 +90,4 @@ from aleator.reporting._trade_offs import pair_figure as pair_figure
 from aleator.reporting._trade_offs import parallel_figure as parallel_figure
 from aleator.reporting._trade_offs import space_figure as space_figure
 from aleator.reporting._trade_offs import trade_off_figure as trade_off_figure
+from aleator.reporting._verdict import verdict as verdict

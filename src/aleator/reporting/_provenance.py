@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from aleator.design import Problem
+from aleator.design import equations_digest
 from aleator.reporting._blocks import Block, Section, Table
 from aleator.reporting._numbers import count, number
 from aleator.solution import Solution
@@ -28,7 +28,7 @@ def design_digest(solution: Solution) -> str:
     They change with any of these, and are the same on this page and in `designs.json`.
     """
     numbers = np.array([*solution.vector, solution.objective], dtype=float)
-    return _digest(_equations(solution.problem).encode() + numbers.tobytes())
+    return _digest(equations_digest(solution.problem).encode() + numbers.tobytes())
 
 
 def provenance(results: Mapping[str, Any]) -> Section:
@@ -105,11 +105,6 @@ def _time_of(solution: Solution) -> float:
 
 def _seconds(value: float) -> str:
     return number(value, 3)
-
-
-def _equations(problem: Problem) -> str:
-    """The digest of a problem's equations, without what is drawn at random where equations do not show all."""
-    return problem.physics.partition(" ")[0]
 
 
 def _digest(content: bytes) -> str:
