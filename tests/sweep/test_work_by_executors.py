@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from bars import Bar, bar, scattered, two_valleys
 
 import aleator as al
+from bars import Bar, bar, scattered, two_valleys
 
 CALIBRATED = {"target": 0.05, "samples": 2000, "max_trials": 6}
 
