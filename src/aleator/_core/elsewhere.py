@@ -9,9 +9,10 @@ import pickle
 import threading
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import CancelledError, Executor, Future, as_completed
+from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future, wait
 from contextlib import contextmanager
-from typing import Any, TypeAlias
+from functools import partial
+from typing import Any, TypeAlias, final
 
 from aleator._core.errors import AleatorError, AleatorWarning, ProblemError, SimulationError
 from aleator._core.given import refusal, shown
@@ -19,9 +20,6 @@ from aleator._core.warned import warned_of
 
 Work: TypeAlias = Callable[..., Any]
 """A function of a module of ours, so that a pickle names it."""
-
-Sent: TypeAlias = dict["Future[bytes]", int]
-"""The futures of work that was sent, each with its index."""
 
 # Python hears warnings in one thread of a process at a time; several threads of one would take them from each other.
 _HEARD = threading.RLock()
@@ -51,34 +49,52 @@ def each_done(
     Warnings begin with the words in `where`. Where the caller stops, what has not begun is cancelled. Raises what the
     work raises, `ProblemError` for arguments that cannot travel, and `SimulationError` if workers keep dying.
     """
-    packs = {i: packed(work, one) for i, one in enumerate(calls)}
-    with sending(executor, packs, where) as sent:
-        for future in as_completed(sent):
-            i = sent[future]
-            result = received(future, packs[i], where[i])
+    with sending(executor) as sent:
+        for i, (pack, place) in enumerate(zip([packed(work, one) for one in calls], where, strict=True)):
+            sent.send(i, pack, place)
+        for i, receive in sent.done():
+            result = receive()
             if isinstance(result, AleatorError):
                 raise result
             yield i, result
 
 
 @contextmanager
-def sending(
-    executor: Executor, packs: Mapping[int, bytes], where: Sequence[str]
-) -> "Iterator[dict[Future[bytes], int]]":
-    """Send packs of work by their indices, which the futures have within the block; after it, the rest is cancelled.
-
-    Raises `SimulationError` if the executor does not take them.
-    """
-    sent: Sent = {}
+def sending(executor: Executor) -> "Iterator[Sent]":
+    """Send work to an executor within a block; after it, what has not begun is cancelled."""
+    sent = Sent(executor)
     try:
-        for i, pack in packs.items():
-            future = _submitted(executor, pack, where[i])
-            if future in sent:
-                raise _lost(where[i], "the executor gave the same future for two pieces of work")
-            sent[future] = i
         yield sent
     finally:
-        for future in sent:
+        sent.cancel()
+
+
+@final
+class Sent:
+    """Work that an executor was given, each piece with its index."""
+
+    def __init__(self, executor: Executor):
+        self._executor = executor
+        self._futures: dict[Future[bytes], Callable[[], Any]] = {}
+        self._open: dict[Future[bytes], int] = {}
+
+    def send(self, index: int, pack: bytes, where: str) -> None:
+        """Send a pack. Raises `SimulationError` if the executor does not take it."""
+        future = _submitted(self._executor, pack, where)
+        if future in self._futures:
+            raise _lost(where, "the executor gave the same future for two pieces of work")
+        self._futures[future] = partial(received, future, pack, where)
+        self._open[future] = index
+
+    def done(self) -> "Iterator[tuple[int, Callable[[], Any]]]":
+        """What is finished, as soon as it is, that sent meanwhile too: its index, and `received` for it."""
+        while self._open:
+            finished, _ = wait(self._open, return_when=FIRST_COMPLETED)
+            yield from [(self._open.pop(future), self._futures[future]) for future in finished]
+
+    def cancel(self) -> None:
+        """Cancel what has not begun."""
+        for future in self._futures:
             future.cancel()
 
 

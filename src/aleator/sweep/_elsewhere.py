@@ -1,14 +1,14 @@
 """Solves and evidence by an executor, recalled and kept by the journal of this process."""
 
 import pickle
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import Executor, as_completed
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor
 from dataclasses import replace
-from typing import Any, Literal, TypeAlias, cast
+from typing import Any, Literal, NamedTuple, TypeAlias, cast
 
-from aleator._core.elsewhere import packed, received, run, sending
+from aleator._core.elsewhere import Sent, packed, run, sending
 from aleator._core.errors import AleatorError, SimulationError
-from aleator._core.journalled import entry_of
+from aleator._core.journalled import AbstractEntry, entry_of
 from aleator.design import Problem, refuse_other_code
 from aleator.solution import Solution
 from aleator.solving import Call, follows_from, solve
@@ -21,31 +21,66 @@ _GIVEN = {"solve": lambda **call: follows_from(Call(**call)), "validate": valida
 def each_elsewhere(
     work: Work, executor: Executor, calls: Sequence[Mapping[str, Any]], where: Sequence[str]
 ) -> Iterator[tuple[int, Any]]:
-    """The results of `solve` or `validate` for some arguments, each with its index, as soon as they are there.
+    """The results of `solve` or `validate` for some arguments, each with its index: see `as_they_come`."""
+    waiting = list(zip(calls, where, strict=True))
 
-    A refusal or a failure of a model is a result: the exception. What a journal has is not computed. Warnings begin
-    with the words in `where`. Where the caller stops, what has not begun is cancelled.
+    def once() -> list[tuple[Mapping[str, Any], str]]:
+        given, waiting[:] = waiting[:], []
+        return given
+
+    return as_they_come(work, executor, once)
+
+
+def as_they_come(
+    work: Work, executor: Executor, more: Callable[[], Iterable[tuple[Mapping[str, Any], str]]]
+) -> Iterator[tuple[int, Any]]:
+    """The results of `solve` or `validate`, each with the number of its call, as soon as they are there.
+
+    `more`: the further calls that can be made by now, each with its place in words, with which its warnings begin. It
+    is asked at first, and again whenever a result has been taken. A refusal or a failure of a model is a result: the
+    exception. What a journal has is not computed. Where the caller stops, what has not begun is cancelled.
 
     Raises `ProblemError` for models that cannot travel, and `SimulationError` if workers keep dying.
     """
-    entries = [entry_of(work, _GIVEN[work](**one)) for one in calls]
-    done = {"solve": _solved, "validate": _validated}[work]
-    packs = {i: packed(done, calls[i]) for i, entry in enumerate(entries) if entry.recalled is None}
-    yield from ((i, entry.recalled) for i, entry in enumerate(entries) if entry.recalled is not None)
-    with sending(executor, packs, where) as sent:
-        for future in as_completed(sent):
-            i = sent[future]
+    made = list[_Made]()
+    with sending(executor) as sent:
+        yield from _recalled(work, sent, made, more)
+        for i, receive in sent.done():
+            call, entry = made[i]
             try:
-                result = received(future, packs[i], where[i])
+                result = receive()
             except SimulationError as error:
-                entries[i].failed(error)
+                entry.failed(error)
                 raise
             if isinstance(result, AleatorError):
-                entries[i].failed(result)
+                entry.failed(result)
             else:
-                result = _of_here(result, calls[i])
-                entries[i].keep(result)
+                result = _of_here(result, call)
+                entry.keep(result)
             yield i, result
+            yield from _recalled(work, sent, made, more)
+
+
+class _Made(NamedTuple):
+    """A call that was made, and the place of its result in the journal."""
+
+    call: Mapping[str, Any]
+    entry: AbstractEntry
+
+
+def _recalled(
+    work: Work, sent: Sent, made: list[_Made], more: Callable[[], Iterable[tuple[Mapping[str, Any], str]]]
+) -> Iterator[tuple[int, Any]]:
+    """Make the calls that can be made by now: those results that a journal has; the others are sent for."""
+    done = {"solve": _solved, "validate": _validated}[work]
+    while calls := list(more()):
+        first = len(made)
+        made += [_Made(call, entry_of(work, _GIVEN[work](**call))) for call, _ in calls]
+        fresh = range(first, len(made))
+        packs = {i: packed(done, made[i].call) for i in fresh if made[i].entry.recalled is None}
+        for i, pack in packs.items():
+            sent.send(i, pack, calls[i - first][1])
+        yield from ((i, made[i].entry.recalled) for i in fresh if i not in packs)
 
 
 def solving_of(call: Mapping[str, Any]) -> tuple[Callable[[bytes], bytes], bytes]:

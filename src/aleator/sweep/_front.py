@@ -1,6 +1,6 @@
 """`pareto`: one problem for many values of a bound (the constraint form of multi-objective design, section 3.5.1)."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from typing import Any, final
@@ -20,7 +20,8 @@ from aleator.design import Problem, current, refuse_changed
 from aleator.nlp import AbstractSolver, Status
 from aleator.solution import Solution, in_brief
 from aleator.solving import solve
-from aleator.sweep._elsewhere import each_elsewhere, solving_of
+from aleator.sweep._elsewhere import as_they_come, solving_of
+from aleator.sweep._plan import Plan
 from aleator.sweep._workers import Workers
 from aleator.transcription import DEFAULT, AbstractTranscription
 
@@ -139,7 +140,8 @@ def pareto(
 
     With an `executor` (`al.workers(2)`, loky's, Dask's `client.get_executor()`, any of `concurrent.futures`), its
     workers solve points from coarse to fine: the first value, then the ends, then the middles between, each from the
-    nearest of those before; those that fail are tried again here. The front is the same for every executor.
+    nearest of those before, as soon as this one is there; those that fail are tried again here. The front is the same
+    for every executor.
 
     A value given twice is solved once. Raises `ProblemError` if there is no such constraint or no value, or if every
     point is refused.
@@ -188,16 +190,21 @@ class _Sweep:
             heed()
 
     def solve_by(self, executor: Executor, heed: Callable[[], None]) -> None:
-        """Solve points by workers, wave by wave, then those that failed here, from their better neighbours."""
-        for wave in waves(list(self._problems)):
-            neighbours = [_nearest(self.solutions, value) for value in wave]
-            calls = [self._call(value, near) for value, near in zip(wave, neighbours, strict=True)]
-            if not self.solutions and isinstance(executor, Workers):
-                executor.rehearse(*solving_of(calls[0]))
-            for i, found in each_elsewhere("solve", executor, calls, [self._place(value) for value in wave]):
-                self._keep(wave[i], found)
-                self.tell()
-                heed()
+        """Solve points by workers, each once the one is known from which it starts, then those that failed here."""
+        plan, begun = Plan(list(self._problems)), list[float]()
+
+        def more() -> Iterator[tuple[Mapping[str, Any], str]]:
+            finished = {value: one.ok for value, one in (self.solutions | self._refused).items()}
+            for value, nearest in plan.ready(finished):
+                begun.append(value)
+                yield self._call(value, None if nearest is None else self.solutions[nearest]), self._place(value)
+
+        if isinstance(executor, Workers):
+            executor.rehearse(*solving_of(self._call(plan.first, None)))
+        for i, found in as_they_come("solve", executor, more):
+            self._keep(begun[i], found)
+            self.tell()
+            heed()
         for value in [value for value, one in self.solutions.items() if not one.ok]:
             self._point(value)
             heed()
@@ -250,22 +257,6 @@ class _Sweep:
             self._last = f": {self._bound} = {value:.6g}, no design"
         else:
             raise found
-
-
-def waves(values: Sequence[float]) -> list[list[float]]:
-    """Values in groups: the first given, the ends, then the middles of the gaps between those before, and so on."""
-    ordered = sorted(values)
-    groups, gaps = [[values[0]], [ordered[0], ordered[-1]]], [(0, len(ordered) - 1)]
-    while gaps:
-        groups.append([ordered[(low + high) // 2] for low, high in gaps if high - low > 1])
-        gaps = [gap for low, high in gaps if high - low > 1 for gap in _halves(low, high)]
-    known: set[float] = set()
-    fresh = [[one for one in dict.fromkeys(group) if one not in known and not known.add(one)] for group in groups]
-    return [group for group in fresh if group]
-
-
-def _halves(low: int, high: int) -> list[tuple[int, int]]:
-    return [(low, (low + high) // 2), ((low + high) // 2, high)]
 
 
 def _nearest(solutions: Mapping[float, Solution], value: float) -> Solution | None:
