@@ -22,6 +22,13 @@ def identity(function: Callable[..., Any]) -> str:
     return hashlib.sha256(json.dumps(told).encode()).hexdigest()
 
 
+def followed(function: Callable[..., Any]) -> Any:
+    """What the outputs follow from, for the journal of a run: the function itself, which it reads, or a command."""
+    if isinstance(function, Isolated):
+        return followed(function.function)
+    return identity(function) if isinstance(function, Command) else function
+
+
 @final
 class Watched:
     """The identity of a function from call to call of its box.
