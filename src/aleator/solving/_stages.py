@@ -22,7 +22,7 @@ from aleator.certification import (
     whether_misled,
 )
 from aleator.design import Problem, is_over_time
-from aleator.nlp import AbstractSolver, Outcome, Status, feasible_elsewhere, moved_on
+from aleator.nlp import AbstractSearch, AbstractSolver, Outcome, Status, feasible_elsewhere, moved_on
 from aleator.solution import TOLERATED, Between, Solution, WorstCase
 from aleator.transcription import (
     AbstractTranscribed,
@@ -165,8 +165,8 @@ class Stages(NamedTuple):
         rows = transcribed.program.constraint_lower.shape
         # Multipliers at the instants of another grid say nothing here.
         known = multipliers if multipliers is not None and multipliers.shape == rows else None
-        # Local solvers, which continue from what a search has found, ask for no values.
-        program = valued_by(self.executor, transcribed.program, "solve")
+        executor = self.executor if isinstance(solver, AbstractSearch) else None
+        program = valued_by(executor, transcribed.program, "solve")
         return solver.solve(program, start=start, multipliers=known)
 
 

@@ -76,7 +76,7 @@ def trade_off(
     check_executor("trade_off", executor)
     if executor is not None and method != "population" and starts == 1:
         raise ProblemError(
-            'trade_off: executor: expected method="population" or starts= of at least 2, whose simulations and searches '
+            'trade_off: executor: expected method="population" or starts= of at least 2, whose simulations or searches '
             f"can be shared; received method={method!r} with one start, where each design follows from those before."
         )
     if method == "population":

@@ -17,6 +17,8 @@ from aleator.transcription._scope import scope_of
 
 # Systems simulated together: more are slower, because their histories leave the cache.
 _SYSTEMS = 128
+# Designs simulated together: of more, many would often be repetitions, and there would be no calls to share.
+_DESIGNS = 16
 
 # Calls by one thread before it waits for the others, which takes time.
 _CALLS = 8
@@ -55,7 +57,7 @@ class Population:
 
     def __init__(self, traced: Problem, collocation: Collocation, constants: Constants):
         self.made_of = {"traced": traced, "collocation": collocation, "constants": constants}
-        self._together = max(1, _SYSTEMS // len(collocation.points))
+        self._together = min(max(1, _SYSTEMS // len(collocation.points)), _DESIGNS)
         self._of_size = {size: VALUES.bound(traced, collocation, constants) for size in {1, self._together}}
 
     def __call__(self, decisions: Float[np.ndarray, "k n"]) -> tuple[np.ndarray, np.ndarray]:
