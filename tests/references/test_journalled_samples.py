@@ -1,5 +1,6 @@
 """Samples in the journal of a run: what was ended goes on from there, with the same digits."""
 
+import sys
 from collections.abc import Iterator
 from concurrent.futures import Executor, ThreadPoolExecutor
 from pathlib import Path
@@ -136,14 +137,23 @@ def test_the_whole_sample_of_a_black_box_is_kept_unless_it_may_drop_some(tmp_pat
     assert samples[0][0] == bits(al.references.monte_carlo(called, MODEL, 64, traced=False))
 
 
-def test_commands_are_told_by_their_arguments_and_files(tmp_path: Path):
+def test_samples_of_commands_are_left_to_the_journal_of_their_box(tmp_path: Path):
     script = tmp_path / "double.py"
-    found = []
-    for factor in (2, 2, 3):
-        script.write_text(f"import sys\nprint({factor} * float(sys.argv[1]))\n")
-        with al.journal(tmp_path / "run") as kept:
-            box = al.foreign.BlackBox(al.foreign.Command(["python", str(script), "{off}"]))
-            sample = al.references.monte_carlo(box, {"off": al.Normal(0.0, 1.0)}, 4)
-            found.append((sample.values, kept.recalled))
-    assert [one for _, one in found] == [0, 1, 0]
-    np.testing.assert_allclose(found[2][0], 1.5 * found[0][0], rtol=1e-15)
+    script.write_text("import sys\nprint(2 * float(sys.argv[1]))\n")
+    command = al.foreign.Command([sys.executable, str(script), "{off}"])
+    box = al.foreign.BlackBox(command, journal=tmp_path / "runs.jsonl")
+    with al.journal(tmp_path / "run") as kept:
+        values = al.references.monte_carlo(box, {"off": al.Normal(0.0, 1.0)}, 4).values
+        assert kept.begun == 0
+    drawn = al.references.monte_carlo(doubled, {"off": al.Normal(0.0, 1.0)}, 4, traced=False)
+    assert values.tobytes() == drawn.values.tobytes()
+    assert len((tmp_path / "runs.jsonl").read_text().splitlines()) >= 4
+
+
+def doubled(model):
+    return 2 * model["off"]
+
+
+def test_an_isolated_function_is_told_by_its_code():
+    assert al.foreign.BlackBox(al.foreign.Isolated(doubled)).follows_from is doubled
+    assert al.foreign.BlackBox(al.foreign.Isolated(doubled), drop=0.1).follows_from is None

@@ -23,10 +23,13 @@ def identity(function: Callable[..., Any]) -> str:
 
 
 def followed(function: Callable[..., Any]) -> Any:
-    """What the outputs follow from, for the journal of a run: the function itself, which it reads, or a command."""
+    """What the outputs follow from, for the journal of a run: a function, which it reads; None for a command.
+
+    A command may read what nobody sees.
+    """
     if isinstance(function, Isolated):
         return followed(function.function)
-    return identity(function) if isinstance(function, Command) else function
+    return None if isinstance(function, Command) else function
 
 
 @final

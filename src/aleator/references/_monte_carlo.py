@@ -56,7 +56,7 @@ def monte_carlo(
     Returns a `RandomSample`, whose statistics are estimates with standard errors. The whole sample is kept, at most 2
     GiB. Standard errors fall as `samples^(-1/2)`. Within `al.journal(folder)` what takes long is kept part by part,
     every few seconds: after a crash the same call goes on from there. A black box keeps its samples one by one (see its
-    `journal`); its whole sample is kept there as well, unless it may drop some.
+    `journal`); its whole sample is kept there as well, unless it is a command or may drop some.
 
     Raises `ProblemError` if nothing is uncertain or the sample is too large, `SimulationError` if an output is not
     finite, naming the inputs there.
