@@ -3,7 +3,9 @@
 import os
 import pickle
 import signal
+import subprocess
 import sys
+import textwrap
 from collections.abc import Iterator
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from pathlib import Path
@@ -227,3 +229,53 @@ def test_searches_of_processes_are_the_same_and_survive_the_death_of_one(tmp_pat
     assert (tmp_path / "mark").exists()
     assert bits(here) == bits(there)
     assert bits(here) == bits(al.solve(two_valleys(), SEARCH))
+
+
+ON_A_CLUSTER = """
+    import os
+    import signal
+    import sys
+
+    import numpy as np
+    from dask.distributed import Client, LocalCluster
+    from loky import get_reusable_executor
+
+    import aleator as al
+    from bars import two_valleys
+
+
+    def main():
+        search = al.solvers.DifferentialEvolution(evaluations=150, population=40)
+        loky = al.solve(two_valleys(), search, executor=get_reusable_executor(2))
+        cluster = LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None)
+        with cluster, Client(cluster) as client:
+            workers = list(client.run(os.getpid).values())
+
+            def kill(task, done, total):
+                if done > 40 and len(workers) == 2:
+                    os.kill(workers.pop(), signal.SIGKILL)
+
+            searched = al.solvers.DifferentialEvolution(evaluations=150, population=40, progress=kill)
+            dask = al.solve(two_valleys(), searched, executor=client.get_executor())
+        np.save(sys.argv[1], [one.effort.searched.objectives for one in (loky, dask)])
+        assert len(workers) == 1, "no worker was killed"
+
+
+    if __name__ == "__main__":
+        main()
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform == "win32", reason="processes are killed by a signal")
+def test_searches_of_loky_and_of_a_cluster_whose_worker_is_killed_are_the_same(tmp_path: Path):
+    (tmp_path / "searched.py").write_text(textwrap.dedent(ON_A_CLUSTER))
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(Path(__file__).parents[1]), *sys.path])}
+    done = subprocess.run(
+        [sys.executable, "searched.py", "found.npy"], cwd=tmp_path, env=environment, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    loky, dask = np.load(tmp_path / "found.npy")
+    here = al.solve(two_valleys(), SEARCH).effort.searched
+    assert here is not None
+    assert loky.tobytes() == dask.tobytes() == here.objectives.tobytes()
